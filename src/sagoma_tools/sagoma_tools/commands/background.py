@@ -36,6 +36,7 @@ from ..graph.background_training import (
     train_backgrounds,
 )
 from ..graph.diagnostics_table import DiagnosticsTable
+from ..graph.namespace import add_namespace_argument, namespace_argument, namespace_of
 from ..graph.ros_link import RosLink, StopOnSignal
 
 COUNTDOWN_S = 10
@@ -62,6 +63,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--expect", type=int, default=1, metavar="N", help="wait until so many camera clients are found")
     option("--wait", type=float, default=5.0, metavar="S", help="... but no longer than this")
     option("--timeout", type=float, default=TIMEOUT_S, metavar="S", help="for a camera's frames to come")
+    add_namespace_argument(parser)
     option("--json", action="store_true", help="print the result as one line of JSON, too")
     parser.set_defaults(run=run)
     show = parser.add_subparsers(metavar="show").add_parser("show", help="what saved backgrounds (.npz) hold")
@@ -74,9 +76,10 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     """Find the clients, wait for the empty room, train, report; the exit status is the worst verdict's."""
     console = command_console()
-    with StopOnSignal() as stop, RosLink("sagoma_background") as link:
+    with StopOnSignal() as stop, RosLink("sagoma_background", namespace=namespace_argument(args)) as link:
         diagnostics = DiagnosticsTable(link.node)
-        names = select_clients(find_clients(link.node, args.expect, args.wait), args.cameras)
+        found = find_clients(link.node, args.expect, args.wait)
+        names = select_clients(found, args.cameras, namespace_of(link.node))
         diagnostics.wait_for(names, CONTACT_S)
         if args.repeat:
             names = needing_training(diagnostics, names)
@@ -160,11 +163,14 @@ def count_down(console: Console, prompt: str, seconds: int, stop: threading.Even
     return True
 
 
-def select_clients(names: Sequence[str], cameras: Sequence[str] | None) -> list[str]:
-    """Return the clients of ``cameras`` among ``names``, or all. Raises InputError for a camera without a client."""
+def select_clients(names: Sequence[str], cameras: Sequence[str] | None, namespace: str = "") -> list[str]:
+    """Return the clients of ``cameras``, as they are called in the namespace, among the full ``names``, or all.
+
+    Raises InputError for a camera without a client.
+    """
     if cameras is None:
         return list(names)
-    by_camera = {camera_of(name): name for name in names}
+    by_camera = {camera_of(name.removeprefix(namespace)): name for name in names}
     absent = sorted(set(cameras) - set(by_camera))
     if absent:
         remedy = f"There are: {', '.join(sorted(by_camera))}."

@@ -12,6 +12,7 @@ from capture_rig.rig import load_rig
 
 from ..arguments import add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings
 from ..command_help import INTERRUPTED
+from ..graph.namespace import add_namespace_argument, namespace_argument
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes
 from ..graph.topics import (
     CLOCK_TOPIC,
@@ -46,6 +47,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--all", action="store_true", help="record every topic of the graph, of whatever nodes")
     help_asked = "record these alone, and what is below them (/tf /tf_static /humans /cam01), as they appear"
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help=help_asked)
+    add_namespace_argument(parser)
     parser.add_argument("--seconds", type=float, help="stop after so long (default: run until Ctrl-C)")
     parser.set_defaults(run=record)
 
@@ -89,7 +91,7 @@ def record(args: argparse.Namespace) -> int:
         *OUTPUT_TOPICS,
         *topics_of_others(),
     ]
-    with StopOnSignal() as stop, RosLink("sagoma_recorder") as link:
+    with StopOnSignal() as stop, RosLink("sagoma_recorder", namespace=namespace_argument(args)) as link:
 
         def report_failure(error: InputError) -> None:
             print(f"sagoma: {error}", file=sys.stderr, flush=True)

@@ -11,6 +11,7 @@ from capture_rig.rig import Rig, load_rig
 
 from ..arguments import add_takes_argument, bag_of
 from ..graph.diagnostics_table import DiagnosticsTable
+from ..graph.namespace import add_namespace_argument, namespace_argument
 from ..graph.ros_link import RosLink, StopOnSignal
 from ..progress_line import until_stopped
 from ..takes.folder import TakesFolder
@@ -29,6 +30,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("take", nargs="?", help="bag to play on the page (default: the live graph)")
     parser.add_argument("--rig", help="rig YAML, whose cameras are drawn")
     add_page_arguments(parser)
+    add_namespace_argument(parser)
     parser.add_argument("--seconds", type=float, help="close after so long (default: run until Ctrl-C)")
     parser.set_defaults(run=run)
 
@@ -68,7 +70,7 @@ def page_of(args: argparse.Namespace) -> Iterator[Page]:
         finally:
             page.close()
         return
-    with RosLink("sagoma_view") as link:
+    with RosLink("sagoma_view", namespace=namespace_argument(args)) as link:
         diagnostics = DiagnosticsTable(link.node)
         takes = TakesFolder(Path(args.takes))
         jobs = Jobs()

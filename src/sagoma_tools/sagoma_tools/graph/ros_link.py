@@ -22,6 +22,8 @@ from rclpy.signals import SignalHandlerOptions
 
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 
+from .namespace import below
+
 SPIN_END_S = 5.0
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SETTLED_S, LOOK_S = 1.0, 0.1
@@ -35,11 +37,17 @@ class RosLink:
     Everything created on :attr:`node` calls back on the background thread.
     """
 
-    def __init__(self, name: str, *, domain_id: int | None = None) -> None:
+    def __init__(self, name: str, *, namespace: str = "", domain_id: int | None = None) -> None:
+        """``namespace`` : of the graph ("/studio"): what is looked for through :attr:`node` is looked for there."""
         self.context = Context()
         rclpy.init(context=self.context, domain_id=domain_id, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(
-            name, context=self.context, enable_rosout=False, start_parameter_services=False, use_global_arguments=False
+            name,
+            context=self.context,
+            namespace=namespace or None,
+            enable_rosout=False,
+            start_parameter_services=False,
+            use_global_arguments=False,
         )
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
@@ -126,15 +134,17 @@ def node_names(node: Node) -> list[str]:
 
 
 def our_nodes(node: Node) -> set[str]:
-    """Fully qualified names of the camera clients and of the server's nodes in the graph."""
-    return {name for name in node_names(node) if name.rpartition("/")[2] in (CAMERA_NODE, *SERVER_NODES)}
+    """Fully qualified names of the camera clients and of the server's nodes in the graph, of the node's namespace."""
+    ours = (CAMERA_NODE, *SERVER_NODES)
+    return {name for name in node_names(node) if name.rpartition("/")[2] in ours and below(node, name)}
 
 
 def owners_of(node: Node, service: str, kind: str) -> set[str]:
-    """Full names of the nodes that offer ``~/SERVICE`` of type ``kind`` ("std_srvs/srv/Trigger")."""
+    """Full names of the nodes of the node's namespace that offer ``~/SERVICE`` of type ``kind``
+    ("std_srvs/srv/Trigger")."""
     suffix = f"/{service}"
-    offered = node.get_service_names_and_types()
-    return {name.removesuffix(suffix) for name, kinds in offered if name.endswith(suffix) and kind in kinds}
+    offered = [name for name, kinds in node.get_service_names_and_types() if kind in kinds and below(node, name)]
+    return {name.removesuffix(suffix) for name in offered if name.endswith(suffix)}
 
 
 # service calls -------------------------------------------------------------------------------------------------------

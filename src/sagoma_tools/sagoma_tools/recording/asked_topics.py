@@ -11,6 +11,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 
+from ..graph.namespace import in_graph, topics_of
 from ..graph.topics import Topic, message_class
 from .reader import TYPES
 
@@ -32,10 +33,10 @@ class AskedTopics:
     def new(self) -> list[Topic]:
         """Return the topics that have appeared since the last call."""
         found = []
-        for name, (msgtype, *_) in self._node.get_topic_names_and_types():
+        for name, msgtype in topics_of(self._node).items():
             if name in self._seen or not self._wanted(name):
                 continue
-            offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(name)]
+            offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(in_graph(self._node, name))]
             if not offered:  # nobody publishes it yet, so nobody says how
                 continue
             self._seen.add(name)

@@ -20,6 +20,7 @@ from rclpy.parameter import parameter_value_to_python
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import NodeSpec, Role
 
+from ..graph.namespace import in_graph, topics_of
 from ..graph.ros_link import RosLink, call_all
 from ..graph.topics import (
     DIAGNOSTICS,
@@ -47,6 +48,8 @@ CONNECT_TIMEOUT_S = 60.0
 
 class Recorder:
     """Records topics into one bag from construction to :meth:`close`; ``node`` must be spun by another thread.
+
+    Topics are those of the node's namespace; the bag names them as they are without one.
 
     canonical : write undefined bytes between fields as zero, so that equal messages are equal bytes in the bag; costs
     some 0.05 ms a message (2 ms for markers), so it is for lockstep, not for live recordings.
@@ -91,7 +94,7 @@ class Recorder:
                 self._announce(topic)
         self._subscriptions[topic.name] = self._node.create_subscription(
             message_class(topic.msgtype),
-            topic.name,
+            in_graph(self._node, topic.name),
             self._on_message(topic),
             topic.qos,
             raw=True,
@@ -217,7 +220,7 @@ class Recorder:
         self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
 
     def _add_newcomers(self, first_id: str) -> None:
-        names = [name for name, _ in self._node.get_topic_names_and_types()]
+        names = topics_of(self._node)
         others = [body_id for body_id in persons_in(names) if body_id != first_id]
         for topics in (*map(camera_topics, cameras_in(names)), *map(person_topics, others)):
             for topic in topics:

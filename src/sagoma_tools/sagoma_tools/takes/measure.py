@@ -28,7 +28,7 @@ from .take import Background, CameraRecord, PersonRecord, Quality, Summary
 
 FRAME_SETS, FITS, BODY = "/hull/frame_set", "/icp/fit", "/icp/body"
 PERSON = re.compile(r"^/mocap/(?:bodies/(?P<body_id>[^/]+)/)?(?P<kind>reference_points|state)$")
-CAMERA_NODE = re.compile(r"^/(?P<camera>[^/]+)/camera_client$")
+CAMERA_NODE = re.compile(r"^/(?:.+/)?(?P<camera>[^/]+)/camera_client$")
 DIGEST_BYTES = 1 << 20
 ROUNDED = 4
 """Digits behind the point of shares and millimetres: figures are compared when they are measured again."""

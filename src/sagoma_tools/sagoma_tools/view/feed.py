@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
+from ..graph.namespace import in_graph
 from ..graph.topics import message_class
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -39,7 +40,7 @@ class Feed:
                 self._kinds[name] = message_class(msgtype)
                 keep = partial(self._keep, name)
                 self._subscriptions[name] = self._node.create_subscription(
-                    self._kinds[name], name, keep, NEWEST, raw=True
+                    self._kinds[name], in_graph(self._node, name), keep, NEWEST, raw=True
                 )
 
     @property

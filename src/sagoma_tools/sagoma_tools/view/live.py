@@ -13,6 +13,7 @@ from motion_export.motion import point_deviations
 from sagoma_ros.packets import read_finite, read_reference_points
 
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
+from ..graph.namespace import below, namespace_of, topics_of
 from ..graph.ros_link import RosLink, our_nodes
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, persons_in
 from .feed import Feed
@@ -59,7 +60,7 @@ class LiveGraph:
         if now_s - self._looked_s < LOOK_S and (voxels, pictures) == self._wanted:
             return
         self._looked_s, self._wanted = now_s, (voxels, pictures)
-        names = [name for name, _ in self._node.get_topic_names_and_types()]
+        names = topics_of(self._node)
         others = [body_id for body_id in persons_in(names) if body_id != FIRST_BODY_ID]
         self._bodies = {FIRST_BODY_ID: "/mocap", **{body_id: f"/mocap/bodies/{body_id}" for body_id in others}}
         self._cameras = {
@@ -102,9 +103,11 @@ class LiveGraph:
         return None if cloud is None else read_finite(cloud, VoxelSamples, VOXELS[0])[0].points_world
 
     def reports(self) -> dict[str, NodeReport | None]:
-        """Return the last report of every node that is in the graph or was heard, by full name."""
-        names = our_nodes(self._node) | set(self._diagnostics.names())
-        return {name: self._diagnostics.report(name) for name in sorted(names)}
+        """Return the last report of every node that is in the graph or was heard, by its name in the namespace."""
+        heard = {name for name in self._diagnostics.names() if below(self._node, name)}
+        namespace = namespace_of(self._node)
+        names = sorted(our_nodes(self._node) | heard)
+        return {name.removeprefix(namespace): self._diagnostics.report(name) for name in names}
 
     def draw_pictures(self, gui: viser.GuiApi, folder: viser.GuiFolderHandle) -> None:
         """Draw each camera's newest picture: its preview where the client publishes one, else its silhouette."""
