@@ -1,1 +1,1 @@
-"""What a GigE Vision camera asks of its client, without the camera: addresses, features, formats, clocks, triggers."""
+"""The client side of GigE Vision, without any driver: discovery, features, pixel formats, clocks, triggers."""

@@ -1,1 +1,1 @@
-"""Several persons in one volume: whose is what of the hull, and a tracker for each."""
+"""Several persons in one volume: data association, a tracker for each, and who is who."""

@@ -1,1 +1,1 @@
-"""What may keep a camera PC from working, found before it does: facts are collected and judged, remedies shown."""
+"""Diagnosis of machine, network, cameras, rig and running graph: facts are collected, judged, shown with remedies."""

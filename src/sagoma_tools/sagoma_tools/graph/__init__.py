@@ -1,1 +1,1 @@
-"""."""
+"""The node graph as processes: started, driven through its lifecycle, watched, restarted, and stopped."""

@@ -1,1 +1,1 @@
-"""."""
+"""Session folders of the studio: footage, exact silhouettes, boards and truth, written to files."""

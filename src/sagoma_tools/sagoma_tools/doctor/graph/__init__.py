@@ -1,1 +1,1 @@
-"""The running graph: what it says in a few seconds, and what that means."""
+"""Diagnosis of the running graph, from what it says in a few seconds."""

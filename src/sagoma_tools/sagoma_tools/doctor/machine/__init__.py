@@ -1,1 +1,1 @@
-"""This machine, and the ways from it to others."""
+"""Diagnosis of this machine, and of its links to others."""

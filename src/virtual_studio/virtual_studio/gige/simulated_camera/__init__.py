@@ -1,1 +1,1 @@
-"""."""
+"""A simulated camera: its features, clock and triggers, sensor, and acquisition."""
