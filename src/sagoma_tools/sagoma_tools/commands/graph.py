@@ -172,6 +172,6 @@ def discover(node: Node, expect: int, wait_s: float) -> list[str]:
     """
     found = settled(lambda: our_nodes(node), expect, wait_s)
     if len(found) < expect:
-        remedy = "Start them, or check ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE."
+        remedy = "Start them; are they not heard? sagoma doctor --live --host ADDRESS."
         raise InputError(f"found {len(found)} nodes of ours, expected {expect}", where="the ROS graph", remedy=remedy)
     return found

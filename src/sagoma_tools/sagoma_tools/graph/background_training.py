@@ -55,7 +55,7 @@ def find_clients(node: Node, expect: int, wait_s: float) -> list[str]:
     found = settled(lambda: owners_of(node, SERVICE, SERVICE_TYPE), expect, wait_s)
     if len(found) < max(expect, 1):
         what = f"found {len(found)} camera clients, expected {max(expect, 1)}"
-        remedy = "Start them (sagoma up --cameras FOLDER), or check ROS_DOMAIN_ID and ROS_AUTOMATIC_DISCOVERY_RANGE."
+        remedy = "Start them (sagoma up --cameras FOLDER); are they not heard? sagoma doctor --live --host ADDRESS."
         raise InputError(what, where="the ROS graph", remedy=remedy)
     return found
 

@@ -16,6 +16,7 @@ from lifecycle_msgs.srv import GetState
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 
+from ...graph.network_settings import PEERS_VARIABLE
 from ...graph.ros_link import RosLink, call_all, node_names, owners_of, settled
 from ...graph.topics import DIAGNOSTICS_TOPIC, cameras_in
 from ..machine.announcements import AnnouncementListener, machine_of
@@ -71,6 +72,7 @@ def collect_graph(seconds: float, expected: Sequence[str] = (), domain_id: int |
             rig_files=rig_files,
             domains_here=domains_here,
             announced=announcements.heard,
+            peers=tuple(filter(None, os.environ.get(PEERS_VARIABLE, "").split(";"))),
         )
 
 

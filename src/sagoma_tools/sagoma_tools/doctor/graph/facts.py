@@ -90,7 +90,7 @@ class FrameSetFacts:
 @dataclass(frozen=True)
 class GraphFacts:
     """The running graph as heard from here. ``domains_here`` : ROS domains with nodes on this machine; ``announced`` :
-    announcements by multicast, in any domain."""
+    announcements by multicast, in any domain; ``peers`` : addresses that are asked by unicast."""
 
     domain: int
     discovery_range: str
@@ -103,6 +103,7 @@ class GraphFacts:
     rig_files: Mapping[str, str] = field(default_factory=dict)
     domains_here: tuple[int, ...] = ()
     announced: tuple[Announcement, ...] = ()
+    peers: tuple[str, ...] = ()
 
     def node(self, name: str) -> NodeFacts | None:
         """Return the node with this fully qualified name."""

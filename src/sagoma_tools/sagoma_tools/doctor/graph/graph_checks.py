@@ -163,7 +163,11 @@ def _where_else(facts: GraphFacts) -> str:
         at = ["this machine"] if domain in facts.domains_here else []
         places.append(f"{' and '.join([*at, *facts.elsewhere(domain)])}: {domain}")
     hint = f"Nodes run in another ROS_DOMAIN_ID ({'; '.join(places)}): export that. " if places else ""
-    if facts.discovery_range in ("LOCALHOST", "OFF"):
+    if facts.peers:
+        hint += (
+            f"Only this machine and {', '.join(facts.peers)} are asked: sagoma doctor --host ADDRESS tells why not. "
+        )
+    elif facts.discovery_range in ("LOCALHOST", "OFF"):
         hint += f"ROS_AUTOMATIC_DISCOVERY_RANGE = {facts.discovery_range} hears this machine only. "
     return (
         f"{hint}Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID, open UDP between them (--peers "
