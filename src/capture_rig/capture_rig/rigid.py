@@ -1,10 +1,22 @@
-"""Nearest rotations and rigid fits of points: the one place where a singular value decomposition becomes a rotation."""
+"""Rotations and rigid fits: rotation vectors, nearest rotations, and the transform that fits points best."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
 Array = np.ndarray
+
+
+def rotation_matrix(vector: npt.ArrayLike) -> Array:
+    """Rotation matrix (3, 3) of a rotation vector (3,), rad (Rodrigues)."""
+    return np.asarray(cv2.Rodrigues(np.asarray(vector, float))[0], np.float64)
+
+
+def rotation_vector(R: Array) -> Array:
+    """Rotation vector (3,), rad, of a rotation matrix (3, 3)."""
+    return np.asarray(cv2.Rodrigues(R)[0], np.float64).reshape(3)
 
 
 def nearest_rotation(M: Array) -> Array:

@@ -1,9 +1,15 @@
-"""Nearest rotations and rigid fits against SciPy, which finds them another way."""
+"""Rotations and rigid fits against SciPy, which finds them another way."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from capture_rig.rigid import nearest_rotation, rigid_transform
+from capture_rig.rigid import nearest_rotation, rigid_transform, rotation_matrix, rotation_vector
+
+
+def test_rotation_vectors_and_matrices_are_inverse_and_scipy_s():
+    for rotation in Rotation.random(20, np.random.default_rng(2)):
+        np.testing.assert_allclose(rotation_matrix(rotation.as_rotvec()), rotation.as_matrix(), atol=1e-12)
+        np.testing.assert_allclose(rotation_vector(rotation.as_matrix()), rotation.as_rotvec(), atol=1e-9)
 
 
 def test_nearest_rotation_is_never_a_reflection():

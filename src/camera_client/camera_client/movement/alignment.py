@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from capture_rig import lens
 from capture_rig.camera import CameraModel
+from capture_rig.rigid import rotation_matrix, rotation_vector
 
 from .edge_points import Array, EdgePoints, Picture, choose_edge_points, contrast_pyramid
 
@@ -213,16 +214,3 @@ def _costs(points: EdgePoints, view: Picture, place: Array, shifts: np.ndarray) 
 def _roll(angle: float) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
-
-
-# --- rotation vectors and matrices (Rodrigues)
-
-
-def rotation_matrix(turn_rad: npt.ArrayLike) -> Array:
-    """Return (3, 3) rotation matrix of a rotation vector (3,), radians."""
-    return np.asarray(cv2.Rodrigues(np.asarray(turn_rad, float))[0], np.float64)
-
-
-def rotation_vector(R: Array) -> Array:
-    """Return (3,) rotation vector, radians, of a rotation matrix (3, 3)."""
-    return np.asarray(cv2.Rodrigues(R)[0], np.float64).reshape(3)

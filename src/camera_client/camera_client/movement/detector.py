@@ -15,12 +15,13 @@ from enum import Enum
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.rigid import rotation_matrix, rotation_vector
 from capture_rig.stamps import StampThrottle
 
 from ..background.model import BackgroundModel, Provenance
 from ..frame_source import Image
 from ..settings import CameraMovedSettings
-from .alignment import Alignment, Array, PictureAlignment, rotation_matrix, rotation_vector
+from .alignment import Alignment, Array, PictureAlignment
 
 SAMPLES = 3  # whose median counts: something that springs back, or one bad picture, is no movement
 MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on a turn

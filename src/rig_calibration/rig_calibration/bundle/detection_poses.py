@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
+from capture_rig.rigid import rotation_matrix
 
 from ..boards.board import TargetDetection
 from .problem import LINE, TargetShape
@@ -118,7 +119,7 @@ def _planar(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
     _, rotations, translations, _ = cv2.solvePnPGeneric(flat, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     found: list[tuple[Array, Array]] = []
     for vector, translation in zip(rotations, translations, strict=True):
-        R = _matrix(vector) @ axes
+        R = rotation_matrix(vector) @ axes
         found.append((R, np.asarray(translation, float).reshape(3) - R @ centre))
     return [(R, t) for R, t in found if np.isfinite(R).all() and np.isfinite(t).all()]
 
@@ -126,16 +127,12 @@ def _planar(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
 def _spatial(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
     found, rotations, translations, _ = cv2.solvePnPGeneric(points, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
     solutions = zip(rotations, translations, strict=True) if found else ()
-    return [(_matrix(vector), np.asarray(translation, float).reshape(3)) for vector, translation in solutions]
+    return [(rotation_matrix(vector), np.asarray(translation, float).reshape(3)) for vector, translation in solutions]
 
 
 def _refine(points: Array, ideal: Array, R: Array, t: Array) -> tuple[Array, Array]:
     vector, translation = cv2.solvePnPRefineLM(points, ideal, np.eye(3), None, cv2.Rodrigues(R)[0], t.reshape(3, 1))
-    return _matrix(vector), np.asarray(translation, float).reshape(3)
-
-
-def _matrix(vector: npt.ArrayLike) -> Array:
-    return np.asarray(cv2.Rodrigues(np.asarray(vector, float))[0], float)
+    return rotation_matrix(vector), np.asarray(translation, float).reshape(3)
 
 
 def _rms(points: Array, ideal: Array, R: Array, t: Array) -> float:
