@@ -30,7 +30,7 @@ from sagoma_ros.silence import SilenceWatch
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, parse_body
 
-from .filter import POINT_SD_FLOOR_M, warm_up
+from .filter import warm_up
 from .frames_ros import BodyFrames
 from .humans_ros import Humans, NoHumans, make_humans
 from .latency_ros import LatencyReport
@@ -38,6 +38,7 @@ from .measurement import Measurement
 from .people import PeopleFilter
 from .people_ros import Answer, PeopleTopics, is_tracked
 from .settings import EkfNodeSettings
+from .track import POINT_SD_FLOOR_M
 
 POINTS_TOPIC, BODY_TOPIC, BODIES_TOPIC = "icp/reference_points", "icp/body", "icp/bodies"
 HEALTH = {Tracking.ACQUIRING: WARN, Tracking.TRACKING: OK, Tracking.DOUBTFUL: WARN, Tracking.LOST: ERROR}

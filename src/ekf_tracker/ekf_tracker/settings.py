@@ -116,10 +116,10 @@ class EkfNodeSettings:
             for kind in ("torso", "head", "neck", "shoulders", "hips", "elbows", "knees", "hands", "feet")
             for group in ("measurement_bias", "lasting_errors")
         },
-        "filter.iterations": "it is MAX_ITERATIONS in ekf_tracker/filter.py",
-        "filter.readmit_after_sets": "it is READMIT_AFTER_SETS in ekf_tracker/filter.py",
-        "filter.point_sd_floor_m": "it is POINT_SD_FLOOR_M in ekf_tracker/filter.py",
-        "filter.joint_sd_cap_rad": "it is JOINT_SD_CAP_RAD in ekf_tracker/filter.py",
+        "filter.iterations": "it is MAX_ITERATIONS in ekf_tracker/track.py",
+        "filter.readmit_after_sets": "it is READMIT_AFTER_SETS in ekf_tracker/track.py",
+        "filter.point_sd_floor_m": "it is POINT_SD_FLOOR_M in ekf_tracker/track.py",
+        "filter.joint_sd_cap_rad": "it is JOINT_SD_CAP_RAD in ekf_tracker/track.py",
         "filter.hinge_margin_rad": "it is HINGE_MARGIN_RAD in stick_figure/pose.py",
         "filter.constant_velocity.reference_period_s": "it is 25 ms",
         "restart_after_sets": "it is RESTART_AFTER in mocap_packets/stamp_order.py",

@@ -26,11 +26,12 @@ from mocap_packets.state import BodyState, NoState
 from stick_figure.body import Body
 from stick_figure.pose import Pose
 
-from .filter import JOINT_SD_CAP_RAD, ArticulatedEkf, Track
+from .filter import ArticulatedEkf
 from .kernels import Estimate, positive_definite, report
 from .measurement import Sizes
 from .settings import EkfSettings
 from .state import POSE, VELOCITY
+from .track import JOINT_SD_CAP_RAD, Track
 
 REACH_S = 0.5
 """How far a smoothed point's evidence may lie: the filter forgets a velocity after 0.1 s, a pose a few times later."""

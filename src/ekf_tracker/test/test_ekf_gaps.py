@@ -5,8 +5,9 @@ import pytest
 from ekf_person import ALL, NO_BIAS, NONE, WHITE, Person, ellipsoid_distances, errors_mm, run
 from scipy.stats import chi2
 
-from ekf_tracker.filter import READMIT_AFTER_SETS, ArticulatedEkf
+from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.settings import EkfSettings
+from ekf_tracker.track import READMIT_AFTER_SETS
 from mocap_packets.state import BodyState, Tracking
 from stick_figure.skeleton import POINT_NAMES
 

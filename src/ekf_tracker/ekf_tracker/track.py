@@ -1,0 +1,298 @@
+"""The track of one body: an estimate from a first measurement on, predicted and corrected set by set (thesis 5.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from capture_rig.rigid import rigid_transform
+from mocap_packets.state import BodyState
+from stick_figure.body import Body
+from stick_figure.kinematics import forward, inverse
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.skeleton import TORSO_POINTS
+
+from .bias import MeasurementBias
+from .kernels import (
+    Estimate,
+    UpdateOptions,
+    correct_estimate,
+    innovation_distances,
+    positive_definite,
+    predict_estimate,
+    report,
+    reset_slots,
+)
+from .manoeuvres import EXPECTED, LEVELS, LIMBS, MOST_M_S, raised_covariance, worst_of_limbs
+from .measurement import GateDecision, InnovationGate, Measurement, Sizes, linearised
+from .motion_model import MotionModel, Transition
+from .settings import EkfSettings, limit_weight, motion_model
+from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot
+from .torso_bend import TorsoBend
+
+NS = 1e-9
+POINT_SD_FLOOR_M = 0.001
+"""Least standard deviation of a measured point: a fit to a perfect cloud would claim less."""
+JOINT_SD_CAP_RAD = 1.0
+"""Predicted standard deviation of a joint at most: beyond it the linearisation of an unobserved twist means nothing."""
+MAX_ITERATIONS = 5
+"""Relinearisations of one update at most."""
+READMIT_AFTER_SETS = 1
+"""Sets in a row after which a point that is still left out is accepted, and its limb looked for anew."""
+ELSEWHERE_M = 0.1
+"""A point that is left out farther away than this makes its limb doubtful; nearer, both say about the same."""
+AS_LIKELY = 0.5
+"""Belief in a point that is left out: it is there, or where the filter has it."""
+RESIZED_M, RESIZED_RAD = 0.01, 0.04
+"""What other sizes of the body change in the pose that suits the same points: a centimetre, also at a limb's end."""
+RELEASED_TORSO_SD_M = 0.5
+"""How far the torso may have gone while its points were left out."""
+NEEDED_TORSO_POINTS = 4
+"""Of centre, neck, shoulders and hips; fewer may lie on a line and leave the torso's rotation open."""
+TORSO_SD_M = 1.0
+TORSO_SD_RAD = 1.0
+"""What is known of the torso before its first measurement: it stands about where inverse kinematics puts it."""
+
+
+class Track:
+    """Estimate and memory of one body that is followed from a first measurement on.
+
+    Needs :func:`enough_to_start` of that measurement. ``repairs`` counts how often rounding had to be mended in
+    the covariance; it stays 0.
+    """
+
+    def __init__(self, body: Body, settings: EkfSettings, stamp_ns: int, z: Measurement) -> None:
+        self.settings, self._trunk = settings, TorsoBend(settings.bend)
+        self.repairs = 0
+        self._motion = motion_model(settings)
+        self._gate = InnovationGate(settings.gate_chi2, READMIT_AFTER_SETS)
+        self._update_options = UpdateOptions(MAX_ITERATIONS, limit_weight(settings))
+        self._bias = MeasurementBias(settings.measurement_bias)
+        self._last_transition: Transition | None = None
+        self._angles: np.ndarray | None = None
+        self._stamp_ns, self._last_dt = stamp_ns, 0.0
+        noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
+        self.body = self._trunk.bent(body, stamp_ns, noise)
+        self._estimate = first_estimate(self.body, noise, self._motion, JOINT_SD_CAP_RAD, self._update_options)
+        self._F, self._prior = np.eye(DIMENSION), self._estimate
+        self._note_measured(z, z.visible)
+
+    @property
+    def passage(self) -> tuple[Estimate, Estimate, np.ndarray]:
+        """The estimate before and after the last set's points, and F (48, 48) to the first from the set before."""
+        return self._prior, self._estimate, self._F
+
+    @property
+    def lasting(self) -> tuple[np.ndarray, np.ndarray]:
+        """What lasts of the points' errors, as `MeasurementBias` has it (copied)."""
+        return self._bias.lasting.copy(), self._bias.joints.copy()
+
+    @property
+    def unmeasured_s(self) -> float:
+        """Seconds from the last measurement that was used to the last prediction."""
+        return (self._stamp_ns - self._measured_ns) * NS
+
+    def change_body(self, body: Body) -> None:
+        """Go on with other sizes of the same body; the pose is less sure by what they move."""
+        self.body = body
+        x, slots = self._estimate, np.arange(24)
+        P = x.covariance.copy()
+        P[slots, slots] += per_slot(RESIZED_M, RESIZED_RAD, RESIZED_RAD, RESIZED_RAD) ** 2
+        self._estimate = Estimate(x.arrays, x.velocity, P)
+
+    def predict(self, stamp_ns: int) -> None:
+        """Move the estimate to a later stamp (thesis Table 5.5).
+
+        A body that has not been measured for ``coast_s`` is no longer extrapolated: its velocity counts as unknown
+        from that moment on, because a limb that swung out of sight has more likely turned back than gone on.
+        """
+        self._F = np.eye(DIMENSION)
+        coast_end_ns = self._measured_ns + round(self.settings.coast_s / NS)
+        if self._coasting and coast_end_ns < stamp_ns:
+            self._advance(coast_end_ns)
+            self._forget_velocity()
+        self._advance(stamp_ns)
+
+    def update(self, z: Measurement, doubtful: np.ndarray) -> BodyState | None:
+        """Correct the estimate with points of the predicted stamp (thesis Table 5.7), of which some are doubtful.
+
+        None when the torso's points have contradicted the prediction for so long that the track has to start anew.
+        """
+        noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
+        self.body = self._trunk.bent(self.body, self._stamp_ns, noise)
+        distances, manoeuvre = self._explain_manoeuvres(noise)
+        self._prior = self._estimate
+        decision = self._gate.decide(distances, z.visible)
+        if (
+            decision.n_readmitted
+            and 2 * decision.readmitted[TORSO_POINTS].sum() >= len(TORSO_POINTS)
+            and enough_to_start(z)
+        ):
+            return None
+        if decision.n_accepted:
+            self._estimate = self._correct(noise, decision, manoeuvre)
+            self._note_measured(z, decision.accepted)
+        return self.state(z, decision.accepted, decision.rejected, doubtful, distances)
+
+    def _explain_manoeuvres(self, z: Measurement) -> tuple[np.ndarray, bool]:
+        """Raise the process noise of limbs that accelerate.
+
+        Returns the points' squared distances (15,) after that, and whether any limb's was raised.
+        Each limb gets the least that explains its points. One that is out of reach of all keeps the quiet noise: its
+        points are errors, or it was lost.
+        """
+        quiet, factors = self._estimate, np.ones(LIMBS)
+        distances = innovation_distances(self.body, quiet, z)
+        unexplained = worst_of_limbs(distances) > EXPECTED
+        if self._last_transition is None or not unexplained.any():
+            return distances, False
+        for level in LEVELS:
+            factors[unexplained] = level
+            self._estimate, distances = self._raised(quiet, factors, z)
+            unexplained &= worst_of_limbs(distances) > EXPECTED
+            if not unexplained.any():
+                return distances, True
+        away = np.linalg.norm(z.points_world - forward(self.body, quiet.pose), axis=1)
+        distances = np.where(away < MOST_M_S * self._last_dt, 0.0, distances)
+        out_of_reach = worst_of_limbs(distances) > self.settings.gate_chi2
+        if out_of_reach.any():
+            factors[out_of_reach] = 1.0
+            self._estimate, _ = self._raised(quiet, factors, z)
+        return distances, bool(factors.max() > 1.0)
+
+    def _raised(self, quiet: Estimate, factors: np.ndarray, z: Measurement) -> tuple[Estimate, np.ndarray]:
+        assert self._last_transition is not None
+        P = raised_covariance(quiet.covariance, self._last_transition, factors)
+        raised = Estimate(quiet.arrays, quiet.velocity, P)
+        return raised, innovation_distances(self.body, raised, z)
+
+    def _correct(self, z: Measurement, decision: GateDecision, manoeuvre: bool) -> Estimate:
+        prior, start = self._estimate, None
+        if manoeuvre:  # angles that turned far: the way there is not straight
+            start = pose_of_points(self.body, z, decision.accepted, prior.pose)
+        if decision.n_readmitted:  # their limbs are elsewhere: look for them from where the points say
+            prior = self._prior = self._release_limbs(prior, decision.readmitted)
+            start = pose_of_points(self.body, z, decision.accepted, prior.pose)
+        try:
+            return correct_estimate(self.body, prior, z, decision.accepted, self._update_options, start)
+        except ValueError:
+            self.repairs += 1
+            mended = Estimate(prior.arrays, prior.velocity, positive_definite(prior.covariance))
+            return correct_estimate(self.body, mended, z, decision.accepted, self._update_options, start)
+
+    def _note_measured(self, z: Measurement, used: np.ndarray) -> None:
+        self._bias.update(z.covariance, used)
+        self._measured_ns, self._coasting = self._stamp_ns, True
+
+    def _advance(self, stamp_ns: int) -> None:
+        dt = (stamp_ns - self._stamp_ns) * NS
+        if dt <= 0.0:
+            return
+        self._last_transition = self._motion.transition(dt)
+        self._estimate = predict_estimate(self._estimate, self._last_transition, JOINT_SD_CAP_RAD)
+        f_cross, f_velocity = self._last_transition[:2]
+        self._F[POSE] += f_cross[:, None] * self._F[VELOCITY]
+        self._F[VELOCITY] *= f_velocity[:, None]
+        self._stamp_ns, self._last_dt = stamp_ns, dt
+
+    def _forget_velocity(self) -> None:
+        slots, P = np.arange(24), self._estimate.covariance.copy()
+        P[VELOCITY, :] = P[:, VELOCITY] = 0.0
+        P[24 + slots, 24 + slots] = self._motion.velocity_variance()
+        self._estimate = Estimate(self._estimate.arrays, np.zeros(24), P)
+        self._coasting = False
+        self._F[VELOCITY] = 0.0
+
+    def _release_limbs(self, prior: Estimate, readmitted: np.ndarray) -> Estimate:
+        """The prior without any knowledge of the joints above the readmitted points (of the torso, for its own)."""
+        at, moves = linearised(self.body, prior.pose), np.zeros(24, bool)
+        for point in np.flatnonzero(readmitted):
+            moves[at.slots[point, 6 : at.columns[point]]] = True
+        moves[:6] = readmitted[TORSO_POINTS].any()
+        slots = np.flatnonzero(moves)
+        cap = JOINT_SD_CAP_RAD
+        pose_variance = per_slot(RELEASED_TORSO_SD_M, cap, cap, cap)[slots] ** 2
+        velocity = np.where(moves, 0.0, prior.velocity)
+        self._F[slots] = self._F[24 + slots] = 0.0
+        P = reset_slots(prior.covariance, slots, pose_variance, self._motion.velocity_variance()[slots])
+        return Estimate(prior.arrays, velocity, P)
+
+    def state(
+        self, z: Measurement, accepted: np.ndarray, gated: np.ndarray, doubtful: np.ndarray, distances: np.ndarray
+    ) -> BodyState:
+        """Return the state after points (15,) bool were used, left out, and doubtful; and their squared distances.
+
+        A point that was left out far away is as likely there as here: its covariance spans the way.
+        """
+        x, pose = self._estimate, self._estimate.pose
+        self._angles = pose.angles(self._angles)
+        points_world, point_covariance, covariance, rates = report(
+            x.arrays,
+            x.velocity,
+            x.covariance,
+            Sizes.of(self.body),
+            self._bias.lasting,
+            self._bias.joints,
+            JOINT_SD_CAP_RAD**-2,
+            self._angles,
+        )
+        way = z.points_world - points_world
+        far = gated & (np.linalg.norm(way, axis=1) > ELSEWHERE_M)
+        point_covariance[far] += AS_LIKELY * way[far, :, None] * way[far, None, :]
+        tracking, reason = assess(accepted, gated, self.unmeasured_s, self.settings.lost_after_s)
+        return BodyState(
+            stamp_ns=self._stamp_ns,
+            pose=pose,
+            velocity=x.velocity,
+            predicted_velocity=self._predicted_velocity(x.velocity),
+            covariance=covariance,
+            angles=self._angles,
+            rates=rates,
+            points_world=points_world,
+            point_covariance=point_covariance,
+            accepted=accepted,
+            gated=gated,
+            distances=distances,
+            doubtful=doubtful_points(doubtful, far),
+            tracking=tracking,
+            reason=reason,
+        )
+
+    def _predicted_velocity(self, velocity: np.ndarray) -> np.ndarray:
+        """Mean rate (24,) over a step as long as the last one, by the motion model."""
+        if self._last_dt == 0.0:
+            return np.zeros(24)
+        return self._motion.transition(self._last_dt).f_cross * velocity / self._last_dt
+
+
+def enough_to_start(z: Measurement) -> bool:
+    """Return whether the visible points fix the torso."""
+    return int(z.visible[TORSO_POINTS].sum()) >= NEEDED_TORSO_POINTS
+
+
+def first_estimate(
+    body: Body, z: Measurement, motion: MotionModel, joint_sd: float, options: UpdateOptions
+) -> Estimate:
+    """Pose by inverse kinematics, then one update of a wide prior about it, so that the covariance is the points' own.
+
+    Joints that no visible point bears on keep the T-pose and the standard deviation ``joint_sd`` (rad); the velocity
+    is unknown. Needs :func:`enough_to_start`.
+    """
+    resting = Pose.from_angles(*_torso_of(body, z), T_POSE_ANGLES)
+    pose = pose_of_points(body, z, z.visible, resting)
+    P = np.zeros((DIMENSION, DIMENSION))
+    P[POSE, POSE] = np.diag(per_slot(TORSO_SD_M, TORSO_SD_RAD, joint_sd, joint_sd) ** 2)
+    P[VELOCITY, VELOCITY] = np.diag(motion.velocity_variance())
+    return correct_estimate(body, Estimate(pose.arrays, np.zeros(24), P), z, z.visible, options)
+
+
+def pose_of_points(body: Body, z: Measurement, chosen: np.ndarray, otherwise: Pose) -> Pose:
+    """Inverse kinematics of the chosen points (15,) bool; the rest stands as in the pose ``otherwise``."""
+    points = np.where(chosen[:, None], z.points_world, forward(body, otherwise))
+    return inverse(body, points, otherwise)
+
+
+def _torso_of(body: Body, z: Measurement) -> tuple[np.ndarray, np.ndarray]:
+    """Position (3,) and rotation (3, 3) of the torso: rigid fit of its visible points (Procrustes)."""
+    seen = z.visible[TORSO_POINTS]
+    R, t = rigid_transform(body.torso_points[seen], z.points_world[TORSO_POINTS][seen])
+    return t, R
