@@ -147,7 +147,7 @@ class BodyFollower:
 
     def fit(self, products: HullProducts) -> tuple[Fit, ...]:
         """Find first poses, later fit the stick figures to the hull from where they are expected (4.3;
-        icp_tracker/people/ for whose is what of the hull; icp_tracker/tracker.py with acquisition/, articulated_fit.py,
+        icp_tracker/people/ for data association; icp_tracker/tracker.py with acquisition/, articulated_fit.py,
         monitor/, refinement/, thesis/)."""
         return self.tracker.step(products, self._predictions)
 
