@@ -127,6 +127,7 @@ def keep(tab: Browser, takes: Path) -> None:
     tab.wait_for_text("playing drill")
     tab.wait_for_text("shoulder, degrees")
     tab.press("pause")
+    tab.wait_for_text("paused at")  # the slider stands still
     tab.write("second", "0.1")
     tab.wait_for_value("second", "0.1")
     tab.press("play")

@@ -135,12 +135,13 @@ class Page:
         due = [what for what, at_s in next_at.items() if now_s >= at_s]
         next_at.update({what: now_s + EVERY_S[what] for what in due})
         self._draw_people(now_s)
+        if TAKES in due or self._take_panel.stale.is_set():
+            self._take_panel.stale.clear()
+            self._take_panel.show_takes(self._takes.takes())
         if STATES in due:
             self._draw_states()
         if PICTURES in due and self._graph is not None:
             self._graph.show_pictures()
-        if TAKES in due:
-            self._take_panel.show_takes(self._takes.takes())
 
     def _draw_people(self, now_s: float) -> None:
         playback = self._playback

@@ -12,13 +12,14 @@ from ..graph.diagnostics_table import STALE_S, NodeReport
 
 GREEN, AMBER, RED, GREY = "#3cbe5a", "#f0aa1e", "#e5484d", "#868e96"
 COLOURS = {DiagnosticStatus.OK: GREEN, DiagnosticStatus.WARN: AMBER, DiagnosticStatus.ERROR: RED}
-FIGURES = (("rate_hz", "Hz"), ("latency_p50_ms", "ms old"))
+RATE, AGE = "rate_hz", "latency_p50_ms"
 """Of the diagnostics: results a second, and how old they are (median)."""
 SILENT = (
     "no word since {} ({:.0f} s): its process has ended, or its computer or network is down; see its log, and start it "
     "again"
 )
 UNHEARD = "has not been heard yet"
+SECONDS_FROM_MS = 2000.0
 MOST_TEXT = 400
 """Characters of what a node says: more than any of ours, and less than a panel."""
 
@@ -56,9 +57,19 @@ def _block(label: str, report: NodeReport | None, now_s: float) -> str:
     if silent_s > STALE_S:
         since = time.strftime("%H:%M:%S", time.localtime(time.time() - silent_s))
         return _html(RED, label, "", SILENT.format(since, silent_s))
-    figures = [f"{report.values[key]} {unit}" for key, unit in FIGURES if key in report.values]
+    figures = [f"{report.values[RATE]} Hz"] if RATE in report.values else []
+    figures += [age_of(report.values[AGE])] if AGE in report.values else []
     figures += [f"{count} {key.replace('_', ' ')}" for key, count in report.losses().items()]
     return _html(COLOURS.get(report.level, RED), label, ", ".join(figures), report.message)
+
+
+def age_of(text: str) -> str:
+    """Say how old results are, of milliseconds as a node writes them; its own text where that is no number."""
+    try:
+        age_ms = float(text)
+    except ValueError:
+        return text
+    return f"{age_ms:.0f} ms old" if age_ms < SECONDS_FROM_MS else f"{age_ms / 1e3:.1f} s old"
 
 
 def _html(colour: str, label: str, figures: str, says: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from typing import Any
@@ -14,7 +15,7 @@ from ..takes.exporting import FORMATS
 from ..takes.take import Take
 from ..takes.texts import FIGURES, date, figures, remark, summary_lines
 from .buttons import on_click, on_click_deliver
-from .jobs import Jobs, Work
+from .jobs import Jobs, Tell, Work
 from .playback import Playback
 from .take_work import ALL_FORMATS, Deliver, TakeWork
 
@@ -39,8 +40,9 @@ class TakesPanel:
         play: Callable[[str], None],
         leave: Callable[[], None] | None,
     ) -> None:
-        self._gui, self._takes = gui, dict[str, Take]()
+        self._gui, self._jobs, self._takes = gui, jobs, dict[str, Take]()
         self._playback: Playback | None = None
+        self.stale = threading.Event()  # the list is not what the folder holds any more
         with tabs.add_tab("Takes"):
             self._choice = gui.add_dropdown("take", (NO_TAKES,))
             self._about = gui.add_html("")
@@ -67,15 +69,15 @@ class TakesPanel:
         on_click(bin_group, lambda: jobs.request(*changes[bin_group.value]()))
         on_click_deliver(files, lambda send: jobs.request(*made[files.value](send)))
         players: dict[str, Callable[[], object]] = {
-            PLAY: lambda: self._if_chosen(play),
+            PLAY: lambda: self._play(play),
             PAUSE: self._pause,
             BACK: leave or (lambda: None),
         }
         changes: dict[str, Callable[[], tuple[str, Work]]] = {
-            RENAME: lambda: ("renaming", work.rename(self.chosen, self._new_name.value)),
-            TRIM: lambda: ("trimming", work.trim(self.chosen, self._new_name.value, self._from.value, self._to.value)),
-            DELETE: lambda: ("deleting", work.delete(self.chosen)),
-            RESTORE: lambda: ("restoring", work.restore),
+            RENAME: lambda: ("renaming", self._changing(work.rename(self.chosen, self._new_name.value))),
+            TRIM: lambda: ("trimming", self._changing(self._trimming(work))),
+            DELETE: lambda: ("deleting", self._changing(work.delete(self.chosen))),
+            RESTORE: lambda: ("restoring", self._changing(work.restore)),
         }
         made: dict[str, Callable[[Deliver], tuple[str, Work]]] = {
             EXPORT: lambda send: ("exporting", work.export(self.chosen, self._format.value, send)),
@@ -88,13 +90,16 @@ class TakesPanel:
         return self._choice.value if self._choice.value in self._takes else ""
 
     def show_takes(self, takes: Sequence[Take]) -> None:
-        """List the takes."""
-        known, self._takes = self._takes, {take.name: take for take in takes}
+        """List the takes; one that has been renamed stays chosen."""
+        known, self._takes, chosen = self._takes, {take.name: take for take in takes}, self._choice.value
         names = tuple(self._takes) or (NO_TAKES,)
         if tuple(self._choice.options) != names:
             self._choice.options = names
             if not known and self._playback is not None:  # it began before there was a list
                 self._choose(self._playback.take.name)
+            new = self._takes.keys() - known.keys()
+            if chosen in known and chosen not in self._takes and len(new) == 1:
+                self._choose(new.pop())
         if known != self._takes:
             self._show_about()
 
@@ -119,6 +124,20 @@ class TakesPanel:
         if abs(self._position.value - playback.position_s) > SLIDER_LAG_S:
             _set(self._position, round(playback.position_s, 2))
 
+    def _trimming(self, work: TakeWork) -> Work:
+        return work.trim(self.chosen, self._new_name.value, self._from.value, self._to.value)
+
+    def _changing(self, work: Work) -> Work:
+        """The same work, after which the list is drawn anew before its outcome is told."""
+
+        def changing(tell: Tell) -> str:
+            try:
+                return work(tell)
+            finally:
+                self.stale.set()
+
+        return changing
+
     def _show_curves(self) -> None:
         """Draw the angles of the person who is chosen."""
         self._remove_curves()
@@ -127,7 +146,10 @@ class TakesPanel:
         with self._plots:
             for title, times_s, series in self._playback.plots(self._person.value):
                 styles = [viser.uplot.Series(label="s")]
-                styles += [viser.uplot.Series(label=name, stroke=colour) for name, colour in series]
+                styles += [
+                    viser.uplot.Series(label=name, stroke=colour, dash=DASHES.get(name[-1], ()))
+                    for name, colour in series
+                ]
                 scales = {"x": NOT_A_DATE, "y": viser.uplot.Scale(range=whole_range(series.values()))}
                 self._gui.add_uplot((times_s, *series.values()), tuple(styles), title=title, aspect=1.6, scales=scales)
 
@@ -139,13 +161,29 @@ class TakesPanel:
         if name in self._choice.options:
             _set(self._choice, name)
 
-    def _if_chosen(self, act: Callable[[str], None]) -> None:
-        if self.chosen:
-            act(self.chosen)
+    def _play(self, begin: Callable[[str], None]) -> None:
+        """Play what is chosen; go on with it where it is being played."""
+        playback = self._playback
+        if playback is not None and playback.take.name == self.chosen:
+            self._go_on(playback)
+        elif self.chosen:
+            begin(self.chosen)
+
+    def _go_on(self, playback: Playback) -> None:
+        playback.playing = True
+        self._jobs.say(f"playing {playback.take.name}")
 
     def _pause(self) -> None:
-        if self._playback is not None:
-            self._playback.playing = not self._playback.playing
+        """Stand still, or go on."""
+        playback = self._playback
+        if playback is None:
+            return
+        if not playback.playing:
+            self._go_on(playback)
+        else:
+            playback.playing = False
+            _set(self._position, round(playback.position_s, 2))
+            self._jobs.say(f"paused at {playback.position_s:.2f} s: '{PAUSE}' goes on")
 
     def _jump(self, event: viser.GuiEvent) -> None:
         """Go on playing from where somebody has moved the slider to."""
@@ -165,6 +203,8 @@ WORDS = {"persons": "persons: {}", "± mm": "± {} mm"}
 TEXT = "font-size: 13px; line-height: 1.35; overflow-wrap: anywhere; padding: 0 10px"
 NOT_A_DATE = viser.uplot.Scale(time=False)
 """Of a curve's times: seconds of the take."""
+DASHES = {"y": (6.0, 3.0), "z": (2.0, 3.0)}
+"""Pixels drawn and left out, of the angles about these axes; the others are whole lines."""
 GRID_DEG = 30.0
 """Curves' ranges begin and end at multiples of it."""
 
