@@ -45,13 +45,15 @@ class TimeSource(Protocol):
     """Stamps the frames of one run, in the order of their arrival."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Whose clock the stamps are from, for diagnostics."""
 
     @property
     def jumps(self) -> int:
         """How often the clock was found to have been set."""
 
-    def stamp(self, times: FrameTimes) -> Stamp: ...
+    def stamp(self, times: FrameTimes) -> Stamp:
+        """Return when the frame was exposed, and how far that may be off."""
 
 
 class _Increasing:
@@ -61,7 +63,7 @@ class _Increasing:
         self._last_ns: int | None = None
 
     def after_last(self, stamp_ns: int) -> int:
-        """``stamp_ns``, or a nanosecond after the last one if that is later by less than a clock is set by."""
+        """Return ``stamp_ns``, or a nanosecond after the last one if that is later by less than a clock is set by."""
         earlier = self._last_ns is not None and 0 <= self._last_ns - stamp_ns < LEAP_NS
         self._last_ns = self._last_ns + 1 if earlier and self._last_ns is not None else stamp_ns
         return self._last_ns

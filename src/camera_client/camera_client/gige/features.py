@@ -43,7 +43,7 @@ class FeatureAccess(Protocol):
     """
 
     def kind(self, name: str) -> Kind | None:
-        """None for a feature that the device does not have, or not now."""
+        """Return what a feature holds; None for one that the device does not have, or not now."""
 
     def read(self, name: str) -> Value: ...
 
@@ -52,10 +52,10 @@ class FeatureAccess(Protocol):
     def execute(self, name: str) -> None: ...
 
     def limits(self, name: str) -> tuple[float, float] | None:
-        """Smallest and largest value of a number; None where the device does not describe it."""
+        """Return smallest and largest value of a number; None where the device does not describe it."""
 
     def step(self, name: str) -> float | None:
-        """Distance between the values a number can take; None where the device does not describe it."""
+        """Return the distance between the values of a number; None where the device does not describe it."""
 
     def choices(self, name: str) -> tuple[str, ...]:
         """Return the entries of an enumeration that are to be had now."""
@@ -75,7 +75,7 @@ class Features:
         return next((spelling for spelling in spellings(name) if self.access.kind(spelling) is not None), None)
 
     def require(self, name: str, key: str) -> str:
-        """Like find(), but InputError (blaming the setting ``key``) when the device has no such feature."""
+        """Return the same as :meth:`find`; InputError, blaming the setting ``key``, when there is no such feature."""
         found = self.find(name)
         if found is None:
             raise self._error(

@@ -74,7 +74,7 @@ class ShadowTest(Protocol):
     """Parts that begin at multiples of this give what the whole image gives."""
 
     def shadow(self, scene: Scene, mask: Mask) -> Mask:
-        """255 at pixels of ``mask`` (h, w) that are shadow, else 0."""
+        """Return (h, w) uint8: 255 at pixels of ``mask`` that are shadow, else 0."""
 
 
 def make_shadow_test(

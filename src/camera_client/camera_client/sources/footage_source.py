@@ -229,7 +229,8 @@ class Pace(ABC):
     """Decides when frame k may leave. ``begin`` is called at every start or resumption with the next frame's k."""
 
     @abstractmethod
-    def begin(self, epoch_ns: int, frame: int) -> None: ...
+    def begin(self, epoch_ns: int, frame: int) -> None:
+        """Begin with this frame; ``epoch_ns`` : the stamp of frame 0."""
 
     @abstractmethod
     def wait(self, frame: int, timeout_s: float) -> bool:
