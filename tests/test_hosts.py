@@ -119,6 +119,14 @@ def test_footage_on_several_hosts_is_in_step_though_one_starts_late_and_refused_
     assert max(together["spread_ms"]) == 0.0  # the same frame of the footage from all hosts
 
 
+@pytest.mark.slow
+def test_a_second_server_on_another_machine_is_refused_and_leaves_the_first_one_alone(needs_namespaces, tmp_path):
+    (line,) = inside_with_support("hosts_two_servers.py", str(tmp_path))
+    told = json.loads(line)
+    assert told["status"] == 1 and "run already in this ROS domain on another machine" in told["says"]
+    assert told["log"] == "" and told["states"].count(": active") == 3
+
+
 @pytest.fixture(scope="module")
 def said(needs_namespaces, tmp_path_factory):
     """Of each fault, the codes of what the doctor found, by subject; and all its words."""

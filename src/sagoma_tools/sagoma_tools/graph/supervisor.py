@@ -25,6 +25,7 @@ from sagoma_bringup.processes import ONE_PROCESS, SERVER_EXECUTABLE, ProcessSpec
 
 from .diagnostics_table import DiagnosticsTable
 from .errors import GraphError
+from .foreign_nodes import foreign_names, machines_of, own_machine
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
 from .processes import Child, ExitStatus, Usage, busy_machine, node_command, remove_abandoned, stop_children
 from .restarts import Death, Restarter, RestartPolicy, Return, exit_reason
@@ -39,6 +40,7 @@ ACTIVATION_NS = 2_500_000_000  # within this every camera's activation is acknow
 # idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
 THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
+LOOK_S = 0.05  # rclpy has no event for a node that is discovered
 CONFIRM_S = 1.0  # a restarted node that does not say so soon that it is active is asked again
 RESTARTING = "restarting"
 ENCLAVES = "/sagoma"  # of the keystores of `sagoma security`
@@ -154,6 +156,7 @@ class Supervisor:
 
         GraphError, too, when nodes of the same names run already: two graphs would mix their messages.
         """
+        self._await_own_nodes()
         outcome = self._bring(self._in(State.UNCONFIGURED), State.INACTIVE, contact_s=START_TIMEOUT_S)
         self._refuse_foreign_nodes(outcome)
         self._check(State.INACTIVE, outcome, tolerate_cameras)
@@ -306,6 +309,20 @@ class Supervisor:
                     self._states[answer.node] = REACHED[answer.transition].value
         return outcome
 
+    def _await_own_nodes(self) -> None:
+        """Wait until every living process's nodes are known. Raises GraphError for their like on another machine.
+
+        What runs elsewhere has been there for longer, and is known by then: nothing of it is ever asked to change.
+        """
+        here, deadline_s = own_machine(self.node), time.monotonic() + START_TIMEOUT_S
+        while time.monotonic() < deadline_s:
+            foreign, unknown = foreign_names(machines_of(self.node), here, self._children)
+            if foreign:
+                raise GraphError(_run_already(foreign, " on another machine"))
+            if not any(map(self._should_wait_for, unknown)):
+                return
+            self._cancel.wait(LOOK_S)
+
     def _refuse_foreign_nodes(self, configured: Outcome) -> None:
         """Raise GraphError for foreign nodes of our names: found twice, or in a state that no new process has."""
         assert self._link is not None
@@ -313,10 +330,7 @@ class Supervisor:
         asked = {answer.node for answer in configured.answers}
         foreign = sorted(n for n in self._children if seen[n] > 1 or (self.states()[n] == FRESH and n not in asked))
         if foreign:
-            raise GraphError(
-                f"{', '.join(foreign)} run already in this ROS domain: stop that graph, or give this one "
-                "another ROS_DOMAIN_ID"
-            )
+            raise GraphError(_run_already(foreign))
 
     def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()
@@ -336,6 +350,11 @@ class Supervisor:
             answers.append(busy)
         tail = child.log_tail().replace("\n", "\n    ") or "(empty)"
         return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {child.log.name}:\n    {tail}"
+
+
+def _run_already(names: Sequence[str], where: str = "") -> str:
+    remedy = "stop that graph, or give this one another ROS_DOMAIN_ID"
+    return f"{', '.join(names)} run already in this ROS domain{where}: {remedy}"
 
 
 def seconds_to_start_window(now_ns: int) -> float:

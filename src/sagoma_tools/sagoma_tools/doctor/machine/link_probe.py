@@ -11,6 +11,8 @@ question.
 from __future__ import annotations
 
 import contextlib
+import errno
+import select
 import socket
 import struct
 import threading
@@ -25,6 +27,8 @@ PACKET = struct.Struct("<4sBIqqq")  # magic, kind, number, three times or counts
 SO_TIMESTAMPNS, TIMESPEC = 35, struct.Struct("qq")  # asm-generic/socket.h: stamps as two 64-bit numbers
 PINGS, PING_PERIOD_S = 500, 1e-3  # half a second: a loss of 1 % is five of them
 TRAINS, CARS, CAR_BYTES = 5, 100, 1372  # with its headers as large as a packet of our DDS profile
+HEADERS = 28  # IPv4 and UDP
+IP_MTU_DISCOVER, IP_PMTUDISC_PROBE = 10, 3  # linux/in.h: don't fragment, and ignore what was learned before
 FRAMING_BYTES = 28 + 38  # IPv4 and UDP; Ethernet's header, checksum, preamble and gap
 FILLED = 4  # the first quarter of a train is not counted
 PATIENCE_S, LAST_S, POLL_S = 0.3, 0.3, 0.2
@@ -57,17 +61,48 @@ def measure_link(address: str, port: int = PORT) -> LinkFacts | None:
     return LinkFacts(1e-9 * offset_ns, 0.5e-9 * trip_ns, 1 - len(exchanges) / PINGS, max(rates, default=None))
 
 
-def ask_settings(address: str, port: int = PORT) -> tuple[bytes, str] | None:
-    """Ask a machine for its settings; returns them and our own address on that link, None without an answer."""
+def ask_settings(address: str, port: int = PORT, beside: int = 0) -> tuple[bytes, str] | None:
+    """Ask a machine for its settings; returns them and our own address on that link, None without an answer.
+
+    beside : another port on which it is to answer from then on, for :func:`reaches`.
+    """
     with _socket() as link:
         link.connect((address, port))
         link.settimeout(PATIENCE_S)
         for _ in range(TRIES):
-            _send(link, _pack(ASK_SETTINGS, 0, 0, 0, 0) + bytes(CAR_BYTES - PACKET.size))
+            _send(link, _pack(ASK_SETTINGS, beside, 0, 0, 0) + bytes(CAR_BYTES - PACKET.size))
             while (came := _receive(link)) is not None:
                 if PACKET.unpack_from(came[0])[1] == SETTINGS:
                     return came[0][PACKET.size :], str(link.getsockname()[0])
     return None
+
+
+def reaches(address: str, size: int, port: int = PORT) -> bool:
+    """Return whether an unfragmented packet of ``size`` bytes, headers included, arrives at a port.
+
+    What answers there is `sagoma doctor --answer`, or, where nobody listens, the kernel ("port unreachable": not more
+    than one a second of those to everybody, so that a busy graph may use them up).
+    """
+    with _socket() as link:
+        link.settimeout(PATIENCE_S)
+        link.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, IP_PMTUDISC_PROBE)
+        link.connect((address, port))
+        for _ in range(TRIES):
+            try:
+                link.send(_pack(PING, 0, time.time_ns(), 0, 0) + bytes(size - HEADERS - PACKET.size))
+                link.recv(1)
+            except TimeoutError:
+                continue
+            except ConnectionRefusedError:
+                return True
+            except OSError as problem:
+                if problem.errno in (errno.EMSGSIZE, errno.EHOSTUNREACH, errno.ENETUNREACH):
+                    return False
+                with contextlib.suppress(OSError):
+                    link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+            else:
+                return True
+    return False
 
 
 def answer(
@@ -83,13 +118,17 @@ def answer(
     ``clock_ns`` turns the machine's time into that of this clock; ``settings`` returns what is told of it, cut to the
     size of the question. Raises OSError where the port is taken.
     """
-    with _socket() as link:
+    with _socket() as link, contextlib.ExitStack() as opened:
         link.bind((address, port))
-        link.settimeout(POLL_S)
         begun()
         trains: dict[tuple[str, int], list[tuple[int, int]]] = {}
+        beside: socket.socket | None = None
         while not stop.is_set():
-            came = _receive(link)
+            heard = [link] if beside is None else [link, beside]
+            ready = select.select(heard, [], [], POLL_S)[0]
+            if beside in ready:
+                _answer_ping(beside)
+            came = _receive(link) if link in ready else None
             if came is None:
                 continue
             packet, sender, at_ns = came
@@ -103,7 +142,23 @@ def answer(
             elif kind == ASK:
                 link.sendto(_pack(REPORT, number, *_measured(trains.get((sender[0], number), [])), 0), sender)
             elif kind == ASK_SETTINGS:
+                opened.close()
+                beside = opened.enter_context(_listening(address, number)) if number else None
                 link.sendto((_pack(SETTINGS, number, 0, 0, 0) + settings())[: len(packet)], sender)
+
+
+def _listening(address: str, port: int) -> socket.socket:
+    link = _socket()
+    with contextlib.suppress(OSError):  # somebody else has that port
+        link.bind((address, port))
+    return link
+
+
+def _answer_ping(link: socket.socket) -> None:
+    """Answer a packet on the port beside, for which it matters only that it came."""
+    came = _receive(link)
+    if came is not None and PACKET.unpack_from(came[0])[1] == PING:
+        link.sendto(_pack(PONG, 0, 0, 0, 0), came[1])
 
 
 def _measured(cars: list[tuple[int, int]]) -> tuple[int, int]:

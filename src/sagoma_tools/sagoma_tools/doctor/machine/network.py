@@ -2,13 +2,12 @@
 
 A UDP packet to a closed port is answered by the receiver's kernel (ICMP port unreachable), which a connected socket
 reports as "connection refused": proof, without privileges or a program at the other end, that the packet arrived. With
-the don't-fragment bit it proves that the whole path carries packets of that size.
+the don't-fragment bit it proves that the whole path carries packets of that size. Where `sagoma doctor --answer` runs,
+that answers instead.
 """
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import os
 import socket
 import subprocess
@@ -21,7 +20,7 @@ import psutil
 from ..collect import collect_interface, read_number
 from ..facts import InterfaceFacts, NetworkFacts
 from ..findings import Finding, error, graded, note, ok, on, warning
-from .link_probe import PINGS, LinkFacts, measure_link
+from .link_probe import PINGS, LinkFacts, measure_link, reaches
 
 WMEM_MAX = Path("/proc/sys/net/core/wmem_max")
 UDP_SOCKETS = Path("/proc/net/udp")
@@ -92,11 +91,7 @@ def _output(command: list[str]) -> str:
         return ""
 
 
-CLOSED_PORT = 33434  # where traceroute begins: a port without a listener
-HEADERS = 28  # IPv4 and UDP
 SMALL_BYTES = 64
-ATTEMPTS, REPLY_S = 3, 0.3
-IP_MTU_DISCOVER, IP_PMTUDISC_PROBE = 10, 3  # linux/in.h: don't fragment, and ignore what was learned before
 CLOCK_ERROR_S, CLOCK_WARNING_S = 1 / 60, 2e-3  # a frame period at 60 Hz is a wrong set; a tenth of it shows in motion
 LOSS_LIMIT = 0.002  # one of 500 may be chance: a cable loses none
 SLOW_MBIT, FAST_MBIT = 500.0, 2000.0  # between 100 and 1000 Mbit/s; beyond what the probe's bursts can tell
@@ -135,11 +130,11 @@ def examine_hosts(addresses: Sequence[str]) -> Iterator[Finding]:
 def collect_reach(address: str) -> ReachFacts:
     """Send a few packets to ``address``, and only there."""
     interface = collect_interface(address)
-    if interface is None or not arrives(address, SMALL_BYTES):
+    if interface is None or not reaches(address, SMALL_BYTES):
         return ReachFacts(address, interface)
     largest_tried = min(interface.mtu, max(SIZES))
     sizes = [largest_tried, *(size for size in SIZES if size < largest_tried)]
-    return ReachFacts(address, interface, True, next((size for size in sizes if arrives(address, size)), 0))
+    return ReachFacts(address, interface, True, next((size for size in sizes if reaches(address, size)), 0))
 
 
 def check_reach(facts: ReachFacts) -> Iterator[Finding]:
@@ -192,25 +187,3 @@ def check_link(link: LinkFacts | None) -> Iterator[Finding]:
 
 def _rate(mbit: float) -> str:
     return f"{mbit:.0f} Mbit/s" if mbit < FAST_MBIT else f"more than {FAST_MBIT:.0f} Mbit/s"
-
-
-def arrives(address: str, size: int, port: int = CLOSED_PORT) -> bool:
-    """Return whether a packet of ``size`` bytes, headers included, is answered by "port unreachable"."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        link.settimeout(REPLY_S)
-        link.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, IP_PMTUDISC_PROBE)
-        link.connect((address, port))
-        for _ in range(ATTEMPTS):
-            try:
-                link.send(bytes(size - HEADERS))
-                link.recv(1)
-            except ConnectionRefusedError:
-                return True
-            except TimeoutError:
-                continue
-            except OSError as problem:
-                if problem.errno in (errno.EMSGSIZE, errno.EHOSTUNREACH, errno.ENETUNREACH):
-                    return False
-                with contextlib.suppress(OSError):
-                    link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-    return False

@@ -19,8 +19,8 @@ import psutil
 from ...graph.network_settings import PEERS_VARIABLE, PROFILE_VARIABLE, RANGE_VARIABLE
 from ..findings import Finding, error, ok, on, warning
 from .announcements import AnnouncementListener
-from .link_probe import ask_settings
-from .network import CLOSED_PORT, DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, SMALL_BYTES, arrives, collect_network
+from .link_probe import ask_settings, reaches
+from .network import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, SMALL_BYTES, collect_network
 
 NODE_MARK = "--ros-args"  # in the command line of every node that was started as one
 SUBNET, ALONE = "SUBNET", ("LOCALHOST", "OFF")
@@ -100,16 +100,16 @@ def told_here() -> bytes:
 
 def examine_peer(address: str) -> Iterator[Finding]:
     """Ask a machine for its settings and compare; nothing where nobody answers there (another check says so)."""
-    told = ask_settings(address)
+    ours = RosSettings.of(os.environ)
+    port = FIRST_PORT + DOMAIN_PORTS * ours.domain + UNUSED_PORT
+    told = ask_settings(address, beside=port)
     theirs = None if told is None else PeerFacts.from_json(told[0])
     if told is None or theirs is None:
         return
-    ours, link = RosSettings.of(os.environ), PeerLink(told[1], address)
+    link = PeerLink(told[1], address)
     if any(node.domain == ours.domain for node in theirs.nodes):
-        port = FIRST_PORT + DOMAIN_PORTS * ours.domain + UNUSED_PORT
-        open_port = arrives(address, SMALL_BYTES, port) if arrives(address, SMALL_BYTES, CLOSED_PORT) else None
         announces = hears(address, ours.domain) if ours.reach not in ALONE else None
-        link = PeerLink(told[1], address, announces, open_port)
+        link = PeerLink(told[1], address, announces, reaches(address, SMALL_BYTES, port))
     yield from on(f"machine {address}", check_peer(theirs, ours, link))
 
 
