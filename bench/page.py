@@ -128,8 +128,8 @@ def enter(tab: Browser, address: str, phase: str) -> None:
         tab.wait_for(f"painted.frames > {FRAMES_UNTIL_READY}")
     else:
         tab.press("Cameras")
-        tab.run("document.querySelectorAll('input[type=checkbox]')[1].click()")
-        tab.wait_for("document.querySelectorAll('img').length > 0")
+        tab.check("pictures")
+        tab.wait_for('document.querySelectorAll(\'img[src^="blob:"], img[src^="data:image/jpeg"]\').length > 0')
     time.sleep(SETTLE_S)
 
 

@@ -91,13 +91,21 @@ def test_the_graph_is_run_and_a_take_recorded_by_buttons(page):
 
 
 def drive_the_graph(tab: Browser) -> None:
-    """Suspend, start, reset."""
+    """Suspend, start, reset; look at the hull and at every camera's picture."""
     tab.press("suspend")
     tab.wait_for_text("nodes are inactive")
     tab.press("start")
     tab.wait_for_text("nodes are active")
     tab.press("reset")
     tab.wait_for_text("icp_tracker: looking for the first pose again")
+    tab.check("hull voxels")
+    tab.press("Cameras")
+    tab.check("pictures")
+    tab.wait_for("document.querySelectorAll('img[src^=\"blob:\"]').length === 5")
+    tab.picture(PICTURES / "cameras.png")
+    tab.check("pictures")
+    tab.press("Live")
+    tab.check("hull voxels")
 
 
 def record(tab: Browser, takes: Path) -> None:

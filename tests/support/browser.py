@@ -168,6 +168,18 @@ class Browser:
         for kind in ("keyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, key="Enter", code="Enter", windowsVirtualKeyCode=13)
 
+    def check(self, label: str) -> None:
+        """Click on the checkbox that follows this label."""
+        script = f"""(() => {{
+            const shown = [...document.querySelectorAll('label')].filter(l => l.getClientRects().length);
+            let box = shown.find(l => l.innerText.trim() === {json.dumps(label)});
+            while (box && !box.querySelector('input[type=checkbox]')) box = box.parentElement;
+            if (!box) return false;
+            box.querySelector('input[type=checkbox]').click();
+            return true;
+        }})()"""
+        self.wait_for(script)
+
     def picture(self, path: Path) -> None:
         """What the page looks like, as a PNG."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))

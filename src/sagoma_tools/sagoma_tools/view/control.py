@@ -108,7 +108,7 @@ class Control:
             )
             self._recorder.follow_graph()
             self._recording_to = folder
-            return f"recording {folder.name}"
+            return recording_text(folder.name)
 
         return work
 
@@ -127,3 +127,8 @@ class Control:
 
     def _tell_failure(self, error: InputError) -> None:
         self._jobs.say(f"{error} The capture goes on.")
+
+
+def recording_text(name: str) -> str:
+    """Say what is being recorded."""
+    return f"recording {name}"

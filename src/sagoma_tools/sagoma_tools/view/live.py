@@ -111,7 +111,7 @@ class LiveGraph:
 
     def draw_pictures(self, gui: viser.GuiApi, folder: viser.GuiFolderHandle) -> None:
         """Draw each camera's newest picture: its preview where the client publishes one, else its silhouette."""
-        for camera, topic in self._cameras.items():
+        for order, (camera, topic) in enumerate(self._cameras.items()):
             message = self._feed.take(topic)
             if message is None:
                 continue
@@ -124,4 +124,4 @@ class LiveGraph:
                 self._pictures[camera].image = small
             else:
                 with folder:
-                    self._pictures[camera] = gui.add_image(small, label=camera, format="jpeg")
+                    self._pictures[camera] = gui.add_image(small, label=camera, format="jpeg", order=order)

@@ -11,7 +11,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 
 from ..takes.folder import TakesFolder, describe
-from .control import Control
+from .control import Control, recording_text
 from .graph_panel import GraphPanel
 from .guard import Guard, guarded_server
 from .jobs import Jobs
@@ -166,8 +166,9 @@ class Page:
     def _draw_states(self) -> None:
         """Say what the last request came to, and how every node is."""
         recording = self._control.recording if self._control is not None else ""
-        said = f'<b style="color: #e5484d">&#9679; recording {escape(recording)}</b><br>' if recording else ""
-        said += escape(self._jobs.said)
+        said = f'<b style="color: #e5484d">&#9679; {escape(recording_text(recording))}</b><br>' if recording else ""
+        last = self._jobs.said
+        said += escape(last) if last != recording_text(recording) else ""
         content = (
             f'<div style="font-size: 14px; min-height: 1.4em; overflow-wrap: anywhere; padding: 0 10px">{said}</div>'
         )

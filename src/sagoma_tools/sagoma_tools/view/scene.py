@@ -14,7 +14,7 @@ from .figures import DrawnPerson, Figure
 
 Array = np.ndarray
 
-VOXEL_M, VOXEL_COLOUR = 0.02, (120, 140, 200)
+VOXEL_M, VOXEL_COLOUR = 0.006, (120, 140, 200)  # small: whoever is inside is seen
 FRUSTUM_M, FRUSTUM_LINE_M = 0.2, 0.008
 CAMERA_COLOUR, LOST_COLOUR = (130, 145, 185), (229, 72, 77)
 FLOOR_M, CELL_M, FLOOR_COLOUR = 6.0, 0.5, (96, 102, 114)

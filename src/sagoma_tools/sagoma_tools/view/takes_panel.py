@@ -183,7 +183,7 @@ class TakesPanel:
         else:
             playback.playing = False
             _set(self._position, round(playback.position_s, 2))
-            self._jobs.say(f"paused at {playback.position_s:.2f} s: '{PAUSE}' goes on")
+            self._jobs.say(f"paused at {playback.position_s:.2f} s; '{PLAY}' goes on")
 
     def _jump(self, event: viser.GuiEvent) -> None:
         """Go on playing from where somebody has moved the slider to."""
