@@ -7,7 +7,6 @@ nodes since then.
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 from namespaces import World
@@ -15,9 +14,19 @@ from namespaces import World
 from capture_rig import save_rig
 from virtual_studio.rig import ring
 
-ACTIVE, PATIENCE_S = "active", 300.0
-SAGOMA = [sys.executable, "-m", "sagoma_tools.cli"]
-NODES = ("/hull_server", "/icp_tracker", "/ekf_tracker")
+UP = [sys.executable, "-m", "sagoma_tools.cli", "up", "--rig"]
+ASK = """
+import time
+from sagoma_tools.graph.lifecycle_client import LifecycleClient
+from sagoma_tools.graph.ros_link import RosLink
+names, states = ("/hull_server", "/icp_tracker", "/ekf_tracker"), {}
+deadline_s = time.monotonic() + 300.0
+with RosLink("asker") as link:
+    while set(states.values()) != {"active"} and time.monotonic() < deadline_s:
+        states = LifecycleClient(link.node).states(names)
+        time.sleep(0.2)
+print(",".join(map(str, states.values())))
+"""  # waits until the server's nodes are active, and changes nothing
 
 
 def main(folder):
@@ -26,26 +35,25 @@ def main(folder):
     environment = {"ROS_DOMAIN_ID": "3", "ROS_LOG_DIR": str(folder)}
     with World(["first", "second"], multicast=False) as world:
 
-        def sagoma(host, *words, **pipes):
-            peer = world.hosts["second" if host == "first" else "first"].address
-            return world.hosts[host].start([*SAGOMA, *words, "--peers", peer], environment, **pipes)
-
         def up(host, **pipes):
-            words = ("up", "--rig", str(folder / "rig.yaml"), "--only", "server", "--run-folder", str(folder / host))
-            return sagoma(host, *words, **pipes)
+            peer = world.hosts["second" if host == "first" else "first"].address
+            words = ["--only", "server", "--run-folder", str(folder / host), "--peers", peer]
+            return world.hosts[host].start([*UP, str(folder / "rig.yaml"), *words], environment, **pipes)
 
         with (folder / "first.log").open("w") as log:
             up("first", stdout=log, stderr=log)
-        deadline_s = time.monotonic() + PATIENCE_S
-        said = ""
-        while said.count(f": {ACTIVE}") < len(NODES) and time.monotonic() < deadline_s:
-            said = sagoma("first", "start", "--expect", "3", stdout=subprocess.PIPE, text=True).communicate()[0]
+
+        def states():
+            command = [sys.executable, "-c", ASK]
+            asker = world.hosts["first"].start(command, environment, stdout=subprocess.PIPE, text=True)
+            return asker.communicate()[0].strip()
+
+        states()
         log = next((folder / "first").glob("*.log"))
         before = len(log.read_text())
         second = up("second", stderr=subprocess.PIPE, text=True)
         says = second.communicate()[1]
-        states = sagoma("first", "start", "--expect", "3", stdout=subprocess.PIPE, text=True).communicate()[0]
-        told = {"says": says, "status": second.returncode, "log": log.read_text()[before:], "states": states}
+        told = {"says": says, "status": second.returncode, "log": log.read_text()[before:], "states": states()}
         print(json.dumps(told), flush=True)
 
 
