@@ -51,7 +51,7 @@ def main(folder):
         states()
         log = next((folder / "first").glob("*.log"))
         before = len(log.read_text())
-        second = up("second", stderr=subprocess.PIPE, text=True)
+        second = up("second", stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         says = second.communicate()[1]
         told = {"says": says, "status": second.returncode, "log": log.read_text()[before:], "states": states()}
         print(json.dumps(told), flush=True)
