@@ -2,7 +2,7 @@
 
 The filter's pose moves a rigid torso. A person's shoulders and hips move against it (`stick_figure.trunk_bend`), and so
 do the measured points: with the rigid motion eliminated from them (Schur complement), their distances from the torso at
-rest measure the bend's six numbers. These are an Ornstein-Uhlenbeck process, which fades to rest and keeps the spread
+rest measure the bend's seven numbers. These are an Ornstein-Uhlenbeck process, which fades to rest and keeps the spread
 that trunks have. The body that the pose is filtered with is bent so.
 """
 
@@ -25,7 +25,7 @@ _POINTS = TORSO_POINTS[1:]
 
 
 class TorsoBend:
-    """Estimate (6,) of the bend and its covariance, rest and what people bend by at first."""
+    """Estimate (7,) of the bend and its covariance, rest and what people bend by at first."""
 
     def __init__(self, scale: float) -> None:
         """``scale`` : how far trunks bend, over what is usual; 0 for a rigid torso."""

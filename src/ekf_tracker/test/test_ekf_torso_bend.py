@@ -5,7 +5,7 @@ import pytest
 
 from ekf_tracker.measurement import Measurement
 from ekf_tracker.torso_bend import TorsoBend
-from stick_figure.body import Body
+from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.rotations import rotation_matrix
@@ -14,7 +14,7 @@ from stick_figure.trunk_bend import LEFT_Z, PELVIS_YAW, REST_SD, RIGHT_X
 
 BODY = Body.from_stature(1.75)
 POSE = Pose.from_angles([1.0, 2.0, 1.0], rotation_matrix(np.array([0.3, -0.2, 1.0])), T_POSE_ANGLES)
-BEND = np.zeros(6)
+BEND = np.zeros(BEND_NUMBERS)
 BEND[[LEFT_Z, PELVIS_YAW, RIGHT_X]] = 0.04, 0.12, 0.02
 FRAME_NS = 16_666_667
 
@@ -39,8 +39,8 @@ def test_shoulders_and_hips_lie_where_they_were_measured():
 def test_noise_is_averaged_over_sets_and_counted():
     rng, trunk, found = np.random.default_rng(2), TorsoBend(1.0), []
     for k in range(200):
-        found.append(trunk.bent(BODY, k * FRAME_NS, measured(np.zeros(6), 0.01, rng)).bend[LEFT_Z])
-    once = TorsoBend(1.0).bent(BODY, 0, measured(np.zeros(6), 0.01, rng))
+        found.append(trunk.bent(BODY, k * FRAME_NS, measured(np.zeros(BEND_NUMBERS), 0.01, rng)).bend[LEFT_Z])
+    once = TorsoBend(1.0).bent(BODY, 0, measured(np.zeros(BEND_NUMBERS), 0.01, rng))
     assert np.std(found) < 0.5 * REST_SD[LEFT_Z]
     assert np.std(found) == pytest.approx(np.sqrt(trunk.covariance[LEFT_Z, LEFT_Z]), rel=0.5)
     assert np.abs(once.bend).max() > 0.0

@@ -266,12 +266,12 @@ class IcpTracker:
         settings, body = self._settings, found.body
         if body is None or settings.refinement.keyframes == 0 or not self.needs_contour_rays:
             return None
-        prior, bend = settings.articulated.prior, settings.articulated.contour.bend
+        prior, contour = settings.articulated.prior, settings.articulated.contour
         if found.estimate is None:
             if body.build.any():
                 return None
-            return BodyRefiner(known_sizes(body), settings.refinement, prior, body, bend)
-        return BodyRefiner(found.estimate, settings.refinement, prior, bend=bend)
+            return BodyRefiner(known_sizes(body), settings.refinement, prior, body, contour.bend, contour.turn_sd)
+        return BodyRefiner(found.estimate, settings.refinement, prior, bend=contour.bend, turn_sd=contour.turn_sd)
 
 
 def make_tracker(settings: IcpNodeSettings, sight: Sight | None = None) -> IcpTracker:

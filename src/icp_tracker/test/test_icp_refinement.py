@@ -11,11 +11,13 @@ from icp_tracker.acquisition.initial_pose import InitialPose
 from icp_tracker.articulated_fit import PriorSettings
 from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.refinement.body_refiner import BodyRefiner, RefinementSettings
-from icp_tracker.refinement.shape import POSE, SIZE, ShapeModel, ShapePrior, body_of, contour_system
+from icp_tracker.refinement.shape import BENT, POSE, SIZE, ShapeModel, ShapePrior, body_of, contour_system
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import HullProducts
+from stick_figure.body import BEND_NUMBERS
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
+from stick_figure.least_squares.free_ends import ANGLES, COUNT, straight_ends, turn_ends
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
@@ -55,8 +57,8 @@ def test_sizes_converge_to_the_body_that_made_the_rays_when_all_joints_bend():
     refiner, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], EXACT, rng)
     before, after = np.abs(estimate.sizes - truth[SIZE])[SEEN], np.abs(error(refiner, truth))[SEEN]
     assert before.mean() > 0.008
-    assert after.mean() < 0.5 * before.mean()  # the build is to be told from the same rays
-    assert after.max() < 0.022  # shoulders that may move leave the head and trunk less certain
+    assert after.mean() < 0.6 * before.mean()  # build, turns of hands and feet and the back are told from the same rays
+    assert after.max() < 0.025  # shoulders that may move leave the head and trunk less certain
 
 
 def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it():
@@ -74,7 +76,8 @@ def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it(
         return np.sqrt(split @ covariance @ split)
 
     assert sd(held.refined.estimate.covariance) > 0.75 * sd(estimate.covariance)
-    assert sd(moved.refined.estimate.covariance) < 0.55 * sd(estimate.covariance)
+    # a hand that may turn at the wrist says less about the elbow
+    assert sd(moved.refined.estimate.covariance) < 0.65 * sd(estimate.covariance)
 
 
 @pytest.mark.slow
@@ -148,8 +151,10 @@ def test_equal_sets_give_equal_bytes():
     assert results[0] == results[1]
 
 
-def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one():
-    rng = np.random.default_rng(10)
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(turn):
+    rng, turns = np.random.default_rng(10), np.zeros((COUNT, ANGLES))
+    turns[:, 0] = turn
     estimate, truth = wrong_start(rng)
     body, pose = body_of(truth), made.moving_pose(rng)
     contour_rays = made.tangent_rays(body, BodySurface.of(body), pose, rng, each=6)
@@ -157,27 +162,34 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
     model, n = ShapeModel(values), POSE + len(values)
     H_, g = np.empty((n, n)), np.empty(n)
     wide = (1e3, 0.05, 0.06)  # all rays weigh the same, so that the cost is a plain sum of squares
-    contour_system(contour_rays, place(State.of(pose), model.at(values)), model.arrays, wide, H_, g)
+    contour_system(contour_rays, turned(pose, model.at(values), turns), turns, model.arrays, wide, H_, g)
 
-    matches = matched(contour_rays, *capsules_at(values, pose))
+    matches = matched(contour_rays, *capsules_at(values, pose, np.zeros(BEND_NUMBERS), turns))
 
     def cost(step):
-        moved = capsules_at(values + step[POSE:], pose.retract(step[:24]), step[24:POSE])
+        bend, more = step[24:BENT], step[BENT:POSE].reshape(COUNT, ANGLES)
+        moved = capsules_at(values + step[POSE:], pose.retract(step[:24]), bend, turns + more)
         return sum_of_squares(contour_rays, matches, *moved)
 
-    for k in range(n):
+    about_second = range(BENT + 1, POSE, ANGLES)  # linear about straight alone
+    for k in set(range(n)) - set(about_second if turn else ()):
         step = np.zeros(n)
         step[k] = 1e-6
         slope = (cost(step) - cost(-step)) / 2e-6
         assert -2.0 * g[k] == pytest.approx(slope, rel=2e-3, abs=1e-3 * np.abs(g).max())
 
 
-def capsules_at(values, pose, bend=None):
-    body = body_of(values)
-    if bend is not None:
-        body = body.bent(bend)
-    surface = Figure.of(body).surface
-    return *made.capsules_world(body, surface, pose), surface.radii
+def turned(pose, figure, turns):
+    placed, ends = place(State.of(pose), figure), straight_ends(1.0)
+    ends.turns[:] = turns
+    turn_ends(ends, placed)
+    return placed
+
+
+def capsules_at(values, pose, bend, turns):
+    figure = Figure.of(body_of(values).bent(bend))
+    placed = turned(pose, figure, turns)
+    return placed.P, placed.Q, figure.surface.radii
 
 
 def matched(contour_rays, P, Q, radii):

@@ -9,7 +9,7 @@ import refinement_rays as made
 from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, make_data, minimise
 from icp_tracker.refinement.trunk_bend import TrunkBend
 from mocap_packets.hull import NO_VOXELS
-from stick_figure.body import Body
+from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.trunk_bend import LEFT_Z, PELVIS_YAW, RIGHT_X
@@ -17,7 +17,7 @@ from stick_figure.trunk_bend import LEFT_Z, PELVIS_YAW, RIGHT_X
 BENDS = ArticulatedSettings(volume=VolumeSettings(weight=0.0, inside_weight=0.0))
 RIGID = replace(BENDS, contour=replace(BENDS.contour, bend=0.0))
 FRAME_NS = 16_666_667
-BEND = np.zeros(6)
+BEND = np.zeros(BEND_NUMBERS)
 BEND[[LEFT_Z, PELVIS_YAW, RIGHT_X]] = 0.04, 0.12, 0.02
 
 

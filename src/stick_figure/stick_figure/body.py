@@ -27,7 +27,7 @@ _HIP_CENTRES_OVER_PELVIS = 0.72
 BUILD_NUMBERS = 14
 """How many numbers say how a body's surface differs from that of others of its lengths (`build.py`)."""
 
-BEND_NUMBERS = 6
+BEND_NUMBERS = 7
 """How many numbers say how the trunk is bent (`trunk_bend.py`)."""
 
 _LIMBS = ((1,), (2, 3), (4, 5), (6, 7), (8, 9))

@@ -15,6 +15,7 @@ import numpy as np
 from capture_rig.settings import setting
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.contour_factor import RayArrays
+from stick_figure.least_squares.free_ends import TURN_SD
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.trunk_bend import REST_SD
 
@@ -77,7 +78,7 @@ def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> Ray
 
 NS_PER_S = 1e9
 AT_REST = np.zeros(BEND_NUMBERS)
-STIFF = 1e-3  # over how far a trunk bends: one that does not
+STIFF = 1e-3  # over how far a trunk bends, and rad of hands and feet: what does not
 GIVEN_SD_M = 0.001  # sizes that were given are kept
 LOOKS_TO_SETTLE = 4  # looks at each of all kept poses after which nothing moves any more
 
@@ -101,14 +102,20 @@ class BodyRefiner:
         pose_prior: PriorSettings,
         given: Body | None = None,
         bend: float = 1.0,
+        turn_sd: float = TURN_SD,
     ) -> None:
         """``given`` : the body when its sizes are known from elsewhere, so that its build alone is to be learnt.
-        ``bend`` : how far its trunk bends, over what is usual."""
+        ``bend`` : how far its trunk bends, over what is usual. ``turn_sd`` : of hands and feet, rad."""
         self._sizes_from = given
         self._prior, self._settings = ShapePrior.of(estimate, settings.build_sd), settings
         neck, limit = _information(pose_prior.neck_sd), _information(pose_prior.limit_sd)
         self._pose_prior = PosePrior(
-            pose_prior.information, (max(bend, STIFF) * REST_SD) ** -2, neck, pose_prior.neck_pitch, limit
+            pose_prior.information,
+            (max(bend, STIFF) * REST_SD) ** -2,
+            neck,
+            pose_prior.neck_pitch,
+            limit,
+            max(turn_sd, STIFF) ** -2,
         )
         self._information = np.linalg.inv(self._prior.covariance)
         self._target = self._information @ self._prior.mean
@@ -129,7 +136,7 @@ class BodyRefiner:
         return len(self._rays) >= self._settings.keyframes and self.settled
 
     def step(self, stamp_ns: int, pose: Pose, contour_rays: RayArrays, bend: np.ndarray = AT_REST) -> Body | None:
-        """Take a well fitted pose, its rays and the trunk's bend (6,) in it; return a body to go on with when its sizes
+        """Take a well fitted pose, its rays and the trunk's bend (7,) in it; return a body to go on with when its sizes
         have changed enough.
 
         Once the sizes have settled, the work of a set is to see that its pose is not a new one.

@@ -16,10 +16,11 @@ from stick_figure import kernels
 from stick_figure.body import BEND_NUMBERS
 from stick_figure.joint_limits import add_joint_limits, add_neck_rest
 from stick_figure.least_squares.bend_factor import bent_figure
+from stick_figure.least_squares.free_ends import ANGLES, COUNT, LARGEST_TURN, straight_ends, turn_ends
 from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper
 from stick_figure.least_squares.placed_figure import State, place
 
-from .shape import POSE, UNKNOWNS, contour_system, figure_at
+from .shape import BENT, POSE, UNKNOWNS, contour_system, figure_at
 
 GATE_M, SLACK_M, EXPLAINED_M = 0.04, 0.05, 0.06  # see `contour_system`
 LARGEST_STEP = 0.3  # m, rad
@@ -31,7 +32,7 @@ class Keyframes(NamedTuple):
 
     information (K, U, U), target (K, U) : each one's part of normal equations for the shape's values themselves: (sum
     of information) values = sum of target; zero while the surface explains too few of its rays.
-    bend (K, 6) : of the trunk, which is a keyframe's own as its pose is.
+    bend (K, 7) : of the trunk, and turns (K, 4, 2) of hands and feet, which are a keyframe's own as its pose is.
     values (K, U), through (K, POSE, U + 1) : where it was linearised, and how the pose follows the values from there.
     """
 
@@ -40,6 +41,7 @@ class Keyframes(NamedTuple):
     RJ: np.ndarray
     hinges: np.ndarray
     bend: np.ndarray
+    turns: np.ndarray
     information: np.ndarray
     target: np.ndarray
     values: np.ndarray
@@ -48,20 +50,22 @@ class Keyframes(NamedTuple):
     @classmethod
     def of(cls, count: int) -> Keyframes:
         """Make room for so many."""
-        pose = (3,), (3, 3), (5, 3, 3), (4,), (BEND_NUMBERS,)
+        pose = (3,), (3, 3), (5, 3, 3), (4,), (BEND_NUMBERS,), (COUNT, ANGLES)
         equations = (UNKNOWNS, UNKNOWNS), (UNKNOWNS,), (UNKNOWNS,), (POSE, UNKNOWNS + 1)
         return cls(*(np.empty((count, *shape)) for shape in (*pose, *equations)))
 
 
 class PosePrior(NamedTuple):
-    """What holds a keyframe's pose where its rays do not: information (24,) of the tangent and (6,) of the trunk's bend
-    about rest; of the neck's rest, at ``neck_pitch`` rad, and of the joints' limits (1/rad^2, 0: off)."""
+    """What holds a keyframe's pose where its rays do not: information (24,) of the tangent and (7,) of the trunk's bend
+    about rest; of the neck's rest, at ``neck_pitch`` rad, and of the joints' limits (1/rad^2, 0: off); of the turns of
+    hands and feet about straight."""
 
     information: np.ndarray
     bend: np.ndarray
     neck: float
     neck_pitch: float
     limit: float
+    ends: float
 
 
 @njit(cache=True, nogil=True)
@@ -69,6 +73,7 @@ def put_keyframe(kept, k, pose, bend, values):
     """Write a pose (t0, R0, RJ, hinges) and bend to place k, to be linearised at ``values`` for the first time."""
     kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k] = pose
     kept.bend[k] = bend
+    kept.turns[k] = 0.0
     kept.values[k] = values
     kept.through[k] = 0.0
 
@@ -80,17 +85,23 @@ def linearise_keyframe(kept, k, rays, model, values, prior, least):
     ``least`` : share of the rays that must be explained for it to count; returns the share that is.
     """
     state, n, unknowns = State(kept.t0[k], kept.R0[k], kept.RJ[k], kept.hinges[k]), POSE + UNKNOWNS, UNKNOWNS
-    bend = kept.bend[k]
-    _follow_shape(kept.through[k], kept.values[k] - values, state, bend)
+    bend, ends = kept.bend[k], straight_ends(prior.ends)
+    _follow_shape(kept.through[k], kept.values[k] - values, state, bend, kept.turns[k])
+    ends.turns[:] = kept.turns[k]
     H, g = np.empty((n, n)), np.empty(n)
     placed = place(state, bent_figure(figure_at(model, values), model.bends, bend))
-    explained = contour_system(rays, placed, model, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
+    turn_ends(ends, placed)
+    explained = contour_system(rays, placed, ends.turns, model, (GATE_M, SLACK_M, EXPLAINED_M), H, g)
     own, L, through = H[:POSE, :POSE].copy(), np.empty((POSE, POSE)), kept.through[k]
     through[:, :unknowns], through[:, unknowns] = H[:POSE, POSE:], g[:POSE]
     _add_pose_prior(state, prior, own[:TANGENT, :TANGENT], through[:TANGENT, unknowns])
     for s in range(BEND_NUMBERS):
         own[TANGENT + s, TANGENT + s] += prior.bend[s]
         through[TANGENT + s, unknowns] -= prior.bend[s] * bend[s]
+    for e in range(COUNT):
+        for a in range(ANGLES):
+            own[BENT + ANGLES * e + a, BENT + ANGLES * e + a] += prior.ends
+            through[BENT + ANGLES * e + a, unknowns] -= prior.ends * ends.turns[e, a]
     solve_positive_columns(own, L, through)
     kept.values[k] = values
     information, target = kept.information[k], kept.target[k]
@@ -111,15 +122,19 @@ def linearise_keyframe(kept, k, rays, model, values, prior, least):
 
 
 @njit(cache=True)
-def _follow_shape(through, change, state, bend):
-    """Move pose and bend as the last linearisation says, for a ``change`` (U,) of the shape's values."""
+def _follow_shape(through, change, state, bend, turns):
+    """Move pose, bend and turns as the last linearisation says, for a ``change`` (U,) of the shape's values."""
     step = through[:, -1].copy()
     for k in range(POSE):
         for s in range(change.shape[0]):
             step[k] += through[k, s] * change[s]
-    scale = min(1.0, LARGEST_STEP / max(np.abs(step).max(), LARGEST_STEP))
+    scale = min(1.0, LARGEST_STEP / max(np.abs(step[:BENT]).max(), LARGEST_STEP))
     kernels.retract(state.t0, state.R0, state.RJ, state.hinges, step[:TANGENT], scale)
-    bend += scale * step[TANGENT:]
+    bend += scale * step[TANGENT:BENT]
+    for e in range(COUNT):
+        for a in range(ANGLES):
+            turn = turns[e, a] + scale * step[BENT + ANGLES * e + a]
+            turns[e, a] = min(max(turn, -LARGEST_TURN), LARGEST_TURN)
 
 
 @njit(cache=True)

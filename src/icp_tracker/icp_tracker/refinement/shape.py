@@ -14,6 +14,7 @@ from stick_figure.body import BEND_NUMBERS, BUILD_NUMBERS, Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.least_squares.bend_factor import BendDerivatives, bend_columns
 from stick_figure.least_squares.contour_factor import match_rays, sum_rays
+from stick_figure.least_squares.free_ends import ANGLES, COUNT, end_of_capsule, turn_columns, turned_frame
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
     TANGENT,
@@ -31,7 +32,10 @@ from ..acquisition.body_sizes import SIZES, BodyEstimate, body_of_sizes
 UNKNOWNS = len(SIZES) + BUILD_NUMBERS
 SIZE = slice(0, len(SIZES))
 BUILD = slice(len(SIZES), UNKNOWNS)
-POSE = TANGENT + BEND_NUMBERS  # what a keyframe has of its own: its pose, and how its trunk is bent
+BENT = TANGENT + BEND_NUMBERS
+POSE = (
+    BENT + COUNT * ANGLES
+)  # what a keyframe has of its own: its pose, how its trunk is bent, hands and feet are turned
 STEP = 1e-4  # of the differences that stand for derivatives, m and per unit
 
 
@@ -170,19 +174,20 @@ _SIGN = np.array(STICK_SIGN, dtype=np.float64)
 
 
 @njit(cache=True)
-def contour_system(rays, placed, model, robust, H, g):
+def contour_system(rays, placed, turns, model, robust, H, g):
     """Fill H (n, n) and g (n,), n = POSE + unknowns, such that H d = g lessens the distances.
 
     Returns the share of the rays that is explained.
 
-    ``robust`` = gate, slack, separation up to which a ray is explained, metres.
+    ``turns`` (4, 2) rad of hands and feet, with which the figure is ``placed``. ``robust`` = gate, slack, separation up
+    to which a ray is explained, metres.
     """
     gate, slack, explained = robust
     unknowns, match = H.shape[0] - POSE, match_rays(rays, placed, slack)
     sums = no_sums(placed.P.shape[0], WHOLE)
     sum_rays(rays, match, gate, sums)
     starts = start_columns(placed.G, model.derivatives)
-    wide = CHAIN_COLUMNS + BEND_NUMBERS + unknowns
+    wide = CHAIN_COLUMNS + BEND_NUMBERS + ANGLES + unknowns
     M, slots = np.empty((2 * WHOLE, wide)), np.empty(wide, np.int64)
     work = np.empty((2 * WHOLE + 2, wide))
     H[:] = 0.0
@@ -193,11 +198,17 @@ def contour_system(rays, placed, model, robust, H, g):
         for s in range(BEND_NUMBERS):
             slots[n + s] = TANGENT + s
         n += BEND_NUMBERS
-        M[3, :n] = 0.0  # neither pose nor bend changes a radius
+        e = end_of_capsule(k)
+        if e >= 0:
+            turn_columns(e, placed, M[:, n:], WHOLE)
+            for a in range(ANGLES):
+                slots[n + a] = BENT + ANGLES * e + a
+            n += ANGLES
+        M[3, :n] = 0.0  # neither pose, bend nor turn changes a radius
         M[7, :n] = 0.0
         for s in range(unknowns):
             slots[n + s] = POSE + s
-        shape_columns(k, placed, starts, model.derivatives, M[:, n:])
+        shape_columns(k, placed, turns, starts, model.derivatives, M[:, n:])
         add_capsule(sums, k, M, slots, n + unknowns, work, H, g)
     mirror_upper(H)
     return np.sum(match.separation < explained) / max(match.separation.shape[0], 1)
@@ -221,15 +232,26 @@ def start_columns(G, derivatives):
     return starts
 
 
-@kernel
-def shape_columns(k, placed, starts, derivatives, M):
-    """Fill M (8, unknowns) with the derivatives of capsule k with respect to the shape's unknowns."""
-    j = placed.surface.stick[k]
+@njit(cache=True)
+def shape_columns(k, placed, turns, starts, derivatives, M):
+    """Fill M (8, unknowns) with the derivatives of capsule k with respect to the shape's unknowns.
+
+    What lies beyond a wrist or an ankle follows in the frame that is turned there.
+    """
+    j, e = placed.surface.stick[k], end_of_capsule(k)
+    G, E = placed.G[j], placed.G[j]
+    if e >= 0:
+        E = turned_frame(e, placed, turns)
     for s in range(starts.shape[2]):
         for end in range(2):
             for i in range(3):
                 change = starts[j, i, s]
                 for q in range(3):
-                    change += placed.G[j, i, q] * derivatives.capsules[k, 3 * end + q, s]
+                    number, pivot = derivatives.capsules[k, 3 * end + q, s], 0.0
+                    if e >= 2:
+                        pivot = _SIGN[j] * derivatives.lengths[j, s] if q == _AXIS[j] else 0.0
+                    elif e >= 0:
+                        pivot = derivatives.capsules[k, q, s]
+                    change += G[i, q] * pivot + E[i, q] * (number - pivot)
                 M[WHOLE * end + i, s] = change
             M[WHOLE * end + 3, s] = derivatives.capsules[k, 6 + end, s]

@@ -34,7 +34,7 @@ class TrunkBend:
 
     @property
     def bend(self) -> np.ndarray:
-        """The bend (6,) now, rad and m."""
+        """The bend (7,) now, rad and m."""
         return self._bend
 
     def of(self, body: Body) -> Body:

@@ -1,6 +1,6 @@
 """How the trunk is bent, from contour rays: solved for together with the pose, about a fit that has converged.
 
-The bend's six numbers (`trunk_bend`) and the pose explain the same rays, so their equations are solved as one; the
+The bend's seven numbers (`trunk_bend`) and the pose explain the same rays, so their equations are solved as one; the
 pose's part of the step is left to the next fit, which starts with the bend that was found. Hands and feet, which turn
 by themselves, say nothing about the trunk.
 """
@@ -27,7 +27,7 @@ UNKNOWNS = TANGENT + BEND_NUMBERS
 
 
 class BendDerivatives(NamedTuple):
-    """As `bend_derivatives` has them: origins (10, 3, 6) of sticks, starts and ends (k, 3, 6) of capsules."""
+    """As `bend_derivatives` has them: origins (10, 3, 7) of sticks, starts and ends (k, 3, 7) of capsules."""
 
     origins: np.ndarray
     starts: np.ndarray
@@ -41,9 +41,9 @@ class BendDerivatives(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def bend_step(rays, state, figure, derivatives, robust, pose_information, information, pull):
-    """Return the step (6,) of the bend that lessens the rays' distances.
+    """Return the step (7,) of the bend that lessens the rays' distances.
 
-    ``robust`` = gate, slack, m. pose_information (24,) holds the pose where it is; information (6,) and pull (6,) are
+    ``robust`` = gate, slack, m. pose_information (24,) holds the pose where it is; information (7,) and pull (7,) are
     those of what is known of the bend without rays.
     """
     gate, slack = robust
@@ -76,7 +76,7 @@ def bend_step(rays, state, figure, derivatives, robust, pose_information, inform
 
 @kernel
 def bend_columns(k, placed, derivatives, M, second):
-    """Fill M (6 or 8, 6 or more) with the derivatives of capsule k's ends, world, with respect to the bend; those of
+    """Fill M (6 or 8, 7 or more) with the derivatives of capsule k's ends, world, with respect to the bend; those of
     its end begin at row ``second``."""
     j = placed.surface.stick[k]
     origin = j if j < 6 else j - 4  # the stick on the torso that carries it
@@ -92,7 +92,7 @@ def bend_columns(k, placed, derivatives, M, second):
 
 @njit(cache=True)
 def bent_figure(figure, derivatives, bend):
-    """Return a figure with its trunk bent so (6,)."""
+    """Return a figure with its trunk bent so (7,)."""
     origins, start, end = figure.origins.copy(), figure.surface.start.copy(), figure.surface.end.copy()
     for s in range(BEND_NUMBERS):
         origins += bend[s] * derivatives.origins[:, :, s]

@@ -53,19 +53,33 @@ def turn_ends(ends, placed):
     """Turn hands and feet of a figure that was placed straight: their capsules, and the hands' tips."""
     if ends.information == 0.0:
         return
-    R, w, pivot, point = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    pivot, point = np.empty(3), np.empty(3)
     for e in range(COUNT):
         k, j = CAPSULE[e], STICK[e]
         if ends.turns[e, 0] == 0.0 and ends.turns[e, 1] == 0.0:
             continue
-        for i in range(3):
-            w[i] = ends.turns[e, 0] * placed.G[j, i, AXES[e, 0]] + ends.turns[e, 1] * placed.G[j, i, AXES[e, 1]]
-        kernels.rotation_exp(w[0], w[1], w[2], R)
+        R = _turn(e, placed, ends.turns)
         _pivot(e, placed, pivot)
         _turn_about(R, pivot, placed.P[k], point)
         _turn_about(R, pivot, placed.Q[k], point)
         if e < 2:
             _turn_about(R, pivot, placed.B[j], point)
+
+
+@njit(cache=True)
+def turned_frame(e, placed, turns):
+    """Return the frame (3, 3) of an end's stick, turned as the end is, in the world."""
+    return _turn(e, placed, turns) @ placed.G[STICK[e]]
+
+
+@njit(cache=True)
+def _turn(e, placed, turns):
+    """Return the rotation (3, 3), world frame, of an end from straight."""
+    R, w, j = np.empty((3, 3)), np.empty(3), STICK[e]
+    for i in range(3):
+        w[i] = turns[e, 0] * placed.G[j, i, AXES[e, 0]] + turns[e, 1] * placed.G[j, i, AXES[e, 1]]
+    kernels.rotation_exp(w[0], w[1], w[2], R)
+    return R
 
 
 @kernel
@@ -87,32 +101,44 @@ def _pivot(e, placed, pivot):
 @njit(cache=True)
 def is_free_end(k, ends):
     """Return the number of the end that capsule k belongs to; -1 of none, or when ends are stiff."""
-    if ends.information > 0.0:
-        for e in range(COUNT):
-            if CAPSULE[e] == k:
-                return e
+    return end_of_capsule(k) if ends.information > 0.0 else -1
+
+
+@kernel
+def end_of_capsule(k):
+    """Return the number of the end that capsule k is; -1 of any other."""
+    for e in range(COUNT):
+        if CAPSULE[e] == k:
+            return e
     return -1
+
+
+@njit(cache=True)
+def turn_columns(e, placed, M, second):
+    """Fill M (6 or 8, 2 or more) with the derivatives of an end's capsule, world, with respect to its turns; those of
+    its end begin at row ``second``."""
+    k, pivot = CAPSULE[e], np.empty(3)
+    _pivot(e, placed, pivot)
+    for a in range(ANGLES):
+        axis = placed.G[STICK[e], :, AXES[e, a]]
+        for end in range(2):
+            place, row = placed.P[k] if end == 0 else placed.Q[k], second * end
+            x, y, z = place[0] - pivot[0], place[1] - pivot[1], place[2] - pivot[2]
+            M[row, a] = axis[1] * z - axis[2] * y
+            M[row + 1, a] = axis[2] * x - axis[0] * z
+            M[row + 2, a] = axis[0] * y - axis[1] * x
 
 
 @njit(cache=True)
 def add_free_end(sums, e, placed, ends, H, g):
     """Add the sums of one end's capsule to the equations of the pose, its turns eliminated."""
-    k, j = CAPSULE[e], STICK[e]
+    k = CAPSULE[e]
     M, T = np.zeros((2 * ENDS, CHAIN_COLUMNS)), np.zeros((2 * ENDS, ANGLES))
     work, V = np.empty((2 * ENDS + 2, CHAIN_COLUMNS)), np.empty((2 * ENDS, 2 * ENDS))
-    pivot = np.empty(3)
     n = pose_columns(k, placed, M, ends.slots[e])
     add_capsule(sums, k, M, ends.slots[e], n, work, H, g)
     ends.used[e] = n
-    _pivot(e, placed, pivot)
-    for a in range(ANGLES):
-        axis = placed.G[j, :, AXES[e, a]]
-        for end in range(2):
-            place = placed.P[k] if end == 0 else placed.Q[k]
-            x, y, z = place[0] - pivot[0], place[1] - pivot[1], place[2] - pivot[2]
-            T[3 * end, a] = axis[1] * z - axis[2] * y
-            T[3 * end + 1, a] = axis[2] * x - axis[0] * z
-            T[3 * end + 2, a] = axis[0] * y - axis[1] * x
+    turn_columns(e, placed, T, ENDS)
     fill_moments(sums, k, V)
     VT = V @ T
     own, coupled, pull = T.T @ VT, M.T @ VT, np.empty(ANGLES)
