@@ -147,14 +147,17 @@ class Browser:
         self.wait_for(f"(() => {{ {FIELD % json.dumps(label)} return field.value === {json.dumps(value)}; }})()")
 
     def press(self, words: str) -> None:
-        """Click with the mouse on the button or tab of these words."""
+        """Click with the mouse on the button or tab of these words, once it stands still and nothing covers it."""
         find = f"""(() => {{
             const all = [...document.querySelectorAll('button, [role=tab]')];
             const found = all.find(each => each.innerText.trim() === {json.dumps(words)});
             if (!found) return null;
             found.scrollIntoView({{block: 'center'}});
             const box = found.getBoundingClientRect();
-            return box.width ? [box.x + box.width / 2, box.y + box.height / 2] : null;
+            const place = [box.x + box.width / 2, box.y + box.height / 2], before = window.placeBefore;
+            window.placeBefore = `${{place}} {words}`;
+            const stands = before === window.placeBefore && found.contains(document.elementFromPoint(...place));
+            return stands ? place : null;
         }})()"""
         x, y = self.wait_for(find)
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
