@@ -72,16 +72,18 @@ class ArticulatedEkf:
         covariance: np.ndarray,
         visible: np.ndarray,
         doubtful: np.ndarray = NONE,
+        moved: np.ndarray = NONE,
     ) -> BodyState | NoState:
         """Predict to a frame set's stamp, then update with its points: the thesis's Algorithm 3 for one set.
 
         Arguments as for :meth:`predict` and :meth:`update`; both are checked before the filter moves. doubtful (15,)
-        bool : points that may be elsewhere, as whoever measured them says; their covariance has to say it too.
+        bool : points that may be elsewhere, as whoever measured them says; their covariance has to say it too. moved
+        (15,) bool : points that were found in another place: what the filter knew of their limbs was wrong.
         """
         if self.body is None:
             return NoState(stamp_ns, NO_BODY)
         z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
-        return self._update(self.predict(stamp_ns), z, doubtful)
+        return self._update(self.predict(stamp_ns), z, doubtful, moved)
 
     def is_past(self, stamp_ns: int) -> bool:
         """Return whether a set of this stamp comes too late: not after the last one."""
@@ -108,9 +110,11 @@ class ArticulatedEkf:
         if self._stamp_ns is None:
             raise ValueError("update before the first predict")
         z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
-        return self._update(self._stamp_ns, z, NONE)
+        return self._update(self._stamp_ns, z, NONE, NONE)
 
-    def _update(self, stamp_ns: int, z: Measurement, doubtful: np.ndarray) -> BodyState | NoState:
+    def _update(
+        self, stamp_ns: int, z: Measurement, doubtful: np.ndarray, moved: np.ndarray
+    ) -> BodyState | NoState:
         if self._track is None:
             if not enough_to_start(z):
                 return NoState(stamp_ns, f"waiting for the torso: {z.visible.sum()} of 15 points visible")
@@ -118,7 +122,7 @@ class ArticulatedEkf:
         lost = self._track.unmeasured_s > self.settings.lost_after_s
         if lost and enough_to_start(z):
             return self._start(stamp_ns, z, doubtful)
-        return self._track.update(z, doubtful) or self._start(stamp_ns, z, doubtful)
+        return self._track.update(z, doubtful, moved) or self._start(stamp_ns, z, doubtful)
 
     def _start(self, stamp_ns: int, z: Measurement, doubtful: np.ndarray) -> BodyState:
         """Take the state from this measurement alone."""

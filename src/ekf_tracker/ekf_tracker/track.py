@@ -23,7 +23,7 @@ from .kernels import (
     reset_slots,
 )
 from .manoeuvres import EXPECTED, LEVELS, LIMBS, MOST_M_S, raised_covariance, worst_of_limbs
-from .measurement import GateDecision, InnovationGate, Measurement, Sizes, linearised
+from .measurement import InnovationGate, Measurement, Sizes, linearised
 from .motion_model import MotionModel, Transition
 from .settings import EkfSettings, limit_weight, motion_model
 from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot
@@ -112,24 +112,23 @@ class Track:
             self._forget_velocity()
         self._advance(stamp_ns)
 
-    def update(self, z: Measurement, doubtful: np.ndarray) -> BodyState | None:
-        """Correct the estimate with points of the predicted stamp (thesis Table 5.7), of which some are doubtful.
+    def update(self, z: Measurement, doubtful: np.ndarray, moved: np.ndarray) -> BodyState | None:
+        """Correct the estimate with points of the predicted stamp (thesis Table 5.7), of which some are doubtful, and
+        some were found in another place.
 
-        None when the torso's points have contradicted the prediction for so long that the track has to start anew.
+        None when the track has to start anew: the torso was found elsewhere, or its points have contradicted the
+        prediction for too long.
         """
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self.body = self._trunk.bent(self.body, self._stamp_ns, noise)
         distances, manoeuvre = self._explain_manoeuvres(noise)
         self._prior = self._estimate
-        decision = self._gate.decide(distances, z.visible)
-        if (
-            decision.n_readmitted
-            and 2 * decision.readmitted[TORSO_POINTS].sum() >= len(TORSO_POINTS)
-            and enough_to_start(z)
-        ):
+        decision = self._gate.decide(np.where(moved, 0.0, distances), z.visible)
+        anew = decision.readmitted | (moved & z.visible)
+        if 2 * anew[TORSO_POINTS].sum() >= len(TORSO_POINTS) and enough_to_start(z):
             return None
         if decision.n_accepted:
-            self._estimate = self._correct(noise, decision, manoeuvre)
+            self._estimate = self._correct(noise, decision.accepted, anew, manoeuvre)
             self._note_measured(z, decision.accepted)
         return self.state(z, decision.accepted, decision.rejected, doubtful, distances)
 
@@ -165,19 +164,19 @@ class Track:
         raised = Estimate(quiet.arrays, quiet.velocity, P)
         return raised, innovation_distances(self.body, raised, z)
 
-    def _correct(self, z: Measurement, decision: GateDecision, manoeuvre: bool) -> Estimate:
+    def _correct(self, z: Measurement, accepted: np.ndarray, anew: np.ndarray, manoeuvre: bool) -> Estimate:
+        """Return the estimate with the accepted points (15,); the limbs of those ``anew`` are elsewhere."""
         prior, start = self._estimate, None
-        if manoeuvre:  # angles that turned far: the way there is not straight
-            start = pose_of_points(self.body, z, decision.accepted, prior.pose)
-        if decision.n_readmitted:  # their limbs are elsewhere: look for them from where the points say
-            prior = self._prior = self._release_limbs(prior, decision.readmitted)
-            start = pose_of_points(self.body, z, decision.accepted, prior.pose)
+        if anew.any():
+            prior = self._prior = self._release_limbs(prior, anew)
+        if manoeuvre or anew.any():  # angles that turned far: the way there is not straight, so start at its end
+            start = pose_of_points(self.body, z, accepted, prior.pose)
         try:
-            return correct_estimate(self.body, prior, z, decision.accepted, self._update_options, start)
+            return correct_estimate(self.body, prior, z, accepted, self._update_options, start)
         except ValueError:
             self.repairs += 1
             mended = Estimate(prior.arrays, prior.velocity, positive_definite(prior.covariance))
-            return correct_estimate(self.body, mended, z, decision.accepted, self._update_options, start)
+            return correct_estimate(self.body, mended, z, accepted, self._update_options, start)
 
     def _note_measured(self, z: Measurement, used: np.ndarray) -> None:
         self._bias.update(z.covariance, used)
@@ -202,12 +201,12 @@ class Track:
         self._coasting = False
         self._F[VELOCITY] = 0.0
 
-    def _release_limbs(self, prior: Estimate, readmitted: np.ndarray) -> Estimate:
-        """The prior without any knowledge of the joints above the readmitted points (of the torso, for its own)."""
+    def _release_limbs(self, prior: Estimate, anew: np.ndarray) -> Estimate:
+        """The prior without any knowledge of the joints above the points (15,) ``anew`` (of the torso, for its own)."""
         at, moves = linearised(self.body, prior.pose), np.zeros(24, bool)
-        for point in np.flatnonzero(readmitted):
+        for point in np.flatnonzero(anew):
             moves[at.slots[point, 6 : at.columns[point]]] = True
-        moves[:6] = readmitted[TORSO_POINTS].any()
+        moves[:6] = anew[TORSO_POINTS].any()
         slots = np.flatnonzero(moves)
         cap = JOINT_SD_CAP_RAD
         pose_variance = per_slot(RELEASED_TORSO_SD_M, cap, cap, cap)[slots] ** 2

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ekf_person import ALL, NO_BIAS, NONE, WHITE, Person, ellipsoid_distances, errors_mm, run
+from ekf_person import ALL, NO_BIAS, NONE, WHITE, Person, ellipsoid_distances, errors_mm, isotropic, run, stamp
 from scipy.stats import chi2
 
 from ekf_tracker.filter import ArticulatedEkf
@@ -107,3 +107,31 @@ def test_published_rates_have_the_truths_sign_size_and_hardly_any_lag(body, pers
     slopes = (published * true).sum(0) / (true**2).sum(0)
     assert np.abs(lags_s).max() < 0.05 and np.median(np.abs(lags_s)) < 0.025
     assert slopes.min() > 0.85 and slopes.max() < 1.1
+
+
+@pytest.mark.parametrize("told", [True, False], ids=["told", "not told"])
+def test_an_arm_that_was_found_elsewhere_is_there_at_once_and_has_no_speed(body, told):
+    """The arm was lost: its points hung 0.25 m away for a second. What lies between the two places is no motion."""
+    ekf, arm, off = ArticulatedEkf(body, WHITE), ARMS[0], np.array([0.0, 0.0, 0.25])
+    person = Person(body, speed=0.0)
+    for k in range(61):
+        measured, moved = person.points(0.0), NONE.copy()
+        if k < 60:
+            measured[arm] += off
+        elif told:
+            moved[arm] = True
+        state = ekf.step(stamp(k), measured, isotropic(0.01), ALL, NONE, moved)
+    off_mm = 1e3 * np.linalg.norm(state.points_world[arm] - person.points(0.0)[arm], axis=1).max()
+    assert (off_mm < 20.0) == told
+    ahead = ekf.step(stamp(63), person.points(0.0), isotropic(0.01), NONE)
+    drift_mm = 1e3 * np.linalg.norm(ahead.points_world[arm] - state.points_world[arm], axis=1).max()
+    assert not told or drift_mm < 50.0  # at 0.25 m a set it would be 0.75 m
+
+
+def test_a_torso_that_was_found_elsewhere_starts_the_track_anew(body, person):
+    ekf, off = ArticulatedEkf(body, WHITE), np.array([0.4, 0.0, 0.0])
+    for k in range(30):
+        ekf.step(stamp(k), person.points(0.0) + off, isotropic(0.01), ALL)
+    state = ekf.step(stamp(30), person.points(0.0), isotropic(0.01), ALL, NONE, ALL)
+    assert np.linalg.norm(state.points_world - person.points(0.0), axis=1).max() < 0.02
+    assert np.abs(state.velocity[:3]).max() < 0.1

@@ -151,9 +151,11 @@ class IcpTracker:
 
         data = self._data_fitted = self._data(seen)
         fit = self._solve(body, start, data)
-        found = self._monitor.examine(seen.stamp_ns, body, fit.pose, data, self._settings.articulated)
-        if found.better is not None:
-            fit = assess(body, found.better, data, fit.iterations, fit.converged, self._settings.articulated)
+        expected = None if started_from == FROM_OWN else start
+        found = self._monitor.examine(seen.stamp_ns, body, fit.pose, data, self._settings.articulated, expected)
+        instead = found.kept if found.better is None else found.better
+        if instead is not None:
+            fit = assess(body, instead, data, fit.iterations, fit.converged, self._settings.articulated)
         elif found.quality.state == GOOD and learn:
             fit = self._refine_body(seen.stamp_ns, fit, data)
         if found.better is not None or found.quality.state == LOST:
@@ -232,7 +234,9 @@ class IcpTracker:
             visible = visible & ~found.unseen
         seen = _seen(stamp_ns, started_from, replace(fit, covariance=covariance, visible=visible))
         state = TRACKING if quality.state == GOOD else quality.state
-        return replace(seen, state=state, reason=quality.reason, quality=quality, recovered=found.change)
+        return replace(
+            seen, state=state, reason=quality.reason, quality=quality, recovered=found.change, moved=found.moved
+        )
 
     def _with_sizes(self, fit: FitResult) -> np.ndarray:
         """Return the fit's covariance, with that of the body's sizes and of what is not seen."""

@@ -72,11 +72,11 @@ def person():
     body = Body.from_stature(1.75)
     pose = posed(STANCE)
     return SimpleNamespace(
-        body=body, pose=pose, rays=grazing_rays(body, pose, np.random.default_rng(8), 50), inside=_inside(body, pose)
+        body=body, pose=pose, rays=grazing_rays(body, pose, np.random.default_rng(8), 50), inside=inside_of(body, pose)
     )
 
 
-def _inside(body, pose, spacing=0.03):
+def inside_of(body, pose, spacing=0.03):
     """Grid points (m, 3) inside the body's surface, by a test of every capsule of its own."""
     from test_icp_contour_rays import placed
 
@@ -245,7 +245,7 @@ def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
     places = other_places(Figure.of(person.body), astray, limb, data, limb_poses(limb))
     assert places.margins[0] > 10.0 and places.apart_m[0] > ELSEWHERE_M
     assert (np.diff(places.margins) <= 0.0).all()
-    found = places.best_pose(astray, limb)
+    found = with_limb(astray, limb, places.poses.R[0], places.poses.flexion[0])
     truth = forward(person.body, person.pose)
     off = np.linalg.norm(forward(person.body, found) - truth, axis=1)
     others = [p for p in range(15) if p not in PART_POINTS[limb.part]]
@@ -269,7 +269,9 @@ def test_a_place_that_is_known_is_found_again_without_the_library(person):
     astray = posed(FOLDED, person.pose)
     known = other_places(figure, astray, limb, data, limb_poses(limb)).poses
     places = other_places(figure, astray, limb, data, NO_POSES, known)
-    hand = forward(person.body, places.best_pose(astray, limb))[LEFT_HAND]
+    assert places.origins[0] == 0  # it is the first of the known ones
+    found = with_limb(astray, limb, places.poses.R[0], places.poses.flexion[0])
+    hand = forward(person.body, found)[LEFT_HAND]
     assert np.linalg.norm(hand - forward(person.body, person.pose)[LEFT_HAND]) < 0.1
 
 
@@ -278,7 +280,7 @@ def places_of(*rivals):
     margins, apart = np.array(rivals, float).reshape(-1, 2).T
     ends = np.zeros((len(margins), 2, 3))
     ends[:, :, 1] = apart[:, None]
-    return {0: LimbPlaces(NO_POSES, margins, ends, np.zeros((2, 3)), 30.0)}
+    return {0: LimbPlaces(NO_POSES, margins, ends, np.zeros((2, 3)), 30.0, np.full(len(margins), -1))}
 
 
 def test_a_limb_is_doubtful_from_a_better_place_elsewhere_until_none_comes_near():

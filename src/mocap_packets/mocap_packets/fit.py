@@ -30,24 +30,26 @@ class ReferencePoints:
     """The 15 reference points in the order of `stick_figure.skeleton.POINT_NAMES`; world frame.
 
     points_world : (15, 3) m. covariance : (15, 3, 3) m^2. visible : (15,) bool, those that were measured. doubtful :
-    (15,) bool, those of a part of the body that may be elsewhere; without it, none.
+    (15,) bool, those of a part of the body that may be elsewhere; moved : (15,) bool, those that were found in another
+    place, so that the way there is no motion. Without them, none.
     """
 
-    LAYOUT: ClassVar[np.dtype] = layout("x", "y", "z", *COVARIANCE_FIELDS, "visible", "doubtful")
+    LAYOUT: ClassVar[np.dtype] = layout("x", "y", "z", *COVARIANCE_FIELDS, "visible", "doubtful", "moved")
 
     points_world: np.ndarray
     covariance: np.ndarray
     visible: np.ndarray
     doubtful: np.ndarray = field(default_factory=lambda: np.zeros(15, bool))
+    moved: np.ndarray = field(default_factory=lambda: np.zeros(15, bool))
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        """Points, covariance, visibility, doubt."""
-        return iter((self.points_world, self.covariance, self.visible, self.doubtful))
+        """Points, covariance, visibility, doubt, which were found elsewhere."""
+        return iter((self.points_world, self.covariance, self.visible, self.doubtful, self.moved))
 
     def to_table(self) -> np.ndarray:
         """Return the 15 rows as the structured array LAYOUT."""
         covariance = np.asarray(self.covariance)[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
-        flags = np.asarray(self.visible, float), np.asarray(self.doubtful, float)
+        flags = (np.asarray(flag, float) for flag in (self.visible, self.doubtful, self.moved))
         return fill(self.LAYOUT, self.points_world, covariance, *flags)
 
     @classmethod
@@ -56,16 +58,16 @@ class ReferencePoints:
         covariance = np.empty((len(table), 3, 3))
         for name, row, col in zip(COVARIANCE_FIELDS, *UPPER_TRIANGLE, strict=True):
             covariance[:, row, col] = covariance[:, col, row] = column(table, name)
-        return cls(columns(table, "x", "y", "z"), covariance, table["visible"] > 0.5, table["doubtful"] > 0.5)
+        flags = (table[name] > 0.5 for name in ("visible", "doubtful", "moved"))
+        return cls(columns(table, "x", "y", "z"), covariance, *flags)
 
     def as_sent(self) -> ReferencePoints:
         """Return the same, rounded to float32 as the cloud between the nodes is."""
         covariance = np.asarray(self.covariance, np.float32).astype(np.float64)
         covariance[:, LOWER, UPPER] = covariance[:, UPPER, LOWER]  # as six numbers make a matrix again
         points_world = np.asarray(self.points_world, np.float32).astype(np.float64)
-        return ReferencePoints(
-            points_world, covariance, np.asarray(self.visible, bool), np.asarray(self.doubtful, bool)
-        )
+        flags = (np.asarray(flag, bool) for flag in (self.visible, self.doubtful, self.moved))
+        return ReferencePoints(points_world, covariance, *flags)
 
 
 NOTHING_SEEN = ReferencePoints(np.zeros((15, 3)), np.zeros((15, 3, 3)), np.zeros(15, bool))
@@ -117,7 +119,8 @@ class Fit:
     reference_points_world (15, 3) m, covariance (15, 3, 3) m^2, visible (15,): zeros, huge and False before the first
     pose; the unmoved prediction, huge and False when the set has too few points; not visible when lost.
     solution : the solver's figures, None without a fit. quality : how far it explains what the cameras saw; recovered :
-    what was found anew with this set, else empty. person : 1, 2, ..., whose fit it is.
+    what was found anew with this set, else empty; moved (5,) : the parts of the body that were. person : 1, 2, ...,
+    whose fit it is.
     """
 
     stamp_ns: int
@@ -132,13 +135,15 @@ class Fit:
     solution: Solution | None
     quality: TrackQuality = UNKNOWN
     recovered: str = ""
+    moved: tuple[bool, ...] = (False,) * len(PART_NAMES)
     person: int = FIRST_PERSON
 
     @property
     def reference_points(self) -> ReferencePoints:
         """What travels on to the filter."""
         doubtful = points_of_parts([state != GOOD for state in self.quality.parts])
-        return ReferencePoints(self.reference_points_world, self.covariance, self.visible, doubtful)
+        moved = points_of_parts(self.moved)
+        return ReferencePoints(self.reference_points_world, self.covariance, self.visible, doubtful, moved)
 
 
 def points_of_parts(parts: Sequence[bool]) -> np.ndarray:

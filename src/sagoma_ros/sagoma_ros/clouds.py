@@ -12,8 +12,8 @@ from capture_rig.errors import InputError
 
 from .messages import to_stamp
 
-UNLESS_SAID = {"body": 0.0, "person": 1.0, "doubtful": 0.0}
-"""What a cloud without one of these fields means: all is one body, one person's, and nothing is doubtful."""
+UNLESS_SAID = {"body": 0.0, "person": 1.0, "doubtful": 0.0, "moved": 0.0}
+"""What a cloud without one of these fields means: all is one body, one person's, nothing is doubtful or elsewhere."""
 
 _NUMPY_TYPES = {
     PointField.INT8: "i1",

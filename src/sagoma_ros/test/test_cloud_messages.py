@@ -151,7 +151,7 @@ def test_field_that_cannot_lie_in_a_point_is_refused_by_name(key: str, value: in
 @pytest.mark.parametrize("kind", KINDS)
 def test_packet_comes_back_with_the_same_table_in_double_precision(kind) -> None:
     table = random_points(kind.LAYOUT, 15)
-    for name in {"axis", "body", "camera", "surface", "visible", "doubtful"} & set(table.dtype.names):
+    for name in {"axis", "body", "camera", "surface", "visible", "doubtful", "moved"} & set(table.dtype.names):
         table[name] = np.arange(15) % 2
     packet = read_packet(packet_cloud(kind.from_table(table), STAMP, "map"), kind, TOPIC)
     assert packet.points_world.dtype == np.float64

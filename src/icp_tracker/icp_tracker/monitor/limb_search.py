@@ -43,7 +43,6 @@ OPEN_M = 0.03  # what the rest of the body passes so near has no need of the lim
 APART_M = 0.12  # hands or feet (and elbows or knees) so near to each other are the same place
 REFINED = 6  # poses of the library that are refined
 KEPT = 3  # other places that are followed from set to set
-LEAST_MARGIN = -4.0  # rays that another place must explain beyond this one to be fitted (which finds some more)
 HELD_AT = (0.5, 1.0)  # where along upper and lower limb the hull is asked
 HELD_LEAST = 3  # of those four points, that must lie in the hull
 
@@ -60,7 +59,8 @@ class LimbPlaces:
 
     poses : upper limb to torso and flexion, as in the library. margins (k,) : what each explains beyond the tracked
     place, in rays. ends (k, 2, 3) : elbow and hand, or knee and foot, m, world; tracked (2, 3) : those of the tracked
-    place. support : rays that the tracked place explains and the rest of the body does not.
+    place. support : rays that the tracked place explains and the rest of the body does not. origins (k,) : which of the
+    known places each was refined from, -1 for one of the library.
     """
 
     poses: LimbPoses
@@ -68,6 +68,7 @@ class LimbPlaces:
     ends: np.ndarray
     tracked: np.ndarray
     support: float
+    origins: np.ndarray
 
     @property
     def apart_m(self) -> np.ndarray:
@@ -80,12 +81,6 @@ class LimbPlaces:
         good = self.margins >= margin
         return LimbPoses(self.poses.R[good], self.poses.flexion[good])
 
-    def best_pose(self, pose: Pose, limb: Limb) -> Pose | None:
-        """Return the pose with the limb at its best other place, if that may explain more than the tracked one."""
-        if len(self.margins) == 0 or self.margins[0] < LEAST_MARGIN:
-            return None
-        return with_limb(pose, limb, self.poses.R[0], self.poses.flexion[0])
-
 
 NO_POSES = LimbPoses(np.empty((0, 3, 3)), np.empty(0))
 
@@ -95,8 +90,8 @@ def other_places(
 ) -> LimbPlaces:
     """Find where else one limb may be: among the library's poses, and those that are known from the set before."""
     found = _search(data, State.of(pose), figure, limb, library, known)
-    R, flexion, margins, ends, tracked, support = found
-    return LimbPlaces(LimbPoses(R, flexion), margins, ends, tracked, support)
+    R, flexion, margins, ends, tracked, support, origins = found
+    return LimbPlaces(LimbPoses(R, flexion), margins, ends, tracked, support, origins)
 
 
 def with_limb(pose: Pose, limb: Limb, R: np.ndarray, flexion: float) -> Pose:
@@ -124,7 +119,8 @@ class LeftOver(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def _search(data, state, figure, limb, library, known):
-    """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; support."""
+    """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; support;
+    which of the known places each of them is."""
     left = _left_over(data, state, figure, limb)
     placed, costs = place(state, _part_of(figure, limb, True)), np.empty(left.fine.shape[0])
     tracked = _ends(placed, limb)
@@ -154,7 +150,8 @@ def _search(data, state, figure, limb, library, known):
             gain = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
             margins[m] = gain + _volume_gained(left, placed, limb) - explained
     kept = _distinct(margins, ends)
-    return R[kept], flexion[kept], margins[kept], ends[kept], tracked, support
+    origins = np.where(kept < known.flexion.shape[0], kept, -1)
+    return R[kept], flexion[kept], margins[kept], ends[kept], tracked, support, origins
 
 
 @njit(cache=True)

@@ -23,8 +23,10 @@ from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
-from .evidence import Evidence, evidence_of
-from .limb_search import NO_POSES, LimbPlaces, other_places
+from .evidence import TRUNK, Evidence, evidence_of
+from .leaps import RecentRays, kept_limb, leaps_of_limbs, reach_m
+from .limb_search import NO_POSES, other_places, with_limb
+from .place_leads import FAR_M, PlaceLeads
 from .pose_library import (
     LIMBS,
     LimbPoses,
@@ -43,8 +45,10 @@ from .track_quality import (
     doubtful_limbs,
     judge_track,
     limb_spread,
+    points_of_limbs,
     unseen_points,
     with_doubtful_limbs,
+    with_torn_limbs,
 )
 
 
@@ -60,7 +64,7 @@ class RecoverySettings:
         high=1e4,
     )
     margin_s: float = setting(
-        0.1, "time that it must be compared for, three frame sets at least", unit="s", low=0.0, high=100.0
+        0.05, "time that it must be compared for, three frame sets at least", unit="s", low=0.0, high=100.0
     )
 
 
@@ -69,34 +73,41 @@ CLEAR_RAYS = 20.0  # margin with which two frame sets are enough
 MARGIN_SETS = 3  # sets that a hypothesis is compared in at least: one may be torn, two may share a chance
 PATIENT_S = 0.5  # after which a hypothesis without the margin is dropped
 LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
+LIKELY_MARGIN = -3.0  # rays: a limb with a place no farther behind is looked at more often
+UNEXPLAINED_RAYS = 10.0  # so many more than usual that pass a limb speak of another place of it, too
 LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS, at every look one: arms are lost more often than legs
 FOLLOWED_MARGIN = -30.0  # rays: a place farther behind is left to its limb's next turn (within four sets)
-TURNED_EVERY = 16  # looks from one at the whole body turned round to the next
+TURNED_EVERY = 8  # looks from one at the whole body turned round to the next
 LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
 NS_PER_S = 1e9
+CHANCE_SHARE = 0.5  # of margin_rays: a place that explains no more than this gathers no lead
 SAME_M = 0.10  # poses whose 15 points are so near to each other are one
-FAR_M = 0.4  # a pose so far from the followed one, or farther, needs twice the evidence: tracks slip, they seldom leap
 FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
 FREE_ITERATIONS = 12
 STANCES_A_SET = 6
-SLIGHT_DROP, SLIGHT_DROP_EVERY = 0.03, 4  # so little less explained than usual is a reason to look at the body turned
+SLIGHT_DROP, SLIGHT_DROP_EVERY = 0.03, 2  # so little less explained than usual is a reason to look at the body turned
+NOTHING_MOVED, ALL_MOVED = (False,) * len(PART_NAMES), (True,) * len(PART_NAMES)
 BEHIND_MOST = 3.0  # rays that another pose may be behind when it is first looked at
 
 
 @dataclass(frozen=True, eq=False)
 class Examination:
-    """What became of a fitted pose: how good it is; a better one to change over to, if any, and what it changes.
+    """What became of a fitted pose: how good it is; a better one to change over to, if any, and what it changes, in
+    words and as parts (5,) of the body.
 
     hypothesis : another pose that may be right. spread (15, 3, 3) m^2 : of where the points of doubtful limbs may be.
-    unseen (15,) bool : points for which nothing in the set speaks.
+    unseen (15,) bool : points for which nothing in the set speaks. kept : the fitted pose with limbs that leapt for too
+    little where they were expected.
     """
 
     quality: TrackQuality
     better: Pose | None = None
     change: str = ""
+    moved: tuple[bool, ...] = NOTHING_MOVED
     hypothesis: Pose | None = None
     spread: np.ndarray | None = None
     unseen: np.ndarray | None = None
+    kept: Pose | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,23 +142,41 @@ class TrackMonitor:
 
     def reset(self) -> None:
         """Forget the body's baseline, and the hypothesis."""
-        self._baseline = Baseline()
+        self._baseline, self._recent = Baseline(), RecentRays()
         self._hypothesis: Hypothesis | None = None
-        self._places: dict[int, LimbPlaces] = {}  # by the limb's number in LIMBS
+        self._leads: dict[int, PlaceLeads] = {}  # by the limb's number in LIMBS
         self._doubtful: frozenset[int] = frozenset()
-        self._sets = self._turns = self._looks = 0
+        self._sets = self._turns = self._looks = self._cycle = 0
         self._limb_looks = [0] * len(LIMBS)
         self._last_stamp_ns: int | None = None
         self._last_good: Pose | None = None
 
-    def examine(self, stamp_ns: int, body: Body, pose: Pose, data: Data, settings: ArticulatedSettings) -> Examination:
-        """Judge a pose that was fitted to a set's data, and look for a better one."""
+    def examine(
+        self,
+        stamp_ns: int,
+        body: Body,
+        pose: Pose,
+        data: Data,
+        settings: ArticulatedSettings,
+        expected: Pose | None = None,
+    ) -> Examination:
+        """Judge a pose that was fitted to a set's data, and look for a better one.
+
+        ``expected`` : where a good track's motion leads to; None where it is not known.
+        """
         last_ns, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
         apart_s = 0.0 if last_ns is None else min((stamp_ns - last_ns) / NS_PER_S, LONGEST_S)
         if len(data.contour_rays.information) == 0 or len(data.hull.points) == 0:
             return Examination(UNKNOWN)
         observed = ObservedSet(apart_s, body, data, settings)
+        fitted, leaps_m = pose, np.zeros(len(LIMBS))
+        if expected is not None and self._settings.search:
+            leaps_m = leaps_of_limbs(body, pose, expected)
+            pose = self._without_leaps(observed, pose, expected, leaps_m)
         evidence = observed.evidence_of(pose)
+        torn = self._recent.torn(evidence, leaps_m, apart_s)
+        unexplained = self._recent.more_unexplained(evidence)
+        self._recent.add(evidence, apart_s)
         quality = judge_track(evidence, self._baseline)
         self._sets += 1
         if quality.state == GOOD:
@@ -157,15 +186,25 @@ class TrackMonitor:
             return Examination(quality)
         looks = self._turns
         self._turns += min(max(round(apart_s * LOOKS_HZ), 1), LOOKS_A_SET)
-        self._look_at_limbs(observed, pose, looks)
+        self._look_at_limbs(observed, pose, looks, unexplained)
         self._follow(observed, pose, evidence)
         self._look_for_another(looks, observed, pose, evidence, quality)
-        self._doubtful = doubtful_limbs(self._places, self._doubtful)
-        found = self._decide(observed, pose, with_doubtful_limbs(quality, self._doubtful, self._places))
-        if found.better is not None and self._places:
+        places = {number: leads.places for number, leads in self._leads.items()}
+        self._doubtful = doubtful_limbs(places, self._doubtful)
+        found = self._decide(observed, pose, with_doubtful_limbs(quality, self._doubtful, places))
+        if found.better is None:
+            found = self._move_limb(observed, pose, evidence) or found
+        if found.better is not None:
             self._keep_tracked(observed, pose, found.better)
-        unseen = None if found.better is not None else unseen_points(self._baseline.unseen_sticks(evidence))
-        return replace(found, spread=limb_spread(found.quality, self._places), unseen=unseen)
+            return found
+        unseen = unseen_points(self._baseline.unseen_sticks(evidence)) | points_of_limbs(torn)
+        return replace(
+            found,
+            quality=with_torn_limbs(found.quality, torn),
+            spread=limb_spread(found.quality, places),
+            unseen=unseen,
+            kept=None if pose is fitted else pose,
+        )
 
     # --- the hypothesis ----------------------------------------------------------------------------------------------
 
@@ -187,7 +226,7 @@ class TrackMonitor:
         if self._has_lasted(hypothesis, observed, pose) or (hypothesis.sets >= 2 and hypothesis.margin >= CLEAR_RAYS):
             self._hypothesis = None
             known = quality if hypothesis.evidence is None else judge_track(hypothesis.evidence, self._baseline)
-            return Examination(known, hypothesis.pose, hypothesis.why)
+            return Examination(known, hypothesis.pose, hypothesis.why, ALL_MOVED)
         if hypothesis.seconds >= PATIENT_S or (hypothesis.sets >= 2 and hypothesis.margin < 0.0):
             self._hypothesis = None
             return Examination(quality)
@@ -203,25 +242,75 @@ class TrackMonitor:
 
     # --- limbs -------------------------------------------------------------------------------------------------------
 
-    def _look_at_limbs(self, observed: ObservedSet, pose: Pose, looks: int) -> None:
-        """Rate other places of the limbs: those that are known, and a part of the library of the limbs in turn."""
-        turns = [LIMB_TURNS[turn % len(LIMB_TURNS)] for turn in range(looks, self._turns)]
+    def _without_leaps(self, observed: ObservedSet, pose: Pose, expected: Pose, leaps_m: np.ndarray) -> Pose:
+        """Return the pose with limbs that leapt for too little where they were expected; where they leapt to is another
+        place of theirs from now on."""
         for number, limb in enumerate(LIMBS):
-            places = self._places.pop(number, None)
-            known = NO_POSES if places is None else places.within(FOLLOWED_MARGIN)
+            if leaps_m[number] <= reach_m(observed.apart_s):
+                continue
+            kept = kept_limb(observed.body, pose, expected, limb, observed.data)
+            if kept is not None:
+                left = LimbPoses(pose.R_joints[None, limb.ball], pose.hinges[None, limb.hinge])
+                places = other_places(Figure.of(observed.body), kept, limb, observed.data, NO_POSES, left)
+                self._leads[number] = PlaceLeads.after(None, places, 0.0, 0.0)
+                pose = kept
+        return pose
+
+    def _look_at_limbs(self, observed: ObservedSet, pose: Pose, looks: int, unexplained: np.ndarray) -> None:
+        """Rate other places of the limbs: those that are known, and a part of the library of the limbs in turn.
+
+        unexplained (4,) : rays near each limb that it does not explain, beyond what is usual.
+        """
+        turns = [self._limb_of(turn, unexplained) for turn in range(looks, self._turns)]
+        for number, limb in enumerate(LIMBS):
+            before = self._leads.pop(number, None)
+            known = NO_POSES if before is None else before.places.within(FOLLOWED_MARGIN)
             if number not in turns and len(known.flexion) == 0:
                 continue
             library = NO_POSES
             if number in turns:
                 self._limb_looks[number] += 1
                 library = limb_poses(limb).part(self._limb_looks[number], limb.parts)
-            self._places[number] = other_places(Figure.of(observed.body), pose, limb, observed.data, library, known)
+            places = other_places(Figure.of(observed.body), pose, limb, observed.data, library, known)
+            chance = CHANCE_SHARE * self._settings.margin_rays
+            self._leads[number] = PlaceLeads.after(before, places, observed.apart_s, chance)
+
+    def _limb_of(self, turn: int, unexplained: np.ndarray) -> int:
+        """Return which limb is looked at: one after another, and every second time one that may well be elsewhere."""
+        rivals = {number: float(leads.places.margins.max(initial=-np.inf)) for number, leads in self._leads.items()}
+        likely = max(rivals, key=rivals.__getitem__, default=0)
+        if rivals.get(likely, -np.inf) < LIKELY_MARGIN:
+            likely = int(unexplained.argmax())
+            if unexplained[likely] < UNEXPLAINED_RAYS:
+                turn = 0
+        if turn % 2:
+            return likely
+        self._cycle += 1
+        return LIMB_TURNS[self._cycle % len(LIMB_TURNS)]
+
+    def _move_limb(self, observed: ObservedSet, pose: Pose, evidence: Evidence) -> Examination | None:
+        """Return the pose with the limb moved whose other place has led for long enough, if all of the set agrees."""
+        needed = self._settings.margin_rays * self._settings.margin_s
+        shares = {number: leads.shares_of(needed) for number, leads in self._leads.items()}
+        number = max(shares, key=lambda number: float(shares[number].max(initial=0.0)), default=None)
+        if number is None or shares[number].max(initial=0.0) < 1.0:
+            return None
+        limb, leads, k = LIMBS[number], self._leads[number], int(shares[number].argmax())
+        moved = observed.fitted(with_limb(pose, limb, leads.places.poses.R[k], leads.places.poses.flexion[k]))
+        found = observed.evidence_of(moved)
+        if observed.apart_m(moved, pose) < SAME_M or evidence.margin_of(found) <= 0.0:
+            self._leads[number] = leads.without(k)
+            return None
+        quality = judge_track(found, self._baseline)
+        parts = tuple(part == limb.part for part in range(len(PART_NAMES)))
+        return Examination(quality, moved, f"{PART_NAMES[limb.part]} elsewhere", parts)
 
     def _keep_tracked(self, observed: ObservedSet, pose: Pose, better: Pose) -> None:
         """After a change-over, go on looking at the places that were left: a change may be a mistake."""
         for number, limb in enumerate(LIMBS):
             left = LimbPoses(pose.R_joints[None, limb.ball], pose.hinges[None, limb.hinge])
-            self._places[number] = other_places(Figure.of(observed.body), better, limb, observed.data, NO_POSES, left)
+            places = other_places(Figure.of(observed.body), better, limb, observed.data, NO_POSES, left)
+            self._leads[number] = PlaceLeads.after(None, places, 0.0, 0.0)
 
     def _look_for_another(
         self, looks: int, observed: ObservedSet, pose: Pose, evidence: Evidence, quality: TrackQuality
@@ -236,10 +325,9 @@ class TrackMonitor:
         """Fit another pose, and keep it as the hypothesis if it explains more."""
         if guess is None:
             return
-        fitted = observed.fitted(guess.pose, free=guess.part is None)
+        fitted = observed.fitted(guess.pose, free=True)
         margin = evidence.margin_of(observed.evidence_of(fitted))
-        behind = BEHIND_MOST if guess.part is None else 0.0  # only a limb's place is fitted to the end at once
-        least = -behind if self._hypothesis is None else max(self._hypothesis.margin + 1.0, 0.0)
+        least = -BEHIND_MOST if self._hypothesis is None else max(self._hypothesis.margin + 1.0, 0.0)
         known = [pose] if self._hypothesis is None else [pose, self._hypothesis.pose]
         if margin > least and all(observed.apart_m(fitted, other) > SAME_M for other in known):
             self._hypothesis = replace(guess, pose=fitted)
@@ -247,45 +335,35 @@ class TrackMonitor:
     # --- where to look -----------------------------------------------------------------------------------------------
 
     def _guess(self, turn: int, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Hypothesis | None:
-        """Return what to try in this turn: a lost body's stances, the whole body turned, or one limb elsewhere."""
+        """Return what to try in this turn: a lost body's stances, or the whole body turned; mostly nothing."""
         every = TURNED_EVERY
         if quality.state == LOST and turn % 2 == 0:
             return self._stance(observed, turn // 2)
         if quality.state != GOOD:
-            every = 1 if quality.state == LOST else 2
+            every = 2 if quality.parts[TRUNK] == GOOD else 1
         elif self._baseline.share is not None and quality.explained < self._baseline.share - SLIGHT_DROP:
             every = min(every, SLIGHT_DROP_EVERY)
         if turn % every == 0:
             return self._whole_body(observed, pose)
-        return self._limb(pose)
+        return None
 
     def _whole_body(self, observed: ObservedSet, pose: Pose) -> Hypothesis:
         """Return the body turned or exchanged, one way after another; the most likely errors come most often."""
         body, turn = observed.body, self._looks % 6
         self._looks += 1
         if turn in (0, 2):
-            return Hypothesis(sides_exchanged(body, pose), "left and right exchanged", None)
+            return Hypothesis(sides_exchanged(body, pose), "left and right exchanged")
         if turn in (1, 4):
-            return Hypothesis(turned_around(pose), "the body facing the other way", None)
+            return Hypothesis(turned_around(pose), "the body facing the other way")
         if turn == 5 and self._last_good is not None:
-            return Hypothesis(moved_to(self._last_good, observed.data.hull.points), "the last good pose", None)
+            return Hypothesis(moved_to(self._last_good, observed.data.hull.points), "the last good pose")
         if (self._looks // 6) % 2:
-            return Hypothesis(legs_exchanged(body, pose), "left and right leg exchanged", None)
-        return Hypothesis(arms_exchanged(body, pose), "left and right arm exchanged", None)
+            return Hypothesis(legs_exchanged(body, pose), "left and right leg exchanged")
+        return Hypothesis(arms_exchanged(body, pose), "left and right arm exchanged")
 
     def _stance(self, observed: ObservedSet, turn: int) -> Hypothesis:
         """Return the best of a few stances; others at the next set."""
         every = stances(observed.body, observed.data.hull.points)
         parts = len(every) // STANCES_A_SET
         best = min(every[turn % parts :: parts], key=lambda pose: observed.evidence_of(pose).cost)
-        return Hypothesis(best, "the body found anew", None)
-
-    def _limb(self, pose: Pose) -> Hypothesis | None:
-        """Return the limb elsewhere whose other place explains most beyond the tracked one; None if none may."""
-        places = {number: places for number, places in self._places.items() if len(places.margins)}
-        if not places:
-            return None
-        number = max(places, key=lambda number: places[number].margins[0])
-        other = places[number].best_pose(pose, LIMBS[number])
-        part = LIMBS[number].part
-        return None if other is None else Hypothesis(other, f"{PART_NAMES[part]} elsewhere", part)
+        return Hypothesis(best, "the body found anew")

@@ -20,16 +20,15 @@ from .pose_library import LIMBS
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Another pose, and what speaks for it.
+    """Another pose of the whole body, and what speaks for it.
 
-    why : in words, what differs. part : of evidence.PART_NAMES if one limb alone differs, else None. evidence : about
-    the pose at the last set. sets, seconds : frame sets it has been compared in, and the time between them; margin :
-    mean over them of its lead over the followed pose, in rays (Evidence.margin_of).
+    why : in words, what differs. evidence : about the pose at the last set. sets, seconds : frame sets it has been
+    compared in, and the time between them; margin : mean over them of its lead over the followed pose, in rays
+    (Evidence.margin_of).
     """
 
     pose: Pose
     why: str
-    part: int | None
     evidence: Evidence | None = None
     sets: int = 0
     seconds: float = 0.0
@@ -39,7 +38,7 @@ class Hypothesis:
         """Return one more frame set, so long after the last: its pose, the evidence about it and the followed pose."""
         sets = self.sets + 1
         margin = self.margin + (followed.margin_of(evidence) - self.margin) / sets
-        return Hypothesis(pose, self.why, self.part, evidence, sets, self.seconds + apart_s, margin)
+        return Hypothesis(pose, self.why, evidence, sets, self.seconds + apart_s, margin)
 
 
 LOST_SHARE = 0.35  # of the outline: what hardly any wrong pose explains less of
@@ -91,6 +90,27 @@ def unseen_points(sticks: np.ndarray) -> np.ndarray:
     return points
 
 
+def points_of_limbs(limbs: np.ndarray) -> np.ndarray:
+    """Return the reference points (15,) bool that limbs (4,) bool of LIMBS hold alone."""
+    points = np.zeros(15, bool)
+    for limb, chosen in zip(LIMBS, limbs, strict=True):
+        points[list(PART_POINTS[limb.part])] = chosen
+    return points
+
+
+def with_torn_limbs(quality: TrackQuality, torn: np.ndarray) -> TrackQuality:
+    """Return the quality with limbs (4,) bool doubtful that lost their rays as they left the places where they were
+    expected."""
+    parts, reasons = list(quality.parts), [quality.reason] if quality.reason else []
+    for limb, lost in zip(LIMBS, torn, strict=True):
+        if lost and parts[limb.part] == GOOD:
+            parts[limb.part] = DOUBTFUL
+            reasons.append(f"{PART_NAMES[limb.part]}: its rays are gone")
+    if tuple(parts) == quality.parts:
+        return quality
+    return replace(quality, state=DOUBTFUL, parts=tuple(parts), reason="; ".join(reasons))
+
+
 def judge_track(evidence: Evidence, baseline: Baseline) -> TrackQuality:
     """Return the state of a pose, from its evidence and what is usual for this body."""
     share = evidence.share
@@ -115,13 +135,9 @@ def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float)
     lasting = hypothesis.sets >= CONTESTED_SETS and hypothesis.seconds >= CONTESTED_S
     if not lasting or hypothesis.margin < margin_rays or quality.state == LOST:
         return quality
-    parts = list(quality.parts)
-    for part in range(len(PART_NAMES)) if hypothesis.part is None else [hypothesis.part]:
-        parts[part] = DOUBTFUL
     reason = f"{hypothesis.why} would explain {hypothesis.margin:.0f} rays more"
-    return replace(
-        quality, state=DOUBTFUL, parts=tuple(parts), reason="; ".join(filter(None, (quality.reason, reason)))
-    )
+    parts = (DOUBTFUL,) * len(PART_NAMES)
+    return replace(quality, state=DOUBTFUL, parts=parts, reason="; ".join(filter(None, (quality.reason, reason))))
 
 
 # --- limbs that may be elsewhere
