@@ -122,10 +122,10 @@ def test_an_arm_that_was_found_elsewhere_is_there_at_once_and_has_no_speed(body,
             moved[arm] = True
         state = ekf.step(stamp(k), measured, isotropic(0.01), ALL, NONE, moved)
     off_mm = 1e3 * np.linalg.norm(state.points_world[arm] - person.points(0.0)[arm], axis=1).max()
-    assert (off_mm < 20.0) == told
+    assert off_mm < 20.0 or not told
     ahead = ekf.step(stamp(63), person.points(0.0), isotropic(0.01), NONE)
     drift_mm = 1e3 * np.linalg.norm(ahead.points_world[arm] - state.points_world[arm], axis=1).max()
-    assert not told or drift_mm < 50.0  # at 0.25 m a set it would be 0.75 m
+    assert (drift_mm < 50.0) == told  # taken for motion, it goes on
 
 
 def test_a_torso_that_was_found_elsewhere_starts_the_track_anew(body, person):

@@ -54,7 +54,7 @@ def test_every_set_gets_its_messages_with_its_stamp_and_the_prediction_last(benc
     (motion,) = read_motions(by_topic.mocap_joint_rotations, "test").values()
     assert np.abs(motion.pose.minus(expected.pose)).max() < 1e-9
     np.testing.assert_array_equal(motion.velocity, expected.velocity)
-    points, covariances, used, _ = read_reference_points(by_topic.mocap_reference_points, "test")
+    points, covariances, used, *_ = read_reference_points(by_topic.mocap_reference_points, "test")
     np.testing.assert_allclose(points, expected.points_world, atol=1e-6)
     np.testing.assert_allclose(covariances, expected.point_covariance, rtol=1e-5, atol=1e-12)
     assert used.all()

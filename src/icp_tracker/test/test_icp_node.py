@@ -67,7 +67,7 @@ class IcpProbe(NodeProbe):
         count = len(self.points)
         self.centerlines.publish(message)
         self.until(lambda: len(self.points) > count and len(self.fits) > count)
-        points, covariance, visible, _ = read_reference_points(self.points[-1], "test")
+        points, covariance, visible, *_ = read_reference_points(self.points[-1], "test")
         values = values_of(self.fits[-1])
         return SimpleNamespace(
             points=points,

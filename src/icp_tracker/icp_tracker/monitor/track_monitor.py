@@ -24,8 +24,9 @@ from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
 from .evidence import TRUNK, Evidence, evidence_of
-from .leaps import RecentRays, kept_limb, leaps_of_limbs, reach_m
+from .leaps import LEAP_RAYS, RecentRays, kept_limb, leaps_of_limbs, reach_m
 from .limb_search import NO_POSES, other_places, with_limb
+from .out_of_sight import is_cut, limbs_of_points, points_out_of_sight, shown_parts, with_hidden_parts
 from .place_leads import FAR_M, PlaceLeads
 from .pose_library import (
     LIMBS,
@@ -177,18 +178,23 @@ class TrackMonitor:
         torn = self._recent.torn(evidence, leaps_m, apart_s)
         unexplained = self._recent.more_unexplained(evidence)
         self._recent.add(evidence, apart_s)
-        quality = judge_track(evidence, self._baseline)
+        shown = shown_parts(evidence, self._baseline)
+        hidden = points_out_of_sight(body, pose, expected, data.hull.unseen, shown)
+        quality = with_hidden_parts(judge_track(evidence, self._baseline), hidden)
         self._sets += 1
         if quality.state == GOOD:
             self._baseline.add(evidence)
             self._last_good = pose
         if not self._settings.search:
-            return Examination(quality)
+            return Examination(quality, unseen=hidden)
         looks = self._turns
         self._turns += min(max(round(apart_s * LOOKS_HZ), 1), LOOKS_A_SET)
-        self._look_at_limbs(observed, pose, looks, unexplained)
-        self._follow(observed, pose, evidence)
-        self._look_for_another(looks, observed, pose, evidence, quality)
+        self._look_at_limbs(observed, pose, looks, unexplained, limbs_of_points(hidden))
+        if is_cut(hidden):
+            self._hypothesis = None
+        else:
+            self._follow(observed, pose, evidence)
+            self._look_for_another(looks, observed, pose, evidence, quality)
         places = {number: leads.places for number, leads in self._leads.items()}
         self._doubtful = doubtful_limbs(places, self._doubtful)
         found = self._decide(observed, pose, with_doubtful_limbs(quality, self._doubtful, places))
@@ -197,7 +203,7 @@ class TrackMonitor:
         if found.better is not None:
             self._keep_tracked(observed, pose, found.better)
             return found
-        unseen = unseen_points(self._baseline.unseen_sticks(evidence)) | points_of_limbs(torn)
+        unseen = hidden | unseen_points(self._baseline.unseen_sticks(evidence)) | points_of_limbs(torn)
         return replace(
             found,
             quality=with_torn_limbs(found.quality, torn),
@@ -256,10 +262,13 @@ class TrackMonitor:
                 pose = kept
         return pose
 
-    def _look_at_limbs(self, observed: ObservedSet, pose: Pose, looks: int, unexplained: np.ndarray) -> None:
+    def _look_at_limbs(
+        self, observed: ObservedSet, pose: Pose, looks: int, unexplained: np.ndarray, hidden: np.ndarray
+    ) -> None:
         """Rate other places of the limbs: those that are known, and a part of the library of the limbs in turn.
 
-        unexplained (4,) : rays near each limb that it does not explain, beyond what is usual.
+        unexplained (4,) : rays near each limb that it does not explain, beyond what is usual. hidden (4,) bool : limbs
+        out of sight; what is left over in sight is not theirs unless it is much.
         """
         turns = [self._limb_of(turn, unexplained) for turn in range(looks, self._turns)]
         for number, limb in enumerate(LIMBS):
@@ -272,7 +281,7 @@ class TrackMonitor:
                 self._limb_looks[number] += 1
                 library = limb_poses(limb).part(self._limb_looks[number], limb.parts)
             places = other_places(Figure.of(observed.body), pose, limb, observed.data, library, known)
-            chance = CHANCE_SHARE * self._settings.margin_rays
+            chance = LEAP_RAYS if hidden[number] else CHANCE_SHARE * self._settings.margin_rays
             self._leads[number] = PlaceLeads.after(before, places, observed.apart_s, chance)
 
     def _limb_of(self, turn: int, unexplained: np.ndarray) -> int:
