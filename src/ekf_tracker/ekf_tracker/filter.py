@@ -112,9 +112,7 @@ class ArticulatedEkf:
         z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
         return self._update(self._stamp_ns, z, NONE, NONE)
 
-    def _update(
-        self, stamp_ns: int, z: Measurement, doubtful: np.ndarray, moved: np.ndarray
-    ) -> BodyState | NoState:
+    def _update(self, stamp_ns: int, z: Measurement, doubtful: np.ndarray, moved: np.ndarray) -> BodyState | NoState:
         if self._track is None:
             if not enough_to_start(z):
                 return NoState(stamp_ns, f"waiting for the torso: {z.visible.sum()} of 15 points visible")
