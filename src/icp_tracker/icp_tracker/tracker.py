@@ -28,7 +28,7 @@ from .articulated_fit import FitResult, assess, make_data, minimise, unknown_cov
 from .body_uncertainty import covariance_of_sizes, widen_hidden
 from .monitor.evidence import evidence_of
 from .monitor.track_monitor import Examination, TrackMonitor
-from .monitor.track_quality import widened_covariance
+from .monitor.track_quality import unchecked_quality, widened_covariance
 from .refinement.body_refiner import BodyRefiner, RefinedBody, known_sizes, warm_up_refiner
 from .refinement.trunk_bend import TrunkBend
 from .settings import IcpNodeSettings, TrackerSettings
@@ -147,6 +147,7 @@ class IcpTracker:
         seen = seen.of_body_at(forward(body, start))
         if reason := self._too_few(seen):
             self._pose = start
+            self._monitor.lose()
             return _not_seen(seen, LOST, started_from, f"nobody in the volume: {reason}", body, start)
 
         data = self._data_fitted = self._data(seen)
@@ -233,6 +234,8 @@ class IcpTracker:
         if found.unseen is not None:
             visible = visible & ~found.unseen
         seen = _seen(stamp_ns, started_from, replace(fit, covariance=covariance, visible=visible))
+        if found.unchecked:
+            quality = unchecked_quality(quality)
         state = TRACKING if quality.state == GOOD else quality.state
         return replace(
             seen, state=state, reason=quality.reason, quality=quality, recovered=found.change, moved=found.moved

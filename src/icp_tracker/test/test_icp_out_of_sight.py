@@ -12,7 +12,8 @@ from icp_tracker.articulated_fit import ArticulatedSettings
 from icp_tracker.monitor.evidence import LEFT_ARM, SLACK_M, TRUNK, evidence_of
 from icp_tracker.monitor.out_of_sight import is_cut, limbs_of_points, points_out_of_sight, with_hidden_parts
 from icp_tracker.monitor.pose_library import LIMBS
-from icp_tracker.monitor.track_monitor import RecoverySettings, TrackMonitor
+from icp_tracker.monitor.track_monitor import CHECKS, RecoverySettings, TrackMonitor
+from icp_tracker.monitor.track_quality import unchecked_quality
 from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES, TrackQuality
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -90,3 +91,17 @@ def test_an_arm_that_leaves_the_volume_is_doubtful_at_once_and_is_not_moved_to_w
         found = monitor.examine(round(k / FPS * 1e9), person.body, person.pose, gone, settings, person.pose)
         assert found.quality.parts[LEFT_ARM] == DOUBTFUL and found.unseen[LEFT_HAND]
         assert found.better is None
+
+
+def test_a_body_that_was_lost_is_believed_when_other_poses_have_been_tried(person):
+    monitor, settings, data = TrackMonitor(RecoverySettings()), ArticulatedSettings(), data_of(person)
+    unchecked = []
+    for k in range(30):
+        if k == 5:
+            monitor.lose()
+        found = monitor.examine(round(k / FPS * 1e9), person.body, person.pose, data, settings, person.pose)
+        assert found.better is None and found.quality.state == GOOD  # its covariance is as it was
+        unchecked.append(found.unchecked)
+    assert unchecked == [False] * 5 + [True] * (CHECKS - 1) + [False] * (30 - 5 - CHECKS + 1)
+    told = unchecked_quality(found.quality)
+    assert told.parts == (DOUBTFUL,) * 5 and "other poses are being tried" in told.reason

@@ -78,6 +78,7 @@ LIKELY_MARGIN = -3.0  # rays: a limb with a place no farther behind is looked at
 UNEXPLAINED_RAYS = 10.0  # so many more than usual that pass a limb speak of another place of it, too
 LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS, at every look one: arms are lost more often than legs
 FOLLOWED_MARGIN = -30.0  # rays: a place farther behind is left to its limb's next turn (within four sets)
+CHECKS = 8  # looks at the whole body turned, two more than there are kinds, until one that was lost is believed
 TURNED_EVERY = 8  # looks from one at the whole body turned round to the next
 LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
 NS_PER_S = 1e9
@@ -98,7 +99,7 @@ class Examination:
 
     hypothesis : another pose that may be right. spread (15, 3, 3) m^2 : of where the points of doubtful limbs may be.
     unseen (15,) bool : points for which nothing in the set speaks. kept : the fitted pose with limbs that leapt for too
-    little where they were expected.
+    little where they were expected. unchecked : the body was lost, and may have been found the wrong way round.
     """
 
     quality: TrackQuality
@@ -109,6 +110,7 @@ class Examination:
     spread: np.ndarray | None = None
     unseen: np.ndarray | None = None
     kept: Pose | None = None
+    unchecked: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,10 +149,14 @@ class TrackMonitor:
         self._hypothesis: Hypothesis | None = None
         self._leads: dict[int, PlaceLeads] = {}  # by the limb's number in LIMBS
         self._doubtful: frozenset[int] = frozenset()
-        self._sets = self._turns = self._looks = self._cycle = 0
+        self._sets = self._turns = self._looks = self._cycle = self._unchecked = 0
         self._limb_looks = [0] * len(LIMBS)
         self._last_stamp_ns: int | None = None
         self._last_good: Pose | None = None
+
+    def lose(self) -> None:
+        """Note a set that shows nobody: who is found after it is not believed before other poses have been tried."""
+        self._unchecked = CHECKS
 
     def examine(
         self,
@@ -182,6 +188,8 @@ class TrackMonitor:
         hidden = points_out_of_sight(body, pose, expected, data.hull.unseen, shown)
         quality = with_hidden_parts(judge_track(evidence, self._baseline), hidden)
         self._sets += 1
+        if quality.state == LOST:
+            self.lose()
         if quality.state == GOOD:
             self._baseline.add(evidence)
             self._last_good = pose
@@ -202,7 +210,7 @@ class TrackMonitor:
             found = self._move_limb(observed, pose, evidence) or found
         if found.better is not None:
             self._keep_tracked(observed, pose, found.better)
-            return found
+            return replace(found, unchecked=self._unchecked > 0)
         unseen = hidden | unseen_points(self._baseline.unseen_sticks(evidence)) | points_of_limbs(torn)
         return replace(
             found,
@@ -210,6 +218,7 @@ class TrackMonitor:
             spread=limb_spread(found.quality, places),
             unseen=unseen,
             kept=None if pose is fitted else pose,
+            unchecked=self._unchecked > 0,
         )
 
     # --- the hypothesis ----------------------------------------------------------------------------------------------
@@ -350,6 +359,8 @@ class TrackMonitor:
             return self._stance(observed, turn // 2)
         if quality.state != GOOD:
             every = 2 if quality.parts[TRUNK] == GOOD else 1
+        elif self._unchecked > 0:
+            every = 1
         elif self._baseline.share is not None and quality.explained < self._baseline.share - SLIGHT_DROP:
             every = min(every, SLIGHT_DROP_EVERY)
         if turn % every == 0:
@@ -360,6 +371,7 @@ class TrackMonitor:
         """Return the body turned or exchanged, one way after another; the most likely errors come most often."""
         body, turn = observed.body, self._looks % 6
         self._looks += 1
+        self._unchecked = max(self._unchecked - 1, 0)
         if turn in (0, 2):
             return Hypothesis(sides_exchanged(body, pose), "left and right exchanged")
         if turn in (1, 4):

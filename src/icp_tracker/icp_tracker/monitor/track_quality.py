@@ -111,6 +111,14 @@ def with_torn_limbs(quality: TrackQuality, torn: np.ndarray) -> TrackQuality:
     return replace(quality, state=DOUBTFUL, parts=tuple(parts), reason="; ".join(reasons))
 
 
+def unchecked_quality(quality: TrackQuality) -> TrackQuality:
+    """Return the quality of a body that was lost a moment ago and may have been found the wrong way round."""
+    if quality.state == LOST:
+        return quality
+    reason = "; ".join(filter(None, (quality.reason, "found again, other poses are being tried")))
+    return replace(quality, state=DOUBTFUL, parts=(DOUBTFUL,) * len(PART_NAMES), reason=reason)
+
+
 def judge_track(evidence: Evidence, baseline: Baseline) -> TrackQuality:
     """Return the state of a pose, from its evidence and what is usual for this body."""
     share = evidence.share
