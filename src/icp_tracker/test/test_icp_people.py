@@ -7,7 +7,7 @@ import pytest
 
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.people.association import Expected, associate_parts, associate_rows, is_ghost
+from icp_tracker.people.association import UNCLEAR_SD_M, Expected, associate_parts, associate_rows, is_ghost
 from icp_tracker.people.identity import IdentityCheck, Verdict
 from icp_tracker.people.people_tracker import GONE_AFTER_S, PeopleTracker, make_people_tracker
 from icp_tracker.settings import IcpNodeSettings
@@ -179,6 +179,22 @@ def test_rows_of_persons_who_touch_are_shared_out_by_who_explains_them(hulls):
         assert np.mean(side * own.centerline.points_world[:, 0] > 0.0) > 0.9
         assert np.mean(side * own.voxels.points_world[own.voxels.surface][:, 0] > -0.05) > 0.9
         assert len(own.voxels) == len(seen.voxels)  # sticks lie in the common hull
+
+
+def test_rays_that_both_explain_are_less_certain_than_those_of_one(hulls):
+    seen = hulls["close"]
+    rows = associate_rows(seen, associate_parts(seen, seen.numbers(), expected_close()), expected_close())
+    measured, of_1, of_2 = (sigma_of_rays(hull) for hull in (seen, rows[1], rows[2]))
+    both, alone = of_1.keys() & of_2.keys(), of_1.keys() ^ of_2.keys()
+    assert len(both) > 10 and len(alone) > 100
+    assert all((of_1 | of_2)[ray] == measured[ray] for ray in alone)
+    added = np.sqrt([max(of_1[ray] ** 2 - measured[ray] ** 2, 0.0) for ray in both])
+    assert np.isclose(added.max(), UNCLEAR_SD_M, rtol=1e-4)
+
+
+def sigma_of_rays(hull):
+    rays = hull.contour_rays
+    return {tuple(point): sigma for point, sigma in zip(rays.points_world, rays.sigma, strict=True)}
 
 
 def test_ray_that_nobody_explains_is_left_to_both(hulls):

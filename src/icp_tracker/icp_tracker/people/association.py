@@ -27,12 +27,15 @@ SAMPLES = 600  # of the hull's voxels that tell whose its parts are
 EXPLAINED_M = 0.08  # a row this near to somebody's surface may be that person's alone
 CLEARLY_M = 0.03  # so much nearer to one surface than to the other is clear: twice the error of a good prediction
 ELSEWHERE_M = 0.15  # and so much nearer that it is not this person's lost limb either: the length of a hand
+# a ray that is not clear is uncertain by so much, the error of a prediction: it tells where one of the two is, not
+# which, and must not hold a hand that it caught (0.01 to 0.1 tried with bench/people_together.py and the meeting as
+# footage; from 0.015 to 0.03 fewest hands stay on the other's outline)
+UNCLEAR_SD_M = 0.02
 SLACK_M = 0.05  # a body may touch a ray this far from the stretch where the ray touches the hull
 ANYWHERE_M = 100.0  # and as far as this when it is a line
 GRAZED_M = 0.04  # a line that passes a body's surface so near is a view of it: EXPLAINED_M of monitor/evidence.py
 GHOST_SHARE = 0.85  # of a part's rays that graze persons elsewhere: of a ghost nearly all do
 GHOST_LEAST_RAYS = 20  # fewer say nothing
-HALF_TRUST_SD_M = 0.01  # as surface_sd_m of the contour settings: added to a ray's sigma it halves what the ray counts
 
 
 class Expected(NamedTuple):
@@ -156,7 +159,7 @@ def _rows_of(seen: HullProducts, parts: tuple[int, ...]) -> _Rows:
 
 
 def _of_person(rows: _Rows, own: _Distances, others: Sequence[_Distances]) -> _Rows:
-    """Return the rows without those that are clearly another's; rays that may be either's count half."""
+    """Return the rows without those that are clearly another's; rays that may be either's are less certain."""
     others_line = np.min([other.line for other in others], axis=0)
     others_voxels = np.min([other.voxels for other in others], axis=0)
     others_rays = np.min([other.rays for other in others], axis=0)
@@ -168,8 +171,8 @@ def _of_person(rows: _Rows, own: _Distances, others: Sequence[_Distances]) -> _R
     kept = seen.of_rows(line, np.ones(len(seen.voxels), bool), rays)
     voxels = replace(seen.voxels, surface=seen.voxels.surface & ~_is_others(own.voxels, others_voxels))
     sigma = kept.contour_rays.sigma
-    doubted = np.sqrt(2.0 * sigma**2 + HALF_TRUST_SD_M**2)
-    kept_rays = replace(kept.contour_rays, sigma=np.where(either, doubted, sigma))
+    unclear = np.hypot(sigma, UNCLEAR_SD_M)
+    kept_rays = replace(kept.contour_rays, sigma=np.where(either, unclear, sigma))
     return rows._replace(products=replace(kept, voxels=voxels, contour_rays=kept_rays))
 
 
