@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from .kernel import kernel
 from .rig import Rig
 
 Array = npt.NDArray[np.float64]
@@ -42,12 +43,8 @@ class UnseenCells(NamedTuple):
 
     def at(self, points_world: Array) -> Flags:
         """Return which of the points (n, 3), metres, are in unseen cells."""
-        if self.unseen.size == 0:
-            return np.zeros(len(points_world), np.bool_)
-        cell = np.floor((points_world - self.low) / CELL_M).astype(np.int64)
-        inside = ((cell >= 0) & (cell < self.unseen.shape)).all(axis=1)
-        held = np.minimum(np.maximum(cell, 0), np.array(self.unseen.shape) - 1)
-        found: Flags = np.where(inside, self.unseen[held[:, 0], held[:, 1], held[:, 2]], cell[:, 2] >= 0)
+        found = np.empty(len(points_world), np.bool_)
+        _look_up(self, np.ascontiguousarray(points_world, np.float64), found)
         return found
 
     def widened(self) -> UnseenCells:
@@ -60,6 +57,25 @@ class UnseenCells(NamedTuple):
             first, middle, last = (np.take(wide, range(k, wide.shape[axis] - 2 + k), axis) for k in range(3))
             wide = first | middle | last
         return UnseenCells(self.low, wide)
+
+
+@kernel
+def is_unseen(cells, x, y, z):
+    """Return whether a point of the world, metres, lies in an unseen cell of an :class:`UnseenCells`."""
+    unseen = cells.unseen
+    a, b = (x - cells.low[0]) / CELL_M, (y - cells.low[1]) / CELL_M
+    c = (z - cells.low[2]) / CELL_M
+    if unseen.shape[0] == 0 or c < 0.0:
+        return False
+    if a < 0.0 or b < 0.0 or a >= unseen.shape[0] or b >= unseen.shape[1] or c >= unseen.shape[2]:
+        return True
+    return unseen[int(a), int(b), int(c)]
+
+
+@kernel
+def _look_up(cells, points, found):
+    for n in range(points.shape[0]):
+        found[n] = is_unseen(cells, points[n, 0], points[n, 1], points[n, 2])
 
 
 EVERYWHERE = UnseenCells(np.zeros(3), np.zeros((0, 0, 0), np.bool_))

@@ -13,8 +13,7 @@ import numpy as np
 from numba import njit
 
 from capture_rig.kernel import kernel
-from capture_rig.sight import CELL_M as UNSEEN_CELL_M
-from capture_rig.sight import EVERYWHERE, UnseenCells
+from capture_rig.sight import EVERYWHERE, UnseenCells, is_unseen
 
 CELL_M = 0.05  # a cell and its neighbours count as hull: within 0.05 to 0.1 m of a sample
 NONE = -1
@@ -75,19 +74,6 @@ def is_in_hull(hull, x, y, z):
     a, b, c = (x - hull.low[0]) / CELL_M, (y - hull.low[1]) / CELL_M, (z - hull.low[2]) / CELL_M
     if a < 0.0 or b < 0.0 or c < 0.0 or a >= cells.shape[0] or b >= cells.shape[1] or c >= cells.shape[2]:
         return False
-    return cells[int(a), int(b), int(c)]
-
-
-@kernel
-def is_unseen(unseen, x, y, z):
-    """Return whether a point lies where no hull can show a body: :meth:`capture_rig.sight.UnseenCells.at` for one."""
-    cells = unseen.unseen
-    a, b = (x - unseen.low[0]) / UNSEEN_CELL_M, (y - unseen.low[1]) / UNSEEN_CELL_M
-    c = (z - unseen.low[2]) / UNSEEN_CELL_M
-    if cells.shape[0] == 0 or c < 0.0:
-        return False
-    if a < 0.0 or b < 0.0 or a >= cells.shape[0] or b >= cells.shape[1] or c >= cells.shape[2]:
-        return True
     return cells[int(a), int(b), int(c)]
 
 
