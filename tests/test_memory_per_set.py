@@ -81,7 +81,8 @@ def test_what_numpy_keeps_of_small_arrays_is_bounded() -> None:
     fill_numpys_cache()
     before = held()
     fill_numpys_cache()
-    assert held()[0] - before[0] < NUMPY_KEEPS_BYTES * NUMPY_KEEPS
+    filled = NUMPY_KEEPS * sum(range(NUMPY_KEEPS_BYTES))
+    assert held()[0] - before[0] < 0.1 * filled  # other threads of the tests' process take and give back some, too
 
 
 @pytest.mark.slow
