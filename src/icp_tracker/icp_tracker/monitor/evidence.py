@@ -9,18 +9,22 @@ better than the number of explained rays alone: a body that faces backward expla
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
 
+from stick_figure.body import Body
 from stick_figure.joint_limits import joint_excess
+from stick_figure.kinematics import forward
 from stick_figure.least_squares.contour_factor import match_rays
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.hull_samples import nearest_sample
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place, surface_distances
 from stick_figure.least_squares.surface_factor import point_on_stick
 from stick_figure.pose import Pose
+
+from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
 
 PARTS = 5
 TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
@@ -39,6 +43,9 @@ OUTSIDE_SLACK_M, OUTSIDE_MOST_M = 0.045, 0.2  # spacing of the hull's samples; f
 RAYS_PER_OUTSIDE_M = 30.0  # a hand 0.1 m outside the hull weighs as much as three rays
 LOSS = 1.5  # a ray that another pose explains worse counts so much more than one that it explains better
 LIMIT_RAD = 0.5  # so far beyond a joint's range costs one ray, twice as far four
+SAME_M = 0.10  # poses whose 15 points are so near to each other are one
+FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
+FREE_ITERATIONS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +97,29 @@ def evidence_of(figure: Figure, pose: Pose, data: Data) -> Evidence:
     if excess.any():
         beyond += float(((excess / LIMIT_RAD) ** 2).sum())
     return Evidence(costs, beyond, volume, explained, unexplained, outside)
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedSet:
+    """One frame set as the monitor examines it; ``apart_s`` : since the one before."""
+
+    apart_s: float
+    body: Body
+    data: Data
+    settings: ArticulatedSettings
+
+    def evidence_of(self, pose: Pose) -> Evidence:
+        """Return the evidence about a pose."""
+        return evidence_of(Figure.of(self.body), pose, self.data)
+
+    def fitted(self, pose: Pose, free: bool = False) -> Pose:
+        """Return the pose that the fit reaches from another one, more freely if it is only a guess."""
+        settings = replace(self.settings, prior=FREE, max_iterations=FREE_ITERATIONS) if free else self.settings
+        return minimise(self.body, pose, self.data, settings)[0]
+
+    def apart_m(self, pose: Pose, other: Pose) -> float:
+        """Return how far apart (m) two poses' reference points are at most."""
+        return float(np.linalg.norm(forward(self.body, pose) - forward(self.body, other), axis=1).max())
 
 
 @njit(cache=True, nogil=True)
