@@ -139,14 +139,9 @@ def steady(condition: Condition, everywhere: bool = False) -> Callable[[Drill, s
     """Return the trial of a condition of the cameras' cables, or of every cable."""
 
     def trial(drill: Drill, name: str) -> list[Row]:
-        cables = [cable for host, cable in drill.world.cables.items() if everywhere or host != SERVER]
-        for cable in cables:
-            cable.set(condition)
-        time.sleep(SETTLE_S)
-        row = drill.measure(name)
-        for cable in cables:
-            cable.set(Condition())
-        return [row]
+        with drill.world.under(condition, drill.world.hosts if everywhere else drill.cameras):
+            time.sleep(SETTLE_S)
+            return [drill.measure(name)]
 
     return trial
 

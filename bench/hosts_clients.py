@@ -250,13 +250,9 @@ def steady(condition: Condition, everywhere: bool = False) -> Trial:
     """Return the trial of a condition of the cameras' cables, or of every cable."""
 
     def trial(drill: ClientDrill, name: str) -> list[ClientRow]:
-        cables = [cable for host, cable in drill.world.cables.items() if everywhere or host != SERVER]
-        for cable in cables:
-            cable.set(condition)
-        time.sleep(SETTLE_S)
-        row = drill.measure(name)
-        for cable in cables:
-            cable.set(Condition())
+        with drill.world.under(condition, drill.world.hosts if everywhere else drill.world.hosts.keys() - {SERVER}):
+            time.sleep(SETTLE_S)
+            row = drill.measure(name)
         time.sleep(SETTLE_S)
         return [row]
 

@@ -22,7 +22,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -266,10 +266,14 @@ class World:
         for cable in self.cables.values():
             cable.pass_multicast(passes)
 
-    def set_all(self, condition: Condition) -> None:
-        """Put every cable into this condition."""
-        for cable in self.cables.values():
-            cable.set(condition)
+    @contextlib.contextmanager
+    def under(self, condition: Condition, hosts: Collection[str]) -> Iterator[None]:
+        """Put the cables of these hosts into a condition, and back after the block."""
+        for host in hosts:
+            self.cables[host].set(condition)
+        yield
+        for host in hosts:
+            self.cables[host].set(Condition())
 
     def emulate(self, inner: str, port: str, condition: Condition | None) -> None:
         """Let the emulator join two interfaces in this condition; None: let it keep off them."""

@@ -149,7 +149,33 @@ class TrackMonitor:
             self._last_good = pose
         if not self._settings.search:
             return Examination(quality, unseen=hidden)
-        turns = range(self._turns, self._turns + min(max(round(apart_s * LOOKS_HZ), 1), LOOKS_A_SET))
+        found = self._look_for_better(observed, pose, evidence, quality, unexplained, hidden)
+        if found.better is not None:
+            return replace(found, unchecked=self._unchecked > 0)
+        unseen = hidden | unseen_points(self._baseline.unseen_sticks(evidence)) | points_of_limbs(torn)
+        return replace(
+            found,
+            quality=with_torn_limbs(found.quality, torn),
+            spread=limb_spread(found.quality, self._limbs.places),
+            unseen=unseen,
+            kept=None if pose is fitted else pose,
+            unchecked=self._unchecked > 0,
+        )
+
+    def _look_for_better(
+        self,
+        observed: ObservedSet,
+        pose: Pose,
+        evidence: Evidence,
+        quality: TrackQuality,
+        unexplained: np.ndarray,
+        hidden: np.ndarray,
+    ) -> Examination:
+        """Look at other places of the limbs and other poses of the body; say what is doubtful, or what to change to.
+
+        unexplained (4,) : rays that pass each limb, beyond what is usual. hidden (15,) bool : points out of sight.
+        """
+        turns = range(self._turns, self._turns + min(max(round(observed.apart_s * LOOKS_HZ), 1), LOOKS_A_SET))
         self._turns = turns.stop
         self._limbs.look(observed, pose, turns, unexplained, limbs_of_points(hidden))
         if is_cut(hidden):
@@ -157,22 +183,13 @@ class TrackMonitor:
         else:
             self._follow(observed, pose, evidence)
             self._look_for_another(turns, observed, pose, evidence, quality)
-        places = self._limbs.places
-        found = self._decide(observed, pose, with_doubtful_limbs(quality, self._limbs.doubtful(), places))
+        doubted = with_doubtful_limbs(quality, self._limbs.doubtful(), self._limbs.places)
+        found = self._decide(observed, pose, doubted)
         if found.better is None:
             found = self._move_limb(observed, pose, evidence) or found
         if found.better is not None:
             self._limbs.go_over(observed, pose, found.better)
-            return replace(found, unchecked=self._unchecked > 0)
-        unseen = hidden | unseen_points(self._baseline.unseen_sticks(evidence)) | points_of_limbs(torn)
-        return replace(
-            found,
-            quality=with_torn_limbs(found.quality, torn),
-            spread=limb_spread(found.quality, places),
-            unseen=unseen,
-            kept=None if pose is fitted else pose,
-            unchecked=self._unchecked > 0,
-        )
+        return found
 
     # --- the hypothesis ----------------------------------------------------------------------------------------------
 
