@@ -25,13 +25,13 @@ from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
-from hull_server.shadows import ShadowResolver
 from scenes import shared_sessions
 from shadow_resolution import VOXEL_M, Frame, Masks, frames
 
 from capture_rig.session import Session, load_session
 from hull_server.carve_backends import make_backend
 from hull_server.contour_rays.contour_tracer import ContourTracer
+from hull_server.floor_shadows.resolver import ShadowResolver
 from hull_server.grid import VoxelGrid
 from hull_server.settings import ContourSettings, ShadowSettings
 from hull_server.slicing.skeletonisation import slice_hull

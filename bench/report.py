@@ -27,7 +27,7 @@ def parser(doc: str | None, quick: str = "") -> argparse.ArgumentParser:
     """Arguments described by a bench's docstring; with --quick, unless ``quick`` (what it leaves out) is empty."""
     made = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     if quick:
-        made.add_argument("--quick", action="store_true", help=quick)
+        made.add_argument("--quick", action="store_true", help=quick.replace("%", "%%"))
     return made
 
 

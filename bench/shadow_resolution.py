@@ -30,7 +30,6 @@ from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
-from hull_server.shadows import ShadowResolver
 from scenes import shared_sessions
 
 from camera_client.background.model import read_background
@@ -40,6 +39,7 @@ from camera_client.sources.footage_reader import open_footage
 from capture_rig import Rig
 from capture_rig.session import Session, load_session
 from hull_server.carve_backends import make_backend
+from hull_server.floor_shadows.resolver import ShadowResolver
 from hull_server.grid import VoxelGrid
 from hull_server.level_stack import binary_mask
 from hull_server.settings import ShadowSettings

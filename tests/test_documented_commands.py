@@ -1,10 +1,14 @@
 """The commands that the documentation names, as the programs read them: `sagoma`, `python bench/...`, `make`."""
 
+import ast
+import importlib.util
 import re
 import shlex
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+
+import pytest
 
 from sagoma_tools.cli import build_parser
 
@@ -75,3 +79,20 @@ def test_every_make_target_exists():
     named = {(page, command.split()[1]) for page, command, _ in documented("make ")}
     assert len(named) > 5
     assert not {(page, target) for page, target in named if target not in targets}
+
+
+@pytest.mark.parametrize("bench", sorted((ROOT / "bench").glob("*.py")), ids=lambda path: path.stem)
+def test_what_a_bench_imports_of_the_packages_is_there(bench):
+    packages = {path.name for path in (ROOT / "src").iterdir()}
+    missing = []
+    for node in ast.walk(ast.parse(bench.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in packages:
+            if importlib.util.find_spec(node.module) is None:
+                missing.append(node.module)
+                continue
+            module = importlib.import_module(node.module)
+            for alias in node.names:
+                submodule = f"{node.module}.{alias.name}"
+                if not hasattr(module, alias.name) and importlib.util.find_spec(submodule) is None:
+                    missing.append(submodule)
+    assert missing == []
