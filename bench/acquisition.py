@@ -24,7 +24,7 @@ from scenes import canvas_masks, session_with_truth
 from starts import Start, of_cut, of_studio_walk, of_walk_in
 
 from capture_rig.session import Session, footage_stamp_ns
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.acquisition.body_sizes import (
@@ -56,7 +56,7 @@ def of_session(session: Session, exact: bool) -> dict[str, object]:
     """The first pose that a session's footage gives: errors of the sizes, of the points, of the heading."""
     pipeline, source = (
         HullPipeline(session.rig, HullSettings(backend="cpu")),
-        TPoseSource(TPoseSettings(), Sight(session.rig)),
+        TPoseSource(TPoseSettings(), RigVisibility(session.rig)),
     )
     points = session.truth.stick_figure_points()
     for frame, frame_masks in enumerate(islice(canvas_masks(session, exact), LONGEST)):
@@ -89,9 +89,9 @@ def angle(first: np.ndarray, second: np.ndarray) -> float:
 def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
     """Many people in the studio: mean and rms error of each size, refusals, and how many are taken back to front."""
     rng, errors, claims, refused, backward = np.random.default_rng(cameras), [], [], [], 0
-    for body, pose, voxels, sight in hulls_of_people(cameras, ceiling, number, rng):
+    for body, pose, voxels, visibility in hulls_of_people(cameras, ceiling, number, rng):
         try:
-            measured = measure_t_pose(voxels, TPoseSettings(), sight)
+            measured = measure_t_pose(voxels, TPoseSettings(), visibility)
         except PoseRejected as refusal:
             refused.append(refusal.reason)
             continue
@@ -117,7 +117,7 @@ def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
 def hulls_of_people(cameras: int, ceiling: bool, number: int, rng: np.random.Generator) -> Iterator[tuple]:
     """Body, pose and hull voxels of random people in a T-pose, arms 15 degrees up to down, elbows a little bent."""
     rig = ring(cameras, ceiling=ceiling)
-    sight = Sight(rig)
+    visibility = RigVisibility(rig)
     eyes, pipeline = ExactSilhouettes(rig), HullPipeline(rig, HullSettings(backend="cpu"))
     for k in range(number):
         body = body_of_sizes(MEAN_OVER_STATURE * rng.uniform(1.4, 2.05) * rng.uniform(0.95, 1.05, len(SIZES)))
@@ -127,7 +127,7 @@ def hulls_of_people(cameras: int, ceiling: bool, number: int, rng: np.random.Gen
         masks = eyes.render(parts)
         stamp_ns = (k + 1) * 1_000_000_000
         hull = pipeline.run(FrameSet.of_instant(stamp_ns, masks))
-        yield body, pose, hull.products.voxels.points_world, sight
+        yield body, pose, hull.products.voxels.points_world, visibility
 
 
 def t_pose(body: Body, rng: np.random.Generator) -> Pose:

@@ -27,7 +27,7 @@ from products import Recorded, load
 from scenes import SHARED, Clip, session_clip, together_clip
 
 from capture_rig.session import Truth
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import BodyFollower
 from sagoma_tools.arguments import parse_settings
@@ -89,7 +89,7 @@ def followed(what: Recorded, settings: dict[str, Any]) -> tuple[dict[int, Track]
 def scored(what: Recorded, tracks: dict[int, Track]) -> PeopleScores:
     """The scores of everybody in a set."""
     truths = [Truth(np.arange(len(t)), t, None, 1.0, Path(what.name)) for t in what.truths]
-    return score_people(tracks, truths, what.fps, Sight(what.rig))
+    return score_people(tracks, truths, what.fps, RigVisibility(what.rig))
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import InputError, Rig
-from capture_rig.sight import min_seeing as min_seeing
+from capture_rig.visibility import min_seeing as min_seeing
 
 from .grid import BrickVolume
 

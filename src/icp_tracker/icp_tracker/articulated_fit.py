@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from capture_rig.settings import setting
-from capture_rig.sight import EVERYWHERE, Sight
+from capture_rig.visibility import EVERYWHERE, RigVisibility
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
@@ -232,11 +232,11 @@ def make_data(
     voxels: VoxelSamples,
     settings: ArticulatedSettings,
     contour_rays: ContourRays = NO_CONTOUR_RAYS,
-    sight: Sight | None = None,
+    visibility: RigVisibility | None = None,
 ) -> Data:
     """Lay out the data. A point's variance is its own noise and the model's, added in quadrature.
 
-    Where the rig's ``sight`` ends, a hull ends too: its cut ends are no surface, and slices that reach beyond are cut
+    Beyond the rig's ``visibility`` there is no hull: its cut ends are no surface, and slices that reach beyond are cut
     off their middle. Neither is used.
     """
     points = np.ascontiguousarray(points_world, dtype=np.float64)
@@ -245,18 +245,18 @@ def make_data(
     surface = (voxels if volume.weight > 0.0 else NO_VOXELS).surface_points(volume.samples)
     hull = (voxels if volume.inside_weight > 0.0 else NO_VOXELS).hull_points(INSIDE_SAMPLES)
     contour_rays = contour_rays if settings.contour.weight > 0.0 else NO_CONTOUR_RAYS
-    if sight is not None:
-        whole = ~sight.near_unseen.at(points)
+    if visibility is not None:
+        whole = ~visibility.near_unseen.at(points)
         points, sigma = np.ascontiguousarray(points[whole]), sigma[whole]
-        surface = np.ascontiguousarray(surface[~sight.near_unseen.at(surface)])
-        contour_rays = contour_rays.chosen(~sight.unseen_cells.at(contour_rays.points_world))
+        surface = np.ascontiguousarray(surface[~visibility.near_unseen.at(surface)])
+        contour_rays = contour_rays.chosen(~visibility.unseen_cells.at(contour_rays.points_world))
     gate2 = settings.gate_m**2 + (GATE_SIGMAS * sigma) ** 2
     return Data(
         points,
         1.0 / (settings.model_sigma_m**2 + sigma**2),
         gate2,
         surface,
-        HullSamples.of(hull, EVERYWHERE if sight is None else sight.unseen_cells),
+        HullSamples.of(hull, EVERYWHERE if visibility is None else visibility.unseen_cells),
         _contour_rays(contour_rays, settings),
     )
 

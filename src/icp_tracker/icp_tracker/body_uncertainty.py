@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from stick_figure import kernels
 from stick_figure.pose import Pose
 from stick_figure.skeleton import POINT_STICK
@@ -70,7 +70,7 @@ def widen_hidden(
     points_world: np.ndarray,
     supported: np.ndarray,
     size_sd_m: np.ndarray | None,
-    sight: Sight | None,
+    visibility: RigVisibility | None,
 ) -> np.ndarray:
     """Return the covariance (15, 3, 3) m^2 of points (15, 3) m, larger where the rig does not show them.
 
@@ -78,7 +78,7 @@ def widen_hidden(
     supported (15,) bool : points whose sticks data bear on; of the others the direction is not known either.
     size_sd_m (10,) : of the body's sizes; None for a body whose sizes were given.
     """
-    hidden = None if sight is None else sight.unseen_cells.at(points_world)
+    hidden = None if visibility is None else visibility.unseen_cells.at(points_world)
     if hidden is None or not hidden.any():
         return covariance
     wide = covariance.copy()

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_rig.rig import Rig, load_rig
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from mocap_packets.fit import GOOD, LOST, PART_NAMES, UNKNOWN, Fit, Solution, TrackQuality
 from mocap_packets.hull import NO_CENTERLINE, NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.state import Prediction
@@ -58,9 +58,11 @@ class OwnStart:
 class IcpTracker:
     """Follows one body. Deterministic: the same sets and predictions give the same results to the last bit."""
 
-    def __init__(self, source: PoseSource, settings: TrackerSettings | None = None, sight: Sight | None = None) -> None:
-        """``sight`` : where hulls show a body; without it, everywhere."""
-        self._source, self._sight = source, sight
+    def __init__(
+        self, source: PoseSource, settings: TrackerSettings | None = None, visibility: RigVisibility | None = None
+    ) -> None:
+        """``visibility`` : where hulls show a body; None: everywhere."""
+        self._source, self._visibility = source, visibility
         self._settings = settings or TrackerSettings()
         self._monitor = TrackMonitor(self._settings.recovery)
         self.reset()
@@ -199,7 +201,9 @@ class IcpTracker:
         """Lay out what the fit uses."""
         voxels, contour_rays = (seen.voxels, seen.contour_rays) if self._all_joints else (NO_VOXELS, NO_CONTOUR_RAYS)
         line = seen.centerline
-        return make_data(line.points_world, line.sigma, voxels, self._settings.articulated, contour_rays, self._sight)
+        return make_data(
+            line.points_world, line.sigma, voxels, self._settings.articulated, contour_rays, self._visibility
+        )
 
     def _solve(self, body: Body, start: Pose, data: Data, iterations: int | None = None) -> FitResult:
         """Fit the figure by the chosen method; ``iterations`` of the all-joints solve, else as the settings say."""
@@ -244,7 +248,7 @@ class IcpTracker:
     def _with_sizes(self, fit: FitResult) -> np.ndarray:
         """Return the fit's covariance, with that of the body's sizes and of what is not seen."""
         size_sd_m = None if self._refiner is None else np.sqrt(np.diag(self._refiner.sizes_covariance))
-        widened = widen_hidden(fit.covariance, fit.reference_points_world, fit.visible, size_sd_m, self._sight)
+        widened = widen_hidden(fit.covariance, fit.reference_points_world, fit.visible, size_sd_m, self._visibility)
         return widened if size_sd_m is None else widened + covariance_of_sizes(fit.pose, size_sd_m)
 
     # --- the first pose
@@ -281,23 +285,23 @@ class IcpTracker:
         return BodyRefiner(found.estimate, settings.refinement, prior, bend=contour.bend, turn_sd=contour.turn_sd)
 
 
-def make_tracker(settings: IcpNodeSettings, sight: Sight | None = None) -> IcpTracker:
-    """Make a tracker whose first pose comes from where the settings say; ``sight`` : where hulls show a body.
+def make_tracker(settings: IcpNodeSettings, visibility: RigVisibility | None = None) -> IcpTracker:
+    """Make a tracker whose first pose comes from where the settings say; ``visibility`` : where hulls show a body.
 
     Raises InputError for files that cannot be used.
     """
-    return IcpTracker(make_pose_source(settings.initial_pose, settings.body_file, sight), settings, sight)
+    return IcpTracker(make_pose_source(settings.initial_pose, settings.body_file, visibility), settings, visibility)
 
 
-def sight_of(settings: IcpNodeSettings, rig: Rig | None = None, min_seeing: int = 0) -> Sight | None:
-    """Return the sight of the settings' rig file, else of a rig whose hulls need ``min_seeing`` cameras.
+def visibility_of(settings: IcpNodeSettings, rig: Rig | None = None, min_seeing: int = 0) -> RigVisibility | None:
+    """Return the visibility of the settings' rig file, else of a rig whose hulls need ``min_seeing`` cameras.
 
     Without either None: hulls are taken to show all. Raises InputError for a rig file that cannot be used.
     """
     start = settings.initial_pose
     if start.rig_file:
         rig, min_seeing = load_rig(start.rig_file), start.min_seeing
-    return None if rig is None else Sight(rig, min_seeing)
+    return None if rig is None else RigVisibility(rig, min_seeing)
 
 
 def warm_up(settings: TrackerSettings) -> None:

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
@@ -67,7 +67,7 @@ class Studio:
     """A rig of cameras around the volume and what it shows of people."""
 
     def __init__(self, rig):
-        self.rig, self.sight = rig, Sight(rig)
+        self.rig, self.visibility = rig, RigVisibility(rig)
         self._eyes = [(c.name, VirtualCamera(c), c.undistorted_view()) for c in self.rig.cameras]
         self._pipeline = HullPipeline(self.rig, HullSettings(backend="cpu"))
         self._stamp_ns = 0

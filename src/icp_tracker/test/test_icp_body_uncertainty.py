@@ -3,7 +3,7 @@
 import numpy as np
 
 from capture_rig.rig import Rig, Volume
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from icp_tracker.acquisition.body_sizes import CALF, FOREARM, THIGH, prior_sizes
 from icp_tracker.body_uncertainty import DIRECTION_SD, covariance_of_sizes, widen_hidden
 from stick_figure.body import Body
@@ -20,19 +20,19 @@ KNEE, FOOT, HAND = 9, 13, 11
 SEEN = np.ones(15, bool)
 
 
-def sight_without(axis, low):
+def visibility_without(axis, low):
     """A rig whose volume begins only at ``low`` along an axis, for y: ends at -low on the other side."""
     corner, far = VOLUME.low.copy(), VOLUME.high.copy()
     if axis == 2:
         far[2] = low
     else:
         far[axis] = low
-    return Sight(Rig(ring(4).cameras, Volume(corner, far)))
+    return RigVisibility(Rig(ring(4).cameras, Volume(corner, far)))
 
 
 def test_without_a_rig_or_with_all_in_view_nothing_changes():
     assert widen_hidden(NARROW, POINTS, SEEN, SIZES, None) is NARROW
-    assert widen_hidden(NARROW, POINTS, SEEN, SIZES, Sight(ring(4))) is NARROW
+    assert widen_hidden(NARROW, POINTS, SEEN, SIZES, RigVisibility(ring(4))) is NARROW
 
 
 def test_a_size_moves_its_own_point_along_its_own_stick():
@@ -43,14 +43,14 @@ def test_a_size_moves_its_own_point_along_its_own_stick():
 
 def test_a_hidden_hand_at_an_elbow_that_is_shown_adds_no_other_length():
     elbow, hand = POINTS[7, 1], POINTS[HAND, 1]
-    wide = widen_hidden(NARROW, POINTS, SEEN, SIZES, sight_without(1, 0.5 * (elbow + hand)))
+    wide = widen_hidden(NARROW, POINTS, SEEN, SIZES, visibility_without(1, 0.5 * (elbow + hand)))
     assert np.array_equal(wide, NARROW)
 
 
 def test_lengths_add_up_along_a_leg_that_is_hidden_from_the_hip_on():
     upside_down = POINTS * [1.0, -1.0, -1.0] + [0.0, 0.0, 2.4]
     hips = upside_down[5, 2]
-    wide = widen_hidden(NARROW, upside_down, SEEN, SIZES, sight_without(2, hips + 0.1)) - NARROW
+    wide = widen_hidden(NARROW, upside_down, SEEN, SIZES, visibility_without(2, hips + 0.1)) - NARROW
     assert not wide[KNEE].any()  # the thigh's own
     assert np.isclose(wide[FOOT, 2, 2], SIZES[THIGH] ** 2, rtol=0.05)
 
@@ -59,6 +59,6 @@ def test_direction_is_unknown_too_where_no_datum_bears_on_a_stick():
     elbow, hand = POINTS[7, 1], POINTS[HAND, 1]
     supported = SEEN.copy()
     supported[HAND] = False
-    wide = widen_hidden(NARROW, POINTS, supported, None, sight_without(1, 0.5 * (elbow + hand))) - NARROW
+    wide = widen_hidden(NARROW, POINTS, supported, None, visibility_without(1, 0.5 * (elbow + hand))) - NARROW
     assert np.isclose(np.sqrt(wide[HAND, 2, 2]), DIRECTION_SD * (hand - elbow), rtol=0.01)
     assert wide[HAND, 1, 1] < 1e-12  # a body of given sizes

@@ -21,7 +21,7 @@ THREE, SIX = (3, False), (5, True)
 def start(rig, body, *people, known=BODY):
     """The answer to the same people in as many sets as a start needs."""
     room = studio(*rig)
-    source = KnownBodySource(TPoseSettings(), known, room.sight)
+    source = KnownBodySource(TPoseSettings(), known, room.visibility)
     return [source.find_pose(room.render(*people, apart_ns=SET_NS)) for _ in range(SETS)]
 
 
@@ -83,7 +83,9 @@ def test_two_who_could_be_the_known_body_are_refused():
 
 def test_body_file_chooses_the_start_that_needs_no_t_pose(tmp_path):
     save_body(BODY, tmp_path / "body.yaml", thickness={"thigh": 1.2})
-    source = make_pose_source(InitialPoseSettings(source="t_pose"), str(tmp_path / "body.yaml"), studio(*SIX).sight)
+    source = make_pose_source(
+        InitialPoseSettings(source="t_pose"), str(tmp_path / "body.yaml"), studio(*SIX).visibility
+    )
     assert isinstance(source, KnownBodySource)
     assert isinstance(make_pose_source(InitialPoseSettings(source="t_pose")), TPoseSource)
     assert isinstance(make_pose_source(InitialPoseSettings()), AnyPoseSource)

@@ -23,11 +23,11 @@ BODY = person_of(1.70, 0.97, 1.03)
 
 @lru_cache
 def walk(cameras=3, tilt=0.0):
-    """A second of somebody who walks: sets, poses, and the rig's sight."""
+    """A second of somebody who walks: sets, poses, and the rig's visibility."""
     rig = ring(cameras, ceiling=False)
     room = Studio(with_camera(rig, cameras - 1, tilted(rig.cameras[cameras - 1], tilt)))
     poses = MOTIONS["walk"](BODY, 4.0, 60.0).poses[120::EVERY][: SETS + 4]
-    return [room.render(person(BODY, pose), apart_ns=EVERY * SET_NS) for pose in poses], poses, room.sight
+    return [room.render(person(BODY, pose), apart_ns=EVERY * SET_NS) for pose in poses], poses, room.visibility
 
 
 def found_in(source, sets):
@@ -41,8 +41,8 @@ def found_in(source, sets):
 
 @pytest.fixture(scope="module")
 def walker():
-    sets, poses, sight = walk()
-    answer, number = found_in(MotionSource(MotionSettings(watch_s=0.5), sight), sets)
+    sets, poses, visibility = walk()
+    answer, number = found_in(MotionSource(MotionSettings(watch_s=0.5), visibility), sets)
     assert number is not None, answer.reason
     return answer, poses[number]
 
@@ -62,22 +62,22 @@ def test_sizes_of_who_walks_in_are_as_uncertain_as_they_are_wrong(walker):
 
 
 def test_it_must_have_watched_for_so_long():
-    sets, _, sight = walk()
-    answer, number = found_in(MotionSource(MotionSettings(watch_s=30.0), sight), sets)
+    sets, _, visibility = walk()
+    answer, number = found_in(MotionSource(MotionSettings(watch_s=30.0), visibility), sets)
     assert number is None and answer.reason.startswith("somebody is here: watched for")
 
 
 def test_known_body_keeps_its_sizes():
-    sets, _, sight = walk()
-    answer, _ = found_in(MotionSource(MotionSettings(watch_s=0.3), sight, known=BODY), sets)
+    sets, _, visibility = walk()
+    answer, _ = found_in(MotionSource(MotionSettings(watch_s=0.3), visibility, known=BODY), sets)
     assert answer.body is BODY and answer.estimate is None
 
 
 def test_cart_and_nobody_are_not_followed():
-    sets, _, sight = walk()
-    room = Studio(sight.rig)
+    sets, _, visibility = walk()
+    room = Studio(visibility.rig)
     cart = [room.render(box((-0.3, -0.25, 0.0), (0.3, 0.25, 1.6)), apart_ns=EVERY * SET_NS)]
-    source = MotionSource(MotionSettings(watch_s=0.0), sight)
+    source = MotionSource(MotionSettings(watch_s=0.0), visibility)
     answer, number = found_in(source, cart)
     assert number is None and answer.reason
     empty = sets[0].of_body(7)
@@ -85,14 +85,14 @@ def test_cart_and_nobody_are_not_followed():
 
 
 def test_feet_that_are_not_seen_are_told_first_and_not_measured():
-    sets, _, sight = walk(tilt=0.30)
-    answer = MotionSource(MotionSettings(watch_s=0.0), sight).find_pose(sets[0])
+    sets, _, visibility = walk(tilt=0.30)
+    answer = MotionSource(MotionSettings(watch_s=0.0), visibility).find_pose(sets[0])
     assert answer.pose is None and answer.reason.startswith("cam03 does not see your feet")
 
 
 def test_who_walks_in_is_told_so_and_not_to_raise_the_arms():
-    sets, _, sight = walk()
-    source = AnyPoseSource(TPoseSource(TPoseSettings(), sight), MotionSource(MotionSettings(), sight))
+    sets, _, visibility = walk()
+    source = AnyPoseSource(TPoseSource(TPoseSettings(), visibility), MotionSource(MotionSettings(), visibility))
     assert source.find_pose(sets[0]).reason.startswith("somebody is here: watched for 0.0 of 1.0 s")
 
 

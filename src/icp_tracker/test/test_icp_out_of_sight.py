@@ -7,7 +7,7 @@ import pytest
 from test_icp_contour_rays import grazing_rays
 from test_icp_track_monitor import FOLDED, FPS, LEFT_HAND, STANCE, data_of, inside_of, posed
 
-from capture_rig.sight import CELL_M, UnseenCells
+from capture_rig.visibility import CELL_M, UnseenCells
 from icp_tracker.articulated_fit import ArticulatedSettings
 from icp_tracker.monitor.evidence import LEFT_ARM, SLACK_M, TRUNK, evidence_of
 from icp_tracker.monitor.out_of_sight import is_cut, limbs_of_points, points_out_of_sight, with_hidden_parts

@@ -24,7 +24,7 @@ def degrees_between(first, second):
 
 def find_pose(rig, *people):
     room = studio(*rig)
-    return find_t_pose(room.render(*people), TPoseSettings(), room.sight)
+    return find_t_pose(room.render(*people), TPoseSettings(), room.visibility)
 
 
 # --- found -----------------------------------------------------------------------------------------------------------

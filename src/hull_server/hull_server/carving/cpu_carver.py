@@ -73,7 +73,7 @@ class CpuCarver(Immediate):
         )
         self._index = np.empty(grid.brick_count, np.uint32)
         self._leaves = np.empty((grid.brick_count, BRICK_EDGE), np.uint64)
-        self._work = Work.make(len(views.names), self._coarse.sight.shape[1])
+        self._work = Work.make(len(views.names), self._coarse.visibility.shape[1])
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
         """Carve the silhouettes of one frame set, by the rule of :mod:`hull_server.views`.
@@ -170,17 +170,17 @@ def _classify(scene, boxes, block, settled, undecided):  # type: ignore[no-untyp
     for slot in range(scene.present.size):
         if undecided >> slot & 1:
             camera, bit = scene.present[slot], 1 << slot
-            sight = boxes.sight[camera, block]
+            visibility = boxes.visibility[camera, block]
             u0, v0 = np.int64(boxes.pixels[camera, block, 0]), np.int64(boxes.pixels[camera, block, 1])
             u1, v1 = np.int64(boxes.pixels[camera, block, 2]), np.int64(boxes.pixels[camera, block, 3])
             filled = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
-            if sight == SEEN and filled == 0:
+            if visibility == SEEN and filled == 0:
                 return EMPTY, 0, 0
             possible += filled > 0
-            all_foreground = sight == SEEN and filled == (u1 - u0) * (v1 - v0)
+            all_foreground = visibility == SEEN and filled == (u1 - u0) * (v1 - v0)
             settled += all_foreground
-            undecided &= ~(bit * (all_foreground or sight == UNSEEN))
-            partly_blind |= bit * (sight != SEEN)
+            undecided &= ~(bit * (all_foreground or visibility == UNSEEN))
+            partly_blind |= bit * (visibility != SEEN)
     if possible < scene.min_seeing:
         return EMPTY, 0, 0
     return settled, undecided, partly_blind

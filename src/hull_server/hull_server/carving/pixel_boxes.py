@@ -22,11 +22,11 @@ class BlockBoxes(NamedTuple):
     """For every camera and every block of a regular subdivision, the pixels on which its voxel centres lie.
 
     pixels : (N, blocks, 4) int16, u and v from (inclusive), u and v to (exclusive), clipped to the canvas.
-    sight : (N, blocks) uint8, UNSEEN, SEEN or PARTLY_SEEN. A box is conservative: no voxel lies outside it.
+    visibility : (N, blocks) uint8, UNSEEN, SEEN or PARTLY_SEEN. A box is conservative: no voxel lies outside it.
     """
 
     pixels: npt.NDArray[np.int16]
-    sight: npt.NDArray[np.uint8]
+    visibility: npt.NDArray[np.uint8]
 
 
 def pixel_projections(views: RigViews, grid: VoxelGrid) -> npt.NDArray[np.float64]:
@@ -48,10 +48,10 @@ def block_boxes(views: RigViews, grid: VoxelGrid, edge: int, seen_table: npt.NDA
     summed_area(views.seen)."""
     blocks = [-(-count // edge) for count in grid.shape]
     pixels = np.empty((len(views.names), int(np.prod(blocks)), 4), np.int16)
-    sight = np.empty(pixels.shape[:2], np.uint8)
+    visibility = np.empty(pixels.shape[:2], np.uint8)
     projections, shape = pixel_projections(views, grid), np.array(grid.shape, np.int64)
-    _fill_boxes(projections, views.sizes, seen_table, shape, edge, pixels, sight)
-    return BlockBoxes(pixels, sight)
+    _fill_boxes(projections, views.sizes, seen_table, shape, edge, pixels, visibility)
+    return BlockBoxes(pixels, visibility)
 
 
 def rows_within_reach(boxes: BlockBoxes, shape: tuple[int, int, int]) -> npt.NDArray[np.int64]:
@@ -76,7 +76,7 @@ def _fill_reach(pixels, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _fill_boxes(projections, sizes, seen_tables, shape, edge, pixels, sight):  # type: ignore[no-untyped-def]
+def _fill_boxes(projections, sizes, seen_tables, shape, edge, pixels, visibility):  # type: ignore[no-untyped-def]
     nx, ny, nz = (shape[0] + edge - 1) // edge, (shape[1] + edge - 1) // edge, (shape[2] + edge - 1) // edge
     for camera in range(projections.shape[0]):
         for block in range(nx * ny * nz):
@@ -85,7 +85,7 @@ def _fill_boxes(projections, sizes, seen_tables, shape, edge, pixels, sight):  #
             u0, v0, u1, v1, inside = _project_block(projections[camera], (i, j, k), high, sizes[camera])
             pixels[camera, block, 0], pixels[camera, block, 1] = u0, v0
             pixels[camera, block, 2], pixels[camera, block, 3] = u1, v1
-            sight[camera, block] = _classify_sight(seen_tables, camera, u0, v0, u1, v1, inside)
+            visibility[camera, block] = _classify_visibility(seen_tables, camera, u0, v0, u1, v1, inside)
 
 
 @kernel
@@ -119,7 +119,7 @@ def _project_block(P, low, high, size):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _classify_sight(seen_tables, camera, u0, v0, u1, v1, inside):  # type: ignore[no-untyped-def]
+def _classify_visibility(seen_tables, camera, u0, v0, u1, v1, inside):  # type: ignore[no-untyped-def]
     """Classify whether a camera sees none, all, or perhaps some of the voxels of a pixel box."""
     seen = count_in_box(seen_tables, camera, u0, v0, u1, v1)
     if seen == 0:

@@ -184,15 +184,15 @@ def mark_supported(boxes, coarse_boxes, pictures, votes, space, sure, half):  # 
 def _look(boxes, pictures, votes, block):  # type: ignore[no-untyped-def]
     """Return the bits of the voters that show foreground in a block, and of those that see all of it without any."""
     showing, denying = 0, 0
-    for camera in range(boxes.sight.shape[0]):
+    for camera in range(boxes.visibility.shape[0]):
         if votes.voters >> camera & 1:
-            sight, box = boxes.sight[camera, block], boxes.pixels[camera, block]
-            if sight != UNSEEN:
+            visibility, box = boxes.visibility[camera, block], boxes.pixels[camera, block]
+            if visibility != UNSEEN:
                 u0, v0, u1, v1 = int(box[0]), int(box[1]), int(box[2]), int(box[3])
                 if count_in_box(pictures.shown, camera, u0, v0, u1, v1) > 0:
                     showing |= 1 << camera
                 elif (
-                    sight == SEEN
+                    visibility == SEEN
                     and votes.proven >> camera & 1
                     and count_in_box(pictures.sent, camera, u0, v0, u1, v1) == 0
                 ):
@@ -205,8 +205,8 @@ def _mark_block(boxes, block, seen_by, votes, sure, half):  # type: ignore[no-un
     """Mark a block in the pictures of the cameras whose others support it; return the bits of those that agree."""
     showing, denying = seen_by
     agreed = 0
-    for camera in range(boxes.sight.shape[0]):
-        if boxes.sight[camera, block] != UNSEEN:
+    for camera in range(boxes.visibility.shape[0]):
+        if boxes.visibility[camera, block] != UNSEEN:
             supporters = popcount(np.uint64(showing & ~(1 << camera)))
             deniers = popcount(np.uint64(denying & ~(1 << camera)))
             if supporters >= 2 and supporters >= deniers:
@@ -231,10 +231,10 @@ def count_witnesses(boxes, witnesses, space, passed, poorly):  # type: ignore[no
         for y in range(space.inner[0, 1], space.inner[1, 1]):
             for x in range(space.inner[0, 0], space.inner[1, 0]):
                 block, seeing = (z * space.blocks[1] + y) * space.blocks[0] + x, 0
-                for camera in range(boxes.sight.shape[0]):
-                    if witnesses >> camera & 1 and boxes.sight[camera, block] == SEEN:
+                for camera in range(boxes.visibility.shape[0]):
+                    if witnesses >> camera & 1 and boxes.visibility[camera, block] == SEEN:
                         seeing |= 1 << camera
-                for camera in range(boxes.sight.shape[0]):
+                for camera in range(boxes.visibility.shape[0]):
                     poor = popcount(np.uint64(seeing & ~(1 << camera))) < 2
                     box = boxes.pixels[camera, block]
                     for row in range(box[1], box[3]):

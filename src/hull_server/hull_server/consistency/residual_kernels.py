@@ -142,11 +142,11 @@ def _classify_block(boxes, tables, voting, block, votes):  # type: ignore[no-unt
     for slot in range(voting.cameras.size):
         if undecided >> slot & 1:
             camera, bit = voting.cameras[slot], 1 << slot
-            sight, box = boxes.sight[camera, block], boxes.pixels[camera, block]
+            visibility, box = boxes.visibility[camera, block], boxes.pixels[camera, block]
             u0, v0, u1, v1 = int(box[0]), int(box[1]), int(box[2]), int(box[3])
-            if sight == UNSEEN:
+            if visibility == UNSEEN:
                 undecided &= ~bit
-            elif sight == SEEN:
+            elif visibility == SEEN:
                 area = count_in_box(tables, camera, u0, v0, u1, v1)
                 if area == 0:
                     undecided, vetoed = undecided & ~bit, vetoed | bit

@@ -84,17 +84,17 @@ int foreground_in(int camera, ivec4 pixels) {
     return texelFetch(frame, bottom + high.x).r - texelFetch(frame, top + high.x).r
          - texelFetch(frame, bottom + low.x).r + texelFetch(frame, top + low.x).r;
 }
-void classify(int camera, ivec4 pixels, uint sight, inout State state) {
+void classify(int camera, ivec4 pixels, uint visibility, inout State state) {
     uint bit = 1u << camera;
     int filled = foreground_in(camera, pixels);
-    bool all_foreground = sight == SEEN && filled == (pixels.z - pixels.x) * (pixels.w - pixels.y);
-    state.empty = state.empty || (sight == SEEN && filled == 0);
+    bool all_foreground = visibility == SEEN && filled == (pixels.z - pixels.x) * (pixels.w - pixels.y);
+    state.empty = state.empty || (visibility == SEEN && filled == 0);
     state.possible += filled > 0 ? 1 : 0;
     state.settled += all_foreground ? 1 : 0;
-    if (all_foreground || sight == UNSEEN) state.undecided &= ~bit;
-    if (sight != SEEN) state.partly_blind |= bit;
+    if (all_foreground || visibility == UNSEEN) state.undecided &= ~bit;
+    if (visibility != SEEN) state.partly_blind |= bit;
 }
-void classify_packed(int camera, uvec2 b, inout State state) {      // 15 bits a coordinate, 2 bits of sight
+void classify_packed(int camera, uvec2 b, inout State state) {      // 15 bits a coordinate, 2 bits of visibility
     classify(camera, ivec4(b.x & 0x7fffu, b.x >> 15 & 0x7fffu, b.y & 0x7fffu, b.y >> 15), b.x >> 30, state);
 }
 """
@@ -182,8 +182,8 @@ void main() {
         int camera = findLSB(left);
         ivec4 pixels = project_box(camera, low, vec3(size - 1));
         bool on_canvas = pixels.x < pixels.z && pixels.y < pixels.w;
-        uint sight = (partly_blind >> camera & 1u) == 0u ? SEEN : on_canvas ? PARTLY_SEEN : UNSEEN;
-        classify(camera, pixels, sight, state);
+        uint visibility = (partly_blind >> camera & 1u) == 0u ? SEEN : on_canvas ? PARTLY_SEEN : UNSEEN;
+        classify(camera, pixels, visibility, state);
     }
     if (state.empty || state.possible < min_seeing) return;
     if (state.undecided == 0u) {

@@ -171,13 +171,13 @@ class GlCarver:
             )
 
     def _boxes(self, edge: int) -> np.ndarray:
-        """Pack pixel boxes (N, blocks, 2) uint32: u, v from, in 15 bits each, and sight in the two bits above; u, v
-        to."""
+        """Pack pixel boxes (N, blocks, 2) uint32: u, v from, in 15 bits each, and visibility in the two bits above;
+        u, v to."""
         boxes = block_boxes(self.views, self.grid, edge, summed_area(self.views.seen))
         pixels = boxes.pixels.astype(np.uint32)
-        pixels[boxes.sight == UNSEEN] = 0
+        pixels[boxes.visibility == UNSEEN] = 0
         words = pixels[..., 0::2] | pixels[..., 1::2] << 15
-        words[..., 0] |= boxes.sight.astype(np.uint32) << 30
+        words[..., 0] |= boxes.visibility.astype(np.uint32) << 30
         return words
 
     def _carve_step_by_step(self, buffers: BufferSet) -> Iterator[str]:

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -87,9 +87,13 @@ class KnownBodySource:
         return True
 
     def __init__(
-        self, settings: TPoseSettings, body: Body, sight: Sight | None = None, girths: LimbGirths | None = None
+        self,
+        settings: TPoseSettings,
+        body: Body,
+        visibility: RigVisibility | None = None,
+        girths: LimbGirths | None = None,
     ) -> None:
-        self._settings, self._body, self._sight, self._girths = settings, body, sight, girths
+        self._settings, self._body, self._visibility, self._girths = settings, body, visibility, girths
         figure = Figure.of(body)
         self._figure = figure._replace(surface=(girths or LimbGirths()).on(figure.surface))
         self._agreed: list[np.ndarray] = []
@@ -128,7 +132,7 @@ class KnownBodySource:
         voxels = seen.voxels
         if len(voxels) < FEWEST_VOXELS:
             raise PoseRejected("no hull" if len(voxels) == 0 else "the hull is too small")
-        upright, crown = measure_upright_of_stature(voxels.points_world, self._body.stature, CROUCH, self._sight)
+        upright, crown = measure_upright_of_stature(voxels.points_world, self._body.stature, CROUCH, self._visibility)
         start = self._best_start(upright, crown, voxels)
         fits = [self._fitted(seen, voxels, upright, pose) for pose in (start, _turned_round(start))]
         other, best = sorted(fits, key=lambda fitted: fitted.facing)

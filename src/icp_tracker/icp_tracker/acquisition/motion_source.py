@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_rig.settings import setting
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -28,8 +28,8 @@ from ..monitor.pose_library import arms_exchanged, legs_exchanged, sides_exchang
 from .body_parts import evidence_of_feet
 from .body_sizes import BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
+from .truncation import FEET, HEAD, Stance, cut_parts, what_to_do
 from .upright import FEWEST_VOXELS, Upright, pitch_of, stance_of
-from .visibility import FEET, HEAD, Stance, cut_parts, what_to_do
 from .walking_poses import natural_poses
 
 NS_PER_S = 1e9
@@ -99,12 +99,12 @@ class MotionSource:
     def __init__(
         self,
         settings: MotionSettings,
-        sight: Sight | None = None,
+        visibility: RigVisibility | None = None,
         stature_m: tuple[float, float] = (1.2, 2.2),
         known: Body | None = None,
     ) -> None:
-        """sight : where the rig shows a body; None: everywhere. stature_m : least and largest; known : whose it is."""
-        self._settings, self._sight, self._stature_m, self._known = settings, sight, stature_m, known
+        """visibility : of the rig; None: everything is seen. stature_m : least and largest; known : whose it is."""
+        self._settings, self._visibility, self._stature_m, self._known = settings, visibility, stature_m, known
         self._fit_settings = ArticulatedSettings()
         self.reset()
 
@@ -127,7 +127,7 @@ class MotionSource:
             return InitialPose(reason=NO_HULL)
         pitch = pitch_of(voxels)
         stance = stance_of(voxels, pitch)
-        cut = () if self._sight is None else cut_parts(voxels, stance, pitch, self._sight)
+        cut = () if self._visibility is None else cut_parts(voxels, stance, pitch, self._visibility)
         if not 0 <= seen.stamp_ns - self._last_ns <= GAP_S * NS_PER_S:
             self.reset()
         self._last_ns = seen.stamp_ns
@@ -136,7 +136,7 @@ class MotionSource:
             self.reset()
             return InitialPose(reason=f"no adult's height: {stance.stature:.2f} m")
         line, settings = seen.centerline, self._fit_settings
-        data = make_data(line.points_world, line.sigma, seen.voxels, settings, seen.contour_rays, self._sight)
+        data = make_data(line.points_world, line.sigma, seen.voxels, settings, seen.contour_rays, self._visibility)
         if len(data.contour_rays.information) == 0:
             self.reset()
             return InitialPose(reason="no outlines")
@@ -243,8 +243,8 @@ class MotionSource:
         best = rivals[0]
         rivals_sets = max(other.sets for other in rivals)
         watched_s = (stamp_ns - self._began_ns) / NS_PER_S
-        if cut and self._sight is not None:
-            told = what_to_do(cut, stance, self._sight)
+        if cut and self._visibility is not None:
+            told = what_to_do(cut, stance, self._visibility)
         else:
             told = f"somebody is here: watched for {min(watched_s, settings.watch_s):.1f} of {settings.watch_s:.1f} s"
         if cut:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, load_thickness
@@ -49,20 +49,22 @@ class InitialPoseSettings:
     motion: MotionSettings = setting(MotionSettings, "who is followed without one")
 
 
-def make_pose_source(settings: InitialPoseSettings, body_file: str = "", sight: Sight | None = None) -> PoseSource:
+def make_pose_source(
+    settings: InitialPoseSettings, body_file: str = "", visibility: RigVisibility | None = None
+) -> PoseSource:
     """Return the source the settings choose; the body of ``body_file``, when given, replaces the one the source brings.
 
-    A known body needs no T-pose: anything near one will do. ``sight`` is where hulls show a body. Raises InputError
+    A known body needs no T-pose: anything near one will do. ``visibility`` is that of the rig. Raises InputError
     naming parameter or file, value and remedy.
     """
     body = load_body(body_file) if body_file else None
     if settings.source in HULL_SOURCES:
         girths = LimbGirths.of(load_thickness(body_file)) if body_file else None
-        held: TPoseSource | KnownBodySource = TPoseSource(settings.t_pose, sight)
+        held: TPoseSource | KnownBodySource = TPoseSource(settings.t_pose, visibility)
         if body is not None:
-            held = KnownBodySource(settings.t_pose, body, sight, girths)
+            held = KnownBodySource(settings.t_pose, body, visibility, girths)
         stature = (settings.t_pose.stature_low_m, settings.t_pose.stature_high_m)
-        moving = MotionSource(settings.motion, sight, stature, body)
+        moving = MotionSource(settings.motion, visibility, stature, body)
         return held if settings.source == T_POSE else AnyPoseSource(held, moving)
     if settings.source == "file":
         return _from_file(settings.file, body)

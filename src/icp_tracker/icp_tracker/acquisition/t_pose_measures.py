@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_rig.settings import setting
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 
 from .body_parts import Arm, Legs, facing, find_arms, find_legs
 from .upright import FEWEST_OF_A_PART, FEWEST_VOXELS, PoseRejected, Upright, measure_upright, reject_leaning
@@ -72,11 +72,11 @@ class TPose:
 
 
 def measure_t_pose(
-    voxels_world: np.ndarray | None, settings: TPoseSettings | None = None, sight: Sight | None = None
+    voxels_world: np.ndarray | None, settings: TPoseSettings | None = None, visibility: RigVisibility | None = None
 ) -> TPose:
     """Measure a T-pose on the hull voxels (m, 3) of one body, metres, z up.
 
-    sight : where the rig shows a body; None: everywhere. Raises PoseRejected, with the reason, for what is no T-pose.
+    visibility : of the rig; None: everything is seen. Raises PoseRejected, with the reason, for what is no T-pose.
     Which way the body faces is a likelihood: whether it is enough is for the caller to say.
     """
     settings = settings or TPoseSettings()
@@ -85,7 +85,7 @@ def measure_t_pose(
     if len(voxels_world) < FEWEST_VOXELS:
         raise PoseRejected(f"the hull is too small: {len(voxels_world)} voxels, {FEWEST_VOXELS} needed")
     voxels_world = np.asarray(voxels_world, dtype=np.float64)
-    body = measure_upright(voxels_world, settings.stature_low_m, settings.stature_high_m, sight)
+    body = measure_upright(voxels_world, settings.stature_low_m, settings.stature_high_m, visibility)
     legs = find_legs(body)
     reject_leaning(body)
     arms = find_arms(body)

@@ -6,7 +6,7 @@ from collections import deque
 
 import numpy as np
 
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -31,8 +31,8 @@ class TPoseSource:
     def needs_voxels(self) -> bool:
         return True
 
-    def __init__(self, settings: TPoseSettings, sight: Sight | None = None) -> None:
-        self._settings, self._sight = settings, sight
+    def __init__(self, settings: TPoseSettings, visibility: RigVisibility | None = None) -> None:
+        self._settings, self._visibility = settings, visibility
         self._held: deque[tuple[int, TPose]] = deque(maxlen=settings.hold_sets)
 
     @property
@@ -42,7 +42,7 @@ class TPoseSource:
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
         """Return the pose and the measured body, or the reason why there is none yet."""
-        measured, reason = find_t_pose(seen, self._settings, self._sight)
+        measured, reason = find_t_pose(seen, self._settings, self._visibility)
         if measured is None:
             self._held.clear()
             return InitialPose(reason=reason)
@@ -71,12 +71,14 @@ class TPoseSource:
         return ""
 
 
-def find_t_pose(seen: HullProducts, settings: TPoseSettings, sight: Sight | None = None) -> tuple[TPose | None, str]:
+def find_t_pose(
+    seen: HullProducts, settings: TPoseSettings, visibility: RigVisibility | None = None
+) -> tuple[TPose | None, str]:
     """Return the one body that stands in the pose; or None, and of each body the reason why it does not."""
     found, reasons = [], {}
     for number, voxels in seen.voxels_of_bodies().items():
         try:
-            found.append(measure_t_pose(voxels, settings, sight))
+            found.append(measure_t_pose(voxels, settings, visibility))
         except PoseRejected as refusal:
             reasons[number] = refusal.reason
     if len(found) == 1:

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 
-from .visibility import HEAD, TYPICAL_STATURE_M, Stance, cut_parts, what_to_do
+from .truncation import HEAD, TYPICAL_STATURE_M, Stance, cut_parts, what_to_do
 
 
 class PoseRejected(Exception):
@@ -72,14 +72,14 @@ class Upright:
 
 
 def measure_upright(
-    voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float, sight: Sight | None
+    voxels_world: np.ndarray, stature_low_m: float, stature_high_m: float, visibility: RigVisibility | None
 ) -> Upright:
     """Find floor, stature and the axis of the arms on hull voxels (m, 3) of one body, z up.
 
     Raises PoseRejected when the rig does not show all of it, or it is no single upright body.
     """
     pitch = pitch_of(voxels_world)
-    reject_cut_off(voxels_world, pitch, sight)
+    reject_cut_off(voxels_world, pitch, visibility)
     low, high = np.percentile(voxels_world[:, 2], [TRIMMED, 100.0 - TRIMMED])
     low, high = low - pitch / 2, high + pitch / 2
     floor = _floor(low)
@@ -93,14 +93,14 @@ def measure_upright(
 
 
 def measure_upright_of_stature(
-    voxels_world: np.ndarray, stature_m: float, crouch: float, sight: Sight | None
+    voxels_world: np.ndarray, stature_m: float, crouch: float, visibility: RigVisibility | None
 ) -> tuple[Upright, float]:
     """Find the axis of the arms of a body of known stature, whose hands may be above its head, and its crown's height.
 
     Raises PoseRejected when the rig does not show all of it, or the crown is lower than ``crouch`` of the stature.
     """
     pitch = pitch_of(voxels_world)
-    reject_cut_off(voxels_world, pitch, sight)
+    reject_cut_off(voxels_world, pitch, visibility)
     body = _in_its_frame(
         voxels_world, _floor(float(np.percentile(voxels_world[:, 2], TRIMMED)) - pitch / 2), stature_m, pitch
     )
@@ -130,16 +130,16 @@ def pitch_of(voxels_world: np.ndarray) -> float:
     return float(np.diff(layers).min()) if len(layers) > 1 else 0.0
 
 
-def reject_cut_off(voxels_world: np.ndarray, pitch: float, sight: Sight | None) -> None:
+def reject_cut_off(voxels_world: np.ndarray, pitch: float, visibility: RigVisibility | None) -> None:
     """Raises PoseRejected, with what to do, when some part of the body is where the rig does not show it."""
-    if sight is None:
+    if visibility is None:
         return
     stance = stance_of(voxels_world, pitch)
-    parts = cut_parts(voxels_world, stance, pitch, sight)
+    parts = cut_parts(voxels_world, stance, pitch, visibility)
     if HEAD in parts:
         stance = replace(stance, stature=max(stance.stature, TYPICAL_STATURE_M))
     if parts:
-        raise PoseRejected(what_to_do(parts, stance, sight))
+        raise PoseRejected(what_to_do(parts, stance, visibility))
 
 
 def stance_of(voxels_world: np.ndarray, pitch: float) -> Stance:

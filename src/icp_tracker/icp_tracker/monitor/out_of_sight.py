@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from capture_rig.sight import UnseenCells
+from capture_rig.visibility import UnseenCells
 from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES, PART_POINTS, TrackQuality
 from stick_figure.body import Body
 from stick_figure.kinematics import forward

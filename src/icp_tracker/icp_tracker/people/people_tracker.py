@@ -23,7 +23,7 @@ from stick_figure.body import Body
 from ..acquisition.pose_source import HULL_SOURCES
 from ..acquisition.upright import reasons_of_bodies
 from ..settings import MOST_PERSONS, IcpNodeSettings
-from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker, sight_of
+from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker, visibility_of
 from .association import Association, Expected, associate_parts, associate_rows, is_ghost
 from .identity import ALIKE, IdentityCheck, Verdict, sizes_apart
 
@@ -355,11 +355,11 @@ def _place_of(seen: HullProducts, part: int) -> np.ndarray:
 
 
 def make_people_tracker(settings: IcpNodeSettings, rig: Rig | None = None, min_seeing: int = 0) -> PeopleTracker:
-    """Make a tracker of everybody; first poses come from where the settings say; rig, min_seeing as of `sight_of`.
+    """Make a tracker of everybody; first poses come from where the settings say; rig, min_seeing as of `visibility_of`.
 
     A pose from a file or a session is that of one person: then nobody else is followed. Raises InputError for files
     that cannot be used.
     """
     most = settings.people.max if settings.initial_pose.source in HULL_SOURCES else 1
-    sight = sight_of(settings, rig, min_seeing)
-    return PeopleTracker(lambda: make_tracker(settings, sight), most)
+    visibility = visibility_of(settings, rig, min_seeing)
+    return PeopleTracker(lambda: make_tracker(settings, visibility), most)

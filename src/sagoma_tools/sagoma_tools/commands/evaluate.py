@@ -11,8 +11,8 @@ from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
-from capture_rig.sight import Sight
 from capture_rig.video_findings import VideoFacts, ended_findings
+from capture_rig.visibility import RigVisibility
 from mocap_pipeline.configuration import Configuration
 from sagoma_bringup.first_pose import start_settings
 
@@ -130,7 +130,7 @@ def people_scores(session: Session, tracks: Mapping[int, Track]) -> PeopleScores
     """Return everybody's scores; None for a session of one person."""
     if len(session.truths) < 2:
         return None
-    return score_people(tracks, session.truths, session.fps, Sight(session.rig))
+    return score_people(tracks, session.truths, session.fps, RigVisibility(session.rig))
 
 
 def ablation_scores(session: Session, tracks: Mapping[str, Track]) -> dict[str, Scores | None]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_rig.session import Truth
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 from mocap_packets.state import Tracking
 
 from .scores import OVERALL, Scores, number, score
@@ -78,12 +78,12 @@ class PeopleScores:
 
 
 def score_people(
-    tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float, sight: Sight | None = None
+    tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float, visibility: RigVisibility | None = None
 ) -> PeopleScores:
     """Score the tracks of persons 1, 2, ... against the truths of a session of ``fps`` frames a second.
 
-    Where a track says that it has lost its person it is not looked at: that person may have left. With ``sight`` errors
-    count of those points alone that the rig shows.
+    Where a track says that it has lost its person it is not looked at: that person may have left. With ``visibility``
+    errors count of those points alone that the rig shows.
     """
     tracks = {person: track.chosen(track.states != LOST) for person, track in sorted(tracks.items())}
     distances = {person: distances_m(track, truths) for person, track in tracks.items() if len(track)}
@@ -95,7 +95,7 @@ def score_people(
         switches = max(len(numbers) - 1, 0)
         switches += sum(changes(distances[person], patience) for person in numbers)
         first = tracks[numbers[0]] if numbers else None
-        persons.append(PersonScores(place, numbers, switches, _scores(first, truth, sight)))
+        persons.append(PersonScores(place, numbers, switches, _scores(first, truth, visibility)))
     ghosts = tuple(person for person, owner in owners.items() if owner is None)
     astray = {
         int(frame)
@@ -106,12 +106,12 @@ def score_people(
     return PeopleScores(tuple(persons), ghosts, len(astray))
 
 
-def shown(truth: Truth, sight: Sight) -> Truth:
+def shown(truth: Truth, visibility: RigVisibility) -> Truth:
     """Return the truth without the points that lie where hulls show nothing."""
     points = truth.points_world.copy()
     flat = points.reshape(-1, 3)
     known = np.flatnonzero(np.isfinite(flat).all(axis=1))
-    flat[known[~sight.shows(flat[known])]] = np.nan
+    flat[known[~visibility.shows(flat[known])]] = np.nan
     return replace(truth, points_world=points)
 
 
@@ -167,8 +167,8 @@ def main_track(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float)
     return tracks[of_first[0]] if of_first else first
 
 
-def _scores(track: Track | None, truth: Truth, sight: Sight | None) -> Scores | None:
-    truth = truth if sight is None else shown(truth, sight)
+def _scores(track: Track | None, truth: Truth, visibility: RigVisibility | None) -> Scores | None:
+    truth = truth if visibility is None else shown(truth, visibility)
     if track is None or not np.isin(truth.frames, track.frames).any():
         return None
     return score(track, truth)

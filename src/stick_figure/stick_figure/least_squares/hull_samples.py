@@ -2,7 +2,7 @@
 
 A stick point is asked at every iteration whether some sample is near; nearly always one is, and it is found in the
 point's own cell or a neighbouring one. Only points outside the hull are compared with all samples. Where too few
-cameras see for a hull (``capture_rig/sight.py``) a body may be though no sample is: such a place counts as hull.
+cameras see for a hull (``capture_rig/visibility.py``) a body may be though no sample is: such a place counts as hull.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from capture_rig.kernel import kernel
-from capture_rig.sight import EVERYWHERE, UnseenCells, is_unseen
+from capture_rig.visibility import EVERYWHERE, UnseenCells, is_unseen
 
 CELL_M = 0.05  # a cell and its neighbours count as hull: within 0.05 to 0.1 m of a sample
 NONE = -1

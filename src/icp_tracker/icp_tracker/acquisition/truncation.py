@@ -1,4 +1,4 @@
-"""Parts of a body that a rig does not show: which are cut off, which camera does not see them, where to step.
+"""Truncation of a body by the volume and the views: which parts are cut off, which camera misses them, where to step.
 
 Outside the volume, and where too few cameras see, a hull ends although the body goes on. A part of which the hull ends
 there is unknown: it may not be measured. The step is the smallest one within the volume after which enough cameras see
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from capture_rig.camera import CameraModel
-from capture_rig.sight import Sight
+from capture_rig.visibility import RigVisibility
 
 FEET, HEAD, LEFT_HAND, RIGHT_HAND, BODY = "feet", "head", "left hand", "right hand", "body"
 HAND = "hand"  # of a person whose front is not known
@@ -67,20 +67,20 @@ _T_POSE = {
 }
 
 
-def at_the_cut(voxels_world: np.ndarray, pitch: float, sight: Sight) -> np.ndarray:
+def at_the_cut(voxels_world: np.ndarray, pitch: float, visibility: RigVisibility) -> np.ndarray:
     """Return which voxels (m,) bool of a hull have a neighbour that the rig cannot show, above the floor."""
     cut = np.zeros(len(voxels_world), dtype=bool)
     for axis in range(3):
         for way in (-1.0, 1.0):
             beyond = voxels_world.copy()
             beyond[:, axis] += way * REACH_VOXELS * pitch
-            cut |= ~sight.shows(beyond) & (beyond[:, 2] > sight.volume.low[2] + pitch)
+            cut |= ~visibility.shows(beyond) & (beyond[:, 2] > visibility.volume.low[2] + pitch)
     return cut
 
 
-def cut_parts(voxels_world: np.ndarray, stance: Stance, pitch: float, sight: Sight) -> tuple[str, ...]:
+def cut_parts(voxels_world: np.ndarray, stance: Stance, pitch: float, visibility: RigVisibility) -> tuple[str, ...]:
     """Name the parts of a hull (m, 3) that are cut off where the rig sees no farther."""
-    cut = at_the_cut(voxels_world, pitch, sight)
+    cut = at_the_cut(voxels_world, pitch, visibility)
     if np.count_nonzero(cut) < FEWEST_CUT:
         return ()
     flat = voxels_world[:, :2] - stance.place_world
@@ -113,26 +113,26 @@ def _tip(arms: np.ndarray, outwards: np.ndarray) -> np.ndarray:
     return side & (outwards > outwards[side].max(initial=0.0) - TIP_M)
 
 
-def what_to_do(parts: tuple[str, ...], stance: Stance, sight: Sight) -> str:
+def what_to_do(parts: tuple[str, ...], stance: Stance, visibility: RigVisibility) -> str:
     """Say in one sentence what is not seen, by which cameras, and where to step or which camera to turn."""
     names = [_told(part, stance) for part in parts]
     yours = "you" if parts == (BODY,) else "your " + " and ".join(dict.fromkeys(names))
     places = stance.places_of() if parts == (BODY,) else np.concatenate([stance.places_of(part) for part in parts])
-    inside, seen = sight.in_volume(places), sight.seen_by(places)
-    blind = [name for name, sees in zip(sight.names, seen[inside].T, strict=True) if not sees.all()]
+    inside, seen = visibility.in_volume(places), visibility.seen_by(places)
+    blind = [name for name, sees in zip(visibility.names, seen[inside].T, strict=True) if not sees.all()]
     if not inside.all() or not blind:
         be = "are" if yours == "you" or "feet" in yours or len(set(names)) > 1 else "is"
         what = f"{yours} {be} partly outside the volume"
     else:
         what = f"{_listed(blind)} {'does' if len(blind) == 1 else 'do'} not see {yours}"
         what = what.replace("see you", "see all of you") if yours == "you" else what
-    step = smallest_step(stance, sight)
+    step = smallest_step(stance, visibility)
     if step is not None:
-        return f"{what}: {_said(step, stance, sight)}"
-    return f"{what}: {_turn(stance, sight)}"
+        return f"{what}: {_said(step, stance, visibility)}"
+    return f"{what}: {_turn(stance, visibility)}"
 
 
-def smallest_step(stance: Stance, sight: Sight) -> np.ndarray | None:
+def smallest_step(stance: Stance, visibility: RigVisibility) -> np.ndarray | None:
     """Return the smallest step (2,) m after which a T-pose of this stance is shown whole; None if there is no place."""
     places = stance.places_of()
     spread = MARGIN_M * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], float)
@@ -141,10 +141,11 @@ def smallest_step(stance: Stance, sight: Sight) -> np.ndarray | None:
     for length in np.arange(STEP_M, FARTHEST_M, STEP_M):
         steps = length * np.column_stack([np.cos(angles), np.sin(angles)])
         stands = (
-            (stance.place_world + steps >= sight.volume.low[:2]) & (stance.place_world + steps <= sight.volume.high[:2])
+            (stance.place_world + steps >= visibility.volume.low[:2])
+            & (stance.place_world + steps <= visibility.volume.high[:2])
         ).all(axis=1)
         moved = places + np.column_stack([steps, np.zeros(DIRECTIONS)])[:, None]
-        shown = sight.shows(moved.reshape(-1, 3)).reshape(DIRECTIONS, -1).all(axis=1) & stands
+        shown = visibility.shows(moved.reshape(-1, 3)).reshape(DIRECTIONS, -1).all(axis=1) & stands
         if shown.any():
             return np.asarray(steps[int(np.argmax(shown))])
     return None
@@ -158,7 +159,7 @@ def _listed(names: list[str]) -> str:
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
 
 
-def _said(step: np.ndarray, stance: Stance, sight: Sight) -> str:
+def _said(step: np.ndarray, stance: Stance, visibility: RigVisibility) -> str:
     """Put a step into words: about where the person faces, or towards a camera when that is not known."""
     length = float(np.linalg.norm(step))
     if abs(stance.facing) >= SURE_FACING:
@@ -166,7 +167,7 @@ def _said(step: np.ndarray, stance: Stance, sight: Sight) -> str:
         ahead, left = step @ forward, step @ np.array([-forward[1], forward[0]])
         words = (*WORDS, *WORDS_RIGHT)
         return f"step {length:.1f} m {words[round(float(np.arctan2(left, ahead)) / (np.pi / 4)) % 8]}"
-    ways = [(camera.centre_world[:2] - stance.place_world, camera.name) for camera in sight.rig.cameras]
+    ways = [(camera.centre_world[:2] - stance.place_world, camera.name) for camera in visibility.rig.cameras]
     along = {name: float(step @ way / max(np.linalg.norm(way), 1e-6)) for way, name in ways}
     toward, away = max(along, key=along.__getitem__), min(along, key=along.__getitem__)
     if along[toward] >= -along[away]:
@@ -174,15 +175,15 @@ def _said(step: np.ndarray, stance: Stance, sight: Sight) -> str:
     return f"step {length:.1f} m away from {away}"
 
 
-def _turn(stance: Stance, sight: Sight) -> str:
+def _turn(stance: Stance, visibility: RigVisibility) -> str:
     """Say which camera to turn so that somebody in the middle of the volume is seen."""
-    middle = 0.5 * (sight.volume.low + sight.volume.high)[:2]
+    middle = 0.5 * (visibility.volume.low + visibility.volume.high)[:2]
     places = stance.moved(middle - stance.place_world).places_of()
-    if not sight.in_volume(places).all():
+    if not visibility.in_volume(places).all():
         return "the volume is too small for a T-pose"
-    missed = (~sight.seen_by(places)).sum(axis=0)
-    camera = sight.rig.cameras[int(np.argmax(missed))]
-    return f"no place in the volume is seen by {sight.needed} cameras; {_turned(camera, places)}"
+    missed = (~visibility.seen_by(places)).sum(axis=0)
+    camera = visibility.rig.cameras[int(np.argmax(missed))]
+    return f"no place in the volume is seen by {visibility.needed} cameras; {_turned(camera, places)}"
 
 
 def _turned(camera: CameraModel, places_world: np.ndarray) -> str:

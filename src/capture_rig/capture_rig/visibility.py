@@ -1,4 +1,4 @@
-"""Where a rig can show a body: the part of its volume that enough cameras see.
+"""Visibility of the capture volume: which cameras of a rig see a place, and where enough of them do for a hull.
 
 Outside of it a hull is empty although a body may go on there, so what a hull lacks there is unknown, not absent.
 """
@@ -82,8 +82,8 @@ EVERYWHERE = UnseenCells(np.zeros(3), np.zeros((0, 0, 0), np.bool_))
 """The map of a rig that is not known."""
 
 
-class Sight:
-    """What each camera of a rig sees, and where enough of them do. All points (n, 3) world frame, metres."""
+class RigVisibility:
+    """What each camera of a rig sees of space, and where enough of them do. Points (n, 3) world frame, metres."""
 
     def __init__(self, rig: Rig, requested_seeing: int = 0) -> None:
         """``requested_seeing`` is the hull's setting ``min_seeing``."""

@@ -3,61 +3,61 @@
 import numpy as np
 import pytest
 
-from capture_rig.sight import CELL_M, EVERYWHERE, Sight, min_seeing
+from capture_rig.visibility import CELL_M, EVERYWHERE, RigVisibility, min_seeing
 from virtual_studio.rig import narrowed, ring, tilted, with_camera
 
 RING = ring(3, ceiling=False)
-SIGHT = Sight(with_camera(RING, 2, tilted(RING.cameras[2], 0.24)))
+VISIBILITY = RigVisibility(with_camera(RING, 2, tilted(RING.cameras[2], 0.24)))
 FEET, CHEST = np.array([[0.0, 0.0, 0.02]]), np.array([[0.0, 0.0, 1.2]])
 
 
 def random_places(count=2000):
     rng = np.random.default_rng(1)
-    return rng.uniform(SIGHT.volume.low - 0.3, SIGHT.volume.high + 0.3, (count, 3))
+    return rng.uniform(VISIBILITY.volume.low - 0.3, VISIBILITY.volume.high + 0.3, (count, 3))
 
 
 def test_tilted_camera_does_not_see_the_floor_near_it():
-    near = 0.5 * SIGHT.rig.cameras[2].centre_world[:2] / np.linalg.norm(SIGHT.rig.cameras[2].centre_world[:2])
+    near = 0.5 * VISIBILITY.rig.cameras[2].centre_world[:2] / np.linalg.norm(VISIBILITY.rig.cameras[2].centre_world[:2])
     feet = np.array([[*near, 0.02]])
-    assert SIGHT.seen_by(feet).tolist() == [[True, True, False]]
-    assert not SIGHT.shows(feet)[0] and SIGHT.shows(CHEST)[0]
+    assert VISIBILITY.seen_by(feet).tolist() == [[True, True, False]]
+    assert not VISIBILITY.shows(feet)[0] and VISIBILITY.shows(CHEST)[0]
 
 
 def test_camera_that_more_than_the_rest_need_may_miss_a_place():
     six = ring(5)
-    five_see = Sight(with_camera(six, 2, tilted(six.cameras[2], 0.5)))
+    five_see = RigVisibility(with_camera(six, 2, tilted(six.cameras[2], 0.5)))
     assert five_see.seen_by(FEET).sum() == 5 and five_see.needed == 4 and five_see.shows(FEET)[0]
-    assert not Sight(five_see.rig, requested_seeing=6).shows(FEET)[0]
+    assert not RigVisibility(five_see.rig, requested_seeing=6).shows(FEET)[0]
 
 
 def test_seen_by_is_the_projection_with_the_lens():
     places = random_places(300)
-    for number, camera in enumerate(SIGHT.rig.cameras):
+    for number, camera in enumerate(VISIBILITY.rig.cameras):
         pixels = camera.project(places)
         inside = ((pixels > 1.0) & (pixels < [camera.width - 2.0, camera.height - 2.0])).all(axis=1)
         outside = ~((pixels > -2.0) & (pixels < [camera.width + 1.0, camera.height + 1.0])).all(axis=1)
-        seen = SIGHT.seen_by(places)[:, number]
+        seen = VISIBILITY.seen_by(places)[:, number]
         assert seen[inside].all() and not seen[outside].any() and inside.any() and outside.any()
 
 
 def test_cells_are_unseen_where_any_place_in_them_is():
-    places, cells = random_places(), SIGHT.unseen_cells
+    places, cells = random_places(), VISIBILITY.unseen_cells
     places = places[places[:, 2] > cells.low[2]]
     unseen = cells.at(places)
-    assert unseen[~SIGHT.shows(places)].all()
-    assert not unseen.all() and np.mean(unseen != ~SIGHT.shows(places)) < 0.15  # the cells at the border
+    assert unseen[~VISIBILITY.shows(places)].all()
+    assert not unseen.all() and np.mean(unseen != ~VISIBILITY.shows(places)) < 0.15  # the cells at the border
 
 
 def test_below_the_floor_nothing_is_unseen_and_beside_the_volume_all_is():
-    low, high = SIGHT.volume.low, SIGHT.volume.high
-    assert not SIGHT.unseen_cells.at(np.array([[0.0, 0.0, low[2] - 0.2]]))[0]
+    low, high = VISIBILITY.volume.low, VISIBILITY.volume.high
+    assert not VISIBILITY.unseen_cells.at(np.array([[0.0, 0.0, low[2] - 0.2]]))[0]
     beside = np.array([[high[0] + 0.1, 0.0, 1.0], [0.0, low[1] - 0.1, 1.0], [0.0, 0.0, high[2] + 0.1]])
-    assert SIGHT.unseen_cells.at(beside).all()
+    assert VISIBILITY.unseen_cells.at(beside).all()
     assert not EVERYWHERE.at(beside).any()
 
 
 def test_widened_map_reaches_one_cell_farther():
-    cells = SIGHT.unseen_cells
+    cells = VISIBILITY.unseen_cells
     wide = cells.widened()
     assert (wide.unseen | ~cells.unseen).all() and wide.unseen.sum() > cells.unseen.sum()
     places = random_places(500)
@@ -68,9 +68,9 @@ def test_widened_map_reaches_one_cell_farther():
 
 
 def test_narrow_lens_sees_less():
-    narrow = Sight(with_camera(RING, 0, narrowed(RING.cameras[0], 1.5)))
+    narrow = RigVisibility(with_camera(RING, 0, narrowed(RING.cameras[0], 1.5)))
     places = random_places()
-    assert narrow.seen_by(places)[:, 0].sum() < 0.7 * Sight(RING).seen_by(places)[:, 0].sum()
+    assert narrow.seen_by(places)[:, 0].sum() < 0.7 * RigVisibility(RING).seen_by(places)[:, 0].sum()
 
 
 @pytest.mark.parametrize(("cameras", "needed"), [(2, 2), (3, 3), (4, 3), (6, 4), (8, 5)])
