@@ -194,7 +194,7 @@ def _totals(supervisor: Supervisor, names: list[str]) -> Mapping[str, int]:
 def _cpu(supervisor: Supervisor, studio: StudioProcess) -> tuple[float, float]:
     """Processor time so far, s: of all clients together, and of the studio."""
     served = psutil.Process(studio.pid).cpu_times()
-    return sum(used.cpu_s for used in supervisor.usage().values()), served.user + served.system
+    return sum(used.cpu_s for used in supervisor.processes.usage().values()), served.user + served.system
 
 
 def _ms(value: float) -> float:

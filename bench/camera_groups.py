@@ -37,7 +37,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, PointCloud2
 
 from capture_rig import Rig, save_rig
 from capture_rig.errors import InputError
-from hull_server.hull_node import RESOLVED
+from hull_server.silhouette_input_ros import RESOLVED
 from sagoma_ros.images import SILHOUETTE_FORMAT, camera_info_message
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.qos import RESULT, SILHOUETTE_PUBLISHER

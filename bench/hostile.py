@@ -39,6 +39,7 @@ from rclpy.serialization import deserialize_message
 
 from sagoma_bringup.graph import build_graph
 from sagoma_bringup.processes import THREE_PROCESSES
+from sagoma_tools.graph.process_group import ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink, call_all
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, message_class, type_of
@@ -137,7 +138,7 @@ class Target:
 
     def memory(self) -> dict[str, float]:
         """Return the resident MiB of each process."""
-        return {label: used.resident_mib for label, used in self.supervisor.usage().items()}
+        return {label: used.resident_mib for label, used in self.supervisor.processes.usage().items()}
 
     def counters(self) -> Counter[str]:
         """Return every whole number in the nodes' diagnostics."""
@@ -151,7 +152,7 @@ class Target:
 
     def dead(self) -> tuple[str, ...]:
         """Return the nodes whose process has ended."""
-        return tuple(name for name in self.supervisor.states() if not self.supervisor.alive(name))
+        return tuple(name for name in self.supervisor.states() if not self.supervisor.processes.alive(name))
 
 
 @contextmanager
@@ -163,7 +164,7 @@ def running_graph(folder: Path, domain: int, server: str = THREE_PROCESSES, came
         write_session(session, ring(cameras, True), body, fps=FPS, seconds=SECONDS, motion="t_pose_only", settings=look)
     settings = {"icp_tracker.bodies.folder": str(folder / "bodies"), "hull_server.mesh.folder": str(folder / "meshes")}
     graph = build_graph(session=session, loop=True, settings={**settings, "hull_server.thin_out": False})
-    with Supervisor(graph, folder / "run", domain_id=domain, server=server) as supervisor:
+    with Supervisor(graph, folder / "run", ProcessSettings(server, domain)) as supervisor:
         supervisor.configure()
         supervisor.activate()
         with RosLink("hostile", domain_id=domain) as link:

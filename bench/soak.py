@@ -152,8 +152,8 @@ class Soak:
         """Write what is known now: old exposures, resources, counters."""
         now_s = time.time()
         self._write_exposures(round((now_s - SETTLED_S) * 1e9))
-        pids = self._supervisor.pids()
-        labels = {process.label: pids[process.nodes[0].full_name] for process in self._supervisor.processes}
+        pids = self._supervisor.processes.pids()
+        labels = {process.label: pids[process.nodes[0].full_name] for process in self._supervisor.processes.specs}
         labels |= {**self._stage.others, "soak": os.getpid()}
         for label, held in resources(labels).items():
             self._processes.add(f"{now_s:.1f}", label, *held)

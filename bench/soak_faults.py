@@ -126,4 +126,4 @@ class FaultInjector:
 
     def _pid(self, fault: Fault) -> int:
         name = HULL if fault.target == SERVER else f"/{fault.target}/camera_client"
-        return self._supervisor.pids()[name]
+        return self._supervisor.processes.pids()[name]

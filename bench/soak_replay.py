@@ -124,7 +124,7 @@ class ReplayInjector:
     def begin(self, fault: Fault) -> None:
         if fault.target == SERVER:
             number = signal.SIGSEGV if fault.kind.endswith("killed") else signal.SIGSTOP
-            os.kill(self._supervisor.pids()["/hull_server"], number)
+            os.kill(self._supervisor.processes.pids()["/hull_server"], number)
         elif fault.kind == "pause":
             self._player.paused = True
         else:
@@ -132,7 +132,7 @@ class ReplayInjector:
 
     def undo(self, fault: Fault) -> None:
         if fault.kind == "server suspended":
-            os.kill(self._supervisor.pids()["/hull_server"], signal.SIGCONT)
+            os.kill(self._supervisor.processes.pids()["/hull_server"], signal.SIGCONT)
         self._player.paused = False
         self._player.silent.clear()
         self._player.lossy.clear()

@@ -130,7 +130,7 @@ def killed(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> 
             recorder.wait_for_publishers()
             supervisor.activate()
             assert recorder.recorder.wait_for_count(PREDICTION_TOPIC, 20, 60.0)
-            os.kill(supervisor.pids()["/cam02/camera_client"], signal.SIGKILL)
+            os.kill(supervisor.processes.pids()["/cam02/camera_client"], signal.SIGKILL)
             assert died.wait(10.0)
             assert recorder.recorder.wait_for_count(PREDICTION_TOPIC, frames, 120.0)
         assert supervisor.states()["/cam02/camera_client"] == "dead"

@@ -92,7 +92,7 @@ class Server:
     @staticmethod
     def beginnings_counted(node) -> int:
         if isinstance(node, HullNode):
-            return node._collector.counters.restarts
+            return node.silhouettes.counters()["restarts"]
         return node.health.counter("restarts")
 
     def wait_for(self, happened, what: str) -> None:

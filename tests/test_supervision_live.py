@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
+from sagoma_tools.graph.process_group import ProcessSettings
 from sagoma_tools.graph.restarts import Death, RestartPolicy, Return
 from sagoma_tools.graph.supervisor import Supervisor
 
@@ -60,7 +61,7 @@ def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in
         studio.open(cancel)
         graph = studio.graph({"hull_server.deadline_s": 2.0, "hull_server.thin_out": False})
         with Supervisor(
-            graph, tmp_path / "run", on_event=told.put, server=server, restart=RestartPolicy(first_s=0.1)
+            graph, tmp_path / "run", ProcessSettings(server), on_event=told.put, restart=RestartPolicy(first_s=0.1)
         ) as supervisor:
             supervisor.configure(tolerate_cameras=False)
             supervisor.activate(tolerate_cameras=False)
@@ -70,7 +71,7 @@ def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in
             joints = Counted(supervisor.node, JointState, JOINT_STATES)
             assert joints.wait_for_more(1)
             for name, number in CRASHES[server].items():
-                os.kill(supervisor.pids()[name], number)
+                os.kill(supervisor.processes.pids()[name], number)
                 death, back = told.get(timeout=PATIENCE_S), told.get(timeout=PATIENCE_S)
                 assert f"killed by {signal.Signals(number).name}" in death.reason
                 assert name in str(back)

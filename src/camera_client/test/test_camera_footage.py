@@ -12,8 +12,9 @@ from footage_clips import scene as square_scene
 from camera_client.background.model import read_background
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import BackgroundSettings, FootageSettings
+from camera_client.sources.footage_pace import Pace, WallClockPace
 from camera_client.sources.footage_reader import VideoReader, open_footage
-from camera_client.sources.footage_source import READ_AHEAD, FootageSource, Pace, WallClockPace
+from camera_client.sources.footage_source import READ_AHEAD, FootageSource
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
 

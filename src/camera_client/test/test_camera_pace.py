@@ -2,7 +2,7 @@
 
 import pytest
 
-from camera_client.sources.footage_source import EPOCH_STEP_NS, AcknowledgedPace, WallClockPace, choose_epoch_ns
+from camera_client.sources.footage_pace import EPOCH_STEP_NS, AcknowledgedPace, WallClockPace, choose_epoch_ns
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
 

@@ -8,14 +8,13 @@ summation, so equal inputs give equal bytes.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from capture_rig.small_matrices import inverse3, inverse_positive, symmetrise
+from capture_rig.small_matrices import inverse3, inverse_positive
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.joint_limits import add_joint_limits, flipped_limb_fits_better, hyperextension
@@ -23,6 +22,7 @@ from stick_figure.kinematics import rates_of_angles
 from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 
 from .bias import add_measurement_bias
+from .covariance import N, cap_joints, joseph, negate
 from .measurement import (
     Measurement,
     Sizes,
@@ -35,13 +35,10 @@ from .measurement import (
 )
 from .motion_model import Transition
 
-N = 24
 STEP_LIMIT = 0.5
 """rad and m: a longer Gauss-Newton step is outside the region where the linearisation holds."""
 LINEAR_M = 1e-3
 """When every point is this close to where the linearisation said, linearising again is not worth it."""
-SMALLEST_VARIANCE = 1e-12
-"""Eigenvalues below this (1 micrometre, 1 microradian) are rounding, not knowledge."""
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -105,24 +102,6 @@ def innovation_distances(body: Body, prior: Estimate, z: Measurement) -> np.ndar
     Each is chi-square with 3 degrees of freedom while model and covariances are right.
     """
     return squared_distances(prior.arrays, Sizes.of(body), prior.covariance, z)
-
-
-def positive_definite(P: np.ndarray) -> np.ndarray:
-    """P (n, n) made symmetric, with its eigenvalues raised where rounding spoilt them."""
-    eigenvalues, vectors = np.linalg.eigh(P)
-    mended = (vectors * np.maximum(eigenvalues, SMALLEST_VARIANCE)) @ vectors.T
-    return 0.5 * (mended + mended.T)
-
-
-def reset_slots(
-    P: np.ndarray, slots: np.ndarray, pose_variance: np.ndarray, velocity_variance: np.ndarray
-) -> np.ndarray:
-    """P (48, 48) that knows nothing about these tangent slots but the given variances (n,) of pose and velocity."""
-    both = np.concatenate([slots, 24 + slots])
-    P = P.copy()
-    P[both, :] = P[:, both] = 0.0
-    P[both, both] = np.concatenate([pose_variance, velocity_variance])
-    return P
 
 
 # --- kernels ---------------------------------------------------------------------------------------------------------
@@ -258,22 +237,6 @@ def _inverses(R, chosen):
 
 
 @njit(cache=True)
-def joseph(P, G, L):
-    """(I - K H) P (I - K H)' + K R K' for the gain K = G H' R^-1, with L = H' R^-1 H (24, 24) on the pose, P (48, 48).
-
-    Joseph's form, because a sum of two squares stays symmetric and positive whatever the rounding of K;
-    the thesis's (I - K H) P (Table 5.7) is right only for the exact gain and loses both over a few thousand sets.
-    Here K H = [G L, 0] and K R K' = G L G'.
-    """
-    KH = np.dot(G, L)
-    T = P - np.dot(KH, P[:N])  # (I - K H) P
-    out = np.dot(G - T[:, :N], KH.T)
-    out += T
-    symmetrise(out)
-    return out
-
-
-@njit(cache=True)
 def _canonicalise_hinges(pose, velocity, P, margin, only_if_better):
     """Describes limbs that passed straight the other way round, in place; with joint limits only if that is better."""
     _, _, RJ, hinges = pose
@@ -286,71 +249,8 @@ def _canonicalise_hinges(pose, velocity, P, margin, only_if_better):
             continue
         slot = kernels.HINGE_SLOT[h]
         RJ[1 + h], hinges[h], velocity[slot] = RJ_turned[1 + h], hinges_turned[h], velocity_turned[slot]
-        _negate(P, slot)
-        _negate(P, N + slot)
-
-
-@njit(cache=True)
-def _negate(P, slot):
-    P[slot, :] *= -1.0
-    P[:, slot] *= -1.0
-
-
-@njit(cache=True)
-def cap_joints(P, sd_cap):
-    """Shrinks P (48, 48), in place, until no joint's pose has an sd above ``sd_cap`` (rad) about any axis.
-
-    The twist of a straight limb is not observable, and without a bound its variance grows until the linearisation
-    means nothing. The joint's error is shrunk along the uncertain axis only (a congruence, so P stays positive
-    definite), and what is known about the other axes is kept.
-    """
-    cap = sd_cap * sd_cap
-    for ball in range(5):
-        slots = kernels.SLOT_OF_JOINT_AXIS[ball]
-        axes = 2 if slots[2] < 0 else 3
-        total = 0.0
-        for k in range(axes):
-            total += P[slots[k], slots[k]]
-        if total > cap:
-            _cap_ball(P, slots[:axes], cap)
-    for slot in kernels.HINGE_SLOT:
-        if P[slot, slot] > cap:
-            shrink = math.sqrt(cap / P[slot, slot])
-            P[slot, :] *= shrink
-            P[:, slot] *= shrink
-
-
-@njit(cache=True)
-def _cap_ball(P, slots, cap):
-    n = len(slots)
-    block = np.empty((n, n))
-    for a in range(n):
-        for b in range(n):
-            block[a, b] = P[slots[a], slots[b]]
-    variances, axes = np.linalg.eigh(block)
-    if variances[-1] <= cap:
-        return
-    shrink = np.zeros((n, n))
-    for k in range(n):
-        factor = math.sqrt(cap / max(variances[k], cap))
-        for a in range(n):
-            for b in range(n):
-                shrink[a, b] += factor * (axes[a, k] * axes[b, k])
-    _turn_rows(P, slots, shrink)
-    _turn_rows(P.T, slots, shrink)
-    for a in range(n):
-        for b in range(a):
-            P[slots[b], slots[a]] = P[slots[a], slots[b]]
-
-
-@njit(cache=True)
-def _turn_rows(P, slots, shrink):
-    before = np.empty(len(slots))
-    for c in range(P.shape[1]):
-        for a in range(len(slots)):
-            before[a] = P[slots[a], c]
-        for a in range(len(slots)):
-            P[slots[a], c] = (shrink[a] * before).sum()
+        negate(P, slot)
+        negate(P, N + slot)
 
 
 @njit(cache=True)

@@ -26,8 +26,9 @@ from mocap_packets.state import BodyState, NoState
 from stick_figure.body import Body
 from stick_figure.pose import Pose
 
+from .covariance import positive_definite
 from .filter import ArticulatedEkf
-from .kernels import Estimate, positive_definite, report
+from .kernels import Estimate, report
 from .measurement import Sizes
 from .settings import EkfSettings
 from .state import POSE, VELOCITY

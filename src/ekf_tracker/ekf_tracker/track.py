@@ -12,16 +12,8 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import TORSO_POINTS
 
 from .bias import MeasurementBias
-from .kernels import (
-    Estimate,
-    UpdateOptions,
-    correct_estimate,
-    innovation_distances,
-    positive_definite,
-    predict_estimate,
-    report,
-    reset_slots,
-)
+from .covariance import positive_definite, reset_slots
+from .kernels import Estimate, UpdateOptions, correct_estimate, innovation_distances, predict_estimate, report
 from .manoeuvres import EXPECTED, LEVELS, LIMBS, MOST_M_S, raised_covariance, worst_of_limbs
 from .measurement import InnovationGate, Measurement, Sizes, linearised
 from .motion_model import MotionModel, Transition

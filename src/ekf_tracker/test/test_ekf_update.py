@@ -6,15 +6,13 @@ from ekf_person import ALL, NONE, Person, dense_matrices, isotropic
 from scipy.optimize import least_squares
 
 from capture_rig.errors import InputError
+from ekf_tracker.covariance import cap_joints, joseph, positive_definite
 from ekf_tracker.kernels import (
     Estimate,
     UpdateOptions,
-    cap_joints,
     correct_arrays,
     correct_estimate,
     innovation_distances,
-    joseph,
-    positive_definite,
     predict_estimate,
 )
 from ekf_tracker.measurement import Measurement, Sizes, linearised, point_covariance

@@ -3,51 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from time import monotonic_ns
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Int64MultiArray
 
 from capture_rig import CameraModel, InputError, Rig, load_rig
-from capture_rig.mask_levels import SHADOW_CANDIDATE
-from mocap_packets.frame_set import FrameSet, FrameSetCollector
+from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
 from mocap_packets.latency import HullTimes
 from sagoma_ros import mask_png
 from sagoma_ros.frames import FramePublisher
-from sagoma_ros.health import ERROR, WARN
-from sagoma_ros.images import ABSENT, decode_silhouette, support_message
+from sagoma_ros.health import WARN
+from sagoma_ros.images import support_message
 from sagoma_ros.intra_process import LazyPublisher, PacketPublisher
 from sagoma_ros.latency import TIMES_TOPIC, times_message
-from sagoma_ros.limits import check_mask_bytes
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import packet_cloud
 from sagoma_ros.process import run_node
-from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
-from sagoma_ros.raw import read_compressed_image, read_message, same_but_for_stamp
 from sagoma_ros.worker import Worker
 
 from .frames_ros import camera_frames
 from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
-from .hull_ros import SaveMeshService, calibration_mismatch, camera_values, frame_set_message, summarise
+from .hull_ros import SaveMeshService, camera_values, frame_set_message, summarise
 from .overload.overload_ros import NoOverloadControl, OverloadControl
 from .settings import NodeSettings, hull_settings
-
-POLL_S = 0.05  # of the counters; a frame set's deadline is met to the millisecond
-SHORTEST_POLL_NS = 200_000
-GIVE_UP_SETS = 5  # in a row have waited for a camera in vain: none does any more; packet loss takes fewer by chance
-MAX_OPEN_SETS = 8  # frame sets that wait for cameras
-SILENT_AFTER_NS = 1_000_000_000
-NEVER_NS = 1 << 62
-RESOLVED = "silhouette/resolved"  # below a camera's name: its silhouettes, from a shadow resolver
-LOG_EVERY_S = 5.0
-COUNTER_KEYS = {name: name for name in ("frames", "restarts")} | {
-    name: f"sets_{name}" for name in ("complete", "incomplete")
-}  # the others are frames_NAME
+from .silhouette_input_ros import SilhouetteInput
 
 
 @dataclass(frozen=True)
@@ -77,15 +61,11 @@ class HullNode(SagomaNode):
     def __init__(self, name: str = "hull_server", **options: object) -> None:
         super().__init__(name, **options)
         self._pipeline: HullPipeline | None = None
-        self._collector: FrameSetCollector[Mask] | None = None  # None unless active
+        self.silhouettes: SilhouetteInput | None = None
         self._carver: Worker[ClosedSet] | None = None  # one thread begins the next set ...
         self._slicer: Worker[CarvedSet] | None = None  # ... while the other finishes and publishes this one
         self._mesh: SaveMeshService | None = None
         self._canvases: dict[str, CameraModel] = {}
-        self.refused: dict[str, str] = {}  # camera: why
-        self._judged_infos: dict[str, bytes] = {}  # the last camera_info of each camera
-        self._heard_ns: dict[str, int] = {}
-        self._last_stamp_ns = 0  # of the newest set that has closed
         self._newest: HullResult | None = None
         self.health.describe(self._describe)
         self._left_out: tuple[str, ...] = ()
@@ -108,7 +88,7 @@ class HullNode(SagomaNode):
         self._mesh = SaveMeshService(self, self.settings.mesh)
         if settings.thin_out and not settings.reliable:
             self._overload = OverloadControl(self)
-        self._subscribe()
+        self.silhouettes = SilhouetteInput(self, self._canvases, self._overload, self._take)
 
     def _publish_frames(self, rig: Rig) -> None:
         """Say where the cameras are, for whoever listens, now and later."""
@@ -131,23 +111,16 @@ class HullNode(SagomaNode):
 
     def activate(self) -> None:
         """Start collecting."""
-        settings: NodeSettings = self.settings
+        assert self.silhouettes is not None
         dropped = partial(self.health.count, "sets_dropped")
         self._slicer = Worker("slicer", self._finish, 1, on_drop=dropped, on_error=self.report)
-        self._carver = Worker("carver", self._begin, settings.queue_depth, on_drop=dropped, on_error=self.report)
-        self._heard_ns = dict.fromkeys(self._canvases, monotonic_ns())
-        self._last_stamp_ns = 0
-        self._collector = FrameSetCollector(
-            self._canvases,
-            tolerance_ns=round(settings.tolerance_s * 1e9),
-            deadline_ns=round(settings.deadline_s * 1e9),
-            max_open=MAX_OPEN_SETS,
-            give_up=GIVE_UP_SETS,
-        )
+        self._carver = Worker("carver", self._begin, self.settings.queue_depth, on_drop=dropped, on_error=self.report)
+        self.silhouettes.start()
 
     def deactivate(self) -> None:
         """Stop collecting; the sets already closed are finished, those still open are dropped."""
-        self._collector = None
+        if self.silhouettes is not None:
+            self.silhouettes.stop()
         for worker in (self._carver, self._slicer):
             if worker is not None:
                 worker.close(finish=True)
@@ -155,6 +128,9 @@ class HullNode(SagomaNode):
 
     def cleanup(self) -> None:
         """Release subscriptions, publishers and the backend."""
+        if self.silhouettes is not None:
+            self.silhouettes.close()
+            self.silhouettes = None
         for close in self._closing:
             close()
         self._closing = []
@@ -166,7 +142,7 @@ class HullNode(SagomaNode):
         if self._pipeline is not None:
             self._pipeline.close()
             self._pipeline = None
-        self.refused, self._judged_infos, self._newest = {}, {}, None
+        self._newest = None
 
     def _advertise(self) -> None:
         self._contour_rays = PacketPublisher[ContourRays](self, PointCloud2, "hull/contour_rays", packet_cloud)
@@ -180,123 +156,12 @@ class HullNode(SagomaNode):
         self._closing += [self._contour_rays.close, self._centerline.close, self._voxels.close, self._frame_set.close]
         self._closing += [self._times.close, *(publisher.close for publisher in self._supports.values())]
 
-    def _subscribe(self) -> None:
-        reliable = self.settings.reliable or self.settings.resend
-        qos = SILHOUETTE_RELIABLE_SUBSCRIBER if reliable else SILHOUETTE_SUBSCRIBER
-        silhouettes = RESOLVED if self.settings.resolved else "silhouette"
-        for camera in self._canvases:
-            for kind, topic, callback in (
-                (CompressedImage, f"{camera}/{silhouettes}/compressed", self._on_silhouette),
-                (CameraInfo, f"{camera}/camera_info", self._on_camera_info),
-            ):
-                subscription = self.create_subscription(kind, topic, partial(callback, camera, topic), qos, raw=True)
-                self._closing.append(partial(self.destroy_subscription, subscription))
-        self._poll = self.create_timer(POLL_S, self._on_poll, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._polled_at_ns = 0
-        self._closing.append(partial(self.destroy_timer, self._poll))
-
-    def _on_silhouette(self, camera: str, topic: str, message: bytes) -> None:
-        if self._collector is None:
-            self.health.count("frames_while_suspended")
-            return
-        now_ns = monotonic_ns()
-        self._heard_ns[camera] = now_ns
-        if camera in self.refused:
-            self.health.count("frames_refused")
-            return
-        try:
-            image, canvas = read_compressed_image(message), self._canvases[camera]
-        except InputError as error:
-            self._refuse_image(error)
-            return
-        if self.settings.reliable and image.format == ABSENT:
-            self._dispatch(self._collector.note_absence(camera, image.stamp_ns, now_ns))
-            return
-        if not self._overload.admits(camera, image.stamp_ns, now_ns):
-            return
-        try:
-            check_mask_bytes(len(message), topic)
-            mask = decode_silhouette(image, canvas.width, canvas.height, topic, candidates=SHADOW_CANDIDATE)
-        except InputError as error:
-            self._refuse_image(error)
-            return
-        self._dispatch(self._collector.add(camera, image.stamp_ns, mask, now_ns))
-        self._poll_at_deadline(now_ns)
-
-    def _refuse_image(self, error: InputError) -> None:
-        self.health.count("bad_images")
-        self.health.set("last_bad_image", error)
-        self.get_logger().warning(str(error), throttle_duration_sec=LOG_EVERY_S)
-
-    def _on_camera_info(self, camera: str, topic: str, message: bytes) -> None:
-        """Refuse a camera whose images are not made with the rig's calibration, until they are."""
-        if same_but_for_stamp(message, self._judged_infos.get(camera)):
-            return
-        try:
-            check_mask_bytes(len(message), topic)
-            mismatch = calibration_mismatch(read_message(message, CameraInfo), self._canvases[camera])
-        except InputError as damage:
-            self.health.count("bad_infos")
-            self.get_logger().warning(str(damage), throttle_duration_sec=LOG_EVERY_S)
-            return
-        self._judged_infos[camera] = message
-        if not mismatch:
-            if self.refused.pop(camera, None):
-                self.get_logger().info(f"{topic}: agrees with the rig file again")
-            return
-        if self.refused.get(camera) != mismatch:
-            self.refused[camera] = mismatch
-            error = InputError(
-                f"the images of {camera} are refused: camera_info has {mismatch}",
-                where=topic,
-                remedy="Give camera client and hull server the same rig file.",
-            )
-            self.get_logger().error(str(error))
-            self.health.set(f"refused_{camera}", error)
-            self._show_refused()
-
-    def _show_refused(self) -> None:
-        self.health.status(ERROR, f"refused: {'; '.join(f'{c}: {why}' for c, why in self.refused.items())}")
-
-    def _on_poll(self) -> None:
-        if self._collector is None:
-            return
-        now_ns = monotonic_ns()
-        self._collector.wait(self._overload.deadline_ns(round(self.settings.deadline_s * 1e9)))
-        self._dispatch(self._collector.poll(now_ns))
-        silent = [camera for camera, heard in self._heard_ns.items() if now_ns - heard > SILENT_AFTER_NS]
-        self.health.set("silent", ",".join(silent))
-        if self.refused:
-            self._show_refused()
-        elif silent:
-            self.health.status(WARN, f"no silhouettes from {', '.join(silent)}")
-        self._poll_at_deadline(now_ns)
-
-    def _poll_at_deadline(self, now_ns: int) -> None:
-        """Let the timer call when the next frame set is due, if that is sooner than it would."""
-        if self._collector is None:
-            return
-        deadline_ns = self._collector.next_deadline_ns()
-        due_ns = min(now_ns + round(POLL_S * 1e9), deadline_ns or NEVER_NS)
-        if not now_ns < self._polled_at_ns <= due_ns:
-            self._polled_at_ns = due_ns
-            self._poll.timer_period_ns = max(due_ns - now_ns, SHORTEST_POLL_NS)
-            self._poll.reset()
-
-    def _dispatch(self, closed: list[FrameSet[Mask]]) -> None:
-        for frame_set in closed:
-            self._note_restart(frame_set.stamp_ns)
-            if self._carver is not None:
-                closed_ns = self.get_clock().now().nanoseconds
-                self._overload.closed(frame_set, closed_ns - frame_set.stamp_ns)
-                self._carver.put(ClosedSet(frame_set, closed_ns))
-
-    def _note_restart(self, stamp_ns: int) -> None:
-        """Say once that the stamps of the rig went back; counted by the collector."""
-        back_ns = self._last_stamp_ns - stamp_ns
-        self._last_stamp_ns = stamp_ns
-        if back_ns > 0:
-            self.get_logger().warning(f"stamps went back by {back_ns / 1e9:.3f} s: a new beginning")
+    def _take(self, frame_set: FrameSet[Mask]) -> None:
+        """Hand a frame set to the carver's thread."""
+        if self._carver is not None:
+            closed_ns = self.get_clock().now().nanoseconds
+            self._overload.closed(frame_set, closed_ns - frame_set.stamp_ns)
+            self._carver.put(ClosedSet(frame_set, closed_ns))
 
     def _begin(self, closed: ClosedSet) -> None:
         """Begin to carve one frame set, on the carver's thread."""
@@ -338,10 +203,7 @@ class HullNode(SagomaNode):
 
     def _describe(self) -> dict[str, object]:
         """The counters, and what the newest set says of the cameras, for the diagnostics."""
-        values: dict[str, object] = {}
-        if self._collector is not None:
-            counts = asdict(self._collector.counters)
-            values |= {COUNTER_KEYS.get(name, f"frames_{name}"): count for name, count in counts.items()}
+        values: dict[str, object] = {} if self.silhouettes is None else dict(self.silhouettes.counters())
         return values | (camera_values(self._newest) if self._newest is not None else {})
 
     def _report(self, result: HullResult) -> None:
@@ -357,7 +219,7 @@ class HullNode(SagomaNode):
         for camera in {*result.extrinsic_errors.suspects} - self._moved:
             self.get_logger().warning(result.extrinsic_errors.suspects[camera])
         self._moved = {*result.extrinsic_errors.suspects}
-        if not self.refused:
+        if self.silhouettes is None or not self.silhouettes.refused:
             level, text = summarise(result)
             thinned = self._overload.summary
             self.health.status(max(level, WARN), f"{thinned}; {text}") if thinned else self.health.status(level, text)

@@ -20,8 +20,9 @@ from sagoma_ros.process import run_node
 from sagoma_ros.qos import SILHOUETTE_PUBLISHER
 
 from .camera_groups import GroupResolver
-from .hull_node import RESOLVED, ClosedSet, HullNode
+from .hull_node import ClosedSet, HullNode
 from .settings import ResolverSettings
+from .silhouette_input_ros import RESOLVED, SilhouetteInput
 
 
 class ResolverNode(HullNode):
@@ -54,7 +55,7 @@ class ResolverNode(HullNode):
             for camera in self._resolver.cameras
         }
         self._closing += [partial(self.destroy_publisher, publisher) for publisher in self._resolved.values()]
-        self._subscribe()
+        self.silhouettes = SilhouetteInput(self, self._canvases, self._overload, self._take)
 
     def cleanup(self) -> None:
         """Release subscriptions and publishers."""
@@ -72,7 +73,7 @@ class ResolverNode(HullNode):
             for camera in set(frame_set.missing) & self._resolved.keys():
                 self._resolved[camera].publish(absence_message(frame_set.stamp_ns))
         self.health.count("sets_resolved")
-        if not self.refused:
+        if self.silhouettes is None or not self.silhouettes.refused:
             self.health.status(OK, f"resolving {', '.join(self._resolver.cameras)}")
 
 

@@ -8,7 +8,7 @@ from hull_probe import HullProbe
 from hull_scenes import capsule_person, ring_rig, silhouettes
 
 from capture_rig import load_rig, save_rig
-from hull_server import hull_node
+from hull_server import hull_node, silhouette_input_ros
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,8 @@ def scene(tmp_path_factory):
 def clock(monkeypatch):
     """The node's monotonic clock, which a test may put forward."""
     clock = SimpleNamespace(ahead_ns=0)
-    monkeypatch.setattr(hull_node, "monotonic_ns", lambda: time.monotonic_ns() + clock.ahead_ns)
+    for module in (hull_node, silhouette_input_ros):
+        monkeypatch.setattr(module, "monotonic_ns", lambda: time.monotonic_ns() + clock.ahead_ns)
     return clock
 
 

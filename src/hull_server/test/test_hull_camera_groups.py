@@ -9,11 +9,11 @@ from sensor_msgs.msg import CompressedImage
 from capture_rig import load_rig, save_rig
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS
 from hull_server.camera_groups import GroupResolver, resolved_levels
-from hull_server.hull_node import RESOLVED
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.level_stack import binary_mask
 from hull_server.resolver_node import ResolverNode
 from hull_server.settings import NodeSettings, hull_settings
+from hull_server.silhouette_input_ros import RESOLVED
 from mocap_packets.frame_set import FrameSet
 from sagoma_ros.images import decode_silhouette, silhouette_message
 from sagoma_ros.messages import to_ns

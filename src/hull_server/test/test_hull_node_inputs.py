@@ -120,7 +120,7 @@ def test_node_refuses_a_camera_whose_camera_info_disagrees_until_it_agrees_again
     info = camera_info_message(canvas, stamp(0), "cam02")
     spoil(info)
     bench.infos["cam02"].publish(info)
-    bench.until(lambda: "cam02" in bench.node.refused)
+    bench.until(lambda: "cam02" in bench.node.silhouettes.refused)
     bench.send(masks, 0)
     bench.let_the_deadline_pass(frames=3)
     assert [values["missing"] for values in bench.answers(1)] == ["cam02"]
@@ -129,7 +129,7 @@ def test_node_refuses_a_camera_whose_camera_info_disagrees_until_it_agrees_again
     assert said.startswith("cam02/camera_info") and text in said and "same rig file" in said
     assert status.level == b"\x02"
     bench.infos["cam02"].publish(camera_info_message(canvas, stamp(1), "cam02"))
-    bench.until(lambda: not bench.node.refused)
+    bench.until(lambda: not bench.node.silhouettes.refused)
     bench.send(masks, 1)
     assert bench.answers(2)[1]["missing"] == ""
 

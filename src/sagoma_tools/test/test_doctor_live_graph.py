@@ -12,6 +12,7 @@ from sagoma_tools.doctor.findings import Severity
 from sagoma_tools.doctor.graph.graph_checks import examine_graph
 from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
 from sagoma_tools.graph.background_training import learn_backgrounds
+from sagoma_tools.graph.process_group import ProcessSettings
 from sagoma_tools.graph.supervisor import Supervisor
 from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
@@ -42,7 +43,7 @@ def run(studio, tmp_path_factory):
     save_rig(Rig((replace(first, K=K), *rig.cameras[1:]), rig.volume), folder / "old_rig.yaml")
     settings = {**SETTINGS, "hull_server.rig_file": str(folder / "old_rig.yaml")}
     graph = build_graph(rig=studio.rig, cameras=studio.cameras, settings=settings)
-    with Supervisor(graph, folder, domain_id=DOMAIN) as run:
+    with Supervisor(graph, folder, ProcessSettings(domain_id=DOMAIN)) as run:
         run.configure(tolerate_cameras=False)
         run.activate(tolerate_cameras=False)
         learn_backgrounds(run)
@@ -68,7 +69,7 @@ def test_faults_of_a_running_graph_are_named_one_by_one(studio, run):
 
     # 2. a lens cap, 3. a client that hangs: who is stopped does not even say that he is there
     studio.ask("set", cameras=["cam02"], faults={"lens_cap": True})
-    hangs = run.pids()["/cam03/camera_client"]
+    hangs = run.processes.pids()["/cam03/camera_client"]
     os.kill(hangs, signal.SIGSTOP)
     try:
         found = troubles(studio)

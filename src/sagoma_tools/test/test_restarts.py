@@ -102,15 +102,16 @@ def watched(tmp_path):
 def test_killed_node_is_active_again_without_a_person_and_leaves_no_shared_memory(watched, number):
     run, told = watched(tiny("hull_server"), camera("cam01"))
     name = "/cam01/camera_client"
-    before = run.pids()[name]
+    before = run.processes.pids()[name]
     its_memory = owned_shared_memory([before])
     os.kill(before, number)
     death, back = told.get(timeout=PATIENCE_S), told.get(timeout=PATIENCE_S)
     assert isinstance(death, Death) and death.process.label == "cam01" and death.pid == before
     assert f"killed by {number.name}" in str(death) and "restart in 0.1 s" in str(death)
-    assert isinstance(back, Return) and back.pid == run.pids()[name] != before
+    assert isinstance(back, Return) and back.pid == run.processes.pids()[name] != before
     assert run.states() == {"/hull_server": "active", name: "active"}
-    assert "I am good" in death.log_tail and run.log_tail(name, lines=100).count("I am good") == 2  # the log goes on
+    log = run.processes.log_tail(name, lines=100)
+    assert "I am good" in death.log_tail and log.count("I am good") == 2  # the log goes on
     assert its_memory and not shared_memory_files(abandoned(its_memory))
     assert [status.returncode for status in run.stop()] == [0, 0]
 
@@ -135,7 +136,7 @@ def test_who_was_asked_to_end_or_reads_footage_stays_ended_and_stop_starts_nothi
     run, told = watched(tiny("hull_server"), camera("cam01"), footage, camera("cam03"), policy=patient)
     ends = {"cam01": signal.SIGINT, "cam02": signal.SIGKILL, "cam03": signal.SIGKILL}
     for label, number in ends.items():
-        os.kill(run.pids()[f"/{label}/camera_client"], number)
+        os.kill(run.processes.pids()[f"/{label}/camera_client"], number)
     deaths = {death.process.label: death for death in (told.get(timeout=PATIENCE_S) for _ in ends)}
     assert "no restart: somebody asked it to end" in str(deaths["cam01"])
     assert "no restart: it reads footage, and its place in it is lost" in str(deaths["cam02"])

@@ -10,7 +10,8 @@ from test_supervisor_graph import camera, tiny
 
 from sagoma_tools.cli import main
 from sagoma_tools.commands.security import enclave_of
-from sagoma_tools.graph.supervisor import Supervisor, enclave_arguments
+from sagoma_tools.graph.process_group import ProcessSettings, enclave_arguments
+from sagoma_tools.graph.supervisor import Supervisor
 
 OPENSSL = shutil.which("openssl")
 needs_openssl = pytest.mark.skipif(OPENSSL is None, reason="openssl is not installed")
@@ -71,9 +72,9 @@ def test_private_keys_are_for_their_owner_alone(keystore):
 def test_processes_get_their_enclave_when_security_is_switched_on(monkeypatch, tmp_path):
     run = Supervisor([tiny("hull_server"), camera("cam01")], tmp_path)
     monkeypatch.delenv("ROS_SECURITY_ENABLE", raising=False)
-    assert [enclave_arguments(process) for process in run.processes] == [[], []]
+    assert [enclave_arguments(process) for process in run.processes.specs] == [[], []]
     monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
-    given = [enclave_arguments(process)[1] for process in run.processes]
+    given = [enclave_arguments(process)[1] for process in run.processes.specs]
     assert given == ["/sagoma/mocap_server", "/sagoma/cam01"]
     assert [enclave_of(name) for name in ("/icp_tracker", "/cam01/camera_client")] == ["mocap_server", "cam01"]
 
@@ -84,7 +85,7 @@ def test_node_that_cannot_be_secured_refuses_to_run_open(keystore, monkeypatch, 
     monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
     told = queue.Queue()
     secured = {"ROS_SECURITY_ENABLE": "true"}
-    run = Supervisor([tiny("hull_server")], tmp_path / "run", env=secured, on_event=told.put)
+    run = Supervisor([tiny("hull_server")], tmp_path / "run", ProcessSettings(env=secured), on_event=told.put)
     run.start()
     try:
         death = told.get(timeout=60.0)

@@ -7,11 +7,13 @@ import psutil
 import pytest
 from rich.console import Console
 
-from camera_client.sources.footage_source import choose_epoch_ns
+from camera_client.sources.footage_pace import choose_epoch_ns
 from sagoma_bringup.graph import NodeSpec, Role
+from sagoma_tools.graph.footage_epoch import seconds_to_start_window, with_common_epoch
 from sagoma_tools.graph.lifecycle_client import Transition, Verdict
+from sagoma_tools.graph.process_group import ProcessSettings
 from sagoma_tools.graph.processes import Exit, abandoned, owned_shared_memory, shared_memory_files
-from sagoma_tools.graph.supervisor import GraphError, Supervisor, seconds_to_start_window, with_common_epoch
+from sagoma_tools.graph.supervisor import GraphError, Supervisor
 
 
 def tiny(name: str, behaviour: str = "good", role: Role = Role.SERVER) -> NodeSpec:
@@ -46,10 +48,10 @@ def test_whole_graph_reaches_active_and_ends_cleanly(supervise):
     activated = run.activate()
     assert activated.ok and len(activated.answers) == 3
     assert set(run.states().values()) == {"active"}
-    usage = run.usage()
+    usage = run.processes.usage()
     assert usage.keys() == {"hull_server", "cam01", "cam02"}
     assert all(used.peak_mib >= used.resident_mib > 10 and used.cpu_s > 0 for used in usage.values())
-    pids = run.pids().values()
+    pids = run.processes.pids().values()
     exit_statuses = run.stop()
     assert [ended.exit for ended in exit_statuses] == [Exit.CLEAN] * 3
     assert run.stop_outcome.ok and len(run.stop_outcome.answers) == 6  # deactivate and cleanup, each acknowledged
@@ -86,7 +88,7 @@ def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supe
 
     run = supervise(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"), on_event=on_event)
     run.configure()
-    its_memory = owned_shared_memory([run.pids()["/cam01/camera_client"]])
+    its_memory = owned_shared_memory([run.processes.pids()["/cam01/camera_client"]])
     outcome = run.activate()
     assert told.wait(30)
     assert outcome.silent == ("/cam01/camera_client",)
@@ -116,9 +118,9 @@ def test_second_graph_of_the_same_names_is_refused(supervise):
 
 @pytest.mark.slow
 def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(supervise):
-    run = supervise(tiny("deaf", "ignores_sigint"), tiny("good"), grace_s=5.0)
+    run = supervise(tiny("deaf", "ignores_sigint"), tiny("good"), settings=ProcessSettings(grace_s=5.0))
     run.configure()
-    pid = run.pids()["/deaf"]
+    pid = run.processes.pids()["/deaf"]
     its_memory = owned_shared_memory([pid])
     assert its_memory
     exits = {ended.name: ended.exit for ended in run.stop()}
@@ -129,7 +131,7 @@ def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(superv
 
 @pytest.mark.slow
 def test_lifecycle_client_names_the_silent_node_and_serves_the_others(supervise):
-    run = supervise(tiny("hung", "never_answers"), tiny("good"), grace_s=1.0)
+    run = supervise(tiny("hung", "never_answers"), tiny("good"), settings=ProcessSettings(grace_s=1.0))
     assert set(run.lifecycle.states(["/hung", "/good"], timeout_s=30).values()) == {"unconfigured"}
     outcome = run.lifecycle.change(dict.fromkeys(["/hung", "/good"], Transition.CONFIGURE), timeout_s=2.0)
     assert outcome.silent == ("/hung",)

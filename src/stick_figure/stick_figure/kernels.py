@@ -20,6 +20,8 @@ from numba import njit
 
 from capture_rig.kernel import kernel
 
+from .so3 import matmul3, rotation_log, turn
+
 CHAIN = np.array(
     [
         [-1, -1, -1, -1],
@@ -41,82 +43,6 @@ SLOT_OF_JOINT_AXIS = np.array([[6, 7, -1], [8, 12, 10], [9, 13, 11], [16, 18, 22
 """(5, 3) tangent slot of ball joint m about the torso's x, y, z axis; -1: the neck has no z."""
 HINGE_SLOT = np.array([14, 15, 20, 21])
 """(4,) tangent slot of each hinge."""
-
-
-@kernel
-def _matmul3(A, B, out):
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
-
-
-@kernel
-def rotation_exp(x, y, z, E):
-    """E (3, 3) <- rotation matrix of the rotation vector (x, y, z) (Rodrigues; thesis eq. 5.25)."""
-    angle2 = x * x + y * y + z * z
-    if angle2 < 1e-10:
-        a = 1.0 - angle2 / 6.0
-        b = 0.5 - angle2 / 24.0
-    else:
-        angle = math.sqrt(angle2)
-        a = math.sin(angle) / angle
-        half = math.sin(0.5 * angle)
-        b = 2.0 * half * half / angle2
-    E[0, 0] = 1.0 - b * (y * y + z * z)
-    E[1, 1] = 1.0 - b * (x * x + z * z)
-    E[2, 2] = 1.0 - b * (x * x + y * y)
-    E[0, 1] = b * x * y - a * z
-    E[1, 0] = b * x * y + a * z
-    E[0, 2] = b * x * z + a * y
-    E[2, 0] = b * x * z - a * y
-    E[1, 2] = b * y * z - a * x
-    E[2, 1] = b * y * z + a * x
-
-
-@kernel
-def rotation_log(R, w):
-    """w (3,) <- rotation vector of R (3, 3), |w| <= pi. Goes through the quaternion: exact near 0 and near pi."""
-    trace = R[0, 0] + R[1, 1] + R[2, 2]
-    if trace > 0.0:
-        s = trace + 1.0
-        x = R[2, 1] - R[1, 2]
-        y = R[0, 2] - R[2, 0]
-        z = R[1, 0] - R[0, 1]
-    elif R[0, 0] >= R[1, 1] and R[0, 0] >= R[2, 2]:
-        s = R[2, 1] - R[1, 2]
-        x = 1.0 + R[0, 0] - R[1, 1] - R[2, 2]
-        y = R[0, 1] + R[1, 0]
-        z = R[0, 2] + R[2, 0]
-    elif R[1, 1] >= R[2, 2]:
-        s = R[0, 2] - R[2, 0]
-        x = R[0, 1] + R[1, 0]
-        y = 1.0 - R[0, 0] + R[1, 1] - R[2, 2]
-        z = R[1, 2] + R[2, 1]
-    else:
-        s = R[1, 0] - R[0, 1]
-        x = R[0, 2] + R[2, 0]
-        y = R[1, 2] + R[2, 1]
-        z = 1.0 - R[0, 0] - R[1, 1] + R[2, 2]
-    if s < 0.0:
-        s, x, y, z = -s, -x, -y, -z
-    sine = math.sqrt(x * x + y * y + z * z)
-    factor = 2.0 / s if sine < 1e-12 * s else 2.0 * math.atan2(sine, s) / sine
-    w[0] = factor * x
-    w[1] = factor * y
-    w[2] = factor * z
-
-
-@kernel
-def _turn(R, x, y, z, E, T):
-    """R <- exp((x, y, z)) R in place, followed by one Newton step back to orthogonality."""
-    rotation_exp(x, y, z, E)
-    _matmul3(E, R, T)
-    for i in range(3):
-        for j in range(3):
-            E[i, j] = T[0, i] * T[0, j] + T[1, i] * T[1, j] + T[2, i] * T[2, j]
-    for i in range(3):
-        for j in range(3):
-            R[i, j] = 1.5 * T[i, j] - 0.5 * (T[i, 0] * E[0, j] + T[i, 1] * E[1, j] + T[i, 2] * E[2, j])
 
 
 @kernel
@@ -162,7 +88,7 @@ def stick_frames(R0, RJ, hinges, G, axes):
         for j in range(3):
             G[0, i, j] = R0[i, j]
     for m in range(5):
-        _matmul3(R0, RJ[m], G[m + 1])
+        matmul3(R0, RJ[m], G[m + 1])
         for k in range(3):
             slot = SLOT_OF_JOINT_AXIS[m, k]
             if slot >= 0:
@@ -220,7 +146,7 @@ def move_limb(ball, hinge, pose, figure, frames):
     them.
     """
     (t0, R0, RJ, hinges), (lengths, origins), (G, axes, A, B) = pose, figure, frames
-    _matmul3(R0, RJ[ball], G[ball + 1])
+    matmul3(R0, RJ[ball], G[ball + 1])
     hinge_frame(hinge, hinges[hinge], G, axes)
     stick_end(2 + hinge, G, t0, lengths, origins, A, B)
     stick_end(6 + hinge, G, t0, lengths, origins, A, B)
@@ -230,7 +156,7 @@ def move_limb(ball, hinge, pose, figure, frames):
 def turn_limb(ball, hinge, RJ, hinges, d, scale):
     """Move one limb's ball joint and hinge along `scale` times their part of the tangent vector d (24,), in place."""
     sx, sy, sz = SLOT_OF_JOINT_AXIS[ball, 0], SLOT_OF_JOINT_AXIS[ball, 1], SLOT_OF_JOINT_AXIS[ball, 2]
-    _turn(RJ[ball], scale * d[sx], scale * d[sy], scale * d[sz], np.empty((3, 3)), np.empty((3, 3)))
+    turn(RJ[ball], scale * d[sx], scale * d[sy], scale * d[sz], np.empty((3, 3)), np.empty((3, 3)))
     hinges[hinge] += scale * d[HINGE_SLOT[hinge]]
 
 
@@ -289,12 +215,12 @@ def retract(t0, R0, RJ, hinges, d, scale):
     T = np.empty((3, 3))
     for i in range(3):
         t0[i] += scale * d[i]
-    _turn(R0, scale * d[3], scale * d[4], scale * d[5], E, T)
-    _turn(RJ[0], scale * d[6], scale * d[7], 0.0, E, T)
+    turn(R0, scale * d[3], scale * d[4], scale * d[5], E, T)
+    turn(RJ[0], scale * d[6], scale * d[7], 0.0, E, T)
     neck_from_direction(RJ[0, 0, 2], RJ[0, 1, 2], RJ[0, 2, 2], RJ[0])
     for m in range(1, 5):
         sx, sy, sz = SLOT_OF_JOINT_AXIS[m, 0], SLOT_OF_JOINT_AXIS[m, 1], SLOT_OF_JOINT_AXIS[m, 2]
-        _turn(RJ[m], scale * d[sx], scale * d[sy], scale * d[sz], E, T)
+        turn(RJ[m], scale * d[sx], scale * d[sy], scale * d[sz], E, T)
     for h in range(4):
         hinges[h] += scale * d[HINGE_SLOT[h]]
 
@@ -332,13 +258,13 @@ def difference(t0, R0, RJ, hinges, t0_from, R0_from, RJ_from, hinges_from, out):
     w = np.empty(3)
     for i in range(3):
         out[i] = t0[i] - t0_from[i]
-    _matmul3(R0, R0_from.T, T)
+    matmul3(R0, R0_from.T, T)
     rotation_log(T, w)
     out[3], out[4], out[5] = w[0], w[1], w[2]
     _neck_difference(RJ[0, :, 2], RJ_from[0, :, 2], w)
     out[6], out[7] = w[0], w[1]
     for m in range(1, 5):
-        _matmul3(RJ[m], RJ_from[m].T, T)
+        matmul3(RJ[m], RJ_from[m].T, T)
         rotation_log(T, w)
         for k in range(3):
             out[SLOT_OF_JOINT_AXIS[m, k]] = w[k]

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from . import kernels
+from . import so3
 from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE_ANGLES, T_POSE_ANGLES
 
 Array = np.ndarray
@@ -22,14 +22,14 @@ Array = np.ndarray
 def rotation_matrix(vector: Array) -> Array:
     """Rotation matrix (3, 3) of a rotation vector (3,), rad (Rodrigues; thesis eq. 5.25 with |omega| = 1)."""
     R = np.empty((3, 3))
-    kernels.rotation_exp(float(vector[0]), float(vector[1]), float(vector[2]), R)
+    so3.rotation_exp(float(vector[0]), float(vector[1]), float(vector[2]), R)
     return R
 
 
 def rotation_vector(R: Array) -> Array:
     """Rotation vector (3,), rad, of a rotation matrix (3, 3); its length is at most pi."""
     vector = np.empty(3)
-    kernels.rotation_log(np.ascontiguousarray(R, float), vector)
+    so3.rotation_log(np.ascontiguousarray(R, float), vector)
     return vector
 
 

@@ -1,15 +1,15 @@
 """Traces rays along the silhouettes' contours that are tangent to the body (occluding contour rays).
 
 Every point of a silhouette's contour is the view of a ray that touches the body's surface somewhere without entering
-it.
-The steps of :func:`trace_contour_rays`: outlines, sub-pixel edges (:mod:`.outlines`), rays with their normals, and the
-interval of each ray along the hull, which is where it can touch. docs/contour_rays.md has the measurements.
+it. The steps of :func:`trace_contour_rays`: outlines, sub-pixel edges (:mod:`.outlines`), rays with their normals, and
+the interval of each ray along the hull (:mod:`.ray_hull`), which is where it can touch. docs/contour_rays.md has the
+measurements.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -22,18 +22,15 @@ from mocap_packets.hull import NO_CONTOUR_RAYS, ContourRays
 from ..grid import VoxelGrid
 from ..settings import ContourSettings
 from ..slicing.skeletonisation import HullRuns
-from ..slicing.voxel_runs import run_at
 from ..views import Masks, RigViews
 from .outlines import RADIUS_PX, find_edge, pick_contour_pixels, shadow_share, weights
+from .ray_hull import Hull, part_near, ray_hull_interval
 
 # chosen with bench/contour_rays.py
 MIN_OUTLINE_PX = 30.0  # shorter outlines, of holes or specks, get no rays
 SIGMA_PX = 0.5  # standard deviation of a contour across itself
 SHADOW_SIGMA_PX = 4.0  # added to it, in squares, where all pixels around may be shadow; less where fewer are
 
-PAD = 2  # empty voxels around the box, so that its neighbours have room
-FRACTION = 32  # bits of a voxel's fraction while marching: whole numbers are faster, and err by 1e-7 voxels at the end
-_U1 = np.uint64(1)
 Mask = npt.NDArray[np.uint8]
 
 COLUMNS = 12  # of the table as the kernels fill it: point, direction, normal, half_length, sigma, part
@@ -71,7 +68,7 @@ class ContourTracer:
         present = self._views.present(masks)
         if not len(runs.starts) or not self._limits[0]:
             return NO_CONTOUR_RAYS
-        hull = _hull(runs, self._grid)
+        hull = Hull.of(runs, self._grid)
         tables = []
         for index in present:
             name = self._views.names[index]
@@ -103,21 +100,6 @@ class Camera(NamedTuple):
     clear: npt.NDArray[np.uint8]
 
 
-class Hull(NamedTuple):
-    """The hull that rays may touch.
-
-    wide, size : see :func:`widen`. corner (3,) of its box in metres, map frame; voxel_m. runs : see :func:`part_near`;
-    several : whether the hull has more than one part.
-    """
-
-    wide: npt.NDArray[np.uint64]
-    size: tuple[int, int, int]
-    corner: npt.NDArray[np.float64]
-    voxel_m: float
-    runs: tuple[Any, ...]
-    several: bool
-
-
 class Scratch(NamedTuple):
     """Scratch memory; see :func:`.outlines.pick_contour_pixels`."""
 
@@ -127,13 +109,6 @@ class Scratch(NamedTuple):
     path: npt.NDArray[np.int16]
     along: npt.NDArray[np.float64]
     stamp: int
-
-
-def _hull(runs: HullRuns, grid: VoxelGrid) -> Hull:
-    wide, size = widen(runs.words, runs.starts, runs.ends, runs.first)
-    corner = grid.origin + (runs.low - PAD) * grid.voxel_size
-    lines = runs.starts, runs.ends, runs.first, runs.part, runs.words.shape
-    return Hull(wide, size, corner, grid.voxel_size, lines, bool(runs.part.any()))
 
 
 def _camera(P: npt.NDArray[np.float64], seen: npt.NDArray[np.uint8]) -> Camera:
@@ -234,130 +209,3 @@ def _normalise(vector):  # type: ignore[no-untyped-def]
     for k in range(3):
         vector[k] /= length
     return length
-
-
-@njit(cache=True, nogil=True)
-def widen(words, starts, ends, first):  # type: ignore[no-untyped-def]
-    """Dilate a hull's runs by their 26 neighbours: bits of rows along x of a box wider by PAD, and that box's size."""
-    layers, rows, width = words.shape
-    wide = np.zeros((layers + 2 * PAD, rows + 2 * PAD, width + 1), np.uint64)
-    size = (ends.max() + 2 * PAD, rows + 2 * PAD, layers + 2 * PAD)
-    for s in range(layers):
-        for r in range(rows):
-            for run in range(first[s * rows + r], first[s * rows + r + 1]):
-                for layer in range(s + PAD - 1, s + PAD + 2):
-                    for row in range(r + PAD - 1, r + PAD + 2):
-                        _fill_bits(wide[layer, row], starts[run] + PAD - 1, ends[run] + PAD + 1)
-    return wide, size
-
-
-@kernel
-def _fill_bits(row, start, end):  # type: ignore[no-untyped-def]
-    """Set the bits from ``start`` up to but not including ``end``."""
-    for word in range(start >> 6, ((end - 1) >> 6) + 1):
-        low, high = max(start - 64 * word, 0), min(end - 64 * word, 64)
-        ones = ~np.uint64(0) >> np.uint64(64 - (high - low))
-        row[word] |= ones << np.uint64(low)
-
-
-@kernel
-def ray_hull_interval(hull, start, direction):  # type: ignore[no-untyped-def]
-    """Find the interval in which a ray can touch the body: lengths from and to, equal where there is none.
-
-    It is that of the dilated hull. A hull of few cameras is often met more than once, by a limb and by the phantom of
-    another: the ray tells no more than that one of them is touched, so that the interval reaches over all of them that
-    belong to the same part of the hull as the longest. start (3,) and unit direction (3,) in voxels from the corner of
-    the hull's box; lengths in voxels from the start. A stretch of a single voxel may be missed.
-    """
-    wide, (near, far) = hull.wide, _within_box(hull.size, start, direction)
-    first, step = _fixed(start, direction, near + 0.5), _fixed((0.0, 0.0, 0.0), direction, 1.0)
-    steps, stretches, begin, end, best, longest, n = int(max(far - near, 0.0)), 0, 0, 0, 0, 0, 0
-    while n <= steps + 1:
-        one, other, n = _next_stretch(wide, first, step, steps, n)
-        if other > one:
-            begin, end, stretches = one if stretches == 0 else begin, other, stretches + 1
-            if other - one > longest:
-                best, longest = one, other - one
-    if stretches < 2:
-        return near + best, near + best + longest
-    if not hull.several:
-        return near + begin, near + end
-    own, n = _part_along(hull, start, direction, near + best + 0.5 * longest), 0
-    begin, end = best, best + longest
-    while n <= steps + 1:
-        one, other, n = _next_stretch(wide, first, step, steps, n)
-        if other > one and _part_along(hull, start, direction, near + 0.5 * (one + other)) == own:
-            begin, end = min(begin, one), max(end, other)
-    return near + begin, near + end
-
-
-@kernel
-def _next_stretch(wide, first, step, steps, n):  # type: ignore[no-untyped-def]
-    """Return the next occupied voxels along a ray from step ``n`` on, from and to, and where to go on."""
-    begin = -1
-    while n < steps + 2:
-        occupied = n < steps and _occupied(wide, first, step, n)
-        if occupied and begin < 0:
-            begin = n - (n > 0 and _occupied(wide, first, step, n - 1))
-        elif not occupied and begin >= 0:
-            return begin, n - 1 + (n - 1 < steps and _occupied(wide, first, step, n - 1)), n + 2
-        n += 2
-    return 0, 0, n
-
-
-@kernel
-def _part_along(hull, start, direction, length):  # type: ignore[no-untyped-def]
-    """Return the part of the hull near a place on a ray."""
-    x, y, z = start[0] + length * direction[0], start[1] + length * direction[1], start[2] + length * direction[2]
-    return part_near(hull.runs, (x, y, z))
-
-
-@kernel
-def _within_box(size, start, direction):  # type: ignore[no-untyped-def]
-    """Return the lengths between which a ray is in the box, less its outermost voxels, which are always empty."""
-    near, far = 0.0, 1e9
-    for axis in range(3):
-        low, high = 1.0, size[axis] - 1.0
-        if abs(direction[axis]) < 1e-12:
-            if not low <= start[axis] < high:
-                return 1.0, 0.0
-            continue
-        a, b = (low - start[axis]) / direction[axis], (high - start[axis]) / direction[axis]
-        near, far = max(near, min(a, b)), min(far, max(a, b))
-    return near, far
-
-
-@kernel
-def _fixed(start, direction, length):  # type: ignore[no-untyped-def]
-    """Return a point on a ray in fixed point: whole numbers of 1 / 2^FRACTION voxels."""
-    one = 1 << FRACTION
-    x, y, z = start[0] + length * direction[0], start[1] + length * direction[1], start[2] + length * direction[2]
-    return int(x * one), int(y * one), int(z * one)
-
-
-@kernel
-def _occupied(wide, first, step, n):  # type: ignore[no-untyped-def]
-    """Check the voxel ``n`` steps along."""
-    x = np.uint64(first[0] + n * step[0] >> FRACTION)
-    y = np.uint64(first[1] + n * step[1] >> FRACTION)
-    z = np.uint64(first[2] + n * step[2] >> FRACTION)
-    return wide[z, y, x >> np.uint64(6)] >> (x & np.uint64(63)) & _U1 != 0
-
-
-@kernel
-def part_near(runs, place):  # type: ignore[no-untyped-def]
-    """Return the part of the hull that a voxel near a place belongs to: the first found in growing cubes around it.
-
-    runs : starts, ends, first, part and the shape of words of :class:`hull_server.slicing.skeletonisation.HullRuns`;
-    place (3,) in voxels from the corner of the widened box.
-    """
-    starts, ends, first, part, (layers, rows, _) = runs
-    x, y, z = int(place[0]) - PAD, int(place[1]) - PAD, int(place[2]) - PAD
-    for reach in range(PAD + 2):
-        for s in range(max(z - reach, 0), min(z + reach + 1, layers)):
-            for r in range(max(y - reach, 0), min(y + reach + 1, rows)):
-                for column in range(x - reach, x + reach + 1):
-                    run = run_at(starts, ends, first, s * rows + r, column)
-                    if run >= 0:
-                        return part[run]
-    return part[0]

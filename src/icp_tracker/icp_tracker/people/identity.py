@@ -7,14 +7,18 @@ people of one size stay undecided, and keep the numbers that their motion gave t
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import combinations
 
 import numpy as np
 
 from ..acquisition.body_sizes import BodyEstimate
-from ..tracker import IcpTracker
+from ..tracker import NS_PER_S, IcpTracker
 
+TOGETHER_S = 0.2  # persons who shared a part of the hull for so long may have been taken for each other
+APART_S = 0.3  # so long after it their sizes are compared: by then neither hides much of the other
 EVERY_SETS = 3  # neighbouring sets err alike
 LEAST_LOOKS, MOST_LOOKS = 6, 20
 CLEAR_RAYS = 4.0  # mean over the looks, of two persons' some 1000 rays: twice what chance leaves of persons alike
@@ -62,6 +66,35 @@ class IdentityCheck:
         if abs(mean) >= CLEAR_RAYS:
             return Verdict.RIGHT if mean > 0.0 else Verdict.EXCHANGED
         return Verdict.OPEN if len(self._margins) < MOST_LOOKS else Verdict.ALIKE
+
+
+@dataclass
+class _Meeting:
+    """Two persons who share, or shared, a part of the hull: from when until when."""
+
+    began_ns: int
+    until_ns: int
+
+
+class Meetings:
+    """Which persons share, or shared a moment ago, a part of the hull."""
+
+    def __init__(self) -> None:
+        self._meetings: dict[tuple[int, int], _Meeting] = {}
+
+    def note(self, stamp_ns: int, shared: Iterable[Sequence[int]]) -> list[IdentityCheck]:
+        """Take note of the persons who share each part; return whom to compare now, some time after they parted."""
+        for persons in shared:
+            for pair in combinations(persons, 2):
+                meeting = self._meetings.setdefault(pair, _Meeting(stamp_ns, stamp_ns))
+                meeting.until_ns = stamp_ns
+        checks = []
+        for pair, meeting in sorted(self._meetings.items()):
+            if stamp_ns - meeting.until_ns >= APART_S * NS_PER_S:
+                del self._meetings[pair]
+                if meeting.until_ns - meeting.began_ns >= TOGETHER_S * NS_PER_S:
+                    checks.append(IdentityCheck(*pair))
+        return checks
 
 
 def sizes_apart(first: BodyEstimate, second: BodyEstimate) -> float:

@@ -25,13 +25,11 @@ from ..acquisition.upright import reasons_of_bodies
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker, visibility_of
 from .association import Association, Expected, associate_parts, associate_rows, is_ghost
-from .identity import ALIKE, IdentityCheck, Verdict, sizes_apart
+from .identity import ALIKE, IdentityCheck, Meetings, Verdict, sizes_apart
 
 GONE_AFTER_S = 1.0  # a person other than the first who has not been seen for so long has left
 AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
-TOGETHER_S = 0.2  # persons who shared a part of the hull for so long may have been taken for each other
 BACK_S = 0.2  # so long a fit stays good before somebody is taken for a person who was away: a ghost's does not
-APART_S = 0.3  # so long after it their sizes are compared: by then neither hides much of the other
 SAME_PLACE_M = 0.12  # two figures whose points are so near to each other on average are one person
 LOOK_EVERY_SETS = 3  # sets from one look at a newcomer to the next, so that fits do not wait for it
 NO_PART = -2  # is the number of no part of a hull
@@ -53,14 +51,6 @@ class _Person:
         return self.good_ns is not None and stamp_ns - self.good_ns >= BACK_S * NS_PER_S
 
 
-@dataclass
-class _Meeting:
-    """Two persons who share, or shared, a part of the hull: from when until when."""
-
-    began_ns: int
-    until_ns: int
-
-
 class PeopleTracker:
     """Follows every person in the volume. Deterministic, as the tracker of one body is.
 
@@ -78,7 +68,7 @@ class PeopleTracker:
         self._persons: dict[int, _Person] = {}
         self._newcomers: dict[int, IcpTracker] = {NO_PART: self._make()}  # by the number of their part of the hull
         self._reasons: dict[int, str] = {}
-        self._meetings: dict[tuple[int, int], _Meeting] = {}
+        self._meetings = Meetings()
         self._checks: list[IdentityCheck] = []
         self._sets = 0
 
@@ -124,7 +114,7 @@ class PeopleTracker:
         fits = self._follow(seen, associate_rows(seen, association, there), back, association, predictions)
         fits |= self._acquire(seen, [part for part in free if not self._is_just_away(back, part, seen)], fits)
         self._part_doubles(fits)
-        self._note_meetings(seen.stamp_ns, association)
+        self._checks += self._meetings.note(seen.stamp_ns, association.shared.values())
         fits = self._tell_apart(seen.stamp_ns, association, fits)
         return tuple(replace(fits[person], dropped_points=dropped) for person in sorted(fits))
 
@@ -287,18 +277,6 @@ class PeopleTracker:
         return [number for apart, number in sorted(likeness) if apart < ALIKE]
 
     # --- who is who --------------------------------------------------------------------------------------------------
-
-    def _note_meetings(self, stamp_ns: int, association: Association) -> None:
-        """Note who shares a part of the hull; some time after they have parted they are compared."""
-        for persons in association.shared.values():
-            for pair in combinations(persons, 2):
-                meeting = self._meetings.setdefault(pair, _Meeting(stamp_ns, stamp_ns))
-                meeting.until_ns = stamp_ns
-        for pair, meeting in sorted(self._meetings.items()):
-            if stamp_ns - meeting.until_ns >= APART_S * NS_PER_S:
-                del self._meetings[pair]
-                if meeting.until_ns - meeting.began_ns >= TOGETHER_S * NS_PER_S:
-                    self._checks.append(IdentityCheck(*pair))
 
     def _tell_apart(self, stamp_ns: int, association: Association, fits: dict[int, Fit]) -> dict[int, Fit]:
         """Compare the sizes of those who may have been taken for each other; exchange them where that fits better."""

@@ -23,6 +23,7 @@ from virtual_studio.gige import command as studio
 from ..arguments import add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
 from ..console import command_console
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
+from ..graph.process_group import ProcessSettings
 from ..graph.processes import Exit
 from ..graph.restarts import Death, RestartPolicy, Return
 from ..graph.ros_link import RosLink, StopOnSignal, our_nodes, settled
@@ -78,14 +79,14 @@ def up(args: argparse.Namespace) -> int:
         if isinstance(event, Death):
             console.print(f"the end of {event.log}:\n{event.log_tail}", markup=False, highlight=False)
 
-    restart = RestartPolicy() if args.restart else None
+    settings, restart = ProcessSettings(args.server), RestartPolicy() if args.restart else None
 
     def report_failure(error: InputError) -> None:
         console.print(f"{error} The capture goes on.", style="red", markup=False, highlight=False)
 
     with (
         StopOnSignal() as stop,
-        Supervisor(graph, folder, on_event=tell, cancel=stop, server=args.server, restart=restart) as supervisor,
+        Supervisor(graph, folder, settings, cancel=stop, on_event=tell, restart=restart) as supervisor,
         page_of(args) if args.view else nullcontext(),
     ):
         recorder = bring_up(supervisor, args.record, stop, report_failure)

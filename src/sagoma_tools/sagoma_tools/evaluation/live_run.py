@@ -20,6 +20,7 @@ from mocap_packets.latency import POINTS
 from sagoma_bringup.first_pose import start_settings
 from sagoma_ros.images import decode_silhouette
 
+from ..graph.process_group import ProcessSettings
 from ..graph.processes import Usage
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, camera_topics
@@ -105,7 +106,7 @@ def run_live(
     with live_input:
         live_input.open(cancel)
         graph = live_input.graph({**start_from, **(settings or {})})
-        with Supervisor(graph, output / "logs", domain_id=domain_id, cancel=cancel) as supervisor:
+        with Supervisor(graph, output / "logs", ProcessSettings(domain_id=domain_id), cancel=cancel) as supervisor:
             doing(f"starting {len(graph)} nodes")
             supervisor.configure(tolerate_cameras=False)
             provenance = {"session": str(live_input.session.folder)}
@@ -148,7 +149,7 @@ class UsageMeter:
         self.diagnostics = {name: report.values for name, report in reports.items() if report is not None}
 
     def _used(self) -> dict[str, Usage]:
-        return {**self._supervisor.usage(), **self._input.usage()}
+        return {**self._supervisor.processes.usage(), **self._input.usage()}
 
     def cpu_ms_per_set(self, sets: int) -> dict[str, float]:
         """Processor time of each process for one of so many frame sets."""

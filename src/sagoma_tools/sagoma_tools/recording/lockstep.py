@@ -15,6 +15,7 @@ from capture_rig.rig import load_rig
 from sagoma_bringup.graph import LOSSLESS_SETTINGS, build_graph
 from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
 
+from ..graph.process_group import ProcessSettings
 from ..graph.ros_link import RosLink
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX, camera_topics
@@ -71,7 +72,7 @@ def replay_through_graph(
     chosen = {**LOSSLESS_SETTINGS, **measured, **(settings or {})}
     graph = build_graph(rig=rig_file, body=body, settings=chosen)
     made_from = {"replayed_from": str(Path(bag).resolve()), "mode": "lockstep"}
-    with Supervisor(graph, run_folder, domain_id=domain_id, cancel=cancel, server=server) as supervisor:
+    with Supervisor(graph, run_folder, ProcessSettings(server, domain_id), cancel=cancel) as supervisor:
         doing(f"starting {len(graph)} nodes")
         supervisor.configure()
         with (

@@ -24,7 +24,7 @@ from cryptography.x509.oid import NameOID
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder, read_text, write_text
 
-from ..graph.supervisor import ENCLAVES
+from ..graph.process_group import ENCLAVES
 from .access import Access, governance_xml, permissions_xml
 
 AUTHORITY = "sagoma"

@@ -16,7 +16,7 @@ from numba import njit
 
 from capture_rig.kernel import kernel
 
-from .. import kernels
+from .. import so3
 from ..build import END_CAPSULES, END_STICKS
 from .normal_equations import CHAIN_COLUMNS, ENDS, add_capsule, fill_moments, pose_columns
 
@@ -78,7 +78,7 @@ def _turn(e, placed, turns):
     R, w, j = np.empty((3, 3)), np.empty(3), STICK[e]
     for i in range(3):
         w[i] = turns[e, 0] * placed.G[j, i, AXES[e, 0]] + turns[e, 1] * placed.G[j, i, AXES[e, 1]]
-    kernels.rotation_exp(w[0], w[1], w[2], R)
+    so3.rotation_exp(w[0], w[1], w[2], R)
     return R
 
 
