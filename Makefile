@@ -5,6 +5,8 @@ SESSION ?=
 TEST_PROCESSES ?= 2
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
+# without bytecode every process of a graph, and of the tests, compiles all sources and tests anew
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help setup demo studio test test-all lint colcon clean
 help:

@@ -1,5 +1,7 @@
 """Fixtures of the tests that run across packages."""
 
+import fcntl
+import os
 from pathlib import Path
 
 import pytest
@@ -11,8 +13,18 @@ from virtual_studio.rig import ring
 
 @pytest.fixture(scope="session")
 def built_in_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A short session of the virtual studio: four cameras and one above, a T-pose, then movement."""
-    folder = tmp_path_factory.mktemp("studio") / "session"
-    return write_session(
-        folder, ring(4, True), Body.from_stature(1.75), fps=30.0, seconds=2.0, settings=RenderSettings(seed=7)
-    )
+    """A short session of the virtual studio: four cameras and one above, a T-pose, then movement.
+
+    Rendered once for all processes of a test run; nobody may change it.
+    """
+    common = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        common = common.parent
+    folder, done = common / "built_in_session", common / "built_in_session.done"
+    with (common / "built_in_session.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            body, look = Body.from_stature(1.75), RenderSettings(seed=7)
+            write_session(folder, ring(4, True), body, fps=30.0, seconds=2.0, settings=look)
+            done.touch()
+    return folder

@@ -1,6 +1,7 @@
 """The whole graph, the server and every camera a process: footage in, joint states out, a bag of it, and its replay."""
 
 import os
+import shutil
 import signal
 import threading
 from pathlib import Path
@@ -11,6 +12,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CompressedImage, JointState
 
 from capture_rig.mask_levels import SHADOW_CANDIDATE
+from capture_rig.rig import Rig, load_rig, save_rig
 from capture_rig.session import load_session
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
@@ -118,12 +120,22 @@ def test_a_lockstep_replay_repeats_the_live_run_where_nothing_was_dropped(live, 
 
 
 @pytest.fixture(scope="module")
-def killed(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def three_cameras(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The session of its first three cameras."""
+    folder, rig = tmp_path_factory.mktemp("three") / "session", load_rig(built_in_session / "rig.yaml")
+    left_out = [f"{camera.name}*" for camera in rig.cameras[3:]]
+    shutil.copytree(built_in_session, folder, ignore=shutil.ignore_patterns(*left_out))
+    save_rig(Rig(rig.cameras[:3], rig.volume), folder / "rig.yaml")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def killed(three_cameras: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bag of a run in which a camera's process is killed after 20 frame sets; all the others are answered."""
     settings = T_POSE | {"hull_server.deadline_s": 0.5}  # of the first sets without the killed camera
-    graph = build_graph(session=built_in_session, rate=0.0, settings=settings)
+    graph = build_graph(session=three_cameras, rate=0.0, settings=settings)
     folder, died = tmp_path_factory.mktemp("killed"), threading.Event()
-    frames = frame_count(load_session(built_in_session))
+    frames = frame_count(load_session(three_cameras))
     with Supervisor(graph, folder / "logs", on_event=lambda event: died.set()) as supervisor:
         supervisor.configure()
         with GraphRecorder(graph, folder / "bag") as recorder:
@@ -138,6 +150,7 @@ def killed(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     return folder / "bag"
 
 
+@pytest.mark.slow  # quick ones: a dead camera in test_supervisor_graph, hulls without a camera in test_camera_drills
 def test_the_graph_goes_on_when_a_camera_process_is_killed(killed):
     sets = [deserialize_message(m.data, DiagnosticArray) for m in read_messages(killed, FRAME_SET_TOPIC.__eq__)]
     missing = [next(pair.value for pair in each.status[0].values if pair.key == "missing") for each in sets]

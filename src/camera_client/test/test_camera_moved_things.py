@@ -61,20 +61,32 @@ class Room:
 
     def __init__(self, background=None, colour=False, late_s=0.0, fps=FPS):
         self.background = wall(colour) if background is None else background
+        self.expected = np.rint(self.background).astype(np.uint8)
         self.moved = MovedThings(camera(), NOISE)
         self.frames, self.late_s, self.fps = 0, late_s, fps
         self.noise = NOISE * np.random.default_rng(1).normal(size=(7, *self.background.shape)).astype(np.float32)
         self.waiting = []
+        self.picture, self.shots = None, {}
+
+    def shot(self, picture):
+        """The image that is taken of a picture now, and its foreground; one that stays is not computed again."""
+        if picture is not self.picture:
+            self.picture, self.shots = picture, {}
+        phase = self.frames % len(self.noise)
+        if phase not in self.shots:
+            image = np.clip(np.rint(picture + self.noise[phase]), 0, 255).astype(np.uint8)
+            difference = np.abs(image - self.background)
+            difference = difference if difference.ndim == 2 else difference.max(axis=2)
+            self.shots[phase] = image, np.where(difference > 4 * NOISE, np.uint8(255), np.uint8(0))
+        image, foreground = self.shots[phase]
+        return image, foreground.copy()
 
     def see(self, picture, says=None):
         """One frame; returns what is foreground of it."""
         stamp_ns = self.frames * 10**9 // self.fps
         self.frames += 1
-        image = np.clip(np.rint(picture + self.noise[self.frames % 7]), 0, 255).astype(np.uint8)
-        difference = np.abs(image - self.background)
-        difference = difference if difference.ndim == 2 else difference.max(axis=2)
-        foreground = np.where(difference > 4 * NOISE, np.uint8(255), np.uint8(0))
-        self.moved.update(image, foreground, np.rint(self.background).astype(np.uint8), stamp_ns)
+        image, foreground = self.shot(picture)
+        self.moved.update(image, foreground, self.expected, stamp_ns)
         self.moved.clear_absorbed(image, foreground)
         if says is not None:
             cells = np.full((HEIGHT // CELL_PX, WIDTH // CELL_PX), says, np.uint8)

@@ -3,11 +3,13 @@ the calibration is in it."""
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 
 from rig_calibration.boards.board import Board, Checkerboard
-from rig_calibration.boards.drawing import draw_board
+from rig_calibration.boards.drawing import BoardPicture, draw_board
 
 BOARD = Checkerboard(9, 6, (0.025, 0.025))
 BOARD_TEXT = "checkerboard 9x6 25mm"
@@ -32,6 +34,13 @@ STATIONS = [
 ]
 
 
+@lru_cache(maxsize=2)
+def printed(board: Board) -> tuple[BoardPicture, np.ndarray]:
+    """A board's drawing, sharp and as print blurs it."""
+    drawn = draw_board(board, 3000.0)
+    return drawn, cv2.GaussianBlur(drawn.image, (0, 0), 3.0)
+
+
 def picture(station: tuple[float, ...], *, board: Board = BOARD, noise: float = 2.0, seed: int = 0) -> np.ndarray:
     """(480, 640) uint8."""
     K = np.array([[FOCAL_PX, 0, CENTRE_PX[0]], [0, FOCAL_PX, CENTRE_PX[1]], [0, 0, 1]])
@@ -39,10 +48,9 @@ def picture(station: tuple[float, ...], *, board: Board = BOARD, noise: float = 
     R = cv2.Rodrigues(np.deg2rad([lean_x, lean_y, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
     middle = np.linalg.inv(K) @ [across * SIZE[0], down * SIZE[1], 1.0] * distance
     t = middle - R @ board.corners_board.mean(axis=0)
-    drawn = draw_board(board, 3000.0)
+    drawn, blurred = printed(board)
     H = K @ np.column_stack([R[:, 0], R[:, 1], t]) @ np.linalg.inv(drawn.T_pixel_board)
     finer = np.array([[FINE, 0, (FINE - 1) / 2], [0, FINE, (FINE - 1) / 2], [0, 0, 1.0]])
-    blurred = cv2.GaussianBlur(drawn.image, (0, 0), 3.0)
     large = cv2.warpPerspective(
         blurred,
         finer @ H,

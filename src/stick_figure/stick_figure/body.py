@@ -106,7 +106,7 @@ class Body:
         """(6, 3) torso centre, neck, shoulders, hips in the torso frame (order of `skeleton.TORSO_POINTS`), metres."""
         return np.vstack([np.zeros(3), self.stick_origins_torso[1:6]])
 
-    @property
+    @cached_property
     def stature(self) -> float:
         """Standing height over the ankles' floor height, by the same anthropometric ratios, metres."""
         standing = self.lengths[0] + self.lengths[1] + self.lengths[[4, 5]].mean() + self.lengths[[8, 9]].mean()

@@ -39,17 +39,16 @@ def played(name, who=AVERAGE):
     return VolumetricBody(body, build), motion, np.array([forward(body, pose) for pose in motion.poses])
 
 
-def spheres(capsules, parts):
-    """Centres (n, 3) and radii (n,) of spheres along capsules: an oracle for what they fill."""
+def spheres(capsules):
+    """Centres (parts, 9, 3) and radii (parts, 9) of spheres along capsules: an oracle for what they fill."""
     share = np.linspace(0.0, 1.0, 9)
-    starts, ends, radii = capsules.starts[parts], capsules.ends[parts], capsules.radii[parts]
-    centres = starts[:, None] + share[None, :, None] * (ends - starts)[:, None]
-    return centres.reshape(-1, 3), (radii[:, :1] + share * (radii[:, 1:] - radii[:, :1])).ravel()
+    centres = capsules.starts[:, None] + share[None, :, None] * (capsules.ends - capsules.starts)[:, None]
+    return centres, capsules.radii[:, :1] + share * (capsules.radii[:, 1:] - capsules.radii[:, :1])
 
 
-def gap_m(capsules, some, others):
-    """Least distance between the skins of two groups of capsules, negative where they overlap."""
-    (a, ra), (b, rb) = spheres(capsules, some), spheres(capsules, others)
+def gap_m(skin, some, others):
+    """Least distance between two groups of capsules, whose spheres are the skin; negative where they overlap."""
+    (a, ra), (b, rb) = ((skin[0][parts].reshape(-1, 3), skin[1][parts].ravel()) for parts in (some, others))
     return (np.linalg.norm(a[:, None] - b[None], axis=2) - ra[:, None] - rb[None]).min()
 
 
@@ -80,9 +79,8 @@ def test_nothing_sinks_into_the_floor_whoever_does_it(name, who):
     person, motion, _ = played(name, who)
     lowest = []
     for pose in motion.poses[::6]:
-        capsules = person.place(pose)
-        centres, radii = spheres(capsules, np.arange(len(capsules.radii)))
-        lowest.append((centres[:, 2] - radii).min())
+        centres, radii = spheres(person.place(pose))
+        lowest.append((centres[..., 2] - radii).min())
     assert min(lowest) > -0.015
     if name != "jump":
         assert max(lowest) < 0.012
@@ -96,16 +94,16 @@ def test_limbs_do_not_pass_through_the_body(name, who):
     person, motion, _ = played(name, who)
     left, right = parts_of(person, L_FOREARM), parts_of(person, R_FOREARM)
     trunk, head = parts_of(person, TORSO), parts_of(person, HEAD)
-    legs = [parts_of(person, L_THIGH, L_CALF), parts_of(person, R_THIGH, R_CALF)]
+    thighs, calves = ([parts_of(person, stick) for stick in pair] for pair in ((L_THIGH, R_THIGH), (L_CALF, R_CALF)))
     for pose in motion.poses[::5]:
-        capsules = person.place(pose)
+        skin = spheres(person.place(pose))
         for forearm in (left, right):
-            assert gap_m(capsules, forearm, trunk) > -0.020
-            assert gap_m(capsules, forearm, head) > 0.0
-            assert gap_m(capsules, forearm, legs[0] + legs[1]) > -0.015
-        assert gap_m(capsules, left, right) > -0.025  # clasped hands
-        assert gap_m(capsules, parts_of(person, L_CALF), parts_of(person, R_CALF)) > -0.005
-        assert gap_m(capsules, parts_of(person, L_THIGH), parts_of(person, R_THIGH)) > -0.025
+            assert gap_m(skin, forearm, trunk) > -0.020
+            assert gap_m(skin, forearm, head) > 0.0
+            assert gap_m(skin, forearm, [*thighs[0], *thighs[1], *calves[0], *calves[1]]) > -0.015
+        assert gap_m(skin, left, right) > -0.025  # clasped hands
+        assert gap_m(skin, *calves) > -0.005
+        assert gap_m(skin, *thighs) > -0.025
 
 
 @pytest.mark.parametrize("name", sorted(set(HARD_CASES) - {"lie_down", "jump", "run"}))
@@ -136,7 +134,10 @@ def test_truth_of_a_hard_case_does_not_depend_on_the_frame_rate():
 def test_arm_on_chest_keeps_the_forearm_on_the_skin_for_two_seconds():
     person, motion, _ = played("arm_on_chest")
     gaps = np.array(
-        [gap_m(person.place(pose), parts_of(person, L_FOREARM), parts_of(person, TORSO)) for pose in motion.poses]
+        [
+            gap_m(spheres(person.place(pose)), parts_of(person, L_FOREARM), parts_of(person, TORSO))
+            for pose in motion.poses
+        ]
     )
     assert (gaps < 0.01).sum() >= 2 * FPS
 
@@ -145,7 +146,7 @@ def test_hands_meet_when_clasped_and_rest_on_the_hips_when_akimbo():
     _, _, points = played("hands_clasped")
     assert (np.linalg.norm(points[:, LEFT_HAND] - points[:, RIGHT_HAND], axis=1) < 0.10).sum() >= 2 * FPS
     person, motion, _ = played("hands_on_hips")
-    middle = person.place(motion.poses[4 * FPS])
+    middle = spheres(person.place(motion.poses[4 * FPS]))
     assert gap_m(middle, parts_of(person, L_FOREARM), parts_of(person, TORSO)) < 0.04
 
 

@@ -28,7 +28,7 @@ def played(name, who=PEOPLE[0]):
 
 def overlap_m(capsules, others):
     """How deep two groups of capsules are in each other at most; negative: how far apart."""
-    (a, ra), (b, rb) = (spheres(c, np.arange(len(c.radii))) for c in (capsules, others))
+    (a, ra), (b, rb) = ((c.reshape(-1, 3), r.ravel()) for c, r in map(spheres, (capsules, others)))
     return -(np.linalg.norm(a[:, None] - b[None], axis=2) - ra[:, None] - rb[None]).min()
 
 
