@@ -36,7 +36,7 @@ import numpy as np
 from scenes import SHARED, shared_sessions
 from scipy.stats import norm
 
-from camera_client.background.adaptive import AdaptiveBackground
+from camera_client.background.adaptation.adaptive import AdaptiveBackground
 from camera_client.background.model import BackgroundModel, Provenance, read_background
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_client.background.adaptive import AdaptiveBackground
+from camera_client.background.adaptation.adaptive import AdaptiveBackground
 from camera_client.background.model import BackgroundLearner
 from camera_client.background.noise import assumed_noise
 from camera_client.settings import BackgroundSettings, SilhouetteSettings

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_client.background.moved_things import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
-from camera_client.background.support_history import APPLY_AFTER_S, CanvasCells
-from camera_client.background.taken_away import is_calm_inside, was_taken_away
+from camera_client.background.moved_things.absorption import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
+from camera_client.background.moved_things.support_history import APPLY_AFTER_S, CanvasCells
+from camera_client.background.moved_things.taken_away import is_calm_inside, was_taken_away
 from capture_rig.camera import CameraModel
 from mocap_packets.support import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 

@@ -111,7 +111,7 @@ class MocapPipeline:
         # see as foreground (3.1; consistency/, floor_shadows/, carving/ or opengl/)
         under_way = self.hull.begin(frame_set)
         # tell each camera where the others see a body: things that moved are seen by none, and become background
-        # (consistency/foreground_support.py; camera_client/background/moved_things.py)
+        # (consistency/foreground_support.py; camera_client/background/moved_things/absorption.py)
         self.report_support(under_way.support)
         # slice the hull along x, y and z and keep the centroids of the slices that look like a limb (3.2; slicing/);
         # sample its voxels, and trace the rays that touch the body (slicing/voxel_samples.py, contour_rays/)

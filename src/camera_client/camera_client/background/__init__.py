@@ -1,1 +1,1 @@
-"""The background of one camera: model, training, verdict, and what follows light, noise, shift and moved things."""
+"""The background of one camera: model, noise, training, verdict, watch; its adaptation; things that moved."""

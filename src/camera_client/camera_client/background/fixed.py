@@ -8,11 +8,11 @@ import numpy.typing as npt
 
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
-from .adaptive import BackgroundState
-from .light import Light
+from .adaptation.adaptive import BackgroundState
+from .adaptation.light import Light
+from .adaptation.shift import Displacement
 from .model import BackgroundModel
 from .noise import Noise, assumed_noise
-from .shift import Displacement
 
 FOREGROUND_DISTANCE = 255
 

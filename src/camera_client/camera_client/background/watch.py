@@ -20,7 +20,7 @@ from capture_rig.verdict import REDO, USABLE, Finding
 from ..frame_source import Image, Mask
 from ..settings import BackgroundWatchSettings
 from ..sources.frame_checks import MIN_LIT_LEVEL, grid_step
-from .light import MOST_GAIN
+from .adaptation.light import MOST_GAIN
 from .model import BackgroundLimits, BackgroundModel, Provenance
 from .verdict import ImageRegion, describe_regions, find_regions
 

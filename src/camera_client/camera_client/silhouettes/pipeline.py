@@ -18,10 +18,10 @@ from capture_rig.rig import Volume
 from mocap_packets.silhouette import Silhouette
 from mocap_packets.support import ForegroundSupport
 
-from ..background.adaptive import AdaptiveBackground
+from ..background.adaptation.adaptive import AdaptiveBackground
 from ..background.fixed import FixedBackground
 from ..background.model import BackgroundModel, check_shape, shape_text
-from ..background.moved_things import MovedThings
+from ..background.moved_things.absorption import MovedThings
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black

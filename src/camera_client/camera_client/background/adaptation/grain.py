@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 import numpy.typing as npt
 
-from .noise import FOLLOW_S, LEAST_VARIANCE
+from ..noise import FOLLOW_S, LEAST_VARIANCE
 
 NEAR_PX, FAR_PX = 2, 16  # demosaicing reaches less far than the one; no block of a codec as far as the other
 LEAST_CHANGE = 0.02  # grey levels squared: less is the same picture again

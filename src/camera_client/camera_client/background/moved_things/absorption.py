@@ -20,7 +20,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.support import ForegroundSupport
 
-from ..frame_source import Image, Mask
+from ...frame_source import Image, Mask
 from .support_history import Blocks, SupportHistory, counted
 from .taken_away import is_calm_inside, was_taken_away
 

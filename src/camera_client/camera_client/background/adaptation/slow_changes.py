@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..frame_source import Mask
+from ...frame_source import Mask
 
 MOST_CHANGE = 12.0  # grey levels by which a single pixel may depart from how it was learned
 FOLLOW_S = 60.0  # time constant

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..frame_source import Image, Mask
+from ...frame_source import Image, Mask
 
 ACROSS_PX = 3.0  # from the outline to both sides: beyond blur, and within a person's arm
 SMOOTH_PX = 5  # side of the box in which the outline is made smooth, as the silhouette's median filter does

@@ -19,14 +19,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
-from ..frame_source import Image, Mask
-from ..settings import BackgroundSettings
+from ...frame_source import Image, Mask
+from ...settings import BackgroundSettings
+from ..kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, take_residuals, take_samples
+from ..model import BackgroundModel
+from ..noise import FOLLOW_S, Noise, assumed_noise, learned_noise, measured_noise
 from .expected_image import At, ExpectedImage, Floats
 from .grain import GrainMeter
-from .kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, take_residuals, take_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
-from .model import BackgroundModel
-from .noise import FOLLOW_S, Noise, assumed_noise, learned_noise, measured_noise
 from .shift import Displacement, Edges, ShiftEstimator
 from .slow_changes import SlowChanges
 from .sudden_shift import Places, sudden_shift

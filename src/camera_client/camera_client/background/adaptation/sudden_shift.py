@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ..frame_source import Image
-from .kernels import OPTIONS, robust_shift
+from ...frame_source import Image
+from ..kernels import OPTIONS, robust_shift
 from .shift import HOLD, REACH, Displacement
 
 WIDTH_PX = 640.0  # the search goes by pixels of a picture of this width

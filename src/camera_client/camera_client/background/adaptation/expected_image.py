@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ..frame_source import Image, Mask
-from .kernels import current_levels, refresh_rows, squared_distance, squared_distance_of_colours
+from ...frame_source import Image, Mask
+from ..kernels import current_levels, refresh_rows, squared_distance, squared_distance_of_colours
+from ..model import BackgroundModel
+from ..noise import Noise
 from .light import FIELD_DOWN, Light
-from .model import BackgroundModel
-from .noise import Noise
 from .shift import Displacement, gradients, steepness2
 
 UNEVEN_LIGHT = 0.004  # relative standard deviation of what a smooth field of light does not hold
