@@ -91,7 +91,7 @@ def rendered_people(data: Path, motions: Path, count: int, poses: int, stick: ND
     """Random people in CLIPS_EACH clips, ``poses`` of each. stick (k,) : that each capsule is fixed to."""
     random = np.random.default_rng(MESH_SEED)
     for k in range(count):
-        mesh, stature = _random_mesh(data, k, random)
+        mesh, stature = random_mesh(data, k, random)
         still = mesh.truth(*mesh.posed(np.tile(np.eye(3), (len(NAMES), 1, 1)), mesh.heads[0]))
         shown = []
         for clip in random.permutation(len(CLIPS))[:CLIPS_EACH]:
@@ -145,7 +145,7 @@ def poses_of(truths: dict[str, Array]) -> list[Pose]:
     return poses
 
 
-def _random_mesh(data: Path, number: int, random: np.random.Generator) -> tuple[MeshBody, float]:
+def random_mesh(data: Path, number: int, random: np.random.Generator) -> tuple[MeshBody, float]:
     who = Phenotype(gender=float(number % 2 * 0.9 + 0.05 * random.random()), age=random.uniform(0.55, 1.0))
     who = replace(who, muscle=random.uniform(0.15, 0.9), weight=random.uniform(0.15, 0.9))
     who = replace(who, height=random.uniform(0.3, 0.7), proportions=random.uniform(0.2, 1.0))

@@ -10,7 +10,7 @@ setup(
     maintainer="sagoma maintainers",
     maintainer_email="maintainers@users.noreply.h-seed-689beada.example",
     packages=find_packages(exclude=["test"]),
-    package_data={package_name: ["builds.csv"]},
+    package_data={package_name: ["builds.csv", "joint_centres.csv"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),

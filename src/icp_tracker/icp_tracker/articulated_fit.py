@@ -26,6 +26,7 @@ from capture_rig.visibility import EVERYWHERE, RigVisibility
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
+from stick_figure.joint_centres import with_joint_centres
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
@@ -121,6 +122,9 @@ class ContourSettings:
     bend: float = setting(
         1.0, "how far the trunk bends, over what is usual in daily movement (0: a rigid torso)", low=0.0, high=10.0
     )
+    joint_centres: bool = setting(
+        True, "reference points of shoulders, hips and neck at a person's joint centres; else at the figure's"
+    )
 
 
 @dataclass(frozen=True)
@@ -211,6 +215,8 @@ def assess(
     weights, scale = make_weights(data, settings), Scale(UNSEEN, COVARIANCE_SHARE, settings.correlation)
     found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, scale)
     information, points_world, covariance, counts, rms_m, near_sticks = found
+    if settings.contour.joint_centres and len(data.contour_rays.information) > 0:
+        points_world = with_joint_centres(body, pose, points_world)
     return FitResult(
         pose,
         bool(converged),

@@ -83,6 +83,11 @@ class IcpTracker:
         return self._body
 
     @property
+    def bent_body(self) -> Body | None:
+        """The body that is followed, its trunk as it is bent now; None before the first pose."""
+        return None if self._body is None else self._trunk.of(self._body)
+
+    @property
     def pose(self) -> Pose | None:
         """The pose in the last set; None before the first one."""
         return self._pose

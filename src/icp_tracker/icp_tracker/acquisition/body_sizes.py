@@ -5,12 +5,13 @@ a joint inside a straight limb (elbow, knee, neck, hip) only proportions tell. B
 is one linear update of the prior and comes with its covariance.
 
 Prior: segment lengths over the stature, and how people differ. Means lie between Drillis & Contini 1966 (in Winter,
-fig. 4.1: heights of hip .530, knee .285, ankle .039, chin .870, shoulder .818; upper arm .186, forearm and hand .254)
-and the joint centres of de Leva 1996 (men, women: vertex to cervicale .140, .140; cervicale to mid-hips .347, .354;
-upper arm .162, .159; forearm and hand .264, .251; thigh .243, .212; shank .253, .253). Shoulder joints lie medial of
-the acromia (biacromial breadth .259 by Drillis & Contini, about .23 in recent surveys) and hip joints 14 % of the
-pelvic breadth medial of its ends (Bell et al. 1990), of which the surveys' values are smaller too. The spreads hold
-what people differ by and what those sources do.
+fig. 4.1: heights of hip .530, knee .285, ankle .039, chin .870, shoulder .818; forearm and hand .254) and the joint
+centres of de Leva 1996 (men, women: vertex to cervicale .140, .140; cervicale to mid-hips .347, .354; upper arm .162,
+.159; forearm and hand .264, .251; thigh .243, .212; shank .253, .253). The upper arm is de Leva's alone: that of
+Drillis & Contini, .186, begins at the acromion, above the joint. Shoulder joints lie medial of the acromia (biacromial
+breadth .259 by Drillis & Contini, about .23 in recent surveys) and hip joints 14 % of the pelvic breadth medial of its
+ends (Bell et al. 1990), of which the surveys' values are smaller too. The spreads hold what people differ by and what
+those sources do.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ SIZES = (
 """Order of a vector of sizes (10,), metres: lengths of the sticks (the forearm's to the finger tips), the shoulders'
 height above the hips, half the joints' distances, and the ankles' height above the floor."""
 HEAD_, TORSO_, RISE, SHOULDER, UPPER_ARM, FOREARM, HIP, THIGH, CALF, ANKLE = range(len(SIZES))
-MEAN_OVER_STATURE = np.array([0.138, 0.332, 0.281, 0.110, 0.167, 0.259, 0.064, 0.245, 0.247, 0.039])
+MEAN_OVER_STATURE = np.array([0.138, 0.332, 0.281, 0.110, 0.161, 0.259, 0.064, 0.245, 0.247, 0.039])
 SD_OVER_STATURE = np.array([0.009, 0.012, 0.014, 0.011, 0.011, 0.009, 0.008, 0.009, 0.007, 0.004])
 
 

@@ -82,9 +82,12 @@ class PeopleTracker:
         """Why each part of the last hull that is nobody's has no first pose yet, while somebody is followed."""
         return tuple(self._reasons.values()) if self._persons else ()
 
-    def body_of(self, person: int) -> Body | None:
-        """Return a person's body; None for one who is not known."""
-        return self._persons[person].tracker.body if person in self._persons else None
+    def body_of(self, person: int, bent: bool = False) -> Body | None:
+        """Return a person's body, at rest or as its trunk is ``bent`` now; None for one who is not known."""
+        if person not in self._persons:
+            return None
+        tracker = self._persons[person].tracker
+        return tracker.bent_body if bent else tracker.body
 
     @property
     def needs_voxels(self) -> bool:
