@@ -2,10 +2,12 @@
 
 import fcntl
 import os
+import shutil
 from pathlib import Path
 
 import pytest
 
+from capture_rig.rig import Rig, load_rig, save_rig
 from stick_figure.body import Body
 from virtual_studio.recording.session import RenderSettings, write_session
 from virtual_studio.rig import ring
@@ -27,4 +29,14 @@ def built_in_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
             body, look = Body.from_stature(1.75), RenderSettings(seed=7)
             write_session(folder, ring(4, True), body, fps=30.0, seconds=2.0, settings=look)
             done.touch()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def three_cameras(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The session of its first three cameras."""
+    folder, rig = tmp_path_factory.mktemp("three") / "session", load_rig(built_in_session / "rig.yaml")
+    left_out = [f"{camera.name}*" for camera in rig.cameras[3:]]
+    shutil.copytree(built_in_session, folder, ignore=shutil.ignore_patterns(*left_out))
+    save_rig(Rig(rig.cameras[:3], rig.volume), folder / "rig.yaml")
     return folder

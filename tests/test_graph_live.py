@@ -1,7 +1,6 @@
 """The whole graph, the server and every camera a process: footage in, joint states out, a bag of it, and its replay."""
 
 import os
-import shutil
 import signal
 import threading
 from pathlib import Path
@@ -12,7 +11,6 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CompressedImage, JointState
 
 from capture_rig.mask_levels import SHADOW_CANDIDATE
-from capture_rig.rig import Rig, load_rig, save_rig
 from capture_rig.session import load_session
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
@@ -117,16 +115,6 @@ def test_a_lockstep_replay_gives_the_same_bytes_in_one_process_and_in_three(repl
 def test_a_lockstep_replay_repeats_the_live_run_where_nothing_was_dropped(live, replayed):
     assert first_difference(live.bag, replayed[0], "/mocap/joint_states") is None
     assert first_difference(live.bag, replayed[0], "/mocap/reference_points") is None
-
-
-@pytest.fixture(scope="module")
-def three_cameras(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The session of its first three cameras."""
-    folder, rig = tmp_path_factory.mktemp("three") / "session", load_rig(built_in_session / "rig.yaml")
-    left_out = [f"{camera.name}*" for camera in rig.cameras[3:]]
-    shutil.copytree(built_in_session, folder, ignore=shutil.ignore_patterns(*left_out))
-    save_rig(Rig(rig.cameras[:3], rig.volume), folder / "rig.yaml")
-    return folder
 
 
 @pytest.fixture(scope="module")
