@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from mocap_packets.fit import PART_NAMES
 from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import Pose
 
@@ -20,13 +21,18 @@ from .leaps import LEAP_RAYS, kept_limb, reach_m
 from .limb_search import NO_POSES, LimbPlaces, other_places, with_limb
 from .place_leads import PlaceLeads
 from .pose_library import LIMBS, Limb, LimbPoses, limb_poses
-from .track_quality import doubtful_limbs
+from .track_quality import Hypothesis, doubtful_limbs
 
 LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS, at every look one: arms are lost more often than legs
 LIKELY_MARGIN = -3.0  # rays: a limb with a place no farther behind is looked at more often
 UNEXPLAINED_RAYS = 10.0  # so many more than usual that pass a limb speak of another place of it, too
 FOLLOWED_MARGIN = -30.0  # rays: a place farther behind is left to its limb's next turn (within four sets)
 CHANCE_SHARE = 0.5  # of margin_rays: a place that explains no more than this gathers no lead
+
+
+def only(limb: Limb) -> tuple[bool, ...]:
+    """Return the parts (5,) of the body that move with a limb."""
+    return tuple(part == limb.part for part in range(len(PART_NAMES)))
 
 
 class LimbMonitor:
@@ -98,6 +104,20 @@ class LimbMonitor:
             self._leads[number] = leads.without(k)
             return None
         return limb, moved, found
+
+    def elsewhere(self, pose: Pose) -> Hypothesis | None:
+        """Return the pose with one limb at the likeliest place that is not its own; None while none is followed."""
+        found = [
+            (float(leads.places.margins[k]), number, int(k))
+            for number, leads in self._leads.items()
+            for k in np.flatnonzero(leads.places.apart_m > SAME_M)
+        ]
+        if not found:
+            return None
+        _, number, k = max(found)
+        limb, places = LIMBS[number], self._leads[number].places.poses
+        moved = with_limb(pose, limb, places.R[k], places.flexion[k])
+        return Hypothesis(moved, f"{PART_NAMES[limb.part]} elsewhere", only(limb))
 
     def go_over(self, observed: ObservedSet, pose: Pose, better: Pose) -> None:
         """Follow the places that a change-over left: it may be a mistake."""

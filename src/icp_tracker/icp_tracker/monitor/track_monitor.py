@@ -23,7 +23,7 @@ from stick_figure.pose import Pose
 from ..articulated_fit import ArticulatedSettings
 from .evidence import SAME_M, TRUNK, Evidence, ObservedSet
 from .leaps import RecentRays, leaps_of_limbs
-from .limb_monitor import LimbMonitor
+from .limb_monitor import LimbMonitor, only
 from .out_of_sight import is_cut, limbs_of_points, points_out_of_sight, shown_parts, with_hidden_parts
 from .place_leads import FAR_M
 from .pose_library import LIMBS, arms_exchanged, legs_exchanged, moved_to, sides_exchanged, stances, turned_around
@@ -62,12 +62,13 @@ MARGIN_SETS = 3  # sets that a hypothesis is compared in at least: one may be to
 PATIENT_S = 0.5  # after which a hypothesis without the margin is dropped
 LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
 CHECKS = 8  # looks at the whole body turned, two more than there are kinds, until one that was lost is believed
+LIMB_EVERY = 4  # looks from one at a limb elsewhere, with the whole body fitted to it, to the next
 TURNED_EVERY = 8  # looks from one at the whole body turned round to the next
 LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
 NS_PER_S = 1e9
 STANCES_A_SET = 6
 SLIGHT_DROP, SLIGHT_DROP_EVERY = 0.03, 2  # so little less explained than usual is a reason to look at the body turned
-NOTHING_MOVED, ALL_MOVED = (False,) * len(PART_NAMES), (True,) * len(PART_NAMES)
+NOTHING_MOVED = (False,) * len(PART_NAMES)
 BEHIND_MOST = 3.0  # rays that another pose may be behind when it is first looked at
 
 
@@ -211,7 +212,7 @@ class TrackMonitor:
         if self._has_lasted(hypothesis, observed, pose) or (hypothesis.sets >= 2 and hypothesis.margin >= CLEAR_RAYS):
             self._hypothesis = None
             known = quality if hypothesis.evidence is None else judge_track(hypothesis.evidence, self._baseline)
-            return Examination(known, hypothesis.pose, hypothesis.why, ALL_MOVED)
+            return Examination(known, hypothesis.pose, hypothesis.why, hypothesis.moved)
         if hypothesis.seconds >= PATIENT_S or (hypothesis.sets >= 2 and hypothesis.margin < 0.0):
             self._hypothesis = None
             return Examination(quality)
@@ -223,9 +224,8 @@ class TrackMonitor:
         if found is None:
             return None
         limb, better, better_evidence = found
-        parts = tuple(part == limb.part for part in range(len(PART_NAMES)))
         quality = judge_track(better_evidence, self._baseline)
-        return Examination(quality, better, f"{PART_NAMES[limb.part]} elsewhere", parts)
+        return Examination(quality, better, f"{PART_NAMES[limb.part]} elsewhere", only(limb))
 
     def _has_lasted(self, hypothesis: Hypothesis, observed: ObservedSet, pose: Pose) -> bool:
         """Return whether the margin has held for long enough; stamps jitter, so half an interval may be missing."""
@@ -272,6 +272,8 @@ class TrackMonitor:
             every = min(every, SLIGHT_DROP_EVERY)
         if turn % every == 0:
             return self._whole_body(observed, pose)
+        if turn % LIMB_EVERY == LIMB_EVERY // 2:
+            return self._limbs.elsewhere(pose)
         return None
 
     def _whole_body(self, observed: ObservedSet, pose: Pose) -> Hypothesis:

@@ -18,17 +18,21 @@ from .pose_library import LIMBS
 # --- hypotheses: other poses, followed beside the first until the evidence of several frame sets decides
 
 
+ALL_PARTS = (True,) * len(PART_NAMES)
+
+
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """Another pose of the whole body, and what speaks for it.
 
     why : in words, what differs. evidence : about the pose at the last set. sets, seconds : frame sets it has been
     compared in, and the time between them; margin : mean over them of its lead over the followed pose, in rays
-    (Evidence.margin_of).
+    (Evidence.margin_of). moved (5,) : the parts that are elsewhere; what else differs follows from them.
     """
 
     pose: Pose
     why: str
+    moved: tuple[bool, ...] = ALL_PARTS
     evidence: Evidence | None = None
     sets: int = 0
     seconds: float = 0.0
@@ -38,7 +42,7 @@ class Hypothesis:
         """Return one more frame set, so long after the last: its pose, the evidence about it and the followed pose."""
         sets = self.sets + 1
         margin = self.margin + (followed.margin_of(evidence) - self.margin) / sets
-        return Hypothesis(pose, self.why, evidence, sets, self.seconds + apart_s, margin)
+        return replace(self, pose=pose, evidence=evidence, sets=sets, seconds=self.seconds + apart_s, margin=margin)
 
 
 LOST_SHARE = 0.35  # of the outline: what hardly any wrong pose explains less of
@@ -136,8 +140,9 @@ def judge_track(evidence: Evidence, baseline: Baseline) -> TrackQuality:
 
 
 def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float) -> TrackQuality:
-    """Return the quality beside a hypothesis: doubtful where they differ once its margin has held for a few sets."""
-    if hypothesis.sets == 0:
+    """Return the quality beside a hypothesis: doubtful once its margin has held for a few sets. Where one limb may be
+    elsewhere its own places say so (`doubtful_limbs`)."""
+    if hypothesis.sets == 0 or hypothesis.moved != ALL_PARTS:
         return quality
     quality = replace(quality, hypothesis_margin=hypothesis.margin)
     lasting = hypothesis.sets >= CONTESTED_SETS and hypothesis.seconds >= CONTESTED_S
@@ -151,10 +156,10 @@ def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float)
 # --- limbs that may be elsewhere
 
 
-ELSEWHERE_M = 0.15  # a limb whose elbow or hand would be so far off is elsewhere
+ELSEWHERE_M = 0.25  # a limb whose elbow or hand would be so far off is elsewhere: the track may then be 0.2 m wrong
 # rays: a limb becomes doubtful when another place explains so much more, and is until none comes so near; chosen where
 # bench/doubt.py calls most wrong limbs for one clear frame in a hundred
-DOUBTFUL_MARGIN, CLEAR_MARGIN = 1.0, -1.0
+DOUBTFUL_MARGIN, CLEAR_MARGIN = 0.5, -1.0
 
 
 def doubtful_limbs(places: Mapping[int, LimbPlaces], before: Collection[int]) -> frozenset[int]:
