@@ -1,17 +1,18 @@
 """Recovery drills: break a track on purpose, and measure the time until it is good again.
 
-    python bench/recovery.py [SESSION ...] [--exact] [--motion NAME ...] [--set NODE.PARAMETER=VALUE ...]
+    python bench/recovery.py [SESSION ...] [--exact] [--motion NAME ...] [--moments N] [--set NODE.PARAMETER=VALUE]
 
-Each drill disturbs a running track once: 1 s of blank silhouettes, 10 missing frame sets, a camera lost for 1 s, or a
-wrong pose put into filter and tracker (heading flipped, left and right swapped, an arm folded away, 0.4 m off). Motions
-of the virtual studio are seen by five cameras around and one above (exact silhouettes); sessions bring their own. Two
-more drills are motions themselves: an arm against the chest for 2 s, and leaving the volume and coming back.
+Each drill disturbs a running track once, or at each of N moments of the clip, each in a run of its own: 1 s of blank
+silhouettes, 10 missing frame sets, a camera lost for 1 s, or a wrong pose put into filter and tracker (heading
+flipped, left and right swapped, an arm folded away, 0.4 m off). Motions of the virtual studio are seen by five cameras
+around and one above (exact silhouettes); sessions bring their own. Two more drills are motions themselves: an arm
+against the chest for 2 s, and leaving the volume and coming back.
 
 A cell is the time in seconds from the end of the disturbance to a good track (all points < 200 mm and their mean
-< 60 mm for 0.2 s), or "never"; then the mean error in mm after that time; then the share of frames that were bad
-although tracker and filter both said that they track, "of" the share that was bad. The row "undisturbed" gives the
-share of good frames and the mean error of the same stretch without a drill: what recovery can hope for. The last line
-is JSON.
+< 60 mm for 0.2 s), or "never", of several moments the median and the longest; then the mean error in mm after that
+time; then the share of frames that were bad although tracker and filter both said that they track, "of" the share that
+was bad. The row "undisturbed" gives the share of good frames and the mean error of the same stretch without a drill:
+what recovery can hope for. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -32,23 +33,35 @@ from virtual_studio.motions.catalogue import HARD_CASES
 MOTION_S = 6.0
 MOTION_DRILLS = {"arm against the chest 2 s": "arm_on_chest", "left and came back": "leave_and_return"}
 LEFT_HAND_POINT, NECK_POINT, ON_CHEST_M = 11, 2, 0.35
-DISTURBED_AT = 0.45
-"""Where in the clip the disturbance begins, as a share of its length."""
+DISTURBED_AT, SPREAD = 0.45, 0.15
+"""Where in the clip the disturbance begins, as a share of its length, and how far several moments spread around it."""
 
 Figures = dict[str, float | None]
 Column = dict[str, Figures]
 
 
-def drilled(clip: Clip, settings: dict[str, Any]) -> Column:
+def drilled(clip: Clip, settings: dict[str, Any], moments: int = 1) -> Column:
     """The figures of the undisturbed clip and of every drill."""
-    begin, clouds = round(DISTURBED_AT * len(clip)), clip.carved(settings)
-    longest = begin + max(drill.frames(clip.fps) for drill in DRILLS)
+    shares = np.linspace(DISTURBED_AT - SPREAD, DISTURBED_AT + SPREAD, moments) if moments > 1 else [DISTURBED_AT]
+    begins, clouds = [round(share * len(clip)) for share in shares], clip.carved(settings)
+    longest = begins[0] + max(drill.frames(clip.fps) for drill in DRILLS)
     calm = play(clip, clouds, settings).errors_m[longest:]
     column: Column = {"undisturbed": {"good": round(float(is_good(calm).mean()), 3), "mean_mm": _mean_mm(calm)}}
     for drill in DRILLS:
-        outcome = play(clip, clouds, settings, drill, begin)
-        column[drill.name] = figures_of(outcome, begin, begin + drill.frames(clip.fps), clip.fps)
+        runs = [(play(clip, clouds, settings, drill, begin), begin) for begin in begins]
+        column[drill.name] = together([figures_of(o, b, b + drill.frames(clip.fps), clip.fps) for o, b in runs])
     return column
+
+
+def together(runs: list[Figures]) -> Figures:
+    """Of several moments: the median time and the longest one, None for never, and the means of the rest."""
+    if len(runs) == 1:
+        return runs[0]
+    times = [np.inf if run["recovered_s"] is None else run["recovered_s"] for run in runs]
+    kept = {key: [run[key] for run in runs if run[key] is not None] for key in ("mean_mm", "bad", "bad_but_sure")}
+    figures: Figures = {key: round(float(np.mean(values)), 3) if values else None for key, values in kept.items()}
+    spread = {"recovered_s": np.median(times), "longest_s": np.max(times)}
+    return figures | {key: round(float(v), 3) if np.isfinite(v) else None for key, v in spread.items()}
 
 
 def moved(name: str, settings: dict[str, Any]) -> Figures:
@@ -95,9 +108,15 @@ def _cell(figures: Figures | None) -> str:
         return ""
     if "good" in figures:
         return f"{100 * (figures['good'] or 0.0):.0f} % good, {figures['mean_mm']} mm"
-    time = "never" if figures["recovered_s"] is None else f"{figures['recovered_s']:.2f} s"
+    time = _seconds(figures["recovered_s"])
+    if "longest_s" in figures:
+        time += f" ({_seconds(figures['longest_s'])})"
     share = f"{100 * (figures['bad_but_sure'] or 0.0):.0f} of {100 * (figures['bad'] or 0.0):.0f} %"
     return f"{time}, {figures['mean_mm']} mm, {share}"
+
+
+def _seconds(value: float | None) -> str:
+    return "never" if value is None else f"{value:.2f} s"
 
 
 def main() -> None:
@@ -106,13 +125,14 @@ def main() -> None:
     given.add_argument("sessions", nargs="*", type=Path, help="session folders with a reference")
     given.add_argument("--exact", action="store_true", help="the sessions' exact silhouettes, not their footage")
     given.add_argument("--motion", nargs="*", default=["tour", "walk"], help="motions of the virtual studio")
+    given.add_argument("--moments", type=int, default=1, help="how often each drill is held, at as many moments")
     add_settings(given)
     arguments = given.parse_args()
     settings = parse_settings(arguments.settings)
     motions = {name: moved(name, settings) for name in MOTION_DRILLS} if arguments.motion else {}
     clips = [studio_clip(motion, MOTION_S) for motion in arguments.motion]
     clips += [session_clip(folder, arguments.exact) for folder in arguments.sessions]
-    columns = {clip.name: drilled(clip, settings) for clip in clips}
+    columns = {clip.name: drilled(clip, settings, arguments.moments) for clip in clips}
     if motions:
         columns["itself"] = motions
     print_table(columns)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import recovery
 from drills import (
     LEFT_WITH_RIGHT,
     Outcome,
@@ -75,3 +76,14 @@ def test_folded_arm_and_displaced_torso_are_wrong_by_what_they_say():
     np.testing.assert_allclose(np.delete(folded, [7, 11], 0), np.delete(points, [7, 11], 0), atol=1e-12)
     beside = forward(BODY, torso_beside(BODY, POSE))
     np.testing.assert_allclose(np.linalg.norm(beside - points, axis=1), 0.4, atol=1e-12)
+
+
+def test_drills_at_several_moments_give_the_median_and_the_longest_time():
+    runs = [{"recovered_s": t, "mean_mm": 8.0 + t, "bad": 0.1, "bad_but_sure": 0.0} for t in (0.5, 0.1, 0.2)]
+    assert recovery.together(runs[:1]) is runs[0]
+    found = recovery.together(runs)
+    assert (found["recovered_s"], found["longest_s"]) == (0.2, 0.5)
+    assert found["mean_mm"] == pytest.approx(8.267, abs=1e-3)
+    never = {**runs[0], "recovered_s": None, "mean_mm": None}
+    found = recovery.together([*runs, never])
+    assert found["longest_s"] is None and found["recovered_s"] == pytest.approx(0.35)
