@@ -9,11 +9,10 @@ from rich.console import Console
 
 from camera_client.sources.footage_pace import choose_epoch_ns
 from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_tools.graph.footage_epoch import seconds_to_start_window, with_common_epoch
 from sagoma_tools.graph.lifecycle_client import Transition, Verdict
 from sagoma_tools.graph.process_group import ProcessSettings
 from sagoma_tools.graph.processes import Exit, abandoned, owned_shared_memory, shared_memory_files
-from sagoma_tools.graph.supervisor import GraphError, Supervisor
+from sagoma_tools.graph.supervisor import GraphError, Supervisor, seconds_to_start_window, with_common_epoch
 
 
 def tiny(name: str, behaviour: str = "good", role: Role = Role.SERVER) -> NodeSpec:

@@ -9,6 +9,7 @@ the limb doubtful; one that has explained more for long enough moves it.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,9 +31,10 @@ FOLLOWED_MARGIN = -30.0  # rays: a place farther behind is left to its limb's ne
 CHANCE_SHARE = 0.5  # of margin_rays: a place that explains no more than this gathers no lead
 
 
-def only(limb: Limb) -> tuple[bool, ...]:
-    """Return the parts (5,) of the body that move with a limb."""
-    return tuple(part == limb.part for part in range(len(PART_NAMES)))
+def limb_elsewhere(limb: Limb, pose: Pose) -> Hypothesis:
+    """Return the hypothesis that a limb, and no other part of the body, is where a pose has it."""
+    moved = tuple(part == limb.part for part in range(len(PART_NAMES)))
+    return Hypothesis(pose, f"{PART_NAMES[limb.part]} elsewhere", moved)
 
 
 class LimbMonitor:
@@ -90,9 +92,9 @@ class LimbMonitor:
             chance = LEAP_RAYS if hidden[number] else self._chance_rays
             self._leads[number] = PlaceLeads.after(before, places, observed.apart_s, chance)
 
-    def moved(self, observed: ObservedSet, pose: Pose, evidence: Evidence) -> tuple[Limb, Pose, Evidence] | None:
-        """Return the limb whose other place has led for long enough, the whole figure fitted from there, and what
-        speaks for it; None for no such limb, or if the whole set does not agree."""
+    def moved(self, observed: ObservedSet, pose: Pose, evidence: Evidence) -> Hypothesis | None:
+        """Return the limb whose other place has led for long enough, the whole figure fitted from there, with the
+        evidence about it; None for no such limb, or if the whole set does not agree."""
         shares = {number: leads.shares_of(self._needed) for number, leads in self._leads.items()}
         number = max(shares, key=lambda number: float(shares[number].max(initial=0.0)), default=None)
         if number is None or shares[number].max(initial=0.0) < 1.0:
@@ -103,7 +105,7 @@ class LimbMonitor:
         if observed.apart_m(moved, pose) < SAME_M or evidence.margin_of(found) <= 0.0:
             self._leads[number] = leads.without(k)
             return None
-        return limb, moved, found
+        return replace(limb_elsewhere(limb, moved), evidence=found)
 
     def elsewhere(self, pose: Pose) -> Hypothesis | None:
         """Return the pose with one limb at the likeliest place that is not its own; None while none is followed."""
@@ -116,8 +118,7 @@ class LimbMonitor:
             return None
         _, number, k = max(found)
         limb, places = LIMBS[number], self._leads[number].places.poses
-        moved = with_limb(pose, limb, places.R[k], places.flexion[k])
-        return Hypothesis(moved, f"{PART_NAMES[limb.part]} elsewhere", only(limb))
+        return limb_elsewhere(limb, with_limb(pose, limb, places.R[k], places.flexion[k]))
 
     def go_over(self, observed: ObservedSet, pose: Pose, better: Pose) -> None:
         """Follow the places that a change-over left: it may be a mistake."""

@@ -23,11 +23,12 @@ from stick_figure.pose import Pose
 from ..articulated_fit import ArticulatedSettings
 from .evidence import SAME_M, TRUNK, Evidence, ObservedSet
 from .leaps import RecentRays, leaps_of_limbs
-from .limb_monitor import LimbMonitor, only
+from .limb_monitor import LimbMonitor
 from .out_of_sight import is_cut, limbs_of_points, points_out_of_sight, shown_parts, with_hidden_parts
 from .place_leads import FAR_M
 from .pose_library import LIMBS, arms_exchanged, legs_exchanged, moved_to, sides_exchanged, stances, turned_around
 from .track_quality import (
+    ALL_PARTS,
     Baseline,
     Hypothesis,
     contested,
@@ -211,21 +212,23 @@ class TrackMonitor:
             return Examination(quality)
         if self._has_lasted(hypothesis, observed, pose) or (hypothesis.sets >= 2 and hypothesis.margin >= CLEAR_RAYS):
             self._hypothesis = None
-            known = quality if hypothesis.evidence is None else judge_track(hypothesis.evidence, self._baseline)
-            return Examination(known, hypothesis.pose, hypothesis.why, hypothesis.moved)
+            return self._changed_to(hypothesis, quality)
         if hypothesis.seconds >= PATIENT_S or (hypothesis.sets >= 2 and hypothesis.margin < 0.0):
             self._hypothesis = None
+            return Examination(quality)
+        if hypothesis.moved != ALL_PARTS:  # the places that are followed of the limb say what is doubtful about it
             return Examination(quality)
         return Examination(contested(quality, hypothesis, s.margin_rays), hypothesis=hypothesis.pose)
 
     def _move_limb(self, observed: ObservedSet, pose: Pose, evidence: Evidence) -> Examination | None:
         """Return the change-over to another place of one limb, if one has led for long enough."""
         found = self._limbs.moved(observed, pose, evidence)
-        if found is None:
-            return None
-        limb, better, better_evidence = found
-        quality = judge_track(better_evidence, self._baseline)
-        return Examination(quality, better, f"{PART_NAMES[limb.part]} elsewhere", only(limb))
+        return None if found is None else self._changed_to(found, UNKNOWN)
+
+    def _changed_to(self, hypothesis: Hypothesis, otherwise: TrackQuality) -> Examination:
+        """Return the change-over to a hypothesis, judged by its evidence; ``otherwise`` : of one without."""
+        known = otherwise if hypothesis.evidence is None else judge_track(hypothesis.evidence, self._baseline)
+        return Examination(known, hypothesis.pose, hypothesis.why, hypothesis.moved)
 
     def _has_lasted(self, hypothesis: Hypothesis, observed: ObservedSet, pose: Pose) -> bool:
         """Return whether the margin has held for long enough; stamps jitter, so half an interval may be missing."""

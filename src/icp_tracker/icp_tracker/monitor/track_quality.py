@@ -23,11 +23,11 @@ ALL_PARTS = (True,) * len(PART_NAMES)
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Another pose of the whole body, and what speaks for it.
+    """Another pose of the body, and what speaks for it.
 
     why : in words, what differs. evidence : about the pose at the last set. sets, seconds : frame sets it has been
     compared in, and the time between them; margin : mean over them of its lead over the followed pose, in rays
-    (Evidence.margin_of). moved (5,) : the parts that are elsewhere; what else differs follows from them.
+    (Evidence.margin_of). moved (5,) bool : the parts that are elsewhere in it; the others are fitted to them.
     """
 
     pose: Pose
@@ -140,9 +140,8 @@ def judge_track(evidence: Evidence, baseline: Baseline) -> TrackQuality:
 
 
 def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float) -> TrackQuality:
-    """Return the quality beside a hypothesis: doubtful once its margin has held for a few sets. Where one limb may be
-    elsewhere its own places say so (`doubtful_limbs`)."""
-    if hypothesis.sets == 0 or hypothesis.moved != ALL_PARTS:
+    """Return the quality beside a hypothesis about the whole body: doubtful once its margin has held for a few sets."""
+    if hypothesis.sets == 0:
         return quality
     quality = replace(quality, hypothesis_margin=hypothesis.margin)
     lasting = hypothesis.sets >= CONTESTED_SETS and hypothesis.seconds >= CONTESTED_S
