@@ -7,8 +7,8 @@ Tracks all sets of the folder (hull products of one person each), the reference 
 and regresses how far the true points lie off on the pose (`stick_figure/joint_centres.py` says on what): ridge
 regression over both sides of everybody, every set with the same weight; what is constant stays out, as it differs with
 the definition of a point. Prints the mean error of the points before and after, of the folder's sets and of those that
---prove names; --write replaces the table in the tree. That one was learnt from 42 random people and the `mesh_fit_` sets
-of one person, with a prior of upper arms (`body_sizes.py`) that was 4 % longer than today's.
+--prove names; --write replaces the table in the tree. That one was learnt from 42 random people and the `mesh_fit_`
+sets of one person, with a prior of upper arms (`body_sizes.py`) that was 4 % longer than today's.
 """
 
 from __future__ import annotations
