@@ -15,8 +15,11 @@ from sagoma_tools.graph.processes import (
     StartDeadline,
     busy_machine,
     node_command,
+    owned_shared_memory,
+    shared_memory_files,
     stop_children,
 )
+from sagoma_tools.graph.ros_link import RosLink
 
 
 def test_installed_executable_is_preferred_to_the_module(tmp_path, monkeypatch):
@@ -80,6 +83,16 @@ def test_death_is_told_once_with_the_log_complete(tmp_path):
     assert child.log_tail(1) == "last" and child.returncode == 5 and child.usage() is None
     (ended,) = stop_children([child], grace_s=1.0)
     assert (ended.exit, ended.returncode) == (Exit.ALREADY_DEAD, 5)
+
+
+def test_shared_memory_is_that_of_one_process_and_never_a_port_which_another_may_take(link):
+    """A port that is deleted while a process takes it makes this process deaf to the names of nodes."""
+    with RosLink("beside") as beside:
+        assert beside.context.ok() and link.context.ok()
+        names = owned_shared_memory([os.getpid()])
+        assert len(names) >= 2 and not any("port" in name for name in names)
+        assert len(shared_memory_files(names)) == 2 * len(names)
+    assert not shared_memory_files(names - owned_shared_memory([os.getpid()]))
 
 
 def wait_for_text(child, text):

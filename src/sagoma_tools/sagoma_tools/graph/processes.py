@@ -1,4 +1,10 @@
-"""Child processes: started in their own process group, watched, stopped by pid; leftover shared memory is removed."""
+"""Child processes: started in their own process group, watched, stopped by pid; leftover shared memory is removed.
+
+Of Fast DDS's shared memory the segments are removed, which are the megabytes and have names of their own. Its ports are
+small and stay: their numbers from 7000 on are shared by the graphs of all domains of a machine, and Fast DDS opens one
+that was left behind anew. To delete a port that another graph's process takes at this moment makes that process deaf to
+the names of nodes.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -21,7 +27,7 @@ import psutil
 PR_SET_PDEATHSIG = 1
 REAP_S = 5.0
 STALLED_S, LONGEST_START_S = 60.0, 900.0  # at a load of 50 a process has its turn every few seconds
-SHM_LOCK = re.compile(r"^/dev/shm/(fastrtps_\w+)_el$")  # held open by the process that owns the segment or port
+SEGMENT_LOCK = re.compile(r"^/dev/shm/(fastrtps_(?!port)\w+)_el$")  # held open by the process that owns the segment
 _libc = ctypes.CDLL(None)
 
 
@@ -143,7 +149,7 @@ class Child:
         return Usage(kib["VmRSS"] / 1024, kib["VmHWM"] / 1024, cpu.user + cpu.system) if "VmRSS" in kib else None
 
     def note_shared_memory(self) -> None:
-        """Record which Fast DDS shared memory it owns: a node that is killed or crashes leaves it behind."""
+        """Record which shared memory it owns: a node that is killed or crashes leaves it behind."""
         self.shared_memory |= owned_shared_memory([self.pid])
 
     def interrupt(self) -> None:
@@ -197,29 +203,33 @@ def node_command(package: str, executable: str, module: str) -> list[str]:
 
 
 def owned_shared_memory(pids: Iterable[int]) -> set[str]:
-    """Return the Fast DDS shared-memory segments and ports that these processes own."""
-    owned: set[str] = set()
-    for pid in pids:
-        with contextlib.suppress(OSError):  # ended meanwhile, or not ours to look into
-            targets = [os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir()]
-            owned.update(match[1] for match in map(SHM_LOCK.match, targets) if match)
-    return owned
+    """Return the names of the Fast DDS shared-memory segments that these processes own."""
+    matches = (SEGMENT_LOCK.match(target) for pid in pids for target in _open_files(pid))
+    return {match[1] for match in matches if match}
+
+
+def _open_files(pid: int) -> Iterator[str]:
+    """What a process has open, but for what it closes meanwhile; nothing if it is not ours to look into."""
+    with contextlib.suppress(OSError):
+        for link in os.listdir(f"/proc/{pid}/fd"):
+            with contextlib.suppress(OSError):
+                yield os.readlink(f"/proc/{pid}/fd/{link}")
 
 
 def shared_memory_files(names: Iterable[str]) -> list[Path]:
-    """Return the files of these segments and ports that exist."""
-    paths = [Path(f"/dev/shm/{file}") for name in names for file in (name, f"{name}_el", f"sem.{name}_mutex")]
+    """Return the files of these segments that exist."""
+    paths = [Path(f"/dev/shm/{file}") for name in names for file in (name, f"{name}_el")]
     return [path for path in paths if path.exists()]
 
 
 def abandoned(names: Iterable[str]) -> set[str]:
-    """Return those of these segments and ports that no living process owns: a port that is free again is soon taken."""
+    """Return those of these segments that no living process owns."""
     names = set(names)
     return names - owned_shared_memory(process.pid for process in psutil.process_iter()) if names else names
 
 
 def remove_abandoned(names: Iterable[str]) -> None:
-    """Delete the files of those segments and ports that no living process owns."""
+    """Delete the files of those segments that no living process owns."""
     for path in shared_memory_files(abandoned(names)):
         path.unlink(missing_ok=True)
 
