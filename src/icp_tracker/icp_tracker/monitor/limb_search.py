@@ -280,7 +280,7 @@ def _refine_limb(rays, placed, figure, limb):
 def _add_limb_sums(sums, placed, limb, own, pull):
     """Fill own (4, 4) and pull (4,) with the limb's part of the pose's equations: the torso stands still."""
     M, slots = np.empty((2 * ENDS, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS, np.int64)
-    angle, work = np.empty(ANGLES, np.int64), np.empty((2 * ENDS + 2, 2 * ENDS))
+    angle, work = np.empty(ANGLES, np.int64), np.empty((2 * ENDS + 1, 2 * ENDS))
     own[:] = 0.0
     pull[:] = 0.0
     for k in range(placed.P.shape[0]):

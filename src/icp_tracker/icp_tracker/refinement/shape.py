@@ -189,7 +189,7 @@ def contour_system(rays, placed, turns, model, robust, H, g):
     starts = start_columns(placed.G, model.derivatives)
     wide = CHAIN_COLUMNS + BEND_NUMBERS + ANGLES + unknowns
     M, slots = np.empty((2 * WHOLE, wide)), np.empty(wide, np.int64)
-    work = np.empty((2 * WHOLE + 2, wide))
+    work = np.empty((2 * WHOLE + 1, 2 * WHOLE))
     H[:] = 0.0
     g[:] = 0.0
     for k in range(placed.P.shape[0]):

@@ -55,7 +55,7 @@ def bend_step(rays, state, figure, derivatives, robust, pose_information, inform
         sums.pulls[k] = 0.0
     wide = CHAIN_COLUMNS + BEND_NUMBERS
     M, slots = np.empty((2 * ENDS, wide)), np.empty(wide, np.int64)
-    work = np.empty((2 * ENDS + 2, wide))
+    work = np.empty((2 * ENDS + 1, 2 * ENDS))
     for k in range(placed.P.shape[0]):
         if sums.pulls[k].any():
             n = pose_columns(k, placed, M, slots)

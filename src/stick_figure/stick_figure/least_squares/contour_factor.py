@@ -21,7 +21,7 @@ from numba import njit
 from capture_rig.kernel import kernel
 
 from .free_ends import CAPSULE as CAPSULE_OF_END
-from .free_ends import COUNT, add_free_end, is_free_end
+from .free_ends import COUNT, STIFF, add_free_end, is_free_end
 from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
 
 NORMAL, TANGENT, DIRECTION = 0, 4, 8  # rows of three coordinates each, followed by their offset
@@ -91,40 +91,89 @@ class RayMatch(NamedTuple):
 @njit(cache=True)
 def add_contour(data, placed, weights, ends, H, g):
     """Add every ray's distance from its capsule to upper H and g, Geman-McClure; hands and feet turn freely."""
-    rays = data.contour_rays
-    if rays.information.shape[0] == 0:
-        return
+    match = match_rays(data.contour_rays, placed, weights.contour_slack)
+    add_matched(data.contour_rays, match, placed, weights, ends, H, g)
+
+
+@njit(cache=True)
+def add_matched(rays, match, placed, weights, ends, H, g):
+    """Add the distances of rays from the capsules that they were matched to."""
+    sums = add_ends(rays, match, placed, weights, ends, H, g)
+    add_pose_sums(sums, placed, H, g)
+
+
+@njit(cache=True)
+def add_ends(rays, match, placed, weights, ends, H, g):
+    """Add what the rays say about hands and feet that turn freely, and let them follow from the pose; returns the sums
+    of the other capsules."""
     sums = no_sums(placed.P.shape[0], ENDS)
-    sum_rays(rays, match_rays(rays, placed, weights.contour_slack), weights.contour_gate, sums)
+    if rays.information.shape[0] == 0:
+        return sums
+    sum_rays(rays, match, weights.contour_gate, sums)
     for e in range(COUNT):
         if is_free_end(CAPSULE_OF_END[e], ends) >= 0:
             add_free_end(sums, e, placed, ends, H, g)
             sums.pulls[CAPSULE_OF_END[e]] = 0.0
-    add_pose_sums(sums, placed, H, g)
+    return sums
 
 
-@kernel
+@njit(cache=True, error_model="numpy")
 def sum_rays(rays, match, gate, sums):
     """Add the rays' residuals to the sums of their capsules, with Geman-McClure weights."""
-    for i in range(match.capsule.shape[0]):
+    weight = np.empty(match.separation.shape[0])
+    for i in range(weight.shape[0]):
         ratio = 1.0 + (match.separation[i] / gate) ** 2
-        weight = rays.information[i] / (ratio * ratio)
-        normal = (rays.rows[0, i], rays.rows[1, i], rays.rows[2, i])
-        add_to_sums(sums, match.capsule[i], match.along[i], normal, weight, match.distance[i])
+        weight[i] = rays.information[i] / (ratio * ratio)
+    add_to_sums(sums, match.capsule, match.along, rays.rows[NORMAL : NORMAL + 3], weight, match.distance)
 
 
 @njit(cache=True, nogil=True)
 def match_rays(rays, placed, slack):
     """Find the capsule that explains each ray best; ``slack`` (m) lengthens the stretch where a ray may touch."""
-    n, radii = rays.rows.shape[1], placed.surface.radii
-    best = np.zeros((4, n))
+    best = no_match(rays)
+    offer_capsules(np.arange(placed.P.shape[0]), rays, placed, slack, best)
+    return ray_match(best)
+
+
+@njit(cache=True)
+def match_turned(rays, placed, slack, stiff):
+    """Do the same after the ``stiff`` capsules have been offered, for hands and feet that turned since."""
+    best = stiff.copy()
+    offer_capsules(CAPSULE_OF_END, rays, placed, slack, best)
+    return ray_match(best)
+
+
+@njit(cache=True)
+def match_stiff(rays, placed, slack):
+    """Offer all capsules but hands and feet; returns the best (4, n) so far."""
+    best = no_match(rays)
+    offer_capsules(STIFF, rays, placed, slack, best)
+    return best
+
+
+@njit(cache=True)
+def no_match(rays):
+    """Return what the capsules are offered to improve: their number, place, distance and squared separation (4, n)."""
+    best = np.zeros((4, rays.rows.shape[1]))
     best[SEPARATION] = np.inf
-    for k in range(placed.P.shape[0]):
+    return best
+
+
+@njit(cache=True)
+def offer_capsules(chosen, rays, placed, slack, best):
+    """Offer some capsules to all rays, in place."""
+    radii = placed.surface.radii
+    for k in chosen:
         match_capsule(k, placed.P[k], placed.Q[k], radii[k, 0], radii[k, 1] - radii[k, 0], slack, rays.rows, best)
-    capsule = np.empty(n, np.int64)
-    for i in range(n):
-        capsule[i], best[SEPARATION, i] = int(best[CAPSULE, i]), np.sqrt(best[SEPARATION, i])
-    return RayMatch(capsule, best[ALONG], best[DISTANCE], best[SEPARATION])
+
+
+@njit(cache=True)
+def ray_match(best):
+    """Return the match of the best capsules that were offered."""
+    capsule, separation = np.empty(best.shape[1], np.int64), np.empty(best.shape[1])
+    for i in range(capsule.shape[0]):
+        capsule[i], separation[i] = int(best[CAPSULE, i]), np.sqrt(best[SEPARATION, i])
+    return RayMatch(capsule, best[ALONG], best[DISTANCE], separation)
 
 
 @kernel

@@ -17,11 +17,12 @@ from numba import njit
 from capture_rig.kernel import kernel
 
 from .. import so3
-from ..build import END_CAPSULES, END_STICKS
+from ..build import CAPSULES, END_CAPSULES, END_STICKS
 from .normal_equations import CHAIN_COLUMNS, ENDS, add_capsule, fill_moments, pose_columns
 
 COUNT, ANGLES = 4, 2  # left and right hand, left and right foot; angles of each
 CAPSULE, STICK = np.array(END_CAPSULES), np.array(END_STICKS)
+STIFF = np.setdiff1d(np.arange(CAPSULES), END_CAPSULES)  # the others
 AXES = np.array([[0, 2], [0, 2], [1, 2], [1, 2]])  # of the stick's frame: the hand bends across the forearm, the foot
 # nods and turns
 TURN_SD = 1.0
@@ -138,7 +139,7 @@ def add_free_end(sums, e, placed, ends, H, g):
     """Add the sums of one end's capsule to the equations of the pose, its turns eliminated."""
     k = CAPSULE[e]
     M, T = np.zeros((2 * ENDS, CHAIN_COLUMNS)), np.zeros((2 * ENDS, ANGLES))
-    work, V = np.empty((2 * ENDS + 2, CHAIN_COLUMNS)), np.empty((2 * ENDS, 2 * ENDS))
+    work, V = np.empty((2 * ENDS + 1, 2 * ENDS)), np.empty((2 * ENDS, 2 * ENDS))
     n = pose_columns(k, placed, M, ends.slots[e])
     add_capsule(sums, k, M, ends.slots[e], n, work, H, g)
     ends.used[e] = n

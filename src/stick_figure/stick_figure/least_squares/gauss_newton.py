@@ -15,7 +15,7 @@ from capture_rig.small_matrices import solve_positive
 
 from .. import kernels
 from ..joint_limits import add_joint_limits, add_neck_rest
-from .contour_factor import RayArrays, add_contour
+from .contour_factor import RayArrays, add_ends, add_matched, match_rays, match_stiff, match_turned
 from .free_ends import follow, straight_ends, turn_ends
 from .hull_samples import HullSamples
 from .independent_rows import add_independent_rows
@@ -112,17 +112,20 @@ def assess(data, state, figure, weights, scale):
     capsule, _, distance = surface_distances(data.voxels, placed)
     voxel = scale.voxel_share * loose_hull_weight(weights, distance)
     H, g, counts = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), np.zeros(STICKS, np.int64)
+    rays, slack = data.contour_rays, weights.contour_slack
+    stiff = match_stiff(rays, placed, slack)
     for _ in range(LOOKS_AT_ENDS if weights.ends > 0.0 else 0):
-        add_contour(data, placed, weights, ends, H, g)
+        add_ends(rays, match_turned(rays, placed, slack, stiff), placed, weights, ends, H, g)
         follow(ends, np.zeros(TANGENT), 1.0)
         placed = place(state, figure)
         turn_ends(ends, placed)
-    match = linearise(data, placed, reweighted(weights, voxel, 0.0), ends, H, g)
+    rays_match = match_turned(rays, placed, slack, stiff)
+    match = linearise(data, rays_match, placed, reweighted(weights, voxel, 0.0), ends, H, g)
     mirror_upper(H)
     total, chi2, freedom = summarise(match, counts)
     if data.contour_rays.information.shape[0] > 0:
         independent = np.diag(scale.unseen)
-        add_independent_rows(data, placed, weights, match, independent)
+        add_independent_rows(data, placed, weights, rays_match, match, independent)
         mirror_upper(independent)
         covariance = point_covariances(independent, placed, 1.0)
     else:  # larger by the reduced chi-square where the inliers lie farther off than their own sigma says
@@ -186,7 +189,7 @@ def gauss_newton(data, state, figure, weights, stop):
     placed, ends = place(state, figure), straight_ends(weights.ends)
     after, moved = reference_points(placed), np.inf
     for iteration in range(stop.iterations):
-        linearise(data, placed, weights, ends, H, g)
+        linearise(data, match_rays(data.contour_rays, placed, weights.contour_slack), placed, weights, ends, H, g)
         regularise(start, placed, weights, H, g)
         mirror_upper(H)
         solve_positive(H, g, L, step)
@@ -203,13 +206,13 @@ def gauss_newton(data, state, figure, weights, stop):
 
 
 @njit(cache=True, nogil=True)
-def linearise(data, placed, weights, ends, H, g):
+def linearise(data, rays_match, placed, weights, ends, H, g):
     """Overwrite upper H and g with what the data say about the pose; returns the points' match."""
     H[:] = 0.0
     g[:] = 0.0
     match = add_points(data, placed, weights, H, g)
     add_surface(data, placed, weights, H, g)
-    add_contour(data, placed, weights, ends, H, g)
+    add_matched(data.contour_rays, rays_match, placed, weights, ends, H, g)
     add_inside(data, placed, weights, H, g)
     return match
 

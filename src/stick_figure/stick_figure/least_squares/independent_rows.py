@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from .contour_factor import match_rays
+from .contour_factor import NORMAL
 from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
 from .placed_figure import STICKS
 from .point_factor import add_point_residuals
@@ -34,17 +34,16 @@ PRIOR_CELLS = 4.0  # that this counts as against the measured ones: a limb shows
 
 
 @njit(cache=True, nogil=True)
-def add_independent_rows(data, placed, weights, match, H):
-    """Add to upper H the information of the independent ones among rays and points; ``match`` : the points'."""
+def add_independent_rows(data, placed, weights, rays_match, points_match, H):
+    """Add to upper H the information of the independent ones among rays and points, with what they were matched to."""
     g = np.empty(H.shape[0])
-    _add_cells(data.contour_rays, placed, weights, H, g)
-    _add_stick_halves(data, placed, match, H, g)
+    _add_cells(data.contour_rays, rays_match, placed, weights.contour_gate, H, g)
+    _add_stick_halves(data, placed, points_match, H, g)
 
 
 @njit(cache=True)
-def _add_cells(rays, placed, weights, H, g):
+def _add_cells(rays, match, placed, gate, H, g):
     n, capsules = rays.information.shape[0], placed.P.shape[0]
-    match, gate = match_rays(rays, placed, weights.contour_slack), weights.contour_gate
     cell, weight = np.empty(n, np.int64), np.empty(n)
     total, count, squares = np.zeros(capsules * CELLS), np.zeros(capsules * CELLS), np.zeros(capsules * CELLS)
     for i in range(n):
@@ -55,13 +54,11 @@ def _add_cells(rays, placed, weights, H, g):
         count[c] += 1.0
         squares[c] += min(match.separation[i], gate) ** 2
     information = _information_of_a_datum(count, squares, placed.surface.stick)
-    sums = no_sums(capsules, ENDS)
     for i in range(n):
-        k = match.capsule[i]
         share = weight[i] / max(total[cell[i]], 1.0)
-        normal = (rays.rows[0, i], rays.rows[1, i], rays.rows[2, i])
-        one = share * information[placed.surface.stick[k]]
-        add_to_sums(sums, k, match.along[i], normal, one, match.distance[i])
+        weight[i] = share * information[placed.surface.stick[match.capsule[i]]]
+    sums = no_sums(capsules, ENDS)
+    add_to_sums(sums, match.capsule, match.along, rays.rows[NORMAL : NORMAL + 3], weight, match.distance)
     add_pose_sums(sums, placed, H, g)
 
 

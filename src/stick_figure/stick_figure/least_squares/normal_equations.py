@@ -59,43 +59,97 @@ def add_scalar_residual(row, slots, n, residual, weight, H, g):
             H[first, last] += a * row[q]
 
 
-@kernel
-def add_to_sums(sums, k, u, normal, weight, residual):
-    """Add one distance from capsule k, at the place u of its axis along ``normal`` = (x, y, z)."""
-    start, end = weight * (1.0 - u), weight * u
-    squares, pulls = sums.squares[k], sums.pulls[k]
-    _add_moments(squares[0], start * (1.0 - u), normal)
-    _add_moments(squares[1], start * u, normal)
-    _add_moments(squares[2], end * u, normal)
-    for q, pull in ((0, start * residual), (1, end * residual)):
-        pulls[q, 0] += pull * normal[0]
-        pulls[q, 1] += pull * normal[1]
-        pulls[q, 2] += pull * normal[2]
-        pulls[q, 3] += pull
+@njit(cache=True)
+def add_to_sums(sums, capsule, along, normals, weight, distance):
+    """Add distances (n,) from their capsules (n,), at the places ``along`` (n,) of the axes, along ``normals`` (3, n).
+
+    Capsule by capsule, so that the sums of one stay in registers; in the order of the data.
+    """
+    last, order = np.zeros(sums.pulls.shape[0], np.int64), np.empty(capsule.shape[0], np.int64)
+    _sort_by_capsule(capsule, last, order)
+    x, y, z = normals[0], normals[1], normals[2]
+    for k in range(last.shape[0]):
+        own, squares, pulls = order[last[k - 1] if k > 0 else 0 : last[k]], sums.squares[k], sums.pulls[k]
+        aa, ab, bb = _six(squares[0]), _six(squares[1]), _six(squares[2])
+        a, b = _four(pulls[0]), _four(pulls[1])
+        for i in own:
+            u, e, normal = along[i], distance[i], (x[i], y[i], z[i], 1.0)
+            start, end, products = weight[i] * (1.0 - u), weight[i] * u, _products(normal)
+            aa = _plus_six(aa, start * (1.0 - u), products)
+            ab = _plus_six(ab, start * u, products)
+            bb = _plus_six(bb, end * u, products)
+            a = _plus_four(a, start * e, normal)
+            b = _plus_four(b, end * e, normal)
+        _put(squares[0], aa)
+        _put(squares[1], ab)
+        _put(squares[2], bb)
+        _put(pulls[0], a)
+        _put(pulls[1], b)
+        if squares.shape[1] > 6:
+            aa, ab, bb = _four(squares[0, 6:]), _four(squares[1, 6:]), _four(squares[2, 6:])
+            for i in own:
+                u, normal = along[i], (x[i], y[i], z[i], 1.0)
+                start, end = weight[i] * (1.0 - u), weight[i] * u
+                aa = _plus_four(aa, start * (1.0 - u), normal)
+                ab = _plus_four(ab, start * u, normal)
+                bb = _plus_four(bb, end * u, normal)
+            _put(squares[0, 6:], aa)
+            _put(squares[1, 6:], ab)
+            _put(squares[2, 6:], bb)
 
 
 @kernel
-def _add_moments(squares, weight, normal):
-    """Add the weighted products of (x, y, z), or of (x, y, z, 1), with itself."""
-    x, y, z = normal
-    squares[0] += weight * (x * x)
-    squares[1] += weight * (x * y)
-    squares[2] += weight * (x * z)
-    squares[3] += weight * (y * y)
-    squares[4] += weight * (y * z)
-    squares[5] += weight * (z * z)
-    if squares.shape[0] == 10:
-        squares[6] += weight * x
-        squares[7] += weight * y
-        squares[8] += weight * z
-        squares[9] += weight
+def _sort_by_capsule(capsule, last, order):
+    """order (n,) <- the rows of each capsule, one after another; last (k,), zero before <- where each one's end."""
+    for i in range(capsule.shape[0]):
+        last[capsule[i]] += 1
+    total = 0
+    for k in range(last.shape[0]):
+        count, last[k] = last[k], total
+        total += count
+    for i in range(capsule.shape[0]):
+        order[last[capsule[i]]] = i
+        last[capsule[i]] += 1
+
+
+@kernel
+def _products(m):
+    """Return the products xx xy xz yy yz zz of a normal."""
+    return m[0] * m[0], m[0] * m[1], m[0] * m[2], m[1] * m[1], m[1] * m[2], m[2] * m[2]
+
+
+@kernel
+def _plus_six(s, weight, m):
+    first = s[0] + weight * m[0], s[1] + weight * m[1], s[2] + weight * m[2]
+    return *first, s[3] + weight * m[3], s[4] + weight * m[4], s[5] + weight * m[5]
+
+
+@kernel
+def _plus_four(s, weight, m):
+    return s[0] + weight * m[0], s[1] + weight * m[1], s[2] + weight * m[2], s[3] + weight * m[3]
+
+
+@kernel
+def _six(array):
+    return array[0], array[1], array[2], array[3], array[4], array[5]
+
+
+@kernel
+def _four(array):
+    return array[0], array[1], array[2], array[3]
+
+
+@kernel
+def _put(array, numbers):
+    for q in range(len(numbers)):
+        array[q] = numbers[q]
 
 
 @njit(cache=True)
 def add_pose_sums(sums, placed, H, g):
     """Add the sums of distances to the equations of the pose."""
     M, slots = np.empty((2 * ENDS, CHAIN_COLUMNS)), np.empty(CHAIN_COLUMNS, np.int64)
-    work = np.empty((2 * ENDS + 2, CHAIN_COLUMNS))
+    work = np.empty((2 * ENDS + 1, 2 * ENDS))
     for k in range(placed.P.shape[0]):
         if sums.pulls[k].any():
             add_capsule(sums, k, M, slots, pose_columns(k, placed, M, slots), work, H, g)
@@ -112,27 +166,34 @@ def pose_columns(k, placed, M, slots):
 @kernel
 def add_capsule(sums, k, M, slots, n, work, H, g):
     """Add the sums of capsule k, whose numbers (place and radius at its start, then at its end) move by M (c, n) with
-    the unknowns ``slots`` (n,). work (c + 2, at least c and n) : scratch."""
-    c = M.shape[0]
+    the unknowns ``slots`` (n,). work (c + 1, c) : scratch."""
+    if M.shape[0] == 2 * ENDS:  # with a number that the compiler knows, the inner loops become straight code
+        _add_numbers(2 * ENDS, sums, k, M, slots, n, work, H, g)
+    else:
+        _add_numbers(2 * WHOLE, sums, k, M, slots, n, work, H, g)
+
+
+@kernel
+def _add_numbers(c, sums, k, M, slots, n, work, H, g):
     d = c // 2
-    V, half, row, pulls = work[:c, :c], work[c, :c], work[c + 1, :n], sums.pulls[k]
+    V, half, pulls = work[:c], work[c], sums.pulls[k]
     fill_moments(sums, k, V)
-    for m in range(n):  # the inner loops run along rows, so that they vectorise
-        half[:] = 0.0
-        for p in range(c):
-            for q in range(c):
-                half[q] += M[p, m] * V[p, q]
+    for m in range(n):
+        for q in range(c):
+            entry = 0.0
+            for p in range(c):
+                entry += M[p, m] * V[p, q]
+            half[q] = entry
         for q in range(d):
             g[slots[m]] += M[q, m] * pulls[0, q]
         for q in range(d):
             g[slots[m]] += M[d + q, m] * pulls[1, q]
         for other in range(m, n):
-            row[other] = H[min(slots[m], slots[other]), max(slots[m], slots[other])]
-        for q in range(c):
-            for other in range(m, n):
-                row[other] += half[q] * M[q, other]
-        for other in range(m, n):
-            H[min(slots[m], slots[other]), max(slots[m], slots[other])] = row[other]
+            row, column = min(slots[m], slots[other]), max(slots[m], slots[other])
+            entry = H[row, column]
+            for q in range(c):
+                entry += half[q] * M[q, other]
+            H[row, column] = entry
 
 
 @kernel

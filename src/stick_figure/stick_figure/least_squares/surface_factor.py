@@ -40,20 +40,28 @@ def add_surface(data, placed, weights, H, g):
     add_pose_sums(sums, placed, H, g)
 
 
-@kernel
+@njit(cache=True, error_model="numpy")
 def _sum_voxels(voxels, nearest, placed, weights, sums):
     """Add the voxels' distances to the sums of their nearest capsules; ``nearest`` as of `surface_distances`."""
     capsule, along, distance = nearest
+    normals, weight = np.empty((3, voxels.shape[0])), np.empty(voxels.shape[0])
     for i in range(voxels.shape[0]):
-        e, c, u = distance[i], capsule[i], along[i]
-        x = voxels[i, 0] - (placed.P[c, 0] + u * (placed.Q[c, 0] - placed.P[c, 0]))
-        y = voxels[i, 1] - (placed.P[c, 1] + u * (placed.Q[c, 1] - placed.P[c, 1]))
-        z = voxels[i, 2] - (placed.P[c, 2] + u * (placed.Q[c, 2] - placed.P[c, 2]))
-        length = np.sqrt(x * x + y * y + z * z)
-        if length > 0.0:
-            ratio = 1.0 + e * e / (weights.voxel_gate * weights.voxel_gate)
-            normal = (x / length, y / length, z / length)
-            add_to_sums(sums, c, u, normal, weights.voxel / (ratio * ratio), e)
+        c, u = capsule[i], along[i]
+        for q in range(3):
+            normals[q, i] = voxels[i, q] - (placed.P[c, q] + u * (placed.Q[c, q] - placed.P[c, q]))
+    _weigh_voxels(distance, weights.voxel, weights.voxel_gate, normals, weight)
+    add_to_sums(sums, capsule, along, normals, weight, distance)
+
+
+@kernel
+def _weigh_voxels(distance, information, gate, normals, weight):
+    """normals (3, n) <- of unit length; weight (n,) <- Geman-McClure, 0 on a capsule's axis, where there is none."""
+    for i in range(weight.shape[0]):
+        x, y, z, e = normals[0, i], normals[1, i], normals[2, i], distance[i]
+        length, ratio = np.sqrt(x * x + y * y + z * z), 1.0 + e * e / (gate * gate)
+        weight[i] = information / (ratio * ratio) if length > 0.0 else 0.0
+        length = length if length > 0.0 else 1.0
+        normals[0, i], normals[1, i], normals[2, i] = x / length, y / length, z / length
 
 
 @njit(cache=True)
