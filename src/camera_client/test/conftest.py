@@ -1,6 +1,7 @@
 """A small camera, an empty scene it looks at, and ways to write both as footage."""
 
 import types
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -39,10 +40,16 @@ def write_video(path, images, fps=FPS):
 
 def empty_scene(frames, seed=0, colour=False, noise=1.5):
     """Images of a textured wall and floor with sensor noise."""
+    return list(_empty_images(frames, seed, colour, noise).copy())
+
+
+@lru_cache(maxsize=8)
+def _empty_images(frames, seed, colour, noise):
     rng = np.random.default_rng(seed)
     shape = (HEIGHT, WIDTH, 3) if colour else (HEIGHT, WIDTH)
     base = cv2.GaussianBlur(np.random.default_rng(99).uniform(90, 170, shape), (0, 0), 1.0)
-    return [np.clip(np.rint(base + noise * rng.normal(size=shape)), 0, 255).astype(np.uint8) for _ in range(frames)]
+    images = [np.clip(np.rint(base + noise * rng.normal(size=shape)), 0, 255) for _ in range(frames)]
+    return np.array(images, np.uint8)
 
 
 def person_mask():

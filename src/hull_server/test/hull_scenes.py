@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 
@@ -95,26 +97,38 @@ def ring_rig(
 
 def silhouettes(rig: Rig, body: list[tuple[np.ndarray, np.ndarray, float]]) -> dict[str, np.ndarray]:
     """The exact silhouettes (h, w) uint8 0/255 of a capsule body on every camera's canvas, 0 where unseen."""
+    middle = np.mean([start + end for start, end, _ in body], axis=0) / 2
+    reach = max(np.linalg.norm(end - middle) + radius for *ends, radius in body for end in ends)
     masks = {}
     for camera in rig.cameras:
-        view = camera.undistorted_view()
-        h, w = view.seen.shape
-        u, v = np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float))
-        rays = np.linalg.solve(view.camera.K, np.stack([u.ravel(), v.ravel(), np.ones(u.size)])).T
-        rays = rays @ camera.R_camera_world
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        hit = np.zeros(u.size, bool)
+        seen, all_rays = _rays(camera)
+        near_body = _near(camera.centre_world, all_rays, middle, reach)
+        rays, hit = all_rays[near_body], np.zeros(len(near_body), bool)
         for start, end, radius in body:
-            near = np.flatnonzero(_ray_near(camera.centre_world, rays, (start + end) / 2, start, radius))
+            around = (start + end) / 2, np.linalg.norm(end - start) / 2 + radius
+            near = _near(camera.centre_world, rays, *around)
             hit[near] |= _ray_hits_capsule(camera.centre_world, rays[near], start, end, radius)
-        masks[camera.name] = np.where(hit.reshape(h, w) & view.seen, 255, 0).astype(np.uint8)
+        mask = np.zeros(seen.shape, np.uint8)
+        mask.flat[near_body[hit]] = 255
+        masks[camera.name] = np.where(seen, mask, np.uint8(0))
     return masks
 
 
-def _ray_near(centre, rays, middle, start, radius) -> np.ndarray:
-    """Whether rays (n, 3) from ``centre``, or the lines that they are on, enter the ball around a capsule."""
-    offset, reach = middle - centre, np.linalg.norm(start - middle) + radius
-    return offset @ offset - (rays @ offset) ** 2 <= reach**2 * 1.01
+@lru_cache(maxsize=16)
+def _rays(camera: CameraModel) -> tuple[np.ndarray, np.ndarray]:
+    """Which pixels (h, w) of its canvas a camera sees, and the unit rays (h w, 3) of all in the world."""
+    view = camera.undistorted_view()
+    h, w = view.seen.shape
+    u, v = np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float))
+    rays = np.linalg.solve(view.camera.K, np.stack([u.ravel(), v.ravel(), np.ones(u.size)])).T
+    rays = rays @ camera.R_camera_world
+    return view.seen, rays / np.linalg.norm(rays, axis=1, keepdims=True)
+
+
+def _near(centre, rays, middle, reach) -> np.ndarray:
+    """Which rays (n, 3) from ``centre``, or the lines that they are on, come within ``reach`` of a point."""
+    offset = middle - centre
+    return np.flatnonzero(offset @ offset - (rays @ offset) ** 2 <= reach**2 * 1.01)
 
 
 def _ray_hits_capsule(centre, rays, start, end, radius) -> np.ndarray:

@@ -42,6 +42,15 @@ def floor_pictures(cameras: dict[str, CameraModel]) -> dict[str, np.ndarray]:
     return {name: picture(camera, BOARD, on_floor(BOARD, TURN)) for name, camera in cameras.items()}
 
 
+@pytest.fixture(scope="module")
+def held_pictures(cameras: dict[str, CameraModel]) -> dict[str, list[np.ndarray]]:
+    """The board carried through the room."""
+    return {
+        name: [picture(camera, BOARD, held(BOARD, *pose), seed) for seed, pose in enumerate(HELD)]
+        for name, camera in cameras.items()
+    }
+
+
 @pytest.fixture()
 def room(tmp_path: Path, cameras: dict[str, CameraModel], floor_pictures: dict[str, np.ndarray]) -> Path:
     """A folder with intrinsics/ and floor/."""
@@ -94,28 +103,23 @@ def test_floor_pictures_give_rig_report_and_pictures_and_the_same_bytes_twice(
 
 
 def test_carried_board_adds_a_camera_that_does_not_see_the_floor_board(
-    room: Path, cameras: dict[str, CameraModel]
+    room: Path, cameras: dict[str, CameraModel], held_pictures: dict[str, list[np.ndarray]]
 ) -> None:
     (room / "floor" / "cam03.png").unlink()
-    shown = {
-        name: [picture(camera, BOARD, held(BOARD, *pose), seed) for seed, pose in enumerate(HELD)]
-        for name, camera in cameras.items()
-    }
-    write_pictures(room / "moving", shown)
+    write_pictures(room / "moving", held_pictures)
     assert calibrate(room, "--moving", room / "moving") == 0
     assert max(place_errors_mm(room / "rig.yaml", cameras).values()) < 10.0
 
 
 def test_lenses_are_refined_as_far_as_their_reports_leave_them_uncertain(
-    room: Path, cameras: dict[str, CameraModel], capsys: pytest.CaptureFixture[str]
+    room: Path,
+    cameras: dict[str, CameraModel],
+    held_pictures: dict[str, list[np.ndarray]],
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     wrong = {name: replace(camera, K=camera.K @ np.diag([1.008, 1.008, 1.0])) for name, camera in cameras.items()}
     write_intrinsics(room / "intrinsics", wrong)
-    shown = {
-        name: [picture(camera, BOARD, held(BOARD, *pose), seed) for seed, pose in enumerate(HELD)]
-        for name, camera in cameras.items()
-    }
-    write_pictures(room / "moving", shown)
+    write_pictures(room / "moving", held_pictures)
     said = complaint(capsys, room, "--moving", room / "moving", "--refine-intrinsics")
     assert "intrinsics of cam01, cam02, cam03 are to be refined" in said and "sagoma calibrate intrinsics" in said
     sd = {

@@ -131,8 +131,9 @@ def motion_by_steps(
     """
     times = np.arange(frame_count(seconds, fps)) / fps
     grid = np.arange(int(np.ceil((times[-1] + OVERRUN_S) * STEPS_GRID_HZ)) + 2) / STEPS_GRID_HZ
-    headings = _integral([timeline.at(t).turning for t in grid], STEPS_GRID_HZ)
-    supports = [_Support(person, timeline.at(t), heading) for t, heading in zip(grid, headings, strict=True)]
+    instants = [timeline.at(t) for t in grid]
+    headings = _integral([blend.turning for blend in instants], STEPS_GRID_HZ)
+    supports = [_Support(person, blend, heading) for blend, heading in zip(instants, headings, strict=True)]
     steps = np.array([np.zeros(2), *map(_step, supports[:-1], supports[1:])])
     path = np.array(start_xy) + np.cumsum(gaussian_filter1d(steps, WEIGHT_SHIFT_S * STEPS_GRID_HZ, axis=0), axis=0)
     heights = gaussian_filter1d([support.height for support in supports], HEIGHT_SMOOTHING_S * STEPS_GRID_HZ)
