@@ -25,7 +25,11 @@ def nearest_rotation(M: Array) -> Array:
     The polar factor, with the least singular direction turned where it would be a reflection (Umeyama, PAMI 1991).
     """
     U, _, Vt = np.linalg.svd(M)
-    U[..., :, 2] *= np.where(np.linalg.det(U @ Vt) < 0.0, -1.0, 1.0)[..., None]
+    R = U @ Vt
+    reflected = np.linalg.det(R) < 0.0
+    if not reflected.any():
+        return R
+    U[..., :, 2] *= np.where(reflected, -1.0, 1.0)[..., None]
     return U @ Vt
 
 

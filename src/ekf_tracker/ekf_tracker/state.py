@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocap_packets.fit import PART_POINTS, points_of_parts
+from mocap_packets.fit import PART_OF_POINT, PART_POINTS, points_of_parts
 from mocap_packets.state import Tracking
 from stick_figure.kernels import HINGE_SLOT
 from stick_figure.skeleton import POINT_NAMES
@@ -15,6 +15,7 @@ from stick_figure.skeleton import POINT_NAMES
 POSE = slice(0, 24)
 VELOCITY = slice(24, 48)
 DIMENSION = 48
+_POINTS_OF_PART = np.bincount(PART_OF_POINT)
 
 
 def per_slot(torso_position: float, torso_rotation: float, ball_joints: float, hinges: float) -> np.ndarray:
@@ -47,8 +48,5 @@ def doubtful_points(doubtful: np.ndarray, gated: np.ndarray) -> np.ndarray:
     Points (15,) that were measured as doubtful make their part so, and points that were left out of a limb: the limb
     is either where they are or where the filter has it. Of the trunk's seven points, half of them do.
     """
-    doubts = []
-    for points in PART_POINTS:
-        left_out = int(np.count_nonzero(gated[list(points)]))
-        doubts.append(bool(doubtful[list(points)].any() or 2 * left_out >= len(points)))
-    return points_of_parts(doubts)
+    doubts, left_out = (np.bincount(PART_OF_POINT[points], minlength=len(PART_POINTS)) for points in (doubtful, gated))
+    return points_of_parts((doubts > 0) | (2 * left_out >= _POINTS_OF_PART))

@@ -13,7 +13,7 @@ from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from mocap_packets.fit import DOUBTFUL, FIRST_PERSON, PART_NAMES, PART_POINTS
+from mocap_packets.fit import DOUBTFUL, FIRST_PERSON, PART_NAMES, PART_OF_POINT
 from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.joint_motion import motion_message
 from sagoma_ros.messages import key_values, to_stamp
@@ -39,7 +39,6 @@ _COLOURS = {
     Tracking.LOST: ColorRGBA(r=0.9, g=0.2, b=0.2, a=1.0),
 }
 PART_OF_STICK = (0, 0, 1, 2, 3, 4, 1, 2, 3, 4)
-PART_OF_POINT = tuple(next(part for part, own in enumerate(PART_POINTS) if i in own) for i in range(15))
 _ELLIPSOID_COLOUR = ColorRGBA(r=0.4, g=0.6, b=1.0, a=0.3)
 _PERSONS = ((0.34, 0.71, 0.91), (0.80, 0.47, 0.65), (0.0, 0.45, 0.70), (0.94, 0.89, 0.26))
 """Sky blue, purple, blue, yellow: told apart by the colour-blind (Okabe and Ito 2008), and from the states' colours."""
@@ -125,7 +124,7 @@ def deleted_markers(shown: Iterable[Marker], stamp_ns: int) -> MarkerArray:
     )
 
 
-def _colours(state: BodyState, part_of: Sequence[int], usual: ColorRGBA) -> list[ColorRGBA]:
+def _colours(state: BodyState, part_of: Sequence[int] | np.ndarray, usual: ColorRGBA) -> list[ColorRGBA]:
     """Return a colour for each stick or point: that of doubt where its part of the body is doubtful."""
     of_part = [_COLOURS[Tracking.DOUBTFUL] if part == DOUBTFUL else usual for part in state.parts]
     return [of_part[part] for part in part_of]

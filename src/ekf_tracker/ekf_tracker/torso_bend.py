@@ -22,6 +22,7 @@ FEWEST_POINTS = 4  # of neck, shoulders and hips: three leave only what a rigid 
 FADES_S = 2.0 * (REST_SD / RATE_SD) ** 2
 RIGID = 6
 _POINTS = TORSO_POINTS[1:]
+_DIAGONAL = np.diag_indices(BEND_NUMBERS)
 
 
 class TorsoBend:
@@ -48,7 +49,7 @@ class TorsoBend:
         kept = np.exp(-passed_s / FADES_S)
         self.bend = kept * self.bend
         self.covariance = self.covariance * np.outer(kept, kept)
-        self.covariance[np.diag_indices(BEND_NUMBERS)] += (1.0 - kept**2) * (self._scale * REST_SD) ** 2
+        self.covariance[_DIAGONAL] += (1.0 - kept**2) * (self._scale * REST_SD) ** 2
 
     def _look(self, rest: Body, points_world: np.ndarray, covariance: np.ndarray, seen: np.ndarray) -> None:
         """Take the points (n, 3) m of those ``seen`` (5,) with their covariance (n, 3, 3) m^2."""
@@ -58,7 +59,7 @@ class TorsoBend:
         columns = bend_columns(rest)[seen] / sd[..., None]
         A, off = columns.reshape(-1, RIGID + BEND_NUMBERS), (((points_world - t) @ R - own) / sd).ravel()
         M, g = A.T @ A, A.T @ off
-        eliminated = np.linalg.solve(M[:RIGID, :RIGID], np.column_stack([M[:RIGID, RIGID:], g[:RIGID]]))
+        eliminated = np.linalg.solve(M[:RIGID, :RIGID], np.hstack([M[:RIGID, RIGID:], g[:RIGID, None]]))
         information = M[RIGID:, RIGID:] - M[RIGID:, :RIGID] @ eliminated[:, :-1]
         pull = g[RIGID:] - M[RIGID:, :RIGID] @ eliminated[:, -1]
         before = np.linalg.inv(self.covariance)

@@ -255,7 +255,8 @@ def make_data(
         whole = ~visibility.near_unseen.at(points)
         points, sigma = np.ascontiguousarray(points[whole]), sigma[whole]
         surface = np.ascontiguousarray(surface[~visibility.near_unseen.at(surface)])
-        contour_rays = contour_rays.chosen(~visibility.unseen_cells.at(contour_rays.points_world))
+        beyond = visibility.unseen_cells.at(contour_rays.points_world)
+        contour_rays = contour_rays.chosen(~beyond) if beyond.any() else contour_rays
     gate2 = settings.gate_m**2 + (GATE_SIGMAS * sigma) ** 2
     return Data(
         points,

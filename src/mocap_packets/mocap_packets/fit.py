@@ -21,6 +21,8 @@ GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
 PART_NAMES = ("trunk", "left arm", "right arm", "left leg", "right leg")
 PART_POINTS = ((0, 1, 2, 3, 4, 5, 6), (7, 11), (8, 12), (9, 13), (10, 14))
 """Reference points that only this part of the body holds."""
+PART_OF_POINT = np.array([next(part for part, own in enumerate(PART_POINTS) if point in own) for point in range(15)])
+"""(15,) the part that holds each reference point."""
 FIRST_PERSON = 1
 """The person whose topics are those of a single one; the others are 2, 3, ..."""
 
@@ -146,9 +148,6 @@ class Fit:
         return ReferencePoints(self.reference_points_world, self.covariance, self.visible, doubtful, moved)
 
 
-def points_of_parts(parts: Sequence[bool]) -> np.ndarray:
+def points_of_parts(parts: Sequence[bool] | np.ndarray) -> np.ndarray:
     """Return (15,) bool: the reference points of the chosen parts (5,) of the body."""
-    points = np.zeros(15, bool)
-    for chosen, own in zip(parts, PART_POINTS, strict=True):
-        points[list(own)] = chosen
-    return points
+    return np.array(parts, bool)[PART_OF_POINT]

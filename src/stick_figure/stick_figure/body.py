@@ -66,8 +66,9 @@ class Body:
             raise InputError(f"a build has {BUILD_NUMBERS} finite numbers, not {self.build}")
         object.__setattr__(self, "half_lengths", half_lengths)
         object.__setattr__(self, "build", build)
-        for name, value in zip(STICK_NAMES, half_lengths, strict=True):
-            _check_size(f"half length of {name}", value)
+        if not (np.isfinite(half_lengths) & (half_lengths > 0.0)).all():
+            for name, value in zip(STICK_NAMES, half_lengths, strict=True):
+                _check_size(f"half length of {name}", value)
         for name in ("half_shoulder_width", "shoulder_height_ratio", "hip_width_ratio"):
             object.__setattr__(self, name, _check_size(name, getattr(self, name)))
 
@@ -109,6 +110,8 @@ class Body:
     @cached_property
     def stature(self) -> float:
         """Standing height over the ankles' floor height, by the same anthropometric ratios, metres."""
+        if self.unbent is not None:
+            return self.unbent.stature
         standing = self.lengths[0] + self.lengths[1] + self.lengths[[4, 5]].mean() + self.lengths[[8, 9]].mean()
         return float(standing / (1.0 - _ANKLE))
 

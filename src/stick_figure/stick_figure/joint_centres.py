@@ -34,7 +34,7 @@ FEATURES: tuple[str, ...] = (
 )
 """What is regressed on, of the left side: unit vectors in the torso's frame, the trunk's bend over its spread. Of the
 right side they are those of the mirrored pose."""
-_ODD = 3  # the last ones change sign in the mirror
+_LIMBS, _ODD = 3 * len(DIRECTIONS), 3  # the first ones are the limbs', the last ones change sign in the mirror
 _MIRROR = np.array([1.0, -1.0, 1.0])
 _TORSO, _NECK, _HIPS = (POINT_NAMES.index(name) for name in ("torso", "neck", "left_hip"))
 _SHOULDERS = POINT_NAMES.index("left_shoulder")
@@ -61,14 +61,14 @@ def joint_centres() -> JointCentres:
 
 def pose_features(body: Body, pose: Pose) -> np.ndarray:
     """Return the FEATURES (2, n) of the left and the right side of a body as its trunk is bent."""
-    R, bend = pose.R_joints, body.bend / REST_SD
-    arms, thighs = R[1:3, :, 1].copy(), -R[3:5, :, 2]
-    arms[1] *= _MIRROR
-    thighs[1] *= _MIRROR
-    left = [*arms[0], *arms[1], *thighs[0], *thighs[1]]
-    right = [*arms[1], *arms[0], *thighs[1], *thighs[0]]
-    even, odd = (R[0, 0, 2], bend[FLEXION]), np.array([R[0, 1, 2], bend[PELVIS_YAW], bend[PELVIS_ROLL]])
-    return np.array([[*left, *even, *odd], [*right, *even, *-odd]])
+    R, bend, features = pose.R_joints, body.bend / REST_SD, np.empty((2, len(FEATURES)))
+    limbs = np.concatenate([R[1:3, :, 1], -R[3:5, :, 2]])  # left and right arm, left and right thigh
+    limbs[1::2] *= _MIRROR
+    features[0, :_LIMBS], features[1, :_LIMBS] = limbs.ravel(), limbs[[1, 0, 3, 2]].ravel()
+    features[:, _LIMBS:-_ODD] = R[0, 0, 2], bend[FLEXION]
+    features[0, -_ODD:] = R[0, 1, 2], bend[PELVIS_YAW], bend[PELVIS_ROLL]
+    features[1, -_ODD:] = -features[0, -_ODD:]
+    return features
 
 
 def with_joint_centres(body: Body, pose: Pose, points_world: Array) -> Array:

@@ -22,19 +22,28 @@ JOINT_NAMES = ("torso", *BALL_NAMES, *HINGE_NAMES)
 HINGE_AXIS = np.array([2, 2, 1, 1])
 """(4,) axis about which each hinge turns, of the upper limb: elbows z, knees y."""
 _HINGE_ROWS = slice(6, 10)
+_TURNS = SLOT_OF_JOINT_AXIS >= 0
+_BALL_SLOTS = SLOT_OF_JOINT_AXIS[_TURNS]
 
 
 def quaternion_of(R: Array) -> Array:
     """Return the unit quaternion (4,), x y z w with w >= 0, of a rotation matrix (3, 3)."""
-    vector = rotation_vector(R)
-    angle = math.sqrt(vector @ vector)
-    # sin(angle / 2) / angle
-    return np.append(vector * (0.5 * np.sinc(angle / (2.0 * np.pi))), math.cos(angle / 2.0))
+    return quaternions_of(R[None])[0]
+
+
+def quaternions_of(R: Array) -> Array:
+    """Return those (n, 4) of rotation matrices (n, 3, 3)."""
+    vectors = [rotation_vector(one) for one in R]
+    angles = np.array([math.sqrt(vector @ vector) for vector in vectors])
+    quaternions = np.empty((len(R), 4))
+    quaternions[:, :3] = np.array(vectors) * (0.5 * np.sinc(angles / (2.0 * np.pi)))[:, None]  # sin(angle / 2) / angle
+    quaternions[:, 3] = [math.cos(angle / 2.0) for angle in angles.tolist()]
+    return quaternions
 
 
 def matrix_of(quaternion: Array) -> Array:
     """Return the rotation matrix (3, 3) of a quaternion (4,), x y z w, of any length but 0."""
-    x, y, z, w = quaternion
+    x, y, z, w = quaternion.tolist()
     sine = math.sqrt(x * x + y * y + z * z)
     if sine == 0.0:
         return np.eye(3)
@@ -59,12 +68,12 @@ class JointMotion:
     def of(cls, pose: Pose, velocity: Array) -> JointMotion:
         """Return the motion of a pose and its tangent's rates (24,)."""
         quaternions, angular = np.zeros((10, 4)), np.zeros((10, 3))
-        for row, R in enumerate((pose.R_world_torso, *pose.R_joints)):
-            quaternions[row] = quaternion_of(R)
-        for row, (axis, angle) in enumerate(zip(HINGE_AXIS, pose.hinges, strict=True), 6):
-            quaternions[row, axis], quaternions[row, 3] = math.sin(angle / 2.0), math.cos(angle / 2.0)
+        quaternions[:6] = quaternions_of(np.concatenate([pose.R_world_torso[None], pose.R_joints]))
+        halves = [angle / 2.0 for angle in pose.hinges.tolist()]
+        quaternions[_HINGE_ROWS][range(4), HINGE_AXIS] = [math.sin(half) for half in halves]
+        quaternions[_HINGE_ROWS, 3] = [math.cos(half) for half in halves]
         angular[0] = velocity[TORSO_ROTATION]
-        angular[1:6][SLOT_OF_JOINT_AXIS >= 0] = velocity[SLOT_OF_JOINT_AXIS[SLOT_OF_JOINT_AXIS >= 0]]
+        angular[1:6][_TURNS] = velocity[_BALL_SLOTS]
         angular[_HINGE_ROWS][range(4), HINGE_AXIS] = velocity[HINGE_SLOT]
         return cls(pose.position_world, quaternions, np.asarray(velocity[TORSO_POSITION], float), angular)
 
@@ -81,6 +90,6 @@ class JointMotion:
         """The rates (24,) of the pose's tangent."""
         velocity = np.empty(24)
         velocity[TORSO_POSITION], velocity[TORSO_ROTATION] = self.linear_world, self.angular[0]
-        velocity[SLOT_OF_JOINT_AXIS[SLOT_OF_JOINT_AXIS >= 0]] = self.angular[1:6][SLOT_OF_JOINT_AXIS >= 0]
+        velocity[_BALL_SLOTS] = self.angular[1:6][_TURNS]
         velocity[HINGE_SLOT] = self.angular[_HINGE_ROWS][range(4), HINGE_AXIS]
         return velocity

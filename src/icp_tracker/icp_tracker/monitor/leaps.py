@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mocap_packets.fit import PART_POINTS
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data
@@ -19,7 +18,7 @@ from stick_figure.pose import Pose
 
 from .evidence import Evidence
 from .limb_search import NO_POSES, other_places, with_limb
-from .pose_library import LIMBS, Limb, LimbPoses
+from .pose_library import LIMB_PARTS, LIMB_POINTS, LIMBS, LOWER_STICKS, UPPER_STICKS, Limb, LimbPoses
 
 MOST_M_S, MOST_M_S2 = 20.0, 600.0  # changes of a point's speed: twice what boxers' fists do, in a thirtieth of a second
 NEAR_M = 0.1  # what fits err by, besides
@@ -62,12 +61,12 @@ class RecentRays:
 
 
 def _unexplained(evidence: Evidence) -> np.ndarray:
-    return np.array([evidence.unexplained[limb.part] for limb in LIMBS], float)
+    return evidence.unexplained[LIMB_PARTS].astype(float)
 
 
 def rays_of_limbs(evidence: Evidence) -> np.ndarray:
     """Return the rays (4,) that each limb explains."""
-    return np.array([evidence.explained[limb.upper] + evidence.explained[limb.lower] for limb in LIMBS], float)
+    return (evidence.explained[UPPER_STICKS] + evidence.explained[LOWER_STICKS]).astype(float)
 
 
 def leaps_of_limbs(body: Body, pose: Pose, expected: Pose) -> np.ndarray:
@@ -75,7 +74,7 @@ def leaps_of_limbs(body: Body, pose: Pose, expected: Pose) -> np.ndarray:
     found = forward(body, pose)
     carried = forward(body, Pose(pose.position_world, pose.R_world_torso, expected.R_joints, expected.hinges))
     apart = np.linalg.norm(found - carried, axis=1)
-    return np.array([apart[list(PART_POINTS[limb.part])].max() for limb in LIMBS])
+    return np.asarray(apart[LIMB_POINTS].max(axis=1))
 
 
 def kept_limb(body: Body, pose: Pose, expected: Pose, limb: Limb, data: Data) -> Pose | None:

@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from capture_rig.visibility import UnseenCells
-from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES, PART_POINTS, TrackQuality
+from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES, PART_OF_POINT, TrackQuality
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import TORSO_POINTS
 
 from .evidence import PART_OF_STICK, PARTS, TRUNK, Evidence
-from .pose_library import LIMBS
+from .pose_library import LIMB_POINTS, LIMBS
 from .track_quality import Baseline
 
 SHOWN_SHARE = 0.5  # of the rays that a part usually has: one that has so many is in sight
@@ -36,9 +36,7 @@ def points_out_of_sight(
     if expected is not None:
         carried = Pose(pose.position_world, pose.R_world_torso, expected.R_joints, expected.hinges)
         hidden |= unseen.at(forward(body, carried))
-    for points, seen in zip(PART_POINTS, shown, strict=True):
-        hidden[list(points)] &= not seen
-    return hidden
+    return np.asarray(hidden & ~shown[PART_OF_POINT])
 
 
 def shown_parts(evidence: Evidence, baseline: Baseline) -> np.ndarray:
@@ -49,7 +47,7 @@ def shown_parts(evidence: Evidence, baseline: Baseline) -> np.ndarray:
 
 def limbs_of_points(points: np.ndarray) -> np.ndarray:
     """Return the limbs (4,) bool that one of the points (15,) bool belongs to."""
-    return np.array([points[list(PART_POINTS[limb.part])].any() for limb in LIMBS])
+    return np.asarray(points[LIMB_POINTS].any(axis=1))
 
 
 def is_cut(hidden: np.ndarray) -> bool:
@@ -60,6 +58,8 @@ def is_cut(hidden: np.ndarray) -> bool:
 
 def with_hidden_parts(quality: TrackQuality, hidden: np.ndarray) -> TrackQuality:
     """Return the quality with the parts doubtful whose points (15,) bool are out of sight."""
+    if not hidden.any():
+        return quality
     parts, reasons = list(quality.parts), [quality.reason] if quality.reason else []
     out = {limb.part for limb, beyond in zip(LIMBS, limbs_of_points(hidden), strict=True) if beyond}
     if hidden[TORSO_POINTS].sum() >= TRUNK_POINTS:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mocap_packets.fit import PART_POINTS
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -127,6 +128,9 @@ LIMBS = (
     Limb(LEFT_LEG, 3, 2, 4, 8, (16, 18, 20, 22)),
     Limb(RIGHT_LEG, 4, 3, 5, 9, (17, 19, 21, 23)),
 )
+LIMB_PARTS, UPPER_STICKS, LOWER_STICKS = np.array([(limb.part, limb.upper, limb.lower) for limb in LIMBS]).T
+LIMB_POINTS = np.array([PART_POINTS[limb.part] for limb in LIMBS])
+"""(4, 2) reference points of each limb: elbow and hand, or knee and foot."""
 
 
 class LimbPoses(NamedTuple):

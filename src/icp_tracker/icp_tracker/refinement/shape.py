@@ -117,10 +117,15 @@ def figure_at(model, values):
 
 def figure_change(model: ShapeArrays, values: np.ndarray, before: np.ndarray) -> float:
     """Return the largest difference, m, of two shapes: of a stick's length or start, of a capsule's end or radius."""
-    now, then = figure_at(model, values), figure_at(model, before)
-    pairs = [(now.lengths, then.lengths), (now.origins, then.origins)]
-    pairs += [(a, b) for a, b in zip(now.surface[1:], then.surface[1:], strict=True)]
-    return max(float(np.abs(a - b).max()) for a, b in pairs)
+    return float(_largest_change(figure_at(model, values), figure_at(model, before)))
+
+
+@njit(cache=True)
+def _largest_change(now, then):
+    surface, before = now.surface, then.surface
+    sticks = max(np.abs(now.lengths - then.lengths).max(), np.abs(now.origins - then.origins).max())
+    ends = max(np.abs(surface.start - before.start).max(), np.abs(surface.end - before.end).max())
+    return max(sticks, ends, np.abs(surface.radii - before.radii).max())
 
 
 @kernel
