@@ -2,7 +2,7 @@
 VENV ?= .venv
 PYTHON := $(VENV)/bin/python
 SESSION ?=
-TEST_PROCESSES ?= 2
+TEST_PROCESSES ?= 3
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 export OPENBLAS_NUM_THREADS ?= 1
 # without bytecode every process of a graph, and of the tests, compiles all sources and tests anew
@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@echo "make demo [SESSION=folder]  set up, run the whole graph live on the built-in session (or a folder of videos)"
 	@echo "make studio [SESSION=folder] set up, serve simulated GigE Vision cameras until Ctrl-C (docs/studio.md)"
-	@echo "make test                   set up, run the tests in two processes;  make test-all: the slow ones too"
+	@echo "make test                   set up, run the tests in three processes;  make test-all: the slow ones too"
 	@echo "make lint | colcon | clean  ruff and mypy | colcon build in ros_ws | remove what was built"
 
 setup:
@@ -27,6 +27,7 @@ studio: setup
 test: setup
 	$(PYTHON) -m pytest -n $(TEST_PROCESSES)
 
+test-all: TEST_PROCESSES = 2
 test-all: setup
 	$(PYTHON) -m pytest -n $(TEST_PROCESSES) -m "slow or not slow"
 

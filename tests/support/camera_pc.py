@@ -28,6 +28,7 @@ WIDTH, HEIGHT, FPS = 320, 240, 30.0
 PATIENCE_S = 60.0  # only ever used up by a failing test
 GRACE_S = 10.0  # for a process to end before it is killed
 PACKET_DELAY_NS = 200_000  # spreads a frame over some 10 ms, so that a camera can be switched off in its middle
+HARMLESS = ("lost or inc", "the light changed suddenly")  # the latter is told for half a minute
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
@@ -177,14 +178,16 @@ class CameraPC:
         self.listener.until(lambda: self.listener.masks(self.name) >= seen + 5, f"masks of {self.name}")
 
     def until_well(self) -> None:
-        """No fault, masks coming, and no other complaint than of frames that a busy machine loses."""
+        """No fault, masks coming, and no other complaint than of frames that a busy machine loses, or of what was."""
         self.camera.faults.clear()
         self.camera.power_on()
         self.until_streaming()
-        self.listener.until(
-            lambda: self.listener.level(self.node)[0] == OK or "lost or inc" in self.listener.level(self.node)[1],
-            f"{self.node} is well",
-        )
+
+        def well() -> bool:
+            level, said = self.listener.level(self.node)
+            return level == OK or any(harmless in said for harmless in HARMLESS)
+
+        self.listener.until(well, f"{self.node} is well")
 
     def until_said(self, level: bytes, text: str, node: str = "") -> None:
         def said() -> bool:

@@ -14,8 +14,8 @@ from virtual_studio.wide_lenses import PROJECTIONS, DesignedLens
 NOISE_PX = 0.1
 
 
-def calibrated(camera, seed, model="auto", **how):
-    return calibrate_intrinsics(shown(camera, 30, NOISE_PX, seed=seed, **how), BOARD, name="cam01", model=model)
+def calibrated(camera, seed, model="auto", *, views=20, **how):
+    return calibrate_intrinsics(shown(camera, views, NOISE_PX, seed=seed, **how), BOARD, name="cam01", model=model)
 
 
 def said(result, text):
@@ -36,7 +36,8 @@ def said(result, text):
 )
 def test_designed_wide_lens_is_usable_in_the_whole_image_though_plumb_bob_folds(projection, across_deg):
     camera = DesignedLens(PROJECTIONS[projection], across_deg)
-    result, plain = calibrated(camera, 21), calibrated(camera, 21, "plumb_bob")
+    views = 30 if across_deg < 110.0 else 20  # it takes more to tell a milder lens from plumb_bob
+    result, plain = (calibrated(camera, 21, model, views=views) for model in ("auto", "plumb_bob"))
     assert result.verdict.grade != "redo" and result.camera.distortion_model == "rational_polynomial"
     assert result.camera.unused_share < 0.1 * plain.camera.unused_share
     assert abs(result.values["fx"] / camera.K[0, 0] - 1) < 1.5e-3
@@ -49,7 +50,7 @@ def test_designed_wide_lens_is_usable_in_the_whole_image_though_plumb_bob_folds(
 
 def test_partial_board_in_the_corners_leaves_nothing_to_guess():
     board, camera = CharucoBoard(11, 8, 0.03, 0.022, "DICT_5X5_100"), DesignedLens(PROJECTIONS["equidistant"], 110.0)
-    views = shown(camera, 30, NOISE_PX, seed=22, board=board, sizes=(0.5, 1.1), partial=True)
+    views = shown(camera, 20, NOISE_PX, seed=22, board=board, sizes=(0.5, 1.1), partial=True)
     result = calibrate_intrinsics(views, board, name="cam01", model="auto")
     assert result.camera.distortion_model == "rational_polynomial" and result.camera.unused_share < 0.005
     assert np.nanmax(pixel_errors(result.camera, camera)) < 1.0

@@ -20,7 +20,7 @@ from stick_figure.body import Body
 from stick_figure.body_file import format_body, load_body
 
 SOON = RestartPolicy(first_s=0.1, longest_s=0.1, most=2)
-PATIENCE_S = 120.0
+PATIENCE_S = 60.0
 
 
 @pytest.mark.parametrize(

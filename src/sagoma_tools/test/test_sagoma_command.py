@@ -70,7 +70,7 @@ def test_start_without_any_node_is_an_input_error(capsys):
 
 def test_configuration_of_running_nodes_is_read_from_the_nodes_themselves(running_graph, link):
     running_graph()
-    found = read_configuration(link.node, ["/hull_server", "/cam01/camera_client"], timeout_s=120)
+    found = read_configuration(link.node, ["/hull_server", "/cam01/camera_client"], timeout_s=60)
     assert {name: parameters["behaviour"] for name, parameters in found.items()} == {
         "/hull_server": "good",
         "/cam01/camera_client": "good",
