@@ -93,20 +93,17 @@ class RigVisibility:
 
     def seen_by(self, points_world: Array) -> Flags:
         """Return which cameras (n, N) see the points: by the carver's rule, the pixel that the place projects to."""
-        seen = np.zeros((len(points_world), len(self._views)), np.bool_)
-        for number, view in enumerate(self._views):
-            u, v, depth = _project(view.camera.P, points_world)
-            height, width = view.seen.shape
-            inside = (depth > 0.0) & (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)
-            rows = np.flatnonzero(inside)
-            seen[rows, number] = view.seen[(v[rows] + 0.5).astype(int), (u[rows] + 0.5).astype(int)]
-        return seen
+        points_world = np.ascontiguousarray(points_world, np.float64)
+        seen = np.empty((len(self._views), len(points_world)), np.bool_)
+        for view, seen_by_it in zip(self._views, seen, strict=True):
+            _look_through(view.camera.P, view.seen, points_world, seen_by_it)
+        return seen.T
 
     def in_volume(self, points_world: Array) -> Flags:
         """Return which points lie inside the volume's walls and ceiling (its floor counts as below everything)."""
         low, high = self.volume.low, self.volume.high
-        flat = ((points_world[:, :2] >= low[:2]) & (points_world[:, :2] <= high[:2])).all(axis=1)
-        inside: Flags = flat & (points_world[:, 2] <= high[2])
+        x, y, z = points_world.T
+        inside: Flags = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]) & (z <= high[2])
         return inside
 
     def shows(self, points_world: Array) -> Flags:
@@ -133,9 +130,14 @@ class RigVisibility:
         return self.unseen_cells.widened()
 
 
-def _project(P: Array, points_world: Array) -> tuple[Array, Array, Array]:
-    """Return pixels u, v (n,), NaN behind the camera, and depth (n,)."""
-    x, y, depth = (points_world @ P[:, :3].T + P[:, 3]).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ahead = np.where(depth > 0.0, depth, np.nan)
-        return x / ahead, y / ahead, depth
+@kernel
+def _look_through(P, seen, points, found):
+    """found (n,) <- whether the pixel that each point (n, 3) projects to by P (3, 4) is one that a camera has seen."""
+    height, width = seen.shape
+    for n in range(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
+        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
+        inside = depth > 0.0 and -0.5 <= u < width - 0.5 and -0.5 <= v < height - 0.5
+        found[n] = inside and seen[int(v + 0.5), int(u + 0.5)]
