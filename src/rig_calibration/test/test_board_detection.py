@@ -23,8 +23,7 @@ def seen(
     return image, detection, errors
 
 
-@pytest.mark.parametrize("tilt", [0, 40, 65])
-@pytest.mark.parametrize("blur", [0.5, 1.0])
+@pytest.mark.parametrize(("tilt", "blur"), [(0, 0.5), (0, 1.0), (40, 0.5), (65, 1.0)])
 def test_corners_are_exact_to_hundredths_of_a_pixel_and_sigma_says_so(tilt, blur):
     _, detection, errors = seen(BOARD, tilt=tilt, blur=blur, noise=2.5, oversample=10)
     rms = np.sqrt(np.mean(errors**2))
