@@ -209,7 +209,10 @@ def _left_over(data, state, figure, limb):
 @njit(cache=True)
 def _within_reach(points, distances, root, reach):
     """Return the points (n, 3) that the body passes at a distance (n,), and that lie within a limb's reach."""
-    chosen = (distances > OPEN_M) & (((points - root) ** 2).sum(axis=1) < reach * reach)
+    chosen = np.empty(points.shape[0], np.bool_)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0] - root[0], points[i, 1] - root[1], points[i, 2] - root[2]
+        chosen[i] = distances[i] > OPEN_M and x * x + y * y + z * z < reach * reach
     return points[chosen], distances[chosen]
 
 

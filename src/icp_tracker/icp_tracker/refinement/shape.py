@@ -117,15 +117,16 @@ def figure_at(model, values):
 
 def figure_change(model: ShapeArrays, values: np.ndarray, before: np.ndarray) -> float:
     """Return the largest difference, m, of two shapes: of a stick's length or start, of a capsule's end or radius."""
-    return float(_largest_change(figure_at(model, values), figure_at(model, before)))
+    return float(_largest_change(model, values, before))
 
 
 @njit(cache=True)
-def _largest_change(now, then):
-    surface, before = now.surface, then.surface
+def _largest_change(model, values, before):
+    now, then = figure_at(model, values), figure_at(model, before)
     sticks = max(np.abs(now.lengths - then.lengths).max(), np.abs(now.origins - then.origins).max())
-    ends = max(np.abs(surface.start - before.start).max(), np.abs(surface.end - before.end).max())
-    return max(sticks, ends, np.abs(surface.radii - before.radii).max())
+    starts = np.abs(now.surface.start - then.surface.start).max()
+    ends = np.abs(now.surface.end - then.surface.end).max()
+    return max(sticks, starts, ends, np.abs(now.surface.radii - then.surface.radii).max())
 
 
 @kernel
