@@ -146,7 +146,7 @@ class IcpTracker:
             fit = self._acquire(seen)
         else:
             fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn)
-        return replace(fit, dropped_points=dropped)
+        return replace(fit, dropped_points=dropped) if dropped else fit
 
     def _follow(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool) -> Fit:
         """Fit a set to the body that is followed; ``pose`` is that of the set before."""
@@ -242,12 +242,14 @@ class IcpTracker:
         visible = fit.visible if quality.state != LOST else np.zeros(15, dtype=bool)
         if found.unseen is not None:
             visible = visible & ~found.unseen
-        seen = _seen(stamp_ns, started_from, replace(fit, covariance=covariance, visible=visible))
         if found.unchecked:
             quality = unchecked_quality(quality)
         state = TRACKING if quality.state == GOOD else quality.state
-        return replace(
-            seen, state=state, reason=quality.reason, quality=quality, recovered=found.change, moved=found.moved
+        return Fit(
+            *(stamp_ns, state, started_from, quality.reason, 0, points, covariance, visible, fit.pose, _solution(fit)),
+            quality,
+            found.change,
+            found.moved,
         )
 
     def _with_sizes(self, fit: FitResult) -> np.ndarray:
@@ -273,8 +275,9 @@ class IcpTracker:
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, reason)
         self._body, self._pose, self._refiner = found.body, fit.pose, self._new_refiner(found)
         # the first pose is itself a measurement of every point, also of those the hull hides
-        fit = replace(fit, covariance=self._with_sizes(fit), visible=np.ones(15, dtype=bool))
-        return _seen(seen.stamp_ns, FROM_INITIAL, fit)
+        points, visible = fit.reference_points_world, np.ones(15, dtype=bool)
+        covariance, solution = self._with_sizes(fit), _solution(fit)
+        return Fit(seen.stamp_ns, TRACKING, FROM_INITIAL, "", 0, points, covariance, visible, fit.pose, solution)
 
     def _new_refiner(self, found: InitialPose) -> BodyRefiner | None:
         """Return what refines the body that was found; of one whose sizes are given it learns the build, unless that
@@ -324,10 +327,8 @@ def warm_up(settings: TrackerSettings) -> None:
         warm_up_refiner(settings.refinement, settings.articulated.prior)
 
 
-def _seen(stamp_ns: int, started_from: str, fit: FitResult) -> Fit:
-    solution = Solution(fit.points, fit.inliers, fit.rms_m, fit.iterations, fit.converged)
-    points = (fit.reference_points_world, fit.covariance, fit.visible)
-    return Fit(stamp_ns, TRACKING, started_from, "", 0, *points, fit.pose, solution)
+def _solution(fit: FitResult) -> Solution:
+    return Solution(fit.points, fit.inliers, fit.rms_m, fit.iterations, fit.converged)
 
 
 def fits_nothing(stamp_ns: int, reason: str) -> Fit:
