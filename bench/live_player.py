@@ -93,7 +93,7 @@ def followed_rule(link: RosLink) -> Any:
 
 def published_type(link: RosLink, topic: str) -> str:
     """Return the type of a topic that a server of any age publishes, as soon as it is there."""
-    deadline_s = time.monotonic() + ANSWER_TIMEOUT_S
+    deadline_s = time.monotonic() + FIND_TIMEOUT_S
     while time.monotonic() < deadline_s:
         found = dict(link.node.get_topic_names_and_types()).get(topic)
         if found:
