@@ -17,7 +17,13 @@ from numba import njit
 from capture_rig.small_matrices import inverse3, inverse_positive
 from stick_figure import kernels
 from stick_figure.body import Body
-from stick_figure.joint_limits import add_joint_limits, flipped_limb_fits_better, hyperextension
+from stick_figure.joint_limits import (
+    add_joint_limits,
+    flipped_limb_fits_better,
+    hyperextension,
+    limit_rates,
+    stop_at_straight,
+)
 from stick_figure.kinematics import rates_of_angles
 from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 
@@ -74,7 +80,8 @@ class UpdateOptions(NamedTuple):
 def predict_estimate(estimate: Estimate, transition: Transition, joint_sd_cap_rad: float) -> Estimate:
     """Return the estimate one transition later (thesis Table 5.5, from the a-posteriori state and covariance).
 
-    No joint's pose is left with a standard deviation above the cap (rad): see :func:`cap_joints`.
+    No joint's pose is left with a standard deviation above the cap (rad): see :func:`cap_joints`. Elbows and knees that
+    come straight stop there; that moves the mean alone, as joint limits do.
     """
     x = estimate
     return Estimate(*predict_arrays(x.arrays, x.velocity, x.covariance, transition, joint_sd_cap_rad))
@@ -129,8 +136,10 @@ def predict_arrays(pose, velocity, P, transition, sd_cap):
     cap_joints(out, sd_cap)
     moved_pose = copied(pose)
     t0, R0, RJ, hinges = moved_pose
+    before, moved_velocity = hinges.copy(), f_velocity * velocity
     kernels.retract(t0, R0, RJ, hinges, f_cross * velocity, 1.0)
-    return moved_pose, f_velocity * velocity, out
+    stop_at_straight(before, hinges, moved_velocity)
+    return moved_pose, moved_velocity, out
 
 
 @njit(cache=True, nogil=True)
@@ -149,6 +158,8 @@ def correct_arrays(prior, start, velocity, P, sizes, z, chosen, options):
     G[N:] = np.dot(np.dot(P_vx, Y), V)
     posterior = joseph(P, G, L)
     _canonicalise_hinges(pose, moved_velocity, posterior, options.hinge_margin_rad, options.limit_weight > 0.0)
+    if options.limit_weight > 0.0:
+        limit_rates(moved_velocity)
     return pose, moved_velocity, posterior
 
 

@@ -18,6 +18,8 @@ from ekf_tracker.kernels import (
 from ekf_tracker.measurement import Measurement, Sizes, linearised, point_covariance
 from ekf_tracker.motion_model import DampedVelocity, Identity
 from ekf_tracker.state import POSE, VELOCITY
+from stick_figure.joint_limits import BALL_RATES
+from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
@@ -110,6 +112,22 @@ def test_prediction_equals_dense_matrices_and_moves_the_pose_along_the_velocity(
     np.testing.assert_array_equal(ahead.covariance, ahead.covariance.T)
     np.testing.assert_allclose(ahead.pose.minus(prior.pose), F[0, 24] * prior.velocity, atol=1e-9)
     np.testing.assert_allclose(ahead.velocity, F[24, 24] * prior.velocity, rtol=1e-12)
+
+
+def test_prediction_stops_a_knee_at_straight_and_an_update_gives_no_hip_an_impossible_rate(body, problem):
+    prior, z = problem
+    hinges, velocity = prior.arrays[3].copy(), prior.velocity.copy()
+    knee, hip = HINGE_SLOT[2], SLOT_OF_JOINT_AXIS[3]
+    hinges[2], velocity[knee] = 0.3, -30.0  # straight after a hundredth of a second
+    ahead = predict_estimate(
+        Estimate((*prior.arrays[:3], hinges), velocity, prior.covariance), DampedVelocity().transition(0.02), 100.0
+    )
+    assert ahead.pose.hinges[2] == 0.0 and ahead.velocity[knee] == 0.0
+    velocity[hip] = 0.0, 90.0, 0.0
+    fast = Estimate(prior.arrays, velocity, prior.covariance)
+    limited = correct_estimate(body, fast, z, ALL, UpdateOptions(5, limit_weight=25.0))
+    assert np.linalg.norm(limited.velocity[hip]) == pytest.approx(BALL_RATES[3])
+    assert np.linalg.norm(correct_estimate(body, fast, z, ALL, UpdateOptions(5)).velocity[hip]) > 50.0
 
 
 def test_point_follows_the_direction_in_which_it_was_measured_well(body, problem):

@@ -6,6 +6,9 @@ exactly as without limits. An elbow or knee that passes straight by more than a 
 way round, with the upper limb turned by pi about itself; it meets a limit only if that description is no better. (A
 limit in any case would trap limbs whose upper part was turned the wrong way. The fit, which bends hinges the right way
 again afterwards, sets no such limit at all: its margin is infinite.)
+
+Joints are limited in their rates, too: a straight leg says little of how its thigh turns about itself, and from noise a
+filter would read turns that no hip makes, which throw the foot about as soon as the knee bends.
 """
 
 from __future__ import annotations
@@ -23,6 +26,10 @@ LARGEST_FLEXION = 2.6  # rad, where forearm meets upper arm and calf meets thigh
 FLATTEST = 0.2
 """Cosine of a limb's second angle below which its first and third turn about almost the same axis: no limit there."""
 NECK_SLOTS = (6, 7)
+BALL_RATES = np.array((np.inf, np.inf, np.inf, 20.0, 20.0))
+"""Largest rates of neck, shoulders and hips, rad/s. Kicks turn a hip at 15; throws turn a shoulder at more than 100."""
+HINGE_RATES = np.array((50.0, 50.0, 45.0, 45.0))
+"""Largest rates of elbows and knees, rad/s. Throws stretch an elbow at 40 (Fleisig et al. 1995), kicks a knee at 30."""
 
 
 @njit(cache=True)
@@ -185,3 +192,30 @@ def add_neck_rest(R_neck, rest_pitch, weight, H, g):
         H[NECK_SLOTS[k], NECK_SLOTS[k]] += weight
     g[NECK_SLOTS[0]] += weight * (angle * c0 / sine)
     g[NECK_SLOTS[1]] += weight * (angle * c1 / sine)
+
+
+@njit(cache=True)
+def limit_rates(velocity):
+    """Shorten the rates of joints in the pose's velocity (24,) to what joints reach, in place."""
+    for ball in range(5):
+        square = 0.0
+        for slot in SLOT_OF_JOINT_AXIS[ball]:
+            if slot >= 0:
+                square += velocity[slot] ** 2
+        if square > BALL_RATES[ball] ** 2:
+            for slot in SLOT_OF_JOINT_AXIS[ball]:
+                if slot >= 0:
+                    velocity[slot] *= BALL_RATES[ball] / math.sqrt(square)
+    for h in range(4):
+        slot = HINGE_SLOT[h]
+        velocity[slot] = min(max(velocity[slot], -HINGE_RATES[h]), HINGE_RATES[h])
+
+
+@njit(cache=True)
+def stop_at_straight(before, hinges, velocity):
+    """Stop elbows and knees that a motion takes from ``before`` (4,) rad past straight there, and their rates."""
+    for h in range(4):
+        straight = max(hyperextension(h, before, 0.0), 0.0)  # one that was past it already goes no farther
+        if hyperextension(h, hinges, 0.0) > straight:
+            hinges[h] = straight if h < 2 else -straight
+            velocity[HINGE_SLOT[h]] = 0.0

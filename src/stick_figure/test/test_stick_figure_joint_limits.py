@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stick_figure.joint_limits import LARGEST_FLEXION, add_joint_limits
+from stick_figure.joint_limits import (
+    BALL_RATES,
+    HINGE_RATES,
+    LARGEST_FLEXION,
+    add_joint_limits,
+    limit_rates,
+    stop_at_straight,
+)
+from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, HINGE_ANGLES
 
@@ -96,3 +104,36 @@ def test_an_infinite_margin_lets_hinges_pass_straight():
     pose = Pose(*PLACE, pose_with().R_joints, np.array([-0.9, -0.9, -0.3, 0.8]))
     assert limits_of(pose, margin=np.inf)[0] == 0
     assert limits_of(pose)[0] == 1
+
+
+def test_rates_beyond_what_joints_reach_are_shortened_and_keep_their_direction():
+    velocity = np.arange(1.0, 25.0)
+    velocity[SLOT_OF_JOINT_AXIS[3]] = 60.0, -80.0, 0.0  # the left thigh, at 100 rad/s
+    velocity[HINGE_SLOT[3]] = -90.0
+    limited = velocity.copy()
+    limit_rates(limited)
+    np.testing.assert_allclose(limited[SLOT_OF_JOINT_AXIS[3]], BALL_RATES[3] * np.array([0.6, -0.8, 0.0]))
+    assert limited[HINGE_SLOT[3]] == -HINGE_RATES[3]
+    others = np.setdiff1d(np.arange(24), [*SLOT_OF_JOINT_AXIS[3], *SLOT_OF_JOINT_AXIS[4], HINGE_SLOT[3]])
+    np.testing.assert_array_equal(limited[others], velocity[others])
+
+
+@pytest.mark.parametrize(
+    ("hinge", "before", "after", "stops_at"),
+    [
+        (0, -0.2, 0.3, 0.0),  # an elbow that is stretched too far
+        (3, 0.2, -0.3, 0.0),  # a knee
+        (3, -0.1, -0.3, -0.1),  # one that was past straight goes no farther,
+        (3, -0.1, 0.3, None),  # but back
+        (1, -0.2, -0.3, None),
+    ],
+)
+def test_hinges_stop_where_they_come_straight(hinge, before, after, stops_at):
+    first, hinges, velocity = np.zeros(4), np.zeros(4), np.ones(24)
+    first[hinge], hinges[hinge] = before, after
+    stop_at_straight(first, hinges, velocity)
+    expected = np.ones(24)
+    if stops_at is not None:
+        expected[HINGE_SLOT[hinge]] = 0.0
+    assert hinges[hinge] == (after if stops_at is None else stops_at)
+    np.testing.assert_array_equal(velocity, expected)
