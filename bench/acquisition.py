@@ -49,6 +49,9 @@ from virtual_studio.people import VolumetricBody, person_of
 from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
 
+UNUSUAL = (  # stature, m; build; length of arms and legs, over the average's: small, slim, stout, tall and stout
+    *((1.30, 1.0, 1.0, 1.0), (1.80, 0.8, 1.03, 1.04), (1.70, 1.45, 1.0, 1.0), (1.95, 1.3, 1.04, 1.03)),
+)
 LONGEST = 60  # sets of a session that are looked at
 
 
@@ -181,7 +184,7 @@ def of_starts(products: Path, quick: bool) -> dict[str, dict[str, object]]:
     for stature, case in product((1.75,) if quick else (1.62, 1.75, 1.88), cut_cases()):
         _put(table, results, f"{case.name}, {stature:.2f} m", of_cut(case, Body.from_stature(stature)))
     table = Table(columns, "walking in, no T-pose")
-    for (stature, build, arms, legs), cameras in product(WALKERS, (3, 6) if quick else (3, 4, 6, 8)):
+    for (stature, build, arms, legs), cameras in product((*WALKERS, *UNUSUAL), (3, 6) if quick else (3, 4, 6, 8)):
         rig, name = ring(cameras, ceiling=False), f"studio, {cameras} cameras, {stature:.2f} m, build {build:g}"
         _put(table, results, name, of_studio_walk(person_of(stature, arms, legs), build, rig))
     for what in recorded(products, ["walk_ring5top", "charleston_ring5top", "zombie_he3", "walkin"]):

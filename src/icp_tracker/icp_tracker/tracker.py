@@ -290,7 +290,8 @@ class IcpTracker:
             if body.build.any():
                 return None
             return BodyRefiner(known_sizes(body), settings.refinement, prior, body, contour.bend, contour.turn_sd)
-        return BodyRefiner(found.estimate, settings.refinement, prior, bend=contour.bend, turn_sd=contour.turn_sd)
+        bend, turn_sd, build = contour.bend, contour.turn_sd, body.build
+        return BodyRefiner(found.estimate, settings.refinement, prior, bend=bend, turn_sd=turn_sd, build=build)
 
 
 def make_tracker(settings: IcpNodeSettings, visibility: RigVisibility | None = None) -> IcpTracker:

@@ -11,23 +11,23 @@ from icp_tracker.acquisition.motion_source import MotionSettings, MotionSource
 from icp_tracker.acquisition.pose_source import AnyPoseSource
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
+from stick_figure.build import build_of_girth
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import MOTIONS
 from virtual_studio.people import person_of
 from virtual_studio.rig import ring, tilted, with_camera
 
-SETS = 14
 EVERY = 4  # of a walk at 60 Hz: fifteen sets a second
 BODY = person_of(1.70, 0.97, 1.03)
 
 
 @lru_cache
-def walk(cameras=3, tilt=0.0):
-    """A second of somebody who walks: sets, poses, and the rig's visibility."""
+def walk(cameras=3, tilt=0.0, build=1.0, seconds=0.9):
+    """Somebody who walks, of such a build, and four sets more: sets, poses, and the rig's visibility."""
     rig = ring(cameras, ceiling=False)
     room = Studio(with_camera(rig, cameras - 1, tilted(rig.cameras[cameras - 1], tilt)))
-    poses = MOTIONS["walk"](BODY, 4.0, 60.0).poses[120::EVERY][: SETS + 4]
-    return [room.render(person(BODY, pose), apart_ns=EVERY * SET_NS) for pose in poses], poses, room.visibility
+    poses = MOTIONS["walk"](BODY, 3.0 + seconds, 60.0).poses[120::EVERY][: round(seconds * 60 / EVERY) + 4]
+    return [room.render(person(BODY, pose, build), apart_ns=EVERY * SET_NS) for pose in poses], poses, room.visibility
 
 
 def found_in(source, sets):
@@ -52,6 +52,19 @@ def test_who_walks_in_is_found_the_right_way_round(walker):
     assert answer.pose.R_world_torso[:, 0] @ pose.R_world_torso[:, 0] > 0.8
     off = np.linalg.norm(forward(answer.body, answer.pose) - forward(BODY, pose), axis=1)
     assert off.mean() < 0.05 and off.max() < 0.15
+
+
+def test_stout_person_is_found_when_a_body_of_average_girth_explains_too_little():
+    sets, poses, visibility = walk(build=1.5, seconds=1.6)
+    source, answers = MotionSource(MotionSettings(watch_s=0.5), visibility), []
+    for seen in sets:
+        answers.append(source.find_pose(seen))
+        if answers[-1].pose is not None:
+            break
+    assert any(answer.reason.startswith("nobody upright: a body explains") for answer in answers)
+    found = answers[-1]
+    assert found.pose is not None and (found.body.build == build_of_girth(1.3)).all()
+    assert found.pose.R_world_torso[:, 0] @ poses[len(answers) - 1].R_world_torso[:, 0] > 0.8
 
 
 def test_sizes_of_who_walks_in_are_as_uncertain_as_they_are_wrong(walker):

@@ -11,11 +11,12 @@ from icp_tracker.acquisition.initial_pose import InitialPose
 from icp_tracker.articulated_fit import PriorSettings
 from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.refinement.body_refiner import BodyRefiner, RefinementSettings
-from icp_tracker.refinement.shape import BENT, POSE, SIZE, ShapeModel, ShapePrior, body_of, contour_system
+from icp_tracker.refinement.shape import BENT, BUILD, POSE, SIZE, ShapeModel, ShapePrior, body_of, contour_system
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import HullProducts
 from stick_figure.body import BEND_NUMBERS
 from stick_figure.body_surface import BodySurface
+from stick_figure.build import build_of_girth
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.free_ends import ANGLES, COUNT, straight_ends, turn_ends
 from stick_figure.least_squares.placed_figure import Figure, State, place
@@ -120,6 +121,22 @@ def test_pose_whose_arm_the_flesh_does_not_explain_has_no_say():
     np.testing.assert_allclose(refiner.refined.estimate.sizes, estimate.sizes, atol=1e-12)
     refiner.step(2, pose, contour_rays)
     assert refiner.refined.keyframes == 1
+
+
+def test_body_far_from_the_average_is_learnt_though_no_pose_explains_the_share_that_counts():
+    """A tall, stout person who walked in is taken for average at first; after a moment the best poses count."""
+    rng = np.random.default_rng(10)
+    estimate = prior_sizes(H)
+    truth = ShapePrior.of(estimate, 1.0).mean
+    truth[SIZE] *= 1.06
+    truth[BUILD] = build_of_girth(1.4)
+    settings = replace(EXACT, pause_s=0.0)
+    poses = [made.moving_pose(rng) for _ in range(12)]
+    hasty, _ = refined_by(estimate, truth, poses[:4], settings, rng, rounds=1)  # in less than a fifth of a second
+    assert hasty.refined.keyframes == 0
+    refiner, _ = refined_by(estimate, truth, poses, settings, rng, rounds=10)
+    before, after = np.abs(estimate.sizes - truth[SIZE])[SEEN], np.abs(error(refiner, truth))[SEEN]
+    assert after.mean() < 0.2 * before.mean()
 
 
 def test_body_is_given_only_when_it_changed_enough_and_not_again_before_the_pause():

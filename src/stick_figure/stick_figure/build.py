@@ -60,6 +60,8 @@ CAPSULES = sum(len(sticks) for sticks in PARTS.values())
 END_CAPSULES, END_STICKS = (10, 11, 16, 17), (L_FOREARM, R_FOREARM, L_CALF, R_CALF)
 """Hands and feet among the capsules, left first, and their sticks."""
 _ARM_STICKS = (L_UPPER_ARM, R_UPPER_ARM, L_FOREARM, R_FOREARM)
+GIRTH_SD = 0.1
+"""Spread of a person's radii about what their girth says, over the radius."""
 _LEAST_RADIUS = 0.002  # over the stature: no build makes a limb thinner
 
 
@@ -93,6 +95,17 @@ def capsule_numbers(body: Body) -> tuple[np.ndarray, np.ndarray]:
     table, stature = builds(), body.stature
     shape = table.of_stature + table.slopes @ (_lengths(body) / stature - table.mean) + table.modes @ body.build
     return capsules_of(body, table.of_length, stature * shape)
+
+
+def build_of_girth(girth: float) -> np.ndarray:
+    """Return the likeliest build (BUILD_NUMBERS,) of people whose radii are ``girth`` times the average, each of them
+    give or take GIRTH_SD: the conditional mean of the table's Gaussian."""
+    table = builds()
+    radii = table.of_stature[:, 6:].ravel()
+    modes = table.modes[:, 6:].reshape(len(radii), -1) / (GIRTH_SD * radii[:, None])
+    wanted = np.full(len(radii), (girth - 1.0) / GIRTH_SD)
+    build: np.ndarray = np.linalg.solve(np.eye(BUILD_NUMBERS) + modes.T @ modes, modes.T @ wanted)
+    return build
 
 
 def capsules_of(body: Body, of_length: np.ndarray, more: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,6 +1,7 @@
 """The first pose of somebody who just comes in: several hypotheses are tracked until one is clearly the best.
 
-A body of average proportions, as tall as the hull, is fitted from natural postures at every heading. The best fits are
+A body of average proportions, as tall as the hull, is fitted from natural postures at every heading; where it explains
+too little, a stouter and a slimmer one are tried in turn. The best fits are
 followed from set to set; each costs what outlines, hull and joint limits say against it (``monitor/evidence.py``). What
 a single hull leaves open, front or back above all, time decides: knees and elbows bend one way, toes lie ahead of the
 ankles, and whoever walks walks forwards. Lengths start as people's proportions with their spread
@@ -17,6 +18,7 @@ from capture_rig.settings import setting
 from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
+from stick_figure.build import build_of_girth
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.placed_figure import Figure
@@ -48,6 +50,10 @@ STEP_M = 0.25  # way after which somebody walks, and does so forwards
 # shares of the outlines that count as much: walking forwards, toes ahead of the ankles. Those who face
 # the right way explain 0.05 to 0.17 more than when turned round, on rendered walks: these decide where it is less
 WALKING_SHARE, FEET_SHARE = 0.04, 0.02
+GIRTHS = (1.0, 1.3, 0.8)  # over the average: the next one is tried when a body of the last explains too little
+# another girth that explains so much more than the last is right, if that is so much in all: of people of other
+# proportions too, as tall and stout ones often are, no body of these explains more
+BETTER_SHARE, LEAST_SHARE = 0.02, 0.62
 FEET_EVIDENCE = 5.0  # log-likelihood ratio of the feet's heading from which they count about that much
 LEFT_FOOT, RIGHT_FOOT = 13, 14
 
@@ -114,9 +120,14 @@ class MotionSource:
 
     def reset(self) -> None:
         """Forget what was watched."""
+        self._girth, self._needed_share, self._last_ns = 0, self._settings.explained, 0
+        self._watch_anew()
+
+    def _watch_anew(self) -> None:
+        """Forget the hypotheses, not which girths have been tried."""
         self._followed: list[PoseHypothesis] = []
         self._heights: list[float] = []
-        self._began_ns = self._last_ns = self._looked_ns = self._cut_ns = 0
+        self._began_ns = self._looked_ns = self._cut_ns = 0
         self._estimate: BodyEstimate | None = None
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
@@ -166,7 +177,8 @@ class MotionSource:
         stature = max(float(np.percentile(self._heights, 80.0)), low)
         if self._estimate is None or abs(self._estimate.stature - stature) > 0.005:
             self._estimate = sizes_of_stature(stature, sd)
-        return self._estimate.body
+        body, girth = self._estimate.body, GIRTHS[self._girth]
+        return body if girth == 1.0 else replace(body, build=build_of_girth(girth))
 
     # --- the hypotheses
 
@@ -252,19 +264,26 @@ class MotionSource:
         whole_s = (stamp_ns - max(self._cut_ns, self._began_ns)) / NS_PER_S
         if (cut or whole_s < settings.watch_s) and watched_s < max(PATIENT_S, settings.watch_s):
             return InitialPose(reason=told)
-        if best.mean_share < settings.explained:
-            self.reset()
+        if best.mean_share < self._needed_share:
+            self._try_next_girth(best.mean_share)
             return InitialPose(
                 reason=told if cut else f"nobody upright: a body explains {100 * best.mean_share:.0f} % of it"
             )
         elsewhere = [other.mean_cost for other in rivals if _faces_elsewhere(best.pose, other.pose)]
         if 2 * best.sets < rivals_sets or min(elsewhere, default=np.inf) - best.mean_cost < settings.margin:
             if watched_s > 4.0 * settings.watch_s:
-                self.reset()
+                self._watch_anew()
             return InitialPose(reason=told if cut else "front and back look alike: walk a step")
         estimate = self._estimate
         self.reset()
         return InitialPose(best.pose, body, "", estimate)
+
+    def _try_next_girth(self, share: float) -> None:
+        """Watch anew with a body of another girth, which has to explain more than ``share``; the average one much."""
+        self._watch_anew()
+        self._girth = (self._girth + 1) % len(GIRTHS)
+        most = self._settings.explained
+        self._needed_share = most if self._girth == 0 else min(max(share + BETTER_SHARE, LEAST_SHARE), most)
 
 
 def _compare(hypothesis: PoseHypothesis, evidence: Evidence) -> None:

@@ -34,7 +34,10 @@ class RefinementSettings:
         0.2, "a pose is different when some joint turned by this much against every kept one", unit="rad", low=0.01
     )
     explained: float = setting(
-        0.93, "share of the rays that the body's surface must explain for a pose to count", low=0.0, high=1.0
+        0.93,
+        "share of the rays that the body's surface must explain for a pose to count; less while no pose reaches it",
+        low=0.0,
+        high=1.0,
     )
     surface_sd_m: float = setting(
         0.01, "distance of a body's surface from the capsules, where they fit well", unit="m", low=1e-4
@@ -80,6 +83,9 @@ NS_PER_S = 1e9
 AT_REST = np.zeros(BEND_NUMBERS)
 STIFF = 1e-3  # over how far a trunk bends, and rad of hands and feet: what does not
 GIVEN_SD_M = 0.001  # sizes that were given are kept
+# when no pose has reached the share that counts for so long, those count that explain about as much as the best so far:
+# of an average person's surface a stout one of 1.88 m explains 0.84 to 0.92 of the rays while walking
+PATIENT_S, LEAST_SHARE, BELOW_BEST = 0.2, 0.6, 0.02
 LOOKS_TO_SETTLE = 4  # looks at each of all kept poses after which nothing moves any more
 
 
@@ -103,9 +109,11 @@ class BodyRefiner:
         given: Body | None = None,
         bend: float = 1.0,
         turn_sd: float = TURN_SD,
+        build: np.ndarray | None = None,
     ) -> None:
         """``given`` : the body when its sizes are known from elsewhere, so that its build alone is to be learnt.
-        ``bend`` : how far its trunk bends, over what is usual. ``turn_sd`` : of hands and feet, rad."""
+        ``bend`` : how far its trunk bends, over what is usual. ``turn_sd`` : of hands and feet, rad. ``build``
+        (BUILD_NUMBERS,) : to begin with, of a body that is not near the average."""
         self._sizes_from = given
         self._prior, self._settings = ShapePrior.of(estimate, settings.build_sd), settings
         neck, limit = _information(pose_prior.neck_sd), _information(pose_prior.limit_sd)
@@ -119,10 +127,12 @@ class BodyRefiner:
         )
         self._information = np.linalg.inv(self._prior.covariance)
         self._target = self._information @ self._prior.mean
-        self._model, self._values = ShapeModel(self._prior.mean).arrays, self._prior.mean
-        self._given, self._given_ns = self._prior.mean, -1
+        self._model, self._values = ShapeModel(self._prior.mean).arrays, self._prior.mean.copy()
+        if build is not None:
+            self._values[BUILD] = build
+        self._given, self._given_ns, self._began_ns = self._values, -1, -1
         self._kept, self._rays = Keyframes.of(settings.keyframes), list[RayArrays]()
-        self._looks = 0
+        self._looks, self._best_share, self._patient = 0, 0.0, True
         self._known: np.ndarray | None = None
 
     @property
@@ -144,7 +154,8 @@ class BodyRefiner:
         if self.done or len(contour_rays.information) == 0:
             return None
         if self._given_ns < 0:
-            self._given_ns = stamp_ns
+            self._given_ns = self._began_ns = stamp_ns
+        self._patient = stamp_ns - self._began_ns < PATIENT_S * NS_PER_S
         if not self._keep(pose, contour_rays, bend):
             if not self._rays or self.settled:
                 return self._due(stamp_ns)
@@ -176,7 +187,7 @@ class BodyRefiner:
             return False
         put_keyframe(self._kept, count, pose.arrays, bend, self._values)
         self._rays.append(_evenly_spread(contour_rays, self._settings))
-        if self._linearise(count) < self._settings.explained:
+        if self._linearise(count) < self._least_share:
             self._rays.pop()
             return False
         self._looks = 0
@@ -184,9 +195,16 @@ class BodyRefiner:
 
     def _linearise(self, k: int) -> float:
         """Linearise one keyframe; return the share of its rays that the surface explains."""
-        least = self._settings.explained
-        explained = linearise_keyframe(self._kept, k, self._rays[k], self._model, self._values, self._pose_prior, least)
-        return float(explained)
+        kept, rays, least = self._kept, self._rays[k], self._least_share
+        explained = float(linearise_keyframe(kept, k, rays, self._model, self._values, self._pose_prior, least))
+        self._best_share = max(self._best_share, explained)
+        return explained
+
+    @property
+    def _least_share(self) -> float:
+        """Share of its rays that the surface must explain for a pose to count."""
+        most = self._settings.explained
+        return most if self._patient else min(most, max(self._best_share - BELOW_BEST, LEAST_SHARE))
 
     def _solve(self) -> None:
         """Solve for the shape that prior and kept poses speak for."""
