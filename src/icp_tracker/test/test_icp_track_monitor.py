@@ -261,7 +261,7 @@ def test_a_limb_in_full_view_has_no_other_place(person, limb):
     places = other_places(Figure.of(person.body), person.pose, limb, data_of(person), limb_poses(limb))
     assert places.support > 20.0
     assert (places.margins < -3.0).all()
-    assert not doubtful_limbs({LIMBS.index(limb): places}, before=[LIMBS.index(limb)])
+    assert not doubtful_limbs({LIMBS.index(limb): places})
 
 
 def test_a_place_that_is_known_is_found_again_without_the_library(person):
@@ -283,12 +283,11 @@ def places_of(*rivals):
     return {0: LimbPlaces(NO_POSES, margins, ends, np.zeros((2, 3)), 30.0, np.full(len(margins), -1))}
 
 
-def test_a_limb_is_doubtful_from_a_better_place_elsewhere_until_none_comes_near():
-    assert doubtful_limbs(places_of((2.0, 0.3)), before=[]) == {0}
-    assert doubtful_limbs(places_of((2.0, 0.13)), before=[]) == set()  # about where it is tracked
-    assert doubtful_limbs(places_of((0.0, 0.3)), before=[]) == set()
-    assert doubtful_limbs(places_of((0.0, 0.3)), before=[0]) == {0}
-    assert doubtful_limbs(places_of((-4.0, 0.3)), before=[0]) == set()
+def test_a_limb_is_doubtful_while_a_place_elsewhere_explains_about_as_much():
+    assert doubtful_limbs(places_of((2.0, 0.3))) == {0}
+    assert doubtful_limbs(places_of((2.0, 0.13))) == set()  # about where it is tracked
+    assert doubtful_limbs(places_of((-1.0, 0.3))) == {0}
+    assert doubtful_limbs(places_of((-4.0, 0.3))) == set()
     good = TrackQuality(GOOD, "", (GOOD,) * 5, 0.9)
     quality = with_doubtful_limbs(good, [0], places_of((2.0, 0.3)))
     assert quality.state == DOUBTFUL

@@ -44,7 +44,6 @@ class LimbMonitor:
         """As `recovery.margin_rays`, `recovery.margin_s`: by how much, and for how long, a place has to lead."""
         self._chance_rays, self._needed = CHANCE_SHARE * margin_rays, margin_rays * margin_s
         self._leads: dict[int, PlaceLeads] = {}
-        self._doubtful: frozenset[int] = frozenset()
         self._cycle = 0
         self._looks = [0] * len(LIMBS)
 
@@ -54,9 +53,8 @@ class LimbMonitor:
         return {number: leads.places for number, leads in self._leads.items()}
 
     def doubtful(self) -> frozenset[int]:
-        """Return the limbs that may as well be elsewhere, by this set and the last one asked about."""
-        self._doubtful = doubtful_limbs(self.places, self._doubtful)
-        return self._doubtful
+        """Return the limbs that may as well be elsewhere."""
+        return doubtful_limbs(self.places)
 
     def without_leaps(self, observed: ObservedSet, pose: Pose, expected: Pose, leaps_m: np.ndarray) -> Pose:
         """Return the pose with limbs that leapt (m) for too little where they were expected; where they leapt to is

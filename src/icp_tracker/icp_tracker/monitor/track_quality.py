@@ -156,20 +156,15 @@ def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float)
 
 
 ELSEWHERE_M = 0.25  # a limb whose elbow or hand would be so far off is elsewhere: the track may then be 0.2 m wrong
-# rays: a limb becomes doubtful when another place explains so much more, and is until none comes so near; chosen where
+# rays: a limb is doubtful while another place explains no less than so much more than its own; chosen where
 # bench/doubt.py calls most wrong limbs for one clear frame in a hundred
-DOUBTFUL_MARGIN, CLEAR_MARGIN = 0.5, -1.0
+DOUBTFUL_MARGIN = -2.0
 
 
-def doubtful_limbs(places: Mapping[int, LimbPlaces], before: Collection[int]) -> frozenset[int]:
-    """Return the limbs, by their number in LIMBS, that may as well be elsewhere; ``before`` : those of the last set."""
+def doubtful_limbs(places: Mapping[int, LimbPlaces]) -> frozenset[int]:
+    """Return the limbs, by their number in LIMBS, that may as well be elsewhere."""
     margins = _margins(places)
-    return frozenset(
-        number
-        for number, other in places.items()
-        if margins[LIMBS[number].part] > DOUBTFUL_MARGIN
-        or (number in before and other.margins.max(initial=-np.inf) > CLEAR_MARGIN)
-    )
+    return frozenset(number for number in places if margins[LIMBS[number].part] > DOUBTFUL_MARGIN)
 
 
 def _margins(places: Mapping[int, LimbPlaces]) -> tuple[float, ...]:
