@@ -29,7 +29,7 @@ test: setup
 
 test-all: TEST_PROCESSES = 2
 test-all: setup
-	$(PYTHON) -m pytest -n $(TEST_PROCESSES) -m "slow or not slow"
+	$(PYTHON) -m pytest -n $(TEST_PROCESSES) -m "slow or not slow" -o faulthandler_timeout=600
 
 lint: setup
 	$(PYTHON) -m ruff check . && $(PYTHON) -m ruff format --check .

@@ -23,8 +23,11 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _LOGS.name
 # two test runs side by side (or a live graph) do not hear each other; ports stay below those of outgoing connections
 _DOMAINS = range(30, 100)
+_MOST_DOMAINS = 6  # of a process, so that three test runs of three processes find enough of them
+_FIRST_PORT, _PORTS = 7400, 250  # of DDS: those of domain d begin at 7400 + 250 d
 _CHOSEN_DOMAIN = os.environ.get("ROS_DOMAIN_ID")
-_claims: dict[Path, tuple[str, IO[str]]] = {}  # folder of tests -> its domain, and the lock that keeps others off it
+_claimed: list[tuple[str, IO[str]]] = []  # domains, each with the lock that keeps others off it
+_domains: dict[Path, str] = {}  # folder of tests -> its domain
 
 # a shell's background job inherits SIGINT ignored, and would hand that on to the processes that tests interrupt
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -69,19 +72,24 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """A domain of its own for the tests of each folder, unless ROS_DOMAIN_ID was set: leftovers are not heard."""
+    """A domain for the tests of each folder, in turn of few, unless ROS_DOMAIN_ID was set: leftovers are not heard."""
     if _CHOSEN_DOMAIN is None:
         folder = item.path.parent
-        if folder not in _claims:
-            _claims[folder] = _claim_domain()
-        os.environ["ROS_DOMAIN_ID"] = _claims[folder][0]
+        if folder not in _domains:
+            if len(_claimed) < _MOST_DOMAINS:
+                _claimed.append(_claim_domain())
+            _domains[folder] = _claimed[len(_domains) % len(_claimed)][0]
+        os.environ["ROS_DOMAIN_ID"] = _domains[folder]
 
 
 def _claim_domain() -> tuple[str, IO[str]]:
-    """A domain that no other test run on this machine holds; ours until this process ends, however it ends."""
+    """A domain that no other test run on this machine holds, and in which no node runs; ours until this process ends,
+    however it ends."""
     locks = Path(tempfile.gettempdir()) / f"sagoma_test_domains_{os.getuid()}"
     locks.mkdir(exist_ok=True)
-    for domain in _DOMAINS:
+    lines = Path("/proc/net/udp").read_text().splitlines()[1:]
+    in_use = {(int(line.split()[1].rpartition(":")[2], 16) - _FIRST_PORT) // _PORTS for line in lines}
+    for domain in (domain for domain in _DOMAINS if domain not in in_use):
         lock = (locks / str(domain)).open("w")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

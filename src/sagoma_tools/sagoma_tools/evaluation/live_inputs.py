@@ -260,8 +260,12 @@ class StudioInput(LiveInput):
 
 
 def free_first_address(count: int, candidates: Sequence[str] = FIRST_ADDRESSES) -> str:
-    """Return the first of ``count`` loopback addresses in a row on which no other studio serves."""
-    for first in candidates:
+    """Return the first of ``count`` loopback addresses in a row on which no other studio serves.
+
+    Studios that start at the same time do not see each other yet: their processes begin the search at different ones.
+    """
+    begin = os.getpid() % len(candidates)
+    for first in (*candidates[begin:], *candidates[:begin]):
         if all(is_free(address) for address in consecutive_addresses(first, count)):
             return first
     raise InputError(
