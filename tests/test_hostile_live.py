@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from hostile import Attacker, running_graph
-from hostile_messages import attacks
+from hostile_messages import Attack, attacks
 
 TELLING = {
     "cut in the middle": "bad_images",
@@ -17,6 +17,19 @@ TELLING = {
     "YAML bomb": "bad_body",
 }
 """Attacks, and a counter each that tells of it."""
+TRIES = 3  # on a busy machine a message's stamp may be passed when it comes: it is refused for that
+
+
+def counted(attacker: Attacker, attack: Attack) -> set[str]:
+    """Send an attack that the graph survives, until its own counter tells of it; all that was counted."""
+    keys: set[str] = set()
+    for _ in range(TRIES):
+        effect = attacker.send(attack)
+        assert effect.died == () and effect.recovered_s == effect.recovered_s, f"{attack.name}: no answers"
+        keys |= set(effect.counted)
+        if any(TELLING[attack.name] in key for key in keys):
+            break
+    return keys
 
 
 @pytest.mark.slow
@@ -26,9 +39,8 @@ def test_the_graph_tracks_on_under_hostile_messages_and_counts_them(tmp_path: Pa
         attacker = Attacker(target)
         for attack in attacks(time.time_ns):
             if attack.name in TELLING:
-                effect = attacker.send(attack)
-                assert effect.died == () and effect.recovered_s == effect.recovered_s, f"{attack.name}: no answers"
-                assert any(TELLING[attack.name] in key for key in effect.counted), f"{attack.name}: {effect.counted}"
+                keys = counted(attacker, attack)
+                assert any(TELLING[attack.name] in key for key in keys), f"{attack.name}: {keys}"
         effect = attacker.call()
         assert effect.died == () and effect.recovered_s == effect.recovered_s
     strangers = [path for path in tmp_path.parent.rglob("sagoma_was_here*")] + list(
