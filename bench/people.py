@@ -10,10 +10,10 @@ The hulls are carved once and kept in FOLDER (output/people): empty it after a c
 
 Columns: frames in which a person is wholly inside the volume; mean error of the 15 points, mm, and without each point's
 constant offset in the pelvis's frame; share of tracked frames with a point over 200 mm; share of frames tracked; share
-of errors inside the track's own 95 % ellipsoids, all and of the worst point; of frames with a point over 200 mm, and of
-those with all points under 100 mm, the share in which the track does not call itself tracking; processor time of fit
-and filter, ms a set; identity switches and tracks of nobody where there are several persons (figures: all persons'
-together). A second table holds the covariances point by point over all sets. The last line is JSON.
+of errors inside the track's own 95 % ellipsoids, all and of the worst point; processor time of fit and filter, ms a set
+(with the start, and compiled code that is loaded in the first sets); identity switches and tracks of nobody where there
+are several persons (figures: all persons' together). A second table holds the covariances point by point over all sets.
+The last line is JSON. What is called doubtful: `bench/doubt.py`.
 --pictures draws the worst frame of every set with a point over 200 mm from the first person's side: silhouettes, which
 must lie in FOLDER/../clips as `bench/mesh_people.py` writes them, truth in white, track in colour.
 """
@@ -55,7 +55,7 @@ BUILDS = ((1.60, 0.85, 1.0, 1.0), (1.88, 1.2, 1.0, 1.0), (1.75, 1.0, 1.0, 1.0), 
           (1.82, 0.9, 1.05, 0.97))  # fmt: skip
 """Stature, m; build; length of arms and legs, over the average's."""
 TOUR_S = 8.0
-COLUMNS = 12  # of the table; a row of figures holds more
+COLUMNS = 10  # of the table; a row of figures holds more
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,6 @@ class Figures:
     tracked: float
     inside_95: float | None
     worst_point_inside_95: float | None
-    doubt_in_bad: float | None
-    doubt_in_good: float | None
     ms: float
     switches: int | None = None
     ghosts: int | None = None
@@ -142,12 +140,11 @@ def judged(what: Recorded, tracks: dict[int, Track], ms: float) -> Figures:
     ]
     switches, ghosts = (people.switches, people.ghost_frames) if people else (None, None)
     if not pairs:
-        return Figures(frames, *[None] * 3, 0.0, *[None] * 4, ms, switches, ghosts)  # type: ignore[arg-type]
+        return Figures(frames, *[None] * 3, 0.0, *[None] * 2, ms, switches, ghosts)  # type: ignore[arg-type]
     errors = np.concatenate([track.points_world - truth for track, truth in pairs])
     distances = 1e3 * np.linalg.norm(errors, axis=2)
     tracked = np.isfinite(distances).any(axis=1)
     worst = np.where(tracked, np.nan_to_num(distances, nan=-1.0).max(axis=1), np.nan)
-    doubted = np.concatenate([track.states != "tracking" for track, _ in pairs])
     coverage = covariance_coverage(errors, np.concatenate([track.covariance for track, _ in pairs]))
     return Figures(
         frames,
@@ -157,8 +154,6 @@ def judged(what: Recorded, tracks: dict[int, Track], ms: float) -> Figures:
         float(tracked.sum() / frames),
         coverage.inside_95,
         float(np.nanmin(coverage.point_inside_95)),
-        _mean(doubted[worst > BAD_MM]),
-        _mean(doubted[worst < GOOD_MM]),
         ms,
         switches,
         ghosts,
@@ -232,7 +227,7 @@ def main() -> None:
     settings = parse_settings(arguments.settings)
     shown = Table(
         "set:<40 | frames:>7d | mean:>6.1f | -offset:>8.1f | > 200:>7.1% | tracked:>8.0%"
-        " | inside:>7.1% | worst:>6.0% | bad?:>5.0% | good?:>6.1% | ms:>5.2f | switches:>9d | ghosts:>7d"
+        " | inside:>7.1% | worst:>6.0% | ms:>5.2f | switches:>9d | ghosts:>7d"
     )
     table, found = dict[str, dict[str, Any]](), list[Figures]()
     for what in recorded(arguments.products, arguments.names):

@@ -85,7 +85,7 @@ def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it(
 def test_covariance_is_honest_over_bodies_drawn_from_the_prior():
     settings = RefinementSettings(keyframes=6, turn=0.05, surface_sd_m=0.006, independent_rays=100.0, explained=0.5)
     nees = []
-    for seed in range(8):
+    for seed in range(24):  # of eight, two that are far out decide
         rng = np.random.default_rng(100 + seed)
         estimate, truth = wrong_start(rng)
         poses = [made.moving_pose(rng) for _ in range(6)]
