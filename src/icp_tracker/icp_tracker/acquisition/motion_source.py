@@ -265,10 +265,11 @@ class MotionSource:
         if (cut or whole_s < settings.watch_s) and watched_s < max(PATIENT_S, settings.watch_s):
             return InitialPose(reason=told)
         if best.mean_share < self._needed_share:
+            if cut:  # the stature may be wrong, too
+                self._watch_anew()
+                return InitialPose(reason=told)
             self._try_next_girth(best.mean_share)
-            return InitialPose(
-                reason=told if cut else f"nobody upright: a body explains {100 * best.mean_share:.0f} % of it"
-            )
+            return InitialPose(reason=f"nobody upright: a body explains {100 * best.mean_share:.0f} % of it")
         elsewhere = [other.mean_cost for other in rivals if _faces_elsewhere(best.pose, other.pose)]
         if 2 * best.sets < rivals_sets or min(elsewhere, default=np.inf) - best.mean_cost < settings.margin:
             if watched_s > 4.0 * settings.watch_s:
