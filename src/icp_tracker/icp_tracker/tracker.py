@@ -138,17 +138,22 @@ class IcpTracker:
     def _all_joints(self) -> bool:
         return self._settings.method == "articulated"
 
-    def step(self, seen: HullProducts, prediction: Prediction | None = None, learn: bool = True) -> Fit:
-        """Fit one frame set. Of several people one is followed; ``learn`` the body's sizes from this set, too."""
+    def step(
+        self, seen: HullProducts, prediction: Prediction | None = None, learn: bool = True, shared: bool = False
+    ) -> Fit:
+        """Fit one frame set. Of several people one is followed; ``learn`` the body's sizes from this set, too;
+        ``shared`` : what is seen of the person is another one's, too."""
         seen, dropped = seen.finite()
         self._data_fitted = None
         if self._body is None or self._pose is None:
             fit = self._acquire(seen)
         else:
-            fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn)
+            fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn and not shared, shared)
         return replace(fit, dropped_points=dropped) if dropped else fit
 
-    def _follow(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool) -> Fit:
+    def _follow(
+        self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool, shared: bool
+    ) -> Fit:
         """Fit a set to the body that is followed; ``pose`` is that of the set before."""
         start, started_from = self._start(body, pose, seen.stamp_ns, prediction)
         seen = seen.of_body_at(forward(body, start))
@@ -160,10 +165,11 @@ class IcpTracker:
         data = self._data_fitted = self._data(seen)
         fit = self._solve(body, start, data)
         expected = None if started_from == FROM_OWN else start
-        found = self._monitor.examine(seen.stamp_ns, body, fit.pose, data, self._settings.articulated, expected)
+        settings = self._settings.articulated
+        found = self._monitor.examine(seen.stamp_ns, body, fit.pose, data, settings, expected, shared)
         instead = found.kept if found.better is None else found.better
         if instead is not None:
-            fit = assess(body, instead, data, fit.iterations, fit.converged, self._settings.articulated)
+            fit = assess(body, instead, data, fit.iterations, fit.converged, settings)
         elif found.quality.state == GOOD and learn:
             fit = self._refine_body(seen.stamp_ns, fit, data)
         if found.better is not None or found.quality.state == LOST:

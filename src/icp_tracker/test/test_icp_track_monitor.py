@@ -288,6 +288,8 @@ def test_a_limb_is_doubtful_while_a_place_elsewhere_explains_about_as_much():
     assert doubtful_limbs(places_of((2.0, 0.13))) == set()  # about where it is tracked
     assert doubtful_limbs(places_of((-1.0, 0.3))) == {0}
     assert doubtful_limbs(places_of((-4.0, 0.3))) == set()
+    assert doubtful_limbs(places_of((-4.0, 0.3)), shared=True) == {0}  # in a hull of several persons
+    assert doubtful_limbs(places_of((-12.0, 0.3)), shared=True) == set()
     good = TrackQuality(GOOD, "", (GOOD,) * 5, 0.9)
     quality = with_doubtful_limbs(good, [0], places_of((2.0, 0.3)))
     assert quality.state == DOUBTFUL

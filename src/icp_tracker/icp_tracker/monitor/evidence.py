@@ -101,12 +101,14 @@ def evidence_of(figure: Figure, pose: Pose, data: Data) -> Evidence:
 
 @dataclass(frozen=True, eq=False)
 class ObservedSet:
-    """One frame set as the monitor examines it; ``apart_s`` : since the one before."""
+    """One frame set as the monitor examines it; ``apart_s`` : since the one before; ``shared`` : the body's part of the
+    hull is another person's, too."""
 
     apart_s: float
     body: Body
     data: Data
     settings: ArticulatedSettings
+    shared: bool = False
 
     def evidence_of(self, pose: Pose) -> Evidence:
         """Return the evidence about a pose."""

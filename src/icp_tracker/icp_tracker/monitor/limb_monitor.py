@@ -52,9 +52,9 @@ class LimbMonitor:
         """The places that are followed of each limb that has some."""
         return {number: leads.places for number, leads in self._leads.items()}
 
-    def doubtful(self) -> frozenset[int]:
-        """Return the limbs that may as well be elsewhere."""
-        return doubtful_limbs(self.places)
+    def doubtful(self, shared: bool) -> frozenset[int]:
+        """Return the limbs that may as well be elsewhere; ``shared`` : in a hull of several persons."""
+        return doubtful_limbs(self.places, shared)
 
     def without_leaps(self, observed: ObservedSet, pose: Pose, expected: Pose, leaps_m: np.ndarray) -> Pose:
         """Return the pose with limbs that leapt (m) for too little where they were expected; where they leapt to is

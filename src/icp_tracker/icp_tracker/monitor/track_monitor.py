@@ -122,16 +122,18 @@ class TrackMonitor:
         data: Data,
         settings: ArticulatedSettings,
         expected: Pose | None = None,
+        shared: bool = False,
     ) -> Examination:
         """Judge a pose that was fitted to a set's data, and look for a better one.
 
-        ``expected`` : where a good track's motion leads to; None where it is not known.
+        ``expected`` : where a good track's motion leads to; None where it is not known. ``shared`` : the body's part of
+        the hull is another person's, too.
         """
         last_ns, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
         apart_s = 0.0 if last_ns is None else min((stamp_ns - last_ns) / NS_PER_S, LONGEST_S)
         if len(data.contour_rays.information) == 0 or len(data.hull.points) == 0:
             return Examination(UNKNOWN)
-        observed = ObservedSet(apart_s, body, data, settings)
+        observed = ObservedSet(apart_s, body, data, settings, shared)
         fitted, leaps_m = pose, np.zeros(len(LIMBS))
         if expected is not None and self._settings.search:
             leaps_m = leaps_of_limbs(body, pose, expected)
@@ -185,7 +187,7 @@ class TrackMonitor:
         else:
             self._follow(observed, pose, evidence)
             self._look_for_another(turns, observed, pose, evidence, quality)
-        doubted = with_doubtful_limbs(quality, self._limbs.doubtful(), self._limbs.places)
+        doubted = with_doubtful_limbs(quality, self._limbs.doubtful(observed.shared), self._limbs.places)
         found = self._decide(observed, pose, doubted)
         if found.better is None:
             found = self._move_limb(observed, pose, evidence) or found

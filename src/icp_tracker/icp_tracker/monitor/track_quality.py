@@ -159,12 +159,14 @@ ELSEWHERE_M = 0.25  # a limb whose elbow or hand would be so far off is elsewher
 # rays: a limb is doubtful while another place explains no less than so much more than its own; chosen where
 # bench/doubt.py calls most wrong limbs for one clear frame in a hundred
 DOUBTFUL_MARGIN = -2.0
+# ... of somebody whose part of the hull is another person's, too: much of what a place explains is the other one's
+SHARED_MARGIN = -10.0
 
 
-def doubtful_limbs(places: Mapping[int, LimbPlaces]) -> frozenset[int]:
-    """Return the limbs, by their number in LIMBS, that may as well be elsewhere."""
-    margins = _margins(places)
-    return frozenset(number for number in places if margins[LIMBS[number].part] > DOUBTFUL_MARGIN)
+def doubtful_limbs(places: Mapping[int, LimbPlaces], shared: bool = False) -> frozenset[int]:
+    """Return the limbs, by their number in LIMBS, that may as well be elsewhere; ``shared`` : in a hull of several."""
+    margins, least = _margins(places), SHARED_MARGIN if shared else DOUBTFUL_MARGIN
+    return frozenset(number for number in places if margins[LIMBS[number].part] > least)
 
 
 def _margins(places: Mapping[int, LimbPlaces]) -> tuple[float, ...]:

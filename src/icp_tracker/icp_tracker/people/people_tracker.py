@@ -178,9 +178,9 @@ class PeopleTracker:
             gone = number != FIRST_PERSON and seen.stamp_ns - person.seen_ns >= GONE_AFTER_S * NS_PER_S
             if gone and number not in rows and number not in back:
                 continue
-            learn = not person.away and not association.sharers(number)
-            learn &= not any(check.concerns(number) for check in self._checks)
-            fit = person.tracker.step(own, predictions.get(number), learn)
+            learn = not person.away and not any(check.concerns(number) for check in self._checks)
+            shared = bool(association.sharers(number))
+            fit = person.tracker.step(own, predictions.get(number), learn, shared)
             if number in rows:
                 person.seen_ns = seen.stamp_ns
             elif number in back and person.is_back(seen.stamp_ns, fit.state):
