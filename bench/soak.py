@@ -39,11 +39,11 @@ from soak_replay import BagPlayer, ReplayInjector, replay_faults
 from soak_report import report_on
 
 from capture_rig.errors import InputError
+from capture_rig.stop_signals import StopOnSignal
 from sagoma_bringup.graph import apply_settings, server_graph
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.evaluation.live_run import start_settings
 from sagoma_tools.graph.restarts import Death, RestartPolicy, Return
-from sagoma_tools.graph.ros_link import StopOnSignal
 from sagoma_tools.graph.supervisor import Supervisor
 from stick_figure.body import Body
 from virtual_studio.motions.catalogue import Motion, tour

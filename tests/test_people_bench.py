@@ -20,8 +20,8 @@ def test_figures_of_a_row():
     truth = np.tile(np.random.default_rng(3).uniform(0.0, 1.0, (15, 3)), (FRAMES, 1, 1))
     points = truth.copy()
     points[:, 0, 2] += 0.03  # 30 mm on one of 15 points
-    points[:4, 11, 2] += 0.3  # four bad frames, one of them doubtful, and one good one
-    states = np.array(["doubtful" if frame in (0, 10) else "tracking" for frame in range(FRAMES)])
+    points[:4, 11, 2] += 0.3  # four bad frames
+    states = np.full(FRAMES, "tracking")
     P = np.tile(0.02**2 * np.eye(3), (FRAMES, 15, 1, 1))
     track = Track(np.arange(2, FRAMES), points[2:], P[2:], np.zeros((FRAMES - 2, 18)), states[2:])
     figures = judged(_recorded(truth), {1: track}, 1.5)
@@ -29,7 +29,6 @@ def test_figures_of_a_row():
     assert figures.tracked == pytest.approx((FRAMES - 2) / FRAMES)
     assert figures.mean_mm == pytest.approx((18 * 30.0 + 2 * 300.0) / (18 * 15))
     assert figures.over_200mm == pytest.approx(2 / 18)
-    assert figures.doubt_in_bad == 0.0 and figures.doubt_in_good == pytest.approx(1 / 16)
     assert figures.inside_95 == pytest.approx(1.0 - 2 / (18 * 15))
     assert figures.worst_point_inside_95 == pytest.approx(16 / 18)
 

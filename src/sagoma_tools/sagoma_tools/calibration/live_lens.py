@@ -19,6 +19,7 @@ from sensor_msgs.msg import CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
 
 from capture_rig.errors import InputError
+from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
 from rig_calibration.boards.board import Board
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
@@ -30,7 +31,7 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from ..graph.ros_link import RosLink, StopOnSignal, call_all
+from ..graph.ros_link import RosLink, call_all
 from .intrinsics import save_results
 from .live_display import LiveState, draw_preview, panel, plain_line, state_of
 

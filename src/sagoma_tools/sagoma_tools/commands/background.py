@@ -22,6 +22,7 @@ from camera_client.background.model import BackgroundModel, load_background, sha
 from camera_client.background.verdict import find_regions, judge_background, turn_findings
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder, write_bytes
+from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ..command_help import INTERRUPTED
@@ -37,7 +38,7 @@ from ..graph.background_training import (
 )
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.namespace import add_namespace_argument, namespace_argument, namespace_of
-from ..graph.ros_link import RosLink, StopOnSignal
+from ..graph.ros_link import RosLink
 
 COUNTDOWN_S = 10
 LAST_SECONDS = 5  # in a log each of them has a line

@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from capture_rig.errors import InputError
+from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
 
 from ..calibration.rig_request import RigRequest, read_boards, read_choice, read_floor_at, read_marks, read_tape
@@ -96,7 +97,7 @@ def _from_footage(request: RigRequest, console: Console) -> str:
 def _from_cameras(request: RigRequest, console: Console) -> str:
     from ..calibration.extrinsics import calibrate_extrinsics
     from ..calibration.rig_live import LiveSources
-    from ..graph.ros_link import RosLink, StopOnSignal
+    from ..graph.ros_link import RosLink
 
     def ask(what: str) -> None:
         if sys.stdin.isatty():

@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from capture_rig.session import load_session
+from capture_rig.stop_signals import StopOnSignal
 from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
@@ -23,7 +24,6 @@ from ..evaluation.live_inputs import KEPT_UP, FootageInput, LiveInput, StudioInp
 from ..evaluation.live_run import LiveRun, draw, evaluate_run, run_live
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
-from ..graph.ros_link import StopOnSignal
 from ..progress_line import doing
 from ..takes.summary_file import finish_take
 

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from capture_rig.errors import InputError
+from capture_rig.stop_signals import StopOnSignal
 
 from ..console import command_console
 from ..doctor.camera import examine
@@ -18,7 +19,6 @@ from ..doctor.machine.link_probe import PORT, answer
 from ..doctor.machine.network import examine_hosts
 from ..doctor.machine.peer_settings import examine_peer, told_here
 from ..doctor.rig_checks import examine_rig
-from ..graph.ros_link import StopOnSignal
 from ..progress_line import until_stopped
 
 DESCRIPTION = (

@@ -18,6 +18,7 @@ from rich.console import Console
 from rich.live import Live
 
 from capture_rig.errors import InputError
+from capture_rig.stop_signals import StopOnSignal
 from virtual_studio.gige import command as studio
 
 from ..arguments import add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
@@ -26,7 +27,7 @@ from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.process_group import ProcessSettings
 from ..graph.processes import Exit
 from ..graph.restarts import Death, RestartPolicy, Return
-from ..graph.ros_link import RosLink, StopOnSignal, our_nodes, settled
+from ..graph.ros_link import RosLink, our_nodes, settled
 from ..graph.supervisor import GraphError, Supervisor
 from ..progress_line import doing, until_stopped
 from ..recording.recorder import GraphRecorder

@@ -9,11 +9,12 @@ from pathlib import Path
 
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
+from capture_rig.stop_signals import StopOnSignal
 
 from ..arguments import add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings
 from ..command_help import INTERRUPTED
 from ..graph.namespace import add_namespace_argument, namespace_argument
-from ..graph.ros_link import RosLink, StopOnSignal, our_nodes
+from ..graph.ros_link import RosLink, our_nodes
 from ..graph.topics import (
     CLOCK_TOPIC,
     DIAGNOSTICS,

@@ -8,11 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from capture_rig.rig import Rig, load_rig
+from capture_rig.stop_signals import StopOnSignal
 
 from ..arguments import add_takes_argument, bag_of
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.namespace import add_namespace_argument, namespace_argument
-from ..graph.ros_link import RosLink, StopOnSignal
+from ..graph.ros_link import RosLink
 from ..progress_line import until_stopped
 from ..takes.folder import TakesFolder
 from ..view.control import Control

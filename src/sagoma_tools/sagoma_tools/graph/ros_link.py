@@ -1,15 +1,13 @@
 """Connects a tool to a ROS graph: a node spun by a background thread, node discovery, service calls with a deadline.
 
-The main thread waits for events with a timeout; :class:`StopOnSignal` turns Ctrl-C into one of these events.
+The main thread waits for events with a timeout; `capture_rig.stop_signals` turns Ctrl-C into one of these events.
 """
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
-from types import FrameType
 from typing import Any
 
 import rclpy
@@ -25,7 +23,6 @@ from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 from .namespace import below
 
 SPIN_END_S = 5.0
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SETTLED_S, LOOK_S = 1.0, 0.1
 RESEND_S = 1.0
 POLL_S = 0.05  # rclpy has no event for "the service has appeared" or for a process's death
@@ -87,25 +84,6 @@ class RosLink:
             return
         except Exception as error:  # a callback's: the owner learns of it at close()
             self.error = error
-
-
-class StopOnSignal:
-    """Turns Ctrl-C, SIGTERM and a closed terminal into an event, so that work under way is ended in order."""
-
-    def __init__(self) -> None:
-        self.event = threading.Event()
-        self._previous: dict[int, Any] = {}
-
-    def __enter__(self) -> threading.Event:
-        self._previous = {number: signal.signal(number, self._take) for number in STOP_SIGNALS}
-        return self.event
-
-    def __exit__(self, *error: object) -> None:
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-
-    def _take(self, number: int, frame: FrameType | None) -> None:
-        self.event.set()
 
 
 # discovery ------------------------------------------------------------------------------------------------------------

@@ -316,10 +316,10 @@ def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> di
     ``node`` must be spun by another thread.
     """
     questions = {f"{name}/list_parameters": ListParameters.Request() for name in names}
-    listed = call_all(node, ListParameters, questions, timeout_s)
+    listed = call_all(node, ListParameters, questions, timeout_s, repeatable=True)
     keys = {n: list(reply.result.names) for n in names if (reply := listed[f"{n}/list_parameters"]) is not None}
     requests = {f"{name}/get_parameters": GetParameters.Request(names=keys[name]) for name in keys}
-    replies = call_all(node, GetParameters, requests, timeout_s)
+    replies = call_all(node, GetParameters, requests, timeout_s, repeatable=True)
     return {
         name: {key: _plain(value) for key, value in zip(keys[name], reply.values, strict=True)}
         for name in keys

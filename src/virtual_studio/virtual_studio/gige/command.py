@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import textwrap
-import threading
 from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.rig import save_rig
 from capture_rig.settings import build_settings
+from capture_rig.stop_signals import StopOnSignal
 from capture_rig.yaml_file import parse_value, save_mapping
 
 from ..live.rendered_scenes import PHASES
@@ -76,18 +75,13 @@ def run(args: argparse.Namespace) -> int:
         answer = ask(request_from(args.words), args.control)
         print(json.dumps(answer, indent=2))
         return 0
-    stop = threading.Event()
-    previous = {number: signal.signal(number, lambda *_: stop.set()) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with StopOnSignal() as stop:
         studio = Studio(settings_from(args), args.control or default_path())
         if args.empty:
             studio.handle({"do": "room", "state": "empty"})
         with studio:
             _announce(studio, args)
             stop.wait()
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
     return 0
 
 
