@@ -25,7 +25,8 @@ os.environ["ROS_LOG_DIR"] = _LOGS.name
 _DOMAINS = range(30, 100)
 _MOST_DOMAINS = 6  # of a process, so that three test runs of three processes find enough of them
 _FIRST_PORT, _PORTS = 7400, 250  # of DDS: those of domain d begin at 7400 + 250 d
-_CHOSEN_DOMAIN = os.environ.get("ROS_DOMAIN_ID")
+# a domain that was chosen is that of one process: the graphs of several would hear each other
+_CHOSEN_DOMAIN = None if "PYTEST_XDIST_WORKER" in os.environ else os.environ.get("ROS_DOMAIN_ID")
 _claimed: list[tuple[str, IO[str]]] = []  # domains, each with the lock that keeps others off it
 _domains: dict[Path, str] = {}  # folder of tests -> its domain
 
@@ -72,7 +73,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """A domain for the tests of each folder, in turn of few, unless ROS_DOMAIN_ID was set: leftovers are not heard."""
+    """A domain for the tests of each folder, in turn of few, so that leftovers are not heard, unless one was chosen."""
     if _CHOSEN_DOMAIN is None:
         folder = item.path.parent
         if folder not in _domains:
