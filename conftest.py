@@ -14,7 +14,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, Any
 
+import hypothesis
 import pytest
+
+hypothesis.settings.register_profile("any machine", deadline=None)  # a busy one fails no test
+hypothesis.settings.load_profile("any machine")
 
 _LOGS = tempfile.TemporaryDirectory(prefix="sagoma_test_logs_")  # removed when pytest ends
 

@@ -15,7 +15,7 @@ from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LE
 from sagoma_ros import mask_png
 from sagoma_ros.run_deflate import deflate, inflate, match_lengths, most_bytes, run_code
 
-mask_png.warm_up()  # property tests have deadlines, compilers have none
+mask_png.warm_up()
 
 KINDS = {1: [BACKGROUND, FOREGROUND], 2: [BACKGROUND, SHADOW_CANDIDATE, FOREGROUND], 4: list(LEVELS)}
 
