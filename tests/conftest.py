@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from graph_timeouts import graphs_start_within
 
 from capture_rig.rig import Rig, load_rig, save_rig
-from sagoma_tools.graph import lifecycle_client
-from sagoma_tools.graph.lifecycle_client import Transition
 from stick_figure.body import Body
 from virtual_studio.recording.session import RenderSettings, write_session
 from virtual_studio.rig import ring
@@ -20,10 +19,7 @@ START_TIMEOUT_S = 150.0  # with kernels to compile
 
 @pytest.fixture(scope="session", autouse=True)
 def _graphs_start_soon() -> Iterator[None]:
-    """A node that never appears or answers fails its test soon; a user's machine has five minutes for it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sagoma_tools.graph.supervisor.START_TIMEOUT_S", START_TIMEOUT_S)
-        patch.setitem(lifecycle_client.TIMEOUT_S, Transition.CONFIGURE, START_TIMEOUT_S)
+    with graphs_start_within(START_TIMEOUT_S):
         yield
 
 

@@ -4,9 +4,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from graph_timeouts import graphs_start_within
 
-from sagoma_tools.graph import lifecycle_client
-from sagoma_tools.graph.lifecycle_client import Transition
 from sagoma_tools.graph.ros_link import RosLink
 
 START_TIMEOUT_S = 60.0
@@ -14,10 +13,7 @@ START_TIMEOUT_S = 60.0
 
 @pytest.fixture(scope="session", autouse=True)
 def _graphs_start_within_a_minute() -> Iterator[None]:
-    """A node that never appears or answers fails its test soon; a user's machine has five minutes for it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sagoma_tools.graph.supervisor.START_TIMEOUT_S", START_TIMEOUT_S)
-        patch.setitem(lifecycle_client.TIMEOUT_S, Transition.CONFIGURE, START_TIMEOUT_S)
+    with graphs_start_within(START_TIMEOUT_S):
         yield
 
 

@@ -1,11 +1,11 @@
 """The first pose of somebody who just comes in: several hypotheses are tracked until one is clearly the best.
 
 A body of average proportions, as tall as the hull, is fitted from natural postures at every heading; where it explains
-too little, a stouter and a slimmer one are tried in turn. The best fits are
-followed from set to set; each costs what outlines, hull and joint limits say against it (``monitor/evidence.py``). What
-a single hull leaves open, front or back above all, time decides: knees and elbows bend one way, toes lie ahead of the
-ankles, and whoever walks walks forwards. Lengths start as people's proportions with their spread
-(``body_sizes.prior_sizes``), and are learnt while the person moves (``refinement/``).
+too little, a stouter and a slimmer one are tried in turn. The best fits are followed from set to set; each costs what
+outlines, hull and joint limits say against it (``monitor/evidence.py``). What a single hull leaves open, front or back
+above all, time decides: knees and elbows bend one way, toes lie ahead of the ankles, and whoever walks walks forwards.
+Lengths start as people's proportions with their spread (``body_sizes.prior_sizes``), and are learnt while the person
+moves (``refinement/``).
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class Control:
         requests = {f"{owner}/{RESET}": Trigger.Request() for owner in sorted(owners)}
         if not requests:
             return "no tracker is in the graph"
-        replies = call_all(self._link.node, Trigger, requests, RESET_TIMEOUT_S, repeatable=True)
+        replies = call_all(self._link.node, Trigger, requests, RESET_TIMEOUT_S)
         return "; ".join(
             f"{service.rpartition('/')[0]}: {reply.message if reply is not None else 'did not answer'}"
             for service, reply in replies.items()
