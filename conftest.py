@@ -6,16 +6,16 @@ Processes that tests start inherit it.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import signal
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import hypothesis
 import pytest
+from ros_domains import OwnDomains
 
 hypothesis.settings.register_profile("any machine", deadline=None)  # a busy one fails no test
 hypothesis.settings.load_profile("any machine")
@@ -25,14 +25,11 @@ _LOGS = tempfile.TemporaryDirectory(prefix="sagoma_test_logs_")  # removed when 
 # nothing leaves this machine
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _LOGS.name
-# two test runs side by side (or a live graph) do not hear each other; ports stay below those of outgoing connections
-_DOMAINS = range(30, 100)
-_MOST_DOMAINS = 6  # of a process, so that three test runs of three processes find enough of them
-_FIRST_PORT, _PORTS = 7400, 250  # of DDS: those of domain d begin at 7400 + 250 d
-# a domain that was chosen is that of one process: the graphs of several would hear each other
+# two test runs side by side (or a live graph) do not hear each other; a domain that was chosen is that of one process:
+# the graphs of several would hear each other
 _CHOSEN_DOMAIN = None if "PYTEST_XDIST_WORKER" in os.environ else os.environ.get("ROS_DOMAIN_ID")
-_claimed: list[tuple[str, IO[str]]] = []  # domains, each with the lock that keeps others off it
-_domains: dict[Path, str] = {}  # folder of tests -> its domain
+_domains = OwnDomains()
+_domain_of: dict[Path, str] = {}  # file of tests -> its domain; of the current file alone
 
 # a shell's background job inherits SIGINT ignored, and would hand that on to the processes that tests interrupt
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -77,32 +74,12 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """A domain for the tests of each folder, in turn of few, so that leftovers are not heard, unless one was chosen."""
+    """A domain in which nobody is left for each file of tests, unless one was chosen."""
     if _CHOSEN_DOMAIN is None:
-        folder = item.path.parent
-        if folder not in _domains:
-            if len(_claimed) < _MOST_DOMAINS:
-                _claimed.append(_claim_domain())
-            _domains[folder] = _claimed[len(_domains) % len(_claimed)][0]
-        os.environ["ROS_DOMAIN_ID"] = _domains[folder]
-
-
-def _claim_domain() -> tuple[str, IO[str]]:
-    """A domain that no other test run on this machine holds, and in which no node runs; ours until this process ends,
-    however it ends."""
-    locks = Path(tempfile.gettempdir()) / f"sagoma_test_domains_{os.getuid()}"
-    locks.mkdir(exist_ok=True)
-    lines = Path("/proc/net/udp").read_text().splitlines()[1:]
-    in_use = {(int(line.split()[1].rpartition(":")[2], 16) - _FIRST_PORT) // _PORTS for line in lines}
-    for domain in (domain for domain in _DOMAINS if domain not in in_use):
-        lock = (locks / str(domain)).open("w")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-            continue
-        return str(domain), lock
-    raise pytest.UsageError(f"all ROS domains from {_DOMAINS[0]} to {_DOMAINS[-1]} are in use by other test runs")
+        if item.path not in _domain_of:
+            _domain_of.clear()
+            _domain_of[item.path] = str(_domains.quiet())
+        os.environ["ROS_DOMAIN_ID"] = _domain_of[item.path]
 
 
 @pytest.fixture(scope="module")
