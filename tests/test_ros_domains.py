@@ -2,6 +2,7 @@
 
 import gc
 import os
+import socket
 import subprocess
 import sys
 
@@ -38,6 +39,16 @@ def test_domain_in_which_a_node_stays_is_left_for_another():
     domain = own.quiet()
     node = participant(domain)
     assert own.quiet() not in {domain, int(os.environ["ROS_DOMAIN_ID"])} and node.get_name() == "leftover"
+
+
+def test_domain_to_whose_discovery_somebody_listens_is_quiet():
+    """`sagoma doctor` listens to the discovery of all domains, and is in none."""
+    own = OwnDomains()
+    domain = own.quiet()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(("127.0.0.1", 7400 + 250 * domain))
+        assert own.quiet() == domain
 
 
 def test_domain_of_another_process_is_not_taken():

@@ -15,12 +15,14 @@ from typing import IO
 
 DOMAINS = range(30, 100)  # ports stay below those of outgoing connections
 _FIRST_PORT, _PORTS = 7400, 250  # of DDS: those of domain d begin at 7400 + 250 d
+_OF_PARTICIPANTS = 10  # the first of these that is one participant's own; those below are bound by who listens to all
 
 
 def domains_in_use() -> set[int]:
     """Return the domains in which some process of this machine, this one too, has a participant."""
     lines = Path("/proc/net/udp").read_text().splitlines()[1:]
-    return {(int(line.split()[1].rpartition(":")[2], 16) - _FIRST_PORT) // _PORTS for line in lines}
+    ports = (divmod(int(line.split()[1].rpartition(":")[2], 16) - _FIRST_PORT, _PORTS) for line in lines)
+    return {domain for domain, port in ports if port >= _OF_PARTICIPANTS}
 
 
 class OwnDomains:
