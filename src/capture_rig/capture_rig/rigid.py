@@ -5,6 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 Array = np.ndarray
 
@@ -20,24 +21,31 @@ def rotation_vector(R: Array) -> Array:
 
 
 def nearest_rotation(M: Array) -> Array:
-    """Rotations (..., 3, 3) nearest to the matrices ``M`` (..., 3, 3) in the Frobenius norm, never reflections.
+    """Rotations (..., 3, 3) nearest to the matrices ``M`` (..., 3, 3) in the Frobenius norm, never reflections."""
+    matrices = np.ascontiguousarray(M, float).reshape(-1, 3, 3)
+    return np.array([polar_rotation(one) for one in matrices]).reshape(np.shape(M))
+
+
+@njit(cache=True)
+def polar_rotation(M):
+    """Return the rotation (3, 3) nearest to a matrix (3, 3).
 
     The polar factor, with the least singular direction turned where it would be a reflection (Umeyama, PAMI 1991).
     """
     U, _, Vt = np.linalg.svd(M)
-    R = U @ Vt
-    reflected = np.linalg.det(R) < 0.0
-    if not reflected.any():
-        return R
-    U[..., :, 2] *= np.where(reflected, -1.0, 1.0)[..., None]
-    return U @ Vt
+    R = np.dot(U, Vt)
+    if np.linalg.det(R) < 0.0:
+        U[:, 2] *= -1.0
+        R = np.dot(U, Vt)
+    return R
 
 
-def rigid_transform(source: Array, target: Array) -> tuple[Array, Array]:
-    """R (..., 3, 3) and t (..., 3) for which R source + t is nearest to ``target``: points (..., n, 3) (Kabsch 1976).
+@njit(cache=True)
+def rigid_transform(source, target):
+    """R (3, 3) and t (3,) for which R source + t is nearest to ``target``: points (n, 3) (Kabsch 1976).
 
     Three points that do not lie on a line fix them.
     """
-    centre_source, centre_target = source.mean(-2, keepdims=True), target.mean(-2, keepdims=True)
-    R = nearest_rotation(np.swapaxes(target - centre_target, -1, -2) @ (source - centre_source))
-    return R, centre_target[..., 0, :] - (R @ centre_source[..., 0, :, None])[..., 0]
+    centre_source, centre_target = source.sum(0) / len(source), target.sum(0) / len(target)
+    R = polar_rotation(np.dot((target - centre_target).T, source - centre_source))
+    return R, centre_target - np.dot(R, centre_source)

@@ -51,14 +51,28 @@ class MeasurementBias:
 
     def update(self, R: np.ndarray, used: np.ndarray) -> None:
         """Take the covariances (15, 3, 3) m^2 that the fit states of the points (15,) bool used in this set."""
-        self.lasting[used] = self._share * R[used]
-        self.joints[used] = self._joints[used]
+        _take_used(used, self._share, R, self._joints, self.lasting, self.joints)
 
     def noise_of(self, z: Measurement, least_sd_m: float) -> Measurement:
         """Return the measurement with the covariance of what is new in this set; at least that deviation an axis."""
-        covariance = (1.0 - self._share) * z.covariance
-        covariance[:, [0, 1, 2], [0, 1, 2]] += self._share * least_sd_m**2  # 1 - share of it is in z already
-        return z._replace(covariance=covariance)
+        return Measurement(z.points_world, _noise(z.covariance, self._share, least_sd_m**2), z.visible)
+
+
+@njit(cache=True)
+def _take_used(used, share, R, variances, lasting, joints):
+    for point in range(15):
+        if used[point]:
+            lasting[point] = share * R[point]
+            joints[point] = variances[point]
+
+
+@njit(cache=True)
+def _noise(covariance, share, least_variance):
+    noise = (1.0 - share) * covariance
+    for point in range(15):
+        for i in range(3):
+            noise[point, i, i] += share * least_variance  # 1 - share of it is in the covariance already
+    return noise
 
 
 @njit(cache=True)

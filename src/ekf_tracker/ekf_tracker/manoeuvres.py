@@ -11,6 +11,7 @@ left to the gate.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from .motion_model import Transition
 
@@ -40,8 +41,11 @@ def raised_covariance(P: np.ndarray, transition: Transition, factors: np.ndarray
     return P
 
 
-def worst_of_limbs(distances: np.ndarray) -> np.ndarray:
+@njit(cache=True)
+def worst_of_limbs(distances):
     """Return (6,) the largest of each limb's squared distances (15,)."""
     worst = np.zeros(LIMBS)
-    np.maximum.at(worst, LIMB_OF_POINT, distances)
+    for point in range(len(LIMB_OF_POINT)):
+        limb = LIMB_OF_POINT[point]
+        worst[limb] = max(worst[limb], distances[point])
     return worst

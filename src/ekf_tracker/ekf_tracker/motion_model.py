@@ -36,6 +36,32 @@ class Transition(NamedTuple):
     q_velocity: np.ndarray
 
 
+class StateTransition(NamedTuple):
+    """F over several steps, some of which may forget slots: [[pose, cross], [0, velocity]], diagonals (24,)."""
+
+    pose: np.ndarray
+    cross: np.ndarray
+    velocity: np.ndarray
+
+    @staticmethod
+    def identity() -> StateTransition:
+        """F over no time."""
+        return StateTransition(np.ones(24), np.zeros(24), np.ones(24))
+
+    def then(self, step: Transition) -> StateTransition:
+        """F of another step times this."""
+        return StateTransition(self.pose, self.cross + step.f_cross * self.velocity, step.f_velocity * self.velocity)
+
+    def keeping(self, pose: np.ndarray, velocity: np.ndarray) -> StateTransition:
+        """Return what is left of it when only these slots (24,) bool of pose and velocity are kept."""
+        return StateTransition(pose * self.pose, pose * self.cross, velocity * self.velocity)
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """F (48, 48)."""
+        return np.block([[np.diag(self.pose), np.diag(self.cross)], [np.zeros((24, 24)), np.diag(self.velocity)]])
+
+
 class MotionModel(Protocol):
     """Strategy for the prediction step."""
 

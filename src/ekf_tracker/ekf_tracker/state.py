@@ -6,8 +6,9 @@ The error state is 24 slots of the pose's tangent, then the same 24 of its veloc
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
-from mocap_packets.fit import PART_OF_POINT, PART_POINTS, points_of_parts
+from mocap_packets.fit import PART_OF_POINT
 from mocap_packets.state import Tracking
 from stick_figure.kernels import HINGE_SLOT
 from stick_figure.skeleton import POINT_NAMES
@@ -42,11 +43,19 @@ def assess(accepted: np.ndarray, gated: np.ndarray, unmeasured_s: float, lost_af
     return Tracking.TRACKING, f"{used} points used"
 
 
-def doubtful_points(doubtful: np.ndarray, gated: np.ndarray) -> np.ndarray:
+@njit(cache=True)
+def doubtful_points(doubtful, left_out):
     """Return (15,) bool: every point of the parts of the body that somebody doubts.
 
     Points (15,) that were measured as doubtful make their part so, and points that were left out of a limb: the limb
     is either where they are or where the filter has it. Of the trunk's seven points, half of them do.
     """
-    doubts, left_out = (np.bincount(PART_OF_POINT[points], minlength=len(PART_POINTS)) for points in (doubtful, gated))
-    return points_of_parts((doubts > 0) | (2 * left_out >= _POINTS_OF_PART))
+    parts = len(_POINTS_OF_PART)
+    doubts, misses, result = np.zeros(parts), np.zeros(parts), np.empty(15, np.bool_)
+    for point in range(15):
+        doubts[PART_OF_POINT[point]] += doubtful[point]
+        misses[PART_OF_POINT[point]] += left_out[point]
+    for point in range(15):
+        part = PART_OF_POINT[point]
+        result[point] = doubts[part] > 0 or 2 * misses[part] >= _POINTS_OF_PART[part]
+    return result

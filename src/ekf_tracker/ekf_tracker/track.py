@@ -13,10 +13,10 @@ from stick_figure.skeleton import TORSO_POINTS
 
 from .bias import MeasurementBias
 from .covariance import positive_definite, reset_slots
-from .kernels import Estimate, UpdateOptions, correct_estimate, innovation_distances, predict_estimate, report
+from .kernels import Estimate, UpdateOptions, correct_estimate, innovation_distances, predict_estimate, report, span_way
 from .manoeuvres import EXPECTED, LEVELS, LIMBS, MOST_M_S, raised_covariance, worst_of_limbs
 from .measurement import InnovationGate, Measurement, Sizes, linearised
-from .motion_model import MotionModel, Transition
+from .motion_model import MotionModel, StateTransition, Transition
 from .settings import EkfSettings, limit_weight, motion_model
 from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot
 from .torso_bend import TorsoBend
@@ -40,6 +40,7 @@ RELEASED_TORSO_SD_M = 0.5
 """How far the torso may have gone while its points were left out."""
 NEEDED_TORSO_POINTS = 4
 """Of centre, neck, shoulders and hips; fewer may lie on a line and leave the torso's rotation open."""
+ALL = np.ones(24, bool)
 TORSO_SD_M = 1.0
 TORSO_SD_RAD = 1.0
 """What is known of the torso before its first measurement: it stands about where inverse kinematics puts it."""
@@ -65,13 +66,13 @@ class Track:
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self.body = self._trunk.bent(body, stamp_ns, noise)
         self._estimate = first_estimate(self.body, noise, self._motion, JOINT_SD_CAP_RAD, self._update_options)
-        self._F, self._prior = np.eye(DIMENSION), self._estimate
+        self._F, self._prior = StateTransition.identity(), self._estimate
         self._note_measured(z, z.visible)
 
     @property
     def passage(self) -> tuple[Estimate, Estimate, np.ndarray]:
         """The estimate before and after the last set's points, and F (48, 48) to the first from the set before."""
-        return self._prior, self._estimate, self._F
+        return self._prior, self._estimate, self._F.matrix
 
     @property
     def lasting(self) -> tuple[np.ndarray, np.ndarray]:
@@ -97,7 +98,7 @@ class Track:
         A body that has not been measured for ``coast_s`` is no longer extrapolated: its velocity counts as unknown
         from that moment on, because a limb that swung out of sight has more likely turned back than gone on.
         """
-        self._F = np.eye(DIMENSION)
+        self._F = StateTransition.identity()
         coast_end_ns = self._measured_ns + round(self.settings.coast_s / NS)
         if self._coasting and coast_end_ns < stamp_ns:
             self._advance(coast_end_ns)
@@ -117,7 +118,7 @@ class Track:
         self._prior = self._estimate
         decision = self._gate.decide(np.where(moved, 0.0, distances), z.visible)
         anew = decision.readmitted | (moved & z.visible)
-        if 2 * anew[TORSO_POINTS].sum() >= len(TORSO_POINTS) and enough_to_start(z):
+        if 2 * np.count_nonzero(anew[TORSO_POINTS]) >= len(TORSO_POINTS) and enough_to_start(z):
             return None
         if decision.n_accepted:
             self._estimate = self._correct(noise, decision.accepted, anew, manoeuvre)
@@ -180,9 +181,7 @@ class Track:
             return
         self._last_transition = self._motion.transition(dt)
         self._estimate = predict_estimate(self._estimate, self._last_transition, JOINT_SD_CAP_RAD)
-        f_cross, f_velocity = self._last_transition[:2]
-        self._F[POSE] += f_cross[:, None] * self._F[VELOCITY]
-        self._F[VELOCITY] *= f_velocity[:, None]
+        self._F = self._F.then(self._last_transition)
         self._stamp_ns, self._last_dt = stamp_ns, dt
 
     def _forget_velocity(self) -> None:
@@ -191,7 +190,7 @@ class Track:
         P[24 + slots, 24 + slots] = self._motion.velocity_variance()
         self._estimate = Estimate(self._estimate.arrays, np.zeros(24), P)
         self._coasting = False
-        self._F[VELOCITY] = 0.0
+        self._F = self._F.keeping(ALL, ~ALL)
 
     def _release_limbs(self, prior: Estimate, anew: np.ndarray) -> Estimate:
         """The prior without any knowledge of the joints above the points (15,) ``anew`` (of the torso, for its own)."""
@@ -203,7 +202,7 @@ class Track:
         cap = JOINT_SD_CAP_RAD
         pose_variance = per_slot(RELEASED_TORSO_SD_M, cap, cap, cap)[slots] ** 2
         velocity = np.where(moves, 0.0, prior.velocity)
-        self._F[slots] = self._F[24 + slots] = 0.0
+        self._F = self._F.keeping(~moves, ~moves)
         P = reset_slots(prior.covariance, slots, pose_variance, self._motion.velocity_variance()[slots])
         return Estimate(prior.arrays, velocity, P)
 
@@ -226,9 +225,7 @@ class Track:
             JOINT_SD_CAP_RAD**-2,
             self._angles,
         )
-        way = z.points_world - points_world
-        far = gated & (np.linalg.norm(way, axis=1) > ELSEWHERE_M)
-        point_covariance[far] += AS_LIKELY * way[far, :, None] * way[far, None, :]
+        far = span_way(z.points_world, gated, points_world, point_covariance, ELSEWHERE_M, AS_LIKELY)
         tracking, reason = assess(accepted, gated, self.unmeasured_s, self.settings.lost_after_s)
         return BodyState(
             stamp_ns=self._stamp_ns,
@@ -257,7 +254,7 @@ class Track:
 
 def enough_to_start(z: Measurement) -> bool:
     """Return whether the visible points fix the torso."""
-    return int(z.visible[TORSO_POINTS].sum()) >= NEEDED_TORSO_POINTS
+    return int(np.count_nonzero(z.visible[TORSO_POINTS])) >= NEEDED_TORSO_POINTS
 
 
 def first_estimate(

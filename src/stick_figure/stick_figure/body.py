@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -58,6 +58,10 @@ class Body:
     unbent: Body | None = None
 
     def __post_init__(self) -> None:
+        if self.unbent is None:  # else its sizes are those of a body that was checked
+            self._check()
+
+    def _check(self) -> None:
         half_lengths = np.array(self.half_lengths, dtype=np.float64)
         if half_lengths.shape != (10,):
             raise InputError(f"a body has 10 stick lengths, not an array of shape {half_lengths.shape}")
@@ -79,27 +83,29 @@ class Body:
 
     def bent(self, bend: Array) -> Body:
         """Return this body with its trunk bent so (BEND_NUMBERS,), rad and m."""
-        straight = self.straight
-        return replace(straight, bend=np.array(bend, dtype=np.float64), unbent=straight)
+        rest = self.straight
+        ratios = rest.shoulder_height_ratio, rest.hip_width_ratio
+        own_bend = np.array(bend, dtype=np.float64)
+        return Body(rest.half_lengths, rest.half_shoulder_width, *ratios, rest.build, own_bend, rest)
 
     @cached_property
     def lengths(self) -> Array:
         """(10,) full stick lengths, metres."""
-        return 2.0 * self.half_lengths
+        return 2.0 * self.half_lengths if self.unbent is None else self.unbent.lengths
 
     @cached_property
     def stick_origins_torso(self) -> Array:
         """(10, 3) start of each stick that begins on the torso, torso frame, metres; zero for forearms and calves."""
+        if self.unbent is not None:
+            from .trunk_bend import bend_derivatives
+
+            return self.unbent.stick_origins_torso + bend_derivatives(self.unbent)[0] @ self.bend
         h, w = self.half_lengths[0], self.half_shoulder_width
         shoulder, hip = self.shoulder_height_ratio * h, self.hip_width_ratio * w
         origins = np.zeros((10, 3))
         origins[0], origins[1] = (0, 0, -h), (0, 0, h)
         origins[2], origins[3] = (0, w, shoulder), (0, -w, shoulder)
         origins[4], origins[5] = (0, hip, -h), (0, -hip, -h)
-        if self.unbent is not None:
-            from .trunk_bend import bend_derivatives
-
-            origins += bend_derivatives(self.unbent)[0] @ self.bend
         return origins
 
     @cached_property
