@@ -8,9 +8,13 @@ that trunks have. The body that the pose is filtered with is bent so.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
 
 from capture_rig.rigid import rigid_transform
+from capture_rig.small_matrices import inverse_positive, solve_positive_columns
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.skeleton import TORSO_POINTS
 from stick_figure.trunk_bend import RATE_SD, REST_SD, bend_columns
@@ -22,7 +26,6 @@ FEWEST_POINTS = 4  # of neck, shoulders and hips: three leave only what a rigid 
 FADES_S = 2.0 * (REST_SD / RATE_SD) ** 2
 RIGID = 6
 _POINTS = TORSO_POINTS[1:]
-_DIAGONAL = np.diag_indices(BEND_NUMBERS)
 
 
 class TorsoBend:
@@ -30,39 +33,54 @@ class TorsoBend:
 
     def __init__(self, scale: float) -> None:
         """``scale`` : how far trunks bend, over what is usual; 0 for a rigid torso."""
-        self._scale, self._stamp_ns = scale, -1
-        self.bend, self.covariance = np.zeros(BEND_NUMBERS), np.diag((scale * REST_SD) ** 2)
+        self._rest_variance, self._stamp_ns = (scale * REST_SD) ** 2, -1
+        self.bend, self.covariance = np.zeros(BEND_NUMBERS), np.diag(self._rest_variance)
 
     def bent(self, body: Body, stamp_ns: int, z: Measurement) -> Body:
         """Return the body as its trunk is bent in a set of measured points, their covariance what is new in it."""
-        if self._scale == 0.0:
+        if not self._rest_variance.any():
             return body
-        self._fade(stamp_ns)
-        seen = z.visible[_POINTS]
-        if seen.sum() >= FEWEST_POINTS:
-            self._look(body.straight, z.points_world[_POINTS][seen], z.covariance[_POINTS][seen], seen)
+        passed_s = 0.0 if self._stamp_ns < 0 else (stamp_ns - self._stamp_ns) * NS
+        self._stamp_ns, rest = stamp_ns, body.straight
+        self.bend, self.covariance = fade(self.bend, self.covariance, passed_s, self._rest_variance)
+        if np.count_nonzero(z.visible[_POINTS]) >= FEWEST_POINTS:
+            self.bend, self.covariance = look(self.bend, self.covariance, rest.torso_points[1:], bend_columns(rest), z)
         return body.bent(self.bend)
 
-    def _fade(self, stamp_ns: int) -> None:
-        passed_s = 0.0 if self._stamp_ns < 0 else (stamp_ns - self._stamp_ns) * NS
-        self._stamp_ns = stamp_ns
-        kept = np.exp(-passed_s / FADES_S)
-        self.bend = kept * self.bend
-        self.covariance = self.covariance * np.outer(kept, kept)
-        self.covariance[_DIAGONAL] += (1.0 - kept**2) * (self._scale * REST_SD) ** 2
 
-    def _look(self, rest: Body, points_world: np.ndarray, covariance: np.ndarray, seen: np.ndarray) -> None:
-        """Take the points (n, 3) m of those ``seen`` (5,) with their covariance (n, 3, 3) m^2."""
-        own = rest.torso_points[1:][seen]
-        R, t = rigid_transform(own, points_world)
-        sd = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3.0)[:, None]
-        columns = bend_columns(rest)[seen] / sd[..., None]
-        A, off = columns.reshape(-1, RIGID + BEND_NUMBERS), (((points_world - t) @ R - own) / sd).ravel()
-        M, g = A.T @ A, A.T @ off
-        eliminated = np.linalg.solve(M[:RIGID, :RIGID], np.hstack([M[:RIGID, RIGID:], g[:RIGID, None]]))
-        information = M[RIGID:, RIGID:] - M[RIGID:, :RIGID] @ eliminated[:, :-1]
-        pull = g[RIGID:] - M[RIGID:, :RIGID] @ eliminated[:, -1]
-        before = np.linalg.inv(self.covariance)
-        self.covariance = np.linalg.inv(before + information)
-        self.covariance = 0.5 * (self.covariance + self.covariance.T)
-        self.bend = self.covariance @ (before @ self.bend + pull)
+@njit(cache=True, nogil=True)
+def fade(bend, covariance, passed_s, rest_variance):
+    """Bend and covariance after seconds in which nothing was measured: an Ornstein-Uhlenbeck process (7,)."""
+    kept = np.exp(-passed_s / FADES_S)
+    faded = covariance * np.outer(kept, kept)
+    for k in range(BEND_NUMBERS):
+        faded[k, k] += (1.0 - kept[k] ** 2) * rest_variance[k]
+    return kept * bend, faded
+
+
+@njit(cache=True, nogil=True)
+def look(bend, covariance, rest, columns, z):
+    """Bend and covariance corrected with the visible ones of neck, shoulders and hips (a Kalman update).
+
+    rest (5, 3) m : these points of the body at rest, torso frame; columns (5, 3, 13) : `bend_columns` of it.
+    """
+    seen = np.flatnonzero(z.visible[_POINTS])
+    points_world, own = z.points_world[_POINTS[seen]], rest[seen]
+    R, t = rigid_transform(own, points_world)
+    off = np.dot(points_world - t, R) - own
+    rows = np.empty((len(seen), 3, RIGID + BEND_NUMBERS + 1))  # derivatives, then residuals, each over its deviation
+    for k, point in enumerate(seen):
+        C = z.covariance[_POINTS[point]]
+        sd = math.sqrt((C[0, 0] + C[1, 1] + C[2, 2]) / 3.0)
+        rows[k, :, :-1] = columns[point] / sd
+        rows[k, :, -1] = off[k] / sd
+    A = rows.reshape(3 * len(seen), -1)
+    M = np.dot(A.T, A)
+    across, factor = M[:RIGID, RIGID:].copy(), np.empty((RIGID, RIGID))
+    eliminated = across.copy()
+    solve_positive_columns(M[:RIGID, :RIGID], factor, eliminated)
+    M_bend = M[RIGID:, RIGID:] - np.dot(across.T, eliminated)  # Schur complement: any rigid motion suits as well
+    information, pull = M_bend[:-1, :-1], M_bend[:-1, -1]
+    before = inverse_positive(covariance)
+    after = inverse_positive(before + information)
+    return np.dot(after, np.dot(before, bend) + pull), after
