@@ -11,43 +11,28 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
+
+from capture_rig.kernel import kernel
 
 from .kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from .pose import Pose
-from .rotations import Array, rotation_matrix, rotation_vector
-from .skeleton import BALL_NAMES, HINGE_NAMES, TORSO_POSITION, TORSO_ROTATION
+from .rotations import Array
+from .skeleton import BALL_NAMES, HINGE_NAMES, TORSO_POSITION
+from .so3 import rotation_exp, rotation_log
 
 JOINT_NAMES = ("torso", *BALL_NAMES, *HINGE_NAMES)
 """The ten joints, in the order of the sticks that they move."""
 HINGE_AXIS = np.array([2, 2, 1, 1])
 """(4,) axis about which each hinge turns, of the upper limb: elbows z, knees y."""
-_HINGE_ROWS = slice(6, 10)
-_TURNS = SLOT_OF_JOINT_AXIS >= 0
-_BALL_SLOTS = SLOT_OF_JOINT_AXIS[_TURNS]
+_FIRST_HINGE = 6
 
 
 def quaternion_of(R: Array) -> Array:
     """Return the unit quaternion (4,), x y z w with w >= 0, of a rotation matrix (3, 3)."""
-    return quaternions_of(R[None])[0]
-
-
-def quaternions_of(R: Array) -> Array:
-    """Return those (n, 4) of rotation matrices (n, 3, 3)."""
-    vectors = [rotation_vector(one) for one in R]
-    angles = np.array([math.sqrt(vector @ vector) for vector in vectors])
-    quaternions = np.empty((len(R), 4))
-    quaternions[:, :3] = np.array(vectors) * (0.5 * np.sinc(angles / (2.0 * np.pi)))[:, None]  # sin(angle / 2) / angle
-    quaternions[:, 3] = [math.cos(angle / 2.0) for angle in angles.tolist()]
-    return quaternions
-
-
-def matrix_of(quaternion: Array) -> Array:
-    """Return the rotation matrix (3, 3) of a quaternion (4,), x y z w, of any length but 0."""
-    x, y, z, w = quaternion.tolist()
-    sine = math.sqrt(x * x + y * y + z * z)
-    if sine == 0.0:
-        return np.eye(3)
-    return rotation_matrix(np.array([x, y, z]) * (2.0 * math.atan2(sine, w) / sine))
+    quaternion = np.empty(4)
+    fill_quaternion(np.ascontiguousarray(R, float), quaternion)
+    return quaternion
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,29 +52,86 @@ class JointMotion:
     @classmethod
     def of(cls, pose: Pose, velocity: Array) -> JointMotion:
         """Return the motion of a pose and its tangent's rates (24,)."""
-        quaternions, angular = np.zeros((10, 4)), np.zeros((10, 3))
-        quaternions[:6] = quaternions_of(np.concatenate([pose.R_world_torso[None], pose.R_joints]))
-        halves = [angle / 2.0 for angle in pose.hinges.tolist()]
-        quaternions[_HINGE_ROWS][range(4), HINGE_AXIS] = [math.sin(half) for half in halves]
-        quaternions[_HINGE_ROWS, 3] = [math.cos(half) for half in halves]
-        angular[0] = velocity[TORSO_ROTATION]
-        angular[1:6][_TURNS] = velocity[_BALL_SLOTS]
-        angular[_HINGE_ROWS][range(4), HINGE_AXIS] = velocity[HINGE_SLOT]
-        return cls(pose.position_world, quaternions, np.asarray(velocity[TORSO_POSITION], float), angular)
+        rates = np.ascontiguousarray(velocity, float)
+        quaternions, angular = turns_of_joints(pose.R_world_torso, pose.R_joints, pose.hinges, rates)
+        return cls(pose.position_world, quaternions, rates[TORSO_POSITION], angular)
 
     @property
     def pose(self) -> Pose:
         """The pose; what a hinge's quaternion says about other axes than its own is left out."""
-        R = np.array([matrix_of(quaternion) for quaternion in self.quaternions[:6]])
-        hinges = self.quaternions[_HINGE_ROWS]
-        angles = 2.0 * np.arctan2(hinges[range(4), HINGE_AXIS], hinges[:, 3])
-        return Pose(self.position_world, R[0], R[1:], angles)
+        R, hinges = rotations_of_joints(np.ascontiguousarray(self.quaternions, float))
+        return Pose(self.position_world, R[0], R[1:], hinges)
 
     @property
     def velocity(self) -> Array:
         """The rates (24,) of the pose's tangent."""
-        velocity = np.empty(24)
-        velocity[TORSO_POSITION], velocity[TORSO_ROTATION] = self.linear_world, self.angular[0]
-        velocity[_BALL_SLOTS] = self.angular[1:6][_TURNS]
-        velocity[HINGE_SLOT] = self.angular[_HINGE_ROWS][range(4), HINGE_AXIS]
-        return velocity
+        return tangent_rates(*(np.ascontiguousarray(rates, float) for rates in (self.linear_world, self.angular)))
+
+
+# --- kernels ---------------------------------------------------------------------------------------------------------
+
+
+@kernel
+def fill_quaternion(R, quaternion):
+    """quaternion (4,) <- of R (3, 3), by way of its rotation vector."""
+    vector = quaternion[:3]
+    rotation_log(R, vector)
+    angle = math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
+    scale = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
+    for i in range(3):
+        vector[i] *= scale
+    quaternion[3] = math.cos(0.5 * angle)
+
+
+@kernel
+def fill_rotation(quaternion, R):
+    """R (3, 3) <- of a quaternion (4,), x y z w, of any length but 0."""
+    x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 0.0
+    rotation_exp(scale * x, scale * y, scale * z, R)
+
+
+@njit(cache=True, nogil=True)
+def turns_of_joints(R0, RJ, hinges, velocity):
+    """Quaternions (10, 4) and angular velocities (10, 3) of a pose (R0, RJ, hinges) and its tangent's rates (24,)."""
+    quaternions, angular = np.zeros((10, 4)), np.zeros((10, 3))
+    fill_quaternion(R0, quaternions[0])
+    angular[0] = velocity[3:6]
+    for ball in range(5):
+        fill_quaternion(RJ[ball], quaternions[1 + ball])
+        for axis in range(3):
+            slot = SLOT_OF_JOINT_AXIS[ball, axis]
+            angular[1 + ball, axis] = velocity[slot] if slot >= 0 else 0.0
+    for h in range(4):
+        joint, axis, half = _FIRST_HINGE + h, HINGE_AXIS[h], 0.5 * hinges[h]
+        quaternions[joint, axis], quaternions[joint, 3] = math.sin(half), math.cos(half)
+        angular[joint, axis] = velocity[HINGE_SLOT[h]]
+    return quaternions, angular
+
+
+@njit(cache=True, nogil=True)
+def rotations_of_joints(quaternions):
+    """Rotations (6, 3, 3) of torso and ball joints and angles (4,) of the hinges, from the quaternions (10, 4)."""
+    R, hinges = np.empty((6, 3, 3)), np.empty(4)
+    for joint in range(6):
+        fill_rotation(quaternions[joint], R[joint])
+    for h in range(4):
+        turn = quaternions[_FIRST_HINGE + h]
+        hinges[h] = 2.0 * math.atan2(turn[HINGE_AXIS[h]], turn[3])
+    return R, hinges
+
+
+@njit(cache=True, nogil=True)
+def tangent_rates(linear_world, angular):
+    """Rates (24,) of the tangent, from the torso's velocity (3,) and the joints' angular velocities (10, 3)."""
+    velocity = np.empty(24)
+    velocity[:3], velocity[3:6] = linear_world, angular[0]
+    for ball in range(5):
+        for axis in range(3):
+            slot = SLOT_OF_JOINT_AXIS[ball, axis]
+            if slot >= 0:
+                velocity[slot] = angular[1 + ball, axis]
+    for h in range(4):
+        velocity[HINGE_SLOT[h]] = angular[_FIRST_HINGE + h, HINGE_AXIS[h]]
+    return velocity
