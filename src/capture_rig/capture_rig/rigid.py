@@ -7,6 +7,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from .small_matrices import diagonalise
+
 Array = np.ndarray
 
 
@@ -28,15 +30,21 @@ def nearest_rotation(M: Array) -> Array:
 
 @njit(cache=True)
 def polar_rotation(M):
-    """Return the rotation (3, 3) nearest to a matrix (3, 3).
+    """Return the rotation (3, 3) nearest to a matrix (3, 3), by its quaternion (Horn, JOSA A 4, 1987).
 
-    The polar factor, with the least singular direction turned where it would be a reflection (Umeyama, PAMI 1991).
+    Of the unit quaternions q, that of the rotation R with the largest trace(R' M) is the largest eigenvector of N.
     """
-    U, _, Vt = np.linalg.svd(M)
-    R = np.dot(U, Vt)
-    if np.linalg.det(R) < 0.0:
-        U[:, 2] *= -1.0
-        R = np.dot(U, Vt)
+    N, Q, R = np.empty((4, 4)), np.empty((4, 4)), np.empty((3, 3))
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = M
+    N[0] = xx + yy + zz, zy - yz, xz - zx, yx - xy
+    N[1] = zy - yz, xx - yy - zz, xy + yx, xz + zx
+    N[2] = xz - zx, xy + yx, yy - xx - zz, yz + zy
+    N[3] = yx - xy, xz + zx, yz + zy, zz - xx - yy
+    diagonalise(N, Q)
+    w, x, y, z = Q[:, np.diag(N).argmax()]
+    R[0] = w * w + x * x - y * y - z * z, 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
+    R[1] = 2.0 * (x * y + w * z), w * w - x * x + y * y - z * z, 2.0 * (y * z - w * x)
+    R[2] = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), w * w - x * x - y * y + z * z
     return R
 
 

@@ -13,6 +13,9 @@ from numba import njit
 
 from .kernel import kernel
 
+MOST_SWEEPS, ROUNDING = 12, 1e-17
+"""Of Jacobi's rotations: five suffice for four unknowns. What is left over the eigenvalues when they end."""
+
 
 @kernel
 def cholesky(M, L):
@@ -122,3 +125,41 @@ def positive3(S):
     a, b, c, d, e, f = S[0, 0], S[0, 1], S[0, 2], S[1, 1], S[1, 2], S[2, 2]
     determinant = a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d)
     return a > 0.0 and a * d - b * b > 0.0 and 0.0 < determinant < math.inf
+
+
+@kernel
+def diagonalise(S, V):
+    """Turn a symmetric S (n, n) into the diagonal of its eigenvalues; V (n, n) <- eigenvectors, one a column.
+
+    Cyclic Jacobi rotations (Golub & Van Loan, Matrix Computations, 8.5), until what is left is rounding.
+    """
+    n = S.shape[0]
+    for i in range(n):
+        for j in range(n):
+            V[i, j] = 1.0 if i == j else 0.0
+    for _ in range(MOST_SWEEPS):
+        diagonal, rest = 0.0, 0.0
+        for i in range(n):
+            diagonal += S[i, i] * S[i, i]
+            for j in range(i):
+                rest += S[i, j] * S[i, j]
+        if rest <= ROUNDING * ROUNDING * diagonal:
+            return
+        for p in range(n):
+            for q in range(p + 1, n):
+                if S[p, q] != 0.0:
+                    _rotate_away(S, V, p, q)
+
+
+@kernel
+def _rotate_away(S, V, p, q):
+    """Turn the plane of two axes until S[p, q] is zero."""
+    half = 0.5 * (S[q, q] - S[p, p]) / S[p, q]
+    t = math.copysign(1.0, half) / (abs(half) + math.sqrt(1.0 + half * half))
+    c = 1.0 / math.sqrt(1.0 + t * t)
+    s = t * c
+    for k in range(S.shape[0]):
+        S[k, p], S[k, q] = c * S[k, p] - s * S[k, q], s * S[k, p] + c * S[k, q]
+    for k in range(S.shape[0]):
+        S[p, k], S[q, k] = c * S[p, k] - s * S[q, k], s * S[p, k] + c * S[q, k]
+        V[k, p], V[k, q] = c * V[k, p] - s * V[k, q], s * V[k, p] + c * V[k, q]

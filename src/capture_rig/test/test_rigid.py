@@ -16,6 +16,14 @@ def test_nearest_rotation_is_never_a_reflection():
     np.testing.assert_allclose(np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -0.2]))), 1.0)
 
 
+def test_nearest_rotation_is_the_polar_factor_also_of_a_singular_matrix():
+    rng = np.random.default_rng(5)
+    for R in Rotation.random(20, rng).as_matrix():
+        axes = Rotation.random(random_state=rng).as_matrix()
+        flat = R @ axes @ np.diag([2.0, 0.5, 0.0]) @ axes.T  # as of points in a plane
+        np.testing.assert_allclose(nearest_rotation(flat), R, atol=1e-14)
+
+
 def test_nearest_rotations_of_a_stack_are_those_of_its_matrices_and_leave_rotations_alone():
     rng = np.random.default_rng(0)
     exact = Rotation.random(20, rng).as_matrix()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from capture_rig.small_matrices import inverse3, inverse_positive, positive3, solve_positive
+from capture_rig.small_matrices import diagonalise, inverse3, inverse_positive, positive3, solve_positive
 
 
 def positive_matrix(n, rng):
@@ -46,3 +46,16 @@ def test_inverse_of_three_by_three_equals_that_of_lapack():
     inverse3(S, out)
     assert positive3(S)
     np.testing.assert_allclose(out, np.linalg.inv(S), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "eigenvalues", [(4.0, 1.0, -2.0, 0.5), (3.0, 3.0, -1.0, -1.0), (1e6, 1.0, 1e-3, 0.0), (0.0,) * 4]
+)
+def test_eigenvectors_span_the_matrix_again(eigenvalues):
+    axes = np.linalg.qr(np.random.default_rng(4).normal(size=(4, 4)))[0]
+    S = axes @ np.diag(eigenvalues) @ axes.T
+    D, V = 0.5 * (S + S.T), np.empty((4, 4))
+    diagonalise(D, V)
+    np.testing.assert_allclose(np.sort(np.diag(D)), np.sort(eigenvalues), atol=1e-14 * np.abs(S).max())
+    np.testing.assert_allclose(V.T @ V, np.eye(4), atol=1e-14)
+    np.testing.assert_allclose(V @ np.diag(np.diag(D)) @ V.T, S, atol=1e-14 * np.abs(S).max())
