@@ -43,11 +43,6 @@ class StateTransition(NamedTuple):
     cross: np.ndarray
     velocity: np.ndarray
 
-    @staticmethod
-    def identity() -> StateTransition:
-        """F over no time."""
-        return StateTransition(np.ones(24), np.zeros(24), np.ones(24))
-
     def then(self, step: Transition) -> StateTransition:
         """F of another step times this."""
         return StateTransition(self.pose, self.cross + step.f_cross * self.velocity, step.f_velocity * self.velocity)
@@ -60,6 +55,10 @@ class StateTransition(NamedTuple):
     def matrix(self) -> np.ndarray:
         """F (48, 48)."""
         return np.block([[np.diag(self.pose), np.diag(self.cross)], [np.zeros((24, 24)), np.diag(self.velocity)]])
+
+
+NO_TRANSITION = StateTransition(np.ones(24), np.zeros(24), np.ones(24))
+"""F over no time."""
 
 
 class MotionModel(Protocol):

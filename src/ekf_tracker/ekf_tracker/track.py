@@ -16,7 +16,7 @@ from .covariance import positive_definite, reset_slots
 from .kernels import Estimate, UpdateOptions, correct_estimate, innovation_distances, predict_estimate, report, span_way
 from .manoeuvres import EXPECTED, LEVELS, LIMBS, MOST_M_S, raised_covariance, worst_of_limbs
 from .measurement import InnovationGate, Measurement, Sizes, linearised
-from .motion_model import MotionModel, StateTransition, Transition
+from .motion_model import NO_TRANSITION, MotionModel, Transition
 from .settings import EkfSettings, limit_weight, motion_model
 from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot
 from .torso_bend import TorsoBend
@@ -66,7 +66,7 @@ class Track:
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self.body = self._trunk.bent(body, stamp_ns, noise)
         self._estimate = first_estimate(self.body, noise, self._motion, JOINT_SD_CAP_RAD, self._update_options)
-        self._F, self._prior = StateTransition.identity(), self._estimate
+        self._F, self._prior = NO_TRANSITION, self._estimate
         self._note_measured(z, z.visible)
 
     @property
@@ -98,7 +98,7 @@ class Track:
         A body that has not been measured for ``coast_s`` is no longer extrapolated: its velocity counts as unknown
         from that moment on, because a limb that swung out of sight has more likely turned back than gone on.
         """
-        self._F = StateTransition.identity()
+        self._F = NO_TRANSITION
         coast_end_ns = self._measured_ns + round(self.settings.coast_s / NS)
         if self._coasting and coast_end_ns < stamp_ns:
             self._advance(coast_end_ns)

@@ -14,7 +14,7 @@ from stick_figure.pose import Pose
 from .table import column, columns, fill, layout
 
 UPPER_TRIANGLE = np.triu_indices(3)
-LOWER, UPPER = np.tril_indices(3, -1)
+BELOW_DIAGONAL = ((1, 0), (2, 0), (2, 1))
 COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 
 GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
@@ -66,7 +66,8 @@ class ReferencePoints:
     def as_sent(self) -> ReferencePoints:
         """Return the same, rounded to float32 as the cloud between the nodes is."""
         covariance = np.asarray(self.covariance, np.float32).astype(np.float64)
-        covariance[:, LOWER, UPPER] = covariance[:, UPPER, LOWER]  # as six numbers make a matrix again
+        for row, col in BELOW_DIAGONAL:  # as six numbers make a matrix again
+            covariance[:, row, col] = covariance[:, col, row]
         points_world = np.asarray(self.points_world, np.float32).astype(np.float64)
         flags = (np.asarray(flag, bool) for flag in (self.visible, self.doubtful, self.moved))
         return ReferencePoints(points_world, covariance, *flags)
