@@ -122,9 +122,14 @@ def _check(points: Array) -> None:
 
 def forward(body: Body, pose: Pose) -> Array:
     """Return the 15 reference points (15, 3), world frame, metres (thesis Table 5.2 with the hips' third angle)."""
-    _, _, A, B = _placed(body, pose)
+    return _points(pose.arrays, body.lengths, body.stick_origins_torso)
+
+
+@njit(cache=True)
+def _points(pose, lengths, origins):
+    _, _, A, B = kernels.place_sticks(pose, lengths, origins)
     points = np.empty((15, 3))
-    kernels.reference_points(A, B, pose.position_world, points)
+    kernels.reference_points(A, B, pose[0], points)
     return points
 
 

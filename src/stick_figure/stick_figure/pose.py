@@ -48,10 +48,7 @@ class Pose:
         angles = np.ascontiguousarray(angles, float)
         if angles.shape != (18,):
             raise ValueError(f"angles have shape {angles.shape}, expected (18,)")
-        R_joints = joint_rotations(angles)
-        x, y, z = R_joints[0, :, 2]
-        kernels.neck_from_direction(x, y, z, R_joints[0])
-        return cls(position_world, R_world_torso, R_joints, angles[HINGE_ANGLES])
+        return cls(position_world, R_world_torso, joint_rotations(angles), angles[HINGE_ANGLES])
 
     def angles(self, previous: Array | None = None) -> Array:
         """Return the 18 angles (rad), the exact inverse of :meth:`from_angles` inside the ranges of thesis Table 5.1.

@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from . import so3
+from . import kernels, so3
 from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE_ANGLES, T_POSE_ANGLES
 
 Array = np.ndarray
@@ -45,11 +45,17 @@ _LIMB_SLOTS = np.column_stack([BALL_ANGLES[1:], HINGE_ANGLES])
 """(4, 4) slots of a, b, c and the hinge of left arm, right arm, left leg, right leg."""
 
 
-def joint_rotations(angles: Array) -> Array:
-    """Rotations (5, 3, 3), stick to torso, of the five ball joints from the 18 angles (thesis Table 5.2's products)."""
+@njit(cache=True)
+def joint_rotations(angles):
+    """Rotations (5, 3, 3), stick to torso, of the five ball joints from the 18 angles (thesis Table 5.2's products).
+
+    The neck's has the form that `kernels.neck_from_direction` keeps.
+    """
     R_joints = np.empty((5, 3, 3))
     for ball in range(5):
         ball_rotation(ball, angles, R_joints[ball])
+    neck = R_joints[0]
+    kernels.neck_from_direction(neck[0, 2], neck[1, 2], neck[2, 2], neck)
     return R_joints
 
 
