@@ -33,12 +33,12 @@ class TorsoBend:
 
     def __init__(self, scale: float) -> None:
         """``scale`` : how far trunks bend, over what is usual; 0 for a rigid torso."""
-        self._rest_variance, self._stamp_ns = (scale * REST_SD) ** 2, -1
+        self._is_rigid, self._rest_variance, self._stamp_ns = scale == 0.0, (scale * REST_SD) ** 2, -1
         self.bend, self.covariance = np.zeros(BEND_NUMBERS), np.diag(self._rest_variance)
 
     def bent(self, body: Body, stamp_ns: int, z: Measurement) -> Body:
         """Return the body as its trunk is bent in a set of measured points, their covariance what is new in it."""
-        if not self._rest_variance.any():
+        if self._is_rigid:
             return body
         passed_s = 0.0 if self._stamp_ns < 0 else (stamp_ns - self._stamp_ns) * NS
         self._stamp_ns, rest = stamp_ns, body.straight

@@ -160,9 +160,10 @@ class Track:
     def _correct(self, z: Measurement, accepted: np.ndarray, anew: np.ndarray, manoeuvre: bool) -> Estimate:
         """Return the estimate with the accepted points (15,); the limbs of those ``anew`` are elsewhere."""
         prior, start = self._estimate, None
-        if anew.any():
+        released = bool(anew.any())
+        if released:
             prior = self._prior = self._release_limbs(prior, anew)
-        if manoeuvre or anew.any():  # angles that turned far: the way there is not straight, so start at its end
+        if manoeuvre or released:  # angles that turned far: the way there is not straight, so start at its end
             start = pose_of_points(self.body, z, accepted, prior.pose)
         try:
             return correct_estimate(self.body, prior, z, accepted, self._update_options, start)
