@@ -31,6 +31,7 @@ from icp_tracker.monitor.track_quality import (
     unseen_points,
     widened_covariance,
     with_doubtful_limbs,
+    with_faint_limbs,
 )
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, PART_POINTS, TrackQuality
@@ -198,6 +199,24 @@ def test_a_calf_for_which_no_ray_speaks_is_doubtful_and_not_published(person):
     assert list(np.flatnonzero(unseen_points(known.unseen_sticks(evidence)))) == [RIGHT_FOOT]
 
 
+@pytest.mark.parametrize(
+    ("explained", "usual_rays", "doubtful"),
+    [(11, 50.0, True), (13, 50.0, False), (11, 30.0, False), (20, 90.0, False), (3, 15.0, False)],
+    ids=["few", "enough to tell", "a large share", "many cameras", "few are usual"],
+)
+def test_a_forearm_that_few_rays_speak_for_is_doubtful_and_published(person, explained, usual_rays, doubtful):
+    evidence = evidence_of(Figure.of(person.body), person.pose, data_of(person))
+    known, forearm = usual(evidence), LIMBS[1].lower
+    known.rays[forearm] = usual_rays
+    shown = evidence.explained.copy()
+    shown[forearm] = explained
+    evidence = replace(evidence, explained=shown)
+    quality = with_faint_limbs(TrackQuality(GOOD, "", (GOOD,) * 5, 0.9), evidence, known)
+    assert quality.parts == tuple(DOUBTFUL if doubtful and part == LIMBS[1].part else GOOD for part in range(5))
+    assert (quality.state == DOUBTFUL) == doubtful == ("11 of 50 rays show its right" in quality.reason)
+    assert not known.unseen_sticks(evidence).any()
+
+
 def test_the_lead_of_a_pose_over_another_has_the_sign_of_the_truth(person):
     data, figure = data_of(person), Figure.of(person.body)
     right = evidence_of(figure, person.pose, data)
@@ -261,7 +280,7 @@ def test_a_limb_in_full_view_has_no_other_place(person, limb):
     places = other_places(Figure.of(person.body), person.pose, limb, data_of(person), limb_poses(limb))
     assert places.support > 20.0
     assert (places.margins < -3.0).all()
-    assert not doubtful_limbs({LIMBS.index(limb): places})
+    assert not doubtful_limbs({LIMBS.index(limb): places}, FEW_OF_USUAL)
 
 
 def test_a_place_that_is_known_is_found_again_without_the_library(person):
@@ -275,6 +294,9 @@ def test_a_place_that_is_known_is_found_again_without_the_library(person):
     assert np.linalg.norm(hand - forward(person.body, person.pose)[LEFT_HAND]) < 0.1
 
 
+FEW_OF_USUAL = np.full(4, 0.5)  # of a limb's rays, as where it may be elsewhere
+
+
 def places_of(*rivals):
     """Other places of the left arm: margin and how far away (m) hand and elbow would be, to one side."""
     margins, apart = np.array(rivals, float).reshape(-1, 2).T
@@ -284,12 +306,15 @@ def places_of(*rivals):
 
 
 def test_a_limb_is_doubtful_while_a_place_elsewhere_explains_about_as_much():
-    assert doubtful_limbs(places_of((2.0, 0.3))) == {0}
-    assert doubtful_limbs(places_of((2.0, 0.13))) == set()  # about where it is tracked
-    assert doubtful_limbs(places_of((-1.0, 0.3))) == {0}
-    assert doubtful_limbs(places_of((-4.0, 0.3))) == set()
-    assert doubtful_limbs(places_of((-4.0, 0.3)), shared=True) == {0}  # in a hull of several persons
-    assert doubtful_limbs(places_of((-12.0, 0.3)), shared=True) == set()
+    assert doubtful_limbs(places_of((2.0, 0.3)), FEW_OF_USUAL) == {0}
+    assert doubtful_limbs(places_of((2.0, 0.13)), FEW_OF_USUAL) == set()  # about where it is tracked
+    assert doubtful_limbs(places_of((-1.0, 0.3)), FEW_OF_USUAL) == {0}
+    assert doubtful_limbs(places_of((-4.0, 0.3)), FEW_OF_USUAL) == set()
+    assert doubtful_limbs(places_of((-4.0, 0.3)), FEW_OF_USUAL, shared=True) == {0}  # in a hull of several persons
+    assert doubtful_limbs(places_of((-12.0, 0.3)), FEW_OF_USUAL, shared=True) == set()
+    assert doubtful_limbs(places_of((2.0, 0.3)), np.full(4, 0.9)) == set()  # its own rays say where it is
+    assert doubtful_limbs(places_of((2.0, 0.3)), np.full(4, 0.9), shared=True) == {0}  # or another person's
+    assert doubtful_limbs(places_of((2.0, 0.3)), np.full(4, np.nan)) == {0}  # nobody knows what is usual
     good = TrackQuality(GOOD, "", (GOOD,) * 5, 0.9)
     quality = with_doubtful_limbs(good, [0], places_of((2.0, 0.3)))
     assert quality.state == DOUBTFUL

@@ -22,7 +22,7 @@ from .leaps import LEAP_RAYS, kept_limb, reach_m
 from .limb_search import NO_POSES, LimbPlaces, other_places, with_limb
 from .place_leads import PlaceLeads
 from .pose_library import LIMBS, Limb, LimbPoses, limb_poses
-from .track_quality import Hypothesis, doubtful_limbs
+from .track_quality import Hypothesis
 
 LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS, at every look one: arms are lost more often than legs
 LIKELY_MARGIN = -3.0  # rays: a limb with a place no farther behind is looked at more often
@@ -51,10 +51,6 @@ class LimbMonitor:
     def places(self) -> Mapping[int, LimbPlaces]:
         """The places that are followed of each limb that has some."""
         return {number: leads.places for number, leads in self._leads.items()}
-
-    def doubtful(self, shared: bool) -> frozenset[int]:
-        """Return the limbs that may as well be elsewhere; ``shared`` : in a hull of several persons."""
-        return doubtful_limbs(self.places, shared)
 
     def without_leaps(self, observed: ObservedSet, pose: Pose, expected: Pose, leaps_m: np.ndarray) -> Pose:
         """Return the pose with limbs that leapt (m) for too little where they were expected; where they leapt to is

@@ -32,11 +32,13 @@ from .track_quality import (
     Baseline,
     Hypothesis,
     contested,
+    doubtful_limbs,
     judge_track,
     limb_spread,
     points_of_limbs,
     unseen_points,
     with_doubtful_limbs,
+    with_faint_limbs,
     with_torn_limbs,
 )
 
@@ -157,10 +159,11 @@ class TrackMonitor:
         if found.better is not None:
             return replace(found, unchecked=self._unchecked > 0)
         unseen = hidden | unseen_points(self._baseline.unseen_sticks(evidence)) | points_of_limbs(torn)
+        quality = with_faint_limbs(with_torn_limbs(found.quality, torn), evidence, self._baseline)
         return replace(
             found,
-            quality=with_torn_limbs(found.quality, torn),
-            spread=limb_spread(found.quality, self._limbs.places),
+            quality=quality,
+            spread=limb_spread(quality, self._limbs.places),
             unseen=unseen,
             kept=None if pose is fitted else pose,
             unchecked=self._unchecked > 0,
@@ -187,7 +190,9 @@ class TrackMonitor:
         else:
             self._follow(observed, pose, evidence)
             self._look_for_another(turns, observed, pose, evidence, quality)
-        doubted = with_doubtful_limbs(quality, self._limbs.doubtful(observed.shared), self._limbs.places)
+        places = self._limbs.places
+        doubtful = doubtful_limbs(places, self._baseline.share_of_usual(evidence), observed.shared)
+        doubted = with_doubtful_limbs(quality, doubtful, places)
         found = self._decide(observed, pose, doubted)
         if found.better is None:
             found = self._move_limb(observed, pose, evidence) or found

@@ -13,7 +13,7 @@ from stick_figure.skeleton import STICK_NAMES
 
 from .evidence import LEFT_ARM, PART_OF_STICK, TRUNK, Evidence
 from .limb_search import LimbPlaces
-from .pose_library import LIMBS
+from .pose_library import LIMBS, LOWER_STICKS
 
 # --- hypotheses: other poses, followed beside the first until the evidence of several frame sets decides
 
@@ -53,6 +53,9 @@ BASELINE_SETS = 300.0  # what is usual is the mean over about so many good sets
 # an arm before the trunk, in three cameras, keeps a quarter of its usual rays, a calf without a hull a tenth (44 000
 # limbs of 27 sets of bench/people.py: 1 in 10 000 right ones below a fifth); of fewer usual rays the share says nothing
 SEEN_SHARE, USUAL_RAYS = 0.2, 20.0
+# a forearm or calf that so few rays speak for, and so few of its usual ones, is where the hull lets it be: before three
+# and four cameras (73 sets) a ninth of the wrong limbs that nothing else called, and 1 in 2000 of the right ones
+FAINT_SHARE, FAINT_RAYS = 0.3, 12.0
 
 
 class Baseline:
@@ -73,17 +76,31 @@ class Baseline:
         self.share = share if self.share is None else self.share + (share - self.share) / self._sets
         self.rays += (evidence.explained - self.rays) / self._sets
 
+    def share_of_usual(self, evidence: Evidence) -> np.ndarray:
+        """Return (4,), limb by limb, how much of its usual rays speaks for its forearm or calf; NaN where that says
+        nothing."""
+        usual = self.rays[LOWER_STICKS]
+        return np.where(usual > USUAL_RAYS, evidence.explained[LOWER_STICKS] / np.maximum(usual, 1.0), np.nan)
+
     def unseen_sticks(self, evidence: Evidence) -> np.ndarray:
         """Return (10,) bool: forearms and calves that hardly a ray speaks for, unlike before.
 
         Where their hull is missing (behind a thing in the room that one camera takes for background, a part that is
         taken for shadow) no place in it is right; nor is one that is found elsewhere in the hull.
         """
-        few = evidence.explained < SEEN_SHARE * self.rays
-        few &= self.rays > USUAL_RAYS
-        lower = np.zeros(len(few), bool)
-        lower[[limb.lower for limb in LIMBS]] = True
-        return np.asarray(few & lower)
+        return _sticks(self.share_of_usual(evidence) < SEEN_SHARE)
+
+    def faint_sticks(self, evidence: Evidence) -> np.ndarray:
+        """Return (10,) bool: forearms and calves that too few rays speak for to tell one place from another."""
+        share = self.share_of_usual(evidence)
+        return _sticks((share < SEEN_SHARE) | (share < FAINT_SHARE) & (evidence.explained[LOWER_STICKS] < FAINT_RAYS))
+
+
+def _sticks(limbs: np.ndarray) -> np.ndarray:
+    """Return the forearms and calves (10,) bool of limbs (4,) bool."""
+    sticks = np.zeros(len(PART_OF_STICK), bool)
+    sticks[LOWER_STICKS] = limbs
+    return sticks
 
 
 def unseen_points(sticks: np.ndarray) -> np.ndarray:
@@ -100,6 +117,19 @@ def points_of_limbs(limbs: np.ndarray) -> np.ndarray:
     for limb, chosen in zip(LIMBS, limbs, strict=True):
         points[list(PART_POINTS[limb.part])] = chosen
     return points
+
+
+def with_faint_limbs(quality: TrackQuality, evidence: Evidence, baseline: Baseline) -> TrackQuality:
+    """Return the quality with limbs doubtful whose forearm or calf too few rays speak for."""
+    parts, reasons = list(quality.parts), [quality.reason] if quality.reason else []
+    for stick in np.flatnonzero(baseline.faint_sticks(evidence)).tolist():
+        part = PART_OF_STICK[stick]
+        if parts[part] == GOOD:
+            parts[part] = DOUBTFUL
+            reasons.append(_shown_by(stick, evidence, baseline))
+    if tuple(parts) == quality.parts:
+        return quality
+    return replace(quality, state=DOUBTFUL, parts=tuple(parts), reason="; ".join(reasons))
 
 
 def with_torn_limbs(quality: TrackQuality, torn: np.ndarray) -> TrackQuality:
@@ -156,17 +186,24 @@ def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float)
 
 
 ELSEWHERE_M = 0.25  # a limb whose elbow or hand would be so far off is elsewhere: the track may then be 0.2 m wrong
-# rays: a limb is doubtful while another place explains no less than so much more than its own; chosen where
-# bench/doubt.py calls most wrong limbs for one clear frame in a hundred
-DOUBTFUL_MARGIN = -2.0
+# rays: a limb is doubtful while another place explains no less than so much more than its own, and its forearm or calf
+# less than such a share of its usual rays; chosen where bench/doubt.py calls most wrong limbs for one clear frame in a
+# hundred
+DOUBTFUL_MARGIN, CERTAIN_SHARE = -2.0, 0.8
 # ... of somebody whose part of the hull is another person's, too: much of what a place explains is the other one's
 SHARED_MARGIN = -10.0
 
 
-def doubtful_limbs(places: Mapping[int, LimbPlaces], shared: bool = False) -> frozenset[int]:
-    """Return the limbs, by their number in LIMBS, that may as well be elsewhere; ``shared`` : in a hull of several."""
+def doubtful_limbs(
+    places: Mapping[int, LimbPlaces], share_of_usual: np.ndarray, shared: bool = False
+) -> frozenset[int]:
+    """Return the limbs, by their number in LIMBS, that may as well be elsewhere.
+
+    share_of_usual (4,) : of :class:`Baseline`. ``shared`` : in a hull of several persons, whose rays may be another's.
+    """
     margins, least = _margins(places), SHARED_MARGIN if shared else DOUBTFUL_MARGIN
-    return frozenset(number for number in places if margins[LIMBS[number].part] > least)
+    certain = np.zeros(len(LIMBS), bool) if shared else share_of_usual > CERTAIN_SHARE
+    return frozenset(n for n in places if margins[LIMBS[n].part] > least and not certain[n])
 
 
 def _margins(places: Mapping[int, LimbPlaces]) -> tuple[float, ...]:
@@ -214,13 +251,10 @@ def limb_spread(quality: TrackQuality, places: Mapping[int, LimbPlaces]) -> np.n
 
 def _parts(evidence: Evidence, baseline: Baseline) -> tuple[list[str], list[str]]:
     parts, reasons = [GOOD] * len(PART_NAMES), []
-    for stick in np.flatnonzero(baseline.unseen_sticks(evidence)):
+    for stick in np.flatnonzero(baseline.unseen_sticks(evidence)).tolist():
         part = PART_OF_STICK[stick]
         parts[part] = DOUBTFUL
-        reasons.append(
-            f"{PART_NAMES[part]}: {evidence.explained[stick]} of {baseline.rays[stick]:.0f} rays show its "
-            f"{STICK_NAMES[stick]}"
-        )
+        reasons.append(_shown_by(stick, evidence, baseline))
     for part in range(LEFT_ARM, len(PART_NAMES)):
         outside = int(evidence.outside[part])
         if outside >= OUTSIDE_LIMB:
@@ -230,6 +264,11 @@ def _parts(evidence: Evidence, baseline: Baseline) -> tuple[list[str], list[str]
                 f"{evidence.unexplained[part]} rays unexplained near it"
             )
     return parts, reasons
+
+
+def _shown_by(stick: int, evidence: Evidence, baseline: Baseline) -> str:
+    shown, usual = evidence.explained[stick], baseline.rays[stick]
+    return f"{PART_NAMES[PART_OF_STICK[stick]]}: {shown} of {usual:.0f} rays show its {STICK_NAMES[stick]}"
 
 
 # --- what is doubtful, as covariance
