@@ -159,7 +159,6 @@ class FitResult:
     pose : the figure's pose; converged : the last step was below the tolerance within the iterations allowed.
     iterations : solver iterations; points, inliers : data points given, and those within the robust gate.
     rms_m : root mean square distance (m) of the inliers to their sticks; stick_inliers : (10,) inliers a stick.
-    information : (24, 24) data information of the pose's tangent (Gauss-Newton H, 1/m^2 and 1/rad^2).
     reference_points_world : (15, 3) m; covariance : (15, 3, 3) m^2, from the solver's information.
     visible : (15,) bool, enough points support a stick that meets at the reference point.
     """
@@ -171,7 +170,6 @@ class FitResult:
     inliers: int
     rms_m: float
     stick_inliers: np.ndarray
-    information: np.ndarray
     reference_points_world: np.ndarray
     covariance: np.ndarray
     visible: np.ndarray
@@ -214,7 +212,7 @@ def assess(
     """
     weights, scale = make_weights(data, settings), Scale(UNSEEN, COVARIANCE_SHARE, settings.correlation)
     found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, scale)
-    information, points_world, covariance, counts, rms_m, near_sticks = found
+    points_world, covariance, counts, rms_m, near_sticks = found
     if settings.contour.joint_centres and len(data.contour_rays.information) > 0:
         points_world = with_joint_centres(body, pose, points_world)
     return FitResult(
@@ -225,7 +223,6 @@ def assess(
         int(counts.sum()),
         rms_m,
         counts,
-        information,
         points_world,
         covariance,
         _supported(counts, SUPPORT_POINTS) | _supported(near_sticks, SUPPORT_VOXELS),

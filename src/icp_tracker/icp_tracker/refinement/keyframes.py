@@ -108,16 +108,15 @@ def linearise_keyframe(kept, k, rays, model, values, prior, least):
     information[:], target[:] = 0.0, 0.0
     if explained >= least:
         for i in range(unknowns):
+            eliminated = np.zeros(unknowns + 1)
+            for m in range(POSE):
+                for j in range(unknowns + 1):  # of neighbours in memory alone, so that it is vectorised
+                    eliminated[j] += H[POSE + i, m] * through[m, j]
             target[i] = g[POSE + i]
-            for j in range(unknowns + 1):
-                eliminated = 0.0
-                for m in range(POSE):
-                    eliminated += H[POSE + i, m] * through[m, j]
-                if j < unknowns:
-                    information[i, j] = H[POSE + i, POSE + j] - eliminated
-                    target[i] += information[i, j] * values[j]
-                else:
-                    target[i] -= eliminated
+            for j in range(unknowns):
+                information[i, j] = H[POSE + i, POSE + j] - eliminated[j]
+                target[i] += information[i, j] * values[j]
+            target[i] -= eliminated[unknowns]
     return explained
 
 

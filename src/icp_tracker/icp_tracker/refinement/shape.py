@@ -19,7 +19,7 @@ from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
     TANGENT,
     WHOLE,
-    add_capsule,
+    add_whole_capsule,
     mirror_upper,
     no_sums,
     pose_columns,
@@ -212,10 +212,8 @@ def contour_system(rays, placed, turns, model, robust, H, g):
             n += ANGLES
         M[3, :n] = 0.0  # neither pose, bend nor turn changes a radius
         M[7, :n] = 0.0
-        for s in range(unknowns):
-            slots[n + s] = POSE + s
         shape_columns(k, placed, turns, starts, model.derivatives, M[:, n:])
-        add_capsule(sums, k, M, slots, n + unknowns, work, H, g)
+        add_whole_capsule(sums, k, M, slots, n, unknowns, work, H, g)
     mirror_upper(H)
     return np.sum(match.separation < explained) / max(match.separation.shape[0], 1)
 

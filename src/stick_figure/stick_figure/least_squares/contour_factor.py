@@ -20,13 +20,16 @@ from numba import njit
 
 from capture_rig.kernel import kernel
 
+from ..build import CAPSULES
 from .free_ends import CAPSULE as CAPSULE_OF_END
 from .free_ends import COUNT, STIFF, add_free_end, is_free_end
 from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
+from .normal_equations import TANGENT as UNKNOWNS
 
 NORMAL, TANGENT, DIRECTION = 0, 4, 8  # rows of three coordinates each, followed by their offset
 HALF_LENGTH, ROWS = 12, 13
 CAPSULE, ALONG, DISTANCE, SEPARATION = range(4)
+IS_END = np.isin(np.arange(CAPSULES), CAPSULE_OF_END)  # which capsules are hands and feet
 PARALLEL_M2 = 1e-12  # keeps an axis that the ray sees as a point from dividing by zero
 
 
@@ -78,6 +81,15 @@ def _lay_out(points, directions, normals, half_lengths, rows):
         rows[HALF_LENGTH, i] = half_lengths[i]
 
 
+@njit(cache=True)
+def rays_at(rays, rows):
+    """Return the rays of some rows (m,), by number."""
+    chosen = np.empty((ROWS, rows.shape[0]))
+    for k in range(ROWS):
+        chosen[k] = rays.rows[k][rows]
+    return RayArrays(chosen, rays.information[rows])
+
+
 class RayMatch(NamedTuple):
     """The capsule (n,) that explains each ray, the place along its axis (n,), the residual ``distance`` e (n,) m, and
     the ``separation`` (n,) m: with what is off along the outline and beyond the stretch where the ray may touch."""
@@ -86,6 +98,12 @@ class RayMatch(NamedTuple):
     along: np.ndarray
     distance: np.ndarray
     separation: np.ndarray
+
+
+@njit(cache=True)
+def match_at(match, rows):
+    """Return the match of some rays (m,), by number."""
+    return RayMatch(match.capsule[rows], match.along[rows], match.distance[rows], match.separation[rows])
 
 
 @njit(cache=True)
@@ -98,23 +116,30 @@ def add_contour(data, placed, weights, ends, H, g):
 @njit(cache=True)
 def add_matched(rays, match, placed, weights, ends, H, g):
     """Add the distances of rays from the capsules that they were matched to."""
-    sums = add_ends(rays, match, placed, weights, ends, H, g)
+    if rays.information.shape[0] == 0:
+        return
+    sums = no_sums(placed.P.shape[0], ENDS)
+    sum_rays(rays, match, weights.contour_gate, sums)
+    _add_free_ends(sums, placed, ends, H, g)
     add_pose_sums(sums, placed, H, g)
 
 
 @njit(cache=True)
-def add_ends(rays, match, placed, weights, ends, H, g):
-    """Add what the rays say about hands and feet that turn freely, and let them follow from the pose; returns the sums
-    of the other capsules."""
+def look_at_ends(rays, match, placed, weights, ends):
+    """Let hands and feet that turn freely follow the rays that were matched to them, the pose as it is."""
+    own = np.flatnonzero(IS_END[match.capsule])
     sums = no_sums(placed.P.shape[0], ENDS)
-    if rays.information.shape[0] == 0:
-        return sums
-    sum_rays(rays, match, weights.contour_gate, sums)
+    sum_rays(rays_at(rays, own), match_at(match, own), weights.contour_gate, sums)
+    _add_free_ends(sums, placed, ends, np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS))
+
+
+@njit(cache=True)
+def _add_free_ends(sums, placed, ends, H, g):
+    """Add the sums of hands and feet that turn freely, let them follow from the pose, and clear the sums."""
     for e in range(COUNT):
         if is_free_end(CAPSULE_OF_END[e], ends) >= 0:
             add_free_end(sums, e, placed, ends, H, g)
             sums.pulls[CAPSULE_OF_END[e]] = 0.0
-    return sums
 
 
 @njit(cache=True, error_model="numpy")

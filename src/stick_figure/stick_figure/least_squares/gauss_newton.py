@@ -15,14 +15,14 @@ from capture_rig.small_matrices import solve_positive
 
 from .. import kernels
 from ..joint_limits import add_joint_limits, add_neck_rest
-from .contour_factor import RayArrays, add_ends, add_matched, match_rays, match_stiff, match_turned
+from .contour_factor import RayArrays, add_matched, look_at_ends, match_rays, match_stiff, match_turned
 from .free_ends import follow, straight_ends, turn_ends
 from .hull_samples import HullSamples
 from .independent_rows import add_independent_rows
 from .normal_equations import TANGENT, mirror_upper, point_covariances
 from .placed_figure import STICKS, place, reference_points, surface_distances
-from .point_factor import add_points, summarise
-from .surface_factor import add_arm_clearance, add_inside, add_surface
+from .point_factor import add_points, match_points, summarise
+from .surface_factor import add_arm_clearance, add_inside, add_nearest
 
 LOOKS_AT_ENDS = 3  # until hands and feet of a given pose have turned to where the rays want them
 
@@ -93,8 +93,6 @@ def minimise(data, state, figure, weights, stop):
 
     Returns what :func:`gauss_newton` does.
     """
-    _, _, distance = surface_distances(data.voxels, place(state, figure))
-    weights = reweighted(weights, loose_hull_weight(weights, distance), weights.inside)
     iterations, moved = gauss_newton(data, state, figure, weights, stop)
     kernels.canonicalise_hinges(state.RJ, state.hinges, np.zeros(TANGENT), stop.hinge_margin)
     return iterations, moved
@@ -104,39 +102,47 @@ def minimise(data, state, figure, weights, stop):
 def assess(data, state, figure, weights, scale):
     """Evaluate the data at a state: how well it explains them, and how well they determine it.
 
-    Returns information (24, 24) of the data; reference points (15, 3) m and their covariance (15, 3, 3) m^2, that of
-    the independent rows where there are contour rays; inliers a stick (10,) and their root mean square distance (m);
-    surface voxels near each stick's surface (10,).
+    Returns reference points (15, 3) m and their covariance (15, 3, 3) m^2, that of the independent rows where there are
+    contour rays; inliers a stick (10,) and their root mean square distance (m); surface voxels near each stick's
+    surface (10,).
     """
-    placed, ends = place(state, figure), straight_ends(weights.ends)
-    capsule, _, distance = surface_distances(data.voxels, placed)
-    voxel = scale.voxel_share * loose_hull_weight(weights, distance)
-    H, g, counts = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), np.zeros(STICKS, np.int64)
-    rays, slack = data.contour_rays, weights.contour_slack
-    stiff = match_stiff(rays, placed, slack)
-    for _ in range(LOOKS_AT_ENDS if weights.ends > 0.0 else 0):
-        add_ends(rays, match_turned(rays, placed, slack, stiff), placed, weights, ends, H, g)
-        follow(ends, np.zeros(TANGENT), 1.0)
-        placed = place(state, figure)
-        turn_ends(ends, placed)
-    rays_match = match_turned(rays, placed, slack, stiff)
-    match = linearise(data, rays_match, placed, reweighted(weights, voxel, 0.0), ends, H, g)
-    mirror_upper(H)
-    total, chi2, freedom = summarise(match, counts)
+    placed, counts, near = place(state, figure), np.zeros(STICKS, np.int64), np.zeros(STICKS, np.int64)
+    nearest = surface_distances(data.voxels, placed)
+    capsule, _, distance = nearest
+    for i in range(distance.shape[0]):
+        if abs(distance[i]) < weights.voxel_gate:
+            near[placed.surface.stick[capsule[i]]] += 1
     if data.contour_rays.information.shape[0] > 0:
-        independent = np.diag(scale.unseen)
+        rays_match, placed = _with_ends_turned(data.contour_rays, state, figure, placed, weights)
+        match, independent = match_points(data, placed, weights), np.diag(scale.unseen)
+        total, _, _ = summarise(match, counts)
         add_independent_rows(data, placed, weights, rays_match, match, independent)
         mirror_upper(independent)
         covariance = point_covariances(independent, placed, 1.0)
     else:  # larger by the reduced chi-square where the inliers lie farther off than their own sigma says
+        H, g, ends = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), straight_ends(weights.ends)
+        no_rays = match_rays(data.contour_rays, placed, weights.contour_slack)
+        voxel = scale.voxel_share * loose_hull_weight(weights, distance)
+        match = linearise(data, no_rays, nearest, placed, reweighted(weights, voxel, 0.0), ends, H, g)
+        mirror_upper(H)
+        total, chi2, freedom = summarise(match, counts)
         spread = scale.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
         covariance = point_covariances(H + np.diag(weights.prior), placed, spread)
-    rms_m = np.sqrt(total / max(counts.sum(), 1))
-    near = np.zeros(STICKS, np.int64)
-    for i in range(distance.shape[0]):
-        if abs(distance[i]) < weights.voxel_gate:
-            near[placed.surface.stick[capsule[i]]] += 1
-    return H, reference_points(placed), covariance, counts, rms_m, near
+    return reference_points(placed), covariance, counts, np.sqrt(total / max(counts.sum(), 1)), near
+
+
+@njit(cache=True)
+def _with_ends_turned(rays, state, figure, placed, weights):
+    """Return the match of the rays, and the figure with hands and feet turned to where they want them, the pose as it
+    is; ``placed`` : with both straight."""
+    ends, slack = straight_ends(weights.ends), weights.contour_slack
+    stiff = match_stiff(rays, placed, slack)
+    for _ in range(LOOKS_AT_ENDS if weights.ends > 0.0 else 0):
+        look_at_ends(rays, match_turned(rays, placed, slack, stiff), placed, weights, ends)
+        follow(ends, np.zeros(TANGENT), 1.0)
+        placed = place(state, figure)
+        turn_ends(ends, placed)
+    return match_turned(rays, placed, slack, stiff), placed
 
 
 @njit(cache=True)
@@ -178,7 +184,7 @@ def reweighted(weights, voxel, inside):
 
 @njit(cache=True, nogil=True)
 def gauss_newton(data, state, figure, weights, stop):
-    """Minimise in place over the state.
+    """Minimise in place over the state, the surface voxels weighed by where it begins.
 
     Returns the iterations, and how far (m) the last one moved any of the 15 reference points. (Not the step itself: the
     twist of a straight limb may wander without moving anything.)
@@ -189,7 +195,11 @@ def gauss_newton(data, state, figure, weights, stop):
     placed, ends = place(state, figure), straight_ends(weights.ends)
     after, moved = reference_points(placed), np.inf
     for iteration in range(stop.iterations):
-        linearise(data, match_rays(data.contour_rays, placed, weights.contour_slack), placed, weights, ends, H, g)
+        nearest = surface_distances(data.voxels, placed)
+        if iteration == 0:
+            weights = reweighted(weights, loose_hull_weight(weights, nearest[2]), weights.inside)
+        rays_match = match_rays(data.contour_rays, placed, weights.contour_slack)
+        linearise(data, rays_match, nearest, placed, weights, ends, H, g)
         regularise(start, placed, weights, H, g)
         mirror_upper(H)
         solve_positive(H, g, L, step)
@@ -206,12 +216,14 @@ def gauss_newton(data, state, figure, weights, stop):
 
 
 @njit(cache=True, nogil=True)
-def linearise(data, rays_match, placed, weights, ends, H, g):
-    """Overwrite upper H and g with what the data say about the pose; returns the points' match."""
+def linearise(data, rays_match, nearest, placed, weights, ends, H, g):
+    """Overwrite upper H and g with what the data say about the pose, rays and voxels (``nearest``) with what they were
+    matched to; returns the points' match."""
     H[:] = 0.0
     g[:] = 0.0
     match = add_points(data, placed, weights, H, g)
-    add_surface(data, placed, weights, H, g)
+    if weights.voxel != 0.0:
+        add_nearest(data.voxels, nearest, placed, weights, H, g)
     add_matched(data.contour_rays, rays_match, placed, weights, ends, H, g)
     add_inside(data, placed, weights, H, g)
     return match

@@ -165,16 +165,26 @@ def pose_columns(k, placed, M, slots):
 
 @kernel
 def add_capsule(sums, k, M, slots, n, work, H, g):
-    """Add the sums of capsule k, whose numbers (place and radius at its start, then at its end) move by M (c, n) with
-    the unknowns ``slots`` (n,). work (c + 1, c) : scratch."""
-    if M.shape[0] == 2 * ENDS:  # with a number that the compiler knows, the inner loops become straight code
-        _add_numbers(2 * ENDS, sums, k, M, slots, n, work, H, g)
-    else:
-        _add_numbers(2 * WHOLE, sums, k, M, slots, n, work, H, g)
+    """Add the sums of capsule k, whose ends' places move by M (6, n) with the unknowns ``slots`` (n,).
+
+    work (c + 1, c), c the capsule's numbers: scratch.
+    """
+    _add_numbers(2 * ENDS, sums, k, M, slots, n, n, work, H, g)
 
 
 @kernel
-def _add_numbers(c, sums, k, M, slots, n, work, H, g):
+def add_whole_capsule(sums, k, M, slots, n, common, work, H, g):
+    """Do the same with a radius at either end, M (8, n + common), for unknowns of its own and those ``common`` to all
+    capsules, which are the last ones of H."""
+    for s in range(common):
+        slots[n + s] = H.shape[0] - common + s
+    _add_numbers(2 * WHOLE, sums, k, M, slots, n, n + common, work, H, g)
+
+
+@kernel
+def _add_numbers(c, sums, k, M, slots, own, n, work, H, g):
+    """Add c numbers; the slots of the unknowns from ``own`` to n are the last ones of H, in order. With a c that the
+    compiler knows, the inner loops become straight code."""
     d = c // 2
     V, half, pulls = work[:c], work[c], sums.pulls[k]
     fill_moments(sums, k, V)
@@ -188,12 +198,25 @@ def _add_numbers(c, sums, k, M, slots, n, work, H, g):
             g[slots[m]] += M[q, m] * pulls[0, q]
         for q in range(d):
             g[slots[m]] += M[d + q, m] * pulls[1, q]
-        for other in range(m, n):
+        for other in range(m, own):
             row, column = min(slots[m], slots[other]), max(slots[m], slots[other])
             entry = H[row, column]
             for q in range(c):
                 entry += half[q] * M[q, other]
             H[row, column] = entry
+        if n > own:
+            first = max(m, own)
+            _add_four_rows(half[:WHOLE], M[:WHOLE, first:n], H[slots[m], H.shape[0] - n + first :])
+            _add_four_rows(half[WHOLE:], M[WHOLE:, first:n], H[slots[m], H.shape[0] - n + first :])
+
+
+@kernel
+def _add_four_rows(factors, rows, total):
+    """total (n,) <- with the rows (4, n) times their factors (4,) added, in order; vectorised."""
+    a, b, c, d = _four(factors)
+    first, second, third, fourth = rows[0], rows[1], rows[2], rows[3]
+    for s in range(total.shape[0]):
+        total[s] = total[s] + a * first[s] + b * second[s] + c * third[s] + d * fourth[s]
 
 
 @kernel

@@ -46,13 +46,20 @@ class PointMatch(NamedTuple):
 @njit(cache=True)
 def add_points(data, placed, weights, H, g):
     """Add the points' residuals to upper H and g; returns their match."""
+    match = match_points(data, placed, weights)
+    add_point_residuals(data.points, match, placed, H, g)
+    return match
+
+
+@njit(cache=True)
+def match_points(data, placed, weights):
+    """Find each point's stick, its foot there, and how much it counts."""
     n = data.points.shape[0]
     match = PointMatch(
         np.empty(n, np.int64), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty(n), np.empty(n, np.bool_)
     )
     foot_points(data.points, placed.A, placed.B, match.stick, match.along, match.feet, match.squared)
     robust_weights(data, weights, match)
-    add_point_residuals(data.points, match, placed, H, g)
     return match
 
 

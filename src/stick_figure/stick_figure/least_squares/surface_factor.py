@@ -33,16 +33,21 @@ CLEARANCE_M = 0.02  # the sticks of an arm stay this far outside the torso's sur
 @njit(cache=True)
 def add_surface(data, placed, weights, H, g):
     """Add the distances of the hull's surface voxels from the body's surface to upper H and g, Geman-McClure."""
-    if weights.voxel == 0.0:
-        return
+    if weights.voxel != 0.0:
+        add_nearest(data.voxels, surface_distances(data.voxels, placed), placed, weights, H, g)
+
+
+@njit(cache=True)
+def add_nearest(voxels, nearest, placed, weights, H, g):
+    """Add the distances of voxels from their nearest capsules; ``nearest`` as of `surface_distances`."""
     sums = no_sums(placed.P.shape[0], ENDS)
-    _sum_voxels(data.voxels, surface_distances(data.voxels, placed), placed, weights, sums)
+    _sum_voxels(voxels, nearest, placed, weights, sums)
     add_pose_sums(sums, placed, H, g)
 
 
 @njit(cache=True, error_model="numpy")
 def _sum_voxels(voxels, nearest, placed, weights, sums):
-    """Add the voxels' distances to the sums of their nearest capsules; ``nearest`` as of `surface_distances`."""
+    """Add the voxels' distances to the sums of their nearest capsules."""
     capsule, along, distance = nearest
     normals, weight = np.empty((3, voxels.shape[0])), np.empty(voxels.shape[0])
     for i in range(voxels.shape[0]):
