@@ -10,7 +10,15 @@ from test_icp_track_monitor import FOLDED, FPS, LEFT_HAND, STANCE, data_of, insi
 
 from icp_tracker.articulated_fit import ArticulatedSettings
 from icp_tracker.monitor.evidence import evidence_of
-from icp_tracker.monitor.leaps import MOST_M_S, NEAR_M, RecentRays, kept_limb, leaps_of_limbs, reach_m
+from icp_tracker.monitor.leaps import (
+    MOST_M_S,
+    NEAR_M,
+    RecentRays,
+    expected_on_trunk,
+    kept_limb,
+    leaps_of_limbs,
+    reach_m,
+)
 from icp_tracker.monitor.pose_library import LIMBS
 from icp_tracker.monitor.track_monitor import RecoverySettings, TrackMonitor
 from icp_tracker.monitor.track_quality import points_of_limbs, with_torn_limbs
@@ -49,10 +57,14 @@ def test_a_fist_that_stops_dead_does_not_leap(dt):
     assert max(short_of_m, NEAR_M) < reach_m(dt) <= MOST_M_S * dt
 
 
+def leaps_of(body, pose, expected):
+    return leaps_of_limbs(forward(body, pose), expected_on_trunk(body, pose, expected))
+
+
 def test_leaps_are_those_of_the_limb_and_not_of_the_body(person):
     moved = replace(person.pose, position_world=person.pose.position_world + 0.5)
-    assert leaps_of_limbs(person.body, moved, person.pose).max() < 1e-9
-    leaps = leaps_of_limbs(person.body, posed(FOLDED, person.pose), person.pose)
+    assert leaps_of(person.body, moved, person.pose).max() < 1e-9
+    leaps = leaps_of(person.body, posed(FOLDED, person.pose), person.pose)
     assert leaps[0] > reach_m(DT) and leaps[1:].max() < 1e-9
 
 

@@ -52,7 +52,8 @@ def without_left_arm(person, data):
 
 
 def test_a_hand_beyond_the_wall_is_out_of_sight_and_nothing_else(person):
-    hidden = points_out_of_sight(person.body, person.pose, None, wall_through_the_left_forearm(person), NOTHING_SHOWN)
+    points, wall = forward(person.body, person.pose), wall_through_the_left_forearm(person)
+    hidden = points_out_of_sight(points, None, wall, NOTHING_SHOWN)
     assert list(np.flatnonzero(hidden)) == [LEFT_HAND]
     assert list(np.flatnonzero(limbs_of_points(hidden))) == [0] and not is_cut(hidden)
     quality = with_hidden_parts(TrackQuality(GOOD, "", (GOOD,) * 5, 0.9), hidden)
@@ -61,19 +62,20 @@ def test_a_hand_beyond_the_wall_is_out_of_sight_and_nothing_else(person):
 
 
 def test_a_limb_that_has_its_rays_is_in_sight_wherever_the_wall_is(person):
-    hidden = points_out_of_sight(person.body, person.pose, None, wall_through_the_left_forearm(person), ALL_SHOWN)
+    points, wall = forward(person.body, person.pose), wall_through_the_left_forearm(person)
+    hidden = points_out_of_sight(points, None, wall, ALL_SHOWN)
     assert not hidden.any()
 
 
 def test_a_limb_counts_where_it_was_expected_too(person):
-    folded, wall = posed(FOLDED, person.pose), wall_through_the_left_forearm(person)
-    assert not points_out_of_sight(person.body, folded, None, wall, NOTHING_SHOWN)[LEFT_HAND]
-    assert points_out_of_sight(person.body, folded, person.pose, wall, NOTHING_SHOWN)[LEFT_HAND]
+    wall, folded = wall_through_the_left_forearm(person), forward(person.body, posed(FOLDED, person.pose))
+    assert not points_out_of_sight(folded, None, wall, NOTHING_SHOWN)[LEFT_HAND]
+    assert points_out_of_sight(folded, forward(person.body, person.pose), wall, NOTHING_SHOWN)[LEFT_HAND]
 
 
 def test_a_body_half_beyond_the_wall_is_cut(person):
     middle = forward(person.body, person.pose)[0, 1]
-    hidden = points_out_of_sight(person.body, person.pose, None, beyond(middle - 0.1), NOTHING_SHOWN)
+    hidden = points_out_of_sight(forward(person.body, person.pose), None, beyond(middle - 0.1), NOTHING_SHOWN)
     assert is_cut(hidden)
     quality = with_hidden_parts(TrackQuality(GOOD, "", (GOOD,) * 5, 0.9), hidden)
     assert quality.parts[TRUNK] == DOUBTFUL and PART_NAMES[TRUNK] in quality.reason

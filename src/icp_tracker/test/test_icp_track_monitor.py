@@ -12,7 +12,7 @@ from test_icp_contour_rays import grazing_rays
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
 from icp_tracker.monitor.evidence import LEFT_ARM, RIGHT_LEG, SLACK_M, evidence_of
-from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces, other_places, with_limb
+from icp_tracker.monitor.limb_search import ELSEWHERE_M, NO_POSES, LimbPlaces, other_places, with_limb
 from icp_tracker.monitor.pose_library import (
     LIMBS,
     arms_exchanged,
@@ -23,7 +23,6 @@ from icp_tracker.monitor.pose_library import (
 )
 from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.monitor.track_quality import (
-    ELSEWHERE_M,
     Baseline,
     doubtful_limbs,
     judge_track,

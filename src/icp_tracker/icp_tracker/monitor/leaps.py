@@ -9,6 +9,7 @@ seen.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -69,12 +70,21 @@ def rays_of_limbs(evidence: Evidence) -> np.ndarray:
     return (evidence.explained[UPPER_STICKS] + evidence.explained[LOWER_STICKS]).astype(float)
 
 
-def leaps_of_limbs(body: Body, pose: Pose, expected: Pose) -> np.ndarray:
-    """Return how far (4,) m each limb is from where it was expected on the trunk, elbow or hand, knee or foot."""
-    found = forward(body, pose)
-    carried = forward(body, Pose(pose.position_world, pose.R_world_torso, expected.R_joints, expected.hinges))
-    apart = np.linalg.norm(found - carried, axis=1)
-    return np.asarray(apart[LIMB_POINTS].max(axis=1))
+def expected_on_trunk(body: Body, pose: Pose, expected: Pose) -> np.ndarray:
+    """Return the points (15, 3) m, world, of a pose's trunk with the limbs as they were expected on it."""
+    return forward(body, Pose(pose.position_world, pose.R_world_torso, expected.R_joints, expected.hinges))
+
+
+@njit(cache=True)
+def leaps_of_limbs(points, expected):
+    """Return how far (4,) m each limb is, elbow or hand, knee or foot, by all points (15, 3) where they are and where
+    they were expected on the trunk."""
+    leaps = np.zeros(LIMB_POINTS.shape[0])
+    for limb in range(LIMB_POINTS.shape[0]):
+        for point in LIMB_POINTS[limb]:
+            x, y, z = points[point] - expected[point]
+            leaps[limb] = max(leaps[limb], np.sqrt(x * x + y * y + z * z))
+    return leaps
 
 
 def kept_limb(body: Body, pose: Pose, expected: Pose, limb: Limb, data: Data) -> Pose | None:

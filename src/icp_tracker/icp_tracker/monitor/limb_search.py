@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +44,7 @@ OPEN_M = 0.03  # what the rest of the body passes so near has no need of the lim
 APART_M = 0.12  # hands or feet (and elbows or knees) so near to each other are the same place
 REFINED = 6  # poses of the library that are refined
 KEPT = 3  # other places that are followed from set to set
+ELSEWHERE_M = 0.25  # a limb whose elbow or hand would be so far off is elsewhere: the track may then be 0.2 m wrong
 HELD_AT = (0.5, 1.0)  # where along upper and lower limb the hull is asked
 HELD_LEAST = 3  # of those four points, that must lie in the hull
 
@@ -70,11 +72,17 @@ class LimbPlaces:
     support: float
     origins: np.ndarray
 
-    @property
+    @cached_property
     def apart_m(self) -> np.ndarray:
         """How far (k,) elbow or hand, whichever is farther, would be from where it is tracked."""
-        apart: np.ndarray = np.linalg.norm(self.ends - self.tracked, axis=2).max(axis=1, initial=0.0)
+        apart: np.ndarray = _apart_from(self.ends, self.tracked)
         return apart
+
+    @cached_property
+    def margin_elsewhere(self) -> float:
+        """What the best place that is ELSEWHERE_M off, or farther, explains beyond the tracked one; -inf for none."""
+        far = [float(margin) for margin, off in zip(self.margins, self.apart_m, strict=True) if off > ELSEWHERE_M]
+        return max(far, default=-math.inf)
 
     def within(self, margin: float) -> LimbPoses:
         """Return the poses of the places that explain no less than so many rays more than the tracked one."""
@@ -146,7 +154,7 @@ def _search(data, state, figure, limb, library, known):
             state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
         _refine_limb(left.rays, placed, figure, limb)
         R[m], flexion[m], ends[m] = state.RJ[limb.ball], state.hinges[limb.hinge], _ends(placed, limb)
-        if _is_held(placed, limb, data.hull) and _apart(ends[m], tracked) > APART_M:
+        if _is_held(placed, limb, data.hull) and farther_apart(ends[m], tracked) > APART_M:
             gain = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
             margins[m] = gain + _volume_gained(left, placed, limb) - explained
     kept = _distinct(margins, ends)
@@ -163,7 +171,7 @@ def _distinct(margins, ends):
             break
         alone = True
         for other in kept[:count]:
-            alone = alone and _apart(ends[m], ends[other]) > APART_M
+            alone = alone and farther_apart(ends[m], ends[other]) > APART_M
         if alone:
             kept[count] = m
             count += 1
@@ -171,9 +179,18 @@ def _distinct(margins, ends):
 
 
 @njit(cache=True)
-def _apart(ends, others):
+def farther_apart(ends, others):
     """Return how far apart (m) the farther ends of two places are."""
     return np.sqrt(((ends - others) ** 2).sum(axis=1).max())
+
+
+@njit(cache=True)
+def _apart_from(ends, tracked):
+    """Return how far apart (k,) m the farther ends of some places are from those of one place."""
+    apart = np.empty(ends.shape[0])
+    for k in range(apart.shape[0]):
+        apart[k] = farther_apart(ends[k], tracked)
+    return apart
 
 
 @njit(cache=True)

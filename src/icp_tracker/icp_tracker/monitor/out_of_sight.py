@@ -12,9 +12,6 @@ import numpy as np
 
 from capture_rig.visibility import UnseenCells
 from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES, PART_OF_POINT, TrackQuality
-from stick_figure.body import Body
-from stick_figure.kinematics import forward
-from stick_figure.pose import Pose
 from stick_figure.skeleton import TORSO_POINTS
 
 from .evidence import PART_OF_STICK, PARTS, TRUNK, Evidence
@@ -26,16 +23,15 @@ TRUNK_POINTS = 3  # of the trunk's seven: so many out of sight leave its place o
 
 
 def points_out_of_sight(
-    body: Body, pose: Pose, expected: Pose | None, unseen: UnseenCells, shown: np.ndarray
+    points_world: np.ndarray, expected_world: np.ndarray | None, unseen: UnseenCells, shown: np.ndarray
 ) -> np.ndarray:
     """Return the points (15,) bool that lie where no hull shows a body, but for those of ``shown`` parts (5,).
 
-    A limb counts where it was expected on the trunk, too: a fit draws it to what is in sight.
+    A limb counts where it was expected on the trunk (15, 3), too: a fit draws it to what is in sight.
     """
-    hidden = unseen.at(forward(body, pose))
-    if expected is not None:
-        carried = Pose(pose.position_world, pose.R_world_torso, expected.R_joints, expected.hinges)
-        hidden |= unseen.at(forward(body, carried))
+    hidden = unseen.at(points_world)
+    if expected_world is not None:
+        hidden |= unseen.at(expected_world)
     return np.asarray(hidden & ~shown[PART_OF_POINT])
 
 

@@ -12,12 +12,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from .limb_search import APART_M, LimbPlaces
+from .limb_search import APART_M, LimbPlaces, farther_apart
 
 FAR_M = 0.4  # a place so far from the tracked one, or farther, needs twice the evidence: tracks slip, they seldom leap
 LEAD_SETS = 3  # sets in which a place must have led: one may be torn, two may share a chance
 CLEAR_LEADS, CLEAR_SETS = 2.0, 2  # with so many times the lead that is needed, so many are enough
+NO_ENDS, NO_LEADS, NO_SETS = np.empty((0, 2, 3)), np.empty(0), np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,21 +36,19 @@ class PlaceLeads:
 
     @staticmethod
     def after(before: PlaceLeads | None, places: LimbPlaces, apart_s: float, chance_rays: float) -> PlaceLeads:
-        """Return the leads one set, and so many seconds, later."""
-        leads, sets = np.zeros(len(places.margins)), np.zeros(len(places.margins), np.int64)
+        """Return the leads one set, and so many seconds, later: a place goes on from that of the set before that it was
+        refined from, else from the nearest one within APART_M."""
+        ends, leads, sets, origins = NO_ENDS, NO_LEADS, NO_SETS, np.full_like(places.origins, -1)
         if before is not None:
-            for k, earlier in enumerate(_earlier(before.places, places)):
-                if earlier >= 0:
-                    leads[k], sets[k] = before.leads[earlier], before.sets[earlier]
-        leads = np.maximum(leads + (places.margins - chance_rays) * apart_s, 0.0)
-        return PlaceLeads(places, leads, np.where(leads > 0.0, sets + 1, 0))
+            ends, leads, sets, origins = before.places.ends, before.leads, before.sets, places.origins
+        earned = (places.margins - chance_rays) * apart_s
+        leads, sets = _gathered(ends, leads, sets, places.ends, origins, earned)
+        return PlaceLeads(places, leads, sets)
 
     def shares_of(self, needed: float) -> np.ndarray:
         """Return (k,) each place's lead over what it needs, ``needed`` for a place next to the tracked one; 0 for one
         that has not led for enough sets."""
-        shares = self.leads / (needed * (1.0 + np.minimum(self.places.apart_m / FAR_M, 1.0)))
-        enough = (self.sets >= LEAD_SETS) | ((self.sets >= CLEAR_SETS) & (shares >= CLEAR_LEADS))
-        return np.asarray(np.where(enough, shares, 0.0))
+        return np.asarray(_shares(self.leads, self.sets, self.places.apart_m, needed))
 
     def without(self, number: int) -> PlaceLeads:
         """Return the same with the lead of one place gone."""
@@ -57,14 +57,35 @@ class PlaceLeads:
         return PlaceLeads(self.places, leads, sets)
 
 
-def _earlier(before: LimbPlaces, now: LimbPlaces) -> list[int]:
-    """Return which place (k,) of the set before each one is: the one that it was refined from, else the nearest one
-    within APART_M; -1 for a new one."""
-    apart = np.linalg.norm(now.ends[:, None] - before.ends[None], axis=3).max(axis=2, initial=0.0)
-    found = [int(origin) for origin in now.origins]
-    for k, origin in enumerate(found):
-        free = [m for m in range(len(before.margins)) if m not in found]
-        if origin < 0 and free:
-            nearest = min(free, key=lambda m: float(apart[k, m]))
-            found[k] = nearest if apart[k, nearest] < APART_M else -1
-    return found
+@njit(cache=True)
+def _gathered(ends_before, leads_before, sets_before, ends, origins, earned):
+    """Return leads (k,) and sets (k,) of the places now, by those of the set before and what was ``earned`` (k,)."""
+    leads, sets, earlier = np.empty(earned.shape[0]), np.empty(earned.shape[0], np.int64), origins.copy()
+    for k in range(earned.shape[0]):
+        if origins[k] < 0:
+            earlier[k] = _nearest(ends[k], ends_before, earlier)
+        lead, count = (leads_before[earlier[k]], sets_before[earlier[k]]) if earlier[k] >= 0 else (0.0, 0)
+        leads[k] = max(lead + earned[k], 0.0)
+        sets[k] = count + 1 if leads[k] > 0.0 else 0
+    return leads, sets
+
+
+@njit(cache=True)
+def _nearest(ends, ends_before, taken):
+    """Return which place of the set before is the nearest one within APART_M that is not ``taken``; -1 for none."""
+    best, nearest = APART_M, -1
+    for m in range(ends_before.shape[0]):
+        apart = farther_apart(ends, ends_before[m])
+        if apart < best and not (taken == m).any():
+            best, nearest = apart, m
+    return nearest
+
+
+@njit(cache=True)
+def _shares(leads, sets, apart_m, needed):
+    """Return each lead (k,) over what its place needs, 0 for one of too few sets."""
+    shares = leads / (needed * (1.0 + np.minimum(apart_m / FAR_M, 1.0)))
+    for k in range(shares.shape[0]):
+        if not (sets[k] >= LEAD_SETS or (sets[k] >= CLEAR_SETS and shares[k] >= CLEAR_LEADS)):
+            shares[k] = 0.0
+    return shares

@@ -17,12 +17,13 @@ import numpy as np
 from capture_rig.settings import setting
 from mocap_packets.fit import GOOD, LOST, PART_NAMES, UNKNOWN, TrackQuality
 from stick_figure.body import Body
+from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings
 from .evidence import SAME_M, TRUNK, Evidence, ObservedSet
-from .leaps import RecentRays, leaps_of_limbs
+from .leaps import RecentRays, expected_on_trunk, leaps_of_limbs
 from .limb_monitor import LimbMonitor
 from .out_of_sight import is_cut, limbs_of_points, points_out_of_sight, shown_parts, with_hidden_parts
 from .place_leads import FAR_M
@@ -137,15 +138,19 @@ class TrackMonitor:
             return Examination(UNKNOWN)
         observed = ObservedSet(apart_s, body, data, settings, shared)
         fitted, leaps_m = pose, np.zeros(len(LIMBS))
-        if expected is not None and self._settings.search:
-            leaps_m = leaps_of_limbs(body, pose, expected)
-            pose = self._limbs.without_leaps(observed, pose, expected, leaps_m)
+        points, expected_points = forward(body, pose), None
+        if expected is not None:
+            expected_points = expected_on_trunk(body, pose, expected)
+            if self._settings.search:
+                leaps_m = leaps_of_limbs(points, expected_points)
+                pose = self._limbs.without_leaps(observed, pose, expected, leaps_m)
+                points = points if pose is fitted else forward(body, pose)
         evidence = observed.evidence_of(pose)
         torn = self._recent.torn(evidence, leaps_m, apart_s)
         unexplained = self._recent.more_unexplained(evidence)
         self._recent.add(evidence, apart_s)
         shown = shown_parts(evidence, self._baseline)
-        hidden = points_out_of_sight(body, pose, expected, data.hull.unseen, shown)
+        hidden = points_out_of_sight(points, expected_points, data.hull.unseen, shown)
         quality = with_hidden_parts(judge_track(evidence, self._baseline), hidden)
         self._sets += 1
         if quality.state == LOST:

@@ -13,7 +13,7 @@ from stick_figure.skeleton import STICK_NAMES
 
 from .evidence import LEFT_ARM, PART_OF_STICK, TRUNK, Evidence
 from .limb_search import LimbPlaces
-from .pose_library import LIMBS, LOWER_STICKS
+from .pose_library import LIMB_POINTS, LIMBS, LOWER_STICKS
 
 # --- hypotheses: other poses, followed beside the first until the evidence of several frame sets decides
 
@@ -106,16 +106,14 @@ def _sticks(limbs: np.ndarray) -> np.ndarray:
 def unseen_points(sticks: np.ndarray) -> np.ndarray:
     """Return the reference points (15,) bool that only sticks (10,) which are not seen could place: hands and feet."""
     points = np.zeros(15, bool)
-    for limb in LIMBS:
-        points[PART_POINTS[limb.part][-1]] = sticks[limb.lower]
+    points[LIMB_POINTS[:, -1]] = sticks[LOWER_STICKS]
     return points
 
 
 def points_of_limbs(limbs: np.ndarray) -> np.ndarray:
     """Return the reference points (15,) bool that limbs (4,) bool of LIMBS hold alone."""
     points = np.zeros(15, bool)
-    for limb, chosen in zip(LIMBS, limbs, strict=True):
-        points[list(PART_POINTS[limb.part])] = chosen
+    points[LIMB_POINTS] = limbs[:, None]
     return points
 
 
@@ -135,6 +133,8 @@ def with_faint_limbs(quality: TrackQuality, evidence: Evidence, baseline: Baseli
 def with_torn_limbs(quality: TrackQuality, torn: np.ndarray) -> TrackQuality:
     """Return the quality with limbs (4,) bool doubtful that lost their rays as they left the places where they were
     expected."""
+    if not torn.any():
+        return quality
     parts, reasons = list(quality.parts), [quality.reason] if quality.reason else []
     for limb, lost in zip(LIMBS, torn, strict=True):
         if lost and parts[limb.part] == GOOD:
@@ -185,7 +185,6 @@ def contested(quality: TrackQuality, hypothesis: Hypothesis, margin_rays: float)
 # --- limbs that may be elsewhere
 
 
-ELSEWHERE_M = 0.25  # a limb whose elbow or hand would be so far off is elsewhere: the track may then be 0.2 m wrong
 # rays: a limb is doubtful while another place explains no less than so much more than its own, and its forearm or calf
 # less than such a share of its usual rays; chosen where bench/doubt.py calls most wrong limbs for one clear frame in a
 # hundred
@@ -201,25 +200,19 @@ def doubtful_limbs(
 
     share_of_usual (4,) : of :class:`Baseline`. ``shared`` : in a hull of several persons, whose rays may be another's.
     """
-    margins, least = _margins(places), SHARED_MARGIN if shared else DOUBTFUL_MARGIN
+    least = SHARED_MARGIN if shared else DOUBTFUL_MARGIN
     certain = np.zeros(len(LIMBS), bool) if shared else share_of_usual > CERTAIN_SHARE
-    return frozenset(n for n in places if margins[LIMBS[n].part] > least and not certain[n])
-
-
-def _margins(places: Mapping[int, LimbPlaces]) -> tuple[float, ...]:
-    """Return what the best place elsewhere of each part of the body explains beyond the tracked one; -inf for none."""
-    margins = [-np.inf] * len(PART_NAMES)
-    for number, other in places.items():
-        elsewhere = other.margins[other.apart_m > ELSEWHERE_M]
-        margins[LIMBS[number].part] = float(elsewhere.max(initial=-np.inf))
-    return tuple(margins)
+    return frozenset(n for n, other in places.items() if other.margin_elsewhere > least and not certain[n])
 
 
 def with_doubtful_limbs(
     quality: TrackQuality, doubtful: Collection[int], places: Mapping[int, LimbPlaces]
 ) -> TrackQuality:
     """Return the quality with these limbs doubtful, by their number in LIMBS, and why."""
-    quality = replace(quality, margins=_margins(places))
+    margins = [-np.inf] * len(PART_NAMES)
+    for number, other in places.items():
+        margins[LIMBS[number].part] = other.margin_elsewhere
+    quality = replace(quality, margins=tuple(margins))
     parts, reasons = list(quality.parts), [quality.reason] if quality.reason else []
     for number in sorted(doubtful):
         part, other = LIMBS[number].part, places[number]
