@@ -30,7 +30,7 @@ from stick_figure.joint_centres import with_joint_centres
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
-from stick_figure.least_squares.gauss_newton import Data, Scale, Stop, Weights
+from stick_figure.least_squares.gauss_newton import Data, DataMatch, Scale, Stop, Weights
 from stick_figure.least_squares.hull_samples import HullSamples
 from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure, State
@@ -161,6 +161,7 @@ class FitResult:
     rms_m : root mean square distance (m) of the inliers to their sticks; stick_inliers : (10,) inliers a stick.
     reference_points_world : (15, 3) m; covariance : (15, 3, 3) m^2, from the solver's information.
     visible : (15,) bool, enough points support a stick that meets at the reference point.
+    matched : what the rays and voxels were matched to.
     """
 
     pose: Pose
@@ -173,6 +174,7 @@ class FitResult:
     reference_points_world: np.ndarray
     covariance: np.ndarray
     visible: np.ndarray
+    matched: DataMatch
 
 
 def fit_articulated(
@@ -212,7 +214,7 @@ def assess(
     """
     weights, scale = make_weights(data, settings), Scale(UNSEEN, COVARIANCE_SHARE, settings.correlation)
     found = gauss_newton.assess(data, State(*pose.arrays), Figure.of(body), weights, scale)
-    points_world, covariance, counts, rms_m, near_sticks = found
+    points_world, covariance, counts, rms_m, near_sticks, matched = found
     if settings.contour.joint_centres and len(data.contour_rays.information) > 0:
         points_world = with_joint_centres(body, pose, points_world)
     return FitResult(
@@ -226,6 +228,7 @@ def assess(
         points_world,
         covariance,
         _supported(counts, SUPPORT_POINTS) | _supported(near_sticks, SUPPORT_VOXELS),
+        matched,
     )
 
 

@@ -166,7 +166,7 @@ class IcpTracker:
         fit = self._solve(body, start, data)
         expected = None if started_from == FROM_OWN else start
         settings = self._settings.articulated
-        found = self._monitor.examine(seen.stamp_ns, body, fit.pose, data, settings, expected, shared)
+        found = self._monitor.examine(seen.stamp_ns, body, fit.pose, data, settings, expected, shared, fit.matched)
         instead = found.kept if found.better is None else found.better
         if instead is not None:
             fit = assess(body, instead, data, fit.iterations, fit.converged, settings)
@@ -177,7 +177,7 @@ class IcpTracker:
         self._pose = fit.pose
         judged = self._judged(seen.stamp_ns, started_from, fit, found)
         if found.better is None and found.quality.state == GOOD and self._body is not None:
-            self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays)
+            self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays, fit.matched.rays)
         return judged
 
     def _start(self, body: Body, own: Pose, stamp_ns: int, prediction: Prediction | None) -> tuple[Pose, str]:

@@ -7,11 +7,12 @@ import pytest
 import refinement_rays as made
 
 from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, make_data, minimise
+from icp_tracker.monitor.evidence import match_to
 from icp_tracker.refinement.trunk_bend import TrunkBend
 from mocap_packets.hull import NO_VOXELS
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.placed_figure import Figure
+from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.trunk_bend import LEFT_Z, PELVIS_YAW, RIGHT_X
 
 BENDS = ArticulatedSettings(volume=VolumeSettings(weight=0.0, inside_weight=0.0))
@@ -34,7 +35,8 @@ def followed():
         data = make_data(np.zeros((1, 3)), 0.0, NO_VOXELS, settings, rays)
         for k in range(60):
             found, _, _ = minimise(trunk.of(body), found, data, settings)
-            trunk.look(k * FRAME_NS, body, found, data.contour_rays)
+            match = match_to(Figure.of(trunk.of(body)), State.of(found), data).rays
+            trunk.look(k * FRAME_NS, body, found, data.contour_rays, match)
         errors.append(np.linalg.norm(forward(trunk.of(body), found) - forward(bent, pose), axis=1))
     return trunk, errors
 

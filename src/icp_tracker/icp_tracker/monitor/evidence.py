@@ -18,12 +18,13 @@ from stick_figure.body import Body
 from stick_figure.joint_limits import joint_excess
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.contour_factor import match_rays
-from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.least_squares.gauss_newton import Data, DataMatch
 from stick_figure.least_squares.hull_samples import nearest_sample
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place, surface_distances
 from stick_figure.least_squares.surface_factor import point_on_stick
 from stick_figure.pose import Pose
 
+from ..articulated_fit import CONTOUR_SLACK_M as SLACK_M
 from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
 
 PARTS = 5
@@ -37,7 +38,6 @@ RAYS_PER_POINT, RAYS_PER_VOXEL = 2.0, 0.2
 POINT_GATE_M = 0.08  # a centerline point so far from the nearest stick costs a half: that of the fit
 GATE_M = 0.06  # a ray this far off costs a half
 EXPLAINED_M = 0.04  # a ray this near to the surface is explained
-SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
 SAMPLES = 3  # points along each stick that must lie in the hull
 OUTSIDE_SLACK_M, OUTSIDE_MOST_M = 0.045, 0.2  # spacing of the hull's samples; farther out is no worse
 RAYS_PER_OUTSIDE_M = 30.0  # a hand 0.1 m outside the hull weighs as much as three rays
@@ -57,6 +57,7 @@ class Evidence:
     rays of each stick; unexplained (5,) rays of each part of the body, in the order of PART_NAMES (an unexplained one
     counts for the part it passes nearest).
     outside (5,) : points of the part's sticks that lie outside the hull, each part of a limb having six.
+    matched : what the rays and voxels were matched to.
     """
 
     costs: np.ndarray
@@ -65,6 +66,7 @@ class Evidence:
     explained: np.ndarray
     unexplained: np.ndarray
     outside: np.ndarray
+    matched: DataMatch
 
     @property
     def rays(self) -> int:
@@ -91,12 +93,23 @@ class Evidence:
         return float(self.explained.sum()) / self.rays if self.rays else 1.0
 
 
-def evidence_of(figure: Figure, pose: Pose, data: Data) -> Evidence:
-    """Weigh a pose against contour rays, centerline and hull of a set, and its angles against their joints' ranges."""
-    costs, explained, unexplained, outside, beyond, volume, excess = _weigh(figure, State(*pose.arrays), data)
+def evidence_of(figure: Figure, pose: Pose, data: Data, matched: DataMatch | None = None) -> Evidence:
+    """Weigh a pose against contour rays, centerline and hull of a set, and its angles against their joints' ranges.
+
+    ``matched`` : what rays and voxels are matched to, when that is known.
+    """
+    matched = matched or match_to(figure, State(*pose.arrays), data)
+    costs, explained, unexplained, outside, beyond, volume, excess = _weigh(figure, State(*pose.arrays), data, matched)
     if excess.any():
         beyond += float(((excess / LIMIT_RAD) ** 2).sum())
-    return Evidence(costs, beyond, volume, explained, unexplained, outside)
+    return Evidence(costs, beyond, volume, explained, unexplained, outside, matched)
+
+
+@njit(cache=True, nogil=True)
+def match_to(figure, state, data):
+    """Match rays and surface voxels of a set to a figure in a pose."""
+    placed = place(state, figure)
+    return DataMatch(match_rays(data.contour_rays, placed, SLACK_M), surface_distances(data.voxels, placed))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,9 +123,9 @@ class ObservedSet:
     settings: ArticulatedSettings
     shared: bool = False
 
-    def evidence_of(self, pose: Pose) -> Evidence:
-        """Return the evidence about a pose."""
-        return evidence_of(Figure.of(self.body), pose, self.data)
+    def evidence_of(self, pose: Pose, matched: DataMatch | None = None) -> Evidence:
+        """Return the evidence about a pose; ``matched`` : as of `evidence_of`."""
+        return evidence_of(Figure.of(self.body), pose, self.data, matched)
 
     def fitted(self, pose: Pose, free: bool = False) -> Pose:
         """Return the pose that the fit reaches from another one, more freely if it is only a guess."""
@@ -125,12 +138,12 @@ class ObservedSet:
 
 
 @njit(cache=True, nogil=True)
-def _weigh(figure, state, data):
+def _weigh(figure, state, data, matched):
     """Return what each ray costs (n,); explained rays of each stick (10,); unexplained rays and points outside of each
     part (5,); what the latter cost, and what is unexplained of the hull; by how much (18,) rad angles are beyond their
     joints' ranges."""
-    placed, rays = place(state, figure), data.contour_rays
-    match, costs = match_rays(rays, placed, SLACK_M), np.empty(rays.information.shape[0])
+    placed, match = place(state, figure), matched.rays
+    costs = np.empty(match.separation.shape[0])
     explained, unexplained, outside = np.zeros(STICKS, np.int64), np.zeros(PARTS, np.int64), np.zeros(PARTS, np.int64)
     for i in range(costs.shape[0]):
         separation, stick = match.separation[i], placed.surface.stick[match.capsule[i]]
@@ -140,16 +153,18 @@ def _weigh(figure, state, data):
     excess = np.empty(18)
     joint_excess(state.RJ, state.hinges, 0.0, np.empty(5), excess)
     beyond = count_outside(placed, data.hull, outside)
-    return costs, explained, unexplained, outside, beyond, _unexplained_volume(placed, data), excess
+    volume = _unexplained_volume(placed, data, matched.voxels[2])
+    return costs, explained, unexplained, outside, beyond, volume, excess
 
 
 @njit(cache=True)
-def _unexplained_volume(placed, data):
-    """Return the rays that centerline points and voxels are worth which the body does not explain."""
+def _unexplained_volume(placed, data, voxel_distances):
+    """Return the rays that centerline points and voxels, (m,) m from its surface, are worth which the body does not
+    explain."""
     cost = 0.0  # of all at once, added one by one: divisions are the work
     for one in RAYS_PER_POINT * ray_cost(stick_distances(data.points, placed, np.arange(STICKS)), POINT_GATE_M):
         cost += one
-    for one in RAYS_PER_VOXEL * ray_cost(surface_distances(data.voxels, placed)[2], GATE_M):
+    for one in RAYS_PER_VOXEL * ray_cost(voxel_distances, GATE_M):
         cost += one
     return cost
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from mocap_packets.fit import PART_NAMES
+from stick_figure.least_squares.gauss_newton import DataMatch
 from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import Pose
 
@@ -65,12 +66,18 @@ class LimbMonitor:
         return pose
 
     def look(
-        self, observed: ObservedSet, pose: Pose, turns: range, unexplained: np.ndarray, hidden: np.ndarray
+        self,
+        observed: ObservedSet,
+        pose: Pose,
+        turns: range,
+        unexplained: np.ndarray,
+        hidden: np.ndarray,
+        matched: DataMatch | None = None,
     ) -> None:
         """Rate other places of the limbs: those that are followed, and a part of the library of one limb a turn.
 
         unexplained (4,) : rays near each limb that it does not explain, beyond what is usual. hidden (4,) bool : limbs
-        out of sight; what is left over in sight is not theirs unless it is much.
+        out of sight; what is left over in sight is not theirs unless it is much. ``matched`` : as of `other_places`.
         """
         looked_at = [self._limb_of(turn, unexplained) for turn in turns]
         for number, limb in enumerate(LIMBS):
@@ -82,7 +89,7 @@ class LimbMonitor:
             if number in looked_at:
                 self._looks[number] += 1
                 library = limb_poses(limb).part(self._looks[number], limb.parts)
-            places = other_places(Figure.of(observed.body), pose, limb, observed.data, library, known)
+            places = other_places(Figure.of(observed.body), pose, limb, observed.data, library, known, matched)
             chance = LEAP_RAYS if hidden[number] else self._chance_rays
             self._leads[number] = PlaceLeads.after(before, places, observed.apart_s, chance)
 

@@ -19,9 +19,9 @@ from numba import njit
 from capture_rig.small_matrices import solve_positive
 from stick_figure import kernels
 from stick_figure.body_surface import BodySurface, place_capsules
-from stick_figure.least_squares.contour_factor import NORMAL, RayArrays, match_rays, sum_rays
+from stick_figure.least_squares.contour_factor import NORMAL, RayArrays, match_rays, rays_at, sum_rays
 from stick_figure.least_squares.contour_factor import TANGENT as ALONG
-from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.least_squares.gauss_newton import Data, DataMatch
 from stick_figure.least_squares.hull_samples import is_in_hull, is_unseen
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
@@ -36,7 +36,7 @@ from stick_figure.least_squares.normal_equations import (
 from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
 from stick_figure.pose import Pose
 
-from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLACK_M, ray_cost, stick_distances
+from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLACK_M, match_to, ray_cost, stick_distances
 from .pose_library import Limb, LimbPoses
 
 COARSE_GATE_M = 0.12  # the library is coarse: an elbow may be 80 mm off
@@ -94,10 +94,20 @@ NO_POSES = LimbPoses(np.empty((0, 3, 3)), np.empty(0))
 
 
 def other_places(
-    figure: Figure, pose: Pose, limb: Limb, data: Data, library: LimbPoses, known: LimbPoses = NO_POSES
+    figure: Figure,
+    pose: Pose,
+    limb: Limb,
+    data: Data,
+    library: LimbPoses,
+    known: LimbPoses = NO_POSES,
+    matched: DataMatch | None = None,
 ) -> LimbPlaces:
-    """Find where else one limb may be: among the library's poses, and those that are known from the set before."""
-    found = _search(data, State.of(pose), figure, limb, library, known)
+    """Find where else one limb may be: among the library's poses, and those that are known from the set before.
+
+    ``matched`` : what rays and voxels are matched to in the pose, when that is known.
+    """
+    state = State.of(pose)
+    found = _search(data, matched or match_to(figure, state, data), state, figure, limb, library, known)
     R, flexion, margins, ends, tracked, support, origins = found
     return LimbPlaces(LimbPoses(R, flexion), margins, ends, tracked, support, origins)
 
@@ -126,10 +136,10 @@ class LeftOver(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _search(data, state, figure, limb, library, known):
+def _search(data, matched, state, figure, limb, library, known):
     """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; support;
     which of the known places each of them is."""
-    left = _left_over(data, state, figure, limb)
+    left = _left_over(data, matched, state, figure, limb)
     placed, costs = place(state, _part_of(figure, limb, True)), np.empty(left.fine.shape[0])
     tracked = _ends(placed, limb)
     support = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
@@ -194,10 +204,10 @@ def _apart_from(ends, tracked):
 
 
 @njit(cache=True)
-def _left_over(data, state, figure, limb):
+def _left_over(data, matched, state, figure, limb):
     """Return what of a set the body without the limb leaves over."""
-    rays, placed = data.contour_rays, place(state, _part_of(figure, limb, False))
-    without, root = match_rays(rays, placed, SLACK_M).separation, placed.A[limb.upper].copy()
+    rays, placed, own = data.contour_rays, place(state, _part_of(figure, limb, False)), _is_of_limb(figure, limb)
+    without, root = _rays_without(rays, matched.rays, placed, own), placed.A[limb.upper].copy()
     reach = figure.lengths[limb.upper] + figure.lengths[limb.lower] + COARSE_GATE_M
     chosen, count = np.empty(without.shape[0], np.int64), 0
     for i in range(without.shape[0]):
@@ -205,15 +215,13 @@ def _left_over(data, state, figure, limb):
             chosen[count] = i
             count += 1
     chosen = chosen[:count]
-    rows = np.empty((rays.rows.shape[0], count))
-    for k in range(rows.shape[0]):
-        rows[k] = rays.rows[k][chosen]
     sticks = np.array([j for j in range(figure.lengths.shape[0]) if j != limb.upper and j != limb.lower])
     points, beside = _within_reach(data.points, stick_distances(data.points, placed, sticks), root, reach)
-    voxels, away = _within_reach(data.voxels, np.abs(surface_distances(data.voxels, placed)[2]), root, reach)
+    away = np.abs(_voxels_without(data.voxels, matched.voxels, placed, own))
+    voxels, away = _within_reach(data.voxels, away, root, reach)
     left = without[chosen]
     return LeftOver(
-        RayArrays(rows, np.ones(count)),
+        RayArrays(rays_at(rays, chosen).rows, np.ones(count)),
         ray_cost(left, COARSE_GATE_M),
         ray_cost(left, GATE_M),
         points,
@@ -221,6 +229,24 @@ def _left_over(data, state, figure, limb):
         voxels,
         RAYS_PER_VOXEL * ray_cost(away, GATE_M),
     )
+
+
+@njit(cache=True)
+def _rays_without(rays, match, placed, own):
+    """Return the separation (n,) of the rays from a body without some of its ``own`` (k,) bool capsules: those that
+    were matched to one of them are matched anew."""
+    separation, again = match.separation.copy(), np.flatnonzero(own[match.capsule])
+    separation[again] = match_rays(rays_at(rays, again), placed, SLACK_M).separation
+    return separation
+
+
+@njit(cache=True)
+def _voxels_without(voxels, nearest, placed, own):
+    """Return the distances (m,) of the voxels from such a body's surface."""
+    capsule, _, distance = nearest
+    distance, again = distance.copy(), np.flatnonzero(own[capsule])
+    distance[again] = surface_distances(voxels[again], placed)[2]
+    return distance
 
 
 @njit(cache=True)
@@ -255,15 +281,15 @@ def _distance_of_ray(rows, i, point):
 
 
 @njit(cache=True)
+def _is_of_limb(figure, limb):
+    """Return which capsules (k,) bool are the limb's."""
+    return (figure.surface.stick == limb.upper) | (figure.surface.stick == limb.lower)
+
+
+@njit(cache=True)
 def _part_of(figure, limb, own):
     """Return the figure with the limb's surface alone (``own``), or with all but the limb's."""
-    surface, rows = figure.surface, np.empty(figure.surface.stick.shape[0], np.int64)
-    count = 0
-    for k in range(rows.shape[0]):
-        if ((surface.stick[k] == limb.upper) | (surface.stick[k] == limb.lower)) == own:
-            rows[count] = k
-            count += 1
-    rows = rows[:count]
+    surface, rows = figure.surface, np.flatnonzero(_is_of_limb(figure, limb) == own)
     part = BodySurface(surface.stick[rows], surface.start[rows], surface.end[rows], surface.radii[rows])
     return Figure(figure.lengths, figure.origins, part)
 

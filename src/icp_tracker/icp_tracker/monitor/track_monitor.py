@@ -18,7 +18,7 @@ from capture_rig.settings import setting
 from mocap_packets.fit import GOOD, LOST, PART_NAMES, UNKNOWN, TrackQuality
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.least_squares.gauss_newton import Data, DataMatch
 from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings
@@ -126,11 +126,12 @@ class TrackMonitor:
         settings: ArticulatedSettings,
         expected: Pose | None = None,
         shared: bool = False,
+        matched: DataMatch | None = None,
     ) -> Examination:
         """Judge a pose that was fitted to a set's data, and look for a better one.
 
         ``expected`` : where a good track's motion leads to; None where it is not known. ``shared`` : the body's part of
-        the hull is another person's, too.
+        the hull is another person's, too. ``matched`` : what the data are matched to in the pose, when that is known.
         """
         last_ns, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
         apart_s = 0.0 if last_ns is None else min((stamp_ns - last_ns) / NS_PER_S, LONGEST_S)
@@ -145,7 +146,7 @@ class TrackMonitor:
                 leaps_m = leaps_of_limbs(points, expected_points)
                 pose = self._limbs.without_leaps(observed, pose, expected, leaps_m)
                 points = points if pose is fitted else forward(body, pose)
-        evidence = observed.evidence_of(pose)
+        evidence = observed.evidence_of(pose, matched if pose is fitted else None)
         torn = self._recent.torn(evidence, leaps_m, apart_s)
         unexplained = self._recent.more_unexplained(evidence)
         self._recent.add(evidence, apart_s)
@@ -189,7 +190,7 @@ class TrackMonitor:
         """
         turns = range(self._turns, self._turns + min(max(round(observed.apart_s * LOOKS_HZ), 1), LOOKS_A_SET))
         self._turns = turns.stop
-        self._limbs.look(observed, pose, turns, unexplained, limbs_of_points(hidden))
+        self._limbs.look(observed, pose, turns, unexplained, limbs_of_points(hidden), evidence.matched)
         if is_cut(hidden):
             self._hypothesis = None
         else:

@@ -10,12 +10,12 @@ import numpy as np
 
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.bend_factor import BendDerivatives, bend_step
-from stick_figure.least_squares.contour_factor import RayArrays
+from stick_figure.least_squares.contour_factor import RayArrays, RayMatch
 from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.pose import Pose
 from stick_figure.trunk_bend import RATE_SD, REST_SD
 
-from ..articulated_fit import CONTOUR_GATE_M, CONTOUR_SLACK_M, ArticulatedSettings
+from ..articulated_fit import CONTOUR_GATE_M, ArticulatedSettings
 
 NS = 1e-9
 RAYS_OF_A_DATUM = 25.0
@@ -45,8 +45,8 @@ class TrunkBend:
             self._bent = body.bent(self._bend)
         return self._bent
 
-    def look(self, stamp_ns: int, body: Body, pose: Pose, rays: RayArrays) -> None:
-        """Move the bend to where the rays of a fitted set want it."""
+    def look(self, stamp_ns: int, body: Body, pose: Pose, rays: RayArrays, match: RayMatch) -> None:
+        """Move the bend to where the rays of a fitted set want it, by what they are matched to in the pose."""
         scale, since_ns, self._stamp_ns = self._settings.contour.bend, self._stamp_ns, stamp_ns
         if scale == 0.0 or len(rays.information) == 0 or since_ns < 0:
             return
@@ -57,10 +57,11 @@ class TrunkBend:
         )
         step = bend_step(
             rays,
-            State.of(pose),
+            match,
+            State(*pose.arrays),
             Figure.of(self.of(body)),
             BendDerivatives.of(body),
-            (CONTOUR_GATE_M, CONTOUR_SLACK_M),
+            CONTOUR_GATE_M,
             self._settings.prior.information,
             rest + walk,
             -rest * self._bend,

@@ -18,7 +18,7 @@ from capture_rig.small_matrices import solve_positive
 from ..body import BEND_NUMBERS, Body
 from ..body_surface import BodySurface
 from ..trunk_bend import bend_derivatives
-from .contour_factor import match_rays, sum_rays
+from .contour_factor import sum_rays
 from .free_ends import CAPSULE as CAPSULE_OF_END
 from .normal_equations import CHAIN_COLUMNS, ENDS, TANGENT, add_capsule, mirror_upper, no_sums, pose_columns
 from .placed_figure import Figure, place
@@ -40,17 +40,16 @@ class BendDerivatives(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def bend_step(rays, state, figure, derivatives, robust, pose_information, information, pull):
-    """Return the step (7,) of the bend that lessens the rays' distances.
+def bend_step(rays, match, state, figure, derivatives, gate, pose_information, information, pull):
+    """Return the step (7,) of the bend that lessens the rays' distances from the capsules that they were matched to.
 
-    ``robust`` = gate, slack, m. pose_information (24,) holds the pose where it is; information (7,) and pull (7,) are
+    ``gate`` : of the rays, m. pose_information (24,) holds the pose where it is; information (7,) and pull (7,) are
     those of what is known of the bend without rays.
     """
-    gate, slack = robust
     H, g = np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS)
     placed = place(state, figure)
     sums = no_sums(placed.P.shape[0], ENDS)
-    sum_rays(rays, match_rays(rays, placed, slack), gate, sums)
+    sum_rays(rays, match, gate, sums)
     for k in CAPSULE_OF_END:
         sums.pulls[k] = 0.0
     wide = CHAIN_COLUMNS + BEND_NUMBERS

@@ -155,9 +155,15 @@ def sum_rays(rays, match, gate, sums):
 @njit(cache=True, nogil=True)
 def match_rays(rays, placed, slack):
     """Find the capsule that explains each ray best; ``slack`` (m) lengthens the stretch where a ray may touch."""
+    return ray_match(best_of_all(rays, placed, slack))
+
+
+@njit(cache=True)
+def best_of_all(rays, placed, slack):
+    """Offer all capsules; returns the best (4, n)."""
     best = no_match(rays)
     offer_capsules(np.arange(placed.P.shape[0]), rays, placed, slack, best)
-    return ray_match(best)
+    return best
 
 
 @njit(cache=True)
@@ -169,11 +175,15 @@ def match_turned(rays, placed, slack, stiff):
 
 
 @njit(cache=True)
-def match_stiff(rays, placed, slack):
-    """Offer all capsules but hands and feet; returns the best (4, n) so far."""
-    best = no_match(rays)
-    offer_capsules(STIFF, rays, placed, slack, best)
-    return best
+def best_of_stiff(rays, placed, slack, best):
+    """Return the best (4, n) of all capsules but hands and feet, by that of all: rays of these are matched anew."""
+    stiff, own = best.copy(), np.flatnonzero(IS_END[best[CAPSULE].astype(np.int64)])
+    rays_of_ends = rays_at(rays, own)
+    others = no_match(rays_of_ends)
+    offer_capsules(STIFF, rays_of_ends, placed, slack, others)
+    for i in range(own.shape[0]):
+        stiff[:, own[i]] = others[:, i]
+    return stiff
 
 
 @njit(cache=True)

@@ -15,7 +15,17 @@ from capture_rig.small_matrices import solve_positive
 
 from .. import kernels
 from ..joint_limits import add_joint_limits, add_neck_rest
-from .contour_factor import RayArrays, add_matched, look_at_ends, match_rays, match_stiff, match_turned
+from .contour_factor import (
+    RayArrays,
+    RayMatch,
+    add_matched,
+    best_of_all,
+    best_of_stiff,
+    look_at_ends,
+    match_rays,
+    match_turned,
+    ray_match,
+)
 from .free_ends import follow, straight_ends, turn_ends
 from .hull_samples import HullSamples
 from .independent_rows import add_independent_rows
@@ -37,6 +47,14 @@ class Data(NamedTuple):
     voxels: np.ndarray
     hull: HullSamples
     contour_rays: RayArrays
+
+
+class DataMatch(NamedTuple):
+    """What contour rays and surface voxels are matched to by a pose with hands and feet straight: as `match_rays` and
+    `surface_distances` return it."""
+
+    rays: RayMatch
+    voxels: tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 class Weights(NamedTuple):
@@ -104,7 +122,7 @@ def assess(data, state, figure, weights, scale):
 
     Returns reference points (15, 3) m and their covariance (15, 3, 3) m^2, that of the independent rows where there are
     contour rays; inliers a stick (10,) and their root mean square distance (m); surface voxels near each stick's
-    surface (10,).
+    surface (10,); what rays and voxels were matched to.
     """
     placed, counts, near = place(state, figure), np.zeros(STICKS, np.int64), np.zeros(STICKS, np.int64)
     nearest = surface_distances(data.voxels, placed)
@@ -112,8 +130,10 @@ def assess(data, state, figure, weights, scale):
     for i in range(distance.shape[0]):
         if abs(distance[i]) < weights.voxel_gate:
             near[placed.surface.stick[capsule[i]]] += 1
+    best = best_of_all(data.contour_rays, placed, weights.contour_slack)
+    matched = DataMatch(ray_match(best), nearest)
     if data.contour_rays.information.shape[0] > 0:
-        rays_match, placed = _with_ends_turned(data.contour_rays, state, figure, placed, weights)
+        rays_match, placed = _with_ends_turned(data.contour_rays, best, state, figure, placed, weights)
         match, independent = match_points(data, placed, weights), np.diag(scale.unseen)
         total, _, _ = summarise(match, counts)
         add_independent_rows(data, placed, weights, rays_match, match, independent)
@@ -121,22 +141,21 @@ def assess(data, state, figure, weights, scale):
         covariance = point_covariances(independent, placed, 1.0)
     else:  # larger by the reduced chi-square where the inliers lie farther off than their own sigma says
         H, g, ends = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), straight_ends(weights.ends)
-        no_rays = match_rays(data.contour_rays, placed, weights.contour_slack)
         voxel = scale.voxel_share * loose_hull_weight(weights, distance)
-        match = linearise(data, no_rays, nearest, placed, reweighted(weights, voxel, 0.0), ends, H, g)
+        match = linearise(data, matched.rays, nearest, placed, reweighted(weights, voxel, 0.0), ends, H, g)
         mirror_upper(H)
         total, chi2, freedom = summarise(match, counts)
         spread = scale.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
         covariance = point_covariances(H + np.diag(weights.prior), placed, spread)
-    return reference_points(placed), covariance, counts, np.sqrt(total / max(counts.sum(), 1)), near
+    return reference_points(placed), covariance, counts, np.sqrt(total / max(counts.sum(), 1)), near, matched
 
 
 @njit(cache=True)
-def _with_ends_turned(rays, state, figure, placed, weights):
+def _with_ends_turned(rays, best, state, figure, placed, weights):
     """Return the match of the rays, and the figure with hands and feet turned to where they want them, the pose as it
-    is; ``placed`` : with both straight."""
+    is; ``placed`` : with both straight, ``best`` (4, n) of its capsules."""
     ends, slack = straight_ends(weights.ends), weights.contour_slack
-    stiff = match_stiff(rays, placed, slack)
+    stiff = best_of_stiff(rays, placed, slack, best)
     for _ in range(LOOKS_AT_ENDS if weights.ends > 0.0 else 0):
         look_at_ends(rays, match_turned(rays, placed, slack, stiff), placed, weights, ends)
         follow(ends, np.zeros(TANGENT), 1.0)
