@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 from .kernel import kernel
 from .rig import Rig
@@ -47,6 +48,11 @@ class UnseenCells(NamedTuple):
         _look_up(self, np.ascontiguousarray(points_world, np.float64), found)
         return found
 
+    def rows_outside(self, points_world: Array) -> npt.NDArray[np.int64]:
+        """Return the numbers of the points (n, 3), metres, that are in no unseen cell."""
+        rows: npt.NDArray[np.int64] = _seen_rows(self, np.ascontiguousarray(points_world, np.float64))
+        return rows
+
     def widened(self) -> UnseenCells:
         """Return the map with the cells beside unseen ones unseen too, for what is measured over a cell's reach."""
         if self.unseen.size == 0:
@@ -76,6 +82,16 @@ def is_unseen(cells, x, y, z):
 def _look_up(cells, points, found):
     for n in range(points.shape[0]):
         found[n] = is_unseen(cells, points[n, 0], points[n, 1], points[n, 2])
+
+
+@njit(cache=True, nogil=True)
+def _seen_rows(cells, points):
+    """Return the numbers of the points (n, 3) that are in no unseen cell."""
+    rows, count = np.empty(points.shape[0], np.int64), 0
+    for n in range(points.shape[0]):
+        rows[count] = n
+        count += not is_unseen(cells, points[n, 0], points[n, 1], points[n, 2])
+    return rows[:count]
 
 
 EVERYWHERE = UnseenCells(np.zeros(3), np.zeros((0, 0, 0), np.bool_))

@@ -45,6 +45,7 @@ def test_cells_are_unseen_where_any_place_in_them_is():
     places = places[places[:, 2] > cells.low[2]]
     unseen = cells.at(places)
     assert unseen[~VISIBILITY.shows(places)].all()
+    assert np.array_equal(cells.rows_outside(places), np.flatnonzero(~unseen))
     assert not unseen.all() and np.mean(unseen != ~VISIBILITY.shows(places)) < 0.15  # the cells at the border
 
 

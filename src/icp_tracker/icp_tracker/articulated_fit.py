@@ -252,11 +252,11 @@ def make_data(
     hull = (voxels if volume.inside_weight > 0.0 else NO_VOXELS).hull_points(INSIDE_SAMPLES)
     contour_rays = contour_rays if settings.contour.weight > 0.0 else NO_CONTOUR_RAYS
     if visibility is not None:
-        whole = ~visibility.near_unseen.at(points)
-        points, sigma = np.ascontiguousarray(points[whole]), sigma[whole]
-        surface = np.ascontiguousarray(surface[~visibility.near_unseen.at(surface)])
-        beyond = visibility.unseen_cells.at(contour_rays.points_world)
-        contour_rays = contour_rays.chosen(~beyond) if beyond.any() else contour_rays
+        whole = visibility.near_unseen.rows_outside(points)
+        points, sigma = points.take(whole, axis=0), sigma.take(whole)
+        surface = surface.take(visibility.near_unseen.rows_outside(surface), axis=0)
+        in_sight = visibility.unseen_cells.rows_outside(contour_rays.points_world)
+        contour_rays = contour_rays.chosen(in_sight) if len(in_sight) < len(contour_rays) else contour_rays
     gate2 = settings.gate_m**2 + (GATE_SIGMAS * sigma) ** 2
     return Data(
         points,
