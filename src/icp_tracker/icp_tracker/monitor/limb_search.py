@@ -1,9 +1,9 @@
 """Other places for one limb: what the rest of the body leaves over of the set, and how much of it each place explains.
 
-Left over are contour rays, centerline points and voxels of the hull's surface that the body without the limb does not
-explain. Places come from the limb's library, which is coarse: its best poses are refined by Gauss-Newton over the
-limb's own four angles, a few iterations each. Places that were good at earlier sets are refined along with them, so
-that they follow the limb as the tracked one does.
+Left over (`left_over`) are contour rays, centerline points and voxels of the hull's surface that the body without the
+limb does not explain. Places come from the limb's library, which is coarse: its best poses are refined by Gauss-Newton
+over the limb's own four angles, a few iterations each. Places that were good at earlier sets are refined along with
+them, so that they follow the limb as the tracked one does.
 """
 
 from __future__ import annotations
@@ -11,16 +11,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from capture_rig.small_matrices import solve_positive
 from stick_figure import kernels
-from stick_figure.body_surface import BodySurface, place_capsules
-from stick_figure.least_squares.contour_factor import NORMAL, RayArrays, match_rays, rays_at, sum_rays
-from stick_figure.least_squares.contour_factor import TANGENT as ALONG
+from stick_figure.body_surface import place_capsules
+from stick_figure.least_squares.contour_factor import match_rays, sum_rays
 from stick_figure.least_squares.gauss_newton import Data, DataMatch
 from stick_figure.least_squares.hull_samples import is_in_hull, is_unseen
 from stick_figure.least_squares.normal_equations import (
@@ -37,10 +35,9 @@ from stick_figure.least_squares.placed_figure import Figure, State, place, surfa
 from stick_figure.pose import Pose
 
 from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLACK_M, match_to, ray_cost, stick_distances
+from .left_over import COARSE_GATE_M, left_over, part_of
 from .pose_library import Limb, LimbPoses
 
-COARSE_GATE_M = 0.12  # the library is coarse: an elbow may be 80 mm off
-OPEN_M = 0.03  # what the rest of the body passes so near has no need of the limb
 APART_M = 0.12  # hands or feet (and elbows or knees) so near to each other are the same place
 REFINED = 6  # poses of the library that are refined
 KEPT = 3  # other places that are followed from set to set
@@ -119,28 +116,12 @@ def with_limb(pose: Pose, limb: Limb, R: np.ndarray, flexion: float) -> Pose:
     return replace(pose, R_joints=R_joints, hinges=hinges)
 
 
-class LeftOver(NamedTuple):
-    """What the rest of the body leaves over for a limb within reach.
-
-    rays, coarse, fine (n,) : contour rays, and what each costs without the limb at a wide gate and at the usual one.
-    points (p, 3), voxels (v, 3) : centerline and surface of the hull, m, with what each costs, in rays.
-    """
-
-    rays: RayArrays
-    coarse: np.ndarray
-    fine: np.ndarray
-    points: np.ndarray
-    point_costs: np.ndarray
-    voxels: np.ndarray
-    voxel_costs: np.ndarray
-
-
 @njit(cache=True, nogil=True)
 def _search(data, matched, state, figure, limb, library, known):
     """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; support;
     which of the known places each of them is."""
-    left = _left_over(data, matched, state, figure, limb)
-    placed, costs = place(state, _part_of(figure, limb, True)), np.empty(left.fine.shape[0])
+    left = left_over(data, matched, state, figure, limb)
+    placed, costs = place(state, part_of(figure, limb, True)), np.empty(left.fine.shape[0])
     tracked = _ends(placed, limb)
     support = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
     explained = support + _volume_gained(left, placed, limb)
@@ -204,62 +185,6 @@ def _apart_from(ends, tracked):
 
 
 @njit(cache=True)
-def _left_over(data, matched, state, figure, limb):
-    """Return what of a set the body without the limb leaves over."""
-    rays, placed, own = data.contour_rays, place(state, _part_of(figure, limb, False)), _is_of_limb(figure, limb)
-    without, root = _rays_without(rays, matched.rays, placed, own), placed.A[limb.upper].copy()
-    reach = figure.lengths[limb.upper] + figure.lengths[limb.lower] + COARSE_GATE_M
-    chosen, count = np.empty(without.shape[0], np.int64), 0
-    for i in range(without.shape[0]):
-        if without[i] > OPEN_M and _distance_of_ray(rays.rows, i, root) < reach:
-            chosen[count] = i
-            count += 1
-    chosen = chosen[:count]
-    sticks = np.array([j for j in range(figure.lengths.shape[0]) if j != limb.upper and j != limb.lower])
-    points, beside = _within_reach(data.points, stick_distances(data.points, placed, sticks), root, reach)
-    away = np.abs(_voxels_without(data.voxels, matched.voxels, placed, own))
-    voxels, away = _within_reach(data.voxels, away, root, reach)
-    left = without[chosen]
-    return LeftOver(
-        RayArrays(rays_at(rays, chosen).rows, np.ones(count)),
-        ray_cost(left, COARSE_GATE_M),
-        ray_cost(left, GATE_M),
-        points,
-        RAYS_PER_POINT * ray_cost(beside, POINT_GATE_M),
-        voxels,
-        RAYS_PER_VOXEL * ray_cost(away, GATE_M),
-    )
-
-
-@njit(cache=True)
-def _rays_without(rays, match, placed, own):
-    """Return the separation (n,) of the rays from a body without some of its ``own`` (k,) bool capsules: those that
-    were matched to one of them are matched anew."""
-    separation, again = match.separation.copy(), np.flatnonzero(own[match.capsule])
-    separation[again] = match_rays(rays_at(rays, again), placed, SLACK_M).separation
-    return separation
-
-
-@njit(cache=True)
-def _voxels_without(voxels, nearest, placed, own):
-    """Return the distances (m,) of the voxels from such a body's surface."""
-    capsule, _, distance = nearest
-    distance, again = distance.copy(), np.flatnonzero(own[capsule])
-    distance[again] = surface_distances(voxels[again], placed)[2]
-    return distance
-
-
-@njit(cache=True)
-def _within_reach(points, distances, root, reach):
-    """Return the points (n, 3) that the body passes at a distance (n,), and that lie within a limb's reach."""
-    chosen = np.empty(points.shape[0], np.bool_)
-    for i in range(points.shape[0]):
-        x, y, z = points[i, 0] - root[0], points[i, 1] - root[1], points[i, 2] - root[2]
-        chosen[i] = distances[i] > OPEN_M and x * x + y * y + z * z < reach * reach
-    return points[chosen], distances[chosen]
-
-
-@njit(cache=True)
 def _volume_gained(left, placed, limb):
     """Return the rays that centerline points and voxels are worth which the limb explains."""
     gain = 0.0
@@ -270,28 +195,6 @@ def _volume_gained(left, placed, limb):
     for i in range(away.shape[0]):
         gain += max(left.voxel_costs[i] - RAYS_PER_VOXEL * ray_cost(away[i], GATE_M), 0.0)
     return gain
-
-
-@njit(cache=True)
-def _distance_of_ray(rows, i, point):
-    """Return the distance of a point from a ray's line."""
-    across = rows[NORMAL, i] * point[0] + rows[NORMAL + 1, i] * point[1] + rows[NORMAL + 2, i] * point[2]
-    along = rows[ALONG, i] * point[0] + rows[ALONG + 1, i] * point[1] + rows[ALONG + 2, i] * point[2]
-    return math.hypot(across - rows[NORMAL + 3, i], along - rows[ALONG + 3, i])
-
-
-@njit(cache=True)
-def _is_of_limb(figure, limb):
-    """Return which capsules (k,) bool are the limb's."""
-    return (figure.surface.stick == limb.upper) | (figure.surface.stick == limb.lower)
-
-
-@njit(cache=True)
-def _part_of(figure, limb, own):
-    """Return the figure with the limb's surface alone (``own``), or with all but the limb's."""
-    surface, rows = figure.surface, np.flatnonzero(_is_of_limb(figure, limb) == own)
-    part = BodySurface(surface.stick[rows], surface.start[rows], surface.end[rows], surface.radii[rows])
-    return Figure(figure.lengths, figure.origins, part)
 
 
 @njit(cache=True)

@@ -1,0 +1,113 @@
+"""What of a frame set is left over for one limb: what the body without it does not explain, within the limb's reach."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from stick_figure.body_surface import BodySurface
+from stick_figure.least_squares.contour_factor import NORMAL, RayArrays, match_rays, rays_at
+from stick_figure.least_squares.contour_factor import TANGENT as ALONG
+from stick_figure.least_squares.placed_figure import Figure, place, surface_distances
+
+from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLACK_M, ray_cost, stick_distances
+
+COARSE_GATE_M = 0.12  # the library is coarse: an elbow may be 80 mm off
+OPEN_M = 0.03  # what the rest of the body passes so near has no need of the limb
+
+
+class LeftOver(NamedTuple):
+    """What the rest of the body leaves over for a limb within reach.
+
+    rays, coarse, fine (n,) : contour rays, and what each costs without the limb at a wide gate and at the usual one.
+    points (p, 3), voxels (v, 3) : centerline and surface of the hull, m, with what each costs, in rays.
+    """
+
+    rays: RayArrays
+    coarse: np.ndarray
+    fine: np.ndarray
+    points: np.ndarray
+    point_costs: np.ndarray
+    voxels: np.ndarray
+    voxel_costs: np.ndarray
+
+
+@njit(cache=True)
+def left_over(data, matched, state, figure, limb):
+    """Return what of a set the body without the limb leaves over."""
+    rays, placed, own = data.contour_rays, place(state, part_of(figure, limb, False)), _is_of_limb(figure, limb)
+    without, root = _rays_without(rays, matched.rays, placed, own), placed.A[limb.upper].copy()
+    reach = figure.lengths[limb.upper] + figure.lengths[limb.lower] + COARSE_GATE_M
+    chosen, count = np.empty(without.shape[0], np.int64), 0
+    for i in range(without.shape[0]):
+        if without[i] > OPEN_M and _distance_of_ray(rays.rows, i, root) < reach:
+            chosen[count] = i
+            count += 1
+    chosen = chosen[:count]
+    sticks = np.array([j for j in range(figure.lengths.shape[0]) if j != limb.upper and j != limb.lower])
+    points, beside = _within_reach(data.points, stick_distances(data.points, placed, sticks), root, reach)
+    away = np.abs(_voxels_without(data.voxels, matched.voxels, placed, own))
+    voxels, away = _within_reach(data.voxels, away, root, reach)
+    left = without[chosen]
+    return LeftOver(
+        RayArrays(rays_at(rays, chosen).rows, np.ones(count)),
+        ray_cost(left, COARSE_GATE_M),
+        ray_cost(left, GATE_M),
+        points,
+        RAYS_PER_POINT * ray_cost(beside, POINT_GATE_M),
+        voxels,
+        RAYS_PER_VOXEL * ray_cost(away, GATE_M),
+    )
+
+
+@njit(cache=True)
+def _rays_without(rays, match, placed, own):
+    """Return the separation (n,) of the rays from a body without some of its ``own`` (k,) bool capsules: those that
+    were matched to one of them are matched anew."""
+    separation, again = match.separation.copy(), np.flatnonzero(own[match.capsule])
+    separation[again] = match_rays(rays_at(rays, again), placed, SLACK_M).separation
+    return separation
+
+
+@njit(cache=True)
+def _voxels_without(voxels, nearest, placed, own):
+    """Return the distances (m,) of the voxels from such a body's surface."""
+    capsule, _, distance = nearest
+    distance, again = distance.copy(), np.flatnonzero(own[capsule])
+    distance[again] = surface_distances(voxels[again], placed)[2]
+    return distance
+
+
+@njit(cache=True)
+def _within_reach(points, distances, root, reach):
+    """Return the points (n, 3) that the body passes at a distance (n,), and that lie within a limb's reach."""
+    chosen = np.empty(points.shape[0], np.bool_)
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0] - root[0], points[i, 1] - root[1], points[i, 2] - root[2]
+        chosen[i] = distances[i] > OPEN_M and x * x + y * y + z * z < reach * reach
+    return points[chosen], distances[chosen]
+
+
+@njit(cache=True)
+def _distance_of_ray(rows, i, point):
+    """Return the distance of a point from a ray's line."""
+    across = rows[NORMAL, i] * point[0] + rows[NORMAL + 1, i] * point[1] + rows[NORMAL + 2, i] * point[2]
+    along = rows[ALONG, i] * point[0] + rows[ALONG + 1, i] * point[1] + rows[ALONG + 2, i] * point[2]
+    return math.hypot(across - rows[NORMAL + 3, i], along - rows[ALONG + 3, i])
+
+
+@njit(cache=True)
+def _is_of_limb(figure, limb):
+    """Return which capsules (k,) bool are the limb's."""
+    return (figure.surface.stick == limb.upper) | (figure.surface.stick == limb.lower)
+
+
+@njit(cache=True)
+def part_of(figure, limb, own):
+    """Return the figure with the limb's surface alone (``own``), or with all but the limb's."""
+    surface, rows = figure.surface, np.flatnonzero(_is_of_limb(figure, limb) == own)
+    part = BodySurface(surface.stick[rows], surface.start[rows], surface.end[rows], surface.radii[rows])
+    return Figure(figure.lengths, figure.origins, part)
