@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -119,27 +119,24 @@ def points_of_limbs(limbs: np.ndarray) -> np.ndarray:
 
 def with_faint_limbs(quality: TrackQuality, evidence: Evidence, baseline: Baseline) -> TrackQuality:
     """Return the quality with limbs doubtful whose forearm or calf too few rays speak for."""
-    parts, reasons = list(quality.parts), [quality.reason] if quality.reason else []
-    for stick in np.flatnonzero(baseline.faint_sticks(evidence)).tolist():
-        part = PART_OF_STICK[stick]
-        if parts[part] == GOOD:
-            parts[part] = DOUBTFUL
-            reasons.append(_shown_by(stick, evidence, baseline))
-    if tuple(parts) == quality.parts:
-        return quality
-    return replace(quality, state=DOUBTFUL, parts=tuple(parts), reason="; ".join(reasons))
+    faint = np.flatnonzero(baseline.faint_sticks(evidence)).tolist()
+    return _with_doubts(quality, [(PART_OF_STICK[stick], _shown_by(stick, evidence, baseline)) for stick in faint])
 
 
 def with_torn_limbs(quality: TrackQuality, torn: np.ndarray) -> TrackQuality:
     """Return the quality with limbs (4,) bool doubtful that lost their rays as they left the places where they were
     expected."""
-    if not torn.any():
-        return quality
+    parts = [limb.part for limb, lost in zip(LIMBS, torn, strict=True) if lost]
+    return _with_doubts(quality, [(part, f"{PART_NAMES[part]}: its rays are gone") for part in parts])
+
+
+def _with_doubts(quality: TrackQuality, doubts: Iterable[tuple[int, str]]) -> TrackQuality:
+    """Return the quality with parts of the body doubtful that were good, each with its reason."""
     parts, reasons = list(quality.parts), [quality.reason] if quality.reason else []
-    for limb, lost in zip(LIMBS, torn, strict=True):
-        if lost and parts[limb.part] == GOOD:
-            parts[limb.part] = DOUBTFUL
-            reasons.append(f"{PART_NAMES[limb.part]}: its rays are gone")
+    for part, reason in doubts:
+        if parts[part] == GOOD:
+            parts[part] = DOUBTFUL
+            reasons.append(reason)
     if tuple(parts) == quality.parts:
         return quality
     return replace(quality, state=DOUBTFUL, parts=tuple(parts), reason="; ".join(reasons))
@@ -212,19 +209,12 @@ def with_doubtful_limbs(
     margins = [-np.inf] * len(PART_NAMES)
     for number, other in places.items():
         margins[LIMBS[number].part] = other.margin_elsewhere
-    quality = replace(quality, margins=tuple(margins))
-    parts, reasons = list(quality.parts), [quality.reason] if quality.reason else []
-    for number in sorted(doubtful):
-        part, other = LIMBS[number].part, places[number]
-        if parts[part] == GOOD:
-            parts[part] = DOUBTFUL
-            reasons.append(
-                f"{PART_NAMES[part]}: a place {100 * other.apart_m[0]:.0f} cm away explains "
-                f"{other.margins[0]:+.0f} rays"
-            )
-    if tuple(parts) == quality.parts:
-        return quality
-    return replace(quality, state=DOUBTFUL, parts=tuple(parts), reason="; ".join(reasons))
+    doubts = [(LIMBS[number].part, _elsewhere(LIMBS[number].part, places[number])) for number in sorted(doubtful)]
+    return _with_doubts(replace(quality, margins=tuple(margins)), doubts)
+
+
+def _elsewhere(part: int, other: LimbPlaces) -> str:
+    return f"{PART_NAMES[part]}: a place {100 * other.apart_m[0]:.0f} cm away explains {other.margins[0]:+.0f} rays"
 
 
 def limb_spread(quality: TrackQuality, places: Mapping[int, LimbPlaces]) -> np.ndarray | None:
