@@ -242,7 +242,9 @@ class CameraNode(SagomaNode):
 
     def _stamps_are_now(self) -> bool:
         """Return whether stamps follow the system clock, so that their age is a latency."""
-        return self.settings.source != "footage" or self.settings.footage.rate == 1.0
+        if self.settings.source == "footage":
+            return self.settings.footage.rate == 1.0
+        return self.settings.aravis.clock_speed == 1.0
 
     def _on_error(self, error: Exception) -> None:
         bad_frame = isinstance(error, InputError)

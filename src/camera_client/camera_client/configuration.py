@@ -119,7 +119,8 @@ def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> floa
     if settings.aravis.sync == "line":  # when the line is pulsed is not known here
         return supervision.triggered_stall_timeout_s or math.inf
     rate_hz = settings.aravis.frame_rate if settings.aravis.frame_rate > 0 else _rate_hz(source.details)
-    return max(supervision.stall_timeout_s, STALL_PERIODS / rate_hz if rate_hz else 0.0)
+    periods_s = STALL_PERIODS / (rate_hz * settings.aravis.clock_speed) if rate_hz else 0.0
+    return max(supervision.stall_timeout_s, periods_s)
 
 
 def _rate_hz(details: Mapping[str, str]) -> float:

@@ -100,6 +100,13 @@ class AravisSettings:
         "the host's); arrival: the host's at the first packet",
         choices=("auto", "ptp", "camera", "arrival"),
     )
+    clock_speed: float = setting(
+        1.0,
+        "Of simulated cameras in slow motion (sagoma studio --speed, which writes it): the speed of their clock",
+        unit="s a second",
+        low=1 / 32,
+        high=1,
+    )
     camera_stamps: str = setting(
         "exposure_start",
         "Which instant the camera stamps; ours is always mid-exposure",
