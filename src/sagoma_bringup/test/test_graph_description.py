@@ -86,6 +86,14 @@ def test_example_rig_and_camera_files_make_one_graph():
     assert graph[1].parameters["body_file"] == graph[2].parameters["body_file"]
 
 
+@pytest.mark.parametrize(("clock_speed", "lossless"), [(1.0, False), (0.25, True)])
+def test_server_leaves_nothing_out_for_cameras_in_slow_motion(tmp_path, clock_speed, lossless):
+    for name in ("cam01", "cam02", "cam03", "cam04"):
+        camera_file(tmp_path, name, aravis={"clock_speed": clock_speed})
+    hull = build_graph(rig=RING4, cameras=tmp_path)[0]
+    assert hull.parameters.get("reliable", False) == lossless
+
+
 def test_rig_alone_is_the_server_alone():
     assert [node.full_name for node in build_graph(rig=RING4)] == SERVER
 

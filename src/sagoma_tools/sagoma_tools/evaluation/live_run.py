@@ -7,6 +7,7 @@ import shutil
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -166,6 +167,7 @@ def run_studio(
                 return live
             speed /= 2
         trained = True
+        doing(f"again, at {Fraction(speed)} of the speed: this machine does not hold the cameras' rate")
         shutil.rmtree(output / "bag", ignore_errors=True)
 
 
