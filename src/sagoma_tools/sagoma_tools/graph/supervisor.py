@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,13 +20,13 @@ from sagoma_bringup.processes import ProcessSpec
 
 from .diagnostics_table import DiagnosticsTable
 from .errors import GraphError
-from .foreign_nodes import foreign_names, machines_of, own_machine
+from .foreign_nodes import foreign_nodes, living_nodes, own_machine, places_of, run_already
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
 from .process_group import ProcessGroup, ProcessSettings
 from .processes import Child, ExitStatus, busy_machine
 from .restarts import Death, Restarter, RestartPolicy, Return, exit_reason
 from .restored_state import LastBody, reads_file, with_kept_backgrounds
-from .ros_link import RosLink, node_names
+from .ros_link import RosLink
 
 FRESH = State.UNCONFIGURED.value
 STOP_TIMEOUT_S = 5.0
@@ -96,11 +95,17 @@ class Supervisor:
         return self._link.node
 
     def start(self) -> None:
-        """Start every process; they rest unconfigured until :meth:`configure`."""
+        """Start every process; they rest unconfigured until :meth:`configure`.
+
+        GraphError when nodes of the same names run already: two graphs would mix their messages. Nothing is started.
+        """
         self._link = RosLink("sagoma_supervisor", domain_id=self._domain_id)
         self.diagnostics = DiagnosticsTable(self._link.node)
         self.lifecycle = LifecycleClient(self._link.node, alive=self._should_wait_for)
         try:
+            names = {spec.full_name for spec in self.graph}
+            if running := living_nodes(self.node, names, self._cancel):
+                raise GraphError(run_already(running, own_machine(self.node)))
             self.processes.start_all()
             if self._restart is not None:
                 self._body = LastBody(self._link.node, self.run_folder)
@@ -133,11 +138,10 @@ class Supervisor:
     def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
         """Connect every node. Raises GraphError when one of the server fails, or every camera (any, if not tolerated).
 
-        GraphError, too, when nodes of the same names run already: two graphs would mix their messages.
+        GraphError, too, before any is asked, when nodes of the same names have come meanwhile.
         """
         self._await_own_nodes()
         outcome = self._bring(self._in(State.UNCONFIGURED), State.INACTIVE, contact_s=START_TIMEOUT_S)
-        self._refuse_foreign_nodes(outcome)
         self._check(State.INACTIVE, outcome, tolerate_cameras)
         return outcome
 
@@ -249,27 +253,15 @@ class Supervisor:
         return outcome
 
     def _await_own_nodes(self) -> None:
-        """Wait until every living process's nodes are known. Raises GraphError for their like on another machine.
-
-        What runs elsewhere has been there for longer, and is known by then: nothing of it is ever asked to change.
-        """
+        """Wait until the nodes of every living process are known. GraphError for nodes of their names that are not."""
         here, deadline_s = own_machine(self.node), time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline_s:
-            foreign, unknown = foreign_names(machines_of(self.node), here, self.processes.pids())
+            foreign, unknown = foreign_nodes(places_of(self.node), here, self.processes.pids())
             if foreign:
-                raise GraphError(_run_already(foreign, " on another machine"))
+                raise GraphError(run_already(foreign, here))
             if not any(map(self._should_wait_for, unknown)):
                 return
             self._cancel.wait(LOOK_S)
-
-    def _refuse_foreign_nodes(self, configured: Outcome) -> None:
-        """Raise GraphError for foreign nodes of our names: found twice, or in a state that no new process has."""
-        assert self._link is not None
-        seen = Counter(node_names(self._link.node))
-        asked = {answer.node for answer in configured.answers}
-        foreign = sorted(n for n, s in self.states().items() if seen[n] > 1 or (s == FRESH and n not in asked))
-        if foreign:
-            raise GraphError(_run_already(foreign))
 
     def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()
@@ -289,11 +281,6 @@ class Supervisor:
             answers.append(busy)
         tail = child.log_tail().replace("\n", "\n    ") or "(empty)"
         return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {child.log.name}:\n    {tail}"
-
-
-def _run_already(names: Sequence[str], where: str = "") -> str:
-    remedy = "stop that graph, or give this one another ROS_DOMAIN_ID"
-    return f"{', '.join(names)} run already in this ROS domain{where}: {remedy}"
 
 
 # --- the common epoch of footage. Unless played by the clock, footage without an epoch of its own starts at a whole
