@@ -7,14 +7,13 @@ import psutil
 import pytest
 from rich.console import Console
 
-from camera_client.sources.footage_pace import choose_epoch_ns
 from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_tools.graph.foreign_nodes import places_of
 from sagoma_tools.graph.lifecycle_client import Transition, Verdict
 from sagoma_tools.graph.process_group import ProcessSettings
 from sagoma_tools.graph.processes import Exit, abandoned, owned_shared_memory, shared_memory_files
 from sagoma_tools.graph.ros_link import RosLink, settled
-from sagoma_tools.graph.supervisor import GraphError, Supervisor, seconds_to_start_window, with_common_epoch
+from sagoma_tools.graph.supervisor import GraphError, Supervisor, with_common_epoch
 
 
 def tiny(name: str, behaviour: str = "good", role: Role = Role.SERVER) -> NodeSpec:
@@ -173,16 +172,6 @@ def rendered(table):
     console = Console(width=150, file=io.StringIO())
     console.print(table)
     return console.file.getvalue().splitlines()
-
-
-@pytest.mark.parametrize(("into_s", "expected_s"), [(0.0, 0.0), (2.4, 0.0), (2.6, 2.4), (4.9, 0.1)])
-def test_footage_cameras_are_activated_within_one_five_second_span(into_s, expected_s):
-    now_ns = 1_700_000_000_000_000_000 + round(into_s * 1e9)
-    wait_s = seconds_to_start_window(now_ns)
-    assert wait_s == pytest.approx(expected_s, abs=1e-6)
-    # whatever instant of the following 2.4 s a camera picks, it arrives at the same epoch
-    first, last = (choose_epoch_ns(0, now_ns + round((wait_s + t) * 1e9)) for t in (1e-6, 2.4))
-    assert first == last > now_ns
 
 
 def footage_camera(name, **parameters):

@@ -14,7 +14,6 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from camera_client.sources.footage_pace import EPOCH_STEP_NS
 from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_bringup.processes import ProcessSpec
 
@@ -34,7 +33,6 @@ START_TIMEOUT_S = 300.0  # from a process's start to its first answer: seconds o
 LOOK_S = 0.05  # rclpy has no event for a node that is discovered
 CONFIRM_S = 1.0  # a restarted node that does not say so soon that it is active is asked again
 RESTARTING = "restarting"
-ACTIVATION_NS = 2_500_000_000  # within this every camera's activation is acknowledged, even on a busy machine
 
 
 class Supervisor:
@@ -146,16 +144,8 @@ class Supervisor:
         return outcome
 
     def activate(self, *, tolerate_cameras: bool = True) -> Outcome:
-        """Start every configured node, the cameras last; GraphError as for :meth:`configure`.
-
-        Footage played by the clock, without an epoch of its own, starts at the next whole 5 s: all its cameras are
-        activated within one such span, so that they agree on it.
-        """
-        server, cameras = self._in(State.INACTIVE)
-        outcome = self._bring([server], State.ACTIVE)
-        if any(chooses_epoch(spec) for spec in self.graph if spec.full_name in cameras):
-            self._cancel.wait(seconds_to_start_window(time.time_ns()))
-        outcome += self._bring([cameras], State.ACTIVE)
+        """Start every configured node, the cameras last; GraphError as for :meth:`configure`."""
+        outcome = self._bring(self._in(State.INACTIVE), State.ACTIVE)
         self._check(State.ACTIVE, outcome, tolerate_cameras)
         with self._lock:
             self._running = True
@@ -283,26 +273,12 @@ class Supervisor:
         return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {child.log.name}:\n    {tail}"
 
 
-# --- the common epoch of footage. Unless played by the clock, footage without an epoch of its own starts at a whole
-# span of EPOCH_STEP_NS; cameras activated before and after such an instant would choose epochs a span apart, and no
-# frame set would ever be complete.
-
-
 def with_common_epoch(graph: Sequence[NodeSpec], epoch_ns: int) -> tuple[NodeSpec, ...]:
     """Return the graph, its footage that is not played by the clock (rate 0) stamped from one epoch; any will do."""
-    unpaced = [spec.full_name for spec in graph if chooses_epoch(spec) and spec.parameters.get("footage.rate") == 0]
-    if len(unpaced) < 2:
-        return tuple(graph)
+
+    def unstamped(spec: NodeSpec) -> bool:
+        given = spec.parameters
+        return given.get("source") == "footage" and given.get("footage.rate") == 0 and not given.get("footage.epoch_ns")
+
     epoch = {"footage.epoch_ns": epoch_ns}
-    return tuple(spec.with_parameters(epoch) if spec.full_name in unpaced else spec for spec in graph)
-
-
-def seconds_to_start_window(now_ns: int) -> float:
-    """How long to wait until enough is left of the current span of EPOCH_STEP_NS to activate every camera within it."""
-    into_ns = now_ns % EPOCH_STEP_NS
-    return 0.0 if into_ns <= EPOCH_STEP_NS - ACTIVATION_NS else (EPOCH_STEP_NS - into_ns) / 1e9
-
-
-def chooses_epoch(camera: NodeSpec) -> bool:
-    """Return whether a node is a camera that plays footage whose epoch nobody has given."""
-    return camera.parameters.get("source") == "footage" and not camera.parameters.get("footage.epoch_ns")
+    return tuple(spec.with_parameters(epoch) if unstamped(spec) else spec for spec in graph)
