@@ -137,6 +137,7 @@ def session_graph(
             remedy=f"Add {without_background[0]}_background.mp4 or .png: the empty scene.",
         )
     footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": int(epoch_ns), "loop": loop}
+    footage["wait_for_cameras"] = rate > 0
     cameras = [
         camera_node(
             name,

@@ -51,6 +51,7 @@ def test_session_gives_the_server_and_one_camera_node_a_video(session):
         assert given["background"] == str((session / f"{node.label}_background.png").resolve())
         assert (given["footage.fps"], given["footage.rate"]) == (25.0, 0.5)
         assert (given["footage.epoch_ns"], given["footage.loop"]) == (5_000_000_000, True)
+        assert given["footage.wait_for_cameras"] is True
 
 
 def test_session_without_a_video_of_a_rig_camera_is_an_error(session):
