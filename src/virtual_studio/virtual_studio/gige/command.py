@@ -5,12 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import textwrap
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
+from capture_rig.number import number
 from capture_rig.rig import save_rig
-from capture_rig.settings import build_settings
+from capture_rig.settings import build_settings, leaves
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.yaml_file import parse_value, save_mapping
 
@@ -46,7 +48,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("words", nargs="*", metavar="WORD", help="talk to a running studio (below); none: run one")
     parser.add_argument("--control", metavar="PATH", help=f"the studio's control socket (default: {default_path()})")
     parser.add_argument("--session", metavar="FOLDER", help="show a session's footage (default: the built-in person)")
-    parser.add_argument("--cameras", type=int, metavar="N", help="cameras of the built-in rig (default: 5)")
+    parser.add_argument(
+        "--cameras", type=_number("cameras"), metavar="N", help="cameras of the built-in rig (default: 5)"
+    )
     parser.add_argument(
         "--scene",
         choices=(PERSON_SCENE, SETUP_SCENE),
@@ -54,9 +58,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default), or a set-up from the empty room over boards to the person, in phases",
     )
     parser.add_argument("--pattern", action="store_true", help="show a test pattern")
-    parser.add_argument("--fps", type=float, help="frame rate at power-on (default: the session's, else 60)")
+    parser.add_argument(
+        "--fps", type=_number("frame_rate"), help="frame rate at power-on (default: the session's, else 60)"
+    )
     parser.add_argument("--address", help="loopback address of the first camera (default: 127.0.1.1)")
-    parser.add_argument("--memory", type=float, metavar="MB", help="memory for a session's pictures (default: 800)")
+    parser.add_argument(
+        "--memory", type=_number("memory_mb"), metavar="MB", help="memory for a session's pictures (default: 800)"
+    )
     parser.add_argument("--empty", action="store_true", help="begin with the empty room")
     parser.add_argument("--write", metavar="FOLDER", help="write rig.yaml and cameras/*.yaml for `sagoma up` into it")
     parser.add_argument(
@@ -141,6 +149,11 @@ def write_rig_files(studio: Studio, folder: str | Path) -> Path:
         document = {f"/{name}/camera_client": {"ros__parameters": parameters}}
         save_mapping(cameras / f"{name}.yaml", document)
     return folder
+
+
+def _number(key: str) -> Callable[[str], float]:
+    (leaf,) = (leaf for leaf in leaves(StudioSettings) if leaf.key == key)
+    return number(leaf.metadata["unit"], *leaf.bounds, whole=leaf.type is int)
 
 
 def _pairs(words: list[str]) -> dict[str, Any]:
