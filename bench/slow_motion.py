@@ -45,21 +45,22 @@ def main() -> None:
     finish({"runs": records})
 
 
-def _record(run: LiveRun, slowest: LiveRun) -> dict[str, float]:
+def _record(run: LiveRun, slowest: LiveRun) -> dict[str, float | None]:
     frames = np.intersect1d(run.track.frames, slowest.track.frames)
     here, there = run.track.at(frames), slowest.track.at(frames)
     determined = [not name.endswith(UNDETERMINED) for name in ANGLE_NAMES]
+    apart = here.points_world - there.points_world
     turned = np.angle(np.exp(1j * (here.angles - there.angles)))[:, determined]
-    scores = evaluate_run(run).scores
+    scores = evaluate_run(run).scores if len(run.track) else None
     return {
         "speed": run.speed,
         "sets": run.sets,
         "answered": run.answered / max(run.sets, 1),
         "incomplete": run.incomplete,
-        "mean_mm": scores.mean_mm,
-        "over_200mm": scores.over_200mm,
-        "points_apart_mm": 1e3 * float(np.linalg.norm(here.points_world - there.points_world, axis=2).mean()),
-        "angles_apart_deg": float(np.degrees(np.sqrt(np.mean(turned**2)))),
+        "mean_mm": scores.mean_mm if scores else None,
+        "over_200mm": scores.over_200mm if scores else None,
+        "points_apart_mm": 1e3 * float(np.linalg.norm(apart, axis=2).mean()) if len(frames) else None,
+        "angles_apart_deg": float(np.degrees(np.sqrt(np.mean(turned**2)))) if len(frames) else None,
     }
 
 

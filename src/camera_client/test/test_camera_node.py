@@ -358,6 +358,9 @@ def test_set_camera_info_that_does_not_fit_changes_nothing(bench, session, scene
     info.width = 640
     answer = set_camera_info(camera, info)
     assert not answer.success and "is for images of 640 x 120 pixels" in answer.status_message
+    info.width, info.k[0] = scene.camera().width, 1e300
+    answer = set_camera_info(camera, info)
+    assert not answer.success and "has focal lengths of 1e+300 and" in answer.status_message
     assert not (session.folder / "info.yaml").exists()
     camera.until(lambda: len(camera.heard["camera_info"]) == FRAMES)
     assert {message.k[0] for message in camera.heard["camera_info"]} == {150.0}

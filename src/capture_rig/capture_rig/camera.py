@@ -20,7 +20,7 @@ CANVAS_WIDTH_MULTIPLE = 32
 BAND_ROWS = 32
 MIN_DEPTH_M = 1e-9
 ROUNDING_PX = 1e-6
-SHARE_STEP_PX = 4  # every sixteenth pixel tells a share to a thousandth
+SHARE_STEP_PX, MOST_CELLS = 4, 500  # every sixteenth pixel tells a share to a thousandth; so many a side, too
 RIM_POINTS = 720  # half a degree apart
 MAX_CANVAS_GROWTH = 2.0  # a canvas wider than this times the image means that the lens model diverges at the edges
 
@@ -127,8 +127,8 @@ class CameraModel:
 
 
 def _cell_middles(size: int) -> Array:
-    """Pixels that stand for SHARE_STEP_PX or so of them each, in one direction."""
-    count = -(-size // SHARE_STEP_PX)
+    """Pixels that stand for SHARE_STEP_PX or so of them each, in one direction; for more where that are MOST_CELLS."""
+    count = min(-(-size // SHARE_STEP_PX), MOST_CELLS)
     return (np.arange(count) + 0.5) * size / count - 0.5
 
 

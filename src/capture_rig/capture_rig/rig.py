@@ -28,6 +28,10 @@ CAMERA_KEYS = (
     "t_camera_world",
 )
 ROTATION_TOLERANCE = 1e-4
+MAX_CAMERAS = 63  # of a set: they are bits of a signed 64-bit word
+MAX_SIDE_PX = 20000  # of a sensor
+FOCAL_WIDTHS = (0.05, 100.0)  # focal length over the width of an image: of 170 degrees, of a telescope
+FARTHEST_M = 100.0  # of a camera, or a corner of the volume, from the origin
 DEFAULT_HALF_WIDTH_M, DEFAULT_HEIGHT_M, FLOOR_MARGIN_M = 2.5, 2.4, 0.05
 
 
@@ -65,6 +69,9 @@ def load_rig(path: str | Path) -> Rig:
     cameras = document.get("cameras")
     if not isinstance(cameras, Mapping) or not cameras:
         raise InputError("key 'cameras' is missing or empty", where=str(path), remedy="List each camera under it.")
+    if len(cameras) > MAX_CAMERAS:
+        remedy = f"At most {MAX_CAMERAS} can watch one volume: keep those in this file."
+        raise InputError(f"there are {len(cameras)} cameras", where=f"{path}: cameras", remedy=remedy)
     for name in cameras:
         if not CAMERA_NAME.fullmatch(str(name)):
             remedy = "Topics are named after cameras: use letters, digits and _, a letter first."
@@ -114,12 +121,13 @@ def camera_from_mapping(name: str, entry: Any, where: str) -> CameraModel:
         )
     T = np.eye(4)
     T[:3, :3] = _rotation(entry, where)
-    T[:3, 3] = _numbers(entry, "t_camera_world", (3,), where)
+    T[:3, 3] = _metres(entry, "t_camera_world", where)
+    width = _pixels(entry, "image_width", where)
     return CameraModel(
         name=name,
-        width=_positive_int(entry, "image_width", where),
-        height=_positive_int(entry, "image_height", where),
-        K=_camera_matrix(entry, where),
+        width=width,
+        height=_pixels(entry, "image_height", where),
+        K=_camera_matrix(entry, width, where),
         distortion_model=model,
         D=_distortion(entry, COEFFICIENTS[model], where),
         T_camera_world=T,
@@ -141,16 +149,23 @@ def _numbers(entry: Mapping[str, Any], key: str, shape: tuple[int, ...], where: 
     return values
 
 
-def _positive_int(entry: Mapping[str, Any], key: str, where: str) -> int:
+def _metres(entry: Mapping[str, Any], key: str, where: str) -> Array:
+    values = _numbers(entry, key, (3,), where)
+    if not np.hypot.reduce(values) <= FARTHEST_M:
+        what = f"{key} = {values.tolist()} is more than {FARTHEST_M:g} m from the origin"
+        raise InputError(what, where=where, remedy="Give metres; millimetres are likely here: divide by 1000.")
+    return values
+
+
+def _pixels(entry: Mapping[str, Any], key: str, where: str) -> int:
     value = entry[key]
-    if not isinstance(value, int) or isinstance(value, bool) or value <= 0:
-        raise InputError(
-            f"{key} = {value!r} is not a positive whole number", where=where, remedy="Give the image size in pixels."
-        )
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 < value <= MAX_SIDE_PX:
+        what = f"{key} = {value!r} is not a whole number from 1 to {MAX_SIDE_PX}"
+        raise InputError(what, where=where, remedy="Give the image size in pixels.")
     return value
 
 
-def _camera_matrix(entry: Mapping[str, Any], where: str) -> Array:
+def _camera_matrix(entry: Mapping[str, Any], width: int, where: str) -> Array:
     K = _numbers(entry, "camera_matrix", (3, 3), where)
     if K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], [0, 0, 1]) or K[0, 1] != 0 or K[1, 0] != 0:
         raise InputError(
@@ -158,6 +173,14 @@ def _camera_matrix(entry: Mapping[str, Any], where: str) -> Array:
             where=where,
             remedy="It must read [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0 pixels: calibrate the camera.",
         )
+    least, most = (widths * width for widths in FOCAL_WIDTHS)
+    if not least <= K[[0, 1], [0, 1]].min() <= K[[0, 1], [0, 1]].max() <= most:
+        what = f"camera_matrix has focal lengths of {K[0, 0]:g} and {K[1, 1]:g} pixels in an image {width} wide"
+        remedy = f"Give fx and fy in pixels, {least:g} to {most:g}, not millimetres: calibrate the camera."
+        raise InputError(what, where=where, remedy=remedy)
+    if np.abs(K[:2, 2]).max() > MAX_SIDE_PX:
+        what = f"camera_matrix has its principal point at {K[:2, 2].tolist()}"
+        raise InputError(what, where=where, remedy="Give cx and cy in pixels: calibrate the camera.")
     return K
 
 
@@ -186,7 +209,7 @@ def _volume(entry: Any, where: str) -> Volume:
         raise InputError(
             f"{entry!r} is not a volume", where=where, remedy="Give low: [x, y, z] and high: [x, y, z] in metres."
         )
-    low, high = _numbers(entry, "low", (3,), where), _numbers(entry, "high", (3,), where)
+    low, high = _metres(entry, "low", where), _metres(entry, "high", where)
     if not (high > low).all():
         raise InputError(
             f"high = {high.tolist()} is not above low = {low.tolist()}",

@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import logging
-import math
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar, get_type_hints
 
@@ -26,16 +26,26 @@ T = TypeVar("T")
 logger = logging.getLogger("sagoma.settings")
 
 _SCALARS = (bool, int, float, str)
+LARGEST, LARGEST_INT = 1e12, (1 << 63) - 1  # of a range that is open: more is meant in no unit of ours
+_NAME = re.compile(r"\w[\w-]*(/\w[\w-]*)*", re.ASCII)
 
 
 def setting(
-    default: Any, help: str, *, unit: str = "", low: float | None = None, high: float | None = None, choices: tuple = ()
+    default: Any,
+    help: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple = (),
+    is_name: bool = False,
 ) -> Any:
     """Return a dataclass field with a default, one line of help, its unit and its allowed values.
 
     A settings class or a list as default becomes a default factory, so that instances never share it.
+    is_name : a text that ROS takes as a name, as of a frame.
     """
-    metadata = {"help": help, "unit": unit, "low": low, "high": high, "choices": choices}
+    metadata = {"help": help, "unit": unit, "low": low, "high": high, "choices": choices, "is_name": is_name}
     if isinstance(default, type):
         return dataclasses.field(default_factory=default, metadata=metadata)
     if isinstance(default, list):
@@ -51,6 +61,23 @@ class Leaf:
     type: Any
     default: Any
     metadata: Mapping[str, Any]
+
+    @property
+    def has_range(self) -> bool:
+        """Whether the setting names a bound of its own."""
+        return self.metadata.get("low") is not None or self.metadata.get("high") is not None
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """The least and the greatest number allowed; never infinite, also where the setting names none."""
+        most = LARGEST_INT if self.type in (int, list[int]) else LARGEST
+        low, high = self.metadata.get("low"), self.metadata.get("high")
+        return -most if low is None else low, most if high is None else high
+
+    @property
+    def range_text(self) -> str:
+        """The bounds in words."""
+        return "{:.12g} to {:.12g}".format(*self.bounds)
 
 
 def leaves(cls: type, prefix: str = "") -> Iterator[Leaf]:
@@ -151,7 +178,7 @@ def _unknown(key: str, known: list[str], where: str) -> InputError:
 
 def _checked(leaf: Leaf, value: Any, where: str) -> Any:
     value = _converted(leaf, value, where)
-    low, high, choices = (leaf.metadata.get(k) for k in ("low", "high", "choices"))
+    choices, (low, high) = leaf.metadata.get("choices"), leaf.bounds
     unit = f" {leaf.metadata['unit']}" if leaf.metadata.get("unit") else ""
     items = value if isinstance(value, list) else [value]
     if choices and not all(item in choices for item in items):
@@ -160,15 +187,18 @@ def _checked(leaf: Leaf, value: Any, where: str) -> Any:
             where=where,
             remedy=f"Choose one of them; the default is {leaf.default!r}.",
         )
-    for item in items:
-        not_a_number = isinstance(item, float) and math.isnan(item)
-        if not_a_number or (low is not None and item < low) or (high is not None and item > high):
-            raise InputError(
-                f"{leaf.key} = {value!r}{unit} is out of range",
-                where=where,
-                remedy=f"Allowed: {low if low is not None else '-inf'} to {high if high is not None else 'inf'}{unit}; "
-                f"the default is {leaf.default!r}.",
-            )
+    if not all(isinstance(item, str) or low <= item <= high for item in items):  # NaN is in no range
+        raise InputError(
+            f"{leaf.key} = {value!r}{unit} is out of range",
+            where=where,
+            remedy=f"Allowed: {leaf.range_text}{unit}; the default is {leaf.default!r}.",
+        )
+    if leaf.metadata.get("is_name") and not _NAME.fullmatch(value):
+        raise InputError(
+            f"{leaf.key} = {value!r} is not a name",
+            where=where,
+            remedy=f"Use letters, digits, _ and -, in parts divided by /; the default is {leaf.default!r}.",
+        )
     return value
 
 

@@ -132,7 +132,7 @@ def test_camera_read_from_a_file_alone_has_its_name_and_size_and_no_pose(file):
     "change, text",
     [
         (("camera_name: cam01", "camera_name: 7"), "camera_name = 7 is not a name"),
-        (("image_width: 640", "image_width: wide"), "image_width = 'wide' is not a positive whole number"),
+        (("image_width: 640", "image_width: wide"), "image_width = 'wide' is not a whole number from 1"),
         (("438.78356,    0. ", "0.,    0. "), "is not an intrinsic matrix"),
     ],
 )

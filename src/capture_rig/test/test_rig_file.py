@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from capture_rig.errors import InputError
-from capture_rig.rig import load_rig, save_rig
+from capture_rig.rig import MAX_CAMERAS, load_rig, save_rig
 from capture_rig.session import load_session
 
 CAMERA = {
@@ -216,6 +216,33 @@ def test_camera_matrix_that_is_no_intrinsic_matrix_is_refused(tmp_path: Path, K:
     assert "fx, fy > 0 pixels" in text
 
 
+@pytest.mark.parametrize("focal", [1e-12, 8.0, 1e5, 1e300])
+def test_focal_length_of_no_lens_is_refused_with_its_range_in_pixels(tmp_path: Path, focal: float) -> None:
+    text = refusal(tmp_path, document(camera_matrix=[[470, 0, 320], [0, focal, 240], [0, 0, 1]]))
+    assert f"cameras.cam02: camera_matrix has focal lengths of 470 and {focal:g} pixels in an image 640 wide" in text
+    assert "in pixels, 32 to 64000, not millimetres" in text
+
+
+@pytest.mark.parametrize("column", [0, 1])
+def test_principal_point_beyond_any_sensor_is_refused(tmp_path: Path, column: int) -> None:
+    K = [[470, 0, 320], [0, 470, 240], [0, 0, 1]]
+    K[column][2] = -1e9
+    assert "cameras.cam02: camera_matrix has its principal point at [" in refusal(tmp_path, document(camera_matrix=K))
+
+
+def test_translation_in_millimetres_is_refused_with_the_unit_as_the_likely_cause(tmp_path: Path) -> None:
+    text = refusal(tmp_path, document(t_camera_world=[100.0, 1000.0, 3000.0]))
+    assert "cameras.cam02: t_camera_world = [100.0, 1000.0, 3000.0] is more than 100 m from the origin" in text
+    assert "millimetres are likely here" in text
+    volume = {"low": [-2500, -2500, 0], "high": [2500, 2500, 2400]}
+    assert "volume: low = " in (text := refusal(tmp_path, {**document(), "volume": volume})) and "millimetres" in text
+
+
+def test_more_cameras_than_a_set_can_hold_are_refused(tmp_path: Path) -> None:
+    cameras = {f"cam{number:03d}": CAMERA for number in range(MAX_CAMERAS + 1)}
+    assert "cameras: there are 64 cameras. At most 63" in refusal(tmp_path, {"cameras": cameras})
+
+
 @pytest.mark.parametrize(
     ("key", "value"),
     [
@@ -266,10 +293,10 @@ def test_unknown_distortion_model_lists_the_known_ones(tmp_path: Path) -> None:
     assert "plumb_bob, rational_polynomial" in text
 
 
-@pytest.mark.parametrize("size", [0, -640, 640.5, "640", True, None])
-def test_image_size_that_is_no_positive_whole_number_is_refused(tmp_path: Path, size: object) -> None:
+@pytest.mark.parametrize("size", [0, -640, 640.5, "640", True, None, 60000, 10**9])
+def test_image_size_that_no_sensor_has_is_refused(tmp_path: Path, size: object) -> None:
     text = refusal(tmp_path, document(image_height=size))
-    assert f"cameras.cam02: image_height = {size!r} is not a positive whole number" in text
+    assert f"cameras.cam02: image_height = {size!r} is not a whole number from 1 to 20000" in text
 
 
 @pytest.mark.parametrize(

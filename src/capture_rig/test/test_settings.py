@@ -30,6 +30,7 @@ class Example:
     axes: list[str] = setting(["x", "y"], "slicing directions", choices=("x", "y", "z"))
     low: list[float] = setting([0.0, 0.0], "corner", unit="m", low=-10, high=10)
     ids: list[int] = setting([], "numbers")
+    frame: str = setting("map", "a frame", is_name=True)
     blob: Blob = setting(Blob, "blob filter")
 
 
@@ -124,9 +125,13 @@ def test_nested_settings_given_as_one_value_are_refused() -> None:
         ("cameras", 0, "1 to 64"),
         ("cameras", 65, "1 to 64"),
         ("blob.min_area_m2", -0.1, "0 to 1 m^2"),
-        ("blob.max_elongation", 0.5, "1 to inf"),
-        ("blob.max_elongation", float("nan"), "1 to inf"),
-        ("gain", float("nan"), "-inf to inf"),
+        ("blob.max_elongation", 0.5, "1 to 1e+12"),
+        ("blob.max_elongation", float("nan"), "1 to 1e+12"),
+        ("blob.max_elongation", float("inf"), "1 to 1e+12"),
+        ("gain", float("nan"), "-1e+12 to 1e+12"),
+        ("gain", float("-inf"), "-1e+12 to 1e+12"),
+        ("gain", 1e300, "-1e+12 to 1e+12"),
+        ("ids", [1 << 63], "-9.22337203685e+18 to 9.22337203685e+18"),
         ("low", [0.0, 11.0], "-10 to 10 m"),
         ("low", [0.0, float("nan")], "-10 to 10 m"),
     ],
@@ -146,6 +151,16 @@ def test_value_that_is_no_choice_lists_the_choices() -> None:
     text = refusal({"backend": "cuda"})
     assert "backend = 'cuda' is not one of 'auto', 'cpu', 'gl'" in text
     assert "the default is 'auto'" in text
+
+
+@pytest.mark.parametrize("name", ["", "..", "../..", "/map", "map/", "a//b", "a/../b", "two words", "a\nb"])
+def test_text_that_cannot_be_a_name_is_refused(name: str) -> None:
+    assert f"frame = {name!r} is not a name" in refusal({"frame": name})
+
+
+@pytest.mark.parametrize("name", ["map", "studio_2/map", "floor-1"])
+def test_name_of_a_frame_is_taken(name: str) -> None:
+    assert build_settings(Example, {"frame": name}, "").frame == name
 
 
 def test_list_item_that_is_no_choice_is_refused() -> None:

@@ -94,7 +94,7 @@ class EkfNodeSettings:
     body_wait_s: float = setting(
         1.0, "how long a visible set waits for the body on icp/body before it is answered without", unit="s", low=0.0
     )
-    frame_id: str = setting("map", "frame of the points that come in and of all that goes out")
+    frame_id: str = setting("map", "frame of the points that come in and of all that goes out", is_name=True)
     skeleton_rate_hz: float = setting(30.0, "rate of mocap/skeleton at most; 0: every set", unit="Hz", low=0.0)
     skeleton_covariance: bool = setting(False, "draw the points' covariance as ellipsoids of 2 sigma")
     publish_tf: str = setting(
@@ -103,7 +103,7 @@ class EkfNodeSettings:
         choices=TF_CHOICES,
     )
     publish_humans: bool = setting(False, "publish REP-155 topics under /humans/bodies")
-    body_id: str = setting("b0001", "REP-155 id of the first person; the others count on from it")
+    body_id: str = setting("b0001", "REP-155 id of the first person; the others count on from it", is_name=True)
     stale_after_s: float = setting(
         0.75, "without frame sets for so long, everybody is reported lost; 0: never", unit="s", low=0.0, high=60.0
     )

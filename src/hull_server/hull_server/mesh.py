@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from plyfile import PlyData, PlyElement
 from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 
@@ -17,6 +16,18 @@ from capture_rig.files import make_folder, replaced_file
 from .grid import BRICK_EDGE, Array, BrickVolume
 
 SURFACE_LEVEL = 0.5  # of an occupancy between 0 and 1
+PLY_HEADER = """ply
+format binary_little_endian 1.0
+comment metres, map frame, z up
+element vertex {vertices}
+property float x
+property float y
+property float z
+element face {faces}
+property list uchar int vertex_indices
+end_header
+"""
+PLY_FACE = np.dtype([("count", "u1"), ("vertices", "<i4", (3,))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,14 +66,13 @@ def surface_mesh(volume: BrickVolume, smoothing_voxels: float = 0.0) -> Mesh:
 
 def write_ply(mesh: Mesh, path: Path) -> None:
     """Write the mesh as binary PLY (Turk 1994), metres, map frame; InputError when the file cannot be written."""
-    vertices = np.empty(len(mesh.vertices_world), [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
-    vertices["x"], vertices["y"], vertices["z"] = mesh.vertices_world.T
-    faces = np.empty(len(mesh.faces), [("vertex_indices", "<i4", (3,))])
-    faces["vertex_indices"] = mesh.faces
-    elements = [PlyElement.describe(vertices, "vertex"), PlyElement.describe(faces, "face")]
+    faces = np.empty(len(mesh.faces), PLY_FACE)
+    faces["count"], faces["vertices"] = 3, mesh.faces
     make_folder(path.parent)
     with replaced_file(path) as file:
-        PlyData(elements, byte_order="<", comments=["metres, map frame, z up"]).write(file)
+        file.write(PLY_HEADER.format(vertices=len(mesh.vertices_world), faces=len(faces)).encode("ascii"))
+        file.write(mesh.vertices_world.astype("<f4").tobytes())
+        file.write(faces.tobytes())
 
 
 def _crop(volume: BrickVolume, margin: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64]]:

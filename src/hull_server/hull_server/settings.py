@@ -137,7 +137,7 @@ class NodeSettings(HullSettings):
 
     rig_file: str = setting("", "path of the rig YAML file: cameras, calibration, volume")
     mesh: MeshSettings = setting(MeshSettings, "the hull's mesh")
-    frame_id: str = setting("map", "frame of the published clouds: the rig file's world")
+    frame_id: str = setting("map", "frame of the published clouds: the rig file's world", is_name=True)
     publish_tf: bool = setting(True, "publish the cameras' places on /tf_static, where tf2_msgs is installed")
     tolerance_s: float = setting(
         0.008, "stamps of one frame set differ by at most this: half a frame period", unit="s", low=1e-6, high=1.0

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import InputError, Rig
+from capture_rig.rig import MAX_CAMERAS
 from capture_rig.visibility import min_seeing as min_seeing
 
 from .grid import BrickVolume
@@ -26,7 +27,6 @@ Box = tuple[int, int, int, int]
 """Left, top, right and bottom (exclusive), in pixels."""
 Boxes = Mapping[str, Box]
 
-MAX_CAMERAS = 63  # cameras of a set are bits of a signed 64-bit word
 MAX_CANVAS_PX = 32767
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from plyfile import PlyData
 
 from capture_rig import InputError
 from hull_server.grid import BrickVolume, VoxelGrid
-from hull_server.mesh import surface_mesh, write_ply
+from hull_server.mesh import Mesh, surface_mesh, write_ply
 
 GRID = VoxelGrid(np.array([-0.5, 0.2, 0.1]), 0.02, (60, 50, 70))
 CENTRE_WORLD, RADIUS_M = np.array([0.1, 0.7, 0.8]), 0.3
@@ -42,13 +41,20 @@ def test_mesh_of_an_empty_hull_is_refused_with_a_remedy():
         surface_mesh(BrickVolume.empty(GRID))
 
 
-def test_ply_holds_the_mesh(tmp_path):
+def test_ply_read_by_trimesh_holds_the_same_vertices_and_faces(tmp_path):
+    trimesh = pytest.importorskip("trimesh", reason="trimesh is not installed (requirements-dev.txt)")
     mesh = surface_mesh(ball())
     write_ply(mesh, tmp_path / "folder" / "ball.ply")
-    ply = PlyData.read(str(tmp_path / "folder" / "ball.ply"))
-    vertices = np.column_stack([ply["vertex"][axis] for axis in "xyz"])
-    np.testing.assert_allclose(vertices, mesh.vertices_world, atol=1e-6)
-    assert (np.stack(ply["face"]["vertex_indices"]) == mesh.faces).all()
+    read = trimesh.load_mesh(str(tmp_path / "folder" / "ball.ply"), process=False)
+    np.testing.assert_array_equal(read.vertices, mesh.vertices_world.astype(np.float32))
+    np.testing.assert_array_equal(read.faces, mesh.faces)
+    assert read.is_watertight and 1e3 * read.volume == pytest.approx(mesh.litres, rel=1e-4)
+
+
+def test_ply_of_a_mesh_without_faces_is_a_header_alone(tmp_path):
+    write_ply(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), tmp_path / "none.ply")
+    header = (tmp_path / "none.ply").read_bytes()
+    assert b"element vertex 0\n" in header and b"element face 0\n" in header and header.endswith(b"end_header\n")
 
 
 def test_ply_that_cannot_be_written_says_where(tmp_path):

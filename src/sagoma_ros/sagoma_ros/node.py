@@ -31,7 +31,6 @@ T = TypeVar("T")
 
 RCLError = rclpy_implementation.RCLError
 TAKES_EFFECT = "takes effect at the next configure: deactivate, cleanup, configure and activate the node"
-LARGEST, LARGEST_INT = 1e308, (1 << 63) - 1  # of a range that is open on one side
 FOREIGN_PREFIXES = ("qos_overrides.",)  # declared by rclpy when a topic is made, possibly later than we look
 
 
@@ -252,13 +251,11 @@ def _describe_ranges(node: Node, known: Mapping[str, Leaf]) -> None:
             return found
         found = copy(found)
         found.dynamic_typing = False  # another type is refused, by our own check
-        low, high = leaf.metadata.get("low"), leaf.metadata.get("high")
-        if leaf.type is float and (low, high) != (None, None):
-            least, most = (-LARGEST if low is None else float(low)), (LARGEST if high is None else float(high))
-            found.floating_point_range = [FloatingPointRange(from_value=least, to_value=most)]
-        elif leaf.type is int and (low, high) != (None, None):
-            first, last = (-LARGEST_INT if low is None else int(low)), (LARGEST_INT if high is None else int(high))
-            found.integer_range = [IntegerRange(from_value=first, to_value=last, step=1)]
+        low, high = leaf.bounds
+        if leaf.type is float and leaf.has_range:
+            found.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+        elif leaf.type is int and leaf.has_range:
+            found.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
         return found
 
     node.describe_parameter = describe  # type: ignore[method-assign]
@@ -313,12 +310,11 @@ def _check(node: Node, settings_class: type, changes: list[Parameter]) -> SetPar
 def _descriptor(leaf: Leaf) -> ParameterDescriptor:
     """Description, unit and allowed values. Type and range are left to our own check, whose error names the remedy."""
     unit, choices = leaf.metadata.get("unit"), leaf.metadata.get("choices")
-    low, high = leaf.metadata.get("low"), leaf.metadata.get("high")
     constraints = ""
     if choices:
         constraints = "one of " + ", ".join(map(str, choices))
-    elif low is not None or high is not None:
-        constraints = f"{'-inf' if low is None else low} to {'inf' if high is None else high}"
+    elif leaf.has_range:
+        constraints = leaf.range_text
     return ParameterDescriptor(
         description=leaf.metadata.get("help", "") + (f" [{unit}]" if unit else ""),
         additional_constraints=constraints,

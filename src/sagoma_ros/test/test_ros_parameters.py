@@ -112,6 +112,7 @@ def test_override_of_another_settings_class_is_none_of_our_business_when_reading
     ("key", "value", "problem"),
     [
         ("cameras", 0, "cameras = 0 is out of range. Allowed: 1 to 64"),
+        ("blob.min_area_m2", float("inf"), "blob.min_area_m2 = inf m^2 is out of range"),
         ("voxel_m", 1.0, "voxel_m = 1.0 m is out of range. Allowed: 0.002 to 0.2 m"),
         ("blob.min_area_m2", -0.5, "blob.min_area_m2 = -0.5 m^2 is out of range"),
         ("cameras", "many", "cameras = 'many' is not of type int"),
@@ -131,6 +132,7 @@ def test_bad_override_is_refused_with_key_value_and_remedy(ros: Spinner, key: st
     ("key", "value", "problem"),
     [
         ("cameras", 65, "cameras = 65 is out of range"),
+        ("low", [0.0, float("inf")], "low = [0.0, inf]"),
         ("backend", "cuda", "is not one of 'auto', 'cpu', 'gl'"),
         ("loop", "yes", "is not of type bool"),
     ],

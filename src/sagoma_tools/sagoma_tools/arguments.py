@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
+from capture_rig.number import number
 from capture_rig.session import load_session
 from capture_rig.yaml_file import parse_value
 from sagoma_bringup.first_pose import AUTO_START, STARTS, start_settings
@@ -17,6 +18,12 @@ from sagoma_bringup.processes import ONE_PROCESS, SERVER_LAYOUTS
 from .start_at import in_step, start_instant_ns
 from .takes.folder import TAKES, TakesFolder
 
+# types of numbers that several commands take
+SECONDS = number("s", 0, 1e7)
+FRAME_RATE = number("Hz", 0.1, 1000)
+PLAYING_SPEED = number("times real time", 0, 100)
+NODES = number("nodes", 1, 1000, whole=True)
+
 
 def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     """The arguments that describe a graph; :func:`graph_from` reads them."""
@@ -25,7 +32,9 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
     help_cameras = "folder of camera parameter files, or one such file; without --rig the camera clients run alone"
     parser.add_argument("--cameras", help=help_cameras)
     parser.add_argument("--only", metavar="PART", help="run only this part: server, cameras, or one camera's name")
-    parser.add_argument("--rate", type=float, default=1.0, help="playing speed of footage; 0: as fast as the graph can")
+    parser.add_argument(
+        "--rate", type=PLAYING_SPEED, default=1.0, help="playing speed of footage; 0: as fast as the graph can"
+    )
     parser.add_argument("--loop", action="store_true", help="play footage again and again")
     help_start_at = "when footage begins, the same on every machine that plays a part of it: 14:30:05, or with a date"
     parser.add_argument("--start-at", metavar="TIME", help=f"{help_start_at}; this machine's time zone, or Z for UTC")

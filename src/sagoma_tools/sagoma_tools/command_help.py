@@ -198,6 +198,7 @@ Commands that run until they are stopped (`up`, `record`, `view`, `studio`) end 
 
 - **Messages** begin with `sagoma:`, stand on stderr, and say what is wrong, where, and the remedy. Results stand on
   stdout; `--json`, where there is one, is for programs.
+- **Numbers** are finite and within a range that the message names with its unit; no option takes NaN or infinity.
 - **Progress**: a command that has been silent for three seconds says what it does and how far it is, on stderr: on a
   terminal in one line that the next output replaces, elsewhere in a plain line every ten seconds. While it
   runs until it is stopped, it does so on terminals only.

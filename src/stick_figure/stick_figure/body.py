@@ -24,6 +24,8 @@ _UPPER_ARM, _FOREARM, _HAND = 0.186, 0.146, 0.108
 _BIACROMIAL, _PELVIC = 0.259, 0.191
 _HIP_CENTRES_OVER_PELVIS = 0.72
 """Distance of the hip joint centres over the pelvic breadth: Bell, Pedersen & Brand (1990), 14 % medial each side."""
+STATURES_M = (0.5, 2.6)
+"""The smallest and the greatest person."""
 BUILD_NUMBERS = 14
 """How many numbers say how a body's surface differs from that of others of its lengths (`build.py`)."""
 
@@ -129,8 +131,10 @@ class Body:
         Raises InputError outside 0.5 to 2.6 m.
         """
         stature_m = _check_size("stature_m", stature_m)
-        if not 0.5 <= stature_m <= 2.6:
-            raise InputError(f"a stature of {stature_m:g} m is not a person's", remedy="Give it in metres, 0.5 to 2.6.")
+        low, high = STATURES_M
+        if not low <= stature_m <= high:
+            remedy = f"Give it in metres, {low} to {high}."
+            raise InputError(f"a stature of {stature_m:g} m is not a person's", remedy=remedy)
         thigh, calf = _HIP - _KNEE, _KNEE - _ANKLE
         forearm = _FOREARM + _HAND
         torso = _NECK - _HIP

@@ -160,7 +160,7 @@ def test_command_line_writes_a_session_and_says_what(tmp_path, capsys):
 
 
 def test_command_line_reports_bad_input_in_one_line(tmp_path, capsys):
-    assert main([str(tmp_path / "session"), "--cameras", "1", "--stature", "175"]) == 2
+    assert main([str(tmp_path / "session"), "--cameras", "1"]) == 2
     error = capsys.readouterr().err
     assert "virtual_studio:" in error
     assert len(error.splitlines()) == 1

@@ -9,7 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from capture_rig.errors import InputError
+from capture_rig.number import number
 from rig_calibration.boards.specification import board_text, read_board
+from stick_figure.body import STATURES_M
 
 from .motion_files.recorded import ReadingOptions, RecordedMotion, is_motion_file
 from .motions.catalogue import MOTIONS, MotionFunction
@@ -22,6 +24,7 @@ from .rig import ring
 from .scene.boards import Wand
 
 QUICK_FPS, QUICK_MOVING_S = 6.0, 16.0
+FRAME_RATE, PROPORTION = number("Hz", 0.1, 1000), number("times the average", 0.3, 3)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -101,18 +104,26 @@ def _session_parser() -> argparse.ArgumentParser:
         f"what the person does: {motions}; or a BVH or AMC file; or what several do: {', '.join(TOGETHER)}",
         "of noise and flicker",
     )
-    parser.add_argument("--seconds", type=float, default=6.0, help="length, s (of a file: at most); first a T-pose")
-    parser.add_argument("--fps", type=float, default=60.0, help="frames a second")
-    parser.add_argument("--motion-start", type=float, default=0.0, help="seconds of the file to leave out")
+    parser.add_argument(
+        "--seconds", type=number("s", 0.1, 3600), default=6.0, help="length, s (of a file: at most); first a T-pose"
+    )
+    parser.add_argument("--fps", type=FRAME_RATE, default=60.0, help="frames a second")
+    parser.add_argument(
+        "--motion-start", type=number("s", 0, 1e5), default=0.0, help="seconds of the file to leave out"
+    )
     parser.add_argument("--motion-up", default="y", help="the file's axis that points up")
-    parser.add_argument("--motion-fps", type=float, help="frames a second of an AMC file")
+    parser.add_argument("--motion-fps", type=FRAME_RATE, help="frames a second of an AMC file")
     parser.add_argument("--motion-skeleton", type=Path, help="ASF file of an AMC file, if it is not beside it")
     parser.add_argument("--motion-joints", type=Path, help="YAML that maps joints of the figure to the file's")
-    parser.add_argument("--stature", type=float, default=1.75, help="standing height, m")
-    parser.add_argument("--build", type=float, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy")
-    parser.add_argument("--arms", type=float, default=1.0, help="length of the arms over the average's")
-    parser.add_argument("--legs", type=float, default=1.0, help="length of the legs over the average's")
-    parser.add_argument("--flicker", type=float, default=0.005, help="relative deviation of a frame's brightness")
+    parser.add_argument("--stature", type=number("m", *STATURES_M), default=1.75, help="standing height, m")
+    parser.add_argument(
+        "--build", type=PROPORTION, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy"
+    )
+    parser.add_argument("--arms", type=PROPORTION, default=1.0, help="length of the arms over the average's")
+    parser.add_argument("--legs", type=PROPORTION, default=1.0, help="length of the legs over the average's")
+    parser.add_argument(
+        "--flicker", type=number("", 0, 1), default=0.005, help="relative deviation of a frame's brightness"
+    )
     parser.add_argument("--shadow", action=argparse.BooleanOptionalAction, default=True, help="shadow on the floor")
     return parser
 
@@ -126,7 +137,7 @@ def _setup_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("folder", help="folder to write (new, empty, or an older one of this command)")
     _add_common_arguments(parser, "what the person does", "of noise, flicker and hands")
-    parser.add_argument("--seconds", type=float, default=6.0, help="length of the session, s")
+    parser.add_argument("--seconds", type=number("s", 0.1, 3600), default=6.0, help="length of the session, s")
     parser.add_argument("--board", default=board_text(HAND_BOARD), help="waved before each camera")
     parser.add_argument("--floor-board", default=board_text(FLOOR_BOARD), help="on the floor, and carried")
     parser.add_argument("--wand", action="store_true", help="swing a wand of three balls, too")
@@ -135,13 +146,17 @@ def _setup_parser() -> argparse.ArgumentParser:
 
 
 def _add_common_arguments(parser: argparse.ArgumentParser, motion: str, seed: str) -> None:
-    parser.add_argument("--cameras", type=int, default=6, help="number of cameras in all")
+    parser.add_argument(
+        "--cameras", type=number("cameras", 1, 33, whole=True), default=6, help="number of cameras in all"
+    )
     parser.add_argument(
         "--ceiling", action=argparse.BooleanOptionalAction, default=True, help="the last camera hangs from the ceiling"
     )
     parser.add_argument("--motion", default="tour", metavar="NAME|FILE", help=motion)
-    parser.add_argument("--seed", type=int, default=1, help=seed)
-    parser.add_argument("--noise", type=float, default=3.0, help="standard deviation of a pixel, grey levels")
+    parser.add_argument("--seed", type=number("", 0, 1 << 32, whole=True), default=1, help=seed)
+    parser.add_argument(
+        "--noise", type=number("grey levels", 0, 255), default=3.0, help="standard deviation of a pixel, grey levels"
+    )
 
 
 def _show_progress(done: int, total: int) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
+from capture_rig.rig import FARTHEST_M
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.specification import read_board
 from rig_calibration.extrinsics.carried_board import FloorAt
@@ -64,12 +65,6 @@ def read_boards(board: str | None, floor_board: str | None, needed: bool) -> tup
 
 def read_choice(origin: str, heading_deg: float, thickness_m: float) -> WorldChoice:
     """Return the world's origin and heading on the floor board. Raises InputError."""
-    for name, value in (("--heading", heading_deg), ("--board-thickness", thickness_m)):
-        if not math.isfinite(value):
-            raise InputError(f"{value} is no number to measure with", where=name, remedy="Give a finite number.")
-    if not 0.0 <= thickness_m < 0.5:
-        remedy = "Give metres: 0.005 for a foam board of 5 mm."
-        raise InputError(f"{thickness_m} m is no board's thickness", where="--board-thickness", remedy=remedy)
     heading = math.radians(heading_deg)
     if origin == CENTRE:
         return WorldChoice(CENTRE, heading, thickness_m)
@@ -128,6 +123,7 @@ def _numbers(text: str, count: int | None, where: str, remedy: str) -> list[floa
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    if not numbers or (count is not None and len(numbers) != count) or not all(map(math.isfinite, numbers)):
+    within = all(abs(one) <= FARTHEST_M for one in numbers)  # NaN is not
+    if not numbers or (count is not None and len(numbers) != count) or not within:
         raise InputError(f"'{text}' cannot be read", where=where, remedy=remedy)
     return numbers

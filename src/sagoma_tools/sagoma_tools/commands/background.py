@@ -22,9 +22,11 @@ from camera_client.background.model import BackgroundModel, load_background, sha
 from camera_client.background.verdict import find_regions, judge_background, turn_findings
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder, write_bytes
+from capture_rig.number import number
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 
+from ..arguments import NODES, SECONDS
 from ..command_help import INTERRUPTED
 from ..console import command_console
 from ..graph.background_training import (
@@ -57,13 +59,19 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("background", help=help_text)
     option = parser.add_argument
     help_countdown = f"seconds to leave the room (default: {COUNTDOWN_S})"
-    option("--countdown", type=int, default=COUNTDOWN_S, metavar="S", help=help_countdown)
+    option("--countdown", type=number("s", 0, 3600, whole=True), default=COUNTDOWN_S, metavar="S", help=help_countdown)
     option("--cameras", nargs="+", metavar="CAM", help="only these (default: all that are found)")
     option("--repeat", action="store_true", help="only those without a background, or whose background is no good")
-    option("--retries", type=int, default=1, metavar="N", help="retry failed cameras so often (default: 1)")
-    option("--expect", type=int, default=1, metavar="N", help="wait until so many camera clients are found")
-    option("--wait", type=float, default=5.0, metavar="S", help="... but no longer than this")
-    option("--timeout", type=float, default=TIMEOUT_S, metavar="S", help="for a camera's frames to come")
+    option(
+        "--retries",
+        type=number("times", 0, 100, whole=True),
+        default=1,
+        metavar="N",
+        help="retry failed cameras so often (default: 1)",
+    )
+    option("--expect", type=NODES, default=1, metavar="N", help="wait until so many camera clients are found")
+    option("--wait", type=SECONDS, default=5.0, metavar="S", help="... but no longer than this")
+    option("--timeout", type=SECONDS, default=TIMEOUT_S, metavar="S", help="for a camera's frames to come")
     add_namespace_argument(parser)
     option("--json", action="store_true", help="print the result as one line of JSON, too")
     parser.set_defaults(run=run)

@@ -9,12 +9,14 @@ from pathlib import Path
 
 from capture_rig.errors import InputError
 from capture_rig.lens import COEFFICIENTS
+from capture_rig.number import number
 from capture_rig.verdict import REDO
 from rig_calibration.boards.drawing import print_size_m, save_for_print
 from rig_calibration.boards.printing import PAPER_MM
 from rig_calibration.boards.specification import board_text, read_board
 from rig_calibration.intrinsics.model_choice import AUTO
 
+from ..arguments import SECONDS
 from ..calibration.intrinsics import calibrate_footage, figures, print_results
 from ..console import command_console
 from . import calibrate_extrinsics
@@ -56,9 +58,10 @@ def _add_intrinsics(steps: argparse._SubParsersAction) -> None:
     parser.add_argument("--json", action="store_true", help="the last line is the figures as JSON")
     live = parser.add_argument_group("live, with --topic")
     live.add_argument("--name", help="the camera's name (default: from the topic)")
-    live.add_argument("--seconds", type=float, help="end after so long, with what there is")
-    live.add_argument("--views", type=int, help="end after so many views (default: when the lens is known well enough)")
-    live.add_argument("--wait", type=float, default=10.0, help="give up when no image comes for so long, in seconds")
+    live.add_argument("--seconds", type=SECONDS, help="end after so long, with what there is")
+    views, help_views = number("views", 1, 1000, whole=True), "end after so many (default: when the lens is known well)"
+    live.add_argument("--views", type=views, help=help_views)
+    live.add_argument("--wait", type=SECONDS, default=10.0, help="give up when no image comes for so long, in seconds")
     help_set = "hand the result to the running camera client (its service set_camera_info)"
     live.add_argument("--set", action="store_true", dest="offer", help=help_set)
     parser.set_defaults(run=calibrate_cameras)

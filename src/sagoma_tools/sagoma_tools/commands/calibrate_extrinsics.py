@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from capture_rig.errors import InputError
+from capture_rig.number import number
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
 
@@ -71,8 +72,8 @@ def _add_world(group: argparse._ArgumentGroup) -> None:
     help_origin = f"on the floor board: centre (default), first-corner, or x,y {corner}"
     option("--origin", default="centre", metavar="WHERE", help=help_origin)
     help_heading = "from the board's rows to world x, counterclockwise from above"
-    option("--heading", type=float, default=0.0, metavar="DEG", help=help_heading)
-    option("--board-thickness", type=float, default=0.0, metavar="METRES", help="of the floor board")
+    option("--heading", type=number("degrees", -360, 360), default=0.0, metavar="DEG", help=help_heading)
+    option("--board-thickness", type=number("m", 0, 0.5), default=0.0, metavar="METRES", help="of the floor board")
     when = "a frame's number, first, last, lowest (default: found), or none (no floor is known)"
     option("--floor-at", metavar="WHEN", help=f"without --floor: when the carried board lies on the floor: {when}")
     option("--floor-points", metavar="FILE", help="YAML of points measured on the floor and seen by cameras")

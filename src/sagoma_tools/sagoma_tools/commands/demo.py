@@ -20,7 +20,7 @@ from virtual_studio.gige.command import speed_argument
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
-from ..arguments import add_settings_argument, add_start_argument, next_steps, parse_settings
+from ..arguments import FRAME_RATE, PLAYING_SPEED, add_settings_argument, add_start_argument, next_steps, parse_settings
 from ..command_help import INTERRUPTED
 from ..console import command_console
 from ..evaluation.live_inputs import FootageInput
@@ -44,9 +44,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--session", help="folder of footage (default: a synthetic session, made once)")
     option("--output", default="output/demo", help="where bag, logs and pictures go (default: output/demo)")
     rate = f"of the simulated cameras (default: the session's, up to {CAMERA_FPS:g}; the graph keeps what it holds)"
-    option("--fps", type=float, help=rate)
+    option("--fps", type=FRAME_RATE, help=rate)
     speed = "at this speed, or at 0 as fast as the graph keeps up, dropping nothing"
-    option("--rate", type=float, metavar="R", help=f"no cameras: the clients read the videos, {speed}")
+    option("--rate", type=PLAYING_SPEED, metavar="R", help=f"no cameras: the clients read the videos, {speed}")
     slow = "of the simulated cameras' time, as 1/4 (default: 1, or as much slower as this machine needs for 25 Hz)"
     option("--speed", type=speed_argument, metavar="S", help=slow)
     add_start_argument(parser)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from capture_rig.errors import InputError
+from capture_rig.number import number
 from capture_rig.stop_signals import StopOnSignal
 
 from ..console import command_console
@@ -46,7 +47,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--intrinsics", metavar="FOLDER", type=Path, help=help_lenses)
     option("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
     option("--live", action="store_true", help="listen to the running graph")
-    option("--seconds", type=float, default=LIVE_S, help="how long to listen (default: %(default)g)")
+    option("--seconds", type=number("s", 0.1, 3600), default=LIVE_S, help="how long to listen (default: %(default)g)")
     help_host = "another machine of the graph: does it answer, which packets get there?"
     option("--host", action="append", default=[], metavar="ADDRESS", help=help_host)
     option(
@@ -65,8 +66,6 @@ def run(args: argparse.Namespace) -> int:
     """Examine and print; the exit status is the gravest finding's."""
     if args.what == "camera" and args.parameters is None:
         raise InputError("no parameter file is given", where="doctor camera", remedy="Write: sagoma doctor camera FILE")
-    if not 0 < args.seconds < float("inf"):
-        raise InputError(f"{args.seconds:g} is no time", where="--seconds", remedy="Give seconds above 0.")
     if args.answer:
         return serve()
     findings = list(examined(args))

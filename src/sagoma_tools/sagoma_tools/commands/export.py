@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..arguments import add_takes_argument, bag_of
+from capture_rig.number import number
+
+from ..arguments import FRAME_RATE, add_takes_argument, bag_of
 from ..takes.exporting import EXPORTS, FORMATS, Options, export_take
 
 ALL = "all"
@@ -19,8 +21,13 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     help_format = "one or several of bvh, glb, c3d, trc, opensim (.osim and .mot), csv; or all"
     option("--format", nargs="+", default=[ALL], choices=(*FORMATS, ALL), metavar="FORMAT", help=help_format)
     option("--output", metavar="FOLDER", help="where the files go (default: TAKE/export)")
-    option("--rate", type=float, metavar="HZ", help="frames a second of the files (default: the take's own)")
-    option("--mass", type=float, metavar="KG", help="of the person, for the OpenSim model (default: a BMI of 22)")
+    option("--rate", type=FRAME_RATE, metavar="HZ", help="frames a second of the files (default: the take's own)")
+    option(
+        "--mass",
+        type=number("kg", 2, 500),
+        metavar="KG",
+        help="of the person, for the OpenSim model (default: a BMI of 22)",
+    )
     option("--constant-bones", action="store_true", help="BVH without position channels below the root")
     option("--overwrite", action="store_true", help="replace files of earlier exports")
     add_takes_argument(parser)

@@ -21,7 +21,7 @@ from capture_rig.errors import InputError
 from capture_rig.stop_signals import StopOnSignal
 from virtual_studio.gige import command as studio
 
-from ..arguments import add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
+from ..arguments import NODES, SECONDS, add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
 from ..console import command_console
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.process_group import ProcessSettings
@@ -51,16 +51,16 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     add_server_argument(parser)
     add_page_arguments(parser, "--view")
     parser.add_argument("--record", metavar="BAG", help="record all topics into this bag")
-    parser.add_argument("--seconds", type=float, help="stop after so long (default: run until Ctrl-C)")
+    parser.add_argument("--seconds", type=SECONDS, help="stop after so long (default: run until Ctrl-C)")
     parser.add_argument("--run-folder", help="where logs and parameter files go (default: output/up-DATE-TIME)")
     help_text = "leave processes that crash dead (default: start them again)"
     parser.add_argument("--no-restart", dest="restart", action="store_false", help=help_text)
     parser.set_defaults(run=up)
     for verb, (goal, cameras_first, help_text) in VERBS.items():
         parser = subparsers.add_parser(verb, help=help_text)
-        parser.add_argument("--expect", type=int, default=1, help="wait until so many sagoma nodes are found")
-        parser.add_argument("--wait", type=float, default=5.0, help="... but no longer than this, in seconds")
-        parser.add_argument("--timeout", type=float, help="seconds to wait for each answer")
+        parser.add_argument("--expect", type=NODES, default=1, help="wait until so many sagoma nodes are found")
+        parser.add_argument("--wait", type=SECONDS, default=5.0, help="... but no longer than this, in seconds")
+        parser.add_argument("--timeout", type=SECONDS, help="seconds to wait for each answer")
         parser.set_defaults(run=change_state, goal=goal, cameras_first=cameras_first, verb=verb)
     parser = subparsers.add_parser("studio", help="serve simulated GigE Vision cameras, or talk to those that run")
     studio.add_arguments(parser)

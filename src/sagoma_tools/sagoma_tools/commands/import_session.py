@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from capture_rig.errors import InputError
+from capture_rig.number import number
 
 from ..console import command_console
 from ..importers.humaneva.importer import CAMERAS, Request, Summary, Trial, import_trial
@@ -28,10 +29,14 @@ def add_humaneva(kinds: argparse._SubParsersAction) -> None:
     parser.add_argument("root", type=Path, help="folder that holds S1, S2, S3, S4 and Background")
     parser.add_argument("--subject", required=True, help="S1 to S4")
     parser.add_argument("--action", required=True, help="Walking, Jog, ThrowCatch, Gestures, Box or Combo")
-    parser.add_argument("--trial", type=int, default=1, help="1 has footage and motion capture (default)")
+    parser.add_argument(
+        "--trial", type=number("", 1, 3, whole=True), default=1, help="1 has footage and motion capture (default)"
+    )
     parser.add_argument("--cameras", nargs="+", default=list(CAMERAS), metavar="CAMERA", help=", ".join(CAMERAS))
     help_frames = "the data set's own frame numbers, from 6 on (default: all)"
-    parser.add_argument("--frames", nargs=2, type=int, metavar=("FIRST", "LAST"), help=help_frames)
+    parser.add_argument(
+        "--frames", nargs=2, type=number("", 1, 1e6, whole=True), metavar=("FIRST", "LAST"), help=help_frames
+    )
     parser.add_argument("--no-truth", action="store_true", help="footage alone; trial 2 has no motion capture")
     parser.add_argument("output", type=Path, nargs="?", help="the session folder to write")
     parser.set_defaults(run=import_humaneva)

@@ -8,10 +8,11 @@ import threading
 from pathlib import Path
 
 from capture_rig.errors import InputError
+from capture_rig.number import number
 from capture_rig.rig import load_rig
 from capture_rig.stop_signals import StopOnSignal
 
-from ..arguments import add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings
+from ..arguments import SECONDS, add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings
 from ..command_help import INTERRUPTED
 from ..graph.namespace import add_namespace_argument, namespace_argument
 from ..graph.ros_link import RosLink, our_nodes
@@ -49,17 +50,19 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     help_asked = "record these alone, and what is below them (/tf /tf_static /humans /cam01), as they appear"
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help=help_asked)
     add_namespace_argument(parser)
-    parser.add_argument("--seconds", type=float, help="stop after so long (default: run until Ctrl-C)")
+    parser.add_argument("--seconds", type=SECONDS, help="stop after so long (default: run until Ctrl-C)")
     parser.set_defaults(run=record)
 
     parser = subparsers.add_parser("replay", help="play a bag through the graph: timed, or set by set (lockstep)")
     parser.add_argument("bag", help="rosbag2 bag (mcap or sqlite3), ours or of `ros2 bag record`")
-    parser.add_argument("--rate", type=float, default=1.0, help="speed as a factor of the recorded timing")
+    parser.add_argument("--rate", type=number("times", 1e-3, 1000), default=1.0, help="speed over the recorded one")
     help_topics = "inputs: what cameras send, for the graph; outputs: the rest, for viewers"
     parser.add_argument("--topics", choices=("inputs", "outputs", "all"), default="inputs", help=help_topics)
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
     help_clock = "publish the bag's time on /clock (HZ times a second), for nodes with use_sim_time"
-    parser.add_argument("--clock", nargs="?", type=float, const=CLOCK_HZ, metavar="HZ", help=help_clock)
+    parser.add_argument(
+        "--clock", nargs="?", type=number("Hz", 0.1, 10000), const=CLOCK_HZ, metavar="HZ", help=help_clock
+    )
     parser.add_argument("--lockstep", action="store_true", help="send the next frame set when the EKF has answered")
     parser.add_argument("--graph", action="store_true", help="with --lockstep: start the server's nodes for this run")
     parser.add_argument("--output", metavar="BAG", help="with --graph: record the graph's output into this bag")
@@ -175,11 +178,6 @@ def check_replay(args: argparse.Namespace) -> None:
     if args.lockstep and (args.loop or args.clock is not None):
         remedy = "Leave out --lockstep, or --clock and --loop."
         raise InputError("a replay in lockstep keeps no time", where="arguments", remedy=remedy)
-    if args.clock is not None and not args.clock > 0:
-        raise InputError(f"--clock {args.clock:g} is no rate", where="arguments", remedy="Give Hz, or just --clock.")
-    if args.rate <= 0:
-        remedy = "Give a factor above 0, or --lockstep for as fast as the graph can."
-        raise InputError(f"--rate {args.rate:g} is not a speed", where="arguments", remedy=remedy)
     if args.output is not None:
         require_new(args.output)
 

@@ -10,6 +10,7 @@ from capture_rig.errors import InputError
 from sagoma_bringup.graph import CAMERA_NODE
 from sagoma_bringup.processes import SERVER_EXECUTABLE
 
+from ..arguments import NODES, SECONDS
 from ..graph.ros_link import RosLink
 from .graph import discover
 
@@ -21,8 +22,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     help_text = "make certificates and permissions (SROS 2) for the graph that runs (docs/security.md)"
     parser = subparsers.add_parser("security", help=help_text)
     parser.add_argument("keystore", help="folder to make, or to renew: its authority stays")
-    parser.add_argument("--expect", type=int, default=1, help="wait until so many sagoma nodes are found")
-    parser.add_argument("--wait", type=float, default=5.0, help="... but no longer than this, in seconds")
+    parser.add_argument("--expect", type=NODES, default=1, help="wait until so many sagoma nodes are found")
+    parser.add_argument("--wait", type=SECONDS, default=5.0, help="... but no longer than this, in seconds")
     parser.set_defaults(run=run)
 
 

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from capture_rig.errors import InputError
 
-from ..arguments import add_takes_argument, chosen_take
+from ..arguments import FRAME_RATE, SECONDS, add_takes_argument, chosen_take
 from ..console import command_console
 from ..progress_line import doing
 from ..takes.exporting import EXPORTS
@@ -55,14 +55,14 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     verb("rename", rename, "give a take another name").add_argument("name", help="the new name")
     cut = verb("trim", trim_take, "make a new take of a part; the take stays as it is")
     cut.add_argument("name", help="the new take's name")
-    cut.add_argument("--from", dest="from_s", type=float, default=0.0, metavar="S", help="second at which it begins")
-    cut.add_argument("--to", dest="to_s", type=float, metavar="S", help="second at which it ends (default: the end)")
+    cut.add_argument("--from", dest="from_s", type=SECONDS, default=0.0, metavar="S", help="second at which it begins")
+    cut.add_argument("--to", dest="to_s", type=SECONDS, metavar="S", help="second at which it ends (default: the end)")
     film = verb("video", video, "write a video of it: each camera's silhouettes or pictures, with everybody drawn")
     film.add_argument(
         "--output", metavar="FILE", help=f"mp4, webm (for browsers) or avi (default: TAKE/{EXPORTS}/{VIDEO})"
     )
     film.add_argument("--cameras", nargs="+", default=[], metavar="CAM", help="these only (default: all)")
-    film.add_argument("--fps", type=float, metavar="HZ", help="frames a second (default: the take's)")
+    film.add_argument("--fps", type=FRAME_RATE, metavar="HZ", help="frames a second (default: the take's)")
     verb("delete", delete, "move a take into the bin")
     verb("restore", restore, "bring a deleted take back").add_argument("--name", default="", help="under this name")
     verb("bin", show_bin, "what is in the bin", False)

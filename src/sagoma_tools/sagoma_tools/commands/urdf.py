@@ -6,10 +6,11 @@ import argparse
 import sys
 
 from capture_rig.errors import InputError
+from capture_rig.number import number
 from ekf_tracker.rep155 import body_id_of, human_urdf
 from ekf_tracker.urdf import body_urdf
 from mocap_packets.fit import FIRST_PERSON
-from stick_figure.body import Body
+from stick_figure.body import STATURES_M, Body
 from stick_figure.body_file import load_body
 
 from ..graph.topics import FIRST_BODY_ID
@@ -21,7 +22,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser("urdf", help="print the body as a URDF with the joints of /mocap/joint_states")
     parser.add_argument("--body", help="body YAML, as ~/save_body of icp_tracker writes it")
-    parser.add_argument("--stature", type=float, help=f"an average body of this height in metres (default {STATURE_M})")
+    help_stature = f"an average body of this height in metres (default {STATURE_M})"
+    parser.add_argument("--stature", type=number("m", *STATURES_M), help=help_stature)
     help_id = f"what names of links begin with (default {FIRST_BODY_ID}, the first person's)"
     parser.add_argument("--id", default=FIRST_BODY_ID, help=help_id)
     parser.add_argument("--rep155", action="store_true", help="the URDF of REP-155, for /humans/bodies/ID/joint_states")

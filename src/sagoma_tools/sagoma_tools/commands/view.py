@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from capture_rig.number import number
 from capture_rig.rig import Rig, load_rig
 from capture_rig.stop_signals import StopOnSignal
 
-from ..arguments import add_takes_argument, bag_of
+from ..arguments import SECONDS, add_takes_argument, bag_of
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.namespace import add_namespace_argument, namespace_argument
 from ..graph.ros_link import RosLink
@@ -32,7 +33,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--rig", help="rig YAML, whose cameras are drawn")
     add_page_arguments(parser)
     add_namespace_argument(parser)
-    parser.add_argument("--seconds", type=float, help="close after so long (default: run until Ctrl-C)")
+    parser.add_argument("--seconds", type=SECONDS, help="close after so long (default: run until Ctrl-C)")
     parser.set_defaults(run=run)
 
 
@@ -42,7 +43,8 @@ def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> Non
         parser.add_argument(switch, action="store_true", help="serve the live page, too (docs/view.md)")
     help_host = "address to listen on; others than this machine then need the token that is printed (default: this one)"
     parser.add_argument("--host", default=HOST, help=help_host)
-    parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}, or the next free one")
+    port = number("", 0, 65535, whole=True)
+    parser.add_argument("--port", type=port, default=PORT, help=f"default: {PORT}, or the next free one")
     parser.add_argument("--token", help="token of the page, with --host (default: a new one each time)")
     add_takes_argument(parser)
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import textwrap
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
+from capture_rig.number import number
 from capture_rig.rig import save_rig
-from capture_rig.settings import build_settings
+from capture_rig.settings import build_settings, leaves
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.yaml_file import parse_value, save_mapping
 
@@ -23,6 +25,7 @@ from .studio import PERSON_SCENE, SETUP_SCENE, Studio, StudioSettings
 
 RIG_FILE = "rig.yaml"
 CAMERA_FOLDER = "cameras"
+_SPEED = number("of the time's speed", 1 / 32, 1)
 DESCRIPTION = "Simulated GigE Vision cameras on loopback, which any GenICam client can open."
 EPILOG = f"""talking to a running studio:
   status                          what every camera does
@@ -47,7 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("words", nargs="*", metavar="WORD", help="talk to a running studio (below); none: run one")
     parser.add_argument("--control", metavar="PATH", help=f"the studio's control socket (default: {default_path()})")
     parser.add_argument("--session", metavar="FOLDER", help="show a session's footage (default: the built-in person)")
-    parser.add_argument("--cameras", type=int, metavar="N", help="cameras of the built-in rig (default: 5)")
+    parser.add_argument(
+        "--cameras", type=_number("cameras"), metavar="N", help="cameras of the built-in rig (default: 5)"
+    )
     parser.add_argument(
         "--scene",
         choices=(PERSON_SCENE, SETUP_SCENE),
@@ -55,12 +60,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(default), or a set-up from the empty room over boards to the person, in phases",
     )
     parser.add_argument("--pattern", action="store_true", help="show a test pattern")
-    parser.add_argument("--fps", type=float, help="frame rate at power-on (default: the session's, else 60)")
+    parser.add_argument(
+        "--fps", type=_number("frame_rate"), help="frame rate at power-on (default: the session's, else 60)"
+    )
     parser.add_argument(
         "--speed", type=speed_argument, help="of the cameras' clock, as 0.25 or 1/4: slow motion (default: 1)"
     )
     parser.add_argument("--address", help="loopback address of the first camera (default: 127.0.1.1)")
-    parser.add_argument("--memory", type=float, metavar="MB", help="memory for a session's pictures (default: 800)")
+    parser.add_argument(
+        "--memory", type=_number("memory_mb"), metavar="MB", help="memory for a session's pictures (default: 800)"
+    )
     parser.add_argument("--empty", action="store_true", help="begin with the empty room")
     parser.add_argument("--write", metavar="FOLDER", help="write rig.yaml and cameras/*.yaml for `sagoma up` into it")
     parser.add_argument(
@@ -75,10 +84,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def speed_argument(text: str) -> float:
     """Parses a speed, a number or a fraction such as 1/4, for argparse."""
+    part, bar, whole = text.partition("/")
     try:
-        return float(Fraction(text))
-    except (ValueError, ZeroDivisionError):
-        raise argparse.ArgumentTypeError(f"{text!r} is no speed: give a number or a fraction, such as 1/4") from None
+        return _SPEED(repr(int(part) / int(whole)) if bar else text)
+    except (ValueError, ArithmeticError):
+        return _SPEED(text)  # which says what is wrong
 
 
 def run(args: argparse.Namespace) -> int:
@@ -155,6 +165,11 @@ def write_rig_files(studio: Studio, folder: str | Path) -> Path:
         document = {f"/{name}/camera_client": {"ros__parameters": parameters}}
         save_mapping(cameras / f"{name}.yaml", document)
     return folder
+
+
+def _number(key: str) -> Callable[[str], float]:
+    (leaf,) = (leaf for leaf in leaves(StudioSettings) if leaf.key == key)
+    return number(leaf.metadata["unit"], *leaf.bounds, whole=leaf.type is int)
 
 
 def _pairs(words: list[str]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from capture_rig.errors import InputError
-from capture_rig.settings import setting
+from capture_rig.settings import LARGEST_INT, setting
 
 from .loop import EventLoop
 from .registers import Registers
@@ -135,7 +135,7 @@ def _checked(name: str, value: Any, where: str) -> Any:
     if kind is bool:
         fits = isinstance(value, bool) or value in (0, 1)
     else:
-        fits = isinstance(value, int | float) and not isinstance(value, bool)
+        fits = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST_INT
     high = {"packet_loss": 1.0, "light": 10.0}.get(name)
     if not fits or (kind is float and not value >= 0) or (high is not None and value > high):
         limits = f"a number from 0 to {high:g}" if high else "true or false" if kind is bool else "a number"
