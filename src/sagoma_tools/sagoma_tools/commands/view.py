@@ -21,8 +21,9 @@ from ..view.guard import ANY_HOST, Guard
 from ..view.jobs import Jobs
 from ..view.live import LiveGraph
 from ..view.page import Page
+from ..view.server import PORT
 
-HOST, PORT = "127.0.0.1", 8080
+HOST = "127.0.0.1"
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -42,7 +43,7 @@ def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> Non
         parser.add_argument(switch, action="store_true", help="serve the live page, too (docs/view.md)")
     help_host = "address to listen on; others than this machine then need the token that is printed (default: this one)"
     parser.add_argument("--host", default=HOST, help=help_host)
-    parser.add_argument("--port", type=int, default=PORT, help=f"default: {PORT}, or the next free one")
+    parser.add_argument("--port", type=int, help=f"0: any free one (default: {PORT}, or the next free one)")
     parser.add_argument("--token", help="token of the page, with --host (default: a new one each time)")
     add_takes_argument(parser)
 

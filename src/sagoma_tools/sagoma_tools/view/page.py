@@ -13,11 +13,12 @@ from capture_rig.rig import Rig
 from ..takes.folder import TakesFolder, describe
 from .control import Control, recording_text
 from .graph_panel import GraphPanel
-from .guard import Guard, guarded_server
+from .guard import Guard
 from .jobs import Jobs
 from .live import LiveGraph
 from .playback import Playback
 from .scene import RoomScene
+from .server import guarded_server
 from .take_work import TakeWork
 from .takes_panel import TakesPanel
 
@@ -35,7 +36,7 @@ class Page:
     def __init__(
         self,
         guard: Guard,
-        port: int,
+        port: int | None,
         takes: TakesFolder,
         live: LiveGraph | None = None,
         control: Control | None = None,
