@@ -77,10 +77,8 @@ def page_of(args: argparse.Namespace) -> Iterator[Page]:
         takes = TakesFolder(Path(args.takes))
         jobs = Jobs()
         control = Control(link, diagnostics, takes, jobs)
-        page = Page(guard, args.port, takes, LiveGraph(link, diagnostics), control, jobs)
+        page = Page(guard, args.port, takes, LiveGraph(link, diagnostics), control, jobs, rig)
         try:
-            if rig is not None:
-                page.show_rig(rig)
             announce(guard, page.port)
             yield page
         finally:
