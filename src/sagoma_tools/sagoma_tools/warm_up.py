@@ -12,14 +12,11 @@ import os
 import sys
 from concurrent.futures import ProcessPoolExecutor
 
-import numpy as np
-
 import ekf_tracker.filter
 import icp_tracker.tracker
 from camera_client.silhouettes.warm_up import warm_up_silhouettes
 from hull_server.hull_pipeline import HullPipeline
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import MocapPipeline
 from sagoma_ros import mask_png
 from virtual_studio.rig import ring
 
