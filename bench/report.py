@@ -37,6 +37,8 @@ MEASURED = ("src", "bench")
 SHARED_IN_PAGES = "../shared/data"
 _asked = argparse.Namespace(record=None)
 """record : the name under which the figures are to be recorded, "" for the command's own, None for no record."""
+_tables: list[list[list[str]]] = []
+"""The cells of all tables printed so far, headings first."""
 
 
 def parser(doc: str | None, quick: str = "") -> argparse.ArgumentParser:
@@ -72,7 +74,8 @@ class Table:
     def __init__(self, columns: dict[str, str] | str, title: str = "", *, markdown: bool = False) -> None:
         if isinstance(columns, str):
             columns = dict(column.strip().rsplit(":", 1) for column in columns.split("|"))
-        self._formats, self._markdown = list(columns.values()), markdown
+        self._formats, self._markdown, self._kept = list(columns.values()), markdown, list[list[str]]()
+        _tables.append(self._kept)
         print(f"\n{title}" if title else "")
         self._print([format(heading, _of_text(spec)) for heading, spec in columns.items()])
         if markdown:
@@ -83,6 +86,7 @@ class Table:
         self._print([_cell(value, spec) for value, spec in zip(values, self._formats, strict=True)])
 
     def _print(self, cells: Sequence[str]) -> None:
+        self._kept.append([cell.strip() for cell in cells])
         line = f"| {' | '.join(cell.strip() for cell in cells)} |" if self._markdown else " ".join(cells)
         print(line.rstrip(), flush=True)
 
@@ -151,11 +155,15 @@ def _in_pages(word: str) -> str:
 
 
 def _record_text(command: Sequence[str], figures: dict[str, Any]) -> str:
-    """The text of a record: readable, and one line a figure."""
-    head = {"command": shlex.join(command), "commit": commit(), "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M")}
-    lines = [f" {json.dumps(key)}: {json.dumps(value)}" for key, value in (head | {"machine": machine()}).items()]
-    values = ",\n".join(f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in figures.items())
-    return "{\n" + ",\n".join(lines) + f',\n "figures": {{\n{values}\n }}\n}}\n'
+    """The text of a record: readable, and one line a figure and a row of a table."""
+    date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
+    head = {"command": shlex.join(command), "commit": commit(), "date": date, "machine": machine()}
+    parts = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
+    values = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in figures.items()]
+    parts.append('"figures": {\n' + ",\n".join(values) + "\n }")
+    tables = ["  [\n" + ",\n".join(f"   {json.dumps(row)}" for row in table) + "\n  ]" for table in _tables]
+    parts.append('"tables": [\n' + ",\n".join(tables) + "\n ]")
+    return "{\n " + ",\n ".join(parts) + "\n}\n"
 
 
 def execute(main: Callable[[], object]) -> None:

@@ -1,17 +1,21 @@
 #!/usr/bin/env python3
 """Writes the recorded figures into the pages: ``scripts/figures.py [--check]``.
 
-docs/figures/NAME.json is a record: the figures of one command, with machine, commit and date, as a bench's ``--record``
-writes it. docs/figures/rows.yaml has the rows of the pages' tables:
+docs/figures/NAME.json is a record: figures and tables of one command, with machine, commit and date, as a bench's
+``--record`` writes it. docs/figures/rows.yaml describes the tables of the pages and the rows in them:
 
-    ROW:
-      what: what is measured
-      figure: "{NAME[KEY]:.1f} mm"   # format strings over the records' figures
-      more: " ({NAME[KEY]:.0%})"     # stands in the long table alone
-      measures: [PACKAGE, ...]       # of src/, whose code the figure depends on
+    tables:
+      TABLE: [ROW, ...]              # of the rows below,
+      TABLE: NAME                    # or the first table that the command of a record printed
+    rows:
+      ROW:
+        what: what is measured
+        figure: "{NAME[KEY]:.1f} mm" # format strings over the records' figures
+        more: " ({NAME[KEY]:.0%})"   # stands in the table called "all" alone
+        measures: [PACKAGE, ...]     # of src/, whose code the figure depends on
 
-and under ``tables`` the rows of each table. A table stands in a page between ``<!-- figures: TABLE -->`` and
-``<!-- /figures -->``. Rows whose record is older than the code that they measure are named.
+A table stands in a page between ``<!-- figures: TABLE -->`` and ``<!-- /figures -->``. Rows whose record is older than
+the code that they measure are named.
 """
 
 from __future__ import annotations
@@ -65,10 +69,14 @@ class Figures:
 
     def table(self, name: str) -> str:
         """A table of Markdown; FigureError for one that is not described."""
-        if name not in self.described["tables"]:
-            raise FigureError(f"there is no table {name!r} in rows.yaml")
-        lines = [self.line(row, long=name == LONG) for row in self.described["tables"][name]]
-        return "\n".join(["| what | figure | command |", "|---|---|---|", *lines]) + "\n"
+        described = self.described["tables"].get(name)
+        if isinstance(described, list):
+            lines = [self.line(row, long=name == LONG) for row in described]
+            return "\n".join(["| what | figure | command |", "|---|---|---|", *lines]) + "\n"
+        if described not in self.records:
+            raise FigureError(f"rows.yaml has no table {name!r}, or one of a record that is not there")
+        heading, *rows = (f"| {' | '.join(row)} |" for row in self.records[described]["tables"][0])
+        return "\n".join([heading, "|" + "---|" * (heading.count(" | ") + 1), *rows]) + "\n"
 
     def line(self, name: str, long: bool) -> str:
         """A row: what, figure, and the commands of its records."""

@@ -15,12 +15,13 @@ ROOT = Path(__file__).resolve().parents[1]
 RECORD = {
     "command": "python bench/a.py --quick",
     "commit": None,
-    "date": "",
-    "machine": {},
+    "date": "2026-11-23 21:00",
     "figures": {"off_mm": 1.25},
+    "tables": [[["way", "mm"], ["on", "1"]]],
 }
+PAGE = "<!-- figures: {} -->\nwhatever stood here\n<!-- /figures -->\n"
 ROWS = """
-tables: {all: [way], short: [way]}
+tables: {all: [way], short: [way], printed: a_quick}
 rows:
   way: {what: the way, figure: "{a_quick[off_mm]:.1f} mm", more: " (tried once)", measures: [walker]}
 """
@@ -36,8 +37,9 @@ def test_every_record_names_its_command_and_stands_in_a_row():
     figures = Figures(ROOT)
     rows, tables = figures.described["rows"], figures.described["tables"]
     used = {record for row in rows.values() for record in records_of(row["figure"] + row.get("more", ""))}
-    assert used == set(figures.records)
-    assert {name for table in tables.values() for name in table} == set(rows)
+    lists = [table for table in tables.values() if isinstance(table, list)]
+    assert used | {table for table in tables.values() if isinstance(table, str)} == set(figures.records)
+    assert {name for table in lists for name in table} == set(rows)
     assert all({"command", "commit", "date", "figures"} <= set(record) for record in figures.records.values())
     assert all((ROOT / "src" / package / package).is_dir() for row in rows.values() for package in row["measures"])
 
@@ -58,8 +60,8 @@ def tree(tmp_path):
     for folder in ("docs/figures", "src/walker/walker"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "docs/figures/rows.yaml").write_text(ROWS)
-    (tmp_path / "README.md").write_text("before\n<!-- figures: short -->\n<!-- /figures -->\nafter\n")
-    (tmp_path / "docs/long.md").write_text("<!-- figures: all -->\nwhatever stood here\n<!-- /figures -->\n")
+    (tmp_path / "README.md").write_text(f"before\n{PAGE.format('short')}after\n")
+    (tmp_path / "docs/long.md").write_text(PAGE.format("all") + PAGE.format("printed"))
     (tmp_path / "src/walker/walker/gait.py").write_text("STEP_M = 0.7\n")
     git(tmp_path, "init", "-q")
     git(tmp_path, "add", "src")
@@ -86,7 +88,8 @@ def test_make_figures_fills_the_tables_and_a_second_time_changes_nothing(tree, c
         "<!-- /figures -->",
         "after",
     ]
-    assert "| 1.2 mm (tried once) |" in (tree / "docs/long.md").read_text()
+    long = (tree / "docs/long.md").read_text()
+    assert "| 1.2 mm (tried once) |" in long and "-->\n| way | mm |\n|---|---|\n| on | 1 |\n<!-- /figures -->" in long
     capsys.readouterr()
     assert main(tree, check=True) == main(tree, check=False) == 0
     assert capsys.readouterr().out == ""
@@ -154,10 +157,15 @@ def test_record_keeps_figures_with_command_commit_and_machine(words, name, comma
     given = report.parser("A bench of nothing.", quick="nothing")
     given.add_argument("--hz")
     given.parse_args()
+    report.Table("way:<8 | off:>6.1f").row("there", 1.5)
+    printed = capsys.readouterr().out
     report.finish({"off_mm": 1.5, "lost": float("nan")})
     kept = json.loads((tmp_path / f"{name}.json").read_text())
     assert kept["command"] == f"python bench/bench_of_nothing.py {command}"
     assert kept["figures"] == json.loads(capsys.readouterr().out) == {"off_mm": 1.5, "lost": None}
+    assert (
+        kept["tables"][-1] == [line.split() for line in printed.splitlines()[1:]] == [["way", "off"], ["there", "1.5"]]
+    )
     assert kept["commit"] == report.commit()
     assert kept["machine"]["cores"] >= 1 and kept["machine"]["processor"]
 
