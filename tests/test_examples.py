@@ -1,7 +1,9 @@
 """Each of the examples, run as the process that a user would start, and what comes of it."""
 
+import ast
 import csv
 import io
+import re
 import select
 import signal
 import subprocess
@@ -25,7 +27,8 @@ from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 from virtual_studio.recording.session import RenderSettings, write_session
 from virtual_studio.rig import ring
 
-EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples"
 PATIENCE_S = 30.0
 
 
@@ -52,6 +55,16 @@ def test_tracked_session_has_the_true_elbows_and_knees(built_in_session):
     hinges = [column for column, name in enumerate(names) if name.endswith(("elbow", "knee"))]
     off_deg = np.abs(angles_deg - np.degrees(truth.angles[np.searchsorted(truth.frames, frames)]))[:, hinges]
     assert len(hinges) == 4 and np.median(off_deg) < 8.0
+
+
+def test_the_example_of_the_readme_prints_the_angles_of_each_frame(built_in_session):
+    block = re.search(r"```python\n(from .*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    assert block is not None
+    code = block[1].replace("my_session", str(built_in_session))
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    stamps, angles = zip(*(line.split(" ", 1) for line in printed.splitlines()), strict=True)
+    assert len(stamps) > 30 and sorted(set(map(int, stamps))) == list(map(int, stamps))
+    assert tuple(ast.literal_eval(angles[-1])) == ANGLE_NAMES
 
 
 def test_own_silhouettes_give_the_true_places_of_the_hands(tmp_path):

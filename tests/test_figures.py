@@ -44,14 +44,14 @@ def test_every_record_names_its_command_and_stands_in_a_row():
     assert all((ROOT / "src" / package / package).is_dir() for row in rows.values() for package in row["measures"])
 
 
-def test_rows_older_than_their_code_are_named():
+def test_rows_older_than_their_code_are_named_in_a_warning():
     try:
         lines = Figures(ROOT).stale()
     except FigureError as reason:
         pytest.skip(str(reason))
-    for line in lines:
-        warnings.warn(f"older than its code: {line}", stacklevel=1)
-    assert all(line.partition(":")[0] in Figures(ROOT).described["rows"] for line in lines)
+    assert {line.partition(":")[0] for line in lines} <= set(Figures(ROOT).described["rows"])
+    if lines:
+        warnings.warn("older than their code:\n" + "\n".join(lines), stacklevel=1)
 
 
 @pytest.fixture
