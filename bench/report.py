@@ -97,13 +97,13 @@ def finish(figures: dict[str, Any], command: Sequence[str] = ()) -> None:
     command : that measured them, if it is not this program's own.
     """
     plain = _plain(figures)
+    print(json.dumps(plain), flush=True)
     if _asked.record is not None:
         words = [_in_pages(word) for word in command or _own_command()]
         path = FIGURES / f"{_asked.record or name_of(words)}.json"
-        print(f"recorded: {path}", file=sys.stderr)
         write_text(path, _record_text(words, plain))
+        print(f"recorded: {path}", file=sys.stderr)
         _asked.record = None
-    print(json.dumps(plain))
 
 
 def name_of(command: Iterable[str]) -> str:
@@ -119,6 +119,12 @@ def machine() -> dict[str, Any]:
     processor = names[0] if names else platform.processor() or platform.machine()
     load = round(os.getloadavg()[0], 1)
     return {"processor": processor, "cores": os.cpu_count(), "python": platform.python_version(), "load": load}
+
+
+def machine_line() -> str:
+    """Return :func:`machine` in a line."""
+    here = machine()
+    return f"{here['processor']}, {here['cores']} cores, Python {here['python']}; load {here['load']}"
 
 
 def commit() -> str | None:
@@ -140,12 +146,8 @@ def _own_command() -> list[str]:
     words = sys.argv[1:]
     place = next(k for k, word in enumerate(words) if word.startswith("--record"))
     named_apart = words[place] == "--record" and bool(_asked.record)
-    return [
-        "python",
-        os.path.relpath(Path(sys.argv[0]).resolve(), TREE),
-        *words[:place],
-        *words[place + 1 + named_apart :],
-    ]
+    del words[place : place + 1 + named_apart]
+    return ["python", os.path.relpath(Path(sys.argv[0]).resolve(), TREE), *words]
 
 
 def _in_pages(word: str) -> str:
