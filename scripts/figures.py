@@ -71,23 +71,24 @@ class Figures:
         """A table of Markdown; FigureError for one that is not described."""
         described = self.described["tables"].get(name)
         if isinstance(described, list):
-            lines = [self.line(row, long=name == LONG) for row in described]
-            return "\n".join(["| what | figure | command |", "|---|---|---|", *lines]) + "\n"
+            heading = ["what", "figure", "command", *(["taken"] if name == LONG else [])]
+            return _markdown([heading, *(self.cells(row, long=name == LONG) for row in described)])
         if described not in self.records:
             raise FigureError(f"rows.yaml has no table {name!r}, or one of a record that is not there")
-        heading, *rows = (f"| {' | '.join(row)} |" for row in self.records[described]["tables"][0])
-        return "\n".join([heading, "|" + "---|" * (heading.count(" | ") + 1), *rows]) + "\n"
+        return _markdown(self.records[described]["tables"][0])
 
-    def line(self, name: str, long: bool) -> str:
-        """A row: what, figure, and the commands of its records."""
+    def cells(self, name: str, long: bool) -> list[str]:
+        """A row: what, figure, the commands of its records; in a long table when and of which commit they are, too."""
         row = self.described["rows"][name]
         template = row["figure"] + (row.get("more", "") if long else "")
         try:
             figure = template.format_map({key: record["figures"] for key, record in self.records.items()})
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise FigureError(f"row {name!r}: {template!r} does not fit the records: {error!r}") from None
-        commands = dict.fromkeys(f"`{self.records[record]['command']}`" for record in records_of(template))
-        return f"| {row['what']} | {figure} | {'; '.join(commands)} |"
+        records = [self.records[record] for record in records_of(template)]
+        commands = dict.fromkeys(f"`{record['command']}`" for record in records)
+        taken = dict.fromkeys(f"{record['date'][:10]}, {(record['commit'] or 'no commit')[:7]}" for record in records)
+        return [row["what"], figure, "; ".join(commands), *(["; ".join(taken)] if long else [])]
 
     def stale(self) -> list[str]:
         """A line for each row that was recorded before the last change of the code that it measures.
@@ -117,6 +118,12 @@ class Figures:
             return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
         except (OSError, subprocess.CalledProcessError):
             return None
+
+
+def _markdown(rows: list[list[str]]) -> str:
+    """A table, its headings first."""
+    heading, *others = (f"| {' | '.join(row)} |" for row in rows)
+    return "\n".join([heading, "|" + "---|" * len(rows[0]), *others]) + "\n"
 
 
 def records_of(template: str) -> list[str]:

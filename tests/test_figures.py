@@ -88,8 +88,9 @@ def test_make_figures_fills_the_tables_and_a_second_time_changes_nothing(tree, c
         "<!-- /figures -->",
         "after",
     ]
-    long = (tree / "docs/long.md").read_text()
-    assert "| 1.2 mm (tried once) |" in long and "-->\n| way | mm |\n|---|---|\n| on | 1 |\n<!-- /figures -->" in long
+    commit, long = git(tree, "rev-parse", "HEAD"), (tree / "docs/long.md").read_text()
+    assert f"| 1.2 mm (tried once) | `python bench/a.py --quick` | 2026-11-23, {commit[:7]} |" in long
+    assert "-->\n| way | mm |\n|---|---|\n| on | 1 |\n<!-- /figures -->" in long
     capsys.readouterr()
     assert main(tree, check=True) == main(tree, check=False) == 0
     assert capsys.readouterr().out == ""
