@@ -35,8 +35,9 @@ FIGURES = TREE / "docs" / "figures"
 MEASURED = ("src", "bench")
 """A change in these folders that no commit holds makes the recorded commit a dirty one."""
 SHARED_IN_PAGES = "../shared/data"
-_asked = argparse.Namespace(record=None)
-"""record : the name under which the figures are to be recorded, "" for the command's own, None for no record."""
+_asked = argparse.Namespace(record=None, commit=None)
+"""record : the name under which the figures are to be recorded, "" for the command's own, None for no record; commit :
+of the code when this was asked, at the start."""
 _tables: list[list[list[str]]] = []
 """The cells of all tables printed so far, headings first."""
 
@@ -56,7 +57,7 @@ class _Record(argparse.Action):
     """Remembers for ``finish`` that the figures are to be recorded."""
 
     def __call__(self, parser: Any, namespace: Any, values: Any, option_string: str | None = None) -> None:
-        _asked.record = values
+        _asked.record, _asked.commit = values, commit()
 
 
 def add_settings(to: argparse.ArgumentParser) -> None:
@@ -159,7 +160,7 @@ def _in_pages(word: str) -> str:
 def _record_text(command: Sequence[str], figures: dict[str, Any]) -> str:
     """The text of a record: readable, and one line a figure and a row of a table."""
     date = datetime.now(UTC).strftime("%Y-%m-%d %H:%M")
-    head = {"command": shlex.join(command), "commit": commit(), "date": date, "machine": machine()}
+    head = {"command": shlex.join(command), "commit": _asked.commit, "date": date, "machine": machine()}
     parts = [f"{json.dumps(key)}: {json.dumps(value)}" for key, value in head.items()]
     values = [f"  {json.dumps(key)}: {json.dumps(value)}" for key, value in figures.items()]
     parts.append('"figures": {\n' + ",\n".join(values) + "\n }")
