@@ -8,7 +8,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 # without bytecode every process of a graph, and of the tests, compiles all sources and tests anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo studio test test-all lint figures colcon clean
+.PHONY: help setup setup-dev demo studio test test-all lint figures colcon clean
 help:
 	@echo "make demo [SESSION=folder]  set up, run the whole graph live on the built-in session (or a folder of videos)"
 	@echo "make studio [SESSION=folder] set up, serve simulated GigE Vision cameras until Ctrl-C (docs/studio.md)"
@@ -19,20 +19,23 @@ help:
 setup:
 	@VENV=$(VENV) scripts/setup.sh
 
+setup-dev: # with what tests and checks need
+	@VENV=$(VENV) scripts/setup.sh dev
+
 demo: setup
 	@$(PYTHON) -m sagoma_tools.cli demo $(if $(SESSION),--session "$(SESSION)")
 
 studio: setup
 	@$(PYTHON) -m sagoma_tools.cli studio $(if $(SESSION),--session "$(SESSION)")
 
-test: setup
+test: setup-dev
 	$(PYTHON) -m pytest -n $(TEST_PROCESSES)
 
 test-all: TEST_PROCESSES = 2
-test-all: setup
+test-all: setup-dev
 	$(PYTHON) -m pytest -n $(TEST_PROCESSES) -m "slow or not slow" -o faulthandler_timeout=600
 
-lint: setup
+lint: setup-dev
 	$(PYTHON) -m ruff check . && $(PYTHON) -m ruff format --check .
 	@echo "mypy: the types of all packages (half a minute when nothing is cached)"
 	@MYPYPATH=$(subst $() ,:,$(wildcard src/*)) $(PYTHON) -m mypy $(addprefix -p ,$(notdir $(wildcard src/*)))
@@ -40,7 +43,7 @@ lint: setup
 figures: setup
 	@$(PYTHON) scripts/figures.py
 
-colcon: setup
+colcon: setup-dev
 	cd ros_ws && COLCON_DEFAULTS_FILE=$$PWD/colcon_defaults.yaml ../$(VENV)/bin/colcon build
 
 clean:

@@ -8,6 +8,7 @@ typed and lowered (:class:`_PartDispatcher`); what Python calls is optimised, an
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from numba.core import types
@@ -102,7 +103,8 @@ class _KernelDispatcher(CPUDispatcher):
         self._part = _PartDispatcher(function, targetoptions=options | NO_ENTRY, pipeline_class=_PartCompiler)
 
     def enable_caching(self) -> None:
-        self._cache = KernelCache(self.py_func)
+        with suppress(RuntimeError):  # no folder can be written: every process compiles what it needs
+            self._cache = KernelCache(self.py_func)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         return self._part.get_call_template(args, kws)

@@ -138,4 +138,4 @@ def warm_up() -> None:
     moves_m = (0.0, 0.0, 0.1, *(1.0,) * (READMIT_AFTER_SETS + 1))  # rest, a manoeuvre, a foot out of reach
     for number, move_m in enumerate(moves_m):
         points[-1, 0] += move_m
-        ekf.step(FRAME_NS * (1 + number), points, covariance, np.ones(15, bool))
+        ekf.step(FRAME_NS * (1 + number), points, covariance, np.ones(15, bool)).prediction.as_sent()

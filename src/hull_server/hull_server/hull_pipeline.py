@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import Rig
+from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts
 from mocap_packets.support import ForegroundSupport
@@ -167,7 +168,7 @@ class HullPipeline:
         )
 
     def warm_up(self) -> None:
-        """Carve a small ball once, so that the first real frame set does not wait for compilers."""
+        """Carve a small ball amid shadow once, so that the first real frame set does not wait for compilers."""
         centre_world = np.append(self.grid.centres_world(np.array(self.grid.shape) / 2.0 - 0.5), 1.0)
         masks = {}
         for name, P, (width, height) in zip(self.views.names, self.views.P, self.views.sizes, strict=True):
@@ -175,7 +176,8 @@ class HullPipeline:
             mask = np.zeros((height, width), np.uint8)
             if w > 0:
                 radius = min(width, height) // 8
-                cv2.circle(mask, (round(u / w), round(v / w)), radius, 255, -1)
+                cv2.circle(mask, (round(u / w), round(v / w)), 2 * radius, SHADOW_CANDIDATE, -1)
+                cv2.circle(mask, (round(u / w), round(v / w)), radius, FOREGROUND, -1)
             masks[name] = mask
         self.run(FrameSet.of_instant(0, masks))
 

@@ -19,6 +19,7 @@ from mocap_packets.state import Prediction
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
@@ -329,7 +330,16 @@ def warm_up(settings: TrackerSettings) -> None:
     ahead, aside = np.tile([1.0, 0.0, 0.0], (15, 1)), np.tile([0.0, 1.0, 0.0], (15, 1))
     contour_rays = ContourRays(points, ahead, aside, np.full(15, 0.1), np.full(15, 0.01))
     for k in range(3):  # acquisition, a fit, and a look for another pose
-        tracker.step(HullProducts.of_points(k, points, 0.01, voxels, contour_rays=contour_rays))
+        predicted = Prediction(k, pose, np.zeros(TANGENT)).as_sent()
+        tracker.step(HullProducts.of_points(k, points, 0.01, voxels, contour_rays=contour_rays), predicted)
+    if settings.method == "articulated":
+        data, trunk = (
+            make_data(points, 0.01, voxels, settings.articulated, contour_rays),
+            TrunkBend(settings.articulated),
+        )
+        matched = assess(body, pose, data, 0, True, settings.articulated).matched
+        for k in range(2):
+            trunk.look(k, body, pose, data.contour_rays, matched.rays)
     if settings.refinement.keyframes > 0:
         warm_up_refiner(settings.refinement, settings.articulated.prior)
 

@@ -10,7 +10,9 @@ import gc
 import multiprocessing
 import os
 import sys
+import tempfile
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
 
 import ekf_tracker.filter
 import icp_tracker.tracker
@@ -18,6 +20,8 @@ from camera_client.silhouettes.warm_up import warm_up_silhouettes
 from hull_server.hull_pipeline import HullPipeline
 from mocap_pipeline.configuration import Configuration
 from sagoma_ros import mask_png
+from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
 SETTINGS = Configuration.of({"hull_server.backend": "cpu"})
@@ -52,10 +56,12 @@ def compile_filter() -> None:
 
 
 def compile_cameras() -> None:
-    """Compile segmentation and PNG."""
-    warm_up_silhouettes(False)
-    warm_up_silhouettes(True)
+    """Compile segmentation, PNG, and the cameras that the demo simulates."""
+    for colour in (False, True):
+        warm_up_silhouettes(colour)
     mask_png.warm_up()
+    with tempfile.TemporaryDirectory(prefix="sagoma_warm_up_") as folder:
+        write_session(Path(folder) / "session", ring(2, True), Body.from_stature(1.75), "t_pose_only", 10.0, 0.1)
 
 
 if __name__ == "__main__":

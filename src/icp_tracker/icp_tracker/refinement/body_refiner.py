@@ -229,11 +229,11 @@ def known_sizes(body: Body) -> BodyEstimate:
 
 
 def warm_up_refiner(settings: RefinementSettings, pose_prior: PriorSettings) -> None:
-    """Run one step on a made-up ray, so that compiled code is loaded before it is needed."""
+    """Run one step on a made-up ray, which counts, so that compiled code is loaded before it is needed."""
     pose = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
     x, y = np.eye(3)[:2, None]
     ray = RayArrays.of(x, y, x, np.ones(1), np.ones(1))
-    BodyRefiner(prior_sizes(1.7), settings, pose_prior).step(0, pose, ray)
+    BodyRefiner(prior_sizes(1.7), replace(settings, explained=0.0), pose_prior).step(0, pose, ray)
 
 
 def _information(sd: float) -> float:

@@ -149,19 +149,16 @@ def check_software(software: SoftwareFacts) -> Iterator[Finding]:
 
 
 def check_kernels(kernels: KernelFacts) -> Iterator[Finding]:
-    """Check that the numerical kernels are compiled from these sources, and that the cache may be written."""
+    """Check that the numerical kernels are compiled, and that the cache may be written."""
     if not kernels.compiled:
         yield warning(
             "kernels.not_compiled", "none is compiled yet: every node's first start takes a minute", "make setup"
         )
     elif kernels.fresh is False:
-        text = f"{kernels.compiled} compiled, but of other sources than these: a mixture may crash"
-        yield warning("kernels.stale", text, "make setup (it empties the cache and compiles anew)")
-    elif kernels.fresh is None:
-        remedy = f"After an update: rm $(find {kernels.folder} -name '*.nb[ic]'), then python -m sagoma_tools.warm_up"
-        yield note("kernels.unknown", f"{kernels.compiled} compiled; whether of these sources is unknown", remedy)
+        text = f"{kernels.compiled} compiled; sources changed since: what depends on them compiles at the next start"
+        yield note("kernels.stale", text, "make setup")
     else:
-        yield ok("kernels", f"{kernels.compiled} compiled, of these sources")
+        yield ok("kernels", f"{kernels.compiled} compiled")
     if not kernels.writable:
         text = f"{kernels.folder} may not be written: kernels compile anew at every start"
         yield warning("kernels.read_only", text, "Set NUMBA_CACHE_DIR to a folder that this user may write.")

@@ -111,7 +111,7 @@ def _middleware() -> tuple[str, str]:
 
 
 def _fresh(packages: Path) -> bool | None:
-    """Return whether the sources are those that the set-up compiled: numba itself does not notice a changed callee."""
+    """Return whether the sources are those that the set-up compiled; None where it does not say."""
     recorded = Path(sys.prefix) / FINGERPRINT
     if packages.name != "src" or not recorded.is_file():
         return None
