@@ -88,7 +88,7 @@ class CameraNode(SagomaNode):
         self._held: list[tuple] = []  # (destroy function, entity) of everything made at configure
         self._last: tuple[Frame, FrameResult] | None = None
         self._matched_s: float | None = None
-        self._footage: FootageClockTopic | None = None  # of footage
+        self._footage_clock: FootageClockTopic | None = None
         self._awaited = 0  # how many cameras are waited for before it begins
         # these live as long as the node, so that every request is answered; learning in a callback group of its own,
         # because its answer takes seconds and must not hold up the timer and the acknowledgements
@@ -105,9 +105,9 @@ class CameraNode(SagomaNode):
         known = self._calibration = load_calibration(settings, name)
         self.chain = CameraChain(known.camera, settings, known.volume, known.placed)
         self._topics = CameraTopics(self._publisher, f"{name}_optical", settings, to_calibrate=not known.placed)
-        self._footage = FootageClockTopic(self, name)
+        self._footage_clock = FootageClockTopic(self, name)
         self._awaited = len(load_rig(settings.rig_file).names) if settings.footage.wait_for_cameras else 0
-        self.source = connect_source(settings, self._accept, self._footage.shared)
+        self.source = connect_source(settings, self._accept, self._footage_clock.shared)
         mask_png.warm_up()
         if not self.source.shape:
             self.chain.check_background_file()
@@ -131,7 +131,7 @@ class CameraNode(SagomaNode):
         self.get_logger().info(f"camera {name}: {self.source.description}")
 
     def activate(self) -> None:
-        assert self.source is not None and self._footage is not None
+        assert self.source is not None and self._footage_clock is not None
         live = self.settings.source != "footage"
         self._matched_s = None
         self._report = CameraReport(self.health, self.get_logger(), self.settings)
@@ -150,12 +150,12 @@ class CameraNode(SagomaNode):
         if live:
             self.source.start()  # so that a camera that refuses fails the transition
         else:
-            self._footage.open()
+            self._footage_clock.open()
         self.loop.start()
 
     def deactivate(self) -> None:
-        if self._footage is not None:
-            self._footage.close()
+        if self._footage_clock is not None:
+            self._footage_clock.close()
         if self.loop is not None:
             self.loop.stop()
             self.loop = None
@@ -209,8 +209,8 @@ class CameraNode(SagomaNode):
     def _consumer_listens(self) -> bool:
         paced = self.settings.footage.rate == 0
         acknowledged = not paced or self.count_publishers(graph_topic(self, self.settings.footage.pace_topic)) > 0
-        assert self._footage is not None
-        if not self._topics.has_listener or not acknowledged or self._footage.cameras < self._awaited:
+        assert self._footage_clock is not None
+        if not self._topics.has_listener or not acknowledged or self._footage_clock.cameras < self._awaited:
             return False
         self._matched_s = self._matched_s or time.monotonic()
         return time.monotonic() >= self._matched_s + SETTLE_S

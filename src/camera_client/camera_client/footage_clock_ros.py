@@ -54,4 +54,5 @@ class FootageClockTopic:
             publisher.publish(message)
 
     def _hear(self, message: TimeReference) -> None:
-        self.shared.offer(FootageClock(to_ns(message.header.stamp), to_ns(message.time_ref)))
+        if message.header.stamp.sec > 0:  # a message without a time would begin before all others
+            self.shared.offer(FootageClock(to_ns(message.header.stamp), to_ns(message.time_ref)))

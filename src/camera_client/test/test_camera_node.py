@@ -78,6 +78,9 @@ def test_camera_that_starts_late_plays_by_the_clock_of_the_others_and_tells_it(b
     clock = TimeReference(time_ref=to_stamp(epoch_ns), source="cam02")
     clock.header.stamp = to_stamp(time.time_ns() - round(late_s * 1e9))
     others.publish(clock)
+    camera.peer.create_publisher(TimeReference, "/footage/clock", LATCHED).publish(
+        TimeReference()
+    )  # of no clock at all
     camera.start()
     camera.until(lambda: any(to_ns(mask.header.stamp) < epoch_ns + 10**12 for mask in camera.masks))
     stamps = [stamp for stamp in camera.stamps_ns() if stamp < epoch_ns + 10**12]  # before it heard, by its own clock

@@ -63,13 +63,6 @@ def test_slow_consumer_gets_late_frames_at_once_until_it_has_caught_up():
     assert departures_ms(pace, clock, 5, first=1) == pytest.approx([70, 70, 70, 80, 100], abs=1e-3)
 
 
-def test_start_within_a_second_of_the_epoch_hurries_to_be_in_step():
-    clock = Clock(EPOCH_NS + 900 * MS)
-    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
-    pace.begin(CLOCK, 0)
-    assert departures_ms(pace, clock, 47)[44:] == pytest.approx([900, 900, 920], abs=1e-3)
-
-
 def test_frame_that_is_not_due_in_time_stays():
     clock = Clock(EPOCH_NS - 1000 * MS)
     pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
