@@ -8,12 +8,13 @@ export OPENBLAS_NUM_THREADS ?= 1
 # without bytecode every process of a graph, and of the tests, compiles all sources and tests anew
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup demo studio test test-all lint colcon clean
+.PHONY: help setup demo studio test test-all lint figures colcon clean
 help:
 	@echo "make demo [SESSION=folder]  set up, run the whole graph live on the built-in session (or a folder of videos)"
 	@echo "make studio [SESSION=folder] set up, serve simulated GigE Vision cameras until Ctrl-C (docs/studio.md)"
 	@echo "make test                   set up, run the tests in three processes;  make test-all: the slow ones too"
-	@echo "make lint | colcon | clean  ruff and mypy | colcon build in ros_ws | remove what was built"
+	@echo "make lint | figures         ruff and mypy | write the figures of docs/figures into the pages"
+	@echo "make colcon | clean         colcon build in ros_ws | remove what was built"
 
 setup:
 	@VENV=$(VENV) scripts/setup.sh
@@ -35,6 +36,9 @@ lint: setup
 	$(PYTHON) -m ruff check . && $(PYTHON) -m ruff format --check .
 	@echo "mypy: the types of all packages (half a minute when nothing is cached)"
 	@MYPYPATH=$(subst $() ,:,$(wildcard src/*)) $(PYTHON) -m mypy $(addprefix -p ,$(notdir $(wildcard src/*)))
+
+figures: setup
+	@$(PYTHON) scripts/figures.py
 
 colcon: setup
 	cd ros_ws && COLCON_DEFAULTS_FILE=$$PWD/colcon_defaults.yaml ../$(VENV)/bin/colcon build

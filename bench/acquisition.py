@@ -40,7 +40,7 @@ from icp_tracker.acquisition.t_pose_source import TPoseSource
 from icp_tracker.acquisition.upright import PoseRejected
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts, VoxelSamples
-from sagoma_tools.evaluation.in_process import EPOCH_NS
+from mocap_pipeline.session_footage import EPOCH_NS
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose

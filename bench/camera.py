@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 import shutil
 import sys
 import tempfile
@@ -33,7 +32,7 @@ from statistics import median
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
-from report import Table, execute, finish, parser
+from report import Table, execute, finish, machine_line, parser
 
 import numpy as np
 import psutil
@@ -245,10 +244,7 @@ def main() -> None:
         stopped = "" if runs[-1].kept_up else f"; it stops at {runs[-1].fps:g} Hz"
         kept = [run.fps for run in runs if run.kept_up]
         print(f"this machine keeps up at {max(kept):g} Hz{stopped}" if kept else "this machine does not keep up")
-    print(
-        f"{platform.processor() or platform.machine()}, {psutil.cpu_count()} cores, Python "
-        f"{platform.python_version()}; load before the end {os.getloadavg()[0]:.1f}"
-    )
+    print(machine_line())
     finish({**asdict(runs[0]), "runs": [asdict(run) for run in runs]})
 
 

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import platform
 import subprocess
 import sys
 import time
@@ -32,7 +31,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from report import Table, execute, finish, parser
+from report import Table, execute, finish, machine_line, parser
 
 import cv2
 import numpy as np
@@ -204,17 +203,6 @@ def plot(found: dict, path: Path) -> None:
     print(f"drew {path}")
 
 
-def machine() -> str:
-    """What this ran on, in a line."""
-    cpu = [
-        line.split(":")[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line
-    ]
-    versions = ", ".join(f"{m.__name__} {m.__version__}" for m in (np, cv2))
-    return (
-        f"{os.cpu_count()} x {cpu[0] if cpu else platform.processor()}; Python {platform.python_version()}, {versions}"
-    )
-
-
 def device() -> str:
     """The OpenGL device, for people."""
     rig, _ = scene(5, 2)
@@ -265,7 +253,8 @@ def main() -> None:
     if arguments.memory_of_one_process:
         memory_of_one_process()
         return
-    print(f"{machine()}\nOpenGL: {device()}")
+    versions = ", ".join(f"{module.__name__} {module.__version__}" for module in (np, cv2))
+    print(f"{machine_line()}; {versions}\nOpenGL: {device()}")
     if arguments.quick:
         found = table([(5, 20), (5, 10), (8, 20)], poses=4, budget_s=1.5, limit_s=2.0)
     else:

@@ -21,7 +21,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import platform
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -29,11 +28,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from report import Table, add_settings, execute, finish, parser
+from report import Table, add_settings, execute, finish, machine_line, parser
 
 import camera
 import numpy as np
-import psutil
 from live_overload import measure_overload, print_overload
 from live_servers import PROCESSES, TREE, Server, running, tree_of
 from scenes import SHARED, Clip, session_clip, studio_clip
@@ -165,10 +163,7 @@ def main() -> None:
     )
     for (name, _, processes, _), f in zip(trees, figures, strict=True):
         table.row(name, processes, *asdict(f).values())
-    print(
-        f"{platform.processor() or platform.machine()}, {psutil.cpu_count()} cores, Python "
-        f"{platform.python_version()}; load before the end {os.getloadavg()[0]:.1f}"
-    )
+    print(machine_line())
     print(
         f"a camera client on a simulated GigE camera at {CLIENT_FPS:g} Hz: {client_ms:.2f} ms of processor time a frame"
     )

@@ -16,10 +16,10 @@ import yaml
 from mesh_body import NAMES, SEGMENTS, MeshBody
 from mesh_motions import FPS, MeshMotion
 from mesh_silhouettes import Canvas
-from numba import njit
 from numpy.typing import NDArray
 
 from capture_rig import Rig
+from capture_rig.kernel import njit
 from capture_rig.rig import save_rig
 from virtual_studio.outfits import OUTFITS, Outfit
 from virtual_studio.people import HAIR, SHIRT, SHOES, SKIN, SLEEVE, TROUSERS, Capsules, together

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from capture_rig.kernel import njit
 
 Array = NDArray[np.float64]
 Triangles = NDArray[np.int32]

@@ -7,11 +7,11 @@ from collections.abc import Iterable
 import numpy as np
 from mesh_body import MeshBody
 from mesh_motions import MeshMotion
-from numba import njit
 from numpy.typing import NDArray
 
 from capture_rig import Rig
 from capture_rig.camera import CameraModel
+from capture_rig.kernel import njit
 
 Array = NDArray[np.float64]
 NEAR_M = 0.1

@@ -23,6 +23,8 @@ from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
+from report import Table, execute, finish, parser
+
 import psutil
 
 from sagoma_tools.graph.ros_link import RosLink
@@ -50,13 +52,13 @@ COMMAND = [sys.executable, "-m", "sagoma_tools.cli"]
 
 def main() -> None:
     """Measure, and print a table: percent of a core, ms of the graph a frame set, frames a second."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("session")
-    parser.add_argument("--turns", type=int, default=3)
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each phase")
-    parser.add_argument("--rate", default="0.5", help="speed of the footage")
-    parser.add_argument("--before", help="another tree, whose page is measured in turns with this one's")
-    args = parser.parse_args()
+    given = parser(__doc__)
+    given.add_argument("session")
+    given.add_argument("--turns", type=int, default=3)
+    given.add_argument("--seconds", type=float, default=10.0, help="of each phase")
+    given.add_argument("--rate", default="0.5", help="speed of the footage")
+    given.add_argument("--before", help="another tree, whose page is measured in turns with this one's")
+    args = given.parse_args()
     with TemporaryDirectory() as folder, Started("up", args.session, "--loop", "--rate", args.rate, folder) as graph:
         pages = {f"{Path(tree).name}: " if args.before else "": tree for tree in filter(None, (args.before, TREE))}
         with ExitStack() as stack, Sets() as sets:
@@ -116,9 +118,11 @@ def measure(args: argparse.Namespace, graph: psutil.Process, viewers: dict[str, 
                 for phase in PHASES[1:]:
                     enter(tab, viewer.address, phase)
                     used[name + phase].append(measured(viewer.process, graph, sets, args.seconds, tab))
-    print(f"{'':20s}" + "".join(f"{title:>18s}" for title in TITLES.values()))
-    for phase, rows in used.items():
-        print(f"{phase:20s}" + "".join(f"{median(row[key] for row in rows):18.1f}" for key in TITLES))
+    table = Table({"phase": "<20", **dict.fromkeys(TITLES.values(), ">18.1f")})
+    medians = {phase: {key: median(row[key] for row in rows) for key in TITLES} for phase, rows in used.items()}
+    for phase, values in medians.items():
+        table.row(phase, *values.values())
+    finish(medians)
 
 
 def enter(tab: Browser, address: str, phase: str) -> None:
@@ -190,4 +194,4 @@ def tree_cpu_s(process: psutil.Process) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    execute(main)

@@ -21,8 +21,8 @@ from capture_rig.session import Session, Truth, footage_stamp_ns, load_session
 from mocap_packets.hull import HullProducts
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import Masks, MocapPipeline
+from mocap_pipeline.session_footage import EPOCH_NS, exact_silhouettes, silhouettes
 from sagoma_bringup.first_pose import start_settings
-from sagoma_tools.evaluation.in_process import EPOCH_NS, exact_silhouettes, silhouettes
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose

@@ -1,5 +1,6 @@
 """The live page in a real browser: what the graph does is shown, its buttons drive it, a take is recorded and kept."""
 
+import math
 import re
 import subprocess
 import sys
@@ -19,6 +20,22 @@ from sagoma_tools.takes.summary_file import finish_take
 
 PATIENCE_S = 240.0
 PICTURES = Path("output/live_page")
+VIEW = "window.__viserMutable.camera.position.toArray()"
+"""JavaScript: where the view stands, m."""
+FOLLOWED_M = 0.3
+"""The person walks for 1 m, of which a view that follows goes along for 0.5 m or more."""
+PERSON = """(() => {
+    const found = [], {scene, camera} = window.__viserMutable;
+    scene?.traverse(node => { if (node.matricesTexture) found.push(node); });
+    if (!found.length) return {fills: false, y: NaN};
+    const places = found[0].matricesTexture.image.data, joints = [...Array(15).keys()].map(k => 16 * k + 12);
+    const shown = joints.map(k => camera.position.clone().fromArray(places, k))
+        .map(place => place.applyMatrix4(found[0].matrixWorld).project(camera));
+    const heights = shown.map(place => place.y);
+    const seen = shown.every(place => Math.max(Math.abs(place.x), Math.abs(place.y), Math.abs(place.z)) < 1);
+    return {fills: seen && Math.max(...heights) - Math.min(...heights) > 0.7, y: places[13]};
+})()"""
+"""JavaScript: y of the person's first joint, m, and whether all joints are on the screen, over a third of it."""
 
 
 class RunningPage(NamedTuple):
@@ -74,8 +91,29 @@ def test_a_take_is_played_and_kept_by_buttons(page_of_a_take):
     PICTURES.mkdir(parents=True, exist_ok=True)
     with browser(1280, 860) as tab:
         tab.open(page_of_a_take.address)
+        tab.wait_for_text("drill: its first pose, at 0.00 s")
         tab.wait_for_text("sets/s")
+        tab.wait_for_value("take", "drill")
+        look(tab)
         keep(tab, page_of_a_take.takes)
+
+
+def look(tab: Browser) -> None:
+    """The view shows the person, follows while the take plays, and stays once somebody has turned it."""
+    tab.wait_for(f"({PERSON}).fills")
+    begun = tab.run(VIEW)
+    tab.press("play")
+    followed = tab.wait_for(f"({PERSON}).y > 0.8 && ({PERSON}).fills && {VIEW}")
+    assert math.dist(followed, begun) > FOLLOWED_M
+    tab.press("pause")
+    tab.wait_for_text("paused at")
+    tab.drag((300, 500), (420, 480))
+    tab.press("play")
+    tab.wait_for(f"({PERSON}).y < 0.2")  # the next time round: by then the mouse's turn has come to rest
+    turned = tab.wait_for(f"({PERSON}).y > 0.8 && {VIEW}")
+    assert math.dist(turned, followed) > FOLLOWED_M
+    assert math.dist(tab.wait_for(f"({PERSON}).y < 0.2 && {VIEW}"), turned) < FOLLOWED_M
+    assert math.dist(tab.wait_for(f"({PERSON}).y > 0.8 && {VIEW}"), turned) < FOLLOWED_M
 
 
 @pytest.mark.slow
@@ -133,7 +171,7 @@ def keep(tab: Browser, takes: Path) -> None:
     folder = TakesFolder(takes)
     tab.press("play")
     tab.wait_for_text("playing drill")
-    tab.wait_for_text("shoulder, degrees")
+    tab.wait_for_text("shoulder elevation")
     tab.press("pause")
     tab.wait_for_text("paused at")  # the slider stands still
     tab.write("second", "0.1")

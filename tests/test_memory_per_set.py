@@ -17,7 +17,7 @@ from camera_client.background.model import read_background
 from capture_rig.session import load_session
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline, make_segmenter
-from sagoma_tools.evaluation.in_process import exact_silhouettes, images_of
+from mocap_pipeline.session_footage import exact_silhouettes, images_of
 
 WARM_SETS, WARM_FRAMES = 500, 1000  # by then what is kept of the last seconds is full, and so are malloc's own caches
 SPANS, STEPS = 5, 60

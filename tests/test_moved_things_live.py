@@ -14,8 +14,8 @@ from capture_rig.session import load_session
 from capture_rig.video import Video
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
+from mocap_pipeline.session_footage import images_of
 from sagoma_ros.images import decode_silhouette
-from sagoma_tools.evaluation.in_process import images_of
 from sagoma_tools.evaluation.live_inputs import FootageInput
 from sagoma_tools.evaluation.live_run import LiveRun, run_live
 from sagoma_tools.recording.reader import frame_tolerance_ns, read_frame_sets

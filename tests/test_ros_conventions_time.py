@@ -17,10 +17,10 @@ from capture_rig.session import load_session
 from ekf_tracker.ekf_node import EkfNode
 from hull_server.hull_node import HullNode
 from icp_tracker.icp_node import IcpNode
+from mocap_pipeline.session_footage import exact_silhouettes
 from sagoma_bringup.graph import LOSSLESS_SETTINGS, server_graph
 from sagoma_ros.process import autostart, make_executor
 from sagoma_tools.commands.recording import check_replay, replay_timed
-from sagoma_tools.evaluation.in_process import exact_silhouettes
 from sagoma_tools.graph.ros_link import RosLink
 
 SOURCES = Path(__file__).parents[1] / "src"

@@ -8,55 +8,95 @@ from pathlib import Path
 
 import psutil
 import pytest
+from sensor_msgs.msg import JointState
 
+from capture_rig.rig import save_rig
+from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
+from sagoma_ros.qos import RESULT
+from sagoma_tools.graph.lifecycle_client import LifecycleClient, State
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, camera_topics
 from sagoma_tools.recording.reader import bag_topics, read_messages
 from sagoma_tools.recording.replayer import Answers
+from virtual_studio.rig import ring
 
 PATIENCE_S = 120.0
+SERVER = ("/hull_server", "/icp_tracker", "/ekf_tracker")
 
 
 @pytest.fixture()
 def up(built_in_session: Path, tmp_path: Path):
-    """The running command, playing the session over and over into a bag."""
-    command = [
-        sys.executable,
-        "-m",
-        "sagoma_tools.cli",
-        "up",
-        str(built_in_session),
-        "--rate",
-        "0",
-        "--loop",
-        "--record",
-        str(tmp_path / "bag"),
-        "--run-folder",
-        str(tmp_path / "run"),
-        "--set",
-        "icp_tracker.initial_pose.source=t_pose",
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    watchdog = threading.Timer(2 * PATIENCE_S, process.kill)
-    watchdog.start()
-    yield process
-    watchdog.cancel()
-    process.kill()
-    process.communicate()
+    """Starts the command with more words, playing the session over and over."""
+    started: list[tuple[subprocess.Popen, threading.Timer]] = []
+
+    def start(*words: str) -> subprocess.Popen:
+        command = [sys.executable, "-m", "sagoma_tools.cli", "up", str(built_in_session), "--rate", "0", "--loop"]
+        command += ["--run-folder", str(tmp_path / "run"), "--set", "icp_tracker.initial_pose.source=t_pose"]
+        process = subprocess.Popen([*command, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        watchdog = threading.Timer(2 * PATIENCE_S, process.kill)
+        watchdog.start()
+        started.append((process, watchdog))
+        return process
+
+    yield start
+    for process, watchdog in started:
+        watchdog.cancel()
+        process.kill()
+        process.communicate()
 
 
 @pytest.mark.slow
 def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(up, built_in_session, tmp_path):
     with RosLink("listener") as link:
-        answers = Answers(link.node)
-        assert answers.wait_for_total(10, PATIENCE_S), up.stdout.read()
-        processes = psutil.Process(up.pid).children()
-        up.send_signal(signal.SIGINT)
-        said, _ = up.communicate(timeout=PATIENCE_S)
-    assert up.returncode == 0, said
+        answers, running = Answers(link.node), up("--record", str(tmp_path / "bag"))
+        assert answers.wait_for_total(10, PATIENCE_S), running.stdout.read()
+        processes = psutil.Process(running.pid).children()
+        running.send_signal(signal.SIGINT)
+        said, _ = running.communicate(timeout=PATIENCE_S)
+    assert running.returncode == 0, said
     assert "all 8 nodes stopped" in said
     assert len(processes) == 6 and not any(process.is_running() for process in processes)  # the server is one
     topics = bag_topics(tmp_path / "bag")
     assert {topic.name for k in range(1, 6) for topic in camera_topics(f"cam{k:02d}")} <= set(topics)
     assert sum(1 for _ in read_messages(tmp_path / "bag", PREDICTION_TOPIC.__eq__)) >= 10
     assert (tmp_path / "bag" / "rig.yaml").read_text() == (built_in_session / "rig.yaml").read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("server", [ONE_PROCESS, THREE_PROCESSES])
+def test_second_up_beside_a_running_graph_is_refused_and_the_first_one_goes_on(up, server, tmp_path):
+    save_rig(ring(3), tmp_path / "other.yaml")
+    second = [sys.executable, "-m", "sagoma_tools.cli", "up", "--rig", str(tmp_path / "other.yaml"), "--seconds", "1"]
+    second += ["--server", server, "--run-folder", str(tmp_path / "second")]
+    with RosLink("listener") as link:
+        poses, running = Poses(link), up("--server", server)
+        assert poses.wait_for_more(10), running.stdout.read()
+        refused = subprocess.run(second, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+        assert refused.returncode == 1, refused.stdout + refused.stderr
+        assert "/ekf_tracker, /hull_server, /icp_tracker run already in this ROS domain" in refused.stderr
+        assert "on this machine. End that graph, or give this one another ROS_DOMAIN_ID" in refused.stderr
+        assert set(LifecycleClient(link.node).states(SERVER, PATIENCE_S).values()) == {State.ACTIVE.value}
+        assert poses.wait_for_more(20)
+        running.send_signal(signal.SIGINT)
+        said, _ = running.communicate(timeout=PATIENCE_S)
+    assert running.returncode == 0, said
+    assert "died" not in said
+
+
+class Poses:
+    """Counts joint states."""
+
+    def __init__(self, link: RosLink) -> None:
+        self._came, self._total = threading.Condition(), 0
+        link.node.create_subscription(JointState, "/mocap/joint_states", self._take, RESULT)
+
+    def wait_for_more(self, count: int) -> bool:
+        """True once so many more have come."""
+        with self._came:
+            wanted = self._total + count
+            return self._came.wait_for(lambda: self._total >= wanted, PATIENCE_S)
+
+    def _take(self, message: JointState) -> None:
+        with self._came:
+            self._total += 1
+            self._came.notify_all()

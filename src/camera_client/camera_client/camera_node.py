@@ -44,8 +44,9 @@ from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingR
 from .background.verdict import describe_background
 from .camera_chain import CameraChain, FrameResult
 from .camera_report_ros import CameraReport
-from .camera_topics_ros import SILHOUETTE_TOPIC, CameraTopics, camera_from_message
+from .camera_topics_ros import CameraTopics, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
+from .footage_clock_ros import FootageClockTopic
 from .frame_source import Frame, FrameSource
 from .settings import CameraClientSettings
 from .silhouettes.warm_up import warm_up_silhouettes
@@ -87,7 +88,8 @@ class CameraNode(SagomaNode):
         self._held: list[tuple] = []  # (destroy function, entity) of everything made at configure
         self._last: tuple[Frame, FrameResult] | None = None
         self._matched_s: float | None = None
-        self._peers: list[str] = []  # the silhouettes of all cameras that footage waits for
+        self._footage: FootageClockTopic | None = None  # of footage
+        self._awaited = 0  # how many cameras are waited for before it begins
         # these live as long as the node, so that every request is answered; learning in a callback group of its own,
         # because its answer takes seconds and must not hold up the timer and the acknowledgements
         self.create_service(
@@ -103,9 +105,9 @@ class CameraNode(SagomaNode):
         known = self._calibration = load_calibration(settings, name)
         self.chain = CameraChain(known.camera, settings, known.volume, known.placed)
         self._topics = CameraTopics(self._publisher, f"{name}_optical", settings, to_calibrate=not known.placed)
-        names = load_rig(settings.rig_file).names if settings.footage.wait_for_cameras else ()
-        self._peers = [graph_topic(self, f"{name}/{SILHOUETTE_TOPIC}") for name in names]
-        self.source = connect_source(settings, self._accept)
+        self._footage = FootageClockTopic(self, name)
+        self._awaited = len(load_rig(settings.rig_file).names) if settings.footage.wait_for_cameras else 0
+        self.source = connect_source(settings, self._accept, self._footage.shared)
         mask_png.warm_up()
         if not self.source.shape:
             self.chain.check_background_file()
@@ -129,7 +131,7 @@ class CameraNode(SagomaNode):
         self.get_logger().info(f"camera {name}: {self.source.description}")
 
     def activate(self) -> None:
-        assert self.source is not None
+        assert self.source is not None and self._footage is not None
         live = self.settings.source != "footage"
         self._matched_s = None
         self._report = CameraReport(self.health, self.get_logger(), self.settings)
@@ -147,9 +149,13 @@ class CameraNode(SagomaNode):
         )
         if live:
             self.source.start()  # so that a camera that refuses fails the transition
+        else:
+            self._footage.open()
         self.loop.start()
 
     def deactivate(self) -> None:
+        if self._footage is not None:
+            self._footage.close()
         if self.loop is not None:
             self.loop.stop()
             self.loop = None
@@ -203,7 +209,8 @@ class CameraNode(SagomaNode):
     def _consumer_listens(self) -> bool:
         paced = self.settings.footage.rate == 0
         acknowledged = not paced or self.count_publishers(graph_topic(self, self.settings.footage.pace_topic)) > 0
-        if not self._topics.has_listener or not acknowledged or not all(map(self.count_publishers, self._peers)):
+        assert self._footage is not None
+        if not self._topics.has_listener or not acknowledged or self._footage.cameras < self._awaited:
             return False
         self._matched_s = self._matched_s or time.monotonic()
         return time.monotonic() >= self._matched_s + SETTLE_S
@@ -242,7 +249,9 @@ class CameraNode(SagomaNode):
 
     def _stamps_are_now(self) -> bool:
         """Return whether stamps follow the system clock, so that their age is a latency."""
-        return self.settings.source != "footage" or self.settings.footage.rate == 1.0
+        if self.settings.source == "footage":
+            return self.settings.footage.rate == 1.0
+        return self.settings.aravis.clock_speed == 1.0
 
     def _on_error(self, error: Exception) -> None:
         bad_frame = isinstance(error, InputError)

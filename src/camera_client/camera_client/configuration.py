@@ -17,6 +17,7 @@ from capture_rig.rig import Volume, load_rig
 from .frame_source import FrameSource
 from .settings import CameraClientSettings
 from .sources.aravis_source import AravisSource
+from .sources.footage_pace import SharedClock
 from .sources.footage_source import FootageSource
 from .sources.supervised_source import SupervisedSource
 
@@ -80,10 +81,11 @@ def load_camera(settings: CameraClientSettings, name: str) -> tuple[CameraModel,
     return camera, rig.volume
 
 
-def connect_source(settings: CameraClientSettings, accept: Accept) -> FrameSource:
+def connect_source(settings: CameraClientSettings, accept: Accept, clock: SharedClock) -> FrameSource:
     """Return the source that ``settings.source`` names, connected, and looked at by ``accept``. Raises InputError.
 
     A live camera that is not there is no error: it is awaited once the source runs, and looked at when it comes.
+    ``clock`` : the one that footage shares with the other cameras.
     """
     if settings.source == "aravis":
         source: FrameSource = live_source(settings, accept)
@@ -93,7 +95,7 @@ def connect_source(settings: CameraClientSettings, accept: Accept) -> FrameSourc
         raise InputError(
             "is empty", where="parameter footage.path", remedy="Give a video or stills, or set source: aravis."
         )
-    source = FootageSource(settings.footage, settings.channels)
+    source = FootageSource(settings.footage, settings.channels, shared=clock)
     source.connect()
     try:
         accept(source)
@@ -119,7 +121,8 @@ def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> floa
     if settings.aravis.sync == "line":  # when the line is pulsed is not known here
         return supervision.triggered_stall_timeout_s or math.inf
     rate_hz = settings.aravis.frame_rate if settings.aravis.frame_rate > 0 else _rate_hz(source.details)
-    return max(supervision.stall_timeout_s, STALL_PERIODS / rate_hz if rate_hz else 0.0)
+    periods_s = STALL_PERIODS / (rate_hz * settings.aravis.clock_speed) if rate_hz else 0.0
+    return max(supervision.stall_timeout_s, periods_s)
 
 
 def _rate_hz(details: Mapping[str, str]) -> float:

@@ -23,12 +23,10 @@ class FootageSettings:
     fps: float = setting(0.0, "Frame rate of the footage; 0 takes the file's own", unit="Hz", low=0, high=1000)
     rate: float = setting(1.0, "Playing speed as a factor; 0 plays as fast as consumers keep up", low=0, high=100)
     epoch_ns: int = setting(
-        0, "Stamp of frame 0, the same for all cameras; 0: the next whole 5 s of the system clock", unit="ns", low=0
+        0, "Stamp of frame 0, the same for all cameras; 0: a second after the first one starts", unit="ns", low=0
     )
     keep_up: bool = setting(
-        False,
-        "Leave out frames whose time has passed: cameras of several machines with one epoch_ns stay in step, however "
-        "late one begins",
+        False, "Begin at epoch_ns even if that is past: frames whose time has passed are left out, also after a pause"
     )
     loop: bool = setting(False, "Begin again after the last frame; stamps go on counting")
     window: int = setting(3, "At rate 0: frames under way before an acknowledgement is awaited", low=1, high=1000)
@@ -46,8 +44,7 @@ class FootageSettings:
         high=600,
     )
     wait_for_cameras: bool = setting(
-        False,
-        "Hold it until every camera of the rig is configured, too: they then play in step though none drives them",
+        False, "Hold it until every camera of the rig is active, too, so that none misses the beginning"
     )
 
 
@@ -99,6 +96,13 @@ class AravisSettings:
         "Whose clock stamps frames; auto: ptp when the camera is in step, else camera (its clock mapped onto "
         "the host's); arrival: the host's at the first packet",
         choices=("auto", "ptp", "camera", "arrival"),
+    )
+    clock_speed: float = setting(
+        1.0,
+        "Of simulated cameras in slow motion (sagoma studio --speed, which writes it): the speed of their clock",
+        unit="s a second",
+        low=1 / 32,
+        high=1,
     )
     camera_stamps: str = setting(
         "exposure_start",

@@ -11,6 +11,7 @@ from camera_client.settings import AravisSettings
 from camera_client.sources.aravis_features import AravisFeatures
 from camera_client.sources.aravis_source import AravisSource
 from capture_rig.errors import InputError
+from capture_rig.stamps import CaptureClock
 from virtual_studio.gige import EventLoop, PatternScene, TriggerWire
 
 MS = 1_000_000
@@ -64,6 +65,23 @@ def test_ptp_gives_mid_exposure_in_utc(gige_camera):
     assert {frame.clock for frame in frames} == {"PTP"}
     assert np.abs(errors_ns(frames)).max() <= 80  # the camera's own offset from the master
     assert all(0 < frame.uncertainty_ns < 100 * MS for frame in frames)
+
+
+@pytest.mark.parametrize("stamp_source", ["camera", "ptp"])
+def test_slow_camera_is_stamped_by_its_own_clock_at_its_full_rate(gige_camera, stamp_source):
+    speed, clock = 0.25, CaptureClock(0.25)
+    loop = EventLoop("slow", clock)
+    loop.start()
+    camera = gige_camera(loop=loop, ptp_settle_s=SETTLE_S)
+    try:
+        began_ns = clock.now_ns()
+        frames = stamped(source_of(camera, stamp_source=stamp_source, clock_speed=speed))
+        assert began_ns < frames[0].stamp_ns < frames[-1].stamp_ns < clock.now_ns()
+        assert np.median(np.diff([frame.stamp_ns for frame in frames])) == pytest.approx(PERIOD_NS, abs=MS)
+        assert np.median(np.abs(errors_ns(frames))) < 1 * MS
+    finally:
+        camera.close()
+        loop.stop()
 
 
 def test_arrival_stamps_are_later_than_the_truth_and_say_how_uncertain_they_are(gige_camera):

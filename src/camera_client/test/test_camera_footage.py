@@ -12,7 +12,7 @@ from footage_clips import scene as square_scene
 from camera_client.background.model import read_background
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import BackgroundSettings, FootageSettings
-from camera_client.sources.footage_pace import Pace, WallClockPace
+from camera_client.sources.footage_pace import LEAD_NS, Pace, SharedClock, WallClockPace
 from camera_client.sources.footage_reader import VideoReader, open_footage
 from camera_client.sources.footage_source import READ_AHEAD, FootageSource
 from capture_rig.errors import InputError
@@ -28,8 +28,8 @@ class Ready(Pace):
     def __init__(self):
         self.begun, self.acknowledged = [], []
 
-    def begin(self, epoch_ns, frame):
-        self.begun.append((epoch_ns, frame))
+    def begin(self, clock, frame):
+        self.begun.append((clock.epoch_ns, frame))
 
     def wait(self, frame, timeout_s):
         return True
@@ -144,8 +144,8 @@ def test_start_after_the_end_without_an_epoch_takes_a_new_one(video):
         source.stop()
         source.start()
         again = read_all(source)
-    assert first[0].stamp_ns == EPOCH_NS + 5 * 10**9
-    assert again[0].stamp_ns == EPOCH_NS + 65 * 10**9
+    assert first[0].stamp_ns == EPOCH_NS + 10**9
+    assert again[0].stamp_ns == EPOCH_NS + 61 * 10**9
     assert again[0].frame_id == 0
 
 
@@ -344,9 +344,10 @@ def test_frames_whose_time_has_passed_are_left_out_and_counted(tmp_path):
     now_ns = EPOCH_NS + round(1e9 * late_frames / fps)
 
     def pace(fps):
-        return WallClockPace(fps, 1.0, lambda: now_ns, lambda seconds: None, keep_up=True)
+        return WallClockPace(fps, 1.0, lambda: now_ns, lambda seconds: None)
 
-    source = FootageSource(FootageSettings(path=str(path), epoch_ns=EPOCH_NS), pace=pace, now_ns=lambda: now_ns)
+    settings = FootageSettings(path=str(path), epoch_ns=EPOCH_NS, keep_up=True)
+    source = FootageSource(settings, pace=pace, now_ns=lambda: now_ns)
     source.connect()
     source.start()
     (frame,) = read(source, 1)
@@ -355,3 +356,78 @@ def test_frames_whose_time_has_passed_are_left_out_and_counted(tmp_path):
     assert frame.frame_id == left_out and frame.stamp_ns == footage_stamp_ns(EPOCH_NS, left_out, fps)
     assert source.statistics.counts()["lost"] == 0
     source.close()
+
+
+class Camera:
+    """Footage of one camera by a clock of the test's own, of which every frame has a grey level of its own."""
+
+    FPS, FRAMES = 25.0, 100
+
+    def __init__(self, folder, rate, now_ns):
+        self.told, self._now_ns = [], now_ns
+        for k in range(self.FRAMES):
+            cv2.imwrite(str(folder / f"{k:03d}.png"), np.full((8, 8), 2 * k, np.uint8))
+        self.shared = SharedClock(self.told.append)
+        self.source = FootageSource(
+            FootageSettings(path=str(folder / "*.png"), fps=self.FPS, rate=rate),
+            pace=lambda fps: WallClockPace(fps, rate, lambda: now_ns[0], self._sleep),
+            now_ns=lambda: now_ns[0],
+            shared=self.shared,
+        )
+        self.source.connect()
+
+    def _sleep(self, seconds):
+        self._now_ns[0] += round(seconds * 1e9)
+
+    def play(self, count):
+        """Stamps of so many frames -> their number, by what they show."""
+        return {frame.stamp_ns: round(frame.image.mean() / 2) for frame in read(self.source, count)}
+
+
+@pytest.mark.parametrize("rate", [0.1, 1.0])
+@pytest.mark.parametrize("hears_at_once", [True, False])
+def test_camera_that_starts_late_shows_the_same_frame_under_the_same_stamp(tmp_path, rate, hears_at_once):
+    now_ns = [EPOCH_NS]
+    first, late = Camera(tmp_path, rate, now_ns), Camera(tmp_path, rate, now_ns)
+    first.source.start()
+    shown = first.play(20)
+    if hears_at_once:
+        late.shared.offer(first.told[-1])
+    late.source.start()
+    if not hears_at_once:
+        alone = late.play(2)
+        assert set(alone.values()) == {0, 1} and not set(alone) & set(shown)
+        late.shared.offer(first.told[-1])
+    begun_ns = now_ns[0]
+    in_step = late.play(20)
+    now_ns[0] = begun_ns  # side by side with the other
+    shown |= first.play(30)
+    assert late.source.counters["left_out"] > 0
+    both = set(shown) & set(in_step)
+    assert len(both) == 20 and all(shown[stamp] == in_step[stamp] for stamp in both)
+    assert late.source.epoch_ns == first.source.epoch_ns == EPOCH_NS + LEAD_NS
+    first.source.close(), late.source.close()
+
+
+def test_cameras_that_all_paused_go_on_together_where_they_stopped(tmp_path):
+    now_ns = [EPOCH_NS]
+    first, other = Camera(tmp_path, 1.0, now_ns), Camera(tmp_path, 1.0, now_ns)
+    first.source.start()
+    other.shared.offer(first.told[-1])
+    other.source.start()
+    seen = max(first.play(10).values()), max(other.play(12).values())
+    assert seen[0] < seen[1]
+    first.source.stop(), other.source.stop()
+    now_ns[0] += 60 * 10**9
+    other.source.start()
+    first.shared.offer(other.told[-1])
+    now_ns[0] += 10**8
+    first.source.start()
+    begun_ns = now_ns[0]
+    went_on = other.play(10)
+    now_ns[0] = begun_ns
+    also = first.play(10)
+    assert [min(also.values()), min(went_on.values())] == [number + 1 for number in seen]
+    assert set(also) & set(went_on) and all(also[stamp] == went_on[stamp] for stamp in set(also) & set(went_on))
+    assert min(also) == footage_stamp_ns(first.source.epoch_ns, seen[0] + 1, Camera.FPS)  # as if there was no pause
+    first.source.close(), other.source.close()

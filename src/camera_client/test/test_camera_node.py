@@ -1,6 +1,7 @@
 """The camera node among messages: lifecycle, stamps, learning, faults."""
 
 import socket
+import time
 from dataclasses import replace
 
 import cv2
@@ -10,7 +11,7 @@ from camera_probe import EPOCH_NS, FRAMES, NAMESPACE, set_camera_info
 from diagnostic_msgs.msg import DiagnosticArray
 from node_probe import FAILURE, SUCCESS
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import CompressedImage, Image
+from sensor_msgs.msg import CompressedImage, Image, TimeReference
 
 from camera_client.background.model import load_background
 from camera_client.sources.footage_source import FootageSource
@@ -19,7 +20,8 @@ from capture_rig.session import footage_stamp_ns
 from mocap_packets.support import NOBODY, ForegroundSupport
 from mocap_packets.thinning import Thinning
 from sagoma_ros.images import camera_info_message, decode_silhouette, support_message
-from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_PUBLISHER, SILHOUETTE_RELIABLE_SUBSCRIBER
+from sagoma_ros.messages import to_ns, to_stamp
+from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
 from sagoma_ros.thinning import thinning_message
 
 
@@ -63,10 +65,27 @@ def test_footage_waits_for_the_other_cameras_of_its_rig(bench, session):
     camera = bench(**{**session.parameters, "footage.wait_for_cameras": True}).start()
     camera.until_said("waiting for a consumer")
     assert camera.masks == []
-    camera.peer.create_publisher(CompressedImage, "/cam02/silhouette/compressed", SILHOUETTE_PUBLISHER)
-    assert not camera.masks  # of two cameras one is there
-    camera.peer.create_publisher(CompressedImage, "/cam01/silhouette/compressed", SILHOUETTE_PUBLISHER)
+    camera.peer.create_publisher(TimeReference, "/footage/clock", LATCHED)  # of two cameras the other one
     camera.until(lambda: len(camera.masks) == FRAMES)
+
+
+def test_camera_that_starts_late_plays_by_the_clock_of_the_others_and_tells_it(bench, session, scene):
+    late_s, epoch_ns = 4.0, EPOCH_NS + 7
+    playing = {"footage.rate": 1.0, "footage.loop": True, "footage.epoch_ns": 0}
+    camera = bench(**{**session.parameters, **playing})
+    told = camera.listen(TimeReference, "/footage/clock", LATCHED)
+    others = camera.peer.create_publisher(TimeReference, "/footage/clock", LATCHED)
+    clock = TimeReference(time_ref=to_stamp(epoch_ns), source="cam02")
+    clock.header.stamp = to_stamp(time.time_ns() - round(late_s * 1e9))
+    others.publish(clock)
+    camera.start()
+    camera.until(lambda: any(to_ns(mask.header.stamp) < epoch_ns + 10**12 for mask in camera.masks))
+    stamps = [stamp for stamp in camera.stamps_ns() if stamp < epoch_ns + 10**12]  # before it heard, by its own clock
+    frames = [round((stamp - epoch_ns) * 1e-9 * scene.fps) for stamp in stamps]
+    assert stamps == [footage_stamp_ns(epoch_ns, frame, scene.fps) for frame in frames]
+    assert frames[0] >= (late_s - 0.25) * scene.fps
+    camera.until(lambda: any(message.source == "cam01" and message.time_ref == clock.time_ref for message in told))
+    assert [message.header.stamp for message in told if message.time_ref == clock.time_ref][-1] == clock.header.stamp
 
 
 def test_acknowledgements_let_frames_leave_and_suspension_holds_them(bench, session, scene):
@@ -85,8 +104,9 @@ def test_acknowledgements_let_frames_leave_and_suspension_holds_them(bench, sess
     assert camera.values()["pace_timeouts"] == "0"
 
 
-def test_camera_keeps_the_exposures_that_the_hull_server_tells_it(bench, session, scene):
-    camera = bench(**{**session.parameters, "footage.rate": 1.0})  # its epoch is long past: all frames are due
+def test_camera_keeps_the_exposures_that_the_hull_server_tells_it(bench, session, scene, monkeypatch):
+    monkeypatch.setattr("camera_client.sources.footage_pace.KEPT_UP_NS", 10**18)  # a busy machine loses none
+    camera = bench(**{**session.parameters, "footage.rate": 1.0})
     told = camera.peer.create_publisher(DiagnosticArray, "/hull/thinning", LATCHED)
     assert camera.node.trigger_configure() == SUCCESS
     stamps = [footage_stamp_ns(EPOCH_NS, k, scene.fps) for k in range(FRAMES)]

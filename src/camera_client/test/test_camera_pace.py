@@ -1,13 +1,23 @@
 """When frames leave: by a clock of the test's own, never by waiting."""
 
+import itertools
+
 import pytest
 
-from camera_client.sources.footage_pace import EPOCH_STEP_NS, AcknowledgedPace, WallClockPace, choose_epoch_ns
+from camera_client.sources.footage_pace import (
+    LEAD_NS,
+    AcknowledgedPace,
+    FootageClock,
+    SharedClock,
+    WallClockPace,
+    choose_epoch_ns,
+)
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
 
 EPOCH_NS = 1_800_000_000_000_000_000
 MS = 1_000_000
+CLOCK = FootageClock(EPOCH_NS, EPOCH_NS)
 
 
 class Clock:
@@ -40,14 +50,14 @@ def departures_ms(pace, clock, frames, first=0):
 def test_frames_leave_at_the_footage_rate_times_the_factor(rate):
     clock = Clock(EPOCH_NS - 300 * MS)
     pace = WallClockPace(50.0, rate, clock.now_ns, clock.sleep)
-    pace.begin(EPOCH_NS, 0)
+    pace.begin(CLOCK, 0)
     assert departures_ms(pace, clock, 10) == pytest.approx([20.0 * k / rate for k in range(10)], abs=1e-3)
 
 
 def test_slow_consumer_gets_late_frames_at_once_until_it_has_caught_up():
     clock = Clock()
     pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
-    pace.begin(EPOCH_NS, 0)
+    pace.begin(CLOCK, 0)
     departures_ms(pace, clock, 1)
     clock.ns += 70 * MS
     assert departures_ms(pace, clock, 5, first=1) == pytest.approx([70, 70, 70, 80, 100], abs=1e-3)
@@ -56,21 +66,14 @@ def test_slow_consumer_gets_late_frames_at_once_until_it_has_caught_up():
 def test_start_within_a_second_of_the_epoch_hurries_to_be_in_step():
     clock = Clock(EPOCH_NS + 900 * MS)
     pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
-    pace.begin(EPOCH_NS, 0)
+    pace.begin(CLOCK, 0)
     assert departures_ms(pace, clock, 47)[44:] == pytest.approx([900, 900, 920], abs=1e-3)
-
-
-def test_start_long_after_the_epoch_goes_on_from_now():
-    clock = Clock(EPOCH_NS + 60_000 * MS)
-    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
-    pace.begin(EPOCH_NS, 7)
-    assert departures_ms(pace, clock, 3, first=7) == pytest.approx([60000, 60020, 60040], abs=1e-3)
 
 
 def test_frame_that_is_not_due_in_time_stays():
     clock = Clock(EPOCH_NS - 1000 * MS)
     pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
-    pace.begin(EPOCH_NS, 0)
+    pace.begin(CLOCK, 0)
     assert not pace.wait(0, 0.2)
     assert clock.ns == EPOCH_NS - 800 * MS
 
@@ -78,7 +81,7 @@ def test_frame_that_is_not_due_in_time_stays():
 def acknowledged(window=3, patience_s=2.0):
     clock = Clock()
     pace = AcknowledgedPace(50.0, window, patience_s, clock.now_s)
-    pace.begin(EPOCH_NS, 0)
+    pace.begin(CLOCK, 0)
     return pace, clock
 
 
@@ -137,19 +140,17 @@ def test_patience_starts_again_with_an_acknowledgement():
 def test_acknowledgements_of_an_earlier_playing_do_not_count():
     pace, _ = acknowledged(window=2)
     pace.acknowledge(EPOCH_NS + 10**15)
-    pace.begin(EPOCH_NS, 0)
+    pace.begin(CLOCK, 0)
     assert [pace.wait(k, 0.0) for k in range(3)] == [True, True, False]
 
 
-def test_epoch_zero_is_the_next_whole_five_seconds():
-    assert choose_epoch_ns(0, EPOCH_NS + 1) == EPOCH_NS + EPOCH_STEP_NS
-    assert choose_epoch_ns(0, EPOCH_NS + EPOCH_STEP_NS - 1) == EPOCH_NS + EPOCH_STEP_NS
-    assert choose_epoch_ns(0, EPOCH_NS) == EPOCH_NS + EPOCH_STEP_NS
+def test_epoch_zero_is_a_second_from_now():
+    assert choose_epoch_ns(0, EPOCH_NS + 1) == EPOCH_NS + 1 + LEAD_NS
 
 
 def test_given_epoch_is_taken_as_it_is_even_from_the_past():
     assert choose_epoch_ns(1_000_000_000, EPOCH_NS) == 1_000_000_000
-    assert choose_epoch_ns(EPOCH_NS + EPOCH_STEP_NS, EPOCH_NS) == EPOCH_NS + EPOCH_STEP_NS
+    assert choose_epoch_ns(EPOCH_NS + LEAD_NS, EPOCH_NS) == EPOCH_NS + LEAD_NS
 
 
 def test_epoch_far_ahead_is_refused():
@@ -162,17 +163,17 @@ def test_stamps_run_at_the_rate_of_playing_from_the_epoch_on(rate):
     """One relation for every frame: stamp = epoch + rate * (time of leaving - epoch)."""
     clock = Clock(EPOCH_NS)
     pace = WallClockPace(25.0, rate, clock.now_ns, clock.sleep)
-    pace.begin(EPOCH_NS, 0)
+    pace.begin(CLOCK, 0)
     for frame in range(100):
         assert pace.wait(frame, 10.0)
         since_epoch_ns = footage_stamp_ns(EPOCH_NS, frame, 25.0) - EPOCH_NS
         assert since_epoch_ns == pytest.approx(rate * (clock.now_ns() - EPOCH_NS), abs=1000)
 
 
-def test_late_start_that_keeps_up_leaves_out_what_has_passed_and_is_in_step():
+def test_late_start_leaves_out_what_has_passed_and_is_in_step():
     clock = Clock(EPOCH_NS + 30_000 * MS)
-    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep, keep_up=True)
-    pace.begin(EPOCH_NS, 0)
+    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
+    pace.begin(CLOCK, 0)
     missed = next(frame for frame in range(3000) if not pace.has_missed(frame))
     assert missed == 1500 - 12  # a quarter of a second is caught up with
     assert departures_ms(pace, clock, 14, first=missed)[-2:] == pytest.approx([30_000, 30_020], abs=1e-3)
@@ -182,17 +183,29 @@ def test_two_machines_that_start_and_pause_at_different_moments_show_the_same_fr
     first, second = Clock(EPOCH_NS - 700 * MS), Clock(EPOCH_NS + 7_000 * MS)
     showing = []
     for clock, pauses_s in ((first, 40.0), (second, 11.0)):
-        pace = WallClockPace(25.0, 1.0, clock.now_ns, clock.sleep, keep_up=True)
-        pace.begin(EPOCH_NS, 0)
+        pace = WallClockPace(25.0, 1.0, clock.now_ns, clock.sleep)
+        pace.begin(CLOCK, 0)
         clock.sleep(pauses_s)
-        pace.begin(EPOCH_NS, 1)
+        pace.begin(CLOCK, 1)
         clock.ns = EPOCH_NS + 60_000 * MS
         showing.append(next(frame for frame in range(1, 9000) if not pace.has_missed(frame)))
     assert showing[0] == showing[1]
 
 
-def test_nothing_is_left_out_unless_it_is_asked_for():
-    clock = Clock(EPOCH_NS + 30_000 * MS)
-    pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)
-    pace.begin(EPOCH_NS, 0)
-    assert not pace.has_missed(0)
+FIRST, SECOND, THIRD = (FootageClock(EPOCH_NS + k * MS, EPOCH_NS + k * MS) for k in range(3))
+
+
+@pytest.mark.parametrize("order", list(itertools.permutations([FIRST, SECOND, THIRD])))
+def test_cameras_come_to_the_clock_that_begins_first_whatever_they_hear_first(order):
+    announced = []
+    shared = SharedClock(announced.append)
+    held = [shared.offer(clock) for clock in order]
+    assert held[-1] == FIRST and announced[-1] == FIRST
+    assert announced == sorted(set(announced), reverse=True)  # what no longer holds is announced no more
+
+
+def test_forgotten_clock_holds_no_longer():
+    shared = SharedClock()
+    shared.offer(FIRST)
+    shared.forget()
+    assert shared.offer(THIRD) == THIRD

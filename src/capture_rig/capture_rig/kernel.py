@@ -1,13 +1,38 @@
-"""Compiles functions that only compute on arrays (numba), cached and without the interpreter lock."""
+"""Compiles functions that only compute on arrays (numba), cached; what kernels call is compiled as a part of them.
+
+numba makes machine code of every function that a kernel calls, then takes its code into the caller, optimises that and
+makes machine code once more: most of the time that compiling took. Here a function that is called from a kernel is only
+typed and lowered (:class:`_PartDispatcher`); what Python calls is optimised, and cached, once and as a whole.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
+from numba.core import types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.registry import CPUDispatcher
+from numba.core.typed_passes import NativeLowering
 
-OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
+from .kernel_cache import KernelCache
+
+NO_ENTRY = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # not called from outside
+ARITHMETIC: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
+
+
+def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator that compiles as ``numba.njit`` does with these options."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        compiled = _KernelDispatcher(function, options)
+        if cache:
+            compiled.enable_caching()
+        return compiled
+
+    return decorate
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -18,4 +43,73 @@ def kernel(function: Callable[..., Any]) -> Any:
     too, and often better than an offset: their indices are known not to be negative, so that loops vectorise. Other
     Python threads run meanwhile (``nogil``).
     """
-    return njit(**OPTIONS)(function)
+    return njit(**ARITHMETIC)(function)
+
+
+class _PartLibrary(JITCodeLibrary):
+    """The code of a function and of what it calls, as it was lowered: for its callers, not to be run on its own."""
+
+    def _optimize_final_module(self) -> None:
+        """Leave that to the callers, who optimise it as a part of themselves."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _PartLowering(NativeLowering):
+    _name = "part_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        super().run_pass(state)
+        lowered = state["cr"]
+        state.targetctx.insert_user_function(state.library, lowered.fndesc, [state.library])
+        state["cr"] = lowered._replace(cfunc=state.library)
+        return True
+
+
+class _PartCompiler(CompilerBase):
+    def define_pipelines(self) -> list[PassManager]:
+        steps = DefaultPassBuilder.define_nopython_pipeline(self.state).passes
+        pipeline = PassManager("part")
+        pipeline.passes = [(_PartLowering if step is NativeLowering else step, what) for step, what in steps]
+        pipeline.finalize()
+        return [pipeline]
+
+
+class _PartDispatcher(CPUDispatcher):
+    """A function as kernels call it. Constants are numbers like any other to it, not types of their own."""
+
+    def add_overload(self, compiled: Any) -> None:
+        self.overloads[tuple(compiled.signature.args)] = compiled
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        return super().get_call_template([_plain(a) for a in args], {name: _plain(a) for name, a in kws.items()})
+
+    def get_overload(self, signature: Any) -> Any:
+        return super().get_overload(tuple(_plain(a) for a in signature))
+
+
+class _KernelDispatcher(CPUDispatcher):
+    """A function as Python calls it; within kernels the part stands for it."""
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        options = options | {"nopython": True, "boundscheck": None}
+        super().__init__(function, targetoptions=options | {"no_cfunc_wrapper": True})
+        self._part = _PartDispatcher(function, targetoptions=options | NO_ENTRY, pipeline_class=_PartCompiler)
+
+    def enable_caching(self) -> None:
+        self._cache = KernelCache(self.py_func)
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        return self._part.get_call_template(args, kws)
+
+    def get_overload(self, signature: Any) -> Any:
+        return self._part.get_overload(signature)
+
+
+def _plain(kind: types.Type) -> types.Type:
+    return types.unliteral(kind) if isinstance(kind, types.IntegerLiteral | types.BooleanLiteral) else kind

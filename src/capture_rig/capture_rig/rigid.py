@@ -5,8 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from .kernel import njit
 from .small_matrices import diagonalise
 
 Array = np.ndarray

@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from .kernel import kernel
+from .kernel import kernel, njit
 
 MOST_SWEEPS, ROUNDING = 12, 1e-17
 """Of Jacobi's rotations: five suffice for four unknowns. What is left over the eigenvalues when they end."""

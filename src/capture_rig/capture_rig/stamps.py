@@ -2,7 +2,39 @@
 
 from __future__ import annotations
 
+import time
+from fractions import Fraction
+
 NS = 1e-9
+SLOW_ORIGIN_NS = 1_767_225_600_000_000_000  # 2026-01-01 00:00 UTC: a slow capture clock agrees with UTC then
+
+
+class CaptureClock:
+    """The clock that stamps frames: UTC, or in slow motion one that runs at ``speed`` (0 to 1) of it. All times in ns.
+
+    Cameras in slow motion are simulated. Whoever knows the speed knows the time, in any process: no message says it.
+    """
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self.speed = Fraction(speed).limit_denominator(1000)
+
+    def now_ns(self) -> int:
+        """Return the time that it shows."""
+        return self.at_utc(time.time_ns())
+
+    def at_utc(self, utc_ns: int) -> int:
+        """Return what it shows at an instant of UTC."""
+        if self.speed == 1:
+            return utc_ns
+        return SLOW_ORIGIN_NS + (utc_ns - SLOW_ORIGIN_NS) * self.speed.numerator // self.speed.denominator
+
+    def wait_ns(self, until_ns: int) -> int:
+        """Return how long it takes, of UTC, until it shows a time; 0 for a time that has passed."""
+        ahead_ns = max(until_ns - self.now_ns(), 0)
+        return -(-ahead_ns * self.speed.denominator // self.speed.numerator)
+
+
+UTC = CaptureClock()
 
 
 class StampThrottle:

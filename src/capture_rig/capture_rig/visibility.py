@@ -10,9 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from .kernel import kernel
+from .kernel import kernel, njit
 from .rig import Rig
 
 Array = npt.NDArray[np.float64]

@@ -1,10 +1,10 @@
-"""Frames are picked by their stamps alone."""
+"""Frames are picked by their stamps alone; the clock of the stamps may run slower than UTC."""
 
 from __future__ import annotations
 
 import pytest
 
-from capture_rig.stamps import StampThrottle
+from capture_rig.stamps import SLOW_ORIGIN_NS, UTC, CaptureClock, StampThrottle
 
 MS = 1_000_000
 
@@ -32,3 +32,24 @@ def test_stamps_that_go_back_begin_anew() -> None:
 
 def test_stamp_zero_is_a_stamp_as_any_other() -> None:
     assert picked(StampThrottle(0.5), [0, 400, 500]) == [0.5, 0, 0.5]
+
+
+def test_capture_clock_at_full_speed_is_utc_to_the_nanosecond() -> None:
+    instant_ns = 1_795_468_603_072_793_765
+    assert UTC.at_utc(instant_ns) == instant_ns and CaptureClock(1.0).speed == 1
+
+
+@pytest.mark.parametrize("parts", [2, 3, 32])
+def test_slow_capture_clock_takes_so_many_times_as_long(parts: int) -> None:
+    clock, instant_ns = CaptureClock(1 / parts), SLOW_ORIGIN_NS + 86_400 * 1000 * MS
+    assert clock.at_utc(SLOW_ORIGIN_NS) == SLOW_ORIGIN_NS
+    assert clock.at_utc(instant_ns + parts * 60 * MS) - clock.at_utc(instant_ns) == 60 * MS
+
+
+def test_wait_for_a_time_of_a_slow_clock_is_in_utc_and_not_too_short(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, instant_ns = CaptureClock(1 / 3), SLOW_ORIGIN_NS + 1_000_000_007
+    monkeypatch.setattr("time.time_ns", lambda: instant_ns)
+    until_ns = clock.now_ns() + 50 * MS
+    assert clock.at_utc(instant_ns + clock.wait_ns(until_ns)) >= until_ns
+    assert abs(clock.wait_ns(until_ns) - 150 * MS) <= 3
+    assert clock.wait_ns(clock.now_ns() - 1) == 0

@@ -23,8 +23,8 @@ can know.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import njit
 from capture_rig.small_matrices import inverse3, inverse_positive, symmetrise
 from stick_figure import kernels
 from stick_figure.skeleton import POINT_STICK

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import njit
 from capture_rig.small_matrices import symmetrise
 from stick_figure import kernels
 

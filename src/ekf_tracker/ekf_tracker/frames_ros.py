@@ -1,4 +1,8 @@
-"""Everybody on /tf: map -> the torso, and from there the links of the body's URDF (`urdf`)."""
+"""Everybody on /tf: map -> the torso, and from there the links of the body's URDF (`urdf`).
+
+Shoulders, hips and neck are where the trunk's bend has them in this set; in the URDF, whose fixed joints cannot move,
+they are where they are at rest.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +47,7 @@ class BodyFrames:
         yield frame(self._frame_id, torso, stamp_ns, place, turn)
         if self._links:
             angles = dict(zip(ANGLE_NAMES, state.angles.tolist(), strict=True))
-            for joint in link_joints(body):
+            for joint in link_joints(body.bent(state.bend)):
                 turned = UNTURNED if joint.axis is None else about_axis(joint.axis, angles[joint.name])
                 parent, child = link_name(body_id, joint.parent), link_name(body_id, joint.child)
                 yield frame(parent, child, stamp_ns, joint.origin, turned)

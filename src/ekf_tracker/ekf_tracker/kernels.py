@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import njit
 from capture_rig.small_matrices import inverse3, inverse_positive
 from stick_figure import kernels
 from stick_figure.body import Body

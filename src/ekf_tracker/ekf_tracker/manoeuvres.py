@@ -11,7 +11,8 @@ left to the gate.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from capture_rig.kernel import njit
 
 from .motion_model import Transition
 

@@ -12,9 +12,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from capture_rig.errors import InputError
+from capture_rig.kernel import njit
 from capture_rig.small_matrices import inverse3, positive3
 from stick_figure import kernels
 from stick_figure.body import Body

@@ -6,8 +6,8 @@ The error state is 24 slots of the pose's tangent, then the same 24 of its veloc
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import njit
 from mocap_packets.fit import PART_OF_POINT
 from mocap_packets.state import Tracking
 from stick_figure.kernels import HINGE_SLOT

@@ -104,7 +104,7 @@ def skeleton_markers(state: BodyState, body: Body, style: SkeletonStyle) -> Mark
     sticks_colour = colour if style.sticks is None or state.tracking == Tracking.LOST else style.sticks
     lines = _marker(header, f"{style.prefix}sticks", 0, Marker.LINE_LIST, sticks_colour)
     lines.scale.x = STICK_WIDTH_M
-    lines.points = [_point(end) for end in sticks(body, state.pose).reshape(20, 3)]
+    lines.points = [_point(end) for end in sticks(body.bent(state.bend), state.pose).reshape(20, 3)]
     lines.colors = [one for one in _colours(state, PART_OF_STICK, sticks_colour) for _ in range(2)]
     joints = _marker(header, f"{style.prefix}joints", 0, Marker.SPHERE_LIST, colour)
     joints.scale.x = joints.scale.y = joints.scale.z = JOINT_DIAMETER_M

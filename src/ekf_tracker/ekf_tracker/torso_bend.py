@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import njit
 from capture_rig.rigid import rigid_transform
 from capture_rig.small_matrices import inverse_positive, solve_positive_columns
 from stick_figure.body import BEND_NUMBERS, Body

@@ -234,6 +234,7 @@ class Track:
             velocity=x.velocity,
             predicted_velocity=self._predicted_velocity(x.velocity),
             covariance=covariance,
+            bend=self.body.bend,
             angles=self._angles,
             rates=rates,
             points_world=points_world,

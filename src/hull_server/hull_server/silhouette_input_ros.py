@@ -78,7 +78,7 @@ class SilhouetteInput:
             self._canvases,
             tolerance_ns=round(self._settings.tolerance_s * 1e9),
             deadline_ns=round(self._settings.deadline_s * 1e9),
-            max_open=MAX_OPEN_SETS,
+            max_open=self._settings.queue_depth if self._settings.reliable else MAX_OPEN_SETS,
             give_up=GIVE_UP_SETS,
         )
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
 
-from capture_rig.kernel import kernel
+from capture_rig.kernel import kernel, njit
 
 _U1 = np.uint64(1)
 _LOW_BITS, _FIRST_BITS = np.uint64(0x7F7F7F7F7F7F7F7F), np.uint64(0x0101010101010101)  # of every byte

@@ -39,7 +39,7 @@ from .people.people_tracker import PeopleTracker, make_people_tracker
 from .settings import IcpNodeSettings
 from .tracker import ACQUIRING, TRACKING, warm_up
 
-CLOUDS_KEPT = 8
+CLOUDS_KEPT = 4
 TOLD_EVERY_S = 1.0  # a reason why nobody is found yet: people read, and reasons may change with every set
 T = TypeVar("T", Centerline, VoxelSamples, ContourRays)
 
@@ -81,8 +81,9 @@ class IcpNode(SagomaNode):
     def activate(self) -> None:
         settings: IcpNodeSettings = self.settings
         self._feedback = FilterFeedback(settings.prediction_wait_s)
-        self._voxels: Mailbox[Delivery[VoxelSamples]] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
-        self._contour_rays: Mailbox[Delivery[ContourRays]] = Mailbox(CLOUDS_KEPT, settings.voxels_wait_s)
+        kept = settings.queue_depth + CLOUDS_KEPT  # those of every set that waits, and of the next ones
+        self._voxels: Mailbox[Delivery[VoxelSamples]] = Mailbox(kept, settings.voxels_wait_s)
+        self._contour_rays: Mailbox[Delivery[ContourRays]] = Mailbox(kept, settings.voxels_wait_s)
         self._order.reset()
         self._silence = SilenceWatch(self, settings.stale_after_s, self._on_silence)
         self._worker = Worker(

@@ -53,6 +53,7 @@ class BodyState:
     predicted_velocity : (24,) rate with which the motion model moves the pose until the next set, zero for the identity
         model
     covariance : (48, 48) of the errors of pose and velocity
+    bend : (7,) how the trunk is bent, of `Body.bent`: the body at rest so bent, in this pose, has the points
     angles, rates : (18,) rad and rad/s in the order of `stick_figure.skeleton.ANGLE_NAMES`, continuous with the
         previous set's; the rates are damped near gimbal lock
     points_world, point_covariance : (15, 3) m and (15, 3, 3) m^2, the filtered reference points
@@ -67,6 +68,7 @@ class BodyState:
     velocity: np.ndarray
     predicted_velocity: np.ndarray
     covariance: np.ndarray
+    bend: np.ndarray
     angles: np.ndarray
     rates: np.ndarray
     points_world: np.ndarray

@@ -64,7 +64,7 @@ CAMERA_NODE = "camera_client"
 SERVER_NODES = ("hull_server", "icp_tracker", "ekf_tracker")
 FOOTAGE_DEADLINE_S = 0.5  # all cameras' frames will come; on a machine that decodes them all, some come late
 # Nothing is dropped, and nobody goes on without what another node is about to send: for footage played as fast as the
-# graph keeps up, and for lockstep replay. Results then depend on the input alone.
+# graph keeps up, for cameras in slow motion, and for lockstep replay. Results then depend on the input alone.
 LOSSLESS_SETTINGS: Mapping[str, Any] = {
     "hull_server.reliable": True,
     "hull_server.deadline_s": 3.0,  # only a camera that lost a frame is waited for so long
@@ -114,7 +114,9 @@ def build_graph(
     elif rig is not None:
         graph = server_graph(rig, body=body)
         if cameras is not None:
-            graph += rig_cameras(rig, cameras)
+            clients = rig_cameras(rig, cameras)
+            # stamps of slow motion fall behind time, which would look like a queue; and nothing need be dropped
+            graph = apply_settings(graph, {} if _in_real_time(clients) else LOSSLESS_SETTINGS) + clients
     elif cameras is not None:
         graph = [node.with_parameters({"autostart": False}) for node in cameras_from_files(cameras)]
     else:
@@ -135,6 +137,7 @@ def session_graph(
             remedy=f"Add {without_background[0]}_background.mp4 or .png: the empty scene.",
         )
     footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": int(epoch_ns), "loop": loop}
+    footage["wait_for_cameras"] = rate > 0
     cameras = [
         camera_node(
             name,
@@ -199,6 +202,11 @@ def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
         )
     rig_file = str(Path(rig).resolve())
     return [camera_node(name, {**nodes[name].parameters, "rig_file": rig_file, "autostart": False}) for name in names]
+
+
+def _in_real_time(cameras: Sequence[NodeSpec]) -> bool:
+    """Return whether the cameras' clocks run at the speed of time: all but simulated ones in slow motion do."""
+    return all(camera.parameters.get("aravis.clock_speed", 1) == 1 for camera in cameras)
 
 
 def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:

@@ -19,7 +19,7 @@ from .first_pose import AUTO_START, STARTS, start_settings
 from .graph import ALL_CAMERAS, NodeSpec, apply_settings, build_graph, camera_from_file
 from .processes import ONE_PROCESS, SERVER_LAYOUTS, ProcessSpec, processes_of
 
-# nobody drives the cameras of launched footage: they agree on its stamps, and on when to begin
+# nobody drives the cameras of launched footage: they wait for each other
 PLAY_IN_STEP = {f"{ALL_CAMERAS}.footage.wait_for_cameras": True, f"{ALL_CAMERAS}.footage.wait_for_consumer_s": 300.0}
 RESTART, SHUTDOWN = "restart", "shutdown"
 RESTART_DELAY_S = 2.0  # long enough to read why a node died, short enough not to miss the next person
@@ -133,12 +133,13 @@ def server_graph(values: Mapping[str, str]) -> list[NodeSpec]:
         settings["ekf_tracker.publish_humans"] = True
     if session is not None:
         settings |= PLAY_IN_STEP
+    rate = _number(values, "rate") if session is not None else 1.0
     return build_graph(
         session=values.get("session"),
-        epoch_ns=0 if session is None else time.time_ns(),
+        epoch_ns=time.time_ns() if rate == 0 else 0,  # at a rate, the cameras agree on one
         rig=values.get("rig"),
         cameras=values.get("cameras"),
-        rate=_number(values, "rate") if session is not None else 1.0,
+        rate=rate,
         loop=_true(values, "loop"),
         body=values["body"] or None,
         settings=settings,

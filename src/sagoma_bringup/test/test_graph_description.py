@@ -51,6 +51,7 @@ def test_session_gives_the_server_and_one_camera_node_a_video(session):
         assert given["background"] == str((session / f"{node.label}_background.png").resolve())
         assert (given["footage.fps"], given["footage.rate"]) == (25.0, 0.5)
         assert (given["footage.epoch_ns"], given["footage.loop"]) == (5_000_000_000, True)
+        assert given["footage.wait_for_cameras"] is True
 
 
 def test_session_without_a_video_of_a_rig_camera_is_an_error(session):
@@ -84,6 +85,14 @@ def test_example_rig_and_camera_files_make_one_graph():
     assert not any(node.parameters["autostart"] for node in graph[3:])  # driven by whoever starts the graph
     assert {node.parameters["rig_file"] for node in graph[3:]} == {str(RING4)}
     assert graph[1].parameters["body_file"] == graph[2].parameters["body_file"]
+
+
+@pytest.mark.parametrize(("clock_speed", "lossless"), [(1.0, False), (0.25, True)])
+def test_server_leaves_nothing_out_for_cameras_in_slow_motion(tmp_path, clock_speed, lossless):
+    for name in ("cam01", "cam02", "cam03", "cam04"):
+        camera_file(tmp_path, name, aravis={"clock_speed": clock_speed})
+    hull = build_graph(rig=RING4, cameras=tmp_path)[0]
+    assert hull.parameters.get("reliable", False) == lossless
 
 
 def test_rig_alone_is_the_server_alone():

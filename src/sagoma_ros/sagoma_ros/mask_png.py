@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from capture_rig.kernel import njit
 from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LEVELS, SHADOW_CANDIDATE
 
 from .run_deflate import OPTIONS, deflate, inflate, match_lengths, most_bytes, run_code

@@ -21,4 +21,7 @@ SILHOUETTE_SUBSCRIBER = _profile(ReliabilityPolicy.BEST_EFFORT)
 SILHOUETTE_RELIABLE_SUBSCRIBER = _profile(ReliabilityPolicy.RELIABLE)
 RESULT = _profile(ReliabilityPolicy.RELIABLE)
 LATCHED = _profile(ReliabilityPolicy.RELIABLE, depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LATCHED_BY_MANY = _profile(  # to hear every publisher's: depth 1 would keep the last one's alone
+    ReliabilityPolicy.RELIABLE, depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
 TF = _profile(ReliabilityPolicy.RELIABLE, depth=100)  # as tf2_ros offers it

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from capture_rig.kernel import njit
 
 OPTIONS: dict[str, Any] = {"cache": True, "nogil": True}
 ZLIB_HEADER = 0x0178  # deflate with a window of 32 KB, fastest; as all of the stream, lowest bits first

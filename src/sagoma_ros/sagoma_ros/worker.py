@@ -113,7 +113,10 @@ class Mailbox(Generic[T]):
             self._changed.notify_all()
 
     def take(self, stamp_ns: int) -> T | None:
-        """Return the item of exactly this stamp, as soon as it is there; None when it did not come in time."""
+        """Return the item of exactly this stamp, as soon as it is there; None when it did not come in time.
+
+        Earlier ones are forgotten: items are taken in the order of their stamps.
+        """
         with self._changed:
             self.waiting = True
             patience = 0.0 if self._silent else self._wait_s
@@ -123,6 +126,9 @@ class Mailbox(Generic[T]):
             if item is None and self._open and not self._silent:
                 self._silent = True
                 self.timeouts += 1
+            if item is not None:
+                for earlier in [stamp for stamp in self._items if stamp < stamp_ns]:
+                    del self._items[earlier]
             return item
 
     def newest(self) -> T | None:

@@ -58,7 +58,7 @@ def in_step(graph: Sequence[NodeSpec], cameras: int, start_at_ns: int | None, ra
         return list(graph)
     settings: dict[str, Any] = {"epoch_ns": start_at_ns}
     if rate > 0:
-        settings["keep_up"] = True
+        settings |= {"keep_up": True, "wait_for_cameras": False}
     else:
         settings |= {"wait_for_cameras": True, "wait_for_consumer_s": WAIT_S}
     prefix = f"{ALL_CAMERAS}.footage."

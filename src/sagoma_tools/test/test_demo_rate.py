@@ -8,8 +8,11 @@ import pytest
 from mocap_packets.thinning import EVERY_FRAME, Thinning
 from sagoma_tools.cli import main
 from sagoma_tools.commands import demo
-from sagoma_tools.commands.demo import next_step, rate_line, unsound
+from sagoma_tools.commands.demo import next_step, rate_line, speed_line, unsound
+from sagoma_tools.evaluation import live_run
 from sagoma_tools.evaluation.held_rate import LONGEST_S, SETTLED_S, HeldRate, RuleHistory
+from sagoma_tools.evaluation.live_inputs import TooSlow
+from sagoma_tools.evaluation.live_run import slow_motion
 
 
 def thinned(keep, of):
@@ -67,10 +70,55 @@ def test_line_says_what_was_done_and_what_else_the_machine_did():
     assert "other programs take 55 %" in next_step(0.55) and "--rate 0" in next_step(0.0)
 
 
+@pytest.mark.parametrize(
+    ("held_hz", "speed"), [(24.0, 1 / 4), (9.0, 1 / 8), (60.0, 1 / 2), (3.0, 1 / 32), (0.5, 1 / 32), (0.0, 1 / 32)]
+)
+def test_slow_motion_leaves_the_graph_some_room(held_hz, speed):
+    assert slow_motion(60.0, held_hz) == speed
+
+
+@pytest.mark.parametrize(
+    ("asked", "outcomes", "speeds"),
+    [
+        (None, ["whole"], [1.0]),
+        (None, [TooSlow(14.0), "whole"], [1.0, 1 / 8]),
+        (None, [TooSlow(24.0), "torn", "whole"], [1.0, 1 / 4, 1 / 8]),
+        (None, ["torn", "whole"], [1.0, 1 / 2]),
+        (None, [TooSlow(1.0), "torn"], [1.0, 1 / 32]),
+        (1 / 4, ["torn"], [1 / 4]),
+    ],
+    ids=["held", "too slow", "slower again", "torn at full speed", "slowest", "as asked for"],
+)
+def test_cameras_go_slower_until_the_machine_answers_whole_sets(tmp_path, monkeypatch, asked, outcomes, speeds):
+    tried = []
+
+    def studio(session, folder, fps, speed, *, least_hz, trained):
+        tried.append(speed)
+        assert (least_hz > 0) == (asked is None) and trained == (len(tried) > 1)
+
+    def run(live_input, output, **options):
+        outcome = outcomes[len(tried) - 1]
+        if isinstance(outcome, TooSlow):
+            raise outcome
+        return SimpleNamespace(is_whole=outcome == "whole")
+
+    monkeypatch.setattr(live_run, "StudioInput", studio)
+    monkeypatch.setattr(live_run, "run_live", run)
+    live_run.run_studio("session", tmp_path, 60.0, asked)
+    assert tried == speeds
+
+
+def test_line_of_slow_motion_says_how_slow_and_why():
+    machine = "this machine does not hold 5 cameras at 60 Hz"
+    assert speed_line(0.25, 5, 60.0, forced=False) == f"shown at a quarter of the speed: {machine}"
+    assert speed_line(0.5, 5, 60.0, forced=False) == f"shown at half the speed: {machine}"
+    assert speed_line(1 / 16, 5, 60.0, forced=True) == "shown at 1/16 of the speed: as asked for"
+
+
 def test_a_demo_that_tracked_nobody_on_a_busy_machine_says_so_and_fails(tmp_path, monkeypatch, capsys):
     nobody = SimpleNamespace(
         bag=tmp_path / "bag", sets=60, answered=58, incomplete=3, sets_per_s=9.0, hz_held=10.0, spread_ms=0.0,
-        others=0.8, track=[], usage={}, cpu_ms_per_set={}, diagnostics={}, latency_ms={}, ages_ms={},
+        others=0.8, speed=1.0, track=[], usage={}, cpu_ms_per_set={}, diagnostics={}, latency_ms={}, ages_ms={},
         session=SimpleNamespace(fps=60.0),
     )  # fmt: skip
     monkeypatch.setattr(demo, "FootageInput", lambda session, rate: None)

@@ -9,8 +9,8 @@ import pytest
 from capture_rig.session import Session, load_session
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import BodyFollower, MocapPipeline
+from mocap_pipeline.session_footage import exact_silhouettes
 from sagoma_bringup.first_pose import start_settings
-from sagoma_tools.evaluation import in_process
 from sagoma_tools.evaluation.in_process import (
     OURS,
     PARTS,
@@ -91,7 +91,7 @@ def test_without_feedback_every_fit_starts_from_the_fit_before(session):
     graph = MocapPipeline(session.rig, started(session))
     closed, opened = graph.body, BodyFollower.of(started(session, feedback=False))
     starts: dict[str, list[str]] = {"closed": [], "opened": []}
-    for frame, masks in enumerate(in_process.exact_silhouettes(session)):
+    for frame, masks in enumerate(exact_silhouettes(session)):
         clouds = graph.carve(1_000_000_000 + 50_000_000 * frame, masks)
         starts["closed"].append(closed.step(clouds).fit.started_from)
         starts["opened"].append(opened.step(clouds).fit.started_from)

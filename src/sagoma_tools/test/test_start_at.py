@@ -64,6 +64,7 @@ def test_cameras_of_several_machines_share_the_beginning_and_keep_up():
     (node,) = in_step(footage("cam02"), 4, NOON_NS, 1.0)
     assert node.role is Role.CAMERA
     assert node.parameters["footage.epoch_ns"] == NOON_NS and node.parameters["footage.keep_up"] is True
+    assert node.parameters["footage.wait_for_cameras"] is False  # nobody waits for a machine that is late
 
 
 def test_footage_as_fast_as_the_graph_can_waits_for_all_cameras_instead():

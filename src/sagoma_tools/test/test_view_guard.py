@@ -1,14 +1,10 @@
-"""Who may open the live page: by headers, and against the server as it runs."""
-
-import http.client
+"""Who may open the live page, by the headers of a request."""
 
 import pytest
 from websockets.datastructures import Headers
-from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
 
-from sagoma_tools.view.client_script import SCRIPT
-from sagoma_tools.view.guard import COOKIE, Guard, guarded_server
+from capture_rig.errors import InputError
+from sagoma_tools.view.guard import COOKIE, Guard
 
 OURS = Guard.of("127.0.0.1")
 OPEN = Guard.of("0.0.0.0", "secret")
@@ -55,35 +51,8 @@ def test_a_token_becomes_a_cookie_and_the_cookie_opens_the_page():
     assert asked(OPEN, Host="box:8080", Origin="http://evil.example", **socket) == 403
 
 
-@pytest.fixture(scope="module")
-def port():
-    server = guarded_server(Guard("127.0.0.1", "secret"), 0)
-    yield server.get_port()
-    server.stop()
-
-
-def get(port: int, path: str, **headers: str) -> http.client.HTTPResponse:
-    connection = http.client.HTTPConnection("127.0.0.1", port)
-    connection.request("GET", path, headers=headers)
-    return connection.getresponse()
-
-
-def test_the_server_asks_the_guard_before_it_serves_the_page(port):
-    assert get(port, "/").status == 403
-    assert get(port, "/../guard.py", Cookie=f"{COOKIE}=secret").status == 404
-    redirect = get(port, "/?token=secret")
-    assert redirect.status == 303 and "HttpOnly" in redirect.getheader("Set-Cookie")
-    page = get(port, "/", Cookie=f"{COOKIE}=secret")
-    assert page.status == 200
-    body = page.read()
-    assert len(body) == int(page.getheader("Content-Length")) and page.getheader("Content-Encoding") == "identity"
-    assert body.index(b"<head>" + SCRIPT.encode()) < body.index(b"<title>")
-
-
-def test_the_server_refuses_connections_of_other_origins(port):
-    with pytest.raises(InvalidStatus, match="403"):
-        connect(
-            f"ws://127.0.0.1:{port}/", origin="http://evil.example", additional_headers={"Cookie": f"{COOKIE}=secret"}
-        )
-    with pytest.raises(InvalidStatus, match="403"):
-        connect(f"ws://127.0.0.1:{port}/", origin=f"http://127.0.0.1:{port}")
+@pytest.mark.parametrize("token", ["", "  ", "two words", "a;b"])
+def test_an_empty_or_blank_token_is_refused_with_the_remedy(token):
+    for host in ("0.0.0.0", "127.0.0.1"):
+        with pytest.raises(InputError, match="Leave --token out"):
+            Guard.of(host, token)

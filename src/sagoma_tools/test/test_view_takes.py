@@ -3,6 +3,7 @@
 import io
 import time
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,11 +12,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from take_bags import EPOCH_NS, PERIOD_NS
 
 from capture_rig.errors import InputError
+from motion_export.motion import UNTRACKED
 from sagoma_tools.graph.diagnostics_table import STALE_S, NodeReport
 from sagoma_tools.takes.folder import TakesFolder, describe
 from sagoma_tools.takes.summary_file import finish_take
+from sagoma_tools.view.guard import Guard
 from sagoma_tools.view.jobs import Jobs
-from sagoma_tools.view.playback import Playback, last_frame
+from sagoma_tools.view.page import EVERY_S, Page
+from sagoma_tools.view.playback import Playback, first_pose_ns, last_frame
 from sagoma_tools.view.states import states_html, trouble_of
 from sagoma_tools.view.take_work import ALL_FORMATS, TakeWork
 from sagoma_tools.view.takes_panel import about_html, whole_range
@@ -128,16 +132,53 @@ def test_a_pose_is_held_over_sets_that_were_left_out(tmp_path):
     assert last_frame(playback.motions["b0001"], EPOCH_NS + 12 * PERIOD_NS) == 9
 
 
-def test_curves_leave_out_the_twist_of_straight_limbs(takes):
-    playback = Playback.of(takes.find("walk"))  # of somebody in the T-pose: straight arms and legs
-    curves = {name: values for _, _, each in playback.plots("b0001") for (name, _), values in each.items()}
-    assert len(curves) == 16 and whole_range([curves["left shoulder y"]]) == (-30.0, 30.0)
-    for name, values in curves.items():
-        a_twist = name.endswith("shoulder y") or name.endswith("hip z")
-        assert np.isfinite(values).any() != a_twist, name
-    low, high = whole_range(curves.values())
-    assert low <= min(np.nanmin(values) for values in curves.values() if np.isfinite(values).any())
-    assert high > low and low % 30.0 == high % 30.0 == 0.0
+def test_a_take_begins_at_its_first_pose_and_no_time_passes_while_nobody_looks(tmp_path):
+    path = take_bags.write_take(tmp_path / "late", FRAMES, missing=range(20))
+    finish_take(path)
+    playback = Playback.of(describe(path))
+    assert playback.seconds == pytest.approx(
+        (FRAMES - 1) * PERIOD_NS / 1e9
+    )  # from the first set, though nobody is there
+    assert playback.position_s == playback.first_pose_s == pytest.approx(20 * PERIOD_NS / 1e9)
+    now_s = time.monotonic() + 1000.0  # the page stood open for long before somebody came
+    assert set(playback.new_figures_at(now_s)) == {"b0001"} and playback.position_s == playback.first_pose_s
+    playback.stand()
+    playback.new_figures_at(now_s + 1000.0)
+    assert playback.position_s == playback.first_pose_s
+    playback.new_figures_at(now_s + 1000.0 + playback.seconds)  # over the end: from the first pose again
+    assert playback.position_s == playback.first_pose_s
+
+
+def test_the_first_pose_is_the_first_in_which_somebody_is_tracked(takes):
+    motion = Playback.of(takes.find("walk")).motions["b0001"]
+    states = motion.states.copy()
+    states[:7] = UNTRACKED
+    assert first_pose_ns(replace(motion, states=states)) == EPOCH_NS + 7 * PERIOD_NS
+
+
+def test_the_page_of_a_take_opens_on_its_first_pose_with_the_take_chosen_and_named(takes):
+    finish_take(take_bags.write_take(takes.new_path("newer"), 5))
+    page = Page(Guard("127.0.0.1", None), 0, takes)
+    try:
+        page.show_take(takes.path / "walk")
+        page._draw_frame(time.monotonic(), dict.fromkeys(EVERY_S, 0.0))
+        assert page._take_panel.chosen == "walk"
+        assert "walk: its first pose" in page._said.content
+        assert set(page._scene._people) == {"b0001"}
+    finally:
+        page.close()
+
+
+def test_curves_are_two_a_plot_in_degrees_with_the_signs_that_are_named(takes):
+    playback = Playback.of(takes.find("walk"))  # of somebody in the T-pose, who is lost for ten frames
+    plots = {title: (times_s, sides) for title, times_s, sides in playback.plots("b0001")}
+    assert list(plots) == ["knee flexion", "elbow flexion", "shoulder elevation", "hip flexion"]
+    for title, (times_s, sides) in plots.items():
+        assert sides.shape == (2, len(times_s)) and np.isfinite(sides).any(1).all()
+        expected_deg = 90.0 if title == "shoulder elevation" else 0.0
+        assert np.nanmax(np.abs(sides - expected_deg)) < 1e-3, title
+    assert whole_range(np.array([[12.0, np.nan], [-31.0, 3.0]])) == (-60.0, 30.0)
+    assert whole_range(np.full((2, 3), np.nan)) == (-30.0, 30.0)
 
 
 def test_what_the_page_says_of_a_take_cannot_be_markup(takes):
@@ -161,3 +202,4 @@ def test_a_silent_camera_is_said_with_since_when_and_what_to_do():
     assert "30.0 Hz" in said and "3 frames lost" in said and "&lt;b&gt;the lens" in said and "not been heard" in said
     assert [trouble_of(report, now_s) for report in reports.values()] == ["", "", "silent 8 s"]
     assert trouble_of(NodeReport(DiagnosticStatus.ERROR, "no camera", {}, now_s), now_s) == "error"
+    assert "sagoma up" in states_html({}, now_s)

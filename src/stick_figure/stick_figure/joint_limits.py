@@ -16,7 +16,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from capture_rig.kernel import njit
 
 from .kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from .rotations import wrap_into_range

@@ -11,9 +11,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from capture_rig.kernel import kernel
+from capture_rig.kernel import kernel, njit
 
 from .kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from .pose import Pose

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from capture_rig.errors import InputError
+from capture_rig.kernel import njit
 from capture_rig.rigid import rigid_transform
 
 from . import kernels

@@ -85,19 +85,22 @@ def test_heartbeat_that_stops_frees_the_camera_and_ends_its_stream(camera, clien
 class FakeLoop:
     """Timers that a test runs when it likes."""
 
-    def __init__(self):
-        self.timers = []
+    def __init__(self, now_ns):
+        self.now_ns, self.timers = now_ns, []
 
     def call_at(self, when_ns, callback):
         self.timers.append(Timer(when_ns, callback))
         return self.timers[-1]
 
+    def call_later(self, delay_ns, callback):
+        return self.call_at(self.now_ns() + delay_ns, callback)
+
 
 def test_any_command_of_the_controller_is_a_heartbeat(monkeypatch):
     now = SimpleNamespace(ns=0)
-    clock = SimpleNamespace(monotonic_ns=lambda: now.ns, time_ns=lambda: now.ns)
+    clock = SimpleNamespace(monotonic_ns=lambda: now.ns)
     monkeypatch.setattr("virtual_studio.gige.server.gvcp_server.time", clock)
-    registers, loop, released, peer = Registers(table()), FakeLoop(), [], ("127.0.0.1", 5000)
+    registers, loop, released, peer = Registers(table()), FakeLoop(lambda: now.ns), [], ("127.0.0.1", 5000)
     device = Device("127.0.0.9", CameraSettings(), registers, Faults(), Counter(), loop)
     privilege = ControlPrivilege(device, lambda: released.append(now.ns))
     privilege.request(peer, 2)

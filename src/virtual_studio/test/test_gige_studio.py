@@ -1,5 +1,6 @@
 """A whole studio: its cameras, its control channel, its command line."""
 
+import argparse
 import json
 import os
 import re
@@ -7,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
@@ -19,7 +21,7 @@ from capture_rig.rig import load_rig
 from gige_vision.gvcp import Command, DeviceRecord
 from virtual_studio.gige import PatternScene, Studio, StudioSettings, free_addresses
 from virtual_studio.gige.addresses import consecutive_addresses, is_free
-from virtual_studio.gige.command import request_from, write_rig_files
+from virtual_studio.gige.command import request_from, speed_argument, write_rig_files
 from virtual_studio.gige.control import ask
 
 
@@ -30,6 +32,25 @@ def first_of_free(count):
         if int(first.split(".")[3]) + count < 255 and all(is_free(a) for a in consecutive_addresses(first, count)):
             return first
     pytest.skip("no row of free loopback addresses was found")
+
+
+def test_studio_in_slow_motion_tells_the_clients_the_speed_of_its_clock(tmp_path):
+    with Studio(settings(speed=0.25)) as studio:
+        folder = write_rig_files(studio, tmp_path)
+        assert {camera.loop.clock.speed for camera in studio.cameras.values()} == {Fraction(1, 4)}
+    parameters = yaml.safe_load((folder / "cameras" / "cam02.yaml").read_text())["/cam02/camera_client"]
+    assert parameters["ros__parameters"]["aravis"]["clock_speed"] == 0.25
+
+
+@pytest.mark.parametrize("text", ["0.25", "1/4"])
+def test_speed_is_a_number_or_a_fraction(text):
+    assert speed_argument(text) == 0.25
+
+
+@pytest.mark.parametrize("text", ["fast", "1/0", "", "2", "1/64", "nan", "1/"])
+def test_speed_that_is_none_is_refused(text):
+    with pytest.raises(argparse.ArgumentTypeError, match=r"give a number from 0\.03125 to 1 of"):
+        speed_argument(text)
 
 
 def settings(cameras=3, **more):

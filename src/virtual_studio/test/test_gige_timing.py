@@ -12,6 +12,7 @@ from gige_client import eventually
 from hypothesis import given
 from hypothesis import strategies as st
 
+from capture_rig.stamps import CaptureClock
 from virtual_studio.gige import CameraSettings, EventLoop, Faults, Playback, TriggerWire
 from virtual_studio.gige.server.registers import Registers
 from virtual_studio.gige.simulated_camera.camera import feature_table
@@ -29,8 +30,9 @@ rates = st.sampled_from([0.5, 25, 29.97, 30, 59.94, 60, 100, 120, 999.9])
 @pytest.fixture
 def now(monkeypatch):
     """A system clock that stands still until it is moved."""
-    clock = SimpleNamespace(ns=NOW_NS, time_ns=lambda: clock.ns)
-    monkeypatch.setattr("virtual_studio.gige.simulated_camera.timing.time", clock)
+    clock = SimpleNamespace(ns=NOW_NS, time_ns=lambda: clock.ns, monotonic_ns=lambda: clock.ns)
+    for module in ("virtual_studio.gige.simulated_camera.timing", "capture_rig.stamps"):
+        monkeypatch.setattr(f"{module}.time", clock)
     return clock
 
 
@@ -71,6 +73,13 @@ def test_reset_makes_the_counter_begin_at_zero(now):
     assert clock.stamp(now.ns) >= 5 * SECOND_NS
     clock.reset()
     assert clock.stamp(now.ns) == 0
+
+
+def test_counter_of_slow_motion_counts_the_studio_s_seconds(now):
+    clock = CameraClock(CameraSettings(drift_ppm=0.0), Faults(), slow := CaptureClock(0.25))
+    before = clock.stamp(slow.now_ns())
+    now.ns += 8 * SECOND_NS
+    assert clock.stamp(slow.now_ns()) - before == 2 * SECOND_NS
 
 
 def test_ptp_goes_through_listening_and_uncalibrated_to_slave_and_then_counts_tai(now):

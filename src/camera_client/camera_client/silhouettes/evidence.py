@@ -14,7 +14,8 @@ import math
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from capture_rig.kernel import njit
 
 from ..background.kernels import OPTIONS, SCALE, median
 from ..background.noise import Noise

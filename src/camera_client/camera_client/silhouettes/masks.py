@@ -12,9 +12,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from capture_rig.camera import UndistortedView
+from capture_rig.kernel import njit
 
 from ..background.kernels import OPTIONS
 from ..frame_source import Image, Mask

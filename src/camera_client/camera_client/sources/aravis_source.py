@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
-import time
 from collections.abc import Iterator
 from typing import Any
 
 from capture_rig.errors import InputError
+from capture_rig.stamps import CaptureClock
 from gige_vision import bootstrap
 
 from ..frame_source import Frame, FrameSource, SourceUnavailable
@@ -58,6 +58,7 @@ class AravisSource(FrameSource):
     def __init__(self, settings: AravisSettings, channels: str = "auto") -> None:
         super().__init__()
         self._settings, self._channels = settings, channels
+        self._clock = CaptureClock(settings.clock_speed)
         self._wanted = CameraSelector(settings.address, settings.serial, settings.user_id, settings.interface)
         self._found: FoundCamera | None = None
         self._camera: Any = None
@@ -102,7 +103,7 @@ class AravisSource(FrameSource):
         if self._streaming:
             return
         with self._device_errors("when it was started"):
-            reading = read_clock(self._registers, time.time_ns)
+            reading = read_clock(self._registers, self._clock.now_ns)
             self._time = self._time_source(self._features, reading)
             self._stream.restart()
             self._camera.start_acquisition()
@@ -117,7 +118,8 @@ class AravisSource(FrameSource):
         self._update_counters(stream)
         if grabbed is None:
             return None
-        stamp = time_source.stamp(FrameTimes(grabbed.camera_ns, grabbed.arrival_ns, grabbed.exposure_ns))
+        arrival_ns = self._clock.at_utc(grabbed.arrival_ns)
+        stamp = time_source.stamp(FrameTimes(grabbed.camera_ns, arrival_ns, grabbed.exposure_ns))
         self.counters["stamp_jumps"] = time_source.jumps
         return Frame(grabbed.image, stamp.ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
 
@@ -188,11 +190,11 @@ class AravisSource(FrameSource):
         s = self._settings
         if s.sync in ("ptp", "action") or s.stamp_source == "ptp":
             self._await_ptp(features)
-        reading = read_clock(self._registers, time.time_ns)
+        reading = read_clock(self._registers, self._clock.now_ns)
         if s.sync in ("ptp", "action") and reading is None:
             raise self._error(f"has no clock that can be read; sync {s.sync} needs one", "Choose another aravis.sync.")
         self._warnings = [
-            synchronise(features, s, lambda: time.time_ns() - (reading.offset_ns if reading is not None else 0))
+            synchronise(features, s, lambda: self._clock.now_ns() - (reading.offset_ns if reading is not None else 0))
         ]
         if s.sync == "action":
             found = self._found
@@ -260,12 +262,12 @@ class AravisSource(FrameSource):
         s = self._settings
         if s.sync == "software":
             self._schedule = TriggerSchedule(s.frame_rate)
-            self._trigger = TriggerThread(self._schedule, time.time_ns, self._software_trigger)
+            self._trigger = TriggerThread(self._schedule, self._clock.now_ns, self._software_trigger)
         elif s.sync == "action":
             assert self._actions is not None and reading is not None
             self._schedule = TriggerSchedule(s.frame_rate, lead_ns=round(s.action_lead_ms * 1e6))
             ahead_ns = -reading.offset_ns
-            self._trigger = TriggerThread(self._schedule, lambda: time.time_ns() + ahead_ns, self._actions.send)
+            self._trigger = TriggerThread(self._schedule, lambda: self._clock.now_ns() + ahead_ns, self._actions.send)
         if self._trigger is not None:
             self._trigger.start()
 

@@ -207,7 +207,7 @@ class AravisStream:
         stream.set_property("packet-request-ratio", RESEND_SHARE)
         stream.set_property("initial-packet-timeout", FIRST_PACKET_TIMEOUT_US)
         stream.set_property("packet-timeout", PACKET_TIMEOUT_US)
-        stream.set_property("frame-retention", round(s.frame_retention_ms * 1000))
+        stream.set_property("frame-retention", round(s.frame_retention_ms * 1000 / s.clock_speed))
         # FIXED, or Aravis would shrink the buffer that we enlarge here to one frame when the first one comes
         stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
         stream.set_property("socket-buffer-size", s.socket_buffer_bytes)

@@ -1,4 +1,4 @@
-"""Pacing of footage: frames leave by the wall clock, or as soon as the consumers have caught up; the epoch."""
+"""Pacing of footage: frames leave by a clock that all cameras share, or as soon as the consumers have caught up."""
 
 from __future__ import annotations
 
@@ -6,22 +6,56 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import NamedTuple
 
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
 
-EPOCH_STEP_NS = 5_000_000_000
+LEAD_NS = 1_000_000_000  # from a camera's offer of a clock to its first frame: the other cameras hear of it meanwhile
 LATE_START_NS = 1_000_000_000
 KEPT_UP_NS = 250_000_000  # a frame this late still joins its set: half of what the hull server waits for footage
 MAX_EPOCH_AHEAD_NS = 3600 * 1_000_000_000
 
 
+class FootageClock(NamedTuple):
+    """Frame k is stamped ``epoch_ns + k / fps`` and leaves at ``begin_ns + (k / fps) / rate`` of the system clock."""
+
+    begin_ns: int
+    epoch_ns: int
+
+
+class SharedClock:
+    """The clock by which all cameras of a graph play: of those that were offered, the one that began first.
+
+    Each camera offers one when it starts, and hears the others'. Whoever comes late, or goes on after a pause, so finds
+    the clock that runs already; cameras that offer at the same time come to the same one, whatever they hear first.
+    """
+
+    def __init__(self, announce: Callable[[FootageClock], object] = lambda clock: None) -> None:
+        """``announce`` is called with every clock that comes to hold, one after the other."""
+        self._announce, self._lock = announce, threading.Lock()
+        self._agreed: FootageClock | None = None
+
+    def offer(self, clock: FootageClock) -> FootageClock:
+        """Take a clock into account, one's own or another camera's; returns the one that holds."""
+        with self._lock:
+            if self._agreed is None or clock < self._agreed:
+                self._agreed = clock
+                self._announce(clock)
+            return self._agreed
+
+    def forget(self) -> None:
+        """Play no longer by any clock."""
+        with self._lock:
+            self._agreed = None
+
+
 class Pace(ABC):
-    """Decides when frame k may leave. ``begin`` is called at every start or resumption with the next frame's k."""
+    """Decides when frame k may leave. ``begin`` is called at every start or resumption, and for another clock."""
 
     @abstractmethod
-    def begin(self, epoch_ns: int, frame: int) -> None:
-        """Begin with this frame; ``epoch_ns`` : the stamp of frame 0."""
+    def begin(self, clock: FootageClock, frame: int) -> None:
+        """Begin, or go on, with this frame by this clock."""
 
     @abstractmethod
     def wait(self, frame: int, timeout_s: float) -> bool:
@@ -41,11 +75,7 @@ class Pace(ABC):
 
 
 class WallClockPace(Pace):
-    """Frame k leaves at ``epoch + (k / fps) / rate`` of the system clock.
-
-    A start more than a second after that (a late start, or the resumption after a pause) goes on from now instead of
-    hurrying through what was missed; with ``keep_up`` what was missed is left out.
-    """
+    """Frame k leaves when its clock says so; what is too late to join its set is left out."""
 
     def __init__(
         self,
@@ -53,18 +83,15 @@ class WallClockPace(Pace):
         rate: float,
         now_ns: Callable[[], int] = time.time_ns,
         sleep: Callable[[float], None] = time.sleep,
-        keep_up: bool = False,
     ) -> None:
-        self._fps, self._rate, self._now_ns, self._sleep, self._keep_up = fps, rate, now_ns, sleep, keep_up
-        self._first_frame, self._anchor_ns = 0, 0
+        self._fps, self._rate, self._now_ns, self._sleep = fps, rate, now_ns, sleep
+        self._begin_ns = 0
 
-    def begin(self, epoch_ns: int, frame: int) -> None:
-        now, due = self._now_ns(), epoch_ns + round(frame * 1e9 / (self._fps * self._rate))
-        self._first_frame = frame
-        self._anchor_ns = due if self._keep_up or due >= now - LATE_START_NS else now
+    def begin(self, clock: FootageClock, frame: int) -> None:
+        self._begin_ns = clock.begin_ns
 
     def has_missed(self, frame: int) -> bool:
-        return self._keep_up and self._due_ns(frame) < self._now_ns() - KEPT_UP_NS
+        return self._due_ns(frame) < self._now_ns() - KEPT_UP_NS
 
     def wait(self, frame: int, timeout_s: float) -> bool:
         left_s = (self._due_ns(frame) - self._now_ns()) / 1e9
@@ -73,7 +100,7 @@ class WallClockPace(Pace):
         return left_s <= timeout_s
 
     def _due_ns(self, frame: int) -> int:
-        return self._anchor_ns + round((frame - self._first_frame) * 1e9 / (self._fps * self._rate))
+        return self._begin_ns + playing_ns(frame, self._fps, self._rate)
 
 
 class AcknowledgedPace(Pace):
@@ -89,9 +116,9 @@ class AcknowledgedPace(Pace):
         self._epoch_ns, self._last_progress_s, self._timeouts = 0, now_s(), 0
         self._first_frame = 0
 
-    def begin(self, epoch_ns: int, frame: int) -> None:
+    def begin(self, clock: FootageClock, frame: int) -> None:
         with self._changed:
-            self._epoch_ns, self._first_frame, self._last_progress_s = epoch_ns, frame, self._now_s()
+            self._epoch_ns, self._first_frame, self._last_progress_s = clock.epoch_ns, frame, self._now_s()
             self._acknowledged_ns = None  # of an earlier playing, perhaps with another epoch
 
     def acknowledge(self, stamp_ns: int) -> None:
@@ -128,17 +155,18 @@ class AcknowledgedPace(Pace):
         return self._acknowledged_ns >= footage_stamp_ns(self._epoch_ns, awaited, self._fps)
 
 
-def choose_epoch_ns(epoch_ns: int, now_ns: int) -> int:
-    """Return the stamp of frame 0: as given, or for 0 the next whole multiple of 5 s of the system clock.
+def playing_ns(frame: int, fps: float, rate: float) -> int:
+    """Return how long after frame 0 frame k leaves, ns of the system clock."""
+    return round(frame * 1e9 / (fps * rate))
 
-    Camera PCs whose clocks agree (NTP, PTP) and that start within the same 5 s thus play in step unasked.
-    Raises InputError for an epoch more than an hour ahead.
-    """
+
+def choose_epoch_ns(epoch_ns: int, now_ns: int) -> int:
+    """Return the stamp of frame 0: as given, or for 0 a second from now. InputError for one more than an hour ahead."""
     if epoch_ns == 0:
-        return (now_ns // EPOCH_STEP_NS + 1) * EPOCH_STEP_NS
+        return now_ns + LEAD_NS
     if epoch_ns > now_ns + MAX_EPOCH_AHEAD_NS:
         raise InputError(
             f"footage.epoch_ns = {epoch_ns} lies {(epoch_ns - now_ns) / 1e9:.0f} s ahead of the system clock",
-            remedy="Give nanoseconds since 1970, or 0 for the next whole multiple of 5 s.",
+            remedy="Give nanoseconds since 1970, or 0: the cameras agree on one.",
         )
     return epoch_ns

@@ -12,7 +12,17 @@ from capture_rig.session import footage_stamp_ns
 
 from ..frame_source import EndOfFootage, Frame, FrameSource, Image, UndecodableFrame
 from ..settings import FootageSettings
-from .footage_pace import AcknowledgedPace, Pace, WallClockPace, choose_epoch_ns
+from .footage_pace import (
+    LATE_START_NS,
+    LEAD_NS,
+    AcknowledgedPace,
+    FootageClock,
+    Pace,
+    SharedClock,
+    WallClockPace,
+    choose_epoch_ns,
+    playing_ns,
+)
 from .footage_reader import FootageReader, open_footage
 
 READ_AHEAD = 2  # decoded images in store: 3.1 MB at 544 x 960 in colour
@@ -24,12 +34,13 @@ _SKIP = object()
 class FootageSource(FrameSource):
     """Plays footage; the stamp of frame k is ``epoch + k / fps`` whatever the playing rate.
 
-    With rate r > 0, delivery is stretched or squeezed by the wall clock (frame k leaves at epoch + (k / fps) / r);
-    with rate 0 frame k leaves when consumers have acknowledged frame k - window. Stopping pauses; starting goes on
-    with the next frame, and begins anew after the end (with a fresh epoch when ``epoch_ns`` is 0, otherwise with
-    frame numbers, and so stamps, that go on counting). With ``keep_up`` frames whose time has passed are left out, at
-    the beginning as after a pause, so that all cameras of one epoch show the same moment. Clocks are injected for
-    tests.
+    With rate r > 0 frame k leaves at begin + (k / fps) / r of the system clock, by the `SharedClock` of all cameras:
+    frames whose time has passed are left out, so that all show the same moment however late one starts. The beginning
+    is the epoch, or where that is past, as after a pause, a second from now; with ``keep_up`` always the epoch.
+    With rate 0 frame k leaves when consumers have acknowledged frame k - window.
+
+    Stopping pauses; starting goes on with the next frame, and begins anew after the end (with a fresh epoch when
+    ``epoch_ns`` is 0, otherwise with frame numbers, and so stamps, that go on counting). Time is injected for tests.
     """
 
     def __init__(
@@ -38,13 +49,16 @@ class FootageSource(FrameSource):
         channels: str = "auto",
         pace: Callable[[float], Pace] | None = None,
         now_ns: Callable[[], int] = time.time_ns,
+        shared: SharedClock | None = None,
     ) -> None:
+        """``shared`` : the clock that the source shares with other cameras'; by default it has one of its own."""
         super().__init__()
         self._settings, self._channels, self._now_ns = settings, channels, now_ns
+        self._shared = shared or SharedClock()
         self._make_pace = pace or self._pace_of_settings
         self._reader: FootageReader | None = None
         self._decoder: _Decoder | None = None
-        self._frame, self._epoch_ns = 0, 0
+        self._frame, self._clock = 0, FootageClock(0, 0)
         self._ended = self._started = False
 
     def connect(self) -> None:
@@ -71,7 +85,9 @@ class FootageSource(FrameSource):
         if self._decoder is None or self._ended:
             self._begin_playing()
         self._started = True
-        self._pace.begin(self._epoch_ns, self._frame)
+        self._clock = self._next_clock()
+        self._pace.begin(self._clock, self._frame)
+        self._follow_shared_clock()
 
     def read(self, timeout_s: float) -> Frame | None:
         if self._decoder is None or not self._started:
@@ -93,13 +109,14 @@ class FootageSource(FrameSource):
             self.statistics.add(self._frame, complete=False)
             self._pass_frame()
             return None
+        self._follow_shared_clock()
         if self._pace.has_missed(self._frame):
             self.count("left_out")
             self._pass_frame()
             return None
         if not self._pace.wait(self._frame, max(deadline_s - time.monotonic(), 0.0)):
             return None
-        stamp_ns = footage_stamp_ns(self._epoch_ns, self._frame, self.fps)
+        stamp_ns = footage_stamp_ns(self._clock.epoch_ns, self._frame, self.fps)
         frame = Frame(item, stamp_ns, self._frame, CLOCK)  # type: ignore[arg-type]
         self.counters["pace_timeouts"] = self._pace.timeouts
         self.statistics.add(frame.frame_id)
@@ -108,6 +125,7 @@ class FootageSource(FrameSource):
 
     def stop(self) -> None:
         self._started = False
+        self._shared.forget()
 
     def close(self) -> None:
         self.stop()
@@ -132,8 +150,8 @@ class FootageSource(FrameSource):
 
     @property
     def epoch_ns(self) -> int:
-        """The stamp of frame 0, settled at start()."""
-        return self._epoch_ns
+        """The stamp of frame 0, settled at start(), or by a camera that had started before."""
+        return self._clock.epoch_ns
 
     @property
     def frame_count(self) -> int:
@@ -147,9 +165,26 @@ class FootageSource(FrameSource):
             self._reader.rewind()
         if self._settings.epoch_ns == 0:
             self._frame = 0
-        self._epoch_ns = choose_epoch_ns(self._settings.epoch_ns, self._now_ns())
+        epoch_ns = choose_epoch_ns(self._settings.epoch_ns, self._now_ns())
+        self._clock = FootageClock(epoch_ns, epoch_ns)
         self._ended = False
         self._decoder = _Decoder(self._reader, self._settings.loop)
+
+    def _next_clock(self) -> FootageClock:
+        """Return the clock by which the next frame leaves when it is due by the epoch, or else a second from now."""
+        epoch_ns, rate = self._clock.epoch_ns, self._settings.rate
+        played_ns = playing_ns(self._frame, self.fps, rate) if rate > 0 else 0
+        if self._settings.keep_up or epoch_ns + played_ns >= self._now_ns() - LATE_START_NS:
+            return FootageClock(epoch_ns, epoch_ns)
+        return FootageClock(self._now_ns() + LEAD_NS - played_ns, epoch_ns)
+
+    def _follow_shared_clock(self) -> None:
+        if self._settings.rate == 0:
+            return
+        clock = self._shared.offer(self._clock)
+        if clock != self._clock:
+            self._clock = clock
+            self._pace.begin(clock, self._frame)
 
     def _pass_frame(self) -> None:
         assert self._decoder is not None
@@ -159,7 +194,7 @@ class FootageSource(FrameSource):
     def _pace_of_settings(self, fps: float) -> Pace:
         s = self._settings
         if s.rate > 0:
-            return WallClockPace(fps, s.rate, keep_up=s.keep_up)
+            return WallClockPace(fps, s.rate)
         return AcknowledgedPace(fps, s.window, s.pace_timeout_s)
 
 

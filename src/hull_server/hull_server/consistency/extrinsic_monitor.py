@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from capture_rig import Rig
+from capture_rig.kernel import njit
 from capture_rig.stamps import StampThrottle
 
 from ..settings import CalibrationSettings

@@ -14,9 +14,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
-from capture_rig.kernel import kernel
+from capture_rig.kernel import kernel, njit
 from mocap_packets.hull import NO_CONTOUR_RAYS, ContourRays
 
 from ..grid import VoxelGrid

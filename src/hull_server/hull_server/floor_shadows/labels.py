@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from capture_rig.kernel import kernel
+from capture_rig.kernel import kernel, njit
 
 from ..level_stack import Mask
 from ..views import Box

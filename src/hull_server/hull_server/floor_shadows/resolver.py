@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 
 import numpy as np
-from numba import njit
 
 from capture_rig import Volume
+from capture_rig.kernel import njit
 
 from ..level_stack import LevelStack, Mask
 from ..settings import ShadowSettings

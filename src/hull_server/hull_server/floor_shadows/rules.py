@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from capture_rig.kernel import kernel
+from capture_rig.kernel import kernel, njit
 from capture_rig.mask_levels import FLOOR_REACH_M
 
 from .labels import STRIDE, YES

@@ -10,7 +10,8 @@ import ctypes
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from capture_rig.kernel import njit
 
 from ..grid import BRICK_EDGE
 from ..views import Masks, RigViews

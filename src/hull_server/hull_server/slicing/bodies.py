@@ -7,7 +7,8 @@ from itertools import count
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from capture_rig.kernel import njit
 
 from ..grid import Array, VoxelGrid
 from ..settings import BodySettings

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from capture_rig.kernel import njit
 from mocap_packets.hull import Centerline
 
 from ..grid import Array, BrickVolume, VoxelGrid

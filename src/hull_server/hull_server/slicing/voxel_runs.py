@@ -7,7 +7,8 @@ forest of labels, in which the smallest label of a tree is its root.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from capture_rig.kernel import njit
 
 from ..words import lowest_bit, transpose8
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from capture_rig.kernel import njit
 from mocap_packets.hull import NO_VOXELS, VoxelSamples
 
 from ..grid import VoxelGrid

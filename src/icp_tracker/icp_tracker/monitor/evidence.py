@@ -12,8 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import njit
 from stick_figure.body import Body
 from stick_figure.joint_limits import joint_excess
 from stick_figure.kinematics import forward

@@ -9,8 +9,8 @@ seen.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import njit
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data

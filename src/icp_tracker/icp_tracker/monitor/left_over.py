@@ -6,8 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import njit
 from stick_figure.body_surface import BodySurface
 from stick_figure.least_squares.contour_factor import NORMAL, RayArrays, match_rays, rays_at
 from stick_figure.least_squares.contour_factor import TANGENT as ALONG

@@ -12,7 +12,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+
+from capture_rig.kernel import njit
 
 from .limb_search import APART_M, LimbPlaces, farther_apart
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import njit
 from capture_rig.small_matrices import solve_positive, solve_positive_columns
 from stick_figure import kernels
 from stick_figure.body import BEND_NUMBERS

@@ -7,9 +7,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from capture_rig.kernel import kernel
+from capture_rig.kernel import kernel, njit
 from stick_figure.body import BEND_NUMBERS, BUILD_NUMBERS, Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.least_squares.bend_factor import BendDerivatives, bend_columns

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from capture_rig.kernel import njit
 from capture_rig.settings import setting
 from stick_figure import kernels
 from stick_figure.body import Body

@@ -14,7 +14,8 @@ and compiles to machine code; it is what runs here, and the test holds it agains
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from capture_rig.kernel import njit
 
 JACOBI_SWEEPS = 16
 ANTIPARALLEL = -1.0 + 1e-12  # cosine below which two directions count as opposite

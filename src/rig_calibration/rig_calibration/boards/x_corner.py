@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from capture_rig.kernel import njit
 from capture_rig.small_matrices import solve_positive
 
 # --- The compiled part: one Levenberg-Marquardt fit, pixel by pixel.

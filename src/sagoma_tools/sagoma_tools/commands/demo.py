@@ -6,7 +6,9 @@ import argparse
 import json
 import os
 import shutil
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -14,20 +16,21 @@ from rich.console import Console
 from capture_rig.session import load_session
 from capture_rig.stop_signals import StopOnSignal
 from stick_figure.body import Body
+from virtual_studio.gige.command import speed_argument
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
 from ..arguments import FRAME_RATE, PLAYING_SPEED, add_settings_argument, add_start_argument, next_steps, parse_settings
 from ..command_help import INTERRUPTED
 from ..console import command_console
-from ..evaluation.live_inputs import KEPT_UP, FootageInput, LiveInput, StudioInput
-from ..evaluation.live_run import LiveRun, draw, evaluate_run, run_live
+from ..evaluation.live_inputs import FootageInput
+from ..evaluation.live_run import KEPT_UP, LiveRun, draw, evaluate_run, run_live, run_studio
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
 from ..progress_line import doing
 from ..takes.summary_file import finish_take
 
-CAMERA_FPS = 60.0  # at most; what the machine does not hold is thinned out
+CAMERA_FPS = 60.0  # at most; what the machine does not hold is thinned out, or shown in slow motion
 TRACKED = 0.5  # of those answered, at least, have a body: the rest is the time until the first pose
 LEAST_HZ = 8.0  # below, people move too far between two frame sets to be followed
 BUSY = 0.25  # of the processors in other programs' hands is worth telling
@@ -44,6 +47,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--fps", type=FRAME_RATE, help=rate)
     speed = "at this speed, or at 0 as fast as the graph keeps up, dropping nothing"
     option("--rate", type=PLAYING_SPEED, metavar="R", help=f"no cameras: the clients read the videos, {speed}")
+    slow = "of the simulated cameras' time, as 1/4 (default: 1, or as much slower as this machine needs for 25 Hz)"
+    option("--speed", type=speed_argument, metavar="S", help=slow)
     add_start_argument(parser)
     add_settings_argument(parser)
     parser.set_defaults(run=run)
@@ -54,19 +59,18 @@ def run(args: argparse.Namespace) -> int:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     console = command_console()
     output = Path(args.output)
-    session = Path(args.session) if args.session else built_in_session(output / "session", console)
+    folder = Path(args.session) if args.session else built_in_session(output / "session", console)
     shutil.rmtree(output / "bag", ignore_errors=True)
-    live_input: LiveInput
-    if args.rate is None:
-        fps = args.fps or min(load_session(session).fps, CAMERA_FPS)
-        live_input = StudioInput(session, output / "studio", fps)
-        console.print(f"{len(live_input.session.rig.names)} simulated GigE cameras at {fps:g} Hz look at {session}")
-    else:
-        live_input = FootageInput(session, args.rate)
-        console.print(f"the camera clients read the videos of {session}")
-    console.print(f"running the graph live (logs: {output / 'logs'})")
     with StopOnSignal() as stop:
-        live = run_live(live_input, output, start=args.start, settings=parse_settings(args.settings), cancel=stop)
+        options: dict[str, Any] = {"start": args.start, "settings": parse_settings(args.settings), "cancel": stop}
+        if args.rate is None:
+            session = load_session(folder)
+            cameras, fps = len(session.rig.names), args.fps or min(session.fps, CAMERA_FPS)
+            console.print(f"{cameras} simulated GigE cameras at {fps:g} Hz look at {folder} (logs: {output / 'logs'})")
+            live = run_studio(folder, output, fps, args.speed, **options)
+        else:
+            console.print(f"the camera clients read the videos of {folder} (logs: {output / 'logs'})")
+            live = run_live(FootageInput(folder, args.rate), output, **options)
     finish_take(live.bag)
     if stop.is_set():
         return INTERRUPTED
@@ -80,7 +84,10 @@ def run(args: argparse.Namespace) -> int:
     console.print(next_steps(live.bag))
     trouble = unsound(live.sets, live.answered, len(live.track), live.hz_held)
     if args.rate is None:
-        console.print(rate_line(fps, live.hz_held, live.others, os.getloadavg()[0]), style="bold")
+        line = rate_line(fps, live.hz_held, live.others, os.getloadavg()[0])
+        if live.speed < 1:
+            line = speed_line(live.speed, cameras, fps, forced=args.speed is not None)
+        console.print(line, style="bold")
     if trouble:
         console.print(f"{trouble}; {next_step(live.others)}", style="yellow")
     print(json.dumps(figures(live, scores)))
@@ -120,6 +127,13 @@ def rate_line(camera_hz: float, held_hz: float, others: float, load: float) -> s
     return f"this machine holds {held} the cameras' {camera_hz:g} Hz{done}{busy if others > BUSY else ''}"
 
 
+def speed_line(speed: float, cameras: int, fps: float, forced: bool) -> str:
+    """Say at which speed the cameras' time ran, and why."""
+    why = "as asked for" if forced else f"this machine does not hold {cameras} cameras at {fps:g} Hz"
+    part = {0.5: "half", 0.25: "a quarter of"}.get(speed, f"{Fraction(speed).limit_denominator(1000)} of")
+    return f"shown at {part} the speed: {why}"
+
+
 def next_step(others: float) -> str:
     """Say what to do about a capture that is not sound."""
     if others > BUSY:
@@ -154,6 +168,7 @@ def figures(live: LiveRun, scores: Scores | None) -> dict[str, object]:
         "sets_per_s": round(live.sets_per_s, 1),
         "hz_held": round(live.hz_held, 1),
         "others": round(live.others, 3),
+        "speed": live.speed,
         **latency_figures(live),
         "memory_mib": {name: round(used.resident_mib, 1) for name, used in live.usage.items()},
         "cpu_ms_per_set": {name: round(ms, 2) for name, ms in live.cpu_ms_per_set.items()},

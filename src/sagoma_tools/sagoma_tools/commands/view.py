@@ -22,8 +22,9 @@ from ..view.guard import ANY_HOST, Guard
 from ..view.jobs import Jobs
 from ..view.live import LiveGraph
 from ..view.page import Page
+from ..view.server import PORT
 
-HOST, PORT = "127.0.0.1", 8080
+HOST = "127.0.0.1"
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -44,7 +45,7 @@ def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> Non
     help_host = "address to listen on; others than this machine then need the token that is printed (default: this one)"
     parser.add_argument("--host", default=HOST, help=help_host)
     port = number("", 0, 65535, whole=True)
-    parser.add_argument("--port", type=port, default=PORT, help=f"default: {PORT}, or the next free one")
+    parser.add_argument("--port", type=port, help=f"0: any free one (default: {PORT}, or the next free one)")
     parser.add_argument("--token", help="token of the page, with --host (default: a new one each time)")
     add_takes_argument(parser)
 
@@ -78,10 +79,8 @@ def page_of(args: argparse.Namespace) -> Iterator[Page]:
         takes = TakesFolder(Path(args.takes))
         jobs = Jobs()
         control = Control(link, diagnostics, takes, jobs)
-        page = Page(guard, args.port, takes, LiveGraph(link, diagnostics), control, jobs)
+        page = Page(guard, args.port, takes, LiveGraph(link, diagnostics), control, jobs, rig)
         try:
-            if rig is not None:
-                page.show_rig(rig)
             announce(guard, page.port)
             yield page
         finally:

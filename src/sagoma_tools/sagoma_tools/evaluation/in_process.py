@@ -2,34 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
-from camera_client.background.model import read_background
-from camera_client.settings import CameraClientSettings
-from camera_client.sources.footage_reader import VideoReader
 from capture_rig.errors import InputError
 from capture_rig.session import Session, footage_stamp_ns
-from capture_rig.video_findings import VideoFacts
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower, Masks, MocapPipeline, make_segmenter
+from mocap_pipeline.pipeline import BodyFollower, MocapPipeline
+from mocap_pipeline.session_footage import EPOCH_NS, FootageEnded, exact_silhouettes, ignore_end, pipeline_of, segmented
 
 from .people import main_track
 from .track import Track
-
-FootageEnded = Callable[[dict[str, VideoFacts]], None]
-EPOCH_NS = 1_000_000_000_000_000_000
-
-
-def ignore_end(facts: dict[str, VideoFacts]) -> None:
-    """Do nothing about what came of the videos."""
 
 
 def track_session(
@@ -79,8 +65,8 @@ def track_people(
     first, *others = variants.values()
     if any((other.camera, other.hull) != (first.camera, first.hull) for other in others):
         raise ValueError("variants of one run differ in the settings of cameras or hull")
-    pipeline = MocapPipeline(session.rig, first)
-    masks = exact_silhouettes(session, ended) if exact_masks else segmented(session, first.camera, pipeline, ended)
+    pipeline = MocapPipeline(session.rig, first) if exact_masks else pipeline_of(session, first)
+    masks = exact_silhouettes(session, ended) if exact_masks else segmented(session, pipeline, ended)
     followers = [pipeline.body, *(BodyFollower.of(other, session.rig) for other in others)]
     rows: list[dict[int, list[tuple[int, BodyState]]]] = [{FIRST_PERSON: []} for _ in followers]
     for frame, frame_masks in enumerate(masks):
@@ -97,63 +83,6 @@ def track_people(
         name: {person: Track.of_states(of_person) for person, of_person in sorted(states.items())}
         for name, states in zip(variants, rows, strict=True)
     }
-
-
-def segmented(
-    session: Session, settings: CameraClientSettings, pipeline: MocapPipeline, ended: FootageEnded = ignore_end
-) -> Iterator[Masks]:
-    """Canvas masks of every camera by the cameras of ``pipeline``, which are made with the first images.
-
-    They hear what the pipeline's hull server reports if each frame is carved before the next one is asked for.
-    """
-    without = [name for name in session.rig.names if name not in session.backgrounds]
-    if without:
-        remedy = f"Add {without[0]}_background.mp4 or .png: the empty scene."
-        raise InputError(f"there is no background for {', '.join(without)}", where=str(session.folder), remedy=remedy)
-    for frame, images in enumerate(images_of(session.videos, ended)):
-        for name in [name for name in images if name not in pipeline.cameras]:
-            background = read_background(session.backgrounds[name], images[name].shape, settings.background_model)
-            camera = session.rig.camera(name)
-            pipeline.cameras[name] = make_segmenter(camera, background, settings, session.rig.volume)
-        yield pipeline.segment(footage_stamp_ns(EPOCH_NS, frame, session.fps), images)
-
-
-def silhouettes(session: Session, settings: CameraClientSettings) -> Iterator[Masks]:
-    """Canvas masks of every camera (levels of ``capture_rig.mask_levels``) as sent in the loop with a hull server."""
-    configuration = replace(Configuration.of({}), camera=settings)
-    pipeline = MocapPipeline(session.rig, configuration)
-    for frame, masks in enumerate(segmented(session, settings, pipeline)):
-        yield masks
-        pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), masks)
-
-
-def exact_silhouettes(session: Session, ended: FootageEnded = ignore_end) -> Iterator[Masks]:
-    """Canvas masks of every camera from the session's exact silhouettes."""
-    missing = [name for name in session.rig.names if name not in session.masks]
-    if missing:
-        what = f"there is no exact silhouette for {', '.join(missing)}"
-        raise InputError(what, where=str(session.folder), remedy=f"Add {missing[0]}_mask.mp4, or segment the footage.")
-    views = {camera.name: camera.undistorted_view() for camera in session.rig.cameras}
-    for images in images_of(session.masks, ended):
-        yield {n: views[n].undistort_mask(np.where(i > 127, np.uint8(255), np.uint8(0))) for n, i in images.items()}
-
-
-def images_of(videos: dict[str, Path], ended: FootageEnded = ignore_end) -> Iterator[dict[str, np.ndarray]]:
-    """Images of all cameras, frame after frame until the shortest video ends; grey where the footage is grey, as the
-    camera client reads it."""
-    with ExitStack() as stack:
-        opened: dict[str, VideoReader] = {}
-        for name, path in sorted(videos.items()):
-            opened[name] = VideoReader(path, "auto", threads=0)
-            stack.callback(opened[name].close)
-            opened[name].probe()
-        while True:
-            images = {name: reader.read() for name, reader in opened.items()}
-            found = {name: image for name, image in images.items() if image is not None}
-            if len(found) < len(images):
-                ended({name: reader.facts() for name, reader in opened.items()})
-                return
-            yield found
 
 
 # ablation: from the thesis's method to ours, one part of the tracker more in every row

@@ -16,6 +16,7 @@ from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
+from capture_rig.stamps import UTC, CaptureClock
 from sagoma_bringup.graph import NodeSpec, build_graph
 from virtual_studio.gige.addresses import consecutive_addresses, is_free
 from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
@@ -25,7 +26,7 @@ from ..graph.background_training import learn_backgrounds
 from ..graph.processes import Child, StartDeadline, Usage, busy_machine, stop_children
 from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
-from ..graph.topics import PREDICTION_TOPIC, camera_topics
+from ..graph.topics import PREDICTION_TOPIC
 from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, frame_count
 from .held_rate import HeldRate
@@ -34,7 +35,6 @@ START_POLL_S = 0.05
 GRACE_S = 5.0
 SILENCE_S = 20.0
 POLL_S = 0.5
-KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture
 RESET_TIMEOUT_S = 30.0
 FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
 
@@ -115,7 +115,9 @@ class StudioProcess:
 
 
 class LiveInput(ABC):
-    """Frames for a graph; a context manager, since it may run processes."""
+    """Frames for a graph; a context manager, since it may run processes. ``clock`` is that of cameras which expose."""
+
+    clock = UTC
 
     def __init__(self, session_folder: str | Path) -> None:
         self.session: Session = load_session(session_folder)
@@ -133,11 +135,6 @@ class LiveInput(ABC):
     def usage(self) -> dict[str, Usage]:
         """Return what its own processes use, by label: simulated cameras run beside the graph."""
         return {}
-
-    @property
-    def disturbed(self) -> bool:
-        """Whether too many frame sets of the last playback were not answered: worth another one."""
-        return False
 
     @abstractmethod
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock | None:
@@ -186,24 +183,53 @@ class FootageInput(LiveInput):
         return self._rate > 0.0
 
 
+class TooSlow(Exception):
+    """Raised where a graph on simulated cameras holds fewer frame sets a second, ``held_hz``, than it should."""
+
+    def __init__(self, held_hz: float) -> None:
+        super().__init__(f"the graph holds {held_hz:.0f} frame sets a second")
+        self.held_hz = held_hz
+
+
 class StudioInput(LiveInput):
     """Simulated GigE Vision cameras that look at the session; the graph runs on them as on hardware.
 
-    The room is empty at first, and every camera client trains its background. Then the session's first picture stays
-    until the graph has found the rate that it holds, and the session plays. ``fps``: of the cameras; the session's
-    pictures change at the session's own rate. ``held`` follows the rate that the graph holds.
+    The room is empty at first, and every camera client trains its background. At full speed, the session's first
+    picture then stays until the graph has found the rate that it holds; the session plays.
+
+    fps : of the cameras, in their time; the session's pictures change at the session's own rate.
+    speed : of the cameras' time; below 1, slow motion, no frame set is left out.
+    least_hz : :meth:`settle` raises TooSlow where the graph holds fewer frame sets a second.
+    trained : the clients have backgrounds already, from an earlier run in ``folder``.
     """
 
     held: HeldRate | None = None
-    _answered_share = 1.0
 
-    def __init__(self, session_folder: str | Path, folder: str | Path, fps: float) -> None:
+    def __init__(
+        self,
+        session_folder: str | Path,
+        folder: str | Path,
+        fps: float,
+        speed: float = 1.0,
+        *,
+        least_hz: float = 0.0,
+        trained: bool = False,
+    ) -> None:
         super().__init__(session_folder)
         if not fps > 0:
             raise InputError(f"fps = {fps:g}", where="cameras", remedy="Give a frame rate above 0 Hz.")
-        self._fps = fps
+        self._fps, self._least_hz, self._trained = fps, least_hz, trained
+        self.clock = CaptureClock(speed)
         address = free_first_address(len(self.session.rig.names))
-        scene = ("--session", str(self.session.folder), "--fps", f"{fps:g}", "--empty")
+        scene = (
+            "--session",
+            str(self.session.folder),
+            "--fps",
+            f"{fps:g}",
+            "--speed",
+            str(self.clock.speed),
+            "--empty",
+        )
         self.studio = StudioProcess(folder, *scene, "--address", address)
 
     def open(self, cancel: threading.Event) -> None:
@@ -217,14 +243,19 @@ class StudioInput(LiveInput):
         return build_graph(rig=self.studio.rig, cameras=self.studio.cameras, settings={**measured, **settings})
 
     def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
-        learn_backgrounds(supervisor)
+        if not self._trained:
+            learn_backgrounds(supervisor)
         self._supervisor, self.held = supervisor, HeldRate(supervisor.node)
 
     def settle(self, cancel: threading.Event) -> None:
         assert self.held is not None
         self.studio.ask("hold")
         self.studio.ask("room", state="occupied")
-        self.held.settle(cancel)
+        if self.in_real_time:
+            self.held.settle(cancel)
+            held_hz = self.held.history.newest[0].fraction * self._fps
+            if held_hz < self._least_hz and not cancel.is_set():
+                raise TooSlow(held_hz)
         resets = {f"/{tracker}/reset": Trigger.Request() for tracker in ("icp_tracker", "ekf_tracker")}
         call_all(self._supervisor.node, Trigger, resets, RESET_TIMEOUT_S)
 
@@ -232,31 +263,25 @@ class StudioInput(LiveInput):
         used = self.studio.usage()
         return {} if used is None else {"studio": used}
 
-    @property
-    def disturbed(self) -> bool:
-        return self._answered_share < KEPT_UP
-
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock:
-        before = recorder.recorder.counts
         answer = self.studio.ask("play", loop=False)
         clock = SessionClock(answer["epoch_ns"], answer["frames"], answer["fps"], exposed=True)
         last_ns = clock.epoch_ns + round((clock.frames / clock.fps - 1.5 / self._fps) * 1e9)
-        deadline_s = time.monotonic() + (last_ns - time.time_ns()) * 1e-9 + SILENCE_S
-        while time.monotonic() < deadline_s and not cancel.is_set():
-            if recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, POLL_S):
-                break
-        self._answered_share = self._share(before, recorder.recorder.counts)
+        self._await_answers(recorder, last_ns, cancel)
         return clock
 
-    def _share(self, before: Mapping[str, int], after: Mapping[str, int]) -> float:
-        """Return the share of the frame sets sent between two counts of messages that was answered."""
-        come = {topic: count - before.get(topic, 0) for topic, count in after.items()}
-        sent = max(come.get(camera_topics(name)[1].name, 0) for name in self.session.rig.names)
-        return come.get(PREDICTION_TOPIC, 0) / max(sent, 1)
+    def _await_answers(self, recorder: GraphRecorder, last_ns: int, cancel: threading.Event) -> None:
+        """Wait for the answer to a stamp, or until nothing has been answered for SILENCE_S since the last exposure."""
+        counts, heard_s = recorder.recorder.counts, time.monotonic() + self.clock.wait_ns(last_ns) * 1e-9
+        while time.monotonic() < heard_s + SILENCE_S and not cancel.is_set():
+            if recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, POLL_S):
+                return
+            if counts != (counts := recorder.recorder.counts):
+                heard_s = max(heard_s, time.monotonic())
 
     @property
     def in_real_time(self) -> bool:
-        return True
+        return self.clock.speed == 1
 
 
 def free_first_address(count: int, candidates: Sequence[str] = FIRST_ADDRESSES) -> str:

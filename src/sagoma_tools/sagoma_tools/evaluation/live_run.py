@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+import shutil
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +31,7 @@ from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
 from ..recording.session_clock import SessionClock, clock_of_bag, silhouette_stamps
 from .held_rate import OtherPrograms
-from .live_inputs import LiveInput
+from .live_inputs import LiveInput, StudioInput, TooSlow
 from .people import main_track
 from .pictures import session_overlay
 from .track import Track, tracks_from_bag
@@ -38,7 +40,11 @@ from .track_evaluation import TrackEvaluation, evaluate_track
 FRAME_SET_TOPIC = "/hull/frame_set"
 NOWHERE_PX = -9.0  # beyond the canvas
 OVERLAY_FRAMES = 3
-TAKES = 2  # at most, when the machine's load rises while the session plays
+LEAST_HZ = 25.0  # frame sets a second that simulated cameras are to have, or they go slower
+SLOWEST = 1 / 32
+HEADROOM = 0.9  # of the rate that a graph holds is asked of it in slow motion
+KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture
+WHOLE = 0.95  # ... and have all cameras, in a run of simulated ones
 LATENCY_TOPIC = "/mocap/latency"
 AGES = {"received_ms", "published_ms"}  # time since capture, meaningless when footage is not played at its own rate
 
@@ -56,6 +62,7 @@ class LiveRun:
     diagnostics : each node's last diagnostics; latency_ms : stage -> (sets,) time in it.
     ages_ms : point -> (sets,) age there since exposure (mocap/latency); none where stamps are not those of exposures.
     others : share of the processors that other programs took meanwhile.
+    speed : of the cameras' time, of which sets_per_s alone is not.
     tracks : everybody's, by the person's number; the first person's is empty where nobody was tracked.
     """
 
@@ -74,12 +81,18 @@ class LiveRun:
     latency_ms: dict[str, np.ndarray]
     ages_ms: dict[str, np.ndarray]
     others: float
+    speed: float
     tracks: dict[int, Track]
 
     @property
     def track(self) -> Track:
         """The track of the person that the session's first truth is of; without several truths, the first person's."""
         return main_track(self.tracks, self.session.truths, self.session.fps)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nearly all frame sets have all cameras, and were answered."""
+        return self.answered >= KEPT_UP * self.sets and self.incomplete <= (1 - WHOLE) * self.sets
 
     @property
     def hz_held(self) -> float:
@@ -115,19 +128,53 @@ def run_live(
                 supervisor.activate(tolerate_cameras=False)
                 doing("waiting until cameras and graph are in step")
                 live_input.prepare(supervisor, cancel)
-                for _ in range(TAKES):
-                    live_input.settle(cancel)
-                    meter = UsageMeter(supervisor, live_input)
-                    doing("playing the session")
-                    clock = live_input.play(recorder, cancel)
-                    meter.stop()
-                    if cancel.is_set() or not live_input.disturbed:
-                        break
+                live_input.settle(cancel)
+                meter = UsageMeter(supervisor, live_input)
+                doing("playing the session")
+                clock = live_input.play(recorder, cancel)
+                meter.stop()
                 doing("stopping the nodes")
                 supervisor.suspend()
                 recorder.close(**({} if clock is None else clock.provenance()))
     doing("reading the bag")
     return _read_back(live_input, bag, meter)
+
+
+def run_studio(
+    session_folder: str | Path,
+    output: Path,
+    fps: float,
+    speed: float | None = None,
+    *,
+    cancel: threading.Event | None = None,
+    **options: Any,
+) -> LiveRun:
+    """Run the whole graph on simulated cameras of ``fps`` Hz (:func:`run_live`), as slowly as this machine needs it.
+
+    speed : of the cameras' time; None: 1 where the graph holds LEAST_HZ frame sets a second, else so much slower, by a
+    power of two, that it holds them all; and half of that again while sets are torn or not answered.
+    """
+    cancel = cancel or threading.Event()
+    chosen, speed, least_hz, trained = speed is not None, speed or 1.0, 0.0 if speed else LEAST_HZ, False
+    while True:
+        studio = StudioInput(session_folder, output / "studio", fps, speed, least_hz=least_hz, trained=trained)
+        try:
+            live = run_live(studio, output, cancel=cancel, **options)
+        except TooSlow as trial:
+            speed = slow_motion(fps, trial.held_hz)
+        else:
+            if chosen or cancel.is_set() or speed <= SLOWEST or live.is_whole:
+                return live
+            speed /= 2
+        trained = True
+        doing(f"again, at {Fraction(speed)} of the speed: this machine does not hold the cameras' rate")
+        shutil.rmtree(output / "bag", ignore_errors=True)
+
+
+def slow_motion(fps: float, held_hz: float) -> float:
+    """Return the speed, a power of two, at which a graph that holds ``held_hz`` sets a second holds all of ``fps``."""
+    share = HEADROOM * held_hz / fps
+    return min(max(2.0 ** math.floor(math.log2(share)), SLOWEST), 0.5) if share > 0 else SLOWEST
 
 
 class UsageMeter:
@@ -136,7 +183,7 @@ class UsageMeter:
 
     def __init__(self, supervisor: Supervisor, live_input: LiveInput) -> None:
         self._supervisor, self._input = supervisor, live_input
-        self.began_ns, self._before = time.time_ns(), self._used()
+        self.began_ns, self._before = live_input.clock.now_ns(), self._used()
         self._other_programs = OtherPrograms()
         self.others = 0.0
         self.usage: dict[str, Usage] = {}
@@ -184,6 +231,7 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
         latency_ms={k: np.array([float(v[k]) for v in sets if k in v]) for k in stages},
         ages_ms={point: np.array([float(values[point]) for values in ages]) for point in points},
         others=meter.others,
+        speed=float(live_input.clock.speed),
         tracks={n: track.between(0, clock.frames) for n, track in tracks.items()},
     )
 

@@ -8,26 +8,24 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from rclpy.node import Node
 
-from camera_client.sources.footage_pace import EPOCH_STEP_NS
 from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_bringup.processes import ProcessSpec
 
 from .diagnostics_table import DiagnosticsTable
 from .errors import GraphError
-from .foreign_nodes import foreign_names, machines_of, own_machine
+from .foreign_nodes import foreign_nodes, living_nodes, own_machine, places_of, run_already
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
 from .process_group import ProcessGroup, ProcessSettings
 from .processes import Child, ExitStatus, busy_machine
 from .restarts import Death, Restarter, RestartPolicy, Return, exit_reason
 from .restored_state import LastBody, reads_file, with_kept_backgrounds
-from .ros_link import RosLink, node_names
+from .ros_link import RosLink
 
 FRESH = State.UNCONFIGURED.value
 STOP_TIMEOUT_S = 5.0
@@ -35,7 +33,6 @@ START_TIMEOUT_S = 300.0  # from a process's start to its first answer: seconds o
 LOOK_S = 0.05  # rclpy has no event for a node that is discovered
 CONFIRM_S = 1.0  # a restarted node that does not say so soon that it is active is asked again
 RESTARTING = "restarting"
-ACTIVATION_NS = 2_500_000_000  # within this every camera's activation is acknowledged, even on a busy machine
 
 
 class Supervisor:
@@ -96,11 +93,17 @@ class Supervisor:
         return self._link.node
 
     def start(self) -> None:
-        """Start every process; they rest unconfigured until :meth:`configure`."""
+        """Start every process; they rest unconfigured until :meth:`configure`.
+
+        GraphError when nodes of the same names run already: two graphs would mix their messages. Nothing is started.
+        """
         self._link = RosLink("sagoma_supervisor", domain_id=self._domain_id)
         self.diagnostics = DiagnosticsTable(self._link.node)
         self.lifecycle = LifecycleClient(self._link.node, alive=self._should_wait_for)
         try:
+            names = {spec.full_name for spec in self.graph}
+            if running := living_nodes(self.node, names, self._cancel):
+                raise GraphError(run_already(running, own_machine(self.node)))
             self.processes.start_all()
             if self._restart is not None:
                 self._body = LastBody(self._link.node, self.run_folder)
@@ -133,25 +136,16 @@ class Supervisor:
     def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
         """Connect every node. Raises GraphError when one of the server fails, or every camera (any, if not tolerated).
 
-        GraphError, too, when nodes of the same names run already: two graphs would mix their messages.
+        GraphError, too, before any is asked, when nodes of the same names have come meanwhile.
         """
         self._await_own_nodes()
         outcome = self._bring(self._in(State.UNCONFIGURED), State.INACTIVE, contact_s=START_TIMEOUT_S)
-        self._refuse_foreign_nodes(outcome)
         self._check(State.INACTIVE, outcome, tolerate_cameras)
         return outcome
 
     def activate(self, *, tolerate_cameras: bool = True) -> Outcome:
-        """Start every configured node, the cameras last; GraphError as for :meth:`configure`.
-
-        Footage played by the clock, without an epoch of its own, starts at the next whole 5 s: all its cameras are
-        activated within one such span, so that they agree on it.
-        """
-        server, cameras = self._in(State.INACTIVE)
-        outcome = self._bring([server], State.ACTIVE)
-        if any(chooses_epoch(spec) for spec in self.graph if spec.full_name in cameras):
-            self._cancel.wait(seconds_to_start_window(time.time_ns()))
-        outcome += self._bring([cameras], State.ACTIVE)
+        """Start every configured node, the cameras last; GraphError as for :meth:`configure`."""
+        outcome = self._bring(self._in(State.INACTIVE), State.ACTIVE)
         self._check(State.ACTIVE, outcome, tolerate_cameras)
         with self._lock:
             self._running = True
@@ -249,27 +243,15 @@ class Supervisor:
         return outcome
 
     def _await_own_nodes(self) -> None:
-        """Wait until every living process's nodes are known. Raises GraphError for their like on another machine.
-
-        What runs elsewhere has been there for longer, and is known by then: nothing of it is ever asked to change.
-        """
+        """Wait until the nodes of every living process are known. GraphError for nodes of their names that are not."""
         here, deadline_s = own_machine(self.node), time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline_s:
-            foreign, unknown = foreign_names(machines_of(self.node), here, self.processes.pids())
+            foreign, unknown = foreign_nodes(places_of(self.node), here, self.processes.pids())
             if foreign:
-                raise GraphError(_run_already(foreign, " on another machine"))
+                raise GraphError(run_already(foreign, here))
             if not any(map(self._should_wait_for, unknown)):
                 return
             self._cancel.wait(LOOK_S)
-
-    def _refuse_foreign_nodes(self, configured: Outcome) -> None:
-        """Raise GraphError for foreign nodes of our names: found twice, or in a state that no new process has."""
-        assert self._link is not None
-        seen = Counter(node_names(self._link.node))
-        asked = {answer.node for answer in configured.answers}
-        foreign = sorted(n for n, s in self.states().items() if seen[n] > 1 or (s == FRESH and n not in asked))
-        if foreign:
-            raise GraphError(_run_already(foreign))
 
     def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()
@@ -291,31 +273,12 @@ class Supervisor:
         return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {child.log.name}:\n    {tail}"
 
 
-def _run_already(names: Sequence[str], where: str = "") -> str:
-    remedy = "stop that graph, or give this one another ROS_DOMAIN_ID"
-    return f"{', '.join(names)} run already in this ROS domain{where}: {remedy}"
-
-
-# --- the common epoch of footage. Unless played by the clock, footage without an epoch of its own starts at a whole
-# span of EPOCH_STEP_NS; cameras activated before and after such an instant would choose epochs a span apart, and no
-# frame set would ever be complete.
-
-
 def with_common_epoch(graph: Sequence[NodeSpec], epoch_ns: int) -> tuple[NodeSpec, ...]:
     """Return the graph, its footage that is not played by the clock (rate 0) stamped from one epoch; any will do."""
-    unpaced = [spec.full_name for spec in graph if chooses_epoch(spec) and spec.parameters.get("footage.rate") == 0]
-    if len(unpaced) < 2:
-        return tuple(graph)
+
+    def unstamped(spec: NodeSpec) -> bool:
+        given = spec.parameters
+        return given.get("source") == "footage" and given.get("footage.rate") == 0 and not given.get("footage.epoch_ns")
+
     epoch = {"footage.epoch_ns": epoch_ns}
-    return tuple(spec.with_parameters(epoch) if spec.full_name in unpaced else spec for spec in graph)
-
-
-def seconds_to_start_window(now_ns: int) -> float:
-    """How long to wait until enough is left of the current span of EPOCH_STEP_NS to activate every camera within it."""
-    into_ns = now_ns % EPOCH_STEP_NS
-    return 0.0 if into_ns <= EPOCH_STEP_NS - ACTIVATION_NS else (EPOCH_STEP_NS - into_ns) / 1e9
-
-
-def chooses_epoch(camera: NodeSpec) -> bool:
-    """Return whether a node is a camera that plays footage whose epoch nobody has given."""
-    return camera.parameters.get("source") == "footage" and not camera.parameters.get("footage.epoch_ns")
+    return tuple(spec.with_parameters(epoch) if unstamped(spec) else spec for spec in graph)

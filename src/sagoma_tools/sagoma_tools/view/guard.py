@@ -9,28 +9,23 @@ from __future__ import annotations
 
 import hmac
 import http
+import re
 import secrets
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from http.cookies import CookieError, SimpleCookie
-from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-import rich
-import viser
-import websockets.asyncio.server
 from websockets.datastructures import Headers
-from websockets.http11 import Request, Response
+from websockets.http11 import Response
 
-from .client_script import with_script
+from capture_rig.errors import InputError
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 ANY_HOST = ("0.0.0.0", "::")
 COOKIE = "sagoma_view"
 TOKEN_BYTES = 16
-_patching = threading.Lock()
+TOKEN = re.compile(r"[\w.~-]+", re.ASCII)
+"""What an address and a cookie hold as it is; an unset variable of a shell is none."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +40,12 @@ class Guard:
 
     @classmethod
     def of(cls, host: str, token: str | None = None) -> Guard:
-        """A token is made up where none is given and the page is open to other machines."""
+        """A token is made up where none is given and the page is open to other machines. Raises InputError."""
+        if token is not None and not TOKEN.fullmatch(token):
+            remedy = "Leave --token out to have one made, or give one of letters, digits, '-', '_', '.' and '~'."
+            raise InputError(
+                "an empty token" if not token.strip() else "this is no token", where="--token", remedy=remedy
+            )
         if token is None and host not in LOOPBACK:
             token = secrets.token_urlsafe(TOKEN_BYTES)
         return cls(host, token)
@@ -54,11 +54,11 @@ class Guard:
         """Return why a request is not served, as the response to it (or a redirect that sets the cookie), else None."""
         authority = headers.get("Host", "")
         if not self._is_ours(urlsplit(f"//{authority}").hostname):
-            return _refuse(f"this page is not served as '{authority}'")
+            return refuse(f"this page is not served as '{authority}'")
         origin = headers.get("Origin")
         is_websocket = headers.get("Upgrade", "").lower() == "websocket"
         if is_websocket and origin is not None and urlsplit(origin).netloc != authority:
-            return _refuse("only this page itself may connect, not one of another origin")
+            return refuse("only this page itself may connect, not one of another origin")
         if self.token is None:
             return None
         if _equal(_cookie_of(headers), self.token):
@@ -67,52 +67,11 @@ class Guard:
         if not is_websocket and _equal(given, self.token):
             cookie = f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
             return Response(http.HTTPStatus.SEE_OTHER, "See Other", Headers({"Location": "/", "Set-Cookie": cookie}))
-        return _refuse("this page needs its token: open the address that `sagoma view` printed")
+        return refuse("this page needs its token: open the address that `sagoma view` printed")
 
     def _is_ours(self, hostname: str | None) -> bool:
         """Names are believed on loopback only; from other machines the token protects, whatever they call us."""
         return hostname in LOOPBACK if self.host in LOOPBACK else bool(hostname)
-
-
-def guarded_server(guard: Guard, port: int) -> viser.ViserServer:
-    """Start a page's server that asks the guard first; the port is another one if this is taken.
-
-    viser has no hook for it, so the websockets server that it starts is given one. Raises RuntimeError when this viser
-    starts another: then nothing is served.
-    """
-    rich.get_console().quiet = True  # viser prints an address without the token
-    with _patching, _serving(guard.refusal) as served:
-        server = viser.ViserServer(host=guard.host, port=port, verbose=False)
-    if not served:
-        server.stop()
-        raise RuntimeError("this version of viser starts its server in another way: the page cannot be protected")
-    return server
-
-
-@contextmanager
-def _serving(refusal: Callable[[str, Headers], Response | None]) -> Iterator[list[bool]]:
-    """While this lasts, servers of websockets refuse first, and then serve as told, the page with our script."""
-    original, served = websockets.asyncio.server.serve, []
-
-    def serve(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
-        def process(connection: Any, request: Request) -> Any:
-            refused = refusal(request.path, request.headers)
-            if refused is not None:
-                return refused
-            is_page = urlsplit(request.path).path == "/" and request.headers.get("Upgrade", "").lower() != "websocket"
-            if is_page:
-                del request.headers["Accept-Encoding"]  # our script goes into it
-            response = process_request(connection, request)
-            return with_script(response) if is_page else response
-
-        served.append(True)
-        return original(*arguments, process_request=process, **options)
-
-    websockets.asyncio.server.serve = serve  # type: ignore[misc, assignment]
-    try:
-        yield served
-    finally:
-        websockets.asyncio.server.serve = original  # type: ignore[misc]
 
 
 def _cookie_of(headers: Headers) -> str:
@@ -129,7 +88,8 @@ def _equal(given: str, token: str) -> bool:
     return hmac.compare_digest(given.encode(), token.encode())
 
 
-def _refuse(why: str) -> Response:
+def refuse(why: str, status: http.HTTPStatus = http.HTTPStatus.FORBIDDEN) -> Response:
+    """The response to who is not served."""
     body = f"sagoma view: {why}\n".encode()
     headers = Headers({"Content-Type": "text/plain; charset=utf-8", "Content-Length": str(len(body))})
-    return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
+    return Response(status, status.phrase, headers, body)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
@@ -12,21 +13,22 @@ from capture_rig.rig import Rig
 
 from ..takes.folder import TakesFolder, describe
 from .control import Control, recording_text
+from .figures import Figure
 from .graph_panel import GraphPanel
-from .guard import Guard, guarded_server
+from .guard import Guard
 from .jobs import Jobs
 from .live import LiveGraph
 from .playback import Playback
 from .scene import RoomScene
+from .server import guarded_server
 from .take_work import TakeWork
-from .takes_panel import TakesPanel
+from .takes_panel import PLAY, TakesPanel
+from .viewpoint import Viewpoint
 
 FRAMES_HZ = 30.0
 STATES, PICTURES, TAKES = "states", "pictures", "takes"
 EVERY_S = {STATES: 0.5, PICTURES: 0.25, TAKES: 2.0}
 """How often tables, the cameras' pictures and the list of takes are drawn anew."""
-LOOK_AT, LOOK_FROM = (0.0, 0.0, 0.8), (2.9, -3.8, 2.2)
-"""Where a browser's view begins (m): the room's middle, from above a usual ring of cameras."""
 
 
 class Page:
@@ -35,13 +37,17 @@ class Page:
     def __init__(
         self,
         guard: Guard,
-        port: int,
+        port: int | None,
         takes: TakesFolder,
         live: LiveGraph | None = None,
         control: Control | None = None,
         jobs: Jobs | None = None,
+        rig: Rig | None = None,
     ) -> None:
-        """Without ``live`` and ``control`` the page shows takes alone. ``jobs`` : those that ``control`` was given."""
+        """Without ``live`` and ``control`` the page shows takes alone. ``jobs`` : those that ``control`` was given.
+
+        rig : of the live graph.
+        """
         self.server = guarded_server(guard, port)
         self.server.request_share_url = lambda *args, **kwargs: None  # type: ignore[method-assign]  # leaves this room
         gui = self.server.gui
@@ -50,7 +56,8 @@ class Page:
         gui.set_panel_label("sagoma")
         self._takes, self._live, self._control, self._jobs = takes, live, control, jobs or Jobs()
         self._scene = RoomScene(self.server.scene)
-        self.server.initial_camera.position, self.server.initial_camera.look_at = LOOK_FROM, LOOK_AT
+        self._view, self._rig = Viewpoint(self.server), rig
+        self._show_rig(rig)
         self._playback: Playback | None = None
         self._watched, self._ended = threading.Event(), threading.Event()
         self.frames = 0  # drawn since the start
@@ -69,10 +76,6 @@ class Page:
         """The port that it listens on."""
         return self.server.get_port()
 
-    def show_rig(self, rig: Rig) -> None:
-        """Draw the cameras."""
-        self._scene.show_rig(rig)
-
     def play(self, name: str) -> None:
         """Play a take of the folder, or say why it cannot be."""
 
@@ -83,16 +86,20 @@ class Page:
         self._jobs.request(f"reading {name}", work)
 
     def show_take(self, path: Path) -> None:
-        """Play this bag instead of the live graph. Raises InputError when it cannot be read or holds nobody."""
+        """Show this bag's first pose instead of the live graph. Raises InputError when it has none."""
         take = describe(path)
         if take.problem:
             raise InputError(take.problem)
-        self._show(Playback.of(take))
+        playback = Playback.of(take)
+        playback.playing = False
+        self._show(playback)
+        self._jobs.say(f"{take.name}: its first pose, at {playback.position_s:.2f} s; '{PLAY}' plays it")
 
     def show_live(self) -> None:
         """Go back to the live graph."""
         self._playback = None
         self._scene.show({})
+        self._show_rig(self._rig)
         self._take_panel.show_playback(None)
         self._jobs.say("")
 
@@ -106,10 +113,17 @@ class Page:
         self.server.stop()
 
     def _show(self, playback: Playback) -> None:
-        if playback.rig is not None:
-            self._scene.show_rig(playback.rig)
+        self._show_rig(playback.rig)
         self._take_panel.show_playback(playback)
         self._playback = playback
+
+    def _show_rig(self, rig: Rig | None) -> None:
+        self._scene.show_rig(rig)
+        self._view.show_rig(rig)
+
+    def _show_people(self, figures: Mapping[str, Figure]) -> None:
+        self._scene.show(figures)
+        self._view.follow(figures)
 
     def _draw(self) -> None:
         next_at = dict.fromkeys(EVERY_S, 0.0)
@@ -117,6 +131,8 @@ class Page:
             if not self.server.get_clients():
                 if self._live is not None:
                     self._live.watch_nothing()
+                if self._playback is not None:
+                    self._playback.stand()
                 self._watched.clear()
                 if not self.server.get_clients():  # who came meanwhile has set it
                     self._watched.wait()
@@ -135,6 +151,7 @@ class Page:
         due = [what for what, at_s in next_at.items() if now_s >= at_s]
         next_at.update({what: now_s + EVERY_S[what] for what in due})
         self._draw_people(now_s)
+        self._view.place(now_s)
         if TAKES in due or self._take_panel.stale.is_set():
             self._take_panel.stale.clear()
             self._take_panel.show_takes(self._takes.takes())
@@ -148,7 +165,7 @@ class Page:
         if playback is not None:
             there = playback.new_figures_at(now_s)
             if there is not None:
-                self._scene.show(there)
+                self._show_people(there)
             self._scene.show_voxels(None)
             self._take_panel.show_progress(playback)
             return
@@ -157,7 +174,7 @@ class Page:
         self._live.watch(voxels=self._graph.voxels, pictures=self._graph.pictures)
         figures = self._live.new_figures()
         if figures is not None:
-            self._scene.show(figures)
+            self._show_people(figures)
         if not self._graph.voxels:
             self._scene.show_voxels(None)
         elif (points := self._live.new_voxels()) is not None:

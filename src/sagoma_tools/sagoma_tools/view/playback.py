@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
+from motion_export.isb_angles import isb_angles
 from motion_export.motion import NS_PER_S, Motion, point_deviations
-from stick_figure.skeleton import ANGLE_NAMES
 
-from ..evaluation.angles import defined
 from ..recording.reader import SIDECAR_RIG
 from ..recording.recorded_motion import recorded_motions
 from ..takes.take import Take
 from .figures import Figure
 
-LEFT, RIGHT = "#4f9cf0", "#f08a4f"
-PAGES = ("shoulder", "elbow", "hip", "knee")
+Array = np.ndarray
+
+SIDES = ("left", "right")
+PLOTTED = {"knee_flexion": 1.0, "elbow_flexion": 1.0, "shoulder_elevation": -1.0, "hip_flexion": 1.0}
+"""Angles that are drawn (docs/joint_angles.md), each with the sign that makes bent or raised limbs positive."""
 HELD_S = 0.1
 """A pose is shown over so long a gap: sets that a graph at its limit leaves out, not a person who is lost."""
 PLOT_POINTS = 1000
@@ -32,17 +33,19 @@ PLOT_POINTS = 1000
 class Playback:
     """Plays in real time, again and again, from the first pose on; second 0 is the take's first frame set.
 
-    begins_ns : stamp of second 0. seconds : how long the take is. position_s : what is shown now.
+    begins_ns : stamp of second 0. seconds : how long the take is. first_pose_s : when somebody is tracked first.
+    position_s : what is shown now.
     """
 
     take: Take
     motions: dict[str, Motion]
     begins_ns: int
     seconds: float
+    first_pose_s: float
     rig: Rig | None = None
     playing: bool = True
     position_s: float = 0.0
-    _moved_s: float = field(default_factory=time.monotonic)
+    _moved_s: float | None = None
     _shown: dict[str, int | None] | None = None
 
     @classmethod
@@ -55,23 +58,31 @@ class Playback:
             except InputError:
                 rig = None  # the motion can be seen without the cameras
         motions = recorded_motions(take.path)
-        first_ns = min(motion.start_ns for motion in motions.values())
+        first_ns = min(map(first_pose_ns, motions.values()))
         last_ns = max(motion.start_ns + round(motion.times_s[-1] * 1e9) for motion in motions.values())
         begins_ns, ends_ns = first_ns, last_ns
         if take.summary is not None:
             quality = take.summary.quality
             begins_ns, ends_ns = min(first_ns, quality.begins_ns), max(last_ns, quality.ends_ns)
         seconds = max((ends_ns - begins_ns) / 1e9, 1e-3)
-        return cls(take, motions, begins_ns, seconds, rig, position_s=(first_ns - begins_ns) / 1e9)
+        first_pose_s = (first_ns - begins_ns) / 1e9
+        return cls(take, motions, begins_ns, seconds, first_pose_s, rig, position_s=first_pose_s)
 
     def jump(self, seconds: float) -> None:
         """Go on from there."""
-        self.position_s, self._moved_s = min(max(seconds, 0.0), self.seconds), time.monotonic()
+        self.position_s = min(max(seconds, 0.0), self.seconds)
+        self.stand()
+
+    def stand(self) -> None:
+        """Do not count the time until the next figures are asked for: nobody looks meanwhile."""
+        self._moved_s = None
 
     def new_figures_at(self, now_s: float) -> dict[str, Figure] | None:
         """Move on to this moment, unless paused; return everybody who is there then, None when nothing has changed."""
-        if self.playing:
-            self.position_s = (self.position_s + max(now_s - self._moved_s, 0.0)) % self.seconds
+        if self.playing and self._moved_s is not None:
+            self.position_s += max(now_s - self._moved_s, 0.0)
+            if self.position_s > self.seconds:
+                self.position_s = self.first_pose_s
         self._moved_s = now_s
         stamp_ns = self.begins_ns + round(self.position_s * 1e9)
         frames = {body_id: last_frame(motion, stamp_ns) for body_id, motion in self.motions.items()}
@@ -80,22 +91,20 @@ class Playback:
         self._shown = frames
         return {body_id: figure_of(self.motions[body_id], k) for body_id, k in frames.items() if k is not None}
 
-    def plots(self, body_id: str) -> Iterator[tuple[str, np.ndarray, dict[tuple[str, str], np.ndarray]]]:
-        """Yield title, times (n,) s and curves of a person: (name, colour) -> degrees (n,), NaN where there are none.
-
-        There are none in a gap, and where a straight limb leaves the angle undetermined: it would turn by chance.
-        """
+    def plots(self, body_id: str) -> Iterator[tuple[str, Array, Array]]:
+        """Yield title, times (n,) s and the curves (2, n) degrees of a person's left and right side, NaN in gaps."""
         motion = self.motions[body_id]
         step = max(1, len(motion) // PLOT_POINTS)
         times_s = motion.times_s[::step] + (motion.start_ns - self.begins_ns) / 1e9
-        angles = np.rad2deg(np.where(defined(motion.angles), motion.angles, np.nan))[::step]
-        for joint in PAGES:
-            curves = {
-                (name.replace("_", " "), LEFT if name.startswith("left") else RIGHT): angles[:, k]
-                for k, name in enumerate(ANGLE_NAMES)
-                if joint in name
-            }
-            yield f"{joint}, degrees", times_s, curves
+        angles = isb_angles(motion)
+        for name, sign in PLOTTED.items():
+            sides = np.stack([sign * angles[f"{side}_{name}"][::step] for side in SIDES])
+            yield name.replace("_", " "), times_s, sides
+
+
+def first_pose_ns(motion: Motion) -> int:
+    """Return the stamp of the first frame in which a person is tracked."""
+    return motion.start_ns + round(float(motion.times_s[np.argmax(motion.tracked)]) * NS_PER_S)
 
 
 def last_frame(motion: Motion, stamp_ns: int) -> int | None:

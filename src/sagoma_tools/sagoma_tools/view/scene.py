@@ -16,6 +16,8 @@ Array = np.ndarray
 
 VOXEL_M, VOXEL_COLOUR = 0.006, (120, 140, 200)  # small: whoever is inside is seen
 FRUSTUM_M, FRUSTUM_LINE_M = 0.2, 0.008
+NAME_ABOVE = np.array([0.0, 0.0, 0.1])
+"""Of a camera's name, m above its centre."""
 CAMERA_COLOUR, LOST_COLOUR = (130, 145, 185), (229, 72, 77)
 FLOOR_M, CELL_M, FLOOR_COLOUR = 6.0, 0.5, (96, 102, 114)
 SUN = (2.0, -1.0, 4.0)
@@ -37,13 +39,13 @@ class RoomScene:
         scene.add_light_directional("/light/sun", intensity=2.2, position=SUN)
         scene.add_line_segments("/floor", floor_lines(), FLOOR_COLOUR, thickness=1.0, thickness_units="screen")
 
-    def show_rig(self, rig: Rig) -> None:
-        """Draw every camera as its view's pyramid, with its name."""
+    def show_rig(self, rig: Rig | None) -> None:
+        """Draw every camera as its view's pyramid, with its name; without a rig none."""
         for nodes in self._cameras.values():
             for node in nodes:
                 node.remove()
         self._cameras = {}
-        for camera in rig.cameras:
+        for camera in rig.cameras if rig is not None else ():
             R_world_camera = camera.R_camera_world.T
             fov = 2.0 * float(np.arctan(0.5 * camera.height / camera.K[1, 1]))
             frustum = self._scene.add_camera_frustum(
@@ -56,7 +58,11 @@ class RoomScene:
                 wxyz=viser.transforms.SO3.from_matrix(R_world_camera).wxyz,
                 position=camera.centre_world,
             )
-            label = self._scene.add_label(f"/cameras/{camera.name}/name", camera.name)
+            # not below the frustum in the tree: viser's client would draw it at the origin until that has moved
+            place = camera.centre_world + NAME_ABOVE
+            label = self._scene.add_label(
+                f"/camera_names/{camera.name}", camera.name, anchor="bottom-center", position=place
+            )
             self._cameras[camera.name] = frustum, label
 
     def mark_cameras(self, troubles: Mapping[str, str]) -> None:

@@ -18,6 +18,7 @@ SILENT = (
     "no word since {} ({:.0f} s): its process has ended, or its computer or network is down; see its log, and start it "
     "again"
 )
+NO_NODES = "no node is in the graph yet: `sagoma up SESSION` plays footage, docs/first_capture.md leads to cameras"
 UNHEARD = "has not been heard yet"
 SECONDS_FROM_MS = 2000.0
 MOST_TEXT = 400
@@ -46,6 +47,8 @@ def trouble_of(report: NodeReport | None, now_s: float) -> str:
 
 def states_html(reports: Mapping[str, NodeReport | None], now_s: float) -> str:
     """Return a block a node (full name -> its last report), cameras last; those in trouble first of their kind."""
+    if not reports:
+        return _html(GREY, "nothing to see yet", "", NO_NODES)
     order = sorted(reports, key=lambda name: (is_camera(name), not trouble_of(reports[name], now_s), name))
     return "".join(_block(label_of(name), reports[name], now_s) for name in order)
 

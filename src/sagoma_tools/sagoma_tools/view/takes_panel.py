@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any
 
@@ -16,7 +16,7 @@ from ..takes.take import Take
 from ..takes.texts import FIGURES, date, figures, remark, summary_lines
 from .buttons import on_click, on_click_deliver
 from .jobs import Jobs, Tell, Work
-from .playback import Playback
+from .playback import SIDES, Playback
 from .take_work import ALL_FORMATS, Deliver, TakeWork
 
 NO_TAKES = "(none yet)"
@@ -114,6 +114,7 @@ class TakesPanel:
             return
         self._person.options = tuple(playback.motions)
         self._position.max = round(playback.seconds, 2)
+        _set(self._position, round(playback.position_s, 2))
         _set(self._to, round(playback.seconds, 2))
         self._choose(playback.take.name)
         _set(self._person, next(iter(playback.motions)))
@@ -144,14 +145,21 @@ class TakesPanel:
         if self._playback is None or self._person.value not in self._playback.motions:
             return
         with self._plots:
-            for title, times_s, series in self._playback.plots(self._person.value):
+            for title, times_s, sides in self._playback.plots(self._person.value):
                 styles = [viser.uplot.Series(label="s")]
                 styles += [
-                    viser.uplot.Series(label=name, stroke=colour, dash=DASHES.get(name[-1], ()))
-                    for name, colour in series
+                    viser.uplot.Series(label=side, stroke=colour, width=2) for side, colour in SIDE_COLOURS.items()
                 ]
-                scales = {"x": NOT_A_DATE, "y": viser.uplot.Scale(range=whole_range(series.values()))}
-                self._gui.add_uplot((times_s, *series.values()), tuple(styles), title=title, aspect=1.6, scales=scales)
+                scales = {"x": NOT_A_DATE, "y": viser.uplot.Scale(range=whole_range(sides))}
+                self._gui.add_uplot(
+                    (times_s, *sides),
+                    tuple(styles),
+                    title=title,
+                    height=PLOT_PX,
+                    scales=scales,
+                    axes=AXES,
+                    padding=PADDING_PX,
+                )
 
     def _remove_curves(self) -> None:
         for child in list(self._plots._children.values()):
@@ -203,8 +211,16 @@ WORDS = {"persons": "persons: {}", "± mm": "± {} mm"}
 TEXT = "font-size: 13px; line-height: 1.35; overflow-wrap: anywhere; padding: 0 10px"
 NOT_A_DATE = viser.uplot.Scale(time=False)
 """Of a curve's times: seconds of the take."""
-DASHES = {"y": (6.0, 3.0), "z": (2.0, 3.0)}
-"""Pixels drawn and left out, of the angles about these axes; the others are whole lines."""
+SIDE_COLOURS = dict(zip(SIDES, ("#5aa9ff", "#ff9a4d"), strict=True))
+PLOT_PX = 150
+"""Height of a plot: two of them stand below the player on a laptop's screen."""
+PADDING_PX = (10, 16, 0, 0)
+"""Above, right, below, left of the curves: room for half of the uppermost number."""
+INK, GRID = "#d5d8dd", viser.uplot.Axis_Grid(stroke="#3d4149", width=1)
+AXES = (
+    viser.uplot.Axis(label="seconds", stroke=INK, grid=GRID, size=26, labelSize=18),
+    viser.uplot.Axis(label="degrees", stroke=INK, grid=GRID, size=40, labelSize=18),
+)
 GRID_DEG = 30.0
 """Curves' ranges begin and end at multiples of it."""
 
@@ -214,9 +230,9 @@ def _set(handle: Any, value: object) -> None:
     handle.value = value
 
 
-def whole_range(curves: Iterable[np.ndarray]) -> tuple[float, float]:
+def whole_range(curves: np.ndarray) -> tuple[float, float]:
     """Return the range of all curves in degrees; given, because uPlot finds none where a curve begins with NaN."""
-    values = np.concatenate([curve[np.isfinite(curve)] for curve in curves])
+    values = curves[np.isfinite(curves)]
     if not len(values):
         return -GRID_DEG, GRID_DEG
     low = GRID_DEG * np.floor(values.min() / GRID_DEG)

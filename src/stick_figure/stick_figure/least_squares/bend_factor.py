@@ -10,9 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from capture_rig.kernel import kernel
+from capture_rig.kernel import kernel, njit
 from capture_rig.small_matrices import solve_positive
 
 from ..body import BEND_NUMBERS, Body

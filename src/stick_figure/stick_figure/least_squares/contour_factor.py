@@ -16,9 +16,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from capture_rig.kernel import kernel
+from capture_rig.kernel import kernel, njit
 
 from ..build import CAPSULES
 from .free_ends import CAPSULE as CAPSULE_OF_END

@@ -10,9 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from capture_rig.kernel import kernel
+from capture_rig.kernel import kernel, njit
 from capture_rig.visibility import EVERYWHERE, UnseenCells, is_unseen
 
 CELL_M = 0.05  # a cell and its neighbours count as hull: within 0.05 to 0.1 m of a sample

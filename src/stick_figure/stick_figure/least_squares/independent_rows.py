@@ -19,7 +19,8 @@ For rows correlated in groups: Liang & Zeger, Biometrika 73 (1986); here the cor
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from capture_rig.kernel import njit
 
 from .contour_factor import NORMAL
 from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums

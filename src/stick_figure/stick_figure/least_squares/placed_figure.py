@@ -10,7 +10,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from capture_rig.kernel import njit
 
 from .. import kernels
 from ..body import Body

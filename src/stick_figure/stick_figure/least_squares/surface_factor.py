@@ -10,9 +10,8 @@ are pulled to the nearest one. Unlike the surface, this holds for the wide hull 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from capture_rig.kernel import kernel
+from capture_rig.kernel import kernel, njit
 
 from .. import kernels
 from ..body_surface import TORSO_CAPSULES

@@ -6,6 +6,7 @@ import argparse
 import json
 import textwrap
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from .studio import PERSON_SCENE, SETUP_SCENE, Studio, StudioSettings
 
 RIG_FILE = "rig.yaml"
 CAMERA_FOLDER = "cameras"
+_SPEED = number("of the time's speed", 1 / 32, 1)
 DESCRIPTION = "Simulated GigE Vision cameras on loopback, which any GenICam client can open."
 EPILOG = f"""talking to a running studio:
   status                          what every camera does
@@ -61,6 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--fps", type=_number("frame_rate"), help="frame rate at power-on (default: the session's, else 60)"
     )
+    parser.add_argument(
+        "--speed", type=speed_argument, help="of the cameras' clock, as 0.25 or 1/4: slow motion (default: 1)"
+    )
     parser.add_argument("--address", help="loopback address of the first camera (default: 127.0.1.1)")
     parser.add_argument(
         "--memory", type=_number("memory_mb"), metavar="MB", help="memory for a session's pictures (default: 800)"
@@ -75,6 +80,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="settings",
         help="any other setting, such as camera.generation=old or camera.noise=2",
     )
+
+
+def speed_argument(text: str) -> float:
+    """Parses a speed, a number or a fraction such as 1/4, for argparse."""
+    part, bar, whole = text.partition("/")
+    try:
+        return _SPEED(repr(int(part) / int(whole)) if bar else text)
+    except (ValueError, ArithmeticError):
+        return _SPEED(text)  # which says what is wrong
 
 
 def run(args: argparse.Namespace) -> int:
@@ -100,6 +114,7 @@ def settings_from(args: argparse.Namespace) -> StudioSettings:
         "cameras": args.cameras,
         "frame_rate": args.fps,
         "address": args.address,
+        "speed": args.speed,
         "memory_mb": args.memory,
         "scene": args.scene,
         "pattern": args.pattern or None,
@@ -137,13 +152,14 @@ def write_rig_files(studio: Studio, folder: str | Path) -> Path:
         save_rig(studio.rig, rig_file)
     else:
         save_truth(studio.rig, *studio.boards, folder)
+    slow = {} if studio.settings.speed == 1 else {"clock_speed": studio.settings.speed}
     for name, camera in studio.cameras.items():
         parameters = {
             "autostart": True,
             **({"rig_file": str(rig_file.resolve())} if studio.is_calibrated else {}),
             "camera_name": name,
             "source": "aravis",
-            "aravis": {"address": camera.address, "frame_rate": studio.frame_rate},
+            "aravis": {"address": camera.address, "frame_rate": studio.frame_rate, **slow},
             "background_file": str((folder / f"{name}_background.npz").resolve()),
         }
         document = {f"/{name}/camera_client": {"ros__parameters": parameters}}
@@ -167,7 +183,11 @@ def _pairs(words: list[str]) -> dict[str, Any]:
 
 
 def _announce(studio: Studio, args: argparse.Namespace) -> None:
-    print(f"{len(studio.cameras)} cameras at {studio.frame_rate:g} Hz; Ctrl-C ends them")
+    slow = f", at {Fraction(studio.settings.speed).limit_denominator(1000)} of the speed"
+    print(
+        f"{len(studio.cameras)} cameras at {studio.frame_rate:g} Hz{slow if studio.settings.speed < 1 else ''}; "
+        "Ctrl-C ends them"
+    )
     for name, camera in studio.cameras.items():
         height, width = camera.scene.shape[:2]
         kind = "colour" if len(camera.scene.shape) == 3 else "mono"

@@ -13,6 +13,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.session import load_session
 from capture_rig.settings import build_settings, setting
+from capture_rig.stamps import CaptureClock
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.specification import board_text, read_board
 
@@ -45,6 +46,9 @@ class StudioSettings:
     pattern: bool = setting(False, "Show a test pattern instead, which carries frame number and time")
     address: str = setting("127.0.1.1", "Loopback address of the first camera; the others follow")
     frame_rate: float = setting(0.0, "Frame rate at power-on; 0: the session's, else 60", unit="Hz", low=0, high=1000)
+    speed: float = setting(
+        1.0, "Of the cameras' clock and of all that moves; below 1: slow motion", unit="s a second", low=1 / 32, high=1
+    )
     motion: str = setting("tour", "What the built-in person does", choices=("tour", "walk", "t_pose_only"))
     render_hz: float = setting(20.0, "At most so many live renderings", unit="Hz", low=0.1, high=1000)
     memory_mb: float = setting(800.0, "Memory for a session's pictures", unit="MB", low=1)
@@ -70,9 +74,10 @@ class StudioScene:
 
 def make_studio_scene(settings: StudioSettings) -> StudioScene:
     """Makes the scene that the settings name. Raises InputError for a session or board that cannot be read."""
+    clock = CaptureClock(settings.speed)
     if settings.session and not settings.pattern:
         session = load_session(settings.session)
-        scene = load_session_scene(session, settings.memory_mb)
+        scene = load_session_scene(session, settings.memory_mb, clock)
         frames, total = scene.playback.frames, scene.total_frames
         cut = f"only the first {frames} of {total} frames fit into {settings.memory_mb:g} MB and are shown (--memory)"
         notes = () if frames >= total else (cut,)
@@ -81,9 +86,11 @@ def make_studio_scene(settings: StudioSettings) -> StudioScene:
     if settings.pattern:
         return StudioScene(rig, {camera.name: PatternScene(camera.width, camera.height) for camera in rig.cameras})
     if settings.scene != SETUP_SCENE:
-        return _rendered(RoomScene(rig, settings.motion, most_hz=settings.render_hz), rig, settings)
+        return _rendered(RoomScene(rig, settings.motion, most_hz=settings.render_hz, clock=clock), rig, settings)
     hand, floor = read_board(settings.hand_board), read_board(settings.floor_board)
-    setup = SetupScene(rig, settings.motion, most_hz=settings.render_hz, hand_board=hand, floor_board=floor)
+    setup = SetupScene(
+        rig, settings.motion, most_hz=settings.render_hz, clock=clock, hand_board=hand, floor_board=floor
+    )
     return replace(_rendered(setup, rig, settings), phases=setup)
 
 
@@ -109,7 +116,7 @@ class Studio:
         self.scene = make_studio_scene(self.settings)
         self._control_path = Path(control) if control else None
         self._control: ControlServer | None = None
-        self.loop = EventLoop("studio")
+        self.loop = EventLoop("studio", CaptureClock(self.settings.speed))
         self.wire = TriggerWire(self.loop)
         names = self.scene.rig.names
         addresses = consecutive_addresses(self.settings.address, len(names))

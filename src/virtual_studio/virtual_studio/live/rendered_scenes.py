@@ -17,6 +17,7 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
+from capture_rig.stamps import UTC, CaptureClock
 from rig_calibration.boards.board import Board
 from stick_figure.body import Body
 
@@ -74,7 +75,7 @@ class LiveScene(ABC):
 
     def start(self) -> None:
         """Renders the first set, then goes on in a thread."""
-        now_ns = time.time_ns()
+        now_ns = self.playback.clock.now_ns()
         self._sets.append(RenderedSet(now_ns, self.render(now_ns)))
         self._running = True
         self._thread.start()
@@ -107,7 +108,7 @@ class LiveScene(ABC):
         while (instant_ns := self._next_instant(duration_ns)) is not None:
             began = time.monotonic_ns()
             rendered = RenderedSet(instant_ns, self.render(instant_ns))
-            duration_ns = time.monotonic_ns() - began
+            duration_ns = round((time.monotonic_ns() - began) * self.playback.clock.speed)
             with self._condition:
                 self._sets.append(rendered)
             self.counters["sets_rendered"] += 1
@@ -125,7 +126,7 @@ class LiveScene(ABC):
             last, step = self._asked[-1], self._asked[-1] - self._asked[0]
         if not 0 < step < LONGEST_STEP_NS:
             return last
-        return last + step * max(-((last - time.time_ns() - duration_ns) // step), 0)
+        return last + step * max(-((last - self.playback.clock.now_ns() - duration_ns) // step), 0)
 
     def _is_stale(self) -> bool:
         return bool(self._asked) and self._asked[-1] - self._sets[-1].instant_ns >= self._shortest_ns
@@ -154,13 +155,15 @@ class LiveView:
 class RoomScene(LiveScene):
     """A person who moves in the room, seen by all cameras of a rig."""
 
-    def __init__(self, rig: Rig, motion: str = "tour", seconds: float = 20.0, most_hz: float = 20.0) -> None:
+    def __init__(
+        self, rig: Rig, motion: str = "tour", seconds: float = 20.0, most_hz: float = 20.0, clock: CaptureClock = UTC
+    ) -> None:
         body = Body.from_stature(1.75)
         self._person = VolumetricBody(body)
         self._poses = MOTIONS[motion](body, seconds, POSES_PER_S).poses
         self._cameras = {camera.name: VirtualCamera(camera) for camera in rig.cameras}
         empty = {name: _picture(camera.empty_room()) for name, camera in self._cameras.items()}
-        super().__init__(Playback(len(self._poses), POSES_PER_S), empty, most_hz)
+        super().__init__(Playback(len(self._poses), POSES_PER_S, clock), empty, most_hz)
 
     def render(self, instant_ns: int) -> Mapping[str, Image]:
         capsules = self._person.place(self._poses[self.playback.frame_at(instant_ns)])
@@ -180,11 +183,12 @@ class SetupScene(RoomScene):
         motion: str = "tour",
         seconds: float = 20.0,
         most_hz: float = 20.0,
+        clock: CaptureClock = UTC,
         hand_board: Board = HAND_BOARD,
         floor_board: Board = FLOOR_BOARD,
         seed: int = 1,
     ) -> None:
-        super().__init__(rig, motion, seconds, most_hz)
+        super().__init__(rig, motion, seconds, most_hz, clock)
         self._board_cameras = {camera.name: BoardCamera(camera) for camera in rig.cameras}
         self._hand, self._floor = print_of(hand_board), print_of(floor_board)
         self._waves = {c.name: wave(c, self._hand, seed + number) for number, c in enumerate(rig.cameras)}
@@ -205,7 +209,11 @@ class SetupScene(RoomScene):
             remedy = f"It shows {', '.join(PHASES)}, or the next one: {NEXT}."
             raise InputError(f"there is no phase '{phase}'", where="studio", remedy=remedy)
         if phase != EMPTY:
-            self._before, self._phase, self._since_ns = self._phase, phase, time.time_ns() + SWITCH_AFTER_NS
+            self._before, self._phase, self._since_ns = (
+                self._phase,
+                phase,
+                self.playback.clock.now_ns() + SWITCH_AFTER_NS,
+            )
         self.playback.occupy(phase != EMPTY)
         return phase
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-import time
 from fractions import Fraction
 from typing import Protocol
 
 import numpy as np
 
 from capture_rig.errors import InputError
+from capture_rig.stamps import UTC, CaptureClock
 
 from ..rendering.camera import Image
 
 SECOND_NS = 1_000_000_000
 SWITCH_AFTER_NS = 50_000_000
 """Switching takes effect so long after the request, so that no camera is ahead of another."""
+PLAY_AFTER_NS = 1_500_000_000
+"""A playback begins so long after the request (of UTC), so that whoever asked can get ready."""
 
 
 class CameraScene(Protocol):
@@ -25,7 +27,7 @@ class CameraScene(Protocol):
         """(H, W) of grey pictures, (H, W, 3) of coloured ones (BGR)."""
 
     def image(self, instant_ns: int) -> Image:
-        """Returns the picture at an instant (UTC, ns), uint8; nobody changes it afterwards. Must not take long."""
+        """Returns the picture at an instant (studio's clock, ns), uint8; nobody changes it later. Must be quick."""
 
 
 class PatternScene:
@@ -84,9 +86,11 @@ class Playback:
     """Which of ``frames`` frames at ``fps`` is seen at an instant, the same for every camera; who is in the room.
 
     Until play() is called it runs for ever, from frame 0 at the start of 1970. The room can be emptied meanwhile.
+    clock : of the instants; UTC, unless in slow motion.
     """
 
-    def __init__(self, frames: int, fps: float) -> None:
+    def __init__(self, frames: int, fps: float, clock: CaptureClock = UTC) -> None:
+        self.clock = clock
         self.frames, self._fps = frames, Fraction(fps).limit_denominator(1000)
         self.epoch_ns, self.loop, self._held = 0, True, False
         self._occupied, self._before, self._since_ns = True, True, 0
@@ -100,13 +104,13 @@ class Playback:
         return self._occupied
 
     def play(self, at_ns: int | None = None, loop: bool = True) -> int:
-        """Begins anew: frame 0 at ``at_ns`` (UTC; None: the next whole second but one), which is returned.
+        """Begins anew: frame 0 at ``at_ns`` (None: a second and a half of UTC from now), which is returned.
 
         It is rounded to a whole multiple of the frame period, where free-running cameras expose. Before, frame 0 is
         seen; without ``loop`` the last frame stays.
         """
         if at_ns is None:
-            at_ns = (time.time_ns() // SECOND_NS + 2) * SECOND_NS
+            at_ns = self.clock.now_ns() + round(PLAY_AFTER_NS * self.clock.speed)
         period_ns = SECOND_NS / self._fps
         self.epoch_ns, self.loop, self._held = round(round(at_ns / period_ns) * period_ns), loop, False
         return self.epoch_ns
@@ -118,7 +122,7 @@ class Playback:
     def occupy(self, occupied: bool) -> None:
         """Lets the person in, or out."""
         self._before, self._occupied = self._occupied, occupied
-        self._since_ns = time.time_ns() + SWITCH_AFTER_NS
+        self._since_ns = self.clock.now_ns() + SWITCH_AFTER_NS
 
     def occupied_at(self, instant_ns: int) -> bool:
         return self._occupied if instant_ns >= self._since_ns else self._before

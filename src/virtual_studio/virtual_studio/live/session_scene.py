@@ -11,6 +11,7 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.session import STILL_SUFFIXES, Session
+from capture_rig.stamps import UTC, CaptureClock
 from capture_rig.video import Video, is_grey
 
 from ..rendering.camera import Image
@@ -55,7 +56,7 @@ class SessionScene:
         return all(view.background for view in self.views.values())
 
 
-def load_session_scene(session: Session, memory_mb: float = 800.0) -> SessionScene:
+def load_session_scene(session: Session, memory_mb: float = 800.0, clock: CaptureClock = UTC) -> SessionScene:
     """Decodes a session into memory; no more frames than fit into ``memory_mb``, the same number for each camera.
 
     Raises InputError when not even one frame a camera fits, or a video cannot be read.
@@ -66,7 +67,7 @@ def load_session_scene(session: Session, memory_mb: float = 800.0) -> SessionSce
         footage = list(pool.map(lambda n: _decode(session.videos[n], budget * (1 - BACKGROUND_SHARE)), names))
         backgrounds = list(pool.map(lambda n: _background(session, n, budget * BACKGROUND_SHARE), names))
     count = min(len(frames) for frames in footage)
-    playback = Playback(count, session.fps)
+    playback = Playback(count, session.fps, clock)
     views = {
         name: SessionView(playback, tuple(frames[:count]), tuple(_alike(frames[0], background)))
         for name, frames, background in zip(names, footage, backgrounds, strict=True)

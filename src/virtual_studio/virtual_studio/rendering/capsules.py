@@ -10,10 +10,10 @@ import math
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from capture_rig.camera import CameraModel
+from capture_rig.kernel import njit
 
 from ..people import Capsules
 

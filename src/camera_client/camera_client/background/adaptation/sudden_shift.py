@@ -14,7 +14,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from capture_rig.kernel import njit
 
 from ...frame_source import Image
 from ..kernels import OPTIONS, robust_shift

@@ -104,7 +104,7 @@ class ControlPrivilege:
             self._counters["heartbeats_lost"] += 1
             self.release()
             return
-        self._timer = self._loop.call_at(time.time_ns() + left_ns, self._watch)
+        self._timer = self._loop.call_later(left_ns, self._watch)
 
 
 class GvcpServer:
@@ -162,7 +162,7 @@ class GvcpServer:
             Command.PENDING.acknowledge, encode_words([round(delay_ms) + 500]), packet.request_id
         )
         self._send(pending, peer)
-        self._loop.call_at(time.time_ns() + round(delay_ms * 1e6), lambda: self._send(answer, peer))
+        self._loop.call_later(round(delay_ms * 1e6), lambda: self._send(answer, peer))
 
     def _is_owners(self, peer: Peer) -> bool:
         """Stream receivers ask for resends from a socket of their own, on the owner's machine."""

@@ -13,6 +13,8 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
+from capture_rig.stamps import UTC, CaptureClock
+
 T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
@@ -36,13 +38,17 @@ class Timer:
 
 
 class EventLoop:
-    """Callbacks for readable sockets and for instants of the system clock (UTC, ns), one at a time, in one thread.
+    """Callbacks for readable sockets and for instants of the cameras' clock (ns), one at a time, in one thread.
+
+    clock : the time of everything that a camera does but for what goes by the network's pace (:meth:`call_later`);
+        UTC, unless in slow motion.
 
     Everything that a camera does happens in here, so that its parts need no locks; other threads come in by
     :meth:`call`. An error in one callback is logged; the others go on.
     """
 
-    def __init__(self, name: str = "gige") -> None:
+    def __init__(self, name: str = "gige", clock: CaptureClock = UTC) -> None:
+        self.clock = clock
         self._selector = selectors.DefaultSelector()
         self._readers: dict[Any, Callable[[], object]] = {}
         self._timers: list[tuple[int, int, Timer]] = []
@@ -84,10 +90,14 @@ class EventLoop:
         del self._readers[sock]
 
     def call_at(self, when_ns: int, callback: Callable[[], object]) -> Timer:
-        """Calls back at an instant of the system clock. Only from within the loop."""
+        """Calls back at an instant of the cameras' clock. Only from within the loop."""
         timer = Timer(when_ns, callback)
         heapq.heappush(self._timers, (when_ns, next(self._order), timer))
         return timer
+
+    def call_later(self, delay_ns: int, callback: Callable[[], object]) -> Timer:
+        """Calls back after so long, whatever the speed of the cameras' clock. Only from within the loop."""
+        return self.call_at(self.clock.at_utc(time.time_ns() + delay_ns), callback)
 
     def call(self, callback: Callable[[], T]) -> T:
         """Runs in the loop's thread and returns what it returns (or raises); from any thread."""
@@ -117,10 +127,10 @@ class EventLoop:
     def _wait_ns(self) -> int:
         if not self._timers:
             return _LONGEST_WAIT_NS
-        return min(max(self._timers[0][0] - time.time_ns(), 0), _LONGEST_WAIT_NS)
+        return min(self.clock.wait_ns(self._timers[0][0]), _LONGEST_WAIT_NS)
 
     def _run_due(self) -> None:
-        now_ns = time.time_ns()
+        now_ns = self.clock.now_ns()
         while self._running and self._timers and self._timers[0][0] <= now_ns:
             self._guarded(heapq.heappop(self._timers)[2].run)
 

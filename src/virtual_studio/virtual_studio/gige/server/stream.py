@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import socket
 import struct
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -264,7 +263,7 @@ class StreamChannel:
             if packet is None:
                 return
             self._transmit(packet, destination)
-        self._loop.call_at(time.time_ns() + burst * delay_ns, lambda: self._send_slowly(packets, delay_ns, destination))
+        self._loop.call_later(burst * delay_ns, lambda: self._send_slowly(packets, delay_ns, destination))
 
     def _packet_size_written(self) -> None:
         word = self._registers.integer("PacketSizeWord")

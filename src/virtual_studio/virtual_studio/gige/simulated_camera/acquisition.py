@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import time
 from collections import deque
 
 import numpy as np
@@ -43,6 +42,7 @@ class Acquisition:
         self.scene = scene
         self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
         self._loop, self._clock, self._imaging, self._timing, self._stream = device.loop, clock, imaging, timing, stream
+        self._now_ns = device.loop.clock.now_ns
         self.running = False
         self.lateness_ns: deque[int] = deque(maxlen=REMEMBERED)
         self._block_id = self._frames_left = 0
@@ -50,7 +50,7 @@ class Acquisition:
         self._timers: list[Timer] = []
         self._registers.writes["AcquisitionStart"] = self.start
         self._registers.writes["AcquisitionStop"] = self.stop
-        self._registers.writes["TriggerSoftware"] = lambda: self.trigger("Software", time.time_ns())
+        self._registers.writes["TriggerSoftware"] = lambda: self.trigger("Software", self._now_ns())
         for key in ("TriggerMode", "TriggerSource", "SyncFreeRunTimerEnable"):
             self._registers.writes[key] = self._rearm
         for key in LOCKED:
@@ -68,7 +68,7 @@ class Acquisition:
             ACQUISITION_MODES["MultiFrame"]: self._registers.integer("AcquisitionFrameCount"),
         }
         self._frames_left = wanted.get(mode, 0)
-        self._busy_until_ns = time.time_ns()
+        self._busy_until_ns = self._now_ns()
         self._rearm()
 
     def stop(self) -> None:
@@ -77,7 +77,7 @@ class Acquisition:
         self._cancel()
 
     def trigger(self, source: str, instant_ns: int) -> bool:
-        """Handles a trigger at an instant (UTC, ns); True when it starts an exposure."""
+        """Handles a trigger at an instant (of the loop's clock, ns); True when it starts an exposure."""
         if not self.running or self._timing.source != source:
             return False
         start_ns = instant_ns + self._timing.trigger_delay_ns
@@ -97,12 +97,12 @@ class Acquisition:
             return None
         self._counters["actions"] += 1
         if action.time_ns is None:
-            self.trigger("Action1", time.time_ns())
+            self.trigger("Action1", self._now_ns())
             return Status.SUCCESS
         if not self._clock.is_synchronised:
             return Status.NO_REFERENCE_TIME
         when_ns = self._clock.utc_of(action.time_ns)
-        if when_ns < time.time_ns():
+        if when_ns < self._now_ns():
             self._counters["actions_late"] += 1
             return Status.ACTION_LATE
         self._timers.append(self._loop.call_at(when_ns, lambda: self.trigger("Action1", when_ns)))
@@ -112,17 +112,17 @@ class Acquisition:
         """Schedules the first exposure of a free-running camera; a triggered one waits."""
         self._cancel()
         if self.running and self._timing.is_periodic:
-            self._expose_at(self._timing.next_start(time.time_ns()))
+            self._expose_at(self._timing.next_start(self._now_ns()))
 
     def _expose_at(self, start_ns: int) -> None:
         exposure_ns = self._imaging.exposure.exposure_ns
         self._busy_until_ns = start_ns + exposure_ns
-        self._timers = [timer for timer in self._timers if timer.when_ns > time.time_ns() - LONGEST_BACKLOG_NS]
+        self._timers = [timer for timer in self._timers if timer.when_ns > self._now_ns() - LONGEST_BACKLOG_NS]
         self._timers.append(self._loop.call_at(start_ns + exposure_ns, lambda: self._read_out(start_ns, exposure_ns)))
 
     def _read_out(self, start_ns: int, exposure_ns: int) -> None:
         """Sends the frame when its exposure is over, and begins the next one."""
-        late_ns = time.time_ns() - start_ns - exposure_ns
+        late_ns = self._now_ns() - start_ns - exposure_ns
         self.lateness_ns.append(late_ns)
         self._counters["frames_exposed"] += 1
         if not self._faults.stall:
@@ -135,7 +135,7 @@ class Acquisition:
         if self._timing.is_periodic:
             after_ns = start_ns
             if late_ns > LONGEST_BACKLOG_NS:
-                after_ns = time.time_ns()
+                after_ns = self._now_ns()
                 self._counters["late_restarts"] += 1
             self._expose_at(self._timing.next_start(after_ns))
 

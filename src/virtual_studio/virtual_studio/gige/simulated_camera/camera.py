@@ -141,7 +141,8 @@ class _PoweredCamera:
         self._camera, self.registers = camera, Registers(camera.features, description)
         device = Device(camera.address, camera.settings, self.registers, camera.faults, camera.counters, camera.loop)
         self._set_identity(description, user_id)
-        self._clock, self._imaging = CameraClock(camera.settings, camera.faults), ImagingPipeline(device)
+        self._clock = CameraClock(camera.settings, camera.faults, camera.loop.clock)
+        self._imaging = ImagingPipeline(device)
         self._timing = Timing(self.registers, self._clock, self._imaging.exposure)
         self._stream = StreamChannel(device)
         self.acquisition = Acquisition(device, camera.scene, self._clock, self._imaging, self._timing, self._stream)
@@ -199,7 +200,7 @@ class _PoweredCamera:
         self.registers["PtpParentClockID"] = 0x0011_22FF_FE33_4455 if self._clock.is_synchronised else 0
 
     def _latch_time(self) -> None:
-        stamp = self._clock.stamp(time.time_ns())
+        stamp = self._clock.stamp(self._camera.loop.clock.now_ns())
         self.registers["TimestampLatchValue"] = stamp
         self.registers["TimestampHigh"], self.registers["TimestampLow"] = stamp >> 32, stamp & 0xFFFF_FFFF
 
@@ -215,9 +216,9 @@ class _PoweredCamera:
 
         def restart() -> None:
             camera._power_off()
-            camera.loop.call_at(time.time_ns() + round(camera.settings.boot_s * 1e9), camera._power_on)
+            camera.loop.call_later(round(camera.settings.boot_s * 1e9), camera._power_on)
 
-        camera.loop.call_at(time.time_ns(), restart)  # the answer to the command leaves first
+        camera.loop.call_later(0, restart)  # the answer to the command leaves first
 
     def _load_defaults(self) -> None:
         kept = {key: self.registers[key] for key in KEPT_BY_USER_SET}

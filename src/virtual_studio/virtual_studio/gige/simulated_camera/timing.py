@@ -11,6 +11,8 @@ from collections.abc import Callable
 from fractions import Fraction
 from functools import lru_cache
 
+from capture_rig.stamps import UTC, CaptureClock
+
 from ..server.device import CameraSettings, Faults
 from ..server.loop import EventLoop, Timer
 from ..server.registers import Registers
@@ -35,30 +37,30 @@ def next_multiple(after_ns: int, period_ns: Fraction, origin_ns: int = 0) -> int
 
 
 class CameraClock:
-    """A camera's clock: stamps, ns, for instants of the system clock (UTC, ns), and back.
+    """A camera's clock: stamps, ns, for instants of the studio's clock (UTC, unless in slow motion; ns), and back.
 
     Free running, it counts from power-on and drifts. With PTP it is synchronised (status Slave) after a while, and then
     it is TAI but for a small constant offset.
     """
 
-    def __init__(self, settings: CameraSettings, faults: Faults) -> None:
-        self._settings, self._faults = settings, faults
+    def __init__(self, settings: CameraSettings, faults: Faults, clock: CaptureClock = UTC) -> None:
+        self._settings, self._faults, self._now_ns = settings, faults, clock.now_ns
         self._rng = random.Random(settings.seed)
         self.power_on()
 
     def power_on(self) -> None:
         """Starts the counter anew, PTP off."""
-        self._zero_ns = time.time_ns() - self._rng.randrange(2_000_000_000)  # it counted while the camera booted
+        self._zero_ns = self._now_ns() - self._rng.randrange(2_000_000_000)  # it counted while the camera booted
         self._ptp_since_ns: int | None = None
         self._residual_ns = round(self._rng.uniform(-1, 1) * self._settings.ptp_offset_ns)
 
     def reset(self) -> None:
         """Counts from 0 again."""
-        self._zero_ns = time.time_ns()
+        self._zero_ns = self._now_ns()
 
     def enable_ptp(self, enabled: bool) -> None:
         if enabled != (self._ptp_since_ns is not None):
-            self._ptp_since_ns = time.time_ns() if enabled else None
+            self._ptp_since_ns = time.monotonic_ns() if enabled else None
 
     def stamp(self, utc_ns: int) -> int:
         """Returns the clock's reading at an instant."""
@@ -87,7 +89,7 @@ class CameraClock:
             return PTP_STATES["Disabled"]
         if self._faults.ptp_lost or not self._settings.ptp_grandmaster:
             return PTP_STATES["Listening"]
-        waited = (time.time_ns() - self._ptp_since_ns) * 1e-9
+        waited = (time.monotonic_ns() - self._ptp_since_ns) * 1e-9
         if waited < LISTENING_SHARE * self._settings.ptp_settle_s:
             return PTP_STATES["Listening"]
         return PTP_STATES["Uncalibrated" if waited < self._settings.ptp_settle_s else "Slave"]
@@ -103,7 +105,7 @@ class CameraClock:
 
 
 class Timing:
-    """The instants (UTC, ns) at which exposures begin. All cameras with one rate expose at the same ones."""
+    """The instants (studio's clock, ns) at which exposures begin, for all cameras with one rate the same."""
 
     def __init__(self, registers: Registers, clock: CameraClock, exposure: ExposureControl) -> None:
         self._registers, self._clock, self._exposure = registers, clock, exposure
@@ -192,15 +194,15 @@ class TriggerWire:
         self._timer: Timer | None = None
 
     def listen(self, callback: Callable[[int], None]) -> None:
-        """Calls back with the instant (UTC, ns) of each rising edge, from within the loop."""
+        """Calls back with the instant (studio's clock, ns) of each rising edge, from within the loop."""
         self._listeners.append(callback)
 
     def pulse(self) -> int:
-        """Makes one rising edge now; returns its instant (UTC, ns)."""
-        return self._loop.call(lambda: self._rise(time.time_ns()))
+        """Makes one rising edge now; returns its instant (studio's clock, ns)."""
+        return self._loop.call(lambda: self._rise(self._loop.clock.now_ns()))
 
     def run(self, rate_hz: float) -> None:
-        """Generates pulses at whole multiples of the period of UTC, until stop()."""
+        """Generates pulses at whole multiples of the period of its clock, until stop()."""
         self._loop.call(lambda: self._restart(Fraction(rate_hz).limit_denominator(1000)))
 
     def stop(self) -> None:
@@ -218,11 +220,11 @@ class TriggerWire:
 
     def _schedule(self, rate: Fraction) -> None:
         period_ns = 1_000_000_000 / rate
-        when_ns = int((time.time_ns() // period_ns + 1) * period_ns)
+        when_ns = int((self._loop.clock.now_ns() // period_ns + 1) * period_ns)
         self._timer = self._loop.call_at(when_ns, lambda: self._tick(when_ns, rate))
 
     def _tick(self, when_ns: int, rate: Fraction) -> None:
-        if time.time_ns() - when_ns < LATENESS_NS:
+        if self._loop.clock.now_ns() - when_ns < LATENESS_NS:
             self._rise(when_ns)
         self._schedule(rate)
 

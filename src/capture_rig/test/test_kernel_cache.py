@@ -1,0 +1,168 @@
+"""Kernels: what makes a cached one out of date, where caches go, and what callers see of the parts they call."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import capture_rig
+from capture_rig import kernel_cache
+from capture_rig.kernel import kernel, njit
+
+LEAF = """
+from capture_rig.kernel import njit
+
+@njit(cache=True)
+def leaf(x):
+    return x + {number}
+"""
+CALLER = """
+from capture_rig.kernel import njit
+from .leaf import (  # (the one that changes)
+    leaf,
+)
+
+@njit(cache=True)
+def caller(x):
+    return 10 * leaf(x)
+"""
+OTHER = """
+from capture_rig.kernel import njit
+
+@njit(cache=True)
+def other(x):
+    return -x
+"""
+RUN = """
+import sys
+from play.caller import caller
+from play.other import other
+print(caller(1), other(1), *(sum(f.stats.cache_hits.values()) for f in (caller, other)))
+"""
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A repository of two packages: ``capture_rig`` and one with kernels that call another."""
+    packages, source = tmp_path / "checkout", Path(capture_rig.__file__).parent
+    shutil.copytree(source, packages / "capture_rig" / "capture_rig", ignore=shutil.ignore_patterns("__pycache__"))
+    play = packages / "play" / "play"
+    play.mkdir(parents=True)
+    (play / "__init__.py").write_text("")
+    (play / "leaf.py").write_text(LEAF.format(number=1))
+    (play / "caller.py").write_text(CALLER)
+    (play / "other.py").write_text(OTHER)
+    return packages
+
+
+def run(packages, **environment):
+    """Call both kernels in a process of its own; returns their results and cache hits."""
+    kept = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    paths = os.pathsep.join(str(path) for path in packages.iterdir())
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", RUN],
+        env=kept | {"PYTHONPATH": paths} | environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return [int(word) for word in done.stdout.split()]
+
+
+def test_changed_callee_invalidates_its_caller_and_nothing_else(checkout):
+    assert run(checkout) == [20, -1, 0, 0]
+    assert run(checkout) == [20, -1, 1, 1]
+    (checkout / "play" / "play" / "leaf.py").write_text(LEAF.format(number=2))
+    assert run(checkout) == [30, -1, 0, 1]
+
+
+def test_cache_is_found_where_the_checkout_was_moved_to(checkout):
+    run(checkout)
+    moved = checkout.rename(checkout.parent / "elsewhere")
+    assert run(moved) == [20, -1, 1, 1]
+
+
+def test_changed_kernel_leaves_no_file_of_the_old_one(checkout):
+    run(checkout)
+    before = sorted(path.name for path in checkout.rglob("*.nb?"))
+    (checkout / "play" / "play" / "caller.py").write_text("\n\n" + CALLER)
+    run(checkout)
+    assert sorted(path.name for path in checkout.rglob("*.nb?")) == before
+
+
+def test_callee_has_no_machine_code_of_its_own(checkout):
+    run(checkout)
+    assert {path.name.split("-")[0] for path in checkout.rglob("*.nbi")} == {"caller.caller", "other.other"}
+
+
+def test_kernels_are_kept_in_a_temporary_folder_where_neither_checkout_nor_home_can_be_written(checkout, tmp_path):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    for package in ("capture_rig/capture_rig", "play/play"):
+        (checkout / package / "__pycache__").write_text("no folder")  # what also stops root
+    blocked = tmp_path / "no_home"
+    blocked.write_text("no folder")
+    places = {"HOME": str(blocked), "XDG_CACHE_HOME": str(blocked / "cache"), "TMPDIR": str(temporary)}
+    assert run(checkout, **places) == [20, -1, 0, 0]
+    assert run(checkout, **places) == [20, -1, 1, 1]
+    (folder,) = temporary.glob("sagoma_kernels_*")
+    assert folder.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize("fault", ["open to others", "link", "of somebody else"])
+def test_temporary_folder_that_others_could_fill_is_refused(fault, tmp_path, monkeypatch):
+    monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(tmp_path))
+    folder = Path(kernel_cache.temporary_folder())
+    if fault == "link":
+        (tmp_path / "theirs").mkdir(mode=0o700)
+        folder.symlink_to(tmp_path / "theirs")
+    else:
+        folder.mkdir(mode=0o755 if fault == "open to others" else 0o700)
+    if fault == "of somebody else":
+        uid = os.getuid()
+        monkeypatch.setattr(kernel_cache, "temporary_folder", lambda: str(folder))
+        monkeypatch.setattr(kernel_cache.os, "getuid", lambda: uid + 1)
+    assert kernel_cache._TemporaryFolder.from_function(run, __file__) is None
+
+
+def test_imports_in_brackets_and_of_modules_count_and_those_of_other_projects_do_not():
+    fit = kernel_cache.PACKAGES / "stick_figure/stick_figure/least_squares/gauss_newton.py"
+    found = {path.name for path in kernel_cache.imported(fit)}
+    assert {"kernels.py", "contour_factor.py", "joint_limits.py", "small_matrices.py"} <= found
+    assert all(path.is_relative_to(kernel_cache.PACKAGES) for path in kernel_cache.imported(fit))
+
+
+@njit(cache=False)
+def refuses(x):
+    if x < 0:
+        raise ValueError("negative")
+    return np.full(3, x)
+
+
+@njit(cache=False)
+def calls(x):
+    return refuses(x).sum()
+
+
+@kernel
+def add(a, b, total):
+    for k in range(a.shape[0]):
+        total[k] = a[k] + b[k]
+
+
+def test_what_a_called_function_raises_reaches_python():
+    assert calls(2.0) == 6.0
+    with pytest.raises(ValueError, match="negative"):
+        calls(-1.0)
+
+
+def test_what_a_kernel_calls_can_be_called_from_python_too():
+    calls(1.0)
+    assert refuses(1.0).tolist() == [1.0, 1.0, 1.0]
+    total = np.zeros(2)
+    add(np.ones(2), np.ones(2), total)
+    assert total.tolist() == [2.0, 2.0]

@@ -1,0 +1,98 @@
+"""A session folder for the pipeline: images with their stamps, silhouettes, and a pipeline with the backgrounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from camera_client.background.model import BackgroundModel, read_background
+from camera_client.settings import CameraClientSettings
+from camera_client.sources.footage_reader import VideoReader
+from capture_rig.errors import InputError
+from capture_rig.session import Session, footage_stamp_ns
+from capture_rig.video_findings import VideoFacts
+
+from .configuration import Configuration
+from .pipeline import Masks, MocapPipeline
+
+EPOCH_NS = 1_000_000_000_000_000_000
+"""Stamp of a session's first images."""
+FootageEnded = Callable[[dict[str, VideoFacts]], None]
+
+
+def ignore_end(facts: dict[str, VideoFacts]) -> None:
+    """Do nothing about what came of the videos."""
+
+
+def pipeline_of(session: Session, configuration: Configuration | None = None) -> MocapPipeline:
+    """Return a pipeline for the session's images. Raises InputError where a camera has no background."""
+    chosen = configuration or Configuration.of({})
+    without = [name for name in session.rig.names if name not in session.backgrounds]
+    if without:
+        remedy = f"Add {without[0]}_background.mp4 or .png: the empty scene."
+        raise InputError(f"there is no background for {', '.join(without)}", where=str(session.folder), remedy=remedy)
+
+    def background(name: str) -> BackgroundModel:
+        with closing(VideoReader(session.videos[name], "auto")) as video:
+            return read_background(session.backgrounds[name], video.probe(), chosen.camera.background_model)
+
+    return MocapPipeline(session.rig, chosen, {name: background(name) for name in session.rig.names})
+
+
+def frame_sets(session: Session, ended: FootageEnded = ignore_end) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
+    """Stamp, ns, and images (H, W[, 3]) uint8 by camera, frame after frame until the shortest video ends.
+
+    ended : is told what came of the videos.
+    """
+    for frame, images in enumerate(images_of(session.videos, ended)):
+        yield footage_stamp_ns(EPOCH_NS, frame, session.fps), images
+
+
+def segmented(session: Session, pipeline: MocapPipeline, ended: FootageEnded = ignore_end) -> Iterator[Masks]:
+    """Canvas masks of every camera, as the pipeline segments them.
+
+    Its cameras hear what its hull server reports if each frame is carved before the next one is asked for.
+    """
+    for stamp_ns, images in frame_sets(session, ended):
+        yield pipeline.segment(stamp_ns, images)
+
+
+def silhouettes(session: Session, settings: CameraClientSettings) -> Iterator[Masks]:
+    """Canvas masks of every camera (levels of ``capture_rig.mask_levels``) as sent in the loop with a hull server."""
+    pipeline = pipeline_of(session, replace(Configuration.of({}), camera=settings))
+    for frame, masks in enumerate(segmented(session, pipeline)):
+        yield masks
+        pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), masks)
+
+
+def exact_silhouettes(session: Session, ended: FootageEnded = ignore_end) -> Iterator[Masks]:
+    """Canvas masks of every camera from the session's exact silhouettes."""
+    missing = [name for name in session.rig.names if name not in session.masks]
+    if missing:
+        what = f"there is no exact silhouette for {', '.join(missing)}"
+        raise InputError(what, where=str(session.folder), remedy=f"Add {missing[0]}_mask.mp4, or segment the footage.")
+    views = {camera.name: camera.undistorted_view() for camera in session.rig.cameras}
+    for images in images_of(session.masks, ended):
+        yield {n: views[n].undistort_mask(np.where(i > 127, np.uint8(255), np.uint8(0))) for n, i in images.items()}
+
+
+def images_of(videos: dict[str, Path], ended: FootageEnded = ignore_end) -> Iterator[dict[str, np.ndarray]]:
+    """Images of all cameras, frame after frame until the shortest video ends; grey where the footage is grey, as the
+    camera client reads it."""
+    with ExitStack() as stack:
+        opened: dict[str, VideoReader] = {}
+        for name, path in sorted(videos.items()):
+            opened[name] = VideoReader(path, "auto", threads=0)
+            stack.callback(opened[name].close)
+            opened[name].probe()
+        while True:
+            images = {name: reader.read() for name, reader in opened.items()}
+            found = {name: image for name, image in images.items() if image is not None}
+            if len(found) < len(images):
+                ended({name: reader.facts() for name, reader in opened.items()})
+                return
+            yield found

@@ -1,0 +1,145 @@
+"""The page's web server: viser's, on a socket that we opened, asked about every request and message before viser is.
+
+viser has no hook for either, so the websockets server that it starts is given ours.
+"""
+
+from __future__ import annotations
+
+import errno
+import http
+import logging
+import re
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+from urllib.parse import urlsplit
+
+import rich
+import viser
+import websockets.asyncio.server
+from websockets.http11 import Request, Response
+
+from capture_rig.errors import InputError, shortened
+
+from .browser_messages import next_message
+from .client_script import with_script
+from .guard import Guard, refuse
+
+PORT = 8080
+LAST_PORT = 65535
+TRIED_PORTS = 100
+"""The port of a page for which none was asked, and how many after it are tried while they are taken."""
+MOST_BYTES = 1 << 20
+"""Of a message from a browser: the page has nothing to upload."""
+NUMERIC = re.compile(r"[0-9.]*")
+"""Of a host that no name server need be asked for."""
+FRAMING = "Content-Security-Policy", "frame-ancestors 'none'"
+"""No other page may show ours in a frame, where a click meant for theirs would press our buttons."""
+HANDSHAKE_FAILED = "opening handshake failed"
+"""How websockets calls a connection that asks for nothing: browsers open such in advance."""
+_patching = threading.Lock()
+_log = logging.getLogger("sagoma.view")
+
+
+def guarded_server(guard: Guard, port: int | None = None) -> viser.ViserServer:
+    """Start a page's server that asks the guard first. ``port`` : 0 for any, None for PORT or the next free one.
+
+    Raises InputError when it cannot listen there; RuntimeError when this viser starts its server in another way: then
+    nothing is served.
+    """
+    rich.get_console().quiet = True  # viser prints an address without the token
+    server: viser.ViserServer | None = None
+
+    def control_of(uuid: str) -> Any:
+        return None if server is None else server.gui._gui_input_handle_from_uuid.get(uuid)
+
+    listening = listening_socket(guard.host, port)
+    with _patching, _serving(guard, listening, control_of) as served:
+        server = viser.ViserServer(host=guard.host, port=listening.getsockname()[1], verbose=False)
+    if not served:
+        server.stop()
+        listening.close()
+        raise RuntimeError("this version of viser starts its server in another way: the page cannot be protected")
+    return server
+
+
+def listening_socket(host: str, port: int | None) -> socket.socket:
+    """Open the socket to listen on; port as of :func:`guarded_server`. Raises InputError when there is none."""
+    if port is not None and not 0 <= port <= LAST_PORT:
+        remedy = f"Give one up to {LAST_PORT}, or 0 for any free one."
+        raise InputError(f"{port} is no port", where="--port", remedy=remedy)
+    flags = socket.AI_NUMERICHOST if NUMERIC.fullmatch(host) else 0
+    try:
+        family, *_, address = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM, flags=flags)[0]
+    except (OSError, UnicodeError) as error:
+        raise _no_host(host) from error
+    ports = (port,) if port is not None else range(PORT, PORT + TRIED_PORTS)
+    for tried in ports:
+        try:
+            return socket.create_server((address[0], tried, *address[2:]), family=family)
+        except OSError as error:
+            if error.errno == errno.EADDRNOTAVAIL:
+                raise _no_host(host) from error
+            if error.errno != errno.EADDRINUSE:
+                raise InputError(f"cannot listen there: {error.strerror}", where=f"--port {tried}") from error
+    taken = f"port {ports[0]} is taken" if port is not None else f"ports {ports[0]} to {ports[-1]} are taken"
+    raise InputError(taken, where="--port", remedy="Give another one, or 0 for any free one.")
+
+
+def _no_host(host: str) -> InputError:
+    remedy = (
+        "Give one of its addresses (`ip address` lists them), or 0.0.0.0 for all; without --host it is this machine's."
+    )
+    return InputError(f"'{host}' is no address of this machine", where="--host", remedy=remedy)
+
+
+@contextmanager
+def _serving(guard: Guard, listening: socket.socket, control_of: Callable[[str], Any]) -> Iterator[list[bool]]:
+    """While this lasts, servers of websockets listen there, refuse first, and serve the page with our script."""
+    original, served = websockets.asyncio.server.serve, []
+
+    def serve(handler: Any, *address: Any, process_request: Any = None, **options: Any) -> Any:
+        async def handle(connection: Any) -> None:
+            connection.recv = partial(next_message, connection.recv, control_of, _log)
+            await handler(connection)
+
+        def answer(connection: Any, request: Request) -> Response | None:
+            try:
+                response = guard.refusal(request.path, request.headers) or _page(connection, request, process_request)
+            except Exception as error:  # headers that cannot be read, a path too long for a file: not served
+                _log.warning("a request could not be answered: %s", shortened(repr(error)))
+                response = refuse("this request cannot be answered", http.HTTPStatus.BAD_REQUEST)
+            if response is not None:
+                response.headers[FRAMING[0]] = FRAMING[1]
+            return response
+
+        served.append(True)
+        _log.addFilter(_in_one_line)
+        options |= {"max_size": MOST_BYTES, "logger": _log}
+        return original(handle, sock=listening, process_request=answer, **options)
+
+    websockets.asyncio.server.serve = serve  # type: ignore[misc, assignment]
+    try:
+        yield served
+    finally:
+        websockets.asyncio.server.serve = original  # type: ignore[misc]
+
+
+def _page(connection: Any, request: Request, serve: Callable[[Any, Request], Response | None]) -> Response | None:
+    """What viser serves; the page itself uncompressed, with our script."""
+    is_page = urlsplit(request.path).path == "/" and request.headers.get("Upgrade", "").lower() != "websocket"
+    if is_page and "Accept-Encoding" in request.headers:
+        del request.headers["Accept-Encoding"]
+    response = serve(connection, request)
+    return with_script(response) if is_page and response is not None else response
+
+
+def _in_one_line(record: logging.LogRecord) -> bool:
+    """Log what failed without its traceback, and connections that ask for nothing not at all."""
+    if record.exc_info:
+        record.msg, record.args = f"{record.getMessage()}: {shortened(repr(record.exc_info[1]))}", ()
+        record.exc_info = None
+    return not record.getMessage().startswith(HANDSHAKE_FAILED)

@@ -1,0 +1,190 @@
+"""The page's server as it runs: where it listens, whom it serves, and what of a browser's messages it reads."""
+
+import http.client
+import logging
+import socket
+import threading
+
+import msgspec
+import pytest
+import viser
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from capture_rig.errors import InputError
+from sagoma_tools.cli import main
+from sagoma_tools.view.client_script import SCRIPT
+from sagoma_tools.view.guard import COOKIE, Guard
+from sagoma_tools.view.server import FRAMING, PORT, guarded_server, listening_socket
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1, 0, 0, 0],
+    "position": [3.0, 0, 1],
+    "fov": 1.0,
+    "near": 0.01,
+    "far": 1000,
+    "image_height": 600,
+    "image_width": 800,
+    "look_at": [0, 0, 1],
+    "up_direction": [0, 0, 1],
+}
+OPENED = {"Cookie": f"{COOKIE}=secret"}
+PATIENCE_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def server():
+    server = guarded_server(Guard("127.0.0.1", "secret"), 0)
+    yield server
+    server.stop()
+
+
+@pytest.fixture()
+def port(server):
+    return server.get_port()
+
+
+def get(port: int, path: str, **headers: str) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection("127.0.0.1", port)
+    connection.request("GET", path, headers=headers)
+    return connection.getresponse()
+
+
+def get_with_exactly(port: int, *headers: str, path: str = "/") -> bytes:
+    """The answer to a request that has these header lines and no others."""
+    with socket.create_connection(("127.0.0.1", port)) as link:
+        link.sendall("\r\n".join([f"GET {path} HTTP/1.1", *headers, "", ""]).encode("latin-1"))
+        return b"".join(iter(lambda: link.recv(1 << 16), b""))
+
+
+def test_the_server_asks_the_guard_before_it_serves_the_page(port):
+    assert get(port, "/").status == 403
+    assert get(port, "/../guard.py", **OPENED).status == 404
+    redirect = get(port, "/?token=secret")
+    assert redirect.status == 303 and "HttpOnly" in redirect.getheader("Set-Cookie")
+    page = get(port, "/", **OPENED)
+    assert page.status == 200
+    body = page.read()
+    assert len(body) == int(page.getheader("Content-Length")) and page.getheader("Content-Encoding") == "identity"
+    assert body.index(b"<head>" + SCRIPT.encode()) < body.index(b"<title>")
+
+
+def test_the_server_refuses_connections_of_other_origins(port):
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(f"ws://127.0.0.1:{port}/", origin="http://evil.example", additional_headers=OPENED)
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(f"ws://127.0.0.1:{port}/", origin=f"http://127.0.0.1:{port}")
+
+
+def test_the_page_is_served_without_accept_encoding_and_never_in_a_frame(port):
+    ours = f"Host: 127.0.0.1:{port}", f"Cookie: {COOKIE}=secret"
+    answer = get_with_exactly(port, *ours)
+    assert answer.startswith(b"HTTP/1.1 200 ") and SCRIPT.encode() in answer
+    for path in ("/", "/index.html"):
+        assert get(port, path, **OPENED).getheader(FRAMING[0]) == FRAMING[1] == "frame-ancestors 'none'"
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["Host: [::1"],
+        ["Host: 127.0.0.1", "Host: evil.example"],
+        ["Host: 127.0.0.1", "Upgrade: websocket", "Origin: http://[", f"Cookie: {COOKIE}=secret"],
+        ["Host: 127.0.0.1", f"Cookie: {COOKIE}=secret", "Upgrade: a", "Upgrade: websocket"],
+    ],
+)
+def test_odd_headers_are_refused_with_one_line_in_the_log(port, lines, caplog):
+    answer = get_with_exactly(port, *lines)
+    assert answer.startswith(b"HTTP/1.1 400 ") and b"<html" not in answer
+    (record,) = (record for record in caplog.records if record.levelno >= logging.WARNING)
+    assert "could not be answered" in record.message and "\n" not in record.message and record.exc_info is None
+
+
+def test_a_path_too_long_for_a_file_is_refused(port):
+    assert get(port, "/" + "a" * 5000, **OPENED).status == 400
+
+
+def send(link: ClientConnection, message: object) -> None:
+    link.send(msgspec.msgpack.encode(message))
+
+
+def update_of(control, **updates: object) -> dict:
+    return {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": updates}
+
+
+def test_messages_of_wrong_types_are_left_out_and_every_control_goes_on(server: viser.ViserServer, caplog):
+    gui = server.gui
+    controls = [
+        gui.add_slider("second", 0.0, 9.0, 0.01, 1.0),
+        gui.add_text("name", "walk"),
+        gui.add_checkbox("pictures", False),
+        gui.add_dropdown("take", ("walk", "run")),
+        gui.add_button_group("recording", ("record", "finish")),
+    ]
+    before = [control.value for control in controls]
+    moved = threading.Event()
+    controls[0].on_update(lambda event: moved.set())
+    bad: list[object] = [
+        update_of(control, **updates)
+        for control in controls
+        for updates in (
+            {"__dict__": {}},
+            {"value": {}},
+            {"value": [1]},
+            {"value": None},
+            {"update_cb": []},
+            {"nothing": 1},
+        )
+    ]
+    bad += [update_of(controls[0], value=value) for value in ("1", True, float("nan"), float("inf"))]
+    bad += [update_of(controls[2], value=1), update_of(controls[1], value=7)]
+    bad += [update_of(control, value="none of these") for control in controls[3:]]
+    bad += [{**CAMERA, "position": "here"}, {**CAMERA, "look_at": [0, 0]}, {**CAMERA, "fov": float("nan")}]
+    bad += [{"type": "GuiUpdateMessage"}, {"type": "ShareUrlRequest"}, {"type": []}, {}, [], 7, None]
+    address = f"ws://127.0.0.1:{server.get_port()}/"
+    protocol = f"viser-v{viser.__version__}"
+    with connect(address, additional_headers=OPENED, subprotocols=[protocol]) as link:
+        for message in bad:
+            send(link, message)
+        link.send("text")
+        link.send(b"\xc1")
+        left_out = len(bad) + 2
+        send(link, CAMERA)
+        assert not moved.is_set()
+        send(link, update_of(controls[0], value=2))
+        assert moved.wait(PATIENCE_S)  # of the same connection, so all before has been read
+    assert [control.value for control in controls] == [2.0, *before[1:]]
+    records = [record for record in caplog.records if record.levelno >= logging.WARNING]
+    assert len(records) == left_out and all("left out" in record.message for record in records)
+    assert all("\n" not in record.message and record.exc_info is None for record in records)
+
+
+@pytest.mark.parametrize("port", [-1, 65536, 99999999])
+def test_a_port_out_of_range_ends_the_command_at_once(port, capsys):
+    assert main(["view", "--port", str(port)]) == 2
+    assert (
+        capsys.readouterr().err == f"sagoma: --port: {port} is no port. Give one up to 65535, or 0 for any free one.\n"
+    )
+
+
+@pytest.mark.parametrize("host", ["256.1.1.1", "", "203.0.113.7", "a" * 100])
+def test_a_host_that_is_not_this_machine_ends_the_command_at_once(host, capsys):
+    assert main(["view", "--host", host]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"sagoma: --host: '{host}' is no address of this machine.") and "ip address" in said
+
+
+def test_an_empty_token_ends_the_command_with_the_remedy(capsys):
+    assert main(["view", "--host", "0.0.0.0", "--token", ""]) == 2
+    assert "--token: an empty token" in (said := capsys.readouterr().err) and "Leave --token out" in said
+
+
+def test_a_taken_port_is_refused_when_it_was_asked_for_and_else_passed_over(capsys):
+    with listening_socket("127.0.0.1", None) as first, listening_socket("127.0.0.1", None) as second:
+        taken = first.getsockname()[1]
+        assert PORT <= taken < second.getsockname()[1]
+        with pytest.raises(InputError, match=f"port {taken} is taken"):
+            listening_socket("127.0.0.1", taken)
+        assert main(["view", "--port", str(taken)]) == 2
+        assert "Give another one" in capsys.readouterr().err

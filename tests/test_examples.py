@@ -1,0 +1,155 @@
+"""Each of the examples, run as the process that a user would start, and what comes of it."""
+
+import ast
+import csv
+import io
+import re
+import select
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from take_bags import write_take
+
+from capture_rig.session import load_session
+from sagoma_ros.qos import RESULT
+from stick_figure.body import Body
+from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
+from virtual_studio.recording.session import RenderSettings, write_session
+from virtual_studio.rig import ring
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples"
+PATIENCE_S = 30.0
+
+
+def result_of(name: str, *arguments: object) -> str:
+    """What an example prints until it has ended well."""
+    command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def numbers(printed: str) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Columns (C,), frames (F,) and values (F, C) of a printed table."""
+    header, *rows = csv.reader(io.StringIO(printed))
+    table = np.array(rows, float)
+    return header[1:], table[:, 0].astype(int), table[:, 1:]
+
+
+def test_tracked_session_has_the_true_elbows_and_knees(built_in_session):
+    names, frames, angles_deg = numbers(result_of("01_track_session.py", built_in_session))
+    truth = load_session(built_in_session).truth
+    assert truth is not None and truth.angles is not None
+    assert tuple(names) == ANGLE_NAMES and len(frames) > 30 and frames[-1] == truth.frames[-1]
+    hinges = [column for column, name in enumerate(names) if name.endswith(("elbow", "knee"))]
+    off_deg = np.abs(angles_deg - np.degrees(truth.angles[np.searchsorted(truth.frames, frames)]))[:, hinges]
+    assert len(hinges) == 4 and np.median(off_deg) < 8.0
+
+
+def test_the_example_of_the_readme_prints_the_angles_of_each_frame(built_in_session):
+    block = re.search(r"```python\n(from .*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    assert block is not None
+    code = block[1].replace("my_session", str(built_in_session))
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    stamps, angles = zip(*(line.split(" ", 1) for line in printed.splitlines()), strict=True)
+    assert len(stamps) > 30 and sorted(set(map(int, stamps))) == list(map(int, stamps))
+    assert tuple(ast.literal_eval(angles[-1])) == ANGLE_NAMES
+
+
+def test_own_silhouettes_give_the_true_places_of_the_hands(tmp_path):
+    look = RenderSettings(shadow=False)
+    session = write_session(
+        tmp_path / "s", ring(4, True), Body.from_stature(1.75), fps=30.0, seconds=1.5, settings=look
+    )
+    _, frames, hands = numbers(result_of("02_own_silhouettes.py", session))
+    truth = load_session(session).truth
+    assert truth is not None and len(frames) > 30 and frames[-1] == truth.frames[-1]
+    true_points = truth.stick_figure_points()[np.searchsorted(truth.frames, frames)]
+    expected = true_points[:, [POINT_NAMES.index("left_hand"), POINT_NAMES.index("right_hand")]]
+    assert np.linalg.norm(hands.reshape(-1, 2, 3) - expected, axis=2).mean() < 0.03
+
+
+def test_take_becomes_a_bvh_file_whose_root_walks_as_the_person_did(tmp_path):
+    take = write_take(tmp_path / "walk", frames=40)
+    said = result_of("04_take_to_bvh.py", take, tmp_path / "animations")
+    path = tmp_path / "animations" / "walk.bvh"
+    assert said == f"{path}: 40 frames at 50 Hz, 0 gaps filled\n"
+    lines = path.read_text().splitlines()
+    motion = lines.index("MOTION")
+    assert lines[0] == "HIERARCHY" and lines[motion + 1 : motion + 3] == ["Frames: 40", "Frame Time: 0.020000000"]
+    roots_cm = np.array([row.split()[:3] for row in lines[motion + 3 :]], float)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(roots_cm, axis=0), axis=1), 1.0, atol=0.02)
+
+
+@pytest.fixture
+def node():
+    rclpy.init()
+    node = rclpy.create_node("pose_source")
+    yield node
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def subscriber():
+    command = [sys.executable, str(EXAMPLES / "03_subscribe_pose.py")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    watchdog = threading.Timer(2 * PATIENCE_S, process.kill)  # a hung example ends the reads below
+    watchdog.start()
+    yield process
+    watchdog.cancel()
+    process.kill()
+    process.communicate()
+
+
+def joint_states(angle, rate):
+    message = JointState(name=list(ANGLE_NAMES), position=[0.0] * 18, velocity=[0.0] * 18)
+    message.position[8], message.velocity[8] = angle, rate
+    return message
+
+
+def torso_at(x, y, z):
+    message = PoseWithCovarianceStamped()
+    place = message.pose.pose.position
+    place.x, place.y, place.z = x, y, z
+    return message
+
+
+def publisher_matched_by_the_example(node, message, topic):
+    """A publisher with the tracker's QoS, once somebody listens."""
+    matched = Future()
+    events = PublisherEventCallbacks(matched=lambda status: matched.set_result(status.current_count))
+    publisher = node.create_publisher(message, topic, RESULT, event_callbacks=events)
+    rclpy.spin_until_future_complete(node, matched, timeout_sec=PATIENCE_S)
+    assert matched.done(), f"the example did not subscribe to {topic}"
+    return publisher
+
+
+def next_line(process, publisher, message):
+    """The next line that the example prints, while the message is published: its half of the match may come later."""
+    while not select.select([process.stdout], [], [], 0.2)[0]:
+        publisher.publish(message)
+    return process.stdout.readline()
+
+
+def test_subscriber_prints_torso_and_joint_as_it_hears_them_and_ends_at_ctrl_c(node, subscriber):
+    torso = publisher_matched_by_the_example(node, PoseWithCovarianceStamped, "/mocap/torso")
+    assert next_line(subscriber, torso, torso_at(1.0, -0.5, 1.1)) == "torso at 1.00 -0.50 1.10 m\n"
+    joints = publisher_matched_by_the_example(node, JointState, "/mocap/joint_states")
+    lines = (next_line(subscriber, joints, joint_states(-0.75, 1.25)) for _ in range(1000))
+    assert "left_elbow -0.750 rad, 1.25 rad/s\n" in lines
+    subscriber.send_signal(signal.SIGINT)
+    assert subscriber.wait(PATIENCE_S) == 0
+    rest = subscriber.stdout.read()
+    assert (rest.splitlines()[-1], subscriber.stderr.read()) == ("bye", "")

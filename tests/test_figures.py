@@ -1,0 +1,183 @@
+"""Figures in pages: what a bench records, what the pages take from it, and which of it is older than its code."""
+
+import json
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import report
+
+import pytest
+from figures import FigureError, Figures, main, pages_of, records_of
+
+ROOT = Path(__file__).resolve().parents[1]
+RECORD = {
+    "command": "python bench/a.py --quick",
+    "commit": None,
+    "date": "2026-11-23 21:00",
+    "figures": {"off_mm": 1.25},
+    "tables": [[["way", "mm"], ["on", "1"]]],
+}
+PAGE = "<!-- figures: {} -->\nwhatever stood here\n<!-- /figures -->\n"
+ROWS = """
+tables: {all: [way], short: [way], printed: a_quick}
+rows:
+  way: {what: the way, figure: "{a_quick[off_mm]:.1f} mm", more: " (tried once)", measures: [walker]}
+"""
+
+
+def test_the_pages_say_what_the_records_say():
+    figures = Figures(ROOT)
+    differing = [page.name for page in pages_of(ROOT) if figures.rendered(page) != page.read_text(encoding="utf-8")]
+    assert not differing, "run make figures"
+
+
+def test_every_record_names_its_command_and_stands_in_a_row():
+    figures = Figures(ROOT)
+    rows, tables = figures.described["rows"], figures.described["tables"]
+    used = {record for row in rows.values() for record in records_of(row["figure"] + row.get("more", ""))}
+    lists = [table for table in tables.values() if isinstance(table, list)]
+    assert used | {table for table in tables.values() if isinstance(table, str)} == set(figures.records)
+    assert {name for table in lists for name in table} == set(rows)
+    assert all({"command", "commit", "date", "figures"} <= set(record) for record in figures.records.values())
+    assert all((ROOT / "src" / package / package).is_dir() for row in rows.values() for package in row["measures"])
+
+
+def test_rows_older_than_their_code_are_named_in_a_warning():
+    try:
+        lines = Figures(ROOT).stale()
+    except FigureError as reason:
+        pytest.skip(str(reason))
+    assert {line.partition(":")[0] for line in lines} <= set(Figures(ROOT).described["rows"])
+    if lines:
+        warnings.warn("older than their code:\n" + "\n".join(lines), stacklevel=1)
+
+
+@pytest.fixture
+def tree(tmp_path):
+    """A small tree under git with a record, its row and two pages."""
+    for folder in ("docs/figures", "src/walker/walker"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "docs/figures/rows.yaml").write_text(ROWS)
+    (tmp_path / "README.md").write_text(f"before\n{PAGE.format('short')}after\n")
+    (tmp_path / "docs/long.md").write_text(PAGE.format("all") + PAGE.format("printed"))
+    (tmp_path / "src/walker/walker/gait.py").write_text("STEP_M = 0.7\n")
+    git(tmp_path, "init", "-q")
+    git(tmp_path, "add", "src")
+    git(tmp_path, "commit", "-qm", "Walk")
+    record(tmp_path, commit=git(tmp_path, "rev-parse", "HEAD"))
+    return tmp_path
+
+
+def git(tree, *words):
+    who = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    return subprocess.run(["git", *who, *words], cwd=tree, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def record(tree, **changed):
+    (tree / "docs/figures/a_quick.json").write_text(json.dumps({**RECORD, **changed}))
+
+
+def test_make_figures_fills_the_tables_and_a_second_time_changes_nothing(tree, capsys):
+    assert main(tree, check=True) == 1
+    assert main(tree, check=False) == 0
+    assert (tree / "README.md").read_text().splitlines()[3:] == [
+        "|---|---|---|",
+        "| the way | 1.2 mm | `python bench/a.py --quick` |",
+        "<!-- /figures -->",
+        "after",
+    ]
+    commit, long = git(tree, "rev-parse", "HEAD"), (tree / "docs/long.md").read_text()
+    assert f"| 1.2 mm (tried once) | `python bench/a.py --quick` | 2026-11-23, {commit[:7]} |" in long
+    assert "-->\n| way | mm |\n|---|---|\n| on | 1 |\n<!-- /figures -->" in long
+    capsys.readouterr()
+    assert main(tree, check=True) == main(tree, check=False) == 0
+    assert capsys.readouterr().out == ""
+
+
+def test_a_page_that_says_something_else_is_named(tree, capsys):
+    main(tree, check=False)
+    record(tree, figures={"off_mm": 7.0}, commit=git(tree, "rev-parse", "HEAD"))
+    assert main(tree, check=True) == 1
+    assert capsys.readouterr().out.splitlines()[-2:] == [
+        f"{page}: differs from the records; run make figures" for page in ("README.md", "docs/long.md")
+    ]
+
+
+def test_a_row_that_does_not_fit_its_record_is_an_error_that_names_it(tree, capsys):
+    record(tree, figures={"on_mm": 1.0})
+    assert main(tree, check=False) == 1
+    assert "row 'way'" in capsys.readouterr().err
+
+
+def test_a_row_is_stale_once_a_commit_has_changed_its_code_and_not_before(tree):
+    (tree / "README.md").write_text("another page\n")
+    git(tree, "add", ".")
+    git(tree, "commit", "-qm", "Page")
+    assert Figures(tree).stale() == []
+    (tree / "src/walker/walker/gait.py").write_text("STEP_M = 0.8\n")
+    git(tree, "commit", "-qam", "Walk faster")
+    (line,) = Figures(tree).stale()
+    assert line.startswith("way: a_quick is of ") and line.endswith(git(tree, "rev-parse", "--short", "HEAD"))
+
+
+@pytest.mark.parametrize(
+    ("commit", "said"), [(None, "no commit"), ("0" * 40, "0000000"), ("HEAD-dirty", "with changes that no commit")]
+)
+def test_a_row_whose_commit_is_unknown_or_dirty_is_named(tree, commit, said):
+    if commit is not None:
+        commit = commit.replace("HEAD", git(tree, "rev-parse", "HEAD"))
+    record(tree, commit=commit)
+    (line,) = Figures(tree).stale()
+    assert said in line
+
+
+def test_without_a_history_ages_are_unknown(tree, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("copies")
+    (folder / "none").mkdir()
+    (tree / "src/walker/walker/gait.py").write_text("STEP_M = 0.8\n")
+    git(tree, "commit", "-qam", "Walk faster")
+    git(folder, "clone", "-q", "--depth", "1", f"file://{tree}", "shallow")
+    for copy in ("none", "shallow"):
+        with pytest.raises(FigureError, match="no history"):
+            Figures(folder / copy).stale()
+
+
+@pytest.mark.parametrize(
+    ("words", "name", "command"),
+    [
+        (["--quick", "--record"], "bench_of_nothing_quick", "--quick"),
+        (["--record=way", "--hz", "60"], "way", "--hz 60"),
+        (["--record", "60", "--hz", "60"], "60", "--hz 60"),
+    ],
+)
+def test_record_keeps_figures_with_command_commit_and_machine(words, name, command, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(report, "FIGURES", tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(ROOT / "bench" / "bench_of_nothing.py"), *words])
+    given = report.parser("A bench of nothing.", quick="nothing")
+    given.add_argument("--hz")
+    given.parse_args()
+    report.Table("way:<8 | off:>6.1f").row("there", 1.5)
+    printed = capsys.readouterr().out
+    report.finish({"off_mm": 1.5, "lost": float("nan")})
+    kept = json.loads((tmp_path / f"{name}.json").read_text())
+    assert kept["command"] == f"python bench/bench_of_nothing.py {command}"
+    assert kept["figures"] == json.loads(capsys.readouterr().out) == {"off_mm": 1.5, "lost": None}
+    assert (
+        kept["tables"][-1] == [line.split() for line in printed.splitlines()[1:]] == [["way", "off"], ["there", "1.5"]]
+    )
+    assert kept["commit"] == report.commit()
+    assert kept["machine"]["cores"] >= 1 and kept["machine"]["processor"]
+
+
+def test_without_record_nothing_is_written_and_a_bench_without_figures_refuses_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(report, "FIGURES", tmp_path)
+    given = report.parser("A bench.")
+    given.parse_args([])
+    report.finish({"off_mm": 1.5})
+    assert not list(tmp_path.iterdir())
+    given.parse_args(["--record"])
+    with pytest.raises(SystemExit):
+        report.execute(lambda: None)
+    assert "without a line of JSON" in capsys.readouterr().err
