@@ -2,6 +2,7 @@
 
 import re
 import threading
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -158,6 +159,23 @@ def test_replay_without_a_subscriber_names_the_topic(link):
     publishers = InputPublishers(link.node, {silhouette_topic("cam01"): SILHOUETTE})
     with pytest.raises(InputError, match="/cam01/silhouette/compressed: no subscriber within"):
         publishers.wait_for_subscribers([silhouette_topic("cam01")], timeout_s=0.2)
+
+
+def test_replay_beside_a_live_camera_names_it_and_publishes_nothing(link, far_link):
+    graph = FakeGraph(far_link)
+    publishers = connected_publishers(link)
+    topic, other = silhouette_topic("cam02"), silhouette_topic("cam03")
+    live = [far_link.node.create_publisher(CompressedImage, name, LOSSLESS) for name in (topic, other)]
+    with pytest.raises(
+        InputError, match=r"^/fake_graph: live cameras publish these silhouettes already.*--only server"
+    ):
+        publishers.require_no_other(map(silhouette_topic, CAMERAS))
+    far_link.node.destroy_publisher(live[0])
+    end_s = time.monotonic() + 20
+    while len(link.node.get_publishers_info_by_topic(topic)) > 1 and time.monotonic() < end_s:
+        threading.Event().wait(0.05)
+    publishers.require_no_other(map(silhouette_topic, CAMERAS))  # a camera that the bag lacks may be live
+    assert graph.heard == []
 
 
 def test_recorded_bytes_equal_the_published_ones(link, far_link, tmp_path):

@@ -60,6 +60,16 @@ def test_a_bag_may_be_named_by_its_path(folder, capsys):
     assert main(["takes", "verify", str(folder / "walk"), "--json"]) == 0
     assert {check["grade"] for check in json.loads(capsys.readouterr().out)} == {"ok", "warning"}
     assert main(["takes", "verify", str(folder / "cut")]) == 1
+    assert capsys.readouterr().out.startswith("error   ")
+
+
+def test_checks_printed_into_a_pipe_are_columns(folder, capsys):
+    assert takes(folder, "verify", "walk") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) > 2 and {line[:8] for line in lines} == {"ok      ", "warning "}
+
+
+def test_a_take_that_is_not_there_is_named(folder):
     assert main(["takes", "show", str(folder / "nobody")]) == 2
 
 

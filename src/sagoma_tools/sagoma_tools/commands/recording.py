@@ -155,9 +155,11 @@ def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event)
     if simulated is not None:
         wanted.discard(CLOCK_TOPIC)  # one clock is enough
     publishers = InputPublishers(link.node, {name: types[name] for name in sorted(wanted)})
+    silhouettes = [name for name in inputs & wanted if name.endswith(SILHOUETTE_SUFFIX)]
     if args.topics == "inputs":
-        silhouettes = [name for name in inputs if name.endswith(SILHOUETTE_SUFFIX)]
         publishers.wait_for_subscribers(silhouettes, SUBSCRIBER_TIMEOUT_S)
+    if silhouettes:
+        publishers.require_no_other(silhouettes)
     count, times, clock = 0, 0, MonotonicClock(stop)
     doing("playing the bag")
     while not (stop.is_set() or (times and not args.loop)):

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from capture_rig.errors import InputError
 
@@ -147,8 +148,7 @@ def print_checks(checks: list[Check]) -> None:
     """Print a line a check."""
     console = command_console()
     for each in checks:
-        console.print(f"{each.grade:8s}", style=CHECK_STYLE[each.grade], end="", highlight=False)
-        console.print(each.text, markup=False, highlight=False)
+        console.print(Text.assemble((f"{each.grade:8s}", CHECK_STYLE[each.grade]), each.text))
 
 
 def rename(args: argparse.Namespace) -> int:

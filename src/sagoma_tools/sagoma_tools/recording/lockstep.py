@@ -112,6 +112,7 @@ def lockstep_into(
     publishers = InputPublishers(node, topics | {name: types[name] for name in input_topics(bag)})
     silhouettes = [f"/{camera}{SILHOUETTE_SUFFIX}" for camera in {*cameras, *bag_cameras(bag)}]
     publishers.wait_for_subscribers(silhouettes, CONNECT_TIMEOUT_S)
+    publishers.require_no_other(silhouettes)
     frame_sets = read_frame_sets(bag, frame_tolerance_ns(bag) if tolerance_ns is None else tolerance_ns)
     done = doing("replaying frame sets")
     return play_lockstep(frame_sets, publishers, answers, timeout_s=ANSWER_TIMEOUT_S, cancel=cancel, progress=done)

@@ -64,7 +64,12 @@ def recover_bag(bag: str | Path, target: str | Path) -> Recovery:
     """
     files = sorted(Path(bag).glob("*.mcap"))
     if len(files) != 1:
-        raise InputError(f"holds {len(files)} mcap files", where=str(bag), remedy="Give the folder of one mcap bag.")
+        remedy = "Give the folder that holds one .mcap file."
+        if not Path(bag).is_dir():
+            raise InputError(
+                "is no folder" if Path(bag).exists() else "there is no such bag", where=str(bag), remedy=remedy
+            )
+        raise InputError(f"holds {len(files) or 'no'} .mcap files", where=str(bag), remedy=remedy)
     if _is_readable(bag):
         raise InputError("is complete", where=str(bag), remedy="It needs no recovery: it can be read as it is.")
     recovery = Recovery()

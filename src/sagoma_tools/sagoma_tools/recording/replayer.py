@@ -21,9 +21,13 @@ from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
 from sagoma_ros.images import absence_message
 
+from ..graph.ros_link import settled
 from ..graph.topics import LOSSLESS, PREDICTION_TOPIC, SILHOUETTE_SUFFIX, cameras_in, message_class, offered_qos
 from .reader import BagMessage, header_stamp_ns
 from .simulated_clock import Playback, SimulatedClock
+
+SERVER_ALONE = "`sagoma up --rig RIG --only server`"
+DISCOVERY_S = 10.0
 
 
 class Clock(Protocol):
@@ -54,7 +58,7 @@ class InputPublishers:
 
     def __init__(self, node: Node, topics: Mapping[str, str]) -> None:
         """``topics``: name -> message type."""
-        self._matched = threading.Condition()
+        self._node, self._matched = node, threading.Condition()
         self._subscribers = dict.fromkeys(topics, 0)
         self._publishers: dict[str, Publisher] = {
             name: node.create_publisher(
@@ -75,9 +79,22 @@ class InputPublishers:
                 raise InputError(
                     f"no subscriber within {timeout_s:g} s",
                     where=missing,
-                    remedy="Start the hull server (`sagoma up --rig ... --server`), or check "
-                    "ROS_DOMAIN_ID and the camera names of its rig.",
+                    remedy=f"Start the hull server ({SERVER_ALONE}), or check ROS_DOMAIN_ID and the camera names of "
+                    "its rig.",
                 )
+
+    def require_no_other(self, topics: Iterable[str]) -> None:
+        """Raises InputError when another node publishes one of ``topics``, as a live camera does: bodies would leap
+        between the two. Looks until discovery is quiet."""
+        names, own = tuple(topics), self._node.get_fully_qualified_name()
+
+        def others() -> set[str]:
+            found = (info for name in names for info in self._node.get_publishers_info_by_topic(name))
+            return {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in found} - {own}
+
+        if live := settled(others, 0, DISCOVERY_S):
+            remedy = f"Stop the cameras, run the server alone ({SERVER_ALONE}), or use another ROS_DOMAIN_ID."
+            raise InputError("live cameras publish these silhouettes already", where=", ".join(live), remedy=remedy)
 
     def publish(self, message: BagMessage) -> None:
         """Publish the serialized message as it is."""
