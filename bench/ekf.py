@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
 from report import Table, execute, finish, parser
 
 import numpy as np
 
 from ekf_tracker.filter import ArticulatedEkf, warm_up
-from ekf_tracker.settings import EkfSettings, MeasurementBiasSettings
+from ekf_tracker.settings import EkfSettings
 from mocap_packets.state import BodyState
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -30,8 +31,6 @@ SETTLED = 60
 CHI2_95 = 7.815
 """95 % of a chi-square with 3 degrees of freedom."""
 STATURE_M = 1.75
-NO_BIAS = MeasurementBiasSettings(share=0.0, joints=0.0)
-"""The simulated noise is new in every set."""
 
 
 def motion(body: Body, frames: int) -> Iterator[np.ndarray]:
@@ -51,7 +50,7 @@ def motion(body: Body, frames: int) -> Iterator[np.ndarray]:
 def measure(model: str) -> dict[str, float]:
     """Figures of one motion model; lengths in mm, cost in ms of CPU time for one set."""
     body = Body.from_stature(STATURE_M)
-    ekf = ArticulatedEkf(body, EkfSettings(motion_model=model, measurement_bias=NO_BIAS))
+    ekf = ArticulatedEkf(body, replace(EkfSettings.of_ideal_figure(), motion_model=model))
     rng, covariance = np.random.default_rng(1), np.tile(np.eye(3) * NOISE_M**2, (15, 1, 1))
     cost, raw, filtered, inside = [], [], [], []
     for k, true in enumerate(motion(body, FRAMES)):

@@ -69,8 +69,8 @@ def compare_labelled(clip: Clip) -> None:
 
 
 def _filter(clip: Clip, model: str) -> Solver:
-    ekf, covariance = ArticulatedEkf(clip.body, EkfSettings(motion_model=model)), np.tile(np.eye(3), (15, 1, 1))
-    frame = -1
+    ekf = ArticulatedEkf(clip.body, replace(EkfSettings.of_ideal_figure(), motion_model=model))
+    covariance, frame = np.tile(np.eye(3), (15, 1, 1)), -1
 
     def step(z: np.ndarray) -> np.ndarray:
         nonlocal frame
@@ -117,9 +117,8 @@ def stepwise(body: Body, start: Pose, solve: Callable[[Pose, np.ndarray], Pose])
 
 def our_solve(clip: Clip) -> Solver:
     """The all-joints solve, told the noise; without robust gate, rest of the head and joint limits, like the others."""
-    settings = ArticulatedSettings(
-        model_sigma_m=1e-3, gate_m=10.0, prior=replace(PRIOR, neck_sd=0.0, limit_sd=0.0), max_iterations=ASSIGNMENTS
-    )
+    prior = replace(PRIOR, neck_sd=0.0, limit_sd=0.0)
+    settings = replace(ArticulatedSettings.of_ideal_figure(), gate_m=10.0, prior=prior, max_iterations=ASSIGNMENTS)
 
     def solve(pose: Pose, points: np.ndarray) -> Pose:
         return fit_articulated(clip.body, pose, points, clip.sigma_m, settings=settings).pose

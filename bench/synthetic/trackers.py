@@ -10,6 +10,7 @@ import numpy as np
 from ekf_tracker.people import PeopleFilter
 from ekf_tracker.settings import EkfSettings
 from icp_tracker.acquisition.initial_pose import KnownPose
+from icp_tracker.articulated_fit import ArticulatedSettings
 from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.thesis.hierarchical_icp import HierarchicalSettings
 from icp_tracker.tracker import IcpTracker, TrackerSettings
@@ -60,20 +61,19 @@ def thesis(descendant_weight: float = 0.2) -> Method:
 
 
 def all_joints_alone() -> Method:
-    """The all-joints solve from its own pose before."""
-    return Method("all joints at once, from its own last pose", feedback=False)
+    """The all-joints solve from its own pose before, told that the data are sticks."""
+    return replace(chain_for_sticks(), name="all joints at once, from its own last pose", feedback=False)
 
 
 def chain() -> Method:
-    """What the graph runs, with its defaults."""
-    return Method("our chain")
+    """What the graph runs, with its defaults: for people in hulls, whose errors last for many sets."""
+    return Method("our chain, with its defaults")
 
 
 def chain_for_sticks() -> Method:
-    """The same, told that the figure is the body: no joint lies elsewhere, and a perfect point is on its stick."""
-    settings = TrackerSettings()
-    exact = replace(settings.articulated, model_sigma_m=1e-3)
-    return Method("our chain, told that the data are sticks", replace(settings, articulated=exact))
+    """The same, told that the data are sticks: the body is the figure, and every set's errors are new."""
+    figure = TrackerSettings(articulated=ArticulatedSettings.of_ideal_figure())
+    return Method("our chain, told that the data are sticks", figure, EkfSettings.of_ideal_figure())
 
 
 def track(

@@ -85,6 +85,12 @@ class EkfSettings:
         low=0.01,
     )
 
+    @classmethod
+    def of_ideal_figure(cls) -> EkfSettings:
+        """Return the settings for a body that is the stick figure: its torso is rigid, its joints are the figure's, and
+        the errors of its points are new in every set."""
+        return cls(measurement_bias=MeasurementBiasSettings(share=0.0, joints=0.0), bend=0.0)
+
 
 @dataclass(frozen=True)
 class EkfNodeSettings:

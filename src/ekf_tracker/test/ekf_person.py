@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ekf_tracker.settings import EkfSettings, MeasurementBiasSettings
+from ekf_tracker.settings import EkfSettings
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -15,9 +15,8 @@ NOISE_M = 0.02
 ALL = np.ones(15, bool)
 NONE = np.zeros(15, bool)
 
-NO_BIAS = MeasurementBiasSettings(share=0.0, joints=0.0)
-WHITE = EkfSettings(measurement_bias=NO_BIAS, bend=0.0)
-"""For points whose errors are new in every set, as the simulated ones' are."""
+IDEAL = EkfSettings.of_ideal_figure()
+"""For points on the figure itself whose errors are new in every set, as the simulated ones' are."""
 
 BENT_ANGLES = T_POSE_ANGLES.copy()
 BENT_ANGLES[8:10], BENT_ANGLES[14:16] = -0.9, 0.8

@@ -1,14 +1,16 @@
 """Covariances that include errors which last: against simulated biases, and against the gain that must not change."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from ekf_person import ALL, NO_BIAS, NONE, Person, ellipsoid_distances, isotropic, run, stamp
+from ekf_person import ALL, IDEAL, NONE, Person, ellipsoid_distances, isotropic, run, stamp
 from scipy.stats import chi2
 
 from capture_rig.settings import build_settings
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.joint_uncertainty import JOINT_SD_M
-from ekf_tracker.settings import EkfNodeSettings, EkfSettings, MeasurementBiasSettings
+from ekf_tracker.settings import EkfNodeSettings, MeasurementBiasSettings
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import POINT_NAMES
 
@@ -24,7 +26,7 @@ def run_with_biased_pose(body, seed, lasting, tau_s=0.5, sd=0.03, frames=240):
     points and the true poses.
     """
     rng, person = np.random.default_rng(seed), Person(body, seed, speed=0.7)
-    ekf, decay = ArticulatedEkf(body, EkfSettings(measurement_bias=lasting, bend=0.0)), np.exp(-1 / (60 * tau_s))
+    ekf, decay = ArticulatedEkf(body, replace(IDEAL, measurement_bias=lasting)), np.exp(-1 / (60 * tau_s))
     slots = np.full(24, 0.06)
     slots[:3] = 0.02
     stray, states, truth, poses = slots * rng.standard_normal(24), [], [], []
@@ -49,7 +51,7 @@ def share_inside(states, truth):
 def test_points_whose_errors_last_are_inside_their_ellipsoids_as_often_as_claimed(body):
     shares = {
         name: np.mean([share_inside(*run_with_biased_pose(body, seed, lasting)[:2]) for seed in range(4)])
-        for name, lasting in (("whole", WHOLE), ("none", NO_BIAS))
+        for name, lasting in (("whole", WHOLE), ("none", IDEAL.measurement_bias))
     }
     assert 0.88 < shares["whole"] < 0.99
     assert shares["none"] < 0.75
@@ -67,9 +69,9 @@ def test_joints_whose_errors_last_fit_their_covariance(body):
 
 def test_joints_that_lie_elsewhere_widen_the_covariance_and_leave_the_estimate(body, person):
     rng = [np.random.default_rng(3) for _ in range(2)]
-    joints = EkfSettings(measurement_bias=MeasurementBiasSettings(share=0.0, joints=1.0), bend=0.0)
+    joints = replace(IDEAL, measurement_bias=MeasurementBiasSettings(share=0.0, joints=1.0))
     lasting, _ = run(ArticulatedEkf(body, joints), person, 60, rng=rng[0])
-    fleeting, _ = run(ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS, bend=0.0)), person, 60, rng=rng[1])
+    fleeting, _ = run(ArticulatedEkf(body, IDEAL), person, 60, rng=rng[1])
     for a, b in zip(lasting, fleeting, strict=True):
         np.testing.assert_array_equal(a.points_world, b.points_world)
         np.testing.assert_array_equal(a.velocity, b.velocity)
@@ -79,15 +81,15 @@ def test_joints_that_lie_elsewhere_widen_the_covariance_and_leave_the_estimate(b
 
 @pytest.mark.parametrize("sets", [10, 200])
 def test_no_number_of_sets_brings_a_point_below_what_lasts(body, person, sets):
-    settings = EkfSettings(measurement_bias=MeasurementBiasSettings(share=0.9, joints=0.0), bend=0.0)
+    settings = replace(IDEAL, measurement_bias=MeasurementBiasSettings(share=0.9, joints=0.0))
     states, _ = run(ArticulatedEkf(body, settings), person, sets, noise=0.02)
     assert np.sqrt(np.linalg.eigvalsh(states[-1].point_covariance)[:, 0]).min() > 0.02 * np.sqrt(0.9)
 
 
 def test_a_joint_lies_elsewhere_along_the_axes_of_its_own_stick(body, person):
-    settings = EkfSettings(measurement_bias=MeasurementBiasSettings(share=0.0, joints=2.0), bend=0.0)
+    settings = replace(IDEAL, measurement_bias=MeasurementBiasSettings(share=0.0, joints=2.0))
     with_joints, _ = run(ArticulatedEkf(body, settings), person, 40)
-    without, _ = run(ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS, bend=0.0)), person, 40)
+    without, _ = run(ArticulatedEkf(body, IDEAL), person, 40)
     added = with_joints[-1].point_covariance - without[-1].point_covariance
     forward, left, up = with_joints[-1].pose.R_world_torso.T
     for axis, sd in zip((forward, left, up), JOINT_SD_M[HIP], strict=True):
@@ -99,7 +101,7 @@ def test_gain_follows_what_is_new_in_a_set_and_not_what_lasts(body):
     person = Person(body, 2, speed=3.0)
     errors = {}
     for share in (0.0, 0.95):
-        settings = EkfSettings(measurement_bias=MeasurementBiasSettings(share=share, joints=0.0), bend=0.0)
+        settings = replace(IDEAL, measurement_bias=MeasurementBiasSettings(share=share, joints=0.0))
         rng, ekf, found = np.random.default_rng(5), ArticulatedEkf(body, settings), []
         for k in range(90):
             measured = person.points(k / 60) + 0.002 * rng.standard_normal((15, 3))
@@ -121,9 +123,7 @@ def test_slots_that_no_point_bears_on_are_not_widened(body, person):
     visible = ALL.copy()
     visible[[HAND, POINT_NAMES.index("left_elbow")]] = False
     states, _ = run(ArticulatedEkf(body), person, 20, visible=lambda k: visible)
-    fleeting, _ = run(
-        ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS, bend=0.0)), person, 20, visible=lambda k: visible
-    )
+    fleeting, _ = run(ArticulatedEkf(body, IDEAL), person, 20, visible=lambda k: visible)
     shoulder = [8, 12, 10, 14]
     np.testing.assert_allclose(
         np.diag(states[-1].covariance)[shoulder], np.diag(fleeting[-1].covariance)[shoulder], rtol=1e-6

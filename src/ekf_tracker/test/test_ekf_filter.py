@@ -1,6 +1,7 @@
 """The filter on simulated people: accuracy, honesty of its covariance, outliers, gaps, hinges, determinism."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,8 @@ from ekf_person import (
     ALL,
     BENT_ANGLES,
     EPOCH_NS,
-    NO_BIAS,
+    IDEAL,
     NONE,
-    WHITE,
     Person,
     dense_matrices,
     ellipsoid_distances,
@@ -24,7 +24,7 @@ from scipy.stats import chi2
 from capture_rig.errors import InputError
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.motion_model import DampedVelocity
-from ekf_tracker.settings import DampedVelocitySettings, EkfSettings
+from ekf_tracker.settings import DampedVelocitySettings
 from ekf_tracker.state import POSE, VELOCITY
 from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES
 from mocap_packets.state import BodyState, NoState, Tracking
@@ -34,7 +34,7 @@ from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import POINT_NAMES, TORSO_POINTS
 
-IDENTITY = EkfSettings(motion_model="identity", measurement_bias=NO_BIAS, bend=0.0)
+IDENTITY = replace(IDEAL, motion_model="identity")
 SETTLED = 30
 JOINT_SLOTS = [row[row >= 0] for row in SLOT_OF_JOINT_AXIS] + [[slot] for slot in HINGE_SLOT]
 HAND, ELBOW = POINT_NAMES.index("left_hand"), POINT_NAMES.index("left_elbow")
@@ -43,7 +43,7 @@ BENT_POSE = Pose.from_angles(np.array([0.0, 0.0, 1.1]), np.eye(3), BENT_ANGLES)
 
 
 def test_filtered_points_are_half_as_wrong_as_the_measured_ones(body, person):
-    states, truth = run(ArticulatedEkf(body, WHITE), person, 600)
+    states, truth = run(ArticulatedEkf(body, IDEAL), person, 600)
     raw_mm = 20.0 * np.sqrt(8 / np.pi)  # mean length of a 3D Gaussian of 20 mm an axis
     assert errors_mm(states, truth)[SETTLED:].mean() < 0.5 * raw_mm
 
@@ -51,7 +51,7 @@ def test_filtered_points_are_half_as_wrong_as_the_measured_ones(body, person):
 @pytest.mark.parametrize(("speed", "margin"), [(1.0, 0.95), (2.0, 0.9)])
 def test_constant_velocity_beats_the_identity_model_on_smooth_motion(body, speed, margin):
     person = Person(body, speed=speed)
-    damped, truth = run(ArticulatedEkf(body, WHITE), person, 300)
+    damped, truth = run(ArticulatedEkf(body, IDEAL), person, 300)
     identity, _ = run(ArticulatedEkf(body, IDENTITY), person, 300)
     damped_mm, identity_mm = (errors_mm(s, truth)[SETTLED:].mean() for s in (damped, identity))
     assert damped_mm < margin * identity_mm < 30.0
@@ -61,7 +61,7 @@ def test_constant_velocity_beats_the_identity_model_on_smooth_motion(body, speed
 def test_true_points_lie_inside_the_95_percent_ellipsoids_as_often_as_claimed(body, model):
     inside = []
     for seed in range(3):
-        settings = EkfSettings(motion_model=model, measurement_bias=NO_BIAS, bend=0.0)
+        settings = replace(IDEAL, motion_model=model)
         states, truth = run(ArticulatedEkf(body, settings), Person(body, seed), 300)
         covariances = np.array([s.point_covariance for s in states[SETTLED:]])
         errors = np.array([s.points_world for s in states[SETTLED:]]) - truth[SETTLED:]
@@ -72,9 +72,7 @@ def test_true_points_lie_inside_the_95_percent_ellipsoids_as_often_as_claimed(bo
 def test_errors_of_a_person_that_moves_as_the_model_says_fit_the_covariance(body):
     """NEES over all 48 slots and NIS of the points, on motion drawn from the motion model itself."""
     gentle = DampedVelocitySettings(torso_rad_s2=15.0, ball_joints_rad_s2=15.0, hinges_rad_s2=8.0)
-    settings = EkfSettings(
-        constant_velocity=gentle, gate_chi2=1e6, measurement_bias=NO_BIAS, bend=0.0, limit_sd_rad=0.0
-    )
+    settings = replace(IDEAL, constant_velocity=gentle, gate_chi2=1e6, limit_sd_rad=0.0)
     F, Q = dense_matrices(DampedVelocity((8.0, 15.0, 15.0, 8.0)).transition(1 / 60))
     Q_half = np.linalg.cholesky(Q)
     nees, nis = [], []
@@ -98,7 +96,7 @@ def test_errors_of_a_person_that_moves_as_the_model_says_fit_the_covariance(body
 
 
 def test_rates_are_the_derivatives_of_the_true_angles(body, person):
-    states, _ = run(ArticulatedEkf(body, WHITE), person, 120, noise=1e-5)
+    states, _ = run(ArticulatedEkf(body, IDEAL), person, 120, noise=1e-5)
     times, step = np.arange(120) / 60.0, 1e-4
     ahead, behind = (np.array([person.pose(t + s).angles() for t in times]) for s in (step, -step))
     true = (ahead - behind) / (2 * step)
@@ -108,7 +106,7 @@ def test_rates_are_the_derivatives_of_the_true_angles(body, person):
 
 def test_drift_leads_to_the_next_prediction(body, person):
     """What the consumer of a prediction computes equals what the filter will predict."""
-    ekf = ArticulatedEkf(body, WHITE)
+    ekf = ArticulatedEkf(body, IDEAL)
     states, _ = run(ekf, person, 40)
     expected = forward(body, states[-1].pose.retract(states[-1].predicted_velocity / 60.0))
     blind = ekf.step(stamp(40), np.zeros((15, 3)), isotropic(0.02), NONE)
@@ -128,7 +126,7 @@ def test_two_runs_give_the_same_bytes(body, person):
     def digest():
         rng = np.random.default_rng(5)
         visible = np.random.default_rng(6).random((120, 15)) < 0.8
-        states, _ = run(ArticulatedEkf(body, WHITE), person, 120, rng=rng, visible=lambda k: visible[k])
+        states, _ = run(ArticulatedEkf(body, IDEAL), person, 120, rng=rng, visible=lambda k: visible[k])
         return [
             b"".join(np.asarray(value).tobytes() for value in dataclasses.astuple(s) if isinstance(value, np.ndarray))
             + b"".join(array.tobytes() for array in s.pose.arrays)
@@ -155,8 +153,8 @@ def test_outlier_changes_nothing(body, person):
         visible[HAND] = k not in jump
         return visible
 
-    gated, _ = run(ArticulatedEkf(body, WHITE), person, 70, spoil=spoil)
-    unseen, _ = run(ArticulatedEkf(body, WHITE), person, 70, visible=hidden)
+    gated, _ = run(ArticulatedEkf(body, IDEAL), person, 70, spoil=spoil)
+    unseen, _ = run(ArticulatedEkf(body, IDEAL), person, 70, visible=hidden)
     assert [bool(s.gated[HAND]) for s in gated[58:64]] == [False, False, True, False, False, False]
     assert gated[60].tracking == Tracking.TRACKING and "left out: left_hand" in gated[60].reason
     for a, b in zip(gated, unseen, strict=True):
@@ -180,7 +178,7 @@ def test_arm_that_really_jumped_is_found_again(body, person):
 
     turn = np.diag([1.0, -1.0, -1.0])  # points to the other side
     truth = {}
-    states, _ = run(ArticulatedEkf(body, WHITE), person, 90, spoil=spoil)
+    states, _ = run(ArticulatedEkf(body, IDEAL), person, 90, spoil=spoil)
     error_mm = [1e3 * np.linalg.norm(states[k].points_world[HAND] - truth[k][HAND]) for k in range(60, 90)]
     assert error_mm[0] > 300.0
     assert max(error_mm[12:]) < 60.0
@@ -192,7 +190,7 @@ def test_limb_whose_points_are_left_out_is_doubtful_and_no_other(body, person):
         if k == 60:
             points[LEFT_ARM] += [0.0, 0.0, 0.6]
 
-    states, _ = run(ArticulatedEkf(body, WHITE), person, 65, spoil=spoil)
+    states, _ = run(ArticulatedEkf(body, IDEAL), person, 65, spoil=spoil)
     assert states[59].parts == (GOOD,) * 5 == states[64].parts
     assert states[60].parts == tuple(DOUBTFUL if name == "left arm" else GOOD for name in PART_NAMES)
     assert states[60].tracking == Tracking.TRACKING  # the rest of the body is
@@ -201,7 +199,7 @@ def test_limb_whose_points_are_left_out_is_doubtful_and_no_other(body, person):
 def test_doubt_of_a_measured_limb_is_the_filters_too(body, person):
     doubtful = np.arange(15) == HAND
     for sets in (1, 2):  # at the first set as at the next
-        ekf = ArticulatedEkf(body, WHITE)
+        ekf = ArticulatedEkf(body, IDEAL)
         for k in range(sets):
             state = ekf.step(stamp(k), person.points(0.0), isotropic(0.02), ALL, doubtful if k == sets - 1 else NONE)
         assert state.parts == tuple(DOUBTFUL if name == "left arm" else GOOD for name in PART_NAMES)
@@ -213,7 +211,7 @@ def test_body_that_really_jumped_is_found_again(body, person):
         if k >= 60:
             points += [0.0, 3.0, 0.0]
 
-    states, truth = run(ArticulatedEkf(body, WHITE), person, 90, spoil=spoil)
+    states, truth = run(ArticulatedEkf(body, IDEAL), person, 90, spoil=spoil)
     assert states[60].tracking == Tracking.DOUBTFUL
     late = errors_mm(states, truth + np.where(np.arange(90)[:, None, None] >= 60, [0.0, 3.0, 0.0], 0.0))
     assert late[60].mean() > 1000.0
@@ -221,8 +219,8 @@ def test_body_that_really_jumped_is_found_again(body, person):
 
 
 def test_gap_is_the_same_whether_sets_are_missing_or_empty(body, person):
-    empty, _ = run(ArticulatedEkf(body, WHITE), person, 60, visible=lambda k: ALL if k < 40 else NONE)
-    ekf = ArticulatedEkf(body, WHITE)
+    empty, _ = run(ArticulatedEkf(body, IDEAL), person, 60, visible=lambda k: ALL if k < 40 else NONE)
+    ekf = ArticulatedEkf(body, IDEAL)
     run(ekf, person, 40)
     jumped = ekf.step(stamp(59), np.zeros((15, 3)), isotropic(0.02), NONE)
     np.testing.assert_allclose(jumped.points_world, empty[-1].points_world, atol=1e-6)
@@ -231,7 +229,7 @@ def test_gap_is_the_same_whether_sets_are_missing_or_empty(body, person):
 
 
 def test_body_out_of_sight_stops_being_extrapolated(body, person):
-    settings = EkfSettings(coast_s=0.1, measurement_bias=NO_BIAS, bend=0.0)
+    settings = replace(IDEAL, coast_s=0.1)
     states, _ = run(ArticulatedEkf(body, settings), person, 80, visible=lambda k: ALL if k < 40 else NONE)
     points = np.array([s.points_world for s in states])
     moved_mm = 1e3 * np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
@@ -246,7 +244,7 @@ def test_true_points_stay_inside_the_ellipsoids_through_a_gap(body):
     inside = []
     for seed in range(5):
         person = Person(body, seed)
-        states, truth = run(ArticulatedEkf(body, WHITE), person, 70, visible=lambda k: ALL if k < 60 else NONE)
+        states, truth = run(ArticulatedEkf(body, IDEAL), person, 70, visible=lambda k: ALL if k < 60 else NONE)
         last = states[-1]
         inside.append(ellipsoid_distances(last.points_world - truth[-1], last.point_covariance) < chi2.ppf(0.95, 3))
     assert np.mean(inside) > 0.85
@@ -256,12 +254,7 @@ def test_state_goes_from_tracking_through_doubtful_and_lost_back_to_tracking(bod
     def visible(k):
         return NONE if 30 <= k < 110 else ALL
 
-    states, truth = run(
-        ArticulatedEkf(body, EkfSettings(lost_after_s=1.0, measurement_bias=NO_BIAS, bend=0.0)),
-        person,
-        130,
-        visible=visible,
-    )
+    states, truth = run(ArticulatedEkf(body, replace(IDEAL, lost_after_s=1.0)), person, 130, visible=visible)
     assert states[29].tracking == Tracking.TRACKING
     assert states[30].tracking == Tracking.DOUBTFUL and "no visible point" in states[30].reason
     assert states[88].tracking == Tracking.DOUBTFUL
@@ -273,7 +266,7 @@ def test_state_goes_from_tracking_through_doubtful_and_lost_back_to_tracking(bod
 def test_arm_that_is_never_seen_keeps_the_t_pose_and_says_how_little_is_known(body, person):
     visible = ALL.copy()
     visible[LEFT_ARM] = False
-    states, truth = run(ArticulatedEkf(body, WHITE), person, 60, visible=lambda k: visible)
+    states, truth = run(ArticulatedEkf(body, IDEAL), person, 60, visible=lambda k: visible)
     seen = errors_mm(states, truth)[SETTLED:][:, visible]
     assert seen.mean() < 20.0
     assert np.sqrt(np.trace(states[-1].point_covariance[HAND])) > 0.3
@@ -282,7 +275,7 @@ def test_arm_that_is_never_seen_keeps_the_t_pose_and_says_how_little_is_known(bo
 def test_filter_starts_from_part_of_the_torso_and_not_from_less(body, person):
     visible = NONE.copy()
     visible[TORSO_POINTS[:3]] = True
-    ekf = ArticulatedEkf(body, WHITE)
+    ekf = ArticulatedEkf(body, IDEAL)
     waiting = ekf.step(stamp(0), person.points(0.0), isotropic(0.02), visible)
     assert isinstance(waiting, NoState) and waiting.reason == "waiting for the torso: 3 of 15 points visible"
     assert waiting.tracking == Tracking.ACQUIRING
@@ -308,9 +301,7 @@ def straightening(body, frames, t_pass):
 def test_elbow_that_passes_straight_is_followed_and_described_the_right_way_round(body):
     poses = straightening(body, 90, 0.75)
     assert poses[0].hinges[0] < -0.8 and poses[-1].hinges[0] > 0.8
-    ekf = ArticulatedEkf(
-        body, EkfSettings(limit_sd_rad=0.0, measurement_bias=NO_BIAS, bend=0.0)
-    )  # no shoulder turns that far, but the test wants to
+    ekf = ArticulatedEkf(body, replace(IDEAL, limit_sd_rad=0.0))  # no shoulder turns that far, but the test wants to
     rng, errors = np.random.default_rng(2), []
     for k, pose in enumerate(poses):
         points = forward(body, pose)
@@ -326,7 +317,7 @@ def test_elbow_that_passes_straight_is_followed_and_described_the_right_way_roun
 def test_covariance_stays_positive_definite_over_2000_sets_with_twists_nobody_sees(body):
     """Random motion, arms and legs straight half of the time, points coming and going."""
     rng = np.random.default_rng(9)
-    ekf = ArticulatedEkf(body, EkfSettings(measurement_bias=NO_BIAS, bend=0.0))
+    ekf = ArticulatedEkf(body, IDEAL)
     person = Person(body, 4, speed=1.5)
     for k in range(2000):
         pose = person.pose(k / 60)
@@ -347,7 +338,7 @@ def test_covariance_stays_positive_definite_over_2000_sets_with_twists_nobody_se
 
 def test_arms_pointing_forward_in_gimbal_lock_are_tracked_like_any_other(body):
     """b = -pi/2 of both shoulders: Euler angles are singular there, the filter is not."""
-    rng, ekf, errors = np.random.default_rng(3), ArticulatedEkf(body, WHITE), []
+    rng, ekf, errors = np.random.default_rng(3), ArticulatedEkf(body, IDEAL), []
     for k in range(120):
         angles = T_POSE_ANGLES.copy()
         angles[4] = angles[5] = -np.pi / 2 + 0.3 * np.sin(0.1 * k)
@@ -365,18 +356,18 @@ def test_arms_pointing_forward_in_gimbal_lock_are_tracked_like_any_other(body):
 
 @pytest.mark.parametrize("late_ns", [0, 1, 1_000_000_000])
 def test_stamp_that_does_not_advance_is_refused_and_leaves_the_state_alone(body, person, late_ns):
-    ekf = ArticulatedEkf(body, WHITE)
+    ekf = ArticulatedEkf(body, IDEAL)
     run(ekf, person, 20)
     with pytest.raises(InputError, match="not later than the last one"):
         ekf.step(stamp(19) - late_ns, person.points(0.3), isotropic(0.02), ALL)
     (after,), _ = run(ekf, person, 1, start=20)
-    undisturbed, _ = run(ArticulatedEkf(body, WHITE), person, 20)
+    undisturbed, _ = run(ArticulatedEkf(body, IDEAL), person, 20)
     assert after.stamp_ns == stamp(20)
     assert np.linalg.norm(after.points_world - undisturbed[-1].points_world, axis=1).max() < 0.1
 
 
 def test_bad_points_are_refused_before_the_filter_moves(body, person):
-    ekf = ArticulatedEkf(body, WHITE)
+    ekf = ArticulatedEkf(body, IDEAL)
     run(ekf, person, 10)
     points = person.points(10 / 60)
     points[2] = np.nan
@@ -387,7 +378,7 @@ def test_bad_points_are_refused_before_the_filter_moves(body, person):
 
 
 def test_reset_forgets_body_and_time(body, person):
-    ekf = ArticulatedEkf(body, WHITE)
+    ekf = ArticulatedEkf(body, IDEAL)
     run(ekf, person, 10)
     ekf.reset()
     state = ekf.step(EPOCH_NS - 10**12, person.points(2.0), isotropic(0.001), ALL)
@@ -396,11 +387,11 @@ def test_reset_forgets_body_and_time(body, person):
 
 def test_update_without_prediction_is_a_programming_error(body, person):
     with pytest.raises(ValueError, match="before the first predict"):
-        ArticulatedEkf(body, WHITE).update(person.points(0.0), isotropic(0.02), ALL)
+        ArticulatedEkf(body, IDEAL).update(person.points(0.0), isotropic(0.02), ALL)
 
 
 def test_predict_and_update_one_by_one_equal_one_step(body, person):
-    whole, halves = ArticulatedEkf(body, WHITE), ArticulatedEkf(body, WHITE)
+    whole, halves = ArticulatedEkf(body, IDEAL), ArticulatedEkf(body, IDEAL)
     for k in range(5):
         a = whole.step(stamp(k), person.points(k / 60), isotropic(0.02), ALL)
         halves.predict(stamp(k))
@@ -410,7 +401,7 @@ def test_predict_and_update_one_by_one_equal_one_step(body, person):
 
 
 def test_filter_goes_on_with_better_known_sizes_of_the_same_body(body, person):
-    ekf = ArticulatedEkf(body, WHITE)
+    ekf = ArticulatedEkf(body, IDEAL)
     before, truth = run(ekf, person, 60)
     resized = Body(body.half_lengths * 1.01, body.half_shoulder_width * 0.98)
     ekf.follow(resized)
@@ -423,7 +414,7 @@ def test_filter_goes_on_with_better_known_sizes_of_the_same_body(body, person):
 
 
 def test_filter_starts_anew_when_the_body_is_somebody_elses(body, person):
-    ekf = ArticulatedEkf(body, WHITE)
+    ekf = ArticulatedEkf(body, IDEAL)
     run(ekf, person, 5)
     assert ekf.is_past(stamp(0))
     ekf.follow(Body.from_stature(body.stature + 0.1))

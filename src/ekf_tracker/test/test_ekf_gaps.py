@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from ekf_person import ALL, NO_BIAS, NONE, WHITE, Person, ellipsoid_distances, errors_mm, isotropic, run, stamp
+from ekf_person import ALL, IDEAL, NONE, Person, ellipsoid_distances, errors_mm, isotropic, run, stamp
 from scipy.stats import chi2
 
 from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.settings import EkfSettings
 from ekf_tracker.track import READMIT_AFTER_SETS
 from mocap_packets.state import BodyState, Tracking
 from stick_figure.skeleton import POINT_NAMES
@@ -32,7 +31,7 @@ def through_gap(body, seed, missing, sets_arrive, settings=None):
 def test_body_is_tracked_again_with_the_first_set_after_a_gap(body, missing, sets_arrive):
     first, later = [], []
     for seed in range(3):
-        states, truth = through_gap(body, seed, missing, sets_arrive, WHITE)
+        states, truth = through_gap(body, seed, missing, sets_arrive, IDEAL)
         assert states[-30].tracking == Tracking.TRACKING
         errors = errors_mm(states, truth)
         first.append(errors[-30].mean())
@@ -43,7 +42,7 @@ def test_body_is_tracked_again_with_the_first_set_after_a_gap(body, missing, set
 
 @pytest.mark.parametrize(("missing", "limit_mm"), [(1, 25.0), (10, 200.0), (59, 500.0)])
 def test_estimate_coasts_within_bounds_and_claims_no_more_than_it_knows(body, missing, limit_mm):
-    settings, inside, errors, spreads = EkfSettings(measurement_bias=NO_BIAS, bend=0.0), [], [], []
+    settings, inside, errors, spreads = IDEAL, [], [], []
     for seed in range(4):
         states, truth = through_gap(body, seed, missing, True, settings)
         last, error = states[GAP_AT + missing - 1], states[GAP_AT + missing - 1].points_world
@@ -70,7 +69,7 @@ def swap(limbs, frames):
 def test_limbs_that_change_places_for_a_set_are_left_out_and_taken_back_at_once(body, person, limbs):
     sets, points = 1, [*limbs[0], *limbs[1]]
     spoilt = range(60, 60 + sets)
-    states, truth = run(ArticulatedEkf(body, WHITE), person, 90, spoil=swap(limbs, spoilt))
+    states, truth = run(ArticulatedEkf(body, IDEAL), person, 90, spoil=swap(limbs, spoilt))
     for k in spoilt:
         assert states[k].gated[points].all() and states[k].gated.sum() == len(points)
     assert states[60 + sets].accepted.all()
@@ -81,7 +80,7 @@ def test_limbs_that_change_places_for_a_set_are_left_out_and_taken_back_at_once(
 
 def test_legs_that_changed_places_for_good_are_believed_after_the_stated_number_of_sets(body, person):
     exchange, points = swap(LEGS, range(60, 90)), [*LEGS[0], *LEGS[1]]
-    states, truth = run(ArticulatedEkf(body, WHITE), person, 90, spoil=exchange)
+    states, truth = run(ArticulatedEkf(body, IDEAL), person, 90, spoil=exchange)
     for k in range(60, 90):
         exchange(k, truth[k])
     assert states[60].gated[points].all()
@@ -93,7 +92,7 @@ def test_legs_that_changed_places_for_good_are_believed_after_the_stated_number_
 def test_published_rates_have_the_truths_sign_size_and_hardly_any_lag(body, person, fps):
     """Rates against central differences of the true angles, points with 5 mm of noise; lag by cross-correlation."""
     frames, settled = round(8 * fps), round(0.5 * fps)
-    states, _ = run(ArticulatedEkf(body, WHITE), person, frames, noise=0.005, fps=fps)
+    states, _ = run(ArticulatedEkf(body, IDEAL), person, frames, noise=0.005, fps=fps)
     assert all(isinstance(s, BodyState) for s in states)
     published = np.array([s.rates for s in states])[settled:]
     times, step = np.arange(settled, frames) / fps, 1e-3
@@ -112,7 +111,7 @@ def test_published_rates_have_the_truths_sign_size_and_hardly_any_lag(body, pers
 @pytest.mark.parametrize("told", [True, False], ids=["told", "not told"])
 def test_an_arm_that_was_found_elsewhere_is_there_at_once_and_has_no_speed(body, told):
     """The arm was lost: its points hung 0.25 m away for a second. What lies between the two places is no motion."""
-    ekf, arm, off = ArticulatedEkf(body, WHITE), ARMS[0], np.array([0.0, 0.0, 0.25])
+    ekf, arm, off = ArticulatedEkf(body, IDEAL), ARMS[0], np.array([0.0, 0.0, 0.25])
     person = Person(body, speed=0.0)
     for k in range(61):
         measured, moved = person.points(0.0), NONE.copy()
@@ -129,7 +128,7 @@ def test_an_arm_that_was_found_elsewhere_is_there_at_once_and_has_no_speed(body,
 
 
 def test_a_torso_that_was_found_elsewhere_starts_the_track_anew(body, person):
-    ekf, off = ArticulatedEkf(body, WHITE), np.array([0.4, 0.0, 0.0])
+    ekf, off = ArticulatedEkf(body, IDEAL), np.array([0.4, 0.0, 0.0])
     for k in range(30):
         ekf.step(stamp(k), person.points(0.0) + off, isotropic(0.01), ALL)
     state = ekf.step(stamp(30), person.points(0.0), isotropic(0.01), ALL, NONE, ALL)

@@ -1,22 +1,22 @@
 """Joint limits in the filter: nothing inside the ranges, and no pose that stays outside them."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from ekf_person import ALL, BENT_ANGLES, NO_BIAS, WHITE, Person, isotropic, run, stamp
+from ekf_person import ALL, BENT_ANGLES, IDEAL, Person, isotropic, run, stamp
 from scipy.spatial.transform import Rotation
 
 from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.settings import EkfSettings
 from stick_figure.joint_limits import add_joint_limits
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES
 
 MARGIN = 0.15
-NO_LIMITS = EkfSettings(limit_sd_rad=0.0, measurement_bias=NO_BIAS, bend=0.0)
-TIGHT = EkfSettings(limit_sd_rad=0.05, measurement_bias=NO_BIAS, bend=0.0)
+NO_LIMITS = replace(IDEAL, limit_sd_rad=0.0)
+TIGHT = replace(IDEAL, limit_sd_rad=0.05)
 PLACE = (np.array([0.0, 0.0, 1.1]), np.eye(3))
 
 
@@ -51,7 +51,7 @@ def follow(body, pose, settings, frames=40, sd=0.02):
 
 def test_a_person_within_the_ranges_is_estimated_to_the_same_bytes_as_without_limits(body):
     person = Person(body, speed=0.5)
-    limited, _ = run(ArticulatedEkf(body, WHITE), person, 120, noise=0.002)
+    limited, _ = run(ArticulatedEkf(body, IDEAL), person, 120, noise=0.002)
     free, _ = run(ArticulatedEkf(body, NO_LIMITS), person, 120, noise=0.002)
     for a, b in zip(limited, free, strict=True):
         np.testing.assert_array_equal(a.points_world, b.points_world)
@@ -83,7 +83,7 @@ def test_elbow_on_the_wrong_side_is_turned_round_where_the_shoulder_allows_it(bo
     turned = truth.R_joints.copy()
     turned[1] = turned[1] @ Rotation.from_rotvec([0.0, np.pi, 0.0]).as_matrix()
     wrong = dataclasses.replace(truth, R_joints=turned, hinges=truth.hinges * [0.0, 1.0, 1.0, 1.0])
-    ekf = ArticulatedEkf(body, WHITE)
+    ekf = ArticulatedEkf(body, IDEAL)
     for k in range(60):
         bend = min(k / 30.0, 1.0)
         pose = dataclasses.replace(truth, hinges=truth.hinges * [bend, 1.0, 1.0, 1.0])

@@ -2,18 +2,16 @@
 
 import numpy as np
 import pytest
-from ekf_person import ALL, NO_BIAS, NONE, Person, ellipsoid_distances, isotropic, stamp
+from ekf_person import ALL, IDEAL, NONE, Person, ellipsoid_distances, isotropic, stamp
 from scipy.stats import chi2
 
 from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.settings import EkfSettings
 from ekf_tracker.smoother import Set, smooth
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.state import NoState
 from stick_figure.skeleton import POINT_NAMES
 
 NOISE, SETTLED = 0.01, 20
-WHITE = EkfSettings(measurement_bias=NO_BIAS, bend=0.0)
 ARM = [POINT_NAMES.index("left_elbow"), POINT_NAMES.index("left_hand")]
 
 
@@ -28,7 +26,7 @@ def take(body, seed, frames=120, visible=lambda k: ALL, spread=lambda k: isotrop
 
 
 def filtered(sets):
-    ekf = ArticulatedEkf(sets[0].body, WHITE)
+    ekf = ArticulatedEkf(sets[0].body, IDEAL)
     return [ekf.step(one.stamp_ns, *one.points) for one in sets]
 
 
@@ -44,7 +42,7 @@ def test_smoothed_points_are_nearer_to_the_truth_and_quieter_than_the_filters(bo
     before, after, quiet, inside = [], [], [], []
     for seed in range(2):
         sets, truth = take(body, seed)
-        forwards, both = filtered(sets), smooth(sets, WHITE)
+        forwards, both = filtered(sets), smooth(sets, IDEAL)
         before.append(np.linalg.norm(errors(forwards, truth)[SETTLED:], axis=-1).mean())
         after.append(np.linalg.norm(errors(both, truth)[SETTLED:], axis=-1).mean())
         quiet.append(jitter(both) / jitter(forwards))
@@ -59,7 +57,7 @@ def test_smoothed_points_are_nearer_to_the_truth_and_quieter_than_the_filters(bo
 def test_gaps_are_filled_from_both_sides_with_a_covariance_that_holds(body, hidden):
     sets, truth = take(body, 3, visible=lambda k: NONE if k in hidden else ALL)
     gap = slice(hidden.start, hidden.stop)
-    forwards, both = filtered(sets), smooth(sets, WHITE)
+    forwards, both = filtered(sets), smooth(sets, IDEAL)
     before, after = (np.linalg.norm(errors(s, truth)[gap], axis=-1).mean() for s in (forwards, both))
     assert after < 0.5 * before
     covariance = np.array([state.point_covariance for state in both])
@@ -80,7 +78,7 @@ def test_a_doubtful_arm_is_known_from_the_sets_around_it(body):
         return R
 
     sets, truth = take(body, 5, spread=spread)
-    forwards, both = filtered(sets), smooth(sets, WHITE)
+    forwards, both = filtered(sets), smooth(sets, IDEAL)
     gap = slice(doubtful.start, doubtful.stop)
     before, after = (np.linalg.norm(errors(s, truth)[gap][:, ARM], axis=-1).mean() for s in (forwards, both))
     assert after < 0.7 * before
@@ -90,6 +88,6 @@ def test_a_doubtful_arm_is_known_from_the_sets_around_it(body):
 def test_the_last_state_is_the_filters_and_sets_without_a_body_stay_without(body):
     sets, _ = take(body, 1, frames=40)
     empty = [Set(stamp(k - 3), one.points, None) for k, one in enumerate(sets[:3])]
-    both = smooth([*empty, *sets], WHITE)
+    both = smooth([*empty, *sets], IDEAL)
     assert [isinstance(state, NoState) for state in both[:4]] == [True, True, True, False]
     np.testing.assert_array_equal(both[-1].points_world, filtered(sets)[-1].points_world)

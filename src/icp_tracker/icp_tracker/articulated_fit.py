@@ -151,6 +151,12 @@ class ArticulatedSettings:
     volume: VolumeSettings = setting(VolumeSettings, "the hull's voxels")
     contour: ContourSettings = setting(ContourSettings, "the contour rays")
 
+    @classmethod
+    def of_ideal_figure(cls) -> ArticulatedSettings:
+        """Return the settings for a body that is the stick figure: its points lie on the sticks, hands, feet and torso
+        are rigid, and its joints are the figure's."""
+        return cls(model_sigma_m=1e-3, contour=ContourSettings(turn_sd=0.0, bend=0.0, joint_centres=False))
+
 
 @dataclass(frozen=True, eq=False)
 class FitResult:

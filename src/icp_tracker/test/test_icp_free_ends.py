@@ -55,6 +55,14 @@ def test_hand_tip_follows_the_hand(bent):
     assert moved == pytest.approx(np.linalg.norm(shift), rel=0.35)
 
 
+def test_reference_points_of_an_ideal_figure_are_those_of_its_pose(bent):
+    body, pose, rays = bent
+    for settings, rigid in ((ArticulatedSettings.of_ideal_figure(), True), (ArticulatedSettings(), False)):
+        fit = fit_articulated(body, pose, np.zeros((1, 3)), settings=settings, contour_rays=rays)
+        off = np.linalg.norm(fit.reference_points_world - forward(body, fit.pose), axis=1)
+        assert (off.max() < 1e-9) == rigid
+
+
 def test_ends_without_rays_stay_straight(synthetic):
     body, pose = Body.from_stature(1.75), made.moving_pose(np.random.default_rng(4))
     placed, before = synthetic.placed(body, pose), synthetic.placed(body, pose)
