@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from ..command_help import INTERRUPTED
 from ..console import command_console
 from ..evaluation.live_inputs import KEPT_UP, FootageInput, LiveInput, StudioInput
 from ..evaluation.live_run import LiveRun, draw, evaluate_run, run_live
+from ..evaluation.reasons import explain
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
 from ..progress_line import doing
@@ -82,7 +84,9 @@ def run(args: argparse.Namespace) -> int:
     if args.rate is None:
         console.print(rate_line(fps, live.hz_held, live.others, os.getloadavg()[0]), style="bold")
     if trouble:
-        console.print(f"{trouble}; {next_step(live.others)}", style="yellow")
+        enough = args.rate == 0.0 or live.hz_held >= LEAST_HZ  # fewer sets are reason enough
+        why = live.reasons if enough and len(live.track) < TRACKED * live.answered else ()
+        console.print(f"{trouble}; {next_step(live.others, args.rate, why)}", style="yellow")
     print(json.dumps(figures(live, scores)))
     return 1 if trouble else 0
 
@@ -120,8 +124,16 @@ def rate_line(camera_hz: float, held_hz: float, others: float, load: float) -> s
     return f"this machine holds {held} the cameras' {camera_hz:g} Hz{done}{busy if others > BUSY else ''}"
 
 
-def next_step(others: float) -> str:
-    """Say what to do about a capture that is not sound."""
+def next_step(others: float, rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
+    """Say what to do about a capture that is not sound.
+
+    others : share of the processors that other programs took; rate : of the footage, None of cameras; reasons : of each
+    set, why nobody was tracked in it, where that is what is wrong.
+    """
+    if any(reasons):
+        return ". ".join(explain(reasons))
+    if rate == 0.0:  # nothing is dropped, however busy the machine
+        return "look into the logs of the nodes"
     if others > BUSY:
         return (
             f"the machine is busy, other programs take {100 * others:.0f} % of it: end them and try again, or read the "

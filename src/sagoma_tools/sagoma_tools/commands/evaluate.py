@@ -11,6 +11,7 @@ from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
+from capture_rig.verdict import REDO
 from capture_rig.video_findings import VideoFacts, ended_findings
 from capture_rig.visibility import RigVisibility
 from mocap_pipeline.configuration import Configuration
@@ -119,9 +120,15 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[
         variants |= {THESIS: thesis_configuration(settings)} if session.truth is not None else {}
     ours_first = dict(sorted(variants.items(), key=lambda row: row[0] != OURS))
     came: dict[str, VideoFacts] = {}
-    tracks = track_people(
-        session, ours_first, exact_masks=args.exact_masks, progress=doing("tracking frames"), ended=came.update
-    )
+    try:
+        tracks = track_people(
+            session, ours_first, exact_masks=args.exact_masks, progress=doing("tracking frames"), ended=came.update
+        )
+    except InputError as nobody:
+        damaged = [finding for finding in ended_findings(came) if finding.grade == REDO] if came else []
+        if not damaged:
+            raise
+        raise InputError(f"{damaged[0].what}; {nobody.what}", remedy=damaged[0].remedy) from None
     for finding in ended_findings(came):
         print(f"sagoma: {finding}", file=sys.stderr)
     return tracks, min(facts.passed.frames for facts in came.values())

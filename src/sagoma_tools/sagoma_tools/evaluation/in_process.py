@@ -22,6 +22,7 @@ from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import BodyFollower, Masks, MocapPipeline, make_segmenter
 
 from .people import main_track
+from .reasons import nobody_tracked, reasons_of_step
 from .track import Track
 
 FootageEnded = Callable[[dict[str, VideoFacts]], None]
@@ -83,16 +84,18 @@ def track_people(
     masks = exact_silhouettes(session, ended) if exact_masks else segmented(session, first.camera, pipeline, ended)
     followers = [pipeline.body, *(BodyFollower.of(other, session.rig) for other in others)]
     rows: list[dict[int, list[tuple[int, BodyState]]]] = [{FIRST_PERSON: []} for _ in followers]
+    reasons: list[tuple[str, ...]] = []
     for frame, frame_masks in enumerate(masks):
         progress(frame)
         products = pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), frame_masks)
-        for follower, states in zip(followers, rows, strict=True):
-            for person in follower.step(products).people:
+        steps = [follower.step(products) for follower in followers]
+        reasons.append(reasons_of_step(steps[0]))
+        for step, states in zip(steps, rows, strict=True):
+            for person in step.people:
                 if person.state is not None:
                     states.setdefault(person.person, []).append((frame, person.state))
     if not rows[0][FIRST_PERSON]:
-        remedy = "Start from a T-pose, or give the reference of the first frame."
-        raise InputError("no body was found in any frame", where=str(session.folder), remedy=remedy)
+        raise nobody_tracked("no body was found in any frame", str(session.folder), reasons)
     return {
         name: {person: Track.of_states(of_person) for person, of_person in sorted(states.items())}
         for name, states in zip(variants, rows, strict=True)

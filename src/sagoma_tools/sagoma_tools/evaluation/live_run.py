@@ -32,6 +32,7 @@ from .held_rate import OtherPrograms
 from .live_inputs import LiveInput
 from .people import main_track
 from .pictures import session_overlay
+from .reasons import reasons_of_bag
 from .track import Track, tracks_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track
 
@@ -57,6 +58,7 @@ class LiveRun:
     ages_ms : point -> (sets,) age there since exposure (mocap/latency); none where stamps are not those of exposures.
     others : share of the processors that other programs took meanwhile.
     tracks : everybody's, by the person's number; the first person's is empty where nobody was tracked.
+    reasons : of each fitted set, why somebody was not tracked in it, in the tracker's words.
     """
 
     session: Session
@@ -75,6 +77,7 @@ class LiveRun:
     ages_ms: dict[str, np.ndarray]
     others: float
     tracks: dict[int, Track]
+    reasons: list[tuple[str, ...]]
 
     @property
     def track(self) -> Track:
@@ -185,6 +188,7 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
         ages_ms={point: np.array([float(values[point]) for values in ages]) for point in points},
         others=meter.others,
         tracks={n: track.between(0, clock.frames) for n, track in tracks.items()},
+        reasons=reasons_of_bag(bag, clock.__contains__),
     )
 
 

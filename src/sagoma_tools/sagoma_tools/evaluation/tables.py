@@ -39,11 +39,10 @@ def print_scores(console: Console, scores: Scores) -> None:
         f"({low:.1f} to {high:.1f} for a point, if frames erred independently)"
     )
     calls = scores.calls
-    wrong, clear = int(calls.wrong.sum()), int(calls.clear.sum())
     console.print(
-        f"doubt: of {wrong} parts of the body with a point over 200 mm {_percent(calls.flagged_of_bad)} are called "
-        f"doubtful or lost; of {clear} frames with all points below 100 mm {_percent(calls.false_alarms)} have any "
-        "part called"
+        f"doubt: of {calls.wrong.sum()} parts of the body with a point over 200 mm, called doubtful or lost: "
+        f"{_percent(calls.flagged_of_bad)}; of {calls.clear.sum()} frames with all points below 100 mm, with any part "
+        f"called: {_percent(calls.false_alarms)}"
     )
     console.print(_angles(scores.angles))
 
@@ -134,7 +133,7 @@ def print_evaluation(console: Console, evaluated: TrackEvaluation) -> None:
 
 def print_people(console: Console, people: PeopleScores) -> None:
     """Print a row for each person of a session with several truths, where the rig shows that person."""
-    columns = "numbers", *POINT_COLUMNS, "flagged", "false alarms", "frames", "switches"
+    columns = "numbers", *POINT_COLUMNS, "flagged", "alarms", "frames", "switches"
     table = _table("every person, where the rig shows them", "truth", *columns)
     for person in people.persons:
         name, numbers = f"person {person.truth + 1}", "+".join(map(str, person.numbers)) or "-"

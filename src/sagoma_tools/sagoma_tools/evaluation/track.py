@@ -18,6 +18,7 @@ from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..recording.reader import bag_persons, read_messages
+from .reasons import nobody_tracked, reasons_of_bag
 
 FIRST_PREFIX = "/mocap"
 POINTS, ANGLES, STATE = "reference_points", "joint_states", "state"
@@ -98,8 +99,11 @@ def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Tra
     """
     track = _read_track(bag, frame_of_stamp, FIRST_PREFIX)
     if not len(track):
+        what, reasons = "holds no tracked body", reasons_of_bag(bag)
+        if any(reasons):
+            raise nobody_tracked(what, str(bag), reasons)
         remedy = f"Record {POINTS_TOPIC}, {ANGLES_TOPIC} while the graph tracks a person."
-        raise InputError("holds no tracked body", where=str(bag), remedy=remedy)
+        raise InputError(what, where=str(bag), remedy=remedy)
     return track
 
 
