@@ -16,21 +16,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
-from people import BAD_MM, GOOD_MM, KEPT, recorded
+from people import KEPT, recorded
 from products import Recorded
 
-from mocap_packets.fit import GOOD, PART_NAMES, PART_POINTS
+from mocap_packets.fit import PART_NAMES, PART_POINTS
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import BodyFollower
 from sagoma_tools.arguments import parse_settings
-from sagoma_tools.evaluation.scores import INSIDE_95, squared_distances
+from sagoma_tools.evaluation.part_calls import PartCalls, share
+from sagoma_tools.evaluation.scores import INSIDE_95, number, squared_distances
+from sagoma_tools.evaluation.track import Track
 
 SHOWN = (
     *("wrong_frames", "wrong_parts", "wrong_called", "wrong_inside"),
@@ -40,65 +42,54 @@ MARGINS = (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 10.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Calls:
-    """What is said of the parts (F, 5) of the body in the frames that have a truth and a track.
+class Calls(PartCalls):
+    """What is said of the parts of the body in the frames that have a truth and a track.
 
-    wrong, called, inside : bool; margins : of the best other place. clear (F,) : frames with all points right.
+    inside : (F, 5) bool, all points of the part lie inside their own ellipsoids. margins : (F, 5), of the best other
+    place of the part.
     """
 
-    wrong: np.ndarray
-    called: np.ndarray
     inside: np.ndarray
     margins: np.ndarray
-    clear: np.ndarray
 
     def figures(self) -> dict[str, Any]:
         """Shares, None where there is nothing of the kind."""
         return {
             "frames": len(self.clear),
-            "wrong_frames": _share(self.wrong.any(axis=1)),
+            "wrong_frames": number(share(self.wrong.any(axis=1))),
             "wrong_parts": int(self.wrong.sum()),
-            "wrong_called": _share(self.called[self.wrong]),
-            "wrong_inside": _share(self.inside[self.wrong]),
+            "wrong_called": number(self.flagged_of_bad),
+            "wrong_inside": number(share(self.inside[self.wrong])),
             "clear_frames": int(self.clear.sum()),
-            "clear_called": _share(self.called[self.clear].any(axis=1)),
-            "called_inside": _share(self.inside[self.called]),
+            "clear_called": number(self.false_alarms),
+            "called_inside": number(share(self.inside[self.called])),
         }
 
     @classmethod
     def together(cls, several: Sequence[Calls]) -> Calls:
         """The frames of several sets as one."""
-        names = ("wrong", "called", "inside", "margins", "clear")
-        return cls(*(np.concatenate([getattr(one, name) for one in several]) for name in names))
+        return cls(*(np.concatenate([getattr(one, field.name) for one in several]) for field in fields(cls)))
 
 
 def calls_of(what: Recorded, settings: dict[str, Any]) -> tuple[Calls, float]:
     """Track a set; also the processor time of fit and filter, ms a set."""
     follower = BodyFollower.of(Configuration.of({"hull_server.backend": "cpu", **what.start, **settings}), what.rig)
-    truth, rows = what.truths[0], []
+    truth = what.truths[0]
     began = time.process_time()
     steps = [follower.step(products) for products in what.products]
     ms = 1e3 * (time.process_time() - began) / max(len(steps), 1)
-    for points, step in zip(truth, steps, strict=False):
-        if step.state is None or not np.isfinite(points).all():
-            continue
-        error = step.state.points_world - points
-        off_mm = 1e3 * np.linalg.norm(error, axis=1)
-        inside = squared_distances(error[None], step.state.point_covariance[None])[0] <= INSIDE_95
-        own = [list(part) for part in PART_POINTS]
-        rows.append(
-            (
-                [off_mm[part].max() > BAD_MM for part in own],
-                [state != GOOD for state in step.state.parts],
-                [inside[part].all() for part in own],
-                step.fit.quality.margins,
-                off_mm.max() < GOOD_MM,
-            )
-        )
-    width = len(PART_NAMES)
-    columns = [list(column) for column in zip(*rows, strict=True)] or [[]] * 5
-    wrong, called, inside = (np.array(column, bool).reshape(-1, width) for column in columns[:3])
-    return Calls(wrong, called, inside, np.array(columns[3]).reshape(-1, width), np.array(columns[4], bool)), ms
+    known = [
+        (frame, step.state, step.fit.quality.margins)
+        for frame, (points, step) in enumerate(zip(truth, steps, strict=False))
+        if step.state is not None and np.isfinite(points).all()
+    ]
+    track = Track.of_states([(frame, state) for frame, state, _ in known])
+    errors = track.points_world - truth[track.frames]
+    inside = squared_distances(errors, track.covariance) <= INSIDE_95
+    of_parts = np.stack([inside[:, list(points)].all(axis=1) for points in PART_POINTS], axis=1)
+    margins = np.array([margins for *_, margins in known]).reshape(-1, len(PART_NAMES))
+    said = PartCalls.of(1e3 * np.linalg.norm(errors, axis=2), track.parts)
+    return Calls(said.wrong, said.called, said.clear, of_parts, margins), ms
 
 
 def curve(calls: Calls) -> list[dict[str, float | None]]:
@@ -106,15 +97,11 @@ def curve(calls: Calls) -> list[dict[str, float | None]]:
     return [
         {
             "margin_rays": margin,
-            "wrong_called": _share((calls.margins > margin)[calls.wrong]),
-            "clear_called": _share((calls.margins > margin)[calls.clear].any(axis=1)),
+            "wrong_called": number(share((calls.margins > margin)[calls.wrong])),
+            "clear_called": number(share((calls.margins > margin)[calls.clear].any(axis=1))),
         }
         for margin in MARGINS
     ]
-
-
-def _share(chosen: np.ndarray) -> float | None:
-    return round(float(chosen.mean()), 4) if chosen.size else None
 
 
 def main() -> None:

@@ -49,7 +49,7 @@ from virtual_studio.motions.catalogue import HARD_CASES
 from virtual_studio.people import person_of
 
 KEPT = Path("output/people")
-BAD_MM, GOOD_MM = 200.0, 100.0
+BAD_MM = 1e3 * metrics.LARGE_ERROR_M
 CLOSE_UP_PX = 240
 BUILDS = ((1.60, 0.85, 1.0, 1.0), (1.88, 1.2, 1.0, 1.0), (1.75, 1.0, 1.0, 1.0), (1.68, 1.3, 0.95, 1.03),
           (1.82, 0.9, 1.05, 0.97))  # fmt: skip

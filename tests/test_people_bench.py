@@ -14,6 +14,7 @@ from sagoma_tools.evaluation.track import Track
 from virtual_studio.rig import ring
 
 FRAMES = 20
+PARTS = np.full((FRAMES, 5), "good")
 
 
 def test_figures_of_a_row():
@@ -23,7 +24,7 @@ def test_figures_of_a_row():
     points[:4, 11, 2] += 0.3  # four bad frames
     states = np.full(FRAMES, "tracking")
     P = np.tile(0.02**2 * np.eye(3), (FRAMES, 15, 1, 1))
-    track = Track(np.arange(2, FRAMES), points[2:], P[2:], np.zeros((FRAMES - 2, 18)), states[2:])
+    track = Track(np.arange(2, FRAMES), points[2:], P[2:], np.zeros((FRAMES - 2, 18)), states[2:], PARTS[2:])
     figures = judged(_recorded(truth), {1: track}, 1.5)
     assert figures.frames == FRAMES and figures.ms == 1.5
     assert figures.tracked == pytest.approx((FRAMES - 2) / FRAMES)
@@ -43,7 +44,7 @@ def test_two_persons_tracks_are_told_apart():
     other = truth + np.array([1.0, 0.0, 0.0])
     states, P = np.full(FRAMES, "tracking"), np.tile(0.02**2 * np.eye(3), (FRAMES, 15, 1, 1))
     tracks = {
-        number: Track(np.arange(FRAMES), points, P, np.zeros((FRAMES, 18)), states)
+        number: Track(np.arange(FRAMES), points, P, np.zeros((FRAMES, 18)), states, PARTS)
         for number, points in ((1, other + np.array([0.0, 0.0, 0.01])), (2, truth))
     }
     figures = judged(_recorded(truth, other), tracks, 1.0)

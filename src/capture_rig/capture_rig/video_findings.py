@@ -12,6 +12,7 @@ from .video import OPENING, PassedFrames, Video
 # a time stamp may be off by that share of the period before frames count as uneven: containers keep milliseconds, a
 # tenth of the period at 100 Hz; a frame left out, or one that came a period late, is off by a whole one
 UNEVEN = 0.5
+FAR_FEWER = 0.5  # of the frames that were to come: what is left is no capture
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def video_findings(facts: VideoFacts) -> Iterator[Finding]:
         return
     if passed.frames < facts.header_frames:
         yield Finding(
-            USABLE,
+            _grade(passed.frames, facts.header_frames),
             f"ends after {passed.frames} frames, its header promises {facts.header_frames}: it was cut off, or is "
             "damaged inside, and its later frames come too early",
             "Copy it again from where it was recorded; what was cut off cannot be used.",
@@ -85,11 +86,17 @@ def ended_findings(videos: Mapping[str, VideoFacts]) -> Iterator[Finding]:
     yield from session_findings(dict(sorted({**first, **others}.items())))
     if others:
         names = ", ".join(facts.path.name for facts in first.values())
+        most = max(videos[name].header_frames for name in others)
+        promised = f" (up to {most})" if most else ""
         yield Finding(
-            USABLE,
-            f"{names} ended after {shortest} frames, before the others, and all with it",
+            _grade(shortest, most),
+            f"{names} ended after {shortest} frames, before the others{promised}, and all with it",
             "Cut all videos so that frame k of each is of the same instant.",
         )
+
+
+def _grade(frames: int, expected: int) -> str:
+    return REDO if frames < FAR_FEWER * expected else USABLE
 
 
 def _uneven(facts: VideoFacts) -> bool:

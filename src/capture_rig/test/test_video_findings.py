@@ -7,7 +7,7 @@ import pytest
 from footage_clips import CODECS, cut_off, place_of_square, scene, with_late_frames, write_clip
 
 from capture_rig.errors import InputError
-from capture_rig.verdict import REDO
+from capture_rig.verdict import REDO, USABLE
 from capture_rig.video import PassedFrames, Video, is_grey
 from capture_rig.video_findings import VideoFacts, ended_findings, examine_video, session_findings, video_findings
 
@@ -95,7 +95,15 @@ def test_shortest_of_videos_read_in_step_is_named_and_the_others_promise_nothing
     cut, first = ended_findings(seen)
     assert cut.what.startswith("cam02.avi: ends after 93 frames, its header promises 100")
     assert first.what.startswith("cam02.avi ended after 93 frames, before the others")
+    assert cut.grade == first.grade == USABLE
     assert not list(ended_findings({"cam01": facts(), "cam02": facts()}))
+
+
+def test_video_with_far_fewer_frames_than_its_header_or_the_others_say_must_be_done_again() -> None:
+    (damaged,) = video_findings(facts(frames=5, header=240))
+    assert damaged.grade == REDO and "ends after 5 frames, its header promises 240" in damaged.what
+    (short,) = ended_findings({"cam01": facts("cam01.avi", 5, 5), "cam02": facts("cam02.avi", 6, 240)})
+    assert short.grade == REDO and "cam01.avi ended after 5 frames, before the others (up to 240)" in short.what
 
 
 @pytest.mark.parametrize("codec", CODECS)

@@ -67,7 +67,8 @@ def test_line_says_what_was_done_and_what_else_the_machine_did():
     line = rate_line(60.0, 36.2, 0.55, 7.3)
     assert "36 Hz of the cameras' 60 Hz, and all cameras left out the same frames" in line
     assert "other programs took 55 %" in line and "load 7.3" in line
-    assert "other programs take 55 %" in next_step(0.55) and "--rate 0" in next_step(0.0)
+    assert "other programs take 55 %" in next_step(0.55, None) and "--rate 0" in next_step(0.0, 1.0)
+    assert "busy" not in next_step(0.55, 0.0) and "--rate 0" not in next_step(0.55, 0.0)  # that was done
 
 
 @pytest.mark.parametrize(
@@ -115,17 +116,27 @@ def test_line_of_slow_motion_says_how_slow_and_why():
     assert speed_line(1 / 16, 5, 60.0, forced=True) == "shown at 1/16 of the speed: as asked for"
 
 
-def test_a_demo_that_tracked_nobody_on_a_busy_machine_says_so_and_fails(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("rate", "hz_held", "told"),
+    [
+        ("0", 60.0, 'of 60 frame sets the tracker said "cam02 does not see your feet: turn cam02 down" in 58, '),
+        ("1", 60.0, 'of 60 frame sets the tracker said "cam02 does not see your feet: turn cam02 down" in 58, '),
+        ("1", 6.0, "the machine is busy, other programs take 80 % of it"),
+    ],
+)
+def test_a_demo_that_tracked_nobody_says_why_and_fails(rate, hz_held, told, tmp_path, monkeypatch, capsys):
+    reasons = [("cam02 does not see your feet: turn cam02 down",)] * 58 + [("no hull",)] * 2
     nobody = SimpleNamespace(
-        bag=tmp_path / "bag", sets=60, answered=58, incomplete=3, sets_per_s=9.0, hz_held=10.0, spread_ms=0.0,
+        bag=tmp_path / "bag", sets=60, answered=58, incomplete=3, sets_per_s=9.0, hz_held=hz_held, spread_ms=0.0,
         others=0.8, speed=1.0, track=[], usage={}, cpu_ms_per_set={}, diagnostics={}, latency_ms={}, ages_ms={},
-        session=SimpleNamespace(fps=60.0),
+        session=SimpleNamespace(fps=60.0), reasons=reasons,
     )  # fmt: skip
     monkeypatch.setattr(demo, "FootageInput", lambda session, rate: None)
     monkeypatch.setattr(demo, "run_live", lambda *arguments, **options: nobody)
     monkeypatch.setattr(demo, "finish_take", lambda bag: None)
     monkeypatch.chdir(tmp_path)
-    assert main(["demo", "--session", "any", "--rate", "0"]) == 1
-    said = capsys.readouterr().out
-    assert "tracked in none of 58 frame sets; the machine is busy, other programs take 80 % of it" in said
+    assert main(["demo", "--session", "any", "--rate", rate]) == 1
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"tracked in none of 58 frame sets; {told}" in said
     assert "holds no tracked body" not in said
+    assert ("Film where all cameras see the whole person" in said) == (hz_held > 8.0)

@@ -26,7 +26,9 @@ from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
 FRAMES = 12
+DOUBT = ("flagged_of_bad", "false_alarms", "identity_switches")
 FIGURES = {
+    *DOUBT,
     "frames",
     "tracked",
     "mean_mm",
@@ -58,6 +60,7 @@ def test_evaluate_prints_every_figure_and_compares_with_the_thesis_method(sessio
     assert 0.0 < figures["mean_mm"] < 40.0
     assert figures["mean_mm"] != figures["thesis_mean_mm"] > 0.0
     assert figures["states"] == {"tracking": FRAMES}
+    assert tuple(figures[key] for key in DOUBT) == (None, 0.0, 0)
 
 
 @pytest.mark.slow
@@ -111,6 +114,7 @@ def test_a_bag_of_live_cameras_is_judged_by_what_can_be_said(session, tmp_path, 
     bag = write_live_bag(tmp_path / "bag", session / "rig.yaml")
     figures = evaluated(capsys, bag, "--json")
     assert figures.pop("states") == {"doubtful": 2, "tracking": 34}
+    assert {key: figures.pop(key) for key in DOUBT} == dict.fromkeys(DOUBT)  # there is no truth
     assert figures == {"frames": 40, "tracked": 36, "time_to_track_s": 0.3, "jitter_mm": 0.0}
     assert main(["evaluate", str(bag), "--thesis"]) == 2
     assert "Leave out --thesis" in capsys.readouterr().err

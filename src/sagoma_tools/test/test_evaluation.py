@@ -32,7 +32,8 @@ def truth_of(points_world: np.ndarray, wrist_fraction: float = 1.0, angles: np.n
 
 def track_of(points_world: np.ndarray, sd_m: float = 0.01, frames: np.ndarray = FRAMES) -> Track:
     covariance = np.broadcast_to(np.eye(3) * sd_m**2, (*points_world.shape, 3)).copy()
-    return Track(frames, points_world, covariance, np.tile(T_POSE_ANGLES, (len(frames), 1)), tracking(len(frames)))
+    angles, parts = np.tile(T_POSE_ANGLES, (len(frames), 1)), np.full((len(frames), 5), "good")
+    return Track(frames, points_world, covariance, angles, tracking(len(frames)), parts)
 
 
 def tracking(count: int) -> np.ndarray:

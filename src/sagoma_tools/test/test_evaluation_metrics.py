@@ -1,5 +1,6 @@
 """Angles, covariance coverage, jitter and time to track against values known by construction."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from capture_rig.session import Truth
+from mocap_packets.fit import GOOD
 from sagoma_tools.evaluation.angles import STRAIGHT_RAD, angle_truth, defined, score_angles
 from sagoma_tools.evaluation.scores import covariance_coverage
 from sagoma_tools.evaluation.track import Track
@@ -40,7 +42,8 @@ def track_of(points_world: np.ndarray, states: list[str] | None = None, first: i
     count = len(points_world)
     covariance = np.broadcast_to(np.eye(3) * 1e-4, (count, 15, 3, 3)).copy()
     states = states or ["tracking"] * count
-    return Track(first + np.arange(count), points_world, covariance, np.zeros((count, 18)), np.array(states))
+    parts = np.full((count, 5), GOOD)
+    return Track(first + np.arange(count), points_world, covariance, np.zeros((count, 18)), np.array(states), parts)
 
 
 BENT = {
@@ -182,7 +185,7 @@ def test_jitter_without_a_truth_takes_the_tracks_own_rest():
 def test_jitter_has_no_value_for_a_track_with_gaps_everywhere():
     still, _ = walker(1)
     track = track_of(np.repeat(still, 40, axis=0))
-    gaps = Track(2 * track.frames, track.points_world, track.covariance, track.angles, track.states)
+    gaps = replace(track, frames=2 * track.frames)
     assert np.isnan(jitter(gaps, FPS).rms_mm)
 
 

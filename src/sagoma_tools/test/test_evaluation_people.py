@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from capture_rig.session import Truth
+from mocap_packets.fit import GOOD
 from sagoma_tools.evaluation.people import changes, main_track, score_people
 from sagoma_tools.evaluation.track import Track
 from stick_figure.body import Body
@@ -29,7 +30,8 @@ def truth(y):
 def track(points_world, frames=None, state="tracking"):
     frames = np.arange(len(points_world)) if frames is None else frames
     covariance = np.tile(1e-4 * np.eye(3), (len(frames), 15, 1, 1))
-    return Track(frames, points_world, covariance, np.zeros((len(frames), 18)), np.full(len(frames), state))
+    angles, parts = np.zeros((len(frames), 18)), np.full((len(frames), 5), GOOD)
+    return Track(frames, points_world, covariance, angles, np.full(len(frames), state), parts)
 
 
 TRUTHS = truth(0.0), truth(2.0)

@@ -9,6 +9,7 @@ import pytest
 from capture_rig.camera import CameraModel
 from capture_rig.session import Session, load_session
 from capture_rig.video import Video
+from mocap_packets.fit import GOOD
 from sagoma_tools.evaluation.live_run import distort_mask
 from sagoma_tools.evaluation.pictures import caption, draw_stills, sheets, write_overlay
 from sagoma_tools.evaluation.plots import Curves, draw_plots, unwrapped
@@ -36,7 +37,8 @@ def evaluated(session) -> TrackEvaluation:
     points[3, 11] += [0.0, 0.0, 0.22]
     states = np.array(["acquiring", "tracking", "tracking", "doubtful", "tracking"])
     covariance = np.broadcast_to(np.eye(3) * 1e-3, (FRAMES - 1, 15, 3, 3)).copy()
-    track = Track(np.arange(1, FRAMES), points, covariance, session.truth.angles[1:].copy(), states)
+    parts = np.full((FRAMES - 1, 5), GOOD)
+    track = Track(np.arange(1, FRAMES), points, covariance, session.truth.angles[1:].copy(), states, parts)
     return evaluate_track(session, FRAMES, track, thesis=track)
 
 

@@ -1,6 +1,7 @@
 """Sessions and calibration films in the codecs that people have: tracked, calibrated, and what is said of bad files."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 
@@ -66,6 +67,15 @@ def test_video_that_was_cut_off_ends_the_tracking_there_and_is_named(session, tm
     assert f"cam03.avi ended after {left} frames, before the others" in said
     codes = [code for _, code, _ in doctor(capsys, copied)]
     assert "footage.doubtful" in codes and "footage.lengths_differ" in codes
+
+
+def test_video_damaged_so_that_nobody_is_found_is_named_last(session, tmp_path, capsys):
+    copied = transcoded(session, tmp_path / "copied", "MJPG", FPS)
+    cut_off(copied / "cam03.avi", 0.15)
+    assert main(["evaluate", str(copied), "--json", "--set", "hull_server.backend=cpu"]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert re.search(rf"cam03.avi: ends after [1-4] frames, its header promises {FRAMES}.*; no body was found", said)
+    assert said.endswith("Copy it again from where it was recorded; what was cut off cannot be used.")
 
 
 def test_variable_frame_rate_is_said_when_tracking_and_by_the_doctor(session, tmp_path, capsys):

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import shutil
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from ..command_help import INTERRUPTED
 from ..console import command_console
 from ..evaluation.live_inputs import FootageInput
 from ..evaluation.live_run import KEPT_UP, LiveRun, draw, evaluate_run, run_live, run_studio
+from ..evaluation.reasons import explain
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
 from ..progress_line import doing
@@ -89,7 +91,9 @@ def run(args: argparse.Namespace) -> int:
             line = speed_line(live.speed, cameras, fps, forced=args.speed is not None)
         console.print(line, style="bold")
     if trouble:
-        console.print(f"{trouble}; {next_step(live.others)}", style="yellow")
+        enough = args.rate == 0.0 or live.hz_held >= LEAST_HZ  # fewer sets are reason enough
+        why = live.reasons if enough and len(live.track) < TRACKED * live.answered else ()
+        console.print(f"{trouble}; {next_step(live.others, args.rate, why)}", style="yellow")
     print(json.dumps(figures(live, scores)))
     return 1 if trouble else 0
 
@@ -134,8 +138,16 @@ def speed_line(speed: float, cameras: int, fps: float, forced: bool) -> str:
     return f"shown at {part} the speed: {why}"
 
 
-def next_step(others: float) -> str:
-    """Say what to do about a capture that is not sound."""
+def next_step(others: float, rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
+    """Say what to do about a capture that is not sound.
+
+    others : share of the processors that other programs took; rate : of the footage, None of cameras; reasons : of each
+    set, why nobody was tracked in it, where that is what is wrong.
+    """
+    if any(reasons):
+        return ". ".join(explain(reasons))
+    if rate == 0.0:  # nothing is dropped, however busy the machine
+        return "look into the logs of the nodes"
     if others > BUSY:
         return (
             f"the machine is busy, other programs take {100 * others:.0f} % of it: end them and try again, or read the "

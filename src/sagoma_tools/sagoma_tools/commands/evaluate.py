@@ -11,6 +11,7 @@ from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
+from capture_rig.verdict import REDO
 from capture_rig.video_findings import VideoFacts, ended_findings
 from capture_rig.visibility import RigVisibility
 from mocap_pipeline.configuration import Configuration
@@ -19,7 +20,7 @@ from sagoma_bringup.first_pose import start_settings
 from ..arguments import add_settings_argument, add_start_argument, parse_settings
 from ..console import command_console
 from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_people
-from ..evaluation.people import PeopleScores, main_track, score_people
+from ..evaluation.people import PeopleScores, identify, main_track, score_people
 from ..evaluation.pictures import draw_stills, write_overlay
 from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_ablation, print_evaluation, print_people
@@ -56,12 +57,13 @@ def run(args: argparse.Namespace) -> int:
     session, bag = find(args)
     everybody, frames = recorded(args, session, bag) if bag is not None else tracked(args, session)
     tracks = {name: main_track(of_all, session.truths, session.fps) for name, of_all in everybody.items()}
-    evaluated = evaluate_track(session, frames, tracks[OURS], tracks.get(THESIS))
+    switches = identify(everybody[OURS], session.truths, session.fps).switches_of(0) if session.truths else None
+    evaluated = evaluate_track(session, frames, tracks[OURS], tracks.get(THESIS), switches)
     figures, console = evaluated.figures(), command_console(stderr=args.json, width=TABLE_WIDTH)
     rows = ablation_scores(session, tracks) if args.ablation else {}
     people = people_scores(session, everybody[OURS])
     if people is not None:
-        figures |= people.figures()
+        figures |= people.figures(people_scores(session, everybody[THESIS]) if THESIS in everybody else None)
     if not args.json:
         print_evaluation(console, evaluated)
         if people is not None:
@@ -118,9 +120,15 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[
         variants |= {THESIS: thesis_configuration(settings)} if session.truth is not None else {}
     ours_first = dict(sorted(variants.items(), key=lambda row: row[0] != OURS))
     came: dict[str, VideoFacts] = {}
-    tracks = track_people(
-        session, ours_first, exact_masks=args.exact_masks, progress=doing("tracking frames"), ended=came.update
-    )
+    try:
+        tracks = track_people(
+            session, ours_first, exact_masks=args.exact_masks, progress=doing("tracking frames"), ended=came.update
+        )
+    except InputError as nobody:
+        damaged = [finding for finding in ended_findings(came) if finding.grade == REDO] if came else []
+        if not damaged:
+            raise
+        raise InputError(f"{damaged[0].what}; {nobody.what}", remedy=damaged[0].remedy) from None
     for finding in ended_findings(came):
         print(f"sagoma: {finding}", file=sys.stderr)
     return tracks, min(facts.passed.frames for facts in came.values())

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from capture_rig.errors import InputError
 from capture_rig.session import Session, footage_stamp_ns
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState
@@ -15,6 +14,7 @@ from mocap_pipeline.pipeline import BodyFollower, MocapPipeline
 from mocap_pipeline.session_footage import EPOCH_NS, FootageEnded, exact_silhouettes, ignore_end, pipeline_of, segmented
 
 from .people import main_track
+from .reasons import nobody_tracked, reasons_of_step
 from .track import Track
 
 
@@ -69,16 +69,18 @@ def track_people(
     masks = exact_silhouettes(session, ended) if exact_masks else segmented(session, pipeline, ended)
     followers = [pipeline.body, *(BodyFollower.of(other, session.rig) for other in others)]
     rows: list[dict[int, list[tuple[int, BodyState]]]] = [{FIRST_PERSON: []} for _ in followers]
+    reasons: list[tuple[str, ...]] = []
     for frame, frame_masks in enumerate(masks):
         progress(frame)
         products = pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), frame_masks)
-        for follower, states in zip(followers, rows, strict=True):
-            for person in follower.step(products).people:
+        steps = [follower.step(products) for follower in followers]
+        reasons.append(reasons_of_step(steps[0]))
+        for step, states in zip(steps, rows, strict=True):
+            for person in step.people:
                 if person.state is not None:
                     states.setdefault(person.person, []).append((frame, person.state))
     if not rows[0][FIRST_PERSON]:
-        remedy = "Start from a T-pose, or give the reference of the first frame."
-        raise InputError("no body was found in any frame", where=str(session.folder), remedy=remedy)
+        raise nobody_tracked("no body was found in any frame", str(session.folder), reasons)
     return {
         name: {person: Track.of_states(of_person) for person, of_person in sorted(states.items())}
         for name, states in zip(variants, rows, strict=True)

@@ -34,6 +34,7 @@ from .held_rate import OtherPrograms
 from .live_inputs import LiveInput, StudioInput, TooSlow
 from .people import main_track
 from .pictures import session_overlay
+from .reasons import reasons_of_bag
 from .track import Track, tracks_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track
 
@@ -64,6 +65,7 @@ class LiveRun:
     others : share of the processors that other programs took meanwhile.
     speed : of the cameras' time, of which sets_per_s alone is not.
     tracks : everybody's, by the person's number; the first person's is empty where nobody was tracked.
+    reasons : of each fitted set, why somebody was not tracked in it, in the tracker's words.
     """
 
     session: Session
@@ -83,6 +85,7 @@ class LiveRun:
     others: float
     speed: float
     tracks: dict[int, Track]
+    reasons: list[tuple[str, ...]]
 
     @property
     def track(self) -> Track:
@@ -233,6 +236,7 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
         others=meter.others,
         speed=float(live_input.clock.speed),
         tracks={n: track.between(0, clock.frames) for n, track in tracks.items()},
+        reasons=reasons_of_bag(bag, clock.__contains__),
     )
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from mocap_packets.state import Tracking
 
 from .scores import OVERALL, Scores, number, score
 from .track import Track
+from .track_evaluation import time_to_track_s
 
 LOST, SURE = str(Tracking.LOST), str(Tracking.TRACKING)
 FIRST_S = 1.0
@@ -25,35 +27,56 @@ SWITCHED_FOR_S = 0.1  # so long another truth is nearer before it counts: in a h
 
 
 @dataclass(frozen=True, eq=False)
+class Identities:
+    """Which tracks follow which truth.
+
+    numbers : of each truth, the persons as the tracker numbers them whose tracks belong to it, the first one first.
+    switches : of each truth, how often a track of it went to another truth; and one for each further number. ghosts :
+    persons of the tracker that belong to nobody. ghost_frames : frames in which some track that is not doubtful is with
+    nobody.
+    """
+
+    numbers: tuple[tuple[int, ...], ...]
+    switches: tuple[int, ...]
+    ghosts: tuple[int, ...]
+    ghost_frames: int
+
+    def switches_of(self, truth: int) -> int | None:
+        """Identity switches of one truth's person; None of somebody whom no track follows."""
+        return self.switches[truth] if self.numbers[truth] else None
+
+
+@dataclass(frozen=True, eq=False)
 class PersonScores:
     """One truth and the tracks that follow it.
 
-    truth : its place among the session's truths. numbers : persons as the tracker numbers them whose tracks belong to
-    it, the first one first. switches : how often the first track left it for another truth, and came back; and one for
-    each further number. scores : of the first track, None without one.
+    truth : its place among the session's truths, of so many frames. numbers, switches : as in :class:`Identities`.
+    time_to_track_s : of the first track, NaN without one. scores : of the first track, None without one.
     """
 
     truth: int
+    frames: int
     numbers: tuple[int, ...]
-    switches: int
+    switches: int | None
+    time_to_track_s: float
     scores: Scores | None
 
-    def figures(self) -> dict[str, object]:
-        """Name to number, for a line of JSON."""
-        whole: dict[str, object] = {"numbers": list(self.numbers), "identity_switches": self.switches}
-        if self.scores is not None:
-            whole |= {"frames": self.scores.frames, "tracked": self.scores.tracked}
-            whole |= {name: number(getattr(self.scores, name)) for name in OVERALL}
-        return whole
+    def figures(self) -> dict[str, Any]:
+        """Name to number, for a line of JSON; None where nothing is known."""
+        scores = self.scores
+        return {
+            "numbers": list(self.numbers),
+            "frames": self.frames,
+            "tracked": 0 if scores is None else scores.tracked,
+            **{name: None if scores is None else number(getattr(scores, name)) for name in OVERALL},
+            "time_to_track_s": number(self.time_to_track_s, 3),
+            "identity_switches": self.switches,
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class PeopleScores:
-    """Every person's scores, in the order of the truths.
-
-    ghosts : persons of the tracker that belong to nobody. ghost_frames : frames in which some track that is not
-    doubtful is with nobody.
-    """
+    """Every person's scores, in the order of the truths; ghosts, ghost_frames : as in :class:`Identities`."""
 
     persons: tuple[PersonScores, ...]
     ghosts: tuple[int, ...]
@@ -62,19 +85,19 @@ class PeopleScores:
     @property
     def switches(self) -> int:
         """Identity switches of all persons."""
-        return sum(person.switches for person in self.persons)
+        return sum(person.switches or 0 for person in self.persons)
 
-    def figures(self) -> dict[str, object]:
-        """Name to number, for a line of JSON: one record a person, and the mean of those that have scores."""
-        scored = [person.scores for person in self.persons if person.scores is not None]
-        means = {name: number(float(np.mean([getattr(one, name) for one in scored]))) for name in OVERALL if scored}
-        return {
-            **means,
-            "persons": [person.figures() for person in self.persons],
-            "identity_switches": self.switches,
-            "ghosts": list(self.ghosts),
-            "ghost_frames": self.ghost_frames,
-        }
+    def figures(self, thesis: PeopleScores | None = None) -> dict[str, Any]:
+        """Name to number, for a line of JSON: one record a person, and the mean of each figure over those who have it.
+
+        ``thesis`` : the scores of the thesis's method on the same hulls.
+        """
+        records = [person.figures() for person in self.persons]
+        if thesis is not None:
+            for record, other in zip(records, thesis.persons, strict=True):
+                record["thesis_mean_mm"] = other.figures()["mean_mm"]
+        whole = {name: _mean([record[name] for record in records]) for name in records[0] if name != "numbers"}
+        return {**whole, "persons": records, "ghosts": list(self.ghosts), "ghost_frames": self.ghost_frames}
 
 
 def score_people(
@@ -85,25 +108,37 @@ def score_people(
     Where a track says that it has lost its person it is not looked at: that person may have left. With ``visibility``
     errors count of those points alone that the rig shows.
     """
-    tracks = {person: track.chosen(track.states != LOST) for person, track in sorted(tracks.items())}
+    who, persons = identify(tracks, truths, fps), []
+    for place, (truth, numbers) in enumerate(zip(truths, who.numbers, strict=True)):
+        first = _believed(tracks[numbers[0]]) if numbers else Track.of_states([])
+        scores, seconds = _scores(first, truth, visibility), time_to_track_s(first, fps)
+        persons.append(PersonScores(place, len(truth.frames), numbers, who.switches_of(place), seconds, scores))
+    return PeopleScores(tuple(persons), who.ghosts, who.ghost_frames)
+
+
+def identify(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -> Identities:
+    """Find whose tracks the persons 1, 2, ... are, and how often they change; as :func:`score_people`."""
+    tracks = {person: _believed(track) for person, track in sorted(tracks.items())}
     distances = {person: distances_m(track, truths) for person, track in tracks.items() if len(track)}
     owners = assign(distances, fps)
     patience = max(round(SWITCHED_FOR_S * fps), 1)
-    persons = []
-    for place, truth in enumerate(truths):
-        numbers = tuple(person for person, owner in owners.items() if owner == place)
-        switches = max(len(numbers) - 1, 0)
-        switches += sum(changes(distances[person], patience) for person in numbers)
-        first = tracks[numbers[0]] if numbers else None
-        persons.append(PersonScores(place, numbers, switches, _scores(first, truth, visibility)))
-    ghosts = tuple(person for person, owner in owners.items() if owner is None)
+    numbers = [tuple(person for person, owner in owners.items() if owner == place) for place in range(len(truths))]
     astray = {
         int(frame)
         for person, rows in distances.items()
         for frame, state, row in zip(tracks[person].frames, tracks[person].states, rows, strict=True)
         if state == SURE and np.isfinite(row).any() and np.nanmin(row) > GHOST_M
     }
-    return PeopleScores(tuple(persons), ghosts, len(astray))
+    return Identities(
+        tuple(numbers),
+        tuple(max(len(own) - 1, 0) + sum(changes(distances[person], patience) for person in own) for own in numbers),
+        tuple(person for person, owner in owners.items() if owner is None),
+        len(astray),
+    )
+
+
+def _believed(track: Track) -> Track:
+    return track.chosen(track.states != LOST)
 
 
 def shown(truth: Truth, visibility: RigVisibility) -> Truth:
@@ -163,12 +198,16 @@ def main_track(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float)
     first = tracks[min(tracks)]
     if len(truths) < 2:
         return first
-    of_first = score_people(tracks, truths, fps).persons[0].numbers
+    of_first = identify(tracks, truths, fps).numbers[0]
     return tracks[of_first[0]] if of_first else first
 
 
-def _scores(track: Track | None, truth: Truth, visibility: RigVisibility | None) -> Scores | None:
+def _scores(track: Track, truth: Truth, visibility: RigVisibility | None) -> Scores | None:
     truth = truth if visibility is None else shown(truth, visibility)
-    if track is None or not np.isin(truth.frames, track.frames).any():
-        return None
-    return score(track, truth)
+    return score(track, truth) if np.isin(truth.frames, track.frames).any() else None
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """Over those that are known; None of none."""
+    known = [value for value in values if value is not None]
+    return number(float(np.mean(known))) if known else None

@@ -15,6 +15,7 @@ from stick_figure import metrics
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from .angles import AngleScores, angle_truth, score_angles
+from .part_calls import PartCalls
 from .track import Track
 
 DIMENSIONS = 3
@@ -78,7 +79,10 @@ def _mean(values: np.ndarray, axis: int | None = None) -> np.ndarray:
     return np.where(count > 0, np.where(known, values, 0.0).sum(axis) / np.maximum(count, 1), np.nan)
 
 
-OVERALL = ("mean_mm", "median_mm", "p95_mm", "over_200mm", "rmse_mean_mm", "mean_mm_without_offset", "inside_95")
+OVERALL = (
+    *("mean_mm", "median_mm", "p95_mm", "over_200mm", "rmse_mean_mm", "mean_mm_without_offset", "inside_95"),
+    *("flagged_of_bad", "false_alarms"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +95,8 @@ class Scores:
     mean_mm_without_offset : after each point's constant offset in the pelvis frame is taken out: where truth and stick
     figure mean different places by "shoulder" or "hip", that part says nothing about tracking.
     point_... : (15,) the same of each point; point_over_200mm : share of frames in which it is further off.
-    coverage : the errors against the track's own covariances. angles : the joint angles.
+    coverage : the errors against the track's own covariances. angles : the joint angles. calls : the parts of the body
+    that are called doubtful or lost, rightly or not.
     errors_mm : (frames, 15) every error, NaN where there is none.
     """
 
@@ -111,7 +116,18 @@ class Scores:
     point_mm_without_offset: np.ndarray
     coverage: CovarianceCoverage
     angles: AngleScores
+    calls: PartCalls
     errors_mm: np.ndarray
+
+    @property
+    def flagged_of_bad(self) -> float:
+        """Share of the parts of the body with a point over 200 mm that are called doubtful or lost."""
+        return self.calls.flagged_of_bad
+
+    @property
+    def false_alarms(self) -> float:
+        """Share of the frames with all points below 100 mm in which any part is called."""
+        return self.calls.false_alarms
 
     @property
     def inside_95(self) -> float:
@@ -165,6 +181,7 @@ def score(track: Track, truth: Truth) -> Scores:
         point_mm_without_offset=1e3 * _by_point(errors_centred, np.mean),
         coverage=covariance_coverage(estimate - reference, aligned.covariance),
         angles=score_angles(aligned.angles, aligned.points_world, angle_truth(truth)),
+        calls=PartCalls.of(errors_mm, aligned.parts),
         errors_mm=errors_mm,
     )
 

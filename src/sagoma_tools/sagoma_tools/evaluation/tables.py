@@ -38,7 +38,17 @@ def print_scores(console: Console, scores: Scores) -> None:
         f"{coverage.nees:.1f}, where 3 is consistent "
         f"({low:.1f} to {high:.1f} for a point, if frames erred independently)"
     )
+    calls = scores.calls
+    console.print(
+        f"doubt: of {calls.wrong.sum()} parts of the body with a point over 200 mm, called doubtful or lost: "
+        f"{_percent(calls.flagged_of_bad)}; of {calls.clear.sum()} frames with all points below 100 mm, with any part "
+        f"called: {_percent(calls.false_alarms)}"
+    )
     console.print(_angles(scores.angles))
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %" if np.isfinite(share) else "-"
 
 
 def _points(scores: Scores) -> Table:
@@ -105,7 +115,8 @@ def print_evaluation(console: Console, evaluated: TrackEvaluation) -> None:
             f"{len(evaluated.track)} of {evaluated.frames} frames have a body; there is no truth to compare with"
         )
     states = ", ".join(f"{state} in {count} frames" for state, count in evaluated.states.items())
-    console.print(f"tracking {evaluated.time_to_track_s:.2f} s after the first frame; {states}")
+    switches = "" if evaluated.switches is None else f"; {evaluated.switches} identity switches"
+    console.print(f"tracking {evaluated.time_to_track_s:.2f} s after the first frame; {states}{switches}")
     resting = int(evaluated.jitter.at_rest.sum())
     console.print(
         f"jitter at rest: {evaluated.jitter.rms_mm:.2f} mm rms ({resting} points in frames)"
@@ -122,7 +133,8 @@ def print_evaluation(console: Console, evaluated: TrackEvaluation) -> None:
 
 def print_people(console: Console, people: PeopleScores) -> None:
     """Print a row for each person of a session with several truths, where the rig shows that person."""
-    table = _table("every person, where the rig shows them", "truth", "numbers", *POINT_COLUMNS, "frames", "switches")
+    columns = "numbers", *POINT_COLUMNS, "flagged", "alarms", "frames", "switches"
+    table = _table("every person, where the rig shows them", "truth", *columns)
     for person in people.persons:
         name, numbers = f"person {person.truth + 1}", "+".join(map(str, person.numbers)) or "-"
         scores = person.scores
@@ -132,8 +144,9 @@ def print_people(console: Console, people: PeopleScores) -> None:
         errors = f"{scores.mean_mm:.1f}", f"{scores.median_mm:.1f}", f"{scores.p95_mm:.0f}"
         over, offset = f"{100 * scores.over_200mm:.1f} %", f"{scores.mean_mm_without_offset:.1f}"
         coverage = f"{100 * scores.inside_95:.0f} %", f"{scores.coverage.nees:.1f}"
+        called = _percent(scores.flagged_of_bad), _percent(scores.false_alarms)
         frames = f"{scores.tracked} of {scores.frames}"
-        table.add_row(name, numbers, *errors, over, offset, *coverage, frames, str(person.switches))
+        table.add_row(name, numbers, *errors, over, offset, *coverage, *called, frames, str(person.switches))
     console.print(table)
     nobody = f"; tracks of nobody: {', '.join(map(str, people.ghosts))}" if people.ghosts else ""
     console.print(f"{people.switches} identity switches; {people.ghost_frames} frames with a track of nobody{nobody}")

@@ -12,18 +12,19 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState, PointCloud2
 
 from capture_rig.errors import InputError
-from mocap_packets.fit import FIRST_PERSON
+from mocap_packets.fit import FIRST_PERSON, PART_NAMES
 from mocap_packets.state import BodyState
 from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..recording.reader import bag_persons, read_messages
+from .reasons import nobody_tracked, reasons_of_bag
 
 FIRST_PREFIX = "/mocap"
 POINTS, ANGLES, STATE = "reference_points", "joint_states", "state"
 POINTS_TOPIC, ANGLES_TOPIC = f"{FIRST_PREFIX}/{POINTS}", f"{FIRST_PREFIX}/{ANGLES}"
-NO_STATE = "tracking"
-"""The state of every body in a bag that holds none."""
+NO_STATE = "tracking", ("",) * len(PART_NAMES)
+"""The state of every body, and of its parts, in a bag that holds none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +35,8 @@ class Track:
     points_world : (F, 15, 3) metres, map frame; covariance : (F, 15, 3, 3) m^2.
     angles : (F, 18) rad.
     states : (F,) the tracker's state: "acquiring", "tracking", ...; empty where a frame has no row.
+    parts : (F, 5) how far to trust each part of the body (``PART_NAMES``): "good", "doubtful", "lost"; empty where that
+    is not known.
     """
 
     frames: np.ndarray
@@ -41,6 +44,7 @@ class Track:
     covariance: np.ndarray
     angles: np.ndarray
     states: np.ndarray
+    parts: np.ndarray
 
     @classmethod
     def of_states(cls, rows: Sequence[tuple[int, BodyState]]) -> Track:
@@ -56,6 +60,7 @@ class Track:
             column([state.point_covariance for state in states], (15, 3, 3)),
             column([state.angles for state in states], (18,)),
             np.array([str(state.tracking) for state in states], dtype=str),
+            np.array([state.parts for state in states], dtype=str).reshape(-1, len(PART_NAMES)),
         )
 
     def __len__(self) -> int:
@@ -84,7 +89,7 @@ class Track:
 
     @property
     def _columns(self) -> tuple[np.ndarray, ...]:
-        return self.frames, self.points_world, self.covariance, self.angles, self.states
+        return self.frames, self.points_world, self.covariance, self.angles, self.states, self.parts
 
 
 def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Track:
@@ -94,8 +99,11 @@ def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Tra
     """
     track = _read_track(bag, frame_of_stamp, FIRST_PREFIX)
     if not len(track):
+        what, reasons = "holds no tracked body", reasons_of_bag(bag)
+        if any(reasons):
+            raise nobody_tracked(what, str(bag), reasons)
         remedy = f"Record {POINTS_TOPIC}, {ANGLES_TOPIC} while the graph tracks a person."
-        raise InputError("holds no tracked body", where=str(bag), remedy=remedy)
+        raise InputError(what, where=str(bag), remedy=remedy)
     return track
 
 
@@ -119,13 +127,15 @@ def tracks_from_bag(
 def _read_track(bag: str | Path, frame_of_stamp: Callable[[int], int], prefix: str) -> Track:
     points: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     angles: dict[int, np.ndarray] = {}
-    states: dict[int, str] = {}
+    states: dict[int, tuple[str, tuple[str, ...]]] = {}
     points_topic, angles_topic, state_topic = (f"{prefix}/{what}" for what in (POINTS, ANGLES, STATE))
     for message in read_messages(bag, {points_topic, angles_topic, state_topic}.__contains__):
         if message.topic == state_topic:  # without a header: its values hold the stamp
             status = message.decode(DiagnosticStatus)
-            stamps = [int(value.value) for value in status.values if value.key == "stamp_ns"]
-            states.update((frame_of_stamp(stamp_ns), status.message) for stamp_ns in stamps)
+            said = {pair.key: pair.value for pair in status.values}
+            if "stamp_ns" in said:
+                parts = tuple(said.get(part, "") for part in PART_NAMES)
+                states[frame_of_stamp(int(said["stamp_ns"]))] = status.message, parts
             continue
         frame = frame_of_stamp(message.stamp_ns)
         if message.topic == points_topic:
@@ -140,7 +150,8 @@ def _read_track(bag: str | Path, frame_of_stamp: Callable[[int], int], prefix: s
         np.array([points[f][0] for f in frames]).reshape(-1, 15, 3),
         np.array([points[f][1] for f in frames]).reshape(-1, 15, 3, 3),
         np.array([angles[f] for f in frames]).reshape(-1, len(ANGLE_NAMES)),
-        np.array([states.get(f, NO_STATE) for f in frames], dtype=str),
+        np.array([states.get(f, NO_STATE)[0] for f in frames], dtype=str),
+        np.array([states.get(f, NO_STATE)[1] for f in frames], dtype=str).reshape(-1, len(PART_NAMES)),
     )
 
 

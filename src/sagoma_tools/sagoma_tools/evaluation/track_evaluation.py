@@ -88,6 +88,7 @@ class TrackEvaluation:
     states : the tracker's state -> in how many frames.
     time_to_track_s : from the first frame to the first in state "tracking", NaN when there is none.
     scores : against the truth, where the session has one. thesis : those of the thesis's method on the same hulls.
+    switches : identity switches of the person; None without a truth, or of somebody whom no track follows.
     """
 
     session: Session
@@ -98,22 +99,27 @@ class TrackEvaluation:
     jitter: Jitter
     scores: Scores | None
     thesis: Scores | None = None
+    switches: int | None = None
 
     def figures(self) -> dict[str, object]:
         """Name to number, for a line of JSON; without a truth, those that need none."""
         whole: dict[str, object] = {"frames": self.frames, "tracked": len(self.track)}
+        whole |= dict.fromkeys(("flagged_of_bad", "false_alarms"))
         if self.scores is not None:
             whole |= self.scores.figures()
         if self.thesis is not None:
             whole["thesis_mean_mm"] = number(self.thesis.mean_mm)
+        whole["identity_switches"] = self.switches
         whole["time_to_track_s"] = number(self.time_to_track_s, 3)
         whole["jitter_mm"] = number(self.jitter.rms_mm, 2)
         whole["states"] = self.states
         return whole
 
 
-def evaluate_track(session: Session, frames: int, track: Track, thesis: Track | None = None) -> TrackEvaluation:
-    """Score a session's track, and the one of the thesis's method if there is one."""
+def evaluate_track(
+    session: Session, frames: int, track: Track, thesis: Track | None = None, switches: int | None = None
+) -> TrackEvaluation:
+    """Score a session's track, and the one of the thesis's method if there is one; ``switches`` : of its person."""
     truth = session.truth
     return TrackEvaluation(
         session=session,
@@ -124,6 +130,7 @@ def evaluate_track(session: Session, frames: int, track: Track, thesis: Track | 
         jitter=jitter(track, session.fps, truth),
         scores=None if truth is None else score(track, truth),
         thesis=None if truth is None or thesis is None or not len(thesis) else score(thesis, truth),
+        switches=switches,
     )
 
 
