@@ -7,15 +7,18 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray
 
 from capture_rig.errors import InputError
-from icp_tracker.tracker import TRACKING
 from mocap_packets.fit import PART_NAMES
-from mocap_pipeline.pipeline import Step
+from mocap_packets.state import Tracking
 
 from ..recording.reader import read_messages
+
+if TYPE_CHECKING:  # bags are read without it
+    from mocap_pipeline.pipeline import Step
 
 FIT_TOPIC, STATE = "/icp/fit", "state"
 SHOWN = 3
@@ -78,7 +81,7 @@ class Reason:
 
 def reasons_of_step(step: Step) -> tuple[str, ...]:
     """Return why the fits of one set are not quite believed, or there is none."""
-    return tuple(person.fit.reason for person in step.people if person.fit.state != TRACKING)
+    return tuple(person.fit.reason for person in step.people if person.fit.state != Tracking.TRACKING)
 
 
 def reasons_of_bag(bag: str | Path, wanted: Callable[[int], bool] = lambda stamp_ns: True) -> list[tuple[str, ...]]:
@@ -87,7 +90,7 @@ def reasons_of_bag(bag: str | Path, wanted: Callable[[int], bool] = lambda stamp
     for message in read_messages(bag, FIT_TOPIC.__eq__):
         if wanted(message.stamp_ns):
             statuses = message.decode(DiagnosticArray).status
-            troubled = [s for s in statuses if {v.key: v.value for v in s.values}.get(STATE) != TRACKING]
+            troubled = [s for s in statuses if {v.key: v.value for v in s.values}.get(STATE) != Tracking.TRACKING]
             found.append(tuple(status.message for status in troubled))
     return found
 
