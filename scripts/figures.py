@@ -87,7 +87,7 @@ class Figures:
             raise FigureError(f"row {name!r}: {template!r} does not fit the records: {error!r}") from None
         records = [self.records[record] for record in records_of(template)]
         commands = dict.fromkeys(f"`{record['command']}`" for record in records)
-        taken = dict.fromkeys(f"{record['date'][:10]}, {(record['commit'] or 'no commit')[:7]}" for record in records)
+        taken = dict.fromkeys(map(_taken, records))
         return [row["what"], figure, "; ".join(commands), *(["; ".join(taken)] if long else [])]
 
     def stale(self) -> list[str]:
@@ -118,6 +118,13 @@ class Figures:
             return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
         except (OSError, subprocess.CalledProcessError):
             return None
+
+
+def _taken(record: Mapping[str, Any]) -> str:
+    """When and of which commit a record is; and that its times are those of a busy machine."""
+    machine = record.get("machine", {"load": 0.0, "cores": 1})
+    busy = f", load {machine['load']:.0f}" if machine["load"] > machine["cores"] else ""
+    return f"{record['date'][:10]}, {(record['commit'] or 'no commit')[:7]}{busy}"
 
 
 def _markdown(rows: list[list[str]]) -> str:

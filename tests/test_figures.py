@@ -16,6 +16,7 @@ RECORD = {
     "command": "python bench/a.py --quick",
     "commit": None,
     "date": "2026-11-23 21:00",
+    "machine": {"cores": 2, "load": 5.2},
     "figures": {"off_mm": 1.25},
     "tables": [[["way", "mm"], ["on", "1"]]],
 }
@@ -89,7 +90,7 @@ def test_make_figures_fills_the_tables_and_a_second_time_changes_nothing(tree, c
         "after",
     ]
     commit, long = git(tree, "rev-parse", "HEAD"), (tree / "docs/long.md").read_text()
-    assert f"| 1.2 mm (tried once) | `python bench/a.py --quick` | 2026-11-23, {commit[:7]} |" in long
+    assert f"| 1.2 mm (tried once) | `python bench/a.py --quick` | 2026-11-23, {commit[:7]}, load 5 |" in long
     assert "-->\n| way | mm |\n|---|---|\n| on | 1 |\n<!-- /figures -->" in long
     capsys.readouterr()
     assert main(tree, check=True) == main(tree, check=False) == 0
