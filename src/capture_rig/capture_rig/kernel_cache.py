@@ -118,7 +118,7 @@ def temporary_folder() -> str:
 
 
 class _Files(CompileResultCacheImpl):
-    _locator_classes = (_GivenFolder, _BesideSource, _UserFolder, _TemporaryFolder)
+    _locator_classes: list[type[object]] = [_GivenFolder, _BesideSource, _UserFolder, _TemporaryFolder]  # noqa: RUF012
 
 
 class KernelCache(FunctionCache):

@@ -333,10 +333,8 @@ def warm_up(settings: TrackerSettings) -> None:
         predicted = Prediction(k, pose, np.zeros(TANGENT)).as_sent()
         tracker.step(HullProducts.of_points(k, points, 0.01, voxels, contour_rays=contour_rays), predicted)
     if settings.method == "articulated":
-        data, trunk = (
-            make_data(points, 0.01, voxels, settings.articulated, contour_rays),
-            TrunkBend(settings.articulated),
-        )
+        trunk = TrunkBend(settings.articulated)
+        data = make_data(points, 0.01, voxels, settings.articulated, contour_rays)
         matched = assess(body, pose, data, 0, True, settings.articulated).matched
         for k in range(2):
             trunk.look(k, body, pose, data.contour_rays, matched.rays)
