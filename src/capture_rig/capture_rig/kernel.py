@@ -20,7 +20,8 @@ from numba.core.typed_passes import NativeLowering
 
 from .kernel_cache import KernelCache
 
-NO_ENTRY = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # not called from outside
+OPTIONS: dict[str, Any] = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True}
+NO_ENTRY = {"no_cpython_wrapper": True}  # not called from Python
 ARITHMETIC: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
 
 
@@ -28,7 +29,7 @@ def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles as ``numba.njit`` does with these options."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        compiled = _KernelDispatcher(function, options)
+        compiled = _KernelDispatcher(function, targetoptions=OPTIONS | options)
         if cache:
             compiled.enable_caching()
         return compiled
@@ -97,10 +98,10 @@ class _PartDispatcher(CPUDispatcher):
 class _KernelDispatcher(CPUDispatcher):
     """A function as Python calls it; within kernels the part stands for it."""
 
-    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
-        options = options | {"nopython": True, "boundscheck": None}
-        super().__init__(function, targetoptions=options | {"no_cfunc_wrapper": True})
-        self._part = _PartDispatcher(function, targetoptions=options | NO_ENTRY, pipeline_class=_PartCompiler)
+    def __init__(self, function: Callable[..., Any], locals: Any = None, targetoptions: Any = None) -> None:
+        """As numba does when it unpickles one, too."""
+        super().__init__(function, locals, targetoptions)
+        self._part = _PartDispatcher(function, locals, targetoptions | NO_ENTRY, _PartCompiler)
 
     def enable_caching(self) -> None:
         with suppress(RuntimeError):  # no folder can be written: every process compiles what it needs

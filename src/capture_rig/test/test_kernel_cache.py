@@ -1,6 +1,7 @@
 """Kernels: what makes a cached one out of date, where caches go, and what callers see of the parts they call."""
 
 import os
+import pickle
 import shutil
 import subprocess
 import sys
@@ -158,6 +159,16 @@ def test_what_a_called_function_raises_reaches_python():
     assert calls(2.0) == 6.0
     with pytest.raises(ValueError, match="negative"):
         calls(-1.0)
+
+
+def test_kernel_can_be_sent_to_another_process():
+    sent = subprocess.run(
+        [sys.executable, "-c", "import pickle, sys; print(pickle.loads(sys.stdin.buffer.read())(2.0))"],
+        input=pickle.dumps(calls),
+        capture_output=True,
+        check=True,
+    )
+    assert float(sent.stdout) == 6.0
 
 
 def test_what_a_kernel_calls_can_be_called_from_python_too():
