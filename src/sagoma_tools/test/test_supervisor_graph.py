@@ -65,6 +65,16 @@ def test_configure_names_the_node_and_its_log_when_a_server_node_refuses(supervi
     assert run.states() == {"/hull_server": "unconfigured", "/cam01/camera_client": "inactive"}
 
 
+@pytest.mark.parametrize(("stopped", "raised"), [(True, KeyboardInterrupt), (False, GraphError)])
+def test_start_that_the_user_ends_is_an_interruption_and_no_failure(tmp_path, stopped, raised):
+    stop = threading.Event()
+    with pytest.raises(raised), Supervisor([tiny("hull_server", "refuses_to_configure")], tmp_path, cancel=stop) as run:
+        if stopped:
+            stop.set()
+        run.configure()
+    assert len(run.exit_statuses) == 1  # its process has ended
+
+
 def test_graph_goes_on_when_one_of_two_cameras_refuses(supervise):
     run = supervise(tiny("hull_server"), camera("cam01", "refuses_to_configure"), camera("cam02"))
     outcome = run.configure()

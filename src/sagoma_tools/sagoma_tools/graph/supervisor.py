@@ -83,8 +83,11 @@ class Supervisor:
         self.start()
         return self
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        """Stop the graph. What a cancelled start could not reach is no failure of the graph: KeyboardInterrupt."""
         self.stop()
+        if isinstance(error, GraphError) and self._cancel.is_set():
+            raise KeyboardInterrupt from None
 
     @property
     def node(self) -> Node:

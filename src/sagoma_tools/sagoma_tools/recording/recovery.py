@@ -64,12 +64,8 @@ def recover_bag(bag: str | Path, target: str | Path) -> Recovery:
     """
     files = sorted(Path(bag).glob("*.mcap"))
     if len(files) != 1:
-        remedy = "Give the folder that holds one .mcap file."
-        if not Path(bag).is_dir():
-            raise InputError(
-                "is no folder" if Path(bag).exists() else "there is no such bag", where=str(bag), remedy=remedy
-            )
-        raise InputError(f"holds {len(files) or 'no'} .mcap files", where=str(bag), remedy=remedy)
+        what = f"holds {len(files) or 'no'} .mcap files" if Path(bag).is_dir() else "there is no such folder"
+        raise InputError(what, where=str(bag), remedy="Give the folder that holds one .mcap file.")
     if _is_readable(bag):
         raise InputError("is complete", where=str(bag), remedy="It needs no recovery: it can be read as it is.")
     recovery = Recovery()
