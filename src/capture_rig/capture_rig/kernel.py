@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
-from numba.core import types
+from numba.core import sigutils, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
@@ -25,11 +25,14 @@ NO_ENTRY = {"no_cpython_wrapper": True}  # not called from Python
 ARITHMETIC: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
 
 
-def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles as ``numba.njit`` does with these options."""
+def njit(*, cache: bool, crops: bool = False, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Return a decorator that compiles as ``numba.njit`` does with these options.
+
+    crops : images come whole or as parts of larger ones, and are compiled once, as parts.
+    """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        compiled = _KernelDispatcher(function, targetoptions=OPTIONS | options)
+        compiled = (_CropDispatcher if crops else _KernelDispatcher)(function, targetoptions=OPTIONS | options)
         if cache:
             compiled.enable_caching()
         return compiled
@@ -112,6 +115,22 @@ class _KernelDispatcher(CPUDispatcher):
 
     def get_overload(self, signature: Any) -> Any:
         return self._part.get_overload(signature)
+
+
+class _CropDispatcher(_KernelDispatcher):
+    """A kernel of images, contiguous or not: one machine code for both, since any crop may be as wide as its image."""
+
+    def compile(self, sig: Any) -> Any:
+        given, _ = sigutils.normalize_signature(sig)
+        taken = tuple(map(_as_crop, given))
+        code = super().compile(taken)
+        if taken != tuple(given):
+            self._insert([kind._code for kind in given], code, False)  # not of Python's objects
+        return code
+
+
+def _as_crop(kind: types.Type) -> types.Type:
+    return kind.copy(layout="A") if isinstance(kind, types.Array) and kind.ndim > 1 else kind
 
 
 def _plain(kind: types.Type) -> types.Type:

@@ -177,3 +177,18 @@ def test_what_a_kernel_calls_can_be_called_from_python_too():
     total = np.zeros(2)
     add(np.ones(2), np.ones(2), total)
     assert total.tolist() == [2.0, 2.0]
+
+
+@njit(cache=False, crops=True)
+def total_of(image):
+    total = 0
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            total += image[row, column]
+    return total
+
+
+def test_images_and_their_crops_share_one_machine_code():
+    image = np.arange(12, dtype=np.uint8).reshape(3, 4)
+    assert total_of(image) == 66 and total_of(image[:, 1:3]) == 33 and total_of(image[:2]) == 28
+    assert len(total_of.overloads) == 1

@@ -17,6 +17,7 @@ from pathlib import Path
 import ekf_tracker.filter
 import icp_tracker.tracker
 from camera_client.silhouettes.warm_up import warm_up_silhouettes
+from capture_rig.session import load_session
 from hull_server.hull_pipeline import HullPipeline
 from mocap_pipeline.configuration import Configuration
 from sagoma_ros import mask_png
@@ -24,7 +25,10 @@ from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
+from .evaluation.in_process import track_session
+
 SETTINGS = Configuration.of({"hull_server.backend": "cpu"})
+FPS, S = 10.0, 0.8
 
 
 def main() -> int:
@@ -35,6 +39,7 @@ def main() -> int:
     ) as pool:  # the collector looks through all that the compiler holds, again and again: a fifth of the time
         for part in [pool.submit(part) for part in parts]:
             part.result()
+    track()
     return 0
 
 
@@ -60,8 +65,13 @@ def compile_cameras() -> None:
     for colour in (False, True):
         warm_up_silhouettes(colour)
     mask_png.warm_up()
+
+
+def track() -> None:
+    """Track somebody through a tiny session of simulated cameras: compiles what no stage alone runs."""
     with tempfile.TemporaryDirectory(prefix="sagoma_warm_up_") as folder:
-        write_session(Path(folder) / "session", ring(2, True), Body.from_stature(1.75), "t_pose_only", 10.0, 0.1)
+        session = write_session(Path(folder) / "session", ring(4, True), Body.from_stature(1.75), "t_pose_only", FPS, S)
+        track_session(load_session(session), SETTINGS)
 
 
 if __name__ == "__main__":

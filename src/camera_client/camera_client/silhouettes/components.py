@@ -57,7 +57,7 @@ def keep_people(mask: Mask, rule: PeopleRule, things: Mask | None = None) -> Mas
     return kept
 
 
-@njit(**OPTIONS)
+@njit(**OPTIONS, crops=True)
 def select_components(words, things, rule, runs, found, kept):  # type: ignore[no-untyped-def]
     """Write 255 into ``kept`` (h, w), zeros before, where people's components are.
 

@@ -96,7 +96,7 @@ def least_squared_distance(sigma: float, correlation: float, channels: int) -> f
     return 2 * channels * math.log(256 / (math.sqrt(2 * math.pi) * sigma)) - math.log(determinant)
 
 
-@njit(**OPTIONS)
+@njit(**OPTIONS, crops=True)
 def weigh_pixels(distance, most, rest, codec_sigma, rows, evidence):  # type: ignore[no-untyped-def]
     """Write each pixel's own ``evidence`` (h, w) float32, z^2 / 2, with a codec's errors added to the noise's variance.
 

@@ -62,7 +62,7 @@ def find_darkened(image, expected, mask, noise, codec_variance, darkest, rule): 
     return found
 
 
-@njit(**OPTIONS)
+@njit(**OPTIONS, crops=True)
 def shadow_sums(image, expected, mask, window, block, darkest, lightest):  # type: ignore[no-untyped-def]
     """Sum, block by block, how a mono image keeps the background's texture where it is darker.
 
@@ -117,7 +117,7 @@ def shadow_sums(image, expected, mask, window, block, darkest, lightest):  # typ
     return dark, sums
 
 
-@njit(**OPTIONS)
+@njit(**OPTIONS, crops=True)
 def find_rims(image, expected, patch, beside, window, limit, fits):  # type: ignore[no-untyped-def]
     """Write 255 into ``fits`` (h, w), else 0, where most pixels around one are as dark as the patch near them.
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import CameraModel, Rig
-from capture_rig.kernel import kernel
+from capture_rig.kernel import ARITHMETIC, njit
 from capture_rig.mask_levels import FOREGROUND
 
 from ..views import RigViews
@@ -163,7 +163,7 @@ def _away_from_cuts(seen: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
     return np.asarray(inner[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX] > 0)
 
 
-@kernel
+@njit(**ARITHMETIC, crops=True)
 def _row_ends(mask, least, points):  # type: ignore[no-untyped-def]
     """Write the first and last pixel (u, v) of level ``least`` or more of each row to ``points``; return their
     number."""

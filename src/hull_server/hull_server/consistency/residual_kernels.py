@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from capture_rig.kernel import kernel
+from capture_rig.kernel import ARITHMETIC, kernel, njit
 
 from ..carving.pixel_boxes import SEEN, UNSEEN, BlockBoxes, count_in_box
 from ..words import popcount
@@ -275,7 +275,7 @@ def draw_hull(views, camera, voxels, outline):  # type: ignore[no-untyped-def]
                 outline[row, column] = 1
 
 
-@kernel
+@njit(**ARITHMETIC, crops=True)
 def count_outside(labels, outline, outside):  # type: ignore[no-untyped-def]
     """Count the foreground cells outside the outline after each shift (down, right); return the number of all cells."""
     cells, shifts = 0, outside.shape[0]
