@@ -43,7 +43,7 @@ NOWHERE_PX = -9.0  # beyond the canvas
 OVERLAY_FRAMES = 3
 LEAST_HZ = 25.0  # frame sets a second that simulated cameras are to have, or they go slower
 SLOWEST = 1 / 32
-HEADROOM = 0.9  # of the rate that a graph holds is asked of it in slow motion
+SPARED = 1.25  # times the rate that a graph holds: in slow motion it takes no pictures that it leaves out
 KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture
 WHOLE = 0.95  # ... and have all cameras, in a run of simulated ones
 LATENCY_TOPIC = "/mocap/latency"
@@ -176,7 +176,7 @@ def run_studio(
 
 def slow_motion(fps: float, held_hz: float) -> float:
     """Return the speed, a power of two, at which a graph that holds ``held_hz`` sets a second holds all of ``fps``."""
-    share = HEADROOM * held_hz / fps
+    share = SPARED * held_hz / fps
     return min(max(2.0 ** math.floor(math.log2(share)), SLOWEST), 0.5) if share > 0 else SLOWEST
 
 
