@@ -122,7 +122,7 @@ class Figures:
 
 def _taken(record: Mapping[str, Any]) -> str:
     """When and of which commit a record is; and that its times are those of a busy machine."""
-    machine = record.get("machine", {"load": 0.0, "cores": 1})
+    machine = {"load": 0.0, "cores": 1} | record.get("machine", {})
     busy = f", load {machine['load']:.0f}" if machine["load"] > machine["cores"] else ""
     return f"{record['date'][:10]}, {(record['commit'] or 'no commit')[:7]}{busy}"
 
