@@ -161,10 +161,7 @@ def test_bag_played_twice_and_looped_in_simulated_time_is_tracked_each_time(bag,
 
 @pytest.mark.parametrize(
     ("given", "text"),
-    [
-        ({"lockstep": True, "clock": 100.0}, "keeps no time"),
-        ({"lockstep": True, "loop": True}, "keeps no time"),
-    ],
+    [({"lockstep": True, "clock": 100.0}, "keeps no time"), ({"lockstep": True, "loop": True}, "keeps no time")],
 )
 def test_replay_refuses_a_clock_that_means_nothing(given, text):
     with pytest.raises(InputError, match=text):

@@ -125,7 +125,7 @@ class _CropDispatcher(_KernelDispatcher):
         taken = tuple(map(_as_crop, given))
         code = super().compile(taken)
         if taken != tuple(given):
-            self._insert([kind._code for kind in given], code, False)  # not of Python's objects
+            self._insert([kind._code for kind in given], code, False)  # type: ignore[attr-defined]  # of the C base class
         return code
 
 
