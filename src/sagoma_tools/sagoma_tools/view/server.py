@@ -29,7 +29,6 @@ from .client_script import with_script
 from .guard import Guard, refuse
 
 PORT = 8080
-LAST_PORT = 65535
 TRIED_PORTS = 100
 """The port of a page for which none was asked, and how many after it are tried while they are taken."""
 MOST_BYTES = 1 << 20
@@ -68,9 +67,6 @@ def guarded_server(guard: Guard, port: int | None = None) -> viser.ViserServer:
 
 def listening_socket(host: str, port: int | None) -> socket.socket:
     """Open the socket to listen on; port as of :func:`guarded_server`. Raises InputError when there is none."""
-    if port is not None and not 0 <= port <= LAST_PORT:
-        remedy = f"Give one up to {LAST_PORT}, or 0 for any free one."
-        raise InputError(f"{port} is no port", where="--port", remedy=remedy)
     flags = socket.AI_NUMERICHOST if NUMERIC.fullmatch(host) else 0
     try:
         family, *_, address = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM, flags=flags)[0]
