@@ -12,7 +12,7 @@ from camera_client.silhouettes.masks import Box, trim_outline
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadow_kernels import shadow_sums
 from camera_client.silhouettes.shadows import Scene
-from capture_rig.mask_levels import ATTENUATED_LEVELS, ATTENUATION_EDGES, CANDIDATE_LEVELS, attenuation_step
+from capture_rig.mask_levels import ATTENUATED_LEVELS, ATTENUATION_EDGES, attenuation_step, candidate_level
 
 ALL = Box(0, 0, 120, 160)
 
@@ -44,7 +44,7 @@ def test_dark_floor_gets_the_degree_of_its_brightness(scene, colour, degree):
     candidates = AttenuationMarker(scene.camera()).mark(
         seen(model, darkened(model, ratio)), np.zeros_like(person), person
     )
-    assert (candidates[82:118, 22:138] == CANDIDATE_LEVELS[degree // 2]).mean() > 0.95
+    assert (candidates[82:118, 22:138] == candidate_level(degree)).mean() > 0.95
     assert not levels[person == 0].any() and not candidates[person == 0].any()
 
 

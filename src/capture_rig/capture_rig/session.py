@@ -199,7 +199,7 @@ def load_session(folder: str | Path) -> Session:
         rig=rig,
         fps=_frame_rate(folder, videos),
         videos=videos,
-        backgrounds=_present(folder, rig, "_background", VIDEO_SUFFIXES + STILL_SUFFIXES),
+        backgrounds=_present(folder, rig, "_background", VIDEO_SUFFIXES + STILL_SUFFIXES + (".npz",)),
         masks=_present(folder, rig, "_mask", VIDEO_SUFFIXES),
         truth=_truth(folder),
         other_truths=_other_truths(folder),

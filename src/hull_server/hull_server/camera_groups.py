@@ -17,7 +17,13 @@ import numpy as np
 
 from capture_rig import Rig
 from capture_rig.kernel import kernel
-from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, SHADOW_CANDIDATE
+from capture_rig.mask_levels import (
+    ATTENUATED_LEVELS,
+    CANDIDATE_LEVELS,
+    SHADOW_CANDIDATE,
+    STEPS_OF_CANDIDATE,
+    candidate_level,
+)
 from mocap_packets.frame_set import FrameSet
 
 from .consistency.camera_fault_detector import CameraFaultDetector
@@ -31,9 +37,9 @@ def _levels_found() -> np.ndarray:
     """Return the level (2, 256) of every level that is found to be background, and of one found to be the person."""
     found = np.tile(np.arange(256, dtype=np.uint8), (2, 1))
     for step, level in enumerate(ATTENUATED_LEVELS):
-        found[0, level] = CANDIDATE_LEVELS[step // 2]  # a candidate stands for two steps
-    for pair, level in enumerate(CANDIDATE_LEVELS):
-        found[1, level] = ATTENUATED_LEVELS[2 * pair]
+        found[0, level] = candidate_level(step)
+    for (step, _), level in zip(STEPS_OF_CANDIDATE, CANDIDATE_LEVELS, strict=True):
+        found[1, level] = ATTENUATED_LEVELS[step]
     return found
 
 

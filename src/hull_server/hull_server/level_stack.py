@@ -10,15 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.kernel import kernel
-from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FOREGROUND, SHADOW_CANDIDATE
+from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FOREGROUND, SHADOW_CANDIDATE, UNCERTAIN
 
 from .views import Box, Masks, RigViews
-from .words import span_of_words
+from .words import high_bytes, nonzero_bytes, span_of_words
 
 BLIND = 1  # level of pixels that the camera does not see; no camera client sends it
 DARKEST, LIGHTEST = CANDIDATE_LEVELS[0], ATTENUATED_LEVELS[-1]  # levels from and to of pixels that may be shadow
 
 FIRST_BITS = np.uint64(0x0101010101010101)  # of every byte of a word
+ALL_UNCERTAIN = FIRST_BITS * np.uint64(UNCERTAIN)  # a word of it
 NEITHER_SURE_NOR_BLIND = np.uint64(0xFEFEFEFEFEFEFEFE)  # bits that 0, BLIND and, turned over, FOREGROUND do not have
 
 Mask = npt.NDArray[np.uint8]
@@ -73,8 +74,10 @@ class LevelStack:
 
 
 def binary_mask(mask: Mask) -> Mask:
-    """Make a mask of 0 and 255 as a camera alone would: candidates are background, attenuated pixels the person."""
-    return np.where(mask > SHADOW_CANDIDATE, np.uint8(FOREGROUND), np.uint8(0))
+    """Make a mask of 0, UNCERTAIN and 255 as a camera alone would: candidates are background, attenuated pixels the
+    person."""
+    sure = np.where(mask > SHADOW_CANDIDATE, np.uint8(FOREGROUND), np.uint8(0))
+    return np.where(mask == UNCERTAIN, np.uint8(UNCERTAIN), sure)
 
 
 @kernel
@@ -122,7 +125,7 @@ def _write_row(mask_words, blind_words, level_words):  # type: ignore[no-untyped
 @kernel
 def _spread_high_bits(pixels):  # type: ignore[no-untyped-def]
     """Return 255 in every byte of a word that is above SHADOW_CANDIDATE = 127, 0 in the others."""
-    high = pixels >> np.uint64(7) & FIRST_BITS
+    high = high_bytes(pixels)
     return (high << np.uint64(8)) - high
 
 
@@ -150,11 +153,13 @@ def _is_graded(pixels):  # type: ignore[no-untyped-def]
 
 @kernel
 def _threshold(level_words, box, binary_words):  # type: ignore[no-untyped-def]
-    """Write FOREGROUND where levels (H, W / 8) in the box are above SHADOW_CANDIDATE, 0 elsewhere in it."""
+    """Write FOREGROUND where levels (H, W / 8) in the box are above SHADOW_CANDIDATE, UNCERTAIN where they are that, 0
+    elsewhere in it."""
     for v in range(box[1], box[3]):
         levels, binary = level_words[v, box[0] // 8 : box[2] // 8], binary_words[v, box[0] // 8 : box[2] // 8]
         for word in range(levels.size):
-            binary[word] = _spread_high_bits(levels[word])
+            uncertain = FIRST_BITS ^ nonzero_bytes(levels[word] ^ ALL_UNCERTAIN)
+            binary[word] = _spread_high_bits(levels[word]) | uncertain * np.uint64(UNCERTAIN)
 
 
 @kernel

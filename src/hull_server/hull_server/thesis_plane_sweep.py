@@ -14,6 +14,7 @@ import ctypes
 import numpy as np
 
 from capture_rig import InputError
+from capture_rig.mask_levels import SHADOW_CANDIDATE
 
 from .carving.pixel_boxes import pixel_projections
 from .grid import BrickVolume, VoxelGrid
@@ -161,7 +162,10 @@ class PlaneSweepCarver(Immediate):
     def _upload(self, present: np.ndarray) -> None:
         _, height, width = self.views.seen.shape
         for camera in present:
-            texels = np.stack([np.where(self._foreground[camera], 255, 0), self.views.seen[camera]], axis=-1)
+            evidence, seen = self._foreground[camera], self.views.seen[camera]
+            foreground = evidence > SHADOW_CANDIDATE
+            certain = np.where(foreground | (evidence == 0), seen, 0)
+            texels = np.stack([np.where(foreground, 255, 0), certain], axis=-1)
             texels = np.ascontiguousarray(texels, np.uint8)
             GL.glTexSubImage3D(
                 GL.GL_TEXTURE_2D_ARRAY, 0, 0, 0, int(camera), width, height, 1, GL.GL_RG, GL.GL_UNSIGNED_BYTE, texels

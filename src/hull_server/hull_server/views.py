@@ -1,9 +1,11 @@
 """What each camera of the rig sees, and the rule and interface of all carving backends.
 
 A camera *sees* a voxel when the voxel's centre lies in front of it and projects to a pixel, floor(x + 0.5), that is
-inside the canvas and inside the original image (``seen``). A voxel is occupied when every camera that sees it has
-foreground there, and at least ``min_seeing`` cameras see it. A camera that does not see a voxel does not veto it
-(thesis 3.1 assumes that every camera sees the whole volume, which is not so in real rigs).
+inside the canvas and inside the original image (``seen``). Each camera's pixel there is evidence: foreground
+counts 1, what the camera does not see, or is uncertain of, counts 0, and background counts minus infinity: it vetoes.
+A voxel is occupied when the sum is at least ``min_seeing``. So with certain masks every camera that sees it must have
+foreground there, and enough must see it (thesis 3.1 assumes that every camera sees the whole volume, which is not so
+in real rigs). In a mask 0 is background, above 127 foreground, anything between is uncertain.
 """
 
 from __future__ import annotations
@@ -95,7 +97,7 @@ class RigViews:
         return np.array([i for i, name in enumerate(self.names) if name in masks], np.int64)
 
     def foreground(self, masks: Masks, present: npt.NDArray[np.int64], out: npt.NDArray[np.uint8]) -> None:
-        """Write the seen foreground of each present camera to ``out[camera]`` (H, W): nonzero is foreground."""
+        """Write each present camera's mask, as far as it sees, to ``out[camera]`` (H, W)."""
         for index in present:
             width, height = self.sizes[index]
             np.bitwise_and(masks[self.names[index]], self.seen[index, :height, :width], out=out[index, :height, :width])
@@ -114,13 +116,13 @@ class CarveBackend(Protocol):
     device: str
 
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """Carve one canvas mask a camera (nonzero = foreground); absent cameras do not count."""
+        """Carve one canvas mask a camera; absent cameras do not count."""
         ...
 
     def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> Any:
         """Begin to carve; the ticket is exchanged for the hull by :meth:`collect`, on any thread, in any order.
 
-        boxes : that hold each camera's foreground, where they are known: the rest of a mask need not be read.
+        boxes : that hold each camera's nonzero pixels, where they are known: the rest of a mask need not be read.
         """
         ...
 

@@ -74,6 +74,12 @@ def nonzero_bytes(word):  # type: ignore[no-untyped-def]
 
 
 @kernel
+def high_bytes(word):  # type: ignore[no-untyped-def]
+    """Return a word with 1 in every byte of ``word`` that is above 127: foreground, as ``capture_rig.mask_levels``."""
+    return word >> np.uint64(7) & _FIRST_BITS
+
+
+@kernel
 def span_of_words(row):  # type: ignore[no-untyped-def]
     """Return the first word of (n,) that is not zero, and the one after the last such; 0, 0 where all are zero."""
     filled = np.uint64(0)

@@ -159,7 +159,7 @@ def carve_brute_force(rig: Rig, masks: dict[str, np.ndarray], voxel: float, min_
         inside = (pixel >= 0).all(1) & (pixel[:, 0] < w) & (pixel[:, 1] < h)
         u, v = pixel[inside].astype(int).T
         voxels = in_front[inside]
-        seen, foreground = view.seen[v, u], masks[camera.name][v, u] > 0
-        vetoed[voxels[seen & ~foreground]] = True
-        seeing[voxels[seen]] += 1
+        seen, level = view.seen[v, u], masks[camera.name][v, u]
+        vetoed[voxels[seen & (level == 0)]] = True
+        seeing[voxels[seen & (level > 127)]] += 1  # what lies between is uncertain: no say
     return (~vetoed & (seeing >= min_seeing)).reshape(counts)

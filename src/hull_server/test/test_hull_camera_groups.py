@@ -7,7 +7,7 @@ from node_probe import FAILURE, NodeProbe
 from sensor_msgs.msg import CompressedImage
 
 from capture_rig import load_rig, save_rig
-from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS
+from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, UNCERTAIN
 from hull_server.camera_groups import GroupResolver, resolved_levels
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.level_stack import binary_mask
@@ -30,7 +30,7 @@ def levels_of(rng, x_m=0.3):
     masks = {}
     for name, body in silhouettes(RIG, capsule_person(x_m)).items():
         clothes = rng.choice(np.array([*ATTENUATED_LEVELS, 255], np.uint8), body.shape)
-        around = rng.choice(np.array([0, *CANDIDATE_LEVELS, ATTENUATED_LEVELS[4]], np.uint8), body.shape)
+        around = rng.choice(np.array([0, UNCERTAIN, *CANDIDATE_LEVELS, ATTENUATED_LEVELS[4]], np.uint8), body.shape)
         seen = RIG.camera(name).undistorted_view().seen
         masks[name] = np.where(
             seen, np.where(body > 0, clothes, np.where(np.arange(body.shape[1]) % 50 < 9, around, 0)), 0
@@ -73,12 +73,12 @@ def test_absent_camera_is_absent_in_its_group():
 
 @pytest.mark.parametrize("found", [0, 255])
 def test_resolved_level_says_what_was_found_and_keeps_the_attenuation(found):
-    levels = np.array([[0, *CANDIDATE_LEVELS, *ATTENUATED_LEVELS, 255]], np.uint8)
-    wanted = np.where((levels == 0) | (levels == 255), levels, np.uint8(found))
+    levels = np.array([[0, UNCERTAIN, *CANDIDATE_LEVELS, *ATTENUATED_LEVELS, 255]], np.uint8)
+    wanted = np.where(np.isin(levels, [0, UNCERTAIN, 255]), levels, np.uint8(found))
     resolved = resolved_levels(levels, wanted)
     assert (binary_mask(resolved) == wanted).all()
     assert ((resolved == 0) == (levels == 0)).all() and ((resolved == 255) == (levels == 255)).all()
-    assert (np.diff(resolved[0, 1:6].astype(int)) > 0).all() and (np.diff(resolved[0, 6:15].astype(int)) >= 0).all()
+    assert (np.diff(resolved[0, 2:6].astype(int)) > 0).all() and (np.diff(resolved[0, 6:15].astype(int)) >= 0).all()
 
 
 class ResolverProbe(NodeProbe):

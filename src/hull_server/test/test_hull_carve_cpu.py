@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from capture_rig import Rig, Volume
 from hull_server.carving.cpu_carver import CpuCarver
 from hull_server.carving.pixel_boxes import block_boxes, rows_within_reach, summed_area
-from hull_server.carving.silhouette_tables import BACKGROUND, BLIND, FOREGROUND, Tabulator
+from hull_server.carving.silhouette_tables import BACKGROUND, BLIND, FOREGROUND, SURE, UNSURE, Tabulator
 from hull_server.grid import VoxelGrid
 from hull_server.views import RigViews
 
@@ -31,7 +31,7 @@ def tumbled_camera(rng, name, size, spread_m):
 
 
 def random_mask(rng, shape):
-    """Foreground from little to nearly everything, in speckles or in boxes; any nonzero value counts."""
+    """Foreground and uncertain pixels from few to nearly all, in speckles or in boxes."""
     if rng.integers(0, 4) == 0:
         return np.where(rng.random(shape) < rng.choice([0.02, 0.5, 0.98]), rng.integers(1, 256), 0).astype(np.uint8)
     mask = np.full(shape, rng.choice([0, 255, 255]), np.uint8)
@@ -76,7 +76,7 @@ def test_cpu_carve_gives_the_same_bytes_whatever_the_order_and_the_memory_of_the
     carver = CpuCarver(RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.03))
     first = carver.carve(masks, 3)
     kept = first.leaves.copy()
-    backwards = {name: np.asfortranarray(masks[name] // 255) for name in reversed(masks)}
+    backwards = {name: np.asfortranarray(masks[name] // 255 * np.uint8(128)) for name in reversed(masks)}
     again = carver.carve(backwards, 3)
     assert first.index.tobytes() == again.index.tobytes() and first.leaves.tobytes() == again.leaves.tobytes()
     carver.carve({name: np.zeros_like(mask) for name, mask in masks.items()}, 3)
@@ -94,20 +94,21 @@ def test_tabulator_labels_and_sums_the_last_silhouette_of_each_camera():
         for camera, columns in ((0, 96), (1, 64)):
             mask = random_mask(rng, (height, columns))
             filled = tabulator.tabulate(camera, mask)
-            expected = np.zeros((height, width), bool)
-            expected[:, :columns] = (mask > 0) & (seen[camera, :, :columns] > 0)
+            expected = np.zeros((height, width), np.uint8)
+            expected[:, :columns] = np.where(seen[camera, :, :columns] > 0, mask, 0)
             assert_tabulated(tabulator, camera, expected, seen[camera] > 0, filled)
 
 
-def assert_tabulated(tabulator, camera, foreground, seen, filled):
+def assert_tabulated(tabulator, camera, evidence, seen, filled):
     """Labels and sums agree with plain NumPy on the columns 16 to 87."""
     labels = tabulator.labels[camera, :-8].reshape(seen.shape)
-    assert np.array_equal(
-        labels[:, 16:88], np.where(seen, np.where(foreground, FOREGROUND, BACKGROUND), BLIND)[:, 16:88]
-    )
+    certain = np.where(evidence > 127, FOREGROUND, np.where(evidence > 0, BLIND, BACKGROUND))
+    assert np.array_equal(labels[:, 16:88], np.where(seen, certain, BLIND)[:, 16:88])
     u0, v0, u1, v1 = tabulator.box[camera]
-    inside = foreground[v0:v1, u0:u1]
-    assert inside[:, : max(0, 88 - u0)].sum() == foreground[:, 16:88].sum() and filled == inside.sum()
+    counts = np.where(evidence > 127, SURE, np.where(evidence > 0, UNSURE, 0))
+    inside = counts[v0:v1, u0:u1]
+    assert inside[:, : max(0, 88 - u0)].sum() == counts[:, 16:88].sum() and filled == inside.sum()
+    assert tabulator.uncertain[camera] == (inside == UNSURE).any()
     table = tabulator.table[camera, : (v1 - v0 + 1) * (u1 - u0 + 1)].reshape(v1 - v0 + 1, u1 - u0 + 1)
     assert np.array_equal(table[1:, 1:], inside.cumsum(axis=0).cumsum(axis=1))
     assert not table[0].any() and not table[:, 0].any()

@@ -278,12 +278,14 @@ def test_upload_labels_and_sums_what_is_seen_and_forgets_the_frame_before():
     boxes, starts = words[68 : 68 + 20].reshape(5, 4), words[88 : 88 + 5]
     for camera, name in enumerate(views.names):
         h, w = noisy[name].shape
-        foreground = np.zeros(views.seen[camera].shape, bool)
-        foreground[:h, :w] = (noisy[name] > 0) & (views.seen[camera, :h, :w] > 0)
+        evidence = np.zeros(views.seen[camera].shape, np.uint8)
+        evidence[:h, :w] = np.where(views.seen[camera, :h, :w] > 0, noisy[name], 0)
+        uncertain, foreground = (evidence > 0) & (evidence <= 127), evidence > 127
+        counts = 2 * foreground + uncertain
         bits = labels[camera, :, :, None] >> np.arange(32, dtype=np.uint32) & 1
         assert np.array_equal(bits[:, :, :16].reshape(foreground.shape), foreground)
-        assert np.array_equal(bits[:, :, 16:].reshape(foreground.shape), views.seen[camera] == 0)
+        assert np.array_equal(bits[:, :, 16:].reshape(foreground.shape), uncertain | (views.seen[camera] == 0))
         u0, v0, u1, v1 = boxes[camera]
-        assert foreground[v0:v1, u0:u1].sum() == foreground.sum() > 0
+        assert counts[v0:v1, u0:u1].sum() == counts.sum() > 0
         sums = words[starts[camera] :][: (v1 - v0 + 1) * (u1 - u0 + 1)].reshape(v1 - v0 + 1, -1)
-        assert np.array_equal(sums[1:, 1:], foreground[v0:v1, u0:u1].cumsum(0).cumsum(1))
+        assert np.array_equal(sums[1:, 1:], counts[v0:v1, u0:u1].cumsum(0).cumsum(1))

@@ -8,7 +8,7 @@ import pytest
 from hull_scenes import VOLUME, capsule_person, look_at, ring_rig, silhouettes
 
 from capture_rig import InputError, Rig
-from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS
+from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, STEPS_OF_CANDIDATE, UNCERTAIN
 from hull_server.floor_shadows import ShadowResolver
 from hull_server.floor_shadows.labels import STRIDE, PixelLabels
 from hull_server.floor_shadows.rules import RAY_STEP_M, label_pixels
@@ -163,7 +163,7 @@ def test_kernel_follows_the_rule_pixel_by_pixel(seed):
     rng = np.random.default_rng(seed)
     levels, _, _ = body_and_shadow(rig)
     for name, mask in levels.items():  # every kind of level, in patches
-        small = rng.choice(np.array([0, *CANDIDATE_LEVELS, *ATTENUATED_LEVELS, 255], np.uint8), (9, 12))
+        small = rng.choice(np.array([0, UNCERTAIN, *CANDIDATE_LEVELS, *ATTENUATED_LEVELS, 255], np.uint8), (9, 12))
         patches = cv2.resize(small, mask.shape[::-1], interpolation=cv2.INTER_NEAREST)
         if rng.random() < 0.5:
             mask[mask == 0] = patches[mask == 0]
@@ -182,7 +182,7 @@ def test_kernel_follows_the_rule_pixel_by_pixel(seed):
             for u in range(0, w, STRIDE):
                 at, expected = (v // STRIDE, u // STRIDE), true_label(rig, levels, name, u, v)
                 assert bool(found.foreground[at]) == (levels[name][v, u] > 127)
-                assert bool(found.candidate[at]) == (0 < levels[name][v, u] <= 127)
+                assert bool(found.candidate[at]) == (levels[name][v, u] in CANDIDATE_LEVELS)
                 assert bool(found.shadow[at]) == (expected == "shadow")
                 assert bool(found.body[at]) == (expected == "body")
                 compared[expected] += 1
@@ -193,14 +193,13 @@ def attenuation(level: int) -> tuple[int, int]:
     """Least and greatest attenuation step that a level stands for."""
     if level in ATTENUATED_LEVELS:
         return (ATTENUATED_LEVELS.index(level),) * 2
-    pair = CANDIDATE_LEVELS.index(level)
-    return 2 * pair, min(2 * pair + 1, 8)
+    return STEPS_OF_CANDIDATE[CANDIDATE_LEVELS.index(level)]
 
 
 def true_label(rig: Rig, levels: dict[str, np.ndarray], name: str, u: int, v: int) -> str:
     """The rule for one pixel, with the camera model's own rays and projection."""
     camera, own = rig.camera(name).undistorted_view().camera, int(levels[name][v, u])
-    if own in (0, 255):
+    if own in (0, UNCERTAIN, 255):
         return ""
     centre, ray = camera.centre_world, camera.rays_world([[u, v]])[0]
     if ray[2] >= 0:
@@ -242,7 +241,7 @@ def meets_hull(rig: Rig, levels: dict[str, np.ndarray], others: list[str], floor
 
 
 def level_at(rig: Rig, levels: dict[str, np.ndarray], name: str, point_world) -> int | None:
-    """The level where a camera has a point; None where it does not see it."""
+    """The level where a camera has a point; None where it does not see it, or is uncertain."""
     view = rig.camera(name).undistorted_view()
     pixel = view.camera.project(np.asarray(point_world))
     if not np.isfinite(pixel).all():
@@ -251,4 +250,5 @@ def level_at(rig: Rig, levels: dict[str, np.ndarray], name: str, point_world) ->
     h, w = view.seen.shape
     if not (0 <= u < w and 0 <= v < h and view.seen[v, u]):
         return None
-    return int(levels[name][v, u])
+    level = int(levels[name][v, u])
+    return None if level == UNCERTAIN else level

@@ -1,5 +1,6 @@
 """Somebody who walks in without a T-pose: found, the right way round, with honest sizes; carts and nobody are not."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,6 +12,7 @@ from icp_tracker.acquisition.motion_source import MotionSettings, MotionSource
 from icp_tracker.acquisition.pose_source import AnyPoseSource
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
+from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from stick_figure.build import build_of_girth
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import MOTIONS
@@ -116,3 +118,23 @@ def test_t_pose_that_is_held_decides_alone():
     first, second = source.find_pose(seen), source.find_pose(seen)
     assert first.reason.startswith("T-pose seen, hold it")
     assert second.pose is not None and second.girths is not None  # measured, not guessed
+
+
+def test_a_gap_of_sets_does_not_begin_the_watch_anew():
+    sets, _, visibility = walk()
+    source = MotionSource(MotionSettings(watch_s=0.5), visibility)
+    for number, seen in enumerate(sets):  # every third set shows nothing: somebody passes behind a cupboard
+        hidden = number % 3 == 2
+        answer = source.find_pose(HullProducts(seen.stamp_ns, NO_CENTERLINE) if hidden else seen)
+        assert not hidden or answer.pose is None
+        if answer.pose is not None:
+            break
+    assert answer.pose is not None, answer.reason
+
+
+def test_after_a_long_gap_somebody_is_watched_anew():
+    sets, _, visibility = walk()
+    source = MotionSource(MotionSettings(watch_s=0.5), visibility)
+    assert source.find_pose(sets[0]).pose is None
+    later = replace(sets[1], stamp_ns=sets[1].stamp_ns + round(3e9))
+    assert source.find_pose(later).reason.endswith("watched for 0.0 of 0.5 s")

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.kernel import njit
-from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LEVELS, SHADOW_CANDIDATE
+from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LEVELS, SHADOW_CANDIDATE, UNCERTAIN
 
 from .run_deflate import OPTIONS, deflate, inflate, match_lengths, most_bytes, run_code
 
@@ -253,6 +253,7 @@ def _cells(depth: int, candidates: int) -> npt.NDArray[np.unsignedinteger]:
         levels = np.array(LEVELS, np.uint8)
         if candidates != SHADOW_CANDIDATE:
             levels[np.isin(levels, CANDIDATE_LEVELS)] = candidates
+            levels[levels == UNCERTAIN] = BACKGROUND
             levels[levels > SHADOW_CANDIDATE] = FOREGROUND
     else:
         levels = np.array({1: [0, FOREGROUND], 2: [0, candidates, FOREGROUND, FOREGROUND]}[depth], np.uint8)

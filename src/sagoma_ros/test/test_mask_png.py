@@ -62,7 +62,7 @@ def test_degrees_of_darkness_come_back_in_four_bits_or_as_the_camera_judged_them
     assert data[24] == 4  # bits a pixel
     assert np.array_equal(mask_png.decode(data, SHADOW_CANDIDATE), mask)
     for candidates in (BACKGROUND, FOREGROUND):
-        expected = np.where(np.isin(mask, CANDIDATE_LEVELS), candidates, np.where(mask > 0, 255, 0))
+        expected = np.where(np.isin(mask, CANDIDATE_LEVELS), candidates, np.where(mask > SHADOW_CANDIDATE, 255, 0))
         assert np.array_equal(mask_png.decode(data, candidates), expected)
     shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)  # sixteen greys, in the same order
     assert np.array_equal(shown, 17 * np.searchsorted(LEVELS, mask))

@@ -237,3 +237,26 @@ def test_noise_of_a_colour_background_is_that_of_its_noisiest_channel():
     sigma[1, 2, 1] = 10.0
     picture = sigma_picture(BackgroundModel(np.full((4, 6, 3), 99, np.float32), sigma, Provenance("test", 9, 1.0)))
     assert picture[1, 2].sum() > picture[0, 0].sum()
+
+
+def test_footage_with_people_gives_a_background_and_says_where_it_is_uncertain(tmp_path, capsys):
+    rng, video = np.random.default_rng(0), tmp_path / "cam01.mp4"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (160, 120))
+    for k in range(40):
+        picture = np.full((120, 160, 3), 120, np.uint8)
+        picture[60:, 3 * k : 3 * k + 16] = 20  # somebody crosses
+        if k % 5 < 2:
+            picture[:48, 96:144] = 240  # somebody lingers
+        writer.write(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
+    writer.release()
+    assert main(["background", "--from-footage", str(video)]) == 1  # an eighth of the picture is uncertain
+    said = capsys.readouterr().out
+    model = load_background(tmp_path / "cam01_background.npz")
+    assert model.shape[:2] == (120, 160) and abs(float(np.median(model.mean)) - 120) < 4
+    assert model.sigma[10:40, 104:136].mean() > 20 > 5 > model.sigma[70:110].mean()
+    assert "uncertain" in said and "rows 0 to" in said
+
+
+def test_footage_that_is_not_there_is_named(tmp_path, capsys):
+    assert main(["background", "--from-footage", str(tmp_path / "none.mp4")]) == 2
+    assert "none.mp4" in capsys.readouterr().err

@@ -8,11 +8,11 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import (
     ATTENUATED_LEVELS,
-    CANDIDATE_LEVELS,
     FLOOR_REACH_M,
     FOREGROUND,
     SHADOW_CANDIDATE,
     attenuation_step,
+    candidate_level,
 )
 from capture_rig.rig import Volume
 
@@ -38,9 +38,7 @@ class AttenuationMarker:
         self._floor = floor_pixels(camera, volume, FLOOR_REACH_M)
         steps = [attenuation_step(ratio / RATIO_SCALE) for ratio in range(256)]
         self._attenuated = np.array([FOREGROUND if s is None else ATTENUATED_LEVELS[s] for s in steps], np.uint8)
-        self._candidate = np.array(
-            [SHADOW_CANDIDATE if s is None else CANDIDATE_LEVELS[s // 2] for s in steps], np.uint8
-        )
+        self._candidate = np.array([SHADOW_CANDIDATE if s is None else candidate_level(s) for s in steps], np.uint8)
 
     def mark(self, scene: Scene, person: Mask, candidates: Mask) -> Mask:
         """Return the levels (h, w) of ``person`` and ``candidates``, both 0 or 255; what is both is the person."""

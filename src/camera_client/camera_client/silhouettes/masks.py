@@ -62,6 +62,13 @@ class Box(NamedTuple):
         bottom, right = (-(-(end + by_px) // multiple) * multiple for end in self[2:])
         return Box(top, left, min(bottom, shape[0]), min(right, shape[1]))
 
+    def joined(self, other: Box) -> Box:
+        """Return the smallest box that holds both."""
+        if self.empty or other.empty:
+            return other if self.empty else self
+        (top, left, bottom, right), o = self, other
+        return Box(min(top, o.top), min(left, o.left), max(bottom, o.bottom), max(right, o.right))
+
     def relative_to(self, outer: Box) -> Box:
         """Return the same box, counted from the corner of ``outer``."""
         return Box(self.top - outer.top, self.left - outer.left, self.bottom - outer.top, self.right - outer.left)

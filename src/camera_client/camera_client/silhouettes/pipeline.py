@@ -1,7 +1,8 @@
 """Segments a frame: the silhouette of the person on the undistorted canvas (thesis 6.1, 6.3).
 
 :meth:`SilhouettePipeline.run` is the recipe: follow the background, measure every pixel's distance from it, decide with
-the neighbourhood, find shadow, keep the person, trim the outline, mark what may be floor in shadow, undistort.
+the neighbourhood, find shadow, keep the person, trim the outline, mark what may be floor in shadow, mark where the
+background looks like the people, undistort.
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ from ..background.moved_things.absorption import MovedThings
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
+from .appearance import PeopleColours
 from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .certainty import Certainty, CertaintyMeter
 from .codec_errors import codec_error_sigma
 from .components import PeopleRule, keep_people
-from .evidence import EvidenceFilter
+from .evidence import CLEAR, EvidenceFilter, least_squared_distance
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, majority, majority_count, trim_outline
 from .shadows import Scene, make_shadow_test
 
@@ -85,6 +87,8 @@ class SilhouettePipeline:
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
         adaptive = background_settings.rule == "adaptive"
         self._evidence = EvidenceFilter(camera.height) if adaptive else None
+        graded = adaptive and settings.evidence == "graded"
+        self._colours = PeopleColours(self._shape) if graded else None
         self._untimed_ns = 0
         self._dark_room = is_black(grid_sample(background.mean))
 
@@ -121,7 +125,8 @@ class SilhouettePipeline:
         measured = self._certainty.is_due(now_ns)
         if box.empty:
             self._certainty.note_nothing()
-            return self._silhouette(stamp_ns, np.zeros((0, 0), np.uint8), box)
+            nothing = np.zeros((0, 0), np.uint8)
+            return self._silhouette(stamp_ns, nothing, box, self._evidence_of(image, nothing, box))
         expected = self.background.expected(box.slices)
         part, noise = image[box.slices], self.background.noise
         scene = Scene(part, expected, noise, box.slices, codec_error_sigma(part, expected, noise))
@@ -133,10 +138,13 @@ class SilhouettePipeline:
         marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
         if measured:
             self._certainty.note(self._distance[box.slices], raw, kept, shadow, marked)
-        if self._attenuation is None:
-            return self._silhouette(stamp_ns, person, box)
-        levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        return self._silhouette(stamp_ns, levels, box, marked)
+        if self._colours is not None and shows_scene:
+            nobody = None if self.moved is None else self.moved.seen_by_nobody
+            self._colours.learn(image, person, box, nobody, now_ns)
+        levels = person
+        if self._attenuation is not None:
+            levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
+        return self._silhouette(stamp_ns, levels, box, self._evidence_of(image, marked, box))
 
     def _check(self, image: Image) -> None:
         if image.shape != self._shape or image.dtype != np.uint8:
@@ -180,23 +188,29 @@ class SilhouettePipeline:
         things = None if self.moved is None or self.moved.likely is None else self.moved.likely[box.slices]
         return keep_people(mask, self._people, things)
 
-    def _silhouette(
-        self, stamp_ns: int | None, levels: Mask, box: Box, canvas_levels: Mask | None = None
-    ) -> Silhouette:
-        """Back to the whole image, and onto the canvas, there with ``canvas_levels`` if any."""
+    def _evidence_of(self, image: Image, marked: Mask, box: Box) -> Mask:
+        """Return the levels on the canvas: those ``marked`` in the box, and where the camera is uncertain."""
+        levels, whole = self._levels, box
+        levels[box.slices] = marked
+        if self._colours is not None:
+            noise = self.background.noise
+            sigma = noise.sigma(TYPICAL_LEVEL)
+            least = 0.5 * least_squared_distance(sigma, noise.correlation, len(noise.read))
+            uncertain = self._colours.mark_uncertain(image, self._distance, levels, least, CLEAR * least)
+            whole = box.joined(uncertain)
+        canvas = self._undistorter.undistort(levels, whole)
+        levels[whole.slices] = 0  # as it was
+        return canvas
+
+    def _silhouette(self, stamp_ns: int | None, levels: Mask, box: Box, canvas: Mask) -> Silhouette:
+        """Return the silhouette of the levels (h, w) in a box of the image, and on the canvas."""
         image_mask = np.zeros(self._shape[:2], np.uint8)
         image_mask[box.slices] = levels
-        source = image_mask
-        if canvas_levels is not None:
-            source = self._levels
-            source[box.slices] = canvas_levels
         anything, person = 0, 0
         if levels.size:
             anything = cv2.countNonZero(levels)
             person = cv2.countNonZero(cv2.inRange(levels, FOREGROUND, FOREGROUND))
         fraction = person / image_mask.size
-        canvas = self._undistorter.undistort(source, box)
-        self._levels[box.slices] = 0  # as it was
         candidates = (anything - person) / image_mask.size
         flags = self._flags(fraction)
         return Silhouette(canvas, image_mask, fraction, flags, candidates, self._camera, stamp_ns)

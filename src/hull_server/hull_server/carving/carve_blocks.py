@@ -14,7 +14,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 
 from .pixel_boxes import count_in_box, foreground_in
-from .silhouette_tables import BLIND, FOREGROUND
+from .silhouette_tables import BLIND, FOREGROUND, SURE
 
 EVERY_OCTANT, ALL_BITS = 255, np.uint64(0xFFFFFFFFFFFFFFFF)
 DEPTH_RATIO = 4.0  # a brick whose far end is farther than this many times its near end is carved voxel by voxel
@@ -46,7 +46,7 @@ def octants_inside(corner, shape):  # type: ignore[no-untyped-def]
 def classify_octants(scene, camera, corner, sees_all, work):  # type: ignore[no-untyped-def]
     """Classify the octants of the brick at voxel ``corner`` in one camera: four words of eight bits.
 
-    Returns the octants with some foreground in their box; those that are all foreground and seen; those seen whole;
+    Returns the octants that may hold foreground; those that are all foreground and seen; those seen whole;
     those not seen at all. ``sees_all``: the camera is known to see the whole brick.
     """
     if not _project_corners(scene, camera, corner, work.corners):
@@ -58,7 +58,7 @@ def classify_octants(scene, camera, corner, sees_all, work):  # type: ignore[no-
         u0, v0, u1, v1 = box[octant], box[8 + octant], box[16 + octant], box[24 + octant]
         filled = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
         some |= (filled > 0) << octant
-        whole |= (filled == (u1 - u0) * (v1 - v0)) << octant
+        whole |= (filled == SURE * (u1 - u0) * (v1 - v0)) << octant
     if not sees_all:
         for octant in range(8):
             u0, v0, u1, v1 = box[octant], box[8 + octant], box[16 + octant], box[24 + octant]
@@ -184,7 +184,7 @@ def count_votes(scene, low, octant, candidates, settled, mixed, partly_blind, wo
             camera = scene.present[slot]
             _find_pixels(scene, camera, low, work.pixels)
             foreground, blind = _look(scene.labels, camera, work.pixels, FOREGROUND), np.uint64(0)
-            if partly_blind >> slot & 1:
+            if partly_blind >> slot & 1 or scene.uncertain[camera]:
                 blind = _look(scene.labels, camera, work.pixels, BLIND)
             candidates &= foreground | blind
             if candidates == 0:

@@ -39,7 +39,7 @@ from .pixel_boxes import (
     rows_within_reach,
     summed_area,
 )
-from .silhouette_tables import Scene, Tabulator
+from .silhouette_tables import SURE, Scene, Tabulator
 
 COARSE_EDGE, BRICK_EDGE = 32, 8
 EMPTY = -1
@@ -67,6 +67,7 @@ class CpuCarver(Immediate):
             stride=views.seen.shape[2],
             foreground_box=self._tabulator.box,
             foreground_table=self._tabulator.table,
+            uncertain=self._tabulator.uncertain,
             present=np.empty(0, np.int64),
             min_seeing=0,
             shape=np.array(grid.shape, np.int64),
@@ -78,7 +79,7 @@ class CpuCarver(Immediate):
     def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
         """Carve the silhouettes of one frame set, by the rule of :mod:`hull_server.views`.
 
-        masks : one canvas mask (h, w) uint8 a camera, nonzero = foreground; absent cameras do not count.
+        masks : one canvas mask (h, w) uint8 a camera; absent cameras do not count.
         Raises InputError for an unknown camera or a mask of another size.
         """
         return self.submit(masks, min_seeing)
@@ -177,7 +178,7 @@ def _classify(scene, boxes, block, settled, undecided):  # type: ignore[no-untyp
             if visibility == SEEN and filled == 0:
                 return EMPTY, 0, 0
             possible += filled > 0
-            all_foreground = visibility == SEEN and filled == (u1 - u0) * (v1 - v0)
+            all_foreground = visibility == SEEN and filled == SURE * (u1 - u0) * (v1 - v0)
             settled += all_foreground
             undecided &= ~(bit * (all_foreground or visibility == UNSEEN))
             partly_blind |= bit * (visibility != SEEN)

@@ -137,7 +137,7 @@ def count_in_box(tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def
 
 @kernel
 def foreground_in(boxes, tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
-    """Count the foreground pixels in a pixel box; ``tables`` cover the foreground ``boxes``, from their corners."""
+    """Sum up the foreground in a pixel box; ``tables`` cover the foreground ``boxes``, from their corners."""
     left, top = boxes[camera, 0], boxes[camera, 1]
     width, height = boxes[camera, 2] - left, boxes[camera, 3] - top
     a0, a1 = min(max(u0 - left, 0), width), min(max(u1 - left, 0), width)

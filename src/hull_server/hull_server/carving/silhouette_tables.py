@@ -10,9 +10,10 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 
 from ..views import Box
-from ..words import nonzero_bytes, span_of_words
+from ..words import high_bytes, nonzero_bytes, span_of_words
 
-BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # labels of pixels
+BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # labels of pixels; blind are those that are uncertain, too
+SURE, UNSURE = 2, 1  # what a foreground and an uncertain pixel count in the summed areas
 
 ONE_BYTES = np.uint64(0x0101010101010101)
 
@@ -24,8 +25,9 @@ class Scene(NamedTuple):
     voxel_steps (N, 3, 64), octant_steps (N, 3, 64): see :mod:`.carve_blocks`.
     labels (N, H * W + 8): BACKGROUND, FOREGROUND or BLIND for every pixel, and BLIND for all that lies outside.
     stride: W. foreground_box (N, 4): u, v from and to of a box that holds all foreground pixels.
-    foreground_table (N, (H + 1) * (W + 1)): summed areas of the foreground inside that box, from its corner, row after
-    row without gaps (which takes a fraction of the memory pages that a canvas would).
+    foreground_table (N, (H + 1) * (W + 1)): summed areas inside that box of the foreground, SURE a pixel, and of what
+    is uncertain, UNSURE a pixel; from its corner, row after row without gaps (which takes a fraction of the memory
+    pages that a canvas would). uncertain (N,): nonzero where the camera's silhouette has uncertain pixels.
     present (n,): cameras of this frame set, in the order in which they are tested; the result does not depend on it.
     min_seeing: cameras that must see a voxel. shape (3,): the grid.
     """
@@ -39,6 +41,7 @@ class Scene(NamedTuple):
     stride: int
     foreground_box: npt.NDArray[np.int64]
     foreground_table: npt.NDArray[np.int32]
+    uncertain: npt.NDArray[np.uint8]
     present: npt.NDArray[np.int64]
     min_seeing: int
     shape: npt.NDArray[np.int64]
@@ -48,7 +51,8 @@ class Tabulator:
     """Tabulates labels and summed areas of silhouettes, one frame set after another.
 
     seen (N, H, W) uint8, nonzero where a camera sees; reach (N, H, 2): words of each row on which voxels can lie:
-    foreground elsewhere does not matter. labels, box, table : see Scene; of the last silhouette of each camera.
+    foreground elsewhere does not matter. labels, box, table, uncertain : see Scene; of the last silhouette of each
+    camera.
     """
 
     def __init__(self, seen: npt.NDArray[np.uint8], reach: npt.NDArray[np.int64]) -> None:
@@ -59,21 +63,23 @@ class Tabulator:
         label_words = self.labels.view(np.uint64)[:, :-1].reshape(seen_words.shape)
         self.table = np.zeros((cameras, (height + 1) * (width + 1)), np.int32)
         self.box = np.zeros((cameras, 4), np.int64)
-        ones, sums = np.empty(width // 8, np.uint64), np.empty(width, np.int32)
-        scratch = ones, ones.view(np.uint8), sums
+        self.uncertain = np.zeros(cameras, np.uint8)
+        counts, sums = np.empty(width // 8, np.uint64), np.empty(width, np.int32)
+        scratch = counts, counts.view(np.uint8), sums
         self._of_camera = [
             (reach[c], seen_words[c], label_words[c], self.table[c], self.box[c], scratch) for c in range(cameras)
         ]
 
     def tabulate(self, camera: int, mask: npt.NDArray[np.uint8], within: Box | None = None) -> int:
-        """Tabulate a camera's silhouette (h, w); return the number of its foreground pixels.
+        """Tabulate a camera's silhouette (h, w); return the sum of its table.
 
         within : left, top, right, bottom of a box that holds all of them, where one is known; the rest is not read.
         """
         words = np.ascontiguousarray(mask).view(np.uint64)
         left, top, right, bottom = within or (0, 0, 8 * words.shape[1], words.shape[0])
         part = left // 8, top, -(-right // 8), bottom
-        return int(_tabulate(words, part, *self._of_camera[camera]))
+        total, self.uncertain[camera] = _tabulate(words, part, *self._of_camera[camera])
+        return int(total)
 
 
 @kernel
@@ -82,9 +88,11 @@ def _tabulate(mask_words, part, reach, seen_words, label_words, table, box, scra
 
     mask_words (h, w / 8), seen_words and label_words (H, W / 8): images of bytes, eight pixels to a word. label_words
     and box (4,) come with what the frame before left in them. part : words and rows from and to that hold all
-    foreground. scratch : ones (W / 8,), their bytes one_bytes (W,), and sums (W,).
+    foreground. scratch : counts (W / 8,), their bytes count_bytes (W,), and sums (W,). Returns the sum of the table,
+    and whether any pixel is uncertain.
     """
-    ones, one_bytes, sums = scratch
+    counts, count_bytes, sums = scratch
+    uncertain = np.uint64(0)
     left, top, right, bottom = _foreground_bounds(mask_words, part, reach)
     _forget(label_words, seen_words, box, left, top, right, bottom)
     box[0], box[1], box[2], box[3] = 8 * left, top, 8 * right, bottom
@@ -95,18 +103,25 @@ def _tabulate(mask_words, part, reach, seen_words, label_words, table, box, scra
         table[u] = 0
     for row in range(bottom - top):
         v = top + row
-        _label_row(mask_words[v, left:right], seen_words[v, left:right], label_words[v, left:right], ones)
-        _sum_row(one_bytes, sums, table[(row + 1) * (width + 1) : (row + 2) * (width + 1)])
-    return table[(bottom - top) * (width + 1) + width]
+        uncertain |= _label_row(
+            mask_words[v, left:right], seen_words[v, left:right], label_words[v, left:right], counts
+        )
+        _sum_row(count_bytes, sums, table[(row + 1) * (width + 1) : (row + 2) * (width + 1)])
+    return table[(bottom - top) * (width + 1) + width], uncertain != 0
 
 
 @kernel
-def _label_row(mask_words, seen_words, label_words, ones):  # type: ignore[no-untyped-def]
-    """Label part of a row; ``ones`` gets 1 in every byte that is foreground."""
+def _label_row(mask_words, seen_words, label_words, counts):  # type: ignore[no-untyped-def]
+    """Label part of a row, and write what each pixel counts; return the bits of those that are uncertain."""
+    any_uncertain = np.uint64(0)
     for word in range(mask_words.size):
         pixels, seen = mask_words[word], seen_words[word]
-        ones[word] = nonzero_bytes(pixels) & seen
-        label_words[word] = _label(seen) | ones[word]  # FOREGROUND is 1
+        sure = high_bytes(pixels) & seen
+        uncertain = (nonzero_bytes(pixels) & seen) ^ sure
+        counts[word] = (sure << np.uint64(1)) | uncertain  # SURE is 2, UNSURE 1
+        label_words[word] = _label(seen) | sure | uncertain << np.uint64(1)  # FOREGROUND is 1, BLIND 2
+        any_uncertain |= uncertain
+    return any_uncertain
 
 
 @kernel

@@ -32,6 +32,7 @@ CELL_PX = (
     8  # a word of pixels; a divisor of every canvas's width; the blocks in which camera clients look for foreground
 )
 LEAST_PX = 4  # foreground pixels of a cell that count: noise leaves fewer
+ALL_BITS, HIGH_BITS = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(0x8080808080808080)  # whatever is sent; foreground
 BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
 SURROUNDINGS_M = 1.5  # beside the volume, where people wait
 REACH_M = 0.5  # an arm: bodies in the volume reach out of it by so much
@@ -73,9 +74,9 @@ class SupportReporter:
         present, names = self._views.present(masks), self._views.names
         sent, shown = np.zeros((2, *self._cells.seen.shape), np.uint8)
         for camera in present:
-            _pool(np.ascontiguousarray(masks[names[camera]]).view(np.uint64), sent[camera])
+            _pool(np.ascontiguousarray(masks[names[camera]]).view(np.uint64), ALL_BITS, sent[camera])
             if names[camera] in resolved:
-                _pool(np.ascontiguousarray(resolved[names[camera]]).view(np.uint64), shown[camera])
+                _pool(np.ascontiguousarray(resolved[names[camera]]).view(np.uint64), HIGH_BITS, shown[camera])
         covered = shown.mean(axis=(1, 2)) / 255
         has_say = [c for c in present if covered[c] <= MOST_COVERED and names[c] in resolved]
         levels = self._levels(shown, summed_area(sent), sum(1 << int(camera) for camera in has_say))
@@ -262,14 +263,14 @@ def _pooled_views(views: RigViews) -> RigViews:
 
 
 @kernel
-def _pool(mask_words, cells):  # type: ignore[no-untyped-def]
-    """Write 255 to the cells (h, w) in which at least LEAST_PX pixels of a mask (H, W / 8) are not 0."""
+def _pool(mask_words, bits, cells):  # type: ignore[no-untyped-def]
+    """Write 255 to the cells (h, w) in which at least LEAST_PX pixels of a mask (H, W / 8) have any of these bits."""
     for row in range(0, mask_words.shape[0], CELL_PX):
         rows = mask_words[row : row + CELL_PX]
         for column in range(rows.shape[1]):
             count = 0
             for v in range(rows.shape[0]):
-                count += popcount(nonzero_bytes(rows[v, column]))
+                count += popcount(nonzero_bytes(rows[v, column] & bits))
             cells[row // CELL_PX, column] = 255 if count >= LEAST_PX else 0
 
 

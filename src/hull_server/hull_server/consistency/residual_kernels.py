@@ -13,8 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.kernel import ARITHMETIC, kernel, njit
+from capture_rig.mask_levels import UNCERTAIN
 
 from ..carving.pixel_boxes import SEEN, UNSEEN, BlockBoxes, count_in_box
+from ..carving.silhouette_tables import SURE, UNSURE
 from ..words import popcount
 
 UNSEEN_CELL, BACKGROUND_CELL = -1, 0  # labels of cells; foreground cells are numbered from 1
@@ -53,7 +55,7 @@ class VotingSet(NamedTuple):
 
 @kernel
 def number_cells(mask, mask_words, stride, cells, box):  # type: ignore[no-untyped-def]
-    """Number the foreground cells of one camera's mask (H, W), and sum up their areas.
+    """Number the foreground cells of one camera's mask (H, W), and sum them up: SURE a cell, UNSURE an uncertain one.
 
     mask_words (H, W / 8) : the same, eight pixels to a word. cells : seen (h, w), nonzero where the camera sees;
     unshown (h, w), labels where nothing is shown; labels (h, w) and table (h + 1, w + 1), which are written. box (4,) :
@@ -63,22 +65,27 @@ def number_cells(mask, mask_words, stride, cells, box):  # type: ignore[no-untyp
     seen, unshown, labels, table = cells
     for row in range(box[0], box[1]):
         _copy(unshown[row, box[2] : box[3]], labels[row, box[2] : box[3]])
-    found, fingerprint, first, width = 0, 0, stride // 2, labels.shape[1]
+    found, fingerprint, first, width, shown = 0, 0, stride // 2, labels.shape[1], 0
     box[0], box[1], box[2], box[3] = labels.shape[0], 0, width, 0
     for row in range(labels.shape[0]):
-        v, before = first + row * stride, found
+        v, before = first + row * stride, shown
         if _any(mask_words[v]):
             above, areas = table[row], table[row + 1]
             for column in range(width):
-                if mask[v, first + column * stride] & seen[row, column]:
-                    found += 1
-                    labels[row, column] = found
-                    fingerprint = fingerprint * 31 + row * 4096 + column
+                level = mask[v, first + column * stride] & seen[row, column]
+                if level:
+                    if level == UNCERTAIN:
+                        labels[row, column] = UNSEEN_CELL
+                    else:
+                        found += 1
+                        labels[row, column] = found
+                        fingerprint = fingerprint * 31 + row * 4096 + column
+                    shown += UNSURE if level == UNCERTAIN else SURE
                     box[2], box[3] = min(box[2], column), max(box[3], column + 1)
-                areas[column + 1] = above[column + 1] + found - before
+                areas[column + 1] = above[column + 1] + shown - before
         else:
             _copy(table[row], table[row + 1])
-        if found > before:
+        if shown > before:
             box[0], box[1] = min(box[0], row), row + 1
     return found, fingerprint
 
@@ -150,7 +157,7 @@ def _classify_block(boxes, tables, voting, block, votes):  # type: ignore[no-unt
                 area = count_in_box(tables, camera, u0, v0, u1, v1)
                 if area == 0:
                     undecided, vetoed = undecided & ~bit, vetoed | bit
-                elif area == (u1 - u0) * (v1 - v0):
+                elif area == SURE * (u1 - u0) * (v1 - v0):
                     undecided, filled = undecided & ~bit, filled | bit
     return undecided, filled, vetoed
 

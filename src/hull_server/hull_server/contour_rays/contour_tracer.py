@@ -56,11 +56,11 @@ class ContourTracer:
         levels: Masks | None = None,
         number_of_part: npt.NDArray[np.int32] | None = None,
     ) -> ContourRays:
-        """Trace binary canvas masks (h, w) uint8, nonzero is foreground; keep the rays that touch their hull.
+        """Trace canvas masks (h, w) uint8, foreground above 127; keep the rays that touch their hull.
 
         levels : the same silhouettes as sent, of the levels of ``capture_rig.mask_levels``; contours near pixels that
-        may be shadow get a larger sigma. At most ``per_camera`` rays a camera, evenly along the outlines,
-        deterministic. They carry the number of their part's body (see :class:`hull_server.slicing.bodies.Bodies`);
+        may be shadow, or are uncertain, get a larger sigma. At most ``per_camera`` rays a camera, evenly along the
+        outlines, deterministic. They carry the number of their part's body (:class:`hull_server.slicing.bodies.Bodies`);
         without ``number_of_part``, that of the part itself. InputError for a camera that is not in the rig, and for a
         mask of the wrong size.
         """

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.kernel import kernel
-from capture_rig.mask_levels import BACKGROUND, FOREGROUND
+from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 
 CORNER_PX = math.sqrt(0.5)  # from the middle of a crack to that of the next, around a corner; straight on it is 1
 RADIUS_PX, SHADOW_RADIUS_PX = 4, 2
@@ -31,6 +31,7 @@ QUANTILE_STEPS = 256
 QUANTILES = np.array(
     [NormalDist().inv_cdf(min(max(n, 1), QUANTILE_STEPS - 1) / QUANTILE_STEPS) for n in range(QUANTILE_STEPS + 1)]
 )
+HIGH_BITS = np.uint64(0x8080808080808080)  # of every byte: set in levels above SHADOW_CANDIDATE
 ONE = 1 << 20  # weights are whole numbers, whose sums are exact in any order, so that they vectorise
 
 
@@ -39,7 +40,7 @@ def pick_contour_pixels(mask, box, scratch, limits, pixels):  # type: ignore[no-
     """Write foreground pixels u, v at equal distances along all outlines in a box to ``pixels`` (most, 2); return how
     many.
 
-    mask (h, w) uint8, nonzero is foreground. box (left, top, right, bottom), left and right multiples of 8; outside is
+    mask (h, w) uint8, foreground above 127. box (left, top, right, bottom), left and right multiples of 8; outside is
     background. limits : shortest outline, and least distance, in pixels; the distance grows if ``pixels`` is too small.
     scratch : marks (H, W) uint8, none of which equals stamp; ends, path and along as in :func:`_find_outlines`; filled
     (H + 2, W + 2) uint8.
@@ -69,10 +70,10 @@ def _find_outlines(mask, box, scratch, shortest_px):  # type: ignore[no-untyped-
     for v in range(top, bottom):
         for word in range(left // 8, right // 8):
             above = words[v - 1, word] if v > top else np.uint64(0)
-            if words[v, word] & ~above == 0:
+            if words[v, word] & ~above & HIGH_BITS == 0:
                 continue
             for u in range(8 * word, 8 * word + 8):
-                is_top = mask[v, u] != 0 and (v == top or mask[v - 1, u] == 0)
+                is_top = mask[v, u] > SHADOW_CANDIDATE and (v == top or mask[v - 1, u] <= SHADOW_CANDIDATE)
                 if is_top and scratch.marks[v, u] != scratch.stamp:
                     end = _follow(scratch, u, v, begin)
                     if scratch.along[end - 1] >= shortest_px:
@@ -124,7 +125,7 @@ def _copy_box(mask, box, filled):  # type: ignore[no-untyped-def]
         row, pixels = filled[v + 1, left : right + 2], mask[v, left:right]
         row[0], row[row.size - 1] = 0, 0
         for u in range(pixels.size):
-            row[u + 1] = pixels[u] != 0
+            row[u + 1] = pixels[u] > SHADOW_CANDIDATE
 
 
 @kernel
@@ -160,7 +161,7 @@ def find_edge(mask, u, v, weights):  # type: ignore[no-untyped-def]
     filled, across, down = 0, 0, 0
     for j in range(2 * RADIUS_PX + 1):
         for i in range(2 * RADIUS_PX + 1):
-            ones = -np.int32(window[j, i] != 0)
+            ones = -np.int32(window[j, i] > SHADOW_CANDIDATE)
             filled += ones & weights[0, j, i]
             across += ones & weights[1, j, i]
             down += ones & weights[2, j, i]
@@ -174,7 +175,7 @@ def find_edge(mask, u, v, weights):  # type: ignore[no-untyped-def]
 
 @kernel
 def shadow_share(levels, u, v):  # type: ignore[no-untyped-def]
-    """Return the share of pixels around (u, v) that may be shadow: neither background nor foreground."""
+    """Return the share of pixels around (u, v) that are neither background nor foreground."""
     size, count = 2 * SHADOW_RADIUS_PX + 1, 0
     left, top = u - SHADOW_RADIUS_PX, v - SHADOW_RADIUS_PX
     window = levels[top : top + size, left : left + size]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from capture_rig import Volume
 from capture_rig.kernel import kernel
-from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS
+from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, STEPS_OF_CANDIDATE, UNCERTAIN
 
 from ..level_stack import BLIND
 from ..views import RigViews
@@ -48,12 +48,11 @@ def floor_scene(views: RigViews, volume: Volume) -> FloorScene:
         for P, c in zip(views.P, centres, strict=True)
     ]
     kind = np.full(256, SURE, np.int8)
-    kind[0], kind[BLIND] = EMPTY, UNSEEN
+    kind[0], kind[BLIND], kind[UNCERTAIN] = EMPTY, UNSEEN, UNSEEN
     kind[list(CANDIDATE_LEVELS)], kind[list(ATTENUATED_LEVELS)] = CANDIDATE, ATTENUATED
-    attenuation, steps = np.zeros((256, 2), np.int8), len(ATTENUATED_LEVELS)
-    attenuation[list(ATTENUATED_LEVELS)] = np.arange(steps)[:, None]
-    for pair, level in enumerate(CANDIDATE_LEVELS):
-        attenuation[level] = 2 * pair, min(2 * pair + 1, steps - 1)
+    attenuation = np.zeros((256, 2), np.int8)
+    attenuation[list(ATTENUATED_LEVELS)] = np.arange(len(ATTENUATED_LEVELS))[:, None]
+    attenuation[list(CANDIDATE_LEVELS)] = STEPS_OF_CANDIDATE
     return FloorScene(
         P=np.ascontiguousarray(views.P),
         centres=centres,

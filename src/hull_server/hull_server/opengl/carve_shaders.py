@@ -53,7 +53,7 @@ layout(std430, binding = 6) buffer Blocks {{ Block block[]; }};
 layout(std430, binding = 7) buffer Recheck {{ uint recheck[]; }};                  // 2 * block's slot + half
 uniform isamplerBuffer frame;                    // the same words as a texture: labels, then summed areas
 uniform vec4 projection[3 * CAMERAS];            // 3 rows a camera, from CENTRE to pixels from HALF_CANVAS
-uint label_word(int camera, ivec2 pixel) {{      // 16 pixels a word: bit p foreground, bit 16 + p blind
+uint label_word(int camera, ivec2 pixel) {{      // 16 pixels a word: bit p foreground, 16 + p blind or uncertain
     int word = (camera * HEIGHT + pixel.y) * (WIDTH / 16) + (pixel.x >> 4);
     return uint(texelFetch(frame, {labels} + word).r) >> (pixel.x & 15);
 }}
@@ -75,7 +75,7 @@ uint invocation() {{ return group_number() * 64u + gl_LocalInvocationID.x; }}
 # what a camera sees of a block of voxels, from the pixel box on which they all lie
 CLASSIFY = """
 struct State { uint undecided, partly_blind; int settled, possible; bool empty; };
-int foreground_in(int camera, ivec4 pixels) {
+int foreground_in(int camera, ivec4 pixels) {      // two a foreground pixel, one an uncertain one
     ivec4 inside = foreground_box[camera];
     ivec2 low = max(pixels.xy, inside.xy) - inside.xy, high = min(pixels.zw, inside.zw) - inside.xy;
     if (any(greaterThanEqual(low, high))) return 0;
@@ -87,7 +87,7 @@ int foreground_in(int camera, ivec4 pixels) {
 void classify(int camera, ivec4 pixels, uint visibility, inout State state) {
     uint bit = 1u << camera;
     int filled = foreground_in(camera, pixels);
-    bool all_foreground = visibility == SEEN && filled == (pixels.z - pixels.x) * (pixels.w - pixels.y);
+    bool all_foreground = visibility == SEEN && filled == 2 * (pixels.z - pixels.x) * (pixels.w - pixels.y);
     state.empty = state.empty || (visibility == SEEN && filled == 0);
     state.possible += filled > 0 ? 1 : 0;
     state.settled += all_foreground ? 1 : 0;

@@ -15,7 +15,7 @@ from capture_rig.kernel import njit
 
 from ..grid import BRICK_EDGE
 from ..views import Masks, RigViews
-from ..words import nonzero_bytes
+from ..words import high_bytes, nonzero_bytes
 from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
 
 from OpenGL import GL  # isort: skip
@@ -122,7 +122,8 @@ class FrameUpload:
         self._area_starts = self.words[starts : self.labels_start]
         labels = self.words[self.labels_start : self._areas_start]
         self._labels = labels.view(np.uint32).reshape(cameras, height, columns)
-        self._labels[:] = np.packbits(views.seen == 0, axis=-1, bitorder="little").view("<u2").astype(np.uint32) << 16
+        self._blind = np.packbits(views.seen == 0, axis=-1, bitorder="little").view("<u2").astype(np.uint32) << 16
+        self._labels[:] = self._blind
         self._rows = np.zeros((cameras, 2), np.int64)  # from and to, of each camera's foreground
 
     def fill(self, masks: Masks, present: npt.NDArray[np.int64], min_seeing: int) -> npt.NDArray[np.int32]:
@@ -136,26 +137,30 @@ class FrameUpload:
     def _fill_camera(self, camera: int, mask: npt.NDArray[np.uint8], start: int) -> int:
         """Fill in labels, foreground box and summed areas, these from word ``start``; return where they end."""
         words = np.ascontiguousarray(mask).view(np.uint64)
-        u0, v0, u1, v1 = label_foreground(words, self._labels[camera], self._rows[camera])
+        u0, v0, u1, v1 = label_foreground(words, self._blind[camera], self._labels[camera], self._rows[camera])
         self._boxes[camera] = u0, v0, u1, v1
         self._area_starts[camera] = start
         if u1 == 0:
             return start
-        foreground = cv2.min(mask[v0:v1, u0:u1], self._countable[camera, v0:v1, u0:u1])
+        part = mask[v0:v1, u0:u1]
+        counts = np.minimum(part, 1) + (part >> 7)  # SURE and UNSURE of carving.silhouette_tables
+        counts = cv2.multiply(counts, self._countable[camera, v0:v1, u0:u1])
         end = start + (v1 - v0 + 1) * (u1 - u0 + 1)
-        cv2.integral(foreground, self.words[start:end].reshape(v1 - v0 + 1, u1 - u0 + 1), cv2.CV_32S)
+        cv2.integral(counts, self.words[start:end].reshape(v1 - v0 + 1, u1 - u0 + 1), cv2.CV_32S)
         return end
 
 
 @njit(cache=True, nogil=True)
-def label_foreground(words, labels, rows):  # type: ignore[no-untyped-def]
-    """Write a mask's foreground into its labels; return a box (u, v from and to) around it, u in steps of 16.
+def label_foreground(words, blind, labels, rows):  # type: ignore[no-untyped-def]
+    """Write a mask's evidence into its labels; return a box (u, v from and to) around it, u in steps of 16.
 
     words (h, w / 8) uint64: the mask, eight pixels a word. labels (H, W / 16) uint32: bit p is set where the camera
-    sees foreground, bit 16 + p (kept) where it is blind. rows (2,): the rows that hold foreground, from and to;
-    on entry those of the frame set before.
+    sees foreground, bit 16 + p where it is uncertain or blind; blind : the same where it always is. rows (2,): the
+    rows that hold evidence, from and to; on entry those of the frame set before.
     """
-    labels[rows[0] : rows[1]] &= np.uint32(0xFFFF0000)
+    for row in range(rows[0], rows[1]):
+        for group in range(labels.shape[1]):
+            labels[row, group] = blind[row, group]
     groups = words.shape[1] // 2
     left, right, top, bottom = groups, 0, words.shape[0], 0
     for row in range(words.shape[0]):
@@ -166,18 +171,21 @@ def label_foreground(words, labels, rows):  # type: ignore[no-untyped-def]
             continue
         top, bottom = min(top, row), row + 1
         for group in range(groups):
-            bits = _nonzero_bits(words[row, 2 * group]) | _nonzero_bits(words[row, 2 * group + 1]) << np.uint64(8)
-            if bits != 0:
+            low, high = words[row, 2 * group], words[row, 2 * group + 1]
+            if low | high != 0:
                 left, right = min(left, group), max(right, group + 1)
-                labels[row, group] |= np.uint32(bits) & ~(labels[row, group] >> np.uint32(16))
+                sure = _packed(high_bytes(low)) | _packed(high_bytes(high)) << np.uint64(8)
+                unsure = (_packed(nonzero_bytes(low)) | _packed(nonzero_bytes(high)) << np.uint64(8)) ^ sure
+                seen = ~(blind[row, group] >> np.uint32(16))
+                labels[row, group] |= (np.uint32(sure) & seen) | np.uint32(unsure) << np.uint32(16)
     rows[0], rows[1] = min(top, bottom), bottom
     return (16 * left, top, 16 * right, bottom) if bottom > 0 else (0, 0, 0, 0)
 
 
 @njit(cache=True, nogil=True)
-def _nonzero_bits(word):  # type: ignore[no-untyped-def]
-    """Return a byte whose bit b is set where byte b of a word is not zero."""
-    return nonzero_bytes(word) * np.uint64(0x0102040810204080) >> np.uint64(56)
+def _packed(ones):  # type: ignore[no-untyped-def]
+    """Return a byte whose bit b is byte b of a word, each 0 or 1."""
+    return ones * np.uint64(0x0102040810204080) >> np.uint64(56)
 
 
 class BufferSet:

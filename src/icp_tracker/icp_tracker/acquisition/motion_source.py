@@ -1,11 +1,11 @@
 """The first pose of somebody who just comes in: several hypotheses are tracked until one is clearly the best.
 
 A body of average proportions, as tall as the hull, is fitted from natural postures at every heading; where it explains
-too little, a stouter and a slimmer one are tried in turn. The best fits are followed from set to set; each costs what
-outlines, hull and joint limits say against it (``monitor/evidence.py``). What a single hull leaves open, front or back
-above all, time decides: knees and elbows bend one way, toes lie ahead of the ankles, and whoever walks walks forwards.
-Lengths start as people's proportions with their spread (``body_sizes.prior_sizes``), and are learnt while the person
-moves (``refinement/``).
+too little, a stouter or a slimmer one takes its place if that explains more. The best fits are followed from set to
+set, through gaps; each costs what outlines, by their certainty, hull and joint limits say against it
+(``monitor/evidence.py``). What a single hull leaves open, front or back above all, time decides: knees and elbows bend
+one way, toes lie ahead of the ankles, and whoever walks walks forwards. Lengths start as people's proportions with
+their spread (``body_sizes.prior_sizes``), and are learnt while the person moves (``refinement/``).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings, PriorSettings, make_data, minimise
-from ..monitor.evidence import Evidence, evidence_of
+from ..monitor.evidence import EXPLAINED_M, GATE_M, Evidence, evidence_of, ray_cost
 from ..monitor.pose_library import arms_exchanged, legs_exchanged, sides_exchanged, turned_around
 from .body_parts import evidence_of_feet
 from .body_sizes import BodyEstimate, sizes_of_stature
@@ -40,7 +40,7 @@ FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0
 FREE_ITERATIONS, STARTS = 20, 12  # of the first fits, of which there are so many
 HYPOTHESES = 5  # hypotheses that are followed
 SAME_M = 0.12  # poses whose points are so near to each other are one
-GAP_S = 0.3  # after a longer pause the look begins anew
+GAP_S = 1.0  # somebody of whom no set shows enough for so long is somebody new: people turn, and pass behind things
 LOOK_EVERY_S = 0.25  # how often other hypotheses are looked for
 PATIENT_S = 3.0  # somebody of whom a part is not seen has so long to step where it is
 BENT_WALK_SD_M = 0.015  # a walking person's crown is so much lower than a standing one's, and a hull's so uncertain
@@ -50,12 +50,14 @@ STEP_M = 0.25  # way after which somebody walks, and does so forwards
 # shares of the outlines that count as much: walking forwards, toes ahead of the ankles. Those who face
 # the right way explain 0.05 to 0.17 more than when turned round, on rendered walks: these decide where it is less
 WALKING_SHARE, FEET_SHARE = 0.04, 0.02
-GIRTHS = (1.0, 1.3, 0.8)  # over the average: the next one is tried when a body of the last explains too little
-# another girth that explains so much more than the last is right, if that is so much in all: of people of other
-# proportions too, as tall and stout ones often are, no body of these explains more
-BETTER_SHARE, LEAST_SHARE = 0.02, 0.62
+GIRTHS = (1.0, 1.3, 0.8)  # over the average: tried where a body of average girth explains too little
+BETTER_SHARE = 0.02  # another girth that explains so much more is right
+LEAST_SHARE = (
+    0.5  # of the outlines, by their certainty: torn ones of clutter are no body's, but most must be this one's
+)
 FEET_EVIDENCE = 5.0  # log-likelihood ratio of the feet's heading from which they count about that much
 LEFT_FOOT, RIGHT_FOOT = 13, 14
+EXPLAINED_COST = ray_cost(EXPLAINED_M, GATE_M)
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,13 @@ class MotionSettings:
     watch_s: float = setting(
         1.0, "a person without a T-pose is watched for so long before being followed", unit="s", low=0.0, high=60.0
     )
-    explained: float = setting(0.7, "share of the outlines that the best explanation must explain", low=0.0, high=1.0)
+    explained: float = setting(
+        0.7,
+        "share of the outlines that the best explanation must explain; in clutter half of them will do, where no other "
+        "girth explains more",
+        low=0.0,
+        high=1.0,
+    )
     margin: float = setting(
         0.03, "how much more of the outlines it must explain than any that faces elsewhere", low=0.0, high=1.0
     )
@@ -120,7 +128,7 @@ class MotionSource:
 
     def reset(self) -> None:
         """Forget what was watched."""
-        self._girth, self._needed_share, self._last_ns = 0, self._settings.explained, 0
+        self._girth, self._girth_is_known, self._last_ns = 0, False, 0
         self._watch_anew()
 
     def _watch_anew(self) -> None:
@@ -133,24 +141,21 @@ class MotionSource:
     def find_pose(self, seen: HullProducts) -> InitialPose:
         """Return the pose of the best hypothesis once it is clear, or why it is not."""
         voxels = seen.voxels.points_world
-        if len(voxels) < FEWEST_VOXELS or len(seen.contour_rays) == 0:
+        if not 0 <= seen.stamp_ns - self._last_ns <= GAP_S * NS_PER_S:
             self.reset()
+        if len(voxels) < FEWEST_VOXELS or len(seen.contour_rays) == 0:
             return InitialPose(reason=NO_HULL)
         pitch = pitch_of(voxels)
         stance = stance_of(voxels, pitch)
         cut = () if self._visibility is None else cut_parts(voxels, stance, pitch, self._visibility)
-        if not 0 <= seen.stamp_ns - self._last_ns <= GAP_S * NS_PER_S:
-            self.reset()
-        self._last_ns = seen.stamp_ns
         body = self._body(stance, cut)
         if body is None:
-            self.reset()
             return InitialPose(reason=f"no adult's height: {stance.stature:.2f} m")
         line, settings = seen.centerline, self._fit_settings
         data = make_data(line.points_world, line.sigma, seen.voxels, settings, seen.contour_rays, self._visibility)
         if len(data.contour_rays.information) == 0:
-            self.reset()
             return InitialPose(reason="no outlines")
+        self._last_ns = seen.stamp_ns
         self._follow(body, data)
         if not self._followed:
             self._began_ns = seen.stamp_ns
@@ -158,7 +163,7 @@ class MotionSource:
             self._looked_ns = seen.stamp_ns
             self._look(body, data, stance)
         self._add_feet(body, voxels, stance, pitch, cut)
-        return self._answer(seen.stamp_ns, body, stance, cut)
+        return self._answer(seen.stamp_ns, body, data, stance, cut)
 
     # --- the body
 
@@ -200,7 +205,7 @@ class MotionSource:
         for pose in [fitted[0], *around, *fitted[1:]]:
             if self._is_new(body, pose):
                 self._followed.append(PoseHypothesis(pose))
-                _compare(self._followed[-1], evidence_of(figure, pose, data))
+                _compare(self._followed[-1], evidence_of(figure, pose, data), data.contour_rays.information)
         self._keep_the_best()
 
     def _keep_the_best(self) -> None:
@@ -223,7 +228,7 @@ class MotionSource:
             hypothesis.pose = minimise(body, before, data, self._fit_settings)[0]
             moved = hypothesis.pose.position_world - before.position_world
             hypothesis.way += float(moved[:2] @ before.R_world_torso[:2, 0])
-            _compare(hypothesis, evidence_of(figure, hypothesis.pose, data))
+            _compare(hypothesis, evidence_of(figure, hypothesis.pose, data), data.contour_rays.information)
         self._followed = []
         for hypothesis in sorted(followed, key=lambda e: e.mean_cost):
             if self._is_new(body, hypothesis.pose):
@@ -249,7 +254,7 @@ class MotionSource:
 
     # --- the decision
 
-    def _answer(self, stamp_ns: int, body: Body, stance: Stance, cut: tuple[str, ...]) -> InitialPose:
+    def _answer(self, stamp_ns: int, body: Body, data: Data, stance: Stance, cut: tuple[str, ...]) -> InitialPose:
         """Return the best hypothesis if it has been watched, explains enough, and none that faces elsewhere rivals."""
         settings, rivals = self._settings, self._followed
         best = rivals[0]
@@ -264,12 +269,17 @@ class MotionSource:
         whole_s = (stamp_ns - max(self._cut_ns, self._began_ns)) / NS_PER_S
         if (cut or whole_s < settings.watch_s) and watched_s < max(PATIENT_S, settings.watch_s):
             return InitialPose(reason=told)
-        if best.mean_share < self._needed_share:
-            if cut:  # the stature may be wrong, too
+        too_little = f"nobody upright: a body explains {100 * best.mean_share:.0f} % of it"
+        if best.mean_share < settings.explained and not self._girth_is_known and not cut and self._known is None:
+            self._girth_is_known, before = True, self._girth
+            self._girth = self._best_girth(body, best.pose, data)
+            if self._girth != before:
                 self._watch_anew()
-                return InitialPose(reason=told)
-            self._try_next_girth(best.mean_share)
-            return InitialPose(reason=f"nobody upright: a body explains {100 * best.mean_share:.0f} % of it")
+                return InitialPose(reason=too_little)
+        if best.mean_share < min(LEAST_SHARE, settings.explained):
+            self._girth, self._girth_is_known = 0, False
+            self._watch_anew()
+            return InitialPose(reason=told if cut else too_little)  # cut, the stature may be wrong, too
         elsewhere = [other.mean_cost for other in rivals if _faces_elsewhere(best.pose, other.pose)]
         if 2 * best.sets < rivals_sets or min(elsewhere, default=np.inf) - best.mean_cost < settings.margin:
             if watched_s > 4.0 * settings.watch_s:
@@ -279,18 +289,23 @@ class MotionSource:
         self.reset()
         return InitialPose(best.pose, body, "", estimate)
 
-    def _try_next_girth(self, share: float) -> None:
-        """Watch anew with a body of another girth, which has to explain more than ``share``; the average one much."""
-        self._watch_anew()
-        self._girth = (self._girth + 1) % len(GIRTHS)
-        most = self._settings.explained
-        self._needed_share = most if self._girth == 0 else min(max(share + BETTER_SHARE, LEAST_SHARE), most)
+    def _best_girth(self, body: Body, pose: Pose, data: Data) -> int:
+        """Return which of GIRTHS explains most of a set from a pose: another than now only if it is clearly better."""
+        shares = []
+        for girth in GIRTHS:
+            other = body if girth == GIRTHS[self._girth] else replace(body, build=build_of_girth(girth))
+            one = PoseHypothesis(minimise(other, pose, data, self._fit_settings)[0])
+            _compare(one, evidence_of(Figure.of(other), one.pose, data), data.contour_rays.information)
+            shares.append(one.mean_share)
+        best = int(np.argmax(shares))
+        return best if shares[best] > shares[self._girth] + BETTER_SHARE else self._girth
 
 
-def _compare(hypothesis: PoseHypothesis, evidence: Evidence) -> None:
-    rays = max(evidence.rays, 1)
-    hypothesis.cost += evidence.cost / rays
-    hypothesis.share += evidence.share
+def _compare(hypothesis: PoseHypothesis, evidence: Evidence, certainty: np.ndarray) -> None:
+    """Add a set's evidence; certainty (n,) : of each ray, in any unit: torn outlines say little."""
+    certainty = certainty / max(float(certainty.sum()), 1e-12)
+    hypothesis.cost += float(certainty @ evidence.costs) + evidence.beyond / max(evidence.rays, 1)
+    hypothesis.share += float(certainty @ (evidence.costs < EXPLAINED_COST))
     hypothesis.sets += 1
 
 

@@ -1,4 +1,7 @@
-"""``sagoma background``: trains the background of every camera in the empty room; ``show`` prints a saved one."""
+"""``sagoma background``: trains the background of every camera in the empty room; ``show`` prints a saved one.
+
+Without an empty room, ``--from-footage`` makes one of videos with people in them.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +21,14 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from camera_client.background.from_footage import background_of_footage
 from camera_client.background.model import BackgroundModel, load_background, shape_text
 from camera_client.background.verdict import find_regions, judge_background, turn_findings
+from camera_client.sources.footage_reader import VideoReader
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder, write_bytes
 from capture_rig.number import number
+from capture_rig.session import load_session
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 
@@ -51,6 +57,8 @@ STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
 STATUS = {GOOD: 0, USABLE: 1, REDO: 2}
 BRIGHTEST_SIGMA = 10.0  # grey levels of noise that the picture shows in its brightest colour
 REGION_BGR = (0, 0, 255)
+MOST_FRAMES = 60  # of a video: a second more of memory and time brings no more
+MOST_REGIONS, MUCH_UNCERTAIN = 3, 0.1  # named a camera; share of the picture that makes a background a poor one
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -59,6 +67,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("background", help=help_text)
     option = parser.add_argument
     help_countdown = f"seconds to leave the room (default: {COUNTDOWN_S})"
+    help_footage = "no graph: make backgrounds of videos, or of a session's, with people in them"
+    option("--from-footage", nargs="+", metavar="VIDEO|SESSION", help=help_footage)
     option("--countdown", type=number("s", 0, 3600, whole=True), default=COUNTDOWN_S, metavar="S", help=help_countdown)
     option("--cameras", nargs="+", metavar="CAM", help="only these (default: all that are found)")
     option("--repeat", action="store_true", help="only those without a background, or whose background is no good")
@@ -85,6 +95,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     """Find the clients, wait for the empty room, train, report; the exit status is the worst verdict's."""
     console = command_console()
+    if args.from_footage:
+        return run_from_footage(console, args.from_footage)
     with StopOnSignal() as stop, RosLink("sagoma_background", namespace=namespace_argument(args)) as link:
         diagnostics = DiagnosticsTable(link.node)
         found = find_clients(link.node, args.expect, args.wait)
@@ -102,6 +114,46 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(figures(outcomes)))
     return INTERRUPTED if stop.is_set() else exit_status(outcomes)
+
+
+def run_from_footage(console: Console, sources: Sequence[str]) -> int:
+    """Write VIDEO_background.npz beside every video, and say where it is uncertain; 1 where much of one is."""
+    worst = 0
+    for video in _videos(sources):
+        model, uncertain = background_of_footage(sampled_frames(video), str(video))
+        path = video.with_name(f"{video.stem}_background.npz")
+        model.save(path)
+        share = float(uncertain.mean())
+        console.print(f"{path}: of {model.provenance.frames} frames, {100 * share:.1f} % uncertain", highlight=False)
+        for region in find_regions(uncertain)[:MOST_REGIONS]:
+            columns, rows = f"{region.left} to {region.right}", f"{region.top} to {region.bottom}"
+            text = f"  columns {columns}, rows {rows}: something stood there for a third of the time, or never rested"
+            console.print(text, highlight=False)
+        worst = max(worst, int(share > MUCH_UNCERTAIN))
+    return worst
+
+
+def _videos(sources: Sequence[str]) -> list[Path]:
+    """Return the videos that are named, and those of the cameras of the sessions that are. InputError for neither."""
+    found: list[Path] = []
+    for source in map(Path, sources):
+        if source.is_dir():
+            found += [video for _, video in sorted(load_session(source).videos.items())]
+        else:
+            found.append(source)
+    return found
+
+
+def sampled_frames(video: Path) -> list[np.ndarray]:
+    """Return MOST_FRAMES frames at most, evenly over a video. InputError for one that cannot be read."""
+    with contextlib.closing(VideoReader(video, "auto", threads=0)) as reader:
+        reader.probe()
+        every, frames, number = max(1, -(-reader.frame_count // MOST_FRAMES)), list[np.ndarray](), 0
+        while (image := reader.read()) is not None:
+            if number % every == 0:
+                frames.append(image)
+            number += 1
+    return frames
 
 
 class BackgroundTraining:

@@ -133,6 +133,11 @@ class MovedThings:
         ]
         return sorted(found, key=lambda place: -place.share)
 
+    @property
+    def seen_by_nobody(self) -> npt.NDArray[np.bool_]:
+        """Blocks in which the other cameras see nobody, as far as they say."""
+        return self._others.unseen_s > 0
+
     def take_report(self, report: ForegroundSupport) -> None:
         """Take what the others see, for frames some time after its stamp (:mod:`.support_history`). From any thread."""
         self._others.add(report)
