@@ -5,6 +5,7 @@
     python bench/rooms.py --rivals PYTHON          # also codecs, and rivals whose figures are not on record yet
     python bench/rooms.py --cost                   # milliseconds a frame, in turns with MOG2 and KNN
     python bench/rooms.py --long | --jump          # drills: ten minutes, lamp, door, touched cameras; an empty room
+    python bench/rooms.py --holes                  # a third of the person missing in one camera and in two, tracked
 
 Rows: sessions of the test data as they are; the studio with clothes and shadows of any kind (room_studio.py); a grey
 session and the studio in colour with disturbances added after decoding (room_disturbances.py). Every frame is run, with
@@ -15,9 +16,9 @@ ours : as each camera sends it, what is above 127 is the person. judged : after 
 visible : the share of the person's pixels that differ from the room by three times the noise in any channel.
 MOG2, KNN : of OpenCV, learning on and frozen, shadows removed and kept: the best of these. GSOC, SuBSENSE, PAWCS, ViBe
 : see room_rivals.py, which also tells how to make PYTHON. All rivals have our majority filter and component rules.
-Without --cost, --long and --jump the last line is JSON: rows (each with clip, disturbance, and by method IoU, recall
-and false foreground in percent of the picture), worst_iou (of ours as sent), ahead_in_all (is ours as sent ahead of
-every rival in every row).
+Without --cost, --long, --jump and --holes the last line is JSON: rows (each with clip, disturbance, and by method IoU,
+recall and false foreground in percent of the picture), worst_iou (of ours as sent), ahead_in_all (is ours as sent ahead
+of every rival in every row).
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ import room_rivals
 from room_clips import RoomClip, of_session, open_clip
 from room_disturbances import Disturbance
 from room_drills import jumps, long_drills
+from room_holes import holes
 from room_methods import CV2_RIVALS, JUDGED, SENT, CanvasTruth, our_pipeline, our_scores, rival_scores, visible_share
 from room_studio import LOOKS, studio_clip
 from scenes import shared_sessions
@@ -213,6 +215,7 @@ def main() -> None:
     given.add_argument("--cost", action="store_true", help="milliseconds a frame instead of the table")
     given.add_argument("--long", action="store_true", help="drills of minutes instead of the table")
     given.add_argument("--jump", action="store_true", help="a person who is gone from the room instead of the table")
+    given.add_argument("--holes", action="store_true", help="a person with holes, tracked, instead of the table")
     arguments = given.parse_args()
     looks = [LOOKS[0]] if arguments.quick else [LOOKS[0], STUDIO[COLOUR]]
     looks = [look for look in looks if arguments.only in str(look)]
@@ -222,6 +225,8 @@ def main() -> None:
         finish(long_drills(looks, QUICK_LONG_S if arguments.quick else LONG_S))
     elif arguments.jump:
         finish(jumps(looks))
+    elif arguments.holes:
+        finish(holes())
     else:
         whole_table(arguments)
 

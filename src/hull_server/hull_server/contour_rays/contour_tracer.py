@@ -60,7 +60,7 @@ class ContourTracer:
 
         levels : the same silhouettes as sent, of the levels of ``capture_rig.mask_levels``; contours near pixels that
         may be shadow, or are uncertain, get a larger sigma. At most ``per_camera`` rays a camera, evenly along the
-        outlines, deterministic. They carry the number of their part's body (:class:`~hull_server.slicing.bodies.Bodies`);
+        outlines, deterministic. They carry the number of their body (:class:`~hull_server.slicing.bodies.Bodies`);
         without ``number_of_part``, that of the part itself. InputError for a camera that is not in the rig, and for a
         mask of the wrong size.
         """
