@@ -31,6 +31,7 @@ from .floor_shadows import ShadowResolver
 from .level_stack import Mask
 from .settings import HullSettings
 from .views import RigViews, min_seeing
+from .words import HIGH_BITS
 
 
 def _levels_found() -> np.ndarray:
@@ -44,7 +45,6 @@ def _levels_found() -> np.ndarray:
 
 
 LEVELS_FOUND = _levels_found()
-HIGH_BITS = np.uint64(0x8080808080808080)  # of every byte: set in levels above SHADOW_CANDIDATE = 127
 
 
 class GroupResolver:

@@ -12,6 +12,7 @@ from numba.extending import intrinsic
 from capture_rig.kernel import kernel, njit
 
 _U1 = np.uint64(1)
+HIGH_BITS = np.uint64(0x8080808080808080)  # of every byte: set in levels that are foreground, above 127
 _LOW_BITS, _FIRST_BITS = np.uint64(0x7F7F7F7F7F7F7F7F), np.uint64(0x0101010101010101)  # of every byte
 
 

@@ -16,8 +16,8 @@ Mask = npt.NDArray[np.uint8]
 class Silhouette:
     """What a camera sees of the person. Only ``mask``, camera and stamp travel on, as a PNG of few levels.
 
-    mask : (h, w) uint8 on the padded undistorted canvas: 255 person, 0 not, up to 127 most likely a shadow, between
-        them person or shadow (see `capture_rig.mask_levels`).
+    mask : (h, w) uint8 on the padded undistorted canvas: 255 person, 0 not, 47 uncertain, up to 127 most likely a
+        shadow, between them person or shadow (see `capture_rig.mask_levels`).
     image_mask : (H, W) in the camera's own pixels, of 255, 0 and 127 only.
     foreground_fraction, candidate_fraction : the shares of the image that are 255 and 127 there.
     flags : may hold "empty" or "full": such a mask is what was seen, and probably not a person.

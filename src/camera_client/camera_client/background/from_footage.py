@@ -23,6 +23,7 @@ FEWEST_FRAMES = 20
 SAME_SIGMAS = 4.0  # a level so near to the background's is the background's
 CERTAIN_SHARE = 2 / 3  # of the time a background that is certain was seen
 HALF_OF_NORMAL = 1.349  # sigmas that the middle half of a normal distribution spans
+MOST_NOISY = 3.0  # times the typical noise: what varies more has several levels
 BAND_ROWS = 64  # looked at together, so that memory stays small
 
 
@@ -68,7 +69,7 @@ def _most_frequent(
     width = np.take_along_axis(widths, first, axis=0)[0]
     middle = 0.5 * (np.take_along_axis(ordered, first, axis=0) + np.take_along_axis(ordered, first + half, axis=0))[0]
     typical = max(float(np.median(width)) / HALF_OF_NORMAL, 0.5)
-    near = np.abs(grey - middle) <= SAME_SIGMAS * np.maximum(np.minimum(width / HALF_OF_NORMAL, 3 * typical), typical)
+    near = np.abs(grey - middle) <= SAME_SIGMAS * np.clip(width / HALF_OF_NORMAL, typical, MOST_NOISY * typical)
     uncertain = near.mean(axis=0) < CERTAIN_SHARE
     weight = near.astype(np.float32)
     if levels.ndim == 4:

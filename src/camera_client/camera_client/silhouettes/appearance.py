@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import convolve1d
 
 from capture_rig.kernel import kernel, njit
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, UNCERTAIN
@@ -88,12 +89,10 @@ class PeopleColours:
         return Box(top, left, bottom, right)
 
 
-def _smoothed(histogram: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+def _smoothed(histogram: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
     """Return the mean of each bin and its neighbours, weights 1, 2, 1 along every axis."""
     for axis in range(histogram.ndim):
-        padded = np.pad(histogram, [(1, 1) if a == axis else (0, 0) for a in range(histogram.ndim)], mode="edge")
-        before, after = (np.take(padded, np.arange(k, k + histogram.shape[axis]), axis) for k in (0, 2))
-        histogram = (before + 2 * histogram + after) / 4
+        histogram = convolve1d(histogram, (0.25, 0.5, 0.25), axis=axis, mode="nearest")
     return histogram
 
 

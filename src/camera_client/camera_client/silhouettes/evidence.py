@@ -60,7 +60,7 @@ class EvidenceFilter:
         height, width = distance.shape
         rows, columns = whole_spans(height, width) if spans is None else spans
         sigma = noise.sigma(typical_level(expected))
-        least = 0.5 * least_squared_distance(sigma, noise.correlation, len(noise.read))
+        least = least_evidence(sigma, noise)
         most = min(int(2 * SCALE * CLEAR * least), 255)
         rest = cv2.subtract(image, expected, dtype=cv2.CV_32F).reshape(height, -1)
         evidence: np.ndarray = np.zeros((height, width), np.float32)
@@ -84,6 +84,11 @@ def typical_level(expected: npt.NDArray[np.float32]) -> float:
     """Return the median grey level of about a thousand pixels of a part (h, w[, 3])."""
     every = max(1, math.isqrt(expected.shape[0] * expected.shape[1] // TYPICAL_SAMPLES))
     return float(median(expected[every // 2 :: every, every // 2 :: every].reshape(-1)))
+
+
+def least_evidence(sigma: float, noise: Noise) -> float:
+    """Return the evidence z^2 / 2 from which a pixel with ``sigma`` grey levels of noise is rather foreground."""
+    return 0.5 * least_squared_distance(sigma, noise.correlation, len(noise.read))
 
 
 def least_squared_distance(sigma: float, correlation: float, channels: int) -> float:

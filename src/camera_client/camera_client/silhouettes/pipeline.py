@@ -31,7 +31,7 @@ from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .certainty import Certainty, CertaintyMeter
 from .codec_errors import codec_error_sigma
 from .components import PeopleRule, keep_people
-from .evidence import CLEAR, EvidenceFilter, least_squared_distance
+from .evidence import CLEAR, EvidenceFilter, least_evidence
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, majority, majority_count, trim_outline
 from .shadows import Scene, make_shadow_test
 
@@ -126,7 +126,7 @@ class SilhouettePipeline:
         if box.empty:
             self._certainty.note_nothing()
             nothing = np.zeros((0, 0), np.uint8)
-            return self._silhouette(stamp_ns, nothing, box, self._evidence_of(image, nothing, box))
+            return self._silhouette(stamp_ns, nothing, box, self._canvas_levels(image, nothing, box))
         expected = self.background.expected(box.slices)
         part, noise = image[box.slices], self.background.noise
         scene = Scene(part, expected, noise, box.slices, codec_error_sigma(part, expected, noise))
@@ -144,7 +144,7 @@ class SilhouettePipeline:
         levels = person
         if self._attenuation is not None:
             levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        return self._silhouette(stamp_ns, levels, box, self._evidence_of(image, marked, box))
+        return self._silhouette(stamp_ns, levels, box, self._canvas_levels(image, marked, box))
 
     def _check(self, image: Image) -> None:
         if image.shape != self._shape or image.dtype != np.uint8:
@@ -188,14 +188,13 @@ class SilhouettePipeline:
         things = None if self.moved is None or self.moved.likely is None else self.moved.likely[box.slices]
         return keep_people(mask, self._people, things)
 
-    def _evidence_of(self, image: Image, marked: Mask, box: Box) -> Mask:
+    def _canvas_levels(self, image: Image, marked: Mask, box: Box) -> Mask:
         """Return the levels on the canvas: those ``marked`` in the box, and where the camera is uncertain."""
         levels, whole = self._levels, box
         levels[box.slices] = marked
         if self._colours is not None:
             noise = self.background.noise
-            sigma = noise.sigma(TYPICAL_LEVEL)
-            least = 0.5 * least_squared_distance(sigma, noise.correlation, len(noise.read))
+            least = least_evidence(noise.sigma(TYPICAL_LEVEL), noise)
             uncertain = self._colours.mark_uncertain(image, self._distance, levels, least, CLEAR * least)
             whole = box.joined(uncertain)
         canvas = self._undistorter.undistort(levels, whole)

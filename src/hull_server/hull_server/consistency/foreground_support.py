@@ -24,7 +24,7 @@ from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSup
 from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summed_area
 from ..grid import VoxelGrid
 from ..views import Masks, RigViews, min_seeing
-from ..words import nonzero_bytes, popcount
+from ..words import HIGH_BITS, nonzero_bytes, popcount
 
 PERIOD_S = 0.25  # things are judged for seconds
 EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
@@ -32,7 +32,7 @@ CELL_PX = (
     8  # a word of pixels; a divisor of every canvas's width; the blocks in which camera clients look for foreground
 )
 LEAST_PX = 4  # foreground pixels of a cell that count: noise leaves fewer
-ALL_BITS, HIGH_BITS = np.uint64(0xFFFFFFFFFFFFFFFF), np.uint64(0x8080808080808080)  # whatever is sent; foreground
+ALL_BITS = np.uint64(0xFFFFFFFFFFFFFFFF)  # of a word: whatever is sent
 BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
 SURROUNDINGS_M = 1.5  # beside the volume, where people wait
 REACH_M = 0.5  # an arm: bodies in the volume reach out of it by so much
@@ -65,7 +65,7 @@ class SupportReporter:
     def update(self, masks: Masks, resolved: Masks, stamp_ns: int) -> tuple[ForegroundSupport, ...]:
         """Judge one frame set's canvas masks (h, w) uint8 once a period; else return nothing.
 
-        masks : as they were sent, nonzero = foreground or shadow: only what is neither denies a body. resolved :
+        masks : as they were sent, nonzero = foreground, shadow or uncertain: only the rest denies a body. resolved :
         without the shadows, of the cameras that are used; the others get a report and have no say. InputError for an
         unknown camera or a wrong size.
         """

@@ -22,6 +22,8 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 
+from ..words import HIGH_BITS
+
 CORNER_PX = math.sqrt(0.5)  # from the middle of a crack to that of the next, around a corner; straight on it is 1
 RADIUS_PX, SHADOW_RADIUS_PX = 4, 2
 PLACE_BLUR_PX, NORMAL_BLUR_PX = 1.0, 2.0  # narrow for the place (curved edges shift less), wide for the normal
@@ -31,7 +33,6 @@ QUANTILE_STEPS = 256
 QUANTILES = np.array(
     [NormalDist().inv_cdf(min(max(n, 1), QUANTILE_STEPS - 1) / QUANTILE_STEPS) for n in range(QUANTILE_STEPS + 1)]
 )
-HIGH_BITS = np.uint64(0x8080808080808080)  # of every byte: set in levels above SHADOW_CANDIDATE
 ONE = 1 << 20  # weights are whole numbers, whose sums are exact in any order, so that they vectorise
 
 
