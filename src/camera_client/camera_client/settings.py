@@ -150,7 +150,7 @@ class BackgroundSettings:
 
 @dataclass(frozen=True)
 class ColourShadowSettings:
-    """Colour cameras: what is darker than the background by one factor in all channels is taken for its shadow."""
+    """Colour cameras: a coloured background, darker by one factor in all channels, is taken for shadow."""
 
     darkest: float = setting(0.4, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
     chromaticity: float = setting(
@@ -164,7 +164,7 @@ class ColourShadowSettings:
     )
     min_contrast: float = setting(
         20.0,
-        "Backgrounds less than so many sigma brighter than black look like dark clothes: no shadow is looked for there",
+        "Backgrounds less than so many sigma brighter than black look like dark clothes: colour tells no shadow there",
         low=0,
         high=1000,
     )
@@ -172,7 +172,7 @@ class ColourShadowSettings:
 
 @dataclass(frozen=True)
 class FloorShadowSettings:
-    """Mono cameras: floor that is darkened by a locally constant factor, its texture unchanged, is in shadow."""
+    """Floor that is darkened by a locally constant factor, its texture unchanged, is in shadow."""
 
     darkest: float = setting(0.45, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
     residual: float = setting(
@@ -226,8 +226,8 @@ class SilhouetteSettings:
         high=0.9,
     )
     max_hole: float = setting(1e-3, "Holes smaller than this are filled", unit="share of height^2", low=0, high=1)
-    colour_shadow: ColourShadowSettings = setting(ColourShadowSettings, "Shadow removal of colour cameras")
-    floor_shadow: FloorShadowSettings = setting(FloorShadowSettings, "Shadow removal of mono cameras")
+    colour_shadow: ColourShadowSettings = setting(ColourShadowSettings, "Shadow on coloured backgrounds, by its colour")
+    floor_shadow: FloorShadowSettings = setting(FloorShadowSettings, "Shadow on the floor, by the floor's texture")
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """From frame to silhouette: synthetic scenes with exact masks, and the real footage where it is present."""
 
 import csv
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,7 +11,7 @@ from numba.core.registry import CPUDispatcher as Dispatcher
 from camera_client.background import kernels as kernels_of_background
 from camera_client.background.model import BackgroundLearner, read_background
 from camera_client.background.noise import assumed_noise, learned_noise
-from camera_client.settings import BackgroundSettings, ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
+from camera_client.settings import BackgroundSettings, FloorShadowSettings, SilhouetteSettings
 from camera_client.silhouettes import evidence, shadow_kernels
 from camera_client.silhouettes.pipeline import CANDIDATE_BGR, EMPTY, FULL, PERSON_BGR, SilhouettePipeline, outline
 from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene, floor_pixels
@@ -109,7 +110,7 @@ def shadows(test, empty, image, mask=EVERYWHERE):
 
 
 def test_colour_darkened_by_one_factor_is_shadow_and_another_colour_is_not(scene):
-    test = ColourShadow(scene.camera(), ColourShadowSettings())
+    test = ColourShadow(scene.camera(), SilhouetteSettings())
     image = coloured_scene(1, 1)[0]
     image[:, :80] = np.rint(image[:, :80] * 0.75)
     image[:40, :80] = (130, 60, 60)  # a person in blue
@@ -129,7 +130,7 @@ def test_faint_texture_of_a_whole_patch_tells_skin_from_shadow_of_its_colour(sce
     image[skin] = 0.75 * coloured_scene(1, 2)[0][skin]
     mask[shadow] = mask[skin] = 255
     found = shadows(
-        ColourShadow(scene.camera(), ColourShadowSettings()), empty, image.clip(0, 255).astype(np.uint8), mask
+        ColourShadow(scene.camera(), SilhouetteSettings()), empty, image.clip(0, 255).astype(np.uint8), mask
     )
     assert (found[shadow] > 0).mean() > 0.9
     assert (found[skin] > 0).mean() < 0.02
@@ -144,12 +145,12 @@ def test_small_patches_are_shadow_near_large_ones_only():
         image[patch] = np.rint(0.75 * expected[patch])
         mask[patch] = 255
     scene = Scene(image, expected, assumed_noise(2.0, 3), (slice(0, None), slice(0, None)))
-    found = ColourShadow(camera, ColourShadowSettings()).shadow(scene, mask)
+    found = ColourShadow(camera, SilhouetteSettings()).shadow(scene, mask)
     assert found[large].all() and found[near].all() and not found[alone].any()
 
 
 def test_shadow_is_looked_for_only_within_the_mask(scene):
-    test = ColourShadow(scene.camera(), ColourShadowSettings())
+    test = ColourShadow(scene.camera(), SilhouetteSettings())
     mask = np.zeros((120, 160), np.uint8)
     mask[:, :40] = 255
     found = shadows(test, coloured_scene(50, 0), np.rint(coloured_scene(1, 1)[0] * 0.75).astype(np.uint8), mask)
@@ -158,15 +159,31 @@ def test_shadow_is_looked_for_only_within_the_mask(scene):
 
 def test_black_clothes_before_a_black_background_are_no_shadow(scene):
     test, image = (
-        ColourShadow(scene.camera(), ColourShadowSettings()),
+        ColourShadow(scene.camera(), SilhouetteSettings()),
         np.rint(coloured_scene(1, 1, 15.0)[0] * 0.75).astype(np.uint8),
     )
     assert not shadows(test, coloured_scene(50, 0, brightness=15.0), image).any()
 
 
+def test_grey_clothes_before_a_grey_floor_are_no_shadow_unless_its_texture_shows():
+    camera, rng = ring(2).cameras[0], np.random.default_rng(1)
+    shape, noise = (camera.height, camera.width, 1), assumed_noise(2.0, 3)
+    floor = (120.0 + cv2.GaussianBlur(rng.normal(0, 25, shape[:2]), (0, 0), 1.5)[..., None]) * np.ones(3)
+    expected, at = floor.astype(np.float32), (slice(0, None), slice(0, None))
+    shadow, trousers = np.s_[300:420, 60:180], np.s_[300:420, 300:420]
+    image, mask = floor + rng.normal(0, 2, (*shape[:2], 3)), np.zeros(shape[:2], np.uint8)
+    image[shadow] -= 0.35 * floor[shadow]
+    image[trousers] = 78.0 + rng.normal(0, 2, image[trousers].shape)
+    mask[shadow] = mask[trousers] = 255
+    scene = Scene(np.rint(image.clip(0, 255)).astype(np.uint8), expected, noise, at)
+    found = ColourShadow(camera, SilhouetteSettings()).shadow(scene, mask) > 0
+    assert found[shadow].mean() > 0.9 and not found[trousers].any()
+
+
 def test_odd_image_sizes_are_taken(scene):
     images = [image[:119, :159] for image in coloured_scene(10, 0)]
-    test, image = ColourShadow(scene.camera(), ColourShadowSettings()), np.rint(images[0] * 0.75).astype(np.uint8)
+    camera = replace(scene.camera(), width=159, height=119)
+    test, image = ColourShadow(camera, SilhouetteSettings()), np.rint(images[0] * 0.75).astype(np.uint8)
     found = shadows(test, images, image, EVERYWHERE[:119, :159])
     assert found.shape == (119, 159) and (found > 0).mean() > 0.9
 

@@ -55,6 +55,22 @@ def test_small_parts_belong_to_the_nearest_body():
     assert np.array_equal(samples.body, np.where(near_second, 0, 1))
 
 
+def test_parts_of_a_torn_person_are_one_body():
+    legs, trunk = ((20, 20, 0), (28, 24, 16)), ((24, 23, 18), (32, 27, 42))  # a belt is missing, and he leans
+    bodies = step(BodyTracker(BodySettings()), boxes(legs, trunk, person(60, 50)))
+    assert len(bodies) == 2 and bodies.number_of_part.tolist() == [1, 0, 1]
+    torn = int(np.argmin(bodies.centroid_world[:, 0]))
+    np.testing.assert_allclose(bodies.high_world[torn] - bodies.low_world[torn], [0.48, 0.28, 1.68])
+    assert bodies.litres[torn] == pytest.approx((8 * 4 * 16 + 8 * 4 * 24) * 0.064)
+
+
+def test_people_side_by_side_and_behind_each_other_are_not_joined():
+    tracker = BodyTracker(BodySettings())
+    assert len(step(tracker, boxes(person(20, 10), person(29, 10)))) == 2  # 0.36 m from middle to middle
+    assert len(step(tracker, boxes(person(20, 10, 12), person(20, 17, 12)))) == 2  # 0.28 m: chest to back
+    assert len(step(tracker, boxes(((20, 10, 0), (28, 12, 40)), ((20, 13, 0), (28, 15, 40))))) == 1  # a slit
+
+
 def test_nobody_is_there_when_all_parts_are_small_or_the_hull_is_empty():
     small = step(BodyTracker(BodySettings()), boxes(((5, 5, 5), (9, 9, 9))))
     assert len(small) == 0 and small.number_of_part.tolist() == [NOBODY]

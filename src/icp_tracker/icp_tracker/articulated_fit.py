@@ -261,8 +261,6 @@ def make_data(
         whole = visibility.near_unseen.rows_outside(points)
         points, sigma = points.take(whole, axis=0), sigma.take(whole)
         surface = surface.take(visibility.near_unseen.rows_outside(surface), axis=0)
-        in_sight = visibility.unseen_cells.rows_outside(contour_rays.points_world)
-        contour_rays = contour_rays.chosen(in_sight) if len(in_sight) < len(contour_rays) else contour_rays
     gate2 = settings.gate_m**2 + (GATE_SIGMAS * sigma) ** 2
     return Data(
         points,
@@ -270,13 +268,22 @@ def make_data(
         gate2,
         surface,
         HullSamples.of(hull, EVERYWHERE if visibility is None else visibility.unseen_cells),
-        _contour_rays(contour_rays, settings),
+        _contour_rays(rays_in_use(contour_rays, settings, visibility), settings),
     )
+
+
+def rays_in_use(
+    rays: ContourRays, settings: ArticulatedSettings, visibility: RigVisibility | None = None
+) -> ContourRays:
+    """Return the rays that a fit uses: those that touch the hull where the rig shows it, thinned."""
+    if visibility is not None:
+        in_sight = visibility.unseen_cells.rows_outside(rays.points_world)
+        rays = rays.chosen(in_sight) if len(in_sight) < len(rays) else rays
+    return rays.thinned(settings.contour.rays)
 
 
 def _contour_rays(rays: ContourRays, settings: ArticulatedSettings) -> RayArrays:
     """Lay out the rays with their share of the weight of all of them."""
-    rays = rays.thinned(settings.contour.rays)
     trust = settings.contour.surface_sd_m**2 / (settings.contour.surface_sd_m**2 + rays.sigma**2)
     information = trust * (settings.contour.weight / settings.model_sigma_m**2 / max(len(rays), 1))
     return RayArrays.of(rays.points_world, rays.directions, rays.normals, rays.half_lengths, information)

@@ -107,6 +107,15 @@ def test_two_persons_in_a_t_pose_are_found_and_numbered_one_and_two(hulls):
     assert play.tracker.acquiring == ()
 
 
+def test_newcomer_whose_part_of_the_hull_is_missing_now_and_then_is_found(hulls):
+    play = Play(hulls)
+    play("tall", 15)
+    for _ in range(FOUND_SETS):  # the second person's part is there for less time than it takes to find it
+        fits = play("both", 4)
+        play("tall", 1)
+    assert number_of(fits, SHORT, SHORT_AT) == 2
+
+
 def test_second_person_who_enters_later_leaves_and_comes_back_keeps_the_number(hulls):
     play = Play(hulls)
     assert sorted(play("tall", 15)) == [1]

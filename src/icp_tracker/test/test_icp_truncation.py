@@ -9,6 +9,7 @@ from t_pose_studio import Studio, both_sides, person, standing
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import find_t_pose
 from icp_tracker.acquisition.truncation import FEET, LEFT_HAND, Stance, cut_parts, smallest_step, what_to_do
+from icp_tracker.acquisition.upright import stance_of
 from stick_figure.body import Body
 from virtual_studio.rig import narrowed, ring, tilted, with_camera
 
@@ -32,6 +33,12 @@ def answer(studio, place, heading=0.4):
     return find_t_pose(
         studio.render(person(BODY, standing(BODY, T_POSE, heading, place))), TPoseSettings(), studio.visibility
     )[1]
+
+
+def test_raised_hand_is_no_crown():
+    up = np.array([[0.3, 0.0, z] for z in np.arange(1.4, 2.1, 0.02)] * 10)
+    trunk = np.random.default_rng(0).uniform([-0.15, -0.2, 0.0], [0.15, 0.2, 1.7], (3000, 3))
+    assert stance_of(np.concatenate([trunk, up]), 0.02).stature == pytest.approx(1.7, abs=0.03)
 
 
 def test_whole_body_is_measured():

@@ -52,6 +52,11 @@ class Noise(NamedTuple):
             return self.read[0] + self.slope[0] * level
         return self.read + self.slope * level
 
+    def of_mean(self) -> Noise:
+        """Return the noise of the mean of the channels."""
+        share = (1.0 + (len(self.read) - 1) * self.correlation) / len(self.read)
+        return self._replace(read=share * self.read.mean(keepdims=True), slope=share * self.slope.mean(keepdims=True))
+
     def sigma(self, level: float) -> float:
         """Return the standard deviation at a grey level, the channels together."""
         if len(self.read) == 1:

@@ -16,8 +16,9 @@ F32 = np.float32
 class DarkenedRule(NamedTuple):
     """When a colour is that of the darkened background; see :class:`.shadows.ColourShadow`.
 
-    tint : share of the light lost. chromaticity2, contrast2 : squared distance at most, contrast at least, in sigmas.
-    lightest : share of the brightness that is left at most.
+    tint : share of the light lost. chromaticity2 : squared distance in sigmas, at most, and at least that of grey
+    clothes as bright. contrast2 : squared contrast with black at least. lightest : share of the brightness that is left
+    at most.
     """
 
     tint: float
@@ -53,11 +54,14 @@ def find_darkened(image, expected, mask, noise, codec_variance, darkest, rule): 
             factor = shared / max(power, 1e-9)
             if power < rule.contrast2 or factor < darkest[i, j] or factor > rule.lightest:
                 continue
-            distance2 = 0.0
+            distance2 = grey2 = 0.0
+            mean = (mu[0] + mu[1] + mu[2]) / 3.0
             for c in range(3):
                 tint, departure = rule.tint * (1.0 - factor) * mu[c], x[c] - factor * mu[c]
                 distance2 += departure * departure / (variance[c] + tint * tint)
-            if distance2 <= rule.chromaticity2:
+                departure = factor * (mean - mu[c])
+                grey2 += departure * departure / (variance[c] + tint * tint)
+            if distance2 <= rule.chromaticity2 < grey2:
                 found[i, j] = 255
     return found
 

@@ -1,4 +1,4 @@
-"""Finds what may be only shadow: on the floor in mono images, anywhere in colour images.
+"""Finds what may be only shadow: by the floor's texture, and in colour images, anywhere, by the chromaticity.
 
 A single camera decides what is most likely shadow (:func:`make_shadow_test`); :mod:`.attenuation` writes into the
 silhouette how dark everything is that might be floor in shadow, and the hull server resolves it with all cameras.
@@ -18,7 +18,7 @@ from capture_rig.rig import Volume
 
 from ..background.noise import Noise
 from ..frame_source import Image, Mask
-from ..settings import ColourShadowSettings, FloorShadowSettings, SilhouetteSettings
+from ..settings import FloorShadowSettings, SilhouetteSettings
 from .codec_errors import COLOUR_SHARE
 from .evidence import typical_level
 from .masks import Box
@@ -66,6 +66,11 @@ class Scene(NamedTuple):
         codec_sigma = None if self.codec_sigma is None else self.codec_sigma[box.slices]
         return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, codec_sigma)
 
+    def grey(self) -> Scene:
+        """Return the same of the mean of the three channels."""
+        image = cv2.transform(self.image, np.full((1, 3), 1 / 3, np.float32))  # rounded
+        return self._replace(image=image, expected=_grey(self.expected), noise=self.noise.of_mean())
+
 
 class ShadowTest(Protocol):
     """Tells which foreground pixels show only the background in shadow."""
@@ -84,7 +89,7 @@ def make_shadow_test(
     if settings.shadow == "keep":
         return NoShadow()
     if channels == 3:
-        return ColourShadow(camera, settings.colour_shadow, volume)
+        return ColourShadow(camera, settings, volume)
     return FloorShadow(camera, settings.floor_shadow, volume)
 
 
@@ -98,7 +103,7 @@ class NoShadow:
 
 
 class FloorShadow:
-    """Tells which foreground pixels of a mono image show only the floor in shadow.
+    """Tells which foreground pixels of a grey image show only the floor in shadow.
 
     Around each pixel, in a small window, image x and background mu have means X and M; a = X / M is how much darker it
     is here. A shadow keeps the floor's texture, x - X = a (mu - M) + noise; a body covers it and brings its own. Two
@@ -229,23 +234,21 @@ class ColourShadow:
     With x the pixel, mu its background and s the noise's sigma, the brightness factor is the a that minimises
     sum ((x - a mu) / s)^2 over the channels, and the chromaticity distance is the root of that minimum (Horprasert,
     Harwood and Davis 1999, eq. 4-6). A shadow is lit by other surfaces, whose colour differs from the lamp's: what it
-    lost of the light may be tinted by a share of it. Where the background is nearly black, every dark colour passes
-    this test, so that dark clothes would be lost: no shadow is looked for where its colour stands out of the noise too
-    little.
+    lost of the light may be tinted by a share of it. Most clothes are grey, or nearly black: where the background is
+    so too, all of them have the colour of its shadow, and colour says nothing. There the floor's texture decides, as
+    in a mono image (:class:`FloorShadow`).
 
     The test runs at half resolution, on means of 2 x 2 pixels: Bayer sensors and 4:2:0 video hold no finer colour.
     """
 
-    alignment_px = 2
-
-    def __init__(self, camera: CameraModel, settings: ColourShadowSettings, volume: Volume | None = None) -> None:
+    def __init__(self, camera: CameraModel, settings: SilhouetteSettings, volume: Volume | None = None) -> None:
         """``volume``: the capture volume; far from it rays meet walls before the floor."""
-        s, self._near = settings, np.ones((2 * TEXTURE_WINDOW_PX + 1,) * 2, np.uint8)
-        self._rule = DarkenedRule(s.tint, s.chromaticity**2, s.min_contrast**2, LIGHTEST)
+        self._floor_shadow, colour = FloorShadow(camera, settings.floor_shadow, volume), settings.colour_shadow
+        self.alignment_px = self._floor_shadow.alignment_px
+        self._near = np.ones((2 * TEXTURE_WINDOW_PX + 1,) * 2, np.uint8)
+        self._rule = DarkenedRule(colour.tint, colour.chromaticity**2, colour.min_contrast**2, LIGHTEST)
         on_floor = halve(floor_pixels(camera, volume, SHADOW_REACH_M)) > 127
-        self._darkest = np.where(
-            on_floor, np.float32(settings.darkest), np.float32(max(settings.darkest, WALL_DARKEST))
-        )
+        self._darkest = np.where(on_floor, np.float32(colour.darkest), np.float32(max(colour.darkest, WALL_DARKEST)))
 
     def shadow(self, scene: Scene, mask: Mask) -> Mask:
         """255 at pixels of ``mask`` (h, w) where the colour image fits the shadowed background, else 0."""
@@ -259,7 +262,8 @@ class ColourShadow:
         found = find_darkened(scene.image, scene.expected, half, noise, codec_variance, darkest, self._rule)
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
         found = cv2.bitwise_and(found, self._texture_persists(scene, found))
-        return cv2.bitwise_and(enlarged(found, 2, mask.shape), mask)
+        found = cv2.bitwise_and(enlarged(found, 2, mask.shape), mask)
+        return cv2.bitwise_or(found, self._floor_shadow.shadow(scene.grey(), mask))
 
     def _texture_persists(self, scene: Scene, found: Mask) -> Mask:
         """Return 0 where the background has a texture that the image has lost: something stands before it."""

@@ -1,12 +1,18 @@
-"""Separates bodies: measures the parts of the hull that do not touch, and numbers the large ones from set to set."""
+"""Separates bodies: measures the parts of the hull that do not touch, joins those that are one person, numbers persons.
+
+Where a camera misses a belt or a thigh, a person's hull is torn into parts that stand one above the other. Nobody
+stands on another's head, and two trunks side by side are a chest's depth apart: that tells torn parts from persons.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse.csgraph import connected_components
 
 from capture_rig.kernel import njit
 
@@ -15,6 +21,8 @@ from ..settings import BodySettings
 from .skeletonisation import HullRuns
 
 NOBODY = -1
+ABOVE_M = 0.5  # a person's parts, one above the other, have their middles no farther apart across the floor: a step
+BESIDE_M = 0.25  # ... and parts side by side: a chest's depth (ANSUR II, 95th percentile)
 FAR_M = (
     0.5  # a hand cut off at the shoulder is nearer to the trunk; a leg that steps into the volume is another person's
 )
@@ -22,13 +30,13 @@ FAR_M = (
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """The b parts of the hull large enough to be a person, largest first. Metres, map frame.
+    """The b persons of a hull: its parts that are large enough for a body's, joined where they are one's. Metres, map.
 
     litres : (b,). centroid_world, low_world, high_world : (b, 3) centre of mass and box.
     number : (b,) int32: 0, 1, ...; a person keeps the same number (see :class:`BodyTracker`).
-    number_of_part : (p,) int32, the number of the body that each part of the hull belongs to: for a part that is no
-        body itself, that of the body with the nearest box; NOBODY for parts farther than FAR_M from every box, and for
-        all where there is no body. It numbers the rows of centerline, voxels and contour rays.
+    number_of_part : (p,) int32, the number of the body that each part of the hull belongs to: for a small one, that of
+        the nearest large part; NOBODY for parts farther than FAR_M from every large one's box, and for all where there
+        is no body. It numbers the rows of centerline, voxels and contour rays.
     """
 
     litres: Array
@@ -42,8 +50,7 @@ class Bodies:
         return len(self.litres)
 
 
-@dataclass(frozen=True, eq=False)
-class Parts:
+class Parts(NamedTuple):
     """The p parts of a hull that do not touch, in the order of their first voxels. Metres, map frame.
 
     litres : (p,). centroid_world, low_world, high_world : (p, 3) centre of mass and box.
@@ -75,14 +82,14 @@ class BodyTracker:
         parts = measure_parts(runs, grid)
         order = np.argsort(-parts.litres, kind="stable")
         chosen = order[parts.litres[order] >= self._settings.min_litres]
-        centroid = parts.centroid_world[chosen]
-        number = self._numbers(stamp_ns, centroid)
+        whose = _whose(parts, chosen)
+        bodies = _joined(parts, chosen, whose)
+        number = self._numbers(stamp_ns, bodies.centroid_world)
         number_of_part = np.full(len(parts.litres), NOBODY, np.int32)
         if len(chosen) > 0:
             nearest, gap_m = _nearest_box(parts, chosen)
-            number_of_part = np.where(gap_m <= FAR_M, number[nearest], NOBODY).astype(np.int32)
-        low, high = parts.low_world[chosen], parts.high_world[chosen]
-        return Bodies(parts.litres[chosen], centroid, low, high, number, number_of_part)
+            number_of_part = np.where(gap_m <= FAR_M, number[whose[nearest]], NOBODY).astype(np.int32)
+        return Bodies(*bodies, number, number_of_part)
 
     def reset(self) -> None:
         """Forget all bodies."""
@@ -104,6 +111,27 @@ class BodyTracker:
             numbers[newcomer] = next(n for n in count() if n not in self._known and n not in numbers)
         self._known |= {int(n): (stamp_ns, centroid) for n, centroid in zip(numbers, centroid_world, strict=True)}
         return numbers
+
+
+def _whose(parts: Parts, chosen: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:
+    """Return to which person (m,) 0, 1, ... each of the chosen parts belongs, in the order of the persons' first."""
+    low, high = parts.low_world[chosen, 2], parts.high_world[chosen, 2]
+    middle, height = parts.centroid_world[chosen, :2], high - low
+    apart_m = np.linalg.norm(middle[:, None] - middle, axis=-1)
+    shared_m = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
+    is_above = shared_m < 0.5 * np.minimum(height[:, None], height)
+    return np.asarray(connected_components(apart_m < np.where(is_above, ABOVE_M, BESIDE_M), directed=False)[1])
+
+
+def _joined(parts: Parts, chosen: npt.NDArray[np.int64], whose: npt.NDArray[np.int32]) -> Parts:
+    """Return the persons that the chosen parts make up."""
+    persons, mine = int(whose.max(initial=-1)) + 1, parts.litres[chosen]
+    litres = np.bincount(whose, mine, persons).astype(np.float64)
+    moment, low, high = np.zeros((persons, 3)), np.full((persons, 3), np.inf), np.full((persons, 3), -np.inf)
+    np.add.at(moment, whose, mine[:, None] * parts.centroid_world[chosen])
+    np.minimum.at(low, whose, parts.low_world[chosen])
+    np.maximum.at(high, whose, parts.high_world[chosen])
+    return Parts(litres, moment / litres[:, None], low, high)
 
 
 def measure_parts(runs: HullRuns, grid: VoxelGrid) -> Parts:

@@ -21,10 +21,10 @@ from stick_figure.body import Body
 from stick_figure.build import build_of_girth
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data
-from stick_figure.least_squares.placed_figure import Figure
+from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.pose import Pose
 
-from ..articulated_fit import ArticulatedSettings, PriorSettings, make_data, minimise
+from ..articulated_fit import ArticulatedSettings, PriorSettings, make_data, minimise, rays_in_use
 from ..monitor.evidence import EXPLAINED_M, GATE_M, Evidence, evidence_of, ray_cost
 from ..monitor.pose_library import arms_exchanged, legs_exchanged, sides_exchanged, turned_around
 from .body_parts import evidence_of_feet
@@ -52,9 +52,8 @@ STEP_M = 0.25  # way after which somebody walks, and does so forwards
 WALKING_SHARE, FEET_SHARE = 0.04, 0.02
 GIRTHS = (1.0, 1.3, 0.8)  # over the average: tried where a body of average girth explains too little
 BETTER_SHARE = 0.02  # another girth that explains so much more is right
-LEAST_SHARE = (
-    0.5  # of the outlines, by their certainty: torn ones of clutter are no body's, but most must be this one's
-)
+LEAST_AGREEMENT = 0.5  # of outlines and body: in clutter, torn outlines are no body's, but then all of it is seen
+SEEN_RAYS = 3  # explained rays that show a stick to a camera
 FEET_EVIDENCE = 5.0  # log-likelihood ratio of the feet's heading from which they count about that much
 LEFT_FOOT, RIGHT_FOOT = 13, 14
 EXPLAINED_COST = ray_cost(EXPLAINED_M, GATE_M)
@@ -67,13 +66,7 @@ class MotionSettings:
     watch_s: float = setting(
         1.0, "a person without a T-pose is watched for so long before being followed", unit="s", low=0.0, high=60.0
     )
-    explained: float = setting(
-        0.7,
-        "share of the outlines that the best explanation must explain; in clutter half of them will do, where no other "
-        "girth explains more",
-        low=0.0,
-        high=1.0,
-    )
+    explained: float = setting(0.7, "share of the outlines below which other girths are tried", low=0.0, high=1.0)
     margin: float = setting(
         0.03, "how much more of the outlines it must explain than any that faces elsewhere", low=0.0, high=1.0
     )
@@ -83,13 +76,15 @@ class MotionSettings:
 class PoseHypothesis:
     """A pose that is tracked over ``sets`` frame sets.
 
-    cost : what speaks against it, as a share of the rays; share : of the rays that it explains; both summed over the
-    sets. feet : log-likelihood ratio of its heading from the feet. way : m, walked forwards (negative: backwards).
+    cost : what speaks against it, as a share of the rays; share : of the rays that it explains; seen : of its sticks,
+    as cameras look at them, that rays show; all summed over the sets. feet : log-likelihood ratio of its heading from
+    the feet. way : m, walked forwards (negative: backwards).
     """
 
     pose: Pose
     cost: float = 0.0
     share: float = 0.0
+    seen: float = 0.0
     feet: float = 0.0
     way: float = 0.0
     sets: int = 0
@@ -105,6 +100,11 @@ class PoseHypothesis:
     def mean_share(self) -> float:
         """Share of the rays that it explains, on average."""
         return self.share / max(self.sets, 1)
+
+    @property
+    def agreement(self) -> float:
+        """Harmonic mean of the shares of the rays that it explains, and of itself that they show (F-measure)."""
+        return 2.0 * self.share * self.seen / max((self.share + self.seen) * self.sets, 1e-12)
 
 
 class MotionSource:
@@ -137,6 +137,7 @@ class MotionSource:
         self._heights: list[float] = []
         self._began_ns = self._looked_ns = self._cut_ns = 0
         self._estimate: BodyEstimate | None = None
+        self._cameras = np.zeros(0, np.int32)  # of the rays of the last set
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
         """Return the pose of the best hypothesis once it is clear, or why it is not."""
@@ -155,6 +156,7 @@ class MotionSource:
         data = make_data(line.points_world, line.sigma, seen.voxels, settings, seen.contour_rays, self._visibility)
         if len(data.contour_rays.information) == 0:
             return InitialPose(reason="no outlines")
+        self._cameras = rays_in_use(seen.contour_rays, settings, self._visibility).camera
         self._last_ns = seen.stamp_ns
         self._follow(body, data)
         if not self._followed:
@@ -205,7 +207,7 @@ class MotionSource:
         for pose in [fitted[0], *around, *fitted[1:]]:
             if self._is_new(body, pose):
                 self._followed.append(PoseHypothesis(pose))
-                _compare(self._followed[-1], evidence_of(figure, pose, data), data.contour_rays.information)
+                self._compare(figure, self._followed[-1], data)
         self._keep_the_best()
 
     def _keep_the_best(self) -> None:
@@ -228,7 +230,7 @@ class MotionSource:
             hypothesis.pose = minimise(body, before, data, self._fit_settings)[0]
             moved = hypothesis.pose.position_world - before.position_world
             hypothesis.way += float(moved[:2] @ before.R_world_torso[:2, 0])
-            _compare(hypothesis, evidence_of(figure, hypothesis.pose, data), data.contour_rays.information)
+            self._compare(figure, hypothesis, data)
         self._followed = []
         for hypothesis in sorted(followed, key=lambda e: e.mean_cost):
             if self._is_new(body, hypothesis.pose):
@@ -251,6 +253,27 @@ class MotionSource:
             local = np.column_stack([(low[:, :2] - stance.place_world) @ axes.T, low[:, 2] - stance.floor_world])
             own = Upright(local, stance.place_world, ahead, stance.floor_world, stance.stature, pitch)
             hypothesis.feet += evidence_of_feet(own, standing)
+
+    def _compare(self, figure: Figure, hypothesis: PoseHypothesis, data: Data) -> None:
+        """Add a set's evidence; the rays count by their certainty: torn outlines say little."""
+        evidence, certainty = evidence_of(figure, hypothesis.pose, data), data.contour_rays.information
+        certainty = certainty / max(float(certainty.sum()), 1e-12)
+        explained = evidence.costs < EXPLAINED_COST
+        hypothesis.cost += float(certainty @ evidence.costs) + evidence.beyond / max(evidence.rays, 1)
+        hypothesis.share += float(certainty @ explained)
+        hypothesis.seen += self._share_seen(figure, hypothesis.pose, evidence, explained)
+        hypothesis.sets += 1
+
+    def _share_seen(self, figure: Figure, pose: Pose, evidence: Evidence, explained: np.ndarray) -> float:
+        """Return the share of a pose's sticks, as the cameras that look there see them, which explained rays show."""
+        placed = place(State(*pose.arrays), figure)
+        looks = np.ones((STICKS, int(self._cameras.max()) + 1), bool)
+        if self._visibility is not None:
+            looks = self._visibility.seen_by(0.5 * (placed.A + placed.B))
+        rays = np.zeros(looks.shape, np.int64)
+        sticks = placed.surface.stick[evidence.matched.rays.capsule]
+        np.add.at(rays, (sticks[explained], self._cameras[explained]), 1)
+        return float(np.mean(rays[looks] >= SEEN_RAYS)) if looks.any() else 0.0
 
     # --- the decision
 
@@ -276,7 +299,7 @@ class MotionSource:
             if self._girth != before:
                 self._watch_anew()
                 return InitialPose(reason=too_little)
-        if best.mean_share < min(LEAST_SHARE, settings.explained):
+        if best.agreement < LEAST_AGREEMENT:
             self._girth, self._girth_is_known = 0, False
             self._watch_anew()
             return InitialPose(reason=told if cut else too_little)  # cut, the stature may be wrong, too
@@ -295,18 +318,10 @@ class MotionSource:
         for girth in GIRTHS:
             other = body if girth == GIRTHS[self._girth] else replace(body, build=build_of_girth(girth))
             one = PoseHypothesis(minimise(other, pose, data, self._fit_settings)[0])
-            _compare(one, evidence_of(Figure.of(other), one.pose, data), data.contour_rays.information)
+            self._compare(Figure.of(other), one, data)
             shares.append(one.mean_share)
         best = int(np.argmax(shares))
         return best if shares[best] > shares[self._girth] + BETTER_SHARE else self._girth
-
-
-def _compare(hypothesis: PoseHypothesis, evidence: Evidence, certainty: np.ndarray) -> None:
-    """Add a set's evidence; certainty (n,) : of each ray, in any unit: torn outlines say little."""
-    certainty = certainty / max(float(certainty.sum()), 1e-12)
-    hypothesis.cost += float(certainty @ evidence.costs) + evidence.beyond / max(evidence.rays, 1)
-    hypothesis.share += float(certainty @ (evidence.costs < EXPLAINED_COST))
-    hypothesis.sets += 1
 
 
 def _apart_m(body: Body, pose: Pose, other: Pose) -> float:

@@ -143,12 +143,16 @@ def reject_cut_off(voxels_world: np.ndarray, pitch: float, visibility: RigVisibi
 
 
 def stance_of(voxels_world: np.ndarray, pitch: float) -> Stance:
-    """Return about where a body stands, whatever its hull lacks: on the map's floor unless it is far above."""
-    low, high = np.percentile(voxels_world[:, 2], [TRIMMED, 100.0 - TRIMMED])
-    floor = _floor(low - pitch / 2)
+    """Return about where a body stands, whatever its hull lacks: on the map's floor unless it is far above.
+
+    The crown is over the body's middle: what is farther off and higher is a raised hand.
+    """
+    floor = _floor(np.percentile(voxels_world[:, 2], TRIMMED) - pitch / 2)
     floor = 0.0 if floor < FEET_LOST_M else floor
-    stature = max(float(high) + pitch / 2 - floor, 0.5 * TYPICAL_STATURE_M)
     place = np.median(voxels_world[:, :2], axis=0)
+    column = np.linalg.norm(voxels_world[:, :2] - place, axis=1) < LEAN * TYPICAL_STATURE_M
+    high = np.percentile(voxels_world[column if column.any() else slice(None), 2], 100.0 - TRIMMED)
+    stature = max(float(high) + pitch / 2 - floor, 0.5 * TYPICAL_STATURE_M)
     axis = np.linalg.eigh(np.cov((voxels_world[:, :2] - place).T))[1][:, -1]
     return Stance(place, np.array([axis[1], -axis[0]]), floor, stature)
 

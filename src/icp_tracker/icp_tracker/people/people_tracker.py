@@ -31,7 +31,8 @@ GONE_AFTER_S = 1.0  # a person other than the first who has not been seen for so
 AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
 BACK_S = 0.2  # so long a fit stays good before somebody is taken for a person who was away: a ghost's does not
 SAME_PLACE_M = 0.12  # two figures whose points are so near to each other on average are one person
-LOOK_EVERY_SETS = 3  # sets from one look at a newcomer to the next, so that fits do not wait for it
+LOOK_PERIOD_S = 0.045  # from one look at a newcomer to the next while somebody is followed: fits do not wait for it
+KEPT_S = 1.0  # a newcomer whose part of the hull is missing for so long is gone
 NO_PART = -2  # is the number of no part of a hull
 
 
@@ -70,7 +71,8 @@ class PeopleTracker:
         self._reasons: dict[int, str] = {}
         self._meetings = Meetings()
         self._checks: list[IdentityCheck] = []
-        self._sets = 0
+        self._newcomer_ns: dict[int, int] = {}  # when each was there last
+        self._looked_ns, self._turn = 0, 0
 
     @property
     def persons(self) -> tuple[int, ...]:
@@ -221,9 +223,9 @@ class PeopleTracker:
     def _acquire(self, seen: HullProducts, free: Sequence[int], fits: Mapping[int, Fit]) -> dict[int, Fit]:
         """Look for a first pose in every part of the hull that is nobody's."""
         found = dict[int, Fit]()
-        self._newcomers = self._newcomers_of(free)
-        self._reasons = {part: reason for part, reason in self._reasons.items() if part in self._newcomers}
-        for part, tracker in self._looked_at():
+        self._newcomers = self._newcomers_of(free, seen.stamp_ns)
+        self._reasons = {part: reason for part, reason in self._reasons.items() if part in free}
+        for part, tracker in self._looked_at(free, seen.stamp_ns):
             fit = tracker.step(seen.of_body(part).as_one_body())
             self._reasons[part] = fit.reason
             present = sum(not person.away for person in self._persons.values())
@@ -237,24 +239,30 @@ class PeopleTracker:
             self._newcomers = {NO_PART: self._make()}
         return found
 
-    def _looked_at(self) -> list[tuple[int, IcpTracker]]:
+    def _looked_at(self, free: Sequence[int], stamp_ns: int) -> list[tuple[int, IcpTracker]]:
         """Return whom to look at in this set: two newcomers, the next two in the next set; while somebody is followed
         one now and then: an acquisition takes as long as several fits."""
-        newcomers, count = sorted(self._newcomers.items()), len(self._newcomers)
-        self._sets += 1
-        if not self._persons:
-            return [newcomers[(2 * self._sets + k) % count] for k in range(min(2, count))]
-        if not newcomers or self._sets % LOOK_EVERY_SETS:
+        if not free or (self._persons and 0 <= stamp_ns - self._looked_ns < LOOK_PERIOD_S * NS_PER_S):
             return []
-        return [newcomers[self._sets // LOOK_EVERY_SETS % count]]
+        self._looked_ns, here = stamp_ns, sorted(free)
+        chosen = [here[(self._turn + k) % len(here)] for k in range(min(1 if self._persons else 2, len(here)))]
+        self._turn += len(chosen)
+        return [(part, self._newcomers[part]) for part in chosen]
 
-    def _newcomers_of(self, free: Sequence[int]) -> dict[int, IcpTracker]:
-        """Return who is looked at in each free part: the same one as before, also where its number is a new one."""
-        spare = [tracker for part, tracker in self._newcomers.items() if part not in free]
-        return {
-            part: self._newcomers.get(part) or (spare.pop(0) if spare and not self._persons else self._make())
-            for part in free
+    def _newcomers_of(self, free: Sequence[int], stamp_ns: int) -> dict[int, IcpTracker]:
+        """Return who is looked at in each free part: the same one as before, also where its number is a new one; and
+        those whose part is missing for a moment."""
+        self._newcomer_ns |= dict.fromkeys(free, stamp_ns)
+        newcomers = {
+            part: tracker
+            for part, tracker in self._newcomers.items()
+            if 0 <= stamp_ns - self._newcomer_ns.get(part, stamp_ns) < KEPT_S * NS_PER_S
         }
+        spare = [part for part in newcomers if part not in free]
+        for part in free:
+            if part not in newcomers:
+                newcomers[part] = newcomers.pop(spare.pop(0)) if spare and not self._persons else self._make()
+        return newcomers
 
     def _admit(self, part: int, fit: Fit) -> Fit:
         """Let the newcomer of a part be somebody: a person who was away and has these sizes, or a new one."""
