@@ -6,7 +6,7 @@ The stages in the order of the data: consistency (which cameras to use), shadows
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -113,7 +113,10 @@ class HullPipeline:
 
     def begin(self, frame_set: FrameSet[Mask]) -> SetUnderWay:
         """Choose the cameras, resolve shadows, and begin to carve: all that needs the silhouettes of all cameras."""
-        watch, frames = _StageWatch(), frame_set.frames
+        watch = _StageWatch()
+        # a camera has no say where something hides the person from it
+        frames = self._faults.occluders.applied(frame_set.frames)
+        frame_set = replace(frame_set, frames=frames)
         # leave out cameras that contradict all others
         faults = self._faults.update(frames, frame_set.stamp_ns)
         used = {name: mask for name, mask in frames.items() if name not in faults.left_out}

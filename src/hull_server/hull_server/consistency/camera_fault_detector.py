@@ -19,6 +19,7 @@ from capture_rig.stamps import StampThrottle
 
 from ..settings import CameraFaultSettings
 from ..views import Masks, RigViews
+from .occluders import OccluderMap
 from .silhouette_residuals import CameraResiduals, ResidualEstimator, Residuals, SilhouetteOffset
 
 VOXEL_M = 0.04  # of the coarse grid
@@ -83,6 +84,7 @@ class CameraFaultDetector:
         """``min_seeing`` is the hull's setting of that name."""
         self.settings, self.names, self._views = settings, views.names, views
         self._estimator = ResidualEstimator(rig, views, VOXEL_M, min_seeing)
+        self.occluders = OccluderMap(views, self._estimator)
         self._throttle = StampThrottle(settings.period_s, early_share=EARLY)
         self._fewest = max(FEWEST_VOTERS, min_seeing)
         self._records = [_CameraRecord() for _ in views.names]
@@ -101,6 +103,8 @@ class CameraFaultDetector:
         # flooded and excluded cameras are compared, but cannot veto
         voters, others = self._choose_voters(masks, step_s)
         residuals = self._estimator.estimate(voters, others)
+        if residuals is not None:
+            self.occluders.learn(residuals, step_s)
         if residuals is None or not self._accumulate(residuals, step_s):
             return replace(self._faults, updated=False)
         self._faults = self._decide([camera for camera, name in enumerate(self.names) if name in masks])

@@ -22,6 +22,7 @@ from ..words import popcount
 UNSEEN_CELL, BACKGROUND_CELL = -1, 0  # labels of cells; foreground cells are numbered from 1
 COARSE_EDGE, FINE_EDGE = 16, 4
 TOO_MANY = -1
+NEEDED_BY = 2  # cameras whose foreground stays unexplained without a voxel: one may show a thing, or noise
 OFFSET_REACH = 8  # cells, in each direction, by which a silhouette is shifted at most
 
 
@@ -256,6 +257,27 @@ def mark_explained(views, labels, voting, voxels, vetoes, with_veto, without_vet
                     if label > BACKGROUND_CELL:
                         with_veto[slot, label - 1] |= kept
                         without_veto[slot, label - 1] |= reached
+
+
+@kernel
+def mark_denied(views, labels, voting, slot, voxels, vetoes, with_veto, denied):  # type: ignore[no-untyped-def]
+    """Mark the background cells (H, W) of a camera that alone vetoes a voxel which two others' foreground needs."""
+    mine, by_others = 1 << slot, ((1 << voting.voters) - 1) & ~(1 << slot)
+    for found in range(vetoes.size):
+        if vetoes[found] & mine == 0 or vetoes[found] & by_others:
+            continue
+        needed_by = 0
+        for other in range(voting.cameras.size):
+            camera = voting.cameras[other]
+            u, v, _ = project(views.projections, camera, voxels[found, 0], voxels[found, 1], voxels[found, 2])
+            if other != slot and u >= 0 and v >= 0 and u < views.sizes[camera, 0] and v < views.sizes[camera, 1]:
+                label = labels[camera, int(v), int(u)]
+                needed_by += label > BACKGROUND_CELL and with_veto[other, label - 1] & mine == 0
+        if needed_by >= NEEDED_BY:
+            top, bottom, left, right = _footprint(views, voting.cameras[slot], voxels[found])
+            for row in range(top, bottom):
+                for column in range(left, right):
+                    denied[row, column] |= labels[voting.cameras[slot], row, column] == BACKGROUND_CELL
 
 
 @kernel

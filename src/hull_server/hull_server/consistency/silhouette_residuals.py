@@ -34,6 +34,7 @@ from .residual_kernels import (
     count_outside,
     draw_hull,
     find_shared_voxels,
+    mark_denied,
     mark_explained,
     number_cells,
 )
@@ -68,7 +69,7 @@ class Residuals:
     body_litres : volume of the hull without this camera's veto. explained_m2 : how much of this camera's foreground it
         explains, as an area at the distance of the volume's middle.
     excess : share of the camera's view that is foreground which that hull does not explain.
-    coverage : share of the camera's view that is foreground.
+    coverage : share of the camera's view that is foreground. explained_share : of it, what that hull explains.
     consistency : share of the camera's foreground that the hull without its veto explains (silhouette coherence; 1
     where
         it shows nothing), times the share of the body that it does not veto.
@@ -84,6 +85,7 @@ class Residuals:
     explained_m2: Floats
     excess: Floats
     coverage: Floats
+    explained_share: Floats
     consistency: Floats
     conflict: Floats
     unexplained: float
@@ -115,18 +117,18 @@ class ResidualEstimator:
         self.focal_px = _focal_px(views)
         px_per_m = self.focal_px / _depth_of_middle(views, grid)
         # a cell is about half as large as a voxel in the image
-        self._stride = max(1, round(float(np.median(px_per_m)) * voxel_size_m / 2))
-        self._cell_m2 = (self._stride / px_per_m) ** 2
-        cells = _decimated(views, self._stride)
+        self.stride = max(1, round(float(np.median(px_per_m)) * voxel_size_m / 2))
+        self._cell_m2 = (self.stride / px_per_m) ** 2
+        cells = _decimated(views, self.stride)
         self._views = _coarse_views(cells, grid)
         self._cells_seen = np.maximum(np.count_nonzero(cells.seen, axis=(1, 2)), 1)
         n, height, width = cells.seen.shape
         unshown = np.where(cells.seen > 0, BACKGROUND_CELL, UNSEEN_CELL).astype(np.int32)
-        self._labels = unshown.copy()
+        self.labels = unshown.copy()
         self._tables = np.zeros((n, height + 1, width + 1), np.int32)
         self._boxes = np.zeros((n, 4), np.int64)
         self._cells = [
-            (cells.seen[c, :h, :w], unshown[c, :h, :w], self._labels[c, :h, :w], self._tables[c, : h + 1, : w + 1])
+            (cells.seen[c, :h, :w], unshown[c, :h, :w], self.labels[c, :h, :w], self._tables[c, : h + 1, : w + 1])
             for c, (w, h) in enumerate(cells.sizes.tolist())
         ]
         self._voxels = np.empty((MAX_SHARED_VOXELS, 3), np.int16)
@@ -139,7 +141,7 @@ class ResidualEstimator:
         """Take one camera's mask (h, w); return a fingerprint that differs for another mask."""
         mask = np.ascontiguousarray(mask)
         words, cells, box = mask.view(np.uint64), self._cells[camera], self._boxes[camera]
-        self._counts[camera], fingerprint = number_cells(mask, words, self._stride, cells, box)
+        self._counts[camera], fingerprint = number_cells(mask, words, self.stride, cells, box)
         return int(fingerprint)
 
     def coverage(self, camera: int) -> float:
@@ -155,7 +157,7 @@ class ResidualEstimator:
         needed, without = (min_seeing(len(voters) - k, self._requested_seeing) for k in (0, 1))
         voting = VotingSet(cameras, len(voters), needed, without)
         # the voxels that at most one voter vetoes
-        found = find_shared_voxels(self._views, self._labels, self._tables, voting, self._voxels, self._vetoes)
+        found = find_shared_voxels(self._views, self.labels, self._tables, voting, self._voxels, self._vetoes)
         if found == TOO_MANY:
             return None
         self._found, voxels, vetoes = found, self._voxels[:found], self._vetoes[:found]
@@ -164,7 +166,7 @@ class ResidualEstimator:
         for slot, filled in enumerate(cells):
             self._with_veto[slot, :filled] = 0
             self._without_veto[slot, :filled] = 0
-        mark_explained(self._views, self._labels, voting, voxels, vetoes, self._with_veto, self._without_veto)
+        mark_explained(self._views, self.labels, voting, voxels, vetoes, self._with_veto, self._without_veto)
         explained, vetoed = np.zeros((n, n), np.int64), np.zeros((n, n), np.int64)
         count_explained(cells, self._with_veto, self._without_veto, explained, vetoed)
         return self._shares(voting, vetoes, cells, explained, vetoed)
@@ -179,7 +181,7 @@ class ResidualEstimator:
         camera = residuals.cameras[slot]
         by_voters = self._vetoes[: self._found] & (1 << residuals.voters) - 1
         hull = self._voxels[: self._found][(by_voters & ~(1 << slot)) == 0]
-        labels, (width, height) = self._labels[camera], self._views.sizes[camera]
+        labels, (width, height) = self.labels[camera], self._views.sizes[camera]
         outline = np.zeros(tuple(side + 2 * OFFSET_REACH for side in labels.shape), np.uint8)
         draw_hull(self._views, camera, hull, outline)
         outside = np.zeros((2 * OFFSET_REACH + 1, 2 * OFFSET_REACH + 1), np.int64)
@@ -188,8 +190,20 @@ class ResidualEstimator:
         if share < LEAST_OFFSET_SHARE:
             return SilhouetteOffset()
         offsets = np.argwhere(outside == outside.min()) - OFFSET_REACH
-        down, right = offsets[np.argmin(np.hypot(*offsets.T))].astype(float) * self._stride
+        down, right = offsets[np.argmin(np.hypot(*offsets.T))].astype(float) * self.stride
         return SilhouetteOffset(float(share), (float(right), float(down)))
+
+    def denied_cells(self, residuals: Residuals, slot: int) -> npt.NDArray[np.bool_]:
+        """Return the cells (H, W) in which ``residuals.cameras[slot]`` alone denies what two others need.
+
+        Need: the volume there explains foreground of theirs that nothing else explains. The hull is that of the last
+        call of :meth:`estimate`.
+        """
+        voting = VotingSet(np.array(residuals.cameras, np.int64), residuals.voters, 0, 0)
+        denied = np.zeros(self.labels.shape[1:], np.bool_)
+        found = self._voxels[: self._found], self._vetoes[: self._found]
+        mark_denied(self._views, self.labels, voting, slot, *found, self._with_veto, denied)
+        return denied
 
     def _shares(self, voting: VotingSet, vetoes, cells, explained, vetoed) -> Residuals:  # type: ignore[no-untyped-def]
         """Convert counts to shares. A camera is compared with the images of the voters other than itself."""
@@ -208,6 +222,7 @@ class ResidualEstimator:
             explained_m2=own * self._cell_m2[cameras],
             excess=(cells - own) / self._cells_seen[cameras],
             coverage=cells / self._cells_seen[cameras],
+            explained_share=own / np.maximum(cells, 1),
             consistency=np.where(cells > 0, own / np.maximum(cells, 1), 1.0) * (1.0 - veto_fraction),
             conflict=1.0 - theirs / np.maximum((cells[:, None] * compared).sum(0), 1),
             unexplained=1.0 - float((own - np.diagonal(vetoed))[:voters].sum() / max(int(cells[:voters].sum()), 1)),
