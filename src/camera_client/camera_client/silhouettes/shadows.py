@@ -67,7 +67,9 @@ class Scene(NamedTuple):
         return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, codec_sigma)
 
     def grey(self) -> Scene:
-        """Return the same of the mean of the three channels."""
+        """Return the same of the mean of the channels."""
+        if self.image.ndim == 2:
+            return self
         image = cv2.transform(self.image, np.full((1, 3), 1 / 3, np.float32))  # rounded
         return self._replace(image=image, expected=_grey(self.expected), noise=self.noise.of_mean())
 
@@ -128,13 +130,13 @@ class FloorShadow:
         self._min_area_px = max(settings.min_area * camera.height**2, MIN_PATCH_WINDOWS * side**2)
 
     def shadow(self, scene: Scene, mask: Mask) -> Mask:
-        """255 at pixels of ``mask`` (h, w) where the mono image fits the shadowed floor, else 0."""
+        """255 at pixels of ``mask`` (h, w) where the image, in grey, fits the shadowed floor, else 0."""
         found, looked_at = np.zeros_like(mask), cv2.bitwise_and(mask, self._floor[scene.at])
         inner = Box.around(looked_at)
         if not inner.empty:
             inner = inner.grown(self._block, mask.shape, self._block)
             at = inner.slices
-            found[at] = self._patches(scene.part(inner), mask[at], looked_at[at])
+            found[at] = self._patches(scene.part(inner).grey(), mask[at], looked_at[at])
         return found
 
     def _patches(self, scene: Scene, mask: Mask, looked_at: Mask) -> Mask:
@@ -263,7 +265,7 @@ class ColourShadow:
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
         found = cv2.bitwise_and(found, self._texture_persists(scene, found))
         found = cv2.bitwise_and(enlarged(found, 2, mask.shape), mask)
-        return cv2.bitwise_or(found, self._floor_shadow.shadow(scene.grey(), mask))
+        return cv2.bitwise_or(found, self._floor_shadow.shadow(scene, mask))
 
     def _texture_persists(self, scene: Scene, found: Mask) -> Mask:
         """Return 0 where the background has a texture that the image has lost: something stands before it."""
