@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from t_pose_studio import Studio, both_sides, person, standing
 
+from icp_tracker.acquisition.body_parts import find_legs
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import find_t_pose
 from icp_tracker.acquisition.truncation import FEET, LEFT_HAND, Stance, cut_parts, smallest_step, what_to_do
-from icp_tracker.acquisition.upright import stance_of
+from icp_tracker.acquisition.upright import PoseRejected, Upright, stance_of
 from stick_figure.body import Body
 from virtual_studio.rig import narrowed, ring, tilted, with_camera
 
@@ -39,6 +40,13 @@ def test_raised_hand_is_no_crown():
     up = np.array([[0.3, 0.0, z] for z in np.arange(1.4, 2.1, 0.02)] * 10)
     trunk = np.random.default_rng(0).uniform([-0.15, -0.2, 0.0], [0.15, 0.2, 1.7], (3000, 3))
     assert stance_of(np.concatenate([trunk, up]), 0.02).stature == pytest.approx(1.7, abs=0.03)
+
+
+def test_legs_without_shins_are_refused():
+    thighs = np.random.default_rng(0).uniform([-0.1, -0.2, 0.4], [0.1, 0.2, 1.7], (3000, 3))
+    body = Upright(thighs, np.zeros(2), np.array([1.0, 0.0]), 0.0, 1.7, 0.02)
+    with pytest.raises(PoseRejected, match="no legs in the hull"):
+        find_legs(body)
 
 
 def test_whole_body_is_measured():

@@ -169,7 +169,7 @@ def find_legs(body: Upright) -> Legs:
     if len(feet) == 2 and abs(feet[0][0] - feet[1][0]) > STRIDE * H:
         raise PoseRejected(f"feet not side by side: one is {abs(feet[0][0] - feet[1][0]):.2f} m ahead of the other")
     knees = body.between(*KNEES)
-    if len(knees) < FEWEST_OF_A_PART:
+    if not feet or len(knees) < FEWEST_OF_A_PART:
         raise PoseRejected("no legs in the hull")
     low, high = np.percentile(knees[:, 0], [4, 96])
     ahead = abs(float(np.median(knees[:, 0]) - np.mean([foot[0] for foot in feet])))
