@@ -1,4 +1,4 @@
-"""docs/parameters.md against the code: its groups, its names of version 0.1, its constants and its benches exist."""
+"""docs/parameters.md against the code: its groups, its constants and its benches exist."""
 
 import ast
 import re
@@ -47,7 +47,7 @@ def quoted(text):
     return re.findall(r"`([^`]+)`", text)
 
 
-GROUPS, OLD_NAMES = rows_under("Groups"), rows_under("Names of version 0.1")
+GROUPS = rows_under("Groups")
 THRESHOLDS = rows_under("Thresholds that are constants")
 
 
@@ -92,29 +92,6 @@ def test_benches_can_be_run(bench):
 @pytest.mark.parametrize("test", sorted(set(re.findall(r"test_\w+\.py", PAGE))))
 def test_named_tests_exist(test):
     assert [*ROOT.glob(f"src/*/test/{test}"), *ROOT.glob(f"tests/{test}")]
-
-
-@pytest.mark.parametrize("node", SETTINGS)
-def test_old_names_are_all_on_the_page_and_no_others(node):
-    on_page = {name for row in OLD_NAMES if row.node == node for name in quoted(row.cells[0])}
-    cls = SETTINGS[node]
-    assert on_page == set(getattr(cls, "renamed", {})) | set(getattr(cls, "removed", {}))
-
-
-@pytest.mark.parametrize("node", SETTINGS)
-def test_renamed_parameters_have_their_new_names(node):
-    on_page = {}
-    for row in OLD_NAMES:
-        if row.node == node and row.cells[1].startswith("->"):
-            on_page |= dict(zip(quoted(row.cells[0]), quoted(row.cells[1]), strict=True))
-    assert on_page == dict(getattr(SETTINGS[node], "renamed", {}))
-
-
-@pytest.mark.parametrize("row", OLD_NAMES, ids=lambda row: row.cells[0][:40])
-def test_removed_parameters_are_constants_of_the_files_that_their_row_names(row):
-    constants, files = constants_and_files(row.cells[1])
-    assert [c for c in constants if not any(c in constants_of(file) for file in files)] == []
-    assert [file for file in files if not constants_of(file) & set(constants)] == []
 
 
 @pytest.mark.parametrize("node", SETTINGS)

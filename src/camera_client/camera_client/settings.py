@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from capture_rig.settings import setting
 
@@ -298,34 +296,6 @@ class CameraMovedSettings:
 @dataclass(frozen=True)
 class CameraClientSettings:
     """All settings of one camera client."""
-
-    renamed: ClassVar[Mapping[str, str]] = {"silhouette.rim": "silhouette.outline_contrast"}
-    removed: ClassVar[Mapping[str, str]] = {
-        "preview_rate": "a preview comes five times a second",
-        "aravis.packet_resend": "lost packets are asked for again wherever the camera can",
-        "aravis.resend_share": "every packet of a frame may be asked for again",
-        "aravis.first_packet_timeout_ms": "a missing packet is asked for after 1 ms",
-        "aravis.packet_timeout_ms": "a missing packet is asked for again after 5 ms",
-        "supervision.first_retry_s": "the first pause is a quarter of a second",
-        "background_model.drift.mode": "background_model.rule: adaptive follows the light in every frame",
-        "background_model.drift.max_gain": "the whole image may become four times brighter or darker",
-        "background_model.drift.max_local": "a single pixel may move by 12 grey levels",
-        "background_model.drift.local_time_s": "a single pixel follows within a minute",
-        "background_model.drift.quiet_s": "a pixel is followed half a minute after the last foreground near it",
-        "background_model.drift.margin": "near is 6 % of the image height",
-        "silhouette.min_area": "parts below 0.0002 of the squared image height are dropped",
-        "silhouette.empty_below": "a mask with less than 0.02 % foreground is flagged empty",
-        "silhouette.full_above": "a mask with more than 60 % foreground is flagged full",
-        "silhouette.colour_shadow.enabled": "silhouette.shadow: keep switches the test for shadows off",
-        "silhouette.colour_shadow.min_brightness": "silhouette.colour_shadow.min_contrast, in sigmas of the noise",
-        "silhouette.colour_shadow.lightest": "a shadow leaves at most 97 % of the brightness",
-        "silhouette.floor_shadow.enabled": "silhouette.shadow: keep switches the test for shadows off",
-        "silhouette.floor_shadow.lightest": "a shadow leaves at most 97 % of the brightness",
-        "silhouette.floor_shadow.window": "texture is measured in windows of 1 % of the image height",
-        "frame_checks.dark_level": "a frame is dark when 99 % of it is no brighter than 16 grey levels",
-        "frame_checks.saturated_share": "a frame is saturated when 20 % more of it is white than of the background",
-        "camera_moved.period_s": "a frame is compared with the background twice a second",
-    }
 
     rig_file: str = setting(
         "", "Rig YAML with the calibration of all cameras; empty: not calibrated yet, images instead of silhouettes"

@@ -1,20 +1,13 @@
 """Typed configuration: one frozen dataclass serves ROS parameters, YAML files and plain Python alike.
 
 A settings class is a frozen dataclass whose fields come from :func:`setting`; a field may itself be a settings
-class, and is then written with dotted keys (``blob.min_area_m2``) or as a nested mapping. A class that files are read
-into may say what its settings were called in former versions:
-
-    renamed: ClassVar[Mapping[str, str]] = {"rim.worth": "contour.weight"}    # old key or group: new key or group
-    removed: ClassVar[Mapping[str, str]] = {"rim.blur_px": "it follows from the noise of the pixels"}    # old key: why
-
-Old names are understood, and warned of, by :func:`resolve_renamed`.
+class, and is then written with dotted keys (``blob.min_area_m2``) or as a nested mapping.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
-import logging
 import re
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar, get_type_hints
@@ -22,8 +15,6 @@ from typing import Any, TypeVar, get_type_hints
 from .errors import InputError
 
 T = TypeVar("T")
-
-logger = logging.getLogger("sagoma.settings")
 
 _SCALARS = (bool, int, float, str)
 LARGEST, LARGEST_INT = 1e12, (1 << 63) - 1  # of a range that is open: more is meant in no unit of ours
@@ -94,45 +85,16 @@ def leaves(cls: type, prefix: str = "") -> Iterator[Leaf]:
 def build_settings(cls: type[T], values: Mapping[str, Any], where: str) -> T:
     """Build ``cls`` from nested or dotted ``values``; what is not given keeps its default.
 
-    Names of former versions are understood, with a warning in the log. Raises InputError naming ``where``, the key, the
-    value and the remedy for an unknown key, a value of the wrong type, or one out of range.
+    Raises InputError naming ``where``, the key, the value and the remedy for an unknown key, a value of the wrong type,
+    or one out of range.
     """
-    flat, warnings = resolve_renamed(cls, values)
-    for warning in warnings:
-        logger.warning("%s: %s", where, warning)
+    flat = _flatten(values)
     known = {leaf.key: leaf for leaf in leaves(cls)}
     for key, value in flat.items():
         if key not in known:
             raise _unknown(key, list(known), where)
         flat[key] = _checked(known[key], value, where)
     return _assemble(cls, flat, "")
-
-
-def resolve_renamed(cls: type, values: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Nested or dotted ``values`` under today's dotted keys, and a sentence about each key of a former version.
-
-    A renamed key gives its value to the new one, unless that is given too; a removed one is left out. Keys that are
-    unknown stay as they are.
-    """
-    renamed, removed = getattr(cls, "renamed", {}), getattr(cls, "removed", {})
-    given, flat, warnings = _flatten(values), dict[str, Any](), []
-    for key, value in given.items():
-        if (old := _covering(key, removed)) is not None:
-            warnings.append(f"'{key}' is ignored, it is no setting any more: {removed[old]}")
-        elif (old := _covering(key, renamed)) is not None:
-            new = renamed[old] + key.removeprefix(old)
-            taken = "ignored, for that is given too" if new in given else "used for it"
-            warnings.append(f"'{key}' is called '{new}' now; the old name was {taken}")
-            flat.setdefault(new, value)
-        else:
-            flat[key] = value
-    return flat, warnings
-
-
-def _covering(key: str, table: Mapping[str, str]) -> str | None:
-    """Return the entry of ``table`` that is ``key``, or else the innermost group that holds it."""
-    found = [name for name in table if key == name or key.startswith(name + ".")]
-    return max(found, key=len, default=None)
 
 
 def as_dict(settings: Any) -> dict[str, Any]:

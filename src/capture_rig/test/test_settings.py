@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import pytest
 import yaml
 
 from capture_rig.errors import InputError
-from capture_rig.settings import as_dict, build_settings, leaves, resolve_renamed, setting
+from capture_rig.settings import as_dict, build_settings, leaves, setting
 
 
 @dataclass(frozen=True)
@@ -199,44 +198,3 @@ def test_error_survives_the_way_between_processes() -> None:
     error = InputError("what", where="where", remedy="remedy.")
     again = pickle.loads(pickle.dumps(error))
     assert (again.what, again.where, again.remedy, str(again)) == ("what", "where", "remedy.", str(error))
-
-
-@dataclass(frozen=True)
-class Renamed(Example):
-    renamed: ClassVar[Mapping[str, str]] = {"area_m2": "blob.min_area_m2", "spot": "blob", "spot.size": "cameras"}
-    removed: ClassVar[Mapping[str, str]] = {"blur_px": "it follows from the noise", "spot.old": "nobody set it"}
-
-
-@pytest.mark.parametrize(
-    ("given", "flat", "warned_of"),
-    [
-        ({"area_m2": 0.5}, {"blob.min_area_m2": 0.5}, ["'area_m2' is called 'blob.min_area_m2' now"]),
-        ({"spot": {"max_elongation": 3.0}}, {"blob.max_elongation": 3.0}, ["'spot.max_elongation'"]),
-        ({"spot.size": 5, "gain": 2.0}, {"cameras": 5, "gain": 2.0}, ["'spot.size' is called 'cameras' now"]),
-        ({"blob.min_area_m2": 0.25, "area_m2": 0.5}, {"blob.min_area_m2": 0.25}, ["ignored, for that is given too"]),
-        ({"area_m2": 0.5, "blob": {"min_area_m2": 0.25}}, {"blob.min_area_m2": 0.25}, ["ignored"]),
-        ({"blur_px": 3, "spot.old": 1}, {}, ["it follows from the noise", "nobody set it"]),
-        ({"spotted": 1}, {"spotted": 1}, []),
-    ],
-)
-def test_names_of_former_versions_are_understood_and_warned_of(
-    given: dict[str, Any], flat: dict[str, Any], warned_of: list[str]
-) -> None:
-    resolved, warnings = resolve_renamed(Renamed, given)
-    assert resolved == flat
-    assert len(warnings) == len(warned_of) and all(part in text for part, text in zip(warned_of, warnings, strict=True))
-
-
-def test_settings_are_built_from_former_names_with_a_warning_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    settings = build_settings(Renamed, {"spot": {"min_area_m2": 0.5}, "blur_px": 3, "cameras": 6}, "old.yaml")
-    assert (settings.blob.min_area_m2, settings.cameras) == (0.5, 6)
-    assert [record.getMessage().startswith("old.yaml: ") for record in caplog.records] == [True, True]
-    assert build_settings(Renamed, {}, "") == Renamed() and len(caplog.records) == 2
-
-
-def test_value_under_a_former_name_is_checked_as_any_other() -> None:
-    with pytest.raises(InputError) as caught:
-        build_settings(Renamed, {"area_m2": 2.0}, "old.yaml")
-    assert "blob.min_area_m2" in str(caught.value)
-    with pytest.raises(InputError):
-        build_settings(Renamed, {"spot.sice": 2.0}, "old.yaml")

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 from capture_rig.settings import setting
 
@@ -114,22 +112,6 @@ class EkfNodeSettings:
         0.75, "without frame sets for so long, everybody is reported lost; 0: never", unit="s", low=0.0, high=60.0
     )
     filter: EkfSettings = field(default_factory=EkfSettings)
-
-    renamed: ClassVar[Mapping[str, str]] = {"filter.lasting_errors.share": "filter.measurement_bias.share"}
-    removed: ClassVar[Mapping[str, str]] = {
-        **{
-            f"filter.{group}.{kind}_m": "it follows from JOINT_SD_M in ekf_tracker/joint_uncertainty.py"
-            for kind in ("torso", "head", "neck", "shoulders", "hips", "elbows", "knees", "hands", "feet")
-            for group in ("measurement_bias", "lasting_errors")
-        },
-        "filter.iterations": "it is MAX_ITERATIONS in ekf_tracker/track.py",
-        "filter.readmit_after_sets": "it is READMIT_AFTER_SETS in ekf_tracker/track.py",
-        "filter.point_sd_floor_m": "it is POINT_SD_FLOOR_M in ekf_tracker/track.py",
-        "filter.joint_sd_cap_rad": "it is JOINT_SD_CAP_RAD in ekf_tracker/track.py",
-        "filter.hinge_margin_rad": "it is HINGE_MARGIN_RAD in stick_figure/pose.py",
-        "filter.constant_velocity.reference_period_s": "it is 25 ms",
-        "restart_after_sets": "it is RESTART_AFTER in mocap_packets/stamp_order.py",
-    }
 
 
 def limit_weight(settings: EkfSettings) -> float:

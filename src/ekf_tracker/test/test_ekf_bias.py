@@ -7,10 +7,9 @@ import pytest
 from ekf_person import ALL, IDEAL, NONE, Person, ellipsoid_distances, isotropic, run, stamp
 from scipy.stats import chi2
 
-from capture_rig.settings import build_settings
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.joint_uncertainty import JOINT_SD_M
-from ekf_tracker.settings import EkfNodeSettings, MeasurementBiasSettings
+from ekf_tracker.settings import MeasurementBiasSettings
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import POINT_NAMES
 
@@ -128,9 +127,3 @@ def test_slots_that_no_point_bears_on_are_not_widened(body, person):
     np.testing.assert_allclose(
         np.diag(states[-1].covariance)[shoulder], np.diag(fleeting[-1].covariance)[shoulder], rtol=1e-6
     )
-
-
-def test_parameters_of_a_former_version_are_understood_and_those_that_are_constants_now_are_no_error():
-    old = {"filter": {"lasting_errors": {"share": 0.5}, "measurement_bias": {"hips_m": 0.03}, "iterations": 3}}
-    settings = build_settings(EkfNodeSettings, old | {"restart_after_sets": 5}, "old.yaml")
-    assert settings.filter.measurement_bias == MeasurementBiasSettings(share=0.5)

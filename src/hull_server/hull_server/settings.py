@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 from capture_rig.settings import setting
 
 BACKENDS = ("auto", "gl", "sweep", "cpu")
-FIXED = "it is a constant now, chosen with bench"
 
 
 @dataclass(frozen=True)
@@ -107,28 +104,6 @@ class HullSettings:
     camera_fault: CameraFaultSettings = setting(CameraFaultSettings, "cameras that contradict the others")
     calibration: CalibrationSettings = setting(CalibrationSettings, "cameras that moved from their calibration")
     shadow: ShadowSettings = setting(ShadowSettings, "dark pixels that may be floor in shadow")
-
-    renamed: ClassVar[Mapping[str, str]] = {
-        "rim": "contour",
-        "dissent": "camera_fault",
-        "dissent.recover_s": "camera_fault.reinstate_s",
-        "doubt": "shadow",
-    }
-    removed: ClassVar[Mapping[str, str]] = {
-        f"{group}.{key}": f"{FIXED}/{bench}.py"
-        for group, bench, keys in (
-            (
-                "dissent",
-                "camera_faults",
-                "voxel_size_m allowance misfit_allowance ratio saturation excess_limit patience_s release memory_s "
-                "warning_limit conflict_limit",
-            ),
-            ("calibration", "camera_movement", "period_s memory_s"),
-            ("doubt", "shadow_resolution", "tolerance reach_m"),
-            ("rim", "contour_rays", "min_outline_px sigma_px doubt_px"),
-        )
-        for key in keys.split()
-    } | {"max_open_sets": "eight frame sets wait for cameras at most"}
 
 
 @dataclass(frozen=True)

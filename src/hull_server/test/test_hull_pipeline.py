@@ -5,7 +5,7 @@ import pytest
 from hull_scenes import capsule_person, ring_rig, silhouettes
 
 from capture_rig import InputError
-from capture_rig.settings import build_settings, resolve_renamed
+from capture_rig.settings import build_settings
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings, NodeSettings
 from mocap_packets.frame_set import FrameSet
@@ -136,13 +136,3 @@ def test_settings_defaults_and_errors_name_key_value_and_remedy():
     ):
         with pytest.raises(InputError, match=text):
             build_settings(NodeSettings, values, "test")
-
-
-def test_settings_of_former_versions_are_read_under_their_new_names():
-    old = {"rim": {"per_camera": 50, "sigma_px": 0.7}, "dissent.recover_s": 1.0, "dissent.enabled": False}
-    old |= {"doubt.min_height_m": 0.12, "calibration.period_s": 0.1, "max_open_sets": 4, "dissent.allowance": 0.1}
-    settings = build_settings(NodeSettings, old, "an old file")
-    assert settings.contour.per_camera == 50 and settings.shadow.min_height_m == 0.12
-    assert settings.camera_fault.reinstate_s == 1.0 and not settings.camera_fault.enabled
-    _, warnings = resolve_renamed(NodeSettings, old)
-    assert len(warnings) == len(old) + 1

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from capture_rig.settings import setting
 
@@ -14,40 +12,10 @@ from .monitor.track_monitor import RecoverySettings
 from .refinement.body_refiner import RefinementSettings
 from .thesis.hierarchical_icp import HierarchicalSettings
 
-CONSTANT_NOW = (
-    *("articulated.rejection_floor_m", "articulated.step_limit"),
-    *("articulated.support_points", "articulated.support_voxels"),
-    *("articulated.volume.gate_m", "articulated.volume.tight_m", "articulated.volume.covariance_share"),
-    *("articulated.volume.inside_samples", "articulated.volume.inside_slack_m", "articulated.volume.inside_gate_m"),
-    *("articulated.rim.gate_m", "articulated.rim.slack_m"),
-    *("recovery.limb_parts", "recovery.turned_every", "recovery.clear_rays", "recovery.patient_sets"),
-    *("refinement.rays", "refinement.explained_m", "refinement.gate_m", "refinement.slack_m"),
-    *("hierarchical.min_own_points", "hierarchical.rejection_floor_m"),
-    *("hierarchical.rotation_tolerance", "hierarchical.shift_tolerance_m"),
-    *("initial_pose.t_pose.span_low", "initial_pose.t_pose.span_high", "initial_pose.t_pose.asymmetry"),
-)
-"""Settings of version 0.1 that are none any more."""
-
 
 @dataclass(frozen=True)
 class TrackerSettings:
     """How the figure is fitted, set after set."""
-
-    renamed: ClassVar[Mapping[str, str]] = {
-        "articulated.rim": "articulated.contour",
-        "articulated.rim.worth": "articulated.contour.weight",
-        "articulated.rim.flesh_sd_m": "articulated.contour.surface_sd_m",
-        "articulated.volume.worth": "articulated.volume.weight",
-        "articulated.volume.inside_worth": "articulated.volume.inside_weight",
-        "articulated.volume.clearance_worth": "articulated.volume.clearance_weight",
-        "refinement.flesh_sd_m": "refinement.surface_sd_m",
-        "recovery.lead_rays": "recovery.margin_rays",
-    }
-    removed: ClassVar[Mapping[str, str]] = {
-        **dict.fromkeys(CONSTANT_NOW, "it is a constant now: no user had to turn it"),
-        **dict.fromkeys(("recovery.lead_sets", "recovery.margin_sets"), "it is a time now: recovery.margin_s"),
-        "refinement.thickness_sd": "it is refinement.build_sd now, over the spread of the table of builds",
-    }
 
     method: str = setting(
         "articulated",

@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.service import Service
 
 from capture_rig.errors import InputError
-from capture_rig.settings import Leaf, build_settings, leaves, resolve_renamed, setting
+from capture_rig.settings import Leaf, build_settings, leaves, setting
 
 from .health import ERROR, OK, NodeHealth
 from .names import resolve_packages
@@ -204,18 +204,11 @@ def _do_nothing() -> None:
 
 
 def declare_parameters(node: Node, settings_class: type) -> None:
-    """Declare every setting as a parameter; later changes are checked, and take effect at the next configure.
-
-    A parameter file or command line may use the names of former versions: each is warned of, and its value is that of
-    the parameter's present name (see `capture_rig.settings`).
-    """
+    """Declare every setting as a parameter; later changes are checked, and take effect at the next configure."""
     given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
-    present, warnings = resolve_renamed(settings_class, given)
-    for warning in warnings:
-        node.get_logger().warning(f"{_where(node)}: {warning}")
     known = {leaf.key: leaf for leaf in leaves(settings_class)}
     for key, leaf in known.items():
-        value = _of_type(leaf, present.get(key, leaf.default))
+        value = _of_type(leaf, given.get(key, leaf.default))
         node.declare_parameter(key, value, _descriptor(leaf), ignore_override=True)
     node.add_pre_set_parameters_callback(lambda changes: [_change_of_type(known, change) for change in changes])
     node.add_on_set_parameters_callback(lambda changes: _check(node, settings_class, changes))
@@ -289,8 +282,7 @@ def _value(leaf: Leaf, given: Any) -> Any:
 def _undeclared(node: Node, settings_class: type) -> dict[str, Any]:
     # overrides of parameters that nobody declared are silently ignored by rclpy: a misspelt key would go unnoticed
     given = {name: parameter.value for name, parameter in node._parameter_overrides.items()}
-    present, _ = resolve_renamed(settings_class, given)
-    return {k: v for k, v in present.items() if not node.has_parameter(k) and not k.startswith(FOREIGN_PREFIXES)}
+    return {k: v for k, v in given.items() if not node.has_parameter(k) and not k.startswith(FOREIGN_PREFIXES)}
 
 
 def _where(node: Node) -> str:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import pytest
 from rclpy.node import Node
@@ -35,9 +34,6 @@ class Settings:
     low: list[float] = setting([0.0, 0.0], "corner", unit="m")
     ids: list[int] = setting([], "numbers")
     blob: Blob = setting(Blob, "blob filter")
-
-    renamed: ClassVar[Mapping[str, str]] = {"voxel_size": "voxel_m", "spot": "blob"}
-    removed: ClassVar[Mapping[str, str]] = {"blur_px": "it follows from the noise"}
 
 
 def make_node(ros: Spinner, overrides: dict[str, Any] | None = None, arguments: list[str] | None = None) -> Node:
@@ -179,38 +175,3 @@ def test_whole_numbers_given_for_decimals_keep_the_parameters_type(ros: Spinner)
     assert (node.get_parameter("blob.min_area_m2").type_, node.get_parameter("blob.min_area_m2").value) == (double, 0.0)
     refused = node.set_parameters_atomically([Parameter("cameras", value=4.0)])
     assert not refused.successful and "cameras = 4.0 is not of type int" in refused.reason
-
-
-OLD_FILE = """
-/studio/hull_server:
-  ros__parameters:
-    voxel_size: 0.01
-    spot:
-      min_area_m2: 0.5
-    blur_px: 3.0
-"""
-
-
-def test_parameter_file_of_a_former_version_is_read_and_every_old_name_warned_of(ros: Spinner, tmp_path, capfd) -> None:
-    (tmp_path / "old.yaml").write_text(OLD_FILE)
-    node = make_node(ros, arguments=["--ros-args", "--params-file", str(tmp_path / "old.yaml")])
-    settings = read_parameters(node, Settings)
-    assert (settings.voxel_m, settings.blob.min_area_m2) == (0.01, 0.5)
-    assert node.get_parameter("voxel_m").value == 0.01 and not node.has_parameter("voxel_size")
-    warnings = [line for line in capfd.readouterr().err.splitlines() if "WARN" in line]
-    assert len(warnings) == 3
-    for old, new in (("voxel_size", "voxel_m"), ("spot.min_area_m2", "blob.min_area_m2"), ("blur_px", "ignored")):
-        assert any(f"'{old}'" in line and new in line for line in warnings)
-
-
-def test_present_name_wins_over_the_former_one(ros: Spinner) -> None:
-    node = make_node(ros, {"voxel_size": 0.01, "voxel_m": 0.05})
-    assert read_parameters(node, Settings).voxel_m == 0.05
-
-
-def test_value_under_a_former_name_is_checked_like_any_other(ros: Spinner) -> None:
-    assert "voxel_m = 5.0 m is out of range" in refusal(make_node(ros, {"voxel_size": 5.0}))
-
-
-def test_name_that_never_was_is_refused_beside_former_ones(ros: Spinner) -> None:
-    assert "unknown key 'voxel_sise'" in refusal(make_node(ros, {"voxel_size": 0.01, "voxel_sise": 0.01}))

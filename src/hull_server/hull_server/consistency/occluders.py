@@ -52,7 +52,7 @@ class OccluderMap:
             if cells.any():
                 self._hidden[camera] = self._pixels(camera, cells)
 
-    def applied(self, masks: Masks) -> Masks:
+    def applied(self, masks: Masks) -> dict[str, npt.NDArray[np.uint8]]:
         """Return the masks (h, w) of one instant, uncertain where an occluder hides the background."""
         found = dict(masks)
         for camera, hidden in self._hidden.items():
