@@ -5,12 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from capture_rig.settings import build_settings
 from icp_tracker.acquisition.initial_pose import InitialPose, KnownPose
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
 from icp_tracker.articulated_fit import ArticulatedSettings, minimise
-from icp_tracker.settings import IcpNodeSettings
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import Centerline, HullProducts, VoxelSamples
 from stick_figure.kinematics import forward
@@ -216,18 +214,3 @@ def test_first_pose_is_looked_for_on_everybody_and_fitted_to_the_body_that_shows
     assert sorted(source.seen.voxels_of_bodies()) == [0, 1]
     assert result.state == "tracking" and result.solution.points == len(cloud)
     assert error_mm(body, result, poses[0]) < 40
-
-
-def test_parameters_of_version_0_1_are_understood(caplog):
-    old = {
-        "articulated": {"rim": {"worth": 5000.0, "rays": 600, "gate_m": 0.05}, "volume": {"inside_worth": 3.0}},
-        "recovery": {"lead_rays": 4.0, "turned_every": 8},
-        "refinement.flesh_sd_m": 0.02,
-    }
-    settings = build_settings(IcpNodeSettings, old, "old.yaml")
-    assert (settings.articulated.contour.weight, settings.articulated.contour.rays) == (5000.0, 600)
-    assert settings.articulated.volume.inside_weight == 3.0
-    assert (settings.recovery.margin_rays, settings.refinement.surface_sd_m) == (4.0, 0.02)
-    told = [record.getMessage() for record in caplog.records]
-    assert any("'articulated.contour.weight'" in line for line in told)
-    assert any("'recovery.turned_every' is ignored" in line for line in told)
