@@ -38,6 +38,8 @@ TURNING_S = 0.15
 RAISED, WITH_THE_ARM = np.radians(30.0), 0.4
 """A shoulder girdle turns with its arm by about a third to a half of what the arm is raised beyond 30 degrees (Inman,
 Saunders & Abbott 1944)."""
+STRAIGHT = 0.1
+"""Sine of an elbow's angle at rest below which it says nothing of the hinge: such arms are modelled palms down or in."""
 NO_CLIPS = "Unpack the wheel of `pybullet` (pip download pybullet --no-deps) and name pybullet_data/data/motions."
 
 
@@ -177,7 +179,8 @@ def _hanging(body: MeshBody, side: str) -> tuple[Rotation, Rotation]:
     shoulder, elbow, wrist = (body.head(f"{bone}.{side}") for bone in ("upperarm01", "lowerarm01", "wrist"))
     down = _onto(elbow - shoulder, (0.0, 0.0, -1.0))
     ahead = down.apply(wrist - elbow)
-    yaw = np.arctan2(ahead[0], -ahead[1])  # of the bent forearm, from straight ahead, -y
+    bent = np.hypot(ahead[0], ahead[1]) > STRAIGHT * np.linalg.norm(ahead)
+    yaw = np.arctan2(ahead[0], -ahead[1]) if bent else 0.0  # of the bent forearm, from straight ahead, -y
     A = Rotation.from_euler("z", -yaw) * down
     return A, _onto(A.apply(wrist - elbow), (0.0, 0.0, -1.0)) * A
 

@@ -206,7 +206,7 @@ def make(name: str, body_data: Path, motion_data: Path) -> Made:
     return Made(f"mesh_{name}", rig, bodies, motions, T_POSE if what.from_t_pose else {})
 
 
-def _keep(folder: Path, clip: Clip) -> None:
+def keep(folder: Path, clip: Clip) -> None:
     """Writes a clip and its hull's products."""
     path = folder / "clips" / f"{clip.name}.pkl"
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -226,10 +226,10 @@ def main() -> int:
         if options.names and not any(part in name for part in options.names):
             continue
         began, made = time.process_time(), make(name, options.body, options.motions)
-        _keep(options.out, made.clip())
+        keep(options.out, made.clip())
         if name in FILMED:
             folder = made.session(options.out / "sessions" / made.name, FILMED[name])
-            _keep(options.out, replace(session_clip(folder, exact=False), name=f"{made.name}_own"))
+            keep(options.out, replace(session_clip(folder, exact=False), name=f"{made.name}_own"))
         print(f"{made.name}: {len(made)} frames, {time.process_time() - began:.0f} s of processor time", flush=True)
     return 0
 
