@@ -37,6 +37,8 @@ ONE_OF = {
     "foot": ("foot", "ankle"),
 }
 """Segments and how makers call the joints at which they begin, without side and prefix."""
+INSIDE = re.compile("eye|gland|teeth|tongue", re.IGNORECASE)
+"""Meshes that no camera sees from outside."""
 SPINE = ("spine04", "spine03", "spine02", "spine01")
 DTYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -51,7 +53,7 @@ def load_avatar(path: Path) -> MeshBody:
     segment_of = {node: NAMES.index(name) for name, node in joints.items()}
     vertices, triangles, weights = [], [], []
     for node in gltf.nodes:
-        if node.mesh is None or node.skin is None:
+        if node.mesh is None or node.skin is None or INSIDE.search(node.name or ""):
             continue
         skin = gltf.skins[node.skin]
         inverses = _accessor(gltf, blob, skin.inverseBindMatrices).reshape(-1, 4, 4).transpose(0, 2, 1)

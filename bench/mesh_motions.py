@@ -39,7 +39,7 @@ RAISED, WITH_THE_ARM = np.radians(30.0), 0.4
 """A shoulder girdle turns with its arm by about a third to a half of what the arm is raised beyond 30 degrees (Inman,
 Saunders & Abbott 1944)."""
 STRAIGHT = 0.1
-"""Sine of an elbow's angle at rest below which it says nothing of the hinge: such arms are modelled palms down or in."""
+"""Sine of an elbow's angle at rest below which it does not show the hinge: such arms are modelled palms down or in."""
 NO_CLIPS = "Unpack the wheel of `pybullet` (pip download pybullet --no-deps) and name pybullet_data/data/motions."
 
 
