@@ -34,12 +34,19 @@ from mesh_motions import Play, play
 from mesh_people import BODIES, RINGS, T_POSE, WALK, Made, keep
 
 SECONDS = 4.0
-CLIPS = {"walk": WALK, "punch": Play("punch", kept=0.7), "kick": Play("kick"), "dance": Play("dance_b")}
+CLIPS = {
+    "walk": WALK,
+    "punch": Play("punch", kept=0.7),
+    "kick": Play("kick"),
+    "dance": Play("dance_b"),
+    "spin": Play("spin", from_s=0.8),
+}
 RIGS = ("ring3b", "ring4b", "ring6", "ring8")
+ARMS_BEFORE_TRUNK, FEW = ("spin", "kick"), "ring3"  # what three cameras lose arms in, and played before these as well
 FAMILIES = {
     "makehuman": ("b4", "b5"),
     "valid": ("White_F_1_Medi", "Black_M_2_Milit"),
-    "quaternius": ("men_Worker", "women_Formal"),
+    "quaternius": ("women_Soldier", "women_Formal"),
     "rocketbox": ("m17", "m17"),
 }
 FILES = {"valid": "valid", "quaternius": "quat", "rocketbox": "rocketbox"}
@@ -58,12 +65,14 @@ class Set:
 
 def _sets() -> dict[str, Set]:
     """Every body before every rig; which clip it plays goes round."""
-    found, names = {}, list(CLIPS)
+    found, names = {}, ("walk", "punch", "kick", "dance")
     for family, bodies in FAMILIES.items():
         for i, body in enumerate(bodies):
             for j, rig in enumerate(RIGS):
                 clip = names[(i + j) % len(names)]
                 found[f"{family}_{body}_{clip}_{rig}"] = Set(family, body, clip, rig, 0.9 * i + 0.7 * j)
+            clip = ARMS_BEFORE_TRUNK[i % 2]
+            found[f"{family}_{body}_{clip}_{FEW}"] = Set(family, body, clip, FEW, 1.3 * i)
     return found
 
 

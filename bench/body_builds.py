@@ -118,7 +118,7 @@ def expectation_maximisation(people: list[Subject]) -> Gaussian:
         inverse, spread = np.linalg.inv(S[free]), np.zeros((N, N))
         for i, person in enumerate(people):
             for _ in range(LOOKS):
-                own[i], A = _stepped(person, of_length, own[i], mean, inverse)
+                own[i], A = stepped(person, of_length, own[i], mean, inverse)
             spread[free] += np.linalg.inv(A) / len(people)
         mean = own.mean(axis=0)
         S = (own - mean).T @ (own - mean) / len(own) + spread + NUGGET * np.eye(N)
@@ -133,11 +133,11 @@ def shift_of(person: Subject, found: Gaussian, slopes: Array, mean_sizes: Array)
     inverse = np.linalg.inv((found.covariance + STUDIO_SD**2 * np.eye(N))[np.ix_(FREE, FREE)])
     own = expected
     for _ in range(STUDIO_LOOKS):
-        own, _ = _stepped(person, found.of_length, own, expected, inverse)
+        own, _ = stepped(person, found.of_length, own, expected, inverse)
     return own - expected
 
 
-def _stepped(person: Subject, of_length: Array, own: Array, mean: Array, inverse: Array) -> tuple[Array, Array]:
+def stepped(person: Subject, of_length: Array, own: Array, mean: Array, inverse: Array) -> tuple[Array, Array]:
     """The numbers (N,) after a Gauss-Newton step under the prior, and its normal matrix of the free ones."""
     H, g = normal_equations(person, of_length, own)
     A, step = H[np.ix_(FREE, FREE)] + inverse, np.zeros(N)

@@ -7,7 +7,7 @@ at wrist and ankle; those of the studio's people to the sticks.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,7 +41,7 @@ CLIPS = (
     Play("getup_facedown", "back and there", from_s=0.4, speed=1.3),
 )
 """Those that sets called mesh_fit_ play; walk and punch occur in mesh_prove_ too, with other bodies."""
-MESH_SEED, STUDIO_SEED = 77, 3
+MESH_SEED, STUDIO_SEED, AVATAR_SEED = 77, 3, 11
 CLIPS_EACH, FRAMES_EACH, CLIP_S, MOVING = 3, 4, 4.0, 90  # frames from which on most bodies have left the T-pose
 WRIST_SD = 0.3  # rad: the clips hold wrists straight
 VIEWS, RAYS, HALF_STRETCH_M = 8, 110, 0.06
@@ -92,26 +92,49 @@ def rendered_people(data: Path, motions: Path, count: int, poses: int, stick: ND
     random = np.random.default_rng(MESH_SEED)
     for k in range(count):
         mesh, stature = random_mesh(data, k, random)
-        still = mesh.truth(*mesh.posed(np.tile(np.eye(3), (len(NAMES), 1, 1)), mesh.heads[0]))
-        shown = []
-        for clip in random.permutation(len(CLIPS))[:CLIPS_EACH]:
-            motion = play(motions, mesh, CLIPS[clip], CLIP_S)
-            for frame in random.integers(MOVING if k % 3 else 0, len(motion), poses):
-                rotations = motion.rotations[frame].copy()
-                for side in "LR":
-                    bent = Rotation.from_rotvec(WRIST_SD * random.standard_normal(3)).as_matrix()
-                    rotations[NAMES.index(f"wrist.{side}")] = rotations[NAMES.index(f"wrist.{side}")] @ bent
-                vertices, heads = mesh.posed(rotations, motion.roots[frame])
-                shown.append((vertices, mesh.truth(vertices, heads)))
-        points = np.array([_fifteen(truth) for _, truth in shown])
-        body, views = Body.from_points(points), []
-        rest = _at_rest(body, still)
-        for (vertices, truth), there in zip(shown, points, strict=True):
-            rays = ring_of_rays(vertices, mesh.triangles, VIEWS, RAYS, random)
-            pose = inverse(body, there)
-            views.append(_view(pose, *_own_frames(body, pose, there, truth, rest, stick), rays))
-        wrist, forearm = rest[L_FOREARM]
-        yield Subject(body, stature, views, wrist, forearm)
+        yield _subject(mesh, stature, motions, poses, stick, random, MOVING if k % 3 else 0)
+
+
+def people_in_clothes(
+    avatars: Iterable[MeshBody], motions: Path, poses: int, stick: NDArray[np.int64]
+) -> Iterator[Subject]:
+    """Avatars in clips as the rendered people, their own joints for bones."""
+    random = np.random.default_rng(AVATAR_SEED)
+    for mesh in avatars:
+        stature = float(np.ptp(mesh.vertices[:, 2]))
+        yield _subject(mesh, stature, motions, poses, stick, random, MOVING)
+
+
+def _subject(
+    mesh: MeshBody,
+    stature: float,
+    motions: Path,
+    poses: int,
+    stick: NDArray[np.int64],
+    random: np.random.Generator,
+    first: int,
+) -> Subject:
+    """A mesh in CLIPS_EACH random clips, ``poses`` of each from frame ``first`` on."""
+    still = mesh.truth(*mesh.posed(np.tile(np.eye(3), (len(NAMES), 1, 1)), mesh.heads[0]))
+    shown = []
+    for clip in random.permutation(len(CLIPS))[:CLIPS_EACH]:
+        motion = play(motions, mesh, CLIPS[clip], CLIP_S)
+        for frame in random.integers(first, len(motion), poses):
+            rotations = motion.rotations[frame].copy()
+            for side in "LR":
+                bent = Rotation.from_rotvec(WRIST_SD * random.standard_normal(3)).as_matrix()
+                rotations[NAMES.index(f"wrist.{side}")] = rotations[NAMES.index(f"wrist.{side}")] @ bent
+            vertices, heads = mesh.posed(rotations, motion.roots[frame])
+            shown.append((vertices, mesh.truth(vertices, heads)))
+    points = np.array([_fifteen(truth) for _, truth in shown])
+    body, views = Body.from_points(points), []
+    rest = _at_rest(body, still)
+    for (vertices, truth), there in zip(shown, points, strict=True):
+        rays = ring_of_rays(vertices, mesh.triangles, VIEWS, RAYS, random)
+        pose = inverse(body, there)
+        views.append(_view(pose, *_own_frames(body, pose, there, truth, rest, stick), rays))
+    wrist, forearm = rest[L_FOREARM]
+    return Subject(body, stature, views, wrist, forearm)
 
 
 def people_of_the_studio(poses: Sequence[Pose], count: int, stick: NDArray[np.int64]) -> Iterator[Subject]:
