@@ -97,8 +97,8 @@ class Scores:
     (15, 3) those offsets, track minus truth, forward, left and up.
     point_... : (15,) the same of each point; point_over_200mm : share of frames in which it is further off.
     coverage : the errors against the track's own covariances; coverage_without_offset : what is left of them without
-    constant offsets, for the covariance is about our own definition of the points (docs/points.md). angles : the joint angles. calls : the parts of the body
-    that are called doubtful or lost, rightly or not.
+    constant offsets, for the covariance is about our own definition of the points (docs/points.md). angles : the joint
+    angles. calls : the parts of the body that are called doubtful or lost, rightly or not.
     errors_mm : (frames, 15) every error, NaN where there is none.
     """
 
