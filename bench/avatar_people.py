@@ -46,7 +46,7 @@ ARMS_BEFORE_TRUNK, FEW = ("spin", "kick"), "ring3"  # what three cameras lose ar
 FAMILIES = {
     "makehuman": ("b4", "b5"),
     "valid": ("White_F_1_Medi", "Black_M_2_Milit"),
-    "quaternius": ("women_Soldier", "women_Formal"),
+    "quaternius": ("men_Worker", "women_Formal"),
     "rocketbox": ("m17", "m17"),
 }
 FILES = {"valid": "valid", "quaternius": "quat", "rocketbox": "rocketbox"}

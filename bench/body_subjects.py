@@ -43,6 +43,7 @@ CLIPS = (
 """Those that sets called mesh_fit_ play; walk and punch occur in mesh_prove_ too, with other bodies."""
 MESH_SEED, STUDIO_SEED, AVATAR_SEED = 77, 3, 11
 CLIPS_EACH, FRAMES_EACH, CLIP_S, MOVING = 3, 4, 4.0, 90  # frames from which on most bodies have left the T-pose
+CLOTHED_CLIP_S = 3.0
 WRIST_SD = 0.3  # rad: the clips hold wrists straight
 VIEWS, RAYS, HALF_STRETCH_M = 8, 110, 0.06
 POSES_OF_SESSIONS = (
@@ -92,7 +93,7 @@ def rendered_people(data: Path, motions: Path, count: int, poses: int, stick: ND
     random = np.random.default_rng(MESH_SEED)
     for k in range(count):
         mesh, stature = random_mesh(data, k, random)
-        yield _subject(mesh, stature, motions, poses, stick, random, MOVING if k % 3 else 0)
+        yield _subject(mesh, stature, motions, CLIP_S, poses, stick, random, MOVING if k % 3 else 0)
 
 
 def people_in_clothes(
@@ -102,23 +103,24 @@ def people_in_clothes(
     random = np.random.default_rng(AVATAR_SEED)
     for mesh in avatars:
         stature = float(np.ptp(mesh.vertices[:, 2]))
-        yield _subject(mesh, stature, motions, poses, stick, random, MOVING)
+        yield _subject(mesh, stature, motions, CLOTHED_CLIP_S, poses, stick, random, MOVING)
 
 
 def _subject(
     mesh: MeshBody,
     stature: float,
     motions: Path,
+    seconds: float,
     poses: int,
     stick: NDArray[np.int64],
     random: np.random.Generator,
     first: int,
 ) -> Subject:
-    """A mesh in CLIPS_EACH random clips, ``poses`` of each from frame ``first`` on."""
+    """A mesh in CLIPS_EACH random clips of ``seconds``, ``poses`` of each from frame ``first`` on."""
     still = mesh.truth(*mesh.posed(np.tile(np.eye(3), (len(NAMES), 1, 1)), mesh.heads[0]))
     shown = []
     for clip in random.permutation(len(CLIPS))[:CLIPS_EACH]:
-        motion = play(motions, mesh, CLIPS[clip], CLIP_S)
+        motion = play(motions, mesh, CLIPS[clip], seconds)
         for frame in random.integers(first, len(motion), poses):
             rotations = motion.rotations[frame].copy()
             for side in "LR":
