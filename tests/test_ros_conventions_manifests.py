@@ -29,10 +29,10 @@ KEYS = {
     "yaml": "python3-yaml",
 }
 """Python modules -> their keys in ros/rosdistro's rosdep/python.yaml, as of Jazzy."""
-FROM_PYPI = {"rosbags", "c3d", "pygltflib", "viser", "lz4", "backports"}
+FROM_PYPI = {"rosbags", "c3d", "pygltflib", "viser", "mcap"}
 """What has no key there: requirements.txt brings it."""
 WITH_ANOTHER = {"llvmlite", "msgspec"}  # own requirements of numba and viser
-OPTIONAL = {"hri_msgs", "compression"}  # of REP-155; Python's from 3.14: looked for, and done without
+OPTIONAL = {"hri_msgs"}  # of REP-155: looked for, and done without
 ROS = {
     *(
         "rclpy",

@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message
 
 from capture_rig.errors import InputError
 
-from ..graph.topics import OF_A_PERSON, OUTPUT_TOPICS, PERSON_TOPIC, RENAMED_TOPICS
+from ..graph.topics import OF_A_PERSON, OUTPUT_TOPICS, PERSON_TOPIC
 from ..recording.reader import SIDECAR_RIG, BagMessage, open_bag, read_messages, read_provenance
 from ..recording.recorder import has_header
 from ..recording.writer import BagWriter, own_version
@@ -82,7 +82,7 @@ def _copy(bag: Path, writer: BagWriter, begins_ns: int, ends_ns: int, progress: 
     first_ns, last_ns = min(logged), max(logged)
     with open_bag(bag) as reader:
         for connection in reader.connections:
-            writer.add_topic_like(connection, RENAMED_TOPICS.get(connection.topic, connection.topic))
+            writer.add_topic_like(connection, connection.topic)
     before = {m.topic: m for m in read_messages(bag, LATCHED.__contains__) if m.log_ns < first_ns}
     for message in before.values():
         writer.write(message.topic, first_ns, message.data)
