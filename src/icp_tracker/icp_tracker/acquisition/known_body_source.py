@@ -12,13 +12,13 @@ from itertools import product
 
 import numpy as np
 
+from capture_rig.rigid import rotation_matrix
 from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.rotations import rotation_matrix
 from stick_figure.skeleton import ANGLE_NAMES, HEAD, mirror_angles
 
 from ..articulated_fit import ArticulatedSettings, PriorSettings, fit_articulated
