@@ -29,11 +29,10 @@ COMMANDS = {
     "export": ("export",),
     "import_session": ("import",),
     "urdf": ("urdf",),
-    "security": ("security",),
     "doctor": ("doctor",),
 }
 """Module -> its subcommands, in the order of the help."""
-ON_A_GRAPH = {"up", "start", "suspend", "stop", "background", "record", "view", "security", "doctor"}
+ON_A_GRAPH = {"up", "start", "suspend", "stop", "background", "record", "view", "doctor"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

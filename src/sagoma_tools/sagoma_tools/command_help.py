@@ -90,7 +90,6 @@ HELP: Mapping[str, CommandHelp] = {
     "export": CommandHelp((f"export {TAKE} --format bvh csv", "export walk1 --rate 60")),
     "import humaneva": CommandHelp(("import humaneva HumanEva_I s2_walk --subject S2 --action Walking",)),
     "urdf": CommandHelp(("urdf --stature 1.82 --output body.urdf",)),
-    "security": CommandHelp(("security output/keystore --expect 8",)),
     "doctor": CommandHelp(
         ("doctor", f"doctor --rig {RIG} --live", "doctor camera cam01.yaml --open", "doctor --host 192.168.1.11"),
         {OK: "all is well, or notes only", FAILED: "warnings", BAD_INPUT: "errors, or arguments that cannot be used"},

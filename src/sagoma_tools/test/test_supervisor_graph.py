@@ -1,6 +1,7 @@
 """The supervisor with real processes: tiny lifecycle nodes that behave, refuse, die, or hang."""
 
 import io
+import queue
 import threading
 
 import psutil
@@ -156,6 +157,20 @@ def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(superv
     assert exits == {"deaf": Exit.KILLED, "good": Exit.CLEAN}
     assert not psutil.pid_exists(pid)
     assert not shared_memory_files(abandoned(its_memory))
+
+
+def test_node_that_cannot_be_secured_refuses_to_run_open(supervise, tmp_path):
+    """The wheels' Fast DDS has no security compiled in: an open graph would be the worse answer."""
+    events = queue.Queue()
+    secured = {
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+        "ROS_SECURITY_KEYSTORE": str(tmp_path),
+    }
+    supervise(tiny("hull_server"), settings=ProcessSettings(env=secured), on_event=events.put)
+    death = events.get(timeout=60.0)
+    assert "exit status 1" in death.reason
+    assert "doesn't have the security libraries" in death.log_tail or "enclave" in death.log_tail
 
 
 @pytest.mark.slow

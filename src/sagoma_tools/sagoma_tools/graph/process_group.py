@@ -9,8 +9,8 @@ from functools import partial
 from pathlib import Path
 
 from capture_rig.yaml_file import save_mapping
-from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_bringup.processes import ONE_PROCESS, SERVER_EXECUTABLE, ProcessSpec, processes_of
+from sagoma_bringup.graph import NodeSpec
+from sagoma_bringup.processes import ONE_PROCESS, ProcessSpec, processes_of
 
 from .processes import Child, ExitStatus, Usage, node_command, remove_abandoned, stop_children
 
@@ -18,7 +18,6 @@ GRACE_S = 8.0
 # idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
 THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
-ENCLAVES = "/sagoma"  # of the keystores of `sagoma security`
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class ProcessGroup:
         parameters = self._run_folder / f"{process.label}.yaml"
         save_mapping(parameters, process.parameter_document())
         executable = node_command(process.package, process.executable, process.module)
-        command = [*executable, "--ros-args", *process.name_arguments, *enclave_arguments(process)]
+        command = [*executable, "--ros-args", *process.name_arguments]
         command += ["--params-file", str(parameters)]
         child = Child(
             process.label, command, self._log(process), self._environment(), partial(self._note_exit, process)
@@ -128,14 +127,3 @@ class ProcessGroup:
         if self._settings.domain_id is not None:
             env["ROS_DOMAIN_ID"] = str(self._settings.domain_id)
         return env
-
-
-def enclave_arguments(process: ProcessSpec) -> list[str]:
-    """ROS arguments that give a process its certificate; none where security (SROS 2) is not switched on.
-
-    All of the server's nodes have the same certificate, whether they share a process or not.
-    """
-    if os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
-        return []
-    is_camera = any(node.role is Role.CAMERA for node in process.nodes)
-    return ["--enclave", f"{ENCLAVES}/{process.label if is_camera else SERVER_EXECUTABLE}"]
