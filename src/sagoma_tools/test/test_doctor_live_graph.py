@@ -9,7 +9,7 @@ import pytest
 from capture_rig.rig import Rig, load_rig, save_rig
 from sagoma_bringup.graph import build_graph
 from sagoma_tools.doctor.findings import Severity
-from sagoma_tools.doctor.graph.graph_checks import examine_graph
+from sagoma_tools.doctor.graph import examine_graph
 from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
 from sagoma_tools.graph.background_training import learn_backgrounds
 from sagoma_tools.graph.process_group import ProcessSettings

@@ -9,11 +9,11 @@ import pytest
 from rich.console import Console
 
 from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_tools.graph.foreign_nodes import places_of
 from sagoma_tools.graph.lifecycle_client import Transition, Verdict
 from sagoma_tools.graph.process_group import ProcessSettings
 from sagoma_tools.graph.processes import Exit, abandoned, owned_shared_memory, shared_memory_files
 from sagoma_tools.graph.ros_link import RosLink, settled
+from sagoma_tools.graph.running_nodes import places_of
 from sagoma_tools.graph.supervisor import GraphError, Supervisor, with_common_epoch
 
 
@@ -121,7 +121,7 @@ def test_only_camera_lost_is_an_error(supervise):
 def test_second_graph_of_the_same_names_is_refused_before_a_process_of_it_starts(
     supervise, monkeypatch, tmp_path, request
 ):
-    monkeypatch.setattr("sagoma_tools.graph.foreign_nodes.ENDING_S", 0.0)
+    monkeypatch.setattr("sagoma_tools.graph.running_nodes.ENDING_S", 0.0)
     first = supervise(tiny("hull_server"), camera("cam01"))
     first.configure()
     request.getfixturevalue("somebody_is_found")

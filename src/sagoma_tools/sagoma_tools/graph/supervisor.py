@@ -19,13 +19,13 @@ from sagoma_bringup.processes import ProcessSpec
 
 from .diagnostics_table import DiagnosticsTable
 from .errors import GraphError
-from .foreign_nodes import foreign_nodes, living_nodes, own_machine, places_of, run_already
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
 from .process_group import ProcessGroup, ProcessSettings
 from .processes import Child, ExitStatus, busy_machine
 from .restarts import Death, Restarter, RestartPolicy, Return, exit_reason
 from .restored_state import LastBody, reads_file, with_kept_backgrounds
 from .ros_link import RosLink
+from .running_nodes import foreign_nodes, living_nodes, own_machine, places_of, run_already
 
 FRESH = State.UNCONFIGURED.value
 STOP_TIMEOUT_S = 5.0
