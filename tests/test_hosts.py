@@ -152,12 +152,7 @@ def said(needs_namespaces, tmp_path_factory):
         ("missing peer", AWAY_ADDRESS, "peers.missing", "10.66.0.99"),
         ("no multicast", AWAY_ADDRESS, "multicast.blocked", "does not arrive here"),
         ("firewall", AWAY_ADDRESS, "firewall.drops", "UDP 8150 to 8399"),
-        (
-            "two servers",
-            "hull_server",
-            "node.duplicate",
-            "2 nodes call themselves /hull_server (here, on another machine)",
-        ),
+        ("two servers", "hull_server", "node.duplicate", "themselves /hull_server (here, on another machine)"),
         ("profile", AWAY_ADDRESS, "profile.differs", "other.xml"),
         ("vanished", AWAY, "node.missing", "its machine vanished"),
         ("vanished", AWAY_ADDRESS, "answer.none", "does not answer"),
