@@ -1,5 +1,5 @@
-import math
 import os
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -41,8 +41,8 @@ def somebody_is_found(monkeypatch):
 
 @pytest.fixture(autouse=True)
 def _commands_take_no_time(monkeypatch):
-    """No command says what it is at, however busy the machine: what stands on stderr is what was wrong."""
-    monkeypatch.setattr("sagoma_tools.progress_line.SILENT_S", math.inf)
+    """No command logs its progress, however busy the machine: what stands on stderr is what was wrong."""
+    monkeypatch.setattr("sagoma_tools.progress_line.LOG_EVERY_S", threading.TIMEOUT_MAX)
 
 
 @pytest.fixture()

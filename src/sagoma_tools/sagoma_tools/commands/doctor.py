@@ -18,7 +18,7 @@ from ..doctor.graph import LIVE_S, examine_graph
 from ..doctor.hosts import PORT, examine_hosts, serve
 from ..doctor.machine import examine_machine
 from ..doctor.rig import examine_rig
-from ..progress_line import until_stopped
+from ..progress_line import doing, until_stopped
 
 DESCRIPTION = (
     "Examine this machine; with --rig also a rig and its calibration, with --live also the running graph, with "
@@ -68,7 +68,9 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("no parameter file is given", where="doctor camera", remedy="Write: sagoma doctor camera FILE")
     if args.answer:
         return answer()
+    doing("examining")
     findings = list(examined(args))
+    until_stopped()
     status = exit_status(findings, args.strict)
     if args.json:
         listed = [finding.as_dict() for finding in findings]
@@ -82,7 +84,7 @@ def answer() -> int:
     """Answer the doctor of other machines until Ctrl-C."""
     with StopOnSignal() as stop:
         text = f"answering `sagoma doctor --host` on UDP port {PORT}; Ctrl-C ends it"
-        until_stopped(text)
+        until_stopped()
         serve(stop, ready=lambda: print(text, flush=True))
     return 0
 

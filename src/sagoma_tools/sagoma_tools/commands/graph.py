@@ -90,7 +90,7 @@ def up(args: argparse.Namespace) -> int:
         page_of(args) if args.view else nullcontext(),
     ):
         recorder = bring_up(supervisor, args.record, stop, report_failure)
-        until_stopped("running")
+        until_stopped()
         watch(supervisor, console, stop, args.seconds)
         doing("stopping the nodes")
         supervisor.suspend()
