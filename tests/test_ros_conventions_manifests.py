@@ -12,7 +12,6 @@ ROOT = Path(__file__).parents[1]
 SOURCES = ROOT / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
 KEYS = {
-    "cryptography": "python3-cryptography",
     "cv2": "python3-opencv",
     "gi": "python3-gi",
     "hypothesis": "python3-hypothesis",

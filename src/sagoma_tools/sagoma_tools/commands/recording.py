@@ -109,7 +109,7 @@ def record(args: argparse.Namespace) -> int:
             recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
             recorder.follow_graph()
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
-        until_stopped("recording")
+        until_stopped()
         stop.wait(args.seconds)
         doing("closing the bag")
         configuration = read_configuration(link.node, sorted(our_nodes(link.node)), PARAMETERS_TIMEOUT_S)
