@@ -10,7 +10,7 @@ import psutil
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from mocap_packets.thinning import EVERY_FRAME, Thinning
+from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_ros.qos import LATCHED
 from sagoma_ros.thinning import TOPIC, read_thinning
 
@@ -23,14 +23,14 @@ class RuleHistory:
     """The rules of thinning that were told, each with the time and the words that said why; any thread may ask."""
 
     def __init__(self) -> None:
-        self._told: list[tuple[float, Thinning, str]] = []
+        self._told: list[tuple[float, FrameDecimation, str]] = []
 
-    def take(self, now_s: float, rule: Thinning, text: str) -> None:
+    def take(self, now_s: float, rule: FrameDecimation, text: str) -> None:
         """Take a rule that was told."""
         self._told.append((now_s, rule, text))
 
     @property
-    def newest(self) -> tuple[Thinning, str]:
+    def newest(self) -> tuple[FrameDecimation, str]:
         """The rule in force, and why; every frame before any was told."""
         return self._told[-1][1:] if self._told else (EVERY_FRAME, "")
 
