@@ -140,7 +140,7 @@ class SilhouettePipeline:
             self._certainty.note(self._distance[box.slices], raw, kept, shadow, marked)
         if self._colours is not None and shows_scene:
             nobody = None if self.moved is None else self.moved.seen_by_nobody
-            self._colours.learn(image, person, box, nobody, now_ns)
+            self._colours.learn(image, marked, box, nobody, now_ns)
         levels = person
         if self._attenuation is not None:
             levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))

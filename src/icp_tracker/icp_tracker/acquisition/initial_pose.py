@@ -19,7 +19,7 @@ from stick_figure.kinematics import inverse
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
 
-from .body_sizes import BodyEstimate, LimbGirths
+from .body_sizes import BodyEstimate
 
 KEYS = ("torso_position", "heading", "torso_rotation", "angles", "body")
 NEIGHBOUR_FRAMES = 5
@@ -30,14 +30,13 @@ NEIGHBOUR_FRAMES = 5
 class InitialPose:
     """A first pose with the body it is meant for, or the reason why there is none yet.
 
-    estimate : how sure the sizes of ``body`` are, where they were measured; girths : how thick its limbs are, likewise.
+    estimate : how sure the sizes of ``body`` are, where they were measured.
     """
 
     pose: Pose | None = None
     body: Body | None = None
     reason: str = ""
     estimate: BodyEstimate | None = None
-    girths: LimbGirths | None = None
 
 
 class PoseSource(Protocol):
