@@ -99,7 +99,7 @@ def test_nothing_is_left_of_a_drill_that_was_killed(needs_namespaces):
 
 def inside_with_support(script, *words):
     """Lines that a script of tests/support prints in namespaces of its own; it ends well."""
-    search = [ROOT / "bench", ROOT / "tests/support", ROOT / "src/sagoma_tools/test"]
+    search = [ROOT / "tests/support", ROOT / "src/sagoma_tools/test"]
     path = os.pathsep.join([*map(str, search), *filter(None, [os.environ.get("PYTHONPATH")])])
     with inside([str(ROOT / "tests/support" / script), *words], {"PYTHONPATH": path}) as process:
         lines = process.stdout.read().splitlines()

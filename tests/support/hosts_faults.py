@@ -1,4 +1,4 @@
-"""Run by bench/namespaces.py's `inside`: a graph of two camera hosts, a fault of the network, and what the doctor says.
+"""Run by namespaces.py's `inside`: a graph of two camera hosts, a fault of the network, and what the doctor says.
 
 hosts_faults.py FOLDER FAULT ... ; of each fault a line: its name, a tab, and what `sagoma doctor --json` prints.
 """

@@ -1,4 +1,4 @@
-"""Run by bench/namespaces.py's `inside`: footage of three cameras on three hosts, the last one started seconds later.
+"""Run by namespaces.py's `inside`: footage of three cameras on three hosts, the last one started seconds later.
 
 hosts_footage.py FOLDER ; two lines of JSON: what `sagoma up --only cam01` says without a common beginning, with its
 status; and the frame sets of the server once the late host takes part, each with the cameras that it lacks.
@@ -23,7 +23,7 @@ SERVER, FPS, CLIP_S = "server", 10.0, 3.0
 BEGIN_S, LATE_S = 20.0, 5.0  # the first hosts have loaded by then, on a busy machine too; the last one starts later
 WHOLE_SETS, PATIENCE_S = 30, 120.0
 UP = [sys.executable, "-m", "sagoma_tools.cli", "up"]
-LISTENER = Path(__file__).resolve().parents[2] / "bench/hosts_listener.py"
+LISTENER = Path(__file__).resolve().parents[2] / "tests/support/hosts_listener.py"
 
 
 def main(folder):

@@ -25,6 +25,10 @@ from stick_figure.pose import Pose
 
 from .clips import FPS, Clip, SpreadPoints
 
+SETTLED = 10
+"""Frames at the start of a clip that do not count: the first pose is the true one."""
+BOUND_EVERY = 8
+"""The bound takes new information at every so many frames: it changes slowly (a bound 1 % too low)."""
 POSE = slice(0, 24)
 MOTION = DampedVelocity()
 """The filter's model as it comes: how lively a motion the bound allows."""

@@ -1,13 +1,12 @@
-"""How well, how far down and how fast boards are found: renders with known corners, noise of 2.5 grey levels.
-
-python bench/boards.py [--quick]
+"""How well, how far down and how fast boards are found: renders with known corners, noise of 2.5 grey levels
+(of bench/calibration.py).
 """
 
 from __future__ import annotations
 
 import time
 
-from report import Table, execute, finish, parser
+from report import Table
 
 import cv2
 import numpy as np
@@ -116,9 +115,8 @@ def _print(title: str, rows: list[dict]) -> None:
         table.row(*row.values())
 
 
-def main() -> None:
-    """Print the tables and the line of JSON."""
-    quick = parser(__doc__, quick="one blur, one tilt").parse_args().quick
+def board_figures(quick: bool) -> dict[str, list[dict]]:
+    """Print the tables; return them."""
     tables = {
         "accuracy": accuracy((1.0,) if quick else (0.5, 1.0, 2.0)),
         "grazing": grazing((80,) if quick else (60, 70, 75, 80, 82), (16,) if quick else (24, 16, 12, 8)),
@@ -126,8 +124,4 @@ def main() -> None:
     }
     for title, rows in tables.items():
         _print(title, rows)
-    finish(tables)
-
-
-if __name__ == "__main__":
-    execute(main)
+    return tables

@@ -1,7 +1,7 @@
 """Joins pairs of network interfaces, and delays, loses and duplicates what passes: for kernels without netem.
 
-    python bench/link_emulator.py [--seed N]         # in a network namespace, with the right to open packet sockets
-    python bench/link_emulator.py --no-offload eth0  # let the kernel write this interface's checksums itself, and end
+    python tests/support/link_emulator.py [--seed N]  # in a network namespace
+    python tests/support/link_emulator.py --no-offload eth0  # the kernel writes its checksums
 
 Every line on standard input is an order, as JSON: {"a": INTERFACE, "b": INTERFACE, "condition": null or {"delay_ms",
 "jitter_ms", "loss", "duplicate"}}; null parts the two. Each direction of a pair is a queue: packets leave in order, at

@@ -1,6 +1,6 @@
 """The witness on the server of bench/hosts.py: prints every frame set of the hull server, and which cameras are known.
 
-    python bench/hosts_listener.py CAMERA ...
+    python tests/support/hosts_listener.py CAMERA ...
 
 Lines of JSON on standard output, each with ``at_s``, the machine's monotonic clock: {"stamp_ns", "missing",
 "spread_ms", "received_ms"} for a frame set (received: from the earliest stamp until the set was closed), {"known":

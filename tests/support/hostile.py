@@ -1,38 +1,23 @@
-"""Sends hostile messages on every topic and service of a running graph, and shows what they do to it.
+"""A running graph under hostile messages: sends them on every topic and service, and observes their effects.
 
 The whole graph runs on footage of the virtual studio, every node a process. Topics and services are those that the
-graph has (introspection), so new ones are attacked too. A row an attack, sent on every topic that it applies to:
-
-sent        messages, on how many topics
-alive       answers of the filter after it come at once / after so many seconds; "no": none within 20 s
-state       what the filter says of the person then
-memory      MiB of all processes before and after, and the largest growth of one
-counted     counters of the nodes' diagnostics that have risen: where the attack was noticed
-died        processes that ended
-
-    python bench/hostile.py [--only TEXT] [--domain 167] [--markdown]
+graph has (introspection), so new ones are attacked too.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 import struct
-import sys
-import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from report import Table, parser
-
 import numpy as np
-from hostile_messages import Attack, attacks, requests, with_stamp
+from hostile_messages import Attack, requests, with_stamp
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -63,22 +48,11 @@ SERVICES_LEFT_ALONE = ("change_state",)  # to stop a node is what it is for; a t
 
 @dataclass
 class Effect:
-    """What an attack did. memory in MiB, by process."""
+    """Effect of an attack: seconds until the filter answers again (NaN: never), risen counters, ended processes."""
 
-    name: str
-    sent: int = 0
-    topics: int = 0
     recovered_s: float = float("nan")
-    state: str = ""
-    before: Mapping[str, float] = field(default_factory=dict)
-    after: Mapping[str, float] = field(default_factory=dict)
     counted: Mapping[str, int] = field(default_factory=dict)
     died: tuple[str, ...] = ()
-
-    @property
-    def growth(self) -> tuple[float, str]:
-        """The largest growth of a process, and whose."""
-        return max(((self.after.get(name, 0.0) - mib, name) for name, mib in self.before.items()), default=(0.0, ""))
 
 
 class Target:
@@ -136,10 +110,6 @@ class Target:
                     break
                 time.sleep(0.05)
 
-    def memory(self) -> dict[str, float]:
-        """Return the resident MiB of each process."""
-        return {label: used.resident_mib for label, used in self.supervisor.processes.usage().items()}
-
     def counters(self) -> Counter[str]:
         """Return every whole number in the nodes' diagnostics."""
         found: Counter[str] = Counter()
@@ -156,15 +126,15 @@ class Target:
 
 
 @contextmanager
-def running_graph(folder: Path, domain: int, server: str = THREE_PROCESSES, cameras: int = 2) -> Iterator[Target]:
+def running_graph(folder: Path, domain: int) -> Iterator[Target]:
     """A graph that tracks the studio's person until the block ends."""
     session = folder / "session"
     if not session.exists():
         body, look = Body.from_stature(1.75), RenderSettings(seed=17)
-        write_session(session, ring(cameras, True), body, fps=FPS, seconds=SECONDS, motion="t_pose_only", settings=look)
+        write_session(session, ring(2, True), body, fps=FPS, seconds=SECONDS, motion="t_pose_only", settings=look)
     settings = {"icp_tracker.bodies.folder": str(folder / "bodies"), "hull_server.mesh.folder": str(folder / "meshes")}
     graph = build_graph(session=session, loop=True, settings={**settings, "hull_server.thin_out": False})
-    with Supervisor(graph, folder / "run", ProcessSettings(server, domain)) as supervisor:
+    with Supervisor(graph, folder / "run", ProcessSettings(THREE_PROCESSES, domain)) as supervisor:
         supervisor.configure()
         supervisor.activate()
         with RosLink("hostile", domain_id=domain) as link:
@@ -211,10 +181,8 @@ class Attacker:
     def send(self, attack: Attack) -> Effect:
         """Send it on every topic that it applies to, and see what it does."""
         target = self._target
-        effect = Effect(attack.name, before=target.memory())
         counters, publishers = target.counters(), self._open()
         for topic, valid in self._valid.items():
-            sent = 0
             for number in range(attack.repeat):
                 began_s = time.monotonic()
                 try:
@@ -225,11 +193,8 @@ class Attacker:
                     publishers[topic].publish(message)
                 except (AssertionError, OverflowError, UnicodeEncodeError):
                     break  # the message type itself refuses such a value
-                sent += 1
                 time.sleep(max(1.0 / attack.per_second - (time.monotonic() - began_s), 0.0))
-            effect.sent += sent
-            effect.topics += sent > 0
-        effect = self._judge(effect, counters)
+        effect = self._judge(counters)
         for publisher in publishers.values():
             target.link.node.destroy_publisher(publisher)
         return effect
@@ -249,7 +214,6 @@ class Attacker:
     def call(self) -> Effect:
         """Send hostile requests to every service."""
         target = self._target
-        effect = Effect("services: hostile requests", before=target.memory())
         counters = target.counters()
         for name, (kind, *_) in target.link.node.get_service_names_and_types():
             srv = message_class(kind)
@@ -258,64 +222,13 @@ class Attacker:
                     continue
                 with suppress(AssertionError, UnicodeEncodeError, OverflowError):
                     call_all(target.link.node, srv, {name: request}, CALL_TIMEOUT_S)
-                    effect.sent += 1
-            effect.topics += 1
-        return self._judge(effect, counters)
+        return self._judge(counters)
 
-    def _judge(self, effect: Effect, counters: Counter[str]) -> Effect:
+    def _judge(self, counters: Counter[str]) -> Effect:
         target = self._target
-        effect.recovered_s = target.wait_for_answers()
+        recovered_s = target.wait_for_answers()
         target.wait_for_reports()
         target.wait_for_tracking(ALIVE_TIMEOUT_S)
-        effect.state, effect.after, effect.died = target.state(), target.memory(), target.dead()
         risen = target.counters() - counters
-        effect.counted = {key: n for key, n in risen.items() if any(word in key for word in COUNTERS)}
-        return effect
-
-
-def show(effects: Iterator[Effect], markdown: bool) -> bool:
-    """Print a row an attack; return whether all was well."""
-    columns = "message:<28 | sent:>6 | topics:>6 | alive:>7 | state:<24 | MiB before:>10 | MiB after:>9 | most:<26"
-    table = Table(columns + " | counted:<60 | died:<12", markdown=markdown)
-    well = True
-    for effect in effects:
-        growth, whose = effect.growth
-        counted = ", ".join(f"{key} {n}" for key, n in sorted(effect.counted.items(), key=lambda item: -item[1])[:6])
-        alive = "no" if np.isnan(effect.recovered_s) else f"{effect.recovered_s:.1f} s"
-        before, after = sum(effect.before.values()), sum(effect.after.values())
-        most = f"{whose} {growth:+.0f}"
-        died = ", ".join(effect.died) or "none"
-        table.row(
-            *(effect.name, effect.sent, effect.topics, alive, effect.state[:24], f"{before:.0f}", f"{after:.0f}", most),
-            *(counted or "nothing", died),
-        )
-        well &= alive != "no" and not effect.died
-    return well
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the drill; 0 when the graph lived through all of it."""
-    made = parser(__doc__)
-    made.add_argument("--only", default="", help="attacks whose name holds this text")
-    made.add_argument("--domain", type=int, default=int(os.environ.get("ROS_DOMAIN_ID", "0")) + 100)
-    made.add_argument("--server", default=THREE_PROCESSES)
-    made.add_argument("--markdown", action="store_true")
-    made.add_argument("--folder", type=Path, help="keep session and logs here")
-    args: argparse.Namespace = made.parse_args(argv)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        running_graph(args.folder or Path(folder), args.domain, args.server) as target,
-    ):
-        attacker = Attacker(target)
-        chosen = [attack for attack in attacks(time.time_ns) if args.only in attack.name]
-
-        def effects() -> Iterator[Effect]:
-            yield from map(attacker.send, chosen)
-            if not args.only or args.only in "services":
-                yield attacker.call()
-
-        return 0 if show(effects(), args.markdown) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        counted = {key: n for key, n in risen.items() if any(word in key for word in COUNTERS)}
+        return Effect(recovered_s, counted, target.dead())

@@ -1,13 +1,11 @@
-"""From unknown cameras to a tracked person: the whole set-up, on rendered footage, with the product's own commands.
-
-    python bench/setup_drill.py [FOLDER] [--cameras N] [--seconds S] [--quick]
+"""From unknown cameras to a tracked person: the whole set-up, on rendered footage, with the product's own commands
+(of bench/calibration.py).
 
 The virtual studio films boards, the empty room and a person (python -m virtual_studio setup). From these files alone
 `sagoma calibrate intrinsics` and `sagoma calibrate extrinsics` make the rig; silhouettes, hull, fit and filter then run
 in one process, as in `sagoma evaluate`. The truth is used for scoring only: lenses (focal length, principal point),
 camera centres and directions (nothing is aligned: the floor board defines the world, and the truth says where it lay),
 and the body: mean error of the 15 points over all frames, beside that with the true calibration.
-FOLDER (default output/setup_drill) is kept; footage that is there already is used again. The last line is JSON.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from report import Table, execute, finish, parser
+from report import Table
 
 import numpy as np
 
@@ -38,20 +36,8 @@ def calibrate(folder: Path) -> None:
     """Footage to session/rig.yaml, by the commands that a user gives. Raises InputError where one fails."""
     lenses, rig = folder / LENSES, folder / "session" / RIG_FILE
     _run("calibrate", "intrinsics", folder / "intrinsics", "--board", folder / "board.yaml", "--output", lenses)
-    _run(
-        "calibrate",
-        "extrinsics",
-        "--intrinsics",
-        lenses,
-        "--board",
-        folder / "floor_board.yaml",
-        "--floor",
-        folder / "floor",
-        "--moving",
-        folder / "moving",
-        "--output",
-        rig,
-    )
+    pictures = ("--floor", folder / "floor", "--moving", folder / "moving", "--board", folder / "floor_board.yaml")
+    _run("calibrate", "extrinsics", "--intrinsics", lenses, *pictures, "--output", rig)
 
 
 def body_scores(folder: Path) -> tuple[Scores, Scores]:
@@ -100,23 +86,14 @@ def report(cameras: list[CameraErrors], own: Scores, exact: Scores) -> dict[str,
     }
 
 
-def main() -> None:
-    """Film, calibrate, track, score."""
-    given = parser(__doc__, quick="fewer places and frames of the boards")
-    given.add_argument("folder", nargs="?", type=Path, default=Path("output/setup_drill"))
-    given.add_argument("--cameras", type=int, default=6, help="in all, the last one on the ceiling (default: 6)")
-    given.add_argument("--seconds", type=float, help="length of the session (default: 6; quick: 3)")
-    args = given.parse_args()
-    seconds, began = args.seconds or (3.0 if args.quick else 6.0), time.monotonic()
-    if not (args.folder / "setup.yaml").is_file():
-        words = [str(args.folder), "--cameras", str(args.cameras), "--seconds", str(seconds)]
-        if film(["setup", *words] + ["--quick"] * args.quick) != 0:
+def drill(folder: Path, cameras: int, seconds: float, quick: bool) -> dict[str, object]:
+    """Film (unless the footage is there), calibrate, track, score."""
+    began = time.monotonic()
+    if not (folder / "setup.yaml").is_file():
+        words = [str(folder), "--cameras", str(cameras), "--seconds", str(seconds)]
+        if film(["setup", *words] + ["--quick"] * quick) != 0:
             raise SystemExit(2)
-    calibrate(args.folder)
-    found, truth = load_rig(args.folder / "session" / RIG_FILE), load_rig(args.folder / TRUTH_RIG_FILE)
-    figures = report(camera_errors(found, truth, read_truth_floor(args.folder)), *body_scores(args.folder))
-    finish({**figures, "took_s": round(time.monotonic() - began)})
-
-
-if __name__ == "__main__":
-    execute(main)
+    calibrate(folder)
+    found, truth = load_rig(folder / "session" / RIG_FILE), load_rig(folder / TRUTH_RIG_FILE)
+    figures = report(camera_errors(found, truth, read_truth_floor(folder)), *body_scores(folder))
+    return {**figures, "took_s": round(time.monotonic() - began)}

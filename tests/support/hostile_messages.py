@@ -1,4 +1,4 @@
-"""Hostile messages for bench/hostile.py: for any message type of a graph, what a broken or malicious sender may send.
+"""Hostile messages: for any message type of a graph, what a broken or malicious sender may send.
 
 Attacks are made of a valid message of the topic where one was heard, else of an empty one. Those of bytes are sent as
 they are (rclpy publishes serialized bytes): a receiver's middleware meets them first.
@@ -19,7 +19,6 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
 
 MIB = 1 << 20
-LONG_TEXT = "x" * (4 * MIB)
 BOMB_PX = 60_000
 YAML_BOMB = "a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "\n".join(
     f"{name}: &{name} [{', '.join(['*' + before] * 9)}]"
@@ -49,34 +48,18 @@ def attacks(now_ns: Callable[[], int]) -> list[Attack]:
         return lambda valid, rng: with_stamp(valid, max(now_ns() + round(offset_s * 1e9), 0))
 
     return [
-        Attack("no bytes", lambda valid, rng: b""),
-        Attack("a lead-in alone", lambda valid, rng: b"\0\1\0\0"),
         Attack("cut in the middle", lambda valid, rng: _cut(serialize_message(valid))),
         Attack("random bytes", lambda valid, rng: b"\0\1\0\0" + rng.bytes(600)),
-        Attack("flipped bytes", _flipped, repeat=20),
         Attack("lengths of 4 GiB", _lying),
-        Attack("16 MiB of zeros", lambda valid, rng: b"\0\1\0\0" + bytes(16 * MIB), repeat=2),
-        Attack("16 MiB of zeros, again", lambda valid, rng: b"\0\1\0\0" + bytes(16 * MIB), repeat=4),
         Attack("stamp in 100 years", stamped(3.15e9)),
-        Attack("stamp in 5 s", stamped(5.0)),
-        Attack("stamp of 1970", stamped(-1e18)),
-        Attack("negative stamp", lambda valid, rng: _with_seconds(valid, -(2**31))),
-        Attack("another frame", lambda valid, rng: _with_frame(valid, "mars")),
-        Attack("empty names", lambda valid, rng: _mapped(valid, lambda v: "" if isinstance(v, str) else v)),
-        Attack("texts of 4 MiB", lambda valid, rng: _mapped(valid, lambda v: LONG_TEXT if isinstance(v, str) else v)),
         Attack("NaN", lambda valid, rng: _mapped(valid, lambda v: float("nan") if isinstance(v, float) else v, np.nan)),
-        Attack("1e300", lambda valid, rng: _mapped(valid, lambda v: 1e300 if isinstance(v, float) else v, 1e30)),
-        Attack("empty arrays", _emptied),
         Attack("a million elements", _enlarged, repeat=2),
         Attack("picture bomb", _bomb),
         Attack("wrong encoding", _wrong_encoding),
-        Attack("sizes of 60000", _claimed),
         Attack("a cloud of a million points", _large_cloud, repeat=3),
         Attack("a cloud of NaN", _nan_cloud),
         Attack("YAML bomb", lambda valid, rng: _text(valid, YAML_BOMB)),
-        Attack("YAML 5000 deep", lambda valid, rng: _text(valid, "[" * 5000)),
         Attack("path traversal", lambda valid, rng: _text(valid, PATHS[int(rng.integers(len(PATHS)))]), repeat=12),
-        Attack("flood: 1000 a second", lambda valid, rng: valid, repeat=1000, per_second=1000.0),
     ]
 
 
@@ -85,14 +68,6 @@ def attacks(now_ns: Callable[[], int]) -> list[Attack]:
 
 def _cut(data: bytes) -> bytes:
     return data[: max(4, len(data) // 2)]
-
-
-def _flipped(valid: Any, rng: np.random.Generator) -> bytes:
-    data = bytearray(serialize_message(valid))
-    for place in rng.integers(4, max(len(data), 5), 8):
-        if place < len(data):
-            data[place] ^= int(rng.integers(1, 256))
-    return bytes(data)
 
 
 def _lying(valid: Any, rng: np.random.Generator) -> bytes:
@@ -112,21 +87,6 @@ def with_stamp(valid: Any, stamp_ns: int) -> Any:
     made = copy.deepcopy(valid)
     sec, made.header.stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
     made.header.stamp.sec = min(sec, 2**31 - 1)
-    return made
-
-
-def _with_seconds(valid: Any, seconds: int) -> Any:
-    made = with_stamp(valid, 0)
-    if made is not None:
-        made.header.stamp.sec = seconds
-    return made
-
-
-def _with_frame(valid: Any, frame_id: str) -> Any:
-    if not hasattr(valid, "header"):
-        return None
-    made = copy.deepcopy(valid)
-    made.header.frame_id = frame_id
     return made
 
 
@@ -154,14 +114,6 @@ def _map(message: Any, change: Callable[[Any], Any], element: float | None) -> b
             setattr(message, name, new)
             changed = True
     return changed
-
-
-def _emptied(valid: Any, rng: np.random.Generator) -> Any:
-    made, changed = copy.deepcopy(valid), False
-    for name, value in _sequences(made):
-        setattr(made, name, array.array(value.typecode) if isinstance(value, array.array) else [])
-        changed = True
-    return made if changed else None
 
 
 def _enlarged(valid: Any, rng: np.random.Generator) -> Any:
@@ -214,14 +166,6 @@ def _wrong_encoding(valid: Any, rng: np.random.Generator) -> Any:
         made.format, made.data = "rgb8; jpeg compressed bgr8", array.array("B", b"\xff\xd8\xff\xe0" + rng.bytes(500))
     else:
         return None
-    return made
-
-
-def _claimed(valid: Any, rng: np.random.Generator) -> Any:
-    if not (hasattr(valid, "width") and hasattr(valid, "height")):
-        return None
-    made = copy.deepcopy(valid)
-    made.width = made.height = BOMB_PX
     return made
 
 

@@ -52,10 +52,6 @@ class Clip:
         """The protocol's noise, m on each axis."""
         return SIGMA_OVER_HIPS * 2.0 * self.body.hip_width_ratio * self.body.half_shoulder_width
 
-    def cut(self, frames: int) -> Clip:
-        """The first frames."""
-        return Clip(self.name, self.body, self.poses[:frames])
-
 
 def studio_clip(name: str, seconds: float) -> Clip:
     """A motion of the virtual studio, from the end of its T-pose on."""
