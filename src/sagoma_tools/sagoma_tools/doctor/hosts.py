@@ -54,15 +54,11 @@ class RosSettings:
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> RosSettings:
         """Read them from environment variables."""
-        domain = environment.get("ROS_DOMAIN_ID", "")
-        reach = environment.get(RANGE_VARIABLE) or "SUBNET"
-        if environment.get("ROS_LOCALHOST_ONLY") == "1":
-            reach = "LOCALHOST"
-        peers = tuple(filter(None, environment.get(PEERS_VARIABLE, "").split(";")))
-        profile = Path(environment.get(PROFILE_VARIABLE, "")).name
-        return cls(
-            int(domain) if domain.isdigit() else 0, reach, peers, profile, environment.get("RMW_IMPLEMENTATION", "")
-        )
+        get = environment.get
+        domain, alone = get("ROS_DOMAIN_ID", ""), get("ROS_LOCALHOST_ONLY") == "1"
+        reach = "LOCALHOST" if alone else get(RANGE_VARIABLE) or "SUBNET"
+        peers, profile = tuple(filter(None, get(PEERS_VARIABLE, "").split(";"))), Path(get(PROFILE_VARIABLE, "")).name
+        return cls(int(domain) if domain.isdigit() else 0, reach, peers, profile, get("RMW_IMPLEMENTATION", ""))
 
     def __str__(self) -> str:
         peers = f", peers {', '.join(self.peers)}" if self.peers else ""
