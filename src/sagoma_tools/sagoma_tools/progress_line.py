@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 LOG_EVERY_S = 10.0
 
@@ -55,11 +55,12 @@ class ProgressLine:
         """Begin a step, as :func:`doing` does."""
         with self._lock:
             self.end()
-            columns = [TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn()]
-            columns[2:2] = [MofNCompleteColumn()] if total else []
+            text = TextColumn("{task.description}{task.fields[done]}", markup=False)
             console = Console(stderr=True, soft_wrap=True)  # what is printed meanwhile goes through it unchanged
-            progress = Progress(*columns, console=console, transient=True, redirect_stdout=sys.stdout.isatty())
-            task = progress.add_task(what, total=total)
+            shared = sys.stdout.isatty()
+            columns = text, BarColumn(), TimeElapsedColumn()
+            progress = Progress(*columns, console=console, transient=True, redirect_stdout=shared)
+            task = progress.add_task(what, total=total, done="")
             if console.is_terminal:
                 progress.start()
             else:
@@ -68,7 +69,9 @@ class ProgressLine:
             self._progress = progress
 
         def update(done: int, total: int | None = None) -> None:
-            progress.update(task, completed=done, total=total)
+            whole = total or progress.tasks[0].total
+            share = f" of {whole:.0f} ({100 * done / whole:.0f} %)" if whole else ""
+            progress.update(task, completed=done, total=total, done=f": {done}{share}")
 
         return update
 
@@ -82,17 +85,9 @@ class ProgressLine:
 
 
 def _log(progress: Progress, ended: threading.Event) -> None:
-    """Write a line of what is done to stderr now and then until it has ended."""
+    """Write to stderr what is done, how far it is and since when, now and then until it has ended."""
     began_s = time.monotonic()
     while not ended.wait(LOG_EVERY_S):
-        print(line(progress, time.monotonic() - began_s), file=sys.stderr, flush=True)
-
-
-def line(progress: Progress, passed_s: float) -> str:
-    """Return what is being done, how far it is, and since when."""
-    (task,) = progress.tasks
-    if task.total:
-        done = f": {task.completed:.0f} of {task.total:.0f} ({task.percentage:.0f} %),"
-    else:
-        done = f": {task.completed:.0f}," if task.completed else " ..."
-    return f"{task.description}{done} {passed_s:.0f} s"
+        (task,) = progress.tasks
+        passed_s = time.monotonic() - began_s
+        print(f"{task.description}{task.fields['done']}, {passed_s:.0f} s", file=sys.stderr, flush=True)

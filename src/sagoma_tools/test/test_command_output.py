@@ -40,7 +40,7 @@ def test_progress_on_a_terminal_goes_when_it_is_over_and_output_stays_whole(monk
         until_stopped()
         shown = screen.getvalue()
         print("running")
-    assert "tracking frames" in shown and "100/400" in shown and f"a result in {PATH}\n" in shown
+    assert "tracking frames: 100 of 400 (25 %)" in shown and f"a result in {PATH}\n" in shown
     assert screen.getvalue() == f"{shown}running\n"
 
 

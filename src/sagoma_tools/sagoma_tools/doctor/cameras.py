@@ -10,7 +10,7 @@ import socket
 import struct
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +30,7 @@ from sagoma_bringup.graph import camera_from_file
 from sagoma_ros.names import resolve_packages
 
 from .findings import Finding, check, error, examine, graded, note, ok, warning
-from .machine import examine_node_host
+from .machine import SUBJECT
 from .network import Interface, check_buffer, interface_to
 
 NODE_PARAMETERS = ("autostart",)  # of every node, not of the camera client's settings
@@ -78,18 +78,17 @@ def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) 
 
     open_it : take control of the camera, set it up as the client would, and report what it says.
     """
-    yield from examine("camera path", f"camera file {path}", path)
     try:
         file = read_file(path)
-    except InputError:
+    except InputError as problem:
+        invalid = error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy)
+        yield replace(invalid, subject=f"camera file {path}")
         return
     subject, settings = f"camera {file.name}", file.settings.aravis
     yield from examine("camera file", subject, file)
     if file.settings.source == "aravis":
         yield from examine("camera settings", subject, settings)
-        if not settings.address:
-            yield from examine("camera unnamed", subject)
-        else:
+        if settings.address:
             device = ask_camera(settings.address)
             yield from examine("camera network", subject, settings, device.interface)
             yield from examine("camera device", subject, settings, device)
@@ -97,7 +96,7 @@ def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) 
         if open_it:
             yield from examine("camera open", subject, file)
     if host_too:
-        yield from examine_node_host()
+        yield from examine("node host", SUBJECT)
 
 
 def read_file(path: Path) -> CameraFile:
@@ -106,16 +105,6 @@ def read_file(path: Path) -> CameraFile:
     values = {key: resolve_packages(value) for key, value in spec.parameters.items() if key not in NODE_PARAMETERS}
     settings = build_settings(CameraClientSettings, values, str(path))
     return CameraFile(path, spec.namespace.strip("/"), settings)
-
-
-@check("camera path")
-def check_file(path: Path) -> Finding | None:
-    """Whether the file can be read."""
-    try:
-        read_file(path)
-    except InputError as problem:
-        return error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy)
-    return None
 
 
 @check("camera file")
@@ -181,16 +170,9 @@ def check_background(file: CameraFile) -> Iterator[Finding]:
         yield warning("background.exposure_differs", text, learn)
 
 
-@check("camera unnamed")
-def check_address() -> Finding:
-    """A camera without address is found by broadcast, which the doctor does not send."""
-    text = "found by broadcast when the client starts; not asked here"
-    return note("camera.no_address", text, "Give aravis.address to have it examined.")
-
-
 @check("camera settings")
 def check_timing(settings: AravisSettings) -> Iterator[Finding]:
-    """Whether the exposure fits the frame rate, and which settings are left to the camera."""
+    """Whether the exposure fits the frame rate, which settings are left to the camera, and whether it can be asked."""
     exposure_us, rate = settings.exposure_us, settings.frame_rate
     if exposure_us > 0 and rate > 0:
         text = f"{exposure_us:g} us at {rate:g} frames a second (at most {1e6 / rate:.0f} us)"
@@ -200,6 +182,9 @@ def check_timing(settings: AravisSettings) -> Iterator[Finding]:
         if getattr(settings, key) < 0:
             remedy = "Set it: cameras lose their settings when they lose power."
             yield note("settings.left_to_camera", f"aravis.{key} is left as the camera has it", remedy)
+    if not settings.address:
+        text = "found by broadcast when the client starts; not asked here"
+        yield note("camera.no_address", text, "Give aravis.address to have it examined.")
 
 
 @check("camera settings")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 from functools import partial
 from typing import TypeVar
@@ -44,14 +44,7 @@ class Finding:
 
     def as_dict(self) -> dict[str, str]:
         """Return the finding as plain data for JSON."""
-        return {
-            "severity": self.severity.name.lower(),
-            "subject": self.subject,
-            "about": self.about,
-            "code": self.code,
-            "what": self.what,
-            "remedy": self.remedy,
-        }
+        return {**asdict(self), "severity": self.severity.name.lower(), "about": self.about}
 
 
 note, warning, error = (partial(Finding, severity) for severity in list(Severity)[1:])

@@ -31,8 +31,8 @@ from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.network_settings import PEERS_VARIABLE
 from ..graph.ros_link import RosLink, call_all, node_names, owners_of, settled
-from ..graph.running_nodes import machine_of
-from ..graph.topics import CAMERA_INFO_SUFFIX, DIAGNOSTICS_TOPIC, SILHOUETTE_SUFFIX, cameras_in
+from ..graph.running_nodes import own_machine, places_of
+from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
 from .network import domains_here
 
 OWN_NAME = "sagoma_doctor"
@@ -197,14 +197,15 @@ def collect_graph(seconds: float, expected: Sequence[str] = (), domain_id: int |
         states, trips = ask_states(node, sorted(lifecycle))
         rig_files = _ask_rig_files(node, sorted(states))
         threading.Event().wait(max(ends_s - time.monotonic(), 0.0))
-        machines, copies = _machines(node), Counter(node_names(node))
+        machines = {name: tuple(place.machine for place in places) for name, places in places_of(node).items()}
+        copies = Counter(node_names(node))
         names = sorted({*lifecycle, *(name for name in reports.names() if name.startswith("/"))})
         heard = sets.copy()
         span_s = 1e-9 * (heard[-1][1]["received_timestamp"] - heard[0][1]["received_timestamp"]) if heard else 0.0
         return GraphFacts(
             node.context.get_domain_id(),
             os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", ""),
-            (*machines.get(f"/{OWN_NAME}", ()), "")[0],
+            own_machine(node),
             tuple(
                 NodeFacts(n, states.get(n), copies[n], machines.get(n, ()), reports.report(n), trips.get(n, 0.0))
                 for n in names
@@ -286,16 +287,6 @@ def ask_states(node: Node, names: Iterable[str]) -> tuple[dict[str, str], dict[s
                 break
         node.destroy_client(client)
     return states, trips
-
-
-def _machines(node: Node) -> dict[str, tuple[str, ...]]:
-    """Return on which machines each node runs: several where nodes share a name."""
-    found: dict[str, tuple[str, ...]] = {}
-    for one in node.get_publishers_info_by_topic(DIAGNOSTICS_TOPIC):
-        name = f"{one.node_namespace.rstrip('/')}/{one.node_name}"
-        found[name] = (*found.get(name, ()), machine_of(one.endpoint_gid))
-    own = node.get_subscriptions_info_by_topic(DIAGNOSTICS_TOPIC)
-    return found | {f"/{OWN_NAME}": (machine_of(s.endpoint_gid),) for s in own if s.node_name == OWN_NAME}
 
 
 def _ask_rig_files(node: Node, names: Sequence[str]) -> dict[str, str]:

@@ -16,7 +16,7 @@ import select
 import socket
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,15 +54,11 @@ class RosSettings:
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> RosSettings:
         """Read them from environment variables."""
-        domain = environment.get("ROS_DOMAIN_ID", "")
-        reach = environment.get(RANGE_VARIABLE) or "SUBNET"
-        if environment.get("ROS_LOCALHOST_ONLY") == "1":
-            reach = "LOCALHOST"
-        peers = tuple(filter(None, environment.get(PEERS_VARIABLE, "").split(";")))
-        profile = Path(environment.get(PROFILE_VARIABLE, "")).name
-        return cls(
-            int(domain) if domain.isdigit() else 0, reach, peers, profile, environment.get("RMW_IMPLEMENTATION", "")
-        )
+        get = environment.get
+        domain, alone = get("ROS_DOMAIN_ID", ""), get("ROS_LOCALHOST_ONLY") == "1"
+        reach = "LOCALHOST" if alone else get(RANGE_VARIABLE) or "SUBNET"
+        peers, profile = tuple(filter(None, get(PEERS_VARIABLE, "").split(";"))), Path(get(PROFILE_VARIABLE, "")).name
+        return cls(int(domain) if domain.isdigit() else 0, reach, peers, profile, get("RMW_IMPLEMENTATION", ""))
 
     def __str__(self) -> str:
         peers = f", peers {', '.join(self.peers)}" if self.peers else ""
@@ -125,21 +121,6 @@ def _socket() -> socket.socket:
 
 def _question(size: int, port: int = 0, kind: bytes = UNICAST) -> bytes:
     return (kind + port.to_bytes(2, "big")).ljust(size - HEADERS, b"\0")
-
-
-def ask_settings(address: str, port: int = PORT, beside: int = 0) -> tuple[dict[str, Any], str] | None:
-    """Return what a machine tells of its settings, and our own address on that link; None when nothing answers.
-
-    beside : another port on which it is to answer from then on, for :func:`reaches`.
-    """
-    with _socket() as link:
-        link.settimeout(PATIENCE_S)
-        link.connect((address, port))
-        for _ in range(TRIES):
-            with contextlib.suppress(OSError, ValueError):  # nobody answers, or no doctor
-                link.send(_question(FULL_BYTES, beside))
-                return dict(json.loads(link.recv(65536))), str(link.getsockname()[0])
-    return None
 
 
 def hears_multicast(address: str, here: str, port_of_discovery: int, port: int = PORT) -> bool:
@@ -232,18 +213,24 @@ def ask_peer(address: str, port: int = PORT) -> Peer | None:
     """Return a machine's ROS settings beside ours, and whether its nodes are heard; None when nothing answers."""
     ours = RosSettings.of(os.environ)
     first = FIRST_PORT + DOMAIN_PORTS * ours.domain
-    try:
-        answer, here = ask_settings(address, port, first + UNUSED_PORT) or ({}, "")
-        nodes = [RosSettings(**{**node, "peers": tuple(node["peers"])}) for node in answer["nodes"]]
-        peer = Peer(tuple(nodes), tuple(answer["domains"]), ours, here, address)
-    except (KeyError, TypeError):  # nothing, or no doctor's answer
-        return None
+    with _socket() as link:
+        link.settimeout(PATIENCE_S)
+        link.connect((address, port))
+        for _ in range(TRIES):
+            try:
+                link.send(_question(FULL_BYTES, first + UNUSED_PORT))
+                told, here = json.loads(link.recv(65536)), str(link.getsockname()[0])
+                nodes = [RosSettings(**{**node, "peers": tuple(node["peers"])}) for node in told["nodes"]]
+                peer = Peer(tuple(nodes), tuple(told["domains"]), ours, here, address)
+                break
+            except (OSError, ValueError, KeyError, TypeError):  # nobody answers, or no doctor
+                continue
+        else:
+            return None
     if peer.node is None:
         return peer
     arrives = None if ours.reach in ALONE else hears_multicast(address, here, first, port)
-    return Peer(
-        peer.nodes, peer.domains, ours, here, address, arrives, reaches(address, SMALL_BYTES, first + UNUSED_PORT)
-    )
+    return replace(peer, multicast=arrives, port_open=reaches(address, SMALL_BYTES, first + UNUSED_PORT))
 
 
 @check("host")

@@ -36,11 +36,6 @@ def examine_machine(bags: Path) -> Iterator[Finding]:
     yield from examine("disk", SUBJECT, bags)
 
 
-def examine_node_host() -> Iterator[Finding]:
-    """Examine what every node needs of this machine."""
-    yield from examine("node host", SUBJECT)
-
-
 @check("machine")
 def check_software() -> Iterator[Finding]:
     """Python and ROS against the tested versions."""

@@ -6,7 +6,7 @@ import datetime
 import itertools
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from capture_rig.video_findings import VideoFacts, examine_video, session_findin
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.intrinsics.verdict import UNUSED_GOOD, UNUSED_USABLE
 
-from .findings import Finding, check, error, examine, graded, note, ok, warning
+from .findings import Finding, check, error, examine, graded, note, warning
 
 Array = npt.NDArray[np.float64]
 
@@ -94,10 +94,10 @@ class Footage:
 def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None) -> Iterator[Finding]:
     """Examine the rig file at ``path`` (the session's own by default) and the session's footage."""
     path = path or Path(session or ".") / "rig.yaml"
-    yield from examine("rig file", SUBJECT, path)
     try:
         rig = load_rig(path)
-    except InputError:
+    except InputError as problem:
+        yield replace(error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy), subject=SUBJECT)
         return
     view = RigView.of(rig, path, intrinsics)
     yield from examine("rig", SUBJECT, view)
@@ -107,16 +107,6 @@ def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None
         yield from examine("rig camera", f"camera {camera.name}", view, camera)
         if footage:
             yield from examine("footage", f"camera {camera.name}", footage[number])
-
-
-@check("rig file")
-def check_file(path: Path) -> Finding:
-    """Whether the rig file can be read and holds what a rig can have."""
-    try:
-        rig = load_rig(path)
-    except InputError as problem:
-        return error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy)
-    return ok("file", f"{path}: {len(rig.cameras)} cameras ({', '.join(rig.names)})")
 
 
 @check("rig")
@@ -164,7 +154,7 @@ def check_number(view: RigView) -> Finding:
     three = "Add one or two: a limb before the trunk has no outline of its own, and a faulty camera cannot be outvoted."
     at_least = ENOUGH_CAMERAS
     cases = (number < at_least, error, "too_few", few), (number == at_least, note, "three", three)
-    return graded("cameras", f"there are {number}", *cases)
+    return graded("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
 
 
 @check("rig")
