@@ -53,8 +53,7 @@ def truth_at(truth: Truth | None, frames: Sequence[int]) -> list[np.ndarray | No
     """Return the truth's points (15, 3) of each frame; None where it has none."""
     if truth is None:
         return [None] * len(frames)
-    row_of = {int(frame): row for row, frame in enumerate(truth.frames)}
-    return [truth.points_world[row_of[f]] if f in row_of else None for f in frames]
+    return [points if f in truth.frames else None for f, points in zip(frames, truth.points_at(frames), strict=True)]
 
 
 def draw_stills(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
