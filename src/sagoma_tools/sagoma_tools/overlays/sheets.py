@@ -18,13 +18,17 @@ CODECS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}
 SMALL_TEXT = 0.6  # of OpenCV's font: below, strokes two pixels wide run together
 
 
-def caption_bar(text: str, colour: tuple[int, int, int], width: int) -> np.ndarray:
-    """Return a bar (BAR_PX, width, 3) with a line of text, made smaller where it would not fit."""
-    font = cv2.FONT_HERSHEY_SIMPLEX
+def captioned(sheet: np.ndarray, text: str, sure: bool | None) -> np.ndarray:
+    """Return a sheet under a bar with a line of text, made smaller where it would not fit; sides are even, as codecs
+    need it. sure : whether what is drawn is tracked, which colours the text; None where nobody is."""
+    width, font = sheet.shape[1], cv2.FONT_HERSHEY_SIMPLEX
+    colour = GREY_BGR if sure is None else GOOD_BGR if sure else UNSURE_BGR
     needed = cv2.getTextSize(text, font, 0.8, 2)[0][0]
     scale = min(0.8, 0.8 * (width - 20) / max(needed, 1))
     bar = np.zeros((BAR_PX, width, 3), np.uint8)
-    return cv2.putText(bar, text, (10, 28), font, scale, colour, 1 if scale < SMALL_TEXT else 2, cv2.LINE_AA)
+    cv2.putText(bar, text, (10, 28), font, scale, colour, 1 if scale < SMALL_TEXT else 2, cv2.LINE_AA)
+    picture = np.vstack([bar, sheet])
+    return np.ascontiguousarray(picture[: picture.shape[0] // 2 * 2, : width // 2 * 2])
 
 
 def tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
@@ -37,12 +41,6 @@ def tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
 
     columns = max(range(1, count + 1), key=scale)
     return columns, scale(columns)
-
-
-def even_sides(picture: np.ndarray) -> np.ndarray:
-    """Return the picture with even sides, which codecs need."""
-    height, width = picture.shape[0] // 2 * 2, picture.shape[1] // 2 * 2
-    return np.ascontiguousarray(picture[:height, :width])
 
 
 class VideoFile:
