@@ -13,8 +13,9 @@ from capture_rig.errors import InputError
 
 GOOD_BGR, UNSURE_BGR, GREY_BGR = (110, 220, 110), (60, 190, 250), (170, 170, 170)
 MAX_WIDTH_PX, MAX_HEIGHT_PX, BAR_PX = 1920, 1080, 40
-CODECS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}
-"""Extension -> a codec that every OpenCV wheel can write: MPEG-4 plays in video programs, WebM in browsers."""
+CODECS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG", ".mkv": "FFV1"}
+"""Extension -> a codec that every OpenCV wheel can write: MPEG-4 plays in video programs, WebM in browsers, FFV1 is
+lossless (OpenCV, up to 4.8, puts it into .mkv but not into .mp4)."""
 SMALL_TEXT = 0.6  # of OpenCV's font: below, strokes two pixels wide run together
 
 
@@ -44,7 +45,7 @@ def tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
 
 
 class VideoFile:
-    """A video that appears under its name when it is whole; all pictures (H, W, 3) BGR have the size of the first.
+    """A video that appears under its name when it is whole; pictures, (H, W, 3) BGR or (H, W), are of one shape.
 
     The extension chooses the codec (CODECS). Raises InputError for another one, and where it cannot be written.
     """
@@ -62,7 +63,8 @@ class VideoFile:
         if self._writer is None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             code = cv2.VideoWriter.fourcc(*CODECS[self.path.suffix])
-            self._writer = cv2.VideoWriter(str(self._beside), code, self._fps, (picture.shape[1], picture.shape[0]))
+            size, is_colour = (picture.shape[1], picture.shape[0]), picture.ndim == 3
+            self._writer = cv2.VideoWriter(str(self._beside), code, self._fps, size, is_colour)
             if not self._writer.isOpened():
                 remedy = "Install an OpenCV with FFmpeg, or name another folder."
                 raise InputError("a video cannot be written", where=str(self.path), remedy=remedy)
