@@ -254,12 +254,14 @@ class BagWriter:
             yield
         except OSError as raised:
             error = raised
-            self.counts = {**dict.fromkeys(self.counts, 0), **self._synced}  # what is certain
-        error = error or self._file.failure
-        if error is not None and self.failure is None:
-            what = f"the recording has ended ({error.strerror}); {self._saved()}"
-            remedy = "Free space on that disk, or choose another, and record anew."
-            self.failure = InputError(what, where=str(self.folder), remedy=remedy)
+        with self._lock:
+            if error is not None:
+                self.counts = {**dict.fromkeys(self.counts, 0), **self._synced}  # what is certain
+            error = error or self._file.failure
+            if error is not None and self.failure is None:
+                what = f"the recording has ended ({error.strerror}); {self._saved()}"
+                remedy = "Free space on that disk, or choose another, and record anew."
+                self.failure = InputError(what, where=str(self.folder), remedy=remedy)
 
     def _unfinished(self, reason: str | None) -> InputError:
         what = f"the bag's end cannot be written ({reason}); {self._saved()}"
