@@ -1,6 +1,7 @@
 """A recording survives kill -9, a power cut and a full disk with at most a second lost."""
 
 import contextlib
+import errno
 import os
 import select
 import shutil
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import types
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +23,7 @@ from capture_rig.errors import InputError
 from sagoma_ros.qos import LATCHED
 from sagoma_tools.recording.reader import open_bag, read_messages, read_provenance
 from sagoma_tools.recording.recovery import recover_bag
-from sagoma_tools.recording.writer import RESERVE_BYTES, SYNC_S, BagWriter
+from sagoma_tools.recording.writer import CHUNK_BYTES, RESERVE_BYTES, SYNC_S, BagWriter
 
 TOPIC, TEXT = "/icp/body", "std_msgs/msg/String"
 WRITER_TO_KILL = """
@@ -146,6 +148,26 @@ def test_a_disk_that_is_full_even_at_the_end_says_how_to_go_on(small_disk: Path)
         writer.close()
     (small_disk / "other").unlink()
     assert recover_bag(small_disk / "bag", small_disk.parent / "mended").counts == {TOPIC: writer.counts[TOPIC]}
+
+
+def test_a_disk_that_fails_ends_the_bag_and_what_was_there_is_recovered(tmp_path: Path, monkeypatch) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    writer.add_topic(TOPIC, TEXT)
+    for number in range(6):  # the first chunk is closed by its size
+        writer.write(TOPIC, number, b"\0\1\0\0" + bytes(CHUNK_BYTES // 4))
+    failing = types.SimpleNamespace(write=fail, fileno=writer._file._file.fileno, close=writer._file._file.close)
+    monkeypatch.setattr(writer._file, "_file", failing)
+    with pytest.raises(InputError, match="the recording has ended"):
+        for number in range(6, 20):
+            writer.write(TOPIC, number, RECORDED + bytes(CHUNK_BYTES // 4))
+    with pytest.raises(InputError, match=r"end cannot be written .*sagoma recover"):
+        writer.close()
+    recovered = recover_bag(tmp_path / "bag", tmp_path / "mended").counts[TOPIC]
+    assert writer.counts[TOPIC] <= recovered and 4 <= recovered <= 6
+
+
+def fail(data: bytes) -> int:
+    raise OSError(errno.EIO, "Input/output error")
 
 
 def test_record_on_a_full_disk_says_what_was_saved_and_ends_with_status_1(small_disk: Path, link) -> None:

@@ -30,7 +30,7 @@ class Trial(HeldRate):
     def tick(self):
         self.now_s += 0.05
         while self._told and self._told[0][0] <= self.now_s:
-            self.history.take(*self._told.pop(0))
+            self.history.add(*self._told.pop(0))
         return self.now_s
 
 

@@ -126,7 +126,7 @@ class LiveCamera:
         self.state: LiveState = state_of(watcher, "waiting for images", 0, 0)
         self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
         self._worker: Worker[_Pair] = Worker(
-            "board watcher", self._look, depth=1, on_drop=self._count_drop, on_error=self._fail
+            "board watcher", self._process, depth=1, on_drop=self._count_drop, on_error=self._fail
         )
         kind = CompressedImage if topic.endswith(COMPRESSED) else Image
         self._subscription = node.create_subscription(kind, topic, self._on_image, SILHOUETTE_SUBSCRIBER)
@@ -148,19 +148,19 @@ class LiveCamera:
         self.error = error
         self.changed.set()
 
-    def _look(self, pair: _Pair) -> None:
-        """Look at one image, on the worker's thread."""
+    def _process(self, pair: _Pair) -> None:
+        """Search one image, on the worker's thread."""
         try:
             image, before = decode_image(pair.image, self._topic), decode_image(pair.before, self._topic)
         except InputError as error:  # one bad message: the next may be better
-            self._tell(str(error))
+            self._update_state(str(error))
             return
         seen = self._watcher.process(image, before, pair.number)
-        self._tell("taken" if seen.taken else seen.reason)
+        self._update_state("taken" if seen.taken else seen.reason)
         if self._preview.get_subscription_count():
             self._publish_preview(pair.image, image, seen)
 
-    def _tell(self, last: str) -> None:
+    def _update_state(self, last: str) -> None:
         self.state = state_of(self._watcher, last, self.received, self.dropped)
         self.changed.set()
 

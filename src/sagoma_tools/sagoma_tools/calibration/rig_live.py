@@ -67,7 +67,7 @@ class MotionRecorder:
         self.error: Exception | None = None
         self.examined = self.received = 0
         self._worker: Worker[FrameSet[Image]] = Worker(
-            "board finder", self._look, depth=1, on_drop=lambda: None, on_error=self._fail
+            "board finder", self._process, depth=1, on_drop=lambda: None, on_error=self._fail
         )
         self._subscriptions = [
             node.create_subscription(Image, topic, partial(self._on_image, name), SILHOUETTE_SUBSCRIBER)
@@ -108,8 +108,8 @@ class MotionRecorder:
             if len(closed.frames) > 1:
                 self._worker.put(closed)
 
-    def _look(self, frames: FrameSet[Image]) -> None:
-        """Look at one frame set, on the worker's thread."""
+    def _process(self, frames: FrameSet[Image]) -> None:
+        """Search one frame set, on the worker's thread."""
         frame_index = self.examined
         jobs = {n: self._pool.submit(self._find, n, frame_index, message) for n, message in frames.frames.items()}
         found = {name: job.result() for name, job in jobs.items()}
@@ -262,14 +262,14 @@ def grab(node: Node, topics: Mapping[str, str], count: int, timeout_s: float = S
     pictures: dict[str, list[np.ndarray]] = {name: [] for name in topics}
     changed = threading.Condition()
 
-    def take(name: str, message: Image) -> None:
+    def add(name: str, message: Image) -> None:
         with changed:
             if len(pictures[name]) < count:
                 pictures[name].append(decode_image(message, topics[name]))
                 changed.notify_all()
 
     subscriptions = [
-        node.create_subscription(Image, topic, partial(take, name), SILHOUETTE_SUBSCRIBER)
+        node.create_subscription(Image, topic, partial(add, name), SILHOUETTE_SUBSCRIBER)
         for name, topic in topics.items()
     ]
     with changed:

@@ -104,20 +104,13 @@ class Track:
         return self.frames, self.points_world, self.covariance, self.angles, self.states, self.parts
 
 
-def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Track:
-    """Read the first person's track from a bag; ``frame_of_stamp`` converts a stamp in ns into a frame number.
-
-    Raises InputError when the bag holds none.
-    """
-    return tracks_from_bag(bag, frame_of_stamp)[FIRST_PERSON]
-
-
 def tracks_from_bag(
     bag: str | Path, frame_of_stamp: Callable[[int], int], *, may_be_empty: bool = False
 ) -> dict[int, Track]:
-    """Read everybody's track, by the person's number; the first person's is there, others' where they have any row.
+    """Read everybody's track from a bag, by the person's number; ``frame_of_stamp`` converts a stamp in ns into a frame
+    number. The first person's is there, others' where they have any row.
 
-    Raises InputError as :func:`track_from_bag`, unless the first person's ``may_be_empty``.
+    Raises InputError when the first person has none, unless it ``may_be_empty``.
     """
     rows = read_person_rows(bag, (POINTS, ANGLES, STATE))
     tracks = {FIRST_PERSON: Track.of_rows(rows[FIRST], frame_of_stamp)}

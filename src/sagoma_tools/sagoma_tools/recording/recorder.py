@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -128,21 +128,21 @@ class Recorder:
 
         first_id : of the person whose topics are those under /mocap.
         """
-        if self._discovery is None:
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._discovery = self._node.create_timer(DISCOVERY_S, lambda: self._add_newcomers(first_id), clock=steady)
+        self._discover(lambda: self._newcomers(first_id))
 
     def follow(self, asked: AskedTopics) -> None:
         """Record the topics that were asked for as they appear, looking every DISCOVERY_S."""
+        self._discover(asked.new)
 
-        def look() -> None:
-            for topic in asked.new():
+    def _discover(self, appeared: Callable[[], Iterable[Topic]]) -> None:
+        def add_all() -> None:
+            for topic in appeared():
                 self.add(topic)
 
-        look()
+        add_all()
         if self._discovery is None:
             steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._discovery = self._node.create_timer(DISCOVERY_S, look, clock=steady)
+            self._discovery = self._node.create_timer(DISCOVERY_S, add_all, clock=steady)
 
     def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
         """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""
@@ -198,7 +198,7 @@ class Recorder:
     def _on_message(self, topic: Topic) -> Callable[[bytes], None]:
         stamped = has_header(topic.msgtype)
 
-        def take(data: bytes) -> None:
+        def record(data: bytes) -> None:
             now_ns = self._node.get_clock().now().nanoseconds
             with self._arrived:
                 if not self._open or self.failure is not None:
@@ -216,7 +216,7 @@ class Recorder:
             if self.failure is not None:
                 self._on_failure(self.failure)
 
-        return take
+        return record
 
     def _log_time_jump(self, topic: str) -> None:
         back_s = self._jumps.observe(topic, self._last_stamp_ns[topic])
@@ -231,22 +231,21 @@ class Recorder:
         return 1 + self._jumps.count
 
     def _on_match(self, topic: Topic) -> Callable[[Any], None]:
-        def note(info: Any) -> None:
+        def update(info: Any) -> None:
             with self._arrived:
                 self._publishers[topic.name] = info.current_count
                 self._arrived.notify_all()
 
-        return note
+        return update
 
     def _announce(self, topic: Topic) -> None:
         self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
 
-    def _add_newcomers(self, first_id: str) -> None:
+    def _newcomers(self, first_id: str) -> Iterator[Topic]:
         names = topics_of(self._node)
         others = [body_id for body_id in persons_in(names) if body_id != first_id]
         for topics in (*map(camera_topics, cameras_in(names)), *map(person_topics, others)):
-            for topic in topics:
-                self.add(topic)
+            yield from topics
 
 
 def has_header(msgtype: str) -> bool:

@@ -150,12 +150,12 @@ class InputPublishers:
                 self._publishers[f"/{camera}{SILHOUETTE_SUFFIX}"].publish(absence_message(frame_set.stamp_ns))
 
     def _on_match(self, name: str) -> Any:
-        def note(info: Any) -> None:
+        def update(info: Any) -> None:
             with self._matched:
                 self._subscribers[name] = info.current_count
                 self._matched.notify_all()
 
-        return note
+        return update
 
 
 def play_timed(
@@ -212,27 +212,20 @@ class Answers:
     def __init__(self, node: Node, topic: str = PREDICTION_TOPIC) -> None:
         self._arrived = threading.Condition()
         self._stamps: set[int] = set()
-        self.total = 0
-        self._subscription = node.create_subscription(MultiDOFJointState, topic, self._take, LOSSLESS, raw=True)
+        self._subscription = node.create_subscription(MultiDOFJointState, topic, self._on_answer, LOSSLESS, raw=True)
 
     def wait_for(self, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as the answer to the set with this stamp has come."""
         with self._arrived:
             return self._arrived.wait_for(lambda: stamp_ns in self._stamps, timeout_s)
 
-    def wait_for_total(self, count: int, timeout_s: float) -> bool:
-        """True as soon as so many answers have come, to any sets."""
-        with self._arrived:
-            return self._arrived.wait_for(lambda: self.total >= count, timeout_s)
-
     def stray_count(self, sent: Iterable[int]) -> int:
         """Return the number of answers to sets that were never sent."""
         with self._arrived:
             return len(self._stamps - set(sent))
 
-    def _take(self, data: bytes) -> None:
+    def _on_answer(self, data: bytes) -> None:
         with self._arrived:
-            self.total += 1
             self._stamps.add(header_stamp_ns(data))
             self._arrived.notify_all()
 

@@ -9,7 +9,6 @@ import shutil
 import subprocess
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -100,14 +99,6 @@ class ReservedFile:
         self._file.close()
 
 
-@dataclass(frozen=True)
-class _Channel:
-    """A topic of the bag: its number in the mcap file, and what metadata.yaml says of it."""
-
-    number: int
-    description: Mapping[str, Any]
-
-
 class BagWriter:
     """One bag being written; use as a context manager. Methods may be called from any thread.
 
@@ -120,7 +111,8 @@ class BagWriter:
     def __init__(self, folder: str | Path) -> None:
         """InputError when ``folder`` exists already, or cannot be made."""
         self.folder = require_new(folder)
-        self._channels: dict[str, _Channel] = {}
+        self._channels: dict[str, int] = {}
+        self._described: dict[str, Mapping[str, Any]] = {}  # topic by topic, for metadata.yaml
         self._schemas: dict[str, int] = {}
         self._first_ns: int | None = None
         self._last_ns = 0
@@ -165,11 +157,12 @@ class BagWriter:
             if msgtype not in self._schemas:
                 encoding = "ros2idl" if idl else "ros2msg"
                 self._schemas[msgtype] = self._mcap.register_schema(msgtype, encoding, definition.encode())
-            told = {"offered_qos_profiles": _yaml(qos), "topic_type_hash": digest}
-            number = self._mcap.register_channel(name, MessageEncoding.CDR, self._schemas[msgtype], told)
+            metadata = {"offered_qos_profiles": _yaml(qos), "topic_type_hash": digest}
+            self._channels[name] = self._mcap.register_channel(
+                name, MessageEncoding.CDR, self._schemas[msgtype], metadata
+            )
             described = {"name": name, "type": msgtype, "serialization_format": "cdr"}
-            described |= {"offered_qos_profiles": qos, "type_description_hash": digest}
-            self._channels[name] = _Channel(number, described)
+            self._described[name] = {**described, "offered_qos_profiles": qos, "type_description_hash": digest}
             self.counts[name] = 0
 
     def write(self, topic: str, log_ns: int, data: bytes) -> None:
@@ -182,7 +175,7 @@ class BagWriter:
                 self._first_ns = self._last_ns
             self.counts[topic] += 1
             with self._failing():
-                self._mcap.add_message(self._channels[topic].number, self._last_ns, data, self._last_ns)
+                self._mcap.add_message(self._channels[topic], self._last_ns, data, self._last_ns)
 
     def describe(self, provenance: Mapping[str, Any], rig: Path | None = None) -> None:
         """Write (or replace) ``sagoma.yaml`` and ``rig.yaml`` in the bag's folder, at the end. Raises InputError."""
@@ -234,8 +227,8 @@ class BagWriter:
             "relative_file_paths": [name],
             **contents(),
             "topics_with_message_count": [
-                {"topic_metadata": channel.description, "message_count": self.counts[topic]}
-                for topic, channel in self._channels.items()
+                {"topic_metadata": described, "message_count": self.counts[topic]}
+                for topic, described in self._described.items()
             ],
             "compression_format": "",
             "compression_mode": "",
@@ -261,12 +254,14 @@ class BagWriter:
             yield
         except OSError as raised:
             error = raised
-            self.counts = {**dict.fromkeys(self.counts, 0), **self._synced}  # what is certain
-        error = error or self._file.failure
-        if error is not None and self.failure is None:
-            what = f"the recording has ended ({error.strerror}); {self._saved()}"
-            remedy = "Free space on that disk, or choose another, and record anew."
-            self.failure = InputError(what, where=str(self.folder), remedy=remedy)
+        with self._lock:
+            if error is not None:
+                self.counts = {**dict.fromkeys(self.counts, 0), **self._synced}  # what is certain
+            error = error or self._file.failure
+            if error is not None and self.failure is None:
+                what = f"the recording has ended ({error.strerror}); {self._saved()}"
+                remedy = "Free space on that disk, or choose another, and record anew."
+                self.failure = InputError(what, where=str(self.folder), remedy=remedy)
 
     def _unfinished(self, reason: str | None) -> InputError:
         what = f"the bag's end cannot be written ({reason}); {self._saved()}"
