@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mocap_packets.frame_set import LEAP_NS
+from mocap_packets.frame_set import TIME_JUMP_NS
 
 
 class Beginnings:
@@ -17,7 +17,7 @@ class Beginnings:
         """Take note of a message's stamp; return by how many seconds stamps went back, None unless that is news."""
         back_ns = self._last_ns.get(topic, stamp_ns) - stamp_ns
         self._last_ns[topic] = stamp_ns
-        if back_ns < LEAP_NS:
+        if back_ns < TIME_JUMP_NS:
             return None
         self._of[topic] = self._of.get(topic, 1) + 1
         if self._of[topic] <= self.count:
