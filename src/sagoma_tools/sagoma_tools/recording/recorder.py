@@ -19,7 +19,7 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
 from capture_rig.errors import InputError
-from mocap_packets.frame_set import LEAP_NS
+from mocap_packets.frame_set import TIME_JUMP_NS
 from sagoma_bringup.graph import NodeSpec, Role
 
 from ..graph.namespace import in_graph, topics_of
@@ -59,7 +59,7 @@ class TimeJumpDetector:
         """Return by how many seconds a topic's stamps went back, where it is the first topic to make this jump."""
         back_ns = self._last_ns.get(topic, stamp_ns) - stamp_ns
         self._last_ns[topic] = stamp_ns
-        if back_ns < LEAP_NS:
+        if back_ns < TIME_JUMP_NS:
             return None
         self._jumps_of[topic] += 1
         if self._jumps_of[topic] <= self.count:
