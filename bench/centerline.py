@@ -216,7 +216,7 @@ def draw(path: str) -> None:
 
 def main() -> None:
     given = parser(__doc__, quick="fewer frames, one session, no voxel sizes")
-    given.add_argument("--picture", metavar="PNG", help="draw the picture of docs/centerline.md instead")
+    given.add_argument("--picture", metavar="PNG", help="draw the picture of docs/hull.md instead")
     arguments = given.parse_args()
     if arguments.picture:
         draw(arguments.picture)

@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from measure_code import BUDGET
 
 BLOCK = re.compile(r"(<!-- figures: (\w+) -->\n).*?(<!-- /figures -->)", re.S)
 LONG = "all"
@@ -56,7 +57,8 @@ class Figures:
     @cached_property
     def records(self) -> dict[str, dict[str, Any]]:
         """Name to command, commit, date, machine and figures."""
-        return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in sorted(self.folder.glob("*.json"))}
+        files = sorted(path for path in self.folder.glob("*.json") if path.name != BUDGET.name)
+        return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in files}
 
     @cached_property
     def described(self) -> dict[str, Any]:
