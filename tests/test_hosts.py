@@ -114,9 +114,7 @@ def test_footage_on_several_hosts_is_in_step_though_one_starts_late_and_refused_
     alone, together = map(json.loads, inside_with_support("hosts_footage.py", str(tmp_path)))
     assert alone["status"] == 2 and "--start-at" in alone["says"]
     assert together["early"] and all("cam03" in missing for missing in together["early"])
-    whole = [not missing for missing in together["missing"]]
-    assert len(whole) == 30 and sum(whole) >= 24  # a busy machine may lose some
-    assert max(together["spread_ms"]) == 0.0  # the same frame of the footage from all hosts
+    assert len(together["spread_ms"]) == 10 and set(together["spread_ms"]) == {0.0}  # the same frame from all hosts
 
 
 @pytest.mark.slow

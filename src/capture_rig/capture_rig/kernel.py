@@ -2,7 +2,8 @@
 
 numba makes machine code of every function that a kernel calls, then takes its code into the caller, optimises that and
 makes machine code once more: most of the time that compiling took. Here a function that is called from a kernel is only
-typed and lowered (:class:`_PartDispatcher`); what Python calls is optimised, and cached, once and as a whole.
+typed and lowered (:class:`_PartDispatcher`), and so is what numba has written in Python of numpy's functions; what
+Python calls is optimised, and cached, once and as a whole.
 """
 
 from __future__ import annotations
@@ -138,10 +139,11 @@ def _part_of_numpy(**options: Any) -> Callable[[Callable[..., Any]], _PartDispat
     return lambda function: _PartDispatcher(function, None, OPTIONS | options, _PartCompiler)
 
 
-jit_registry.update({target_registry["cpu"]: _part_of_numpy})  # numpy's functions, as numba wrote them: parts as well
+jit_registry.update({target_registry["cpu"]: _part_of_numpy})  # what numba wrote in Python of numpy: parts as well
+
+# numba compares the flags of a function thousands of times, and looked each of them up: a tenth of all time
 _DEFAULT_FLAGS = {name: option.default for name, option in Flags.options.items()}
-# numba looks these up a thousand times for each kernel: a tenth of the time, by its own method
-Flags.values = lambda flags: _DEFAULT_FLAGS | flags._values
+Flags.values = lambda flags: _DEFAULT_FLAGS | flags._values  # type: ignore[method-assign]
 
 
 def _as_crop(kind: types.Type) -> types.Type:
