@@ -1,26 +1,19 @@
-"""Extrinsic calibration against rigs that are known: used by bench/calibration.py, and by itself.
-
-    python bench/calibration_extrinsics.py [--quick] [--rendered]
+"""Extrinsic calibration against rigs that are known (of bench/calibration.py).
 
 Corners of a board on the floor (15 frames averaged) and of one carried about are projected through the studio's rigs
 with noise, and the cameras are placed from them. Errors are those of the cameras in the floor board's frame; "in sd"
 is the root of the squared Mahalanobis distance over its 6 degrees of freedom (1 where the covariance is right).
---rendered films the studio's boards instead of projecting corners, and finds them (minutes).
 """
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, astuple, dataclass
-from pathlib import Path
 
-from report import Table, execute, finish, parser
+from report import Table
 
 import cv2
 import numpy as np
-from rich.console import Console
 from scenes import SHARED
 
 from capture_rig.camera import CameraModel
@@ -74,25 +67,8 @@ def synthetic_rows(quick: bool) -> Iterator[ExtrinsicRow]:
         )
 
 
-def rendered_row() -> ExtrinsicRow:
-    """Filmed boards, true lenses."""
-    from sagoma_tools.calibration.extrinsics import calibrate_extrinsics
-    from sagoma_tools.calibration.rig_detections import FootageSources
-    from sagoma_tools.calibration.rig_request import RigRequest
-    from virtual_studio.recording.footage import FootagePlan, read_truth_floor, write_calibration_footage
-
-    rig, quiet = ring(4, True), Console(file=open(os.devnull, "w"))  # noqa: SIM115
-    with tempfile.TemporaryDirectory() as folder:
-        footage = write_calibration_footage(Path(folder) / "room", rig, FootagePlan(brief=True, moving_s=16.0))
-        board = FootagePlan().floor_board
-        request = RigRequest(footage / "truth_rig.yaml", Path(folder) / "rig.yaml", board=board, floor_board=board)
-        sources = FootageSources([str(footage / "floor")], [str(footage / "moving")], (), (), quiet)
-        found = calibrate_extrinsics(request, sources, quiet)
-        return row("rendered ring of 4, ceiling", "floor, carried", rig, found, read_truth_floor(footage), None)
-
-
 def row(
-    name: str, boards: str, rig: Rig, found: RigCalibration, T_world_floor: np.ndarray, noise_px: float | None
+    name: str, boards: str, rig: Rig, found: RigCalibration, T_world_floor: np.ndarray, noise_px: float
 ) -> ExtrinsicRow:
     """The errors of every camera in the frame of the floor board's middle."""
     errors = np.array([_errors(camera, rig.camera(camera.name), T_world_floor) for camera in found.placed.rig.cameras])
@@ -103,7 +79,7 @@ def row(
         boards=boards,
         cameras=len(errors),
         rms_px=round(found.figures.rms_px / np.sqrt(2), 4),
-        noise_px=noise_px or float("nan"),
+        noise_px=noise_px,
         worst_mm=round(1e3 * np.linalg.norm(errors[:, 3:], axis=1).max(), 3),
         worst_deg=round(float(np.rad2deg(np.linalg.norm(errors[:, :3], axis=1).max())), 4),
         worst_in_sd=round(float(max(in_sd)), 2),
@@ -172,7 +148,7 @@ def print_rows(rows: list[ExtrinsicRow]) -> None:
     table = Table(
         "rig:<28 | boards:<15 | cameras:>7d | noise px:>8.2f | residual px:>11.3f | place mm:>8.2f | "
         "turn deg:>8.3f | worst in sd:>11.2f | mean in sd:>10.2f | verdict:>8",
-        "extrinsics: the worst camera of each rig (noise -: filmed)",
+        "extrinsics: the worst camera of each rig",
     )
     for r in rows:
         table.row(r.rig, r.boards, r.cameras, r.noise_px, r.rms_px, *astuple(r)[5:])
@@ -201,17 +177,3 @@ def _centred(board: Board) -> np.ndarray:
     T = np.eye(4)
     T[:3, 3] = -board.corners_board.mean(axis=0)
     return T
-
-
-def main() -> None:
-    """Print the table and the line of JSON."""
-    given = parser(__doc__, quick="three rigs, fewer frames")
-    given.add_argument("--rendered", action="store_true", help="also find boards in rendered footage")
-    options = given.parse_args()
-    rows = [*synthetic_rows(options.quick), *([rendered_row()] if options.rendered else [])]
-    print_rows(rows)
-    finish(figures(rows))
-
-
-if __name__ == "__main__":
-    execute(main)

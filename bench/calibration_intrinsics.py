@@ -1,15 +1,13 @@
-"""Intrinsics of the studio's lenses: from corners with known noise, from rendered video, and from photographs.
+"""Intrinsics of the studio's lenses from corners with known noise.
 
 Used by bench/calibration.py.
 """
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from report import Table
 
@@ -18,12 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import CameraModel
 from rig_calibration.boards.board import Checkerboard, TargetDetection
-from rig_calibration.boards.specification import read_board
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from rig_calibration.intrinsics.result import Intrinsics
-from sagoma_tools.calibration.footage import open_footage_of_cameras
-from sagoma_tools.calibration.intrinsics import watch_footage
-from virtual_studio.recording.footage import INTRINSICS, FootagePlan, write_calibration_footage
 from virtual_studio.rig import ring
 
 BOARD = Checkerboard(9, 6, (0.04, 0.04))
@@ -37,7 +31,6 @@ SIZES = (0.35, 0.75)  # the board's diagonal in the image's width
 class Row:
     """One calibration against the truth. focal: the worse of fx and fy; sds: the largest error in its own sd."""
 
-    source: str
     camera: str
     noise_px: float
     views: int
@@ -59,30 +52,7 @@ def corner_rows(noises_px: tuple[float, ...], repetitions: int) -> Iterator[Row]
                 detections = waved(camera, BOARD, VIEWS, noise_px, 100 * lens + seed)
                 begun = time.perf_counter()
                 result = calibrate_intrinsics(detections, BOARD, name=camera.name)
-                yield row_of("corners", camera, noise_px, result, time.perf_counter() - begun)
-
-
-def video_rows(cameras: int, brief: bool) -> Iterator[Row]:
-    """Rendered video: the sensor's noise, blur, motion, compression; boards are found and views chosen as always."""
-    rig = ring(4)
-    with tempfile.TemporaryDirectory(prefix="sagoma_calibration_") as folder:
-        filmed = replace(rig, cameras=rig.cameras[:cameras])
-        plan = FootagePlan(brief=brief, moving_s=0.5)
-        path = write_calibration_footage(Path(folder) / "setup", filmed, plan)
-        for footage in open_footage_of_cameras([str(path / INTRINSICS)]).values():
-            begun = time.perf_counter()
-            watcher = watch_footage(footage, plan.hand_board, "plumb_bob")
-            result = calibrate_intrinsics(watcher.collector.best(), plan.hand_board, name=footage.name)
-            yield row_of("video", rig.camera(footage.name), np.nan, result, time.perf_counter() - begun)
-
-
-def photograph_results(sources: list[str], board: str) -> dict[str, Intrinsics]:
-    """Real photographs, for which there is no truth."""
-    results = {}
-    for footage in open_footage_of_cameras(sources).values():
-        watcher = watch_footage(footage, read_board(board), "plumb_bob")
-        results[footage.name] = calibrate_intrinsics(watcher.collector.best(), read_board(board), name=footage.name)
-    return results
+                yield row_of(camera, noise_px, result, time.perf_counter() - begun)
 
 
 def waved(camera: CameraModel, board: Checkerboard, count: int, noise_px: float, seed: int) -> list[TargetDetection]:
@@ -108,13 +78,12 @@ def waved(camera: CameraModel, board: Checkerboard, count: int, noise_px: float,
     return views
 
 
-def row_of(source: str, camera: CameraModel, noise_px: float, result: Intrinsics, seconds: float) -> Row:
+def row_of(camera: CameraModel, noise_px: float, result: Intrinsics, seconds: float) -> Row:
     """The errors of a result."""
     truth = np.array([*camera.K.diagonal()[:2], *camera.K[:2, 2], *camera.D])
     error = np.array(list(result.values.values())) - truth
     in_sds = error / np.array(list(result.sd.values()))
     return Row(
-        source,
         camera.name,
         noise_px,
         len(result.views),
@@ -132,17 +101,15 @@ def row_of(source: str, camera: CameraModel, noise_px: float, result: Intrinsics
 def print_rows(rows: list[Row]) -> None:
     """A table of the worst of each lens's repetitions."""
     table = Table(
-        "from:<8 | lens:<6 | noise px:>8 | runs:>4d | views:>5d | rms px:>6.3f | focal %:>7.3f | sd %:>6.3f | "
+        "lens:<6 | noise px:>8.1f | runs:>4d | views:>5d | rms px:>6.3f | focal %:>7.3f | sd %:>6.3f | "
         "centre px:>9.2f | largest error sd:>16.1f | errors' rms sd:>14.2f | s:>5.1f |  verdicts:<1",
         "intrinsics: the worst of each lens's runs",
     )
-    groups: dict[tuple[str, str, str], list[Row]] = {}
+    groups: dict[tuple[str, float], list[Row]] = {}
     for row in rows:
-        noise = "" if np.isnan(row.noise_px) else f"{row.noise_px:g}"
-        groups.setdefault((row.source, row.camera, noise), []).append(row)
-    for (source, camera, noise), some in groups.items():
+        groups.setdefault((row.camera, row.noise_px), []).append(row)
+    for (camera, noise), some in groups.items():
         table.row(
-            source,
             camera,
             noise,
             len(some),
@@ -165,19 +132,10 @@ def rms_sds(rows: list[Row]) -> float:
 
 def figures_of(rows: list[Row]) -> dict[str, float]:
     """For the line of JSON."""
-    figures: dict[str, float] = {}
-    for source in ("corners", "video"):
-        some = [row for row in rows if row.source == source]
-        if some:
-            figures |= {
-                f"intrinsics_{source}_focal_percent": round(100 * max(row.focal_error for row in some), 4),
-                f"intrinsics_{source}_centre_px": round(max(row.centre_error_px for row in some), 3),
-                f"intrinsics_{source}_largest_sd": round(max(row.largest_sds for row in some), 2),
-                f"intrinsics_{source}_rms_sd": round(rms_sds(some), 3),
-            }
-    noise = [row for row in rows if row.source == "corners"]
-    if noise:
-        figures["intrinsics_rms_over_noise"] = round(
-            float(np.mean([row.rms_px / row.noise_px / np.sqrt(2) for row in noise])), 4
-        )
-    return figures
+    return {
+        "intrinsics_corners_focal_percent": round(100 * max(row.focal_error for row in rows), 4),
+        "intrinsics_corners_centre_px": round(max(row.centre_error_px for row in rows), 3),
+        "intrinsics_corners_largest_sd": round(max(row.largest_sds for row in rows), 2),
+        "intrinsics_corners_rms_sd": round(rms_sds(rows), 3),
+        "intrinsics_rms_over_noise": round(float(np.mean([r.rms_px / r.noise_px / np.sqrt(2) for r in rows])), 4),
+    }

@@ -86,7 +86,7 @@ class Drill:
         hull = [sys.executable, "-m", "hull_server.hull_node", "--ros-args", *parameters]
         host, log = self.world.hosts[SERVER], (self.folder / "hull_server.log").open("w")
         host.start(hull, self._environment, stdout=log, stderr=log)
-        listener = [sys.executable, str(BENCH / "hosts_listener.py"), *self.cameras]
+        listener = [sys.executable, str(BENCH.parent / "tests/support/hosts_listener.py"), *self.cameras]
         return Witness(host.start(listener, self._environment, stdout=subprocess.PIPE, text=True))
 
     def start_camera(self, camera: str, *options: str, domain: str = DOMAIN) -> float:

@@ -144,7 +144,7 @@ class ClientDrill:
         words = [word for key, value in settings.items() for word in ("--set", f"hull_server.{key}={value}")]
         server = ["up", "--rig", str(self._rig), "--only", "server", "--run-folder", str(folder / "up-server"), *words]
         self._sagoma(*server, log="up")
-        listener = [sys.executable, str(BENCH / "hosts_listener.py"), *names]
+        listener = [sys.executable, str(BENCH.parent / "tests/support/hosts_listener.py"), *names]
         told = world.hosts[SERVER].start(listener, self.environment, stdout=subprocess.PIPE, text=True)
         self.witness = Witness(told)
         for pc in self.pcs.values():

@@ -31,6 +31,7 @@ from capture_rig.files import write_text  # noqa: E402
 cv2.setNumThreads(1)
 
 TREE = Path(__file__).resolve().parents[1]
+sys.path.append(str(TREE / "tests" / "support"))  # what benches share with tests
 FIGURES = TREE / "docs" / "figures"
 MEASURED = ("src", "bench")
 """A change in these folders that no commit holds makes the recorded commit a dirty one."""

@@ -1,7 +1,6 @@
 """Hours of the demo's studio with faults at random: what each process holds, what becomes of every exposure.
 
     python bench/soak.py --hours 2 --output OUT       # four simulated GigE cameras, their clients, the server
-    python bench/soak.py --replay BAG --hours 1 ...   # a bag's silhouettes in a loop through the server alone
     python bench/soak.py --quick                      # a minute and a half, a fault every eight seconds
     python bench/soak.py --report OUT                 # tables and OUT/soak.png from what was written, at any time
 
@@ -28,22 +27,19 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from report import execute, finish, parser
 
 import numpy as np
 from soak_faults import Fault, FaultInjector, random_faults
 from soak_probe import COUNTERS, SETTLED_S, ExposureProbe, Rows, folder_mib, resources
-from soak_replay import BagPlayer, ReplayInjector, replay_faults
 from soak_report import report_on
 
 from capture_rig.errors import InputError
 from capture_rig.stop_signals import StopOnSignal
-from sagoma_bringup.graph import apply_settings, server_graph
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.evaluation.live_run import start_settings
-from sagoma_tools.graph.restarts import Death, RestartPolicy, Return
+from sagoma_tools.graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
 from sagoma_tools.graph.supervisor import Supervisor
 from stick_figure.body import Body
 from virtual_studio.motions.catalogue import Motion, tour
@@ -60,7 +56,7 @@ TICK_S = 0.2
 STATURE_M, ACTED_S, ACTED_HZ = 1.75, 6.0, 20.0
 SLOWER = 2.0  # the person moves at half speed: at HZ it seems to move as before cameras of twice the rate
 
-Note = Callable[[Death | Return], None]
+Note = Callable[[ProcessExited | ProcessRecovered], None]
 
 
 @dataclass(frozen=True)
@@ -79,21 +75,13 @@ class Plan:
         return cls(3600.0 * hours, SAMPLE_S, CALM_S, min(FIRST_FAULT_S, 360.0 * hours))
 
 
-class Injector(Protocol):
-    """Begins and undoes the faults of a stage."""
-
-    def begin(self, fault: Fault) -> None: ...
-
-    def undo(self, fault: Fault) -> None: ...
-
-
 @dataclass(frozen=True, eq=False)
 class Stage:
     """What a soak runs on: the graph, what beside it is measured (label -> pid), and the faults that it suffers."""
 
     supervisor: Supervisor
     others: Mapping[str, int]
-    injector: Injector
+    injector: FaultInjector
     faults: Iterator[Fault]
 
 
@@ -213,19 +201,6 @@ def studio_stage(args: argparse.Namespace, stop: threading.Event, note: Note) ->
             yield Stage(supervisor, {"studio": studio.studio.pid}, FaultInjector(studio.studio, supervisor), faults)
 
 
-@contextmanager
-def replay_stage(args: argparse.Namespace, stop: threading.Event, note: Note) -> Iterator[Stage]:
-    """The server alone, and a player of the bag in this process."""
-    settings = {"hull_server.tolerance_s": 0.25 / args.hz, "icp_tracker.initial_pose.source": "auto"}
-    graph = apply_settings(server_graph(args.replay / "rig.yaml"), settings)
-    with Supervisor(graph, args.output / "logs", cancel=stop, on_event=note, restart=RestartPolicy()) as supervisor:
-        supervisor.configure()
-        supervisor.activate()
-        with BagPlayer(args.replay, args.hz, args.seed) as player:
-            faults = replay_faults(args.seed, player.cameras)
-            yield Stage(supervisor, {}, ReplayInjector(player, supervisor), faults)
-
-
 def main() -> None:
     """Soak, then report; the report of an earlier soak with --report."""
     given = parser(__doc__, quick=f"{QUICK_S:g} s")
@@ -233,7 +208,6 @@ def main() -> None:
     given.add_argument("--output", type=Path, default=Path("output/soak"), help="a new folder (default: output/soak)")
     given.add_argument("--cameras", type=int, default=CAMERAS)
     given.add_argument("--hz", type=float, default=HZ, help=f"of the cameras (default: {HZ:g})")
-    given.add_argument("--replay", type=Path, metavar="BAG", help="play this bag to the server instead of cameras")
     given.add_argument("--seed", type=int, default=SEED, help="of the faults")
     given.add_argument("--report", type=Path, metavar="OUT", help="only report on what is in this folder")
     args = given.parse_args()
@@ -249,16 +223,14 @@ def soak(args: argparse.Namespace) -> None:
         raise InputError("holds a soak already", where=str(out), remedy="Name another folder.")
     out.mkdir(parents=True, exist_ok=True)
     settings = {"seconds": plan.seconds, "cameras": args.cameras, "hz": args.hz, "seed": args.seed}
-    settings |= {"replay": str(args.replay)} if args.replay else {}
     (out / "soak.json").write_text(json.dumps(settings))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     events = Rows(out / "events.csv", "unix_s event")
 
-    def note(event: Death | Return) -> None:
+    def note(event: ProcessExited | ProcessRecovered) -> None:
         events.add(f"{time.time():.2f}", str(event))
 
-    make_stage = studio_stage if args.replay is None else replay_stage
-    with StopOnSignal() as stop, make_stage(args, stop, note) as stage:
+    with StopOnSignal() as stop, studio_stage(args, stop, note) as stage:
         Soak(stage, out, args.hz).run(plan, args.seed, stop)
 
 

@@ -1,14 +1,13 @@
-"""Tracking on synthetic sticks: our methods, the thesis's, other people's, and the statistical bound.
+"""Tracking on synthetic sticks: our methods, the thesis's, and the statistical bound.
 
-    python bench/tracking.py [--quick] [--motion FILE.bvh|FILE.amc ...]
+    python bench/tracking.py [--quick] [--motion FILE.bvh ...]
 
 1. Moving stick figures, 300 noisy points a frame, trackers from the true first pose: mean error of the 15 points.
-2. The same points of one clip through other solvers of the same problem, and 15 labelled points through solvers of
-   inverse kinematics (pinocchio and OpenSim where they are installed: pip install pin opensim).
-3. Time of one set with 500 points and 1500 voxels.
+2. Time of one set with 500 points and 1500 voxels.
 
-Times are CPU time of one thread. The last line is JSON: {"mean_mm", "default_mean_mm", "thesis_mean_mm", "bound_mm",
-"icp_ms", "ekf_ms"}; "mean_mm" is that of our chain told that the data are sticks.
+Times are CPU time of one thread. The last line is JSON: {"mean_mm", "default_mean_mm", "alone_mean_mm",
+"thesis_mean_mm", "bound_mm", "icp_ms", "ekf_ms"}; "mean_mm" is that of our chain told that the data are sticks,
+"alone_mean_mm" that of the same fit without the filter's prediction.
 """
 
 from __future__ import annotations
@@ -19,18 +18,13 @@ from pathlib import Path
 from report import Table, execute, finish, parser
 
 import numpy as np
-from synthetic.bounds import Bounds, bounds
+from synthetic.bounds import BOUND_EVERY, SETTLED, Bounds, bounds
 from synthetic.clips import FPS, POINTS, Clip, clouds, file_clip, random_clip, studio_clip
-from synthetic.solvers import compare_labelled, compare_unlabelled
 from synthetic.trackers import Method, Run, all_joints_alone, chain, chain_for_sticks, thesis, times_ms, track
 
 from virtual_studio.motion_files.recorded import ReadingOptions
 from virtual_studio.motions.catalogue import MOTIONS
 
-SETTLED = 10
-"""Frames at the start of a clip that do not count: the first pose is the true one."""
-BOUND_EVERY = 8
-"""The bound takes new information at every so many frames: it changes slowly (a bound 1 % too low)."""
 LOST_M = 0.2
 """A clip is lost when a point is farther off than this at its end."""
 QUICK_CLIPS = ("tour", "walk")
@@ -42,9 +36,6 @@ def main() -> None:
     options = _parser().parse_args()
     clips = gather(options)
     figures = protocol(clips)
-    frames = 20 if options.quick else 100
-    compare_unlabelled(clips[0].cut(frames))
-    compare_labelled(clips[0].cut(5 * frames))
     finish(figures | times_ms(studio_clip("tour", 2.0 if options.quick else QUICK_S)))
 
 
@@ -58,7 +49,6 @@ def gather(options: argparse.Namespace) -> list[Clip]:
     reading = ReadingOptions(
         metres_per_unit=options.motion_scale,
         up=options.motion_up,
-        fps=options.motion_fps,
         joints=options.motion_joints,
         start_s=options.motion_start,
     )
@@ -90,6 +80,7 @@ def protocol(clips: list[Clip]) -> dict[str, float]:
     return {
         "mean_mm": _rounded(mean_mm(runs[chain_for_sticks()])),
         "default_mean_mm": _rounded(mean_mm(runs[chain()])),
+        "alone_mean_mm": _rounded(mean_mm(runs[all_joints_alone()])),
         "thesis_mean_mm": _rounded(min(mean_mm(theirs), mean_mm(theirs, fitted=True))),
         "bound_mm": _rounded(float(np.mean([limit.mm for limit in limits]))),
     }
@@ -128,11 +119,10 @@ def _rounded(mm: float) -> float:
 
 def _parser() -> argparse.ArgumentParser:
     made = parser(__doc__, quick="few, short clips: under a minute")
-    made.add_argument("--motion", nargs="*", type=Path, default=[], help="BVH or AMC files to track too")
+    made.add_argument("--motion", nargs="*", type=Path, default=[], help="BVH files to track too")
     made.add_argument("--motion-scale", type=float, help="metres in one unit of these files")
     made.add_argument("--motion-start", type=float, default=0.0, help="seconds of each to leave out")
     made.add_argument("--motion-up", default="y", help="their axis that points up")
-    made.add_argument("--motion-fps", type=float, help="frames a second of AMC files")
     made.add_argument("--motion-joints", type=Path, help="YAML that says which joint is which")
     return made
 

@@ -1,12 +1,11 @@
 """Figures in pages: what a bench records, what the pages take from it, and which of it is older than its code."""
 
 import json
+import os
 import subprocess
 import sys
 import warnings
 from pathlib import Path
-
-import report
 
 import pytest
 from figures import FigureError, Figures, main, pages_of, records_of
@@ -145,6 +144,30 @@ def test_without_a_history_ages_are_unknown(tree, tmp_path_factory):
             Figures(folder / copy).stale()
 
 
+BENCH = """
+import sys
+from pathlib import Path
+import report
+report.FIGURES = Path(sys.argv.pop(1))
+given = report.parser("A bench of nothing.", quick="nothing")
+given.add_argument("--hz")
+given.parse_args()
+report.Table("way:<8 | off:>6.1f").row("there", 1.5)
+if given.parse_args().hz != "0":
+    report.finish({"off_mm": 1.5, "lost": float("nan")})
+report.execute(lambda: None)
+"""
+
+
+def run_bench(folder, *words):
+    """A bench of nothing that keeps its record in ``folder``."""
+    program = folder / "bench_of_nothing.py"
+    program.write_text(BENCH)
+    command = [sys.executable, str(program), str(folder), *words]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT / "bench"), *sys.path])}
+    return subprocess.run(command, capture_output=True, text=True, env=environment)
+
+
 @pytest.mark.parametrize(
     ("words", "name", "command"),
     [
@@ -153,32 +176,19 @@ def test_without_a_history_ages_are_unknown(tree, tmp_path_factory):
         (["--record", "60", "--hz", "60"], "60", "--hz 60"),
     ],
 )
-def test_record_keeps_figures_with_command_commit_and_machine(words, name, command, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(report, "FIGURES", tmp_path)
-    monkeypatch.setattr(sys, "argv", [str(ROOT / "bench" / "bench_of_nothing.py"), *words])
-    given = report.parser("A bench of nothing.", quick="nothing")
-    given.add_argument("--hz")
-    given.parse_args()
-    report.Table("way:<8 | off:>6.1f").row("there", 1.5)
-    printed = capsys.readouterr().out
-    report.finish({"off_mm": 1.5, "lost": float("nan")})
+def test_record_keeps_figures_with_command_commit_and_machine(words, name, command, tmp_path):
+    *printed, last = run_bench(tmp_path, *words).stdout.splitlines()
     kept = json.loads((tmp_path / f"{name}.json").read_text())
-    assert kept["command"] == f"python bench/bench_of_nothing.py {command}"
-    assert kept["figures"] == json.loads(capsys.readouterr().out) == {"off_mm": 1.5, "lost": None}
-    assert (
-        kept["tables"][-1] == [line.split() for line in printed.splitlines()[1:]] == [["way", "off"], ["there", "1.5"]]
-    )
-    assert kept["commit"] == report.commit()
+    assert kept["command"].startswith("python ") and kept["command"].endswith(f"bench_of_nothing.py {command}")
+    assert kept["figures"] == json.loads(last) == {"off_mm": 1.5, "lost": None}
+    assert kept["tables"][-1] == [line.split() for line in printed[1:]] == [["way", "off"], ["there", "1.5"]]
+    head = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True).stdout.strip()
+    assert (kept["commit"] or "").partition("-")[0] == head
     assert kept["machine"]["cores"] >= 1 and kept["machine"]["processor"]
 
 
-def test_without_record_nothing_is_written_and_a_bench_without_figures_refuses_it(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(report, "FIGURES", tmp_path)
-    given = report.parser("A bench.")
-    given.parse_args([])
-    report.finish({"off_mm": 1.5})
-    assert not list(tmp_path.iterdir())
-    given.parse_args(["--record"])
-    with pytest.raises(SystemExit):
-        report.execute(lambda: None)
-    assert "without a line of JSON" in capsys.readouterr().err
+def test_without_record_nothing_is_written_and_a_bench_without_figures_refuses_it(tmp_path):
+    assert run_bench(tmp_path).returncode == 0
+    refused = run_bench(tmp_path, "--record", "--hz", "0")
+    assert refused.returncode == 2 and "without a line of JSON" in refused.stderr
+    assert not list(tmp_path.glob("*.json"))

@@ -1,5 +1,6 @@
 """A running graph under hostile messages: nothing dies, tracking goes on, and what was refused is counted."""
 
+import math
 import os
 import time
 from pathlib import Path
@@ -16,7 +17,7 @@ TELLING = {
     "a cloud of NaN": "dropped_points",
     "YAML bomb": "bad_body",
 }
-"""Attacks, and a counter each that tells of it."""
+"""Attacks, and a counter each that tells of it; of the others any counter does."""
 TRIES = 3  # on a busy machine a message's stamp may be passed when it comes: it is refused for that
 
 
@@ -25,9 +26,9 @@ def counted(attacker: Attacker, attack: Attack) -> set[str]:
     keys: set[str] = set()
     for _ in range(TRIES):
         effect = attacker.send(attack)
-        assert effect.died == () and effect.recovered_s == effect.recovered_s, f"{attack.name}: no answers"
+        assert effect.died == () and math.isfinite(effect.recovered_s), f"{attack.name}: {effect}"
         keys |= set(effect.counted)
-        if any(TELLING[attack.name] in key for key in keys):
+        if any(TELLING.get(attack.name, "") in key for key in keys):
             break
     return keys
 
@@ -38,11 +39,10 @@ def test_the_graph_tracks_on_under_hostile_messages_and_counts_them(tmp_path: Pa
     with running_graph(tmp_path, int(os.environ["ROS_DOMAIN_ID"])) as target:
         attacker = Attacker(target)
         for attack in attacks(time.time_ns):
-            if attack.name in TELLING:
-                keys = counted(attacker, attack)
-                assert any(TELLING[attack.name] in key for key in keys), f"{attack.name}: {keys}"
+            keys = counted(attacker, attack)
+            assert any(TELLING.get(attack.name, "") in key for key in keys), f"{attack.name}: {keys}"
         effect = attacker.call()
-        assert effect.died == () and effect.recovered_s == effect.recovered_s
+        assert effect.died == () and math.isfinite(effect.recovered_s)
     strangers = [path for path in tmp_path.parent.rglob("sagoma_was_here*")] + list(
         Path("/tmp").glob("sagoma_was_here*")
     )

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from synthetic.bounds import bounds
+from synthetic.bounds import BOUND_EVERY, SETTLED, bounds
 from synthetic.clips import Clip, clouds, studio_clip
 from synthetic.trackers import Method, all_joints_alone, chain, chain_for_sticks, track
-from tracking import BOUND_EVERY, SETTLED
 
 SEEDS = (0, 1)
 

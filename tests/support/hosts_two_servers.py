@@ -1,4 +1,4 @@
-"""Run by bench/namespaces.py's `inside`: a server on a machine, and a second `sagoma up --only server` on another one.
+"""Run by namespaces.py's `inside`: a server on a machine, and a second `sagoma up --only server` on another one.
 
 hosts_two_servers.py FOLDER ; a line of JSON: what the second one says and its status, and the log of the first one's
 nodes since then.

@@ -16,7 +16,7 @@ The deviations are round numbers from what is known of landmarks that are locate
   turns about the wrist, which the forearm's stick does not have.
 - elbow: as the shoulder, and a fist pushes the forearm's stick back.
 
-They were rounded while looking at ``bench/covariance_coverage.py`` on the studio's and the three rendered sessions, the
+They were rounded while looking at their coverage on the studio's and the three rendered sessions, the
 real one with four cameras and the first of the mesh people: none of these is a proof of them. For rendered people,
 whose joints are those of the surfaces that the figure's was learnt from, they are too large; for the real one not.
 """

@@ -48,7 +48,7 @@ INSIDE_SLACK_M = 0.045  # distance from them that still counts as inside: the sp
 INSIDE_GATE_M = 0.2  # distance at which the weight of a point outside has fallen to 1/4
 CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
 CONTOUR_SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
-# of its covariance and visibility; checked by bench/covariance_coverage.py
+# of its covariance and visibility; checked by bench/covariance_coverage.py of commit d6079d2
 UNSEEN_SD = 0.5  # m, rad, of what no row bears on: a forearm that nothing shows may be 15 cm off
 COVARIANCE_SHARE = 0.05  # of their weight with which voxels enter the covariance: their errors are common to many
 SUPPORT_POINTS = 3  # inliers that make a reference point visible

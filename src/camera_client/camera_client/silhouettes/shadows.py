@@ -2,7 +2,7 @@
 
 A single camera decides what is most likely shadow (:func:`make_shadow_test`); :mod:`.attenuation` writes into the
 silhouette how dark everything is that might be floor in shadow, and the hull server resolves it with all cameras.
-The thresholds were set with ``bench/silhouette.py`` on its clips.
+The thresholds were set with ``bench/silhouette.py`` of commit d6079d2 on its clips.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from ..views import Masks, RigViews
 from .outlines import RADIUS_PX, find_edge, pick_contour_pixels, shadow_share, weights
 from .ray_hull import Hull, part_near, ray_hull_interval
 
-# chosen with bench/contour_rays.py
+# chosen with bench/contour_rays.py of commit d6079d2
 MIN_OUTLINE_PX = 30.0  # shorter outlines, of holes or specks, get no rays
 SIGMA_PX = 0.5  # standard deviation of a contour across itself
 SHADOW_SIGMA_PX = 4.0  # added to it, in squares, where all pixels around may be shadow; less where fewer are

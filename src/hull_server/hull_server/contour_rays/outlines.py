@@ -8,7 +8,7 @@ coordinates of the pixel to its lower right.
 
 For a straight edge, the mask blurred by a Gaussian is the normal distribution of the distance from the edge, and its
 gradient is perpendicular to the edge (the edge model of Canny, 1986). So one small window of pixels gives both place
-and normal, without blurring the image. The thresholds were chosen with bench/contour_rays.py.
+and normal, without blurring the image. The thresholds were chosen with bench/contour_rays.py of commit d6079d2.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ ray, all silhouettes agree on a body. So an attenuated pixel is shadow when
 
 A candidate is background, unless more cameras contradict than agree and its ray does meet that hull: then it is the
 body. The planar homography between views of the floor is that of Khan and Shah (ECCV 2006), who find feet with it. The
-constants were chosen with bench/shadow_resolution.py.
+constants were chosen with bench/shadow_resolution.py of commit d6079d2.
 """
 
 from .resolver import ShadowResolver

@@ -24,7 +24,8 @@ from .voxel_runs import brick_box, erode, find_runs, join_in_slices, join_in_spa
 GROWTH_STEP_M = 0.02
 VOXEL_VARIANCE = 1.0 / 12.0  # of a unit interval: what a blob of a single voxel has along each side
 
-# noise model of a centerline point, fitted to the built-in body's hulls by maximum likelihood (bench/centerline.py)
+# noise model of a centerline point, fitted to the built-in body's hulls by maximum likelihood (bench/centerline.py of
+# commit d6079d2)
 SIGMA_BASE_M = 0.001
 SIGMA_PER_RADIUS = 0.050
 SIGMA_PER_MISSING_FILL_M = 0.050

@@ -40,7 +40,7 @@ class Limits:
 
 
 RIG_LIMITS = Limits(5.0, 0.5, 8.0, 0.0, 12)
-"""Lenses that are not quite right and delays may do so much (bench/calibration_bundle.py)."""
+"""Lenses that are not quite right and delays may do so much (bench/calibration_bundle.py of commit d6079d2)."""
 LENS_LIMITS = Limits(3.5, 0.3, 5.0, 0.3, 2)
 """More rounds would peel off, layer by layer, what a lens model that is too simple cannot explain."""
 

@@ -29,7 +29,7 @@ from .point_factor import add_point_residuals
 
 DIRECTIONS, HALVES = 6, 2
 CELLS = DIRECTIONS * HALVES  # of a capsule, or of the trunk
-CELLS_OF_A_DATUM = 3.0  # bench/covariance_coverage.py
+CELLS_OF_A_DATUM = 3.0  # bench/covariance_coverage.py of commit d6079d2
 SURFACE_SD_M = 0.01  # of the body's surface about the model's, in one cell, where it fits well
 PRIOR_CELLS = 4.0  # that this counts as against the measured ones: a limb shows 4 to 12
 

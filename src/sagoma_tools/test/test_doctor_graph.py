@@ -1,0 +1,267 @@
+"""What the doctor concludes of a made-up graph."""
+
+from dataclasses import replace
+
+import pytest
+
+from camera_client.background.model import Provenance
+from camera_client.background.training import TrainingReport
+from camera_client.background.watch import unfit
+from camera_client.condition import Condition
+from camera_client.condition_findings import condition_findings, findings_text
+from capture_rig.verdict import Finding
+from sagoma_tools.doctor.findings import Severity
+from sagoma_tools.doctor.graph import graph_findings
+from sagoma_tools.doctor.graph_listener import Canvas, GraphFacts, NodeFacts, SilhouetteFacts
+from sagoma_tools.graph.diagnostics_table import NodeReport
+from sagoma_tools.graph.running_nodes import machine_of
+from virtual_studio.rig import ring
+
+RIG = ring(3, False)
+CANVASES = {camera.name: GraphFacts(0, "", rig=RIG).canvas(camera.name) for camera in RIG.cameras}
+
+
+def node(name):
+    return NodeFacts(name, "active", 1, ("78fd",), NodeReport(b"\0", "running", lead_s=-3e-4), 8e-4)
+
+
+def reporting(node, **changes):
+    """The node with changes of its last report."""
+    return replace(node, report=replace(node.report, **changes))
+
+
+def silhouettes(camera, **changes):
+    facts = SilhouetteFacts(
+        camera, 1, 60, CANVASES[camera], 60, shares=(0.05,) * 50, changes=59, age_s=0.02, largest_bytes=4000
+    )
+    return replace(facts, **changes)
+
+
+HULL, ICP, EKF = node("/hull_server"), node("/icp_tracker"), node("/ekf_tracker")
+CLIENTS = {name: node(f"/{name}/camera_client") for name in RIG.names}
+SENT = {name: silhouettes(name) for name in RIG.names}
+SET = {"spread_ms": "2.0", "published_ms": "40.0", "points": "30"}
+SETS = (SET,) * 60
+
+
+def graph(nodes=(), cameras=(), **changes):
+    """The healthy graph with some nodes and cameras replaced."""
+    all_nodes = {n.name: n for n in (HULL, ICP, EKF, *CLIENTS.values(), *nodes)}
+    all_cameras = {**SENT, **{c.camera: c for c in cameras}}
+    facts = GraphFacts(
+        46, "SUBNET", "78fd", tuple(all_nodes.values()), tuple(all_cameras.values()), SETS, 10.0, rig=RIG
+    )
+    return replace(facts, **changes)
+
+
+def troubles(facts):
+    """(severity, subject, code, what) of all that is worse than a note; each has a remedy."""
+    found = [finding for finding in graph_findings(facts) if finding.severity >= Severity.WARNING]
+    assert all(finding.remedy for finding in found)
+    return [(finding.severity.name, finding.subject, finding.code, finding.what) for finding in found]
+
+
+def test_healthy_graph_has_no_troubles():
+    assert troubles(graph()) == []
+
+
+def test_empty_room_is_no_trouble():
+    empty = [silhouettes(name, shares=(0.0,) * 50, changes=0) for name in RIG.names]
+    say = [reporting(CLIENTS[name], level=b"\1", message="the mask is empty") for name in RIG.names]
+    say += [
+        reporting(HULL, level=b"\1", message="the hull is empty"),
+        reporting(ICP, level=b"\1", message="acquiring: no hull"),
+    ]
+    assert troubles(graph(say, empty, sets=({**SET, "points": "0"},) * 60)) == []
+
+
+C2 = CLIENTS["cam02"]
+
+
+@pytest.mark.parametrize(
+    "changed, severity, code, value",
+    [
+        (replace(C2, state=None, report=None), "ERROR", "node.silent", ""),
+        (replace(C2, state=None), "WARNING", "node.unresponsive", ""),
+        (replace(C2, report=None), "ERROR", "diagnostics.missing", ""),
+        (replace(C2, state="inactive"), "WARNING", "state.inactive", ""),
+        (replace(C2, copies=2, machines=("78fd", "3d11")), "ERROR", "node.duplicate", "(here, on another machine)"),
+        (reporting(C2, level=b"\2", message="no camera: it is off"), "ERROR", "says.error", "no camera: it is off"),
+        (reporting(C2, level=b"\1", message="the mask is full"), "WARNING", "says.warning", "the mask is full"),
+        (reporting(C2, lead_s=0.4997), "ERROR", "clock.off", "499.7 ms ahead"),
+        (reporting(C2, lead_s=-0.5012), "ERROR", "clock.off", "500.4 ms behind"),
+        (reporting(C2, lead_s=0.009), "WARNING", "clock.imprecise", "9.0 ms ahead"),
+    ],
+)
+def test_ill_node_is_named(changed, severity, code, value):
+    (found,) = troubles(graph([changed]))
+    assert found[:3] == (severity, "camera cam02", code) and value in found[3]
+
+
+def test_clock_within_what_can_be_told_is_no_trouble():
+    # behind by 20 ms at the most, or by nothing: the answers take as long
+    assert troubles(graph([replace(reporting(C2, lead_s=-0.020), round_trip_s=0.021)])) == []
+
+
+@pytest.mark.parametrize(
+    "changes, severity, code, value",
+    [
+        ({"publishers": 2}, "ERROR", "silhouettes.duplicate_publisher", "2 "),
+        ({"masks": 0, "shares": ()}, "ERROR", "silhouettes.not_arriving", "none arrives"),
+        ({"masks": 0, "shares": (), "infos": 0}, "WARNING", "silhouettes.none_sent", ""),
+        ({"shares": (0.0,) * 50}, "WARNING", "silhouettes.blank", "cam01, cam03"),
+        ({"shares": (0.7,) * 50}, "ERROR", "silhouettes.flooded", "70.0 %"),
+        ({"changes": 0}, "ERROR", "silhouettes.frozen", "60 came"),
+        ({"bad": 1}, "ERROR", "silhouettes.undecodable", ""),
+        ({"lost": 30}, "WARNING", "network.loss", "30 of 90 silhouettes (larger than one packet)"),
+        ({"age_s": -0.4}, "ERROR", "stamps.ahead", "0.400 s"),
+        ({"age_s": 3.0}, "WARNING", "latency.old", "3.0 s"),
+        ({"canvas": None}, "WARNING", "camera_info.missing", ""),
+        ({"canvas": CANVASES["cam02"]._replace(fx=480.0)}, "ERROR", "camera_info.differs", "fx 480.00"),
+    ],
+)
+def test_implausible_silhouettes_are_named(changes, severity, code, value):
+    (found,) = troubles(graph([], [silhouettes("cam02", **changes)]))
+    assert found[:3] == (severity, "camera cam02", code) and value in found[3]
+
+
+def test_uncalibrated_camera_says_so_itself_and_misses_no_silhouettes():
+    says = reporting(C2, level=b"\1", message="uncalibrated: no silhouettes; run sagoma calibrate")
+    facts = graph([says], [silhouettes("cam02", masks=0, shares=(), canvas=Canvas(640, 480, 0, 0, 0, 0))])
+    assert [(code, what) for _, _, code, what in troubles(facts)] == [("says.warning", says.message)]
+
+
+def test_cameras_alone_that_are_not_calibrated_miss_no_server():
+    text = "uncalibrated: no silhouettes; run sagoma calibrate"
+    clients = tuple(reporting(node, level=b"\1", message=text) for node in CLIENTS.values())
+    facts = graph(nodes=(), sets=(), rig=None)
+    facts = replace(facts, nodes=clients, cameras=())
+    assert {code for _, _, code, _ in troubles(facts)} == {"says.warning"}
+    assert any(
+        code == "nodes.server_missing"
+        for _, _, code, _ in troubles(replace(facts, nodes=(*clients[:2], CLIENTS["cam03"])))
+    )
+
+
+def test_node_that_sends_and_is_not_heard_tells_of_the_network():
+    sending = reporting(C2, values={"rate_hz": "10.0"})
+    (found,) = troubles(graph([sending], [silhouettes("cam02", masks=0, infos=0, shares=())]))
+    assert found[:3] == ("ERROR", "camera cam02", "silhouettes.not_arriving") and "10.0 a second" in found[3]
+
+
+def test_absent_client_and_stranger_are_named():
+    stranger = SilhouetteFacts("cam77", 1, 5, Canvas(640, 480, 1, 1, 1, 1), 5, shares=(0.05,) * 5)
+    facts = graph([], [SilhouetteFacts("cam02"), stranger])
+    facts = replace(facts, nodes=tuple(n for n in facts.nodes if n is not C2))
+    stray, absent = troubles(facts)
+    assert stray[:3] == ("WARNING", "graph", "cameras.not_in_rig") and "cam77" in stray[3]
+    assert absent[:3] == ("ERROR", "camera cam02", "node.missing")
+
+
+def test_absent_trackers_are_named():
+    facts = graph()
+    facts = replace(facts, nodes=tuple(n for n in facts.nodes if n is not ICP))
+    (found,) = troubles(facts)
+    assert found[:3] == ("ERROR", "graph", "nodes.server_missing") and "/icp_tracker" in found[3] and "46" in found[3]
+
+
+def test_nobody_heard_says_where_nodes_are():
+    finding = next(iter(graph_findings(GraphFacts(46, "LOCALHOST", domains_here=(7, 46), rig=RIG))))
+    assert (finding.severity, finding.code) == (Severity.ERROR, "nodes.none")
+    assert "(7)" in finding.remedy and "LOCALHOST" in finding.remedy
+
+
+def test_server_with_another_rig_file_is_told_from_a_camera_with_another():
+    refusing = reporting(HULL, level=b"\2", message="refused: cam02: K with fx 1, but the rig says fx 2")
+    facts = graph([refusing], rig_files={"/hull_server": "/old/rig.yaml"})
+    assert any(subject == "hull_server" and "/old/rig.yaml" in what for _, subject, _, what in troubles(facts))
+    theirs = silhouettes("cam02", canvas=CANVASES["cam02"]._replace(fx=480.0))
+    facts = graph([refusing], [theirs], rig_files={"/cam02/camera_client": "/mine/rig.yaml"})
+    assert any(subject == "camera cam02" and "/mine/rig.yaml" in what for _, subject, _, what in troubles(facts))
+    assert not any(code == "rig.refused" for _, _, code, _ in troubles(facts))
+
+
+@pytest.mark.parametrize(
+    "sets, subject, code, value",
+    [
+        ((), "graph", "frame_sets.none", ""),
+        (({**SET, "spread_ms": "40.0"},) * 60, "graph", "sync.spread", "40.0 ms, of a frame period of 100 ms"),
+        (({**SET, "published_ms": "900.0"},) * 60, "graph", "latency.late", "900 ms"),
+        (({**SET, "points": "0"},) * 60, "graph", "centerline.empty", "3 cameras"),
+        (({**SET, "missing": "cam02"}, SET) * 30, "camera cam02", "frame_sets.missing_camera", "30 of 60"),
+    ],
+)
+def test_frame_sets_that_do_not_come_or_fit_are_named(sets, subject, code, value):
+    (found,) = troubles(graph(sets=sets))
+    assert found[1:3] == (subject, code) and value in found[3]
+
+
+def test_cameras_that_are_set_differently_are_named_together():
+    fast, slow = ({"frame_rate": rate, "sync": "ptp"} for rate in ("60", "30"))
+    settings = [reporting(CLIENTS["cam01"], values=fast), reporting(CLIENTS["cam03"], values=fast)]
+    assert troubles(graph([*settings, reporting(C2, values=fast)])) == []
+    (trouble,) = troubles(graph([*settings, reporting(C2, values=slow)]))
+    assert trouble[1:3] == ("graph", "settings.frame_rate_differs") and "cam01 60, cam02 30, cam03 60" in trouble[3]
+
+
+@pytest.mark.parametrize("grade, expected", [("good", []), ("usable", []), ("redo", ["background.failed"])])
+def test_background_that_has_to_be_learned_again_is_named_with_the_reason(grade, expected):
+    finding = Finding(grade, "something moved: in the middle", "clear the scene")
+    training = TrainingReport(1, grade, () if grade == "good" else (finding,)).to_json()
+    found = troubles(graph([reporting(C2, values={"background_training": training})]))
+    assert [code for _, _, code, _ in found] == expected
+    assert not found or "in the middle (clear the scene)" in found[0][3]
+
+
+CAUSES = [
+    (Condition(light_gain=1.4), "WARNING", "light.brighter", "the light is 40 % brighter than when the background"),
+    (Condition(light_gain=1.0, light_switches_recent=4), "WARNING", "light.unsteady", "4 times in half a minute"),
+    (Condition(light_gain=1.0, light_flicker=0.06), "WARNING", "light.flicker", "6.0 %"),
+    (Condition(noise_levels=8.0, noise_learned_levels=2.0), "WARNING", "noise.higher", "4.0 times what was learned"),
+    (Condition(noise_levels=8.0, noise_learned_levels=7.5), "WARNING", "noise.high", "8.0 grey levels"),
+    (Condition(noise_levels=1.0, background_doubtful=0.4), "WARNING", "levels.clipped", "40 %"),
+    (Condition(displacement_left_px=0.7), "WARNING", "moved.unfollowed", "0.7 px"),
+    (Condition(things_places="lower left", things_share=0.3), "WARNING", "room.things_moved", "lower left"),
+    (Condition(things_endless=True), "WARNING", "room.endless", ""),
+    (Condition(restless_foreground=0.03), "WARNING", "room.restless", "3.0 %"),
+    (Condition(unexplained_foreground=0.03), "WARNING", "room.unexplained", "3.0 %"),
+    (Condition(person_faint=0.4), "WARNING", "clothes.like_background", "40 %"),
+    (Condition(light_gain=1.12), "NOTE", "light.brighter", "12 % brighter"),
+    (Condition(light_gain=1.0, light_gains="0.9 1.0 1.1"), "NOTE", "light.colour", "blue -10 %"),
+    (Condition(light_gain=1.0, light_unevenness=0.2), "NOTE", "light.uneven", "20 %"),
+    (Condition(light_gain=1.0, light_switches_recent=1), "NOTE", "light.switched", ""),
+    (Condition(displacement_px=0.7), "NOTE", "moved.followed", "0.7 px"),
+    (Condition(shadow_share=0.7), "NOTE", "shadow.large", "70 %"),
+]
+
+
+@pytest.mark.parametrize("condition, severity, code, value", CAUSES, ids=[f"{case[1]}-{case[2]}" for case in CAUSES])
+def test_cause_that_a_client_names_is_a_finding_with_its_code_and_remedy(condition, severity, code, value):
+    found = condition_findings(condition)
+    says = {"level": b"\1", "message": found[0].line} if severity == "WARNING" and found else {}
+    client = reporting(C2, values={"findings": findings_text(found)}, **says)
+    named = [each for each in graph_findings(graph([client])) if each.severity > Severity.OK]
+    assert [(each.severity.name, each.subject, each.code) for each in named] == [(severity, "camera cam02", code)]
+    assert all(value in each.what and each.remedy for each in named)
+
+
+def test_background_of_another_camera_is_an_error_and_an_old_one_is_told_once():
+    learned = Provenance("camera", 100, 1.5, camera_serial="S1")
+    refused = unfit(learned, {"camera_serial": "S2"})
+    (trouble,) = troubles(
+        graph([reporting(C2, level=b"\1", message=refused.line, values={"findings": findings_text([refused])})])
+    )
+    assert trouble[0] == "ERROR" and trouble[2] == "background.other_camera" and "S2" in trouble[3]
+    old = Finding("usable", "the background is 30 h old", "learn again", "background.old")
+    values = {"findings": findings_text([old])}
+    (trouble,) = troubles(graph([reporting(C2, level=b"\1", message=old.line, values=values)]))
+    assert trouble[2] == "background.old"
+
+
+def test_machines_are_told_apart_by_the_middlewares_number():
+    assert machine_of(bytes.fromhex("010f78fd5a5c7a490000000000000603")) == "78fd"
+    assert machine_of(bytes.fromhex("01100000aabbccdd0000000000000603")) == ""
+    other = graph([replace(C2, machines=("3d11",))])
+    told = next(finding for finding in graph_findings(other) if finding.about == "nodes")
+    here = "hull_server, icp_tracker, ekf_tracker, cam01, cam03"
+    assert f"on 2 machines (here: {here}; on another machine: cam02)" in told.what
