@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import theilslopes
 
 BIN_S = 60.0  # samples are reduced to medians of a minute: faults and motion come and go within it
-BLOCK_S = 600.0  # longer than a fault, its recovery and the calm after it (docs/soak.md)
+BLOCK_S = 600.0  # longer than a fault, its recovery and the calm after it (docs/faults.md)
 RESAMPLES, CONFIDENCE_PERCENT = 400, (2.5, 97.5)
 WARM_UP_S = 600.0  # left out after a process's start: kernels are loaded, buffers and caches fill
 LEAST_BINS = 10

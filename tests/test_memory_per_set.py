@@ -77,7 +77,7 @@ def growth_per_step(step: Callable[[int], object], warm: int) -> np.ndarray:
 
 
 def test_what_numpy_keeps_of_small_arrays_is_bounded() -> None:
-    """The growth of MiB in the first hours of every node (docs/soak.md); here at once."""
+    """The growth of MiB in the first hours of every node (docs/faults.md); here at once."""
     fill_numpys_cache()
     before = held()
     fill_numpys_cache()

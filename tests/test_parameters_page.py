@@ -1,28 +1,18 @@
-"""docs/parameters.md against the code: its groups, its constants and its benches exist."""
+"""docs/parameters.md against the code: its parameters, its constants and its benches exist."""
 
 import ast
 import re
-from collections import Counter
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from reference import SETTINGS, with_tables
 
-from camera_client.settings import CameraClientSettings
 from capture_rig.settings import leaves
-from ekf_tracker.settings import EkfNodeSettings
-from hull_server.settings import NodeSettings as HullNodeSettings
-from icp_tracker.settings import IcpNodeSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "parameters.md").read_text()
-SETTINGS = {
-    "camera_client": CameraClientSettings,
-    "hull_server": HullNodeSettings,
-    "icp_tracker": IcpNodeSettings,
-    "ekf_tracker": EkfNodeSettings,
-}
 
 
 class Row(NamedTuple):
@@ -47,7 +37,6 @@ def quoted(text):
     return re.findall(r"`([^`]+)`", text)
 
 
-GROUPS = rows_under("Groups")
 THRESHOLDS = rows_under("Thresholds that are constants")
 
 
@@ -94,16 +83,6 @@ def test_named_tests_exist(test):
     assert [*ROOT.glob(f"src/*/test/{test}"), *ROOT.glob(f"tests/{test}")]
 
 
-@pytest.mark.parametrize("node", SETTINGS)
-def test_groups_hold_as_many_parameters_as_the_page_says(node):
-    on_page = {
-        group.strip("`").removesuffix("*"): int(count)
-        for label, (group, count, _) in GROUPS
-        if label.startswith(f"[{node}]")
-    }
-    groups = [group for group in on_page if group != "-"]
-    found = Counter(
-        max((group for group in groups if leaf.key.startswith(group)), key=len, default="-")
-        for leaf in leaves(SETTINGS[node])
-    )
-    assert on_page == found
+def test_the_tables_of_parameters_are_those_of_the_settings():
+    assert with_tables(PAGE) == PAGE, "run python scripts/reference.py"
+    assert all(f"| `{leaf.key}` |" in PAGE for settings in SETTINGS.values() for leaf in leaves(settings))

@@ -89,6 +89,7 @@ HELP: Mapping[str, CommandHelp] = {
     "evaluate": CommandHelp((f"evaluate {SESSION} --video", "evaluate output/demo/bag")),
     "export": CommandHelp((f"export {TAKE} --format bvh csv", "export walk1 --rate 60")),
     "import humaneva": CommandHelp(("import humaneva HumanEva_I s2_walk --subject S2 --action Walking",)),
+    "import biocv": CommandHelp(("import biocv P03/P03_WALK_01 p03_walk",)),
     "urdf": CommandHelp(("urdf --stature 1.82 --output body.urdf",)),
     "security": CommandHelp(("security output/keystore --expect 8",)),
     "doctor": CommandHelp(

@@ -120,6 +120,7 @@ NOT_THERE = [
     "evaluate nowhere",
     "export nowhere",
     "import humaneva nowhere there --subject S2 --action Walking",
+    "import biocv nowhere there",
     "urdf --body nowhere.yaml",
     "doctor --no-machine --rig nowhere.yaml",
 ]

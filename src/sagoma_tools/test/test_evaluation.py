@@ -87,6 +87,19 @@ def test_share_inside_the_ellipsoid_is_near_95_percent_for_honest_noise(points_w
     assert np.mean(shares) == pytest.approx(0.95, abs=0.01)
 
 
+def test_a_constant_offset_is_reported_and_is_no_lack_of_coverage(points_world):
+    rng = np.random.default_rng(6)
+    forward_world = np.stack([[np.cos(a), np.sin(a), 0.0] for a in 0.1 * np.arange(10)])  # as the body turns
+    moved = points_world + rng.normal(0.0, 0.005, points_world.shape)
+    moved[:, 9] += 0.1 * forward_world
+    scores = score(track_of(moved, sd_m=0.005), truth_of(points_world))
+    assert scores.point_offset_mm[9] == pytest.approx([100.0, 0.0, 0.0], abs=8.0)
+    assert np.abs(scores.point_offset_mm[10]).max() < 8.0
+    assert scores.coverage.point_inside_95[9] == 0.0
+    assert scores.coverage_without_offset.point_inside_95[9] >= 0.9
+    assert scores.figures()["inside_95_without_offset"] > scores.inside_95
+
+
 def test_score_reports_each_points_own_statistics(points_world):
     moved = points_world.copy()
     moved[:, 7, 2] += 0.001 * np.array([0, 10, 20, 30, 40, 50, 60, 70, 80, 300])

@@ -81,7 +81,7 @@ def _mean(values: np.ndarray, axis: int | None = None) -> np.ndarray:
 
 OVERALL = (
     *("mean_mm", "median_mm", "p95_mm", "over_200mm", "rmse_mean_mm", "mean_mm_without_offset", "inside_95"),
-    *("flagged_of_bad", "false_alarms"),
+    *("inside_95_without_offset", "flagged_of_bad", "false_alarms"),
 )
 
 
@@ -93,10 +93,12 @@ class Scores:
     mean_mm, median_mm, p95_mm : of all points together; over_200mm : share of frames with any point further off;
     rmse_mean_mm : mean over the points of each point's RMSE (thesis Table 7.2).
     mean_mm_without_offset : after each point's constant offset in the pelvis frame is taken out: where truth and stick
-    figure mean different places by "shoulder" or "hip", that part says nothing about tracking.
+    figure mean different places by "shoulder" or "hip", that part says nothing about tracking. point_offset_mm :
+    (15, 3) those offsets, track minus truth, forward, left and up.
     point_... : (15,) the same of each point; point_over_200mm : share of frames in which it is further off.
-    coverage : the errors against the track's own covariances. angles : the joint angles. calls : the parts of the body
-    that are called doubtful or lost, rightly or not.
+    coverage : the errors against the track's own covariances; coverage_without_offset : what is left of them without
+    constant offsets, for the covariance is about our own definition of the points (docs/points.md). angles : the joint
+    angles. calls : the parts of the body that are called doubtful or lost, rightly or not.
     errors_mm : (frames, 15) every error, NaN where there is none.
     """
 
@@ -114,7 +116,9 @@ class Scores:
     point_p95_mm: np.ndarray
     point_over_200mm: np.ndarray
     point_mm_without_offset: np.ndarray
+    point_offset_mm: np.ndarray
     coverage: CovarianceCoverage
+    coverage_without_offset: CovarianceCoverage
     angles: AngleScores
     calls: PartCalls
     errors_mm: np.ndarray
@@ -135,6 +139,11 @@ class Scores:
         return self.coverage.inside_95
 
     @property
+    def inside_95_without_offset(self) -> float:
+        """Share of the errors inside the same ellipsoids after each point's constant offset is taken out."""
+        return self.coverage_without_offset.inside_95
+
+    @property
     def angle_rmse_deg(self) -> np.ndarray:
         """(18,) RMSE of each angle where the truth defines it."""
         return np.rad2deg(self.angles.rmse_rad)
@@ -145,8 +154,12 @@ class Scores:
         whole.update({name: number(getattr(self, name)) for name in OVERALL})
         whole["nees"] = number(self.coverage.nees)
         whole["point_mm"] = _named(POINT_NAMES, self.point_mm, 1)
+        offsets = self.point_offset_mm.round(1).tolist()
+        whole["point_offset_mm"] = dict(zip(POINT_NAMES, offsets, strict=True))
         whole["point_rmse_mm"] = _named(POINT_NAMES, self.point_rmse_mm, 1)
         whole["point_inside_95"] = _named(POINT_NAMES, self.coverage.point_inside_95, 3)
+        centred = self.coverage_without_offset.point_inside_95
+        whole["point_inside_95_without_offset"] = _named(POINT_NAMES, centred, 3)
         whole["angle_rmse_deg"] = _named(ANGLE_NAMES, self.angle_rmse_deg, 1)
         whole["torso_rmse_deg"] = number(np.rad2deg(self.angles.torso_rmse_rad))
         return whole
@@ -179,7 +192,9 @@ def score(track: Track, truth: Truth) -> Scores:
         point_p95_mm=_by_point(errors_mm, lambda known: np.percentile(known, 95)),
         point_over_200mm=_by_point(errors_mm, lambda known: np.mean(known > 1e3 * metrics.LARGE_ERROR_M)),
         point_mm_without_offset=1e3 * _by_point(errors_centred, np.mean),
+        point_offset_mm=1e3 * metrics.joint_offsets(estimate[tracked], reference[tracked]),
         coverage=covariance_coverage(estimate - reference, aligned.covariance),
+        coverage_without_offset=covariance_coverage(centred - reference[tracked], aligned.covariance[tracked]),
         angles=score_angles(aligned.angles, aligned.points_world, angle_truth(truth)),
         calls=PartCalls.of(errors_mm, aligned.parts),
         errors_mm=errors_mm,

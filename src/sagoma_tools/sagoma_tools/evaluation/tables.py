@@ -32,7 +32,10 @@ def print_scores(console: Console, scores: Scores) -> None:
         f"{scores.median_mm:.1f}, 95 % below {scores.p95_mm:.0f}; {scores.mean_mm_without_offset:.1f} mm without "
         f"constant offsets; {100 * scores.over_200mm:.1f} % of the frames have a point over 200 mm"
     )
-    ellipsoids = f"{100 * coverage.inside_95:.0f} % of the errors inside their 95 % ellipsoid"
+    ellipsoids = (
+        f"{100 * coverage.inside_95:.0f} % of the errors inside their 95 % ellipsoid, "
+        f"{100 * scores.inside_95_without_offset:.0f} % without constant offsets"
+    )
     console.print(
         f"covariance: {ellipsoids}; NEES "
         f"{coverage.nees:.1f}, where 3 is consistent "

@@ -13,7 +13,10 @@ import cv2
 import numpy as np
 
 from capture_rig.errors import InputError
+from capture_rig.rig import FLOOR_MARGIN_M, Volume
 
+SIDE_MARGIN_M, TOP_MARGIN_M = 0.4, 0.3
+"""From the outermost markers to the sides of the capture volume: body surface and hands lie beyond them."""
 CODEC, SUFFIX = "FFV1", ".mkv"
 """Lossless, and in every OpenCV wheel (which, up to 4.8, puts it into .mkv but not into .mp4)."""
 
@@ -61,6 +64,15 @@ class FootageFile:
 
     def __exit__(self, *raised: object) -> None:
         self._writer.release()
+
+
+def volume_around(points_world: np.ndarray) -> Volume:
+    """Return the capture volume around all markers (n, 3) of a recording, metres."""
+    low, high = points_world.min(axis=0), points_world.max(axis=0)
+    return Volume(
+        np.array([*(low[:2] - SIDE_MARGIN_M), -FLOOR_MARGIN_M]),
+        np.array([*(high[:2] + SIDE_MARGIN_M), high[2] + TOP_MARGIN_M]),
+    )
 
 
 def write_truth_file(path: Path, frames: np.ndarray, points_world: Mapping[str, np.ndarray]) -> None:

@@ -167,7 +167,7 @@ def check_kernels(kernels: KernelFacts) -> Iterator[Finding]:
 def check_graphics(graphics: GraphicsFacts) -> Iterator[Finding]:
     """Report what the hull server's backend "auto" takes."""
     if graphics.error:
-        remedy = "Nothing, on a machine without a GPU; else see docs/opengl.md."
+        remedy = "Nothing, on a machine without a GPU; else see docs/hull.md."
         yield note("opengl.none", f"none, the hull server carves on the CPU ({graphics.error})", remedy)
     elif graphics.hardware:
         yield ok("opengl", f"{graphics.renderer}, OpenGL {graphics.version}: the hull server carves on it")
@@ -176,7 +176,7 @@ def check_graphics(graphics: GraphicsFacts) -> Iterator[Finding]:
             "opengl.software",
             f"{graphics.renderer}, OpenGL {graphics.version}: in software, so the hull server carves "
             "on the CPU, which is faster",
-            "Nothing, on a machine without a GPU; else see docs/opengl.md.",
+            "Nothing, on a machine without a GPU; else see docs/hull.md.",
         )
 
 

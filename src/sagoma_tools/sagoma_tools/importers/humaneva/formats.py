@@ -114,8 +114,14 @@ class Mocap:
         raise InputError(f"has no point labelled {' or '.join(labels)}", where=str(self.path), remedy=remedy)
 
 
-def read_c3d(path: Path) -> Mocap:
-    """Return all points of a ``.c3d`` file. Raises InputError naming a file that is missing, damaged or cut short."""
+WITHHELD = "That of trial 2 is withheld by the owners: import its footage alone with --no-truth."
+
+
+def read_c3d(path: Path, remedy: str = WITHHELD) -> Mocap:
+    """Return all points of a ``.c3d`` file.
+
+    Raises InputError naming a file that is damaged, cut short, or cannot be read (then with ``remedy``).
+    """
     try:
         with path.open("rb") as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about parameters that are not read here
@@ -126,7 +132,6 @@ def read_c3d(path: Path) -> Mocap:
             frames = [points[:, :3] for _, points, _ in reader.read_frames(copy=True)]
             expected, rate_hz = int(reader.frame_count), float(reader.point_rate)
     except OSError as error:
-        remedy = "That of trial 2 is withheld by the owners: import its footage alone with --no-truth."
         raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
     except Exception as error:  # the library asserts and indexes its way through damaged files
         raise InputError(

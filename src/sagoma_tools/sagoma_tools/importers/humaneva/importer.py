@@ -11,11 +11,11 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.rig import FLOOR_MARGIN_M, Rig, Volume, default_volume, save_rig
+from capture_rig.rig import Rig, Volume, default_volume, save_rig
 from capture_rig.yaml_file import save_mapping
 
 from ...recording.writer import own_version
-from ..session_folder import new_session_folder, write_truth_file
+from ..session_folder import new_session_folder, volume_around, write_truth_file
 from .footage import Footage, Movie, Source, copy_footage, is_grey
 from .formats import FIRST_USABLE_FRAME, CommonTime, Mocap, common_time, read_c3d, read_cal, read_ofs
 from .joints import Joints, joints, markers_mm, measures
@@ -86,10 +86,6 @@ class Trial:
         folder = path.parent.name
         remedy = f"{folder} has {', '.join(there)}." if there else f"Unpack {folder} of the data set."
         raise InputError("is not there", where=str(path), remedy=remedy)
-
-
-SIDE_MARGIN_M, TOP_MARGIN_M = 0.4, 0.3
-"""From the outermost markers to the sides of the capture volume: body surface and hands lie beyond them."""
 
 
 @dataclass(frozen=True)
@@ -189,12 +185,7 @@ def _volume(cameras: tuple[CameraModel, ...], mocap: Mocap | None, positions: np
         return default_volume(cameras)
     rows = slice(max(int(positions[0]) - 1, 0), int(positions[-1]) + 1)
     points = np.concatenate([track[rows] for track in markers_mm(mocap)]) / 1000.0
-    points = points[(points != 0).any(axis=1)]
-    low, high = points.min(axis=0), points.max(axis=0)
-    return Volume(
-        np.array([*(low[:2] - SIDE_MARGIN_M), -FLOOR_MARGIN_M]),
-        np.array([*(high[:2] + SIDE_MARGIN_M), high[2] + TOP_MARGIN_M]),
-    )
+    return volume_around(points[(points != 0).any(axis=1)])
 
 
 def _describe(
