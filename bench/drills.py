@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scenes import Clip
 
+from capture_rig.rigid import rotation_matrix
 from icp_tracker.tracker import TRACKING
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.hull import HullProducts
@@ -17,7 +18,6 @@ from mocap_pipeline.pipeline import MocapPipeline, Step
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import Pose
-from stick_figure.rotations import rotation_matrix
 from stick_figure.skeleton import ANGLE_NAMES
 
 WORST_POINT_M, MEAN_M, GOOD_FOR_S = 0.200, 0.060, 0.2

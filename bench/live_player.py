@@ -86,7 +86,7 @@ def followed_rule(link: RosLink) -> Any:
         return None
     selector = FrameSelector()
     link.node.create_subscription(
-        DiagnosticArray, TOPIC, lambda rule: selector.follow(read_thinning(rule, TOPIC), time.monotonic_ns()), LATCHED
+        DiagnosticArray, TOPIC, lambda rule: selector.update(read_thinning(rule, TOPIC), time.monotonic_ns()), LATCHED
     )
     return selector
 

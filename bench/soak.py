@@ -39,7 +39,7 @@ from capture_rig.errors import InputError
 from capture_rig.stop_signals import StopOnSignal
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.evaluation.live_run import start_settings
-from sagoma_tools.graph.restarts import Death, RestartPolicy, Return
+from sagoma_tools.graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
 from sagoma_tools.graph.supervisor import Supervisor
 from stick_figure.body import Body
 from virtual_studio.motions.catalogue import Motion, tour
@@ -56,7 +56,7 @@ TICK_S = 0.2
 STATURE_M, ACTED_S, ACTED_HZ = 1.75, 6.0, 20.0
 SLOWER = 2.0  # the person moves at half speed: at HZ it seems to move as before cameras of twice the rate
 
-Note = Callable[[Death | Return], None]
+Note = Callable[[ProcessExited | ProcessRecovered], None]
 
 
 @dataclass(frozen=True)
@@ -227,7 +227,7 @@ def soak(args: argparse.Namespace) -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     events = Rows(out / "events.csv", "unix_s event")
 
-    def note(event: Death | Return) -> None:
+    def note(event: ProcessExited | ProcessRecovered) -> None:
         events.add(f"{time.time():.2f}", str(event))
 
     with StopOnSignal() as stop, studio_stage(args, stop, note) as stage:

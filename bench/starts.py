@@ -10,6 +10,7 @@ from cut_rigs import CutCase
 from products import Recorded
 from scenes import Clip, studio_masks
 
+from capture_rig.rigid import rotation_matrix
 from icp_tracker.acquisition.body_sizes import ANKLE, SIZES, sizes_of_body
 from mocap_packets.hull import HullProducts
 from mocap_pipeline.configuration import Configuration
@@ -17,7 +18,6 @@ from mocap_pipeline.pipeline import BodyFollower
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.rotations import rotation_matrix
 from virtual_studio.motions.catalogue import MOTIONS
 from virtual_studio.motions.timeline import T_POSE_S
 from virtual_studio.people import VolumetricBody

@@ -1,6 +1,6 @@
 """Tracking on synthetic sticks: our methods, the thesis's, and the statistical bound.
 
-    python bench/tracking.py [--quick] [--motion FILE.bvh|FILE.amc ...]
+    python bench/tracking.py [--quick] [--motion FILE.bvh ...]
 
 1. Moving stick figures, 300 noisy points a frame, trackers from the true first pose: mean error of the 15 points.
 2. Time of one set with 500 points and 1500 voxels.
@@ -49,7 +49,6 @@ def gather(options: argparse.Namespace) -> list[Clip]:
     reading = ReadingOptions(
         metres_per_unit=options.motion_scale,
         up=options.motion_up,
-        fps=options.motion_fps,
         joints=options.motion_joints,
         start_s=options.motion_start,
     )
@@ -120,11 +119,10 @@ def _rounded(mm: float) -> float:
 
 def _parser() -> argparse.ArgumentParser:
     made = parser(__doc__, quick="few, short clips: under a minute")
-    made.add_argument("--motion", nargs="*", type=Path, default=[], help="BVH or AMC files to track too")
+    made.add_argument("--motion", nargs="*", type=Path, default=[], help="BVH files to track too")
     made.add_argument("--motion-scale", type=float, help="metres in one unit of these files")
     made.add_argument("--motion-start", type=float, default=0.0, help="seconds of each to leave out")
     made.add_argument("--motion-up", default="y", help="their axis that points up")
-    made.add_argument("--motion-fps", type=float, help="frames a second of AMC files")
     made.add_argument("--motion-joints", type=Path, help="YAML that says which joint is which")
     return made
 

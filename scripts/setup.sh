@@ -65,8 +65,8 @@ have_system_ros() { [ "${ROS_DISTRO:-}" = jazzy ] && "$python" -c 'import rclpy'
 
 pip() { "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "$@" 2>&1 | { grep -v '^WARNING: Location' || true; }; }
 
-# uv takes a fifth of pip's time, but knows nothing of pip's own settings (another index): pip has the last word
-install_packages() { "$venv/bin/uv" pip install --quiet --python "$venv/bin/python" "$@" 2>/dev/null || pip "$@"; }
+# uv takes a fifth of pip's time, but brings its own certificates, and knows no other index of pip: pip has the last word
+install_packages() { UV_SYSTEM_CERTS=1 "$venv/bin/uv" pip install --quiet --python "$venv/bin/python" "$@" 2>/dev/null || pip "$@"; }
 
 fingerprint() { cat requirements.txt requirements-ros.txt scripts/setup.sh src/*/setup.py | sha256sum | cut -d' ' -f1; echo "$PWD"; have_system_ros && echo system-ros || echo wheels; }
 

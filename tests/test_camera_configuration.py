@@ -8,7 +8,7 @@ from camera_client.configuration import load_camera
 from camera_client.settings import CameraClientSettings
 from capture_rig.settings import build_settings, leaves
 from sagoma_bringup.graph import camera_from_file, rig_cameras
-from sagoma_tools.doctor.camera import read_file
+from sagoma_tools.doctor.cameras import read_file
 
 ROOT = Path(__file__).resolve().parent.parent
 LIVE = sorted((ROOT / "config" / "camera").glob("*.yaml"))

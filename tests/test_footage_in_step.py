@@ -12,7 +12,7 @@ from sagoma_bringup.graph import Role, build_graph
 from sagoma_bringup.processes import THREE_PROCESSES
 from sagoma_ros.qos import RESULT
 from sagoma_tools.graph.lifecycle_client import State
-from sagoma_tools.graph.process_group import ProcessSettings
+from sagoma_tools.graph.processes import ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.supervisor import Supervisor
 

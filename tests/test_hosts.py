@@ -13,7 +13,7 @@ from namespaces import Condition, inside, netem_words, tbf_words, why_not
 PATIENCE_S, DRILL_S = 30.0, 900.0
 ROOT = Path(__file__).resolve().parents[1]
 FAULTS = (
-    *("none", "clock 2 s", "clock 40 ms", "100 Mbit/s", "loss", "MTU", "domain", "vanished"),
+    *("none", "clock 2 s", "clock 40 ms", "loss", "MTU", "domain", "vanished"),
     *("localhost", "missing peer", "no multicast", "firewall", "two servers", "profile"),
 )
 AWAY, AWAY_ADDRESS = "camera cam02", "machine 10.66.0.3"
@@ -114,9 +114,7 @@ def test_footage_on_several_hosts_is_in_step_though_one_starts_late_and_refused_
     alone, together = map(json.loads, inside_with_support("hosts_footage.py", str(tmp_path)))
     assert alone["status"] == 2 and "--start-at" in alone["says"]
     assert together["early"] and all("cam03" in missing for missing in together["early"])
-    whole = [not missing for missing in together["missing"]]
-    assert len(whole) == 30 and sum(whole) >= 24  # a busy machine may lose some
-    assert max(together["spread_ms"]) == 0.0  # the same frame of the footage from all hosts
+    assert len(together["spread_ms"]) == 10 and set(together["spread_ms"]) == {0.0}  # the same frame from all hosts
 
 
 @pytest.mark.slow
@@ -142,19 +140,17 @@ def said(needs_namespaces, tmp_path_factory):
 @pytest.mark.parametrize(
     ("fault", "subject", "code", "words"),
     [
-        ("clock 2 s", AWAY_ADDRESS, "clock.off", "2.00 s ahead"),
         ("clock 2 s", AWAY, "clock.off", "ahead of this machine's"),
-        ("clock 40 ms", AWAY_ADDRESS, "clock.off", "40."),
-        ("100 Mbit/s", AWAY_ADDRESS, "bandwidth.slow", "Mbit/s"),
-        ("loss", AWAY_ADDRESS, "packets.lost", "did not come back"),
+        ("clock 40 ms", AWAY, "clock.off", "ms ahead of"),
+        ("loss", AWAY, "network.loss", "got lost on the way"),
         ("MTU", AWAY_ADDRESS, "mtu.too_large", "9000 bytes"),
-        ("domain", AWAY, "node.missing", "ROS_DOMAIN_ID 4 on 10.66.0.3"),
+        ("domain", AWAY, "node.missing", "does not run"),
         ("domain", AWAY_ADDRESS, "domain.differs", "ROS_DOMAIN_ID 4, this doctor in 3"),
         ("localhost", AWAY_ADDRESS, "discovery.local", "LOCALHOST there"),
         ("missing peer", AWAY_ADDRESS, "peers.missing", "10.66.0.99"),
         ("no multicast", AWAY_ADDRESS, "multicast.blocked", "does not arrive here"),
         ("firewall", AWAY_ADDRESS, "firewall.drops", "UDP 8150 to 8399"),
-        ("two servers", "hull_server", "node.duplicate", "2 nodes call themselves /hull_server (here, on 10.66.0.3)"),
+        ("two servers", "hull_server", "node.duplicate", "themselves /hull_server (here, on another machine)"),
         ("profile", AWAY_ADDRESS, "profile.differs", "other.xml"),
         ("vanished", AWAY, "node.missing", "its machine vanished"),
         ("vanished", AWAY_ADDRESS, "answer.none", "does not answer"),
@@ -165,3 +161,14 @@ def test_the_doctor_names_each_fault_of_the_network_with_a_remedy(said, fault, s
     assert mine, [finding for finding in said[fault] if not finding[1].endswith(".ok")]
     assert words in mine[0][2] and mine[0][3]
     assert code not in {finding[1] for finding in said["none"] if finding[0] == subject}
+
+
+@pytest.mark.slow
+def test_hosts_without_a_fault_hear_each_other(said):
+    found = {finding[:2] for finding in said["none"]}
+    assert found >= {
+        (AWAY_ADDRESS, "mtu.ok"),
+        (AWAY_ADDRESS, "discovery.ok"),
+        (AWAY, "silhouettes.ok"),
+        (AWAY, "clock.ok"),
+    }

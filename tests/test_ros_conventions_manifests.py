@@ -12,7 +12,6 @@ ROOT = Path(__file__).parents[1]
 SOURCES = ROOT / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
 KEYS = {
-    "cryptography": "python3-cryptography",
     "cv2": "python3-opencv",
     "gi": "python3-gi",
     "hypothesis": "python3-hypothesis",
@@ -29,10 +28,10 @@ KEYS = {
     "yaml": "python3-yaml",
 }
 """Python modules -> their keys in ros/rosdistro's rosdep/python.yaml, as of Jazzy."""
-FROM_PYPI = {"rosbags", "c3d", "pygltflib", "viser", "lz4", "backports"}
+FROM_PYPI = {"rosbags", "c3d", "pygltflib", "viser", "mcap"}
 """What has no key there: requirements.txt brings it."""
 WITH_ANOTHER = {"llvmlite", "msgspec"}  # own requirements of numba and viser
-OPTIONAL = {"hri_msgs", "compression"}  # of REP-155; Python's from 3.14: looked for, and done without
+OPTIONAL = {"hri_msgs"}  # of REP-155: looked for, and done without
 ROS = {
     *(
         "rclpy",

@@ -17,9 +17,8 @@ from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import LOSSLESS, Topic
 from sagoma_tools.recording import asked_topics
 from sagoma_tools.recording.asked_topics import AskedTopics, is_known, matches_any
-from sagoma_tools.recording.beginnings import Beginnings
 from sagoma_tools.recording.reader import TYPES, bag_topics, read_messages, read_provenance
-from sagoma_tools.recording.recorder import Recorder
+from sagoma_tools.recording.recorder import Recorder, TimeJumpDetector
 
 PATIENCE_S = 30.0
 BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -144,10 +143,10 @@ def test_stamps_that_go_back_are_told_once_and_counted_in_the_bag(link, others, 
     assert capfd.readouterr().err.count("stamps went back by 2.000 s") == 1
 
 
-def test_a_late_message_is_no_beginning():
-    beginnings = Beginnings()
-    assert [beginnings.take("/x", ns) for ns in (1_000_000_000, 900_000_000, 1_100_000_000)] == [None] * 3
-    assert beginnings.count == 1
+def test_a_late_message_is_no_time_jump():
+    jumps = TimeJumpDetector()
+    assert [jumps.observe("/x", ns) for ns in (1_000_000_000, 900_000_000, 1_100_000_000)] == [None] * 3
+    assert jumps.count == 0
 
 
 def test_all_and_topics_contradict_each_other(tmp_path: Path, capsys):

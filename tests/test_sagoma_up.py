@@ -17,7 +17,6 @@ from sagoma_tools.graph.lifecycle_client import LifecycleClient, State
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, camera_topics
 from sagoma_tools.recording.reader import bag_topics, read_messages
-from sagoma_tools.recording.replayer import Answers
 from virtual_studio.rig import ring
 
 PATIENCE_S = 120.0
@@ -48,8 +47,8 @@ def up(built_in_session: Path, tmp_path: Path):
 @pytest.mark.slow
 def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(up, built_in_session, tmp_path):
     with RosLink("listener") as link:
-        answers, running = Answers(link.node), up("--record", str(tmp_path / "bag"))
-        assert answers.wait_for_total(10, PATIENCE_S), running.stdout.read()
+        poses, running = Poses(link), up("--record", str(tmp_path / "bag"))
+        assert poses.wait_for_more(10), running.stdout.read()
         processes = psutil.Process(running.pid).children()
         running.send_signal(signal.SIGINT)
         said, _ = running.communicate(timeout=PATIENCE_S)

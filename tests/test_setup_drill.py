@@ -14,7 +14,7 @@ from capture_rig.rig import load_rig
 from sagoma_bringup.graph import build_graph
 from sagoma_tools.cli import main as sagoma
 from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
-from sagoma_tools.evaluation.track import POINTS_TOPIC, track_from_bag
+from sagoma_tools.evaluation.track import tracks_from_bag
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.recording.recorder import GraphRecorder
 from stick_figure.body import Body
@@ -128,10 +128,10 @@ def person_live(studio: StudioProcess, rig: Path, folder: Path) -> np.ndarray:
             supervisor.activate(tolerate_cameras=False)
             studio.ask("play")
             studio.ask("hold")
-            assert recorder.recorder.wait_for_count(POINTS_TOPIC, 30, 120.0), "nobody was tracked"
+            assert recorder.recorder.wait_for_count("/mocap/reference_points", 30, 120.0), "nobody was tracked"
             supervisor.suspend()
             recorder.close()
-    track = track_from_bag(folder / "bag", lambda stamp_ns: stamp_ns)
+    track = tracks_from_bag(folder / "bag", lambda stamp_ns: stamp_ns)[1]
     return np.median(track.points_world[-10:], axis=0)
 
 

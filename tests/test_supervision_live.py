@@ -15,8 +15,8 @@ from sensor_msgs.msg import JointState
 from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
-from sagoma_tools.graph.process_group import ProcessSettings
-from sagoma_tools.graph.restarts import Death, RestartPolicy, Return
+from sagoma_tools.graph.processes import ProcessSettings
+from sagoma_tools.graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
 from sagoma_tools.graph.supervisor import Supervisor
 
 CAMERA_FPS = 5.0
@@ -55,7 +55,7 @@ class Counted:
 @pytest.mark.slow
 @pytest.mark.parametrize("server", [ONE_PROCESS, THREE_PROCESSES])
 def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in_session: Path, tmp_path: Path):
-    told: queue.Queue[Death | Return] = queue.Queue()
+    told: queue.Queue[ProcessExited | ProcessRecovered] = queue.Queue()
     cancel = threading.Event()
     with StudioInput(built_in_session, tmp_path / "studio", CAMERA_FPS) as studio:
         studio.open(cancel)

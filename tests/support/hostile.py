@@ -24,7 +24,7 @@ from rclpy.serialization import deserialize_message
 
 from sagoma_bringup.graph import build_graph
 from sagoma_bringup.processes import THREE_PROCESSES
-from sagoma_tools.graph.process_group import ProcessSettings
+from sagoma_tools.graph.processes import ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink, call_all
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, message_class, type_of

@@ -22,11 +22,9 @@ DOMAIN, OTHER_DOMAIN, SECONDS = "3", "4", "4"
 LEAD_S = {"clock 2 s": 2.0, "clock 40 ms": 0.04}
 LIFE_S = "600"
 ANSWERS = """
-import sys, threading
-from sagoma_tools.doctor.machine.link_probe import answer
-from sagoma_tools.doctor.machine.peer_settings import told_here
-clock = lambda now_ns: now_ns + round(1e9 * float(sys.argv[1]))
-answer(threading.Event(), clock_ns=clock, begun=lambda: print("ready", flush=True), settings=told_here)
+import threading
+from sagoma_tools.doctor.hosts import serve
+serve(threading.Event(), ready=lambda: print("ready", flush=True))
 """
 ALONE = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 ELSEWHERE = {**ALONE, "ROS_STATIC_PEERS": "10.66.0.99"}
@@ -45,9 +43,9 @@ NO_FIREWALL = ("ip rule del pref 10", "ip rule add pref 0 lookup local", "ip rul
 
 
 def start(world, camera, environment, lead_s=0.0):
-    """Start a camera's nodes and what answers the doctor, both by a clock that is so far ahead."""
+    """Start a camera's nodes, by a clock that is so far ahead, and what answers the doctor."""
     host = world.hosts[camera]
-    for command in ([NODES, LIFE_S, f"{camera},lead={lead_s}", "--ros-args"], ["-c", ANSWERS, str(lead_s)]):
+    for command in ([NODES, LIFE_S, f"{camera},lead={lead_s}", "--ros-args"], ["-c", ANSWERS]):
         process = host.start([sys.executable, *command], environment, stdout=subprocess.PIPE, text=True)
         assert process.stdout.readline() == "ready\n"
 
@@ -80,10 +78,8 @@ def with_fault(fault, world, environment, rig):
     cable = world.cables[AWAY]
     if fault in LEAD_S:
         restart(world, environment, lead_s=LEAD_S[fault])
-    elif fault == "100 Mbit/s":
-        cable.set(Condition(rate_mbit=100.0))
     elif fault == "loss":
-        cable.set(Condition(loss=0.05))
+        cable.set(Condition(loss=0.2))
     elif fault == "MTU":
         world.cables[SERVER].set_host_mtu(9000)
     elif fault == "domain":
@@ -115,7 +111,7 @@ def with_fault(fault, world, environment, rig):
         on_host(world, NO_FIREWALL)
     world.cables[SERVER].set_host_mtu(None)
     world.hosts[SERVER].kill()
-    if fault not in ("none", "100 Mbit/s", "loss", "MTU"):
+    if fault not in ("none", "loss", "MTU"):
         restart(world, environment)
     return found
 

@@ -266,7 +266,7 @@ class CameraNode(SagomaNode):
 
     def _on_thinning(self, message: DiagnosticArray) -> None:
         try:
-            self.selector.follow(read_thinning(message, THINNING_TOPIC), time.monotonic_ns())
+            self.selector.update(read_thinning(message, THINNING_TOPIC), time.monotonic_ns())
         except InputError as error:
             self.health.count("bad_rules")
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)

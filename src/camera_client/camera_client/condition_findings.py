@@ -12,26 +12,24 @@ from dataclasses import asdict
 
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
 
-from .background.verdict import HIGH_NOISE, WHITE_MUCH_SHARE, WHITE_SHARE
+from .background.verdict import FLICKER, HIGH_NOISE, LIGHT_CHANGED, NOISE_GREW, WHITE_MUCH_SHARE, WHITE_SHARE
 from .background.watch import REMEDY
 from .condition import Condition
 
 KEY = "findings"  # of the diagnostics: what speaks against the background in use, as JSON, the worst first
 
-LIGHT_SAID = 0.05  # relative: more than lamps and mains do by themselves
-LIGHT_MUCH = 0.25  # relative: what was exposed to 200 of 255 grey levels is white from there on
-COLOUR_SAID = 0.05  # by how much a channel's gain departs from the others'
-UNEVEN_SAID = 0.10  # standard deviation over the picture: another lamp, not the same one brighter
-FLICKER_SAID, FLICKER_MUCH = 0.01, 0.05  # as when the background is learned; the step that counts as a switch
-SWITCHES_MANY = 3  # in half a minute: nobody switches lamps so often
-NOISE_SAID = 2.0  # times what was learned: faint clothes need twice the contrast
-DISPLACED_SAID_PX = 0.3  # an edge of 50 grey levels would differ by 15
-LEFT_MUCH_PX = 0.5  # every edge of the room is as uncertain as the person's own
-THINGS_MUCH = 0.2  # share of the picture that no longer is as it was learned: the room is another one
-OUTSIDE_SAID = 0.005  # share of the picture: a quarter of a person who fills a fiftieth
-OUTSIDE_MUCH = 0.02  # ... and as much as the person herself
-FAINT_MUCH = 0.25  # a quarter of the person is found by its surroundings only
-SHADOW_SAID = 0.6  # of the foreground, or of the person: more shadow than person
+LIGHT_WARN = 0.25  # relative: what was exposed to 200 of 255 grey levels is white from there on
+COLOUR_NOTICE = 0.05  # by how much a channel's gain departs from the others'
+UNEVEN_NOTICE = 0.10  # standard deviation over the picture: another lamp, not the same one brighter
+FLICKER_WARN = 0.05  # the step that counts as a switch
+SWITCHES_WARN = 3  # in half a minute: nobody switches lamps so often
+DISPLACED_NOTICE_PX = 0.3  # an edge of 50 grey levels would differ by 15
+LEFT_WARN_PX = 0.5  # every edge of the room is as uncertain as the person's own
+THINGS_WARN = 0.2  # share of the picture that no longer is as it was learned: the room is another one
+OUTSIDE_NOTICE = 0.005  # share of the picture: a quarter of a person who fills a fiftieth
+OUTSIDE_WARN = 0.02  # ... and as much as the person herself
+FAINT_WARN = 0.25  # a quarter of the person is found by its surroundings only
+SHADOW_NOTICE = 0.6  # of the foreground, or of the person: more shadow than person
 
 MAINS = "expose for whole periods of the mains: 10 ms at 50 Hz, 8.33 ms at 60 Hz"
 CHANNELS = ("blue", "green", "red")
@@ -74,20 +72,20 @@ def _light_findings(c: Condition) -> Iterator[Finding]:
     if c.light_gain is None:
         return
     change, unlike = 100 * (c.light_gain - 1), max(c.light_gain, 1 / max(c.light_gain, 1e-3)) - 1
-    if unlike > LIGHT_SAID:
+    if unlike > LIGHT_CHANGED:
         kind = "brighter" if change > 0 else "darker"
         what = f"the light is {abs(change):.0f} % {kind} than when the background was learned"
         remedy = "it is followed: nothing is to be done"
-        if unlike > LIGHT_MUCH:
+        if unlike > LIGHT_WARN:
             remedy = f"it is followed, but white and black places are lost, and noise grows: {REMEDY}"
-        yield Finding(USABLE if unlike > LIGHT_MUCH else GOOD, what, remedy, f"light.{kind}")
+        yield Finding(USABLE if unlike > LIGHT_WARN else GOOD, what, remedy, f"light.{kind}")
     gains = [float(gain) for gain in c.light_gains.split()]
     mean = sum(gains) / max(len(gains), 1)
-    if any(abs(gain - mean) > COLOUR_SAID * mean for gain in gains):
+    if any(abs(gain - mean) > COLOUR_NOTICE * mean for gain in gains):
         changes = ", ".join(f"{name} {100 * (gain - 1):+.0f} %" for name, gain in zip(CHANNELS, gains, strict=True))
         what = f"the light has another colour than when the background was learned: {changes}"
         yield Finding(GOOD, what, "it is followed; switch automatic white balance off", "light.colour")
-    if (c.light_unevenness or 0.0) > UNEVEN_SAID:
+    if (c.light_unevenness or 0.0) > UNEVEN_NOTICE:
         what = f"the light changed by {100 * (c.light_unevenness or 0.0):.0f} % more in some places than in others"
         remedy = "it is followed as far as it is smooth: a lamp was moved or switched, or the sun came in"
         yield Finding(GOOD, what, remedy, "light.uneven")
@@ -96,14 +94,14 @@ def _light_findings(c: Condition) -> Iterator[Finding]:
 
 def _unsteady_light(c: Condition) -> Iterator[Finding]:
     recent, flicker = c.light_switches_recent or 0, c.light_flicker or 0.0
-    if recent >= SWITCHES_MANY:
+    if recent >= SWITCHES_WARN:
         what = f"the light changed suddenly {recent} times in half a minute"
         remedy = "switch automatic exposure off, and lamps with a loose contact; draw the curtains against clouds"
         yield Finding(USABLE, what, remedy, "light.unsteady")
     elif recent:
         yield Finding(GOOD, "the lights were switched just now", "it is followed", "light.switched")
-    if flicker > FLICKER_SAID:
-        grade, what = USABLE if flicker > FLICKER_MUCH else GOOD, f"the light flickers by {100 * flicker:.1f} %"
+    if flicker > FLICKER:
+        grade, what = USABLE if flicker > FLICKER_WARN else GOOD, f"the light flickers by {100 * flicker:.1f} %"
         yield Finding(grade, what, f"it is followed; better {MAINS}", "light.flicker")
 
 
@@ -112,7 +110,7 @@ def _noise_findings(c: Condition) -> Iterator[Finding]:
         return
     learned = c.noise_learned_levels or c.noise_levels
     times = c.noise_levels / learned
-    if times > NOISE_SAID:
+    if times > NOISE_GREW:
         what = f"the noise is {c.noise_levels:.1f} grey levels, {times:.1f} times what was learned"
         remedy = "a higher bit rate, less gain, more light"
         yield Finding(USABLE if c.noise_levels > HIGH_NOISE else GOOD, what, remedy, "noise.higher")
@@ -127,11 +125,11 @@ def _noise_findings(c: Condition) -> Iterator[Finding]:
 
 
 def _displacement_findings(c: Condition) -> Iterator[Finding]:
-    if (c.displacement_px or 0.0) > DISPLACED_SAID_PX:
+    if (c.displacement_px or 0.0) > DISPLACED_NOTICE_PX:
         what = f"the camera was touched: its picture lies {c.displacement_px:.1f} px beside the background"
         remedy = "it is followed; fasten the mount, and see whether its calibration still holds"
         yield Finding(GOOD, what, remedy, "moved.followed")
-    if (c.displacement_left_px or 0.0) > LEFT_MUCH_PX:
+    if (c.displacement_left_px or 0.0) > LEFT_WARN_PX:
         what = (
             f"edges of the room lie {c.displacement_left_px:.1f} px beside the background's, which cannot be followed"
         )
@@ -143,19 +141,19 @@ def _room_findings(c: Condition) -> Iterator[Finding]:
     if c.things_endless:
         what = "more of the room has changed than may become background"
         yield Finding(USABLE, what, f"{REMEDY}; is another room before the camera?", "room.endless")
-    if (c.restless_foreground or 0.0) > OUTSIDE_SAID:
+    if (c.restless_foreground or 0.0) > OUTSIDE_NOTICE:
         share = 100 * (c.restless_foreground or 0.0)
         what = f"{share:.1f} % of the picture keeps changing where no other camera sees anybody"
         remedy = "switch screens and fans off, draw curtains, close doors, or turn the camera: it is never learned"
         yield Finding(USABLE, what, remedy, "room.restless")
-    elif (c.unexplained_foreground or 0.0) > OUTSIDE_SAID:
+    elif (c.unexplained_foreground or 0.0) > OUTSIDE_NOTICE:
         share = c.unexplained_foreground or 0.0
         what = f"{100 * share:.1f} % of the picture differs from the background and is not the person"
         remedy = f"other people out of the picture; for things that moved {REMEDY}"
-        yield Finding(USABLE if share > OUTSIDE_MUCH else GOOD, what, remedy, "room.unexplained")
+        yield Finding(USABLE if share > OUTSIDE_WARN else GOOD, what, remedy, "room.unexplained")
     if c.things_places:
         what = f"things were moved or taken away, and are background now: {c.things_places}"
-        much = (c.things_share or 0.0) > THINGS_MUCH
+        much = (c.things_share or 0.0) > THINGS_WARN
         remedy = (
             REMEDY if much else "nothing is to be done; when the room is empty, the background may be learned again"
         )
@@ -163,12 +161,12 @@ def _room_findings(c: Condition) -> Iterator[Finding]:
 
 
 def _person_findings(c: Condition) -> Iterator[Finding]:
-    if (c.person_faint or 0.0) > FAINT_MUCH:
+    if (c.person_faint or 0.0) > FAINT_WARN:
         what = f"{100 * (c.person_faint or 0.0):.0f} % of the person hardly differs from the background"
         remedy = "other clothes, more light, or a cloth of another brightness behind"
         yield Finding(USABLE, what, remedy, "clothes.like_background")
     shadow, maybe = c.shadow_share or 0.0, c.person_maybe_shadow or 0.0
-    if max(shadow, maybe) > SHADOW_SAID:
+    if max(shadow, maybe) > SHADOW_NOTICE:
         what = f"{100 * shadow:.0f} % of the foreground was taken for shadow, {100 * maybe:.0f} % of the person may be"
         remedy = (
             "softer light from more sides, or a paler floor; see whether legs are in the mask (docs/silhouettes.md)"

@@ -18,7 +18,7 @@ from camera_client.sources.footage_source import FootageSource
 from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from capture_rig.session import footage_stamp_ns
 from mocap_packets.support import NOBODY, ForegroundSupport
-from mocap_packets.thinning import Thinning
+from mocap_packets.thinning import FrameDecimation
 from sagoma_ros.images import camera_info_message, decode_silhouette, support_message
 from sagoma_ros.messages import to_ns, to_stamp
 from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
@@ -113,7 +113,7 @@ def test_camera_keeps_the_exposures_that_the_hull_server_tells_it(bench, session
     told = camera.peer.create_publisher(DiagnosticArray, "/hull/thinning", LATCHED)
     assert camera.node.trigger_configure() == SUCCESS
     stamps = [footage_stamp_ns(EPOCH_NS, k, scene.fps) for k in range(FRAMES)]
-    told.publish(thinning_message(Thinning(stamps[10], stamps[10], stamps[0], 1e9 / scene.fps, 2, 3)))
+    told.publish(thinning_message(FrameDecimation(stamps[10], stamps[10], stamps[0], 1e9 / scene.fps, 2, 3)))
     camera.until(lambda: camera.node.selector.newest.of == 3)
     assert camera.node.trigger_activate() == SUCCESS
     camera.until_said(f"end of footage after {FRAMES} frames")

@@ -2,7 +2,8 @@
 
 numba makes machine code of every function that a kernel calls, then takes its code into the caller, optimises that and
 makes machine code once more: most of the time that compiling took. Here a function that is called from a kernel is only
-typed and lowered (:class:`_PartDispatcher`); what Python calls is optimised, and cached, once and as a whole.
+typed and lowered (:class:`_PartDispatcher`), and so is what numba has written in Python of numpy's functions; what
+Python calls is optimised, and cached, once and as a whole.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from typing import Any
 
 from numba.core import sigutils, types
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.registry import CPUDispatcher
+from numba.core.target_extension import jit_registry, target_registry
 from numba.core.typed_passes import NativeLowering
 
 from .kernel_cache import KernelCache
@@ -86,10 +88,14 @@ class _PartCompiler(CompilerBase):
 
 
 class _PartDispatcher(CPUDispatcher):
-    """A function as kernels call it. Constants are numbers like any other to it, not types of their own."""
+    """A function as kernels call it."""
 
     def add_overload(self, compiled: Any) -> None:
         self.overloads[tuple(compiled.signature.args)] = compiled
+
+
+class _KernelPartDispatcher(_PartDispatcher):
+    """A kernel as kernels call it. Constants are numbers like any other to it, not types of their own."""
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         return super().get_call_template([_plain(a) for a in args], {name: _plain(a) for name, a in kws.items()})
@@ -104,7 +110,7 @@ class _KernelDispatcher(CPUDispatcher):
     def __init__(self, function: Callable[..., Any], locals: Any = None, targetoptions: Any = None) -> None:
         """As numba does when it unpickles one, too."""
         super().__init__(function, locals, targetoptions)
-        self._part = _PartDispatcher(function, locals, targetoptions | NO_ENTRY, _PartCompiler)
+        self._part = _KernelPartDispatcher(function, locals, targetoptions | NO_ENTRY, _PartCompiler)
 
     def enable_caching(self) -> None:
         with suppress(RuntimeError):  # no folder can be written: every process compiles what it needs
@@ -127,6 +133,17 @@ class _CropDispatcher(_KernelDispatcher):
         if taken != tuple(given):
             self._insert([kind._code for kind in given], code, False)  # type: ignore[attr-defined]  # of the C base class
         return code
+
+
+def _part_of_numpy(**options: Any) -> Callable[[Callable[..., Any]], _PartDispatcher]:
+    return lambda function: _PartDispatcher(function, None, OPTIONS | options, _PartCompiler)
+
+
+jit_registry.update({target_registry["cpu"]: _part_of_numpy})  # what numba wrote in Python of numpy: parts as well
+
+# numba compares the flags of a function thousands of times, and looked each of them up: a tenth of all time
+_DEFAULT_FLAGS = {name: option.default for name, option in Flags.options.items()}
+Flags.values = lambda flags: _DEFAULT_FLAGS | flags._values  # type: ignore[method-assign]
 
 
 def _as_crop(kind: types.Type) -> types.Type:

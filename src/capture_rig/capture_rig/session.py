@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count, takewhile
 from pathlib import Path
@@ -92,6 +93,12 @@ class Truth:
         rows = np.isin(self.frames, frames)
         angles = None if self.angles is None else self.angles[rows]
         return replace(self, frames=self.frames[rows], points_world=self.points_world[rows], angles=angles)
+
+    def points_at(self, frames: Sequence[int] | np.ndarray) -> Array:
+        """(n, 15, 3) the points at these video frames, NaN where the reference has none."""
+        row_of = {int(frame): row for row, frame in enumerate(self.frames)}
+        rows = np.array([row_of.get(int(frame), -1) for frame in np.asarray(frames)], dtype=int)
+        return np.append(self.points_world, np.full((1, 15, 3), np.nan), axis=0)[rows]
 
     def stick_figure_points(self) -> Array:
         """(F, 15, 3) the reference with hand tips: wrists are extended along the forearm where it ends there."""

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core import event
 
 import capture_rig
 from capture_rig import kernel_cache
-from capture_rig.kernel import kernel, njit
+from capture_rig.kernel import _KernelDispatcher, _PartDispatcher, kernel, njit
 
 LEAF = """
 from capture_rig.kernel import njit
@@ -46,10 +47,10 @@ print(caller(1), other(1), *(sum(f.stats.cache_hits.values()) for f in (caller, 
 """
 
 
-@pytest.fixture
-def checkout(tmp_path):
-    """A repository of two packages: ``capture_rig`` and one with kernels that call another."""
-    packages, source = tmp_path / "checkout", Path(capture_rig.__file__).parent
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """A repository of two packages, ``capture_rig`` and one with kernels that call another, all in the cache."""
+    packages, source = tmp_path_factory.mktemp("compiled") / "checkout", Path(capture_rig.__file__).parent
     shutil.copytree(source, packages / "capture_rig" / "capture_rig", ignore=shutil.ignore_patterns("__pycache__"))
     play = packages / "play" / "play"
     play.mkdir(parents=True)
@@ -57,7 +58,14 @@ def checkout(tmp_path):
     (play / "leaf.py").write_text(LEAF.format(number=1))
     (play / "caller.py").write_text(CALLER)
     (play / "other.py").write_text(OTHER)
+    assert run(packages) == [20, -1, 0, 0]
     return packages
+
+
+@pytest.fixture
+def checkout(compiled, tmp_path):
+    """The same, copied with its cache: what a checkout is that was moved."""
+    return shutil.copytree(compiled, tmp_path / "elsewhere")
 
 
 def run(packages, **environment):
@@ -75,35 +83,30 @@ def run(packages, **environment):
 
 
 def test_changed_callee_invalidates_its_caller_and_nothing_else(checkout):
-    assert run(checkout) == [20, -1, 0, 0]
-    assert run(checkout) == [20, -1, 1, 1]
     (checkout / "play" / "play" / "leaf.py").write_text(LEAF.format(number=2))
     assert run(checkout) == [30, -1, 0, 1]
 
 
 def test_cache_is_found_where_the_checkout_was_moved_to(checkout):
-    run(checkout)
-    moved = checkout.rename(checkout.parent / "elsewhere")
-    assert run(moved) == [20, -1, 1, 1]
+    assert run(checkout) == [20, -1, 1, 1]
 
 
 def test_changed_kernel_leaves_no_file_of_the_old_one(checkout):
-    run(checkout)
     before = sorted(path.name for path in checkout.rglob("*.nb?"))
     (checkout / "play" / "play" / "caller.py").write_text("\n\n" + CALLER)
-    run(checkout)
+    assert run(checkout) == [20, -1, 0, 1]
     assert sorted(path.name for path in checkout.rglob("*.nb?")) == before
 
 
-def test_callee_has_no_machine_code_of_its_own(checkout):
-    run(checkout)
-    assert {path.name.split("-")[0] for path in checkout.rglob("*.nbi")} == {"caller.caller", "other.other"}
+def test_callee_has_no_machine_code_of_its_own(compiled):
+    assert {path.name.split("-")[0] for path in compiled.rglob("*.nbi")} == {"caller.caller", "other.other"}
 
 
 def test_kernels_are_kept_in_a_temporary_folder_where_neither_checkout_nor_home_can_be_written(checkout, tmp_path):
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     for package in ("capture_rig/capture_rig", "play/play"):
+        shutil.rmtree(checkout / package / "__pycache__", ignore_errors=True)
         (checkout / package / "__pycache__").write_text("no folder")  # what also stops root
     blocked = tmp_path / "no_home"
     blocked.write_text("no folder")
@@ -149,6 +152,11 @@ def calls(x):
     return refuses(x).sum()
 
 
+@njit(cache=False)
+def of_numpy(values):
+    return np.sort(np.concatenate((values, np.zeros(2)))).sum() + np.median(values)
+
+
 @kernel
 def add(a, b, total):
     for k in range(a.shape[0]):
@@ -159,6 +167,13 @@ def test_what_a_called_function_raises_reaches_python():
     assert calls(2.0) == 6.0
     with pytest.raises(ValueError, match="negative"):
         calls(-1.0)
+
+
+def test_what_numba_wrote_of_numpy_is_a_part_of_its_callers():
+    with event.install_recorder("numba:compile") as compiled:
+        assert of_numpy(np.array([3.0, 1.0, 2.0])) == 8.0
+    kinds = [type(begun.data["dispatcher"]) for _, begun in compiled.buffer if begun.is_start]
+    assert kinds[0] is _KernelDispatcher and len(kinds) > 3 and set(kinds[1:]) == {_PartDispatcher}
 
 
 def test_kernel_can_be_sent_to_another_process():

@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
 
+from capture_rig.rigid import quaternion_of
 from mocap_packets.state import BodyState
 from sagoma_ros.frames import FramePublisher, about_axis, frame
 from stick_figure.body import Body
-from stick_figure.joint_motion import quaternion_of
 from stick_figure.skeleton import ANGLE_NAMES, STICK_NAMES, TORSO
 
 from .settings import LINK_FRAMES, NO_FRAMES

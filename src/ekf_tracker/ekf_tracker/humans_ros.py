@@ -11,6 +11,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from capture_rig.rigid import quaternion_of
 from mocap_packets.state import BodyState
 from sagoma_ros.frames import FramePublisher, frame
 from sagoma_ros.intra_process import LazyPublisher
@@ -18,7 +19,6 @@ from sagoma_ros.messages import to_stamp
 from sagoma_ros.packets import joint_state_message
 from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
-from stick_figure.joint_motion import quaternion_of
 
 from .rep155 import HRI_JOINT_NAMES, body_frame, hri_angles, hri_rates, human_urdf
 

@@ -13,12 +13,13 @@ from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from capture_rig.rigid import quaternion_of
 from mocap_packets.fit import DOUBTFUL, FIRST_PERSON, PART_NAMES, PART_OF_POINT
 from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.joint_motion import motion_message
 from sagoma_ros.messages import key_values, to_stamp
 from stick_figure.body import Body
-from stick_figure.joint_motion import JointMotion, quaternion_of
+from stick_figure.joint_motion import JointMotion
 from stick_figure.kinematics import sticks
 
 LEVELS = {

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from capture_rig.rigid import rotation_matrix
 from ekf_tracker.measurement import Measurement
 from ekf_tracker.torso_bend import TorsoBend
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
-from stick_figure.rotations import rotation_matrix
 from stick_figure.skeleton import T_POSE_ANGLES
 from stick_figure.trunk_bend import LEFT_Z, PELVIS_YAW, REST_SD, RIGHT_X
 

@@ -114,7 +114,7 @@ class SilhouetteInput:
             self._refuse_image(error)
             return
         if self._settings.reliable and image.format == ABSENT:
-            self._dispatch(self._collector.note_absence(camera, image.stamp_ns, now_ns))
+            self._dispatch(self._collector.add_absence(camera, image.stamp_ns, now_ns))
             return
         if not self._overload.admits(camera, image.stamp_ns, now_ns):
             return

@@ -14,7 +14,7 @@ from itertools import count
 
 from hull_server.overload.thinning_control import ThinningControl
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
-from mocap_packets.thinning import FrameSelector, Thinning
+from mocap_packets.thinning import FrameDecimation, FrameSelector
 
 EPOCH_NS = 1_790_000_000_000_000_000
 MS, S = 1_000_000, 1_000_000_000
@@ -35,7 +35,6 @@ class Server:
         self._world, self._took_ns, self._depth, self._done, self._wanted = world, took_ns, depth, done, wanted
         self._waiting: deque = deque()
         self._idle = True
-        self.busy_ns = 0
 
     def put(self, item: object) -> None:
         self._waiting.append(item)
@@ -51,7 +50,6 @@ class Server:
         if self._idle:
             return
         item, took_ns = self._waiting.popleft(), self._took_ns()
-        self.busy_ns += took_ns
 
         def finish() -> None:
             self._done(item, took_ns)
@@ -92,15 +90,13 @@ class Simulation:
     half: set[str] = field(default_factory=set)
     offset_ns: dict[str, int] = field(default_factory=dict)
     clock_error_ns: int = 0
-    cores: float = 2.0
-    others: float = 0.0  # share of the processors that other programs take
 
     def __post_init__(self) -> None:
         self.now_ns = 0
         self._events: list[tuple[int, int, Callable[[], None]]] = []
         self._order, self._random, self._exposure = count(), random.Random(7), count()
         self.names = [f"cam{k:02}" for k in range(1, self.cameras + 1)]
-        self.control, self.rules, self.answers = ThinningControl(), list[Thinning](), list[Answer]()
+        self.control, self.rules, self.answers = ThinningControl(), list[FrameDecimation](), list[Answer]()
         self._followers = {name: FrameSelector() for name in self.names}
         self._collector: FrameSetCollector[int] = FrameSetCollector(
             self.names, tolerance_ns=3 * MS, deadline_ns=50 * MS, give_up=5
@@ -111,7 +107,6 @@ class Simulation:
             name: Server(self, lambda: self._varied(self.client_ms), 16, self._received, self._keeps)
             for name in self.names
         }
-        self._busy_before_ns = 0
         self.after(0, self._expose)
         self.after(UPDATE_NS, self._update)
 
@@ -156,27 +151,25 @@ class Simulation:
     def _close(self, sets: list[FrameSet[int]]) -> None:
         for each in sets:
             age_ns = EPOCH_NS + self.now_ns - each.stamp_ns + self.clock_error_ns
-            self.control.closed(each.stamp_ns, each.frames, each.missing, age_ns, self.now_ns)
+            self.control.add_closed(each.stamp_ns, each.frames, age_ns, self.now_ns)
             self._hull.put(each)
 
     def _published(self, each: FrameSet[int], took_ns: int) -> None:
-        self.control.worked(took_ns, 0, self.now_ns)
-        self.control.hand_over(each.stamp_ns, self.now_ns)
+        self.control.add_work(0, took_ns, self.now_ns)
+        self.control.add_handed_over(each.stamp_ns, self.now_ns)
         self._tracker.put(each)
 
     def _answered(self, each: FrameSet[int], _: int) -> None:
-        self.control.answered(each.stamp_ns, self.now_ns)
+        self.control.add_answer(each.stamp_ns, self.now_ns)
         self.answers.append(Answer(each.stamp_ns - EPOCH_NS, self.now_ns, not each.missing))
 
     def _update(self) -> None:
+        self._collector.wait(self.control.deadline_ns(50 * MS))
         self._close(self._collector.poll(self.now_ns))
-        busy_ns = sum(s.busy_ns for s in (self._hull, self._tracker, *self._clients.values()))
-        load = min(self.others + (busy_ns - self._busy_before_ns) / (self.cores * UPDATE_NS), 1.0)
-        self._busy_before_ns = busy_ns
-        rule = self.control.update(load, self.now_ns)
+        rule = self.control.update(self.now_ns)
         if rule is not None:
             self.rules.append(rule)
             for follower in self._followers.values():
                 wait_ns = self._random.randint(MS, 5 * MS)
-                self.after(wait_ns, lambda f=follower, rule=rule: f.follow(rule, self.now_ns))
+                self.after(wait_ns, lambda f=follower, rule=rule: f.update(rule, self.now_ns))
         self.after(UPDATE_NS, self._update)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hull_server.overload.frame_clock import STAMPS_KEPT, FrameClock
-from mocap_packets.thinning import Thinning
+from mocap_packets.thinning import FrameDecimation
 
 EPOCH_NS = 1_790_000_000_000_000_000
 PERIOD_NS = 1e9 / 60
@@ -52,7 +52,7 @@ def test_fastest_camera_gives_the_period() -> None:
 
 def test_thinned_stamps_refine_the_grid_of_their_rule() -> None:
     true_ns = PERIOD_NS * (1 + 2e-4)
-    rule = Thinning(0, 0, EPOCH_NS, PERIOD_NS, 9, 20)
+    rule = FrameDecimation(0, 0, EPOCH_NS, PERIOD_NS, 9, 20)
     k = np.array([k for k in range(90) if k * 9 % 20 < 9])
     grid = clock_of({"a": k * true_ns, "b": k * true_ns}).estimate(rule)
     assert grid is not None and grid.period_ns == pytest.approx(true_ns, rel=1e-6)

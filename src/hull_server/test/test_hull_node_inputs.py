@@ -14,7 +14,7 @@ from sensor_msgs.msg import CompressedImage
 from capture_rig import load_rig, save_rig
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.overload.thinning_control import ThinningControl
-from mocap_packets.thinning import EVERY_FRAME, Thinning
+from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_ros.images import absence_message, camera_info_message, silhouette_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import LATCHED
@@ -197,13 +197,13 @@ def test_node_leaves_out_a_covered_camera_by_name_and_takes_it_back(make_bench, 
 
 def test_node_tells_the_cameras_its_rule_and_leaves_out_what_it_does_not_keep(make_bench, scene, monkeypatch):
     _, rig, masks = scene
-    half = Thinning(stamp(2), stamp(2), stamp(0), PERIOD_NS, 1, 2)
+    half = FrameDecimation(stamp(2), stamp(2), stamp(0), PERIOD_NS, 1, 2)
     rules = iter([EVERY_FRAME, half])
 
-    def update(control, load, now_ns):
+    def update(control, now_ns):
         rule = next(rules, None)
         if rule is not None:
-            control._selector.follow(rule, now_ns)
+            control._selector.update(rule, now_ns)
         return rule
 
     monkeypatch.setattr(ThinningControl, "update", update)

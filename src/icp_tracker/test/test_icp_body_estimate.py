@@ -1,4 +1,4 @@
-"""Sizes and thickness of a body from its T-pose, against the bodies that the hulls were carved from."""
+"""Sizes of a body from its T-pose, against the bodies that the hulls were carved from."""
 
 import numpy as np
 import pytest
@@ -7,17 +7,13 @@ from t_pose_studio import both_sides, person, standing, studio
 from icp_tracker.acquisition.body_sizes import (
     MEAN_OVER_STATURE,
     SIZES,
-    LimbGirths,
     body_of_sizes,
     estimate_body,
-    measure_girths,
     prior_sizes,
     sizes_of_body,
 )
 from icp_tracker.acquisition.t_pose_measures import measure_t_pose
 from stick_figure.body import Body
-from stick_figure.body_file import format_body, parse_thickness
-from stick_figure.body_surface import TORSO_CAPSULES, BodySurface
 from virtual_studio.people import VolumetricBody
 
 SIX, THREE = (5, True), (3, False)
@@ -70,34 +66,3 @@ def test_claimed_uncertainty_shrinks_where_the_hull_speaks_and_not_where_it_is_s
     arm = np.array([name in ("upper_arm", "forearm", "half_shoulder_width") for name in SIZES], float)
     assert np.sqrt(arm @ estimate.covariance @ arm) < estimate.sd[SIZES.index("upper_arm")] * 1.2
     assert (np.linalg.eigvalsh(estimate.covariance) > 0.0).all()
-
-
-@pytest.mark.parametrize("rig", [SIX, THREE])
-def test_heavier_people_are_measured_thicker(rig):
-    body = body_of_sizes(MEAN_OVER_STATURE * 1.75)
-    slim, heavy = (measure_girths([measured(rig, body, build)], body) for build in (0.9, 1.3))
-    for name in ("upper_arm", "forearm", "thigh", "calf"):
-        assert getattr(heavy, name) / getattr(slim, name) == pytest.approx(1.3 / 0.9, rel=0.2), name
-    assert heavy.trunk > 1.1 * slim.trunk
-
-
-def test_thickness_nobody_has_is_not_believed():
-    body = body_of_sizes(MEAN_OVER_STATURE * 1.75)
-    sizes = measure_girths([measured(SIX, body, 2.0)], body)
-    assert "thigh" not in sizes.measured and sizes.thigh == 1.0
-
-
-def test_thickness_widens_the_limbs_it_names_and_no_other():
-    body = Body.from_stature(1.75)
-    plain, thick = BodySurface.of(body), LimbGirths(thigh=1.2, trunk=1.1).on(BodySurface.of(body))
-    ratio = thick.radii / plain.radii
-    expected = np.where(np.isin(plain.stick, [4, 5]), 1.2, np.where(plain.stick == 0, 1.1, 1.0))
-    assert np.allclose(ratio, expected[:, None])
-    assert np.allclose(thick.start[:TORSO_CAPSULES, 1], 1.1 * plain.start[:TORSO_CAPSULES, 1])
-    assert np.array_equal(thick.start[TORSO_CAPSULES:], plain.start[TORSO_CAPSULES:])
-
-
-def test_thickness_survives_the_body_file():
-    sizes = LimbGirths.of({"thigh": 1.15, "calf": 0.9})
-    text = format_body(Body.from_stature(1.7), thickness=sizes.by_name())
-    assert LimbGirths.of(parse_thickness(text, "body.yaml")) == sizes

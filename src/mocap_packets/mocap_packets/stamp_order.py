@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import Enum
 
-from .frame_set import LEAP_NS
+from .frame_set import TIME_JUMP_NS
 
 RESTART_AFTER = 10  # sets in a row that are of the past, if not far: by then nobody repeats or delays single ones
 CONFIRMED_BY = 3  # sets in a row that go on from a leap, before it is believed: a stray message is alone
@@ -55,10 +55,10 @@ class StampOrder:
         back_ns = self.last_ns - stamp_ns
         if arrival_ns is not None and self._arrived_ns is not None:
             ahead = -back_ns > AHEAD_NS + max(arrival_ns - self._arrived_ns, 0)
-            if (ahead or back_ns >= LEAP_NS) and not self._confirmed(stamp_ns, arrival_ns):
+            if (ahead or back_ns >= TIME_JUMP_NS) and not self._confirmed(stamp_ns, arrival_ns):
                 return Order.AHEAD if ahead else Order.PAST
         self._past = self._past + 1 if back_ns >= 0 else 0
-        if 0 <= back_ns < LEAP_NS and self._past < RESTART_AFTER:
+        if 0 <= back_ns < TIME_JUMP_NS and self._past < RESTART_AFTER:
             return Order.PAST
         return self._taken(stamp_ns, arrival_ns, Order.RESTART if back_ns >= 0 else Order.NEXT)
 

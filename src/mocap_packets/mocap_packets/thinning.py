@@ -14,7 +14,7 @@ LAPSE_NS = 3_000_000_000  # three refreshes: nobody thins for a hull server that
 
 
 @dataclass(frozen=True)
-class Thinning:
+class FrameDecimation:
     """One rule, in force for stamps from ``from_ns`` on.
 
     resume_ns : frames of earlier stamps are not kept at all, so that the queues of clients and server run empty.
@@ -45,7 +45,7 @@ class Thinning:
         return self.keep >= self.of or self.exposure_of(stamp_ns) * self.keep % self.of < self.keep
 
 
-EVERY_FRAME = Thinning(0, 0, 0, 1.0, 1, 1)
+EVERY_FRAME = FrameDecimation(0, 0, 0, 1.0, 1, 1)
 
 
 def nearest_fraction(share: float) -> tuple[int, int]:
@@ -60,24 +60,24 @@ def nearest_fraction(share: float) -> tuple[int, int]:
 class FrameSelector:
     """Says which frames the rules in force keep; the rule before the newest one holds up to its ``from_ns``.
 
-    lapse_ns : a rule that thins lapses when it was not told again for so long; None: never. Times are monotonic.
+    lapse_ns : a rule that thins lapses when it was not published again for so long; None: never. Times are monotonic.
     """
 
     def __init__(self, lapse_ns: int | None = LAPSE_NS) -> None:
         self._lapse_ns = lapse_ns
         self._before, self._newest = EVERY_FRAME, EVERY_FRAME
-        self._told_ns = 0
+        self._published_ns = 0
 
     @property
-    def newest(self) -> Thinning:
-        """The rule told last."""
+    def newest(self) -> FrameDecimation:
+        """The rule published last."""
         return self._newest
 
-    def follow(self, rule: Thinning, now_ns: int) -> None:
-        """Take a rule; one that was told before is only refreshed."""
+    def update(self, rule: FrameDecimation, now_ns: int) -> None:
+        """Use a rule from now on; the same one again is only refreshed."""
         if self._is_lapsed(now_ns):
             self._newest = EVERY_FRAME
-        self._told_ns = now_ns
+        self._published_ns = now_ns
         if rule != self._newest:
             self._before, self._newest = self._newest, rule
 
@@ -89,4 +89,4 @@ class FrameSelector:
         return rule.keeps(stamp_ns)
 
     def _is_lapsed(self, now_ns: int) -> bool:
-        return self._lapse_ns is not None and now_ns - self._told_ns > self._lapse_ns
+        return self._lapse_ns is not None and now_ns - self._published_ns > self._lapse_ns

@@ -169,7 +169,7 @@ def test_frames_that_are_known_not_to_exist_are_not_waited_for_and_never_make_th
     collector, sets = make_collector(deadline_ns=HOUR, give_up=3), []
     for k in range(6):
         sets += send(collector, [k], cameras=["cam01", "cam02"])
-        sets += collector.note_absence("cam03", EPOCH + k * PERIOD, k * PERIOD)
+        sets += collector.add_absence("cam03", EPOCH + k * PERIOD, k * PERIOD)
     assert instants_of(sets) == list(range(6)) and {each.missing for each in sets} == {("cam03",)}
     assert send(collector, [6], cameras=["cam01", "cam02"]) == []  # its next frame has its place, whoever comes first
     (whole,) = send(collector, [6], cameras=["cam03"])

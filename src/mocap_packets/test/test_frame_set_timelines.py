@@ -174,6 +174,20 @@ def test_camera_lagging_by_seconds_is_late() -> None:
     assert collector.counters.restarts == 0
 
 
+def test_camera_that_lags_with_few_frames_has_not_jumped() -> None:
+    """A starved client leaves out so many frames that its own stamps step by more than a jump, forwards."""
+    collector = make_collector()
+    sets = send(collector, range(60))
+    for k in range(60, 240):
+        sets += send(collector, [k], cameras=["cam01"])
+        if k >= 90 and k % 30 == 0:
+            for camera in ("cam02", "cam03"):
+                sets += collector.add(camera, EPOCH + (k - 30) * PERIOD + 1000, (camera, k - 30), k * PERIOD + 5000)
+    sets += collector.flush()
+    assert [each.stamp_ns for each in sets] == sorted(each.stamp_ns for each in sets)
+    assert collector.counters.restarts == 0 and collector.counters.late == 10
+
+
 def test_most_cameras_lagging_for_a_moment_do_not_turn_time_back() -> None:
     collector = make_collector()
     sets = send(collector, range(100))

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mocap_packets.thinning import EVERY_FRAME, LAPSE_NS, LARGEST_OF, FrameSelector, Thinning, nearest_fraction
+from mocap_packets.thinning import EVERY_FRAME, LAPSE_NS, LARGEST_OF, FrameDecimation, FrameSelector, nearest_fraction
 
 EPOCH_NS = 1_790_000_000_000_000_000
 PERIOD_NS = 1e9 / 60
 
 
-def rule(keep: int, of: int, from_ns: int = 0) -> Thinning:
-    return Thinning(from_ns, from_ns, EPOCH_NS, PERIOD_NS, keep, of)
+def rule(keep: int, of: int, from_ns: int = 0) -> FrameDecimation:
+    return FrameDecimation(from_ns, from_ns, EPOCH_NS, PERIOD_NS, keep, of)
 
 
 def stamp(k: float) -> int:
@@ -43,7 +43,7 @@ def test_cameras_that_drift_keep_the_same_exposures_while_the_phase_is_told_ever
     drifted_ns = PERIOD_NS * (1 + 200e-6)  # the worst quartz: 200 ppm
     phase_ns = float(EPOCH_NS)
     for second in range(100):
-        told = Thinning(0, 0, round(phase_ns), PERIOD_NS, 9, 20)
+        told = FrameDecimation(0, 0, round(phase_ns), PERIOD_NS, 9, 20)
         for k in range(60):
             slow, fast = EPOCH_NS + (60 * second + k) * drifted_ns, EPOCH_NS + (60 * second + k) * drifted_ns + 2e6
             assert told.keeps(round(slow)) == told.keeps(round(fast)) == told.keeps(round(phase_ns + k * PERIOD_NS))
@@ -72,31 +72,31 @@ def test_nearest_fraction_wastes_at_most_a_tenth_of_the_share(share: float) -> N
 
 def test_rule_holds_from_its_first_stamp_on_and_the_one_before_until_then() -> None:
     selector = FrameSelector()
-    selector.follow(rule(1, 2), 0)
-    selector.follow(Thinning(stamp(100), stamp(100), stamp(1), PERIOD_NS, 1, 2), 10)
+    selector.update(rule(1, 2), 0)
+    selector.update(FrameDecimation(stamp(100), stamp(100), stamp(1), PERIOD_NS, 1, 2), 10)
     assert [selector.keeps(stamp(k), 20) for k in (98, 99)] == [True, False]
     assert [selector.keeps(stamp(k), 20) for k in (100, 101)] == [False, True]
 
 
 def test_nothing_is_kept_between_a_rule_and_the_stamp_at_which_it_resumes() -> None:
     selector = FrameSelector()
-    selector.follow(Thinning(stamp(10), stamp(20), stamp(0), PERIOD_NS, 1, 2), 0)
+    selector.update(FrameDecimation(stamp(10), stamp(20), stamp(0), PERIOD_NS, 1, 2), 0)
     assert [k for k in range(30) if selector.keeps(stamp(k), 1)] == [*range(10), 20, 22, 24, 26, 28]
 
 
 def test_rule_told_twice_does_not_become_the_one_before() -> None:
     selector = FrameSelector()
-    selector.follow(rule(1, 2, from_ns=stamp(50)), 0)
-    selector.follow(rule(1, 2, from_ns=stamp(50)), 1)
+    selector.update(rule(1, 2, from_ns=stamp(50)), 0)
+    selector.update(rule(1, 2, from_ns=stamp(50)), 1)
     assert all(selector.keeps(stamp(k), 2) for k in range(50))
 
 
 def test_rule_that_is_not_told_again_lapses_and_a_new_one_starts_from_every_frame() -> None:
     selector = FrameSelector()
-    selector.follow(rule(1, 2), 0)
+    selector.update(rule(1, 2), 0)
     assert not selector.keeps(stamp(1), LAPSE_NS)
     assert selector.keeps(stamp(1), LAPSE_NS + 1)
-    selector.follow(rule(1, 3, from_ns=stamp(10)), 2 * LAPSE_NS)
+    selector.update(rule(1, 3, from_ns=stamp(10)), 2 * LAPSE_NS)
     assert all(selector.keeps(stamp(k), 2 * LAPSE_NS) for k in range(10))
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from capture_rig.rigid import rotation_matrix
 from motion_export.motion import Motion, Samples
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
-from stick_figure.rotations import rotation_matrix
 from stick_figure.skeleton import ANGLE_NAMES, T_POSE_ANGLES
 
 BODY = Body.from_stature(1.75)

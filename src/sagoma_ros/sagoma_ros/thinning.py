@@ -7,7 +7,7 @@ import math
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from capture_rig.errors import InputError
-from mocap_packets.thinning import Thinning
+from mocap_packets.thinning import FrameDecimation
 
 from .health import HOST
 from .messages import key_values, to_ns, to_stamp
@@ -16,7 +16,7 @@ TOPIC = "hull/thinning"
 _INTEGERS = ("resume_ns", "phase_ns", "keep", "of")
 
 
-def thinning_message(rule: Thinning, text: str = "") -> DiagnosticArray:
+def thinning_message(rule: FrameDecimation, text: str = "") -> DiagnosticArray:
     """Return a rule as one status, stamped with the first capture stamp that it holds for; ``text`` says why."""
     thins = rule.keep < rule.of
     status = DiagnosticStatus(
@@ -31,12 +31,12 @@ def thinning_message(rule: Thinning, text: str = "") -> DiagnosticArray:
     return message
 
 
-def read_thinning(message: DiagnosticArray, where: str) -> Thinning:
+def read_thinning(message: DiagnosticArray, where: str) -> FrameDecimation:
     """Return the inverse of :func:`thinning_message`. Raises InputError for a message that holds no rule."""
     values = {pair.key: pair.value for status in message.status[:1] for pair in status.values}
     try:
         numbers = {name: int(values[name]) for name in _INTEGERS}
-        rule = Thinning(from_ns=to_ns(message.header.stamp), period_ns=float(values["period_ns"]), **numbers)
+        rule = FrameDecimation(from_ns=to_ns(message.header.stamp), period_ns=float(values["period_ns"]), **numbers)
     except (KeyError, ValueError) as error:
         remedy = "Run the same version on camera PCs and server."
         raise InputError(f"is no rule of thinning: {error!r}", where=where, remedy=remedy) from error

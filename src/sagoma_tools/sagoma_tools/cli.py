@@ -11,7 +11,7 @@ from importlib import import_module
 from capture_rig.errors import InputError, shortened
 from capture_rig.files import describe_os_error
 
-from .command_help import BAD_INPUT, FAILED, HELP, INTERRUPTED, NO_READER, CommandParser, describe
+from .command_help import BAD_INPUT, FAILED, INTERRUPTED, NO_READER, CommandParser, describe
 from .graph.errors import GraphError
 from .graph.network_settings import add_peers_argument, use_peers
 from .progress_line import ProgressLine
@@ -29,11 +29,10 @@ COMMANDS = {
     "export": ("export",),
     "import_session": ("import",),
     "urdf": ("urdf",),
-    "security": ("security",),
     "doctor": ("doctor",),
 }
 """Module -> its subcommands, in the order of the help."""
-ON_A_GRAPH = {"up", "start", "suspend", "stop", "background", "record", "view", "security", "doctor"}
+ON_A_GRAPH = {"up", "start", "suspend", "stop", "background", "record", "view", "doctor"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -61,14 +60,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run(argv: list[str]) -> int:
-    """Parse the arguments, and run their command, which says what it does when it is silent for long."""
+    """Parse the arguments, and run their command."""
     args, unknown = build_parser(modules_for(argv)).parse_known_args(argv)
-    command, leaf = vars(args).pop("command"), vars(args).pop("leaf")
+    leaf = vars(args).pop("leaf")
     if unknown:
         leaf.error(f"unknown {' '.join(unknown)}")
     if (peers := vars(args).pop("peers", None)) is not None:
         use_peers(peers)
-    with ProgressLine(f"sagoma {command}", endless=HELP[command].endless):
+    with ProgressLine():
         return args.run(args)
 
 

@@ -1,12 +1,9 @@
-"""What `--help` and docs/commands.md say of every command beside its arguments: examples and exit statuses.
-
-``python -m sagoma_tools.command_help`` prints docs/commands.md; a test holds the page to this table.
-"""
+"""What `--help` and docs/commands.md say of every command beside its arguments: examples and exit statuses."""
 
 from __future__ import annotations
 
 import argparse
-import sys
+import shutil
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -91,7 +88,6 @@ HELP: Mapping[str, CommandHelp] = {
     "import humaneva": CommandHelp(("import humaneva HumanEva_I s2_walk --subject S2 --action Walking",)),
     "import biocv": CommandHelp(("import biocv P03/P03_WALK_01 p03_walk",)),
     "urdf": CommandHelp(("urdf --stature 1.82 --output body.urdf",)),
-    "security": CommandHelp(("security output/keystore --expect 8",)),
     "doctor": CommandHelp(
         ("doctor", f"doctor --rig {RIG} --live", "doctor camera cam01.yaml --open", "doctor --host 192.168.1.11"),
         {OK: "all is well, or notes only", FAILED: "warnings", BAD_INPUT: "errors, or arguments that cannot be used"},
@@ -99,32 +95,8 @@ HELP: Mapping[str, CommandHelp] = {
 }
 
 
-class CommandFormatter(argparse.HelpFormatter):
-    """Wraps every line of a text for itself, between words; lines that are indented stay as they are."""
-
-    def _fill_text(self, text: str, width: int, indent: str) -> str:
-        wrapped = [[line] if line[:1] in ("", " ") else self._split_lines(line, width) for line in text.splitlines()]
-        return "\n".join(indent + part for line in wrapped for part in line)
-
-    def _split_lines(self, text: str, width: int) -> list[str]:
-        return textwrap.wrap(" ".join(text.split()), width, break_long_words=False, break_on_hyphens=False)
-
-
 class CommandParser(argparse.ArgumentParser):
-    """A parser whose help begins with what the command does, and whose errors say where the options are listed."""
-
-    def format_help(self) -> str:
-        """Format the help as argparse does, the description first."""
-        formatter = self._get_formatter()
-        formatter.add_text(self.description)
-        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
-        for group in self._action_groups:
-            formatter.start_section(group.title)
-            formatter.add_text(group.description)
-            formatter.add_arguments(group._group_actions)
-            formatter.end_section()
-        formatter.add_text(self.epilog)
-        return formatter.format_help()
+    """A parser whose errors say where the options are listed."""
 
     def error(self, message: str) -> NoReturn:
         """Print what is wrong and where to look, and exit."""
@@ -133,18 +105,19 @@ class CommandParser(argparse.ArgumentParser):
 
 def describe(parser: argparse.ArgumentParser) -> None:
     """Give every command below ``parser`` its description, examples and exit statuses."""
+    width = max(shutil.get_terminal_size().columns - 2, 20)
     for name, leaf, text in commands_of(parser):
-        known = HELP.get(name)
-        first = leaf.description or text
-        leaf.description = first[:1].upper() + first[1:].rstrip(".") + ("" if first.endswith("?") else ".")
+        known, first = HELP.get(name), leaf.description or text
+        sentence = first[:1].upper() + first[1:].rstrip(".") + ("" if first.endswith("?") else ".")
+        leaf.description = textwrap.fill(sentence, width)
         leaf.set_defaults(command=name, leaf=leaf)
-        leaf.formatter_class = CommandFormatter
+        leaf.formatter_class = argparse.RawDescriptionHelpFormatter
         if known is None:
             continue
         examples = "\n".join(f"  sagoma {example}" for example in known.examples)
         statuses = "; ".join(f"{status} {meaning}" for status, meaning in own_statuses(known).items())
-        added = f"examples:\n{examples}\n\nexit status: {statuses}"
-        leaf.epilog = f"{leaf.epilog}\n\n{added}" if leaf.epilog else added
+        notes = [textwrap.fill(leaf.epilog, width)] if leaf.epilog else []
+        leaf.epilog = "\n\n".join([*notes, f"examples:\n{examples}", textwrap.fill(f"exit status: {statuses}", width)])
 
 
 def commands_of(parser: argparse.ArgumentParser, above: str = "") -> Iterator[tuple[str, argparse.ArgumentParser, str]]:
@@ -165,53 +138,3 @@ def own_statuses(known: CommandHelp) -> dict[int, str]:
     common = {OK: STATUSES[OK], BAD_INPUT: "input cannot be used"}
     statuses = dict(sorted({**common, **known.statuses}.items()))
     return statuses if known.endless else {**statuses, INTERRUPTED: "interrupted"}
-
-
-def page(parser: argparse.ArgumentParser) -> str:
-    """Return docs/commands.md."""
-    rows = []
-    for name, _, text in commands_of(parser):
-        meant = "; ".join(f"{status}: {meaning}" for status, meaning in sorted(HELP[name].statuses.items()))
-        rows.append(f"| `sagoma {name}` | {text} | {meant} |")
-    statuses = "\n".join(f"| {status} | {meaning} |" for status, meaning in STATUSES.items())
-    return PAGE.format(rows="\n".join(rows), statuses=statuses)
-
-
-PAGE = """# The commands: what all of them keep to
-
-`sagoma COMMAND --help` says what a command does, its arguments, examples and exit statuses. This page is printed from
-`sagoma_tools/command_help.py` (`python -m sagoma_tools.command_help`); a test runs over all commands and holds both.
-
-## Exit statuses
-
-| status | meaning, where the command's own line says nothing else |
-|---|---|
-{statuses}
-
-| command | does | statuses of its own |
-|---|---|---|
-{rows}
-
-Commands that run until they are stopped (`up`, `record`, `view`, `studio`) end with 0 after Ctrl-C: it is their end.
-`make demo` and `make test` hand the status of their command on.
-
-## Output
-
-- **Messages** begin with `sagoma:`, stand on stderr, and say what is wrong, where, and the remedy. Results stand on
-  stdout; `--json`, where there is one, is for programs.
-- **Numbers** are finite and within a range that the message names with its unit; no option takes NaN or infinity.
-- **Progress**: a command that has been silent for three seconds says what it does and how far it is, on stderr: on a
-  terminal in one line that the next output replaces, elsewhere in a plain line every ten seconds. While it
-  runs until it is stopped, it does so on terminals only.
-- **Pipes and files** get plain text: no escape codes, no carriage returns, lines of text unbroken (grep finds them).
-- **Width**: that of the terminal, or of `COLUMNS`. No word and no path is broken; a table that does not fit becomes a
-  list of its rows. Into a file tables are 150 columns wide unless `COLUMNS` says otherwise.
-- **Colours** only on terminals; none with `NO_COLOR` set.
-- **Ctrl-C** ends a command in order: what it started is stopped, what it recorded is readable.
-"""
-
-
-if __name__ == "__main__":
-    from .cli import build_parser
-
-    sys.stdout.write(page(build_parser()))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -26,10 +25,8 @@ class CommandConsole(Console):
         if len(objects) == 1 and isinstance(objects[0], str | Text):
             markup, highlight = options.pop("markup", False), options.pop("highlight", False)
             text = objects[0]
-            if isinstance(text, str):
-                text = self.render_str(text, markup=markup, highlight=highlight)
-            objects = (Text("\n").join(_wrapped(text, self.width if self.is_terminal else None)),)
-            options |= {"overflow": "ignore", "crop": False, "no_wrap": True}
+            objects = (self.render_str(text, markup=markup, highlight=highlight) if isinstance(text, str) else text,)
+            options = {"overflow": "ignore", "crop": False, "soft_wrap": not self.is_terminal, **options}
         super().print(*(fitted(self, one) if isinstance(one, Table) else one for one in objects), **options)
 
 
@@ -64,20 +61,6 @@ def _rows(table: Table) -> Iterable[Text]:
             line = Text(f"{indent}{header}: " if header else indent, style=row.style or "")
             yield line.append_text(cell if isinstance(cell, Text) else Text(text))
             first = False
-
-
-def _wrapped(text: Text, width: int | None) -> Iterable[Text]:
-    """Yield the lines of a text, broken between words where they are wider than ``width`` columns."""
-    for line in text.split(allow_blank=True):
-        breaks, began, column = list[int](), 0, 0
-        for word in re.finditer(r"\s*\S+", line.plain) if width else ():
-            if column and word.end() - began > (width or 0):
-                began = word.end() - len(word[0].lstrip())
-                breaks.append(began)
-            column = word.end()
-        for part in line.divide(breaks):
-            part.rstrip()
-            yield part
 
 
 def _plain(cell: RenderableType) -> str:

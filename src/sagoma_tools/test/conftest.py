@@ -1,5 +1,5 @@
-import math
 import os
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -36,13 +36,13 @@ def _graphs_settle_soon(monkeypatch):
 @pytest.fixture
 def somebody_is_found(monkeypatch):
     """Who looks for nodes of its own names before it starts looks until there is one, however busy the machine."""
-    monkeypatch.setattr("sagoma_tools.graph.foreign_nodes.settled", lambda look, expect, wait_s: settled(look, 1, 60.0))
+    monkeypatch.setattr("sagoma_tools.graph.running_nodes.settled", lambda look, expect, wait_s: settled(look, 1, 60.0))
 
 
 @pytest.fixture(autouse=True)
 def _commands_take_no_time(monkeypatch):
-    """No command says what it is at, however busy the machine: what stands on stderr is what was wrong."""
-    monkeypatch.setattr("sagoma_tools.progress_line.SILENT_S", math.inf)
+    """No command logs its progress, however busy the machine: what stands on stderr is what was wrong."""
+    monkeypatch.setattr("sagoma_tools.progress_line.LOG_EVERY_S", threading.TIMEOUT_MAX)
 
 
 @pytest.fixture()

@@ -1,6 +1,6 @@
 """Nodes that look like a graph's from outside, well or ill as asked, for the doctor's tests. Runs as a program too:
 
-doctor_fake_nodes.py SECONDS CAMERA[,blank][,large][,lead=S] ... [--ros-args]
+doctor_fake_nodes.py SECONDS CAMERA[,blank][,lead=S] ... [--ros-args]
 """
 
 import contextlib
@@ -30,11 +30,10 @@ FRAME_S, REPORT_S = 0.05, 0.25
 
 @dataclass(frozen=True)
 class Camera:
-    """How a camera's client misbehaves. ``large``: masks of many packets; ``lead_s``: its clock is ahead."""
+    """How a camera's client misbehaves; ``lead_s``: its clock is ahead."""
 
     name: str
     blank: bool = False
-    large: bool = False
     lead_s: float = 0.0
 
 
@@ -67,7 +66,6 @@ class FakeCamera(FakeNode):
         super().__init__("camera_client", f"/{camera.name}", context, camera.lead_s)
         self.camera, self.frame = camera, 0
         self.canvas = RIG.camera(camera.name).undistorted_view().camera
-        self.rng = np.random.default_rng(0)
         self.infos = self.create_publisher(CameraInfo, "camera_info", SILHOUETTE_PUBLISHER)
         self.masks = self.create_publisher(CompressedImage, "silhouette/compressed", SILHOUETTE_PUBLISHER)
         self.create_timer(FRAME_S, self.publish)
@@ -78,8 +76,6 @@ class FakeCamera(FakeNode):
         if not self.camera.blank:
             left = 200 + self.frame % 50
             mask[100:400, left : left + 80] = 255
-        if self.camera.large:
-            mask[:200] = 255 * (self.rng.random((200, self.canvas.width)) < 0.3)
         stamp_ns = time.time_ns() + self.lead_ns
         self.infos.publish(camera_info_message(self.canvas, stamp_ns, "optical"))
         self.masks.publish(silhouette_message(mask, stamp_ns, "optical"))
@@ -117,7 +113,7 @@ class FakeGraph:
 def parse(text):
     name, *words = text.split(",")
     lead_s = next((float(word.partition("=")[2]) for word in words if word.startswith("lead=")), 0.0)
-    return Camera(name, "blank" in words, "large" in words, lead_s)
+    return Camera(name, "blank" in words, lead_s)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ from sagoma_tools.recording.reader import (
     read_frame_sets,
     read_messages,
 )
-from sagoma_tools.recording.recovery import recover_bag
 from sagoma_tools.recording.writer import OFFERED, BagWriter
 
 PERIOD_NS = 16_666_667
@@ -156,23 +155,6 @@ def test_log_times_never_go_back_when_the_clock_does(tmp_path):
             writer.write("/mocap/joint_states", log_ns, joint_state(log_ns, 0.0))
     read = [(m.log_ns, m.stamp_ns) for m in read_messages(tmp_path / "bag")]
     assert read == [(50, 50), (50, 40), (60, 60)]
-
-
-def test_recover_returns_every_message_of_the_chunks_on_disk(tmp_path):
-    messages = [silhouette(EPOCH_NS + k, bytes([k]) * 300_000) for k in range(12)]
-    writer = BagWriter(tmp_path / "cut")
-    writer.add_topic("/cam01/silhouette/compressed", SILHOUETTE)
-    for k, message in enumerate(messages):
-        writer.write("/cam01/silhouette/compressed", EPOCH_NS + k, message)
-    writer._writer.mcap.close_pending_chunk()  # and here the process is killed: no index, no metadata.yaml
-    mcap = tmp_path / "cut" / "cut.mcap"
-    mcap.write_bytes(mcap.read_bytes()[:-1000])  # in the middle of a record
-    with pytest.raises(InputError, match="sagoma recover"):
-        list(read_messages(tmp_path / "cut"))
-    counts = recover_bag(tmp_path / "cut", tmp_path / "mended").counts
-    read = [m.data for m in read_messages(tmp_path / "mended")]
-    assert len(read) == counts["/cam01/silhouette/compressed"] >= 4
-    assert read == messages[: len(read)]
 
 
 def write_joint_states(bag, messages):

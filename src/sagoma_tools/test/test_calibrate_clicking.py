@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Checkerboard, TargetDetection
-from sagoma_tools.calibration.click_window import ClickWindow
-from sagoma_tools.calibration.clicking import Clicks, OuterCorners, find_from_clicks, read_corners, save_corners
+from sagoma_tools.calibration.clicking import ClickWindow, OuterCorners, find_from_clicks, read_corners, save_corners
 
 BOARD = Checkerboard(7, 4, (0.12, 0.12))
 CAMERA = three_cameras()["cam01"]
@@ -64,31 +63,10 @@ def test_corners_file_that_cannot_be_used_is_refused_naming_the_camera(tmp_path:
         read_corners(path)
 
 
-def test_four_clicks_are_tried_and_dropped_when_they_show_no_board() -> None:
-    def refuse(outer: np.ndarray) -> TargetDetection:
-        raise InputError("no field's corner is there")
-
-    clicks = Clicks(refuse)
-    for x, y in OUTER:
-        clicks.add(x, y)
-    assert clicks.points == [] and clicks.detection is None
-    assert clicks.message.startswith("no field's corner is there. Click again")
-
-
-def test_undo_takes_one_click_back() -> None:
-    clicks = Clicks(lambda outer: TargetDetection("cam01", 0, np.arange(4), outer, (640, 480)))
-    for x, y in OUTER:
-        clicks.add(x, y)
-    assert clicks.detection is not None
-    clicks.undo()
-    assert len(clicks.points) == 3 and clicks.detection is None
-    assert "the first one of the last row" in clicks.message
-
-
-def window_on(image: np.ndarray) -> tuple[Figure, ClickWindow]:
+def window_on(image: np.ndarray, fit=None) -> tuple[Figure, ClickWindow]:
     figure = Figure(figsize=(8, 6))
     FigureCanvasAgg(figure)
-    window = ClickWindow(figure, "cam01", image, Clicks(fit_to(image)))
+    window = ClickWindow(figure, "cam01", image, fit or fit_to(image))
     figure.canvas.draw()
     return figure, window
 
@@ -106,10 +84,10 @@ def test_window_accepts_four_clicks_and_enter(image: np.ndarray) -> None:
     figure, window = window_on(image)
     for pixel in OUTER:
         press(figure, pixel)
-    assert window.clicks.detection is not None and not window.accepted
+    assert window.detection is not None and not window.accepted
     key(figure, "enter")
     assert window.accepted
-    assert window.clicks.pixels == pytest.approx(OUTER, abs=1.0)
+    assert window.pixels == pytest.approx(OUTER, abs=1.0)
 
 
 def test_window_ignores_the_right_button_and_enter_before_four_clicks(image: np.ndarray) -> None:
@@ -117,6 +95,26 @@ def test_window_ignores_the_right_button_and_enter_before_four_clicks(image: np.
     press(figure, OUTER[0], MouseButton.RIGHT)
     press(figure, OUTER[0])
     key(figure, "enter")
-    assert len(window.clicks.points) == 1 and not window.accepted
+    assert len(window.points) == 1 and not window.accepted
     key(figure, "u")
-    assert window.clicks.points == []
+    assert window.points == []
+
+
+def test_four_clicks_that_show_no_board_are_dropped_with_the_reason(image: np.ndarray) -> None:
+    def refuse(outer: np.ndarray) -> TargetDetection:
+        raise InputError("no field's corner is there")
+
+    figure, window = window_on(image, refuse)
+    for pixel in OUTER:
+        press(figure, pixel)
+    assert window.points == [] and window.detection is None
+    assert window.message.startswith("no field's corner is there. Click again")
+
+
+def test_undo_takes_one_click_back(image: np.ndarray) -> None:
+    figure, window = window_on(image)
+    for pixel in OUTER:
+        press(figure, pixel)
+    key(figure, "u")
+    assert len(window.points) == 3 and window.detection is None
+    assert "the first one of the last row" in window.message

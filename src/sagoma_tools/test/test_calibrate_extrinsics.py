@@ -296,5 +296,5 @@ def test_click_without_a_display_writes_pictures_and_a_file_to_fill_in(
     cv2.imwrite(str(room / "floor" / "cam03.png"), np.full((480, 640), 90, np.uint8))
     said = complaint(capsys, room, "--click")
     assert "no display" in said and "cam03_click.png" in said and "--corners" in said
-    assert cv2.imread(str(room / "cam03_click.png")).shape == (960, 1280, 3)
+    assert cv2.imread(str(room / "cam03_click.png")).shape == (1200, 1600, 3)
     assert list(yaml.safe_load((room / "rig.corners.yaml").read_text())) == ["cam03"]

@@ -1,13 +1,14 @@
-"""How commands speak: progress after silence, plain text into files, words whole at any width."""
+"""How commands speak: progress, plain text into files, words whole at any width."""
 
 import io
 import sys
+import threading
 
 import pytest
 from rich.table import Table
 
 from sagoma_tools.console import CommandConsole, command_console
-from sagoma_tools.progress_line import LOG_EVERY_S, SILENT_S, ProgressLine, doing, until_stopped
+from sagoma_tools.progress_line import ProgressLine, doing, until_stopped
 
 ESCAPE = "\x1b"
 PATH = "/a/path/that/is/longer/than/any/terminal/that/is/forty/columns/wide/overlay.png"
@@ -20,79 +21,60 @@ class Screen(io.StringIO):
         return True
 
 
-@pytest.fixture()
-def told(monkeypatch):
-    """``told(stream)``: a progress line on a clock of the test, and that clock; it speaks when it is told to."""
-
-    def make(stream, **options):
-        clock = [100.0]
-        monkeypatch.setattr("sagoma_tools.progress_line.SILENT_S", SILENT_S)
-        monkeypatch.setattr("sagoma_tools.progress_line.REFRESH_S", 1e6)  # the thread sleeps
-        monkeypatch.setattr(sys, "stdout", io.StringIO())
-        monkeypatch.setattr(sys, "stderr", stream)
-        return ProgressLine("sagoma evaluate", now_s=lambda: clock[0], **options), clock
-
-    return make
+def terminal(monkeypatch):
+    """Let stdout and stderr be one terminal; not a fixture, since pytest replaces both between set-up and test."""
+    screen = Screen()
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setattr(sys, "stdout", screen)
+    monkeypatch.setattr(sys, "stderr", screen)
+    return screen
 
 
-def test_silence_of_three_seconds_is_broken_on_a_terminal_and_the_next_output_takes_the_line_away(told, monkeypatch):
+def test_progress_on_a_terminal_goes_when_it_is_over_and_output_stays_whole(monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
-    line, clock = told(Screen())
-    with line:
+    screen = terminal(monkeypatch)
+    with ProgressLine():
         done = doing("tracking frames", 400)
         done(100)
-        clock[0] += SILENT_S - 0.1
-        line.speak()
-        assert sys.stderr.getvalue() == ""
-        clock[0] += 0.2
-        line.speak()
-        assert sys.stderr.getvalue() == f"\r{ESCAPE}[Ktracking frames: 100 of 400 (25 %), 3 s"
-        print("a result")
-        assert sys.stderr.getvalue().endswith(f"\r{ESCAPE}[K")
-        assert sys.stdout.getvalue() == "a result\n"
+        print(f"a result in {PATH}")
+        until_stopped()
+        shown = screen.getvalue()
+        print("running")
+    assert "tracking frames: 100 of 400 (25 %)" in shown and f"a result in {PATH}\n" in shown
+    assert screen.getvalue() == f"{shown}running\n"
 
 
-def test_the_line_on_a_terminal_is_never_wider_than_it(told, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "20")
-    line, clock = told(Screen())
-    with line:
-        doing("reading a bag with a very long name")
-        clock[0] += SILENT_S
-        line.speak()
-        assert sys.stderr.getvalue() == f"\r{ESCAPE}[Kreading a bag with "
-
-
-def test_a_log_gets_a_plain_line_every_ten_seconds(told):
-    line, clock = told(io.StringIO())
-    with line:
-        clock[0] += SILENT_S
-        line.speak()
+def test_output_into_a_file_stays_there_while_progress_is_shown(monkeypatch):
+    screen = terminal(monkeypatch)
+    monkeypatch.setattr(sys, "stdout", io.StringIO())
+    with ProgressLine():
         doing("reading the bag")
-        for _ in range(int(2 * LOG_EVERY_S)):
-            clock[0] += 1.0
-            line.speak()
-        said = sys.stderr.getvalue()
-    assert said.splitlines() == ["sagoma evaluate ... 3 s", "reading the bag ... 10 s", "reading the bag ... 20 s"]
-    assert ESCAPE not in said and "\r" not in said
+        print('{"frames": 3}')
+        assert sys.stdout.getvalue() == '{"frames": 3}\n'
+    assert "reading the bag" in screen.getvalue() and "frames" not in screen.getvalue()
 
 
-def test_a_log_of_what_runs_until_it_is_stopped_stays_quiet(told):
-    line, clock = told(io.StringIO(), endless=True)
-    with line:
-        clock[0] += 100.0
-        line.speak()
-        doing("starting 8 nodes")
-        clock[0] += SILENT_S
-        line.speak()
-        until_stopped("running")
-        clock[0] += 100.0
-        line.speak()
-        assert sys.stderr.getvalue() == "starting 8 nodes ... 3 s\n"
+def test_a_log_gets_a_plain_line_now_and_then_until_the_step_is_over(monkeypatch):
+    written = threading.Semaphore(0)
+
+    class Log(io.StringIO):
+        def write(self, text):
+            super().write(text)
+            written.release()
+
+    monkeypatch.setattr("sagoma_tools.progress_line.LOG_EVERY_S", 0.01)
+    monkeypatch.setattr(sys, "stderr", Log())
+    with ProgressLine():
+        doing("tracking frames", 400)(100)
+        assert written.acquire(timeout=60.0) and written.acquire(timeout=60.0)
+        until_stopped()
+    said = sys.stderr.getvalue()
+    assert said.startswith("tracking frames: 100 of 400 (25 %), 0 s\n") and ESCAPE not in said and "\r" not in said
 
 
 def test_steps_outside_a_command_say_nothing(capsys):
     doing("tracking", 3)(1)
-    until_stopped("running")
+    until_stopped()
     assert capsys.readouterr() == ("", "")
 
 
@@ -116,8 +98,8 @@ def test_no_word_of_a_table_or_text_is_broken(width):
 
 def test_lines_into_a_file_are_plain_and_unbroken(monkeypatch):
     monkeypatch.setattr(sys, "stdout", io.StringIO())
-    command_console().print(f"picture: {PATH} " + 30 * "and more ", style="bold red")
-    assert sys.stdout.getvalue() == f"picture: {PATH} " + (30 * "and more ").rstrip() + "\n"
+    command_console().print(f"picture: {PATH}" + 30 * " and more", style="bold red")
+    assert sys.stdout.getvalue() == f"picture: {PATH}" + 30 * " and more" + "\n"
 
 
 @pytest.mark.parametrize(("columns", "expected"), [("60", 60), ("", 150)])

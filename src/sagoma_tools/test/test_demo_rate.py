@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from mocap_packets.thinning import EVERY_FRAME, Thinning
+from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_tools.cli import main
 from sagoma_tools.commands import demo
 from sagoma_tools.commands.demo import next_step, rate_line, speed_line, unsound
@@ -16,7 +16,7 @@ from sagoma_tools.evaluation.live_run import slow_motion
 
 
 def thinned(keep, of):
-    return Thinning(0, 0, 0, 1e9 / 60, keep, of)
+    return FrameDecimation(0, 0, 0, 1e9 / 60, keep, of)
 
 
 class Trial(HeldRate):
@@ -30,7 +30,7 @@ class Trial(HeldRate):
     def tick(self):
         self.now_s += 0.05
         while self._told and self._told[0][0] <= self.now_s:
-            self.history.take(*self._told.pop(0))
+            self.history.add(*self._told.pop(0))
         return self.now_s
 
 

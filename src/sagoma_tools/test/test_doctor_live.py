@@ -1,14 +1,15 @@
 """The doctor listens to a real (if small) ROS graph with faults in it."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from doctor_fake_nodes import RIG, Camera, FakeGraph
 
 from capture_rig.rig import save_rig
 from sagoma_tools.cli import main
-from sagoma_tools.doctor.graph.collect import collect_graph
-from sagoma_tools.doctor.graph.graph_checks import graph_findings
+from sagoma_tools.doctor.graph import graph_findings
+from sagoma_tools.doctor.graph_listener import collect_graph
 
 SERVER = ("hull_server", "icp_tracker", "ekf_tracker")
 DOMAIN, ELSEWHERE = 93, 94  # of this file alone: nobody else's nodes are heard
@@ -24,7 +25,7 @@ def heard():
 @pytest.fixture(scope="module")
 def found(heard):
     by_subject = {}
-    for finding in graph_findings(heard, RIG):
+    for finding in graph_findings(replace(heard, rig=RIG)):
         by_subject.setdefault(finding.subject, []).append(finding)
     return by_subject
 
@@ -42,9 +43,9 @@ def test_every_node_is_heard_with_state_round_trip_and_machine(heard):
         "/cam02/camera_client",
     }
     for node in heard.nodes:
-        assert node.state == "active" and node.copies == 1 and node.reports >= 4
+        assert node.state == "active" and node.copies == 1 and node.report.count >= 4
         assert 0 < node.round_trip_s < 1.0
-        assert node.machine == heard.machine != ""
+        assert node.machines == (heard.machine,) != ("",)
 
 
 def test_silhouettes_are_looked_at(heard):
@@ -59,9 +60,9 @@ def test_silhouettes_are_looked_at(heard):
 
 def test_clock_half_a_second_ahead_is_measured_to_a_round_trip(heard, found):
     node = heard.node("/cam02/camera_client")
-    assert max(node.lead_s) <= 0.5 <= max(node.lead_s) + node.round_trip_s + 0.02
+    assert node.report.lead_s <= 0.5 <= node.report.lead_s + node.round_trip_s + 0.02
     assert codes(found["camera cam02"]) >= {"clock.off", "stamps.ahead"}
-    assert codes(found["camera cam01"]) & {"clock.ok", "clock.unknown"}
+    assert "clock.ok" in codes(found["camera cam01"])
 
 
 def test_blank_and_absent_cameras_are_named(found):

@@ -9,10 +9,10 @@ import pytest
 from capture_rig.rig import Rig, load_rig, save_rig
 from sagoma_bringup.graph import build_graph
 from sagoma_tools.doctor.findings import Severity
-from sagoma_tools.doctor.graph.graph_checks import examine_graph
+from sagoma_tools.doctor.graph import examine_graph
 from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
 from sagoma_tools.graph.background_training import learn_backgrounds
-from sagoma_tools.graph.process_group import ProcessSettings
+from sagoma_tools.graph.processes import ProcessSettings
 from sagoma_tools.graph.supervisor import Supervisor
 from stick_figure.body import Body
 from virtual_studio.recording.session import write_session

@@ -1,11 +1,17 @@
 """How findings are shown, counted and turned into an exit status."""
 
 import io
+from dataclasses import replace
 
 import pytest
-from rich.console import Console
 
-from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok, on, show, summary, warning
+from sagoma_tools.console import CommandConsole
+from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok, show, summary, warning
+
+
+def on(subject, findings):
+    return [replace(finding, subject=subject) for finding in findings]
+
 
 FINDINGS = [
     *on("this machine", [ok("disk", "is large"), warning("clock.off", "is off", "chrony"), ok("memory", "is there")]),
@@ -19,7 +25,7 @@ FINDINGS = [
 
 def shown(findings, **options):
     sink = io.StringIO()
-    show(findings, Console(file=sink), **options)
+    show(findings, CommandConsole(file=sink), **options)
     return sink.getvalue()
 
 

@@ -3,6 +3,7 @@
 import datetime
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,7 +13,7 @@ import yaml
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.rig import Rig, save_rig
 from sagoma_tools.cli import main
-from sagoma_tools.doctor.rig_facts import geometry, read_report
+from sagoma_tools.doctor.rig import RigView, across_deg, check_place, check_report
 from virtual_studio.rig import ring
 
 GOOD = ring(5, False)
@@ -67,7 +68,7 @@ C1 = GOOD.cameras[0]
     "changes, severity, code, value",
     [
         ({"T_camera_world": moved(C1, [3.0, 1.0, -0.4])}, "error", "place.below_floor", "0.40 m"),
-        ({"T_camera_world": moved(C1, [3.0, 1.0, 7.0])}, "warning", "place.high", "7.0 m"),
+        ({"T_camera_world": moved(C1, [3.0, 1.0, 7.0])}, "warning", "place.high", "7.00 m"),
         ({"K": K_of(C1, cx=520.0)}, "warning", "lens.off_centre", "(520, "),
         ({"K": K_of(C1, fy=490.0)}, "warning", "lens.unequal_focal", "490 px"),
         ({"K": K_of(C1, fx=120.0, fy=120.0)}, "warning", "lens.field_of_view", "degrees"),
@@ -93,10 +94,10 @@ def test_wide_lens_that_folds_in_the_corners_is_a_note_that_says_up_to_where_it_
 
 
 def test_field_of_view_of_a_barrel_lens_is_wider_than_its_pinholes():
-    pinhole, barrel = (geometry(with_camera(GOOD, "cam01", D=np.array(D)))[0][0] for D in ([0.0] * 5, C1.D))
+    pinhole, barrel = (across_deg(replace(C1, D=np.array(D))) for D in ([0.0] * 5, C1.D))
     left, right = C1.rays_world([[0.0, C1.K[1, 2]], [C1.width - 1.0, C1.K[1, 2]]])
-    assert barrel.fov_deg == pytest.approx(np.degrees(np.arccos(left @ right)), abs=0.1)
-    assert barrel.fov_deg > pinhole.fov_deg + 3.0
+    assert barrel == pytest.approx(np.degrees(np.arccos(left @ right)), abs=0.1)
+    assert barrel > pinhole + 3.0
 
 
 def test_cameras_that_face_each_other_are_named(examined):
@@ -125,15 +126,15 @@ def test_missing_rig_file_says_so(tmp_path, capsys):
 
 
 def test_shares_of_the_volume_agree_with_counting_by_hand():
-    cameras, seen_by = geometry(GOOD)
+    view = RigView.of(GOOD, Path("rig.yaml"))
     foot, head = np.array([0.5, -0.5, 0.1]), np.array([0.5, -0.5, 1.7])
-    for camera, facts in zip(GOOD.cameras, cameras, strict=True):
+    for camera, sees in zip(GOOD.cameras, view.sees, strict=True):
         inside = [0 <= u < camera.width and 0 <= v < camera.height for u, v in camera.project([foot, head])]
-        assert all(inside) and facts.sees > 0.9
-    assert seen_by[2] == 1.0 and seen_by[4] < 1.0
+        assert all(inside) and sees.mean() > 0.9
+    assert view.seen_by(3) == 1.0 and view.seen_by(5) < 1.0
     # 3.25 m from (0, 0, 0.95), where a pixel of 468 px focal length is 6.9 mm
-    assert cameras[0].distance_m == pytest.approx(3.25, abs=0.02)
-    assert cameras[0].mm_per_px == pytest.approx(3250 / 468, rel=0.02)
+    *_, seen = check_place(view, C1)
+    assert "3.2 m from the volume's centre, 6.9 mm a pixel" in seen.what
 
 
 def write_report(path, grade, date, **more):
@@ -157,7 +158,8 @@ def test_reports_are_read_with_verdict_findings_and_age(examined, tmp_path):
 
 def test_report_that_cannot_be_read_is_told(tmp_path):
     (tmp_path / "rig.report.yaml").write_text("[1, 2")
-    assert read_report(tmp_path / "rig.report.yaml").error
+    (finding,) = check_report(tmp_path / "rig.report.yaml", "calibrate")
+    assert finding.code == "report.unreadable"
 
 
 def test_footage_of_another_size_is_an_error(examined, tmp_path):
@@ -177,3 +179,25 @@ def test_footage_of_another_size_is_an_error(examined, tmp_path):
     assert any(code == "footage.unreadable" and "cam05.mp4" in what for _, code, what in found["camera cam05"])
     assert any(code == "footage.lengths_differ" for _, code, _ in found[f"session {session}"])
     assert "camera cam01" not in found
+
+
+@pytest.mark.parametrize(
+    "key, value, words",
+    [
+        ("image_width", 10**9, "image size in pixels"),
+        ("camera_matrix", [[1e-12, 0, 320], [0, 1e-12, 240], [0, 0, 1]], "not millimetres"),
+        ("t_camera_world", [120.0, -800.0, 3200.0], "millimetres are likely"),
+        (None, 500, "63"),
+    ],
+)
+def test_absurd_rig_is_refused_before_anything_is_computed_with_a_remedy(tmp_path, capsys, key, value, words):
+    save_rig(GOOD, tmp_path / "rig.yaml")
+    document = yaml.safe_load((tmp_path / "rig.yaml").read_text())
+    if key is None:
+        document["cameras"] = {f"cam{k}": document["cameras"]["cam01"] for k in range(value)}
+    else:
+        document["cameras"]["cam01"][key] = value
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(document))
+    assert main(["doctor", "--no-machine", "--json", "--rig", str(tmp_path / "rig.yaml")]) == 2
+    (invalid,) = json.loads(capsys.readouterr().out)["findings"]
+    assert invalid["code"] == "file.invalid" and words in invalid["what"] + invalid["remedy"] and invalid["remedy"]

@@ -18,7 +18,7 @@ from sagoma_tools.evaluation.in_process import EPOCH_NS, OURS, track_people
 from sagoma_tools.evaluation.part_calls import PartCalls
 from sagoma_tools.evaluation.people import identify, score_people
 from sagoma_tools.evaluation.scores import score
-from sagoma_tools.evaluation.track import Track, track_from_bag
+from sagoma_tools.evaluation.track import Track, tracks_from_bag
 from sagoma_tools.evaluation.track_evaluation import evaluate_track
 from sagoma_tools.recording.writer import BagWriter
 from stick_figure.skeleton import ANGLE_NAMES
@@ -144,7 +144,7 @@ def test_bag_and_session_evaluate_alike(shared_data, tmp_path, monkeypatch):
         bag.add_topic("/mocap/joint_states", "sensor_msgs/msg/JointState")
         for answer in answers:
             publish(bag, answer)
-    read = track_from_bag(tmp_path / "bag", lambda stamp_ns: round((stamp_ns - EPOCH_NS) * 1e-9 * session.fps))
+    read = tracks_from_bag(tmp_path / "bag", lambda stamp_ns: round((stamp_ns - EPOCH_NS) * 1e-9 * session.fps))[1]
     assert np.array_equal(read.frames, in_process.frames) and np.array_equal(read.parts, in_process.parts)
     figures = [evaluate_track(session, len(answers), one, switches=0).figures() for one in (in_process, read)]
     assert figures[0]["flagged_of_bad"] is None and figures[0]["identity_switches"] == 0

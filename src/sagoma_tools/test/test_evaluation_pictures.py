@@ -79,13 +79,13 @@ def test_unwrapped_leaves_gaps_and_takes_out_full_turns():
 
 
 def test_the_caption_says_frame_time_state_and_error(evaluated):
-    assert caption(evaluated, 0) == "session   frame 0   0.00 s   no body"
-    assert "frame 4   0.20 s   doubtful   mean 45 mm   worst: left hand 250 mm" in caption(evaluated, 4)
+    assert caption(evaluated, 0) == ("session   frame 0   0.00 s   no body", None)
+    assert "frame 4   0.20 s   doubtful   mean 45 mm   worst: left hand 250 mm" in caption(evaluated, 4)[0]
 
 
 def test_the_caption_of_a_session_without_truth_has_no_error(evaluated):
     blind = evaluate_track(replace(evaluated.session, truth=None), FRAMES, evaluated.track)
-    assert caption(blind, 4) == "session   frame 4   0.20 s   doubtful"
+    assert caption(blind, 4) == ("session   frame 4   0.20 s   doubtful", False)
 
 
 def test_the_overlay_video_has_every_frame(evaluated, tmp_path):

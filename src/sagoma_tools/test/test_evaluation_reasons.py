@@ -12,7 +12,7 @@ from icp_tracker.tracker import fits_nothing
 from mocap_packets.fit import Fit
 from sagoma_tools.cli import main
 from sagoma_tools.evaluation.reasons import ELSE, WAIT, explain, rank_reasons, reasons_of_bag, remedy_of
-from sagoma_tools.evaluation.track import track_from_bag
+from sagoma_tools.evaluation.track import tracks_from_bag
 from sagoma_tools.recording.writer import BagWriter
 from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
@@ -81,7 +81,7 @@ def test_a_bag_tells_the_same_reasons(tmp_path):
     bag = write_bag(tmp_path / "bag", [fits_nothing(k, WATCHED.format(0.1 * k)) for k in range(1, 4)])
     assert reasons_of_bag(bag, lambda stamp_ns: stamp_ns > 1) == [(WATCHED.format(0.2),), (WATCHED.format(0.3),)]
     with pytest.raises(InputError, match=r'of 3 frame sets the tracker said "somebody .* watched for 0\.2 of .* in 3'):
-        track_from_bag(bag, lambda stamp_ns: stamp_ns)
+        tracks_from_bag(bag, lambda stamp_ns: stamp_ns)[1]
 
 
 def test_a_bag_of_a_tracked_person_without_the_topics_asks_for_these(tmp_path):
@@ -90,7 +90,7 @@ def test_a_bag_of_a_tracked_person_without_the_topics_asks_for_these(tmp_path):
     bag = write_bag(tmp_path / "bag", [tracked])
     assert reasons_of_bag(bag) == [()]
     with pytest.raises(InputError, match="Record /mocap/reference_points"):
-        track_from_bag(bag, lambda stamp_ns: stamp_ns)
+        tracks_from_bag(bag, lambda stamp_ns: stamp_ns)[1]
 
 
 def test_evaluate_ends_with_the_reasons_of_a_session_in_which_nobody_is_found(tmp_path, capsys):

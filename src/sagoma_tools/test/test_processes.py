@@ -1,25 +1,15 @@
 """Which command starts a node, and what a child process leaves behind when it is killed."""
 
+import fcntl
 import os
 import sys
 import threading
 
 import psutil
 import pytest
+from test_supervisor_graph import segments_of
 
-from sagoma_tools.graph.processes import (
-    LONGEST_START_S,
-    STALLED_S,
-    Child,
-    Exit,
-    StartDeadline,
-    busy_machine,
-    node_command,
-    owned_shared_memory,
-    shared_memory_files,
-    stop_children,
-)
-from sagoma_tools.graph.ros_link import RosLink
+from sagoma_tools.graph.processes import Child, Exit, busy_machine, node_command, remove_abandoned_memory, stop_children
 
 
 def test_installed_executable_is_preferred_to_the_module(tmp_path, monkeypatch):
@@ -85,14 +75,26 @@ def test_death_is_told_once_with_the_log_complete(tmp_path):
     assert (ended.exit, ended.returncode) == (Exit.ALREADY_DEAD, 5)
 
 
-def test_shared_memory_is_that_of_one_process_and_never_a_port_which_another_may_take(link):
-    """A port that is deleted while a process takes it makes this process deaf to the names of nodes."""
-    with RosLink("beside") as beside:
-        assert beside.context.ok() and link.context.ok()
-        names = owned_shared_memory([os.getpid()])
-        assert len(names) >= 2 and not any("port" in name for name in names)
-        assert len(shared_memory_files(names)) == 2 * len(names)
-    assert not shared_memory_files(names - owned_shared_memory([os.getpid()]))
+def test_shared_memory_of_a_dead_owner_is_removed_and_never_that_of_a_living_one_or_a_port(monkeypatch, tmp_path):
+    monkeypatch.setattr("sagoma_tools.graph.processes.SHARED_MEMORY", tmp_path)
+    for name in ("fastrtps_dead", "fastrtps_alive", "fastrtps_port7413"):
+        for file in (name, f"{name}_el"):
+            (tmp_path / file).touch()
+            os.utime(tmp_path / file, (0.0, 0.0))
+    (tmp_path / "fastrtps_new_el").touch()  # its owner is about to lock it
+    with (tmp_path / "fastrtps_alive_el").open("rb") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        remove_abandoned_memory()
+    left = ["fastrtps_alive", "fastrtps_alive_el", "fastrtps_new_el", "fastrtps_port7413", "fastrtps_port7413_el"]
+    assert sorted(os.listdir(tmp_path)) == left
+
+
+def test_segments_of_a_living_node_stay(link):
+    before = segments_of(os.getpid())
+    for segment in before:
+        os.utime(segment.with_name(f"{segment.name}_el"), (0.0, 0.0))
+    remove_abandoned_memory()
+    assert before and all(segment.exists() for segment in before)
 
 
 def wait_for_text(child, text):
@@ -103,22 +105,6 @@ def wait_for_text(child, text):
             return log
         threading.Event().wait(0.05)
     raise AssertionError(f"{child.name} never said {text!r}")
-
-
-def test_a_process_that_starts_slowly_is_waited_for_and_one_that_hangs_is_named():
-    now_s, used_s = 0.0, 0.0
-    deadline = StartDeadline(lambda: used_s, lambda: now_s)
-    while now_s < 600.0:  # a hundredth of a processor, on a machine of load 200
-        now_s, used_s = now_s + 10.0, used_s + 0.1
-        assert deadline.exceeded() == ""
-    now_s += STALLED_S + 1.0
-    assert deadline.exceeded() == "it hangs after 661 s, 6.0 s of them on the processor"
-    used_s, now_s = 7.0, LONGEST_START_S + 1.0
-    assert "was not ready after 901 s" in deadline.exceeded()
-
-
-def test_a_process_that_has_ended_is_waited_for_no_longer():
-    assert StartDeadline(lambda: None).exceeded() == "it has ended"
 
 
 @pytest.mark.parametrize(("load", "said"), [(0.5, ""), (12.0, "load 12.0 on 2 processors")])

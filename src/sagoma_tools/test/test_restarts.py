@@ -8,13 +8,18 @@ import time
 
 import pytest
 from std_msgs.msg import String
-from test_supervisor_graph import camera, tiny
+from test_supervisor_graph import camera, segments_of, tiny
 
 from sagoma_bringup.processes import processes_of
 from sagoma_ros.qos import LATCHED
-from sagoma_tools.graph.processes import abandoned, owned_shared_memory, shared_memory_files
-from sagoma_tools.graph.restarts import Death, RestartPolicy, Return, exit_reason
-from sagoma_tools.graph.restored_state import BODY_TOPIC, LastBody, with_kept_backgrounds
+from sagoma_tools.graph.restarts import (
+    BODY_TOPIC,
+    CachedBody,
+    ProcessExited,
+    ProcessRecovered,
+    RestartPolicy,
+    with_kept_backgrounds,
+)
 from sagoma_tools.graph.supervisor import Supervisor
 from stick_figure.body import Body
 from stick_figure.body_file import format_body, load_body
@@ -37,11 +42,19 @@ def test_delay_doubles_with_each_crash_until_the_process_is_given_up(deaths_s, e
     assert RestartPolicy(first_s=1.0, longest_s=16.0, most=5, within_s=300.0).delay_s(deaths_s) == expected_s
 
 
-def test_exit_reason_names_the_signal_and_what_it_mostly_means():
-    assert exit_reason(3) == "exit status 3"
-    assert exit_reason(-signal.SIGKILL).startswith("killed by SIGKILL (by hand, or by the kernel when memory ran out")
-    assert "Python stack" in exit_reason(-signal.SIGSEGV)
-    assert exit_reason(-signal.SIGTERM) == "killed by SIGTERM"
+@pytest.mark.parametrize(
+    ("returncode", "reason"),
+    [
+        (3, "exit status 3"),
+        (-signal.SIGKILL, "killed by SIGKILL (by hand, or by the kernel when memory ran out: see dmesg)"),
+        (-signal.SIGSEGV, "killed by SIGSEGV (it crashed in native code; the end of its log has the Python stack)"),
+        (-signal.SIGTERM, "killed by SIGTERM"),
+        (-99, "killed by signal 99"),
+    ],
+)
+def test_exit_reason_names_the_signal_and_what_it_mostly_means(tmp_path, returncode, reason):
+    (process,) = processes_of([tiny("hull_server")])
+    assert ProcessExited(process, 1, returncode, tmp_path, "").reason == reason
 
 
 def test_live_cameras_keep_their_background_in_the_run_folder_unless_they_have_a_place_for_it(tmp_path):
@@ -63,20 +76,22 @@ def test_live_cameras_keep_their_background_in_the_run_folder_unless_they_have_a
 )
 def test_tracker_that_would_wait_for_a_pose_gets_its_body_back(tmp_path, link, given, expected):
     tracker = tiny("icp_tracker").with_parameters(given)
-    body, deadline_s = LastBody(link.node, tmp_path), time.monotonic() + PATIENCE_S
+    body, deadline_s = CachedBody(link.node, tmp_path), time.monotonic() + PATIENCE_S
     (process,) = processes_of([tracker])
-    assert body.restored(process) == {}  # none has been heard of
+    none_yet = tracker.with_parameters({"autostart": True})
+    assert body.restored(process).nodes == (none_yet,)
     link.node.create_publisher(String, BODY_TOPIC, LATCHED).publish(String(data=format_body(Body.from_stature(1.8))))
     while not body.text and time.monotonic() < deadline_s:
         threading.Event().wait(0.01)
     assert body.text
-    restored = body.restored(process).get("/icp_tracker")
+    (restored,) = body.restored(process).nodes
     if expected is None:
-        assert restored is None
+        assert restored == none_yet
         return
-    assert restored == {"initial_pose.source": "auto", "body_file": str(tmp_path / expected)}
+    found = {"initial_pose.source": "auto", "body_file": str(tmp_path / expected)}
+    assert restored == none_yet.with_parameters(found)
     if "body_file" not in given:
-        assert load_body(restored["body_file"]).stature == pytest.approx(1.8, abs=1e-3)
+        assert load_body(found["body_file"]).stature == pytest.approx(1.8, abs=1e-3)
 
 
 @pytest.fixture()
@@ -103,17 +118,17 @@ def test_killed_node_is_active_again_without_a_person_and_leaves_no_shared_memor
     run, told = watched(tiny("hull_server"), camera("cam01"))
     name = "/cam01/camera_client"
     before = run.processes.pids()[name]
-    its_memory = owned_shared_memory([before])
+    its_memory = segments_of(before)
     os.kill(before, number)
     death, back = told.get(timeout=PATIENCE_S), told.get(timeout=PATIENCE_S)
-    assert isinstance(death, Death) and death.process.label == "cam01" and death.pid == before
+    assert isinstance(death, ProcessExited) and death.process.label == "cam01" and death.pid == before
     assert f"killed by {number.name}" in str(death) and "restart in 0.1 s" in str(death)
-    assert isinstance(back, Return) and back.pid == run.processes.pids()[name] != before
+    assert isinstance(back, ProcessRecovered) and back.pid == run.processes.pids()[name] != before
     assert run.states() == {"/hull_server": "active", name: "active"}
     log = run.processes.log_tail(name, lines=100)
     assert "I am good" in death.log_tail and log.count("I am good") == 2  # the log goes on
-    assert its_memory and not shared_memory_files(abandoned(its_memory))
     assert [status.returncode for status in run.stop()] == [0, 0]
+    assert its_memory and not any(segment.exists() for segment in its_memory)
 
 
 def test_process_that_crashes_at_every_start_is_given_up_with_its_last_words(watched):

@@ -1,18 +1,19 @@
 """The supervisor with real processes: tiny lifecycle nodes that behave, refuse, die, or hang."""
 
 import io
+import queue
 import threading
+from pathlib import Path
 
 import psutil
 import pytest
 from rich.console import Console
 
 from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_tools.graph.foreign_nodes import places_of
 from sagoma_tools.graph.lifecycle_client import Transition, Verdict
-from sagoma_tools.graph.process_group import ProcessSettings
-from sagoma_tools.graph.processes import Exit, abandoned, owned_shared_memory, shared_memory_files
+from sagoma_tools.graph.processes import Exit, ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink, settled
+from sagoma_tools.graph.running_nodes import places_of
 from sagoma_tools.graph.supervisor import GraphError, Supervisor, with_common_epoch
 
 
@@ -24,6 +25,12 @@ def tiny(name: str, behaviour: str = "good", role: Role = Role.SERVER) -> NodeSp
 
 def camera(name: str, behaviour: str = "good") -> NodeSpec:
     return tiny(name, behaviour, Role.CAMERA)
+
+
+def segments_of(pid: int) -> list[Path]:
+    """Return the Fast DDS segments that a process owns: it holds their locks open."""
+    locks = {opened.path for opened in psutil.Process(pid).open_files() if opened.path.endswith("_el")}
+    return [Path(lock.removesuffix("_el")) for lock in locks if "fastrtps_port" not in lock]
 
 
 @pytest.fixture()
@@ -78,7 +85,7 @@ def test_start_that_the_user_ends_is_an_interruption_and_no_failure(tmp_path, st
 def test_graph_goes_on_when_one_of_two_cameras_refuses(supervise):
     run = supervise(tiny("hull_server"), camera("cam01", "refuses_to_configure"), camera("cam02"))
     outcome = run.configure()
-    assert outcome.refused == ("/cam01/camera_client",)
+    assert [(each.node, each.verdict) for each in outcome.failures] == [("/cam01/camera_client", Verdict.REFUSED)]
     run.activate()
     assert run.states() == {
         "/hull_server": "active",
@@ -98,7 +105,7 @@ def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supe
 
     run = supervise(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"), on_event=on_event)
     run.configure()
-    its_memory = owned_shared_memory([run.processes.pids()["/cam01/camera_client"]])
+    its_memory = segments_of(run.processes.pids()["/cam01/camera_client"])
     outcome = run.activate()
     assert told.wait(30)
     assert outcome.silent == ("/cam01/camera_client",)
@@ -108,7 +115,7 @@ def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supe
     assert run.states()["/hull_server"] == run.states()["/cam02/camera_client"] == "active"
     exits = {ended.name: (ended.exit, ended.returncode) for ended in run.stop()}
     assert exits["cam01"] == (Exit.ALREADY_DEAD, 3) and exits["cam02"] == (Exit.CLEAN, 0)
-    assert its_memory and not shared_memory_files(abandoned(its_memory))
+    assert its_memory and not any(segment.exists() for segment in its_memory)
 
 
 def test_only_camera_lost_is_an_error(supervise):
@@ -120,7 +127,7 @@ def test_only_camera_lost_is_an_error(supervise):
 def test_second_graph_of_the_same_names_is_refused_before_a_process_of_it_starts(
     supervise, monkeypatch, tmp_path, request
 ):
-    monkeypatch.setattr("sagoma_tools.graph.foreign_nodes.ENDING_S", 0.0)
+    monkeypatch.setattr("sagoma_tools.graph.running_nodes.ENDING_S", 0.0)
     first = supervise(tiny("hull_server"), camera("cam01"))
     first.configure()
     request.getfixturevalue("somebody_is_found")
@@ -150,12 +157,26 @@ def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(superv
     run = supervise(tiny("deaf", "ignores_sigint"), tiny("good"), settings=ProcessSettings(grace_s=5.0))
     run.configure()
     pid = run.processes.pids()["/deaf"]
-    its_memory = owned_shared_memory([pid])
+    its_memory = segments_of(pid)
     assert its_memory
     exits = {ended.name: ended.exit for ended in run.stop()}
     assert exits == {"deaf": Exit.KILLED, "good": Exit.CLEAN}
     assert not psutil.pid_exists(pid)
-    assert not shared_memory_files(abandoned(its_memory))
+    assert not any(segment.exists() for segment in its_memory)
+
+
+def test_node_that_cannot_be_secured_refuses_to_run_open(supervise, tmp_path):
+    """The wheels' Fast DDS has no security compiled in: an open graph would be the worse answer."""
+    events = queue.Queue()
+    secured = {
+        "ROS_SECURITY_ENABLE": "true",
+        "ROS_SECURITY_STRATEGY": "Enforce",
+        "ROS_SECURITY_KEYSTORE": str(tmp_path),
+    }
+    supervise(tiny("hull_server"), settings=ProcessSettings(env=secured), on_event=events.put)
+    death = events.get(timeout=60.0)
+    assert "exit status 1" in death.reason
+    assert "doesn't have the security libraries" in death.log_tail or "enclave" in death.log_tail
 
 
 @pytest.mark.slow

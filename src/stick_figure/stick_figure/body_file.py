@@ -1,7 +1,7 @@
 """A body as a YAML file: full stick lengths by name, shoulder width, the two ratios; metres.
 
-Optionally the build, which the surface follows (`build.py`); files of before have the limbs' thickness over that of an
-average build instead.
+Optionally the build, which the surface follows (`build.py`). The limbs' ``thickness``, which older files have instead,
+is left aside.
 """
 
 from __future__ import annotations
@@ -21,9 +21,8 @@ from .skeleton import STICK_NAMES
 
 KEYS = ("lengths", "shoulder_width", "shoulder_height_ratio", "hip_width_ratio")
 OPTIONAL_KEYS = ("units", "source", "thickness", "build")
-THICKNESS_NAMES = ("upper_arm", "forearm", "thigh", "calf", "trunk")
 MOST_BODY_BYTES = 64 << 10  # that of one person has 1 KB; bodies come as messages too, and parsing takes its time
-MAX_LENGTH_M, MAX_THICKNESS, MAX_BUILD = 2.0, 3.0, 6.0
+MAX_LENGTH_M, MAX_BUILD = 2.0, 6.0
 _REMEDY = f"A body file is a mapping with the keys {', '.join(KEYS)}."
 
 
@@ -32,17 +31,12 @@ def load_body(path: str | Path) -> Body:
     return parse_body(read_text(path, _REMEDY, MOST_BODY_BYTES), str(path))
 
 
-def load_thickness(path: str | Path) -> dict[str, float]:
-    """Return the limbs' thickness over the average build's by name, as far as the file has it. Raises InputError."""
-    return parse_thickness(read_text(path, _REMEDY, MOST_BODY_BYTES), str(path))
-
-
-def save_body(body: Body, path: str | Path, source: str = "", thickness: Mapping[str, float] | None = None) -> None:
+def save_body(body: Body, path: str | Path, source: str = "") -> None:
     """Writes a body so that :func:`load_body` gives the same numbers; `source` says where the sizes come from.
 
     All or nothing. Raises InputError when the file cannot be written.
     """
-    write_text(path, format_body(body, source, thickness))
+    write_text(path, format_body(body, source))
 
 
 def parse_body(text: str, where: str) -> Body:
@@ -58,7 +52,6 @@ def parse_body(text: str, where: str) -> Body:
     values = [_number(lengths[name], f"{where}: lengths.{name}", MAX_LENGTH_M) for name in STICK_NAMES]
     width = _number(document["shoulder_width"], f"{where}: shoulder_width", MAX_LENGTH_M)
     ratios = [_number(document[key], f"{where}: {key}", 5.0) for key in KEYS[2:]]
-    parse_thickness(text, where)  # a file is right as a whole or not at all
     build = _build(document.get("build"), where)
     return Body(0.5 * np.array(values), 0.5 * width, ratios[0], ratios[1], build)
 
@@ -74,17 +67,8 @@ def _build(given: Any, where: str) -> np.ndarray:
     return np.array(numbers, float)
 
 
-def parse_thickness(text: str, where: str) -> dict[str, float]:
-    """Return the limbs' thickness in a body file's text, by name (`THICKNESS_NAMES`); empty where it has none."""
-    thickness = _mapping(text, where).get("thickness", {})
-    if not isinstance(thickness, Mapping):
-        raise InputError(f"thickness is {thickness!r}", where=where, remedy="Give a factor for each limb by name.")
-    _check_keys(thickness, (), THICKNESS_NAMES, f"{where}: thickness")
-    return {name: _number(value, f"{where}: thickness.{name}", MAX_THICKNESS) for name, value in thickness.items()}
-
-
-def format_body(body: Body, source: str = "", thickness: Mapping[str, float] | None = None) -> str:
-    """Return a body file's text, from which :func:`parse_body` and :func:`parse_thickness` give the same numbers."""
+def format_body(body: Body, source: str = "") -> str:
+    """Return a body file's text, from which :func:`parse_body` gives the same numbers."""
     document: dict[str, Any] = {"units": "metres"}
     if source:
         document["source"] = source
@@ -94,8 +78,6 @@ def format_body(body: Body, source: str = "", thickness: Mapping[str, float] | N
     document["hip_width_ratio"] = body.hip_width_ratio
     if body.build.any():
         document["build"] = body.build.tolist()
-    if thickness:
-        document["thickness"] = {name: float(value) for name, value in thickness.items()}
     return format_mapping(document)
 
 

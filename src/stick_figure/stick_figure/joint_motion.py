@@ -12,26 +12,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_rig.kernel import kernel, njit
+from capture_rig.kernel import njit
+from capture_rig.rigid import Array, fill_quaternion, fill_rotation
 
 from .kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from .pose import Pose
-from .rotations import Array
 from .skeleton import BALL_NAMES, HINGE_NAMES, TORSO_POSITION
-from .so3 import rotation_exp, rotation_log
 
 JOINT_NAMES = ("torso", *BALL_NAMES, *HINGE_NAMES)
 """The ten joints, in the order of the sticks that they move."""
 HINGE_AXIS = np.array([2, 2, 1, 1])
 """(4,) axis about which each hinge turns, of the upper limb: elbows z, knees y."""
 _FIRST_HINGE = 6
-
-
-def quaternion_of(R: Array) -> Array:
-    """Return the unit quaternion (4,), x y z w with w >= 0, of a rotation matrix (3, 3)."""
-    quaternion = np.empty(4)
-    fill_quaternion(np.ascontiguousarray(R, float), quaternion)
-    return quaternion
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,27 +60,6 @@ class JointMotion:
 
 
 # --- kernels ---------------------------------------------------------------------------------------------------------
-
-
-@kernel
-def fill_quaternion(R, quaternion):
-    """quaternion (4,) <- of R (3, 3), by way of its rotation vector."""
-    vector = quaternion[:3]
-    rotation_log(R, vector)
-    angle = math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
-    scale = math.sin(0.5 * angle) / angle if angle > 0.0 else 0.5
-    for i in range(3):
-        vector[i] *= scale
-    quaternion[3] = math.cos(0.5 * angle)
-
-
-@kernel
-def fill_rotation(quaternion, R):
-    """R (3, 3) <- of a quaternion (4,), x y z w, of any length but 0."""
-    x, y, z, w = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    sine = math.sqrt(x * x + y * y + z * z)
-    scale = 2.0 * math.atan2(sine, w) / sine if sine > 0.0 else 0.0
-    rotation_exp(scale * x, scale * y, scale * z, R)
 
 
 @njit(cache=True, nogil=True)

@@ -18,8 +18,7 @@ import math
 import numpy as np
 
 from capture_rig.kernel import kernel, njit
-
-from .so3 import matmul3, rotation_log, turn
+from capture_rig.rigid import matmul3, rotation_log, turn
 
 CHAIN = np.array(
     [

@@ -1,4 +1,4 @@
-"""Rotation vectors, and the Euler angles of the ball joints: composition, its exact inverse, rates.
+"""Euler angles of the ball joints: composition, its exact inverse, rates.
 
 Thesis Tables 5.1 and 5.4, corrected. A ball joint is R = R_x(a) R_j(b) R_k(c). The same rotation is also (a + pi,
 pi - b, c + pi), and a hinge h bent the wrong way equals -h with the upper limb turned by pi about itself. Of these
@@ -14,24 +14,10 @@ import numpy as np
 
 from capture_rig.kernel import njit
 
-from . import kernels, so3
+from . import kernels
 from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE_ANGLES, T_POSE_ANGLES
 
 Array = np.ndarray
-
-
-def rotation_matrix(vector: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,), rad (Rodrigues; thesis eq. 5.25 with |omega| = 1)."""
-    R = np.empty((3, 3))
-    so3.rotation_exp(float(vector[0]), float(vector[1]), float(vector[2]), R)
-    return R
-
-
-def rotation_vector(R: Array) -> Array:
-    """Rotation vector (3,), rad, of a rotation matrix (3, 3); its length is at most pi."""
-    vector = np.empty(3)
-    so3.rotation_log(np.ascontiguousarray(R, float), vector)
-    return vector
 
 
 GIMBAL_SINE = 1e-8

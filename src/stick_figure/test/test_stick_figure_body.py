@@ -6,7 +6,7 @@ import yaml
 
 from capture_rig.errors import InputError
 from stick_figure.body import Body
-from stick_figure.body_file import load_body, load_thickness, save_body
+from stick_figure.body_file import load_body, save_body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, STICK_NAMES, T_POSE_ANGLES
@@ -132,30 +132,8 @@ def test_stick_names_are_the_keys_of_a_body_file(tmp_path):
     assert tuple(yaml.safe_load((tmp_path / "body.yaml").read_text())["lengths"]) == STICK_NAMES
 
 
-def test_thickness_of_limbs_survives_the_file_and_may_be_absent(tmp_path):
-    body, thickness = Body.from_stature(1.75), {"upper_arm": 1.1, "trunk": 0.9}
-    save_body(body, tmp_path / "thick.yaml", thickness=thickness)
-    save_body(body, tmp_path / "plain.yaml")
-    assert load_thickness(tmp_path / "thick.yaml") == thickness
-    assert load_thickness(tmp_path / "plain.yaml") == {}
-    for name in ("thick.yaml", "plain.yaml"):
-        np.testing.assert_array_equal(load_body(tmp_path / name).half_lengths, body.half_lengths)
-
-
-@pytest.mark.parametrize(
-    ("thickness", "words"),
-    [
-        ({"thig": 1.1}, ["thig", "thigh"]),
-        ({"thigh": -1.0}, ["thickness.thigh", "-1"]),
-        ([1.1], ["thickness", "1.1"]),
-        ({"calf": "fat"}, ["thickness.calf", "fat"]),
-    ],
-)
-def test_bad_thickness_is_refused_with_its_key(tmp_path, thickness, words):
-    path = tmp_path / "body.yaml"
-    save_body(Body.from_stature(1.75), path)
-    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"thickness": thickness}))
-    with pytest.raises(InputError) as error:
-        load_body(path)
-    for word in [*words, str(path)]:
-        assert word in str(error.value)
+def test_thickness_of_an_older_body_file_is_left_aside(tmp_path):
+    body, path = Body.from_stature(1.75), tmp_path / "thick.yaml"
+    save_body(body, path)
+    path.write_text(path.read_text() + "thickness: {upper_arm: 1.1}\n")
+    np.testing.assert_array_equal(load_body(path).half_lengths, body.half_lengths)

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from capture_rig.rigid import rotation_matrix
 from stick_figure import joint_centres
 from stick_figure.body import Body
 from stick_figure.joint_centres import with_joint_centres
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.rotations import rotation_matrix
 from stick_figure.skeleton import POINT_NAMES, mirror_angles
 
 BODY = Body.from_stature(1.75)

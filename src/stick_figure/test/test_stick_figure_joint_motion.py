@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stick_figure.joint_motion import JointMotion, quaternion_of
+from capture_rig.rigid import quaternion_of
+from stick_figure.joint_motion import JointMotion
 from stick_figure.pose import Pose
 from stick_figure.skeleton import T_POSE_ANGLES
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from capture_rig.rigid import rotation_matrix, rotation_vector
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, jacobian, sticks
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.rotations import rotation_matrix, rotation_vector
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, POINT_STICK, TANGENT_NAMES
 
 BODY = Body.from_stature(1.75)

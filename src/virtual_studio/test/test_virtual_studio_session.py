@@ -5,13 +5,13 @@ import pytest
 import yaml
 
 from capture_rig.errors import InputError
+from capture_rig.rigid import rotation_matrix
 from capture_rig.session import load_session
 from capture_rig.video import Video
 from stick_figure.body import Body
 from stick_figure.body_file import load_body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
-from stick_figure.rotations import rotation_matrix
 from virtual_studio.__main__ import main
 from virtual_studio.motions.catalogue import tour
 from virtual_studio.recording.session import TORSO_COLUMNS, RenderSettings, write_session

@@ -80,13 +80,7 @@ def _setup(options: argparse.Namespace) -> int:
 def _motion(options: argparse.Namespace) -> str | MotionFunction:
     if not is_motion_file(options.motion):
         return options.motion
-    reading = ReadingOptions(
-        up=options.motion_up,
-        fps=options.motion_fps,
-        skeleton=options.motion_skeleton,
-        joints=options.motion_joints,
-        start_s=options.motion_start,
-    )
+    reading = ReadingOptions(up=options.motion_up, joints=options.motion_joints, start_s=options.motion_start)
     return RecordedMotion(Path(options.motion), reading)
 
 
@@ -101,7 +95,7 @@ def _session_parser() -> argparse.ArgumentParser:
     parser.add_argument("folder", help="session folder to write (new, empty, or an older session of this tool)")
     _add_common_arguments(
         parser,
-        f"what the person does: {motions}; or a BVH or AMC file; or what several do: {', '.join(TOGETHER)}",
+        f"what the person does: {motions}; or a BVH file; or what several do: {', '.join(TOGETHER)}",
         "of noise and flicker",
     )
     parser.add_argument(
@@ -112,8 +106,6 @@ def _session_parser() -> argparse.ArgumentParser:
         "--motion-start", type=number("s", 0, 1e5), default=0.0, help="seconds of the file to leave out"
     )
     parser.add_argument("--motion-up", default="y", help="the file's axis that points up")
-    parser.add_argument("--motion-fps", type=FRAME_RATE, help="frames a second of an AMC file")
-    parser.add_argument("--motion-skeleton", type=Path, help="ASF file of an AMC file, if it is not beside it")
     parser.add_argument("--motion-joints", type=Path, help="YAML that maps joints of the figure to the file's")
     parser.add_argument("--stature", type=number("m", *STATURES_M), default=1.75, help="standing height, m")
     parser.add_argument(

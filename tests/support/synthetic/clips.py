@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from capture_rig.rigid import rotation_matrix
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, sticks
 from stick_figure.pose import Pose
-from stick_figure.rotations import rotation_matrix
 from virtual_studio.motion_files.recorded import ReadingOptions, read_stick_motion
 from virtual_studio.motions.catalogue import MOTIONS, T_POSE_S
 

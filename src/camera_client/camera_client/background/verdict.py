@@ -26,7 +26,8 @@ MOVED_SHARE, MOVED_MUCH_SHARE = 0.001, 0.02  # of the pixels
 WHITE_SHARE, WHITE_MUCH_SHARE = 0.02, 0.3
 BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
 FLICKER, DRIFT = 0.01, 0.03  # relative: standard deviation between frames, change from first to last
-LIGHT_CHANGED, NOISE_GREW = 0.05, 2.0  # against the background before: relative, and times; as condition_findings
+LIGHT_CHANGED = 0.05  # relative: more than lamps and mains do by themselves
+NOISE_GREW = 2.0  # times: faint clothes need twice the contrast
 REPORTED_TURN_DEG = 0.2  # as the default of camera_moved.limit_deg
 
 

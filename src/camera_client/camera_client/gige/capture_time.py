@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from capture_rig.errors import InputError
-from mocap_packets.frame_set import LEAP_NS
+from mocap_packets.frame_set import TIME_JUMP_NS
 
 from .camera_clock import MS, SECOND, USUAL_DRIFT, CameraClock, ClockReading
 
@@ -64,7 +64,7 @@ class _Increasing:
 
     def after_last(self, stamp_ns: int) -> int:
         """Return ``stamp_ns``, or a nanosecond after the last one if that is later by less than a clock is set by."""
-        earlier = self._last_ns is not None and 0 <= self._last_ns - stamp_ns < LEAP_NS
+        earlier = self._last_ns is not None and 0 <= self._last_ns - stamp_ns < TIME_JUMP_NS
         self._last_ns = self._last_ns + 1 if earlier and self._last_ns is not None else stamp_ns
         return self._last_ns
 

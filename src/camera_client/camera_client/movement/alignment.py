@@ -72,15 +72,26 @@ class PictureAlignment:
         enough = len(finest.value) >= FEW_POINTS and len(coarsest.value) >= FEW_CELLS
         return enough and len(np.unique(finest.cell)) >= FEW_CELLS
 
+    def displacement_of(self, turn_rad: Array) -> tuple[float, float, float]:
+        """Return how far a small turn moves the picture's middle right and down (pixels), and its roll (radians)."""
+        f = self._K[0, 0]
+        return float(f * turn_rad[1]), float(-f * turn_rad[0]), float(turn_rad[2])
+
+    def turn_of(self, right_px: float, down_px: float, roll_rad: float) -> Array:
+        """Return the inverse of :meth:`displacement_of`."""
+        return np.array([-down_px / self._K[0, 0], right_px / self._K[0, 0], roll_rad])
+
     def align(self, image: npt.NDArray, start_rad: Array | None = None, search: bool = True) -> Alignment | None:
         """The turn that fits ``image`` (H, W[, 3]) best; None when too little of the reference's edges is in view.
 
-        It is looked for near ``start_rad``, and where that fits badly, with ``search``, everywhere within ten degrees.
+        It is looked for near ``start_rad``: within a few pixels, or with ``search``, where the nearest fits badly,
+        everywhere within ten degrees.
         """
         if not self.has_enough_edges:
             return None
         views = contrast_pyramid(image)
-        best = self._refine(views, self._levels[:1], np.zeros(3) if start_rad is None else start_rad)
+        levels = self._levels[:1] if search else self._levels
+        best = self._refine(views, levels, np.zeros(3) if start_rad is None else start_rad)
         if search and (best is None or best.agreeing < WELL_KNOWN):
             for guess_rad in coarse_guesses(self._levels[-1], views[-1], float(self._K[0, 0])):
                 other = self._refine(views, self._levels, guess_rad)

@@ -108,7 +108,7 @@ def choose_edge_points(camera: CameraModel, mean: npt.NDArray[np.float32], sigma
 def _choose(camera: CameraModel, picture: Picture, scale: float, noise: float) -> EdgePoints:
     gradient = np.stack([cv2.Scharr(picture, cv2.CV_32F, *d) / 32 for d in ((1, 0), (0, 1))], axis=-1)
     steepness = np.hypot(gradient[..., 0], gradient[..., 1])
-    row, column, cell = _strongest(steepness, max(CLEAR_OF_NOISE * noise, FLAT))
+    row, column, cell = strongest(steepness, max(CLEAR_OF_NOISE * noise, FLAT), CELLS_ACROSS, POINTS_IN_CELL)
     pixels = scale * np.column_stack([column, row]) + (scale - 1) / 2
     rays = camera.rays_world(pixels)
     moves = np.stack(
@@ -131,18 +131,21 @@ def _choose(camera: CameraModel, picture: Picture, scale: float, noise: float) -
     return found.subset(np.isfinite(slope).all(axis=1))
 
 
-def _strongest(steepness: Picture, least: float) -> tuple[npt.NDArray[np.int64], ...]:
-    """Row, column and cell (n,) of the steepest places of every cell, but for those that are not steeper than
-    ``least``, or next to a steeper one."""
+def strongest(
+    steepness: Picture, least: float, cells_across: int, in_cell: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return row, column and cell (n,) of the ``in_cell`` steepest places of every cell.
+
+    Those that are not steeper than ``least``, next to a steeper one, or at the border are left out.
+    """
     width = steepness.shape[1]
-    side = max(width // CELLS_ACROSS, 4)
+    side = max(width // cells_across, 4)
     peak = (steepness >= cv2.dilate(steepness, np.ones((3, 3), np.uint8))) & (steepness > least)
-    peak[[0, 1, -2, -1]] = False
-    peak[:, [0, 1, -2, -1]] = False
+    peak[[0, 1, 2, -3, -2, -1]] = False
+    peak[:, [0, 1, 2, -3, -2, -1]] = False
     row, column = np.nonzero(peak)
     cell = row // side * (-(-width // side)) + column // side
     order = np.lexsort((-steepness[row, column], cell))
     row, column, cell = row[order], column[order], cell[order]
-    first = np.searchsorted(cell, cell)  # where each cell begins
-    taken = np.arange(len(cell)) - first < POINTS_IN_CELL
+    taken = np.arange(len(cell)) - np.searchsorted(cell, cell) < in_cell
     return row[taken], column[taken], cell[taken]

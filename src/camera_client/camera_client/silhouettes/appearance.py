@@ -23,7 +23,8 @@ from ..background.kernels import OPTIONS, SCALE
 from ..frame_source import Image, Mask
 from .masks import BLOCK_PX, Box
 
-BITS_MONO, BITS_COLOUR = 6, 4  # of each channel, in the histogram
+BITS_MONO, BITS_COLOUR = 6, 5  # of each channel, in the histogram
+DARK = 16.0  # grey levels: noise has the variance a (level + DARK), about; bins are equally many sigmas wide
 PERIOD_S = 0.1  # colours are learned so often
 MEMORY_S = 10.0  # time constant: people come and go, and clouds pass
 FIRST_S = 1.0  # until colours have been learned for so long, nothing is known
@@ -43,6 +44,7 @@ class PeopleColours:
         self._channels = 1 if len(shape) == 2 else shape[2]
         self._bits = BITS_MONO if self._channels == 1 else BITS_COLOUR
         bins = 1 << self._bits * self._channels
+        self._table, self._volume = noise_bins(self._bits, self._channels)
         self._counts, self._ratio = np.zeros(bins, np.float32), np.zeros(bins, np.float32)
         self._throttle, self._learned_s = StampThrottle(PERIOD_S), 0.0
         blocks = -(-shape[0] // BLOCK_PX), -(-shape[1] // BLOCK_PX)
@@ -64,7 +66,7 @@ class PeopleColours:
         found = np.zeros_like(self._counts)
         pixels = image.reshape(*image.shape[:2], self._channels)
         ignored = self._nowhere if nobody is None else nobody.view(np.uint8)
-        count_colours(pixels, person, box, ignored, self._bits, found)
+        count_colours(pixels, person, box, ignored, self._table, self._bits, found)
         total = float(found.sum())
         if total == 0.0:
             return
@@ -73,7 +75,7 @@ class PeopleColours:
         self._counts += np.float32(share) * (found / total - self._counts)
         # p(colour | person) over p(colour | anything), its logarithm: neighbouring colours are as likely
         smooth = _smoothed(self._counts.reshape((1 << self._bits,) * self._channels)).reshape(-1)
-        self._ratio = np.log(UNKNOWN + (1 - UNKNOWN) * len(smooth) * smooth).astype(np.float32)
+        self._ratio = np.log(UNKNOWN + (1 - UNKNOWN) * smooth / self._volume).astype(np.float32)
 
     def mark_uncertain(self, image: Image, distance: Mask, levels: Mask, least: float, most: float) -> Box:
         """Write UNCERTAIN into the background of ``levels`` (H, W) where the people's colours explain it better.
@@ -84,9 +86,23 @@ class PeopleColours:
         if not self.known:
             return Box(0, 0, 0, 0)
         pixels = image.reshape(*image.shape[:2], self._channels)
-        judge_blocks(pixels, distance, levels, self._ratio, self._bits, least, most, self._judged)
+        judge_blocks(pixels, distance, levels, self._ratio, self._table, self._bits, (least, most), self._judged)
         top, left, bottom, right = mark_blocks(self._judged, levels)
         return Box(top, left, bottom, right)
+
+
+def noise_bins(bits: int, channels: int) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.float32]]:
+    """Return the bin of each grey level (256,), and the share of all colours that each bin (bins,) holds.
+
+    Bins of equal grey levels would hold all dark clothes, and dark furniture, in the same few.
+    """
+    level = np.sqrt(np.arange(257) + DARK) - np.sqrt(DARK)
+    table = (level[:256] / level[256] * (1 << bits)).astype(np.uint8)
+    share = np.bincount(table, minlength=1 << bits) / 256.0
+    volume = share
+    for _ in range(channels - 1):
+        volume = np.multiply.outer(volume, share)
+    return table, np.maximum(volume.reshape(-1), 1e-12).astype(np.float32)
 
 
 def _smoothed(histogram: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -97,10 +113,11 @@ def _smoothed(histogram: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
 
 
 @njit(**OPTIONS, crops=True)
-def count_colours(pixels, person, box, nobody, bits, found):  # type: ignore[no-untyped-def]
+def count_colours(pixels, person, box, nobody, table, bits, found):  # type: ignore[no-untyped-def]
     """Add up the colours of a person's inner pixels into ``found`` (bins,): every STEP_PX-th row and column.
 
     pixels (H, W, C) uint8; person (h, w) : of the box (top, left, bottom, right). nobody : blocks that do not count.
+    table (256,) : the bin of each grey level, of ``bits`` bits a channel.
     """
     top, left = box[0], box[1]
     for y in range(STEP_PX, person.shape[0] - STEP_PX, STEP_PX):
@@ -109,19 +126,19 @@ def count_colours(pixels, person, box, nobody, bits, found):  # type: ignore[no-
             if inner & person[y, x - STEP_PX] & person[y, x + STEP_PX] == FOREGROUND:
                 v, u = top + y, left + x
                 if nobody[v // BLOCK_PX, u // BLOCK_PX] == 0:
-                    found[_bin(pixels[v, u], bits)] += np.float32(1)
+                    found[_bin(pixels[v, u], table, bits)] += np.float32(1)
 
 
 @kernel
-def _bin(colour, bits):  # type: ignore[no-untyped-def]
+def _bin(colour, table, bits):  # type: ignore[no-untyped-def]
     number = np.int64(0)
     for channel in range(colour.size):
-        number = number << bits | np.int64(colour[channel]) >> (8 - bits)
+        number = number << bits | np.int64(table[colour[channel]])
     return number
 
 
 @njit(**OPTIONS)
-def judge_blocks(pixels, distance, levels, ratio, bits, least, most, judged):  # type: ignore[no-untyped-def]
+def judge_blocks(pixels, distance, levels, ratio, table, bits, limits, judged):  # type: ignore[no-untyped-def]
     """Write into ``judged`` (blocks) 0 where the background of a block is background, 1 where there is too little of
     it to tell, 2 where it rather shows people: by the mean log-likelihood ratio of its background pixels.
 
@@ -129,6 +146,7 @@ def judge_blocks(pixels, distance, levels, ratio, bits, least, most, judged):  #
     anything else; see :meth:`PeopleColours.mark_uncertain`.
     """
     height, width = levels.shape
+    least, most = limits
     limit, scale = np.int64(2 * SCALE * most), 0.5 / SCALE
     for row in range(judged.shape[0]):
         for column in range(judged.shape[1]):
@@ -137,7 +155,7 @@ def judge_blocks(pixels, distance, levels, ratio, bits, least, most, judged):  #
                 for x in range(column * BLOCK_PX, min((column + 1) * BLOCK_PX, width), STEP_PX):
                     if levels[y, x] == BACKGROUND:
                         own = scale * min(np.int64(distance[y, x]), limit)
-                        total += own - least + ratio[_bin(pixels[y, x], bits)]
+                        total += own - least + ratio[_bin(pixels[y, x], table, bits)]
                         count += 1
             judged[row, column] = 1 if count < FEWEST else (2 if total > 0.0 else 0)
 

@@ -24,6 +24,7 @@ from ..background.fixed import FixedBackground
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things.absorption import MovedThings
 from ..frame_source import Image, Mask
+from ..movement.alignment import PictureAlignment
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
@@ -65,7 +66,8 @@ class SilhouettePipeline:
         self._camera, self._settings, self._shape = camera.name, settings, background.shape
         self.background: AdaptiveBackground | FixedBackground
         if background_settings.rule == "adaptive":
-            self.background = AdaptiveBackground(background, background_settings, BLOCK_PX)
+            aligner = PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
+            self.background = AdaptiveBackground(background, background_settings, BLOCK_PX, aligner)
         else:
             self.background = FixedBackground(background, background_settings)
         self.moved: MovedThings | None = None
@@ -140,7 +142,7 @@ class SilhouettePipeline:
             self._certainty.note(self._distance[box.slices], raw, kept, shadow, marked)
         if self._colours is not None and shows_scene:
             nobody = None if self.moved is None else self.moved.seen_by_nobody
-            self._colours.learn(image, person, box, nobody, now_ns)
+            self._colours.learn(image, marked, box, nobody, now_ns)
         levels = person
         if self._attenuation is not None:
             levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))

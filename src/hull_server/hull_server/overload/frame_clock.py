@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mocap_packets.thinning import EVERY_FRAME, Thinning
+from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 
 STAMPS_KEPT = 40  # of each camera: the period of 60 Hz to 3e-4 where stamps jitter by a millisecond
 LEAST_STEPS = 8  # between neighbouring stamps, until a period is told
@@ -46,7 +46,7 @@ class FrameClock:
         """Forget all stamps: the cameras' rate may have changed."""
         self._stamps.clear()
 
-    def estimate(self, rule: Thinning = EVERY_FRAME) -> Exposures | None:
+    def estimate(self, rule: FrameDecimation = EVERY_FRAME) -> Exposures | None:
         """Return the grid that the stamps lie on; None while there are too few of them, or they lie on none.
 
         rule : under which they were kept; its grid is refined. Without one the period is that of the fastest camera.

@@ -12,14 +12,12 @@ from mocap_packets.frame_set import FrameSet
 from mocap_packets.state import Prediction
 from sagoma_ros.intra_process import Delivery, PacketSubscription
 from sagoma_ros.node import SagomaNode
-from sagoma_ros.processor_use import ProcessorUse
 from sagoma_ros.qos import LATCHED
 from sagoma_ros.thinning import TOPIC, thinning_message
 
 from .thinning_control import ThinningControl
 
 UPDATE_S = 0.1
-LONGEST_WAIT_NS = 100_000_000  # for the last cameras of a set while the clients' machines are busy
 NO_TRACKER_NS = 1_000_000_000  # without an answer: the hull's products are the end of the graph
 
 
@@ -51,12 +49,12 @@ class OverloadControl(NoOverloadControl):
     """The part of the hull node that thins out frame sets while the graph cannot process them all."""
 
     def __init__(self, node: SagomaNode) -> None:
-        self._node, self._control, self._use = node, ThinningControl(), ProcessorUse()
+        self._node, self._control = node, ThinningControl()
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, LATCHED)
         self._answers = PacketSubscription[Prediction](node, MultiDOFJointState, "ekf/prediction", self._on_answer)
         self._timer = node.create_timer(UPDATE_S, self._update, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._answered_ns = 0
-        self._said = ""
+        self._logged = ""
 
     def close(self) -> None:
         """Release timer and topics."""
@@ -65,46 +63,42 @@ class OverloadControl(NoOverloadControl):
         self._node.destroy_publisher(self._publisher)
 
     def deadline_ns(self, usual_ns: int) -> int:
-        """Return how long a set waits for its last cameras: while sets are left out, until the next one is due."""
-        rule = self._control.rule
-        if rule.keep == rule.of:
-            return usual_ns
-        return max(usual_ns, min(round(rule.period_ns / rule.fraction), LONGEST_WAIT_NS))
+        return self._control.deadline_ns(usual_ns)
 
     def admits(self, camera: str, stamp_ns: int, now_ns: int) -> bool:
-        """Take note of a frame; False when the rule leaves its exposure out."""
+        """Add a frame; False when the rule leaves its exposure out."""
         admitted = self._control.admits(camera, stamp_ns, now_ns)
         if not admitted:
             self._node.health.count("frames_thinned")
         return admitted
 
     def closed(self, frame_set: FrameSet, age_ns: int) -> None:
-        """Take note of a frame set that has closed, ``age_ns`` after its exposure."""
-        self._control.closed(frame_set.stamp_ns, frame_set.frames, frame_set.missing, age_ns, monotonic_ns())
+        """Add a frame set that has closed, ``age_ns`` after its exposure."""
+        self._control.add_closed(frame_set.stamp_ns, frame_set.frames, age_ns, monotonic_ns())
 
     def hand_over(self, stamp_ns: int) -> None:
-        """Take note that the tracker gets a set's products now; any thread."""
-        self._control.hand_over(stamp_ns, monotonic_ns())
+        """Add a set whose products the tracker gets now; any thread."""
+        self._control.add_handed_over(stamp_ns, monotonic_ns())
 
     def finished(self, stamp_ns: int, carver_ns: int, slicer_ns: int) -> None:
-        """Take note of what carver and slicer took for a set; any thread."""
+        """Add what carver and slicer took for a set; any thread."""
         now_ns = monotonic_ns()
-        self._control.worked(carver_ns, slicer_ns, now_ns)
+        self._control.add_work(0, carver_ns, now_ns)
+        self._control.add_work(1, slicer_ns, now_ns)
         if now_ns - self._answered_ns > NO_TRACKER_NS:
-            self._control.answered(stamp_ns, now_ns)
+            self._control.add_answer(stamp_ns, now_ns)
 
     def _on_answer(self, answer: Delivery[Prediction]) -> None:
         self._answered_ns = monotonic_ns()
-        self._control.answered(answer.stamp_ns, self._answered_ns)
+        self._control.add_answer(answer.stamp_ns, self._answered_ns)
 
     def _update(self) -> None:
-        rule = self._control.update(self._use.share(), monotonic_ns())
+        rule = self._control.update(monotonic_ns())
         self.summary = summary = self._control.summary
         self._node.health.set("thinning", summary)
         if rule is not None:
             self._publisher.publish(thinning_message(rule, summary))
         kind = summary.partition(":")[0]
-        if kind != self._said:
-            self._said = kind
-            why = f" ({self._control.news})" if self._control.news else ""
-            self._node.get_logger().info(summary or f"every frame is processed again{why}")
+        if kind != self._logged:
+            self._logged = kind
+            self._node.get_logger().info(summary or "every frame is processed again")

@@ -65,9 +65,9 @@ class Parts(NamedTuple):
 class BodyTracker:
     """Numbers bodies consistently from set to set.
 
-    Each set's bodies take the numbers of the nearest bodies before them, the nearest pair first, none farther than
-    ``max_jump_m``; the others take the lowest free numbers, larger bodies first. A body that is not seen keeps its
-    place and number for ``forget_s``.
+    Each set's bodies take the numbers of the nearest bodies before them, across the floor (whose legs a camera misses
+    is in the same place), the nearest pair first, none farther than ``max_jump_m``; the others take the lowest free
+    numbers, larger bodies first. A body that is not seen keeps its place and number for ``forget_s``.
 
     Two people who touch are one part of the hull, thus one body with one of their numbers. When they part, each gets
     the nearest number: the hull alone cannot tell them apart.
@@ -100,7 +100,7 @@ class BodyTracker:
         self._known = {n: known for n, known in self._known.items() if 0 <= stamp_ns - known[0] <= forget_ns}
         numbers = np.full(len(centroid_world), NOBODY, np.int32)
         pairs = sorted(
-            (float(np.linalg.norm(place - centroid_world[body])), number, body)
+            (float(np.linalg.norm((place - centroid_world[body])[:2])), number, body)
             for number, (_, place) in self._known.items()
             for body in range(len(centroid_world))
         )

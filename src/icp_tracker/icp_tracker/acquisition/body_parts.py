@@ -41,7 +41,7 @@ class Arm:
 
     elevation, sweep : rad, the arm's line above the horizontal, and ahead of the axis across. tip : distance of the
     finger tips from the spine, across, metres. height, ahead : where the line passes the clearance from the spine,
-    metres. thickness : (k, 2) metres, distance from the spine and vertical thickness of each piece.
+    metres.
     """
 
     elevation: float
@@ -49,7 +49,6 @@ class Arm:
     tip: float
     height: float
     ahead: float
-    thickness: np.ndarray
 
     def at(self, across_m: float, stature: float) -> tuple[float, float]:
         """Return where the arm's line is at a distance from the spine: ahead and height, metres."""
@@ -103,9 +102,9 @@ def _measure(arm: np.ndarray, body: Upright) -> Arm:
         raise PoseRejected(f"an elbow is bent: the arm is {max(off_up, off_ahead):.2f} m off a straight line")
     near = np.abs(arm[:, 0] - x - dx * (arm[:, 1] - CLEARANCE * H)) < PHANTOMS_FROM * H
     thickness = _thickness(arm[near], PIECE * H, body.pitch)
-    if len(thickness) and np.median(thickness[:, 1]) > THICKEST * H:
-        raise PoseRejected(f"no arms: what sticks out sideways is {np.median(thickness[:, 1]):.2f} m thick")
-    return Arm(float(np.arctan(dz)), float(np.arctan(dx)), _tip(arm, body), float(z), float(x), thickness)
+    if thickness > THICKEST * H:
+        raise PoseRejected(f"no arms: what sticks out sideways is {thickness:.2f} m thick")
+    return Arm(float(np.arctan(dz)), float(np.arctan(dx)), _tip(arm, body), float(z), float(x))
 
 
 def _pieces(arm: np.ndarray, step: float, phantoms_from: float) -> np.ndarray:
@@ -118,10 +117,10 @@ def _pieces(arm: np.ndarray, step: float, phantoms_from: float) -> np.ndarray:
     return np.array(middles).reshape(-1, 3)
 
 
-def _thickness(arm: np.ndarray, step: float, pitch: float) -> np.ndarray:
-    """Distance from the spine and vertical thickness of an arm's pieces (k, 2), metres."""
-    pieces = [(np.median(piece[:, 1]), np.ptp(piece[:, 2]) + pitch / 2) for piece in _cut(arm, step)]
-    return np.array(pieces).reshape(-1, 2)
+def _thickness(arm: np.ndarray, step: float, pitch: float) -> float:
+    """Return the median vertical thickness of an arm's pieces, metres; 0 without any."""
+    pieces = [np.ptp(piece[:, 2]) + pitch / 2 for piece in _cut(arm, step)]
+    return float(np.median(pieces)) if pieces else 0.0
 
 
 def _cut(arm: np.ndarray, step: float) -> list[np.ndarray]:
@@ -148,11 +147,10 @@ WIDEST = 0.35  # tangent of the largest angle of a leg from the vertical
 @dataclass(frozen=True)
 class Legs:
     """Both legs' mean line in the body's frame: apart, half their distance on the floor, m; spread, rad, the angle of
-    each from the vertical, outwards; slices (k, 2) m, height and width of one leg."""
+    each from the vertical, outwards."""
 
     apart: float
     spread: float
-    slices: np.ndarray
 
     def apart_at(self, height_m: float) -> float:
         """Half the distance of the legs' lines at a height above the floor, metres."""
@@ -186,14 +184,14 @@ def _lines(body: Upright) -> Legs:
             middle = float(np.percentile(slab[:, 1], [2, 98]).mean())
             across = np.abs(slab[:, 1] - middle)
             inner, outer = np.percentile(across, [3, 97])
-            slices.append(((low + SLICE / 2) * H, 0.5 * (inner + outer), outer - inner + body.pitch / 2))
+            slices.append(((low + SLICE / 2) * H, 0.5 * (inner + outer)))
     if len(slices) < 3:
         raise PoseRejected("no legs in the hull")
     table = np.array(slices)
     slope, apart, _ = line_through(table[:, 0], table[:, 1])
     if abs(slope) > WIDEST:
         raise PoseRejected(f"legs too far apart: each by {np.degrees(np.arctan(abs(slope))):.0f} degrees")
-    return Legs(apart, float(-np.arctan(slope)), table[:, [0, 2]])
+    return Legs(apart, float(-np.arctan(slope)))
 
 
 # --- which of the two directions across the arms' axis is forward

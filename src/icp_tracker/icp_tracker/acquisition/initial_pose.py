@@ -10,16 +10,16 @@ from typing import Any, Protocol
 import numpy as np
 
 from capture_rig.errors import InputError
+from capture_rig.rigid import rotation_matrix, rotation_vector
 from capture_rig.yaml_file import read_mapping, save_mapping
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, save_body
 from stick_figure.kinematics import inverse
 from stick_figure.pose import Pose
-from stick_figure.rotations import rotation_matrix, rotation_vector
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
 
-from .body_sizes import BodyEstimate, LimbGirths
+from .body_sizes import BodyEstimate
 
 KEYS = ("torso_position", "heading", "torso_rotation", "angles", "body")
 NEIGHBOUR_FRAMES = 5
@@ -30,14 +30,13 @@ NEIGHBOUR_FRAMES = 5
 class InitialPose:
     """A first pose with the body it is meant for, or the reason why there is none yet.
 
-    estimate : how sure the sizes of ``body`` are, where they were measured; girths : how thick its limbs are, likewise.
+    estimate : how sure the sizes of ``body`` are, where they were measured.
     """
 
     pose: Pose | None = None
     body: Body | None = None
     reason: str = ""
     estimate: BodyEstimate | None = None
-    girths: LimbGirths | None = None
 
 
 class PoseSource(Protocol):

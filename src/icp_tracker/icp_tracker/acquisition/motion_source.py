@@ -135,7 +135,7 @@ class MotionSource:
         """Forget the hypotheses, not which girths have been tried."""
         self._followed: list[PoseHypothesis] = []
         self._heights: list[float] = []
-        self._began_ns = self._looked_ns = self._cut_ns = 0
+        self._began_ns = self._looked_ns = 0
         self._estimate: BodyEstimate | None = None
         self._cameras = np.zeros(0, np.int32)  # of the rays of the last set
 
@@ -287,18 +287,13 @@ class MotionSource:
             told = what_to_do(cut, stance, self._visibility)
         else:
             told = f"somebody is here: watched for {min(watched_s, settings.watch_s):.1f} of {settings.watch_s:.1f} s"
-        if cut:
-            self._cut_ns = stamp_ns
-        whole_s = (stamp_ns - max(self._cut_ns, self._began_ns)) / NS_PER_S
-        if (cut or whole_s < settings.watch_s) and watched_s < max(PATIENT_S, settings.watch_s):
+        if not self._girth_is_known and 2.0 * watched_s >= settings.watch_s and self._known is None:
+            self._girth_is_known = True
+            if best.mean_share < settings.explained:
+                self._try_girths(body, data)
+        if watched_s < (max(PATIENT_S, settings.watch_s) if HEAD in cut or FEET in cut else settings.watch_s):
             return InitialPose(reason=told)
         too_little = f"nobody upright: a body explains {100 * best.mean_share:.0f} % of it"
-        if best.mean_share < settings.explained and not self._girth_is_known and not cut and self._known is None:
-            self._girth_is_known, before = True, self._girth
-            self._girth = self._best_girth(body, best.pose, data)
-            if self._girth != before:
-                self._watch_anew()
-                return InitialPose(reason=too_little)
         if best.agreement < LEAST_AGREEMENT:
             self._girth, self._girth_is_known = 0, False
             self._watch_anew()
@@ -312,16 +307,20 @@ class MotionSource:
         self.reset()
         return InitialPose(best.pose, body, "", estimate)
 
-    def _best_girth(self, body: Body, pose: Pose, data: Data) -> int:
-        """Return which of GIRTHS explains most of a set from a pose: another than now only if it is clearly better."""
-        shares = []
+    def _try_girths(self, body: Body, data: Data) -> None:
+        """Take the one of GIRTHS with which the best pose explains clearly most of a set; what it explains and where it
+        is seen then count as if it had been so thick in all sets."""
+        tried, followed = [], self._followed[0]
         for girth in GIRTHS:
-            other = body if girth == GIRTHS[self._girth] else replace(body, build=build_of_girth(girth))
-            one = PoseHypothesis(minimise(other, pose, data, self._fit_settings)[0])
-            self._compare(Figure.of(other), one, data)
-            shares.append(one.mean_share)
-        best = int(np.argmax(shares))
-        return best if shares[best] > shares[self._girth] + BETTER_SHARE else self._girth
+            other = body if girth == 1.0 else replace(body, build=build_of_girth(girth))
+            tried.append(PoseHypothesis(minimise(other, followed.pose, data, self._fit_settings)[0]))
+            self._compare(Figure.of(other), tried[-1], data)
+        best = max(range(len(GIRTHS)), key=lambda girth: tried[girth].share)
+        if tried[best].share > tried[0].share + BETTER_SHARE:
+            self._girth = best
+            for hypothesis in self._followed:
+                hypothesis.share *= tried[best].share / tried[0].share
+                hypothesis.seen *= tried[best].seen / max(tried[0].seen, 1e-12)
 
 
 def _apart_m(body: Body, pose: Pose, other: Pose) -> float:

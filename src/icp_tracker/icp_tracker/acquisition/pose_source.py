@@ -9,11 +9,9 @@ from capture_rig.settings import setting
 from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
-from stick_figure.body_file import load_body, load_thickness
+from stick_figure.body_file import load_body
 
-from .body_sizes import LimbGirths
 from .initial_pose import InitialPose, KnownPose, PoseSource, load_initial_pose, pose_from_reference
-from .known_body_source import KnownBodySource
 from .motion_source import NO_HULL, MotionSettings, MotionSource
 from .t_pose_measures import TPoseSettings
 from .t_pose_source import TPoseSource
@@ -35,7 +33,7 @@ class InitialPoseSettings:
     source: str = setting(
         "auto",
         "where the first pose comes from: the hull of whoever walks in or takes a T-pose, whichever is sure first; the "
-        "hull of a T-pose alone (with body_file: anything near one); a pose file, or a session's reference",
+        "hull of a T-pose alone; a pose file, or a session's reference",
         choices=("auto", "t_pose", "file", "session"),
     )
     file: str = setting("", "pose file (YAML), for source 'file'")
@@ -54,15 +52,11 @@ def make_pose_source(
 ) -> PoseSource:
     """Return the source the settings choose; the body of ``body_file``, when given, replaces the one the source brings.
 
-    A known body needs no T-pose: anything near one will do. ``visibility`` is that of the rig. Raises InputError
-    naming parameter or file, value and remedy.
+    ``visibility`` is that of the rig. Raises InputError naming parameter or file, value and remedy.
     """
     body = load_body(body_file) if body_file else None
     if settings.source in HULL_SOURCES:
-        girths = LimbGirths.of(load_thickness(body_file)) if body_file else None
-        held: TPoseSource | KnownBodySource = TPoseSource(settings.t_pose, visibility)
-        if body is not None:
-            held = KnownBodySource(settings.t_pose, body, visibility, girths)
+        held = TPoseSource(settings.t_pose, visibility, body)
         stature = (settings.t_pose.stature_low_m, settings.t_pose.stature_high_m)
         moving = MotionSource(settings.motion, visibility, stature, body)
         return held if settings.source == T_POSE else AnyPoseSource(held, moving)
@@ -79,7 +73,7 @@ class AnyPoseSource:
     def needs_voxels(self) -> bool:
         return True
 
-    def __init__(self, t_pose: TPoseSource | KnownBodySource, motion: MotionSource) -> None:
+    def __init__(self, t_pose: TPoseSource, motion: MotionSource) -> None:
         self._t_pose, self._motion = t_pose, motion
         self._held_ns = 0
 

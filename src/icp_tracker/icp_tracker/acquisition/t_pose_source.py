@@ -12,7 +12,7 @@ from stick_figure.body import Body
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_NAMES, L_CALF, L_THIGH, mirror_angles
 
-from .body_sizes import ANKLE, MEAN_OVER_STATURE, estimate_body, measure_girths
+from .body_sizes import ANKLE, MEAN_OVER_STATURE, estimate_body
 from .initial_pose import InitialPose
 from .t_pose_measures import LEVEL, TPose, TPoseSettings, measure_t_pose
 from .upright import SHINS, TRUNK, PoseRejected, reasons_of_bodies
@@ -31,8 +31,11 @@ class TPoseSource:
     def needs_voxels(self) -> bool:
         return True
 
-    def __init__(self, settings: TPoseSettings, visibility: RigVisibility | None = None) -> None:
-        self._settings, self._visibility = settings, visibility
+    def __init__(
+        self, settings: TPoseSettings, visibility: RigVisibility | None = None, known: Body | None = None
+    ) -> None:
+        """``known`` : whose pose it is; None: the body is measured."""
+        self._settings, self._visibility, self._known = settings, visibility, known
         self._held: deque[tuple[int, TPose]] = deque(maxlen=settings.hold_sets)
 
     @property
@@ -54,9 +57,10 @@ class TPoseSource:
             return InitialPose(reason=reason)
         held = [m for _, m in _turned_alike(self._held)]
         self._held.clear()
+        if self._known is not None:
+            return InitialPose(pose_of(held, self._known), self._known)
         estimate = estimate_body(held)
-        body = estimate.body
-        return InitialPose(pose_of(held, body), body, "", estimate, measure_girths(held, body))
+        return InitialPose(pose_of(held, estimate.body), estimate.body, "", estimate)
 
     def _not_yet(self) -> str:
         """Why the sets so far are not enough; empty when they are."""

@@ -36,7 +36,6 @@ SAGGING_M = 0.08  # cameras look down: a hull reaches this far below the soles
 # heights over the stature between which a part of a standing body is looked for
 HEAD_FROM, ARMS_FROM, TRUNK, SHINS, FEET_TO = 0.92, 0.45, (0.55, 0.75), (0.08, 0.20), 0.045
 LEAN, HEAD_RADIUS = 0.13, 0.085  # over the stature: head off the feet; a head with what few cameras add to it
-TALLER = 1.08  # of the known stature: hair, shoes and voxels add so much
 RAISED_HANDS_FROM = 0.3  # over the stature, from the spine: hands of arms a little above level
 ONE_HEAD = 0.75  # share of the topmost voxels that are within that radius where there is one head
 
@@ -90,25 +89,6 @@ def measure_upright(
     body = _in_its_frame(voxels_world, floor, stature, pitch)
     _refuse_several_heads(body)
     return body
-
-
-def measure_upright_of_stature(
-    voxels_world: np.ndarray, stature_m: float, crouch: float, visibility: RigVisibility | None
-) -> tuple[Upright, float]:
-    """Find the axis of the arms of a body of known stature, whose hands may be above its head, and its crown's height.
-
-    Raises PoseRejected when the rig does not show all of it, or the crown is lower than ``crouch`` of the stature.
-    """
-    pitch = pitch_of(voxels_world)
-    reject_cut_off(voxels_world, pitch, visibility)
-    body = _in_its_frame(
-        voxels_world, _floor(float(np.percentile(voxels_world[:, 2], TRIMMED)) - pitch / 2), stature_m, pitch
-    )
-    column = body.local[np.linalg.norm(body.local[:, :2], axis=1) < HEAD_RADIUS * stature_m, 2]
-    crown = float(np.percentile(column, 100.0 - TRIMMED)) + pitch / 2 if len(column) else 0.0
-    if not crouch * stature_m <= crown <= TALLER * stature_m:
-        raise PoseRejected(f"the known body does not fit: it is {stature_m:.2f} m tall, and this one {crown:.2f} m")
-    return body, crown
 
 
 def _floor(lowest: float) -> float:

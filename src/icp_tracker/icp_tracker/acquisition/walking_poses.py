@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from capture_rig.rigid import rotation_matrix
 from stick_figure.body import Body
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.rotations import rotation_matrix
 from stick_figure.skeleton import ANGLE_NAMES, HEAD, mirror_angles
 
 HEADINGS = 8  # a fit finds a trunk that is turned by half of an eighth

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capture_rig.rigid import rotation_matrix
 from mocap_packets.fit import PART_POINTS
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.rotations import rotation_matrix
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, mirror_angles
 
 from .evidence import LEFT_ARM, LEFT_LEG, RIGHT_ARM, RIGHT_LEG

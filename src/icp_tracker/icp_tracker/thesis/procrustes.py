@@ -5,10 +5,9 @@ DATA point it belongs to: the motion found moves the model onto the data.
 
 The thesis solves eq. 4.8-4.10 by a singular value decomposition. In the row convention of its chapter 4 they read,
 corrected: ``U D V^T = sum w (a - ca)(b - cb)^T``, ``R = V diag(1, 1, det(V U^T)) U^T``, ``t = cb - R ca`` with the
-weighted centroids ca, cb. The rotation maximises ``tr(R S)`` over proper rotations, which is the eigenvector of the
-largest eigenvalue of Davenport's 4x4 matrix (Horn, "Closed-form solution of absolute orientation using unit
-quaternions", JOSA A 4, 1987). That form needs no determinant repair (a quaternion is never a reflection), no LAPACK,
-and compiles to machine code; it is what runs here, and the test holds it against the SVD.
+weighted centroids ca, cb. The rotation maximises ``tr(R S)`` over proper rotations: Horn's quaternion
+(`capture_rig.rigid.polar_rotation`), which needs no determinant repair, is what runs here; the test holds it against
+the SVD.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from capture_rig.kernel import njit
+from capture_rig.rigid import fill_rotation, polar_rotation, rotation_log
 
-JACOBI_SWEEPS = 16
 ANTIPARALLEL = -1.0 + 1e-12  # cosine below which two directions count as opposite
 
 
@@ -102,79 +101,10 @@ def moment(a, b, w, ca, cb, S):
 @njit(cache=True)
 def rotation_from_moment(S, R):
     """Proper rotation R maximising tr(R S); returns its angle (rad). S = 0 gives the identity."""
-    K = np.empty((4, 4))
-    trace = S[0, 0] + S[1, 1] + S[2, 2]
-    for p in range(3):
-        for q in range(3):
-            K[p + 1, q + 1] = S[p, q] + S[q, p]
-        K[p + 1, p + 1] -= trace
-    K[0, 0] = trace
-    K[0, 1] = S[1, 2] - S[2, 1]
-    K[0, 2] = S[2, 0] - S[0, 2]
-    K[0, 3] = S[0, 1] - S[1, 0]
-    for p in range(1, 4):
-        K[p, 0] = K[0, p]
-    V = np.eye(4)
-    diagonalise(K, V)
-    best = 0
-    for k in range(1, 4):
-        if K[k, k] > K[best, best]:
-            best = k
-    return rotation_from_quaternion(V[0, best], V[1, best], V[2, best], V[3, best], R)
-
-
-@njit(cache=True)
-def diagonalise(K, V):
-    """Cyclic Jacobi rotations: K (4, 4) symmetric becomes diagonal, V collects its eigenvectors as columns."""
-    scale = 0.0
-    for p in range(4):
-        for q in range(4):
-            scale += K[p, q] * K[p, q]
-    for _ in range(JACOBI_SWEEPS):
-        off = 0.0
-        for p in range(3):
-            for q in range(p + 1, 4):
-                off += K[p, q] * K[p, q]
-        if off <= 1e-32 * scale:
-            return
-        for p in range(3):
-            for q in range(p + 1, 4):
-                if K[p, q] != 0.0:
-                    jacobi_rotation(K, V, p, q)
-
-
-@njit(cache=True)
-def jacobi_rotation(K, V, p, q):
-    """Annihilate K[p, q] (Golub & Van Loan 8.5)."""
-    tau = (K[q, q] - K[p, p]) / (2.0 * K[p, q])
-    tangent = (1.0 if tau >= 0.0 else -1.0) / (abs(tau) + np.sqrt(1.0 + tau * tau))
-    c = 1.0 / np.sqrt(1.0 + tangent * tangent)
-    s = tangent * c
-    for k in range(4):
-        left, right = K[k, p], K[k, q]
-        K[k, p], K[k, q] = c * left - s * right, s * left + c * right
-    for k in range(4):
-        left, right = K[p, k], K[q, k]
-        K[p, k], K[q, k] = c * left - s * right, s * left + c * right
-    for k in range(4):
-        left, right = V[k, p], V[k, q]
-        V[k, p], V[k, q] = c * left - s * right, s * left + c * right
-
-
-@njit(cache=True)
-def rotation_from_quaternion(w, x, y, z, R):
-    """Rotation matrix of the unit quaternion (w, x, y, z) into ``R``; returns its angle in [0, pi]."""
-    n = w * w + x * x + y * y + z * z
-    R[0, 0] = (w * w + x * x - y * y - z * z) / n
-    R[1, 1] = (w * w - x * x + y * y - z * z) / n
-    R[2, 2] = (w * w - x * x - y * y + z * z) / n
-    R[0, 1] = 2.0 * (x * y - w * z) / n
-    R[1, 0] = 2.0 * (x * y + w * z) / n
-    R[0, 2] = 2.0 * (x * z + w * y) / n
-    R[2, 0] = 2.0 * (x * z - w * y) / n
-    R[1, 2] = 2.0 * (y * z - w * x) / n
-    R[2, 1] = 2.0 * (y * z + w * x) / n
-    return 2.0 * np.arctan2(np.sqrt(x * x + y * y + z * z), abs(w))
+    R[:] = polar_rotation(S.T)
+    vector = np.empty(3)
+    rotation_log(R, vector)
+    return np.sqrt(np.sum(vector * vector))
 
 
 @njit(cache=True)
@@ -197,7 +127,7 @@ def swing_rotation(direction, target, R):
         return half_turn_across(f0, f1, f2, R)
     v0, v1, v2 = f1 * g2 - f2 * g1, f2 * g0 - f0 * g2, f0 * g1 - f1 * g0
     # half-angle quaternion (1 + cos, v), not normalised
-    rotation_from_quaternion(1.0 + cosine, v0, v1, v2, R)
+    fill_rotation(np.array([v0, v1, v2, 1.0 + cosine]), R)
     return np.arctan2(np.sqrt(v0 * v0 + v1 * v1 + v2 * v2), cosine)
 
 
@@ -210,5 +140,5 @@ def half_turn_across(f0, f1, f2, R):
         k0, k1, k2 = -f2, 0.0, f0  # f x e_y
     else:
         k0, k1, k2 = f1, -f0, 0.0  # f x e_z
-    rotation_from_quaternion(0.0, k0, k1, k2, R)
+    fill_rotation(np.array([k0, k1, k2, 0.0]), R)
     return np.pi

@@ -12,21 +12,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.adjustment import RAYLEIGH_MEDIAN, information_of_each
+from ..bundle.adjustment import RAYLEIGH_MEDIAN, StopCriterion, information_of_each
 from ..bundle.detection_poses import detection_poses, views_of
 from ..bundle.initial_poses import initial_poses
 from ..bundle.outliers import LENS_LIMITS, LeftOut
 from ..bundle.problem import LENS, check_problem, shapes_of
 from ..bundle.projection import residuals_px
 from ..bundle.rigid import transform
-from ..bundle.robust_fit import NO_POSE, Fit, settled, start_fit
+from ..bundle.robust_fit import NO_POSE, Fit, adjusted, settled, start_fit
 from ..bundle.state import camera_with
 from .lens_family import nearest_member, rational_prior
 from .lens_model import LAYOUT, RATIONAL, Array, LensModel
@@ -35,8 +34,11 @@ MIN_CORNERS = 8
 MIN_SPREAD = 0.02  # the corners' shape on the board: its shorter axis over its longer one; below, they lie on a line
 MIN_VIEWS = 3
 AGREEING_SHARE = 0.4  # of the views must agree, else it is open which of them are right
-START_VIEWS = 24
+FOCAL_TRIALS = np.geomspace(0.4, 5.0, 7)  # of the image's longer side: from a fisheye to a long lens
+TRIAL_VIEWS = 12
+UNEXPLAINED_PX = 1e4  # of a view to which no pose fits
 ROUNDING = 1e-15  # of double precision
+START = StopCriterion(40, 1e-5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +97,9 @@ def fit_lens(
 
     ``start`` : a lens that is roughly right; by default nothing is known. Raises InputError when too few views agree.
     """
+    some = detections[:: max(1, len(detections) // TRIAL_VIEWS)]
     if start is None:
-        start = _opencv_lens(detections, board, model)
+        start = _camera_of(adjusted(_fit_from(_best_of_trials(some, board, model), some, board, model), START))
     # the plane's two solutions can be told apart only with a lens that is roughly right: poses anew
     fit = settled(_fit_from(start, detections, board, model), LENS_LIMITS)
     if model.name == RATIONAL and len(fit.rows) >= MIN_VIEWS:
@@ -129,16 +132,17 @@ def view_squares(lens: LensFit) -> dict[int, float]:
     return {seen.frame_index: square for seen, square in zip(fit.all_detections, squares, strict=True)}
 
 
-def _opencv_lens(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> CameraModel:
-    """Return OpenCV's lens of some views, its middle that of the image: roughly right also where some views are not."""
-    some = detections[:: max(1, len(detections) // START_VIEWS)]
-    start = model.camera(detections[0].camera, float(max(detections[0].image_size)), detections[0].image_size)
-    flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_PRINCIPAL_POINT | cv2.CALIB_FIX_ASPECT_RATIO
-    flags |= cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
-    points = [board.corners_board[detection.ids].astype(np.float32) for detection in some]
-    pixels = [detection.pixels.astype(np.float32) for detection in some]
-    _, K, D, _, _ = cv2.calibrateCamera(points, pixels, some[0].image_size, start.K.copy(), np.zeros(5), flags=flags)
-    return replace(start, K=np.asarray(K, float), D=np.r_[np.ravel(D)[:5], np.zeros(len(start.D) - 5)])
+def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> CameraModel:
+    """Return the focal length that explains the views' perspective best."""
+    size = detections[0].image_size
+    trials = [model.camera(detections[0].camera, share * max(size), size) for share in FOCAL_TRIALS]
+    shapes = shapes_of({detections[0].target: board.corners_board}, {})
+
+    def typical_misfit(camera: CameraModel) -> float:
+        poses = [view.poses for view in views_of(detections, {camera.name: camera}, shapes)]
+        return float(np.median([UNEXPLAINED_PX if found is None else found.rms_px[0] for found in poses]))
+
+    return min(trials, key=typical_misfit)
 
 
 def _like_its_family(fit: Fit) -> tuple[CameraModel, tuple[Array, Array]]:

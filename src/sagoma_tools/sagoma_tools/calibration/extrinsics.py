@@ -13,7 +13,16 @@ from capture_rig.errors import InputError
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration, calibrate_rig
 
-from .clicking import OuterCorners, find_from_clicks, read_corners, save_corners
+from .clicking import (
+    OuterCorners,
+    click_corners,
+    find_from_clicks,
+    open_display,
+    read_corners,
+    save_corners,
+    write_click_help,
+    write_template,
+)
 from .rig_detections import CameraDetections, Cameras, CamerasDetections, RigSources, detections_of
 from .rig_inputs import (
     RigInputs,
@@ -129,8 +138,6 @@ def click_missing(
         raise InputError(f"there is no picture of the floor by '{unknown[0]}'", where="--click", remedy=remedy)
     if not wanted:
         return {}
-    from .click_window import click_corners, open_display  # matplotlib takes a second to load
-
     if not open_display():
         raise _help_without_display(request, wanted, floor)
     clicked: dict[str, OuterCorners] = {}
@@ -152,8 +159,6 @@ def _fit(picture: np.ndarray, board: Board, camera: CameraModel, outer_px: np.nd
 
 
 def _help_without_display(request: RigRequest, names: list[str], floor: CamerasDetections) -> InputError:
-    from .click_window import write_click_help, write_template
-
     folder = request.output.parent
     folder.mkdir(parents=True, exist_ok=True)
     pictures = [write_click_help(folder, name, floor[name].picture) for name in names]

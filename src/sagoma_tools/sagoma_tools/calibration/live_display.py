@@ -1,11 +1,15 @@
-"""Shows the progress of a live lens calibration: a panel in the terminal, and a preview image with the corners."""
+"""Shows the progress of a live calibration: a panel in the terminal, lines in a log, a preview image with corners."""
 
 from __future__ import annotations
 
+import time
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from rich.console import Console, RenderableType
+from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 
@@ -13,6 +17,34 @@ from rig_calibration.intrinsics.coverage import Coverage
 from rig_calibration.intrinsics.selection import AccuracyGoals, BoardImageProcessor, ExpectedAccuracy, ImageResult
 
 BAR_WIDTH = 24
+LINE_EVERY_S = 2.0
+
+
+class LiveReport:
+    """Shows a panel on a terminal; elsewhere prints a line when there is news, at most every LINE_EVERY_S."""
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._printed_s = console, -LINE_EVERY_S
+        self._news: Hashable = None
+        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+
+    def __enter__(self) -> LiveReport:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *of_error: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def update(self, panel: RenderableType, line: str, news: Hashable, last: bool = False) -> None:
+        """Show the state. news : what differs once there is something to say; last : print it now."""
+        now_s = time.monotonic()
+        if self._live is not None:
+            self._live.update(panel, refresh=True)
+        elif news != self._news and (last or now_s - self._printed_s >= LINE_EVERY_S):
+            self._news, self._printed_s = news, now_s
+            self._console.print(line, highlight=False, soft_wrap=True)
 
 
 @dataclass(frozen=True)

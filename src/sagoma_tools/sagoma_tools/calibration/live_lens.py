@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from rclpy.node import Node
 from rich.console import Console
-from rich.live import Live
 from sensor_msgs.msg import CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
 
@@ -33,12 +32,11 @@ from sagoma_ros.worker import Worker
 
 from ..graph.ros_link import RosLink, call_all
 from .intrinsics import save_results
-from .live_display import LiveState, draw_preview, panel, plain_line, state_of
+from .live_display import LiveReport, LiveState, draw_preview, panel, plain_line, state_of
 
 COMPRESSED = "/compressed"
 PREVIEW = "calibration/preview/compressed"
 REFRESH_S = 0.25
-PLAIN_EVERY_S = 2.0
 SERVICE_TIMEOUT_S = 10.0
 
 
@@ -78,13 +76,13 @@ def offer(node: Node, namespace: str, result: Intrinsics) -> str:
 
 def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argparse.Namespace, console: Console) -> None:
     """Show the progress until the views suffice, the user stops it, or the time is over."""
-    show = _Panel(console) if console.is_terminal else _PlainLines(console)
     begun_s = time.monotonic()
-    with show:
+    with LiveReport(console) as report:
         while not stop.is_set() and not camera.state.enough:
             camera.changed.wait(REFRESH_S)
             camera.changed.clear()
-            show.update(camera)
+            state = camera.state
+            report.update(panel(state), plain_line(state), state.views, last=state.enough)
             passed_s = time.monotonic() - begun_s
             if camera.error is not None:
                 raise camera.error
@@ -102,41 +100,6 @@ def _who_publishes(node: Node) -> str:
     )
     listed = f"Image topics there are: {', '.join(images)}" if images else "There is no image topic at all"
     return f"{listed}; start the camera client, and check ROS_DOMAIN_ID."
-
-
-class _Panel:
-    """Shows the state as a panel in the terminal."""
-
-    def __init__(self, console: Console) -> None:
-        self._live = Live(console=console, auto_refresh=False, transient=True)
-
-    def __enter__(self) -> _Panel:
-        self._live.__enter__()
-        return self
-
-    def __exit__(self, *of_error: object) -> None:
-        self._live.__exit__(None, None, None)
-
-    def update(self, camera: LiveCamera) -> None:
-        self._live.update(panel(camera.state), refresh=True)
-
-
-class _PlainLines:
-    """Prints a line when a view was taken, at most every PLAIN_EVERY_S."""
-
-    def __init__(self, console: Console) -> None:
-        self._console, self._views, self._said_s = console, -1, -PLAIN_EVERY_S
-
-    def __enter__(self) -> _PlainLines:
-        return self
-
-    def __exit__(self, *of_error: object) -> None: ...
-
-    def update(self, camera: LiveCamera) -> None:
-        state, now_s = camera.state, time.monotonic()
-        if state.views != self._views and (now_s - self._said_s >= PLAIN_EVERY_S or state.enough):
-            self._views, self._said_s = state.views, now_s
-            self._console.print(plain_line(state), highlight=False, soft_wrap=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +126,7 @@ class LiveCamera:
         self.state: LiveState = state_of(watcher, "waiting for images", 0, 0)
         self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
         self._worker: Worker[_Pair] = Worker(
-            "board watcher", self._look, depth=1, on_drop=self._count_drop, on_error=self._fail
+            "board watcher", self._process, depth=1, on_drop=self._count_drop, on_error=self._fail
         )
         kind = CompressedImage if topic.endswith(COMPRESSED) else Image
         self._subscription = node.create_subscription(kind, topic, self._on_image, SILHOUETTE_SUBSCRIBER)
@@ -185,19 +148,19 @@ class LiveCamera:
         self.error = error
         self.changed.set()
 
-    def _look(self, pair: _Pair) -> None:
-        """Look at one image, on the worker's thread."""
+    def _process(self, pair: _Pair) -> None:
+        """Search one image, on the worker's thread."""
         try:
             image, before = decode_image(pair.image, self._topic), decode_image(pair.before, self._topic)
         except InputError as error:  # one bad message: the next may be better
-            self._tell(str(error))
+            self._update_state(str(error))
             return
         seen = self._watcher.process(image, before, pair.number)
-        self._tell("taken" if seen.taken else seen.reason)
+        self._update_state("taken" if seen.taken else seen.reason)
         if self._preview.get_subscription_count():
             self._publish_preview(pair.image, image, seen)
 
-    def _tell(self, last: str) -> None:
+    def _update_state(self, last: str) -> None:
         self.state = state_of(self._watcher, last, self.received, self.dropped)
         self.changed.set()
 

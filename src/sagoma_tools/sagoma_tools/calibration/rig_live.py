@@ -15,7 +15,6 @@ from functools import partial
 import numpy as np
 from rclpy.node import Node
 from rich.console import Console, Group
-from rich.live import Live
 from rich.panel import Panel
 from rich.table import Table
 from sensor_msgs.msg import Image
@@ -32,12 +31,13 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
+from .live_display import LiveReport
 from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, RigSources, find_floor
 
 TOLERANCE_NS = 10_000_000
 """Exposures further apart are not one frame set: a board carried at 0.5 m/s moves 5 mm meanwhile."""
 DEADLINE_NS = 2_000_000_000
-REFRESH_S, PLAIN_EVERY_S, SILENCE_S = 0.25, 3.0, 15.0
+REFRESH_S, SILENCE_S = 0.25, 15.0
 TOPIC = "image_raw"
 IMAGE_TYPE = "sensor_msgs/msg/Image"
 FIND_TIMEOUT_S, SETTLE_S, POLL_S = 15.0, 3.0, 0.1
@@ -67,7 +67,7 @@ class MotionRecorder:
         self.error: Exception | None = None
         self.examined = self.received = 0
         self._worker: Worker[FrameSet[Image]] = Worker(
-            "board finder", self._look, depth=1, on_drop=lambda: None, on_error=self._fail
+            "board finder", self._process, depth=1, on_drop=lambda: None, on_error=self._fail
         )
         self._subscriptions = [
             node.create_subscription(Image, topic, partial(self._on_image, name), SILHOUETTE_SUBSCRIBER)
@@ -108,8 +108,8 @@ class MotionRecorder:
             if len(closed.frames) > 1:
                 self._worker.put(closed)
 
-    def _look(self, frames: FrameSet[Image]) -> None:
-        """Look at one frame set, on the worker's thread."""
+    def _process(self, frames: FrameSet[Image]) -> None:
+        """Search one frame set, on the worker's thread."""
         frame_index = self.examined
         jobs = {n: self._pool.submit(self._find, n, frame_index, message) for n, message in frames.frames.items()}
         found = {name: job.result() for name, job in jobs.items()}
@@ -135,21 +135,18 @@ class MotionRecorder:
 
 def watch_recorder(recorder: MotionRecorder, console: Console, stop: threading.Event) -> None:
     """Show the progress until it suffices or the person stops it. Raises InputError when no frame set comes."""
-    begun_s, said_s = time.monotonic(), 0.0
-    with Live(console=console, auto_refresh=False, transient=True) as live:
+    begun_s = time.monotonic()
+    with LiveReport(console) as report:
         while not stop.is_set():
             recorder.changed.wait(REFRESH_S)
             recorder.changed.clear()
             if recorder.error is not None:
                 raise recorder.error
-            now_s, progress = time.monotonic(), recorder.progress()
-            if recorder.examined == 0 and now_s - begun_s > SILENCE_S:
+            progress = recorder.progress()
+            if recorder.examined == 0 and time.monotonic() - begun_s > SILENCE_S:
                 raise InputError(_silence(recorder), remedy="Synchronise the cameras (docs/camera_pcs.md).")
-            if console.is_terminal:
-                live.update(progress_panel(progress, recorder.examined), refresh=True)
-            elif now_s - said_s > PLAIN_EVERY_S:
-                said_s = now_s
-                console.print(f"{progress.shared_frames} shared frames; {progress.advice or 'enough'}", highlight=False)
+            line = f"{progress.shared_frames} shared frames; {progress.advice or 'enough'}"
+            report.update(progress_panel(progress, recorder.examined), line, line, last=not progress.advice)
             if not progress.advice:
                 return
 
@@ -265,14 +262,14 @@ def grab(node: Node, topics: Mapping[str, str], count: int, timeout_s: float = S
     pictures: dict[str, list[np.ndarray]] = {name: [] for name in topics}
     changed = threading.Condition()
 
-    def take(name: str, message: Image) -> None:
+    def add(name: str, message: Image) -> None:
         with changed:
             if len(pictures[name]) < count:
                 pictures[name].append(decode_image(message, topics[name]))
                 changed.notify_all()
 
     subscriptions = [
-        node.create_subscription(Image, topic, partial(take, name), SILHOUETTE_SUBSCRIBER)
+        node.create_subscription(Image, topic, partial(add, name), SILHOUETTE_SUBSCRIBER)
         for name, topic in topics.items()
     ]
     with changed:

@@ -1,10 +1,14 @@
-"""Draws rig.png: the calibrated rig from above and from the side, the floor's coverage, and the residuals."""
+"""Draws rig.png: the calibrated rig from above and from the side, the floor's coverage, and the residuals.
+
+An overlay draws floor grid, axes and board back into a camera's picture of the floor: the best check by eye.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import matplotlib
 import numpy as np
@@ -13,16 +17,22 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from capture_rig.camera import CameraModel
+from capture_rig.files import describe_os_error
+from capture_rig.rig import Volume
 from rig_calibration.extrinsics.figures import CameraFigures
 from rig_calibration.extrinsics.world import PlacedRig
 
-COLUMNS = 4
+COLUMNS, DPI = 4, 90
 FRUSTUM_M = 0.8
 ARROW_SHARE, MAX_MAGNIFIED = 0.05, 200.0
 """The residuals' rms is drawn as this share of the image's width, magnified at most so much."""
 MAX_ARROWS = 1500
 CAMERA, BOARD, BOX, RESIDUAL = "#1769aa", "#b22222", "#2e7d32", "#d9772b"
 X, Y, Z = 0, 1, 2
+GRID_M, GRID_REACH_M, AXIS_M = 0.5, 3.0, 0.5
+SAMPLE_M = 0.05
+"""Length of the pieces of a line: so short that the lens bends none of them visibly."""
+GRID, VOLUME, FOUND, EXPECTED, AXES = "#ffc800", "#50c850", "#00ffff", "#ff3c3c", ("#ff0000", "#00ff00", "#0050ff")
 
 Residuals = Mapping[str, tuple[np.ndarray, np.ndarray]]
 """By camera: where in its image (n, 2), and found minus expected (n, 2), px."""
@@ -53,7 +63,7 @@ def draw_rig(
     for axes in grid[len(cameras) :]:
         axes.set_axis_off()
     matplotlib.rcParams["svg.hashsalt"] = "rig"
-    figure.savefig(path, dpi=90, metadata={"Software": None})
+    figure.savefig(path, dpi=DPI, metadata={"Software": None})
     return path
 
 
@@ -117,3 +127,44 @@ def _draw_residuals(
     )
     axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal", xticks=[], yticks=[])
     axes.set_title(f"{camera.name}: {figures.rms_px:.2f} px rms, arrows x {magnified:.0f}", fontsize=9)
+
+
+def draw_overlay(
+    path: Path, picture: np.ndarray, camera: CameraModel, volume: Volume, board_world: np.ndarray, found_px: np.ndarray
+) -> None:
+    """Write the picture with the floor's grid, the world's axes (x red, y green, z blue), the volume's outline on the
+    floor, the corners found (n, 2) and those of the board (m, 3) as the calibration expects them. Raises InputError."""
+    height, width = picture.shape[:2]
+    figure = Figure(figsize=((width + 0.01) / DPI, (height + 0.01) / DPI))
+    axes = figure.add_axes((0, 0, 1, 1), xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+    axes.set_axis_off()
+    axes.imshow(picture if picture.ndim == 2 else picture[..., ::-1], cmap="gray", vmin=0, vmax=255, aspect="auto")
+    reach, ticks = GRID_REACH_M, np.arange(-GRID_REACH_M, GRID_REACH_M + GRID_M / 2, GRID_M)
+    for tick in ticks:
+        for ends in (((tick, -reach), (tick, reach)), ((-reach, tick), (reach, tick))):
+            _draw_floor_line(axes, camera, ends, GRID, 0.7, f"grid {GRID_M} m" if tick == ticks[0] else None)
+    (left, near, _), (right, far, _) = volume.low, volume.high
+    corners = ((left, near), (right, near), (right, far), (left, far), (left, near))
+    _draw_floor_line(axes, camera, corners, VOLUME, 1.4, "volume")
+    for axis, colour, name in zip(np.eye(3) * AXIS_M, AXES, "xyz", strict=True):
+        _draw_floor_line(axes, camera, (np.zeros(3), axis), colour, 1.4, name)
+    axes.plot(*camera.project(board_world).T, "x", color=EXPECTED, markersize=5, label="expected")
+    axes.plot(*found_px.T, "o", color=FOUND, markersize=6, fillstyle="none", label="found")
+    names = {label: line for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+    axes.legend(names.values(), names, loc="lower left", ncols=len(names), fontsize=7, title=camera.name)
+    try:
+        figure.savefig(path, dpi=DPI, metadata={"Software": None})
+    except OSError as error:
+        raise describe_os_error(error, "cannot be written", path) from None
+
+
+def _draw_floor_line(
+    axes: Axes, camera: CameraModel, points: Sequence[Any], colour: str, width: float, label: str | None
+) -> None:
+    """Draw a line through points (2,) on the floor or (3,) of the world as the lens bends it, where it is seen."""
+    ends = np.array([[*point, 0.0][:3] for point in points])
+    for start, end in pairwise(ends):
+        pieces = int(np.ceil(np.linalg.norm(end - start) / SAMPLE_M)) + 1
+        pixels = camera.project(start + np.linspace(0.0, 1.0, pieces)[:, None] * (end - start))
+        pixels[np.abs(pixels).max(axis=1) > 4 * max(camera.width, camera.height)] = np.nan
+        axes.plot(*pixels.T, color=colour, linewidth=width, label=label)

@@ -12,15 +12,13 @@ from capture_rig.number import number
 from capture_rig.stop_signals import StopOnSignal
 
 from ..console import command_console
-from ..doctor.camera import examine
+from ..doctor.cameras import examine_camera
 from ..doctor.findings import Finding, exit_status, show, summary
-from ..doctor.graph.graph_checks import LIVE_S, examine_graph
-from ..doctor.machine.collect import examine_machine
-from ..doctor.machine.link_probe import PORT, answer
-from ..doctor.machine.network import examine_hosts
-from ..doctor.machine.peer_settings import examine_peer, told_here
-from ..doctor.rig_checks import examine_rig
-from ..progress_line import until_stopped
+from ..doctor.graph import LIVE_S, examine_graph
+from ..doctor.hosts import PORT, examine_hosts, serve
+from ..doctor.machine import examine_machine
+from ..doctor.rig import examine_rig
+from ..progress_line import doing, until_stopped
 
 DESCRIPTION = (
     "Examine this machine; with --rig also a rig and its calibration, with --live also the running graph, with "
@@ -51,7 +49,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     help_host = "another machine of the graph: does it answer, which packets get there?"
     option("--host", action="append", default=[], metavar="ADDRESS", help=help_host)
     option(
-        "--answer", action="store_true", help="serve another machine's --host: clock, losses, bandwidth; until Ctrl-C"
+        "--answer",
+        action="store_true",
+        help="serve another machine's --host with the ROS settings of the nodes here; until Ctrl-C",
     )
     help_bags = "where bags are written (default: %(default)s)"
     option("--bags", metavar="FOLDER", type=Path, default=Path("output"), help=help_bags)
@@ -67,8 +67,10 @@ def run(args: argparse.Namespace) -> int:
     if args.what == "camera" and args.parameters is None:
         raise InputError("no parameter file is given", where="doctor camera", remedy="Write: sagoma doctor camera FILE")
     if args.answer:
-        return serve()
+        return answer()
+    doing("examining")
     findings = list(examined(args))
+    until_stopped()
     status = exit_status(findings, args.strict)
     if args.json:
         listed = [finding.as_dict() for finding in findings]
@@ -78,26 +80,24 @@ def run(args: argparse.Namespace) -> int:
     return status
 
 
-def serve() -> int:
+def answer() -> int:
     """Answer the doctor of other machines until Ctrl-C."""
     with StopOnSignal() as stop:
         text = f"answering `sagoma doctor --host` on UDP port {PORT}; Ctrl-C ends it"
-        until_stopped(text)
-        answer(stop, begun=lambda: print(text, flush=True), settings=told_here)
+        until_stopped()
+        serve(stop, ready=lambda: print(text, flush=True))
     return 0
 
 
 def examined(args: argparse.Namespace) -> Iterator[Finding]:
     """Yield the findings on everything that the arguments name."""
     if args.what == "camera":
-        yield from examine(args.parameters, args.open)
+        yield from examine_camera(args.parameters, args.open)
     elif not args.no_machine:
         yield from examine_machine(args.bags)
     for path in args.camera:
-        yield from examine(path, args.open, host_too=False)
+        yield from examine_camera(path, args.open, host_too=False)
     yield from examine_hosts(args.host)
-    for address in args.host:
-        yield from examine_peer(address)
     if args.session is not None or args.rig is not None:
         yield from examine_rig(args.rig, args.session, args.intrinsics)
     if args.live:

@@ -24,9 +24,8 @@ from virtual_studio.gige import command as studio
 from ..arguments import NODES, SECONDS, add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
 from ..console import command_console
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
-from ..graph.process_group import ProcessSettings
-from ..graph.processes import Exit
-from ..graph.restarts import Death, RestartPolicy, Return
+from ..graph.processes import Exit, ProcessSettings
+from ..graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
 from ..graph.ros_link import RosLink, our_nodes, settled
 from ..graph.supervisor import GraphError, Supervisor
 from ..progress_line import doing, until_stopped
@@ -75,23 +74,23 @@ def up(args: argparse.Namespace) -> int:
     console, folder = command_console(), new_run_folder(args.run_folder, "up")
     console.print(f"starting {len(graph)} nodes; logs in {folder}")
 
-    def tell(event: Death | Return) -> None:
-        console.print(str(event), style="red" if isinstance(event, Death) else "green", markup=False, highlight=False)
-        if isinstance(event, Death):
-            console.print(f"the end of {event.log}:\n{event.log_tail}", markup=False, highlight=False)
+    def log_event(event: ProcessExited | ProcessRecovered) -> None:
+        console.print(str(event), style="red" if isinstance(event, ProcessExited) else "green")
+        if isinstance(event, ProcessExited):
+            console.print(f"the end of {event.log}:\n{event.log_tail}")
 
     settings, restart = ProcessSettings(args.server), RestartPolicy() if args.restart else None
 
     def report_failure(error: InputError) -> None:
-        console.print(f"{error} The capture goes on.", style="red", markup=False, highlight=False)
+        console.print(f"{error} The capture goes on.", style="red")
 
     with (
         StopOnSignal() as stop,
-        Supervisor(graph, folder, settings, cancel=stop, on_event=tell, restart=restart) as supervisor,
+        Supervisor(graph, folder, settings, cancel=stop, on_event=log_event, restart=restart) as supervisor,
         page_of(args) if args.view else nullcontext(),
     ):
         recorder = bring_up(supervisor, args.record, stop, report_failure)
-        until_stopped("running")
+        until_stopped()
         watch(supervisor, console, stop, args.seconds)
         doing("stopping the nodes")
         supervisor.suspend()

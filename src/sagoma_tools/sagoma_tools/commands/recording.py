@@ -31,8 +31,7 @@ from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
 from ..recording.recorder import Recorder, read_configuration, rig_of_configuration
 from ..recording.recovery import recover_bag
-from ..recording.replayer import InputPublishers, LockstepReport, MonotonicClock, play_timed
-from ..recording.simulated_clock import CLOCK_HZ, SimulatedClock
+from ..recording.replayer import CLOCK_HZ, InputPublishers, LockstepReport, MonotonicClock, SimulatedClock, play_timed
 from ..recording.writer import require_new
 from ..takes.summary_file import finish_take
 
@@ -110,7 +109,7 @@ def record(args: argparse.Namespace) -> int:
             recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
             recorder.follow_graph()
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
-        until_stopped("recording")
+        until_stopped()
         stop.wait(args.seconds)
         doing("closing the bag")
         configuration = read_configuration(link.node, sorted(our_nodes(link.node)), PARAMETERS_TIMEOUT_S)

@@ -120,7 +120,7 @@ def show(args: argparse.Namespace) -> int:
     if take.trimmed_from is not None:
         console.print(f"  {origin(take)}", highlight=False)
     if take.summary is None:
-        console.print(f"  no figures: recorded by an older version (`sagoma takes measure {take.name}` measures them)")
+        console.print(f"  no figures: its recorder was killed (`sagoma takes measure {take.name}` measures them)")
     else:
         print_summary(console, take.summary)
     console.print(f"  {sum(take.topics.values())} messages on {len(take.topics)} topics")

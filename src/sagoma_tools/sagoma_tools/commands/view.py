@@ -53,7 +53,7 @@ def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> Non
 def run(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
     with StopOnSignal() as stop, page_of(args):
-        until_stopped("serving the page")
+        until_stopped()
         stop.wait(args.seconds)
     return 0
 

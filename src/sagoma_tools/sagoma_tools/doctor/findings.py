@@ -1,22 +1,25 @@
-"""The doctor's findings: how grave, about what, and what to do; printed by subject, the gravest first.
+"""Findings and the registry of checks; findings are printed by subject, the gravest first.
 
+A check is a function that reads a fact, judges it, and returns findings with the remedy: none, one or several. The
+modules of this folder register theirs by topic (:func:`check`); :func:`examine` runs those of a topic.
 A finding's code, "ABOUT.CONDITION" ("mtu.too_large", "clock.off"), is stable: scripts and tests match it, not the text.
 """
 
 from __future__ import annotations
 
-import textwrap
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
+from functools import partial
+from typing import TypeVar
 
 from rich.console import Console
 from rich.text import Text
 
 
 class Severity(IntEnum):
-    """How grave a finding is. Exit status of the gravest: 0 for OK and NOTE, 1 for WARNING, 2 for ERROR."""
+    """How grave a finding is: passed, good to know, costs quality or may stop working, does not work."""
 
     OK = 0
     NOTE = 1
@@ -26,10 +29,7 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding; ``remedy`` is empty where nothing is to be done.
-
-    ``subject`` is what was examined ("this machine", "camera cam01"): findings are shown grouped by it.
-    """
+    """One finding; ``remedy`` is empty where nothing is to be done; ``subject`` is what was examined ("graph")."""
 
     severity: Severity
     code: str
@@ -44,14 +44,10 @@ class Finding:
 
     def as_dict(self) -> dict[str, str]:
         """Return the finding as plain data for JSON."""
-        return {
-            "severity": self.severity.name.lower(),
-            "subject": self.subject,
-            "about": self.about,
-            "code": self.code,
-            "what": self.what,
-            "remedy": self.remedy,
-        }
+        return {**asdict(self), "severity": self.severity.name.lower(), "about": self.about}
+
+
+note, warning, error = (partial(Finding, severity) for severity in list(Severity)[1:])
 
 
 def ok(about: str, what: str) -> Finding:
@@ -59,23 +55,8 @@ def ok(about: str, what: str) -> Finding:
     return Finding(Severity.OK, f"{about}.ok", what)
 
 
-def note(code: str, what: str, remedy: str = "") -> Finding:
-    """Return a fact worth knowing, or one that could not be determined, with the reason."""
-    return Finding(Severity.NOTE, code, what, remedy)
-
-
-def warning(code: str, what: str, remedy: str) -> Finding:
-    """Return a fault with which the graph works, but not as well as it should, or not for long."""
-    return Finding(Severity.WARNING, code, what, remedy)
-
-
-def error(code: str, what: str, remedy: str) -> Finding:
-    """Return a fault with which the graph cannot work."""
-    return Finding(Severity.ERROR, code, what, remedy)
-
-
 Case = tuple[bool, Callable[[str, str, str], Finding], str, str]
-"""Whether it applies, its severity, its condition and its remedy."""
+"""Whether it applies, the severity's function, the condition and its remedy."""
 
 
 def graded(about: str, what: str, *cases: Case) -> Finding:
@@ -86,10 +67,28 @@ def graded(about: str, what: str, *cases: Case) -> Finding:
     return ok(about, what)
 
 
-def on(subject: str, findings: Iterable[Finding]) -> Iterator[Finding]:
-    """Yield the findings with their ``subject`` set."""
-    for finding in findings:
-        yield replace(finding, subject=subject)
+Found = Finding | Iterable[Finding] | None
+Check = TypeVar("Check", bound=Callable[..., Found])
+CHECKS: dict[str, list[Callable[..., Found]]] = defaultdict(list)
+"""Topic -> its checks in the order of their findings."""
+
+
+def check(topic: str) -> Callable[[Check], Check]:
+    """Register the function below as a check of this topic."""
+
+    def register(function: Check) -> Check:
+        CHECKS[topic].append(function)
+        return function
+
+    return register
+
+
+def examine(topic: str, subject: str, *facts: object) -> Iterator[Finding]:
+    """Yield what the checks of a topic find, ``facts`` being their arguments."""
+    for function in CHECKS[topic]:
+        found = function(*facts)
+        for finding in [found] if isinstance(found, Finding) else found or ():
+            yield replace(finding, subject=subject)
 
 
 def exit_status(findings: Sequence[Finding], strict: bool = False) -> int:
@@ -106,8 +105,7 @@ def summary(findings: Sequence[Finding]) -> str:
     counted = [_counted(counts[kind], kind.name.lower()) for kind in (Severity.ERROR, Severity.WARNING) if counts[kind]]
     if not counted:
         return f"no errors, no warnings ({_counted(counts[Severity.OK], 'check')} passed)"
-    gravest = max(finding.severity for finding in findings)
-    first = next(finding for finding in findings if finding.severity is gravest)
+    first = max(findings, key=lambda finding: finding.severity)
     where = f"{first.subject}: " if first.subject else ""
     return f"{', '.join(counted)}; first: {where}{first.what}"
 
@@ -117,8 +115,8 @@ def _counted(number: int, thing: str) -> str:
 
 
 STYLES = {Severity.OK: "green", Severity.NOTE: "cyan", Severity.WARNING: "yellow", Severity.ERROR: "bold red"}
-INDENT, ABOUT_WIDTH = 10, 14
-UNBROKEN = 100_000  # columns of a file: no line is broken, so that grep finds them
+NAMES = {**{severity: severity.name.lower() for severity in Severity}, Severity.ERROR: "ERROR"}
+ABOUT_WIDTH = 14
 
 
 def show(findings: Sequence[Finding], console: Console, *, all_of_them: bool = False) -> None:
@@ -126,29 +124,14 @@ def show(findings: Sequence[Finding], console: Console, *, all_of_them: bool = F
     subjects = dict.fromkeys(finding.subject for finding in findings)
     for subject in sorted(subjects, key=lambda subject: subject.startswith("camera ")):  # cameras last
         console.print(Text(subject or "findings", style="bold"))
-        for line in _group([finding for finding in findings if finding.subject == subject], console, all_of_them):
-            console.print(line, soft_wrap=True)
+        mine = sorted((f for f in findings if f.subject == subject), key=lambda finding: -finding.severity)
+        for finding in mine if all_of_them else (f for f in mine if f.severity > Severity.OK):
+            text = f"{finding.about:{ABOUT_WIDTH}} {finding.what}"
+            console.print(Text.assemble((f"  {NAMES[finding.severity]:8}", STYLES[finding.severity]), text))
+            if finding.remedy:
+                console.print(Text(f"{'':10}-> {finding.remedy}", style="italic"))
+        passed = ", ".join(dict.fromkeys(f.about for f in mine if f.severity is Severity.OK))
+        if passed and not all_of_them:
+            console.print(Text.assemble((f"  {NAMES[Severity.OK]:8}", STYLES[Severity.OK]), passed))
     gravest = max((finding.severity for finding in findings), default=Severity.OK)
-    console.print(Text(f"\n{summary(findings)}", style=STYLES[gravest]), soft_wrap=True)
-
-
-def _group(findings: Sequence[Finding], console: Console, all_of_them: bool) -> Iterator[Text]:
-    width = console.width if console.is_terminal else UNBROKEN
-    for finding in sorted(findings, key=lambda finding: -finding.severity):
-        if finding.severity > Severity.OK or all_of_them:
-            yield from _lines(finding.severity, finding.about, finding.what, finding.remedy, width)
-    passed = dict.fromkeys(finding.about for finding in findings if finding.severity is Severity.OK)
-    if passed and not all_of_them:
-        yield from _lines(Severity.OK, "", ", ".join(passed), "", width)
-
-
-def _lines(severity: Severity, about: str, what: str, remedy: str, width: int) -> Iterator[Text]:
-    name = severity.name if severity is Severity.ERROR else severity.name.lower()
-    body = f"{about:{ABOUT_WIDTH}} {what}" if about else what
-    indent = INDENT + (ABOUT_WIDTH + 1 if about else 0)
-    first, *more = textwrap.wrap(body, max(width - INDENT, 40), subsequent_indent=" " * (indent - INDENT)) or [""]
-    yield Text(f"  {name:{INDENT - 2}}", style=STYLES[severity]).append(first, style="default")
-    for line in more:
-        yield Text(" " * INDENT + line)
-    for number, line in enumerate(textwrap.wrap(remedy, max(width - indent - 3, 40))):
-        yield Text(" " * indent + ("-> " if number == 0 else "   ") + line, style="italic")
+    console.print(Text(f"\n{summary(findings)}", style=STYLES[gravest]))

@@ -10,7 +10,7 @@ import psutil
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from mocap_packets.thinning import EVERY_FRAME, Thinning
+from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_ros.qos import LATCHED
 from sagoma_ros.thinning import TOPIC, read_thinning
 
@@ -20,39 +20,39 @@ POLL_S = 0.1
 
 
 class RuleHistory:
-    """The rules of thinning that were told, each with the time and the words that said why; any thread may ask."""
+    """The rules of thinning that were published, each with its time and the reason; any thread may read."""
 
     def __init__(self) -> None:
-        self._told: list[tuple[float, Thinning, str]] = []
+        self._rules: list[tuple[float, FrameDecimation, str]] = []
 
-    def take(self, now_s: float, rule: Thinning, text: str) -> None:
-        """Take a rule that was told."""
-        self._told.append((now_s, rule, text))
+    def add(self, now_s: float, rule: FrameDecimation, text: str) -> None:
+        """Add a rule that was published."""
+        self._rules.append((now_s, rule, text))
 
     @property
-    def newest(self) -> tuple[Thinning, str]:
-        """The rule in force, and why; every frame before any was told."""
-        return self._told[-1][1:] if self._told else (EVERY_FRAME, "")
+    def newest(self) -> tuple[FrameDecimation, str]:
+        """The rule in force, and why; every frame before there was any."""
+        return self._rules[-1][1:] if self._rules else (EVERY_FRAME, "")
 
     def last_fall_s(self, since_s: float) -> float | None:
         """Return when the rate fell last since then; None when it did not."""
         falls = [
             now_s
-            for (_, before, _), (now_s, rule, _) in zip(self._told, self._told[1:], strict=False)
+            for (_, before, _), (now_s, rule, _) in zip(self._rules, self._rules[1:], strict=False)
             if now_s >= since_s and rule.fraction < before.fraction
         ]
         return falls[-1] if falls else None
 
 
 class HeldRate:
-    """Follows the rules of a running graph; its node must be spun by another thread."""
+    """Subscribes to the rules of a running graph; its node must be spun by another thread."""
 
     def __init__(self, node: Node, now_s: Callable[[], float] = time.monotonic) -> None:
         self._node, self._now_s, self.history = node, now_s, RuleHistory()
-        self._subscription = node.create_subscription(DiagnosticArray, TOPIC, self._take, LATCHED)
+        self._subscription = node.create_subscription(DiagnosticArray, TOPIC, self._on_rule, LATCHED)
 
     def close(self) -> None:
-        """Follow no longer."""
+        """End the subscription."""
         self._node.destroy_subscription(self._subscription)
 
     def settle(self, cancel: threading.Event) -> None:
@@ -66,8 +66,8 @@ class HeldRate:
         now_s = self._now_s()
         return now_s - (self.history.last_fall_s(began_s) or began_s) >= SETTLED_S or now_s - began_s >= LONGEST_S
 
-    def _take(self, message: DiagnosticArray) -> None:
-        self.history.take(self._now_s(), read_thinning(message, TOPIC), message.status[0].message)
+    def _on_rule(self, message: DiagnosticArray) -> None:
+        self.history.add(self._now_s(), read_thinning(message, TOPIC), message.status[0].message)
 
 
 class OtherPrograms:

@@ -23,7 +23,7 @@ from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
 from virtual_studio.gige.control import ask
 
 from ..graph.background_training import learn_backgrounds
-from ..graph.processes import Child, StartDeadline, Usage, busy_machine, stop_children
+from ..graph.processes import START_TIMEOUT_S, Child, Usage, busy_machine, stop_children
 from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC
@@ -79,12 +79,13 @@ class StudioProcess:
         log = self.folder / "studio.log"
         log.unlink(missing_ok=True)
         self._child = Child("studio", command, log, {**os.environ, "OPENBLAS_NUM_THREADS": "1"}, lambda _: ended.set())
-        deadline = StartDeadline(self._cpu_s)  # a long session is decoded into memory first
+        deadline_s = time.monotonic() + START_TIMEOUT_S  # a long session is decoded into memory first
         while self._child.log_tail(1) != "ready":
             interrupted = cancel is not None and cancel.is_set()
             if ended.wait(START_POLL_S) or interrupted:
                 why, remedy = "it was interrupted" if interrupted else "it has ended", "Correct what its log names."
-            elif why := deadline.exceeded():
+            elif time.monotonic() > deadline_s:
+                why = f"it was not ready after {START_TIMEOUT_S:g} s"
                 remedy = f"See what its log says last; {busy_machine() or 'the machine is not busy'}."
             else:
                 continue
@@ -92,10 +93,6 @@ class StudioProcess:
             what = f"the studio did not start ({why}; {self._child.log_tail(2) or 'its log is empty'})"
             raise InputError(what, where=str(log), remedy=remedy)
         return self
-
-    def _cpu_s(self) -> float | None:
-        used = self.usage()
-        return None if used is None else used.cpu_s
 
     def ask(self, do: str, **words: Any) -> dict[str, Any]:
         """Send one request to its control channel; see ``sagoma studio --help``."""

@@ -22,8 +22,7 @@ from mocap_packets.latency import POINTS
 from sagoma_bringup.first_pose import start_settings
 from sagoma_ros.images import decode_silhouette
 
-from ..graph.process_group import ProcessSettings
-from ..graph.processes import Usage
+from ..graph.processes import ProcessSettings, Usage
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, camera_topics
 from ..progress_line import doing

@@ -154,10 +154,8 @@ def distances_m(track: Track, truths: Sequence[Truth]) -> np.ndarray:
     """Return (F, truths) the mean distance of a track's points from each truth's, m; NaN where unknown."""
     columns = []
     for truth in truths:
-        row_of = {int(frame): row for row, frame in enumerate(truth.frames)}
-        rows = np.array([row_of.get(int(frame), -1) for frame in track.frames], dtype=int)
-        apart = np.linalg.norm(truth.comparable(track.points_world) - truth.points_world[rows], axis=2)
-        known = np.isfinite(apart) & (rows >= 0)[:, None]
+        apart = np.linalg.norm(truth.comparable(track.points_world) - truth.points_at(track.frames), axis=2)
+        known = np.isfinite(apart)
         count = known.sum(axis=1)
         mean = np.where(known, apart, 0.0).sum(axis=1) / np.maximum(count, 1)
         columns.append(np.where(count > 0, mean, np.nan))

@@ -14,7 +14,7 @@ from capture_rig.video import Video
 from stick_figure.skeleton import POINT_NAMES
 
 from ..overlays.drawing import Window, montage, overlay
-from ..overlays.sheets import GOOD_BGR, GREY_BGR, MAX_WIDTH_PX, UNSURE_BGR, VideoFile, caption_bar, even_sides, tiling
+from ..overlays.sheets import MAX_WIDTH_PX, VideoFile, captioned, tiling
 from .track_evaluation import TRACKING, TrackEvaluation
 
 STILLS = 3
@@ -53,8 +53,7 @@ def truth_at(truth: Truth | None, frames: Sequence[int]) -> list[np.ndarray | No
     """Return the truth's points (15, 3) of each frame; None where it has none."""
     if truth is None:
         return [None] * len(frames)
-    row_of = {int(frame): row for row, frame in enumerate(truth.frames)}
-    return [truth.points_world[row_of[f]] if f in row_of else None for f in frames]
+    return [points if f in truth.frames else None for f, points in zip(frames, truth.points_at(frames), strict=True)]
 
 
 def draw_stills(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
@@ -88,7 +87,7 @@ def _close_ups(evaluated: TrackEvaluation, frames: list[int]) -> Iterator[np.nda
             for camera, image, window in zip(cameras, images, windows, strict=True)
         ]
         sheet = montage(cells, min(len(cells), CLOSE_UPS_A_ROW), MAX_WIDTH_PX)
-        yield np.vstack([_bar(evaluated, frame, sheet.shape[1]), sheet])
+        yield captioned(sheet, *caption(evaluated, frame))
 
 
 def _pictures(evaluated: TrackEvaluation, frames: Sequence[int]) -> Iterator[tuple]:
@@ -121,20 +120,21 @@ def sheets(evaluated: TrackEvaluation) -> Iterator[np.ndarray]:
             for camera, image, window in zip(cameras, images, windows, strict=True)
         ]
         sheet = montage(cells, columns, MAX_WIDTH_PX)
-        yield even_sides(np.vstack([_bar(evaluated, frame, sheet.shape[1]), sheet]))
+        yield captioned(sheet, *caption(evaluated, frame))
 
 
-def caption(evaluated: TrackEvaluation, frame: int) -> str:
-    """Frame, time, the tracker's state, and the errors."""
+def caption(evaluated: TrackEvaluation, frame: int) -> tuple[str, bool | None]:
+    """Frame, time, the tracker's state, and the errors; and whether it tracks, None where there is no body."""
     row = np.flatnonzero(evaluated.track.frames == frame)
     state = str(evaluated.track.states[row[0]]) if len(row) else "no body"
+    sure = state == TRACKING if len(row) else None
     text = f"{evaluated.session.folder.name}   frame {frame}   {frame / evaluated.session.fps:.2f} s   {state}"
     errors = _errors_at(evaluated, frame)
     if errors is None or not np.isfinite(errors).any():
-        return text
+        return text, sure
     worst = int(np.nanargmax(errors))
     name = POINT_NAMES[worst].replace("_", " ")
-    return f"{text}   mean {np.nanmean(errors):.0f} mm   worst: {name} {errors[worst]:.0f} mm"
+    return f"{text}   mean {np.nanmean(errors):.0f} mm   worst: {name} {errors[worst]:.0f} mm", sure
 
 
 def _errors_at(evaluated: TrackEvaluation, frame: int) -> np.ndarray | None:
@@ -142,11 +142,3 @@ def _errors_at(evaluated: TrackEvaluation, frame: int) -> np.ndarray | None:
         return None
     row = np.flatnonzero(evaluated.session.truth.frames == frame)
     return evaluated.scores.errors_mm[row[0]] if len(row) else None
-
-
-def _bar(evaluated: TrackEvaluation, frame: int, width: int) -> np.ndarray:
-    """Return the caption in the colour of the tracker's state, as wide as the pictures."""
-    row = np.flatnonzero(evaluated.track.frames == frame)
-    sure = len(row) and evaluated.track.states[row[0]] == TRACKING
-    colour = GREY_BGR if not len(row) else GOOD_BGR if sure else UNSURE_BGR
-    return caption_bar(caption(evaluated, frame), colour, width)

@@ -144,12 +144,9 @@ def print_people(console: Console, people: PeopleScores) -> None:
         if scores is None:
             table.add_row(name, numbers, "no track")
             continue
-        errors = f"{scores.mean_mm:.1f}", f"{scores.median_mm:.1f}", f"{scores.p95_mm:.0f}"
-        over, offset = f"{100 * scores.over_200mm:.1f} %", f"{scores.mean_mm_without_offset:.1f}"
-        coverage = f"{100 * scores.inside_95:.0f} %", f"{scores.coverage.nees:.1f}"
         called = _percent(scores.flagged_of_bad), _percent(scores.false_alarms)
         frames = f"{scores.tracked} of {scores.frames}"
-        table.add_row(name, numbers, *errors, over, offset, *coverage, *called, frames, str(person.switches))
+        table.add_row(name, numbers, *_cells(scores), *called, frames, str(person.switches))
     console.print(table)
     nobody = f"; tracks of nobody: {', '.join(map(str, people.ghosts))}" if people.ghosts else ""
     console.print(f"{people.switches} identity switches; {people.ghost_frames} frames with a track of nobody{nobody}")
@@ -164,11 +161,15 @@ def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
             table.add_row(name, "no body")
             continue
         better = "" if first is None else f"{first.mean_mm / scores.mean_mm:.1f}"
-        errors = f"{scores.mean_mm:.1f}", f"{scores.median_mm:.1f}", f"{scores.p95_mm:.0f}"
-        over, offset = f"{100 * scores.over_200mm:.1f} %", f"{scores.mean_mm_without_offset:.1f}"
-        coverage = f"{100 * scores.inside_95:.0f} %", f"{scores.coverage.nees:.1f}"
-        table.add_row(name, *errors, over, offset, *coverage, better)
+        table.add_row(name, *_cells(scores), better)
     console.print(table)
+
+
+def _cells(scores: Scores) -> tuple[str, ...]:
+    """Return the POINT_COLUMNS of all points together."""
+    errors = f"{scores.mean_mm:.1f}", f"{scores.median_mm:.1f}", f"{scores.p95_mm:.0f}"
+    over, offset = f"{100 * scores.over_200mm:.1f} %", f"{scores.mean_mm_without_offset:.1f}"
+    return *errors, over, offset, f"{100 * scores.inside_95:.0f} %", f"{scores.coverage.nees:.1f}"
 
 
 def _table(title: str, first: str, *columns: str) -> Table:
@@ -181,24 +182,23 @@ def _table(title: str, first: str, *columns: str) -> Table:
 
 def print_latency(console: Console, latency_ms: Mapping[str, np.ndarray]) -> None:
     """Print one row a stage: median, 95th percentile, largest."""
-    table = _table("time of each stage", "stage", "p50 ms", "p95 ms", "max ms")
-    for stage, values in latency_ms.items():
-        p50, p95 = np.percentile(values, [50, 95])
-        table.add_row(stage.removesuffix("_ms"), f"{p50:.2f}", f"{p95:.2f}", f"{values.max():.2f}")
-    console.print(table)
+    console.print(_percentiles("time of each stage", "stage", latency_ms, 2))
 
 
 def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray], hz: float) -> None:
     """Print the age of frame sets at each point, since exposure, and the budget in periods of ``hz``."""
-    table = _table("since exposure", "point", "p50 ms", "p95 ms", "max ms")
-    for point, values in ages_ms.items():
-        p50, p95 = np.percentile(values, [50, 95])
-        table.add_row(point.removesuffix("_ms"), f"{p50:.1f}", f"{p95:.1f}", f"{values.max():.1f}")
-    console.print(table)
+    console.print(_percentiles("since exposure", "point", ages_ms, 1))
     p95_ms = float(np.percentile(list(ages_ms.values())[-1], 95))
     periods = p95_ms * hz / 1e3
     verdict = "within" if periods <= BUDGET_PERIODS else "over"
     console.print(f"95 % within {periods:.1f} periods of the frame sets: {verdict} the budget of {BUDGET_PERIODS:g}")
+
+
+def _percentiles(title: str, first: str, measured_ms: Mapping[str, np.ndarray], digits: int) -> Table:
+    table = _table(title, first, "p50 ms", "p95 ms", "max ms")
+    for name, values in measured_ms.items():
+        table.add_row(name.removesuffix("_ms"), *(f"{v:.{digits}f}" for v in np.percentile(values, [50, 95, 100])))
+    return table
 
 
 def print_nodes(

@@ -5,26 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import JointState, PointCloud2
 
 from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON, PART_NAMES
 from mocap_packets.state import BodyState
-from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
-from ..recording.reader import bag_persons, read_messages
+from ..recording.reader import bag_persons
+from ..recording.recorded_motion import ANGLES, FIRST, NO_STATE, POINTS, STATE, PersonRows, read_person_rows
 from .reasons import nobody_tracked, reasons_of_bag
 
-FIRST_PREFIX = "/mocap"
-POINTS, ANGLES, STATE = "reference_points", "joint_states", "state"
-POINTS_TOPIC, ANGLES_TOPIC = f"{FIRST_PREFIX}/{POINTS}", f"{FIRST_PREFIX}/{ANGLES}"
-NO_STATE = "tracking", ("",) * len(PART_NAMES)
-"""The state of every body, and of its parts, in a bag that holds none."""
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +57,24 @@ class Track:
             np.array([state.parts for state in states], dtype=str).reshape(-1, len(PART_NAMES)),
         )
 
+    @classmethod
+    def of_rows(cls, rows: PersonRows, frame_of_stamp: Callable[[int], int]) -> Track:
+        """Build from what a bag says of a person, where it has points and angles; of one frame, what came last."""
+
+        def by_frame(of_kind: dict[int, T]) -> dict[int, T]:
+            return {frame_of_stamp(stamp): row for stamp, row in of_kind.items()}
+
+        points, angles, states = by_frame(rows.points), by_frame(rows.angles), by_frame(rows.states)
+        frames = sorted(set(points) & set(angles))
+        return cls(
+            np.array(frames, dtype=int),
+            np.array([points[f].points_world for f in frames]).reshape(-1, 15, 3),
+            np.array([points[f].covariance for f in frames]).reshape(-1, 15, 3, 3),
+            np.array([angles[f] for f in frames]).reshape(-1, len(ANGLE_NAMES)),
+            np.array([states.get(f, NO_STATE)[0] for f in frames], dtype=str),
+            np.array([states.get(f, NO_STATE)[1] for f in frames], dtype=str).reshape(-1, len(PART_NAMES)),
+        )
+
     def __len__(self) -> int:
         return len(self.frames)
 
@@ -92,71 +104,23 @@ class Track:
         return self.frames, self.points_world, self.covariance, self.angles, self.states, self.parts
 
 
-def track_from_bag(bag: str | Path, frame_of_stamp: Callable[[int], int]) -> Track:
-    """Read the first person's track from a bag; ``frame_of_stamp`` converts a stamp in ns into a frame number.
-
-    Raises InputError when the bag holds none.
-    """
-    track = _read_track(bag, frame_of_stamp, FIRST_PREFIX)
-    if not len(track):
-        what, reasons = "holds no tracked body", reasons_of_bag(bag)
-        if any(reasons):
-            raise nobody_tracked(what, str(bag), reasons)
-        remedy = f"Record {POINTS_TOPIC}, {ANGLES_TOPIC} while the graph tracks a person."
-        raise InputError(what, where=str(bag), remedy=remedy)
-    return track
-
-
 def tracks_from_bag(
     bag: str | Path, frame_of_stamp: Callable[[int], int], *, may_be_empty: bool = False
 ) -> dict[int, Track]:
-    """Read everybody's track, by the person's number; the first person's is there, others' where they have any row.
+    """Read everybody's track from a bag, by the person's number; ``frame_of_stamp`` converts a stamp in ns into a frame
+    number. The first person's is there, others' where they have any row.
 
-    Raises InputError as :func:`track_from_bag`, unless the first person's ``may_be_empty``.
+    Raises InputError when the first person has none, unless it ``may_be_empty``.
     """
-    if may_be_empty:
-        tracks = {FIRST_PERSON: _read_track(bag, frame_of_stamp, FIRST_PREFIX)}
-    else:
-        tracks = {FIRST_PERSON: track_from_bag(bag, frame_of_stamp)}
+    rows = read_person_rows(bag, (POINTS, ANGLES, STATE))
+    tracks = {FIRST_PERSON: Track.of_rows(rows[FIRST], frame_of_stamp)}
+    if not (len(tracks[FIRST_PERSON]) or may_be_empty):
+        what, reasons = "holds no tracked body", reasons_of_bag(bag)
+        if any(reasons):
+            raise nobody_tracked(what, str(bag), reasons)
+        remedy = f"Record /mocap/{POINTS}, /mocap/{ANGLES} while the graph tracks a person."
+        raise InputError(what, where=str(bag), remedy=remedy)
     for body_id, person in bag_persons(bag).items():
         if person != FIRST_PERSON:
-            tracks[person] = _read_track(bag, frame_of_stamp, f"{FIRST_PREFIX}/bodies/{body_id}")
+            tracks[person] = Track.of_rows(rows[body_id], frame_of_stamp)
     return {person: track for person, track in sorted(tracks.items()) if person == FIRST_PERSON or len(track)}
-
-
-def _read_track(bag: str | Path, frame_of_stamp: Callable[[int], int], prefix: str) -> Track:
-    points: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-    angles: dict[int, np.ndarray] = {}
-    states: dict[int, tuple[str, tuple[str, ...]]] = {}
-    points_topic, angles_topic, state_topic = (f"{prefix}/{what}" for what in (POINTS, ANGLES, STATE))
-    for message in read_messages(bag, {points_topic, angles_topic, state_topic}.__contains__):
-        if message.topic == state_topic:  # without a header: its values hold the stamp
-            status = message.decode(DiagnosticStatus)
-            said = {pair.key: pair.value for pair in status.values}
-            if "stamp_ns" in said:
-                parts = tuple(said.get(part, "") for part in PART_NAMES)
-                states[frame_of_stamp(int(said["stamp_ns"]))] = status.message, parts
-            continue
-        frame = frame_of_stamp(message.stamp_ns)
-        if message.topic == points_topic:
-            cloud = message.decode(PointCloud2)
-            measured = read_reference_points(cloud, f"{bag}: {points_topic}")
-            points[frame] = measured.points_world, measured.covariance
-        else:
-            angles[frame] = _angles(message.decode(JointState), f"{bag}: {angles_topic}")
-    frames = sorted(set(points) & set(angles))
-    return Track(
-        np.array(frames, dtype=int),
-        np.array([points[f][0] for f in frames]).reshape(-1, 15, 3),
-        np.array([points[f][1] for f in frames]).reshape(-1, 15, 3, 3),
-        np.array([angles[f] for f in frames]).reshape(-1, len(ANGLE_NAMES)),
-        np.array([states.get(f, NO_STATE)[0] for f in frames], dtype=str),
-        np.array([states.get(f, NO_STATE)[1] for f in frames], dtype=str).reshape(-1, len(PART_NAMES)),
-    )
-
-
-def _angles(message: Any, where: str) -> np.ndarray:
-    if list(message.name) != list(ANGLE_NAMES):
-        remedy = "Give a bag that this graph recorded."
-        raise InputError(f"joint names {list(message.name)} are not the stick figure's", where=where, remedy=remedy)
-    return np.array(message.position)

@@ -43,7 +43,7 @@ def jitter(track: Track, fps: float, truth: Truth | None = None) -> Jitter:
     points = track.at(frames).points_world
     half = max(1, round(0.5 * WINDOW_S * fps))
     smooth = _windows(points, half).mean(-1)
-    reference = smooth if truth is None else _aligned(truth, frames)
+    reference = smooth if truth is None else truth.points_at(frames)
     counts = _rests(reference, half) & np.isfinite(smooth).all(-1)
     squared = np.where(counts, ((points - smooth) ** 2).sum(-1), 0.0)
     point_count, count = counts.sum(0), counts.sum()
@@ -51,15 +51,6 @@ def jitter(track: Track, fps: float, truth: Truth | None = None) -> Jitter:
         rms_mm=1e3 * float(np.sqrt(squared.sum() / count)) if count else float("nan"),
         point_rms_mm=1e3 * np.where(point_count > 0, np.sqrt(squared.sum(0) / np.maximum(point_count, 1)), np.nan),
         at_rest=point_count,
-    )
-
-
-def _aligned(truth: Truth, frames: np.ndarray) -> np.ndarray:
-    """Return the truth's points (F, 15, 3) at these frames, NaN where it has none."""
-    row_of = {int(frame): row for row, frame in enumerate(truth.frames)}
-    absent = np.full((15, 3), np.nan)
-    return np.array([truth.points_world[row_of[f]] if f in row_of else absent for f in frames.tolist()]).reshape(
-        -1, 15, 3
     )
 
 

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 from rich.table import Table
 from rich.text import Text
+
+from sagoma_ros.messages import to_ns
 
 from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
@@ -25,12 +29,14 @@ LEVEL_STYLE = {DiagnosticStatus.OK: "green", DiagnosticStatus.WARN: "yellow", Di
 
 @dataclass(frozen=True)
 class NodeReport:
-    """One node's last diagnostics."""
+    """One node's last diagnostics; how many came, and the most by which a stamp was ahead of its arrival, seconds."""
 
     level: bytes
     message: str
     values: Mapping[str, str] = field(default_factory=dict)
     heard_s: float = 0.0
+    count: int = 1
+    lead_s: float = -math.inf
 
     def losses(self) -> dict[str, int]:
         """Return the counters above zero of input or work that was lost."""
@@ -45,7 +51,8 @@ class DiagnosticsTable:
     def __init__(self, node: Node) -> None:
         self._heard = threading.Condition()
         self._reports: dict[str, NodeReport] = {}
-        self._subscription = node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, self._take, LOSSLESS)
+        take = cast(Callable[[Any], None], self._take)  # rclpy's annotation has the message alone
+        self._subscription = node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, take, LOSSLESS)
 
     def report(self, name: str) -> NodeReport | None:
         """Return the last report of the node with this fully qualified name."""
@@ -84,12 +91,15 @@ class DiagnosticsTable:
         table.caption_justify = "left"
         return table
 
-    def _take(self, message: DiagnosticArray) -> None:
+    def _take(self, message: DiagnosticArray, info: Mapping[str, int]) -> None:
         heard_s = time.monotonic()
+        lead_s = 1e-9 * (to_ns(message.header.stamp) - info["received_timestamp"])
         with self._heard:
             for status in message.status:
                 values = {pair.key: pair.value for pair in status.values}
-                self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s)
+                before = self._reports.get(status.name, NodeReport(status.level, "", count=0))
+                count, most_s = before.count + 1, max(before.lead_s, lead_s)
+                self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s, count, most_s)
             self._heard.notify_all()
 
 

@@ -38,9 +38,8 @@ class State(Enum):
     ACTIVE = "active"
 
 
-LADDER = tuple(State)
-LABELS = tuple(state.value for state in LADDER)
-UP = (Transition.CONFIGURE, Transition.ACTIVATE)  # UP[i] leads from LADDER[i] to LADDER[i + 1]
+LABELS = tuple(state.value for state in State)
+UP = (Transition.CONFIGURE, Transition.ACTIVATE)  # UP[i] leads from LABELS[i] to LABELS[i + 1]
 DOWN = (Transition.CLEANUP, Transition.DEACTIVATE)  # DOWN[i] leads back
 REACHED = {
     Transition.CONFIGURE: State.INACTIVE,
@@ -94,31 +93,24 @@ class Outcome:
 
     @property
     def silent(self) -> tuple[str, ...]:
-        return self._nodes(Verdict.SILENT)
-
-    @property
-    def refused(self) -> tuple[str, ...]:
-        return self._nodes(Verdict.REFUSED)
+        return tuple(answer.node for answer in self.answers if answer.verdict is Verdict.SILENT)
 
     def __add__(self, other: Outcome) -> Outcome:
         return Outcome(self.answers + other.answers)
 
-    def _nodes(self, verdict: Verdict) -> tuple[str, ...]:
-        return tuple(answer.node for answer in self.answers if answer.verdict is verdict)
-
 
 def path_to(goal: State, label: str) -> tuple[Transition, ...]:
     """Return the transitions that lead from the state called ``label`` (one of LABELS) to ``goal``."""
-    here, there = LABELS.index(label), LADDER.index(goal)
+    here, there = LABELS.index(label), LABELS.index(goal.value)
     return UP[here:there] if here <= there else DOWN[there:here][::-1]
 
 
 def groups_of(names: Iterable[str], cameras_first: bool) -> list[list[str]]:
     """Return camera clients and server's nodes (full names) as two groups: cameras last on the way up, first down."""
-    everybody = list(names)
-    cameras = [name for name in everybody if name.endswith(f"/{CAMERA_NODE}")]
-    server = [name for name in everybody if name not in cameras]
-    return [cameras, server] if cameras_first else [server, cameras]
+    groups: list[list[str]] = [[], []]
+    for name in names:
+        groups[name.endswith(f"/{CAMERA_NODE}") != cameras_first].append(name)
+    return groups
 
 
 class LifecycleClient:
@@ -126,30 +118,31 @@ class LifecycleClient:
 
     def __init__(self, node: Node, *, alive: Callable[[str], bool] = lambda name: True) -> None:
         """``alive(name)``: whether a node's process still runs; a dead one is not waited for."""
-        self._node = node
-        self._alive = alive
+        self._node, self._alive = node, alive
 
     def states(self, nodes: Iterable[str], timeout_s: float = STATE_TIMEOUT_S) -> dict[str, str | None]:
         """Fully qualified node name -> state label, None where no answer came."""
-        questions = {name: GetState.Request() for name in nodes}
-        replies = self._ask(GetState, "get_state", questions, timeout_s, repeatable=True)
-        return {name: reply and reply.current_state.label for name, reply in replies.items()}
+        questions = {f"{name}/get_state": GetState.Request() for name in nodes}
+        replies = call_all(self._node, GetState, questions, timeout_s, self._lives, repeatable=True)
+        return {_owner(service): reply and reply.current_state.label for service, reply in replies.items()}
 
     def change(self, wanted: Mapping[str, Transition], timeout_s: float | None = None) -> Outcome:
         """Ask each node for its transition, all at once; ``timeout_s`` by default as long as the slowest may take."""
-        requests = {}
+        requests = {f"{name}/change_state": ChangeState.Request() for name in wanted}
         for name, transition in wanted.items():
-            requests[name] = ChangeState.Request()
-            requests[name].transition.id = transition.value
-        limit = max((TIMEOUT_S[t] for t in wanted.values()), default=0.0) if timeout_s is None else timeout_s
+            requests[f"{name}/change_state"].transition.id = transition.value
+        limit_s = max((TIMEOUT_S[t] for t in wanted.values()), default=0.0) if timeout_s is None else timeout_s
 
         def inferred(silent: set[str]) -> dict[str, Any]:
             """Success for nodes that are in the wanted state, though their reply was lost."""
-            labels = self.states(silent, INFER_TIMEOUT_S)
-            return {n: ChangeState.Response(success=True) for n in silent if labels[n] == REACHED[wanted[n]].value}
+            labels = self.states(map(_owner, silent), INFER_TIMEOUT_S)
+            reached = [name for name, label in labels.items() if label == REACHED[wanted[name]].value]
+            return {f"{name}/change_state": ChangeState.Response(success=True) for name in reached}
 
-        replies = self._ask(ChangeState, "change_state", requests, limit, inferred=inferred)
-        return Outcome(tuple(Answer(name, wanted[name], _verdict(reply)) for name, reply in replies.items()))
+        replies = call_all(self._node, ChangeState, requests, limit_s, self._lives, inferred=inferred)
+        verdicts = {None: Verdict.SILENT, True: Verdict.ACKNOWLEDGED, False: Verdict.REFUSED}
+        answers = {_owner(service): verdicts[reply and reply.success] for service, reply in replies.items()}
+        return Outcome(tuple(Answer(name, wanted[name], verdict) for name, verdict in answers.items()))
 
     def bring(
         self,
@@ -166,7 +159,8 @@ class LifecycleClient:
         outcome = Outcome(())
         for group in groups:
             labels = self.states(group, contact_s)
-            outcome += Outcome(tuple(Answer(n, None, _unfit(s)) for n, s in labels.items() if s not in LABELS))
+            unfit = {name: Verdict.STUCK if label else Verdict.SILENT for name, label in labels.items()}
+            outcome += Outcome(tuple(Answer(n, None, unfit[n]) for n, label in labels.items() if label not in LABELS))
             paths = {name: list(path_to(goal, label)) for name, label in labels.items() if label in LABELS}
             while wanted := {name: path.pop(0) for name, path in paths.items() if path}:
                 step = self.change(wanted, timeout_s)
@@ -175,39 +169,10 @@ class LifecycleClient:
                     paths[failure.node].clear()
         return outcome
 
-    def _ask(
-        self,
-        srv_type: Any,
-        service: str,
-        requests: Mapping[str, Any],
-        timeout_s: float,
-        *,
-        repeatable: bool = False,
-        inferred: Callable[[set[str]], Mapping[str, Any]] = lambda nodes: {},
-    ) -> dict[str, Any]:
-        """Full node name -> reply or None."""
-        suffix = f"/{service}"
-
-        def inferred_replies(services: set[str]) -> dict[str, Any]:
-            return {n + suffix: r for n, r in inferred({s.removesuffix(suffix) for s in services}).items()}
-
-        replies = call_all(
-            self._node,
-            srv_type,
-            {name + suffix: request for name, request in requests.items()},
-            timeout_s,
-            lambda n: self._alive(n.removesuffix(suffix)),
-            repeatable=repeatable,
-            inferred=inferred_replies,
-        )
-        return {name.removesuffix(suffix): reply for name, reply in replies.items()}
+    def _lives(self, service: str) -> bool:
+        return self._alive(_owner(service))
 
 
-def _verdict(reply: Any) -> Verdict:
-    if reply is None:
-        return Verdict.SILENT
-    return Verdict.ACKNOWLEDGED if reply.success else Verdict.REFUSED
-
-
-def _unfit(label: str | None) -> Verdict:
-    return Verdict.SILENT if label is None else Verdict.STUCK
+def _owner(service: str) -> str:
+    """Return the node that offers a service of its own."""
+    return service.rpartition("/")[0]

@@ -1,67 +1,37 @@
-"""Child processes: started in their own process group, watched, stopped by pid; leftover shared memory is removed.
-
-Of Fast DDS's shared memory the segments are removed, which are the megabytes and have names of their own. Its ports are
-small and stay: their numbers from 7000 on are shared by the graphs of all domains of a machine, and Fast DDS opens one
-that was left behind anew. To delete a port that another graph's process takes at this moment makes that process deaf to
-the names of nodes.
-"""
+"""Processes: started in groups of their own, watched, measured, stopped by pid; those of a graph, with their logs."""
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import fcntl
 import os
-import re
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
 
 import psutil
 
+from capture_rig.yaml_file import save_mapping
+from sagoma_bringup.graph import NodeSpec
+from sagoma_bringup.processes import ONE_PROCESS, ProcessSpec, processes_of
+
+GRACE_S, REAP_S = 8.0, 5.0
+START_TIMEOUT_S = 300.0  # to a process's first answer: seconds of imports, times the machine's load
+# idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
+THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
+LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
+SHARED_MEMORY = Path("/dev/shm")
+NEW_S = 1.0  # a segment this young may not have its owner's lock yet
 PR_SET_PDEATHSIG = 1
-REAP_S = 5.0
-STALLED_S, LONGEST_START_S = 60.0, 900.0  # at a load of 50 a process has its turn every few seconds
-SEGMENT_LOCK = re.compile(r"^/dev/shm/(fastrtps_(?!port)\w+)_el$")  # held open by the process that owns the segment
 _libc = ctypes.CDLL(None)
-
-
-def busy_machine() -> str:
-    """Say how busy the machine is, and what helps, when more wants to run than it has processors; else nothing."""
-    load, processors = os.getloadavg()[0], os.cpu_count() or 1
-    if load <= processors:
-        return ""
-    return f"the machine is busy (load {load:.1f} on {processors} processors): end other programs and try again"
-
-
-class StartDeadline:
-    """Deadline for a process to start: as long as it is at work, however slowly a busy machine lets it.
-
-    It is given up when it has not used the processor for STALLED_S, or after LONGEST_START_S: it hangs.
-    """
-
-    def __init__(self, cpu_s: Callable[[], float | None], now_s: Callable[[], float] = time.monotonic) -> None:
-        """``cpu_s``: its processor time so far; None when it has ended."""
-        self._cpu_s, self._now_s = cpu_s, now_s
-        self._began_s = self._at_work_s = now_s()
-        self._used_s = 0.0
-
-    def exceeded(self) -> str:
-        """Say why the process is waited for no longer; empty while it is."""
-        used_s, now_s = self._cpu_s(), self._now_s()
-        if used_s is None:
-            return "it has ended"
-        if used_s > self._used_s:
-            self._used_s, self._at_work_s = used_s, now_s
-        waited = f"after {now_s - self._began_s:.0f} s, {self._used_s:.1f} s of them on the processor"
-        if now_s - self._at_work_s > STALLED_S:
-            return f"it hangs {waited}"
-        return f"it was not ready {waited}" if now_s - self._began_s > LONGEST_START_S else ""
 
 
 class Exit(Enum):
@@ -92,35 +62,42 @@ class Usage:
 
 
 class Child:
-    """One running process with its log file.
+    """One running process and its log, which is continued where it exists. It gets SIGINT when this process ends.
 
-    The kernel sends it SIGINT when the thread that started it ends, so that no node outlives its supervisor: start
-    children from a thread that lives as long as they shall, usually the main one.
+    ``on_exit`` is called, on the child's own thread, when it ends by itself. Raises OSError when it cannot be started.
     """
 
     def __init__(
-        self, name: str, command: Sequence[str], log: Path, env: Mapping[str, str], on_exit: Callable[[Child], None]
+        self, name: str, command: Sequence[str], log: Path, env: Mapping[str, str], on_exit: Callable[[Child], object]
     ) -> None:
-        """``on_exit`` is called from the child's watching thread when the process ends by itself.
-
-        A log that exists is continued: that of a process that is started again.
-        """
         self.name, self.log = name, log
-        self.shared_memory: set[str] = set()
-        self._stopping = False
-        with log.open("ab") as sink:
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=sink,
-                stderr=subprocess.STDOUT,
-                env=dict(env),
-                process_group=0,
-                preexec_fn=_prepare_child,
-            )
-        self._on_exit = on_exit
-        self._ended = threading.Event()
-        threading.Thread(target=self._watch, name=f"watch {name}", daemon=True).start()
+        self._stopping, self._ended = False, threading.Event()
+        started: Future[subprocess.Popen[bytes]] = Future()
+
+        def run() -> None:
+            """The kernel signals a child when the thread that started it ends: this one lives as long as the child."""
+            try:
+                with log.open("ab") as sink:
+                    process = subprocess.Popen(
+                        command,
+                        stdin=subprocess.DEVNULL,
+                        stdout=sink,
+                        stderr=subprocess.STDOUT,
+                        env=dict(env),
+                        process_group=0,
+                        preexec_fn=_prepare_child,
+                    )
+            except OSError as error:
+                started.set_exception(error)
+                return
+            started.set_result(process)
+            process.wait()
+            self._ended.set()
+            if not self._stopping:
+                on_exit(self)
+
+        threading.Thread(target=run, name=f"watch {name}", daemon=True).start()
+        self._process = started.result()
 
     @property
     def pid(self) -> int:
@@ -148,10 +125,6 @@ class Child:
         kib = {line.split(":")[0]: int(line.split()[1]) for line in status.splitlines() if line.startswith("Vm")}
         return Usage(kib["VmRSS"] / 1024, kib["VmHWM"] / 1024, cpu.user + cpu.system) if "VmRSS" in kib else None
 
-    def note_shared_memory(self) -> None:
-        """Record which shared memory it owns: a node that is killed or crashes leaves it behind."""
-        self.shared_memory |= owned_shared_memory([self.pid])
-
     def interrupt(self) -> None:
         """Ask it to stop (SIGINT)."""
         self._stopping = True
@@ -165,32 +138,39 @@ class Child:
     def kill(self) -> None:
         """SIGKILL to its whole process group."""
         self._stopping = True
-        if not self.alive:
-            return
-        self.note_shared_memory()
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.pid, signal.SIGKILL)
+            if self.alive:
+                os.killpg(self.pid, signal.SIGKILL)
         self._ended.wait(REAP_S)
 
-    def _watch(self) -> None:
-        self._process.wait()
-        self._ended.set()
-        if not self._stopping:
-            self._on_exit(self)
+
+def _prepare_child() -> None:
+    """Set up the child before exec: SIGINT when its parent ends, and not ignored even if the shell ignores it."""
+    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def stop_children(children: Sequence[Child], grace_s: float) -> tuple[ExitStatus, ...]:
     """Send SIGINT to all, and SIGKILL to those that still run ``grace_s`` later; returns how each one ended."""
-    already_dead = {child.name for child in children if not child.alive}
+    found = {child: Exit.CLEAN if child.alive else Exit.ALREADY_DEAD for child in children}
     for child in children:
         child.interrupt()
     deadline_s = time.monotonic() + grace_s
-    killed = set()
     for child in children:
         if not child.wait(max(0.0, deadline_s - time.monotonic())):
-            killed.add(child.name)
+            found[child] = Exit.KILLED
             child.kill()
-    return tuple(_exit_status(child, already_dead, killed) for child in children)
+        elif found[child] is Exit.CLEAN and child.returncode not in (0, -signal.SIGINT):
+            found[child] = Exit.FAILED
+    codes = {child: -signal.SIGKILL if child.returncode is None else child.returncode for child in children}
+    return tuple(ExitStatus(child.name, how, codes[child]) for child, how in found.items())
+
+
+def busy_machine() -> str:
+    """Return how busy the machine is, and what helps, when more wants to run than it has processors; else nothing."""
+    load, processors = os.getloadavg()[0], os.cpu_count() or 1
+    busy = f"the machine is busy (load {load:.1f} on {processors} processors): end other programs and try again"
+    return busy if load > processors else ""
 
 
 def node_command(package: str, executable: str, module: str) -> list[str]:
@@ -202,48 +182,100 @@ def node_command(package: str, executable: str, module: str) -> list[str]:
     return [sys.executable, "-m", module]
 
 
-def owned_shared_memory(pids: Iterable[int]) -> set[str]:
-    """Return the names of the Fast DDS shared-memory segments that these processes own."""
-    matches = (SEGMENT_LOCK.match(target) for pid in pids for target in _open_files(pid))
-    return {match[1] for match in matches if match}
+def remove_abandoned_memory() -> None:
+    """Delete Fast DDS's segments in /dev/shm whose owner has died: megabytes with each crash.
+
+    Their owner holds a lock on a file beside the segment. Ports, which are small and shared by all domains, stay: to
+    delete one that another process takes at this moment makes that process deaf to the names of nodes.
+    """
+    for lock in SHARED_MEMORY.glob("fastrtps_*_el"):
+        with contextlib.suppress(OSError):  # its owner lives, or it is not ours
+            if lock.name.startswith("fastrtps_port") or time.time() - lock.stat().st_mtime < NEW_S:
+                continue
+            with lock.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock.with_name(lock.name.removesuffix("_el")).unlink(missing_ok=True)
+                lock.unlink()
 
 
-def _open_files(pid: int) -> Iterator[str]:
-    """What a process has open, but for what it closes meanwhile; nothing if it is not ours to look into."""
-    with contextlib.suppress(OSError):
-        for link in os.listdir(f"/proc/{pid}/fd"):
-            with contextlib.suppress(OSError):
-                yield os.readlink(f"/proc/{pid}/fd/{link}")
+@dataclass(frozen=True)
+class ProcessSettings:
+    """How the processes of a graph run.
+
+    server : ONE_PROCESS or THREE_PROCESSES, for the server's nodes; each camera has a process of its own.
+    domain_id : ROS_DOMAIN_ID of the graph, the environment's by default.
+    env : variables besides those of the environment; these win.
+    grace_s : how long a process may take to end after SIGINT before it is killed.
+    """
+
+    server: str = ONE_PROCESS
+    domain_id: int | None = None
+    env: Mapping[str, str] = field(default_factory=dict)
+    grace_s: float = GRACE_S
 
 
-def shared_memory_files(names: Iterable[str]) -> list[Path]:
-    """Return the files of these segments that exist."""
-    paths = [Path(f"/dev/shm/{file}") for name in names for file in (name, f"{name}_el")]
-    return [path for path in paths if path.exists()]
+class ProcessGroup:
+    """The processes of one graph, each with one log and one parameter file in the run folder."""
 
+    def __init__(
+        self,
+        graph: Sequence[NodeSpec],
+        run_folder: Path,
+        settings: ProcessSettings,
+        on_exit: Callable[[ProcessSpec, Child], None],
+    ) -> None:
+        """``on_exit`` is called, from another thread, for every process that ends by itself."""
+        self.specs = tuple(processes_of(graph, settings.server))
+        self._labels = {node.full_name: spec.label for spec in self.specs for node in spec.nodes}
+        self._run_folder, self._settings, self._on_exit = run_folder, settings, on_exit
+        self._children: dict[str, Child] = {}
 
-def abandoned(names: Iterable[str]) -> set[str]:
-    """Return those of these segments that no living process owns."""
-    names = set(names)
-    return names - owned_shared_memory(process.pid for process in psutil.process_iter()) if names else names
+    def start_all(self) -> None:
+        """Start every process, with new logs."""
+        self._run_folder.mkdir(parents=True, exist_ok=True)
+        for spec in self.specs:
+            self._path(spec, "log").unlink(missing_ok=True)
+            self.start(spec)
 
+    def start(self, spec: ProcessSpec) -> Child:
+        """Start one process."""
+        save_mapping(self._path(spec, "yaml"), spec.parameter_document())
+        command = [*node_command(spec.package, spec.executable, spec.module), "--ros-args", *spec.name_arguments]
+        command += ["--params-file", str(self._path(spec, "yaml"))]
+        env = {**THREADS_ENV, **os.environ, **self._settings.env, **LOG_ENV}
+        env["ROS_LOG_DIR"] = str(self._run_folder / "ros_log")
+        if self._settings.domain_id is not None:
+            env["ROS_DOMAIN_ID"] = str(self._settings.domain_id)
+        log = self._path(spec, "log")
+        child = Child(spec.label, command, log, env, lambda child: self._on_exit(spec, child))
+        self._children[spec.label] = child
+        return child
 
-def remove_abandoned(names: Iterable[str]) -> None:
-    """Delete the files of those segments that no living process owns."""
-    for path in shared_memory_files(abandoned(names)):
-        path.unlink(missing_ok=True)
+    def stop(self) -> tuple[ExitStatus, ...]:
+        """SIGINT to all, and after the grace period SIGKILL; returns how each process ended."""
+        return stop_children(list(self._children.values()), self._settings.grace_s)
 
+    def child_of(self, node: str) -> Child:
+        """Return the process of the node with this full name, as last started."""
+        return self._children[self._labels[node]]
 
-def _prepare_child() -> None:
-    """Set up the child before exec: SIGINT when the supervisor ends, and not ignored even if the shell ignores it."""
-    _libc.prctl(PR_SET_PDEATHSIG, signal.SIGINT)
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    def alive(self, node: str) -> bool:
+        """Whether the process of the node with this full name still runs."""
+        child = self._children.get(self._labels.get(node, ""))
+        return child is not None and child.alive
 
+    def pids(self) -> dict[str, int]:
+        """Full node name -> process id."""
+        return {node: self._children[label].pid for node, label in self._labels.items() if label in self._children}
 
-def _exit_status(child: Child, already_dead: set[str], killed: set[str]) -> ExitStatus:
-    code = child.returncode if child.returncode is not None else -signal.SIGKILL
-    if child.name in already_dead:
-        return ExitStatus(child.name, Exit.ALREADY_DEAD, code)
-    if child.name in killed:
-        return ExitStatus(child.name, Exit.KILLED, code)
-    return ExitStatus(child.name, Exit.CLEAN if code in (0, -signal.SIGINT) else Exit.FAILED, code)
+    def usage(self) -> dict[str, Usage]:
+        """Label of each living process -> the memory and processor time that it uses."""
+        found = {label: child.usage() for label, child in self._children.items()}
+        return {label: usage for label, usage in found.items() if usage is not None}
+
+    def log_tail(self, node: str, lines: int = 15) -> str:
+        """Return the last lines of the log of a node's process."""
+        return self.child_of(node).log_tail(lines)
+
+    def _path(self, spec: ProcessSpec, suffix: str) -> Path:
+        return self._run_folder / f"{spec.label}.{suffix}"

@@ -1,6 +1,6 @@
 """Runs the node graph as processes, without the ros2 command line.
 
-Starts every process (`process_group`), drives the nodes' lifecycle with acknowledgements (the server's first, the
+Starts every process (`processes`), drives the nodes' lifecycle with acknowledgements (the server's first, the
 cameras' last), starts what has crashed again (`restarts`), and stops all cleanly. A camera may die; the graph goes on.
 """
 
@@ -9,30 +9,34 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from rclpy.node import Node
 
+from capture_rig.errors import InputError
 from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_bringup.processes import ProcessSpec
 
 from .diagnostics_table import DiagnosticsTable
 from .errors import GraphError
-from .foreign_nodes import foreign_nodes, living_nodes, own_machine, places_of, run_already
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
-from .process_group import ProcessGroup, ProcessSettings
-from .processes import Child, ExitStatus, busy_machine
-from .restarts import Death, Restarter, RestartPolicy, Return, exit_reason
-from .restored_state import LastBody, reads_file, with_kept_backgrounds
+from .processes import (
+    START_TIMEOUT_S,
+    Child,
+    ExitStatus,
+    ProcessGroup,
+    ProcessSettings,
+    busy_machine,
+    remove_abandoned_memory,
+)
+from .restarts import CachedBody, ProcessExited, ProcessRecovered, RestartPolicy, reads_file, with_kept_backgrounds
 from .ros_link import RosLink
+from .running_nodes import foreign_nodes, living_nodes, own_machine, places_of, run_already
 
-FRESH = State.UNCONFIGURED.value
+FRESH, ACTIVE = State.UNCONFIGURED.value, State.ACTIVE.value
 STOP_TIMEOUT_S = 5.0
-START_TIMEOUT_S = 300.0  # from a process's start to its first answer: seconds of imports, times the machine's load
-LOOK_S = 0.05  # rclpy has no event for a node that is discovered
-CONFIRM_S = 1.0  # a restarted node that does not say so soon that it is active is asked again
-RESTARTING = "restarting"
+POLL_S = 0.05  # rclpy has no event for a node that is discovered
+SETTLE_S = 1.0  # between two questions whether a restarted process is active: it takes seconds to start
 
 
 class Supervisor:
@@ -52,7 +56,7 @@ class Supervisor:
         settings: ProcessSettings | None = None,
         *,
         cancel: threading.Event | None = None,
-        on_event: Callable[[Death | Return], None] = lambda event: None,
+        on_event: Callable[[ProcessExited | ProcessRecovered], None] = lambda event: None,
         restart: RestartPolicy | None = None,
     ) -> None:
         """``on_event`` is called, from another thread, for every process that ends by itself or is back again.
@@ -60,24 +64,24 @@ class Supervisor:
         run_folder : gets one log and one parameter file a process; made when missing.
         cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
         restart : once the graph is active, processes that crash are started again and become active by themselves,
-            but for cameras that read files: their place in the footage is lost. What they had learnt is restored
-            (`restored_state`). None: what has died stays dead.
+            but for cameras that read files: their place in the footage is lost. None: what has died stays dead.
         """
         self.run_folder, settings = Path(run_folder), settings or ProcessSettings()
         self.graph = with_common_epoch(graph, time.time_ns())
         if restart is not None:
             self.graph = with_kept_backgrounds(self.graph, self.run_folder)
-        self.processes = ProcessGroup(self.graph, self.run_folder, settings, self._report_exit)
+        self.processes = ProcessGroup(self.graph, self.run_folder, settings, self._on_exit)
         self.exit_statuses: tuple[ExitStatus, ...] = ()
         self.stop_outcome = Outcome(())
         self._domain_id, self._on_event, self._restart = settings.domain_id, on_event, restart
-        self._cancel = cancel or threading.Event()
-        self._stopping = self._running = False
-        self._lock = threading.Lock()
+        self._cancel, self._halted = cancel or threading.Event(), threading.Event()
+        self._running = False
+        self._lock = threading.RLock()  # held while a process is started, and while states change
         self._states: dict[str, str] = {}
+        self._exits_s: dict[str, list[float]] = {}
+        self._restarting: set[str] = set()
         self._link: RosLink | None = None
-        self._restarter: Restarter | None = None
-        self._body: LastBody | None = None
+        self._body: CachedBody | None = None
 
     def __enter__(self) -> Supervisor:
         self.start()
@@ -103,14 +107,12 @@ class Supervisor:
         self._link = RosLink("sagoma_supervisor", domain_id=self._domain_id)
         self.diagnostics = DiagnosticsTable(self._link.node)
         self.lifecycle = LifecycleClient(self._link.node, alive=self._should_wait_for)
+        self._body = CachedBody(self._link.node, self.run_folder)
         try:
             names = {spec.full_name for spec in self.graph}
             if running := living_nodes(self.node, names, self._cancel):
                 raise GraphError(run_already(running, own_machine(self.node)))
             self.processes.start_all()
-            if self._restart is not None:
-                self._body = LastBody(self._link.node, self.run_folder)
-                self._restarter = Restarter(self._restart, self._start_again, self._is_active, self._on_event)
         except BaseException:
             self.stop()
             raise
@@ -122,18 +124,16 @@ class Supervisor:
         """
         if self._link is None:
             return self.exit_statuses
-        self._stopping, self._running = True, False
-        if self._restarter is not None:
-            self._restarter.halt()
-        self.stop_outcome = self.suspend() + self._bring(
-            self._in(State.INACTIVE, cameras_first=True), State.UNCONFIGURED, STOP_TIMEOUT_S
-        )
+        with self._lock:
+            self._halted.set()
+            self._restarting.clear()
+        inactive = State.INACTIVE
+        self.stop_outcome = self.suspend()
+        self.stop_outcome += self._bring(self._in(inactive, cameras_first=True), State.UNCONFIGURED, STOP_TIMEOUT_S)
         self.exit_statuses = self.processes.stop()
-        if self._restarter is not None:
-            self._restarter.close()
         self._link.close()
         self._link = None
-        self.processes.remove_shared_memory()
+        remove_abandoned_memory()
         return self.exit_statuses
 
     def configure(self, *, tolerate_cameras: bool = True) -> Outcome:
@@ -152,10 +152,10 @@ class Supervisor:
         self._check(State.ACTIVE, outcome, tolerate_cameras)
         with self._lock:
             self._running = True
-            children = [(process, self.processes.child_of(process)) for process in self.processes.specs]
-            lost = [(process, child) for process, child in children if not child.alive]
-        for process, child in lost:
-            self._report_exit(process, child)
+        for process in self.processes.specs:
+            child = self.processes.child_of(process.nodes[0].full_name)
+            if not child.alive:  # it died before its restart would have been of use
+                threading.Thread(target=self._on_exit, args=(process, child), daemon=True).start()
         return outcome
 
     def suspend(self) -> Outcome:
@@ -165,61 +165,80 @@ class Supervisor:
 
     def states(self) -> dict[str, str]:
         """Full node name -> lifecycle state as last acknowledged, "dead", or "restarting" after a crash."""
+        found = {}
         with self._lock:
-            known = dict(self._states)
-        children = self.processes.by_node()
-        return {n: known.get(n, FRESH) if child.alive else self._absence(child) for n, child in children.items()}
-
-    def _absence(self, dead: Child) -> str:
-        return RESTARTING if self._restarter is not None and self._restarter.is_waiting(dead.name) else "dead"
+            for name in self.processes.pids():
+                label = self.processes.child_of(name).name
+                absence = "restarting" if label in self._restarting else "dead"
+                found[name] = self._states.get(name, FRESH) if self.processes.alive(name) else absence
+        return found
 
     def _should_wait_for(self, name: str) -> bool:
-        return self.processes.alive(name) and (self._stopping or not self._cancel.is_set())
+        return self.processes.alive(name) and (self._halted.is_set() or not self._cancel.is_set())
 
-    def _report_exit(self, process: ProcessSpec, child: Child) -> None:
+    # crashes ----------------------------------------------------------------------------------------------------------
+
+    def _on_exit(self, process: ProcessSpec, child: Child) -> None:
+        """Report a process that has ended by itself and start it again, on the thread that watched it."""
+        exited_s, label = time.monotonic(), process.label
         with self._lock:
             for node in process.nodes:
                 self._states.pop(node.full_name, None)
-            running = self._running
-        why_not = self._why_no_restart(process, child, running)
-        delay_s = self._restarter.take(process) if self._restarter is not None and not why_not else None
-        if not why_not and delay_s is None and self._restarter is not None:
-            why_not = self._restarter.give_up_reason()
-        reason = exit_reason(child.returncode)
-        self._on_event(Death(process, child.pid, reason, child.log, child.log_tail(), delay_s, why_not))
+            delay_s, why_not = self._restart_delay(process, child, exited_s)
+            if delay_s is not None:
+                self._restarting.add(label)
+        tail = child.log_tail()
+        self._on_event(ProcessExited(process, child.pid, child.returncode, child.log, tail, delay_s, why_not))
+        if delay_s is None or self._halted.wait(delay_s):
+            return
+        restarted = self._start_again(process)
+        while restarted is not None and restarted.alive and not self._halted.wait(SETTLE_S):
+            if self._is_active(process):
+                self._on_event(ProcessRecovered(process, restarted.pid, time.monotonic() - exited_s))
+                return
 
-    def _why_no_restart(self, process: ProcessSpec, child: Child, running: bool) -> str:
-        """Say why a process that has ended is not started again; empty when it is."""
-        if self._restarter is None:
-            return "nobody asked for restarts"
-        if not running:
-            return "the graph is not active"
+    def _restart_delay(self, process: ProcessSpec, child: Child, exited_s: float) -> tuple[float | None, str]:
+        """Return when a process that has ended is started again, s, or None and why it is not."""
+        policy = self._restart
+        if policy is None:
+            return None, "nobody asked for restarts"
+        if not self._running or self._halted.is_set():
+            return None, "the graph is not active"
         if child.returncode == 0:
-            return "somebody asked it to end"
+            return None, "somebody asked it to end"
         if any(reads_file(node) for node in process.nodes):
-            return "it reads footage, and its place in it is lost"
-        return ""
+            return None, "it reads footage, and its place in it is lost"
+        exits_s = self._exits_s.setdefault(process.label, [])
+        exits_s.append(exited_s)
+        often = f"it crashed more than {policy.most} times within {policy.within_s:g} s; "
+        return policy.delay_s(exits_s), f"{often}remove the cause that its log names, then start it again"
 
-    def _start_again(self, process: ProcessSpec) -> int:
-        """Start a process whose nodes become active by themselves; returns its process id."""
-        self.processes.remove_shared_memory()
-        assert self._body is not None
-        restored = self._body.restored(process)
-        nodes = tuple(
-            node.with_parameters({"autostart": True, **restored.get(node.full_name, {})}) for node in process.nodes
-        )
-        return self.processes.start(replace(process, nodes=nodes))
+    def _start_again(self, process: ProcessSpec) -> Child | None:
+        """Start a process whose nodes become active by themselves; None when the graph is stopped meanwhile."""
+        assert self._restart is not None and self._body is not None
+        remove_abandoned_memory()
+        while True:
+            with self._lock:
+                if self._halted.is_set():
+                    return None
+                try:
+                    child = self.processes.start(self._body.restored(process))
+                    self._restarting.discard(process.label)
+                    return child
+                except (OSError, InputError):  # no memory for a process, no room for its files: perhaps later
+                    pass
+            self._halted.wait(self._restart.longest_s)
 
     def _is_active(self, process: ProcessSpec) -> bool:
         """Ask the nodes of a restarted process for their states; True when all are active."""
         names = [node.full_name for node in process.nodes]
-        active = State.ACTIVE.value
-        if set(self.lifecycle.states(names, CONFIRM_S).values()) != {active}:
+        if set(self.lifecycle.states(names, SETTLE_S).values()) != {ACTIVE}:
             return False
-        self.processes.child_of(process).note_shared_memory()
         with self._lock:
-            self._states |= dict.fromkeys(names, active)
+            self._states |= dict.fromkeys(names, ACTIVE)
         return True
+
+    # lifecycle --------------------------------------------------------------------------------------------------------
 
     def _in(self, state: State, *, cameras_first: bool = False) -> list[list[str]]:
         """Return the nodes in ``state``: the server's and the cameras', or the other way round."""
@@ -237,7 +256,6 @@ class Supervisor:
         timeout_s: float | None = None,
         contact_s: float = STOP_TIMEOUT_S,
     ) -> Outcome:
-        self.processes.note_shared_memory()
         outcome = self.lifecycle.bring(groups, goal, timeout_s, contact_s)
         with self._lock:
             for answer in outcome.answers:
@@ -254,19 +272,18 @@ class Supervisor:
                 raise GraphError(run_already(foreign, here))
             if not any(map(self._should_wait_for, unknown)):
                 return
-            self._cancel.wait(LOOK_S)
+            self._cancel.wait(POLL_S)
 
     def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()
         failed = [spec for spec in self.graph if states[spec.full_name] != goal.value]
-        cameras = [spec for spec in self.graph if spec.role is Role.CAMERA]
-        lost_cameras = [spec for spec in failed if spec.role is Role.CAMERA]
-        tolerated = tolerate_cameras and len(lost_cameras) == len(failed) < len(cameras)
-        if failed and not tolerated:
+        cameras = sum(spec.role is Role.CAMERA for spec in self.graph)
+        lost = sum(spec.role is Role.CAMERA for spec in failed)
+        if failed and not (tolerate_cameras and lost == len(failed) < cameras):
             raise GraphError("\n".join(self._failure_report(spec, states[spec.full_name], outcome) for spec in failed))
 
     def _failure_report(self, spec: NodeSpec, state: str, outcome: Outcome) -> str:
-        child = self.processes.by_node()[spec.full_name]
+        child = self.processes.child_of(spec.full_name)
         answers = [str(answer) for answer in outcome.failures if answer.node == spec.full_name]
         if state == "dead":
             answers = [f"{spec.full_name} has died (status {child.returncode})"]

@@ -1,4 +1,4 @@
-"""The topics of the graph: inputs, outputs, which of them replay to the same bytes, and topics of older bags."""
+"""The topics of the graph: inputs, outputs, and which of them replay to the same bytes."""
 
 from __future__ import annotations
 
@@ -84,13 +84,6 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
     Topic("/mocap/latency", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies
     Topic(PREDICTION_TOPIC, "sensor_msgs/msg/MultiDOFJointState"),
 )
-RENAMED_TOPICS = {"/hull/rims": "/hull/contour_rays"}
-"""Topics of bags that older versions recorded -> their names now."""
-FORMER_TYPES: dict[str, tuple[str, ...]] = {
-    "/ekf/prediction": ("sensor_msgs/msg/JointState",),
-    "joint_covariance": ("std_msgs/msg/Float64MultiArray",),
-}
-"""Topic, or what of a person, -> message types that older versions recorded on it: their stamps alone are read."""
 DIAGNOSTICS = Topic(DIAGNOSTICS_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", repeatable=False)
 
 
@@ -147,13 +140,6 @@ def type_of(topic: str) -> str | None:
     if person:
         return OF_A_PERSON.get(person["what"])
     return _TYPES.get(topic)
-
-
-def readable_types(topic: str) -> tuple[str, ...]:
-    """Return the types that a bag may hold on a topic of the graph, today's first; none for any other topic."""
-    today = type_of(topic)
-    former = FORMER_TYPES.get(topic) or FORMER_TYPES.get(topic.rpartition("/")[2], ())
-    return () if today is None else (today, *former)
 
 
 _TYPES = {topic.name: topic.msgtype for topic in (*OUTPUT_TOPICS, DIAGNOSTICS)}

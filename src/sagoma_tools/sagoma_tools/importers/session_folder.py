@@ -1,4 +1,4 @@
-"""Writes session folders: the folder appears whole or not at all; footage is lossless; truth.csv holds points."""
+"""Writes session folders: the folder appears whole or not at all; truth.csv holds points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from capture_rig.errors import InputError
@@ -17,8 +16,6 @@ from capture_rig.rig import FLOOR_MARGIN_M, Volume
 
 SIDE_MARGIN_M, TOP_MARGIN_M = 0.4, 0.3
 """From the outermost markers to the sides of the capture volume: body surface and hands lie beyond them."""
-CODEC, SUFFIX = "FFV1", ".mkv"
-"""Lossless, and in every OpenCV wheel (which, up to 4.8, puts it into .mkv but not into .mp4)."""
 
 
 @contextmanager
@@ -40,30 +37,6 @@ def new_session_folder(folder: str | Path) -> Iterator[Path]:
         partial.rename(folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-
-
-class FootageFile:
-    """Writes a lossless video, grey or colour; a context manager. Raises InputError when it cannot be opened."""
-
-    def __init__(self, stem: Path, fps: float, image: np.ndarray) -> None:
-        """``image`` (h, w) or (h, w, 3) uint8 is like those that follow; it is not written."""
-        path = stem.with_name(stem.name + SUFFIX)
-        size = (image.shape[1], image.shape[0])
-        fourcc = cv2.VideoWriter.fourcc(*CODEC)
-        self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), size, image.ndim == 3)
-        if not self._writer.isOpened():
-            remedy = "Install an OpenCV with FFmpeg (pip install opencv-python-headless)."
-            raise InputError(f"a video with codec {CODEC} cannot be written", where=str(path), remedy=remedy)
-
-    def write(self, image: np.ndarray) -> None:
-        """Append one image of the first one's shape."""
-        self._writer.write(image)
-
-    def __enter__(self) -> FootageFile:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self._writer.release()
 
 
 def volume_around(points_world: np.ndarray) -> Volume:

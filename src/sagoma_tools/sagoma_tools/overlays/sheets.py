@@ -13,18 +13,23 @@ from capture_rig.errors import InputError
 
 GOOD_BGR, UNSURE_BGR, GREY_BGR = (110, 220, 110), (60, 190, 250), (170, 170, 170)
 MAX_WIDTH_PX, MAX_HEIGHT_PX, BAR_PX = 1920, 1080, 40
-CODECS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG"}
-"""Extension -> a codec that every OpenCV wheel can write: MPEG-4 plays in video programs, WebM in browsers."""
+CODECS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG", ".mkv": "FFV1"}
+"""Extension -> a codec that every OpenCV wheel can write: MPEG-4 plays in video programs, WebM in browsers, FFV1 is
+lossless (OpenCV, up to 4.8, puts it into .mkv but not into .mp4)."""
 SMALL_TEXT = 0.6  # of OpenCV's font: below, strokes two pixels wide run together
 
 
-def caption_bar(text: str, colour: tuple[int, int, int], width: int) -> np.ndarray:
-    """Return a bar (BAR_PX, width, 3) with a line of text, made smaller where it would not fit."""
-    font = cv2.FONT_HERSHEY_SIMPLEX
+def captioned(sheet: np.ndarray, text: str, sure: bool | None) -> np.ndarray:
+    """Return a sheet under a bar with a line of text, made smaller where it would not fit; sides are even, as codecs
+    need it. sure : whether what is drawn is tracked, which colours the text; None where nobody is."""
+    width, font = sheet.shape[1], cv2.FONT_HERSHEY_SIMPLEX
+    colour = GREY_BGR if sure is None else GOOD_BGR if sure else UNSURE_BGR
     needed = cv2.getTextSize(text, font, 0.8, 2)[0][0]
     scale = min(0.8, 0.8 * (width - 20) / max(needed, 1))
     bar = np.zeros((BAR_PX, width, 3), np.uint8)
-    return cv2.putText(bar, text, (10, 28), font, scale, colour, 1 if scale < SMALL_TEXT else 2, cv2.LINE_AA)
+    cv2.putText(bar, text, (10, 28), font, scale, colour, 1 if scale < SMALL_TEXT else 2, cv2.LINE_AA)
+    picture = np.vstack([bar, sheet])
+    return np.ascontiguousarray(picture[: picture.shape[0] // 2 * 2, : width // 2 * 2])
 
 
 def tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
@@ -39,14 +44,8 @@ def tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
     return columns, scale(columns)
 
 
-def even_sides(picture: np.ndarray) -> np.ndarray:
-    """Return the picture with even sides, which codecs need."""
-    height, width = picture.shape[0] // 2 * 2, picture.shape[1] // 2 * 2
-    return np.ascontiguousarray(picture[:height, :width])
-
-
 class VideoFile:
-    """A video that appears under its name when it is whole; all pictures (H, W, 3) BGR have the size of the first.
+    """A video that appears under its name when it is whole; pictures, (H, W, 3) BGR or (H, W), are of one shape.
 
     The extension chooses the codec (CODECS). Raises InputError for another one, and where it cannot be written.
     """
@@ -64,7 +63,8 @@ class VideoFile:
         if self._writer is None:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             code = cv2.VideoWriter.fourcc(*CODECS[self.path.suffix])
-            self._writer = cv2.VideoWriter(str(self._beside), code, self._fps, (picture.shape[1], picture.shape[0]))
+            size, is_colour = (picture.shape[1], picture.shape[0]), picture.ndim == 3
+            self._writer = cv2.VideoWriter(str(self._beside), code, self._fps, size, is_colour)
             if not self._writer.isOpened():
                 remedy = "Install an OpenCV with FFmpeg, or name another folder."
                 raise InputError("a video cannot be written", where=str(self.path), remedy=remedy)

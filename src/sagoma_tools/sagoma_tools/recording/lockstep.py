@@ -15,7 +15,7 @@ from capture_rig.rig import load_rig
 from sagoma_bringup.graph import LOSSLESS_SETTINGS, build_graph
 from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
 
-from ..graph.process_group import ProcessSettings
+from ..graph.processes import ProcessSettings
 from ..graph.ros_link import RosLink
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX, camera_topics

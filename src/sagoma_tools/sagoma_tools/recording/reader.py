@@ -1,20 +1,17 @@
 """Reads rosbag2 bags (mcap or sqlite3, from sagoma or ``ros2 bag record``), message bytes unchanged.
 
-Topics that an older version recorded under another name are read under their present name, with a warning. To compare
-messages byte for byte their padding is set to zero: CDR aligns every number to its size, and the sender leaves
-undefined bytes in the gaps.
+To compare messages byte for byte their padding is set to zero: CDR aligns every number to its size, and the sender
+leaves undefined bytes in the gaps.
 """
 
 from __future__ import annotations
 
 import hashlib
-import logging
 import os
 import struct
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise, zip_longest
 from pathlib import Path
 from statistics import median
@@ -35,14 +32,13 @@ from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from ..graph.topics import (
     CAMERA_INFO_SUFFIX,
     OUTPUT_TOPICS,
-    RENAMED_TOPICS,
     SILHOUETTE_SUFFIX,
     camera_topics,
     cameras_in,
     first_body_id,
     person_topics,
     persons_in,
-    readable_types,
+    type_of,
 )
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -53,7 +49,6 @@ NEVER_NS = 2**62
 UNPAIRED_SETS = 64
 DEFAULT_TOLERANCE_NS = 8_000_000
 T = TypeVar("T")
-_log = logging.getLogger("sagoma.bags")
 
 
 @dataclass(frozen=True)
@@ -170,11 +165,11 @@ def _unreadable(bag: str | Path, error: Exception) -> InputError:
 
 
 def _check_types(reader: Reader, bag: Path) -> None:
-    """Raises InputError for a topic of the graph that has another type than the graph's, now or once."""
+    """Raises InputError for a topic of the graph that has another type than the graph's."""
     for connection in reader.connections:
-        readable = readable_types(RENAMED_TOPICS.get(connection.topic, connection.topic))
-        if readable and connection.msgtype not in readable:
-            what = f"{connection.topic} holds messages of type {connection.msgtype}, not {readable[0]}"
+        expected = type_of(connection.topic) or connection.msgtype
+        if connection.msgtype != expected:
+            what = f"{connection.topic} holds messages of type {connection.msgtype}, not {expected}"
             remedy = "Record it again, or give the topic another name when recording."
             raise InputError(what, where=str(bag), remedy=remedy)
 
@@ -182,18 +177,17 @@ def _check_types(reader: Reader, bag: Path) -> None:
 def bag_topics(bag: str | Path) -> dict[str, str]:
     """Topic name -> message type."""
     with open_bag(bag) as reader:
-        return {_present_name(connection.topic, bag): connection.msgtype for connection in reader.connections}
+        return {connection.topic: connection.msgtype for connection in reader.connections}
 
 
 def read_messages(bag: str | Path, wanted: Callable[[str], bool] = lambda topic: True) -> Iterator[BagMessage]:
     """Yield the messages of the wanted topics in log order."""
     with open_bag(bag) as reader:
-        names = {c.id: _present_name(c.topic, bag) for c in reader.connections}
-        connections = [c for c in reader.connections if wanted(names[c.id])]
+        connections = [c for c in reader.connections if wanted(c.topic)]
         if not connections:
             return
         for connection, log_ns, data in reader.messages(connections):
-            yield BagMessage(names[connection.id], connection.msgtype, log_ns, bytes(data), str(bag))
+            yield BagMessage(connection.topic, connection.msgtype, log_ns, bytes(data), str(bag))
 
 
 def read_provenance(bag: str | Path) -> Mapping[str, Any]:
@@ -312,18 +306,6 @@ def canonical_bytes(data: bytes, msgtype: str) -> bytes:
         return bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data, msgtype), msgtype))
     except Exception:  # of damaged bytes, whatever the parser raises
         return data
-
-
-def _present_name(topic: str, bag: str | Path) -> str:
-    name = RENAMED_TOPICS.get(topic, topic)
-    if name != topic:
-        _warn_of_old_name(str(bag), topic, name)
-    return name
-
-
-@cache  # once a bag
-def _warn_of_old_name(bag: str, old: str, new: str) -> None:
-    _log.warning("%s: topic %s of an older version is read as %s", bag, old, new)
 
 
 def _position(index: int, a: bytes, b: bytes) -> tuple[int, int | None] | None:

@@ -1,9 +1,11 @@
-"""The motions of the persons in a bag: topics /mocap/... and, of several persons, /mocap/bodies/ID/...."""
+"""What a bag says of each person, set by set: /mocap/... of the first, /mocap/bodies/ID/... of others."""
 
 from __future__ import annotations
 
 import re
 from collections import defaultdict
+from collections.abc import Collection
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState, PointCloud2
 
 from capture_rig.errors import InputError
+from mocap_packets.fit import PART_NAMES, ReferencePoints
 from motion_export.motion import Motion, Samples
 from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
@@ -21,11 +24,64 @@ from stick_figure.skeleton import ANGLE_NAMES
 from ..graph.topics import FIRST_BODY_ID
 from .reader import BagMessage, read_messages
 
-ROW_TOPIC = re.compile(r"^/mocap/(?:bodies/(?P<body_id>[^/]+)/)?(?P<kind>reference_points|joint_states|torso|state)$")
+POINTS, ANGLES, TORSO, STATE = "reference_points", "joint_states", "torso", "state"
+ROW_TOPIC = re.compile(rf"^/mocap/(?:bodies/(?P<body_id>[^/]+)/)?(?P<kind>{POINTS}|{ANGLES}|{TORSO}|{STATE})$")
+FIRST = ""
+"""The id under which the rows of the topics under /mocap itself are kept."""
 TRUSTED = "tracking"
 """The state of every row in a bag that recorded none."""
 LOST = "lost"
 """Rows in this state are extrapolated: a gap."""
+State = tuple[str, tuple[str, ...]]
+"""The tracker's state, and that of each part of the body (``PART_NAMES``), empty where it is not told."""
+NO_STATE: State = TRUSTED, ("",) * len(PART_NAMES)
+
+
+@dataclass
+class PersonRows:
+    """One person's messages by the stamp of their frame set, ns; angles (18,) rad; torso: place (3,) m, R (3, 3)."""
+
+    points: dict[int, ReferencePoints] = field(default_factory=dict)
+    angles: dict[int, np.ndarray] = field(default_factory=dict)
+    torso: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    states: dict[int, State] = field(default_factory=dict)
+
+    def update(self, kind: str, row: BagMessage) -> None:
+        """Add a message. Raises InputError for one that is damaged, or of another skeleton."""
+        try:
+            if kind == STATE:  # without a header: its values hold the stamp
+                status = row.decode(DiagnosticStatus)
+                said = {pair.key: pair.value for pair in status.values}
+                if "stamp_ns" in said:
+                    self.states[int(said["stamp_ns"])] = status.message, tuple(said.get(p, "") for p in PART_NAMES)
+            elif kind == POINTS:
+                where = f"{row.bag}: {row.topic}"
+                self.points[row.stamp_ns] = read_reference_points(row.decode(PointCloud2), where)
+            elif kind == ANGLES:
+                self.angles[row.stamp_ns] = _angles(row)
+            else:
+                self.torso[row.stamp_ns] = _torso(row)
+        except InputError:
+            raise
+        except ValueError as error:  # a number that is none, a rotation of zeros
+            raise row.damaged(f"holds what cannot be: {error}") from None
+
+
+def read_person_rows(
+    bag: str | Path, kinds: Collection[str] = (POINTS, ANGLES, TORSO, STATE)
+) -> defaultdict[str, PersonRows]:
+    """Return the rows of every person of a bag, by the body's id, FIRST for those under /mocap. Raises InputError."""
+    rows: defaultdict[str, PersonRows] = defaultdict(PersonRows)
+    for message in read_messages(bag, lambda topic: _kind_of(topic) in kinds):
+        match = ROW_TOPIC.match(message.topic)
+        assert match is not None
+        rows[match["body_id"] or FIRST].update(match["kind"], message)
+    return rows
+
+
+def _kind_of(topic: str) -> str | None:
+    match = ROW_TOPIC.match(topic)
+    return match["kind"] if match else None
 
 
 def recorded_motions(bag: str | Path, rate_hz: float | None = None) -> dict[str, Motion]:
@@ -33,23 +89,10 @@ def recorded_motions(bag: str | Path, rate_hz: float | None = None) -> dict[str,
 
     Raises InputError for a bag that cannot be read or holds no tracked person.
     """
-    rows: dict[str, dict[str, dict[int, Any]]] = defaultdict(lambda: defaultdict(dict))
-    for message in read_messages(bag, lambda topic: ROW_TOPIC.match(topic) is not None):
-        match = ROW_TOPIC.match(message.topic)
-        assert match is not None
-        kind, body_id = match["kind"], match["body_id"] or FIRST_BODY_ID
-        try:
-            if kind == "state":
-                status = message.decode(DiagnosticStatus)
-                stamps = [int(value.value) for value in status.values if value.key == "stamp_ns"]
-                rows[body_id][kind].update(dict.fromkeys(stamps, status.message))
-            else:
-                rows[body_id][kind][message.stamp_ns] = _READERS[kind](message)
-        except InputError:
-            raise
-        except ValueError as error:  # a number that is none, a rotation of zeros
-            raise message.damaged(f"holds what cannot be: {error}") from None
-    found = {body_id: _samples(kinds) for body_id, kinds in sorted(rows.items())}
+    rows = read_person_rows(bag)
+    if FIRST in rows:
+        rows[FIRST_BODY_ID] = rows.pop(FIRST)
+    found = {body_id: _samples(of_person) for body_id, of_person in sorted(rows.items())}
     found = {body_id: samples for body_id, samples in found.items() if len(samples.stamps_ns) > 1}
     name = Path(bag).resolve().name
     if not found:
@@ -61,28 +104,23 @@ def recorded_motions(bag: str | Path, rate_hz: float | None = None) -> dict[str,
     }
 
 
-def _samples(kinds: dict[str, dict[int, Any]]) -> Samples:
+def _samples(rows: PersonRows) -> Samples:
     """The rows of one person that have points, angles and torso, and are not lost."""
-    points, angles, torso, states = (kinds[kind] for kind in ("reference_points", "joint_states", "torso", "state"))
-    stamps = [stamp for stamp in sorted(points) if stamp in angles and stamp in torso and states.get(stamp) != LOST]
+    states = {stamp: state for stamp, (state, _) in rows.states.items()}
+    stamps = [s for s in sorted(rows.points) if s in rows.angles and s in rows.torso and states.get(s) != LOST]
 
     def column(values: list[Any], *shape: int) -> np.ndarray:
         return np.array(values, dtype=float).reshape(-1, *shape)
 
     return Samples(
         np.array(stamps, np.int64),
-        column([points[stamp][0] for stamp in stamps], 15, 3),
-        column([points[stamp][1] for stamp in stamps], 15, 3, 3),
-        column([angles[stamp] for stamp in stamps], 18),
-        column([torso[stamp][0] for stamp in stamps], 3),
-        column([torso[stamp][1] for stamp in stamps], 3, 3),
+        column([rows.points[stamp].points_world for stamp in stamps], 15, 3),
+        column([rows.points[stamp].covariance for stamp in stamps], 15, 3, 3),
+        column([rows.angles[stamp] for stamp in stamps], 18),
+        column([rows.torso[stamp][0] for stamp in stamps], 3),
+        column([rows.torso[stamp][1] for stamp in stamps], 3, 3),
         np.array([states.get(stamp, TRUSTED) for stamp in stamps], dtype=str),
     )
-
-
-def _points(row: BagMessage) -> tuple[np.ndarray, np.ndarray]:
-    measured = read_reference_points(row.decode(PointCloud2), f"{row.bag}: {row.topic}")
-    return measured.points_world, measured.covariance
 
 
 def _angles(row: BagMessage) -> np.ndarray:
@@ -97,6 +135,3 @@ def _torso(row: BagMessage) -> tuple[np.ndarray, np.ndarray]:
     pose = row.decode(PoseWithCovarianceStamped).pose.pose
     p, q = pose.position, pose.orientation
     return np.array([p.x, p.y, p.z]), Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-
-
-_READERS = {"reference_points": _points, "joint_states": _angles, "torso": _torso}

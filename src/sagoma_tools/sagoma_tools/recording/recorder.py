@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 
 from capture_rig.errors import InputError
+from mocap_packets.frame_set import TIME_JUMP_NS
 from sagoma_bringup.graph import NodeSpec, Role
 
 from ..graph.namespace import in_graph, topics_of
@@ -36,7 +38,6 @@ from ..graph.topics import (
     topics_of_others,
 )
 from .asked_topics import AskedTopics
-from .beginnings import Beginnings
 from .reader import canonical_bytes, header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
@@ -44,6 +45,27 @@ DISCOVERY_S = 0.2
 STAMPED_BYTES = 12  # lead-in and stamp of a message that begins with a header
 SETTLE_S = 0.3  # the publisher discovers this subscription a little later than this node discovers the publisher
 CONNECT_TIMEOUT_S = 60.0
+
+
+class TimeJumpDetector:
+    """Counts how often the stamps of all topics go back together: footage that is played again, a clock set back."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._last_ns: dict[str, int] = {}
+        self._jumps_of: Counter[str] = Counter()
+
+    def observe(self, topic: str, stamp_ns: int) -> float | None:
+        """Return by how many seconds a topic's stamps went back, where it is the first topic to make this jump."""
+        back_ns = self._last_ns.get(topic, stamp_ns) - stamp_ns
+        self._last_ns[topic] = stamp_ns
+        if back_ns < TIME_JUMP_NS:
+            return None
+        self._jumps_of[topic] += 1
+        if self._jumps_of[topic] <= self.count:
+            return None
+        self.count += 1
+        return back_ns / 1e9
 
 
 class Recorder:
@@ -75,7 +97,7 @@ class Recorder:
         self._on_failure = on_failure
         self._subscriptions: dict[str, Any] = {}
         self._discovery: Any = None
-        self._beginnings = Beginnings()
+        self._jumps = TimeJumpDetector()
         for topic in topics:
             self.add(topic)
 
@@ -106,21 +128,21 @@ class Recorder:
 
         first_id : of the person whose topics are those under /mocap.
         """
-        if self._discovery is None:
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._discovery = self._node.create_timer(DISCOVERY_S, lambda: self._add_newcomers(first_id), clock=steady)
+        self._discover(lambda: self._newcomers(first_id))
 
     def follow(self, asked: AskedTopics) -> None:
         """Record the topics that were asked for as they appear, looking every DISCOVERY_S."""
+        self._discover(asked.new)
 
-        def look() -> None:
-            for topic in asked.new():
+    def _discover(self, appeared: Callable[[], Iterable[Topic]]) -> None:
+        def add_all() -> None:
+            for topic in appeared():
                 self.add(topic)
 
-        look()
+        add_all()
         if self._discovery is None:
             steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._discovery = self._node.create_timer(DISCOVERY_S, look, clock=steady)
+            self._discovery = self._node.create_timer(DISCOVERY_S, add_all, clock=steady)
 
     def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
         """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""
@@ -176,7 +198,7 @@ class Recorder:
     def _on_message(self, topic: Topic) -> Callable[[bytes], None]:
         stamped = has_header(topic.msgtype)
 
-        def take(data: bytes) -> None:
+        def record(data: bytes) -> None:
             now_ns = self._node.get_clock().now().nanoseconds
             with self._arrived:
                 if not self._open or self.failure is not None:
@@ -189,15 +211,15 @@ class Recorder:
                     self.failure = error
                 if stamped and len(data) >= STAMPED_BYTES:
                     self._last_stamp_ns[topic.name] = header_stamp_ns(data)
-                    self._note_beginning(topic.name)
+                    self._log_time_jump(topic.name)
                 self._arrived.notify_all()
             if self.failure is not None:
                 self._on_failure(self.failure)
 
-        return take
+        return record
 
-    def _note_beginning(self, topic: str) -> None:
-        back_s = self._beginnings.take(topic, self._last_stamp_ns[topic])
+    def _log_time_jump(self, topic: str) -> None:
+        back_s = self._jumps.observe(topic, self._last_stamp_ns[topic])
         if back_s is not None:
             self._node.get_logger().warning(
                 f"stamps went back by {back_s:.3f} s: the recording holds a new beginning, its number {self.beginnings}"
@@ -206,25 +228,24 @@ class Recorder:
     @property
     def beginnings(self) -> int:
         """How often the stamps began anew, the start included."""
-        return self._beginnings.count
+        return 1 + self._jumps.count
 
     def _on_match(self, topic: Topic) -> Callable[[Any], None]:
-        def note(info: Any) -> None:
+        def update(info: Any) -> None:
             with self._arrived:
                 self._publishers[topic.name] = info.current_count
                 self._arrived.notify_all()
 
-        return note
+        return update
 
     def _announce(self, topic: Topic) -> None:
         self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
 
-    def _add_newcomers(self, first_id: str) -> None:
+    def _newcomers(self, first_id: str) -> Iterator[Topic]:
         names = topics_of(self._node)
         others = [body_id for body_id in persons_in(names) if body_id != first_id]
         for topics in (*map(camera_topics, cameras_in(names)), *map(person_topics, others)):
-            for topic in topics:
-                self.add(topic)
+            yield from topics
 
 
 def has_header(msgtype: str) -> bool:

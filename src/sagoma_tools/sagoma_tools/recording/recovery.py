@@ -1,24 +1,27 @@
 """Recovers bags whose writer was killed, whose disk was full, or whose bytes were damaged.
 
 Such a bag has no index, or a wrong one: its mcap file is read record by record and copied into a new bag, up to where
-it breaks off (mcap.dev/spec: one byte opcode, 64-bit length, body; chunks hold records). A chunk whose checksum does
-not fit its bytes is left out; which of its messages are damaged cannot be told. Chunks may be compressed (zstd,
-lz4), as by `ros2 bag record --storage-preset-profile zstd_fast`: of one that breaks off, the blocks before the break
-are read.
+it breaks off (mcap.dev/spec: one byte opcode, 64-bit length, body; chunks hold records). A chunk that is cut, or whose
+checksum does not fit its bytes, is left out whole; which of its messages are damaged cannot be told. Chunks may be
+compressed (zstd, lz4), as by `ros2 bag record --storage-preset-profile zstd_fast`.
 """
 
 from __future__ import annotations
 
 import os
 import struct
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
-from zlib import crc32
+from typing import BinaryIO
 
-from lz4.frame import LZ4FrameDecompressor
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import UnsupportedCompressionError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import breakup_chunk
+from mcap.writer import MCAP0_MAGIC
 from rosbags.typesys import TypesysError
 
 from capture_rig.errors import InputError
@@ -27,19 +30,10 @@ from capture_rig.files import copy_file
 from .reader import SIDECAR_PROVENANCE, SIDECAR_RIG, read_messages
 from .writer import BagWriter
 
-if sys.version_info >= (3, 14):
-    from compression.zstd import ZstdDecompressor
-else:
-    from backports.zstd import ZstdDecompressor
-
-MAGIC = b"\x89MCAP0\r\n"
-SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x03, 0x04, 0x05, 0x06
-CHUNK_HEAD_BYTES = 8 + 8 + 8 + 4  # start, end, uncompressed size, checksum
+HEAD = struct.Struct("<BQ")  # of a record: opcode, length
+READERS: dict[int, Callable[[ReadDataStream], McapRecord]] = {Opcode.SCHEMA: Schema.read, Opcode.CHANNEL: Channel.read}
+COMPRESSIONS = ("", "zstd", "lz4")
 MOST_CHUNK_BYTES = 1 << 28  # uncompressed: rosbag2 closes a chunk at a MiB, behind one message that may be larger
-MESSAGE_HEAD_BYTES = 2 + 4 + 8 + 8  # channel, sequence, time logged, time sent
-DECOMPRESSORS: dict[str, Any] = {"zstd": ZstdDecompressor, "lz4": LZ4FrameDecompressor}
-
-Record = tuple[int, memoryview]
 
 
 @dataclass
@@ -70,11 +64,13 @@ def recover_bag(bag: str | Path, target: str | Path) -> Recovery:
         raise InputError("is complete", where=str(bag), remedy="It needs no recovery: it can be read as it is.")
     recovery = Recovery()
     with files[0].open("rb") as file:
-        if file.read(len(MAGIC)) != MAGIC:
+        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             raise InputError("is no mcap file", where=str(files[0]), remedy="Nothing can be recovered from it.")
         with BagWriter(target) as writer:
-            topics = _add_topics(_flat_records(file, str(files[0]), Recovery()), writer)
-            _copy_messages(_flat_records(file, str(files[0]), recovery), topics, writer)
+            topics = _add_topics(_records(file, files[0], Recovery()), writer)
+            for record in _records(file, files[0], recovery):
+                if isinstance(record, Message) and record.channel_id in topics:
+                    writer.write(topics[record.channel_id], record.log_time, record.data)
     recovery.counts = dict(writer.counts)
     for sidecar in (SIDECAR_RIG, SIDECAR_PROVENANCE):
         if (Path(bag) / sidecar).exists():
@@ -92,89 +88,53 @@ def _is_readable(bag: str | Path) -> bool:
     return True
 
 
-def _add_topics(records: Iterator[Record], writer: BagWriter) -> dict[int, str]:
+def _add_topics(records: Iterator[McapRecord], writer: BagWriter) -> dict[int, str]:
     """Announce the topics that the file describes anywhere; return them by channel."""
     types: dict[int, str] = {}
     topics: dict[int, str] = {}
-    for opcode, body in records:
-        try:
-            if opcode == SCHEMA:
-                types[struct.unpack_from("<H", body)[0]] = _text(body, 2)[0]
-            elif opcode == CHANNEL:
-                channel, schema = struct.unpack_from("<HH", body)
-                writer.add_topic(_text(body, 4)[0], types[schema])
-                topics[channel] = _text(body, 4)[0]
-        except (struct.error, KeyError, UnicodeDecodeError, TypesysError):
-            continue  # a damaged record; those behind it are read all the same
+    for record in records:
+        if isinstance(record, Schema):
+            types[record.id] = record.name
+        elif isinstance(record, Channel) and record.schema_id in types:
+            try:
+                writer.add_topic(record.topic, types[record.schema_id])
+            except (TypesysError, KeyError):
+                continue  # of a damaged record; those behind it are read all the same
+            topics[record.id] = record.topic
     return topics
 
 
-def _copy_messages(records: Iterator[Record], topics: dict[int, str], writer: BagWriter) -> None:
-    for opcode, body in records:
-        if opcode == MESSAGE and len(body) >= MESSAGE_HEAD_BYTES:
-            channel, _sequence, log_ns = struct.unpack_from("<HIQ", body)
-            if channel in topics:
-                writer.write(topics[channel], log_ns, bytes(body[MESSAGE_HEAD_BYTES:]))
+def _records(file: BinaryIO, where: Path, recovery: Recovery) -> Iterator[McapRecord]:
+    """Yield the schemas, channels and messages of the file, those inside chunks included, up to where it breaks off.
 
-
-def _flat_records(file: BinaryIO, where: str, recovery: Recovery) -> Iterator[Record]:
-    """Yield the records of the file, those inside chunks included, up to where it breaks off."""
-    size = os.fstat(file.fileno()).st_size
-    file.seek(len(MAGIC))
-    while len(head := file.read(9)) == 9:
-        opcode, length = struct.unpack("<BQ", head)
-        body = memoryview(file.read(min(length, size - file.tell())))
-        whole = len(body) == length
-        if opcode == CHUNK:
-            yield from _chunk_records(body, whole, where, recovery)
-        elif whole:
-            yield opcode, body
-        if not whole:
-            recovery.unread_bytes = len(body) if opcode != CHUNK else 0
-            return
-
-
-def _chunk_records(body: memoryview, whole: bool, where: str, recovery: Recovery) -> Iterator[Record]:
-    """Yield the records of a chunk; of one that breaks off, those before the break."""
-    try:
-        compression, position = _text(body, CHUNK_HEAD_BYTES)
-        (size, checksum) = struct.unpack_from("<QI", body, 16)
-    except (struct.error, UnicodeDecodeError):
-        recovery.damaged_chunks += 1
-        return
-    position += 8  # the length of what follows
-    records = _decompressed(body[position:], compression, size, where)
-    if whole and (len(records) != size or (checksum and crc32(records) != checksum)):
-        recovery.damaged_chunks += 1
-        return
-    position = 0
-    while position + 9 <= len(records):
-        opcode, length = struct.unpack_from("<BQ", records, position)
-        if position + 9 + length > len(records):
-            return
-        yield opcode, records[position + 9 : position + 9 + length]
-        position += 9 + length
-
-
-def _decompressed(data: memoryview, compression: str, size: int, where: str) -> memoryview:
-    """Return what a chunk's bytes hold: where they break off, the whole blocks before; nothing where they are damaged.
-
-    ``size`` : what the chunk claims to hold, and the most that is taken out of it. Raises InputError for a compression
-    that mcap does not know.
+    Raises InputError for chunks with a compression that mcap does not know.
     """
-    if not compression:
-        return data
-    if compression not in DECOMPRESSORS:
-        remedy = "Use the mcap command line's `mcap recover` for this bag."
-        raise InputError(f"its chunks are compressed ({compression!r})", where=where, remedy=remedy)
-    try:
-        return memoryview(DECOMPRESSORS[compression]().decompress(bytes(data), min(size, MOST_CHUNK_BYTES)))
-    except Exception:  # zstd has an error of its own, lz4 raises RuntimeError
-        return memoryview(b"")
+    size = os.fstat(file.fileno()).st_size
+    file.seek(len(MCAP0_MAGIC))
+    while len(head := file.read(HEAD.size)) == HEAD.size:
+        opcode, length = HEAD.unpack(head)
+        if length > size - file.tell():
+            recovery.unread_bytes = size - file.tell()
+            return
+        try:
+            yield from _parsed(opcode, file.read(length))
+        except UnsupportedCompressionError as error:
+            remedy = "Use the mcap command line's `mcap recover` for this bag."
+            raise InputError(str(error), where=str(where), remedy=remedy) from None
+        except Exception:  # zstd and lz4 have errors of their own, damaged numbers and texts raise others
+            recovery.damaged_chunks += opcode == Opcode.CHUNK
 
 
-def _text(body: memoryview, position: int) -> tuple[str, int]:
-    """Return a string with its 32-bit length before it, and the position behind it."""
-    (length,) = struct.unpack_from("<I", body, position)
-    start = position + 4
-    return bytes(body[start : start + length]).decode(), start + length
+def _parsed(opcode: int, body: bytes) -> list[McapRecord]:
+    """Return what is of use of a record: of a chunk, the records in it."""
+    stream = ReadDataStream(BytesIO(body))
+    if opcode == Opcode.CHUNK:
+        chunk = Chunk.read(stream)
+        if chunk.compression not in COMPRESSIONS:
+            raise UnsupportedCompressionError(repr(chunk.compression))
+        if chunk.uncompressed_size > MOST_CHUNK_BYTES:
+            raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
+        return breakup_chunk(chunk, validate_crc=True)
+    if opcode in READERS:
+        return [READERS[opcode](stream)]
+    return [Message.read(stream, len(body))] if opcode == Opcode.MESSAGE else []

@@ -8,26 +8,36 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import MultiDOFJointState
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
 from sagoma_ros.images import absence_message
+from sagoma_ros.messages import to_stamp
 
 from ..graph.ros_link import settled
-from ..graph.topics import LOSSLESS, PREDICTION_TOPIC, SILHOUETTE_SUFFIX, cameras_in, message_class, offered_qos
+from ..graph.topics import (
+    CLOCK_TOPIC,
+    LOSSLESS,
+    PREDICTION_TOPIC,
+    SILHOUETTE_SUFFIX,
+    cameras_in,
+    message_class,
+    offered_qos,
+)
 from .reader import BagMessage, header_stamp_ns
-from .simulated_clock import Playback, SimulatedClock
 
 SERVER_ALONE = "`sagoma up --rig RIG --only server`"
 DISCOVERY_S = 10.0
+CLOCK_HZ = 100.0  # latencies by a clock of steps are that coarse: 10 ms, a set at 100 Hz
 
 
 class Clock(Protocol):
@@ -51,6 +61,39 @@ class MonotonicClock:
 
     def sleep_until(self, deadline_s: float) -> bool:
         return not self._stopped.wait(max(0.0, deadline_s - time.monotonic()))
+
+
+@dataclass
+class Playback:
+    """How the bag's time runs beside that of the player: it shows ``log_ns`` at ``at_s``, ``rate`` times as fast."""
+
+    log_ns: int
+    at_s: float
+    rate: float
+
+    def due_s(self, log_ns: int) -> float:
+        """Return when the player's clock shows a time of the bag."""
+        return self.at_s + (log_ns - self.log_ns) / 1e9 / self.rate
+
+    def ticks(self, after_s: float, until_s: float, hz: float) -> Iterator[tuple[float, int]]:
+        """Yield when the bag's clock ticks after one time of the player's, up to another, and what it then shows."""
+        number = int((after_s - self.at_s) * hz + 1e-6) + 1
+        while (tick_s := self.at_s + number / hz) < until_s:
+            yield tick_s, self.log_ns + round((tick_s - self.at_s) * self.rate * 1e9)
+            number += 1
+
+
+class SimulatedClock:
+    """Publishes the bag's time on /clock, ``hz`` times a second of the player's clock, for nodes with `use_sim_time`:
+    the time of recording, as ``ros2 bag play --clock`` gives it, as fast as the bag is played."""
+
+    def __init__(self, node: Node, hz: float = CLOCK_HZ) -> None:
+        self.hz = hz
+        self._publisher = node.create_publisher(ClockMessage, CLOCK_TOPIC, LOSSLESS)
+
+    def show(self, time_ns: int) -> None:
+        """Publish a time."""
+        self._publisher.publish(ClockMessage(clock=to_stamp(time_ns)))
 
 
 class InputPublishers:
@@ -107,12 +150,12 @@ class InputPublishers:
                 self._publishers[f"/{camera}{SILHOUETTE_SUFFIX}"].publish(absence_message(frame_set.stamp_ns))
 
     def _on_match(self, name: str) -> Any:
-        def note(info: Any) -> None:
+        def update(info: Any) -> None:
             with self._matched:
                 self._subscribers[name] = info.current_count
                 self._matched.notify_all()
 
-        return note
+        return update
 
 
 def play_timed(
@@ -169,27 +212,20 @@ class Answers:
     def __init__(self, node: Node, topic: str = PREDICTION_TOPIC) -> None:
         self._arrived = threading.Condition()
         self._stamps: set[int] = set()
-        self.total = 0
-        self._subscription = node.create_subscription(MultiDOFJointState, topic, self._take, LOSSLESS, raw=True)
+        self._subscription = node.create_subscription(MultiDOFJointState, topic, self._on_answer, LOSSLESS, raw=True)
 
     def wait_for(self, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as the answer to the set with this stamp has come."""
         with self._arrived:
             return self._arrived.wait_for(lambda: stamp_ns in self._stamps, timeout_s)
 
-    def wait_for_total(self, count: int, timeout_s: float) -> bool:
-        """True as soon as so many answers have come, to any sets."""
-        with self._arrived:
-            return self._arrived.wait_for(lambda: self.total >= count, timeout_s)
-
     def stray_count(self, sent: Iterable[int]) -> int:
         """Return the number of answers to sets that were never sent."""
         with self._arrived:
             return len(self._stamps - set(sent))
 
-    def _take(self, data: bytes) -> None:
+    def _on_answer(self, data: bytes) -> None:
         with self._arrived:
-            self.total += 1
             self._stamps.add(header_stamp_ns(data))
             self._arrived.notify_all()
 

@@ -3,32 +3,40 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import platform
 import shutil
 import subprocess
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import yaml
+from mcap.well_known import MessageEncoding, Profile
+from mcap.writer import CompressionType, Writer
 from rosbags.interfaces import Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2.metadata import dump_qos_v9
 
 from capture_rig.errors import InputError
-from capture_rig.files import copy_file, describe_os_error
+from capture_rig.files import FULL, copy_file, describe_os_error, sync_folder, write_text
 from capture_rig.yaml_file import save_mapping
 
-from .durable import RESERVE, DurableMcap, DurableWriter
-from .reader import SIDECAR_PROVENANCE, SIDECAR_RIG, TYPES
+from .reader import METADATA, SIDECAR_PROVENANCE, SIDECAR_RIG, TYPES
 
 INFINITE = QosTime(9223372036, 854775807)
 # what every publisher of the graph offers (sagoma_ros.qos)
 _QUEUE = (QosHistory.KEEP_LAST, 20, QosReliability.RELIABLE, QosDurability.VOLATILE)
 OFFERED = Qos(*_QUEUE, INFINITE, INFINITE, QosLiveliness.AUTOMATIC, INFINITE, False)
 OFFERED_LATCHED = OFFERED._replace(depth=1, durability=QosDurability.TRANSIENT_LOCAL)
+CHUNK_BYTES = 1 << 20
+SYNC_S = 0.5  # the disk has a message after at most twice as long, if it can write at all
+RESERVE = ".reserve"
+RESERVE_BYTES = 8 << 20  # the chunk that found the disk full, and index and metadata of hours at two chunks a second
 GIT_TIMEOUT_S = 5.0
-VERSIONED = ("rclpy", "numpy", "opencv-python-headless", "numba", "rosbags")
+VERSIONED = ("rclpy", "numpy", "opencv-python-headless", "numba", "rosbags", "mcap")
 
 
 def require_new(folder: str | Path) -> Path:
@@ -38,29 +46,89 @@ def require_new(folder: str | Path) -> Path:
     return Path(folder)
 
 
-SYNC_S = 0.5  # the disk has a message after at most twice as long, if it can write at all
+class ReservedFile:
+    """A new file that is appended to, and room on its disk: once the disk is full, what is still to be written goes
+    there. ``failure`` is the error that the disk gave then; any other is raised, then and ever after."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises OSError when the file or its reserve cannot be made."""
+        self.failure: OSError | None = None
+        self._broken: OSError | None = None
+        self._reserve = path.parent / RESERVE
+        self._position = 0
+        self._file = path.open("xb", buffering=0)
+        with self._reserve.open("wb") as file:
+            os.posix_fallocate(file.fileno(), 0, RESERVE_BYTES)
+
+    def tell(self) -> int:
+        """Return how many bytes were written."""
+        return self._position
+
+    def write(self, data: bytes) -> int:
+        """Append all of ``data``. Raises OSError when the reserve does not hold it either."""
+        if self._broken is not None:  # a record was cut off: nothing may follow it
+            raise self._broken
+        left = memoryview(data)
+        while left:
+            try:
+                written = self._file.write(left)
+            except OSError as error:
+                if self.failure is not None or error.errno not in FULL:
+                    self._broken = error
+                    raise
+                self.failure = error
+                self.release()
+                continue
+            self._position += written
+            left = left[written:]
+        return len(data)
+
+    def flush(self) -> None:
+        """Do nothing: there is no buffer."""
+
+    def release(self) -> None:
+        """Give the reserve back to the disk."""
+        self._reserve.unlink(missing_ok=True)
+
+    def sync(self) -> None:
+        """Wait until the disk has what was written so far. Raises OSError."""
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
 
 
 class BagWriter:
     """One bag being written; use as a context manager. Methods may be called from any thread.
 
-    Every SYNC_S what came is put on the disk (fsync), so that a power cut costs a second at most. ``metadata.yaml``
-    appears in one step when the bag is closed; a bag without it was cut short (``sagoma recover``). When the disk is
-    full or fails, writing raises InputError, then and ever after; closing finishes the bag with what was saved.
+    Every SYNC_S what came is put on the disk (fsync), so that a power cut costs a second at most; every chunk has a
+    checksum. ``metadata.yaml`` appears in one step when the bag is closed; a bag without it was cut short (``sagoma
+    recover``). On a full disk what was taken until then goes into the bag's reserve, and writing raises InputError from
+    then on; closing finishes the bag.
     """
 
     def __init__(self, folder: str | Path) -> None:
         """InputError when ``folder`` exists already, or cannot be made."""
         self.folder = require_new(folder)
-        self._connections: dict[str, Connection] = {}
+        self._channels: dict[str, int] = {}
+        self._described: dict[str, Mapping[str, Any]] = {}  # topic by topic, for metadata.yaml
+        self._schemas: dict[str, int] = {}
+        self._first_ns: int | None = None
         self._last_ns = 0
         self._lock = threading.RLock()
         self._stop = threading.Event()
         self.counts: dict[str, int] = {}
+        self._synced: dict[str, int] = {}
         self.failure: InputError | None = None
         try:
-            self._writer = DurableWriter(self.folder)
-            self._writer.open()
+            self.folder.mkdir(parents=True)
+            self._file = ReservedFile(self.folder / f"{self.folder.name}.mcap")
+            self._mcap = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)  # type: ignore[arg-type]
+            self._mcap.start(profile=Profile.ROS2)
+            self._file.sync()
+            sync_folder(self.folder)
+            sync_folder(self.folder.parent)
         except OSError as error:
             shutil.rmtree(self.folder, ignore_errors=True)
             raise describe_os_error(error, "no bag can be written", self.folder) from None
@@ -69,29 +137,32 @@ class BagWriter:
 
     def add_topic(self, name: str, msgtype: str, qos: Qos = OFFERED) -> None:
         """Announce a topic with its type's definition, once."""
-        with self._lock:
-            if name not in self._connections:
-                self._connections[name] = self._writer.add_connection(
-                    name, msgtype, typestore=TYPES, offered_qos_profiles=(qos,)
-                )
-                self.counts[name] = 0
+        if name not in self._channels:
+            definition, _ = TYPES.generate_msgdef(msgtype, ros_version=2)
+            self._add_channel(name, msgtype, definition, TYPES.hash_rihs01(msgtype), [qos])
 
     def add_topic_like(self, connection: Connection, name: str) -> None:
         """Announce a topic as another bag has it, once: with that bag's definition of its type, hash and QoS."""
-        if name in self._connections:
-            return
         offered = getattr(connection.ext, "offered_qos_profiles", ())
         if not (connection.msgdef.data and connection.digest):  # sqlite3 bags of before have none
             self.add_topic(name, connection.msgtype, *offered[:1])
-            return
+        elif name not in self._channels:
+            self._add_channel(name, connection.msgtype, connection.msgdef.data, connection.digest, offered)
+
+    def _add_channel(self, name: str, msgtype: str, definition: str, digest: str, offered: Sequence[Qos]) -> None:
+        """Announce a topic as rosbag2 does: QoS and the hash of the type (REP-2011) are metadata of the channel."""
+        qos: Any = dump_qos_v9(list(offered))
+        idl = definition.startswith("=" * 80 + "\nIDL: ")
         with self._lock:
-            self._connections[name] = self._writer.add_connection(
-                name,
-                connection.msgtype,
-                msgdef=connection.msgdef.data,
-                rihs01=connection.digest,
-                offered_qos_profiles=offered,
+            if msgtype not in self._schemas:
+                encoding = "ros2idl" if idl else "ros2msg"
+                self._schemas[msgtype] = self._mcap.register_schema(msgtype, encoding, definition.encode())
+            metadata = {"offered_qos_profiles": _yaml(qos), "topic_type_hash": digest}
+            self._channels[name] = self._mcap.register_channel(
+                name, MessageEncoding.CDR, self._schemas[msgtype], metadata
             )
+            described = {"name": name, "type": msgtype, "serialization_format": "cdr"}
+            self._described[name] = {**described, "offered_qos_profiles": qos, "type_description_hash": digest}
             self.counts[name] = 0
 
     def write(self, topic: str, log_ns: int, data: bytes) -> None:
@@ -100,18 +171,18 @@ class BagWriter:
             if self.failure is not None:
                 raise self.failure
             self._last_ns = max(self._last_ns, log_ns)
-            try:
-                self._writer.write(self._connections[topic], self._last_ns, data)
-            except OSError as error:
-                raise self._failed(error) from None
+            if self._first_ns is None:
+                self._first_ns = self._last_ns
             self.counts[topic] += 1
+            with self._failing():
+                self._mcap.add_message(self._channels[topic], self._last_ns, data, self._last_ns)
 
     def describe(self, provenance: Mapping[str, Any], rig: Path | None = None) -> None:
         """Write (or replace) ``sagoma.yaml`` and ``rig.yaml`` in the bag's folder, at the end. Raises InputError."""
         document = {"software": software_versions(), **provenance}
         if self.failure is not None:
             document["ended_early"] = str(self.failure)
-        (self.folder / RESERVE).unlink(missing_ok=True)  # a full disk has room for this now
+        self._file.release()  # a full disk has room for this now
         save_mapping(self.folder / SIDECAR_PROVENANCE, document)
         if rig is not None:
             copy_file(rig, self.folder / SIDECAR_RIG)
@@ -123,51 +194,93 @@ class BagWriter:
         self._stop.set()
         self._syncing.join()
         with self._lock:
-            if self.failure is None:
-                self._sync()
+            self._file.release()
             try:
-                self._writer.close()
+                self._mcap.flush()
+                information = self._information()
+                self._mcap.add_metadata("rosbag2", {"serialized_metadata": _yaml(information)})
+                self._mcap.finish()
+                self._file.sync()
             except OSError as error:
-                self._writer.abort()
-                what = f"the bag's end cannot be written ({error.strerror}); {self._saved()}"
-                remedy = f"Free space on that disk, then run `sagoma recover '{self.folder}'`."
-                raise InputError(what, where=str(self.folder), remedy=remedy) from None
+                raise self._unfinished(error.strerror) from None
+            finally:
+                self._file.close()
+            try:
+                write_text(self.folder / METADATA, _yaml({"rosbag2_bagfile_information": information}) + "\n")
+            except InputError as error:
+                raise self._unfinished(str(error)) from None
+
+    def _information(self) -> dict[str, Any]:
+        """Return what metadata.yaml says of the bag: version 9 of rosbag2."""
+        name, first_ns = f"{self.folder.name}.mcap", self._last_ns if self._first_ns is None else self._first_ns
+
+        def contents() -> dict[str, Any]:
+            return {
+                "starting_time": {"nanoseconds_since_epoch": first_ns},
+                "duration": {"nanoseconds": self._last_ns - first_ns},
+                "message_count": sum(self.counts.values()),
+            }
+
+        return {
+            "version": 9,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [name],
+            **contents(),
+            "topics_with_message_count": [
+                {"topic_metadata": described, "message_count": self.counts[topic]}
+                for topic, described in self._described.items()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [{"path": name, **contents()}],
+            "custom_data": None,
+            "ros_distro": "jazzy",
+        }
 
     def _sync_regularly(self) -> None:
-        while not self._stop.wait(SYNC_S):
-            if self.failure is None:
-                self._sync()
+        while self.failure is None and not self._stop.wait(SYNC_S):
+            with self._failing():
+                with self._lock:
+                    self._mcap.flush()
+                    written = dict(self.counts)
+                self._file.sync()
+                self._synced = written
 
-    def _sync(self) -> None:
-        """Put on the disk what came until now; messages are taken meanwhile."""
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        """Remember once why nothing more is written: the disk is full, or failed."""
+        error = None
         try:
-            with self._lock:
-                self._writer.mcap.close_pending_chunk()
-            self._writer.sync()
-        except OSError as error:
-            self._failed(error)
-
-    def _failed(self, error: OSError) -> InputError:
-        """Remember and return why nothing more is written; the counts are then those of what is in the file."""
+            yield
+        except OSError as raised:
+            error = raised
         with self._lock:
-            if self.failure is None:
-                saved = self._writer.mcap.channel_stats
-                self.counts = {name: saved[connection.id] for name, connection in self._connections.items()}
+            if error is not None:
+                self.counts = {**dict.fromkeys(self.counts, 0), **self._synced}  # what is certain
+            error = error or self._file.failure
+            if error is not None and self.failure is None:
                 what = f"the recording has ended ({error.strerror}); {self._saved()}"
                 remedy = "Free space on that disk, or choose another, and record anew."
                 self.failure = InputError(what, where=str(self.folder), remedy=remedy)
-            return self.failure
+
+    def _unfinished(self, reason: str | None) -> InputError:
+        what = f"the bag's end cannot be written ({reason}); {self._saved()}"
+        remedy = f"Free space on that disk, then run `sagoma recover '{self.folder}'`."
+        return InputError(what, where=str(self.folder), remedy=remedy)
 
     def _saved(self) -> str:
-        mcap = self._writer.storage
-        span_ns = mcap.message_end_time - mcap.message_start_time if isinstance(mcap, DurableMcap) else 0
-        return f"{sum(self.counts.values())} messages, {max(span_ns, 0) / 1e9:.1f} s, are saved"
+        span_ns = self._last_ns - (self._first_ns or self._last_ns)
+        return f"{sum(self.counts.values())} messages, {span_ns / 1e9:.1f} s, are saved"
 
     def __enter__(self) -> BagWriter:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def _yaml(document: Any) -> str:
+    return yaml.safe_dump(document, sort_keys=False).strip()
 
 
 def software_versions() -> dict[str, str]:

@@ -48,7 +48,7 @@ class TakesFolder:
         """Return all takes, the newest first; a bag that cannot be read is one that says why."""
         paths = [path for path in self.path.iterdir() if _is_bag(path)] if self.path.is_dir() else []
         self._seen = {path: self._seen[path] for path in paths if path in self._seen}
-        return sorted(map(self._look, paths), key=lambda take: (-take.began_ns, take.name))
+        return sorted(map(self._described, paths), key=lambda take: (-take.began_ns, take.name))
 
     def find(self, name: str) -> Take:
         """Return a take. Raises InputError when there is none of this name."""
@@ -56,7 +56,7 @@ class TakesFolder:
         if name in ("", os.curdir, os.pardir) or path.name != name or not _is_bag(path):
             known = ", ".join(take.name for take in self.takes()[:10]) or "none"
             raise InputError(f"there is no take '{name[:100]}'", where=str(self.path), remedy=f"There are: {known}.")
-        return self._look(path)
+        return self._described(path)
 
     def new_path(self, name: str) -> Path:
         """Return the folder of a new take: by this name, or by date and time without one.
@@ -121,7 +121,7 @@ class TakesFolder:
             raise InputError(f"'{name}' is being recorded", where=str(self.path), remedy=remedy)
         return take
 
-    def _look(self, path: Path) -> Take:
+    def _described(self, path: Path) -> Take:
         """Describe a take, or say again what was found when nothing in it has changed since."""
         changed = _signature(path)
         if path not in self._seen or self._seen[path][0] != changed:

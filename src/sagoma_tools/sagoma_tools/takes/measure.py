@@ -38,7 +38,7 @@ def measure(bag: Path, progress: Callable[[int], None] = lambda messages: None) 
     """Read a whole bag once. Raises InputError for one that cannot be read or has no frame set."""
     scan = _Scan()
     for number, message in enumerate(read_messages(bag, _is_wanted)):
-        scan.take(message)
+        scan.update(message)
         progress(number)
     return Summary(
         scan.quality(str(bag)),
@@ -85,8 +85,8 @@ class _Scan:
     people: dict[str, _Person] = field(default_factory=lambda: defaultdict(_Person))
     body: str = ""
 
-    def take(self, message: BagMessage) -> None:
-        """Read one message."""
+    def update(self, message: BagMessage) -> None:
+        """Add what one message says."""
         topic = message.topic
         if camera := CAMERA_TOPIC.match(topic):
             self.silhouettes[camera["camera"]].append(message.stamp_ns)
@@ -98,16 +98,16 @@ class _Scan:
         elif topic == BODY:
             self.body = deserialize_message(message.data, String).data
         elif topic == DIAGNOSTICS_TOPIC:
-            self._take_diagnostics(deserialize_message(message.data, DiagnosticArray))
+            self._add_diagnostics(deserialize_message(message.data, DiagnosticArray))
         elif person := PERSON.match(topic):
-            self._take_person(self.people[person["body_id"] or FIRST_BODY_ID], person["kind"], message)
+            self._add_person(self.people[person["body_id"] or FIRST_BODY_ID], person["kind"], message)
 
-    def _take_diagnostics(self, message: DiagnosticArray) -> None:
+    def _add_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if node := CAMERA_NODE.match(status.name):
                 self.reports[node["camera"]].append(_values(status))
 
-    def _take_person(self, person: _Person, kind: str, message: BagMessage) -> None:
+    def _add_person(self, person: _Person, kind: str, message: BagMessage) -> None:
         if kind == "state":
             status = deserialize_message(message.data, DiagnosticStatus)
             stamp = _values(status).get("stamp_ns", "")

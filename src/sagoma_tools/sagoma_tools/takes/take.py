@@ -150,7 +150,7 @@ class Take:
     state : whether it can be used; problem : why not, with the remedy. began_ns : log time of its first message;
     seconds : of log time; bytes : on disk; topics : messages by topic. software : that recorded it, "" if unknown.
     trimmed_from : the take, and from and to which second, where it is a part of another. summary : None where the take
-    has none: recorded by an older version, or not measured yet.
+    has none: its figures were not measured, or its recorder was killed.
     """
 
     path: Path

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from rclpy.serialization import deserialize_message
 
 from capture_rig.errors import InputError
 
-from ..graph.topics import OF_A_PERSON, OUTPUT_TOPICS, PERSON_TOPIC, RENAMED_TOPICS
+from ..graph.topics import DIAGNOSTICS_TOPIC, OUTPUT_TOPICS, type_of
 from ..recording.reader import SIDECAR_RIG, BagMessage, open_bag, read_messages, read_provenance
 from ..recording.recorder import has_header
 from ..recording.writer import BagWriter, own_version
@@ -24,7 +25,6 @@ from .take import Summary, Take, TakeState
 
 STATE = re.compile(r"^/mocap/(?:bodies/[^/]+/)?state$")
 OF_A_CAMERA = re.compile(r"^/[^/]+/(silhouette/compressed|camera_info|preview/compressed|image_raw)$")
-BY_STAMP = {topic.name for topic in OUTPUT_TOPICS if not topic.latched and has_header(topic.msgtype)}
 LATCHED = {topic.name for topic in OUTPUT_TOPICS if topic.latched} | {"/tf_static", "/robot_description"}
 
 
@@ -82,7 +82,7 @@ def _copy(bag: Path, writer: BagWriter, begins_ns: int, ends_ns: int, progress: 
     first_ns, last_ns = min(logged), max(logged)
     with open_bag(bag) as reader:
         for connection in reader.connections:
-            writer.add_topic_like(connection, RENAMED_TOPICS.get(connection.topic, connection.topic))
+            writer.add_topic_like(connection, connection.topic)
     before = {m.topic: m for m in read_messages(bag, LATCHED.__contains__) if m.log_ns < first_ns}
     for message in before.values():
         writer.write(message.topic, first_ns, message.data)
@@ -93,18 +93,14 @@ def _copy(bag: Path, writer: BagWriter, begins_ns: int, ends_ns: int, progress: 
             writer.write(message.topic, message.log_ns, message.data)
 
 
+@cache  # of a few topics, asked of every message
 def _has_stamp(topic: str) -> bool:
-    return (
-        topic in BY_STAMP
-        or STATE.match(topic) is not None
-        or OF_A_CAMERA.match(topic) is not None
-        or _of_a_person(topic)
-    )
-
-
-def _of_a_person(topic: str) -> bool:
-    match = PERSON_TOPIC.match(topic)
-    return match is not None and match["what"] in OF_A_PERSON and has_header(OF_A_PERSON[match["what"]])
+    """Return whether a topic's messages name the frame set that they belong to: the graph's, but what is kept for later
+    subscribers, and diagnostics."""
+    if STATE.match(topic) or OF_A_CAMERA.match(topic):
+        return True
+    kind = type_of(topic)
+    return kind is not None and topic not in LATCHED and topic != DIAGNOSTICS_TOPIC and has_header(kind)
 
 
 def _stamp_ns(message: BagMessage) -> int | None:

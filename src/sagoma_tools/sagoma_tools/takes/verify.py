@@ -72,7 +72,7 @@ def _summary(take: Take) -> Iterator[Check]:
     now = measure(take.path)
     stored = take.summary
     if stored is None:
-        yield Check(WARNING, "has no figures: recorded by an older version (`sagoma takes measure` writes them)")
+        yield Check(WARNING, "has no figures: its recorder was killed (`sagoma takes measure` writes them)")
         return
     changed = [name for name in {*stored.files, *now.files} if stored.files.get(name) != now.files.get(name)]
     for name in sorted(changed):

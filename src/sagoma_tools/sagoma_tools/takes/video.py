@@ -21,7 +21,7 @@ from stick_figure.skeleton import POINT_NAMES
 
 from ..graph.topics import SILHOUETTE_SUFFIX, cameras_in
 from ..overlays.drawing import Window, draw_skeleton, montage, write_name
-from ..overlays.sheets import GOOD_BGR, GREY_BGR, MAX_WIDTH_PX, UNSURE_BGR, VideoFile, caption_bar, even_sides, tiling
+from ..overlays.sheets import MAX_WIDTH_PX, VideoFile, captioned, tiling
 from ..recording.reader import SIDECAR_RIG, BagMessage, read_messages
 from ..recording.recorded_motion import TRUSTED, recorded_motions
 from .measure import measure
@@ -116,10 +116,8 @@ def sheets(
         sheet = montage(cells, columns, MAX_WIDTH_PX)
         states = {body_id: str(motion.states[row]) for body_id, (motion, row) in there.items()}
         said = ", ".join(f"{body_id} {state}" for body_id, state in states.items()) or "nobody"
-        sure = all(state == TRUSTED for state in states.values())
-        colour = GREY_BGR if not states else GOOD_BGR if sure else UNSURE_BGR
-        bar = caption_bar(f"{name}   {seconds:6.2f} s   {said}", colour, sheet.shape[1])
-        yield even_sides(np.vstack([bar, sheet]))
+        sure = all(state == TRUSTED for state in states.values()) if states else None
+        yield captioned(sheet, f"{name}   {seconds:6.2f} s   {said}", sure)
 
 
 def _cell(view: View, picture: np.ndarray | None, there: Mapping[str, tuple[Motion, int]], scale: float) -> np.ndarray:

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from capture_rig.kernel import kernel, njit
+from capture_rig.rigid import rotation_exp
 
-from .. import so3
 from ..build import CAPSULES, END_CAPSULES, END_STICKS
 from .normal_equations import CHAIN_COLUMNS, ENDS, add_capsule, fill_moments, pose_columns
 
@@ -82,7 +82,7 @@ def _turn(e, placed, turns):
     R, w, j = np.empty((3, 3)), np.empty(3), STICK[e]
     for i in range(3):
         w[i] = turns[e, 0] * placed.G[j, i, AXES[e, 0]] + turns[e, 1] * placed.G[j, i, AXES[e, 1]]
-    so3.rotation_exp(w[0], w[1], w[2], R)
+    rotation_exp(w[0], w[1], w[2], R)
     return R
 
 

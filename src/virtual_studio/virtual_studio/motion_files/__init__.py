@@ -1,1 +1,1 @@
-"""Recorded motion: BVH and Acclaim ASF/AMC files, read as joint positions and turned into the stick figure's motion."""
+"""Recorded motion: BVH files, read as joint positions and turned into the stick figure's motion."""

@@ -74,7 +74,7 @@ def _naming(neck: str, head: str, tip: str, left: str, right: str, joints: str) 
 
 NAMINGS: dict[str, Choice] = {
     # bones' ends: a humerus ends at the elbow
-    "Acclaim, CMU": _naming(
+    "CMU": _naming(
         "lowerneck", "upperneck", "head", "l", "r", "{}clavicle,{}humerus,{}radius,{}hipjoint,{}femur,{}tibia"
     ),
     "MotionBuilder, Mixamo, cgspeed": _naming(

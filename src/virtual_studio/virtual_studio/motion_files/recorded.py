@@ -19,15 +19,14 @@ from stick_figure.skeleton import L_CALF, L_THIGH, R_CALF, R_THIGH, T_POSE_ANGLE
 
 from ..motions.timeline import T_POSE_S, Motion, ease, frame_count
 from ..people import VolumetricBody
-from .acclaim import read_amc
 from .bvh import read_bvh
 from .joints import Array, JointMotion, joints_by_role, load_joints_by_role
 
-SUFFIXES = (".bvh", ".amc")
+SUFFIX = ".bvh"
 HAND_OVER_FOREARM = 0.108 / 0.146
 HEAD_OVER_LEG = 0.130 / (0.530 - 0.039)
 """Segments over each other, Drillis & Contini (1966), as in Winter, Biomechanics and Motor Control, fig. 4.1."""
-LIKELY_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU's ASF": 0.0254 / 0.45}
+LIKELY_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU's unit": 0.0254 / 0.45}
 LIKELY_STATURES = (1.2, 2.2)
 STATURE_OVER_LEG = 1.0 / 0.491
 """Stature over the leg from hip to ankle, same source."""
@@ -60,14 +59,11 @@ class ReadingOptions:
 
     metres_per_unit : metres in one of its units; None: refuse, with the likely ones. leg_m : instead of a unit, how
     long the person's legs are to be, hip to ankle. up : the axis that points up. start_s : what to leave out at the
-    start (some files begin with a rest pose). fps : frames a second of an AMC file. skeleton : its ASF file, if not
-    beside it. joints : YAML, ``role: joint``.
+    start (some files begin with a rest pose). joints : YAML, ``role: joint``.
     """
 
     metres_per_unit: float | None = None
     up: str = "y"
-    fps: float | None = None
-    skeleton: Path | None = None
     joints: Path | None = None
     leg_m: float | None = None
     start_s: float = 0.0
@@ -84,12 +80,12 @@ class StickMotion:
 
 
 def read_stick_motion(path: str | Path, fps: float | None = None, options: ReadingOptions | None = None) -> StickMotion:
-    """Reads the stick figure's motion from a BVH or AMC file, at ``fps`` frames a second (None: the file's own).
+    """Reads the stick figure's motion from a BVH file, at ``fps`` frames a second (None: the file's own).
 
     World frame: z up, metres; origin and heading are the file's. Raises InputError for anything that cannot be read.
     """
     options = options or ReadingOptions()
-    motion = read_joints(path, options)
+    motion = read_joints(path)
     points = reference_points(motion, options)[_first_frame(motion, options.start_s) :]
     body = Body.from_points(points)
     points, rate = (points, motion.fps) if fps is None else (resampled(points, motion.fps, fps), fps)
@@ -100,14 +96,11 @@ def read_stick_motion(path: str | Path, fps: float | None = None, options: Readi
     return StickMotion(body, tuple(poses), rate, float(np.linalg.norm(placed - points, axis=2).mean()))
 
 
-def read_joints(path: str | Path, options: ReadingOptions | None = None) -> JointMotion:
-    """Reads all joints of a BVH or AMC file, in its own axes and unit. Raises InputError for other files."""
-    path, options = Path(path), options or ReadingOptions()
-    if path.suffix.lower() == ".bvh":
-        return read_bvh(path)
-    if path.suffix.lower() == ".amc":
-        return read_amc(path, options.fps, options.skeleton)
-    raise InputError("is no motion file", where=str(path), remedy=f"Known endings: {', '.join(SUFFIXES)}.")
+def read_joints(path: str | Path) -> JointMotion:
+    """Reads all joints of a BVH file, in its own axes and unit. Raises InputError for other files."""
+    if Path(path).suffix.lower() != SUFFIX:
+        raise InputError("is no motion file", where=str(path), remedy=f"Give a BVH file, named *{SUFFIX}.")
+    return read_bvh(path)
 
 
 def reference_points(motion: JointMotion, options: ReadingOptions | None = None) -> Array:
@@ -203,7 +196,7 @@ def resampled(points: Array, fps: float, wanted_fps: float) -> Array:
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """Plays the motion of a BVH or AMC file with a person of any size.
+    """Plays the motion of a BVH file with a person of any size.
 
     Steps are as long as the person's legs, so the file's unit does not matter. The path is moved to the middle of the
     room, and its lowest frames onto the floor.
@@ -240,7 +233,7 @@ class RecordedMotion:
 
 def is_motion_file(name: str) -> bool:
     """Tells a motion file's name from that of a built-in motion."""
-    return Path(name).suffix.lower() in SUFFIXES
+    return Path(name).suffix.lower() == SUFFIX
 
 
 def _placed(person: VolumetricBody, poses: tuple[Pose, ...], path: Path) -> list[Pose]:

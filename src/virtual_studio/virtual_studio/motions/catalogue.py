@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from capture_rig.rigid import rotation_matrix
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
-from stick_figure.rotations import rotation_matrix
 
 from ..people import ANKLE_HEIGHT, VolumetricBody
 from . import everyday, hard_cases, with_things

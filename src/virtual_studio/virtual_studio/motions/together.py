@@ -12,7 +12,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from stick_figure.rotations import rotation_matrix
+from capture_rig.rigid import rotation_matrix
 from stick_figure.skeleton import L_CALF, L_THIGH, T_POSE_ANGLES, TORSO
 
 from ..people import VolumetricBody

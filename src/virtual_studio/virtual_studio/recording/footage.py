@@ -20,10 +20,10 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, save_rig
+from capture_rig.rigid import rotation_vector
 from capture_rig.yaml_file import read_mapping, save_mapping
 from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
 from stick_figure.body import Body
-from stick_figure.rotations import rotation_vector
 
 from ..people import VolumetricBody
 from ..rendering.board_camera import FilmingCamera, Optics

@@ -19,11 +19,11 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, save_rig
+from capture_rig.rigid import rotation_vector
 from capture_rig.yaml_file import save_mapping
 from stick_figure.body import Body
 from stick_figure.body_file import save_body
 from stick_figure.kinematics import forward
-from stick_figure.rotations import rotation_vector
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..motions.catalogue import MOTIONS, Motion, MotionFunction

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
 
 import cv2
 import numpy as np
@@ -20,6 +19,7 @@ import numpy.typing as npt
 from scipy.special import chdtri
 
 from ...frame_source import Image, Mask
+from ...movement.alignment import PictureAlignment
 from ...settings import BackgroundSettings
 from ..kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, take_residuals, take_samples
 from ..model import BackgroundModel
@@ -27,9 +27,8 @@ from ..noise import FOLLOW_S, Noise, assumed_noise, learned_noise, measured_nois
 from .expected_image import At, ExpectedImage, Floats
 from .grain import GrainMeter
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
-from .shift import Displacement, Edges, ShiftEstimator
+from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
 from .slow_changes import SlowChanges
-from .sudden_shift import Places, sudden_shift
 
 SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
 RENEWAL_S = 0.03  # some rows of the expected image are renewed, not more often
@@ -37,7 +36,7 @@ BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames 
 NOISE_FRAMES, NOISE_S = 4, 0.12  # the noise is measured in every so many frames, and not more often
 SHIFT_S = 0.03  # the displacement is not measured more often: what is taken over has lasted for a quarter of a second
 FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
-MOST_STEPS = 4  # a large displacement takes more than one linear step
+MOST_STEPS = 6  # of a displacement that is taken over at once, each damped
 WITHIN_SIGMAS = 4.0  # a pixel that is nearer shows the background, for its slow changes
 
 
@@ -63,8 +62,15 @@ class BackgroundState:
 class AdaptiveBackground:
     """Follows one camera's background. One thread at a time; equal frames give equal bytes."""
 
-    def __init__(self, model: BackgroundModel, settings: BackgroundSettings, block_px: int) -> None:
-        """``block_px`` : side of the blocks of :meth:`note_foreground`."""
+    def __init__(
+        self,
+        model: BackgroundModel,
+        settings: BackgroundSettings,
+        block_px: int,
+        aligner: PictureAlignment | None = None,
+    ) -> None:
+        """``block_px`` : side of the blocks of :meth:`note_foreground`. ``aligner`` : of the model's mean; without
+        one only displacements of a pixel are followed."""
         measured = model.provenance.frames > 1
         channels = 1 if model.mean.ndim == 2 else model.mean.shape[2]
         assumed = assumed_noise(model.provenance.mean_noise, channels)
@@ -80,7 +86,7 @@ class AdaptiveBackground:
         self._row, self._column = rows.reshape(-1), columns.reshape(-1)
         cell = self._row * FIELD_DOWN // height * FIELD_ACROSS + self._column * FIELD_ACROSS // width
         self._light, self._grain = LightEstimator(cell, channels), GrainMeter(self._row, self._column, width)
-        self._shift = ShiftEstimator((height, width))
+        self._shift, self._aligner = ShiftEstimator((height, width)), aligner
         self._slow, self._block_px = SlowChanges(self._image.shape, block_px), block_px
         self._blocks = -(-height // block_px), -(-width // block_px)
         self._sampled = self._indices(self._row, self._column)
@@ -144,15 +150,16 @@ class AdaptiveBackground:
         self._since_shift_s += step_s
         measured = self._shift.measurable and (first or self._since_shift_s >= SHIFT_S)
         edges = self._edges(picture) if measured else None
-        if edges is not None and self._follow_sudden_shift(picture, edges, first):
+        at_once = edges is not None and self._follow_sudden_shift(picture, edges, first)
+        if at_once:
             self._light.take_back()
             rest, edges = self._follow_light(picture, step_s), self._edges(picture)
         self._follow_noise(picture, rest, step_s, first)
-        steps, at_once = MOST_STEPS, first
+        steps, at_once = MOST_STEPS, at_once or first  # without a cause, one step at a time
         while edges is not None and self._follow_shift(picture, edges, at_once):
             if first:
                 self._follow_light(picture, step_s)
-            steps, at_once = steps - 1, True
+            steps -= 1
             edges = self._edges(picture) if steps else None
         if first or self.light.switched:
             self._renew(slice(0, self._image.shape[0]))
@@ -189,27 +196,41 @@ class AdaptiveBackground:
         rest = seen - self._image.samples(*at)[0] * self.light.gain - self.light.offset
         return self._grain.update(seen, rest, sure, self._since_noise_s)
 
-    def _follow_shift(self, picture: Image, edges: Edges, first: bool) -> bool:
-        step_s, self._since_shift_s = self._since_shift_s, 0.0
-        search = partial(self._search_shift, picture, edges)
-        before = self._shift.total
-        return self._shift.update(edges, self.light.gain, step_s, first, search) and self._displace(before)
-
     def _follow_sudden_shift(self, picture: Image, edges: Edges, first: bool) -> bool:
         """Move the background at once when the picture has moved at once."""
-        search, before = partial(self._search_shift, picture, edges), self._shift.total
-        return self._shift.start(edges, self._since_shift_s, first, search) and self._displace(before)
+        return self._shift.is_restless(edges, self._since_shift_s, first) and self._align(picture, edges)
 
-    def _displace(self, before: Displacement) -> bool:
-        """Move all that belongs to places of the picture by what the displacement has changed; True."""
-        self._slow.local = self._shift.total.after(before).moved(self._slow.local)
+    def _follow_shift(self, picture: Image, edges: Edges, at_once: bool) -> bool:
+        """Move the background by a displacement that lasts, one Gauss-Newton step; True when it has moved."""
+        step_s, self._since_shift_s = self._since_shift_s, 0.0
+        found = self._shift.measure(edges, self.light.gain, step_s, at_once)
+        if found.most_px(self._image.shape) > LINEAR_PX:
+            return self._align(picture, edges)
+        return found != Displacement() and self._move(found, picture, edges)
+
+    def _align(self, picture: Image, edges: Edges) -> bool:
+        """Move the background to where the whole picture lies, if edges fit better there; True when it has moved."""
+        if self._aligner is None:
+            return False
+        total, image = self._shift.total, picture if picture.shape[2] == 3 else picture[..., 0]
+        found = self._aligner.align(image, self._aligner.turn_of(*total), search=False)
+        if found is None:
+            return False
+        since = Displacement(*self._aligner.displacement_of(found.turn_rad)).after(total)
+        return since.most_px(self._image.shape) >= LINEAR_PX and self._move(since, picture, edges)
+
+    def _move(self, by: Displacement, picture: Image, edges: Edges) -> bool:
+        """Move the background; False where edges fit no better there, or the camera is not followed so far."""
+        if not self._shift.move(by):
+            return False
+        local, self._slow.local = self._slow.local, by.moved(self._slow.local)
         self._place()
-        return True
-
-    def _search_shift(self, picture: Image, edges: Edges) -> Displacement | None:
-        expected = self.expected((slice(None), slice(None))).reshape(self._image.shape)
-        places = Places(self._shift.row, self._shift.column, edges.trust)
-        return sudden_shift(picture, expected, float(np.median(edges.variance)), places, self._shift.most_px)
+        if self._shift.misfit(self._edges(picture)) < self._shift.misfit(edges):
+            return True
+        self._slow.local = local
+        self._shift.move(Displacement().after(by))
+        self._place()
+        return False
 
     def _edges(self, picture: Image) -> Edges:
         """Return what is left at the steep places under the light and noise of now."""

@@ -1,29 +1,30 @@
 """Measures by how much the picture of a fixed camera has moved against its background: shift and roll, a few pixels.
 
 A tripod that was touched, a wall that warms, a mount that hums: every edge of the room would become foreground. The
-displacement is fitted to the steepest places of the picture, in every frame, robustly against what stands before them.
+displacement is fitted to the steepest places of the picture, in every frame, robustly against what stands before them:
+one Gauss-Newton step, within half a pixel. Larger ones begin from :class:`camera_client.movement.alignment`.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...movement.edge_points import strongest
 from ..kernels import BIN_SIGMAS, HALF_MEDIAN, median_of, robust_shift
 
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
 STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
 HOLD = 30.0  # information that holds the displacement at zero, px^-2: a picture without edges does not move
-FOLLOW_PX = 0.12  # a larger displacement is taken over ...
+FOLLOW_PX = 0.1  # a larger displacement is taken over ...
 LINEAR_PX = 0.5  # edges are a pixel or two wide: a fit to their slopes is right within this
 SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the first time at once
-DAMPING = 0.7  # slopes are measured over two pixels, which makes fine edges seem to move further than they did
+DAMPING = 0.5  # slopes are measured over two pixels, which makes fine edges seem to move further than they did
 MOST_OF_WIDTH = 0.012  # beyond that share of the width the camera was moved, and is not followed
 MOST_LEFT_PX = 0.8
 RESTLESS, USUAL_S = 1.5, 1.0  # edges that fit worse than in the second before, by such a factor, may have moved at once
@@ -64,9 +65,6 @@ class Displacement(NamedTuple):
         A = np.array([[c, -s, x - c * x + s * y + self.right_px], [s, c, y - s * x - c * y + self.down_px]])
         moved = cv2.warpAffine(picture, A, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(moved, np.float32).reshape(picture.shape)
-
-
-Search = Callable[[], Displacement | None]
 
 
 def gradients(picture: Floats) -> tuple[Floats, Floats]:
@@ -118,72 +116,55 @@ class ShiftEstimator:
     def place(self, right: Floats, down: Floats) -> None:
         """Choose the places: the steepest of every cell of a background with these slopes (H, W, C)."""
         steepness = np.sqrt((right * right + down * down).sum(axis=2))
-        side = max(self._shape[1] // CELLS_ACROSS, 4)
-        peak = (steepness >= cv2.dilate(steepness, np.ones((3, 3), np.uint8))) & (steepness >= LEAST_STEEPNESS)
-        peak[:3], peak[-3:], peak[:, :3], peak[:, -3:] = False, False, False, False
-        row, column = np.nonzero(peak)
-        cell = row // side * (self._shape[1] // side + 1) + column // side
-        order = np.lexsort((-steepness[row, column], cell))
-        row, column, cell = row[order], column[order], cell[order]
-        taken = np.arange(len(cell)) - np.searchsorted(cell, cell) < IN_CELL
-        self.row, self.column = row[taken], column[taken]
+        self.row, self.column, _ = strongest(steepness, LEAST_STEEPNESS, CELLS_ACROSS, IN_CELL)
         self._right, self._down = right[self.row, self.column], down[self.row, self.column]
-        self._steep2 = self._right**2 + self._down**2
         x, y = self.column - (self._shape[1] - 1) / 2, self.row - (self._shape[0] - 1) / 2
         self._turned = (self._down * x[:, None] - self._right * y[:, None]).astype(np.float32)
-
-    @property
-    def most_px(self) -> float:
-        """Displacement up to which the camera is followed."""
-        return MOST_OF_WIDTH * self._shape[1]
 
     @property
     def measurable(self) -> bool:
         """Whether the background has edges enough."""
         return len(self.row) >= FEW_PLACES
 
-    def start(self, edges: Edges, step_s: float, first: bool, search: Search) -> bool:
-        """Take what ``search`` finds when edges fit suddenly worse than in the second before; True when it did.
-
-        first : the picture may lie elsewhere from the beginning.
-        """
+    def misfit(self, edges: Edges) -> float:
+        """Return how far the edges lie from the background: a robust standard deviation, in those of noise."""
         distance = np.sqrt((edges.rest * edges.rest / edges.variance).mean(axis=1))
-        now = max(HALF_MEDIAN * float(median_of(distance, edges.trust, BIN_SIGMAS)), 1.0)
-        if first or now > RESTLESS * self._usual:
-            found = search()
-            if found is not None and self._take(found):
-                return True
+        return HALF_MEDIAN * float(median_of(distance, edges.trust, BIN_SIGMAS))
+
+    def is_restless(self, edges: Edges, step_s: float, first: bool) -> bool:
+        """Return whether edges fit suddenly worse than in the second before; in the first frame they may."""
+        now = max(self.misfit(edges), 1.0)
+        restless = first or now > RESTLESS * self._usual
         self._usual += (1.0 if first else 1 - math.exp(-step_s / USUAL_S)) * (now - self._usual)
-        return False
+        return restless
 
-    def update(self, edges: Edges, gain: Floats, step_s: float, first: bool, search: Search) -> bool:
-        """Take what a frame leaves at the places; True when ``total`` has changed.
+    def measure(self, edges: Edges, gain: Floats, step_s: float, at_once: bool) -> Displacement:
+        """Return the displacement since ``total`` that has lasted, damped; none where that is too small to follow.
 
-        gain (C,) : of the light. first : the displacement is taken over at once. search : measures what is too large
-        for the linear fit.
+        gain (C,) : of the light. at_once : this frame alone counts.
         """
         slopes = self._right * gain, self._down * gain, self._turned * gain
         found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust, STEPS, REACH, HOLD)
         instant, left_px = Displacement(*found[:3]), float(found[3])
-        share = 1.0 if first else 1 - math.exp(-step_s / LEFT_S)
+        share = 1.0 if at_once else 1 - math.exp(-step_s / LEFT_S)
         self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
         self._time_s += step_s
         self._recent.append((self._time_s, instant))
         while len(self._recent) > FEWEST and self._recent[0][0] < self._time_s - SETTLE_S:
             self._recent.popleft()
-        if not first and (len(self._recent) < FEWEST or self._time_s - self._recent[0][0] < SETTLED_SHARE * SETTLE_S):
-            return False
-        lasting = Displacement(*(DAMPING * np.median([each for _, each in self._recent], axis=0)).tolist())
+        lasts = len(self._recent) >= FEWEST and self._time_s - self._recent[0][0] >= SETTLED_SHARE * SETTLE_S
+        if not (at_once or lasts):
+            return Displacement()
+        lasting = Displacement(*np.median([each for _, each in self._recent], axis=0).tolist())
         if lasting.most_px(self._shape) < FOLLOW_PX:
-            return False
-        self._recent.clear()
-        found = lasting if lasting.most_px(self._shape) <= LINEAR_PX else search()
-        return found is not None and self._take(found)
+            return Displacement()
+        return Displacement(*(DAMPING * each for each in lasting))
 
-    def _take(self, found: Displacement) -> bool:
-        proposed = self.total.further(found)
-        if proposed.most_px(self._shape) > self.most_px:
+    def move(self, by: Displacement) -> bool:
+        """Add a displacement to ``total``; False, and nothing is changed, where that is more than is followed."""
+        total = self.total.further(by)
+        if total.most_px(self._shape) > MOST_OF_WIDTH * self._shape[1]:
             return False
-        self.total = proposed
+        self.total = total
         self._recent.clear()
         return True

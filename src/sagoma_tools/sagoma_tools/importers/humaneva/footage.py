@@ -14,9 +14,10 @@ import numpy as np
 from capture_rig.errors import InputError
 from capture_rig.video import Video
 
-from ..session_folder import FootageFile
+from ...overlays.sheets import VideoFile
 from .formats import COPY_AGAIN, FIRST_USABLE_FRAME
 
+LOSSLESS = ".mkv"
 MAX_ROOM_IMAGES = 300
 MEAN_IMAGES = 30  # enough for the noise to average out
 COMPARE_EVERY = 60  # images between those that are compared with the movies of the empty room
@@ -116,9 +117,7 @@ class EmptyRoom:
         """Copy the best movie's usable images."""
         with self._open(self.best) as movie:
             images = islice(movie.images(), MAX_ROOM_IMAGES)
-            first = next(images)
-            with FootageFile(stem, fps, first) as footage:
-                footage.write(first)
+            with VideoFile(stem.with_name(stem.name + LOSSLESS), fps) as footage:
                 for image in images:
                     footage.write(image)
 
@@ -160,13 +159,14 @@ def copy_footage(
     rooms = {camera: EmptyRoom(source.empty_rooms, is_grey(camera)) for camera, source in sources.items()}
     frames = 0
     with ExitStack() as stack:
-        files: dict[str, FootageFile] = {}
+        files = {
+            camera: stack.enter_context(VideoFile(folder / (source.name + LOSSLESS), fps))
+            for camera, source in sources.items()
+        }
         for images in read_in_step(
             {c: s.movie for c, s in sources.items()}, {c: s.first_image for c, s in sources.items()}, count
         ):
             for camera, image in images.items():
-                if camera not in files:
-                    files[camera] = stack.enter_context(FootageFile(folder / sources[camera].name, fps, image))
                 if frames % COMPARE_EVERY == 0:
                     rooms[camera].compare(image)
                 files[camera].write(image)

@@ -16,7 +16,6 @@ from typing import NamedTuple
 from rclpy.node import Node
 from std_msgs.msg import Empty
 
-from ..doctor.machine.announcements import machine_of
 from .lifecycle_client import LifecycleClient
 from .ros_link import LOOK_S, settled
 
@@ -34,6 +33,15 @@ class Place(NamedTuple):
 
     machine: str
     process: int
+
+
+FAST_DDS = b"\x01\x0f"  # the vendor's number, with which its GUIDs begin; the next two bytes are the machine's
+
+
+def machine_of(gid: Sequence[int]) -> str:
+    """Return the machine's number in a GUID, where the middleware is Fast DDS; else ""."""
+    prefix = bytes(gid[:4])
+    return prefix[2:].hex() if prefix[:2] == FAST_DDS else ""
 
 
 def places_of(node: Node) -> dict[str, list[Place]]:

@@ -1,0 +1,370 @@
+"""Checks of a camera PC: a camera's parameter file, background, camera, and the network between them.
+
+The camera is asked over GVCP by unicast, which disturbs no program that uses it; nothing is asked that needs control.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from camera_client.background.model import BackgroundModel, load_background, read_background
+from camera_client.configuration import Calibration, load_calibration
+from camera_client.gige.discovery import discover_at
+from camera_client.settings import AravisSettings, CameraClientSettings
+from camera_client.sources.aravis_source import AravisSource
+from camera_client.sources.footage_reader import open_footage
+from capture_rig.errors import InputError
+from capture_rig.settings import build_settings
+from gige_vision import bootstrap
+from gige_vision.gvcp import PORT, AcknowledgePacket, Command, CommandPacket, DeviceRecord, MalformedPacket
+from gige_vision.pixel_formats import PixelFormat
+from sagoma_bringup.graph import camera_from_file
+from sagoma_ros.names import resolve_packages
+
+from .findings import Finding, check, error, examine, graded, note, ok, warning
+from .machine import SUBJECT
+from .network import Interface, check_buffer, interface_to
+
+NODE_PARAMETERS = ("autostart",)  # of every node, not of the camera client's settings
+OLD_S = 12 * 3600.0  # daylight and lamps change from one day to the next
+EXPOSURE_TOLERANCE = 0.02
+JUMBO_MTU, GIGABIT = 9000, 1000
+PACKET_HEADERS = 36  # IP, UDP and GVSP, of every stream packet
+ETHERNET_FRAME = 38  # preamble, header, checksum and gap around every packet
+BUSY, FULL = 0.7, 0.95  # shares of the link
+ANSWER_TIMEOUT_S, ATTEMPTS = 0.3, 3
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """A camera's parameter file that could be read."""
+
+    path: Path
+    name: str
+    settings: CameraClientSettings
+
+
+@dataclass(frozen=True)
+class Stream:
+    """What one camera sends. ``frame_rate`` is 0 where the settings leave it open; ``packet_size`` 0: the largest."""
+
+    camera: str
+    payload_bytes: int
+    frame_rate: float
+    packet_size: int = 0
+
+
+@dataclass(frozen=True)
+class Device:
+    """A GigE camera as it was asked. ``record`` : its answer, or why there is none; ``controlled`` : whether a program
+    is in control (None: unknown), ``controller`` : its address ("" where the camera does not tell)."""
+
+    record: DeviceRecord | str
+    interface: Interface | None = None
+    controlled: bool | None = None
+    controller: str = ""
+
+
+def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) -> Iterator[Finding]:
+    """Findings on the parameter file at ``path``, the camera it names, and (``host_too``) this machine.
+
+    open_it : take control of the camera, set it up as the client would, and report what it says.
+    """
+    try:
+        file = read_file(path)
+    except InputError as problem:
+        invalid = error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy)
+        yield replace(invalid, subject=f"camera file {path}")
+        return
+    subject, settings = f"camera {file.name}", file.settings.aravis
+    yield from examine("camera file", subject, file)
+    if file.settings.source == "aravis":
+        yield from examine("camera settings", subject, settings)
+        if settings.address:
+            device = ask_camera(settings.address)
+            yield from examine("camera network", subject, settings, device.interface)
+            yield from examine("camera device", subject, settings, device)
+            yield from examine("camera link", subject, streams_beside(file, device.interface), device.interface)
+        if open_it:
+            yield from examine("camera open", subject, file)
+    if host_too:
+        yield from examine("node host", SUBJECT)
+
+
+def read_file(path: Path) -> CameraFile:
+    """Return the file's settings, validated. Raises InputError naming file, key, value and remedy."""
+    spec = camera_from_file(path)
+    values = {key: resolve_packages(value) for key, value in spec.parameters.items() if key not in NODE_PARAMETERS}
+    settings = build_settings(CameraClientSettings, values, str(path))
+    return CameraFile(path, spec.namespace.strip("/"), settings)
+
+
+@check("camera file")
+def check_calibration(file: CameraFile) -> Iterator[Finding]:
+    """Whether the camera's lens and pose are known."""
+    settings, camera_info = file.settings, file.settings.camera_info_file
+    yield ok("file", f"{file.path} describes camera {file.name}")
+    if settings.camera_name not in ("", file.name):
+        text = f"its key names {file.name}, camera_name says '{settings.camera_name}'"
+        yield warning("file.names_differ", text, "Give both the same name.")
+    try:
+        calibration = _calibration(file)
+    except InputError as problem:
+        yield error("rig.invalid", f"{problem.where}: {problem.what}", problem.remedy)
+        return
+    camera = calibration.camera
+    if camera is None:
+        remedy = f"sagoma calibrate intrinsics --topic /{calibration.name}/image_raw --board BOARD"
+        yield note("rig.uncalibrated", "not calibrated yet: it sends images, no silhouettes", remedy)
+        return
+    text = f"{settings.rig_file or camera_info}: {camera.name}, {camera.width} x {camera.height} pixels"
+    remedy = "sagoma calibrate extrinsics, then name the rig file in rig_file."
+    yield graded("rig", text, (not calibration.placed, note, "lens_only", f"Its place is not known: {remedy}"))
+    if camera_info and not Path(camera_info).exists():
+        remedy = "Calibrate the camera: set_camera_info writes it."
+        yield note("camera_info.missing", f"{camera_info} does not exist yet: the rig's intrinsics are in use", remedy)
+
+
+@check("camera file")
+def check_background(file: CameraFile) -> Iterator[Finding]:
+    """Whether the background can be read, has the camera's size, and is recent."""
+    learn = f"sagoma background --cameras {file.name}, while the room is empty"
+    settings = file.settings
+    path = settings.background or (settings.background_file if Path(settings.background_file).is_file() else "")
+    try:
+        camera = _calibration(file).camera
+    except InputError:
+        camera = None
+    if camera is None:  # another check says so
+        return
+    if not path:
+        yield note("background.none_named", "none is named: no silhouettes until one is learned", learn)
+        return
+    try:
+        shape, model = _read_background(path, settings)
+        age_s = time.time() - Path(path).stat().st_mtime
+    except (InputError, OSError) as problem:
+        yield error("background.unusable", f"{problem}", f"Name the right file, or empty the parameter, and {learn}")
+        return
+    size = f"{path} is {shape[1]} x {shape[0]}, the camera {camera.width} x {camera.height} pixels"
+    if shape[:2] != (camera.height, camera.width):
+        yield error("background.size_differs", size, learn)
+        return
+    text = f"{path}, {age_s / 3600:.0f} h old; {model.provenance.frames} frames of {model.provenance.source}"
+    yield graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
+    wanted = settings.aravis.exposure_us
+    try:
+        learned = float(model.provenance.exposure_us)
+    except ValueError:  # it is not written in the file
+        return
+    if wanted > 0 and abs(learned - wanted) > EXPOSURE_TOLERANCE * wanted:
+        text = f"learned at {learned:g} us of exposure, aravis.exposure_us = {wanted:g}"
+        yield warning("background.exposure_differs", text, learn)
+
+
+@check("camera settings")
+def check_timing(settings: AravisSettings) -> Iterator[Finding]:
+    """Whether the exposure fits the frame rate, which settings are left to the camera, and whether it can be asked."""
+    exposure_us, rate = settings.exposure_us, settings.frame_rate
+    if exposure_us > 0 and rate > 0:
+        text = f"{exposure_us:g} us at {rate:g} frames a second (at most {1e6 / rate:.0f} us)"
+        remedy = "Shorten aravis.exposure_us or lower aravis.frame_rate."
+        yield graded("exposure", text, (exposure_us * 1e-6 * rate >= 1, error, "longer_than_frame", remedy))
+    for key in ("exposure_us", "gain", "frame_rate"):
+        if getattr(settings, key) < 0:
+            remedy = "Set it: cameras lose their settings when they lose power."
+            yield note("settings.left_to_camera", f"aravis.{key} is left as the camera has it", remedy)
+    if not settings.address:
+        text = "found by broadcast when the client starts; not asked here"
+        yield note("camera.no_address", text, "Give aravis.address to have it examined.")
+
+
+@check("camera settings")
+def check_receive_buffer(settings: AravisSettings) -> Finding:
+    """Whether the stream's socket may be as large as the settings ask."""
+    return check_buffer("rmem_max", settings.socket_buffer_bytes, warning)
+
+
+@check("camera network")
+def check_interface(settings: AravisSettings, link: Interface | None) -> Iterator[Finding]:
+    """Whether an interface leads to the camera and carries large packets."""
+    if link is None:
+        remedy = f"Give an interface an address in the camera's subnet; see: ip route get {settings.address}"
+        yield error("interface.none", f"there is no way to {settings.address} from this machine", remedy)
+        return
+    plug = f"Plug the cable in, or: sudo ip link set {link.name} up"
+    text = f"{link.name}, {link.address}/{link.netmask}, MTU {link.mtu}"
+    yield graded("interface", text, (not link.up, error, "down", plug))
+    jumbo = f"sudo ip link set {link.name} mtu {JUMBO_MTU} (and the same on the switch)"
+    if settings.packet_size > link.mtu:
+        text = f"aravis.packet_size = {settings.packet_size}, but the MTU of {link.name} is {link.mtu}"
+        yield error("mtu.packet_too_large", text, f"{jumbo}, or a smaller packet_size, or 0: the largest that passes")
+    elif link.mtu < JUMBO_MTU and not link.loopback:
+        text = f"{link.name} carries packets of {link.mtu} bytes: six times the interrupts"
+        yield warning("mtu.no_jumbo_frames", text, jumbo)
+    if 0 < link.speed_mbit < GIGABIT and not link.loopback:
+        remedy = "Check cable and switch: GigE Vision needs 1000 Mbit/s or more."
+        yield warning("speed.slow", f"{link.name} runs at {link.speed_mbit} Mbit/s", remedy)
+
+
+@check("camera device")
+def check_identity(settings: AravisSettings, device: Device) -> Iterator[Finding]:
+    """Whether the camera answers, is the configured one, and is in this machine's subnet."""
+    record, link = device.record, device.interface
+    if isinstance(record, str):
+        yield error("camera.silent", record, "Check power, cable, address and subnet (ping it).")
+        return
+    yield ok("camera", f"{record.manufacturer} {record.model}, serial {record.serial}, answers at {settings.address}")
+    for key, wanted, got in (("serial", settings.serial, record.serial), ("user_id", settings.user_id, record.user_id)):
+        if wanted and wanted != got:
+            text = f"the camera at {settings.address} has {key} '{got}', aravis.{key} asks for '{wanted}'"
+            yield error(f"{key}.differs", text, f"Correct aravis.address or aravis.{key}.")
+    if link is not None and record.address:
+        ours = ipaddress.IPv4Interface(f"{link.address}/{link.netmask}")
+        theirs = ipaddress.IPv4Interface(f"{record.address}/{record.subnet_mask}")
+        if theirs.ip not in ours.network or ours.ip not in theirs.network:
+            text = f"the camera is in {theirs.network}, {link.name} in {ours.network}: images come through a router"
+            yield warning("subnet.differs", text, "Put both into one subnet (the maker's IP tool, or DHCP).")
+
+
+@check("camera device")
+def check_control(settings: AravisSettings, device: Device) -> Finding | None:
+    """Whether the camera is free."""
+    if device.controlled is None:
+        return None
+    if not device.controlled:
+        return ok("control", "no program controls the camera: it can be opened")
+    if device.interface is not None and device.controller == device.interface.address:
+        text = f"a program on this machine ({device.controller}) controls the camera"
+        return note("control.local", text, "Nothing, if that is the camera client; else stop it.")
+    text = f"{device.controller or 'another program'} controls the camera"
+    return warning("control.taken", text, "Stop the program there; a camera has one controller.")
+
+
+@check("camera link")
+def check_bandwidth(streams: list[Stream], link: Interface | None) -> Finding | None:
+    """Whether all cameras on this interface fit its link."""
+    unknown = [stream.camera for stream in streams if not stream.frame_rate]
+    if unknown:
+        text = f"unknown: aravis.frame_rate of {', '.join(unknown)} is left to the camera"
+        return note("bandwidth.rate_unknown", text, "Set it, so that all cameras run at one rate.")
+    if link is None or not streams:
+        return None
+    largest = min(link.mtu, JUMBO_MTU)
+    needed = sum(stream_bytes_per_s(stream, stream.packet_size or largest) for stream in streams)
+    text = f"{needed / 1e6:.0f} MB/s of {f'{len(streams)} cameras' if len(streams) > 1 else streams[0].camera}"
+    if link.loopback or not link.speed_mbit:
+        return ok("bandwidth", f"{text}; the speed of {link.name} is unknown")
+    share = needed / (link.speed_mbit * 1e6 / 8)
+    text = f"{text} take {100 * share:.0f} % of the {link.speed_mbit} Mbit/s of {link.name}"
+    remedy = "Lower frame rate, region or bit depth, or give some cameras another interface."
+    space = f"{remedy} Space packets out with aravis.packet_delay_ns."
+    return graded("bandwidth", text, (share > FULL, error, "exceeded", remedy), (share > BUSY, warning, "tight", space))
+
+
+@check("camera open")
+def check_opened(file: CameraFile) -> Iterator[Finding]:
+    """What the camera says once its client's settings are made: features, PTP, temperature."""
+    source = AravisSource(file.settings.aravis, file.settings.channels)
+    try:
+        with source:
+            for text in source.warnings:
+                yield warning("opened.warning", text, "See docs/camera_pcs.md.")
+            details = ", ".join(f"{key} {value}" for key, value in source.details.items())
+            yield ok("opened", f"{source.shape[1]} x {source.shape[0]}; {details}")
+    except InputError as problem:
+        yield error("opened.failed", f"{problem.where}: {problem.what}", problem.remedy)
+
+
+def _calibration(file: CameraFile) -> Calibration:
+    return load_calibration(file.settings, file.settings.camera_name or file.name)
+
+
+def _read_background(path: str, settings: CameraClientSettings) -> tuple[tuple[int, ...], BackgroundModel]:
+    """Return the size (H, W, ...) and the model of a background file, a saved model or footage."""
+    if path.endswith(".npz"):
+        model = load_background(path)
+        return model.shape, model
+    reader = open_footage(path)
+    try:
+        shape = tuple(np.asarray(reader.probe()).tolist())
+    finally:
+        reader.close()
+    return shape, read_background(path, shape, settings.background_model)
+
+
+def streams_beside(file: CameraFile, link: Interface | None) -> list[Stream]:
+    """Return what the cameras of the file's folder send through this interface, as far as known; this camera first."""
+    found = [file]
+    for path in sorted(file.path.parent.glob("*.yaml")) if link is not None else ():
+        try:
+            other = read_file(path)
+        except InputError:  # examined when it is that file's turn
+            continue
+        address = other.settings.aravis.address if other.settings.source == "aravis" else ""
+        theirs = interface_to(address) if address and other.name != file.name else None
+        if link is not None and theirs is not None and theirs.name == link.name:
+            found.append(other)
+    return [stream for stream in map(stream_of, found) if stream is not None]
+
+
+def stream_of(file: CameraFile) -> Stream | None:
+    """Return what the camera sends, from its calibrated size and pixel format; None when the size is unknown."""
+    try:
+        camera = _calibration(file).camera
+    except InputError:
+        return None
+    if camera is None:
+        return None
+    wanted = file.settings.aravis.pixel_format
+    # "auto" prefers formats of 8 bits a pixel
+    pixel_format = PixelFormat[wanted] if wanted in PixelFormat.__members__ else PixelFormat.Mono8
+    payload = pixel_format.image_bytes(camera.width, camera.height)
+    settings = file.settings.aravis
+    return Stream(file.name, payload, max(settings.frame_rate, 0.0), settings.packet_size)
+
+
+def stream_bytes_per_s(stream: Stream, packet_size: int) -> float:
+    """Bytes a second on the wire, with the headers of every packet, leader and trailer included (GVSP 2.0)."""
+    packets = -(-stream.payload_bytes // max(packet_size - PACKET_HEADERS, 1)) + 2
+    return stream.frame_rate * (stream.payload_bytes + packets * (PACKET_HEADERS + ETHERNET_FRAME))
+
+
+def ask_camera(address: str) -> Device:
+    """Ask the camera at ``address`` for its identity and controller, by unicast only."""
+    interface = interface_to(address)
+    try:
+        record = discover_at(address).device
+    except InputError as problem:
+        return Device(problem.what, interface)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.settimeout(ANSWER_TIMEOUT_S)
+        link.connect((address, PORT))
+        privilege = read_register(link, bootstrap.CONTROL_PRIVILEGE)
+        owner = read_register(link, bootstrap.PRIMARY_ADDRESS) if privilege else None
+    controller = str(ipaddress.IPv4Address(owner)) if owner else ""
+    return Device(record, interface, None if privilege is None else privilege != 0, controller)
+
+
+def read_register(link: socket.socket, register: int) -> int | None:
+    """Return one register of the connected device; None when it does not answer or has none there."""
+    for request in range(1, ATTEMPTS + 1):
+        link.send(CommandPacket(Command.READ_REGISTER, struct.pack(">I", register), request).encode())
+        try:
+            answer = AcknowledgePacket.decode(link.recv(2048))
+        except (TimeoutError, MalformedPacket):
+            continue
+        except OSError:
+            return None
+        if answer.acknowledge == Command.READ_REGISTER.acknowledge and answer.request_id == request:
+            whole = answer.status == 0 and len(answer.payload) == 4
+            return struct.unpack(">I", answer.payload)[0] if whole else None
+    return None

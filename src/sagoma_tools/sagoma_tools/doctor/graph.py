@@ -1,0 +1,355 @@
+"""Checks of the running graph: its nodes, its cameras' silhouettes, and its frame sets."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from camera_client.background.training import KEY as TRAINING_KEY
+from camera_client.background.training import TrainingReport
+from camera_client.condition_findings import KEY as FINDINGS_KEY
+from camera_client.condition_findings import read_findings
+from capture_rig.errors import InputError
+from capture_rig.rig import Rig, load_rig
+from capture_rig.verdict import GOOD, REDO, USABLE
+
+from .findings import Finding, check, error, examine, graded, note, ok, warning
+from .graph_listener import ACTIVE, FLOODED, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
+
+LIVE_S = 6.0
+SUBJECT, HULL = "graph", "/hull_server"
+SERVER_NODES = (HULL, "/icp_tracker", "/ekf_tracker")
+ENOUGH_CAMERAS = 3
+ALIKE = (
+    ("frame_rate", warning, "frame rates"),
+    ("sync", warning, "kinds of sync"),
+    ("stamps", note, "clocks for their stamps"),
+)  # keys of the clients' diagnostics
+UNCALIBRATED, ACQUIRING, REFUSED = "uncalibrated", "acquiring", "refused:"  # how nodes' messages begin
+EMPTY = ("mask is empty", "empty silhouette", "hull is empty")
+LATE_PERIODS, LATE_MS = 5, 200.0
+MISSING, LOST = 0.02, 0.02  # of the frame sets; of the silhouettes
+CLOCK_LIMIT_S = 5e-3  # a third of a frame period at 60 Hz
+USUAL_PERIOD_S = 1 / 30
+NOTHING, ENOUGH_MASKS, SAME_PX = 1e-5, 10, 0.01
+OLD_S, EARLY_S = 1.0, 5e-3
+PACKET_BYTES = 1400
+OF_GRADE = {GOOD: note, USABLE: warning, REDO: error}
+RECOVERY = "docs/recovery.md"
+PAGES = {HULL: "docs/camera_faults.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
+UNREACHABLE = "Look for its process and log there; for the way: sagoma doctor --host ADDRESS, firewall, cable."
+BIG_MESSAGES = (
+    "Large messages get lost: one MTU on all machines (sagoma doctor --host ADDRESS), "
+    "FASTRTPS_DEFAULT_PROFILES_FILE=config/dds/fastdds.xml, and UDP open between them."
+)
+
+
+def examine_graph(seconds: float, rig_file: Path | None, domain_id: int | None = None) -> Iterator[Finding]:
+    """Examine the graph of this ROS domain, against the rig file where one is given, else the hull server's."""
+    rig = None
+    if rig_file is not None:
+        try:
+            rig = load_rig(rig_file)
+        except InputError as problem:  # the graph is examined all the same
+            yield replace(note("rig.invalid", f"{problem.where}: {problem.what}", problem.remedy), subject=SUBJECT)
+    facts = collect_graph(seconds, rig.names if rig else (), domain_id)
+    yield from graph_findings(replace(facts, rig=rig if rig_file is not None else _hulls_rig(facts)))
+
+
+def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
+    """Yield the findings on the facts."""
+    yield from examine("graph", SUBJECT, facts)
+    for node in facts.nodes:
+        if not node.camera:
+            yield from examine("node", node.name.strip("/"), node, facts)
+    yield from examine("hull server", HULL.strip("/"), facts)
+    sent = {camera.camera: camera for camera in facts.cameras}
+    for name in sorted({*(facts.rig.names if facts.rig else ()), *sent, *(node.camera for node in facts.nodes)} - {""}):
+        subject, client = f"camera {name}", facts.client(name)
+        yield from examine("graph camera", subject, name, facts)
+        if client is not None:
+            yield from examine("node", subject, client, facts)
+        if name in sent:
+            yield from examine("silhouettes", subject, sent[name], client, facts)
+
+
+@check("graph")
+def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
+    """Which nodes are heard, on which machines, and which of the server are missing."""
+    where = f"ROS_DOMAIN_ID {facts.domain}"
+    if not facts.nodes:
+        yield _no_node_heard(facts)
+        return
+    machines: dict[str, list[str]] = {}
+    for node in facts.nodes:
+        machines.setdefault((*node.machines, "")[0], []).append(node.camera or node.name.strip("/"))
+    listed = "; ".join(f"{facts.machine_name(machine)}: {', '.join(names)}" for machine, names in machines.items())
+    places = f"on {len(machines)} machines ({listed})" if len(machines) > 1 else f"all {facts.machine_name(*machines)}"
+    yield ok("nodes", f"{len(facts.nodes)} in {where}, {places}")
+    absent = [name for name in SERVER_NODES if facts.node(name) is None]
+    if len(absent) == len(SERVER_NODES) and all(node.message.startswith(UNCALIBRATED) for node in facts.nodes):
+        text = "cameras that are not calibrated yet, and no server: the set-up has begun"
+        yield note("nodes.setting_up", text, "Go on with docs/first_capture.md.")
+    elif absent:
+        yield error(
+            "nodes.server_missing",
+            f"{', '.join(absent)} {'is' if len(absent) == 1 else 'are'} not heard in {where}",
+            "sagoma up --rig RIG on the server; the same ROS_DOMAIN_ID on all machines, and "
+            "ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET where there are several.",
+        )
+    if unknown := [camera.camera for camera in facts.cameras if facts.rig and camera.camera not in facts.rig.names]:
+        text = f"{', '.join(unknown)} publish silhouettes, but are not in the rig file"
+        yield warning("cameras.not_in_rig", text, "Calibrate them into the rig, or stop them.")
+
+
+def _no_node_heard(facts: GraphFacts) -> Finding:
+    where = f"no node is heard in ROS_DOMAIN_ID {facts.domain}"
+    others = ", ".join(str(domain) for domain in facts.domains_here if domain != facts.domain)
+    hint = f"Nodes run on this machine in another ROS_DOMAIN_ID ({others}): export that. " if others else ""
+    if facts.peers:
+        hint += f"Only this machine and {', '.join(facts.peers)} are asked (sagoma doctor --host ADDRESS). "
+    elif facts.discovery_range in ("LOCALHOST", "OFF"):
+        hint += f"ROS_AUTOMATIC_DISCOVERY_RANGE = {facts.discovery_range} hears this machine only. "
+    remedy = "Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID, open UDP between them (--peers "
+    remedy += "where the network passes no multicast), and restart nodes that started before their network was up."
+    return error("nodes.none", where, hint + remedy)
+
+
+@check("graph")
+def check_alike(facts: GraphFacts) -> Iterator[Finding]:
+    """Whether the cameras are set alike: a frame set needs frames of one instant from all of them."""
+    for key, severity, what in ALIKE:
+        clients = {node.camera: node.value(key) for node in facts.nodes if node.camera and node.value(key)}
+        if len(set(clients.values())) > 1:
+            listed = ", ".join(f"{camera} {value}" for camera, value in clients.items())
+            remedy = "Give all their files the same."
+            yield severity(f"settings.{key}_differs", f"the cameras have different {what} ({listed})", remedy)
+
+
+@check("graph")
+def check_frame_sets(facts: GraphFacts) -> Iterator[Finding]:
+    """Spread and latency of the frame sets, and whether they give a hull."""
+    hull, sets = facts.node(HULL), facts.sets
+    if hull is None or hull.state != ACTIVE:
+        return
+    if not sets:
+        remedy = "See the cameras; their stamps must lie within half a frame period: sync and clocks."
+        yield error("frame_sets.none", "the hull server forms none", remedy)
+        return
+    period_ms, spread, latency = 1e3 * _period_s(facts), _high(sets, "spread_ms"), _high(sets, "published_ms")
+    text = f"stamps of a set differ by up to {spread:.1f} ms, of a frame period of {period_ms:.0f} ms"
+    remedy = "aravis.sync: ptp, line or action instead of free_run; see docs/camera_pcs.md."
+    yield graded("sync", text, (spread > period_ms / 4, warning, "spread", remedy))
+    text = f"{facts.sets_hz:.1f} frame sets a second, {latency:.0f} ms from exposure to the hull"
+    remedy = "Fewer nodes on the slowest machine, or a lower frame rate; sagoma up shows who is busy."
+    yield graded("latency", text, (latency > max(LATE_PERIODS * period_ms, LATE_MS), warning, "late", remedy))
+    bodies, seen = sum(each.get("points", "0") != "0" for each in sets), len(facts.seeing)
+    text = f"in {bodies} of {len(sets)} frame sets; {seen} cameras see a person"
+    remedy = "The rig file of another set-up? Stamps that differ? sagoma doctor --rig RIG --live"
+    yield graded("centerline", text, (not bodies and seen >= ENOUGH_CAMERAS, error, "empty", remedy))
+
+
+def _period_s(facts: GraphFacts) -> float:
+    return 1 / facts.sets_hz if facts.sets_hz else USUAL_PERIOD_S
+
+
+def _high(sets: Sequence[Mapping[str, str]], key: str) -> float:
+    """Return the 95th percentile of a figure of the frame sets; NaN of nothing."""
+    ordered = sorted(float(each[key]) for each in sets if key in each)
+    return ordered[round(0.95 * (len(ordered) - 1))] if ordered else float("nan")
+
+
+@check("node")
+def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
+    """Whether the node is the only one of its name, answers, reports and is active."""
+    if node.copies > 1:
+        places = Counter(map(facts.machine_name, node.machines))
+        listed = ", ".join(place if count == 1 else f"{count} {place}" for place, count in places.items())
+        remedy = "Stop all but one: the same camera or server was started twice, or two set-ups share a ROS_DOMAIN_ID."
+        yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name} ({listed})", remedy)
+    if node.state is None and node.report is None:
+        text = f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do not get here"
+        yield error("node.silent", text, UNREACHABLE)
+    elif node.state is None:
+        text = f"{node.name} reports, but does not answer questions: it is busy or hangs"
+        yield warning("node.unresponsive", text, UNREACHABLE)
+    elif node.report is None:
+        yield error("diagnostics.missing", f"{node.name} answers, but its diagnostics do not arrive", BIG_MESSAGES)
+    if node.state not in (None, ACTIVE):
+        yield warning("state.inactive", f"it is {node.state}", "sagoma start (or sagoma up, where no process runs)")
+
+
+@check("node")
+def check_message(node: NodeFacts, facts: GraphFacts) -> Finding | None:
+    """The node's own warning or error, but for what is usual in an empty room."""
+    if node.report is None:
+        return None
+    message, level = node.message, node.report.level[0]
+    if message in {finding.line for finding in read_findings(node.value(FINDINGS_KEY))}:
+        return None  # it is a finding of its own
+    page = "docs/camera_pcs.md" if node.camera else PAGES.get(node.name, "")
+    remedy = f"See {page}." if page else "See its log."
+    if level == 1 and message.startswith(ACQUIRING):
+        return note("says.acquiring", message, "Somebody has to come, or stand in the T-pose: docs/acquisition.md.")
+    if level == 1 and facts.room_empty and any(words in message for words in EMPTY):
+        return ok("says", f"{message} (the room is empty)")
+    return graded("says", message, (level > 1, error, "error", remedy), (level > 0, warning, "warning", remedy))
+
+
+@check("node")
+def check_clock(node: NodeFacts, facts: GraphFacts) -> Finding | None:
+    """The clock's offset from this machine's: a report takes between nothing and one round trip to arrive."""
+    if node.report is None or facts.simulated_time:
+        return None
+    low, high = node.report.lead_s, node.report.lead_s + node.round_trip_s
+    off_s = low if low > 0 else min(high, 0.0)  # what is certain
+    here = " (though it runs on this machine)" if node.machines == (facts.machine,) else ""
+    way = f"{abs(off_s):.2f} s" if abs(off_s) >= 1 else f"{1e3 * abs(off_s):.1f} ms"
+    what = f"its clock{here} is {way} {'ahead of' if off_s > 0 else 'behind'} this machine's, at the least"
+    remedy = "chrony or PTP on all machines, with one source: frame sets are formed by stamps."
+    if abs(off_s) > _period_s(facts) / 2:
+        return error("clock.off", what, remedy)
+    if abs(off_s) > CLOCK_LIMIT_S:
+        return warning("clock.imprecise", what, remedy)
+    return ok("clock", f"{1e3 * low:+.1f} to {1e3 * high:+.1f} ms from this machine's")
+
+
+@check("node")
+def check_background(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
+    """What a camera's client finds against its background, and the last training that failed."""
+    for found in read_findings(node.value(FINDINGS_KEY)):
+        yield OF_GRADE[found.grade](found.code, found.what, found.remedy)
+    try:
+        training = TrainingReport.from_json(node.value(TRAINING_KEY))
+    except (KeyError, TypeError, ValueError):  # none was learned, or not by this version
+        return
+    if training.grade == REDO:
+        why = "; ".join(map(str, training.findings))
+        remedy = "sagoma background, while the room is empty"
+        yield warning("background.failed", f"the last training failed: {why}", remedy)
+
+
+@check("hull server")
+def check_refusals(facts: GraphFacts) -> Iterator[Finding]:
+    """Cameras that the hull server refuses although they agree with the rig file: the server is wrong."""
+    hull = facts.node(HULL)
+    message = hull.message if hull is not None else ""
+    for sent in facts.cameras if message.startswith(REFUSED) else ():
+        wanted, its = facts.canvas(sent.camera), sent.canvas
+        if f"{sent.camera}:" in message and wanted and its and not _differences(its, wanted):
+            has = facts.rig_files.get(HULL, "unknown")
+            text = f"it refuses {sent.camera}, which agrees with the rig file: the server has another one ({has})"
+            yield error("rig.refused", text, "Give it the same rig file: sagoma stop, sagoma up --rig RIG.")
+
+
+@check("graph camera")
+def check_client(camera: str, facts: GraphFacts) -> Finding | None:
+    """Whether a camera of the rig has its client."""
+    if not facts.nodes or facts.rig is None or camera not in facts.rig.names or facts.client(camera) is not None:
+        return None
+    return error(
+        "node.missing",
+        "its client is not heard: it does not run, or its machine vanished",
+        "Is it on, its cable in (sagoma doctor --host ADDRESS)? Start it there (sagoma up --cameras FOLDER "
+        f"--only {camera}); the same ROS_DOMAIN_ID ({facts.domain}) and discovery range.",
+    )
+
+
+@check("graph camera")
+def check_share_in_sets(camera: str, facts: GraphFacts) -> Finding | None:
+    """How often the camera was missing from the frame sets."""
+    sets = facts.sets
+    missing = sum(camera in each.get("missing", "").split(",") for each in sets)
+    if missing <= MISSING * len(sets):
+        return None
+    remedy = "Frames come late, get lost, or have other stamps: see clock, sync and network."
+    return warning("frame_sets.missing_camera", f"it is missing from {missing} of {len(sets)}", remedy)
+
+
+@check("silhouettes")
+def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFacts) -> Iterator[Finding]:
+    """Whether one client publishes silhouettes, and they arrive in time."""
+    if sent.publishers > 1:
+        remedy = "Stop all but one client of this camera."
+        yield error("silhouettes.duplicate_publisher", f"{sent.publishers} nodes publish them", remedy)
+    uncalibrated = sent.canvas is not None and sent.canvas.fx == 0  # as camera_info says it (REP-104)
+    if not sent.masks:
+        if client is None or client.state != ACTIVE or not sent.publishers or uncalibrated:
+            return  # the node's findings say so
+        if sent.infos or client.value("rate_hz") not in ("", "0", "0.0"):
+            text = f"its client sends {client.value('rate_hz') or 'some'} a second, none arrives here"
+            yield error("silhouettes.not_arriving", text, BIG_MESSAGES)
+        else:
+            remedy = "See its message; without a background there are none."
+            yield warning("silhouettes.none_sent", "it sends none", remedy)
+        return
+    total = sent.masks + sent.lost
+    if sent.lost > LOST * total:
+        large = " (larger than one packet)" if sent.largest_bytes > PACKET_BYTES else ""
+        yield warning("network.loss", f"{sent.lost} of {total} silhouettes{large} got lost on the way", BIG_MESSAGES)
+    if sent.age_s < -EARLY_S:
+        text = f"its frames are stamped {-sent.age_s:.3f} s ahead of this machine's clock"
+        yield error("stamps.ahead", text, "chrony or PTP on all machines; for PTP stamps check tai_utc_offset_s.")
+    elif sent.age_s > OLD_S:
+        remedy = "Its clock is behind (see clock), footage plays late, or the machine is too busy."
+        yield warning("latency.old", f"its silhouettes are {sent.age_s:.1f} s old when they arrive", remedy)
+
+
+@check("silhouettes")
+def check_canvas(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFacts) -> Finding | None:
+    """Whether the silhouettes were made with the rig's calibration."""
+    canvas, rig = sent.canvas, facts.canvas(sent.camera)
+    if not sent.masks:
+        return None
+    if canvas is None:
+        text = "none arrives beside the silhouettes"
+        return warning("camera_info.missing", text, "Is camera_client the publisher?")
+    if rig is None:
+        return None
+    file = facts.rig_files.get(client.name, "") if client is not None else ""
+    text, differences = f"its rig_file: {file}" if file else "as in the rig file", _differences(canvas, rig)
+    remedy = "Copy the newer of both rig files to both machines, configure both again; a calibration set by "
+    remedy += "set_camera_info belongs into rig.yaml too."
+    if differences:
+        text = f"made with another calibration than the rig file: {differences} ({text})"
+        return error("camera_info.differs", text, remedy)
+    return ok("camera_info", text)
+
+
+def _differences(canvas: Canvas, rig: Canvas) -> str:
+    """Return the differences of the canvas that a camera publishes from the rig's, in words."""
+    pairs = zip(Canvas._fields, canvas, rig, strict=True)
+    different = [(name, mine, its) for name, mine, its in pairs if abs(mine - its) > SAME_PX]
+    return ", ".join(f"{name} {mine:.2f}, in the rig {its:.2f}" for name, mine, its in different)
+
+
+@check("silhouettes")
+def check_content(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFacts) -> Finding | None:
+    """Whether the silhouettes are plausible."""
+    if not sent.masks:
+        return None
+    others = [camera for camera in facts.seeing if camera != sent.camera]
+    learn = f"Learn the background of the empty room again: sagoma background --cameras {sent.camera}"
+    text = f"{100 * sent.share:.1f} % foreground, {sent.masks} came"
+    frozen = sent.masks >= ENOUGH_MASKS and not sent.changes and sent.share > NOTHING
+    if sent.share < NOTHING and others:
+        remedy = f"Lens cap, wrong direction, or a person was in the room while it learned. {learn}"
+        return warning("silhouettes.blank", f"blank, while {', '.join(others)} see a person", remedy)
+    return graded(
+        "silhouettes",
+        text,
+        (sent.bad > 0, error, "undecodable", "The messages are damaged: see its log, and the network."),
+        (sent.share >= FLOODED, error, "flooded", f"The light or the camera was changed. {learn}"),
+        (frozen, error, "frozen", "The same one again and again: cycle the camera's power; see its client's message."),
+    )
+
+
+def _hulls_rig(facts: GraphFacts) -> Rig | None:
+    """Return the hull server's rig file, when it lies on this machine."""
+    path = facts.rig_files.get(HULL, "")
+    try:
+        return load_rig(path) if path and Path(path).is_file() else None
+    except InputError:  # the server reports it
+        return None

@@ -1,1 +1,0 @@
-"""Diagnosis of the running graph, from what it says in a few seconds."""

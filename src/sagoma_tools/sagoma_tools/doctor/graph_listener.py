@@ -1,0 +1,300 @@
+"""Listens to the running graph for a few seconds, and asks its nodes for their state and rig file."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any, NamedTuple, cast
+
+import cv2
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import GetState
+from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import CameraInfo, CompressedImage
+
+from capture_rig.mask_levels import SHADOW_CANDIDATE
+from capture_rig.rig import Rig
+from sagoma_bringup.graph import CAMERA_NODE
+from sagoma_ros import mask_png
+from sagoma_ros.messages import to_ns
+from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
+
+from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
+from ..graph.network_settings import PEERS_VARIABLE
+from ..graph.ros_link import RosLink, call_all, node_names, owners_of, settled
+from ..graph.running_nodes import own_machine, places_of
+from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
+from .network import domains_here
+
+OWN_NAME = "sagoma_doctor"
+FRAME_SET_TOPIC = "/hull/frame_set"
+DISCOVERY_S, ANSWER_S = 5.0, 1.0
+QUESTIONS = 5  # of which the fastest answer counts: one may be lost while discovery is under way
+GET_STATE, GET_PARAMETERS = "/get_state", "/get_parameters"
+ICP, ICP_RIG_PARAMETER, RIG_PARAMETER = "/icp_tracker", "initial_pose.rig_file", "rig_file"
+KEPT = 4096  # messages of a topic: the last minute at 60 Hz
+DECODED = 60  # masks of a camera
+ACTIVE = "active"
+PERSON_SHARE, FLOODED = 0.003, 0.5  # of the canvas: a person fills ten times as much as the lower one
+
+
+class Canvas(NamedTuple):
+    """Size and pinhole parameters of a camera_info, pixels."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+def canvas_of(width: int, height: int, k: Sequence[float]) -> Canvas:
+    """Return the canvas of an image size and a camera matrix in rows."""
+    return Canvas(width, height, float(k[0]), float(k[4]), float(k[2]), float(k[5]))
+
+
+@dataclass(frozen=True)
+class NodeFacts:
+    """One node of the graph.
+
+    state : its lifecycle state, None when it did not answer; round_trip_s : its fastest answer.
+    machines : where nodes of this name run, by the middleware's number; copies : how many there are.
+    """
+
+    name: str
+    state: str | None = None
+    copies: int = 1
+    machines: tuple[str, ...] = ()
+    report: NodeReport | None = None
+    round_trip_s: float = 0.0
+
+    @property
+    def camera(self) -> str:
+        """The camera of a client node; "" for another node."""
+        space, _, name = self.name.rpartition("/")
+        return space.strip("/") if name == CAMERA_NODE else ""
+
+    @property
+    def message(self) -> str:
+        """What it says; "" where it does not report."""
+        return "" if self.report is None else self.report.message
+
+    def value(self, key: str) -> str:
+        """Return a value of its diagnostics; "" where there is none."""
+        return "" if self.report is None else self.report.values.get(key, "")
+
+
+@dataclass(frozen=True)
+class SilhouetteFacts:
+    """What one camera sent while the doctor listened.
+
+    publishers : of its silhouettes; infos : camera_infos heard, ``canvas`` the last; masks : silhouettes heard, of
+    which ``bad`` could not be decoded and ``lost`` were missing between the first and the last.
+    shares : of foreground, of those decoded; changes : how many differed from the one before.
+    age_s : from capture to arrival here, the median; largest_bytes : of one message.
+    """
+
+    camera: str
+    publishers: int = 0
+    infos: int = 0
+    canvas: Canvas | None = None
+    masks: int = 0
+    bad: int = 0
+    lost: int = 0
+    shares: tuple[float, ...] = ()
+    changes: int = 0
+    age_s: float = 0.0
+    largest_bytes: int = 0
+
+    @property
+    def share(self) -> float:
+        """The median share of foreground."""
+        return median(self.shares) if self.shares else 0.0
+
+    @property
+    def sees_person(self) -> bool:
+        """Whether most of its masks have a plausible share of foreground."""
+        return PERSON_SHARE <= self.share < FLOODED
+
+
+@dataclass(frozen=True)
+class GraphFacts:
+    """The running graph as heard from here.
+
+    sets : diagnostics of the hull server's frame sets. rig : the one that is expected; rig_files : by node.
+    domains_here : ROS domains with nodes on this machine; peers : addresses that are asked by unicast.
+    """
+
+    domain: int
+    discovery_range: str
+    machine: str = ""
+    nodes: tuple[NodeFacts, ...] = ()
+    cameras: tuple[SilhouetteFacts, ...] = ()
+    sets: tuple[Mapping[str, str], ...] = ()
+    sets_hz: float = 0.0
+    simulated_time: bool = False
+    rig_files: Mapping[str, str] = field(default_factory=dict)
+    domains_here: tuple[int, ...] = ()
+    peers: tuple[str, ...] = ()
+    rig: Rig | None = None
+
+    def node(self, name: str) -> NodeFacts | None:
+        """Return the node with this fully qualified name."""
+        return next((node for node in self.nodes if node.name == name), None)
+
+    def client(self, camera: str) -> NodeFacts | None:
+        """Return the client node of a camera."""
+        return self.node(f"/{camera}/{CAMERA_NODE}")
+
+    def canvas(self, camera: str) -> Canvas | None:
+        """Return the canvas that the rig gives a camera; None where it does not know it."""
+        if self.rig is None or camera not in self.rig.names:
+            return None
+        model = self.rig.camera(camera).undistorted_view().camera
+        return canvas_of(model.width, model.height, model.K.ravel().tolist())
+
+    @property
+    def seeing(self) -> list[str]:
+        """The cameras that see a person."""
+        return [facts.camera for facts in self.cameras if facts.sees_person]
+
+    @property
+    def room_empty(self) -> bool:
+        """Whether all masks are as good as empty."""
+        return all(facts.share < PERSON_SHARE for facts in self.cameras if facts.masks)
+
+    def machine_name(self, machine: str) -> str:
+        """Return a name for a machine."""
+        return "here" if machine == self.machine else "on another machine"
+
+
+Heard = deque[tuple[Any, Mapping[str, int]]]
+"""Messages of a topic and their times; one thread appends, another copies."""
+
+
+def collect_graph(seconds: float, expected: Sequence[str] = (), domain_id: int | None = None) -> GraphFacts:
+    """Listen for ``seconds``; also to ``expected`` cameras for which no publisher is found."""
+    with RosLink(OWN_NAME, domain_id=domain_id) as link:
+        node = link.node
+        reports, sets = DiagnosticsTable(node), _listen(node, DiagnosticArray, FRAME_SET_TOPIC, RESULT)
+        settled(lambda: set(node_names(node)) - {f"/{OWN_NAME}"}, 1, DISCOVERY_S)
+        cameras = sorted({*expected, *cameras_in(name for name, _ in node.get_topic_names_and_types())})
+        qos = SILHOUETTE_SUBSCRIBER
+        masks = [_listen(node, CompressedImage, f"/{name}{SILHOUETTE_SUFFIX}", qos) for name in cameras]
+        infos = [_listen(node, CameraInfo, f"/{name}{CAMERA_INFO_SUFFIX}", qos) for name in cameras]
+        ends_s = time.monotonic() + seconds
+        lifecycle = owners_of(node, "get_state", "lifecycle_msgs/srv/GetState")
+        states, trips = ask_states(node, sorted(lifecycle))
+        rig_files = _ask_rig_files(node, sorted(states))
+        threading.Event().wait(max(ends_s - time.monotonic(), 0.0))
+        machines = {name: tuple(place.machine for place in places) for name, places in places_of(node).items()}
+        copies = Counter(node_names(node))
+        names = sorted({*lifecycle, *(name for name in reports.names() if name.startswith("/"))})
+        heard = sets.copy()
+        span_s = 1e-9 * (heard[-1][1]["received_timestamp"] - heard[0][1]["received_timestamp"]) if heard else 0.0
+        return GraphFacts(
+            node.context.get_domain_id(),
+            os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", ""),
+            own_machine(node),
+            tuple(
+                NodeFacts(n, states.get(n), copies[n], machines.get(n, ()), reports.report(n), trips.get(n, 0.0))
+                for n in names
+            ),
+            tuple(
+                silhouette_facts(name, node.count_publishers(f"/{name}{SILHOUETTE_SUFFIX}"), mask.copy(), info.copy())
+                for name, mask, info in zip(cameras, masks, infos, strict=True)
+            ),
+            tuple({pair.key: pair.value for status in each.status for pair in status.values} for each, _ in heard),
+            (len(heard) - 1) / span_s if span_s > 0 else 0.0,
+            node.count_publishers("/clock") > 0,
+            rig_files,
+            domains_here(),
+            tuple(filter(None, os.environ.get(PEERS_VARIABLE, "").split(";"))),
+        )
+
+
+def _listen(node: Node, kind: type, topic: str, qos: QoSProfile) -> Heard:
+    """Subscribe, and return the queue into which messages and their times are put."""
+    heard: Heard = deque(maxlen=KEPT)
+
+    def take(message: Any, info: Any) -> None:
+        heard.append((message, info))
+
+    # rclpy's annotation has a callback that gets the message alone
+    node.create_subscription(kind, topic, cast(Callable[[Any], None], take), qos)
+    return heard
+
+
+def silhouette_facts(camera: str, publishers: int, masks: Heard, infos: Heard) -> SilhouetteFacts:
+    """Return the facts about a camera's messages."""
+    info = infos[-1][0] if infos else None
+    canvas = None if info is None else canvas_of(info.width, info.height, info.k)
+    if not masks:
+        return SilhouetteFacts(camera, publishers, len(infos), canvas)
+    data = [bytes(message.data) for message, _ in masks]
+    numbers = [number for _, each in masks if (number := each.get("publication_sequence_number")) is not None]
+    decoded = [_decode(each) for each in data[:: -(-len(data) // DECODED)]]
+    readable = [mask for mask in decoded if mask is not None]
+    return SilhouetteFacts(
+        camera,
+        publishers,
+        len(infos),
+        canvas,
+        len(data),
+        bad=len(decoded) - len(readable),
+        lost=numbers[-1] - numbers[0] + 1 - len(numbers) if publishers == 1 and numbers else 0,
+        shares=tuple(float((mask > SHADOW_CANDIDATE).mean()) for mask in readable),
+        changes=sum(one != other for one, other in itertools.pairwise(data)),
+        age_s=1e-9 * median(each["received_timestamp"] - to_ns(message.header.stamp) for message, each in masks),
+        largest_bytes=max(map(len, data)),
+    )
+
+
+def _decode(data: bytes) -> np.ndarray | None:
+    mask: np.ndarray | None = mask_png.decode(data)
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE) if mask is None else mask
+
+
+def ask_states(node: Node, names: Iterable[str]) -> tuple[dict[str, str], dict[str, float]]:
+    """Return the lifecycle state of each node that answers, and its shortest round trip of a few, seconds."""
+    states: dict[str, str] = {}
+    trips: dict[str, float] = {}
+    for name in names:
+        client = node.create_client(GetState, name + GET_STATE)
+        for question in range(QUESTIONS if client.wait_for_service(ANSWER_S) else 0):
+            came, began_s, arrived_s = threading.Event(), time.perf_counter(), [0.0]
+
+            def take(_: Any, came: threading.Event = came, arrived_s: list[float] = arrived_s) -> None:
+                arrived_s[0] = time.perf_counter()
+                came.set()
+
+            future = client.call_async(GetState.Request())
+            future.add_done_callback(take)
+            if came.wait(ANSWER_S):
+                states[name] = cast(Any, future.result()).current_state.label
+                trips[name] = min(arrived_s[0] - began_s, trips.get(name, ANSWER_S))
+            elif question > 0 and name not in states:
+                break
+        node.destroy_client(client)
+    return states, trips
+
+
+def _ask_rig_files(node: Node, names: Sequence[str]) -> dict[str, str]:
+    """Return the rig file parameter of each node."""
+    files = {}
+    parameters = {name + GET_PARAMETERS: ICP_RIG_PARAMETER if name == ICP else RIG_PARAMETER for name in names}
+    requests = {service: GetParameters.Request(names=[parameter]) for service, parameter in parameters.items()}
+    for service, reply in call_all(node, GetParameters, requests, ANSWER_S, repeatable=True).items():
+        if reply is not None and reply.values and reply.values[0].string_value:
+            files[service.removesuffix(GET_PARAMETERS)] = reply.values[0].string_value
+    return files

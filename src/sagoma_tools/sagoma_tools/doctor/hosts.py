@@ -1,0 +1,316 @@
+"""Checks of the network between two machines of the graph: path, packet size, ROS settings.
+
+A UDP packet to a closed port is answered by the receiver's kernel (ICMP port unreachable), which a connected socket
+reports as "connection refused": proof, without privileges or a program at the other end, that the packet arrived. With
+the don't-fragment bit it proves that the whole path carries packets of that size. Where `sagoma doctor --answer` runs,
+that answers instead, with the ROS settings of the nodes there; no answer is larger than its question.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import select
+import socket
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from ..graph.network_settings import PEERS_VARIABLE, PROFILE_VARIABLE, RANGE_VARIABLE
+from .findings import Finding, check, error, examine, note, ok, warning
+from .network import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, domains_here, interface_to
+
+PORT = 7398  # below all ROS domains' ports
+UNUSED_PORT = 10 + 2 * PARTICIPANTS + 9  # of a domain's: no process listens there
+ALONE = ("LOCALHOST", "OFF")  # discovery ranges that hear this machine only
+DOCS = "docs/hosts.md"
+
+# questions and answers of two doctors ---------------------------------------------------------------------------------
+
+SMALL_BYTES, FULL_BYTES = 64, 1400  # of a question, headers included: the latter as large as packets of our DDS profile
+UNICAST, MULTICAST, GROUP = b"sagoma?", b"sagoma*", "239.255.0.1"  # the group of DDS discovery
+HEADERS = 28  # IPv4 and UDP
+IP_MTU_DISCOVER, IP_PMTUDISC_PROBE = 10, 3  # linux/in.h: don't fragment, and ignore what was learned before
+PATIENCE_S, TRIES = 0.3, 5
+NODE_MARK = "--ros-args"  # in the command line of every node that was started as one
+
+
+@dataclass(frozen=True)
+class RosSettings:
+    """What decides whom nodes hear: domain, discovery range, static peers, name of the profile's file, middleware."""
+
+    domain: int = 0
+    reach: str = "SUBNET"
+    peers: tuple[str, ...] = ()
+    profile: str = ""
+    middleware: str = ""
+
+    @classmethod
+    def of(cls, environment: Mapping[str, str]) -> RosSettings:
+        """Read them from environment variables."""
+        get = environment.get
+        domain, alone = get("ROS_DOMAIN_ID", ""), get("ROS_LOCALHOST_ONLY") == "1"
+        reach = "LOCALHOST" if alone else get(RANGE_VARIABLE) or "SUBNET"
+        peers, profile = tuple(filter(None, get(PEERS_VARIABLE, "").split(";"))), Path(get(PROFILE_VARIABLE, "")).name
+        return cls(int(domain) if domain.isdigit() else 0, reach, peers, profile, get("RMW_IMPLEMENTATION", ""))
+
+    def __str__(self) -> str:
+        peers = f", peers {', '.join(self.peers)}" if self.peers else ""
+        profile = f", profile {self.profile}" if self.profile else ""
+        return f"nodes in ROS_DOMAIN_ID {self.domain}, discovery {self.reach}{peers}{profile}"
+
+
+def settings_here() -> dict[str, Any]:
+    """Return the settings of this machine's nodes, each once, and the ROS domains with nodes here."""
+    nodes = dict.fromkeys(map(RosSettings.of, _node_environments()))
+    return {"nodes": [asdict(node) for node in nodes], "domains": domains_here()}
+
+
+def _node_environments() -> Iterator[Mapping[str, str]]:
+    """Yield the environment of every node on this machine's network (a container's own is another machine)."""
+    here = Path("/proc/self/ns/net").stat().st_ino
+    for process in psutil.process_iter(["cmdline"]):
+        with contextlib.suppress(OSError, psutil.Error):  # of another user, or it has ended
+            network = Path(f"/proc/{process.pid}/ns/net")
+            if NODE_MARK in (process.info["cmdline"] or []) and network.stat().st_ino == here:
+                yield process.environ()
+
+
+def serve(stop: threading.Event, address: str = "", port: int = PORT, ready: Callable[[], object] = bool) -> None:
+    """Answer questions until ``stop`` is set; call ``ready`` once they are heard. OSError where the port is taken.
+
+    A question is UNICAST and the number of another port on which to answer from then on, too (0: none), padded; the
+    answer is :func:`settings_here`, cut to its size. Or MULTICAST and the port to which a multicast packet is sent.
+    """
+    with _socket() as link, contextlib.ExitStack() as opened:
+        link.bind((address, port))
+        ready()
+        links = [link]
+        while not stop.is_set():
+            for heard in select.select(links, [], [], 0.2)[0]:
+                packet, sender = heard.recvfrom(65536)
+                kind, named = packet[: len(UNICAST)], int.from_bytes(packet[len(UNICAST) :][:2], "big")
+                with contextlib.suppress(OSError):  # the sender is gone, or somebody else has that port
+                    if kind == MULTICAST:
+                        heard.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, _own_address(sender))
+                        heard.sendto(MULTICAST, (GROUP, named))
+                    elif kind == UNICAST:
+                        heard.sendto(json.dumps(settings_here()).encode()[: len(packet)], sender)
+                    if kind == UNICAST and named:
+                        opened.close()
+                        links = [link, opened.enter_context(_socket())]
+                        links[1].bind((address, named))
+
+
+def _own_address(other: tuple[str, int]) -> bytes:
+    """Return our own address on the path to another, packed."""
+    with _socket() as link:
+        link.connect(other)
+        return socket.inet_aton(link.getsockname()[0])
+
+
+def _socket() -> socket.socket:
+    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+
+def _question(size: int, port: int = 0, kind: bytes = UNICAST) -> bytes:
+    return (kind + port.to_bytes(2, "big")).ljust(size - HEADERS, b"\0")
+
+
+def hears_multicast(address: str, here: str, port_of_discovery: int, port: int = PORT) -> bool:
+    """Return whether multicast to a domain's discovery, sent by what answers at ``address``, arrives at ``here``."""
+    with _socket() as ear, _socket() as link:
+        ear.settimeout(PATIENCE_S)
+        ear.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        ear.bind((GROUP, port_of_discovery))
+        ear.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(GROUP) + socket.inet_aton(here))
+        link.connect((address, port))
+        for _ in range(TRIES):
+            with contextlib.suppress(OSError):
+                link.send(_question(SMALL_BYTES, port_of_discovery, MULTICAST))
+                if ear.recvfrom(len(MULTICAST))[1][0] == address:
+                    return True
+    return False
+
+
+def reaches(address: str, size: int, port: int = PORT) -> bool:
+    """Return whether an unfragmented packet of ``size`` bytes, headers included, arrives at a port."""
+    with _socket() as link:
+        link.settimeout(PATIENCE_S)
+        link.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, IP_PMTUDISC_PROBE)
+        link.connect((address, port))
+        for _ in range(TRIES):
+            try:
+                link.send(_question(size))
+                link.recv(1)
+            except TimeoutError:
+                continue
+            except ConnectionRefusedError:
+                return True
+            except OSError as problem:
+                if problem.errno in (errno.EMSGSIZE, errno.EHOSTUNREACH, errno.ENETUNREACH):
+                    return False
+                with contextlib.suppress(OSError):
+                    link.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+            else:
+                return True
+    return False
+
+
+# checks of another machine --------------------------------------------------------------------------------------------
+
+SIZES = (9000, 1500, 1400, 1280)
+
+
+@dataclass(frozen=True)
+class Host:
+    """Another machine, the interface here on the path to it (None: none), and whether a small packet is answered."""
+
+    address: str
+    interface: Interface | None
+    answers: bool = False
+
+
+@dataclass(frozen=True)
+class Peer:
+    """ROS settings of a machine's nodes and of this shell, and both addresses.
+
+    domains : where processes listen there, seen by ports. multicast, port_open : whether its multicast
+    arrives here, and packets to a ROS port there (None: not tried).
+    """
+
+    nodes: tuple[RosSettings, ...]
+    domains: tuple[int, ...]
+    ours: RosSettings
+    here: str
+    there: str
+    multicast: bool | None = None
+    port_open: bool | None = None
+
+    @property
+    def node(self) -> RosSettings | None:
+        """The settings of a node there of our domain."""
+        return next((node for node in self.nodes if node.domain == self.ours.domain), None)
+
+
+def examine_hosts(addresses: Sequence[str]) -> Iterator[Finding]:
+    """Examine the network paths to these machines; sends packets to them alone."""
+    for address in addresses:
+        interface = interface_to(address)
+        host = Host(address, interface, interface is not None and reaches(address, SMALL_BYTES))
+        yield from examine("host", f"machine {address}", host)
+        if host.answers and (peer := ask_peer(address)):
+            yield from examine("peer", f"machine {address}", peer)
+
+
+def ask_peer(address: str, port: int = PORT) -> Peer | None:
+    """Return a machine's ROS settings beside ours, and whether its nodes are heard; None when nothing answers."""
+    ours = RosSettings.of(os.environ)
+    first = FIRST_PORT + DOMAIN_PORTS * ours.domain
+    with _socket() as link:
+        link.settimeout(PATIENCE_S)
+        link.connect((address, port))
+        for _ in range(TRIES):
+            try:
+                link.send(_question(FULL_BYTES, first + UNUSED_PORT))
+                told, here = json.loads(link.recv(65536)), str(link.getsockname()[0])
+                nodes = [RosSettings(**{**node, "peers": tuple(node["peers"])}) for node in told["nodes"]]
+                peer = Peer(tuple(nodes), tuple(told["domains"]), ours, here, address)
+                break
+            except (OSError, ValueError, KeyError, TypeError):  # nobody answers, or no doctor
+                continue
+        else:
+            return None
+    if peer.node is None:
+        return peer
+    arrives = None if ours.reach in ALONE else hears_multicast(address, here, first, port)
+    return replace(peer, multicast=arrives, port_open=reaches(address, SMALL_BYTES, first + UNUSED_PORT))
+
+
+@check("host")
+def check_path(host: Host) -> Iterator[Finding]:
+    """Whether the machine can be reached and gets packets of the interface's MTU whole."""
+    address, link = host.address, host.interface
+    if link is None:
+        remedy = f"Check the address; see: ip route get {address}"
+        yield error("way.none", f"there is no way to {address} from this machine", remedy)
+        return
+    if link.loopback:
+        yield note("way.local", f"{address} is this machine")
+    if not host.answers:
+        text = f"{address} does not answer through {link.name}: it is off, or a firewall is silent"
+        yield warning("answer.none", text, f"ping {address}; open UDP between the machines.")
+        return
+    wanted = min(link.mtu, max(SIZES))
+    largest = next((size for size in (wanted, *SIZES) if size <= wanted and reaches(address, size)), 0)
+    if largest == wanted:
+        yield ok("mtu", f"packets of {largest} bytes reach {address} through {link.name}")
+        return
+    reach = f"{largest or f'less than {SIZES[-1]}'} bytes at most"
+    yield error(
+        "mtu.too_large",
+        f"{link.name} sends packets of {link.mtu} bytes, but {reach} reach {address}: larger messages vanish",
+        "Give both machines and the switch between them one MTU: "
+        f"sudo ip link set {link.name} mtu {largest or SIZES[-1]}, or raise the others'.",
+    )
+
+
+@check("peer")
+def check_domain(peer: Peer) -> Finding | None:
+    """Whether nodes run there, and in our domain."""
+    domains = sorted({node.domain for node in peer.nodes} or set(peer.domains))
+    if not domains:
+        return warning("nodes.none_there", "no ROS node runs there", "Start it: sagoma up --cameras FILE there.")
+    if peer.ours.domain in domains:
+        return None
+    listed, ours = ", ".join(map(str, domains)), peer.ours.domain
+    remedy = f"export ROS_DOMAIN_ID={ours} there and start them again, or {listed} here."
+    return error("domain.differs", f"its nodes run in ROS_DOMAIN_ID {listed}, this doctor in {ours}", remedy)
+
+
+@check("peer")
+def check_discovery(peer: Peer) -> Finding | None:
+    """Whether one machine asks the other, or multicast carries their announcements."""
+    theirs, ours = peer.node, peer.ours
+    if theirs is None:
+        return None
+    if peer.here in theirs.peers or peer.there in ours.peers:
+        return ok("discovery", "one of both machines names the other as a peer")
+    name = f"sagoma ... --peers {peer.here} there or --peers {peer.there} here, at every start"
+    remedy = f"{name}, or {RANGE_VARIABLE}=SUBNET on both where multicast passes. {DOCS}"
+    for settings, place in ((theirs, "there"), (ours, "here")):
+        if settings.reach in ALONE and settings.peers:
+            text = f"{place}, only peers are heard ({', '.join(settings.peers)}): neither machine names the other"
+            return error("peers.missing", text, remedy)
+        if settings.reach in ALONE:
+            text = f"{RANGE_VARIABLE} is {settings.reach} {place}, and neither machine names the other as a peer"
+            return error("discovery.local", text, remedy)
+    text = f"nodes run there in ROS_DOMAIN_ID {ours.domain}, but their multicast does not arrive here"
+    why = "A switch with IGMP snooping, Wi-Fi, another subnet, or a firewall keeps it back: give addresses, "
+    blocked = peer.multicast is False
+    return error("multicast.blocked", text, f"{why}{name}. {DOCS}") if blocked else ok("discovery", "by multicast")
+
+
+@check("peer")
+def check_settings(peer: Peer) -> Iterator[Finding]:
+    """Firewall, Fast DDS profile and middleware there."""
+    node, ours = peer.node, peer.ours
+    if node is None:
+        return
+    if peer.port_open is False:
+        low = FIRST_PORT + DOMAIN_PORTS * ours.domain
+        text = f"packets to its ROS ports vanish (UDP {low} to {low + DOMAIN_PORTS - 1}), to others not: a firewall"
+        yield error("firewall.drops", text, f"Open them there: sudo ufw allow proto udp from {peer.here}.")
+    if node.profile != ours.profile:
+        text = f"Fast DDS profiles differ: there and here {node.profile or 'none'} and {ours.profile or 'none'}"
+        yield warning("profile.differs", text, f"{PROFILE_VARIABLE}=config/dds/fastdds.xml on all machines. {DOCS}")
+    if node.middleware != ours.middleware and {node.middleware, ours.middleware} != {"", "rmw_fastrtps_cpp"}:
+        text = f"another middleware runs there: RMW_IMPLEMENTATION={node.middleware or 'not set'}"
+        yield error("middleware.differs", text, "The same RMW_IMPLEMENTATION on all machines.")
+    yield ok("settings", "; ".join(map(str, peer.nodes)))

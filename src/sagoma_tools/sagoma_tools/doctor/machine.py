@@ -1,0 +1,166 @@
+"""Checks of this machine: software, kernels, cores, memory, clock, ROS environment, disk."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+from rclpy.utilities import get_rmw_implementation_identifier
+
+import hull_server
+from camera_client.sources.aravis_source import import_aravis
+from capture_rig.errors import InputError
+
+from .findings import Finding, check, error, examine, graded, note, ok, warning
+from .network import HIGHEST_DOMAIN
+
+SUBJECT = "this machine"
+PYTHONS = ((3, 11), (3, 12))
+ROS, TESTED_RMW = "jazzy", "rmw_fastrtps_cpp"
+RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
+FREE_CORES = 1.0  # a camera client at 100 frames a second takes a third of one
+FREE_BYTES = 500 << 20
+CLOCK_LIMIT_S = 1e-3  # a tenth of a frame at 100 Hz
+FREE_DISK, NO_DISK = 5 << 30, 200 << 20
+SHARED_MEMORY, SMALL_SHARED_MEMORY = "/dev/shm", 128 << 20  # containers start with 64 MiB
+
+
+def examine_machine(bags: Path) -> Iterator[Finding]:
+    """Examine this machine; ``bags`` is the folder for recordings."""
+    yield from examine("machine", SUBJECT)
+    yield from examine("node host", SUBJECT)
+    yield from examine("disk", SUBJECT, bags)
+
+
+@check("machine")
+def check_software() -> Iterator[Finding]:
+    """Python and ROS against the tested versions."""
+    text, usual = ".".join(map(str, sys.version_info[:2])), sys.version_info[:2] in PYTHONS
+    yield graded("python", text, (not usual, warning, "untested", "Not tested: use Python 3.11 or 3.12."))
+    try:
+        middleware = get_rmw_implementation_identifier()
+    except Exception as problem:  # whatever the loader of the middleware's library throws
+        remedy = "Source ROS 2 Jazzy before make setup, or let make setup install its wheels."
+        yield error("ros.no_middleware", f"no middleware can be loaded ({problem})", remedy)
+        return
+    distribution = os.environ.get("ROS_DISTRO") or ROS
+    remedy = "Source ROS 2 Jazzy, then make setup again."
+    text = f"ROS_DISTRO = {distribution}, {middleware}"
+    yield graded("ros", text, (distribution != ROS, warning, "other_distro", remedy))
+
+
+@check("machine")
+def check_kernels() -> Finding:
+    """numba's cache, beside the sources or where NUMBA_CACHE_DIR says."""
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(hull_server.__file__).parents[2])
+    compiled = list(folder.rglob("*.nbi"))
+    home = compiled[0].parent if compiled else folder
+    elsewhere = f"{folder} may not be written: set NUMBA_CACHE_DIR to a folder that this user may write."
+    return graded(
+        "kernels",
+        f"{len(compiled)} are compiled in {folder}",
+        (not os.access(home, os.W_OK), warning, "read_only", elsewhere),
+        (not compiled, warning, "not_compiled", "make setup; else every node's first start takes a minute"),
+    )
+
+
+@check("machine")
+def check_shared_memory() -> Finding:
+    """The shared memory through which nodes of one machine exchange messages."""
+    memory = psutil.disk_usage(SHARED_MEMORY)
+    text = f"{memory.free >> 20} of {memory.total >> 20} MiB of {SHARED_MEMORY} are free"
+    remedy = "In a container: --shm-size=512m (or --ipc=host); else mount it larger."
+    return graded("shm", text, (memory.free < SMALL_SHARED_MEMORY, warning, "small", remedy))
+
+
+@check("node host")
+def check_aravis() -> Finding:
+    """Whether Aravis can be imported."""
+    try:
+        import_aravis()
+    except InputError as problem:
+        remedy = "sudo apt install python3-gi gir1.2-aravis-0.8, then make setup"
+        return error("aravis.missing", problem.what, remedy)
+    return ok("aravis", "can be imported")
+
+
+@check("node host")
+def check_cores() -> Finding:
+    """Processor cores that are free."""
+    cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
+    text = f"{cores} cores, {max(cores - load, 0.0):.1f} of them free (load {load:.1f})"
+    remedy = "Close other programs, or run fewer camera clients on this machine."
+    return graded("cores", text, (cores - load < FREE_CORES, warning, "busy", remedy))
+
+
+@check("node host")
+def check_memory() -> Finding:
+    """Memory that is free."""
+    free = psutil.virtual_memory().available
+    text = f"{free >> 20} MiB are free"
+    return graded("memory", text, (free < FREE_BYTES, warning, "low", "Close what is not needed here."))
+
+
+@check("node host")
+def check_clock() -> Finding:
+    """Whether a service keeps the system's clock, and how closely, by chrony's account or systemd's."""
+    remedy = "Install chrony (or linuxptp with PTP cameras): frame sets are formed by stamps of several machines."
+    fields = _answer("chronyc", "-c", "tracking").split(",")  # reference, address, stratum, time, offset in s
+    by, in_step = ("chrony", fields[2] not in ("0", "16")) if len(fields) > 4 else ("systemd", None)
+    if in_step is None:
+        answer = _answer("timedatectl", "show", "--property=NTPSynchronized", "--value")
+        if answer not in ("yes", "no"):
+            return note("clock.unknown", f"unknown: neither chrony nor systemd tells ({answer})", remedy)
+        in_step = answer == "yes"
+    if not in_step:
+        return warning("clock.unsynchronised", f"the system's clock is not kept in step (by {by})", remedy)
+    offset_s = abs(float(fields[4])) if by == "chrony" else 0.0
+    text = f"{1e3 * offset_s:.3g} ms off (by {by})" if by == "chrony" else f"kept in step, by {by}"
+    settle = "Wait until it has settled, or use a server in this network."
+    return graded("clock", text, (offset_s > CLOCK_LIMIT_S, warning, "off", settle))
+
+
+@check("node host")
+def check_ros_environment() -> Iterator[Finding]:
+    """Environment variables that decide whom nodes hear."""
+    domain = os.environ.get("ROS_DOMAIN_ID", "")
+    valid = domain == "" or (domain.isdigit() and int(domain) <= HIGHEST_DOMAIN)
+    text = f"ROS_DOMAIN_ID = {domain or '0 (not set)'}; it must be the same on all machines"
+    remedy = f"Give a number from 0 to {HIGHEST_DOMAIN}: above, ports collide with those of outgoing connections."
+    yield graded("ros", text, (not valid, error, "domain_invalid", remedy))
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
+    if reach and reach not in RANGES:
+        remedy = f"Give one of {', '.join(RANGES)}."
+        yield error("ros.discovery_invalid", f"ROS_AUTOMATIC_DISCOVERY_RANGE = '{reach}'", remedy)
+    elif reach in ("LOCALHOST", "OFF") or os.environ.get("ROS_LOCALHOST_ONLY") == "1":
+        what = f"ROS_AUTOMATIC_DISCOVERY_RANGE = {reach}" if reach else "ROS_LOCALHOST_ONLY = 1"
+        remedy = "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET, unless the whole graph runs here."
+        yield warning("ros.discovery_local", f"{what}: other machines do not hear this one", remedy)
+    middleware = os.environ.get("RMW_IMPLEMENTATION", "")
+    if middleware not in ("", TESTED_RMW):
+        text = f"RMW_IMPLEMENTATION = {middleware}; tested with {TESTED_RMW}"
+        yield note("ros.untested_rmw", text, "All machines must use the same.")
+
+
+@check("disk")
+def check_disk(bags: Path) -> Finding:
+    """Free space of the disk for bags, below their folder or its nearest parent that exists."""
+    place = next(each for each in (bags.absolute(), *bags.absolute().parents) if each.exists())
+    if not (place.is_dir() and os.access(place, os.W_OK)):
+        why = "may not be written" if place.is_dir() else "is not a folder"
+        return error("disk.unusable", f"{place} {why}", "Name another folder with --bags, and record there.")
+    free = psutil.disk_usage(str(place)).free
+    text, remedy = f"{free / 2**30:.1f} GiB are free for bags in {bags}", "Delete old bags, or record on another disk."
+    return graded("disk", text, (free < NO_DISK, error, "full", remedy), (free < FREE_DISK, warning, "low", remedy))
+
+
+def _answer(*command: str) -> str:
+    """Return what a program prints; why not where it cannot run or hangs."""
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=3.0, check=False).stdout.strip()
+    except (OSError, subprocess.TimeoutExpired) as problem:
+        return str(problem)

@@ -1,0 +1,348 @@
+"""Checks of a rig file, its calibration reports, and footage of the rig."""
+
+from __future__ import annotations
+
+import datetime
+import itertools
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from camera_client.sources.footage_reader import open_footage
+from capture_rig.camera import CameraModel
+from capture_rig.camera_info_file import load_camera_info
+from capture_rig.errors import InputError
+from capture_rig.rig import Rig, load_rig
+from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, stated_rate
+from capture_rig.verdict import GOOD, REDO, USABLE
+from capture_rig.video_findings import VideoFacts, examine_video, session_findings
+from capture_rig.yaml_file import read_mapping
+from rig_calibration.intrinsics.verdict import UNUSED_GOOD, UNUSED_USABLE
+
+from .findings import Finding, check, error, examine, graded, note, warning
+
+Array = npt.NDArray[np.float64]
+
+SUBJECT, SUFFIX = "rig", ".report.yaml"  # of the report that sagoma calibrate writes beside its result
+LENS_FOLDERS = (".", "intrinsics", "calibration/intrinsics", "../intrinsics")  # beside the rig file
+CALIBRATE, CALIBRATE_LENS = "sagoma calibrate extrinsics", "sagoma calibrate intrinsics"
+STEP_M, BREAST_M = 0.2, 1.0
+BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
+OLD_S = 180 * 86400.0
+OFF_CENTRE = 0.15  # of the image's width or height
+UNEQUAL_FOCAL = 0.02
+NARROW_DEG, WIDE_DEG = 15.0, 130.0
+HIGH_M, LOW_M = 6.0, 0.3
+SAME_PLACE_M, SAME_LENS_PX = 0.05, 0.5
+SAME_OUTLINE_DEG = 15.0
+COARSE_MM_PER_PX = 12.0
+ENOUGH_CAMERAS = 3
+POOR_SHARE, LITTLE_SHARE = 0.05, 0.5
+SEES_NOTHING = 0.01
+
+
+@dataclass(frozen=True)
+class RigView:
+    """A rig, the file it is from, and what its cameras see.
+
+    sees (cameras, places) : whether a camera sees a person from soles to head at a standing place of the volume.
+    middle (3,) : the volume's centre at breast height, m. lenses : folders with the cameras' own calibrations.
+    """
+
+    rig: Rig
+    path: Path
+    lenses: tuple[Path, ...]
+    sees: npt.NDArray[np.bool_]
+    middle: Array
+
+    @classmethod
+    def of(cls, rig: Rig, path: Path, intrinsics: Path | None = None) -> RigView:
+        """Look at the volume's standing places through every camera."""
+        low, high = rig.volume.low, rig.volume.high
+        x, y = (np.arange(low[i] + STEP_M / 2, high[i], STEP_M) for i in range(2))
+        places = np.stack(np.meshgrid(x, y, BODY_LEVELS_M, indexing="ij"), axis=-1).reshape(-1, len(BODY_LEVELS_M), 3)
+        sees = np.array([_sees(camera, places) for camera in rig.cameras])
+        lenses = (intrinsics,) if intrinsics is not None else _lens_folders(path)
+        return cls(rig, path, lenses, sees, np.array([*(low + high)[:2] / 2, BREAST_M]))
+
+    def seen_by(self, count: int) -> float:
+        """Return the share of the standing places that at least so many cameras see."""
+        return float((self.sees.sum(axis=0) >= count).mean())
+
+    def lens_report(self, camera: str) -> Path | None:
+        """Return the report of the camera's own calibration; None when there is none."""
+        paths = (folder / f"{camera}{SUFFIX}" for folder in self.lenses)
+        return next((path for path in paths if path.is_file()), None)
+
+
+@dataclass(frozen=True)
+class Footage:
+    """One camera's footage: image size (width, height), its background's size, and what the video's reading showed; or
+    why it cannot be read."""
+
+    camera: CameraModel
+    problem: str = ""
+    size: tuple[int, int] = (0, 0)
+    background_size: tuple[int, int] | None = None
+    video: VideoFacts | None = None
+
+
+def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None) -> Iterator[Finding]:
+    """Examine the rig file at ``path`` (the session's own by default) and the session's footage."""
+    path = path or Path(session or ".") / "rig.yaml"
+    try:
+        rig = load_rig(path)
+    except InputError as problem:
+        yield replace(error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy), subject=SUBJECT)
+        return
+    view = RigView.of(rig, path, intrinsics)
+    yield from examine("rig", SUBJECT, view)
+    footage = [] if session is None else [read_footage(session, camera) for camera in rig.cameras]
+    yield from examine("session", f"session {session}", footage, session)
+    for number, camera in enumerate(rig.cameras):
+        yield from examine("rig camera", f"camera {camera.name}", view, camera)
+        if footage:
+            yield from examine("footage", f"camera {camera.name}", footage[number])
+
+
+@check("rig")
+def check_rig_report(view: RigView) -> Iterator[Finding]:
+    """The rig's calibration report, and the cameras' own."""
+    report = view.path.with_name(view.path.stem + SUFFIX)
+    if report.is_file():
+        yield from check_report(report, CALIBRATE)
+    else:
+        yield note("report.missing", "there is none: nothing is known of the calibration's accuracy", CALIBRATE)
+    if bare := [name for name in view.rig.names if view.lens_report(name) is None]:
+        remedy = f"{CALIBRATE_LENS}, or say with --intrinsics where they are."
+        yield note("reports.no_lens", f"there is none of the lens of {', '.join(bare)}", remedy)
+
+
+def check_report(path: Path, again: str) -> Iterator[Finding]:
+    """The verdict, the findings and the age of the report that a calibration left."""
+    try:
+        report = read_mapping(path, "Calibrate again.")
+    except InputError as problem:
+        yield warning("report.unreadable", f"{path}: {problem.what}", again)
+        return
+    grade, listed = report.get("verdict"), report.get("findings")
+    whys = [each for each in listed if isinstance(each, Mapping)] if isinstance(listed, list) else []
+    reasons = [f"{why.get('what')} ({why.get('remedy')})" for why in whys]
+    text = f"{path}: {'; '.join([str(grade), *reasons])}"
+    remedy = f"{again}, after what the report says"
+    later = (grade == USABLE, warning, "usable", f"{remedy}, when there is time")
+    none = (grade != GOOD, note, "no_verdict", again)
+    yield graded("calibration", text, (grade == REDO, error, "redo", remedy), later, none)
+    try:
+        made_s = datetime.datetime.fromisoformat(str(report.get("date"))).timestamp()
+    except ValueError:
+        made_s = path.stat().st_mtime
+    age_s = time.time() - made_s
+    remedy = f"Stands and lenses creep: {again}."
+    yield graded("age", f"calibrated {age_s / 86400:.0f} days ago", (age_s > OLD_S, warning, "old", remedy))
+
+
+@check("rig")
+def check_number(view: RigView) -> Finding:
+    """Whether the cameras are enough to carve a body."""
+    number = len(view.rig.cameras)
+    few = "Use four cameras or more; three at the least: two cannot carve a body."
+    three = "Add one or two: a limb before the trunk has no outline of its own, and a faulty camera cannot be outvoted."
+    at_least = ENOUGH_CAMERAS
+    cases = (number < at_least, error, "too_few", few), (number == at_least, note, "three", three)
+    return graded("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
+
+
+@check("rig")
+def check_common_view(view: RigView) -> Finding:
+    """How much of the volume enough cameras see."""
+    enough = min(ENOUGH_CAMERAS, len(view.rig.cameras))
+    share = view.seen_by(enough)
+    text = f"{100 * share:.0f} % of the volume's floor lets {enough} cameras see a person from soles to head"
+    remedy = f"Move cameras back or use shorter lenses, or make the volume smaller ({CALIBRATE} chooses it)."
+    poor, little = (share < POOR_SHARE, error, "unseen", remedy), (share < LITTLE_SHARE, note, "little_seen", remedy)
+    return graded("volume", text, poor, little)
+
+
+@check("rig")
+def check_pairs(view: RigView) -> Iterator[Finding]:
+    """Pairs of cameras that show one outline."""
+    for one, other in itertools.combinations(view.rig.cameras, 2):
+        pair, apart_m = f"{one.name} and {other.name}", float(np.linalg.norm(one.centre_world - other.centre_world))
+        a, b = (camera.centre_world - view.middle for camera in (one, other))
+        angle = float(np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))
+        if apart_m < SAME_PLACE_M:
+            text = f"{pair} are {100 * apart_m:.0f} cm apart: one calibration given to two cameras?"
+            yield error("cameras.same_place", text, f"{CALIBRATE}; check which file is whose.")
+        elif angle > 180.0 - SAME_OUTLINE_DEG:
+            text = f"{pair} face each other ({angle:.0f} degrees): they see one outline, mirrored"
+            yield warning("cameras.opposite", text, "Move one of them sideways by an eighth of the circle, or higher.")
+        elif angle < SAME_OUTLINE_DEG:
+            text = f"{pair} look from {angle:.0f} degrees apart: they see nearly the same outline"
+            yield warning("cameras.parallel", text, "Spread the cameras around the volume.")
+
+
+@check("rig camera")
+def check_lens_report(view: RigView, camera: CameraModel) -> Iterator[Finding]:
+    """The report of the camera's own calibration, and whether the rig has its intrinsics."""
+    report = view.lens_report(camera.name)
+    if report is None:  # check_rig_report names these cameras
+        return
+    yield from check_report(report, CALIBRATE_LENS)
+    path = report.with_name(f"{camera.name}.yaml")
+    try:
+        own = load_camera_info(path, camera).K[[0, 1, 0, 1], [0, 1, 2, 2]] if path.is_file() else None
+    except InputError as problem:
+        yield warning("intrinsics.unreadable", f"{path}: {problem.what}", CALIBRATE_LENS)
+        return
+    of_rig = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]]
+    if own is not None and np.abs(own - of_rig).max() > SAME_LENS_PX:
+        entries = zip(("fx", "fy", "cx", "cy"), own, of_rig, strict=True)
+        differences = ", ".join(
+            f"{name} {mine:.1f}, in the rig {its:.1f}" for name, mine, its in entries if mine != its
+        )
+        remedy = f"Where the lens was calibrated after the rig: {CALIBRATE} again, with the new intrinsics; "
+        remedy += "else remove the old camera_info."
+        yield warning("intrinsics.differ", f"{path} differs from the rig file: {differences}", remedy)
+
+
+@check("rig camera")
+def check_lens(view: RigView, camera: CameraModel) -> Iterator[Finding]:
+    """Whether the lens is one that exists, and holds over the image."""
+    fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
+    width, height = camera.width, camera.height
+    off, across = max(abs(cx - (width - 1) / 2) / width, abs(cy - (height - 1) / 2) / height), across_deg(camera)
+    again = f"{CALIBRATE_LENS}: boards in the corners of the image, and tilted; check that the file is this camera's."
+    yield graded(
+        "lens",
+        f"f {fx:.0f} x {fy:.0f} px, {across:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})",
+        (off > OFF_CENTRE, warning, "off_centre", again),
+        (abs(fx / fy - 1) > UNEQUAL_FOCAL, warning, "unequal_focal", again),
+        (not NARROW_DEG < across < WIDE_DEG, warning, "field_of_view", again),
+    )
+    share, reach_deg = camera.unused_share, float(np.degrees(camera.reach_rad))
+    text = f"the lens model holds up to {reach_deg:.0f} degrees: the outer {100 * share:.1f} % of the image is not used"
+    if share > UNUSED_USABLE:
+        yield warning("lens.border", text, again)
+    elif share > UNUSED_GOOD:
+        remedy = (
+            f"Keep people out of the image's corners, or {CALIBRATE_LENS} --model auto, with a ChArUco board in them."
+        )
+        yield note("lens.unused", text, remedy)
+
+
+@check("rig camera")
+def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
+    """Where the camera stands, and what it sees of the volume."""
+    height, distance = float(camera.centre_world[2]), float(np.linalg.norm(camera.centre_world - view.middle))
+    share, mm_per_px = float(view.sees[view.rig.names.index(camera.name)].mean()), 1e3 * distance / camera.K[0, 0]
+    again = f"{CALIBRATE}; the board upside down or a wrong field size does this. Check with a tape."
+    yield graded(
+        "place",
+        f"it is {height:.2f} m above the floor" if height >= 0 else f"it lies {-height:.2f} m below the floor",
+        (height < 0, error, "below_floor", again),
+        (height > HIGH_M, warning, "high", again),
+        (height < LOW_M, note, "low", "Raise it to 1.2 to 2.5 m: feet and limbs hide each other."),
+    )
+    yield graded(
+        "view",
+        f"{distance:.1f} m from the volume's centre, {mm_per_px:.1f} mm a pixel, sees a person from soles to head in "
+        f"{100 * share:.0f} % of the places",
+        (share < SEES_NOTHING, error, "empty", f"Turn it, move it back, or {CALIBRATE}: a rig file of another set-up?"),
+        (mm_per_px > COARSE_MM_PER_PX, warning, "coarse", "Use a longer lens, more pixels, or move it nearer."),
+    )
+
+
+@check("session")
+def check_session(footage: list[Footage], session: Path | None) -> Iterator[Finding]:
+    """Whether the videos have one rate and equally many frames, can be read to their ends, and have backgrounds."""
+    videos = {each.camera.name: each.video for each in footage if each.video is not None}
+    rates = {camera: video.fps for camera, video in videos.items()}
+    if rates and _stated(session) is None and (min(rates.values()) <= 0 or len(set(rates.values())) > 1):
+        listed = ", ".join(f"{camera} {f'{rate:g}' if rate else 'unknown'}" for camera, rate in rates.items())
+        remedy = "Give the true rate as 'fps' in session.yaml."
+        yield error("footage.rate", f"the videos' headers give no one frame rate ({listed})", remedy)
+    for found in session_findings(videos):
+        yield warning("footage.doubtful", found.what, found.remedy)
+    frames = {camera: video.passed.frames for camera, video in videos.items()}
+    if len(set(frames.values())) > 1:
+        lengths = ", ".join(f"{camera} {count}" for camera, count in frames.items())
+        remedy = "Cut them so that frame k of all was taken at the same instant."
+        yield warning("footage.lengths_differ", f"the videos have different numbers of frames ({lengths})", remedy)
+    if bare := [each.camera.name for each in footage if not each.problem and each.background_size is None]:
+        remedy = f"Add {bare[0]}_background.mp4 or .png."
+        yield error("background.missing", f"there is none for {', '.join(bare)}", remedy)
+
+
+@check("footage")
+def check_footage(footage: Footage) -> Iterator[Finding]:
+    """Whether footage and background can be read and have the calibrated size."""
+    size = (footage.camera.width, footage.camera.height)
+    if footage.problem:
+        yield error("footage.unreadable", footage.problem, "Record the session again, or mend the file.")
+        return
+    for about, seen in (("footage", footage.size), ("background", footage.background_size or size)):
+        text = f"{seen[0]} x {seen[1]} pixels, the camera was calibrated at {size[0]} x {size[1]}"
+        remedy = "Record at the calibrated size, or calibrate at the recorded one."
+        yield graded(about, text, (seen != size, error, "size_differs", remedy))
+
+
+def read_footage(session: Path, camera: CameraModel) -> Footage:
+    """Return the video and the background of a camera."""
+    video = find_footage(session, camera.name, VIDEO_SUFFIXES)
+    if video is None:
+        return Footage(camera, f"there is no {session / camera.name}.mp4")
+    try:
+        background = find_footage(session, f"{camera.name}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
+        size, background_size = _size(video), None if background is None else _size(background)
+        return Footage(camera, "", size, background_size, examine_video(video))
+    except InputError as problem:
+        return Footage(camera, f"{problem.where}: {problem.what}")
+
+
+def across_deg(camera: CameraModel) -> float:
+    """Return the angle across the image's middle row, of the lens or of its pinhole, whichever is wider; to where the
+    lens model holds, where it does not reach the sides."""
+    row = camera.K[1, 2]
+    ideal = camera.ideal_points(np.array([[0.0, row], [camera.width - 1.0, row]]))[:, 0]
+    by_lens = float(np.degrees(np.nan_to_num(np.arctan(np.abs(ideal)), nan=camera.reach_rad).sum()))
+    return max(by_lens, float(np.degrees(2 * np.arctan(camera.width / (2 * camera.K[0, 0])))))
+
+
+def _sees(camera: CameraModel, places: Array) -> npt.NDArray[np.bool_]:
+    pixels = camera.project(places)
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= -0.5) & (pixels < np.array([camera.width, camera.height]) - 0.5)
+    return np.asarray(inside.all(axis=(1, 2)))
+
+
+def _lens_folders(rig_file: Path) -> tuple[Path, ...]:
+    """Return where the cameras' own calibrations may be: where the rig's report says, or beside the rig file."""
+    folders = tuple(rig_file.parent / name for name in LENS_FOLDERS)
+    try:
+        asked = read_mapping(rig_file.with_name(rig_file.stem + SUFFIX), "").get("asked")
+    except InputError:  # there is none, or check_report says so
+        return folders
+    named = asked.get("intrinsics") if isinstance(asked, Mapping) else None
+    return (Path(named), *folders) if isinstance(named, str) else folders
+
+
+def _size(path: Path) -> tuple[int, int]:
+    reader = open_footage(path)
+    try:
+        height, width = reader.probe()[:2]
+    finally:
+        reader.close()
+    return width, height
+
+
+def _stated(session: Path | None) -> float | None:
+    """Return the frame rate that the session states, None for none, or one that loading the session refuses."""
+    try:
+        return None if session is None else stated_rate(session / "session.yaml")
+    except InputError:
+        return None

@@ -1,1 +1,0 @@
-"""SROS 2: certificates and permissions for the processes of the graph."""

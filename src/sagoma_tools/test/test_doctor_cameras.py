@@ -1,0 +1,280 @@
+"""The doctor on a camera PC: real files, a simulated camera, and made-up answers of others."""
+
+import json
+import os
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from camera_client.background.model import BackgroundLearner
+from camera_client.settings import AravisSettings
+from camera_client.sources.aravis_source import AravisSource, import_aravis
+from capture_rig.errors import InputError
+from capture_rig.rig import Rig, save_rig
+from gige_vision.gvcp import DeviceRecord
+from sagoma_tools.cli import main
+from sagoma_tools.doctor.cameras import (
+    Device,
+    Stream,
+    ask_camera,
+    check_bandwidth,
+    check_control,
+    check_identity,
+    check_interface,
+    check_timing,
+    stream_bytes_per_s,
+)
+from sagoma_tools.doctor.findings import Severity, ok
+from sagoma_tools.doctor.network import Interface
+from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
+from virtual_studio.rig import ring
+
+WIDTH, HEIGHT = 640, 480
+
+
+@pytest.fixture(scope="module")
+def camera():
+    try:
+        address = free_addresses(1)[0]
+    except InputError as problem:
+        pytest.skip(str(problem))
+    with SimulatedCamera(address, PatternScene(WIDTH, HEIGHT), CameraSettings(serial="D1", user_id="left")) as camera:
+        yield camera
+
+
+@pytest.fixture
+def file(tmp_path, camera):
+    """Writes a parameter file of cam01 and returns its path; the rig and a fresh background are there."""
+    rig = ring(4, False)
+    save_rig(Rig(tuple(rig.cameras), rig.volume), tmp_path / "rig.yaml")
+    save_background(tmp_path / "bg.npz", (HEIGHT, WIDTH))
+
+    def write(name="cam01", **changes):
+        parameters = {
+            "autostart": True,
+            "rig_file": str(tmp_path / "rig.yaml"),
+            "camera_name": name,
+            "source": "aravis",
+            "background": str(tmp_path / "bg.npz"),
+            "aravis.address": camera.address,
+            "aravis.exposure_us": 4000.0,
+            "aravis.frame_rate": 60.0,
+            "aravis.gain": 0.0,
+            "aravis.socket_buffer_bytes": 65536,
+            **changes,
+        }
+        path = tmp_path / f"{name}.yaml"
+        path.write_text(yaml.safe_dump({f"/{name}/camera_client": {"ros__parameters": parameters}}))
+        return path
+
+    return write
+
+
+def save_background(path, shape):
+    learner = BackgroundLearner()
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        learner.add(rng.integers(100, 110, shape).astype(np.uint8))
+    learner.model("a test", exposure_us="4000").save(path)
+    return str(path)
+
+
+def examined(path, capsys, *options):
+    """Exit status and the findings by what they are about."""
+    status = main(["doctor", "camera", str(path), "--json", *options])
+    document = json.loads(capsys.readouterr().out)
+    assert document["status"] == status
+    found = {}
+    for finding in document["findings"]:
+        found.setdefault(finding["about"], []).append(finding)
+    return status, found
+
+
+def test_camera_pc_that_is_ready_has_no_errors(file, capsys):
+    status, found = examined(file(), capsys)
+    assert status < 2
+    codes = {finding["code"] for findings in found.values() for finding in findings}
+    assert codes >= {"file.ok", "rig.ok", "background.ok", "camera.ok", "control.ok"}
+    assert "serial D1" in found["camera"][0]["what"] and "cam01, 640 x 480" in found["rig"][0]["what"]
+    assert found["interface"][0]["what"].startswith("lo, 127.")
+    assert "19 MB/s of cam01" in found["bandwidth"][0]["what"]  # 60 x 307 200 bytes, and headers of 37 packets
+
+
+def test_cameras_of_the_same_folder_share_the_link(file, capsys):
+    file("cam02", **{"aravis.frame_rate": 30.0})
+    _, found = examined(file(), capsys)
+    assert "28 MB/s of 2 cameras" in found["bandwidth"][0]["what"]  # 90 frames a second
+
+
+def test_controlled_camera_is_reported_and_not_disturbed(file, camera, capsys):
+    try:
+        import_aravis()
+    except InputError as problem:
+        pytest.skip(str(problem))
+    with AravisSource(AravisSettings(address=camera.address)) as source:
+        _, found = examined(file(), capsys)
+        assert found["control"][0]["code"] == "control.local"
+        assert not source.lost
+        status, found = examined(file(), capsys, "--open")
+        assert status == 2 and found["opened"][0]["code"] == "opened.failed"
+
+
+def test_opened_camera_is_set_up_and_says_what_it_is(file, camera, capsys):
+    _, found = examined(file(**{"aravis.pixel_format": "Mono8"}), capsys, "--open")
+    opened = found["opened"][-1]
+    assert opened["code"] == "opened.ok" and "640 x 480" in opened["what"] and "exposure_us 4000" in opened["what"]
+    assert ask_camera(camera.address).controlled is False  # given back
+
+
+@pytest.mark.parametrize(
+    "changes, code, value",
+    [
+        ({"aravis.adress": "1.2.3.4"}, "file.invalid", "'aravis.address'"),
+        ({"aravis.exposure_us": "long"}, "file.invalid", "aravis.exposure_us = 'long'"),
+        ({"camera_name": "cam09"}, "rig.invalid", "'cam09'"),
+        ({"rig_file": "/nowhere/rig.yaml"}, "rig.invalid", "/nowhere/rig.yaml"),
+        ({"background": "/nowhere/bg.npz"}, "background.unusable", "/nowhere/bg.npz"),
+        ({"aravis.serial": "X9"}, "serial.differs", "'D1'"),
+        ({"aravis.address": "127.0.0.78"}, "camera.silent", "127.0.0.78"),
+    ],
+)
+def test_what_cannot_work_is_an_error_with_a_remedy(file, capsys, changes, code, value):
+    status, found = examined(file(**changes), capsys)
+    assert status == 2
+    (wrong,) = [finding for finding in found[code.partition(".")[0]] if finding["code"] == code]
+    assert wrong["severity"] == "error" and wrong["remedy"] and value in wrong["what"] + wrong["remedy"]
+
+
+def test_old_background_is_a_warning(file, tmp_path, capsys):
+    path = file()
+    yesterday = time.time() - 30 * 3600
+    os.utime(tmp_path / "bg.npz", (yesterday, yesterday))
+    status, found = examined(path, capsys)
+    assert status == 1 and found["background"][0]["code"] == "background.old"
+    assert "30 h" in found["background"][0]["what"]
+    assert "sagoma background --cameras cam01" in found["background"][0]["remedy"]
+
+
+@pytest.mark.parametrize(
+    "changes, severity, code, value",
+    [
+        ({"background": ""}, "note", "background.none_named", ""),
+        ({"background": "SMALL"}, "error", "background.size_differs", "320 x 240"),
+        ({"aravis.exposure_us": 8000.0}, "warning", "background.exposure_differs", "4000 us"),
+        ({"aravis.exposure_us": 4001.0}, "ok", "background.ok", ""),
+    ],
+)
+def test_background_that_does_not_serve_is_found(file, tmp_path, capsys, changes, severity, code, value):
+    if changes.get("background") == "SMALL":
+        changes = {"background": save_background(tmp_path / "small.npz", (240, 320))}
+    _, found = examined(file(**changes), capsys)
+    last = found["background"][-1]
+    assert (last["severity"], last["code"]) == (severity, code) and value in last["what"]
+
+
+def test_camera_that_is_not_calibrated_yet_is_a_note(file, capsys):
+    status, found = examined(file(rig_file=""), capsys)
+    assert status < 2 and found["rig"][0]["code"] == "rig.uncalibrated"
+
+
+def test_missing_file_is_told_in_words_too(tmp_path, capsys):
+    assert main(["doctor", "camera", str(tmp_path / "none.yaml")]) == 2
+    assert "none.yaml: cannot be read" in capsys.readouterr().out
+
+
+def test_footage_needs_no_network(file, capsys):
+    _, found = examined(file(source="footage"), capsys)
+    assert found["file"][0]["code"] == "file.ok" and "interface" not in found and "camera" not in found
+
+
+def test_absent_camera_is_asked_by_unicast_only_and_told_with_the_reason():
+    device = ask_camera("127.0.0.78")
+    assert "no GigE Vision camera answers at 127.0.0.78" in device.record and device.controlled is None
+
+
+LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=9000, speed_mbit=1000)
+RECORD = DeviceRecord("192.168.1.11", "Maker", "Model", serial="123", user_id="left", subnet_mask="255.255.255.0")
+SETTINGS = AravisSettings(address="192.168.1.11", exposure_us=4000.0, gain=0.0, frame_rate=60.0)
+GREY_VGA = Stream("cam01", 640 * 480, 100.0)
+
+
+def worst(findings):
+    found = list(findings)
+    assert all(finding.remedy for finding in found if finding.severity >= Severity.WARNING)
+    return max(found, key=lambda finding: finding.severity, default=ok("nothing", ""))
+
+
+@pytest.mark.parametrize(
+    "link, settings, severity, code, remedy",
+    [
+        (None, {}, Severity.ERROR, "interface.none", "ip route get 192.168.1.11"),
+        (replace(LINK, up=False), {}, Severity.ERROR, "interface.down", "ip link set enp3s0 up"),
+        (replace(LINK, mtu=1500), {}, Severity.WARNING, "mtu.no_jumbo_frames", "ip link set enp3s0 mtu 9000"),
+        (replace(LINK, mtu=1500), {"packet_size": 8000}, Severity.ERROR, "mtu.packet_too_large", "mtu 9000"),
+        (replace(LINK, speed_mbit=100), {}, Severity.WARNING, "speed.slow", "1000 Mbit/s"),
+        (replace(LINK, speed_mbit=0), {}, Severity.OK, "interface.ok", ""),
+        (replace(LINK, mtu=1500, address="127.0.0.1"), {}, Severity.OK, "interface.ok", ""),
+    ],
+)
+def test_interface_that_does_not_serve_is_found_with_its_remedy(link, settings, severity, code, remedy):
+    finding = worst(check_interface(replace(SETTINGS, **settings), link))
+    assert (finding.severity, finding.code) == (severity, code) and remedy in finding.remedy
+
+
+@pytest.mark.parametrize(
+    "record, settings, severity, code, value",
+    [
+        ("no GigE Vision camera answers", {}, Severity.ERROR, "camera.silent", "no GigE Vision camera"),
+        (RECORD, {"serial": "999"}, Severity.ERROR, "serial.differs", "'123'"),
+        (RECORD, {"user_id": "right"}, Severity.ERROR, "user_id.differs", "'left'"),
+        (replace(RECORD, address="10.0.0.5"), {}, Severity.WARNING, "subnet.differs", "10.0.0.0/24"),
+        (RECORD, {}, Severity.OK, "camera.ok", "serial 123"),
+    ],
+)
+def test_camera_that_is_silent_or_another_one_is_found(record, settings, severity, code, value):
+    finding = worst(check_identity(replace(SETTINGS, **settings), Device(record, LINK)))
+    assert (finding.severity, finding.code) == (severity, code) and value in finding.what
+
+
+@pytest.mark.parametrize(
+    "controlled, controller, code",
+    [
+        (False, "", "control.ok"),
+        (True, "192.168.1.1", "control.local"),
+        (True, "192.168.1.9", "control.taken"),
+        (True, "", "control.taken"),
+    ],
+)
+def test_program_that_controls_the_camera_is_named(controlled, controller, code):
+    finding = check_control(SETTINGS, Device(RECORD, LINK, controlled, controller))
+    assert finding.code == code and controller in finding.what
+
+
+def test_stream_on_the_wire_is_counted_with_the_headers_of_every_packet():
+    # 300 packets of 1024 bytes of image each, and leader and trailer; 36 + 38 bytes of headers and gaps on each
+    assert stream_bytes_per_s(Stream("a", 307_200, 10.0), 1024 + 36) == 10 * (307_200 + 302 * 74)
+
+
+@pytest.mark.parametrize("cameras, code", [(1, "bandwidth.ok"), (3, "bandwidth.tight"), (4, "bandwidth.exceeded")])
+def test_cameras_that_share_a_link_must_fit_it_together(cameras, code):
+    finding = check_bandwidth([GREY_VGA] * cameras, LINK)  # 30.99 of 125 MB/s each
+    assert finding.code == code and f"{24.8 * cameras:.0f} % of the 1000 Mbit/s" in finding.what
+
+
+def test_bandwidth_without_a_frame_rate_is_unknown_and_names_the_camera():
+    finding = check_bandwidth([GREY_VGA, replace(GREY_VGA, camera="cam02", frame_rate=0.0)], LINK)
+    assert finding.code == "bandwidth.rate_unknown" and "cam02" in finding.what
+
+
+def test_exposure_longer_than_a_frame_is_an_error():
+    finding = worst(check_timing(replace(SETTINGS, exposure_us=20_000.0)))
+    assert finding.code == "exposure.longer_than_frame" and "16667 us" in finding.what
+
+
+def test_features_left_to_the_camera_are_noted():
+    (exposure, left) = check_timing(replace(SETTINGS, gain=-1.0))
+    assert exposure.code == "exposure.ok"
+    assert left.code == "settings.left_to_camera" and "aravis.gain" in left.what
