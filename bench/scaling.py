@@ -1,6 +1,6 @@
-"""What the server costs over cameras, voxels and people, and what thirty cameras would cost.
+"""What the server costs over cameras, voxels and people.
 
-    python bench/scaling.py [--quick] [--plot FILE.png] [--beyond N]
+    python bench/scaling.py [--quick]
 
 The built-in studio's person walks before a ring of cameras and one on the ceiling, 640 x 480 at 60 Hz. Silhouettes are
 the body's, half of its pixels as dark as floor in shadow, and a shadow under the feet, so that the hull server has to
@@ -11,23 +11,18 @@ masks to the filtered pose, without middleware. Stages that are due a few times 
 Several people are bodies side by side in the silhouettes: the hull server's cost. One of them is tracked here, so that
 tracker and filter do not depend on their number (bench/people_together.py measures what each person costs them).
 
-Cameras beyond twelve are calculated: for each stage a straight line over 4 to 12 cameras, by least squares, or a
-parabola where every camera is compared with every other (shadows, consistency). With --beyond N that many are simulated
-as well, which shows how far the curves hold. The last line is JSON:
+The last line is JSON:
 
 cameras_ms, voxels_ms, people_ms : {number: mean ms of a set}, about 6 cameras, 20 mm and one person.
 set_bytes_per_camera : masks on the wire.
-thirty_ms, thirty_mbit_s : calculated for 30 cameras at 60 Hz. beyond_ms, beyond_calculated_ms : with --beyond.
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 import types
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from report import Table, execute, finish, parser
 
@@ -58,10 +53,8 @@ from virtual_studio.rig import ring
 FPS, STATURE_M = 60.0, 1.75
 FIRST_S = 2.0  # of the motion: it begins with a T-pose
 WARM_UP = 12  # sets that do not count
-CAMERAS, VOXELS_MM, PEOPLE = (3, 4, 6, 8, 10, 12), (20, 15, 10, 7, 5), (1, 2, 3)
+CAMERAS, VOXELS_MM, PEOPLE = (3, 4, 6, 8, 10, 12, 30), (20, 15, 10, 7, 5), (1, 2, 3)
 USUAL = (6, 20, 1)
-FITTED_FROM = 4  # cameras; with three the hull is so wide that other stages than its own grow
-CALCULATED = 30
 BLOCK_PX = 8  # of dark and bright clothes
 SHADOW_M, SHADOW_LEVEL = 0.35, ATTENUATED_LEVELS[4]
 STAGES = {
@@ -72,7 +65,6 @@ STAGES = {
     "slice, sample": ("slice", "filter", "sample"),
     "contour rays": ("contour_rays",),
 }
-OF_PAIRS = ("consistency", "shadows")  # every camera is compared with every other
 TRACKING = ("as sent", "fit", "filter pose")
 
 
@@ -187,28 +179,6 @@ def _clothes(mask: np.ndarray) -> np.ndarray:
     return np.where((u + v) % 2 == 0, level, np.uint8(FOREGROUND))
 
 
-@dataclass(frozen=True)
-class Curve:
-    """A polynomial of the number of cameras, by least squares; rms : of its residuals."""
-
-    coefficients: np.ndarray
-    rms: float
-
-    @classmethod
-    def through(cls, cameras: list[int], values: list[float], degree: int) -> Curve:
-        """Through the values of so many cameras."""
-        coefficients = np.polyfit(cameras, values, degree)
-        return cls(coefficients, float(np.sqrt(np.mean((np.polyval(coefficients, cameras) - values) ** 2))))
-
-    def at(self, cameras: int) -> float:
-        """Of so many cameras; no stage costs less than nothing."""
-        return max(float(np.polyval(self.coefficients, cameras)), 0.0)
-
-    def __str__(self) -> str:
-        terms = [f"{c:+.4f}" + ("", " n", " n^2")[power] for power, c in enumerate(self.coefficients[::-1])]
-        return f"{' '.join(terms)} (rms {self.rms:.3f})"
-
-
 def measure(studio: Studio, configurations: list[tuple[int, int, int]]) -> dict[tuple[int, int, int], Server]:
     """Answer all sets with every configuration, in turns."""
     # the pipeline's own stage watch reads processor time
@@ -228,97 +198,25 @@ def show(title: str, column: str, rows: dict[int, Server]) -> None:
         table.row(value, *(server.mean_ms(stage) for stage in stages), server.set_bytes / 1e3)
 
 
-def calculate(rows: dict[int, Server]) -> tuple[dict[str, Curve], Curve]:
-    """Fit a curve through each stage's cost over cameras, and a line through the size of a set's masks."""
-    fitted = [n for n in rows if FITTED_FROM <= n <= max(CAMERAS)]
-    curves = {
-        stage: Curve.through(fitted, [rows[n].mean_ms(stage) for n in fitted], 2 if stage in OF_PAIRS else 1)
-        for stage in (*STAGES, "tracking")
-    }
-    print(f"\ncurves over n = {fitted[0]} to {fitted[-1]} cameras, ms -> {CALCULATED} cameras")
-    for stage, curve in curves.items():
-        print(f"  {stage:<14} {curve!s:<48} -> {curve.at(CALCULATED):6.2f}")
-    print(f"  sum {'':<60} -> {total(curves, CALCULATED):6.2f}")
-    return curves, Curve.through(fitted, [rows[n].set_bytes for n in fitted], 1)
-
-
-def total(curves: dict[str, Curve], cameras: int) -> float:
-    """Sum of all stages for so many cameras."""
-    return sum(curve.at(cameras) for curve in curves.values())
-
-
-def plot(found: dict[str, dict[int, Server]], curves: dict[str, Curve], path: Path) -> None:
-    """Draw cost over cameras, voxels and people, the stages stacked."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, panels = pyplot.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
-    labels = {"cameras": "cameras (20 mm, 1 person)", "voxels": "voxel, mm (6 cameras, 1 person)", "people": "people"}
-    for axes, (kind, rows) in zip(panels, found.items(), strict=True):
-        values = list(rows)
-        parts = [[rows[v].mean_ms(stage) for v in values] for stage in (*STAGES, "tracking")]
-        axes.stackplot(values, parts, labels=(*STAGES, "tracker and filter"))
-        axes.set(xlabel=labels[kind], ylabel="processor ms a set", ylim=(0, None), xticks=values)
-        if kind == "voxels":
-            axes.invert_xaxis()
-        if kind == "cameras":
-            axes.plot(values, [total(curves, v) for v in values], "k--", lw=1, label="curves that are fitted")
-    panels[0].legend(fontsize=7, loc="upper left")
-    figure.savefig(path, dpi=100)
-    print(f"drew {path}")
-
-
 def main() -> None:
     """Print the tables and the line of JSON."""
-    options = _arguments()
-    studio = Studio(WARM_UP + (18 if options.quick else 72))
+    quick = parser(__doc__, quick="18 sets a configuration instead of 72, twelve cameras at most").parse_args().quick
+    studio = Studio(WARM_UP + (18 if quick else 72))
     cameras, voxels, people = USUAL
     wanted = {
-        "cameras": {n: (n, voxels, people) for n in CAMERAS},
+        "cameras": {n: (n, voxels, people) for n in (CAMERAS[:-1] if quick else CAMERAS)},
         "voxels": {mm: (cameras, mm, people) for mm in VOXELS_MM},
         "people": {n: (cameras, voxels, n) for n in PEOPLE},
     }
-    beyond = {options.beyond: (options.beyond, voxels, people)} if options.beyond else {}
-    unique = dict.fromkeys(c for kind in (*wanted.values(), beyond) for c in kind.values())
-    servers = measure(studio, list(unique))
+    servers = measure(studio, list(dict.fromkeys(c for kind in wanted.values() for c in kind.values())))
     found = {kind: {value: servers[c] for value, c in rows.items()} for kind, rows in wanted.items()}
     show("over cameras: ms of processor time a set, 20 mm, 1 person", "cameras", found["cameras"])
     show("over voxels: 6 cameras, 1 person", "voxel mm", found["voxels"])
     show("over people: 6 cameras, 20 mm; one of them is tracked", "people", found["people"])
-    curves, sizes = calculate(found["cameras"])
     figures = {
-        f"{kind}_ms": {n: round(server.mean_ms("sum"), 2) for n, server in rows.items()} for kind, rows in found.items()
+        f"{kind}_ms": {n: round(one.mean_ms("sum"), 2) for n, one in rows.items()} for kind, rows in found.items()
     }
-    megabits = sizes.at(CALCULATED) * 8 * FPS / 1e6
-    print(
-        f"network: {sizes.coefficients[0] / 1e3:.1f} KB a mask; 6 cameras at {FPS:g} Hz "
-        f"{found['cameras'][6].set_bytes * 8 * FPS / 1e6:.1f} Mbit/s, {CALCULATED} calculated {megabits:.0f} Mbit/s"
-    )
-    extra: dict[str, float] = {}
-    if options.beyond:
-        show(f"{options.beyond} cameras, simulated", "cameras", {options.beyond: servers[beyond[options.beyond]]})
-        extra["beyond_ms"] = round(servers[beyond[options.beyond]].mean_ms("sum"), 2)
-        extra["beyond_calculated_ms"] = round(total(curves, options.beyond), 2)
-    if options.plot:
-        plot(found, curves, options.plot)
-    finish(
-        {
-            **figures,
-            "set_bytes_per_camera": round(float(sizes.coefficients[0])),
-            "thirty_ms": round(total(curves, CALCULATED), 2),
-            "thirty_mbit_s": round(megabits, 1),
-            **extra,
-        }
-    )
-
-
-def _arguments() -> argparse.Namespace:
-    given = parser(__doc__, quick="18 sets a configuration instead of 72")
-    given.add_argument("--plot", type=Path, help="draw the figures to this file")
-    given.add_argument("--beyond", type=int, default=0, metavar="N", help="simulate so many cameras, too")
-    return given.parse_args()
+    finish({**figures, "set_bytes_per_camera": round(servers[USUAL].set_bytes / cameras)})
 
 
 if __name__ == "__main__":

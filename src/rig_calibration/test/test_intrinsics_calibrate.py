@@ -62,7 +62,7 @@ def test_values_and_deviations_agree_with_opencv_where_its_assumptions_hold():
     difference = (np.array(list(ours.values.values())) - theirs) / np.ravel(sd)[:9]
     assert np.abs(difference).max() < 0.7  # ours estimates the board's bending, too
     assert ours.rms_px == pytest.approx(rms, rel=0.01)
-    ratio = np.array(list(ours.sd.values())) / ours.jackknife / np.ravel(sd)[:9]
+    ratio = np.array(list(ours.sd.values())) / ours.sd_enlarged_by / np.ravel(sd)[:9]
     assert (ratio > 0.95).all() and (ratio < 1.4).all()
 
 
@@ -77,7 +77,7 @@ def test_errors_lie_where_the_standard_deviations_say(kind):
             rng = np.random.default_rng(seed)
             detections = [with_pixels(s, s.pixels + _bend(s.pixels) @ rng.normal(0, 1.5, (2, 2))) for s in detections]
         result = found(detections)
-        assert kind == "white" or result.jackknife > 1.15
+        assert kind == "white" or result.sd_enlarged_by > 1.15
         off.append(errors_in_sds(result, camera))
     spread = np.sqrt(np.mean(np.square(off), axis=0))
     # what views share enlarges all deviations: those of coefficients that it touches less are then too large
@@ -90,7 +90,7 @@ def test_errors_that_views_share_enlarge_the_standard_deviations():
     camera, rng = lens(), np.random.default_rng(5)
     white = shown(camera, 20, 0.2, seed=5)
     together = [with_pixels(s, s.pixels + _bend(s.pixels) @ rng.normal(0, 2.5, (2, 2))) for s in white]
-    assert found(together).jackknife > 1.2 * found(white).jackknife
+    assert found(together).sd_enlarged_by > 1.2 * found(white).sd_enlarged_by
     assert np.abs(errors_in_sds(found(together), camera)).max() < 4.0
 
 
@@ -142,5 +142,5 @@ def test_auto_keeps_the_simple_model_for_a_lens_that_it_describes():
 def test_auto_takes_the_rational_model_for_a_lens_that_needs_it():
     strong = lens((2.0, 0.7, 0.0, 0.0, 0.03, 2.4, 1.3, 0.2), "rational_polynomial", focal=300.0)
     rich = found(shown(strong, 40, 0.05, seed=11, sizes=(0.3, 0.9)), model="auto")
-    assert rich.choice.held_out_px["rational_polynomial"] < 0.5 * rich.choice.held_out_px["plumb_bob"]
+    assert rich.choice.rms_px["rational_polynomial"] < 0.5 * rich.choice.rms_px["plumb_bob"]
     assert rich.camera.distortion_model == "rational_polynomial"

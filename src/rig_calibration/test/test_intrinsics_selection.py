@@ -13,7 +13,7 @@ from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from rig_calibration.intrinsics.coverage import coverage_of, placement_of
 from rig_calibration.intrinsics.lens_fit import board_pose
 from rig_calibration.intrinsics.lens_model import LensModel
-from rig_calibration.intrinsics.selection import AccuracyGoals, ViewCollector, d_optimal_views
+from rig_calibration.intrinsics.selection import AccuracyGoals, ViewCollector
 
 
 def jittered(detection, frame_index, seed=0):
@@ -116,12 +116,6 @@ def test_tilt_is_named_by_the_side_that_comes_nearer(side, axis, sign):
     assert max(tilts, key=tilts.get) == side and tilts[side] == pytest.approx(30, abs=4)
 
 
-def test_most_telling_views_are_chosen_before_repetitions():
-    strong, weak = np.diag([10.0, 1.0]), np.diag([0.1, 5.0])
-    information = np.array([strong, strong, strong, weak])
-    assert d_optimal_views(information, 1e-3 * np.eye(2), 2) == [0, 3]
-
-
 def test_motion_between_images_is_measured_in_pixels():
     rng = np.random.default_rng(6)
     picture = cv2.GaussianBlur(rng.integers(0, 255, (240, 320), np.uint8), (0, 0), 3)
@@ -131,14 +125,3 @@ def test_motion_between_images_is_measured_in_pixels():
     assert motion_px(picture, moved, corners) == pytest.approx(np.hypot(2.5, 1.5), abs=0.1)
     assert motion_px(picture, picture, corners) < 0.01
     assert motion_px(picture, np.zeros((100, 100), np.uint8), corners) == np.inf
-
-
-def test_same_views_in_the_same_order_are_chosen_alike():
-    def chosen():
-        collector = ViewCollector(BOARD)
-        for view in shown(lens(), 22, 0.1, seed=7):
-            collector.offer(view, blur_px=0.5)
-        return [detection.frame_index for detection in collector.best(15)]
-
-    once = chosen()
-    assert once == chosen() and len(once) == 15

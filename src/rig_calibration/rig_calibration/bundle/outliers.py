@@ -1,30 +1,26 @@
 """Step 5: detections that contradict the others, and which of them to leave out.
 
 A wrong order of corners, a target that moved between the exposures, corners found on something else: where three or
-more cameras saw the target, the one without which the others agree is left out; where two did, both are, unless a half
-turn of the numbering in one of them explains it all.
+more cameras saw the target, the one without which the others agree is left out; where two did, both are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..boards.board import TargetDetection
 from .adjustment import RAYLEIGH_MEDIAN, ROUGHLY, Adjusted, FreeUnknowns, adjust, normalised_lengths
-from .problem import TargetShape
 from .rigid import Array
 from .state import Bools, Ints, Layout, Observations
 
 WORST_FIRST = 0.3  # of the worst: what is left out in one round
-RENUMBERED_GAIN = 0.2  # a turned numbering must fit this many times better to be believed
 SINGLE = "its corners do not fit the target's shape (found on something else, or the target is bent)"
 ODD_ONE = "contradicts the other cameras in that frame (wrong corners, or moved between the exposures)"
 PAIR = "the two cameras contradict each other in that frame (wrong corners, or moved between the exposures)"
 ALL = "the cameras contradict one another in that frame (the target moved between the exposures)"
-RENUMBERED = "its corners are numbered from the other end: the target is seen upside down, or was found wrongly"
 
 
 @dataclass(frozen=True)
@@ -72,13 +68,7 @@ def bad_corners(fit: Adjusted, seen: Observations, limits: Limits) -> Bools:
     return off & (misfit < limits.detection)
 
 
-def contradictions(
-    fit: Adjusted,
-    seen: Observations,
-    detections: Sequence[TargetDetection],
-    shapes: Mapping[str, TargetShape],
-    limits: Limits,
-) -> list[tuple[int, str]]:
+def contradictions(fit: Adjusted, seen: Observations, limits: Limits) -> list[tuple[int, str]]:
     """Find the rows of detections to leave out, with the reason; of one frame, no more than needs be."""
     misfit = misfits(fit, seen)
     found: list[tuple[int, str]] = []
@@ -94,9 +84,8 @@ def contradictions(
             disputed.append(rows)
     if disputed:
         without = _misfit_without(fit, seen, disputed)
-        renumbered = _misfit_renumbered(fit, seen, disputed, detections, shapes)
         for rows in disputed:
-            found += _to_leave_out(rows, misfit, without, renumbered)
+            found += _to_leave_out(rows, without)
     return sorted(found)
 
 
@@ -118,17 +107,9 @@ def readmissible(fit: Adjusted, seen: Observations, rows: Ints) -> list[int]:
     return sorted({int(row) for case in fitting for row in case if row in out})
 
 
-def _to_leave_out(
-    rows: Ints, misfit: Array, without: dict[int, float], renumbered: dict[int, float]
-) -> list[tuple[int, str]]:
+def _to_leave_out(rows: Ints, without: dict[int, float]) -> list[tuple[int, str]]:
     """Return which of the detections of one pose are left out, and why."""
-    worst = float(misfit[rows].max())
     odd_one = int(min(rows, key=lambda row: without[row]))
-    renumbered_row = int(min(rows, key=lambda row: renumbered.get(row, np.inf)))
-    if renumbered.get(renumbered_row, np.inf) < RENUMBERED_GAIN * worst and (
-        len(rows) == 2 or odd_one == renumbered_row
-    ):
-        return [(int(row), RENUMBERED) for row in (rows if len(rows) == 2 else [odd_one])]
     if len(rows) > 2:
         clear = (
             without[odd_one] < RIG_LIMITS.detection or len(rows) > 3
@@ -145,27 +126,6 @@ def _misfit_without(fit: Adjusted, seen: Observations, disputed: Sequence[Ints])
     cases = [(int(row), rows[rows != row]) for rows in disputed for row in rows]
     rows, case = _cases([rest for _, rest in cases])
     worst = _refit(fit, seen.only(rows), case)
-    return {row: value for (row, _), value in zip(cases, worst, strict=True)}
-
-
-def _misfit_renumbered(
-    fit: Adjusted,
-    seen: Observations,
-    disputed: Sequence[Ints],
-    detections: Sequence[TargetDetection],
-    shapes: Mapping[str, TargetShape],
-) -> dict[int, float]:
-    """For each disputed detection of a target that has a half turn: the worst misfit of its pose with it turned."""
-    cases = [(int(row), rows) for rows in disputed for row in rows if shapes[detections[row].target].half_turn]
-    if not cases:
-        return {}
-    rows, case = _cases([rest for _, rest in cases])
-    points = seen.points[rows]
-    for place in np.flatnonzero(rows == np.array([row for row, _ in cases])[case]):
-        half_turn = shapes[detections[rows[place]].target].half_turn
-        assert half_turn is not None
-        points[place] = points[place] @ half_turn.R.T
-    worst = _refit(fit, replace(seen.only(rows), points=points), case)
     return {row: value for (row, _), value in zip(cases, worst, strict=True)}
 
 

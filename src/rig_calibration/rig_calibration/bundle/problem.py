@@ -153,8 +153,7 @@ class TargetShape:
 
     ``dimension`` is LINE, PLANE or VOLUME. ``bend`` (n, 2): how far a corner stands out along z where the middle does
     by one metre, for a sheet that is bent along x and along y. ``symmetries`` are the turns that a picture does not
-    show, the identity first; ``half_turn`` is the half turn that would map the points onto themselves, whether a
-    picture shows it or not.
+    show, the identity first.
     """
 
     name: str
@@ -163,7 +162,6 @@ class TargetShape:
     bend: Array
     dimension: int
     symmetries: tuple[Symmetry, ...]
-    half_turn: Symmetry | None
 
 
 def target_shape(name: str, points_target: npt.ArrayLike, symmetry_order: int = 1) -> TargetShape:
@@ -184,10 +182,9 @@ def target_shape(name: str, points_target: npt.ArrayLike, symmetry_order: int = 
             f"target '{name}' does not look alike after 1/{symmetry_order} of a turn",
             remedy="Give it a symmetry order only when a picture does not show its turns.",
         )
-    half_turn = _turn(centred, axis * np.pi) if dimension < VOLUME else None
     bend = 1.0 - (centred[:, :2] / np.maximum(np.abs(centred[:, :2]).max(axis=0), 1e-300)) ** 2
     symmetries = tuple(symmetry for symmetry in found if symmetry is not None)
-    return TargetShape(name, centred, points.mean(0), bend, dimension, symmetries, half_turn)
+    return TargetShape(name, centred, points.mean(0), bend, dimension, symmetries)
 
 
 def symmetry_order_of(board: Board) -> int:

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
-from capture_rig.rigid import nearest_rotation
 
 from .detection_poses import DetectionPoses, View
 from .rigid import Array, angle_between, transform
@@ -25,7 +24,6 @@ from .rigid import Array, angle_between, transform
 ANGLE_TOLERANCE = np.radians(5.0)  # of the rotation that one board tells
 DISTANCE_TOLERANCE = 0.05  # of the distance of the board
 CANDIDATE_FRAMES, VOTING_FRAMES = 40, 80
-AVERAGING_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +60,6 @@ def relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> Re
     votes = _agreement(hypotheses.only(voting), R, t).sum(axis=1) * (1 + 1e-6 * hypotheses.weight[candidates])
     best = int(np.argmax(np.round(votes, 9)))
     R_b_a, t_b_a = R[best], t[best]
-    for _ in range(AVERAGING_ROUNDS):
-        R_b_a, t_b_a = _average(hypotheses, R_b_a, t_b_a)
     support = float(_agreement(hypotheses, R_b_a[None], t_b_a[None]).sum())
     return RelativePose(transform(R_b_a, t_b_a), support)
 
@@ -98,16 +94,6 @@ def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
     """Return (candidates, frames) the best agreement in each frame."""
     starts = np.flatnonzero(np.diff(hypotheses.frame_index, prepend=-1))
     return np.maximum.reduceat(_row_agreement(hypotheses, R, t), starts, axis=1)
-
-
-def _average(hypotheses: _Hypotheses, R: Array, t: Array) -> tuple[Array, Array]:
-    agreement = _row_agreement(hypotheses, R[None], t[None])[0]
-    starts = np.flatnonzero(np.diff(hypotheses.frame_index, prepend=-1))
-    best = np.maximum.reduceat(agreement, starts)[np.cumsum(np.diff(hypotheses.frame_index, prepend=-1) > 0) - 1]
-    weight = np.where(agreement == best, agreement, 0) + 1e-300
-    R_mean = nearest_rotation(np.einsum("o,oij->ij", weight, hypotheses.R))
-    shift = hypotheses.centre_b - hypotheses.centre_a @ R_mean.T
-    return R_mean, weight @ shift / weight.sum()
 
 
 # --- Wands.

@@ -204,7 +204,7 @@ def _narrowed(fit: Fit, limits: Limits) -> Fit:
         fit = adjusted(fit, stop)
         used = fit.used
         wrong = bad_corners(fit.adjusted, used, limits)
-        out = contradictions(fit.adjusted, used, fit.detections, fit.problem.shapes, limits)
+        out = contradictions(fit.adjusted, used, limits)
         if out or wrong.any():
             fit = _leave_out(fit, wrong, out)
         elif stop is CONVERGED:

@@ -15,7 +15,7 @@ from ..bundle.projection import residuals_px
 from ..bundle.rigid import transform
 from .coverage import placement_of
 from .lens_fit import LensFit, diagonal_m, fit_lens, usable_detections
-from .lens_model import Array, LensModel
+from .lens_model import LensModel
 from .model_choice import AUTO, ModelChoice, choose_model
 from .ray_uncertainty import edge_sd_px
 from .result import Intrinsics, ViewResult
@@ -28,30 +28,21 @@ def calibrate_intrinsics(
     """Calibrate the lens of camera ``name`` from what it saw of ``board``; the same detections, in any order, give the
     same bytes.
 
-    ``model`` : plumb_bob, rational_polynomial, or auto: the one that predicts views it has not seen better.
+    ``model`` : plumb_bob, rational_polynomial, or auto: the one that explains the views better.
     Raises InputError: images of several sizes, corners that the board has not, too few views that agree.
     """
     usable, poor = usable_detections(detections, board)
-    # which lens model
-    choice = choose_model(usable, board) if model == AUTO else None
     # lens, poses and the board's bending together, without what the other views contradict
-    fit = fit_lens(usable, board, LensModel(choice.model if choice else model))
-    # how well the lens is known
-    covariance, jackknife = fit.jackknife_covariance()
-    result = _result(fit, board, name, covariance, jackknife, (*poor, *fit.left_out), choice)
+    choice, fit = choose_model(usable, board) if model == AUTO else (None, fit_lens(usable, board, LensModel(model)))
+    result = _result(fit, board, name, (*poor, *fit.left_out), choice)
     # is it good enough, and if not, what to do
     return replace(result, verdict=judge(lens_findings(result)))
 
 
 def _result(
-    fit: LensFit,
-    board: Board,
-    name: str,
-    covariance: Array,
-    jackknife: float,
-    left_out: tuple[LeftOut, ...],
-    choice: ModelChoice | None,
+    fit: LensFit, board: Board, name: str, left_out: tuple[LeftOut, ...], choice: ModelChoice | None
 ) -> Intrinsics:
+    covariance, enlarged_by = fit.covariance()
     camera = replace(fit.camera, name=name)
     views = tuple(_view_results(fit, board))
     squares = np.concatenate([(view.residuals**2).sum(axis=1) for view in views])
@@ -63,7 +54,7 @@ def _result(
         sigma_px=fit.sigma_px,
         sd=dict(zip(names, sd[: len(names)].tolist(), strict=True)),
         covariance=of_lens,
-        jackknife=jackknife,
+        sd_enlarged_by=enlarged_by,
         board_diagonal_m=diagonal_m(board),
         bow_m=(float(fit.bow_m[0]), float(fit.bow_m[1])),
         bow_sd_m=(float(sd[-2]), float(sd[-1])),

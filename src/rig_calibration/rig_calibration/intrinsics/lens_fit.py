@@ -2,9 +2,9 @@
 
 Free are its lens (with a wide prior), the board's bow and its pose in each view. How well they are known: the inverse
 of the normal matrix assumes that corners err independently. Real ones do not: a view is a little blurred, a board
-bends, a shutter rolls, and then all corners of a view err together. So every view is left out in turn, in one
-linearised step; the scatter of what remains (the jackknife over views, Tukey 1958) tells by how much the normal matrix
-promises too much, and the covariance is enlarged by that.
+bends, a shutter rolls, and then all corners of a view err together. The scatter of the views' scores (the sandwich
+estimator for errors that clusters share, Liang & Zeger 1986) tells by how much the normal matrix promises too much, and
+the covariance is enlarged by that.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from capture_rig.errors import InputError
 
 from ..boards.board import Board, TargetDetection
 from ..bundle.adjustment import RAYLEIGH_MEDIAN, StopCriterion, information_of_each
-from ..bundle.detection_poses import View, detection_poses, views_of
-from ..bundle.initial_poses import InitialPoses, initial_poses
+from ..bundle.detection_poses import detection_poses, views_of
+from ..bundle.initial_poses import initial_poses
 from ..bundle.outliers import LENS_LIMITS, LeftOut
 from ..bundle.problem import LENS, check_problem, shapes_of
-from ..bundle.projection import linearise, residuals_px
+from ..bundle.projection import residuals_px
 from ..bundle.rigid import transform
 from ..bundle.robust_fit import NO_POSE, Fit, adjusted, settled, start_fit
 from ..bundle.state import camera_with
@@ -65,29 +65,21 @@ class LensFit:
         """(2,) how far the board's middle stands out, bent along its x and along its y axis."""
         return self.fit.adjusted.state.bow[0]
 
-    def jackknife_covariance(self) -> tuple[Array, float]:
-        """(p, p) of the parameters, and the factor >= 1 by which the jackknife enlarges standard deviations overall.
+    def covariance(self) -> tuple[Array, float]:
+        """(p, p) of the parameters, and the factor >= 1 by which errors that views share enlarge standard deviations
+        overall.
 
         Each parameter's own factor lies between that and what its own scatter says, which is few numbers, and is never
         smaller than the overall one.
         """
-        white, changes = _inverse(self.precision), self._without_each()
-        scatter, expected = changes.T @ changes, self._expected_scatter()
-        overall = max(float(np.trace(self.precision @ scatter) / np.trace(self.precision @ expected)), 1.0)
-        own = np.diag(scatter) / np.diag(expected)
+        white = _inverse(self.precision)
+        # of each view's score when the corners' noise is white: its own information less what the fit takes up
+        expected = (self.information - self.information @ white @ self.information).sum(axis=0)
+        scatter = self.score.T @ self.score
+        overall = max(float(np.trace(white @ scatter) / np.trace(white @ expected)), 1.0)
+        own = np.diag(white @ scatter @ white) / np.diag(white @ expected @ white)
         factors = np.sqrt(np.maximum(overall, (overall + own) / 2))
         return np.asarray(white * np.outer(factors, factors), np.float64), float(np.sqrt(overall))
-
-    def _without_each(self) -> Array:
-        """(V, p) how the parameters would change without each view."""
-        rest = self.precision - self.information
-        return np.asarray(np.linalg.solve(rest, -self.score[..., None])[..., 0], np.float64)
-
-    def _expected_scatter(self) -> Array:
-        """Return (p, p): the sum over views of their changes' squares, on average, when the corners' noise is white."""
-        rest = np.linalg.inv(self.precision - self.information)
-        score = self.information - self.information @ np.linalg.solve(self.precision, self.information)  # covariance
-        return np.asarray((rest @ score @ rest).sum(axis=0), np.float64)
 
 
 def _inverse(precision: Array) -> Array:
@@ -124,25 +116,6 @@ def fit_lens(
     return _with_information(fit, model)
 
 
-def lens_information(
-    camera: CameraModel, detections: Sequence[TargetDetection], poses: Sequence[Array], board: Board
-) -> Array:
-    """Compute (V, p, p) what each view says about the lens of ``camera`` and the board's bow once its own pose has been
-    paid for. ``poses`` (4, 4) : as :func:`board_pose` finds them."""
-    columns = LensModel(camera.distortion_model).columns
-    target = detections[0].target
-    problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, {}, {})
-    T = {(target, detection.frame_index): pose for detection, pose in zip(detections, poses, strict=True)}
-    views = [View(detection, problem.shapes[target], np.empty((0, 2)), None) for detection in problem.detections]
-    initial = InitialPoses(camera.name, {camera.name: np.eye(4)}, T, (0,) * len(views))
-    fit = start_fit(problem, views, initial)
-    of_each = information_of_each(linearise(fit.adjusted.state, fit.used, with_lens=True))[0]
-    information = np.zeros((len(detections), len(columns), len(columns)))
-    order = np.argsort([detection.frame_index for detection in detections])
-    information[order[fit.rows]] = of_each[:, columns[:, None], columns]
-    return information
-
-
 def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) -> Array | None:
     """Find (4, 4) the pose of the board's corners about their middle before the camera: of a plane's two solutions the
     one that fits better; None when the corners determine none."""
@@ -151,15 +124,12 @@ def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) ->
     return None if poses is None else transform(poses.R[0], poses.t[0])
 
 
-def held_out_squares(lens: LensFit, detections: Sequence[TargetDetection], board: Board) -> dict[int, float]:
-    """Compute, by frame, the mean squared residual, px^2, of views that the lens was not fitted to, their poses
-    fitted."""
-    fit = _fit_from(lens.camera, detections, board, lens.model)
-    state = replace(fit.adjusted.state, bow=lens.fit.adjusted.state.bow)
-    fit = adjusted(replace(fit, prior=None, adjusted=replace(fit.adjusted, state=state)))
-    residuals = residuals_px(fit.adjusted.state, fit.used)
-    seen = zip(fit.detections, residuals, strict=True)
-    return {detection.frame_index: float((r[: len(detection)] ** 2).mean()) for detection, r in seen}
+def view_squares(lens: LensFit) -> dict[int, float]:
+    """Compute, by frame, the mean squared residual, px^2, of all corners of each view, those left out among them."""
+    fit = lens.fit
+    residuals = residuals_px(fit.adjusted.state, fit.seen)
+    squares = [float((r[: len(seen)] ** 2).mean()) for r, seen in zip(residuals, fit.all_detections, strict=True)]
+    return {seen.frame_index: square for seen, square in zip(fit.all_detections, squares, strict=True)}
 
 
 def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> CameraModel:

@@ -38,11 +38,11 @@ class Intrinsics:
     """One camera's lens, how well it is known, and whether it will do.
 
     camera : pose = identity. rms_px : of the corners' distances (as OpenCV's). sigma_px : sd of a corner's coordinate,
-    from the residuals. sd : by parameter name, px or without unit; covariance : theirs, in the same order. jackknife :
-    factor >= 1 by which sd and covariance exceed what independent corner errors would give. bow_m : how far the board's
-    middle stands out along x and y, and sd. views, left_out : what the result rests on, and what not. edge_sd_px :
-    uncertainty of a ray at the four corners of the image (or as far as the lens model holds), the worst. choice : why
-    this lens model, when it was chosen.
+    from the residuals. sd : by parameter name, px or without unit; covariance : theirs, in the same order.
+    sd_enlarged_by : factor >= 1 by which sd exceeds what independent corner errors would give. bow_m : how far the
+    board's middle stands out along x and y, and sd. views, left_out : what the result rests on, and what not.
+    edge_sd_px : uncertainty of a ray at the four corners of the image (or as far as the lens model holds), the worst.
+    choice : why this lens model, when it was chosen.
     """
 
     camera: CameraModel
@@ -50,7 +50,7 @@ class Intrinsics:
     sigma_px: float
     sd: Mapping[str, float]
     covariance: Array
-    jackknife: float
+    sd_enlarged_by: float
     board_diagonal_m: float
     bow_m: tuple[float, float]
     bow_sd_m: tuple[float, float]
@@ -88,7 +88,7 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
         ],
         "rms_px": _short(result.rms_px),
         "corner_sd_px": _short(result.sigma_px),
-        "sd_enlarged_by": _short(result.jackknife),
+        "sd_enlarged_by": _short(result.sd_enlarged_by),
         "parameters": {
             name: {"value": float(value), "sd": _short(result.sd[name])} for name, value in result.values.items()
         },
@@ -103,7 +103,7 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
         **(
             {
                 "model_choice": {
-                    "held_out_px": {name: _short(rms) for name, rms in result.choice.held_out_px.items()},
+                    "rms_px": {name: _short(rms) for name, rms in result.choice.rms_px.items()},
                     "reason": result.choice.reason,
                 }
             }

@@ -1,8 +1,7 @@
 """Chooses the views to calibrate from: sharp, still, unlike each other, and informative about the lens.
 
-Views are offered one by one, from a video or live, and each is answered at once. How informative they are is measured
-by what they add to the normal matrix of the adjustment, so that collecting ends when focal length and principal point
-are known well enough, not after some number of views.
+Views are offered one by one, from a video or live, and each is answered at once. Collecting ends when focal length and
+principal point are known well enough, by a fit to the views so far, not after some number of views.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from ..boards.board import Board, TargetDetection
 from ..boards.detector import find_board
 from ..boards.image_quality import blur_px, motion_px
 from .coverage import BoardPlacement, Coverage, coverage_of, placement_of
-from .lens_fit import board_pose, diagonal_m, fit_lens, lens_information, why_useless
+from .lens_fit import board_pose, fit_lens, why_useless
 from .lens_model import Array, LensModel
 
 REFERENCE_WIDTH_PX = 640
@@ -28,7 +27,7 @@ MOTION_PX = 3.0  # refused above, between neighbouring images, at 640 pixels of 
 ALIKE_PLACE, ALIKE_SIZE, ALIKE_LEAN_DEG, ALIKE_ROLL_DEG = 0.1, 0.2, 10.0, 25.0  # of the width; of its logarithm
 BETTER = 0.7  # an alike view takes another's place when it is that much stiller and sharper
 FIRST_FIT, GROWTH = 6, 1.3  # fits after so many views, then after so many times more
-POOL, PLENTY, WANTED = 150, 80, 60
+PLENTY = 80  # views; more help little
 ENOUGH_VIEWS = 12
 
 
@@ -59,7 +58,6 @@ class Offer:
 @dataclass(frozen=True, eq=False)
 class _CollectedView:
     detection: TargetDetection
-    pose: Array
     placement: BoardPlacement
     roll: float
     blur_and_motion_px: float
@@ -87,10 +85,8 @@ class ViewCollector:
         self.goals = goals or AccuracyGoals()
         self._held: list[_CollectedView] = []
         self._lens: CameraModel | None = None
-        self._prior: Array | None = None  # (p, p) information
-        self._information: Array | None = None  # the same, of what has been taken
-        self._noise = 1.0  # sigma of corners, jackknife included, over what the views say of themselves
-        self._next_fit = FIRST_FIT
+        self._fitted_sd: Array = np.empty(0)  # of the lens's parameters, when it was fitted
+        self._fitted, self._next_fit = 0, FIRST_FIT
         self.refused = 0
 
     @property
@@ -116,10 +112,10 @@ class ViewCollector:
 
     @property
     def expected(self) -> ExpectedAccuracy | None:
-        """None until there are enough views to tell."""
-        if self._lens is None or self._information is None:
+        """None until there are enough views to tell; since the last fit by their number."""
+        if self._lens is None:
             return None
-        sd = np.sqrt(np.diag(np.linalg.inv(self._information))) * self._noise
+        sd = self._fitted_sd * np.sqrt(self._fitted / len(self))
         return ExpectedAccuracy(float((sd[:2] / self._lens.K.diagonal()[:2]).max()), float(sd[2:4].max()))
 
     @property
@@ -139,12 +135,9 @@ class ViewCollector:
             return "show the whole board to the camera and hold it still"
         return self.coverage.advice() or "go on: tilted by 30 to 45 degrees, near, all over the image"
 
-    def best(self, wanted: int = WANTED) -> list[TargetDetection]:
-        """The views to calibrate from, in the order of their frames: at most ``wanted``, those that tell most."""
-        if len(self) <= wanted or self._lens is None or self._prior is None:
-            return sorted(self.detections, key=lambda detection: detection.frame_index)
-        chosen = d_optimal_views(self._information_of_each(self._lens), self._prior, wanted)
-        return sorted((self._held[i].detection for i in chosen), key=lambda detection: detection.frame_index)
+    def best(self) -> list[TargetDetection]:
+        """Return the views to calibrate from, in the order of their frames."""
+        return sorted(self.detections, key=lambda detection: detection.frame_index)
 
     def _take(self, detection: TargetDetection, blur_px: float, motion_px: float) -> Offer:
         scale = max(detection.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
@@ -177,7 +170,7 @@ class ViewCollector:
         # the turn in the image: that of the board's long way through its corners
         along = detection.pixels[-1] - detection.pixels[0]
         roll = float(np.arctan2(along[1], along[0]))
-        return _CollectedView(detection, pose, placement_of(pose, detection), roll, blur_and_motion_px)
+        return _CollectedView(detection, placement_of(pose, detection), roll, blur_and_motion_px)
 
     def _compare(self, held: _CollectedView) -> Offer:
         distances = [held.unlike(other) for other in self._held]
@@ -186,53 +179,27 @@ class ViewCollector:
             if held.blur_and_motion_px >= BETTER * self._held[nearest].blur_and_motion_px:
                 return Offer(False, "like one that is there already: show the board elsewhere or tilted otherwise")
             self._held[nearest] = held
-            self._refresh()
+            self._fit_now_and_then()
             return Offer(True, "in place of one less sharp")
-        if len(self._held) >= POOL:
+        if len(self._held) >= PLENTY:
             return Offer(False, "there are views enough")
         self._held.append(held)
-        self._refresh()
+        self._fit_now_and_then()
         return Offer(True, "")
 
-    def _refresh(self) -> None:
-        """Fit now and then; in between, add up what the views tell about the camera as it is known."""
-        if len(self._held) >= self._next_fit:
-            self._next_fit = int(np.ceil(GROWTH * len(self._held)))
-            self._fit()
-        if self._lens is not None and self._prior is not None:
-            self._information = self._information_of_each(self._lens).sum(axis=0) + self._prior
-
-    def _fit(self) -> None:
+    def _fit_now_and_then(self) -> None:
+        if len(self) < self._next_fit:
+            return
+        self._next_fit = int(np.ceil(GROWTH * len(self)))
         start = self._lens if len(self) > ENOUGH_VIEWS else None  # with fewer it is not to be trusted
-        ordered = sorted(self.detections, key=lambda detection: detection.frame_index)
         try:
-            fit = fit_lens(ordered, self._board, self._model, start=start)
+            fit = fit_lens(self.best(), self._board, self._model, start=start)
         except InputError:
             return
-        self._lens, columns = fit.camera, self._model.columns
-        focal_px = float(fit.camera.K.diagonal()[:2].mean())
-        prior = self._model.prior(focal_px, (fit.camera.width, fit.camera.height), diagonal_m(self._board))
-        self._prior = prior.information[columns[:, None], columns]
-        given = float(np.median([detection.sigma_px for detection in ordered]))
-        self._noise = fit.sigma_px / given * fit.jackknife_covariance()[1]
+        self._lens, self._fitted = fit.camera, len(self)
+        self._fitted_sd = np.sqrt(np.diag(fit.covariance()[0]))
         again = [self._placed(held.detection, held.blur_and_motion_px) for held in self._held]
         self._held = [held for held in again if held is not None]
-
-    def _information_of_each(self, lens: CameraModel) -> Array:
-        return lens_information(lens, self.detections, [held.pose for held in self._held], self._board)
-
-
-def d_optimal_views(information: Array, precision: Array, wanted: int) -> list[int]:
-    """Choose the indices of ``wanted`` of the views (V, p, p), chosen one by one so that the determinant of the normal
-    matrix, which begins as ``precision`` (p, p), grows most (D-optimal design)."""
-    chosen: list[int] = []
-    left = list(range(len(information)))
-    while left and len(chosen) < wanted:
-        gains = np.linalg.slogdet(precision + information[left])[1]
-        best = left.pop(int(np.argmax(gains)))
-        chosen.append(best)
-        precision = precision + information[best]
-    return sorted(chosen)
 
 
 # --- From images to views.
