@@ -8,8 +8,9 @@ points under 100 mm. A part is called when its published state is doubtful or lo
 
 Columns: frames with a part over 200 mm, %; parts wrong, of them called, %; of them with all points inside their own
 95 % ellipsoids, %; clear frames, and those with any part called, %; parts called with all points inside, %; processor
-time of fit and filter, ms a set. The second table is the curve behind the choice of DOUBTFUL_MARGIN: what would be
-called if the margin of the other place of a limb alone decided, at that margin. The last line is JSON.
+time of fit and filter, ms a set. The second table is the curve behind the choice of limb_filter.DOUBTFUL: what would be
+called if the probability of another place of a limb, or of none, alone decided, at that probability. The last line is
+JSON.
 """
 
 from __future__ import annotations
@@ -38,19 +39,19 @@ SHOWN = (
     *("wrong_frames", "wrong_parts", "wrong_called", "wrong_inside"),
     *("clear_frames", "clear_called", "called_inside", "ms"),
 )
-MARGINS = (-6.0, -4.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 10.0)
+PROBABILITIES = (0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7)
 
 
 @dataclass(frozen=True, eq=False)
 class Calls(PartCalls):
     """What is said of the parts of the body in the frames that have a truth and a track.
 
-    inside : (F, 5) bool, all points of the part lie inside their own ellipsoids. margins : (F, 5), of the best other
-    place of the part.
+    inside : (F, 5) bool, all points of the part lie inside their own ellipsoids. log_odds : (F, 5), that the
+    part is elsewhere or unseen.
     """
 
     inside: np.ndarray
-    margins: np.ndarray
+    log_odds: np.ndarray
 
     def figures(self) -> dict[str, Any]:
         """Shares, None where there is nothing of the kind."""
@@ -79,7 +80,7 @@ def calls_of(what: Recorded, settings: dict[str, Any]) -> tuple[Calls, float]:
     steps = [follower.step(products) for products in what.products]
     ms = 1e3 * (time.process_time() - began) / max(len(steps), 1)
     known = [
-        (frame, step.state, step.fit.quality.margins)
+        (frame, step.state, step.fit.quality.log_odds)
         for frame, (points, step) in enumerate(zip(truth, steps, strict=False))
         if step.state is not None and np.isfinite(points).all()
     ]
@@ -87,20 +88,20 @@ def calls_of(what: Recorded, settings: dict[str, Any]) -> tuple[Calls, float]:
     errors = track.points_world - truth[track.frames]
     inside = squared_distances(errors, track.covariance) <= INSIDE_95
     of_parts = np.stack([inside[:, list(points)].all(axis=1) for points in PART_POINTS], axis=1)
-    margins = np.array([margins for *_, margins in known]).reshape(-1, len(PART_NAMES))
+    log_odds = np.array([odds for *_, odds in known]).reshape(-1, len(PART_NAMES))
     said = PartCalls.of(1e3 * np.linalg.norm(errors, axis=2), track.parts)
-    return Calls(said.wrong, said.called, said.clear, of_parts, margins), ms
+    return Calls(said.wrong, said.called, said.clear, of_parts, log_odds), ms
 
 
 def curve(calls: Calls) -> list[dict[str, float | None]]:
-    """What margins alone would call."""
+    """What these probabilities alone would call."""
     return [
         {
-            "margin_rays": margin,
-            "wrong_called": number(share((calls.margins > margin)[calls.wrong])),
-            "clear_called": number(share((calls.margins > margin)[calls.clear].any(axis=1))),
+            "probability": p,
+            "wrong_called": number(share((calls.log_odds > np.log(p / (1.0 - p)))[calls.wrong])),
+            "clear_called": number(share((calls.log_odds > np.log(p / (1.0 - p)))[calls.clear].any(axis=1))),
         }
-        for margin in MARGINS
+        for p in PROBABILITIES
     ]
 
 
@@ -131,7 +132,7 @@ def main() -> None:
     whole = Calls.together(every)
     figures = {**whole.figures(), "ms": round(float(np.mean([one["ms"] for one in sets.values()])), 2)}
     table.row("all", *[figures[key] for key in SHOWN])
-    points, shown = curve(whole), Table("margin, rays:>12.0f | wrong called:>12.0% | clear called:>12.2%")
+    points, shown = curve(whole), Table("probability:>12.2f | wrong called:>12.0% | clear called:>12.2%")
     for point in points:
         shown.row(*point.values())
     finish({"all": figures, "curve": points, "sets": sets})

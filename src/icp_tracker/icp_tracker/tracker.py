@@ -28,8 +28,7 @@ from .acquisition.pose_source import make_pose_source
 from .articulated_fit import FitResult, assess, make_data, minimise, unknown_covariance
 from .body_uncertainty import covariance_of_sizes, widen_hidden
 from .monitor.evidence import evidence_of
-from .monitor.track_monitor import Examination, TrackMonitor
-from .monitor.track_quality import unchecked_quality, widened_covariance
+from .monitor.track_monitor import TrackAssessment, TrackMonitor
 from .refinement.body_refiner import BodyRefiner, RefinedBody, known_sizes, warm_up_refiner
 from .refinement.trunk_bend import TrunkBend
 from .settings import IcpNodeSettings, TrackerSettings
@@ -149,25 +148,23 @@ class IcpTracker:
         if self._body is None or self._pose is None:
             fit = self._acquire(seen)
         else:
-            fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn and not shared, shared)
+            fit = self._follow(self._trunk.of(self._body), self._pose, seen, prediction, learn and not shared)
         return replace(fit, dropped_points=dropped) if dropped else fit
 
-    def _follow(
-        self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool, shared: bool
-    ) -> Fit:
+    def _follow(self, body: Body, pose: Pose, seen: HullProducts, prediction: Prediction | None, learn: bool) -> Fit:
         """Fit a set to the body that is followed; ``pose`` is that of the set before."""
         start, started_from = self._start(body, pose, seen.stamp_ns, prediction)
         seen = seen.of_body_at(forward(body, start))
         if reason := self._too_few(seen):
             self._pose = start
-            self._monitor.lose()
+            self._monitor.mark_lost()
             return _not_seen(seen, LOST, started_from, f"nobody in the volume: {reason}", body, start)
 
         data = self._data_fitted = self._data(seen)
         fit = self._solve(body, start, data)
         expected = None if started_from == FROM_OWN else start
         settings = self._settings.articulated
-        found = self._monitor.examine(seen.stamp_ns, body, fit.pose, data, settings, expected, shared, fit.matched)
+        found = self._monitor.assess(seen.stamp_ns, body, fit.pose, data, settings, expected, fit.matched)
         instead = found.kept if found.better is None else found.better
         if instead is not None:
             fit = assess(body, instead, data, fit.iterations, fit.converged, settings)
@@ -239,24 +236,18 @@ class IcpTracker:
         self._body = body
         return self._solve(self._trunk.of(body), fit.pose, data)
 
-    def _judged(self, stamp_ns: int, started_from: str, fit: FitResult, found: Examination) -> Fit:
+    def _judged(self, stamp_ns: int, started_from: str, fit: FitResult, found: TrackAssessment) -> Fit:
         """Return the fit with what the monitor says of it."""
-        assert self._body is not None
-        quality = found.quality
-        hypothesis = None if found.hypothesis is None else forward(self._trunk.of(self._body), found.hypothesis)
-        points = fit.reference_points_world
-        covariance = widened_covariance(self._with_sizes(fit), quality, points, hypothesis, found.spread)
+        quality, covariance = found.quality, self._with_sizes(fit)
+        if found.spread is not None:
+            covariance = covariance + found.spread
         visible = fit.visible if quality.state != LOST else np.zeros(15, dtype=bool)
         if found.unseen is not None:
             visible = visible & ~found.unseen
-        if found.unchecked:
-            quality = unchecked_quality(quality)
         state = TRACKING if quality.state == GOOD else quality.state
         return Fit(
-            *(stamp_ns, state, started_from, quality.reason, 0, points, covariance, visible, fit.pose, _solution(fit)),
-            quality,
-            found.change,
-            found.moved,
+            *(stamp_ns, state, started_from, quality.reason, 0, fit.reference_points_world, covariance, visible),
+            *(fit.pose, _solution(fit), quality, found.change, found.moved),
         )
 
     def _with_sizes(self, fit: FitResult) -> np.ndarray:

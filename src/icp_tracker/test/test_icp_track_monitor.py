@@ -9,31 +9,24 @@ import pytest
 from scipy.spatial.transform import Rotation
 from test_icp_contour_rays import grazing_rays
 
+from capture_rig.visibility import CELL_M, UnseenCells
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
-from icp_tracker.monitor.evidence import LEFT_ARM, RIGHT_LEG, SLACK_M, evidence_of
-from icp_tracker.monitor.limb_search import ELSEWHERE_M, NO_POSES, LimbPlaces, other_places, with_limb
+from icp_tracker.monitor.evidence import LEFT_ARM, SLACK_M, evidence_of
+from icp_tracker.monitor.limb_filter import CHANCE_SAMPLES, ELSEWHERE_M
+from icp_tracker.monitor.limb_search import NO_POSES, other_places, with_limb
 from icp_tracker.monitor.pose_library import (
     LIMBS,
+    LimbPoses,
     arms_exchanged,
     even_directions,
     limb_poses,
     sides_exchanged,
     turned_around,
 )
-from icp_tracker.monitor.track_monitor import RecoverySettings
-from icp_tracker.monitor.track_quality import (
-    Baseline,
-    doubtful_limbs,
-    judge_track,
-    limb_spread,
-    unseen_points,
-    widened_covariance,
-    with_doubtful_limbs,
-    with_faint_limbs,
-)
+from icp_tracker.monitor.track_monitor import CHECKS, NEAR_M, RecoverySettings, TrackMonitor, reach_m
 from icp_tracker.tracker import IcpTracker, TrackerSettings
-from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, PART_POINTS, TrackQuality
+from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, PART_POINTS
 from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -92,13 +85,6 @@ def inside_of(body, pose, spacing=0.03):
     return grid[solid]
 
 
-def usual(evidence):
-    """What is usual after one set with this evidence."""
-    baseline = Baseline()
-    baseline.add(evidence)
-    return baseline
-
-
 def walked(person, k):
     """The person's motion as a whole at set k: rotation and shift."""
     return Rotation.from_rotvec([0.0, 0.0, 0.6 * k / FPS]).as_matrix(), np.array([0.5 * k / FPS, 0.0, 0.0])
@@ -153,67 +139,12 @@ def data_of(person):
 
 
 def test_the_true_pose_explains_the_outlines_and_lies_in_the_hull(person):
-    data = data_of(person)
-    evidence = evidence_of(Figure.of(person.body), person.pose, data)
+    evidence = evidence_of(Figure.of(person.body), person.pose, data_of(person))
     assert evidence.share > 0.95
     assert evidence.cost < 0.05 * evidence.rays
-    assert not evidence.outside.any()
-    assert judge_track(evidence, usual(evidence)).state == GOOD
-
-
-def test_an_arm_in_the_air_is_doubtful_and_named(person):
-    data = data_of(person)
+    assert evidence.beyond < 1.0
     raised = posed({"left_shoulder_x": 1.3, "left_shoulder_z": 0.0, "left_elbow": -0.1}, person.pose)
-    evidence = evidence_of(Figure.of(person.body), raised, data)
-    others = [part for part in range(len(PART_NAMES)) if part != LEFT_ARM]
-    assert evidence.outside[LEFT_ARM] >= 4
-    assert not evidence.outside[others].any()
-    quality = judge_track(evidence, usual(evidence))
-    assert quality.state == DOUBTFUL
-    assert quality.parts[LEFT_ARM] == DOUBTFUL and quality.parts[RIGHT_LEG] == GOOD
-    assert quality.reason.startswith("left arm: ") and "points outside the hull" in quality.reason
-
-
-def test_a_body_elsewhere_is_lost(person):
-    data = data_of(person)
-    beside = replace(person.pose, position_world=person.pose.position_world + np.array([0.6, 0.0, 0.0]))
-    known = usual(evidence_of(Figure.of(person.body), person.pose, data))
-    quality = judge_track(evidence_of(Figure.of(person.body), beside, data), known)
-    assert quality.state == LOST
-    assert f"{100 * known.share:.0f} % is usual" in quality.reason
-
-
-def test_a_calf_for_which_no_ray_speaks_is_doubtful_and_not_published(person):
-    data, figure = data_of(person), Figure.of(person.body)
-    known = usual(evidence_of(figure, person.pose, data))
-    calf = LIMBS[3].lower
-    assert not unseen_points(known.unseen_sticks(evidence_of(figure, person.pose, data))).any()
-    placed = match_rays(data.contour_rays, place(State.of(person.pose), figure), SLACK_M)
-    kept = figure.surface.stick[placed.capsule] != calf
-    rays = data.contour_rays.chosen(kept, data.contour_rays.information[kept])
-    evidence = evidence_of(figure, person.pose, data._replace(contour_rays=rays))
-    quality = judge_track(evidence, known)
-    assert quality.parts == (GOOD, GOOD, GOOD, GOOD, DOUBTFUL)
-    assert "rays show its right calf" in quality.reason.replace("_", " ")
-    assert list(np.flatnonzero(unseen_points(known.unseen_sticks(evidence)))) == [RIGHT_FOOT]
-
-
-@pytest.mark.parametrize(
-    ("explained", "usual_rays", "doubtful"),
-    [(11, 50.0, True), (13, 50.0, False), (11, 30.0, False), (20, 90.0, False), (3, 15.0, False)],
-    ids=["few", "enough to tell", "a large share", "many cameras", "few are usual"],
-)
-def test_a_forearm_that_few_rays_speak_for_is_doubtful_and_published(person, explained, usual_rays, doubtful):
-    evidence = evidence_of(Figure.of(person.body), person.pose, data_of(person))
-    known, forearm = usual(evidence), LIMBS[1].lower
-    known.rays[forearm] = usual_rays
-    shown = evidence.explained.copy()
-    shown[forearm] = explained
-    evidence = replace(evidence, explained=shown)
-    quality = with_faint_limbs(TrackQuality(GOOD, "", (GOOD,) * 5, 0.9), evidence, known)
-    assert quality.parts == tuple(DOUBTFUL if doubtful and part == LIMBS[1].part else GOOD for part in range(5))
-    assert (quality.state == DOUBTFUL) == doubtful == ("11 of 50 rays show its right" in quality.reason)
-    assert not known.unseen_sticks(evidence).any()
+    assert evidence_of(Figure.of(person.body), raised, data_of(person)).beyond > 5.0
 
 
 def test_the_lead_of_a_pose_over_another_has_the_sign_of_the_truth(person):
@@ -277,9 +208,8 @@ def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
 @pytest.mark.parametrize("limb", LIMBS, ids=lambda limb: PART_NAMES[limb.part])
 def test_a_limb_in_full_view_has_no_other_place(person, limb):
     places = other_places(Figure.of(person.body), person.pose, limb, data_of(person), limb_poses(limb))
-    assert places.support > 20.0
+    assert places.samples > 1.8 * CHANCE_SAMPLES
     assert (places.margins < -3.0).all()
-    assert not doubtful_limbs({LIMBS.index(limb): places}, FEW_OF_USUAL)
 
 
 def test_a_place_that_is_known_is_found_again_without_the_library(person):
@@ -293,45 +223,123 @@ def test_a_place_that_is_known_is_found_again_without_the_library(person):
     assert np.linalg.norm(hand - forward(person.body, person.pose)[LEFT_HAND]) < 0.1
 
 
-FEW_OF_USUAL = np.full(4, 0.5)  # of a limb's rays, as where it may be elsewhere
+# --- one set after another, the fitted pose given -----------------------------------------------------------------
 
 
-def places_of(*rivals):
-    """Other places of the left arm: margin and how far away (m) hand and elbow would be, to one side."""
-    margins, apart = np.array(rivals, float).reshape(-1, 2).T
-    ends = np.zeros((len(margins), 2, 3))
-    ends[:, :, 1] = apart[:, None]
-    return {0: LimbPlaces(NO_POSES, margins, ends, np.zeros((2, 3)), 30.0, np.full(len(margins), -1))}
+def assessed(person, poses, datas, expected=None, monitor=None):
+    """What a monitor says of the poses that were fitted to sets at 60 Hz."""
+    monitor, settings = monitor or TrackMonitor(RecoverySettings()), ArticulatedSettings()
+    return [
+        monitor.assess(stamp(k), person.body, pose, data, settings, expected)
+        for k, (pose, data) in enumerate(zip(poses, datas, strict=True))
+    ]
 
 
-def test_a_limb_is_doubtful_while_a_place_elsewhere_explains_about_as_much():
-    assert doubtful_limbs(places_of((2.0, 0.3)), FEW_OF_USUAL) == {0}
-    assert doubtful_limbs(places_of((2.0, 0.13)), FEW_OF_USUAL) == set()  # about where it is tracked
-    assert doubtful_limbs(places_of((-1.0, 0.3)), FEW_OF_USUAL) == {0}
-    assert doubtful_limbs(places_of((-4.0, 0.3)), FEW_OF_USUAL) == set()
-    assert doubtful_limbs(places_of((-4.0, 0.3)), FEW_OF_USUAL, shared=True) == {0}  # in a hull of several persons
-    assert doubtful_limbs(places_of((-12.0, 0.3)), FEW_OF_USUAL, shared=True) == set()
-    assert doubtful_limbs(places_of((2.0, 0.3)), np.full(4, 0.9)) == set()  # its own rays say where it is
-    assert doubtful_limbs(places_of((2.0, 0.3)), np.full(4, 0.9), shared=True) == {0}  # or another person's
-    assert doubtful_limbs(places_of((2.0, 0.3)), np.full(4, np.nan)) == {0}  # nobody knows what is usual
-    good = TrackQuality(GOOD, "", (GOOD,) * 5, 0.9)
-    quality = with_doubtful_limbs(good, [0], places_of((2.0, 0.3)))
-    assert quality.state == DOUBTFUL
-    assert quality.parts == tuple(DOUBTFUL if part == LEFT_ARM else GOOD for part in range(5))
-    assert quality.reason == "left arm: a place 30 cm away explains +2 rays"
+def without_rays_of(person, sticks):
+    """The set without the rays that show some sticks."""
+    data, figure = data_of(person), Figure.of(person.body)
+    match = match_rays(data.contour_rays, place(State.of(person.pose), figure), SLACK_M)
+    kept = ~np.isin(figure.surface.stick[match.capsule], sticks)
+    return data._replace(contour_rays=data.contour_rays.chosen(kept, data.contour_rays.information[kept]))
 
 
-@pytest.mark.parametrize("margin", [1.5, 0.0, 40.0])
-def test_the_ellipsoid_of_a_doubtful_limb_reaches_its_other_places(margin):
-    parts = tuple(DOUBTFUL if part == LEFT_ARM else GOOD for part in range(5))
-    quality = TrackQuality(DOUBTFUL, "", parts, 0.9)
-    spread = limb_spread(quality, places_of((margin, 0.6)))
-    widened = widened_covariance(np.zeros((15, 3, 3)), quality, np.zeros((15, 3)), None, spread)
-    hand = np.array([0.0, 0.6, 0.0])
-    assert hand @ np.linalg.solve(widened[LEFT_HAND], hand) < 7.8  # chi-square of 95 %, three degrees
-    others = [point for point in range(15) if point not in PART_POINTS[LEFT_ARM]]
-    assert not widened[others].any()
-    assert limb_spread(replace(quality, parts=(GOOD,) * 5), places_of((margin, 0.6))) is None
+def test_a_right_pose_is_good_and_a_body_elsewhere_is_lost(person):
+    data = data_of(person)
+    beside = replace(person.pose, position_world=person.pose.position_world + np.array([0.6, 0.0, 0.0]))
+    right, wrong = assessed(person, [person.pose, beside], [data, data])
+    assert right.quality.state == GOOD and right.spread is None and not right.unseen.any()
+    assert wrong.quality.state == LOST and "is usual" in wrong.quality.reason
+
+
+def test_a_body_that_explains_the_outlines_badly_as_a_whole_is_doubtful_in_every_part_though_it_is_usual(person):
+    """Half of the outlines are those of somebody 0.3 m beside: clothes, a bag, another body than ours."""
+    data, rays = data_of(person), person.rays
+    half = np.arange(len(rays)) % 2 == 0
+    beside = rays.points_world + 0.3 * half[:, None] * rays.normals
+    line, voxels, _ = seen(person, 0, np.random.default_rng(1), np.eye(3), np.zeros(3))
+    data = make_data(line, 0.03, voxels, ArticulatedSettings(), replace(rays, points_world=beside))
+    found = assessed(person, [person.pose] * 3, [data] * 3)
+    assert 0.4 < found[-1].quality.explained < 0.6
+    assert found[-1].quality.parts == (DOUBTFUL,) * 5 and "of the outlines" in found[-1].quality.reason
+
+
+def test_a_limb_that_no_ray_shows_is_doubtful_at_once_in_the_first_set_and_its_end_not_published(person):
+    limb = LIMBS[3]
+    found = assessed(person, [person.pose] * 3, [without_rays_of(person, [limb.upper, limb.lower])] * 3)
+    assert found[-1].quality.parts == (GOOD, GOOD, GOOD, GOOD, DOUBTFUL)
+    assert "independent samples show it" in found[-1].quality.reason
+    assert list(np.flatnonzero(found[-1].unseen)) == [RIGHT_FOOT]
+    assert (np.linalg.eigvalsh(found[-1].spread[RIGHT_FOOT]) > 0.1**2).all()
+    assert not found[-1].spread[[0, 7, 8, 9, 11, 12, 13]].any()
+
+
+def test_the_ellipsoid_of_an_arm_that_went_astray_reaches_its_true_place(person):
+    astray = posed(FOLDED, person.pose)
+    found = assessed(person, [astray] * 8, [data_of(person)] * 8)
+    doubted = [one for one in found if one.better is None and one.quality.parts[LEFT_ARM] == DOUBTFUL]
+    hand = (forward(person.body, person.pose) - forward(person.body, astray))[LEFT_HAND]
+    assert doubted and hand @ np.linalg.solve(doubted[-1].spread[LEFT_HAND], hand) < 7.8  # chi-square, 95 %
+    moved_to = next(one for one in found if one.better is not None)
+    assert moved_to.change == "left arm elsewhere"
+    assert moved_to.moved == tuple(part == LEFT_ARM for part in range(5))
+    assert (
+        np.linalg.norm(forward(person.body, moved_to.better) - forward(person.body, person.pose), axis=1).max() < 0.06
+    )
+
+
+def test_an_arm_that_leaves_the_volume_is_doubtful_at_once_and_is_not_moved_to_what_is_left_over(person):
+    """Its rays go within one set. What else the hull holds near the shoulder is no place for it."""
+    whole, points = data_of(person), forward(person.body, person.pose)
+    cells = np.zeros((80, 80, 50), bool)  # nothing is seen from the middle of the left forearm on
+    cells[:, round((0.5 * (points[7, 1] + points[LEFT_HAND, 1]) + 2.0) / CELL_M) :] = True
+    wall = UnseenCells(np.array([-2.0, -2.0, 0.0]), cells)
+    gone = without_rays_of(person, [LIMBS[0].upper, LIMBS[0].lower])
+    gone = gone._replace(hull=gone.hull._replace(unseen=wall))
+    for found in assessed(person, [person.pose] * 20, [whole] * 10 + [gone] * 10, person.pose)[10:]:
+        assert found.quality.parts[LEFT_ARM] == DOUBTFUL and found.unseen[LEFT_HAND]
+        assert found.better is None
+
+
+def test_a_body_that_was_lost_is_believed_when_other_poses_have_been_tried(person):
+    monitor, data = TrackMonitor(RecoverySettings()), data_of(person)
+    before = assessed(person, [person.pose] * 3, [data] * 3, person.pose, monitor)
+    monitor.mark_lost()
+    after = assessed(person, [person.pose] * 20, [data] * 20, person.pose, monitor)
+    assert all(one.better is None for one in before + after)
+    assert {one.quality.state for one in before} == {GOOD}
+    doubted = [one.quality.parts == (DOUBTFUL,) * 5 for one in after]
+    assert doubted == [True] * (CHECKS - 1) + [False] * (21 - CHECKS)
+    assert "other poses are being tried" in after[0].quality.reason
+
+
+@pytest.mark.parametrize("dt", [1 / 100, 1 / 60, 1 / 30, 1 / 12])
+def test_a_fist_that_stops_dead_does_not_jump(dt):
+    """At 9 m/s (Walilko et al. 2005, Olympic boxers) within a thirtieth of a second."""
+    speed, deceleration = 9.0, 270.0
+    slowed = min(dt, speed / deceleration)
+    short_of_m = speed * dt - (speed * slowed - 0.5 * deceleration * slowed**2)
+    assert max(short_of_m, NEAR_M) < reach_m(dt)
+
+
+def test_a_limb_that_jumped_away_from_its_rays_is_kept_where_it_was_expected(person):
+    data, jumped = data_of(person), posed(FOLDED, person.pose)
+    found = assessed(person, [person.pose, jumped], [data, data], person.pose)[-1]
+    assert found.better is None and found.quality.state == GOOD
+    off = np.linalg.norm(forward(person.body, found.kept) - forward(person.body, person.pose), axis=1)
+    assert off[LEFT_HAND] < 0.06
+    assert assessed(person, [person.pose, jumped], [data, data])[-1].kept is None  # nothing was expected
+
+
+def test_a_limb_that_jumped_to_its_own_rays_is_let_go(person):
+    data, astray = data_of(person), posed(FOLDED, person.pose)
+    assert assessed(person, [astray, person.pose], [data, data], astray)[-1].kept is None
+
+
+def test_the_pose_of_a_limb_is_the_one_that_it_has_in_the_body():
+    pose, limb = posed(STANCE), LIMBS[1]
+    R, flexion = LimbPoses.of(pose, limb).at(0)
+    again = with_limb(posed({}), limb, R, flexion)
+    assert np.allclose(again.R_joints[limb.ball], pose.R_joints[limb.ball]) and again.hinges[limb.hinge] == flexion
 
 
 # --- set after set ------------------------------------------------------------------------------------------------
@@ -367,8 +375,8 @@ def test_a_folded_arm_is_found_in_the_same_time_at_a_lower_rate(person, every):
     for sets in (1, every):
         results, truths = follow(person, 65, wrong_at=4, wrong=lambda pose: posed(FOLDED, pose), every=sets)
         bad = [k for k, (r, t) in enumerate(zip(results, truths, strict=True)) if worst_m(r, t) > 0.06]
-        found_s[sets] = (bad[-1] + 1) * sets / FPS
-    assert 4 / FPS < found_s[1] < 0.7
+        found_s[sets] = (bad[-1] + 1) * sets / FPS if bad else 0.0
+    assert found_s[1] < 0.7
     assert found_s[every] < found_s[1] + 0.2  # three sets at 15 Hz: fewer show no margin
 
 
@@ -421,24 +429,3 @@ def test_the_same_sets_give_the_same_bytes(person):
         return [(r.reference_points_world.tobytes(), r.covariance.tobytes(), r.state, r.reason) for r in results]
 
     assert run() == run()
-
-
-# --- doubts as covariance -----------------------------------------------------------------------------------------
-
-
-def test_doubts_widen_the_doubtful_limb_toward_the_other_place():
-    quality = TrackQuality(DOUBTFUL, "", (GOOD,) * 5, 0.9, hypothesis_margin=3.0)
-    points = np.zeros((15, 3))
-    hypothesis = points.copy()
-    hypothesis[11] = [0.0, 0.4, 0.0]
-    widened = widened_covariance(np.broadcast_to(1e-4 * np.eye(3), (15, 3, 3)), quality, points, hypothesis)
-    p = np.exp(1.0) / (1.0 + np.exp(1.0))
-    assert widened[11, 1, 1] == pytest.approx(1e-4 + p * (1 - p) * 0.16)
-    assert widened[11, 0, 0] == widened[12, 1, 1] == 1e-4
-
-
-def test_doubts_widen_a_limb_outside_the_hull_in_all_directions():
-    parts = tuple(DOUBTFUL if part == LEFT_ARM else GOOD for part in range(5))
-    widened = widened_covariance(np.zeros((15, 3, 3)), TrackQuality(DOUBTFUL, "", parts, 0.9), np.zeros((15, 3)), None)
-    assert (np.linalg.eigvalsh(widened[[7, 11]]) > 0.14**2).all()
-    assert not widened[[8, 12, 9, 13, 10, 14, 0, 2]].any()

@@ -83,7 +83,7 @@ class TrackQuality:
     state : "good", "doubtful" or "lost", of the whole body; reason : why, empty when good.
     parts (5,) states of PART_NAMES; explained : share of the contour rays that the pose explains;
     hypothesis_margin : rays that the best other pose explains more, over several sets; None without another pose.
-    margins (5,) : rays that the best other place of each part alone explains more in this set; -inf without one.
+    log_odds (5,) : that each limb is elsewhere than it is tracked, or unseen; -inf where nothing is known.
     """
 
     state: str
@@ -91,7 +91,7 @@ class TrackQuality:
     parts: tuple[str, ...]
     explained: float
     hypothesis_margin: float | None = None
-    margins: tuple[float, ...] = (-math.inf,) * len(PART_NAMES)
+    log_odds: tuple[float, ...] = (-math.inf,) * len(PART_NAMES)
 
 
 UNKNOWN = TrackQuality(GOOD, "", (GOOD,) * 5, 1.0)

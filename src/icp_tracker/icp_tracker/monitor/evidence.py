@@ -29,8 +29,6 @@ from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
 
 PARTS = 5
 TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
-LIMBS_OF_STICKS = (LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG)
-PART_OF_STICK = np.array((TRUNK, TRUNK, *LIMBS_OF_STICKS, *LIMBS_OF_STICKS))
 
 # a limb in full view has about 80 rays, 25 centerline points and 60 voxels: these weigh like rays, but less, because a
 # hull of few cameras is fat; checked on which changes of place were right (bench/doubt.py)
@@ -53,19 +51,14 @@ class Evidence:
     """What speaks for and against a pose.
 
     costs (n,) : what each ray costs, 0 to 1; beyond : what points outside the hull and joints beyond their ranges cost,
-    in rays; volume : what centerline points and voxels cost that the pose does not explain, in rays. explained (10,)
-    rays of each stick; unexplained (5,) rays of each part of the body, in the order of PART_NAMES (an unexplained one
-    counts for the part it passes nearest).
-    outside (5,) : points of the part's sticks that lie outside the hull, each part of a limb having six.
-    matched : what the rays and voxels were matched to.
+    in rays; volume : what centerline points and voxels cost that the pose does not explain, in rays. explained : rays
+    that the pose explains. matched : what the rays and voxels were matched to.
     """
 
     costs: np.ndarray
     beyond: float
     volume: float
-    explained: np.ndarray
-    unexplained: np.ndarray
-    outside: np.ndarray
+    explained: int
     matched: DataMatch
 
     @property
@@ -90,7 +83,7 @@ class Evidence:
     @property
     def share(self) -> float:
         """Share of the rays that the pose explains; 1 when there are none."""
-        return float(self.explained.sum()) / self.rays if self.rays else 1.0
+        return self.explained / self.rays if self.rays else 1.0
 
 
 def evidence_of(figure: Figure, pose: Pose, data: Data, matched: DataMatch | None = None) -> Evidence:
@@ -99,10 +92,10 @@ def evidence_of(figure: Figure, pose: Pose, data: Data, matched: DataMatch | Non
     ``matched`` : what rays and voxels are matched to, when that is known.
     """
     matched = matched or match_to(figure, State(*pose.arrays), data)
-    costs, explained, unexplained, outside, beyond, volume, excess = _weigh(figure, State(*pose.arrays), data, matched)
+    costs, explained, beyond, volume, excess = _weigh(figure, State(*pose.arrays), data, matched)
     if excess.any():
         beyond += float(((excess / LIMIT_RAD) ** 2).sum())
-    return Evidence(costs, beyond, volume, explained, unexplained, outside, matched)
+    return Evidence(costs, beyond, volume, explained, matched)
 
 
 @njit(cache=True, nogil=True)
@@ -113,15 +106,13 @@ def match_to(figure, state, data):
 
 
 @dataclass(frozen=True, eq=False)
-class ObservedSet:
-    """One frame set as the monitor examines it; ``apart_s`` : since the one before; ``shared`` : the body's part of the
-    hull is another person's, too."""
+class Observation:
+    """One frame set as the monitor assesses it, ``dt_s`` after the one before."""
 
-    apart_s: float
+    dt_s: float
     body: Body
     data: Data
     settings: ArticulatedSettings
-    shared: bool = False
 
     def evidence_of(self, pose: Pose, matched: DataMatch | None = None) -> Evidence:
         """Return the evidence about a pose; ``matched`` : as of `evidence_of`."""
@@ -139,22 +130,17 @@ class ObservedSet:
 
 @njit(cache=True, nogil=True)
 def _weigh(figure, state, data, matched):
-    """Return what each ray costs (n,); explained rays of each stick (10,); unexplained rays and points outside of each
-    part (5,); what the latter cost, and what is unexplained of the hull; by how much (18,) rad angles are beyond their
-    joints' ranges."""
+    """Return what each ray costs (n,); the number of explained rays; what points outside the hull cost, and what is
+    unexplained of the hull; by how much (18,) rad angles are beyond their joints' ranges."""
     placed, match = place(state, figure), matched.rays
-    costs = np.empty(match.separation.shape[0])
-    explained, unexplained, outside = np.zeros(STICKS, np.int64), np.zeros(PARTS, np.int64), np.zeros(PARTS, np.int64)
-    for i in range(costs.shape[0]):
-        separation, stick = match.separation[i], placed.surface.stick[match.capsule[i]]
-        costs[i] = ray_cost(separation, GATE_M)
-        explained[stick] += separation < EXPLAINED_M
-        unexplained[PART_OF_STICK[stick]] += separation > GATE_M
+    costs, explained = ray_cost(match.separation, GATE_M), 0
+    for separation in match.separation:
+        explained += separation < EXPLAINED_M
     excess = np.empty(18)
     joint_excess(state.RJ, state.hinges, 0.0, np.empty(5), excess)
-    beyond = count_outside(placed, data.hull, outside)
+    beyond = _cost_outside(placed, data.hull)
     volume = _unexplained_volume(placed, data, matched.voxels[2])
-    return costs, explained, unexplained, outside, beyond, volume, excess
+    return costs, explained, beyond, volume, excess
 
 
 @njit(cache=True)
@@ -186,8 +172,8 @@ def stick_distances(points, placed, sticks):
 
 
 @njit(cache=True)
-def count_outside(placed, hull, outside):
-    """Count the points of sticks 1 to 9 that lie outside the hull, part by part; returns what they cost, in rays."""
+def _cost_outside(placed, hull):
+    """Return what the points of sticks 1 to 9 that lie outside the hull cost, in rays."""
     cost, point = 0.0, np.empty(3)
     if hull.points.shape[0] == 0:
         return cost
@@ -195,11 +181,7 @@ def count_outside(placed, hull, outside):
         for s in range(SAMPLES):
             point_on_stick(placed, j, (s + 1.0) / SAMPLES, point)
             _, distance = nearest_sample(hull, point, OUTSIDE_SLACK_M)
-            beyond = min(distance - OUTSIDE_SLACK_M, OUTSIDE_MOST_M)
-            if beyond > 0.0:
-                cost += RAYS_PER_OUTSIDE_M * beyond
-            if beyond > OUTSIDE_SLACK_M:
-                outside[PART_OF_STICK[j]] += 1
+            cost += RAYS_PER_OUTSIDE_M * max(min(distance - OUTSIDE_SLACK_M, OUTSIDE_MOST_M), 0.0)
     return cost
 
 

@@ -1,6 +1,6 @@
 """Other places for one limb: what the rest of the body leaves over of the set, and how much of it each place explains.
 
-Left over (`left_over`) are contour rays, centerline points and voxels of the hull's surface that the body without the
+The data are contour rays, centerline points and voxels of the hull's surface that the body without the
 limb does not explain. Places come from the limb's library, which is coarse: its best poses are refined by Gauss-Newton
 over the limb's own four angles, a few iterations each. Places that were good at earlier sets are refined along with
 them, so that they follow the limb as the tracked one does.
@@ -8,7 +8,6 @@ them, so that they follow the limb as the tracked one does.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -21,6 +20,7 @@ from stick_figure.body_surface import place_capsules
 from stick_figure.least_squares.contour_factor import match_rays, sum_rays
 from stick_figure.least_squares.gauss_newton import Data, DataMatch
 from stick_figure.least_squares.hull_samples import is_in_hull, is_unseen
+from stick_figure.least_squares.independent_rows import CELLS, cell_of_ray
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
     ENDS,
@@ -35,13 +35,12 @@ from stick_figure.least_squares.placed_figure import Figure, State, place, surfa
 from stick_figure.pose import Pose
 
 from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLACK_M, match_to, ray_cost, stick_distances
-from .left_over import COARSE_GATE_M, left_over, part_of
 from .pose_library import Limb, LimbPoses
+from .unexplained_data import COARSE_GATE_M, part_of, unexplained_data
 
 APART_M = 0.12  # hands or feet (and elbows or knees) so near to each other are the same place
 REFINED = 6  # poses of the library that are refined
 KEPT = 3  # other places that are followed from set to set
-ELSEWHERE_M = 0.25  # a limb whose elbow or hand would be so far off is elsewhere: the track may then be 0.2 m wrong
 HELD_AT = (0.5, 1.0)  # where along upper and lower limb the hull is asked
 HELD_LEAST = 3  # of those four points, that must lie in the hull
 
@@ -51,6 +50,8 @@ REFINE_GATE_M = 0.08
 STIFFNESS_M2 = 2.0 * 0.3**2  # rays that hold an angle at its guess, times their lever squared
 STEP_MOST = 0.4  # rad
 
+SAMPLE_RAYS = 2.0  # rays that show one cell of the surface for certain
+
 
 @dataclass(frozen=True, eq=False)
 class LimbPlaces:
@@ -58,15 +59,15 @@ class LimbPlaces:
 
     poses : upper limb to torso and flexion, as in the library. margins (k,) : what each explains beyond the tracked
     place, in rays. ends (k, 2, 3) : elbow and hand, or knee and foot, m, world; tracked (2, 3) : those of the tracked
-    place. support : rays that the tracked place explains and the rest of the body does not. origins (k,) : which of the
-    known places each was refined from, -1 for one of the library.
+    place. samples : cells of the limb's surface (independent samples) whose rays the tracked place explains, and the
+    rest of the body does not. origins (k,) : the known place that each was refined from, -1 for one of the library.
     """
 
     poses: LimbPoses
     margins: np.ndarray
     ends: np.ndarray
     tracked: np.ndarray
-    support: float
+    samples: float
     origins: np.ndarray
 
     @cached_property
@@ -74,17 +75,6 @@ class LimbPlaces:
         """How far (k,) elbow or hand, whichever is farther, would be from where it is tracked."""
         apart: np.ndarray = _apart_from(self.ends, self.tracked)
         return apart
-
-    @cached_property
-    def margin_elsewhere(self) -> float:
-        """What the best place that is ELSEWHERE_M off, or farther, explains beyond the tracked one; -inf for none."""
-        far = [float(margin) for margin, off in zip(self.margins, self.apart_m, strict=True) if off > ELSEWHERE_M]
-        return max(far, default=-math.inf)
-
-    def within(self, margin: float) -> LimbPoses:
-        """Return the poses of the places that explain no less than so many rays more than the tracked one."""
-        good = self.margins >= margin
-        return LimbPoses(self.poses.R[good], self.poses.flexion[good])
 
 
 NO_POSES = LimbPoses(np.empty((0, 3, 3)), np.empty(0))
@@ -105,8 +95,8 @@ def other_places(
     """
     state = State.of(pose)
     found = _search(data, matched or match_to(figure, state, data), state, figure, limb, library, known)
-    R, flexion, margins, ends, tracked, support, origins = found
-    return LimbPlaces(LimbPoses(R, flexion), margins, ends, tracked, support, origins)
+    R, flexion, margins, ends, tracked, samples, origins = found
+    return LimbPlaces(LimbPoses(R, flexion), margins, ends, tracked, samples, origins)
 
 
 def with_limb(pose: Pose, limb: Limb, R: np.ndarray, flexion: float) -> Pose:
@@ -118,13 +108,14 @@ def with_limb(pose: Pose, limb: Limb, R: np.ndarray, flexion: float) -> Pose:
 
 @njit(cache=True, nogil=True)
 def _search(data, matched, state, figure, limb, library, known):
-    """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; support;
+    """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; its samples;
     which of the known places each of them is."""
-    left = left_over(data, matched, state, figure, limb)
+    left = unexplained_data(data, matched, state, figure, limb)
     placed, costs = place(state, part_of(figure, limb, True)), np.empty(left.fine.shape[0])
     tracked = _ends(placed, limb)
-    support = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
-    explained = support + _volume_gained(left, placed, limb)
+    explained = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
+    samples = _samples_of(costs, left.rays, placed)
+    explained += _volume_gained(left, placed, limb)
     gains = np.zeros(library.flexion.shape[0])
     for h in range(gains.shape[0]):
         state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
@@ -150,7 +141,7 @@ def _search(data, matched, state, figure, limb, library, known):
             margins[m] = gain + _volume_gained(left, placed, limb) - explained
     kept = _distinct(margins, ends)
     origins = np.where(kept < known.flexion.shape[0], kept, -1)
-    return R[kept], flexion[kept], margins[kept], ends[kept], tracked, support, origins
+    return R[kept], flexion[kept], margins[kept], ends[kept], tracked, samples, origins
 
 
 @njit(cache=True)
@@ -255,6 +246,16 @@ def _rays_gained(rays, placed, cost_without, gate, costs):
     for i in range(costs.shape[0]):
         gain += max(costs[i], 0.0)
     return gain
+
+
+@njit(cache=True)
+def _samples_of(gains, rays, placed):
+    """Return how many cells of the limb's surface the rays show that it explains, by what each (n,) gains."""
+    match, shown = match_rays(rays, placed, SLACK_M), np.zeros(placed.P.shape[0] * CELLS)
+    for i in range(gains.shape[0]):
+        if gains[i] > 0.0:
+            shown[cell_of_ray(placed, match.capsule[i], match.along[i], rays.rows, i)] += gains[i] / SAMPLE_RAYS
+    return np.minimum(shown, 1.0).sum()
 
 
 @njit(cache=True)

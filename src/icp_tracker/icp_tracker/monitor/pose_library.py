@@ -128,7 +128,6 @@ LIMBS = (
     Limb(LEFT_LEG, 3, 2, 4, 8, (16, 18, 20, 22)),
     Limb(RIGHT_LEG, 4, 3, 5, 9, (17, 19, 21, 23)),
 )
-LIMB_PARTS, UPPER_STICKS, LOWER_STICKS = np.array([(limb.part, limb.upper, limb.lower) for limb in LIMBS]).T
 LIMB_POINTS = np.array([PART_POINTS[limb.part] for limb in LIMBS])
 """(4, 2) reference points of each limb: elbow and hand, or knee and foot."""
 
@@ -138,6 +137,19 @@ class LimbPoses(NamedTuple):
 
     R: np.ndarray
     flexion: np.ndarray
+
+    @staticmethod
+    def of(pose: Pose, limb: Limb) -> LimbPoses:
+        """Return the one pose that a limb has in a pose of the body."""
+        return LimbPoses(pose.R_joints[None, limb.ball], pose.hinges[None, limb.hinge])
+
+    def at(self, number: int) -> tuple[np.ndarray, float]:
+        """Return one pose."""
+        return self.R[number], float(self.flexion[number])
+
+    def with_others(self, others: LimbPoses) -> LimbPoses:
+        """Return these and others."""
+        return LimbPoses(np.concatenate([self.R, others.R]), np.concatenate([self.flexion, others.flexion]))
 
     def part(self, number: int, parts: int) -> LimbPoses:
         """Return every ``parts``-th pose: together the parts are the whole."""

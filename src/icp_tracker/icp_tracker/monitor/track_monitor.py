@@ -2,46 +2,57 @@
 
 A fit finds the nearest explanation of the hull, which need not be the best: an arm that was lost in a wide hull, a body
 that faces backward, both are local optima that no prior leaves. So other poses are tried, a few every frame set: places
-of one limb, the body turned round, and when all is lost, stances anywhere in the hull. A pose that explains the
-silhouettes' outlines better becomes the hypothesis, is followed beside the first for a while, and takes over once its
-margin is clear: a single set is not enough, chance margins do not last. What lasts is a time, not a number of sets: the
-body that causes a chance margin moves on as fast at any rate.
+of one limb, the body turned round, and when all is lost, stances anywhere in the hull. Each limb has a discrete Bayes
+filter over its places (:mod:`.limb_filter`), and so has the whole body over the pose that is followed and another one.
+What is more probable than the tracked pose takes over; what is nearly as probable makes the track doubtful.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from capture_rig.settings import setting
-from mocap_packets.fit import GOOD, LOST, PART_NAMES, UNKNOWN, TrackQuality
+from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, UNKNOWN, TrackQuality, points_of_parts
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data, DataMatch
+from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings
-from .evidence import SAME_M, TRUNK, Evidence, ObservedSet
-from .leaps import RecentRays, expected_on_trunk, leaps_of_limbs
-from .limb_monitor import LimbMonitor
-from .out_of_sight import is_cut, limbs_of_points, points_out_of_sight, shown_parts, with_hidden_parts
-from .place_leads import FAR_M
-from .pose_library import LIMBS, arms_exchanged, legs_exchanged, moved_to, sides_exchanged, stances, turned_around
-from .track_quality import (
-    ALL_PARTS,
-    Baseline,
-    Hypothesis,
-    contested,
-    doubtful_limbs,
-    judge_track,
-    limb_spread,
-    points_of_limbs,
-    unseen_points,
-    with_doubtful_limbs,
-    with_faint_limbs,
-    with_torn_limbs,
+from . import limb_filter
+from .evidence import SAME_M, TRUNK, Evidence, Observation
+from .limb_filter import LimbBelief
+from .limb_search import NO_POSES, other_places, with_limb
+from .pose_library import (
+    LIMB_POINTS,
+    LIMBS,
+    LimbPoses,
+    arms_exchanged,
+    legs_exchanged,
+    limb_poses,
+    moved_to,
+    sides_exchanged,
+    stances,
+    turned_around,
 )
+
+LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
+LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS: arms are lost more often than legs
+TURNED_EVERY = 8  # looks from one at the whole body turned round to the next, while the track is good
+CHECKS = 8  # of them, two more than there are kinds, until a body that was lost is believed
+STANCES_A_SET = 6
+LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
+MOST_M_S2, NEAR_M = 600.0, 0.1  # a boxer's fist stops with half of this (Walilko et al. 2005); what fits err by besides
+BODY_LOG_PRIOR = -3.0  # of another pose of the whole body, against the tracked one: a person seldom turns in a set
+LOST_SHARE, DOUBTFUL_SHARE = 0.35, 0.60  # of the contour rays explained: what wrong poses explain, what clothes leave
+LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains: cameras and shadows differ
+USUAL_S = 5.0  # over which the usual share is averaged
+NS_PER_S = 1e9
+NOTHING_MOVED, ALL_PARTS = (False,) * len(PART_NAMES), (True,) * len(PART_NAMES)
 
 
 @dataclass(frozen=True)
@@ -49,52 +60,39 @@ class RecoverySettings:
     """How a lost track, or a lost limb, is noticed and found again."""
 
     search: bool = setting(True, "look for better poses of limbs and body; off: the track is judged, not repaired")
-    margin_rays: float = setting(
-        2.0,
-        "rays that another pose must explain beyond the followed one, on average over the sets it is compared in",
-        low=0.0,
-        high=1e4,
-    )
-    margin_s: float = setting(
-        0.05, "time that it must be compared for, three frame sets at least", unit="s", low=0.0, high=100.0
-    )
-
-
-# checked by the drills of bench/recovery.py
-CLEAR_RAYS = 20.0  # margin with which two frame sets are enough
-MARGIN_SETS = 3  # sets that a hypothesis is compared in at least: one may be torn, two may share a chance
-PATIENT_S = 0.5  # after which a hypothesis without the margin is dropped
-LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
-CHECKS = 8  # looks at the whole body turned, two more than there are kinds, until one that was lost is believed
-LIMB_EVERY = 4  # looks from one at a limb elsewhere, with the whole body fitted to it, to the next
-TURNED_EVERY = 8  # looks from one at the whole body turned round to the next
-LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
-NS_PER_S = 1e9
-STANCES_A_SET = 6
-SLIGHT_DROP, SLIGHT_DROP_EVERY = 0.03, 2  # so little less explained than usual is a reason to look at the body turned
-NOTHING_MOVED = (False,) * len(PART_NAMES)
-BEHIND_MOST = 3.0  # rays that another pose may be behind when it is first looked at
 
 
 @dataclass(frozen=True, eq=False)
-class Examination:
-    """What became of a fitted pose: how good it is; a better one to change over to, if any, and what it changes, in
-    words and as parts (5,) of the body.
+class TrackAssessment:
+    """How good a fitted pose is; a better one to change over to, if any, and what it changes, in words and as parts
+    (5,) of the body.
 
-    hypothesis : another pose that may be right. spread (15, 3, 3) m^2 : of where the points of doubtful limbs may be.
-    unseen (15,) bool : points for which nothing in the set speaks. kept : the fitted pose with limbs that leapt for too
-    little where they were expected. unchecked : the body was lost, and may have been found the wrong way round.
+    spread (15, 3, 3) m^2 : of where the points of doubtful parts may be about where they are fitted. unseen (15,)
+    bool : points that nothing in the last sets shows. kept : the fitted pose with limbs that jumped for too little
+    where they were expected.
     """
 
     quality: TrackQuality
     better: Pose | None = None
     change: str = ""
     moved: tuple[bool, ...] = NOTHING_MOVED
-    hypothesis: Pose | None = None
     spread: np.ndarray | None = None
     unseen: np.ndarray | None = None
     kept: Pose | None = None
-    unchecked: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """Another pose of the whole body, in words what differs, and its log odds against the tracked one."""
+
+    pose: Pose
+    why: str
+    log_odds: float = BODY_LOG_PRIOR
+    margin: float = 0.0
+
+    @property
+    def probability(self) -> float:
+        return 1.0 / (1.0 + math.exp(-self.log_odds))
 
 
 class TrackMonitor:
@@ -105,19 +103,20 @@ class TrackMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the body's baseline, and the hypothesis."""
-        self._baseline, self._recent = Baseline(), RecentRays()
+        """Forget what is believed of the body."""
+        self._beliefs: list[LimbBelief | None] = [None] * len(LIMBS)
         self._hypothesis: Hypothesis | None = None
-        self._limbs = LimbMonitor(self._settings.margin_rays, self._settings.margin_s)
-        self._sets = self._turns = self._looks = self._unchecked = 0
-        self._last_stamp_ns: int | None = None
+        self._usual_share: float | None = None
         self._last_good: Pose | None = None
+        self._last_stamp_ns: int | None = None
+        self._turn = self._kind = self._unchecked = 0
+        self._looks = [0] * len(LIMBS)
 
-    def lose(self) -> None:
+    def mark_lost(self) -> None:
         """Note a set that shows nobody: who is found after it is not believed before other poses have been tried."""
         self._unchecked = CHECKS
 
-    def examine(
+    def assess(
         self,
         stamp_ns: int,
         body: Body,
@@ -125,191 +124,269 @@ class TrackMonitor:
         data: Data,
         settings: ArticulatedSettings,
         expected: Pose | None = None,
-        shared: bool = False,
         matched: DataMatch | None = None,
-    ) -> Examination:
+    ) -> TrackAssessment:
         """Judge a pose that was fitted to a set's data, and look for a better one.
 
-        ``expected`` : where a good track's motion leads to; None where it is not known. ``shared`` : the body's part of
-        the hull is another person's, too. ``matched`` : what the data are matched to in the pose, when that is known.
+        ``expected`` : where a good track's motion leads to; None where it is not known. ``matched`` : what the data are
+        matched to in the pose, when that is known.
         """
         last_ns, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
-        apart_s = 0.0 if last_ns is None else min((stamp_ns - last_ns) / NS_PER_S, LONGEST_S)
+        dt_s = 0.0 if last_ns is None else min((stamp_ns - last_ns) / NS_PER_S, LONGEST_S)
         if len(data.contour_rays.information) == 0 or len(data.hull.points) == 0:
-            return Examination(UNKNOWN)
-        observed = ObservedSet(apart_s, body, data, settings, shared)
-        fitted, leaps_m = pose, np.zeros(len(LIMBS))
-        points, expected_points = forward(body, pose), None
-        if expected is not None:
-            expected_points = expected_on_trunk(body, pose, expected)
-            if self._settings.search:
-                leaps_m = leaps_of_limbs(points, expected_points)
-                pose = self._limbs.without_leaps(observed, pose, expected, leaps_m)
-                points = points if pose is fitted else forward(body, pose)
-        evidence = observed.evidence_of(pose, matched if pose is fitted else None)
-        torn = self._recent.torn(evidence, leaps_m, apart_s)
-        unexplained = self._recent.more_unexplained(evidence)
-        self._recent.add(evidence, apart_s)
-        shown = shown_parts(evidence, self._baseline)
-        hidden = points_out_of_sight(points, expected_points, data.hull.unseen, shown)
-        quality = with_hidden_parts(judge_track(evidence, self._baseline), hidden)
-        self._sets += 1
+            return TrackAssessment(UNKNOWN)
+        seen, fitted = Observation(dt_s, body, data, settings), pose
+        jumped: dict[int, LimbPoses] = {}
+        if expected is not None and self._settings.search:
+            pose, jumped = _without_jumps(seen, pose, expected)
+        evidence = seen.evidence_of(pose, matched if pose is fitted else None)
+        quality = self._judge_body(evidence, dt_s)
         if quality.state == LOST:
-            self.lose()
-        if quality.state == GOOD:
-            self._baseline.add(evidence)
-            self._last_good = pose
+            self.mark_lost()
         if not self._settings.search:
-            return Examination(quality, unseen=hidden)
-        found = self._look_for_better(observed, pose, evidence, quality, unexplained, hidden)
-        if found.better is not None:
-            return replace(found, unchecked=self._unchecked > 0)
-        unseen = hidden | unseen_points(self._baseline.unseen_sticks(evidence)) | points_of_limbs(torn)
-        quality = with_faint_limbs(with_torn_limbs(found.quality, torn), evidence, self._baseline)
-        return replace(
-            found,
-            quality=quality,
-            spread=limb_spread(quality, self._limbs.places),
-            unseen=unseen,
+            return TrackAssessment(quality)
+        turns = range(self._turn, self._turn + min(max(round(dt_s * LOOKS_HZ), 1), LOOKS_A_SET))
+        self._turn = turns.stop
+        self._update_limbs(seen, pose, evidence, turns, jumped)
+        quality = self._with_limbs(quality)
+        if quality.state == GOOD:
+            self._last_good = pose
+        if (changed := self._changed_body(seen, pose, evidence, quality, turns)) is not None:
+            return changed
+        if (changed := self._changed_limb(seen, pose, evidence)) is not None:
+            return changed
+        quality = self._with_hypothesis(quality)
+        return TrackAssessment(
+            quality,
+            spread=self._spread(seen, pose, quality),
+            unseen=self._unseen_points(),
             kept=None if pose is fitted else pose,
-            unchecked=self._unchecked > 0,
         )
 
-    def _look_for_better(
-        self,
-        observed: ObservedSet,
-        pose: Pose,
-        evidence: Evidence,
-        quality: TrackQuality,
-        unexplained: np.ndarray,
-        hidden: np.ndarray,
-    ) -> Examination:
-        """Look at other places of the limbs and other poses of the body; say what is doubtful, or what to change to.
+    # --- what is believed of the whole body ---------------------------------------------------------------------------
 
-        unexplained (4,) : rays that pass each limb, beyond what is usual. hidden (15,) bool : points out of sight.
-        """
-        turns = range(self._turns, self._turns + min(max(round(observed.apart_s * LOOKS_HZ), 1), LOOKS_A_SET))
-        self._turns = turns.stop
-        self._limbs.look(observed, pose, turns, unexplained, limbs_of_points(hidden), evidence.matched)
-        if is_cut(hidden):
-            self._hypothesis = None
-        else:
-            self._follow(observed, pose, evidence)
-            self._look_for_another(turns, observed, pose, evidence, quality)
-        places = self._limbs.places
-        doubtful = doubtful_limbs(places, self._baseline.share_of_usual(evidence), observed.shared)
-        doubted = with_doubtful_limbs(quality, doubtful, places)
-        found = self._decide(observed, pose, doubted)
-        if found.better is None:
-            found = self._move_limb(observed, pose, evidence) or found
-        if found.better is not None:
-            self._limbs.go_over(observed, pose, found.better)
-        return found
+    def _judge_body(self, evidence: Evidence, dt_s: float) -> TrackQuality:
+        """Return the quality by the share of the contour rays that the body explains, itself and against its usual."""
+        share = evidence.share
+        usual = share if self._usual_share is None else self._usual_share
+        reason = f"the body explains {100 * share:.0f} % of the outlines, {100 * usual:.0f} % is usual"
+        if share < LOST_SHARE or usual - share > LOST_DROP:
+            return TrackQuality(LOST, reason, (LOST,) * len(PART_NAMES), share)
+        if share < DOUBTFUL_SHARE or usual - share > DOUBTFUL_DROP:
+            return TrackQuality(DOUBTFUL, reason, (DOUBTFUL,) * len(PART_NAMES), share)
+        self._usual_share = usual + (share - usual) * dt_s / (USUAL_S + dt_s)
+        return TrackQuality(GOOD, "", (GOOD,) * len(PART_NAMES), share)
 
-    # --- the hypothesis ----------------------------------------------------------------------------------------------
-
-    def _follow(self, observed: ObservedSet, pose: Pose, evidence: Evidence) -> None:
-        """Fit the hypothesis to this set too, and compare."""
-        hypothesis = self._hypothesis
-        if hypothesis is None:
-            return
-        fitted = observed.fitted(hypothesis.pose)
-        if observed.apart_m(fitted, pose) < SAME_M:
-            self._hypothesis = None
-            return
-        self._hypothesis = hypothesis.compared(fitted, observed.evidence_of(fitted), evidence, observed.apart_s)
-
-    def _decide(self, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Examination:
-        hypothesis, s = self._hypothesis, self._settings
-        if hypothesis is None:
-            return Examination(quality)
-        if self._has_lasted(hypothesis, observed, pose) or (hypothesis.sets >= 2 and hypothesis.margin >= CLEAR_RAYS):
-            self._hypothesis = None
-            return self._changed_to(hypothesis, quality)
-        if hypothesis.seconds >= PATIENT_S or (hypothesis.sets >= 2 and hypothesis.margin < 0.0):
-            self._hypothesis = None
-            return Examination(quality)
-        if hypothesis.moved != ALL_PARTS:  # the places that are followed of the limb say what is doubtful about it
-            return Examination(quality)
-        return Examination(contested(quality, hypothesis, s.margin_rays), hypothesis=hypothesis.pose)
-
-    def _move_limb(self, observed: ObservedSet, pose: Pose, evidence: Evidence) -> Examination | None:
-        """Return the change-over to another place of one limb, if one has led for long enough."""
-        found = self._limbs.moved(observed, pose, evidence)
-        return None if found is None else self._changed_to(found, UNKNOWN)
-
-    def _changed_to(self, hypothesis: Hypothesis, otherwise: TrackQuality) -> Examination:
-        """Return the change-over to a hypothesis, judged by its evidence; ``otherwise`` : of one without."""
-        known = otherwise if hypothesis.evidence is None else judge_track(hypothesis.evidence, self._baseline)
-        return Examination(known, hypothesis.pose, hypothesis.why, hypothesis.moved)
-
-    def _has_lasted(self, hypothesis: Hypothesis, observed: ObservedSet, pose: Pose) -> bool:
-        """Return whether the margin has held for long enough; stamps jitter, so half an interval may be missing."""
-        s, sets, seconds = self._settings, hypothesis.sets, hypothesis.seconds
-        if sets < MARGIN_SETS or seconds < s.margin_s - 0.5 * observed.apart_s:
-            return False
-        far = 1.0 + min(observed.apart_m(hypothesis.pose, pose) / FAR_M, 1.0)
-        return hypothesis.margin >= s.margin_rays * max(1.0, far * s.margin_s / seconds, far * MARGIN_SETS / sets)
-
-    # --- other poses of the whole body --------------------------------------------------------------------------------
-
-    def _look_for_another(
-        self, turns: range, observed: ObservedSet, pose: Pose, evidence: Evidence, quality: TrackQuality
-    ) -> None:
-        """Try other poses; one becomes the hypothesis if it explains more than the pose and the hypothesis so far."""
-        if self._hypothesis is not None and quality.state != LOST and self._sets % 2:
-            return  # following one takes as long as trying one
-        for turn in turns:
-            self._look(observed, pose, evidence, self._guess(turn + 1, observed, pose, quality))
-
-    def _look(self, observed: ObservedSet, pose: Pose, evidence: Evidence, guess: Hypothesis | None) -> None:
-        """Fit another pose, and keep it as the hypothesis if it explains more."""
-        if guess is None:
-            return
-        fitted = observed.fitted(guess.pose, free=True)
-        margin = evidence.margin_of(observed.evidence_of(fitted))
-        least = -BEHIND_MOST if self._hypothesis is None else max(self._hypothesis.margin + 1.0, 0.0)
-        known = [pose] if self._hypothesis is None else [pose, self._hypothesis.pose]
-        if margin > least and all(observed.apart_m(fitted, other) > SAME_M for other in known):
-            self._hypothesis = replace(guess, pose=fitted)
-
-    # --- where to look -----------------------------------------------------------------------------------------------
-
-    def _guess(self, turn: int, observed: ObservedSet, pose: Pose, quality: TrackQuality) -> Hypothesis | None:
-        """Return what to try in this turn: a lost body's stances, or the whole body turned; mostly nothing."""
-        every = TURNED_EVERY
-        if quality.state == LOST and turn % 2 == 0:
-            return self._stance(observed, turn // 2)
-        if quality.state != GOOD:
-            every = 2 if quality.parts[TRUNK] == GOOD else 1
-        elif self._unchecked > 0:
-            every = 1
-        elif self._baseline.share is not None and quality.explained < self._baseline.share - SLIGHT_DROP:
-            every = min(every, SLIGHT_DROP_EVERY)
-        if turn % every == 0:
-            return self._whole_body(observed, pose)
-        if turn % LIMB_EVERY == LIMB_EVERY // 2:
-            return self._limbs.elsewhere(pose)
+    def _changed_body(
+        self, seen: Observation, pose: Pose, evidence: Evidence, quality: TrackQuality, turns: range
+    ) -> TrackAssessment | None:
+        """Follow the other pose of the whole body, or look for one; return the change-over to one that is more
+        probable."""
+        if sum(belief is not None and belief.is_unseen for belief in self._beliefs) > 1:
+            self._hypothesis = None  # what is left of the body does not tell which way it faces
+            return None
+        other = self._hypothesis
+        if other is not None:
+            fitted = seen.fitted(other.pose)
+            found = seen.evidence_of(fitted)
+            other = _updated(replace(other, pose=fitted), evidence.margin_of(found), seen.dt_s)
+            if other.log_odds < BODY_LOG_PRIOR - 1.0 or seen.apart_m(fitted, pose) < SAME_M:
+                other = None
+            elif other.log_odds > 0.0:
+                self._hypothesis, self._beliefs = None, [None] * len(LIMBS)
+                return TrackAssessment(self._judge_body(found, 0.0), other.pose, other.why, ALL_PARTS)
+            self._hypothesis = other
+        if other is None:
+            for turn in turns:
+                self._look_for_another(seen, pose, evidence, quality, turn)
         return None
 
-    def _whole_body(self, observed: ObservedSet, pose: Pose) -> Hypothesis:
-        """Return the body turned or exchanged, one way after another; the most likely errors come most often."""
-        body, turn = observed.body, self._looks % 6
-        self._looks += 1
-        self._unchecked = max(self._unchecked - 1, 0)
-        if turn in (0, 2):
-            return Hypothesis(sides_exchanged(body, pose), "left and right exchanged")
-        if turn in (1, 4):
-            return Hypothesis(turned_around(pose), "the body facing the other way")
-        if turn == 5 and self._last_good is not None:
-            return Hypothesis(moved_to(self._last_good, observed.data.hull.points), "the last good pose")
-        if (self._looks // 6) % 2:
-            return Hypothesis(legs_exchanged(body, pose), "left and right leg exchanged")
-        return Hypothesis(arms_exchanged(body, pose), "left and right arm exchanged")
+    def _look_for_another(
+        self, seen: Observation, pose: Pose, evidence: Evidence, quality: TrackQuality, turn: int
+    ) -> None:
+        """Try one other pose of the whole body, if it is its turn; one that explains more is followed."""
+        if quality.state == LOST and turn % 2:
+            guess = self._stance(seen, turn // 2)
+        elif turn % (1 if quality.state == LOST or self._unchecked or quality.parts[TRUNK] != GOOD else TURNED_EVERY):
+            return
+        else:
+            guess = self._other_way_round(seen, pose)
+        fitted = seen.fitted(guess.pose, free=True)
+        margin = evidence.margin_of(seen.evidence_of(fitted))
+        best = 0.0 if self._hypothesis is None else self._hypothesis.margin
+        if margin > best and seen.apart_m(fitted, pose) > SAME_M:
+            self._hypothesis = _updated(replace(guess, pose=fitted), margin, seen.dt_s)
 
-    def _stance(self, observed: ObservedSet, turn: int) -> Hypothesis:
+    def _other_way_round(self, seen: Observation, pose: Pose) -> Hypothesis:
+        """Return the body turned or exchanged, one way after another."""
+        body, kind = seen.body, self._kind % 6
+        self._kind += 1
+        self._unchecked = max(self._unchecked - 1, 0)
+        if kind in (0, 3):
+            return Hypothesis(sides_exchanged(body, pose), "left and right exchanged")
+        if kind == 1:
+            return Hypothesis(turned_around(pose), "the body facing the other way")
+        if kind == 2:
+            return Hypothesis(legs_exchanged(body, pose), "left and right leg exchanged")
+        if kind == 4 or self._last_good is None:
+            return Hypothesis(arms_exchanged(body, pose), "left and right arm exchanged")
+        return Hypothesis(moved_to(self._last_good, seen.data.hull.points), "the last good pose")
+
+    def _stance(self, seen: Observation, turn: int) -> Hypothesis:
         """Return the best of a few stances; others at the next set."""
-        every = stances(observed.body, observed.data.hull.points)
+        every = stances(seen.body, seen.data.hull.points)
         parts = len(every) // STANCES_A_SET
-        best = min(every[turn % parts :: parts], key=lambda pose: observed.evidence_of(pose).cost)
+        best = min(every[turn % parts :: parts], key=lambda pose: seen.evidence_of(pose).cost)
         return Hypothesis(best, "the body found anew")
+
+    def _with_hypothesis(self, quality: TrackQuality) -> TrackQuality:
+        """Return the quality with everything doubtful beside another pose of the body that may be right, or before
+        other poses of a body that was lost have been tried."""
+        other, reasons = self._hypothesis, [quality.reason] if quality.reason else []
+        if other is not None:
+            quality = replace(quality, hypothesis_margin=other.margin)
+        if quality.state == LOST:
+            return quality
+        if other is not None and other.probability > limb_filter.DOUBTFUL:
+            reasons.append(f"{other.why} would explain {other.margin:.0f} rays more")
+        elif self._unchecked > 0:
+            reasons.append("found again, other poses are being tried")
+        else:
+            return quality
+        return replace(quality, state=DOUBTFUL, parts=(DOUBTFUL,) * len(PART_NAMES), reason="; ".join(reasons))
+
+    # --- what is believed of each limb --------------------------------------------------------------------------------
+
+    def _update_limbs(
+        self, seen: Observation, pose: Pose, evidence: Evidence, turns: range, jumped: dict[int, LimbPoses]
+    ) -> None:
+        """Rate other places of the limbs: those that are followed, and a part of the library of one limb a turn."""
+        hidden = seen.data.hull.unseen.at(forward(seen.body, pose))[LIMB_POINTS].any(axis=1)
+        searched = {self._limb_of(turn) for turn in turns}
+        for number, limb in enumerate(LIMBS):
+            before, library = self._beliefs[number], NO_POSES
+            if number in searched:
+                self._looks[number] += 1
+                library = limb_poses(limb).part(self._looks[number], limb.parts)
+            known = NO_POSES if before is None else before.places.poses
+            if number in jumped:
+                known = known.with_others(jumped[number])
+            places = other_places(Figure.of(seen.body), pose, limb, seen.data, library, known, evidence.matched)
+            self._beliefs[number] = LimbBelief.after(before, places, seen.dt_s, bool(hidden[number]))
+
+    def _limb_of(self, turn: int) -> int:
+        """Return which limb is searched for: one after another, and every second time the least certain one."""
+        certain = [1.0 if belief is None else float(belief.probabilities[0]) for belief in self._beliefs]
+        return int(np.argmin(certain)) if turn % 2 else LIMB_TURNS[turn // 2 % len(LIMB_TURNS)]
+
+    def _with_limbs(self, quality: TrackQuality) -> TrackQuality:
+        """Return the quality with the limbs doubtful that may be elsewhere, or unseen."""
+        parts, log_odds = list(quality.parts), [-math.inf] * len(PART_NAMES)
+        reasons = [quality.reason] if quality.reason else []
+        for limb, belief in zip(LIMBS, self._beliefs, strict=True):
+            part = limb.part
+            if belief is None:
+                continue
+            p = belief.not_as_tracked
+            log_odds[part] = math.log(p / (1.0 - p))
+            if p > limb_filter.DOUBTFUL and parts[part] == GOOD:
+                parts[part] = DOUBTFUL
+                reasons.append(f"{PART_NAMES[part]}: {_in_words(belief)}")
+        state = DOUBTFUL if reasons and quality.state == GOOD else quality.state
+        return replace(quality, state=state, parts=tuple(parts), reason="; ".join(reasons), log_odds=tuple(log_odds))
+
+    def _changed_limb(self, seen: Observation, pose: Pose, evidence: Evidence) -> TrackAssessment | None:
+        """Return the change-over of the limb that is most probably elsewhere, the whole figure fitted from there; None
+        for no such limb, or if the whole set does not agree."""
+        rivals = {
+            number: float(belief.log_odds[place])
+            for number, belief in enumerate(self._beliefs)
+            if belief is not None and (place := belief.likeliest_place) is not None
+        }
+        if not rivals:
+            return None
+        number = max(rivals, key=rivals.__getitem__)
+        limb, belief = LIMBS[number], self._beliefs[number]
+        assert belief is not None
+        place = int(belief.log_odds.argmax())
+        better = seen.fitted(with_limb(pose, limb, *belief.places.poses.at(place)))
+        found = seen.evidence_of(better)
+        if seen.apart_m(better, pose) < SAME_M or evidence.margin_of(found) <= 0.0:
+            self._beliefs[number] = belief.without(place)
+            return None
+        self._beliefs[number] = self._belief_after_move(seen, better, number, pose, rivals[number])
+        quality, moved = self._judge_body(found, 0.0), tuple(part == limb.part for part in range(len(PART_NAMES)))
+        return TrackAssessment(quality, better, f"{PART_NAMES[limb.part]} elsewhere", moved)
+
+    def _belief_after_move(
+        self, seen: Observation, better: Pose, number: int, left: Pose, log_odds: float
+    ) -> LimbBelief:
+        """Return what is believed of a limb after it moved: the place that it left is another one now."""
+        limb = LIMBS[number]
+        places = other_places(Figure.of(seen.body), better, limb, seen.data, NO_POSES, LimbPoses.of(left, limb))
+        unseen = 0.0 if (before := self._beliefs[number]) is None else before.unseen - log_odds
+        return LimbBelief(places, np.full(len(places.margins), -log_odds), unseen, False)
+
+    # --- what doubt means for the points ------------------------------------------------------------------------------
+
+    def _unseen_points(self) -> np.ndarray:
+        """Return the points (15,) that nothing in the last sets shows: hands and feet of unseen limbs."""
+        unseen = np.zeros(15, bool)
+        for points, belief in zip(LIMB_POINTS, self._beliefs, strict=True):
+            unseen[points[-1]] = belief is not None and belief.is_unseen
+        return unseen
+
+    def _spread(self, seen: Observation, pose: Pose, quality: TrackQuality) -> np.ndarray | None:
+        """Return the second moment (15, 3, 3) m^2 of where doubtful points may be: that of the mixture."""
+        if quality.state == GOOD:
+            return None
+        spread = np.zeros((15, 3, 3))
+        for limb, points, belief in zip(LIMBS, LIMB_POINTS, self._beliefs, strict=True):
+            if belief is not None and quality.parts[limb.part] == DOUBTFUL:
+                spread[points] = belief.spread
+        if self._hypothesis is not None and quality.parts[TRUNK] != GOOD:
+            d = forward(seen.body, self._hypothesis.pose) - forward(seen.body, pose)
+            spread += self._hypothesis.probability * d[:, :, None] * d[:, None, :]
+        elif quality.parts[TRUNK] != GOOD:
+            spread[points_of_parts([part == TRUNK for part in range(len(PART_NAMES))])] += (
+                limb_filter.UNSEEN_SD_M** 2 * np.eye(3)
+            )
+        return spread
+
+
+def reach_m(dt_s: float) -> float:
+    """Return how far (m) from its expected place motion brings a point, ``dt_s`` after it was last seen."""
+    return NEAR_M + 0.5 * MOST_M_S2 * dt_s * dt_s
+
+
+def _without_jumps(seen: Observation, pose: Pose, expected: Pose) -> tuple[Pose, dict[int, LimbPoses]]:
+    """Return the pose with each limb that jumped farther than limbs move where it was expected, if the hull holds it
+    there, and where such limbs, by number, jumped to: a hypothesis like any other place."""
+    on_trunk = replace(pose, R_joints=expected.R_joints, hinges=expected.hinges)
+    offsets = forward(seen.body, pose) - forward(seen.body, on_trunk)
+    innovations = np.linalg.norm(offsets, axis=1)[LIMB_POINTS].max(axis=1)
+    jumped, fitted = dict[int, LimbPoses](), pose
+    least = limb_filter.PLACE_LOG_PRIOR * limb_filter.RAYS_PER_NAT  # with less, a jump is the more probable
+    for number in np.flatnonzero(innovations > reach_m(seen.dt_s)).tolist():
+        limb = LIMBS[number]
+        there = other_places(Figure.of(seen.body), pose, limb, seen.data, NO_POSES, LimbPoses.of(expected, limb))
+        if len(there.margins) and there.margins[0] > least:
+            pose = with_limb(pose, limb, *there.poses.at(0))
+            jumped[number] = LimbPoses.of(fitted, limb)
+    return pose, jumped
+
+
+def _updated(other: Hypothesis, margin: float, dt_s: float) -> Hypothesis:
+    """Return the hypothesis after a set in which it explained so many rays (margin) more than the tracked pose."""
+    gain = 1.0 - math.exp(-dt_s / limb_filter.MEMORY_S)
+    most = 2.0 * limb_filter.SET_NATS  # of a whole body: a tear reaches one part of it
+    nats = min(max(margin / limb_filter.RAYS_PER_NAT, -most), most)
+    return replace(other, log_odds=other.log_odds + gain * (BODY_LOG_PRIOR + nats - other.log_odds), margin=margin)
+
+
+def _in_words(belief: LimbBelief) -> str:
+    places = belief.places
+    if len(belief.log_odds) == 0 or belief.unseen > belief.log_odds.max():
+        return f"{places.samples:.0f} independent samples show it"
+    k = int(belief.log_odds.argmax())
+    return f"a place {100 * places.apart_m[k]:.0f} cm away explains {places.margins[k]:+.0f} rays"

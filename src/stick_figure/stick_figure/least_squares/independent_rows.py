@@ -48,7 +48,7 @@ def _add_cells(rays, match, placed, gate, H, g):
     cell, weight = np.empty(n, np.int64), np.empty(n)
     total, count, squares = np.zeros(capsules * CELLS), np.zeros(capsules * CELLS), np.zeros(capsules * CELLS)
     for i in range(n):
-        c = _cell(placed, match.capsule[i], match.along[i], rays.rows, i)
+        c = cell_of_ray(placed, match.capsule[i], match.along[i], rays.rows, i)
         ratio = 1.0 + (match.separation[i] / gate) ** 2
         cell[i], weight[i] = c, 1.0 / (ratio * ratio)
         total[c] += weight[i]
@@ -75,7 +75,7 @@ def _information_of_a_datum(count, squares, stick_of_capsule):
 
 
 @njit(cache=True)
-def _cell(placed, k, along, rows, i):
+def cell_of_ray(placed, k, along, rows, i):
     """Return the cell in which ray i touches capsule k; all capsules of the trunk share theirs."""
     if placed.surface.stick[k] > 0:
         part, far = k, along > 0.5

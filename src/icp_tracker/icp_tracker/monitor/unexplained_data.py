@@ -1,4 +1,4 @@
-"""What of a frame set is left over for one limb: what the body without it does not explain, within the limb's reach."""
+"""The data of a frame set that the body without one limb does not explain, within the limb's reach."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from stick_figure.least_squares.placed_figure import Figure, place, surface_dist
 from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLACK_M, ray_cost, stick_distances
 
 COARSE_GATE_M = 0.12  # the library is coarse: an elbow may be 80 mm off
-OPEN_M = 0.03  # what the rest of the body passes so near has no need of the limb
+EXPLAINED_BY_BODY_M = 0.03  # data closer than this to the rest of the body are explained already
 
 
-class LeftOver(NamedTuple):
-    """What the rest of the body leaves over for a limb within reach.
+class UnexplainedData(NamedTuple):
+    """What the rest of the body does not explain, within reach of a limb.
 
     rays, coarse, fine (n,) : contour rays, and what each costs without the limb at a wide gate and at the usual one.
     points (p, 3), voxels (v, 3) : centerline and surface of the hull, m, with what each costs, in rays.
@@ -36,14 +36,14 @@ class LeftOver(NamedTuple):
 
 
 @njit(cache=True)
-def left_over(data, matched, state, figure, limb):
-    """Return what of a set the body without the limb leaves over."""
+def unexplained_data(data, matched, state, figure, limb):
+    """Return the data that the body without the limb does not explain."""
     rays, placed, own = data.contour_rays, place(state, part_of(figure, limb, False)), _is_of_limb(figure, limb)
     without, root = _rays_without(rays, matched.rays, placed, own), placed.A[limb.upper].copy()
     reach = figure.lengths[limb.upper] + figure.lengths[limb.lower] + COARSE_GATE_M
     chosen, count = np.empty(without.shape[0], np.int64), 0
     for i in range(without.shape[0]):
-        if without[i] > OPEN_M and _distance_of_ray(rays.rows, i, root) < reach:
+        if without[i] > EXPLAINED_BY_BODY_M and _distance_of_ray(rays.rows, i, root) < reach:
             chosen[count] = i
             count += 1
     chosen = chosen[:count]
@@ -52,7 +52,7 @@ def left_over(data, matched, state, figure, limb):
     away = np.abs(_voxels_without(data.voxels, matched.voxels, placed, own))
     voxels, away = _within_reach(data.voxels, away, root, reach)
     left = without[chosen]
-    return LeftOver(
+    return UnexplainedData(
         RayArrays(rays_at(rays, chosen).rows, np.ones(count)),
         ray_cost(left, COARSE_GATE_M),
         ray_cost(left, GATE_M),
@@ -87,7 +87,7 @@ def _within_reach(points, distances, root, reach):
     chosen = np.empty(points.shape[0], np.bool_)
     for i in range(points.shape[0]):
         x, y, z = points[i, 0] - root[0], points[i, 1] - root[1], points[i, 2] - root[2]
-        chosen[i] = distances[i] > OPEN_M and x * x + y * y + z * z < reach * reach
+        chosen[i] = distances[i] > EXPLAINED_BY_BODY_M and x * x + y * y + z * z < reach * reach
     return points[chosen], distances[chosen]
 
 

@@ -1,0 +1,120 @@
+"""One discrete Bayes filter for each limb: it is as tracked, at another place that the search found, or unseen.
+
+The evidence for a place is what it explains beyond the tracked one (contour rays, centerline, voxels). The evidence
+against "unseen" is the number of independent samples (cells of the limb's surface) whose rays the tracked place, and
+nothing else of the body, explains: a limb in the wrong place explains a few by chance, a right one a dozen, with three
+cameras as with eight. Chance margins last as long as the body holds still, so that sets close to each other in time are
+one observation: log odds forget exponentially (Raftery, Karny & Ettler, Online prediction under model uncertainty via
+dynamic model averaging, Technometrics 52, 2010), by stamps, the same at any rate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from capture_rig.kernel import njit
+
+from .limb_search import APART_M, LimbPlaces, farther_apart
+
+MEMORY_S = 0.1  # time in which a body moves by a limb's width: older evidence is forgotten, newer is the same again
+RAYS_PER_NAT = 2.0  # of a margin that lasts
+PLACE_LOG_PRIOR = -1.0  # of a place that the search found, against the tracked one: 1 to 3
+SET_NATS = 4.0  # one set in 50 is torn, so none says more than ln 50 for or against a place
+CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever the hull holds it; each is worth a nat
+DOUBTFUL = 0.25  # probability of another place, or of none; bench/doubt.py
+UNSEEN = 0.95  # probability of "unseen" at which a hand or foot is not published
+ELSEWHERE_M = 0.25  # a place whose elbow or hand is so far off is another one: the track may then be 0.2 m wrong
+UNSEEN_SD_M = 0.15  # of an unseen limb about its tracked place: half a forearm
+
+
+@dataclass(frozen=True, eq=False)
+class LimbBelief:
+    """What is believed of one limb: log odds against the tracked place, of the other ``places`` (k,), of ``unseen``.
+
+    hidden : the limb reaches beyond what the cameras show.
+    """
+
+    places: LimbPlaces
+    log_odds: np.ndarray
+    unseen: float
+    hidden: bool
+
+    @staticmethod
+    def after(before: LimbBelief | None, places: LimbPlaces, dt_s: float, hidden: bool) -> LimbBelief:
+        """Return the belief one set, ``dt_s`` later. ``hidden`` : the limb reaches beyond what the cameras show, where
+        the absence of its rays is no surprise and is believed at once."""
+        gain = 1.0 - math.exp(-dt_s / MEMORY_S)
+        seen = np.clip(places.margins / RAYS_PER_NAT + PLACE_LOG_PRIOR, -SET_NATS, SET_NATS)
+        prior = _inherited(before, places)
+        prior = np.where(np.isnan(prior), np.minimum(seen, PLACE_LOG_PRIOR), prior)
+        log_odds = prior + gain * (seen - prior)
+        unseen = min(max(CHANCE_SAMPLES - places.samples, -SET_NATS), SET_NATS)
+        if before is not None and not hidden:
+            unseen = before.unseen + gain * (unseen - before.unseen)
+        return LimbBelief(places, log_odds, unseen, hidden)
+
+    @property
+    def probabilities(self) -> np.ndarray:
+        """(k + 2,) of the tracked place, the other places, unseen."""
+        odds = np.exp(np.concatenate([[0.0], self.log_odds, [self.unseen]]))
+        return np.asarray(odds / odds.sum())
+
+    @property
+    def not_as_tracked(self) -> float:
+        """Probability that elbow or hand is ELSEWHERE_M off, or unseen."""
+        p = self.probabilities
+        return float(p[1:-1][self.places.apart_m > ELSEWHERE_M].sum() + p[-1])
+
+    @property
+    def likeliest_place(self) -> int | None:
+        """Number of the place that is more probable than the tracked one; None for no such place.
+
+        Of a hidden limb it must be more probable than "unseen", too: what is in sight belongs to something else.
+        """
+        least = max(0.0, self.unseen) if self.hidden else 0.0
+        if len(self.log_odds) == 0 or self.log_odds.max() <= least:
+            return None
+        return int(self.log_odds.argmax())
+
+    @property
+    def is_unseen(self) -> bool:
+        """Whether nothing in the last sets shows where the limb is."""
+        return bool(self.probabilities[-1] > UNSEEN)
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Second moment (2, 3, 3) m^2 of elbow and hand about where they are tracked."""
+        p, offsets = self.probabilities, self.places.ends - self.places.tracked
+        moment = np.einsum("k,kpi,kpj->pij", p[1:-1], offsets, offsets)
+        return np.asarray(moment + UNSEEN_SD_M**2 * np.eye(3))
+
+    def without(self, number: int) -> LimbBelief:
+        """Return the belief with one place refuted: the whole set does not agree."""
+        log_odds = self.log_odds.copy()
+        log_odds[number] = PLACE_LOG_PRIOR
+        return LimbBelief(self.places, log_odds, self.unseen, self.hidden)
+
+
+def _inherited(before: LimbBelief | None, places: LimbPlaces) -> np.ndarray:
+    """Return the log odds (k,) before this set of the places that are followed; NaN of new ones."""
+    if before is None or len(before.log_odds) == 0:
+        return np.full(len(places.margins), np.nan)
+    return np.asarray(_of_nearest(places.ends, places.origins, before.places.ends, before.log_odds))
+
+
+@njit(cache=True)
+def _of_nearest(ends, origins, ends_before, log_odds):
+    """Return the log odds of the place that each was refined from, else of the nearest one within APART_M."""
+    inherited, earlier = np.full(ends.shape[0], np.nan), origins.copy()
+    for k in range(ends.shape[0]):
+        nearest = APART_M
+        for m in range(ends_before.shape[0] if origins[k] < 0 else 0):
+            apart = farther_apart(ends[k], ends_before[m])
+            if apart < nearest and not (earlier == m).any():
+                nearest, earlier[k] = apart, m
+        if 0 <= earlier[k] < log_odds.shape[0]:
+            inherited[k] = log_odds[earlier[k]]
+    return inherited

@@ -1,0 +1,87 @@
+"""What is believed of a limb: places gather odds by stamps, few samples speak for "unseen". Margins are made up."""
+
+import numpy as np
+import pytest
+
+from icp_tracker.monitor.limb_filter import DOUBTFUL, MEMORY_S, PLACE_LOG_PRIOR, RAYS_PER_NAT, LimbBelief
+from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces
+
+NEAR, FAR, SHOWN = 0.2, 0.6, 15.0  # m, m, samples of a limb in view
+
+
+def places(*rivals, samples=SHOWN):
+    """Other places of an arm, best first: margin (rays), how far off (m), and which of the known ones it is."""
+    margins, apart, origins = np.array(sorted(rivals, reverse=True), float).reshape(-1, 3).T
+    ends = np.zeros((len(margins), 2, 3))
+    ends[:, :, 1] = apart[:, None]
+    return LimbPlaces(NO_POSES, margins, ends, np.zeros((2, 3)), samples, origins.astype(int))
+
+
+def after(*sets, dt_s=1 / 60, hidden=False):
+    belief = None
+    for one in sets:
+        belief = LimbBelief.after(belief, one, dt_s, hidden)
+    return belief
+
+
+def seconds_until_moved(margin, dt_s=1 / 60):
+    sets = 1
+    while after(*[places((margin, FAR, 0))] * sets, dt_s=dt_s).likeliest_place is None:
+        sets += 1
+        assert sets < 1000
+    return sets * dt_s
+
+
+def test_a_place_that_explains_more_moves_the_limb_the_sooner_the_more_it_explains():
+    times = [seconds_until_moved(margin) for margin in (3.0, 6.0, 15.0)]
+    assert times == sorted(times, reverse=True) and times[0] > 3.0 * times[-1]
+
+
+def test_it_takes_the_same_time_at_any_rate():
+    slow, fast = (seconds_until_moved(4.0, dt_s) for dt_s in (1 / 15, 1 / 120))
+    assert slow == pytest.approx(fast, abs=1 / 15)
+
+
+def test_what_explains_no_more_than_its_prior_never_moves_the_limb_however_long_it_lasts():
+    assert after(*[places((-PLACE_LOG_PRIOR * RAYS_PER_NAT, FAR, 0))] * 1000).likeliest_place is None
+
+
+def test_one_torn_set_moves_nothing():
+    right, torn = places((-20.0, FAR, 0)), places((1000.0, FAR, 0))
+    assert after(*[right] * 10, torn).likeliest_place is None
+
+
+def test_a_place_about_as_good_makes_doubtful_only_when_it_is_elsewhere():
+    assert after(*[places((0.5, FAR, 0))] * 30).not_as_tracked > DOUBTFUL
+    assert after(*[places((0.5, NEAR, 0))] * 30).not_as_tracked < 0.05
+    assert after(*[places((-10.0, FAR, 0))] * 30).not_as_tracked < 0.05
+
+
+@pytest.mark.parametrize(("samples", "doubtful"), [(1.0, True), (4.0, True), (8.0, False), (15.0, False)])
+def test_few_independent_samples_make_a_limb_doubtful_without_another_place(samples, doubtful):
+    assert (after(*[places(samples=samples)] * 10).not_as_tracked > DOUBTFUL) is doubtful
+
+
+def test_what_was_seen_a_moment_ago_is_not_unseen_at_once_unless_it_reaches_beyond_the_cameras():
+    whole, gone = places(samples=SHOWN), places(samples=0.0)
+    assert after(*[whole] * 30, gone).not_as_tracked < DOUBTFUL
+    assert LimbBelief.after(after(*[whole] * 30), gone, 1 / 60, hidden=True).not_as_tracked > DOUBTFUL
+    assert after(*[whole] * 30, *[gone] * round(3 * MEMORY_S * 60)).is_unseen
+
+
+def test_a_hidden_limb_is_moved_only_to_what_explains_more_than_nothing_would():
+    assert after(*[places((4.0, FAR, 0), samples=0.0)] * 60).likeliest_place == 0
+    assert after(*[places((4.0, FAR, 0), samples=0.0)] * 60, hidden=True).likeliest_place is None
+
+
+def test_a_place_keeps_its_odds_when_it_is_found_anew_in_the_library_and_a_refuted_one_starts_anew():
+    known = after(*[places((6.0, NEAR, 0))] * 3)
+    anew = LimbBelief.after(known, places((6.0, NEAR + 0.05, -1), (2.0, FAR, -1)), 1 / 60, False)
+    assert anew.log_odds[0] > known.log_odds[0] > anew.log_odds[1]
+    assert known.without(0).log_odds[0] == PLACE_LOG_PRIOR
+
+
+def test_probabilities_add_up_and_the_spread_reaches_the_other_place():
+    belief = after(*[places((2.0, FAR, 0))] * 30)
+    assert belief.probabilities.sum() == pytest.approx(1.0)
+    assert belief.spread[1, 1, 1] > belief.probabilities[1] * FAR**2
