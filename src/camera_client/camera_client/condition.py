@@ -19,6 +19,8 @@ from .silhouettes.certainty import LEAST_PERSON
 from .silhouettes.pipeline import TYPICAL_LEVEL, SilhouettePipeline
 
 PERIOD_S = 0.5  # the figures are collected so often
+# Thresholds: LASTING_S from the time in which a thing that keeps still is absorbed; else judgement
+# (test_camera_condition.py states cases).
 LASTING_S = 3.0  # what lasts so long is said: the time in which a thing that keeps still is absorbed
 RECENT_S = 30.0  # switches of the light within this count together
 

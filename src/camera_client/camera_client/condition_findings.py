@@ -18,6 +18,9 @@ from .condition import Condition
 
 KEY = "findings"  # of the diagnostics: what speaks against the background in use, as JSON, the worst first
 
+# Thresholds: LIGHT_WARN from what is exposed to 200 of 255 grey levels and turns white; DISPLACED_NOTICE_PX from an
+# edge of 50 grey levels; OUTSIDE_NOTICE, OUTSIDE_WARN from a person's share of the picture; else judgement (which
+# sessions stay below: test_camera_condition.py).
 LIGHT_WARN = 0.25  # relative: what was exposed to 200 of 255 grey levels is white from there on
 COLOUR_NOTICE = 0.05  # by how much a channel's gain departs from the others'
 UNEVEN_NOTICE = 0.10  # standard deviation over the picture: another lamp, not the same one brighter

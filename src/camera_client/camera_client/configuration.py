@@ -48,6 +48,7 @@ def unplaced_camera(name: str, width: int, height: int) -> CameraModel:
 
 Accept = Callable[[FrameSource], None]
 
+# Thresholds: judgement, no measurement.
 STALL_PERIODS = 5  # a camera that is slow has not stalled
 
 

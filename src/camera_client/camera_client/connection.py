@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+# Thresholds: judgement, no measurement.
 FIRST_RETRY_S = 0.25  # the pause after the first attempt that failed; it doubles
 
 

@@ -138,6 +138,7 @@ class FrameSource(ABC):
 # --- what became of the frames
 
 COUNTS = ("expected", "delivered", "incomplete", "lost", "repeated")
+# Thresholds: WRAP_16_BIT from GigE Vision; else judgement.
 WRAP_16_BIT = 65535  # GVSP block ids of 16 bits run 1 ... 65535 and start again at 1
 
 

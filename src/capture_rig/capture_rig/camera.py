@@ -18,6 +18,7 @@ from .lens import Array
 
 CANVAS_WIDTH_MULTIPLE = 32
 BAND_ROWS = 32
+# Thresholds: judgement, no measurement.
 MIN_DEPTH_M = 1e-9
 ROUNDING_PX = 1e-6
 SHARE_STEP_PX, MOST_CELLS = 4, 500  # every sixteenth pixel tells a share to a thousandth; so many a side, too

@@ -14,6 +14,7 @@ SHADOW_CANDIDATE = 127
 """Most likely only floor or wall in shadow, as its texture is still seen; the highest level of this kind."""
 FOREGROUND = 255
 
+# Thresholds: steps of a tenth; judgement.
 ATTENUATION_EDGES = (0.4, 0.44, 0.485, 0.535, 0.59, 0.65, 0.715, 0.785, 0.865, 0.97)
 """Attenuation step d: ATTENUATION_EDGES[d] to [d + 1] times as bright as the background; each a tenth brighter."""
 ATTENUATED_LEVELS = tuple(range(135, 248, 14))

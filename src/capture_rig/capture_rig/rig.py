@@ -27,6 +27,7 @@ CAMERA_KEYS = (
     "R_camera_world",
     "t_camera_world",
 )
+# Thresholds: judgement, no measurement.
 ROTATION_TOLERANCE = 1e-4
 MAX_CAMERAS = 63  # of a set: they are bits of a signed 64-bit word
 MAX_SIDE_PX = 20000  # of a sensor

@@ -31,6 +31,7 @@ from .yaml_file import read_mapping
 ANGLE_COUNT = 18
 LEFT_HAND, RIGHT_HAND, LEFT_ELBOW, RIGHT_ELBOW = 11, 12, 7, 8
 
+# Thresholds: from Drillis & Contini 1966.
 # elbow to wrist over elbow to finger tip: forearm 0.146 and hand 0.108 of stature
 # (Drillis & Contini 1966, as tabulated by Winter, Biomechanics and Motor Control of Human Movement)
 WRIST_FRACTION = 0.146 / (0.146 + 0.108)

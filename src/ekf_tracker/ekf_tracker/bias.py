@@ -34,6 +34,7 @@ from .measurement import Measurement, add_information
 from .settings import MeasurementBiasSettings
 
 N = 24
+# Thresholds: rounding from arithmetic.
 NEGLIGIBLE_M2 = 1e-12
 """m^2: a micrometre squared. A bias below that is none."""
 

@@ -14,6 +14,7 @@ from capture_rig.small_matrices import symmetrise
 from stick_figure import kernels
 
 N = 24
+# Thresholds: rounding from arithmetic.
 SMALLEST_VARIANCE = 1e-12
 """Eigenvalues below this (1 micrometre, 1 microradian) are rounding, not knowledge."""
 

@@ -30,6 +30,8 @@ _TORSO, _HEAD, _NECK = (0.018, 0.008, 0.009), (0.014, 0.010, 0.014), (0.029, 0.0
 _SHOULDER, _HIP, _ELBOW = (0.013, 0.009, 0.013), (0.022, 0.009, 0.014), (0.020, 0.016, 0.012)
 _KNEE, _HAND, _FOOT = (0.013, 0.006, 0.013), (0.014, 0.025, 0.018), (0.014, 0.007, 0.011)
 
+# Thresholds: from regressions of hip centres and the precision of palpated landmarks (Bell et al. 1990; Leardini et
+# al. 1999; Della Croce et al. 2005); judgement.
 JOINT_SD_M = np.array(
     [
         *(_TORSO, _HEAD, _NECK),

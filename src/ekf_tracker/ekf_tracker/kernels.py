@@ -42,6 +42,7 @@ from .measurement import (
 )
 from .motion_model import Transition
 
+# Thresholds: rounding from arithmetic; STEP_LIMIT, LINEAR_M judgement.
 STEP_LIMIT = 0.5
 """rad and m: a longer Gauss-Newton step is outside the region where the linearisation holds."""
 LINEAR_M = 1e-3

@@ -16,6 +16,8 @@ from capture_rig.kernel import njit
 
 from .motion_model import Transition
 
+# Thresholds: EXPECTED from the chi-square distribution; the others from speeds and accelerations of punches and
+# kicks.
 EXPECTED = 14.2
 """Squared distance of an innovation that a process noise explains: chi-square of 3 degrees, 99.7 %, for each limb has
 up to six points and each set is a new chance of a false alarm."""

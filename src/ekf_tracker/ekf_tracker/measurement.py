@@ -22,6 +22,7 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import POINT_NAMES, POINT_STICK
 
 POINTS = len(POINT_NAMES)
+# Thresholds: rounding from arithmetic.
 ASYMMETRY_M2 = 1e-9
 """m^2: more than rounding of float32 leaves between the two triangles of a covariance."""
 WIDTH = 11

@@ -34,6 +34,7 @@ from .settings import EkfSettings
 from .state import POSE, VELOCITY
 from .track import JOINT_SD_CAP_RAD, Track
 
+# Thresholds: judgement, no measurement.
 REACH_S = 0.5
 """How far a smoothed point's evidence may lie: the filter forgets a velocity after 0.1 s, a pose a few times later."""
 

@@ -20,6 +20,7 @@ from sagoma_ros.messages import key_values, to_stamp
 from .hull_pipeline import HullResult
 from .settings import MeshSettings
 
+# Thresholds: judgement, no measurement.
 INTRINSICS_TOLERANCE_PX = 1e-3
 
 

@@ -27,6 +27,7 @@ from .settings import NodeSettings
 
 POLL_S = 0.05  # of the counters; a frame set's deadline is met to the millisecond
 SHORTEST_POLL_NS = 200_000
+# Thresholds: judgement, no measurement.
 GIVE_UP_SETS = 5  # in a row have waited for a camera in vain: none does any more; packet loss takes fewer by chance
 MAX_OPEN_SETS = 8  # frame sets that wait for cameras
 SILENT_AFTER_NS = 1_000_000_000

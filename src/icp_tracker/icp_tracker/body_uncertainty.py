@@ -40,6 +40,7 @@ CHAINS: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = (
     ((6, 10, 14), (THIGH, CALF)),
 )
 """Reference points from the trunk outwards, and the sizes of the sticks between them."""
+# Thresholds: judgement, no measurement.
 DIRECTION_SD = 0.5  # rad, of a stick of which nothing is seen: about a joint's free range to either side
 
 

@@ -37,6 +37,7 @@ from .thesis.hierarchical_icp import fit_hierarchical
 ACQUIRING, TRACKING = "acquiring", "tracking"
 FROM_NOTHING, FROM_INITIAL, FROM_OWN = "nothing", "initial", "own"
 NS_PER_S = 1e9
+# Thresholds: measured by python bench/recovery.py.
 AGREES_M = 0.1  # the filter has followed a recovered pose when all points of its prediction are so near to it
 FOLLOW_S = 0.25  # that the fit starts from its own pose at most, until the filter has followed
 FOLLOW_SETS = 7  # ... but so many sets at least: the filter believes a jump after five

@@ -14,6 +14,7 @@ import numpy as np
 
 from .table import column, columns, fill, layout
 
+# Thresholds: judgement, no measurement.
 REACH_M = 0.35
 """Body surface and half a limb: what is farther from all 15 reference points belongs to another person."""
 _UNSET = np.empty(0, np.int32)

@@ -12,6 +12,7 @@ from capture_rig.errors import InputError
 from .rotations import Array
 from .skeleton import STICK_NAMES
 
+# Thresholds: from the thesis (d_s, d_H); Bell, Pedersen & Brand 1990.
 SHOULDER_HEIGHT_RATIO = 0.8
 HIP_WIDTH_RATIO = 0.7
 """The thesis's d_s and d_H, for when nothing was measured."""

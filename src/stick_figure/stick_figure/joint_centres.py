@@ -25,6 +25,8 @@ from .rotations import Array
 from .skeleton import POINT_NAMES
 from .trunk_bend import FLEXION, PELVIS_ROLL, PELVIS_YAW, REST_SD
 
+# Thresholds: made by python bench/joint_centres.py, fitted to tracked rendered people (bench/random_people.py --clips
+# fit, 42 of them, and the mesh_fit_ sets).
 TABLE = Path(__file__).with_name("joint_centres.csv")
 CENTRES = ("shoulder", "hip", "neck")
 DIRECTIONS = ("arm", "other_arm", "thigh", "other_thigh")

@@ -23,6 +23,8 @@ from .kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from .rotations import wrap_into_range
 from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE_ANGLES
 
+# Thresholds: rates from kicks and throws in the literature, hips checked by the spinning kicks of python
+# bench/people.py (35 rad/s lets some feet jump, 15 to 25 none); else judgement.
 LARGEST_FLEXION = 2.6  # rad, where forearm meets upper arm and calf meets thigh
 FLATTEST = 0.2
 """Cosine of a limb's second angle below which its first and third turn about almost the same axis: no limit there."""

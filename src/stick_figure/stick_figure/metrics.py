@@ -12,6 +12,7 @@ import numpy as np
 
 from .rotations import Array, wrap_pi
 
+# Thresholds: judgement, no measurement.
 LARGE_ERROR_M = 0.2
 """Default threshold of "a point is lost"."""
 

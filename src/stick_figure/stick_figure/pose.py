@@ -12,6 +12,8 @@ from .skeleton import HINGE_ANGLES, T_POSE_ANGLES
 
 __all__ = ["HINGE_MARGIN_RAD", "T_POSE_ANGLES", "Pose"]
 
+# Thresholds: rates from kicks and throws in the literature, hips checked by the spinning kicks of python
+# bench/people.py (35 rad/s lets some feet jump, 15 to 25 none); else judgement.
 HINGE_MARGIN_RAD = 0.15
 """How far elbows and knees may pass straight before they are described the other way round."""
 _SHAPES = {"position_world": (3,), "R_world_torso": (3, 3), "R_joints": (5, 3, 3), "hinges": (4,)}

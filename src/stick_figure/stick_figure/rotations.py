@@ -20,6 +20,8 @@ from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE
 Array = np.ndarray
 
 
+# Thresholds: rounding from arithmetic; hinges: two standard deviations of a straight arm's bend; the others
+# judgement.
 GIMBAL_SINE = 1e-8
 """cos(b) below which the first and third axis are parallel in double precision: only their sum is defined."""
 ROUNDING_RAD = 1e-9

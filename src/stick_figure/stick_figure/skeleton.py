@@ -77,6 +77,9 @@ ANGLE_NAMES = (
 """theta1 to theta16 in the thesis's order, then the third angle of the left and right hip."""
 
 _PI = np.pi
+# Thresholds: ANGLE_LOW, ANGLE_HIGH from thesis Table 5.1, shoulders cut so that a direction has one description;
+# rates from kicks and throws in the literature, hips checked by the spinning kicks of python bench/people.py (35
+# rad/s lets some feet jump, 15 to 25 none); else judgement.
 ANGLE_LOW = np.array(
     [
         -_PI / 2,

@@ -25,6 +25,7 @@ from ..sources.frame_checks import MIN_LIT_LEVEL, grid_sample
 
 MOST_BACKGROUND_BYTES = 2 << 30  # two images of floats, of the largest sensors in colour (65 megapixels)
 FORMAT = "sagoma background 1"
+# Thresholds: judgement, no measurement.
 MOVING_SIGMAS = 3.0  # a pixel moved when it varied by this many times the median noise ...
 MOVING_MIN_SIGMA = 3.0  # ... and by this many grey levels
 NOISE_MAX_SIGMA = 12.0  # no camera is as noisy as this: it moved, even when most other pixels did, too

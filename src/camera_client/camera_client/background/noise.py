@@ -17,6 +17,7 @@ import numpy.typing as npt
 from .kernels import HALF_MEDIAN
 from .model import BackgroundModel
 
+# Thresholds: QUANTISATION from rounding, 1/12; else measured by python bench/rooms.py.
 QUANTISATION = 1 / 12  # variance of rounding to whole grey levels
 LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs smooth away
 MOST_VARIANCE = 150.0  # no camera is noisier, and a room that seems so must not hide a person

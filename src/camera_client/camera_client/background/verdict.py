@@ -20,6 +20,8 @@ from capture_rig.verdict import GOOD, REDO, USABLE, Finding, Verdict, judge
 from ..sources.frame_checks import MIN_LIT_LEVEL, WHITE_LEVEL
 from .model import BackgroundModel, Provenance
 
+# Thresholds: FEW_FRAMES from the noise of a standard deviation, 1/sqrt(2 (n - 1)) = 14 %; else chosen with the rooms
+# of test_camera_background_verdict.py.
 FEW_FRAMES = 25  # sigma is known to 14 %
 HIGH_NOISE, LOW_NOISE = 6.0, 0.3  # grey levels, of the typical pixel
 MOVED_SHARE, MOVED_MUCH_SHARE = 0.001, 0.02  # of the pixels

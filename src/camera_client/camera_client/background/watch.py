@@ -25,6 +25,7 @@ from .model import BackgroundLimits, BackgroundModel, Provenance
 from .verdict import ImageRegion, describe_regions, find_regions
 
 PERIOD_S = 0.5
+# Thresholds: chosen with the rooms of test_camera_background_watch.py.
 DRIFT_TIME_S = 10.0  # the drift is the mean over about so long; a person passes faster
 MAX_STEP_S = 2.0  # a gap between frames counts as this
 NEAR_RATIO = 0.3  # a pixel that is brighter or darker by more shows something else than the background

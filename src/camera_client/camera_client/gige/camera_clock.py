@@ -21,6 +21,7 @@ from .features import DeviceRefusal
 
 MS, SECOND = 1_000_000, 1_000_000_000
 BUCKET_NS, BUCKETS = 250 * MS, 64  # the envelope: the least delayed frame of each quarter of a second, for 16 s
+# Thresholds: method from Moon, Skelly & Towsley 1999; values judgement.
 DRIFT_SPAN_NS = 4 * SECOND  # a drift is used once the envelope is this long
 USUAL_DRIFT, MOST_DRIFT = 50e-6, 200e-6  # between two quartz clocks
 JUMP_NS = 50 * MS  # delays vary by less, unless for a moment

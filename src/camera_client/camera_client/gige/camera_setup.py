@@ -12,6 +12,7 @@ from .pixel_formats import choose_format, find_format, standard_name
 from .triggers import switch_triggers_off
 
 AUTO_FUNCTIONS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
+# Thresholds: judgement, no measurement.
 RATE_SHORTFALL = 0.01  # relative; a camera that is slower than its setting by more gets a warning
 CHUNKS = ("Timestamp", "ExposureTime")
 

@@ -13,6 +13,7 @@ from mocap_packets.frame_set import TIME_JUMP_NS
 
 from .camera_clock import MS, SECOND, USUAL_DRIFT, CameraClock, ClockReading
 
+# Thresholds: judgement, no measurement.
 PTP_TOLERANCE_NS = 100 * MS  # a PTP clock further from the host's than this is set wrong
 PTP_IN_STEP = ("Slave", "Master")
 ARRIVAL_UNCERTAINTY_NS = 5 * MS  # readout, transfer and scheduling between the end of exposure and its first packet

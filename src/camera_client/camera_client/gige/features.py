@@ -11,6 +11,7 @@ from capture_rig.errors import InputError
 
 Value = bool | int | float | str
 
+# Thresholds: judgement, no measurement.
 FLOAT_TOLERANCE = 0.02  # a float may come back rounded to the sensor's lines or steps by so much
 ON, OFF = ("true", "1", "on", "yes"), ("false", "0", "off", "no")
 _SWITCH_WORDS = {True: ("On", "True", "Enable", "Enabled"), False: ("Off", "False", "Disable", "Disabled")}

@@ -23,6 +23,7 @@ from ..frame_source import Image
 from ..settings import CameraMovedSettings
 from .alignment import Alignment, Array, PictureAlignment
 
+# Thresholds: chosen with python bench/camera_movement.py.
 SAMPLES = 3  # whose median counts: something that springs back, or one bad picture, is no movement
 MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on a turn
 MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved

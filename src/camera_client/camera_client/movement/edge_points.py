@@ -23,6 +23,8 @@ CELLS_ACROSS = 16  # the strongest places of every cell are taken, so that they 
 POINTS_IN_CELL = 6
 SURROUNDINGS = 1 / 6  # of the picture's longer side: brightness is taken relative to the mean of so much around
 DARK_LEVEL = 8.0  # grey levels; keeps noise in black places small
+# Thresholds: SMOOTHED from the filter (1 2 1)/4; else, in standard deviations of the pixels' noise, measured by
+# python bench/camera_movement.py.
 SMOOTHED = 0.375  # what a smoothing by (1 2 1) / 4, across and down, leaves of the noise
 LEAST_NOISE = 0.4  # grey levels at working size: codecs smooth noise away, and what they leave is no signal
 CLEAR_OF_NOISE = 4.0  # an edge rises by so many standard deviations of the noise a pixel

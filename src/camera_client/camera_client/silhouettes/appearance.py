@@ -24,6 +24,7 @@ from ..frame_source import Image, Mask
 from .masks import BLOCK_PX, Box
 
 BITS_MONO, BITS_COLOUR = 6, 5  # of each channel, in the histogram
+# Thresholds: DARK from a sensor's shot and read noise; else judgement.
 DARK = 16.0  # grey levels: noise has the variance a (level + DARK), about; bins are equally many sigmas wide
 PERIOD_S = 0.1  # colours are learned so often
 MEMORY_S = 10.0  # time constant: people come and go, and clouds pass

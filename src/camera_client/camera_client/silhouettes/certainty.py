@@ -17,6 +17,8 @@ from ..background.kernels import SCALE
 from ..frame_source import Mask
 
 PERIOD_S = 0.5
+# Thresholds: FAINT_SIGMAS from the noise of a picture of 16000 pixels; else judgement (test_camera_condition.py
+# states cases).
 FAINT_SIGMAS = 4.0  # evidence of single pixels below this is as likely as noise in a whole picture: 1 in 16000
 LEAST_PERSON = 0.002  # of the picture: below, there is nobody whose clothes could be judged
 

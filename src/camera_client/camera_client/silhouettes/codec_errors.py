@@ -15,6 +15,7 @@ from ..background.noise import Noise
 from ..frame_source import Image
 from .masks import largest_difference
 
+# Thresholds: REACH_PX from the blocks of codecs; else measured by python bench/rooms.py, test_camera_codecs.py.
 REACH_PX = 8  # a block of brightness: JPEG, MPEG-4, H.264; colour's are twice as wide, but hardly seen beyond
 OF_CONTRAST = 0.12  # of the contrast, standard deviation 2 to 8 px beside people through bench/rooms.py's codecs
 FINE_GRAIN = 0.2  # light and displacements that are known inexactly have as much

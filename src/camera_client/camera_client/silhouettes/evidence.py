@@ -22,6 +22,7 @@ from ..background.noise import Noise
 from ..frame_source import Mask
 from .masks import Spans, whole_spans
 
+# Thresholds: the threshold itself follows from the likelihood ratio; else measured by python bench/rooms.py.
 REACH_OF_HEIGHT = 0.012  # standard deviation of the neighbourhood: half of a forearm
 EDGE_SIGMAS = 8.0  # a step of the difference of so many sigmas of the noise counts as a distance of the whole reach
 CLEAR = 2.4  # times the least evidence is as sure as a pixel can be: a bright speck must not outvote its surroundings

@@ -37,6 +37,7 @@ from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, majority, m
 from .shadows import Scene, make_shadow_test
 
 EMPTY, FULL = "empty", "full"
+# Thresholds: MIN_AREA from the size of a hand at 10 m, REACH_BLOCKS from the reach of the evidence; else judgement.
 REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: three times the evidence's reach
 TYPICAL_LEVEL = 128.0  # grey level at which one number stands for the noise
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps

@@ -24,6 +24,8 @@ from .evidence import typical_level
 from .masks import Box
 from .shadow_kernels import DarkenedRule, find_darkened, find_rims, shadow_sums
 
+# Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
+# with python bench/rooms.py.
 LIGHTEST = 0.97  # a shadow leaves at most this share of the brightness: less cannot be told from noise
 GRID_PX = 8  # the floor's outline in the image needs no finer grid
 MAX_FLOOR_DISTANCE_M = 20.0

@@ -27,6 +27,7 @@ REMEDIES = {
 }
 NO_PICTURE_FLAGS = frozenset({DARK, FROZEN, SATURATED})  # such a frame does not show where the camera stands
 SAMPLES = 2500
+# Thresholds: judgement, no measurement.
 WHITE_LEVEL = 250
 DARK_LEVEL, DARK_SHARE = 16, 0.99  # a frame is dark when so much of it is no brighter than this grey level
 SATURATED_SHARE = 0.2  # a frame is saturated when so much more of it is white than of the background

@@ -19,6 +19,7 @@ from ..connection import Connection, ConnectionState, Downtime, RetryPause
 from ..frame_source import Frame, FrameSource, FrameStatistics, SourceUnavailable
 from ..settings import SupervisionSettings
 
+# Thresholds: judgement, no measurement.
 CONNECT_WAIT_S = 5.0  # at configure: a camera that is there is set up within this, unless it waits for PTP
 START_S = 2.0  # a living camera starts within this
 STOP_S = 0.5  # ... stops within this

@@ -17,6 +17,7 @@ from .pixel_boxes import count_in_box, foreground_in
 from .silhouette_tables import BLIND, FOREGROUND, SURE
 
 EVERY_OCTANT, ALL_BITS = 255, np.uint64(0xFFFFFFFFFFFFFFFF)
+# Thresholds: from the rounding of single precision; python bench/hull.py --quick counts differences from float64.
 DEPTH_RATIO = 4.0  # a brick whose far end is farther than this many times its near end is carved voxel by voxel
 MARGIN = np.float32(1e-5)  # of the coordinates: rounding in single precision, at such depths, is a third of it at most
 

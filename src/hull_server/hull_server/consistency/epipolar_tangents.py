@@ -24,6 +24,7 @@ from ..views import RigViews
 
 Array = npt.NDArray[np.float64]
 
+# Thresholds: measured by python bench/camera_movement.py.
 MARGIN_PX = 4  # a contour nearer than this to unseen pixels may be cut off
 LEAST_ROWS = 10  # silhouettes with fewer rows are not a body
 LEAST_SINE = 0.2  # rays nearer to the baseline measure the angle badly

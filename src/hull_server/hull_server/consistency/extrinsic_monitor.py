@@ -29,6 +29,7 @@ from .epipolar_tangents import UNKNOWNS, Array, EpipolarTangentFinder, Tangents
 
 # what is measured when
 PERIOD_S = 0.2  # between frame sets that are measured
+# Thresholds: chosen with python bench/camera_movement.py.
 RECENT_SETS = 20  # four seconds
 LASTING_EVERY, LASTING_SETS = 10, 60  # every tenth of the measured sets is kept longer: two minutes of movement
 TESTED_EVERY = 3  # measured sets

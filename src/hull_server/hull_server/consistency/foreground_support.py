@@ -26,6 +26,8 @@ from ..grid import VoxelGrid
 from ..views import Masks, RigViews, min_seeing
 from ..words import HIGH_BITS, nonzero_bytes, popcount
 
+# Thresholds: REACH_M, NEAR_M from the length of an arm; else chosen with the rooms of
+# test_hull_foreground_support.py.
 PERIOD_S = 0.25  # things are judged for seconds
 EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
 CELL_PX = (

@@ -17,6 +17,7 @@ from capture_rig.mask_levels import BACKGROUND, UNCERTAIN
 from ..views import Masks, RigViews
 from .silhouette_residuals import ResidualEstimator, Residuals
 
+# Thresholds: judgement; measured by python bench/rooms.py --holes.
 LEARNED_S = 1.5  # a cell that hides a body for so long, while the camera shows others of its cells, is an occluder's
 TIMES_SHOWN = 4.0  # ... and for so many times as long as it has shown anything
 MOST_S = 10.0  # what was learned is forgotten in a quarter of this when the thing is taken away

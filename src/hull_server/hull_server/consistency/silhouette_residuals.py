@@ -39,6 +39,7 @@ from .residual_kernels import (
     number_cells,
 )
 
+# Thresholds: measured by python bench/camera_faults.py.
 MAX_SHARED_VOXELS = 1 << 15  # two cubic metres of 40 mm voxels: more is not a body
 FLOOR_M = 0.15  # floor shadows make hulls up to this height, so vetoes below are ignored
 LEAST_OFFSET_SHARE = 0.01  # a smaller gain says nothing about the direction of an offset

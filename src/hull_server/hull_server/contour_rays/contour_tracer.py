@@ -25,6 +25,7 @@ from ..views import Masks, RigViews
 from .outlines import RADIUS_PX, find_edge, pick_contour_pixels, shadow_share, weights
 from .ray_hull import Hull, part_near, ray_hull_interval
 
+# Thresholds: chosen with contour_rays.py among the benches of commit d6079d2 (spread, coverage).
 # chosen with bench/contour_rays.py of commit d6079d2
 MIN_OUTLINE_PX = 30.0  # shorter outlines, of holes or specks, get no rays
 SIGMA_PX = 0.5  # standard deviation of a contour across itself

@@ -25,6 +25,7 @@ from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 from ..words import HIGH_BITS
 
 CORNER_PX = math.sqrt(0.5)  # from the middle of a crack to that of the next, around a corner; straight on it is 1
+# Thresholds: chosen with contour_rays.py among the benches of commit d6079d2 (spread, coverage).
 RADIUS_PX, SHADOW_RADIUS_PX = 4, 2
 PLACE_BLUR_PX, NORMAL_BLUR_PX = 1.0, 2.0  # narrow for the place (curved edges shift less), wide for the normal
 LEAST_SLOPE = 0.6  # of a straight edge's gradient: less is a corner, or a thin or torn limb

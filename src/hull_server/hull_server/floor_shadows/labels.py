@@ -12,6 +12,7 @@ from ..level_stack import Mask
 from ..views import Box
 from .scene import ATTENUATED, CANDIDATE
 
+# Thresholds: chosen with shadow_resolution.py among the benches of commit d6079d2.
 STRIDE = 3  # every third row and column is tested
 LEAST_SHARE = 0.6  # of the neighbours must agree
 YES = 1

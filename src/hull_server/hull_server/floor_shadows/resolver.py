@@ -16,6 +16,7 @@ from .labels import STRIDE, PixelLabels, apply_labels
 from .rules import label_pixels
 from .scene import floor_scene
 
+# Thresholds: chosen with shadow_resolution.py among the benches of commit d6079d2.
 LEAST_CENTRE_Z_M = 0.2  # a camera lower than this sees too little floor
 
 

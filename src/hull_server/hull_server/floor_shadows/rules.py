@@ -10,6 +10,7 @@ from capture_rig.mask_levels import FLOOR_REACH_M
 from .labels import STRIDE, YES
 from .scene import ATTENUATED, CANDIDATE, EMPTY, SURE, UNSEEN, level_of
 
+# Thresholds: chosen with shadow_resolution.py among the benches of commit d6079d2.
 TOLERANCE = 1  # attenuation steps of a tenth by which two cameras may differ and agree
 RAY_STEP_M = 0.06  # a leg is thicker
 

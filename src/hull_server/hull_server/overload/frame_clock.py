@@ -9,6 +9,7 @@ import numpy as np
 
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 
+# Thresholds: chosen with the simulated graphs of test_hull_thinning_control.py, test_hull_frame_clock.py.
 STAMPS_KEPT = 40  # of each camera: the period of 60 Hz to 3e-4 where stamps jitter by a millisecond
 LEAST_STEPS = 8  # between neighbouring stamps, until a period is told
 LOW_PERCENTILE = 10.0  # of the steps: cameras that lose frames or have half the rate make longer ones

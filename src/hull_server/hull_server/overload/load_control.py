@@ -17,6 +17,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 NS_PER_S = 1_000_000_000
+# Thresholds: CLOCK_DRIFT: quartzes; the others chosen with the simulated graphs of test_hull_thinning_control.py.
 TARGET_S = 0.05  # a queue that stands longer than this, or than one set's period, is an overload
 SETS = 8  # that are judged: twice what a queue of four keeps of a burst
 DROPPED = 0.15  # of them, dropped: one that a burst overflows is no overload

@@ -11,6 +11,7 @@ from mocap_packets.thinning import EVERY_FRAME, FrameDecimation, FrameSelector, 
 from .frame_clock import Exposures, FrameClock
 from .load_control import NS_PER_S, LoadControl
 
+# Thresholds: chosen with the simulated graphs of test_hull_thinning_control.py, test_hull_frame_clock.py.
 REFRESH_NS = NS_PER_S  # a rule in force is published again, with the phase that the last stamps give: clocks drift
 LEAD_NS = 30_000_000  # from the newest stamp to a rule's first: it has reached every client by then
 LONGEST_PAUSE_NS = 500_000_000  # in which nothing is kept while the queues run empty, when the rate falls

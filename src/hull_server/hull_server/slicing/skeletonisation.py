@@ -22,6 +22,8 @@ from ..settings import BlobSettings
 from .voxel_runs import brick_box, erode, find_runs, join_in_slices, join_in_space, pack_rows, run_at
 
 GROWTH_STEP_M = 0.02
+# Thresholds: fitted by maximum likelihood: chosen with centerline.py among the benches of commit d6079d2 (its column
+# "ratio"); VOXEL_VARIANCE from the uniform distribution.
 VOXEL_VARIANCE = 1.0 / 12.0  # of a unit interval: what a blob of a single voxel has along each side
 
 # noise model of a centerline point, fitted to the built-in body's hulls by maximum likelihood (bench/centerline.py of

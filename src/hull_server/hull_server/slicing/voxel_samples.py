@@ -13,6 +13,7 @@ from ..words import popcount, select_bit
 from .skeletonisation import HullRuns
 from .voxel_runs import run_at, sides
 
+# Thresholds: judgement, no measurement.
 SURFACE_SHARE = 2.0 / 3.0  # of the samples, as long as there are enough voxels of both kinds
 GOLDEN = 0.6180339887498949
 

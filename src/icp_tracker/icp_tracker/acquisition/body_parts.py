@@ -22,6 +22,7 @@ def line_through(x: np.ndarray, y: np.ndarray) -> tuple[float, float, float]:
     return float(slope), float(offset), float(np.median(np.abs(y - offset - slope * x)))
 
 
+# Thresholds: a foot from Drillis & Contini; else measured by python bench/acquisition.py.
 CLEARANCE = 0.20  # over the stature: beyond this distance from the spine only arms are left
 HIGHEST, LOWEST = 1.10, 0.40  # heights over the stature between which a stretched arm may be
 PIECE = 0.035  # over the stature: length of the pieces an arm is cut into

@@ -41,6 +41,8 @@ SIZES = (
 """Order of a vector of sizes (10,), metres: lengths of the sticks (the forearm's to the finger tips), the shoulders'
 height above the hips, half the joints' distances, and the ankles' height above the floor."""
 HEAD_, TORSO_, RISE, SHOULDER, UPPER_ARM, FOREARM, HIP, THIGH, CALF, ANKLE = range(len(SIZES))
+# Thresholds: the first three from Drillis & Contini 1966, de Leva 1996, Bell et al. 1990; else measured by python
+# bench/acquisition.py (rms against claimed standard deviation).
 MEAN_OVER_STATURE = np.array([0.138, 0.332, 0.281, 0.110, 0.161, 0.259, 0.064, 0.245, 0.247, 0.039])
 SD_OVER_STATURE = np.array([0.009, 0.012, 0.014, 0.011, 0.011, 0.009, 0.008, 0.009, 0.007, 0.004])
 
@@ -78,6 +80,7 @@ def sizes_of_body(body: Body) -> np.ndarray:
 HIP_HEIGHT = float(MEAN_OVER_STATURE[[THIGH, CALF, ANKLE]].sum())
 FINGERS_LOST_M = 0.015  # fingers are thinner than a voxel: a hull's arms end before the tips
 SHOULDER_BEYOND_CHEST = 0.015  # over the stature: shoulder joints lie outside the trunk's sides at the armpits
+# Thresholds: spread of adults' statures from surveys; the rest: judgement.
 # what hulls err by, over the stature
 STATURE_SPREAD_M = 0.09  # standard deviation of adults' statures
 STATURE_SD, ARM_SD, ARM_HEIGHT_SD, CHEST_SD, LEGS_SD = 0.006, 0.009, 0.009, 0.009, 0.010

@@ -37,12 +37,16 @@ from .walking_poses import natural_poses
 NS_PER_S = 1e9
 NO_HULL = "no hull"
 FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
+# Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
+# right way explains); girths and their shares with walks of the studio's stout people (python bench/acquisition.py);
+# times: judgement.
 FREE_ITERATIONS, STARTS = 20, 12  # of the first fits, of which there are so many
 HYPOTHESES = 5  # hypotheses that are followed
 SAME_M = 0.12  # poses whose points are so near to each other are one
 GAP_S = 1.0  # somebody of whom no set shows enough for so long is somebody new: people turn, and pass behind things
 LOOK_EVERY_S = 0.25  # how often other hypotheses are looked for
 PATIENT_S = 3.0  # somebody of whom a part is not seen has so long to step where it is
+# Thresholds: spread of adults' statures from surveys; the rest: judgement.
 BENT_WALK_SD_M = 0.015  # a walking person's crown is so much lower than a standing one's, and a hull's so uncertain
 FLOOR_SD_M = 0.03  # of a body whose feet are not seen: on what it stands
 STATURE_SD_M = 0.09  # of adults, where the head is not seen

@@ -23,6 +23,9 @@ HULL_SOURCES = (AUTO, T_POSE)
 
 
 NS_PER_S = 1e9
+# Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
+# right way explains); girths and their shares with walks of the studio's stout people (python bench/acquisition.py);
+# times: judgement.
 T_POSE_FIRST_S = 1.0  # a T-pose that is seen but not accepted (who moves, front and back alike) decides for so long
 
 

@@ -18,6 +18,7 @@ from .t_pose_measures import LEVEL, TPose, TPoseSettings, measure_t_pose
 from .upright import SHINS, TRUNK, PoseRejected, reasons_of_bodies
 
 NS_PER_S = 1e9
+# Thresholds: measured by python bench/acquisition.py (how many are found).
 SAME_PLACE_M = 0.3  # a body that moves farther between two sets is another person
 JITTER_M = 0.03  # the middle of a hull's trunk jitters by so much though nobody moves
 TRUNK_HALF_WIDTH = 0.12  # over the stature

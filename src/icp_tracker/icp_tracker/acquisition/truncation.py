@@ -17,6 +17,7 @@ from capture_rig.visibility import RigVisibility
 FEET, HEAD, LEFT_HAND, RIGHT_HAND, BODY = "feet", "head", "left hand", "right hand", "body"
 HAND = "hand"  # of a person whose front is not known
 
+# Thresholds: measured by python bench/acquisition.py (what is refused, what is started wrongly).
 REACH_VOXELS = 1.5  # from a voxel's centre to where the hull must be able to go on
 FEWEST_CUT = 5  # voxels (of some 3000 samples of a body) that make a cut
 FEET_TO, HEAD_FROM = 0.45, 0.90  # heights over the stature: a cut below the first lacks feet

@@ -32,6 +32,7 @@ def reasons_of_bodies(reasons: dict[int, str]) -> str:
 FEWEST_VOXELS, FEWEST_OF_A_PART = 200, 8
 TRIMMED = 0.2  # per cent of the voxels that may be stray at either end
 FEET_LOST_M = 0.6  # a hull that ends no higher than at the knees may lack its feet
+# Thresholds: measured by python bench/acquisition.py (how many are found).
 SAGGING_M = 0.08  # cameras look down: a hull reaches this far below the soles
 # heights over the stature between which a part of a standing body is looked for
 HEAD_FROM, ARMS_FROM, TRUNK, SHINS, FEET_TO = 0.92, 0.45, (0.55, 0.75), (0.08, 0.20), 0.045

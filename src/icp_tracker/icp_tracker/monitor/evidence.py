@@ -30,6 +30,7 @@ from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
 PARTS = 5
 TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
 
+# Thresholds: measured by python bench/recovery.py.
 # a limb in full view has about 80 rays, 25 centerline points and 60 voxels: these weigh like rays, but less, because a
 # hull of few cameras is fat; checked on which changes of place were right (bench/doubt.py)
 RAYS_PER_POINT, RAYS_PER_VOXEL = 2.0, 0.2

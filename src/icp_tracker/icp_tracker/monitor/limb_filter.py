@@ -19,6 +19,7 @@ from capture_rig.kernel import njit
 
 from .limb_search import APART_M, LimbPlaces, farther_apart
 
+# Thresholds: chosen with python bench/doubt.py on clothed figures before three cameras.
 MEMORY_S = 0.1  # time in which a body moves by a limb's width: older evidence is forgotten, newer is the same again
 RAYS_PER_NAT = 2.0  # of a margin that lasts
 PLACE_LOG_PRIOR = -1.0  # of a place that the search found, against the tracked one: 1 to 3

@@ -38,6 +38,7 @@ from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLAC
 from .pose_library import Limb, LimbPoses
 from .unexplained_data import COARSE_GATE_M, part_of, unexplained_data
 
+# Thresholds: measured by python bench/recovery.py.
 APART_M = 0.12  # hands or feet (and elbows or knees) so near to each other are the same place
 REFINED = 6  # poses of the library that are refined
 KEPT = 3  # other places that are followed from set to set

@@ -87,6 +87,7 @@ STANCE_ANGLES = tuple(_angles(left) for left in STANCES.values())
 
 # --- limbs: directions of the upper limb times flexions of the hinge, within the joints' ranges
 
+# Thresholds: measured by python bench/recovery.py.
 ARM_DIRECTIONS, LEG_DIRECTIONS = 72, 60  # evenly over the sphere, before those out of range are dropped
 ARM_FLEXIONS, LEG_FLEXIONS = (0.2, 1.1, 2.0), (0.2, 1.0, 1.8)  # rad
 ARM_TURNS, LEG_TURNS = 6, 8  # directions into which a hinge bends, around the upper limb

@@ -40,6 +40,7 @@ from .pose_library import (
     turned_around,
 )
 
+# Thresholds: chosen with python bench/recovery.py.
 LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
 LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS: arms are lost more often than legs
 TURNED_EVERY = 8  # looks from one at the whole body turned round to the next, while the track is good

@@ -15,6 +15,7 @@ from stick_figure.least_squares.placed_figure import Figure, place, surface_dist
 
 from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLACK_M, ray_cost, stick_distances
 
+# Thresholds: measured by python bench/recovery.py.
 COARSE_GATE_M = 0.12  # the library is coarse: an elbow may be 80 mm off
 EXPLAINED_BY_BODY_M = 0.03  # data closer than this to the rest of the body are explained already
 

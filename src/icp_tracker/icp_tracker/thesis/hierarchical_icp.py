@@ -27,6 +27,7 @@ from stick_figure.skeleton import PARENT, PREORDER
 from .procrustes import weighted_extended_procrustes, weighted_procrustes_about, weighted_swing_about
 
 OWN, DESCENDANT, OTHER = 0, 1, 2
+# Thresholds: MIN_OWN_POINTS from Arun et al. 1987: three points fix a rotation; else judgement.
 MIN_OWN_POINTS = 3  # a stick with fewer points of its own stays where it is
 ROTATION_TOLERANCE, SHIFT_TOLERANCE_M = 1e-3, 1e-4  # rad, m: a stick, the torso, is done below this increment
 

@@ -17,6 +17,8 @@ from .x_corner import XCorners, fit_x_corners
 
 Array = npt.NDArray[np.float64]
 
+# Thresholds: CHI_SQUARE_MEDIAN from the distribution; else measured by python bench/calibration.py --boards (found at
+# which tilt and size).
 MAX_BEND = 0.4  # of a field
 CHI_SQUARE_MEDIAN = 0.4549  # of one degree of freedom
 

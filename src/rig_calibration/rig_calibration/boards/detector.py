@@ -31,6 +31,7 @@ from .lattice import Variant, find_lattices, variants_for
 
 # --- Checkerboards.
 
+# Thresholds: MIN_FOUND, MAX_FROM_PLANE measured by python bench/calibration.py --boards; clicks: judgement.
 MIN_FOUND = 0.7  # of a board's corners
 MIN_CORNERS = 6
 GROWTH_ROUNDS = 30

@@ -20,6 +20,7 @@ from .lattice import Variant, find_saddles
 
 Array = npt.NDArray[np.float64]
 
+# Thresholds: MIN_FOUND, MAX_FROM_PLANE measured by python bench/calibration.py --boards; clicks: judgement.
 POINTING_ERROR_PX = 6.0
 POINTING_ERROR_FIELDS = 0.6
 CANDIDATES = 3  # saddles looked at near each click

@@ -31,6 +31,7 @@ WAND = "wand"
 MIN_MARK_DISTANCE = 0.05  # of the wand's length
 MIN_ASYMMETRY = 0.15  # of the wand's length: markers that differ by less from their mirror image do not tell the ends
 MAX_BLOBS = 10
+# Thresholds: judgement, no measurement.
 OFF_LINE = 0.02  # of the wand's length in the image: a spot farther from the line is no marker
 OFF_PLACE = 0.02  # likewise along the line
 MAX_DEPTH_RATIO = 1.6  # far end over near end, in distance: a wand seen from less than twice its length away is refused

@@ -22,6 +22,8 @@ from capture_rig.small_matrices import solve_positive
 # Parameters: x, y; directions of the edge along the row and of the edge along the column, rad; logarithms of the blur
 # (sigma, px) across the edge along the column and across the one along the row; contrast; light and its two slopes.
 
+# Thresholds: variances and blur from rounding to grey levels and a pixel's width (1/12); else measured by python
+# bench/calibration.py --boards (stated sigma against rms).
 REACH = 0.7  # of a field, on each side of the corner
 SIZE = 10
 X, Y, ALONG_ROW, ALONG_COLUMN, LOG_BLUR_U, LOG_BLUR_V, CONTRAST, LIGHT, LIGHT_X, LIGHT_Y = range(SIZE)

@@ -20,6 +20,7 @@ from .projection import Linearised, linearise, residuals_px
 from .rigid import Array
 from .state import POSE, Bools, Layout, Observations, State
 
+# Thresholds: from the normal distribution (99 % efficiency) and Rayleigh's; the least scale: judgement.
 HUBER = 3.0  # standard deviations: corners with normal noise are hardly weighed down (99 % efficiency)
 RAYLEIGH_MEDIAN = 1.1774  # the median length of a two-dimensional residual of unit variance
 MIN_SCALE_PX = 0.002

@@ -10,6 +10,7 @@ from capture_rig.verdict import REDO, USABLE, Finding
 
 from .solution import RigSolution
 
+# Thresholds: judgement, no measurement.
 SYNC_ERROR_M = 0.001
 CONTRADICTION = 4.0  # variance ratio: standard deviations are twice what the corners' noise explains
 FOCAL_USABLE, FOCAL_REDO, FOCAL_SDS = 0.01, 0.03, 4.0

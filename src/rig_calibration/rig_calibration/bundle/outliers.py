@@ -35,6 +35,8 @@ class Limits:
     rounds: int
 
 
+# Thresholds: RIG_LIMITS chosen with calibration_bundle.py among the benches of commit d6079d2; LENS_LIMITS measured
+# by python bench/calibration.py; else judgement.
 RIG_LIMITS = Limits(5.0, 0.5, 8.0, 0.0, 12)
 """Lenses that are not quite right and delays may do so much (bench/calibration_bundle.py of commit d6079d2)."""
 LENS_LIMITS = Limits(3.5, 0.3, 5.0, 0.3, 2)

@@ -21,6 +21,7 @@ from capture_rig.camera import CameraModel
 from .detection_poses import DetectionPoses, View
 from .rigid import Array, angle_between, transform
 
+# Thresholds: judgement, no measurement.
 ANGLE_TOLERANCE = np.radians(5.0)  # of the rotation that one board tells
 DISTANCE_TOLERANCE = 0.05  # of the distance of the board
 CANDIDATE_FRAMES, VOTING_FRAMES = 40, 80

@@ -27,6 +27,7 @@ from .state import Ints
 
 SINGULAR = 1e-9
 POSITION = slice(3, 6)
+# Thresholds: judgement, no measurement.
 PRIOR_DOF = 6.0  # degrees of freedom of the prior that holds a frame's displacement to that of all
 MAX_CHANGE = 4.0  # of tau^2 in one round
 

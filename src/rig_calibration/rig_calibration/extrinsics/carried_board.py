@@ -116,6 +116,7 @@ def _gain(features: Sequence[Feature], seen: Counter[Feature]) -> float:
 
 FloorAt = int | Literal["first", "last", "lowest"]
 
+# Thresholds: judgement, no measurement.
 BELOW_M = 0.03
 """So far may another board's corner, or a camera, lie below the plane of a board on the floor (noise, a soft floor)."""
 STRAYS_PERCENT = 1.0  # of all corners, so many may lie lower still: poses go wrong now and then

@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 
 MIN_CORNERS = 4
 SAME_POSE = np.deg2rad(0.5)  # solutions whose planes differ by less are one
+# Thresholds: RULED_OUT_CHI2 from 5 standard deviations; else measured by python bench/calibration.py.
 RULED_OUT_CHI2 = 25.0
 """The second solution is ruled out when it explains the corners so much worse (5 standard deviations)."""
 

@@ -89,6 +89,8 @@ class RigEvidence:
     tape: tuple[TapeCheck, ...] = ()
 
 
+# Thresholds: GRAZING_DEG measured by python bench/calibration.py --boards (found at 75 degrees, hardly at 80); else
+# judgement.
 FACING_DEG = 170.0  # cameras that look at each other see the same outline, mirrored
 CLOSE_DEG, WIDE_DEG = 12.0, 170.0
 MIN_CAMERAS = 3

@@ -91,6 +91,7 @@ def place_rig(
 # --- The common volume.
 
 
+# Thresholds: judgement, no measurement.
 ENOUGH_CAMERAS = 3  # two outlines leave a hull far fatter than the body
 STEP_M = 0.1
 LEVELS_M = np.arange(0.15, DEFAULT_HEIGHT_M, 0.25)  # heights at which a place on the floor is asked who sees it

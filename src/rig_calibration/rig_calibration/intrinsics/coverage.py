@@ -13,6 +13,7 @@ from ..boards.board import TargetDetection
 from .lens_model import Array
 
 CELLS_ACROSS = 8
+# Thresholds: measured by python bench/calibration.py (rendered video).
 TILT_WANTED_DEG = 25.0
 SIZES_WANTED = 1.6  # largest board in the image over the smallest
 IMAGE_WANTED = 0.85

@@ -21,6 +21,7 @@ from capture_rig.camera import CameraModel
 
 from .lens_model import Array
 
+# Thresholds: from the classical projections (rectilinear to orthographic); judgement.
 K_RANGE = (-1.2, 1.3)  # orthographic and a little beyond, to a pincushion lens
 LARGEST_ANGLE_RAD = np.deg2rad(80.0)  # as far as a lens model in tan(a) can go
 SAMPLES = 24

@@ -25,6 +25,7 @@ RATIONAL = "rational_polynomial"
 LAYOUT = Layout(cameras=1, targets=1, with_lens=True)
 DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
+# Thresholds: judgement, and outweighed by views (decisions); measured by python bench/calibration.py.
 # Standard deviations of what lenses and boards are like: views that tell outweigh them by far; where no view reaches,
 # the lens goes on as lenses do, instead of as a polynomial does
 FOCAL_PRIOR = 1.0  # of the focal length itself

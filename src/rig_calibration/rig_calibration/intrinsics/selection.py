@@ -22,6 +22,7 @@ from .lens_fit import board_pose, fit_lens, why_useless
 from .lens_model import Array, LensModel
 
 REFERENCE_WIDTH_PX = 640
+# Thresholds: measured by python bench/calibration.py (rendered video).
 BLUR_PX, BLUR_FACTOR = 2.0, 2.0  # refused above: at 640 pixels of width, and of the sharpest views so far
 MOTION_PX = 3.0  # refused above, between neighbouring images, at 640 pixels of width
 ALIKE_PLACE, ALIKE_SIZE, ALIKE_LEAN_DEG, ALIKE_ROLL_DEG = 0.1, 0.2, 10.0, 25.0  # of the width; of its logarithm

@@ -15,6 +15,7 @@ from .ray_uncertainty import outermost_pixels
 from .result import Intrinsics
 
 FEW_VIEWS, SCARCE_VIEWS = 6, 12
+# Thresholds: judgement; the last judgement.
 FOCAL_SD_GOOD, FOCAL_SD_USABLE = 0.002, 0.008  # of the focal length
 CENTRE_SD_GOOD_PX, CENTRE_SD_USABLE_PX = 1.0, 4.0  # at 640 pixels of width
 EDGE_SD_GOOD_PX, EDGE_SD_USABLE_PX = 2.0, 200.0  # at 640 pixels of width

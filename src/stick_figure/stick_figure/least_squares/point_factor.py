@@ -25,6 +25,7 @@ from .normal_equations import CHAIN_COLUMNS
 from .placed_figure import STICKS, columns
 
 GEMAN_MCCLURE, X84 = 0, 1
+# Thresholds: from Hampel et al. 1986 and the normal distribution; the floor: judgement.
 CUT = 3.5  # standard deviations (Hampel et al., "Robust Statistics", 1986)
 MAD_TO_SIGMA = 1.4826  # a Gaussian's standard deviation over its median absolute deviation
 SIGMA_FLOOR_M = 0.005

@@ -30,6 +30,7 @@ from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
 from .slow_changes import SlowChanges
 
+# Thresholds: SAMPLES from the error of a mean, 1/sqrt(n); else measured by python bench/rooms.py.
 SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
 RENEWAL_S = 0.03  # some rows of the expected image are renewed, not more often
 BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames are rare: light's field takes as long

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ..noise import FOLLOW_S, LEAST_VARIANCE
 
+# Thresholds: NEAR_PX, FAR_PX from demosaicing and the blocks of codecs; else measured by python bench/rooms.py.
 NEAR_PX, FAR_PX = 2, 16  # demosaicing reaches less far than the one; no block of a codec as far as the other
 LEAST_CHANGE = 0.02  # grey levels squared: less is the same picture again
 TAIL_OF_MEDIAN = 9.0  # squared differences beyond so many medians are cut off

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from ..kernels import follow_cells, leave_residuals, robust_gain, sum_by_cell, weigh_samples
 
 FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
+# Thresholds: measured by python bench/rooms.py.
 FIELD_S = 0.3  # time constant of the field
 STEPS, REACH = 3, 2.5  # of the robust fit; sigmas
 OFFSET_PRIOR = 0.02  # holds the offset at zero as much as a fiftieth of the samples would

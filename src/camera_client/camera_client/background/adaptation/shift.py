@@ -20,6 +20,7 @@ from ..kernels import BIN_SIGMAS, HALF_MEDIAN, median_of, robust_shift
 
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
 STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
+# Thresholds: LINEAR_PX from edges that are a pixel or two wide; else measured by python bench/rooms.py.
 HOLD = 30.0  # information that holds the displacement at zero, px^-2: a picture without edges does not move
 FOLLOW_PX = 0.1  # a larger displacement is taken over ...
 LINEAR_PX = 0.5  # edges are a pixel or two wide: a fit to their slopes is right within this

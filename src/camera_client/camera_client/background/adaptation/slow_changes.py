@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ...frame_source import Mask
 
+# Thresholds: chosen with the rooms of test_camera_light.py.
 MOST_CHANGE = 12.0  # grey levels by which a single pixel may depart from how it was learned
 FOLLOW_S = 60.0  # time constant
 QUIET_S = 30.0  # a pixel is followed when no foreground has been near for so long ...

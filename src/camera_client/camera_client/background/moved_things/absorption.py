@@ -24,6 +24,8 @@ from ...frame_source import Image, Mask
 from .support_history import Blocks, SupportHistory, counted
 from .taken_away import is_calm_inside, was_taken_away
 
+# Thresholds: APPLY_AFTER_S from the latency of the graph, NOISE_SIGMAS from the normal distribution; else chosen with
+# the rooms of test_camera_moved_things.py.
 SAMPLE_S = 0.2  # blocks are looked at so often
 BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part

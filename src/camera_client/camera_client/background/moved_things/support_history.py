@@ -11,6 +11,8 @@ from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS
 from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
+# Thresholds: APPLY_AFTER_S from the latency of the graph, NOISE_SIGMAS from the normal distribution; else chosen with
+# the rooms of test_camera_moved_things.py.
 APPLY_AFTER_S = 0.5  # a report counts for frames so much later, when it is there, live and in lockstep
 SILENT_S = 2.0  # without a report for so long, nothing is known of the others
 LONGEST_STEP_S = 0.5  # a report stands for no more time than this: twice the reports' period

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ...frame_source import Image, Mask
 
+# Thresholds: chosen with the rooms of test_camera_moved_things.py.
 ACROSS_PX = 3.0  # from the outline to both sides: beyond blur, and within a person's arm
 SMOOTH_PX = 5  # side of the box in which the outline is made smooth, as the silhouette's median filter does
 FAINTER = 0.5  # an edge of the picture is gone when it has less than this share of the background's
