@@ -115,7 +115,7 @@ def _search(data, matched, state, figure, limb, library, known):
     placed, costs = place(state, part_of(figure, limb, True)), np.empty(left.fine.shape[0])
     tracked = _ends(placed, limb)
     explained = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
-    samples = _samples_of(costs, left.rays, placed)
+    samples = _samples_of(costs, left.rays, placed, part_of(figure, limb, True).surface.stick == limb.lower)
     explained += _volume_gained(left, placed, limb)
     gains = np.zeros(library.flexion.shape[0])
     for h in range(gains.shape[0]):
@@ -250,13 +250,16 @@ def _rays_gained(rays, placed, cost_without, gate, costs):
 
 
 @njit(cache=True)
-def _samples_of(gains, rays, placed):
-    """Return how many cells of the limb's surface the rays show that it explains, by what each (n,) gains."""
-    match, shown = match_rays(rays, placed, SLACK_M), np.zeros(placed.P.shape[0] * CELLS)
+def _samples_of(gains, rays, placed, lower):
+    """Return how many cells of the limb's surface the rays show that it explains, by what each (n,) gains; twice those
+    of its ``lower`` (k,) bool capsules where they are the fewer: an elbow does not tell where the hand is."""
+    match, shown = match_rays(rays, placed, SLACK_M), np.zeros((placed.P.shape[0], CELLS))
     for i in range(gains.shape[0]):
         if gains[i] > 0.0:
-            shown[cell_of_ray(placed, match.capsule[i], match.along[i], rays.rows, i)] += gains[i] / SAMPLE_RAYS
-    return np.minimum(shown, 1.0).sum()
+            cell = cell_of_ray(placed, match.capsule[i], match.along[i], rays.rows, i)
+            shown[cell // CELLS, cell % CELLS] += gains[i] / SAMPLE_RAYS
+    shown = np.minimum(shown, 1.0)
+    return min(shown.sum(), 2.0 * shown[lower].sum())
 
 
 @njit(cache=True)
