@@ -90,7 +90,9 @@ class LimbBelief:
         """Second moment (2, 3, 3) m^2 of elbow and hand about where they are tracked."""
         p, offsets = self.probabilities, self.places.ends - self.places.tracked
         moment = np.einsum("k,kpi,kpj->pij", p[1:-1], offsets, offsets)
-        return np.asarray(moment + UNSEEN_SD_M**2 * np.eye(3))
+        lower = self.places.tracked[1] - self.places.tracked[0]
+        anywhere = np.array([UNSEEN_SD_M**2, 2.0 / 3.0 * float(lower @ lower)])
+        return np.asarray(moment + p[-1] * anywhere[:, None, None] * np.eye(3))
 
     def without(self, number: int) -> LimbBelief:
         """Return the belief with one place refuted: the whole set does not agree."""
