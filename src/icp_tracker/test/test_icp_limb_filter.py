@@ -52,8 +52,8 @@ def test_one_torn_set_moves_nothing():
 
 
 def test_a_place_about_as_good_makes_doubtful_only_when_it_is_elsewhere():
-    assert after(*[places((0.5, FAR, 0))] * 30).not_as_tracked > DOUBTFUL
-    assert after(*[places((0.5, NEAR, 0))] * 30).not_as_tracked < 0.05
+    assert after(*[places((2.0, FAR, 0))] * 30).not_as_tracked > DOUBTFUL
+    assert after(*[places((2.0, NEAR, 0))] * 30).not_as_tracked < 0.05
     assert after(*[places((-10.0, FAR, 0))] * 30).not_as_tracked < 0.05
 
 
@@ -84,4 +84,13 @@ def test_a_place_keeps_its_odds_when_it_is_found_anew_in_the_library_and_a_refut
 def test_probabilities_add_up_and_the_spread_reaches_the_other_place():
     belief = after(*[places((2.0, FAR, 0))] * 30)
     assert belief.probabilities.sum() == pytest.approx(1.0)
-    assert belief.spread[1, 1, 1] > belief.probabilities[1] * FAR**2
+    assert belief.spread[1, 1, 1] == pytest.approx(belief.probabilities[1] * FAR**2)
+
+
+def test_an_unseen_hand_may_be_anywhere_about_its_elbow():
+    tracked = np.array([[0.0, 0.0, 0.0], [0.45, 0.0, 0.0]])
+    nowhere = LimbPlaces(NO_POSES, np.empty(0), np.empty((0, 2, 3)), tracked, 0.0, np.empty(0, int))
+    belief = after(*[nowhere] * 60)
+    assert belief.is_unseen
+    assert np.diag(belief.spread[1]) == pytest.approx(2 / 3 * 0.45**2, rel=0.05)  # of a stick of free direction
+    assert (np.diag(belief.spread[0]) < np.diag(belief.spread[1])).all()
