@@ -263,7 +263,7 @@ class StudioInput(LiveInput):
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock:
         answer = self.studio.ask("play", loop=False)
         clock = SessionClock(answer["epoch_ns"], answer["frames"], answer["fps"], exposed=True)
-        last_ns = clock.epoch_ns + round((clock.frames / clock.fps - 1.5 / self._fps) * 1e9)
+        last_ns = clock.epoch_ns + round((clock.frames / clock.fps - 1.0 / self._fps) * 1e9)  # the last exposure
         self._await_answers(recorder, last_ns, cancel)
         return clock
 
