@@ -22,7 +22,6 @@ TARGET_S = 0.05  # a queue that stands longer than this, or than one set's perio
 SETS = 8  # that are judged: twice what a queue of four keeps of a burst
 DROPPED = 0.15  # of them, dropped: one that a burst overflows is no overload
 DECREASE = 0.9  # of the rate that was answered
-MOST_DECREASE = 0.5  # of the rate that was kept: so few sets tell the throughput of a burst no better than that
 GROWTH = 0.005  # of the cameras' rate a second cubed: half of it is won back within five seconds
 FEWER = 4.0  # times fewer sets may come than are kept (slower cameras), or they come too seldom to judge: no rise
 MOST_RISE = 2.0  # at once
@@ -144,7 +143,7 @@ class LoadControl:
             self.standing_ns = max(round(max(delays_ns, default=0) - self._base_ns), 1)
             since_ns = next(each.closed_ns for late, each in judged if late)
             self._answered_hz, self._fell_ns = throughput_hz(self._sets, since_ns), now_ns
-            self.limit_hz = max(DECREASE * self._answered_hz, MOST_DECREASE * rate_hz, LEAST_HZ)
+            self.limit_hz = max(DECREASE * self._answered_hz, LEAST_HZ)
         elif limit_hz < math.inf and now_ns - self._changed_ns >= SPAN_S * NS_PER_S:
             stages_hz = FULL * rate_hz / max(self._utilisation(), 1e-3)
             grown_hz = min(self._grown_hz(offered_hz, now_ns), stages_hz, MOST_RISE * rate_hz)
