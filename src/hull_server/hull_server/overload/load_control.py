@@ -143,6 +143,8 @@ class LoadControl:
             self.standing_ns = max(round(max(delays_ns, default=0) - self._base_ns), 1)
             since_ns = next(each.closed_ns for late, each in judged if late)
             self._answered_hz, self._fell_ns = throughput_hz(self._sets, since_ns), now_ns
+            if self._answered_hz == 0.0:  # too few answers of a burst tell no throughput: half of what was kept
+                self._answered_hz = 0.5 * rate_hz
             self.limit_hz = max(DECREASE * self._answered_hz, LEAST_HZ)
         elif limit_hz < math.inf and now_ns - self._changed_ns >= SPAN_S * NS_PER_S:
             stages_hz = FULL * rate_hz / max(self._utilisation(), 1e-3)
