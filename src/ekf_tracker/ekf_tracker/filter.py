@@ -15,7 +15,7 @@ from .settings import EkfSettings
 from .track import POINT_SD_FLOOR_M, READMIT_AFTER_SETS, Track, enough_to_start
 
 NO_BODY = "waiting for the body"
-# Thresholds: first three judgement; else judgement.
+# Thresholds: judgement, no measurement.
 SAME_PERSON_M = 0.06
 """Statures of one person, measured twice, differ by less."""
 STATURE_M = 1.75

@@ -22,7 +22,7 @@ from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot
 from .torso_bend import TorsoBend
 
 NS = 1e-9
-# Thresholds: first three judgement; NEEDED_TORSO_POINTS from geometry: three may lie on a line; else judgement.
+# Thresholds: NEEDED_TORSO_POINTS from geometry: three may lie on a line; else judgement.
 POINT_SD_FLOOR_M = 0.001
 """Least standard deviation of a measured point: a fit to a perfect cloud would claim less."""
 JOINT_SD_CAP_RAD = 1.0

@@ -6,7 +6,7 @@ from enum import Enum
 
 from .frame_set import TIME_JUMP_NS
 
-# Thresholds: first three judgement; else judgement.
+# Thresholds: judgement, no measurement.
 RESTART_AFTER = 10  # sets in a row that are of the past, if not far: by then nobody repeats or delays single ones
 CONFIRMED_BY = 3  # sets in a row that go on from a leap, before it is believed: a stray message is alone
 AHEAD_NS = 1_000_000_000  # a set may be so much later than the last one and the time since: queues, footage played fast

@@ -17,7 +17,7 @@ SCALE = 4.0  # steps of the squared distance's uint8 image: a quarter of a varia
 HIGHEST = 255.0
 F32 = np.float32
 
-# Thresholds: else measured by python bench/rooms.py.
+# Thresholds: measured by python bench/rooms.py.
 DOUBTED = 0.02  # weight of samples that were foreground a frame ago
 CLIPPED = 250.0  # grey levels from which a sample tells nothing of noise and displacement
 BINS = 256

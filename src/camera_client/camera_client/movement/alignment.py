@@ -25,7 +25,7 @@ from capture_rig.rigid import rotation_matrix, rotation_vector
 from .edge_points import Array, EdgePoints, Picture, choose_edge_points, contrast_pyramid
 
 MOST_STEPS, LAST_STEPS, CONVERGED_RAD = 8, 3, 2e-5
-# Thresholds: else, in standard deviations of the pixels' noise, measured by python bench/camera_movement.py.
+# Thresholds: in standard deviations of the pixels' noise, measured by python bench/camera_movement.py.
 ROBUST_SIGMAS = 3.0  # standard deviations of the noise, or of the typical residual ...
 SCALE_QUANTILE, SCALE_QUANTILE_SIGMAS = 0.3, 0.385  # ... which is this quantile's: more than half may be hidden
 AGREES_PX = 0.5  # a place agrees when its edge lies within so much (of a pixel at the working size) of where it should

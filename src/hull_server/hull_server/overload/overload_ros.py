@@ -18,7 +18,7 @@ from sagoma_ros.thinning import TOPIC, thinning_message
 from .thinning_control import ThinningControl
 
 UPDATE_S = 0.1
-# Thresholds: the others chosen with the simulated graphs of test_hull_thinning_control.py.
+# Thresholds: chosen with the simulated graphs of test_hull_thinning_control.py.
 NO_TRACKER_NS = 1_000_000_000  # without an answer: the hull's products are the end of the graph
 
 

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 Array = npt.NDArray[np.float64]
 
 MAX_SADDLES = 3000
-# Thresholds: else measured by python bench/calibration.py --boards (found at which tilt and size).
+# Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
 MIN_STRENGTH = 0.02  # of the response of the image's 20th strongest saddle
 MIN_CURVATURE = 0.8  # grey levels per px^2: below it is noise
 NEIGHBOURS = 24

@@ -30,7 +30,7 @@ from ..bundle.state import camera_with
 from .lens_family import nearest_member, rational_prior
 from .lens_model import LAYOUT, RATIONAL, Array, LensModel
 
-# Thresholds: values judgement.
+# Thresholds: judgement, no measurement.
 MIN_CORNERS = 8
 MIN_SPREAD = 0.02  # the corners' shape on the board: its shorter axis over its longer one; below, they lie on a line
 MIN_VIEWS = 3

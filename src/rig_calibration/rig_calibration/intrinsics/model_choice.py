@@ -15,7 +15,7 @@ from .ray_uncertainty import edge_sd_px
 
 AUTO = "auto"
 SIMPLE, RICH = "plumb_bob", RATIONAL
-# Thresholds: values judgement.
+# Thresholds: judgement, no measurement.
 STANDARD_ERRORS = 2.0
 WORTHWHILE = 0.02  # relative gain in rms for which three more coefficients are taken (by chance they gain 0.0003)
 LOST_PX = 10.0  # at most, of a view that a model cannot explain at all

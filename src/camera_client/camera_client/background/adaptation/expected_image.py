@@ -18,7 +18,7 @@ from ..noise import Noise
 from .light import FIELD_DOWN, Light
 from .shift import Displacement, gradients, steepness2
 
-# Thresholds: else measured by python bench/rooms.py.
+# Thresholds: measured by python bench/rooms.py.
 UNEVEN_LIGHT = 0.004  # relative standard deviation of what a smooth field of light does not hold
 WHITE, BLACK = 250.0, 3.0  # grey levels beyond which a background pixel tells one bound only
 
