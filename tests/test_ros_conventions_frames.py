@@ -268,10 +268,10 @@ class Published(NamedTuple):
 
 
 def follow(open_probe, tmp_path, body, fitted, **parameters) -> Published:
-    """Let a filter answer one set of fitted points after the other."""
+    """Let a filter answer one set of fitted points after the other, however long each takes on a busy machine."""
     body_file = tmp_path / "body.yaml"
     save_body(body, body_file)
-    probe = open_probe(NodeProbe, EkfNode, {"body_file": str(body_file), **parameters})
+    probe = open_probe(NodeProbe, EkfNode, {"body_file": str(body_file), "stale_after_s": 0.0, **parameters})
     sender = probe.peer.create_publisher(PointCloud2, "icp/reference_points", RESULT)
     clouds = probe.listen(PointCloud2, "mocap/reference_points")
     joints = probe.listen(JointState, "mocap/joint_states")
