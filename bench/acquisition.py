@@ -17,10 +17,10 @@ from pathlib import Path
 from report import Table, execute, finish, parser
 
 import numpy as np
+from clips import canvas_masks, session_with_truth
 from cut_rigs import cut_cases
 from people import BUILDS as WALKERS
 from people import KEPT, recorded
-from scenes import canvas_masks, session_with_truth
 from starts import Start, of_cut, of_studio_walk, of_walk_in
 
 from capture_rig.session import Session, footage_stamp_ns

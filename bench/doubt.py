@@ -24,8 +24,8 @@ from typing import Any
 from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
+from clips import Recorded
 from people import KEPT, recorded
-from products import Recorded
 
 from mocap_packets.fit import PART_NAMES, PART_POINTS
 from mocap_pipeline.configuration import Configuration

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scenes import Clip
+from clips import Clip
 
 from capture_rig.rigid import rotation_matrix
 from icp_tracker.tracker import TRACKING

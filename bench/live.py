@@ -32,9 +32,10 @@ from report import Table, add_settings, execute, finish, machine_line, parser
 
 import camera
 import numpy as np
+from clips import Clip, session_clip
 from live_overload import measure_overload, print_overload
 from live_servers import PROCESSES, TREE, Server, running, tree_of
-from scenes import SHARED, Clip, session_clip, studio_clip
+from scenes import SHARED, studio_clip
 
 from capture_rig import Rig
 from sagoma_tools.arguments import parse_settings

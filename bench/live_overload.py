@@ -14,8 +14,8 @@ from typing import Any
 from report import Table
 
 import numpy as np
+from clips import Clip
 from live_servers import TREE, running
-from scenes import Clip
 
 FIRST_HZ, STEP = 45.0, 1.1
 SETTLE_S, TRY_S = 1.5, 2.5

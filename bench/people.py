@@ -4,7 +4,7 @@
 
 Tracks every set (those with a NAME in theirs) with automatic start and default settings: each session of the test data
 with its own silhouettes and, as _exact, with exact ones; the studio's tour by five people and its hard cases; and what
-`bench/mesh_people.py` put into FOLDER (mesh_fit_: constants may have been fitted to them; mesh_prove_: never).
+`models/mesh_people.py` put into FOLDER (mesh_fit_: constants may have been fitted to them; mesh_prove_: never).
 
 The hulls are carved once and kept in FOLDER (output/people): empty it after a change of cameras or hull.
 
@@ -15,7 +15,7 @@ of errors inside the track's own 95 % ellipsoids, all and of the worst point; pr
 are several persons (figures: all persons' together). A second table holds the covariances point by point over all sets.
 The last line is JSON. What is called doubtful: `bench/doubt.py`.
 --pictures draws the worst frame of every set with a point over 200 mm from the first person's side: silhouettes, which
-must lie in FOLDER/../clips as `bench/mesh_people.py` writes them, truth in white, track in colour.
+must lie in FOLDER/../clips as `models/mesh_people.py` writes them, truth in white, track in colour.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from report import Table, add_settings, execute, finish, parser
 
 import cv2
 import numpy as np
-from products import Recorded, load
-from scenes import SHARED, Clip, inside_volume, session_clip, studio_clip
+from clips import Clip, Recorded, load, session_clip
+from scenes import SHARED, inside_volume, studio_clip
 
 from capture_rig.session import Truth
 from mocap_pipeline.configuration import Configuration

@@ -23,8 +23,8 @@ from typing import Any
 from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
-from products import Recorded, load
-from scenes import SHARED, Clip, session_clip, together_clip
+from clips import Clip, Recorded, load, session_clip
+from scenes import SHARED, together_clip
 
 from capture_rig.session import Truth
 from capture_rig.visibility import RigVisibility

@@ -24,8 +24,9 @@ from typing import Any
 from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
+from clips import Clip, session_clip
 from drills import DRILLS, Outcome, is_good, play
-from scenes import Clip, session_clip, studio_clip
+from scenes import studio_clip
 
 from sagoma_tools.arguments import parse_settings
 from virtual_studio.motions.catalogue import HARD_CASES

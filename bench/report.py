@@ -31,9 +31,9 @@ from capture_rig.files import write_text  # noqa: E402
 cv2.setNumThreads(1)
 
 TREE = Path(__file__).resolve().parents[1]
-sys.path.append(str(TREE / "tests" / "support"))  # what benches share with tests
+sys.path += [str(TREE / "models"), str(TREE / "tests" / "support")]  # what benches share with these
 FIGURES = TREE / "docs" / "figures"
-MEASURED = ("src", "bench")
+MEASURED = ("src", "bench", "models")
 """A change in these folders that no commit holds makes the recorded commit a dirty one."""
 SHARED_IN_PAGES = "../shared/data"
 _asked = argparse.Namespace(record=None, commit=None)

@@ -21,7 +21,8 @@ from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
-from scenes import SHARED, session_with_truth
+from clips import session_with_truth
+from scenes import SHARED
 
 from camera_client.background.adaptation.light import LightEstimator
 from camera_client.background.adaptation.shift import ShiftEstimator

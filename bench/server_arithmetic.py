@@ -32,7 +32,8 @@ from typing import Any
 from report import Table, execute, finish, parser
 
 import numpy as np
-from scenes import SHARED, Clip, session_clip
+from clips import Clip, session_clip
+from scenes import SHARED
 from server_arithmetic_worker import Work
 
 from capture_rig.errors import InputError

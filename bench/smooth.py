@@ -16,8 +16,8 @@ from typing import Any
 from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
+from clips import Recorded
 from people import KEPT, recorded
-from products import Recorded
 
 from ekf_tracker.smoother import Set, smooth
 from mocap_packets.fit import FIRST_PERSON

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from clips import Clip, Recorded
 from cut_rigs import CutCase
-from products import Recorded
-from scenes import Clip, studio_masks
+from scenes import studio_masks
 
 from capture_rig.rigid import rotation_matrix
 from icp_tracker.acquisition.body_sizes import ANKLE, SIZES, sizes_of_body

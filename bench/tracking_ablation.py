@@ -19,8 +19,7 @@ from typing import Any
 from report import Table, execute, finish, parser
 
 import numpy as np
-from products import load
-from scenes import session_with_truth
+from clips import load, session_with_truth
 
 from capture_rig.session import Session, Truth
 from mocap_pipeline.configuration import Configuration

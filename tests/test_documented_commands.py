@@ -1,4 +1,4 @@
-"""The commands that the documentation names, as the programs read them: `sagoma`, `python bench/...`, `make`."""
+"""The commands that the documentation names, as programs read them: `sagoma`, `python bench/...` or models, `make`."""
 
 import ast
 import importlib.util
@@ -8,15 +8,29 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 from sagoma_tools.cli import build_parser
 
 ROOT = Path(__file__).resolve().parents[1]
+PROGRAMS = [*sorted(ROOT.glob("bench/*.py")), *sorted(ROOT.glob("models/*.py"))]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
 GENERATED = {"commands.md"}  # from the parser itself
 BLOCK = re.compile(r"^```[a-z]*\n(.*?)^```|((?:^    \S.*\n)+)", re.M | re.S)
 SHORTENED = re.compile(r"\.\.\.|[|\[\]<>]")  # notation, not a command as it is typed
+
+
+def imports_of(program: Path) -> list[ast.ImportFrom]:
+    tree = ast.parse(program.read_text(encoding="utf-8"))
+    return [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
+
+
+def names_in(program: Path) -> set[str]:
+    """What a program defines, assigns or imports."""
+    nodes = [*ast.walk(ast.parse(program.read_text(encoding="utf-8")))]
+    names = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    names |= {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return names | {
+        alias.asname or alias.name for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
 
 
 def commands_of(page: Path) -> Iterator[tuple[str, bool]]:
@@ -64,8 +78,8 @@ def test_every_sagoma_command_is_one_that_the_command_line_takes(capsys):
 
 def test_every_option_of_a_bench_is_one_that_it_declares():
     shared = (ROOT / "bench" / "report.py").read_text(encoding="utf-8")
-    commands, unknown = documented("python bench/"), []
-    assert len(commands) > 80
+    commands, unknown = documented("python bench/") + documented("python models/"), []
+    assert len(commands) > 30
     for page, command, _ in commands:
         script, *words = command.split()[1:]
         source = (ROOT / script).read_text(encoding="utf-8") + shared
@@ -81,18 +95,31 @@ def test_every_make_target_exists():
     assert not {(page, target) for page, target in named if target not in targets}
 
 
-@pytest.mark.parametrize("bench", sorted((ROOT / "bench").glob("*.py")), ids=lambda path: path.stem)
-def test_what_a_bench_imports_of_the_packages_is_there(bench):
+def test_what_benches_and_models_import_of_the_packages_is_there():
     packages = {path.name for path in (ROOT / "src").iterdir()}
     missing = []
-    for node in ast.walk(ast.parse(bench.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in packages:
+    for program in PROGRAMS:
+        for node in imports_of(program):
+            if node.module.split(".")[0] not in packages:
+                continue
             if importlib.util.find_spec(node.module) is None:
-                missing.append(node.module)
+                missing.append(f"{program.name}: {node.module}")
                 continue
             module = importlib.import_module(node.module)
             for alias in node.names:
                 submodule = f"{node.module}.{alias.name}"
                 if not hasattr(module, alias.name) and importlib.util.find_spec(submodule) is None:
-                    missing.append(submodule)
+                    missing.append(f"{program.name}: {submodule}")
     assert missing == []
+
+
+def test_what_they_import_of_each_other_is_there_and_models_import_no_bench():
+    names = {path: names_in(path) for path in PROGRAMS}
+    wrong = []
+    for program in PROGRAMS:
+        for node in imports_of(program):
+            for source in (path for path in PROGRAMS if path.stem == node.module):
+                if program.parent.name == "models" and source.parent.name == "bench":
+                    wrong.append(f"{program.name} imports {source.name}")
+                wrong += [f"{program.name}: {source.stem}.{n.name}" for n in node.names if n.name not in names[source]]
+    assert wrong == []
