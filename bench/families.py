@@ -21,7 +21,8 @@ from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
 from clips import Recorded, load
-from people import BAD_MM, KEPT, followed
+from people import BAD_MM
+from people_sets import KEPT, followed
 
 from sagoma_tools.arguments import parse_settings
 from sagoma_tools.evaluation.scores import INSIDE_95, squared_distances
@@ -41,7 +42,7 @@ class Errors(NamedTuple):
 
 def errors_of(what: Recorded, settings: dict[str, Any]) -> Errors:
     """Track a set."""
-    tracks, _ = followed(what, settings)
+    tracks = followed(what, settings).tracks
     truth, none = what.truths[0], np.full(what.truths[0].shape[:2], np.nan)
     if not tracks:
         return Errors(none, none, none, np.full((15, 3), np.nan))
