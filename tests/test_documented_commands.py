@@ -1,7 +1,6 @@
 """The commands that the documentation names, as programs read them: `sagoma`, `python bench/...` or models, `make`."""
 
 import ast
-import importlib.util
 import re
 import shlex
 from collections.abc import Iterator
@@ -18,13 +17,8 @@ BLOCK = re.compile(r"^```[a-z]*\n(.*?)^```|((?:^    \S.*\n)+)", re.M | re.S)
 SHORTENED = re.compile(r"\.\.\.|[|\[\]<>]")  # notation, not a command as it is typed
 
 
-def imports_of(program: Path) -> list[ast.ImportFrom]:
-    tree = ast.parse(program.read_text(encoding="utf-8"))
-    return [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
-
-
 def names_in(program: Path) -> set[str]:
-    """What a program defines, assigns or imports."""
+    """What a file defines, assigns or imports."""
     nodes = [*ast.walk(ast.parse(program.read_text(encoding="utf-8")))]
     names = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
     names |= {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
@@ -95,31 +89,29 @@ def test_every_make_target_exists():
     assert not {(page, target) for page, target in named if target not in targets}
 
 
-def test_what_benches_and_models_import_of_the_packages_is_there():
-    packages = {path.name for path in (ROOT / "src").iterdir()}
-    missing = []
-    for program in PROGRAMS:
-        for node in imports_of(program):
-            if node.module.split(".")[0] not in packages:
-                continue
-            if importlib.util.find_spec(node.module) is None:
-                missing.append(f"{program.name}: {node.module}")
-                continue
-            module = importlib.import_module(node.module)
-            for alias in node.names:
-                submodule = f"{node.module}.{alias.name}"
-                if not hasattr(module, alias.name) and importlib.util.find_spec(submodule) is None:
-                    missing.append(f"{program.name}: {submodule}")
-    assert missing == []
+def source_of(module: str) -> Path | None:
+    """The file of a module of ours: of a package, or of a bench or model that others import."""
+    package, *parts = module.split(".")
+    below = ROOT.joinpath("src", package, package, *parts)
+    places = (
+        below.with_suffix(".py"),
+        below / "__init__.py",
+        *(ROOT / f / f"{module}.py" for f in ("bench", "models")),
+    )
+    return next((place for place in places if place.is_file()), None)
 
 
-def test_what_they_import_of_each_other_is_there_and_models_import_no_bench():
-    names = {path: names_in(path) for path in PROGRAMS}
-    wrong = []
+def test_what_benches_and_models_import_of_ours_is_there_and_models_import_no_bench():
+    packages, named, wrong = {path.name for path in (ROOT / "src").iterdir()}, cache(names_in), []
     for program in PROGRAMS:
-        for node in imports_of(program):
-            for source in (path for path in PROGRAMS if path.stem == node.module):
-                if program.parent.name == "models" and source.parent.name == "bench":
-                    wrong.append(f"{program.name} imports {source.name}")
-                wrong += [f"{program.name}: {source.stem}.{n.name}" for n in node.names if n.name not in names[source]]
+        tree = ast.parse(program.read_text(encoding="utf-8"))
+        for node in (n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module):
+            source = source_of(node.module)
+            if source is None:
+                wrong += [f"{program.name}: {node.module}"] if node.module.split(".")[0] in packages else []
+                continue
+            names = [alias.name for alias in node.names if source_of(f"{node.module}.{alias.name}") is None]
+            wrong += [f"{program.name}: {node.module}.{name}" for name in names if name not in named(source)]
+            if (program.parent.name, source.parent.name) == ("models", "bench"):
+                wrong.append(f"{program.name} imports {source.name}")
     assert wrong == []

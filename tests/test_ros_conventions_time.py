@@ -31,9 +31,9 @@ EVERYTHING = QoSProfile(depth=1000)  # reliable; this thread also does the nodes
 
 
 @pytest.fixture(scope="module")
-def bag(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(three_cameras: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two seconds of silhouettes as the cameras send them: a T-pose, then movement."""
-    session = load_session(built_in_session)
+    session = load_session(three_cameras)
     folder = tmp_path_factory.mktemp("time") / "bag"
     return write_silhouette_bag(folder, session.rig, exact_silhouettes(session), FPS)
 
