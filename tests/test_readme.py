@@ -82,7 +82,7 @@ def test_every_page_that_code_names_exists():
 
 
 def test_every_script_and_test_that_the_documentation_names_exists():
-    named = re.compile(r"\b((?:bench|scripts|tests|src/[a-z_]+/test|examples)/[\w/]+\.(?:py|sh))\b")
+    named = re.compile(r"\b((?:bench|models|scripts|tests|src/[a-z_]+/test|examples)/[\w/]+\.(?:py|sh))\b")
     found = {(page, path) for page in PAGES for path in named.findall(page.read_text(encoding="utf-8"))}
     assert len(found) > 15
     assert not [f"{page.relative_to(ROOT)}: {path}" for page, path in sorted(found) if not (ROOT / path).exists()]
