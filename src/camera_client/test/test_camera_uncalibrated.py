@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from camera_client.background.model import load_background
 from camera_client.background.training import KEY, TrainingReport
-from camera_client.camera_topics_ros import CameraTopics
+from camera_client.camera_ros import CameraTopics
 from camera_client.configuration import unplaced_camera
 from camera_client.diagnostics import UNCALIBRATED, UNPLACED
 from camera_client.frame_source import Frame
