@@ -3,7 +3,7 @@
     python bench/body_clothes.py --motions pybullet_data/data/motions --avatars GLB --leave-out FAMILY IN.csv OUT.csv
 
 IN.csv is what `bench/body_builds.py` makes of naked rendered people and the studio's: the table in the tree, which is
-not widened so, for what other makers wear does not carry over to one that is left out (docs/people.md).
+not widened so, for what other makers wear does not carry over to one that is left out (docs/accuracy.md).
 
 Each avatar (`bench/avatar_people.py` says where they come from) stands in poses of the clips; of its capsules, fixed to
 its own joints, the likeliest under the table's Gaussian are

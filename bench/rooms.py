@@ -213,7 +213,7 @@ def main() -> None:
     given.add_argument(
         "--rivals", default="", metavar="PYTHON", help="interpreter of rivals and codecs (room_rivals.py)"
     )
-    given.add_argument("--markdown", action="store_true", help="the table as docs/rooms.md has it")
+    given.add_argument("--markdown", action="store_true", help="the table as Markdown")
     given.add_argument("--cost", action="store_true", help="milliseconds a frame instead of the table")
     given.add_argument("--long", action="store_true", help="drills of minutes instead of the table")
     given.add_argument("--jump", action="store_true", help="a person who is gone from the room instead of the table")

@@ -48,7 +48,7 @@ def parser():
 
 def test_every_sagoma_command_is_one_that_the_command_line_takes(capsys):
     commands, refused = documented("sagoma "), []
-    assert len(commands) > 200
+    assert len(commands) > 100
     for page, command, typed in commands:
         if SHORTENED.search(command):
             continue
@@ -65,7 +65,7 @@ def test_every_sagoma_command_is_one_that_the_command_line_takes(capsys):
 def test_every_option_of_a_bench_is_one_that_it_declares():
     shared = (ROOT / "bench" / "report.py").read_text(encoding="utf-8")
     commands, unknown = documented("python bench/"), []
-    assert len(commands) > 80
+    assert len(commands) > 20
     for page, command, _ in commands:
         script, *words = command.split()[1:]
         source = (ROOT / script).read_text(encoding="utf-8") + shared
