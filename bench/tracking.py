@@ -22,8 +22,8 @@ from synthetic.bounds import BOUND_EVERY, SETTLED, Bounds, bounds
 from synthetic.clips import FPS, POINTS, Clip, clouds, file_clip, random_clip, studio_clip
 from synthetic.trackers import Method, Run, all_joints_alone, chain, chain_for_sticks, thesis, times_ms, track
 
-from virtual_studio.motion_files.recorded import ReadingOptions
 from virtual_studio.motions.catalogue import MOTIONS
+from virtual_studio.motions.recorded import ReadingOptions
 
 LOST_M = 0.2
 """A clip is lost when a point is farther off than this at its end."""

@@ -19,8 +19,8 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, sticks
 from stick_figure.pose import Pose
-from virtual_studio.motion_files.recorded import ReadingOptions, read_stick_motion
 from virtual_studio.motions.catalogue import MOTIONS, T_POSE_S
+from virtual_studio.motions.recorded import ReadingOptions, read_stick_motion
 
 FPS = 40.0
 POINTS = 300
