@@ -8,7 +8,7 @@ PAGE = "src/mocap_pipeline/mocap_pipeline/pipeline.py"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
 MOST_WORDS = 900
 MOST_PAGES = 25
-CODE, NAMING = ("src", "bench", "scripts", "examples", "config"), (".py", ".sh", ".xml", ".yaml")
+CODE, NAMING = ("src", "bench", "models", "scripts", "examples", "config"), (".py", ".sh", ".xml", ".yaml")
 FILE = re.compile(r"\b([a-z_]+)/((?:[a-z_]+/)*)([a-z_]+\.py)?")
 
 
@@ -63,6 +63,11 @@ def test_every_link_of_the_documentation_leads_to_a_file_and_its_heading():
         for page, target, anchor in links
         if not target.exists() or (anchor and anchor not in anchors(target))
     ]
+
+
+def test_every_image_stands_in_a_page():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert not [image.name for image in (ROOT / "docs" / "images").iterdir() if f"images/{image.name})" not in text]
 
 
 def test_every_page_that_code_names_exists():
