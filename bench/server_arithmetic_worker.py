@@ -77,7 +77,7 @@ def run(work: Work) -> Iterator[dict[str, Any]]:
         laps = [time.thread_time()]
         result = pipeline.hull.run(FrameSet.of_instant(stamp_ns, masks, ()))
         laps.append(time.thread_time())
-        products = result.products.as_sent()
+        products = result.products
         laps.append(time.thread_time())
         fits = pipeline.body.fit(products)
         laps.append(time.thread_time())
