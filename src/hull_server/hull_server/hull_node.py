@@ -149,8 +149,8 @@ class HullNode(SagomaNode):
         self._supports = {
             camera: LazyPublisher(self, Image, f"{camera}/silhouette/support") for camera in self._canvases
         }
-        publishers = (self._products, self._frame_set, *self._clouds.values(), *self._supports.values())
-        self._closing += [publisher.close for publisher in publishers]
+        publishers = (self._frame_set, *self._clouds.values(), *self._supports.values())
+        self._closing += [self._products.close, *(publisher.close for publisher in publishers)]
 
     def _take(self, frame_set: FrameSet[Mask]) -> None:
         """Hand a frame set to the carver's thread."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -194,7 +194,7 @@ class ContourRays:
         )
 
 
-PARTS = {"centerline": Centerline, "voxels": VoxelSamples, "contour_rays": ContourRays}
+PARTS: dict[str, Any] = {"centerline": Centerline, "voxels": VoxelSamples, "contour_rays": ContourRays}
 """The parts of `HullProducts`, in its order."""
 NO_CENTERLINE = Centerline.of_points(np.empty((0, 3)))
 NO_VOXELS = VoxelSamples(np.empty((0, 3)), np.empty(0, dtype=np.bool_))
@@ -235,8 +235,8 @@ class HullProducts:
     @classmethod
     def from_tables(cls, stamp_ns: int, tables: Mapping[str, np.ndarray]) -> HullProducts:
         """Return the inverse of :meth:`to_tables`. Raises InputError for ages that are not one row."""
-        parts = (kind.from_table(tables[name]) for name, kind in PARTS.items())
-        return cls(stamp_ns, *parts, SetAges.from_table(tables["ages"]))
+        line, voxels, rays = (kind.from_table(tables[name]) for name, kind in PARTS.items())
+        return cls(stamp_ns, line, voxels, rays, SetAges.from_table(tables["ages"]))
 
     def finite(self) -> tuple[HullProducts, int]:
         """Return the same with the centerline points that are finite numbers, and how many were not."""

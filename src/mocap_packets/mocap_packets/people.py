@@ -109,9 +109,9 @@ def body_numbers(body: Body) -> tuple[float, ...]:
 
 
 def _body_of(row: np.void) -> Body:
-    numbers = list(row)[1:]
-    sticks, build = len(STICK_NAMES), len(STICK_NAMES) + len(_RATIOS)
-    return Body(np.array(numbers[:sticks]), *map(float, numbers[sticks:build]), np.array(numbers[build:]))
+    numbers, sticks, build = row.tolist()[1:], len(STICK_NAMES), len(STICK_NAMES) + len(_RATIOS)
+    width, shoulders, hips = numbers[sticks:build]
+    return Body(np.array(numbers[:sticks]), width, shoulders, hips, np.array(numbers[build:]))
 
 
 @dataclass(frozen=True, eq=False)

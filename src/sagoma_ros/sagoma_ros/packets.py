@@ -44,7 +44,9 @@ class Tables(Protocol):
     """A packet of several tables: HullProducts, FittedPeople."""
 
     LAYOUTS: ClassVar[dict[str, np.dtype]]
-    stamp_ns: int
+
+    @property
+    def stamp_ns(self) -> int: ...
 
     def to_tables(self) -> dict[str, np.ndarray]: ...
 
