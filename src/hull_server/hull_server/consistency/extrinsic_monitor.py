@@ -33,7 +33,7 @@ PERIOD_S = 0.2  # between frame sets that are measured
 RECENT_SETS = 20  # four seconds
 TESTED_EVERY = 3  # measured sets
 EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
-NEWS_RAD = np.radians(0.5)  # if the contours moved by less, silhouettes err as they did before
+MIN_MOTION_RAD = np.radians(0.5)  # if the contours moved by less, silhouettes err as they did before
 
 # the noise model
 TYPICAL_RAD, WRONG_RAD = np.radians(0.12), np.radians(1.5)  # standard deviation of sound and of wrong calibrations
@@ -102,7 +102,7 @@ class ExtrinsicMonitor:
             return True
         moved_rad = np.abs(tangents.angles - self._recent[-1].angles)
         known = np.isfinite(moved_rad)
-        return not known.any() or float(np.median(moved_rad[known])) > NEWS_RAD
+        return not known.any() or float(np.median(moved_rad[known])) > MIN_MOTION_RAD
 
     def _test(self) -> ExtrinsicErrors:
         """Test every camera by the recent measurements."""
