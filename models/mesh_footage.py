@@ -1,4 +1,4 @@
-"""Films rendered mesh people in the studio's room: session folders with footage, as a camera's owner would have them.
+"""Pictures of rendered mesh people: exact silhouettes, and films in the studio's room as session folders with footage.
 
 The room, its lamps and the sensor are the virtual studio's; the people wear its outfits, shaded triangle by triangle,
 and throw the shadow of the capsules around their bones. Footage is MPEG-4, silhouettes are exact and lossless.
@@ -7,6 +7,7 @@ and throw the shadow of the capsules around their bones. Footage is MPEG-4, silh
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +16,10 @@ import numpy as np
 import yaml
 from mesh_body import NAMES, SEGMENTS, MeshBody
 from mesh_motions import FPS, MeshMotion
-from mesh_silhouettes import Canvas
 from numpy.typing import NDArray
 
 from capture_rig import Rig
+from capture_rig.camera import CameraModel
 from capture_rig.kernel import njit
 from capture_rig.rig import save_rig
 from virtual_studio.outfits import OUTFITS, Outfit
@@ -41,6 +42,43 @@ THICKNESS = {"upperarm01": 0.05, "lowerarm01": 0.04, "wrist": 0.035, "upperleg01
 """Radii, m, of the capsules that throw a body's shadow, by the bone they begin at."""
 HAND_M, FOOT_M, HEAD_M = 0.15, 0.18, 0.14
 """How far those without a bone after them reach."""
+
+
+NEAR_M = 0.1
+"""What is nearer to a camera than this is not drawn."""
+
+
+def mesh_silhouettes(rig: Rig, bodies: list[MeshBody], motions: list[MeshMotion], frame: int) -> dict[str, np.ndarray]:
+    """Every camera's picture (H, W), 0 or 255, of the people in one frame."""
+    vertices = [
+        body.posed(motion.rotations[frame], motion.roots[frame])[0]
+        for body, motion in zip(bodies, motions, strict=True)
+    ]
+    triangles = [body.triangles for body in bodies]
+    return {camera.name: silhouette(camera, vertices, triangles) for camera in rig.cameras}
+
+
+def silhouette(camera: CameraModel, vertices: Iterable[Array], triangles: Iterable[NDArray[np.int32]]) -> np.ndarray:
+    """One camera's picture of meshes in the world."""
+    canvas = Canvas(np.zeros((camera.height, camera.width), np.float32))
+    for points, corners in zip(vertices, triangles, strict=True):
+        canvas.draw(camera, points, corners, np.zeros(len(corners)))
+    return canvas.mask
+
+
+class Canvas:
+    """A camera's light (h, w), drawn into; depth (h, w) m of what was drawn, and its silhouette (h, w), 0 or 255."""
+
+    def __init__(self, light: NDArray[np.float32]) -> None:
+        self.light = light
+        self.depth, self.mask = np.full(light.shape, np.inf, np.float32), np.zeros(light.shape, np.uint8)
+
+    def draw(self, camera: CameraModel, vertices: Array, triangles: NDArray[np.int32], shades: Array) -> None:
+        """Draws a mesh in the world, triangle t in the light shades[t]."""
+        pixels = camera.project(vertices)
+        depth = vertices @ camera.R_camera_world[2] + camera.t_camera_world[2]
+        pixels[depth < NEAR_M] = np.nan
+        _draw(pixels, depth, triangles, shades, self.light, self.depth, self.mask)
 
 
 @dataclass(frozen=True)
@@ -92,7 +130,7 @@ def film(folder: Path, rig: Rig, people: list[MeshBody], motions: list[MeshMotio
     """Writes the rig, and footage, empty room and exact silhouettes of every camera."""
     folder.mkdir(parents=True, exist_ok=True)
     save_rig(rig, folder / "rig.yaml")
-    (folder / "session.yaml").write_text(yaml.safe_dump({"fps": FPS, "source": "rendered by bench/mesh_people.py"}))
+    (folder / "session.yaml").write_text(yaml.safe_dump({"fps": FPS, "source": "rendered by models/mesh_people.py"}))
     dressed = [Dressed.of(body, OUTFITS[look.outfit]) for body in people]
     cameras = [VirtualCamera(model) for model in rig.cameras]
     with ExitStack() as stack:
@@ -158,3 +196,36 @@ def _shading(normals: Array) -> Array:
     for k in range(len(normals)):
         light[k] = lambert(normals[k, 0], normals[k, 1], normals[k, 2])
     return light
+
+
+@njit(cache=True)
+def _draw(
+    pixels: Array,
+    away: Array,
+    triangles: NDArray[np.int32],
+    shades: Array,
+    light: NDArray[np.float32],
+    depth: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+) -> None:
+    """Sets the pixels whose centres, at whole numbers, lie in a triangle or on its edge, where it is the nearest."""
+    height, width = mask.shape
+    for t in range(len(triangles)):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ax, ay, bx, by, cx, cy = pixels[a, 0], pixels[a, 1], pixels[b, 0], pixels[b, 1], pixels[c, 0], pixels[c, 1]
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if not area * area > 0.0:
+            continue
+        distance = (away[a] + away[b] + away[c]) / 3.0
+        left, right = max(0.0, np.ceil(min(ax, bx, cx))), min(width - 1.0, np.floor(max(ax, bx, cx)))
+        top, bottom = max(0.0, np.ceil(min(ay, by, cy))), min(height - 1.0, np.floor(max(ay, by, cy)))
+        sign = 1.0 if area > 0.0 else -1.0
+        for y in range(int(top), int(bottom) + 1):
+            for x in range(int(left), int(right) + 1):
+                if (
+                    sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) >= 0.0
+                    and sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)) >= 0.0
+                    and sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)) >= 0.0
+                    and distance < depth[y, x]
+                ):
+                    depth[y, x], light[y, x], mask[y, x] = distance, shades[t], 255

