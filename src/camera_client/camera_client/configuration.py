@@ -82,14 +82,16 @@ def load_camera(settings: CameraClientSettings, name: str) -> tuple[CameraModel,
     return camera, rig.volume
 
 
-def connect_source(settings: CameraClientSettings, accept: Accept, clock: SharedClock) -> FrameSource:
+def connect_source(
+    settings: CameraClientSettings, accept: Accept, clock: SharedClock, topic: Callable[[], FrameSource]
+) -> FrameSource:
     """Return the source that ``settings.source`` names, connected, and looked at by ``accept``. Raises InputError.
 
     A live camera that is not there is no error: it is awaited once the source runs, and looked at when it comes.
-    ``clock`` : the one that footage shares with the other cameras.
+    ``clock`` : the one that footage shares with the other cameras; ``topic`` : makes the source of source: topic.
     """
-    if settings.source == "aravis":
-        source: FrameSource = live_source(settings, accept)
+    if settings.source != "footage":
+        source: FrameSource = live_source(settings, accept, topic)
         source.connect()
         return source
     if not settings.footage.path:
@@ -106,10 +108,12 @@ def connect_source(settings: CameraClientSettings, accept: Accept, clock: Shared
     return source
 
 
-def live_source(settings: CameraClientSettings, accept: Accept) -> SupervisedSource:
-    """Return the GigE Vision camera of ``settings`` under supervision, not connected yet."""
+def live_source(
+    settings: CameraClientSettings, accept: Accept, topic: Callable[[], FrameSource] | None = None
+) -> SupervisedSource:
+    """Return the live camera of ``settings`` under supervision, not connected yet: GigE Vision, or ``topic``'s."""
     return SupervisedSource(
-        lambda: AravisSource(settings.aravis, settings.channels),
+        topic if settings.source == "topic" and topic else lambda: AravisSource(settings.aravis, settings.channels),
         settings.supervision,
         accept,
         lambda source: stall_timeout_s(settings, source),
@@ -119,6 +123,8 @@ def live_source(settings: CameraClientSettings, accept: Accept) -> SupervisedSou
 def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> float:
     """Return how long the connected ``source`` may be silent before it counts as stalled; infinite for never."""
     supervision = settings.supervision
+    if settings.source == "topic":
+        return max(supervision.stall_timeout_s, STALL_PERIODS / (_rate_hz(source.details) or math.inf))
     if settings.aravis.sync == "line":  # when the line is pulsed is not known here
         return supervision.triggered_stall_timeout_s or math.inf
     rate_hz = settings.aravis.frame_rate if settings.aravis.frame_rate > 0 else _rate_hz(source.details)
