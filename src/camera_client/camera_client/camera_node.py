@@ -262,7 +262,7 @@ class CameraNode(SagomaNode):
         """Return whether stamps follow the system clock, so that their age is a latency."""
         if self.settings.source == "footage":
             return self.settings.footage.rate == 1.0
-        return self.settings.source == "topic" or self.settings.aravis.clock_speed == 1.0
+        return self.settings.source != "aravis" or self.settings.aravis.clock_speed == 1.0
 
     def _on_error(self, error: Exception) -> None:
         bad_frame = isinstance(error, InputError)

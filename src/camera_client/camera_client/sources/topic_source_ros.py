@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import statistics
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
 from rclpy.context import Context
@@ -26,6 +26,7 @@ from sagoma_ros.raw import read_message
 from ..frame_source import Frame, FrameSource, SourceUnavailable
 from ..settings import TopicSettings
 from .footage_reader import convert_channels
+from .frame_numbers import FrameNumbers
 
 T = TypeVar("T")
 
@@ -36,7 +37,6 @@ CLOCK = "header of the topic"
 PATIENCE_S = 3.0  # for a publisher to be found, and for its first two images, which tell size and rate
 POLL_S = 0.05  # of discovery, which wakes nobody
 DEPTH = 4  # images that may wait: older ones make room, and count as lost
-PERIODS = 31  # the frame period is the median of so many
 
 
 class TopicSource(FrameSource):
@@ -71,8 +71,7 @@ class TopicSource(FrameSource):
         self._running = False
         self._shape: tuple[int, ...] = ()
         self._rate_hz = 0.0
-        self._periods_ns: deque[int] = deque(maxlen=PERIODS)
-        self._last_ns = self._frame_id = 0
+        self._numbers = FrameNumbers()
         self._camera_info: CameraInfo | None = None
 
     def connect(self) -> None:
@@ -160,7 +159,7 @@ class TopicSource(FrameSource):
             return
         self._running = True
         self._waiting.clear()
-        self._last_ns = 0
+        self._numbers.restart()
         self._statistics.restart()
         self._spinner = threading.Thread(target=self._executor.spin, name="images", daemon=True)
         self._spinner.start()
@@ -175,20 +174,9 @@ class TopicSource(FrameSource):
             raise SourceUnavailable(
                 f"images changed from {self._shape} to {frame.image.shape} (rows, columns)", where=self.description
             )
-        step_ns = frame.stamp_ns - self._last_ns
-        if self._last_ns and step_ns <= 0:
-            self._statistics.add(self._frame_id)  # counts as repeated
-            return None
-        self._frame_id += self._periods(step_ns) if self._last_ns else 1
-        self._last_ns = frame.stamp_ns
-        self._statistics.add(self._frame_id)
-        return Frame(frame.image, frame.stamp_ns, self._frame_id, frame.clock, frame.uncertainty_ns)
-
-    def _periods(self, step_ns: int) -> int:
-        """Return how many frame periods ``step_ns`` is, at least one, and follow the period."""
-        period_ns = statistics.median(self._periods_ns) if self._periods_ns else step_ns
-        self._periods_ns.append(step_ns)
-        return max(1, round(step_ns / period_ns))
+        number, repeated = self._numbers.add(frame.stamp_ns), self._statistics.repeated
+        self._statistics.add(number)
+        return replace(frame, frame_id=number) if self._statistics.repeated == repeated else None
 
     def stop(self) -> None:
         if not self._running:
@@ -219,12 +207,7 @@ class TopicSource(FrameSource):
 
     @property
     def details(self) -> dict[str, str]:
-        if not self._shape:
-            return {}
-        period_ns = statistics.median(self._periods_ns) if self._periods_ns else 0
-        rate_hz = NS_PER_S / period_ns if period_ns else self._rate_hz
-        jitter_ms = statistics.pstdev(self._periods_ns) / 1e6 if self._periods_ns else 0.0
-        return {"frame_rate": f"{rate_hz:.2f}", "jitter_ms": f"{jitter_ms:.2f}"}
+        return {"frame_rate": f"{self._rate_hz:.2f}"} | self._numbers.details()
 
     def _on_image(self, message: bytes) -> None:
         with self._arrived:
