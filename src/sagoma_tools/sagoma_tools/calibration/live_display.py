@@ -14,7 +14,7 @@ from rich.panel import Panel
 from rich.table import Table
 
 from rig_calibration.intrinsics.coverage import Coverage
-from rig_calibration.intrinsics.selection import AccuracyGoals, BoardImageProcessor, ExpectedAccuracy, ImageResult
+from rig_calibration.intrinsics.selection import BoardImageProcessor, ImageResult, LensAccuracy
 
 BAR_WIDTH = 24
 LINE_EVERY_S = 2.0
@@ -58,8 +58,8 @@ class LiveState:
     found: int
     views: int
     progress: dict[str, float]
-    expected: ExpectedAccuracy | None
-    goals: AccuracyGoals
+    expected: LensAccuracy | None
+    goals: LensAccuracy
     advice: str
     last: str
     enough: bool
