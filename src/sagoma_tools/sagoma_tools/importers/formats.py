@@ -1,21 +1,22 @@
-"""Parsers of HumanEva's file formats, and the common clock of a sequence.
+"""What importers share: session folders, motion captures (.c3d), and HumanEva's other formats and clock.
 
 .cal : a camera's calibration in the terms of Bouguet's toolbox, whose model is OpenCV's plumb_bob. 22 numbers: focal
 lengths (2), principal point (2), skew (1), k1 k2 p1 p2 k3 (5), rotation by rows (9), translation in mm (3), with
 x_camera = R x_world + T; the world is Vicon's, z up.
 .mp : a subject's measures as Vicon's software stores them, lines ``$Name = value`` in millimetres.
-.c3d : labelled points of a motion capture, read with the library py-c3d.
 .ofs : three numbers a, b, s: mocap frame = b + (image frame - a) s, both counted from 1; s is near 2 (120 Hz against
-60 Hz).
-
-Frames are counted from 1, as the data set's authors do (S2 Walking 1: 6 to 438 validation, 439 to 876 training).
+60 Hz). Frames are counted from 1, as the data set's authors do (S2 Walking 1: 6 to 438 validation, 439 on training).
 """
 
 from __future__ import annotations
 
+import csv
+import os
 import re
+import shutil
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +25,56 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.rig import FLOOR_MARGIN_M, Volume
 from capture_rig.rigid import nearest_rotation
+
+SIDE_MARGIN_M, TOP_MARGIN_M = 0.4, 0.3
+"""From the outermost markers to the sides of the capture volume: body surface and hands lie beyond them."""
+
+
+@contextmanager
+def new_session_folder(folder: str | Path) -> Iterator[Path]:
+    """An empty folder beside ``folder`` to write into; it becomes ``folder`` when the block ends without an error.
+
+    Raises InputError when ``folder`` exists and is not empty.
+    """
+    folder = Path(folder)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        remedy = "Give the path of a new folder, or remove this one yourself."
+        raise InputError("exists and is not an empty folder", where=str(folder), remedy=remedy)
+    partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
+    partial.mkdir(parents=True)
+    try:
+        yield partial
+        if folder.exists():
+            folder.rmdir()
+        partial.rename(folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def volume_around(points_world: np.ndarray) -> Volume:
+    """Return the capture volume around all markers (n, 3) of a recording, metres."""
+    low, high = points_world.min(axis=0), points_world.max(axis=0)
+    return Volume(
+        np.array([*(low[:2] - SIDE_MARGIN_M), -FLOOR_MARGIN_M]),
+        np.array([*(high[:2] + SIDE_MARGIN_M), high[2] + TOP_MARGIN_M]),
+    )
+
+
+def write_truth_file(path: Path, frames: np.ndarray, points_world: Mapping[str, np.ndarray]) -> None:
+    """Write one row a frame: its 0-based number (F,), then x, y, z of every point (F, 3), metres, map frame.
+
+    Cells of points that are not finite stay empty: unknown.
+    """
+    header = ["frame", *(f"{name}_{axis}" for name in points_world for axis in "xyz")]
+    table = np.hstack(list(points_world.values()))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for frame, row in zip(frames, table, strict=True):
+            writer.writerow([int(frame), *(f"{value:.6f}" if np.isfinite(value) else "" for value in row)])
+
 
 COPY_AGAIN = "Copy it again from the data set."
 CAL_NUMBERS = "fc(2) cc(2) alpha_c kc(5) R(9, row by row) T(3, mm)"

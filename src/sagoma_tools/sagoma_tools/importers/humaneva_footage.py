@@ -14,7 +14,7 @@ import numpy as np
 from capture_rig.errors import InputError
 from capture_rig.video import Video
 
-from ...overlays.sheets import VideoFile
+from ..overlays import VideoFile
 from .formats import COPY_AGAIN, FIRST_USABLE_FRAME
 
 LOSSLESS = ".mkv"

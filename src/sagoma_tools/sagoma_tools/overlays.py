@@ -1,14 +1,17 @@
-"""Draws people over the pictures of cameras: skeleton, silhouette, several cameras on one sheet."""
+"""People drawn over the pictures of cameras, as pictures and as videos."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
 
 import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
 
 # (start, end) reference points of each drawn line: spine, head, shoulders, hips, arms, legs
 BONES = np.array(
@@ -18,9 +21,7 @@ BONES = np.array(
 LEFT, RIGHT = {3, 5, 7, 9, 11, 13}, {4, 6, 8, 10, 12, 14}
 LEFT_BGR, RIGHT_BGR, MIDDLE_BGR, TRUTH_BGR = (255, 160, 40), (60, 90, 255), (60, 230, 60), (255, 255, 255)
 JOINT_BGR = (40, 40, 40)
-FAR_PX = 1e4  # beyond which nothing is drawn
 MARGIN, SMALLEST_WINDOW_PX = 0.15, 60.0
-SILHOUETTE_TINT_BGR = np.array([60.0, 190.0, 60.0])
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def draw_skeleton(
     """
     view = window or Window.whole(camera)
     pixels = (camera.project(points_world) - view.origin_px) * view.scale
-    drawable = np.asarray(np.isfinite(pixels).all(axis=1) & (np.abs(np.nan_to_num(pixels)) < FAR_PX).all(axis=1))
+    drawable = np.asarray(np.isfinite(pixels).all(axis=1) & (np.abs(np.nan_to_num(pixels)) < 1e4).all(axis=1))
     thick = max(2, round(image.shape[0] / 240))
     for a, b in BONES.tolist():
         if drawable[[a, b]].all():
@@ -87,28 +88,15 @@ def _side_colour(a: int, b: int) -> tuple[int, int, int]:
     return MIDDLE_BGR if bool(left) == bool(right) else LEFT_BGR if left else RIGHT_BGR
 
 
-def tint(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return the image, its silhouette (H, W) tinted green and its outline drawn, the rest darkened."""
-    inside = mask > 0
-    out = image * np.float32(0.55)
-    out[inside] = 0.6 * image[inside] + 0.4 * SILHOUETTE_TINT_BGR
-    out = out.astype(np.uint8)
-    contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    return cv2.drawContours(out, contours, -1, (0, 255, 255), 1)
-
-
 def overlay(
     camera: CameraModel,
     image: np.ndarray,
-    mask: np.ndarray | None,
     points_world: np.ndarray,
     truth_world: np.ndarray | None,
     window: Window | None = None,
 ) -> np.ndarray:
-    """Draw one camera's picture: footage, silhouette (in image pixels), skeleton in colour, truth in white."""
+    """Draw one camera's picture: footage, skeleton in colour, truth in white."""
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
-    if mask is not None:
-        picture = tint(picture, mask)
     if window is not None:
         picture = window.cut(picture)
     draw_skeleton(picture, camera, points_world, window=window)
@@ -135,3 +123,75 @@ def montage(pictures: Sequence[np.ndarray], columns: int, max_width: int = 1800)
     sheet = np.vstack([np.hstack(cells[row : row + columns]) for row in range(0, len(cells), columns)])
     scale = min(1.0, max_width / sheet.shape[1])
     return cv2.resize(sheet, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+
+
+GOOD_BGR, UNSURE_BGR, GREY_BGR = (110, 220, 110), (60, 190, 250), (170, 170, 170)
+MAX_WIDTH_PX, MAX_HEIGHT_PX, BAR_PX = 1920, 1080, 40
+CODECS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG", ".mkv": "FFV1"}
+"""Extension -> a codec that every OpenCV wheel can write: MPEG-4 plays in video programs, WebM in browsers, FFV1 is
+lossless (OpenCV, up to 4.8, puts it into .mkv but not into .mp4)."""
+
+
+def captioned(sheet: np.ndarray, text: str, sure: bool | None) -> np.ndarray:
+    """Return a sheet under a bar with a line of text, made smaller where it would not fit; sides are even, as codecs
+    need it. sure : whether what is drawn is tracked, which colours the text; None where nobody is."""
+    width, font = sheet.shape[1], cv2.FONT_HERSHEY_SIMPLEX
+    colour = GREY_BGR if sure is None else GOOD_BGR if sure else UNSURE_BGR
+    needed = cv2.getTextSize(text, font, 0.8, 2)[0][0]
+    scale = min(0.8, 0.8 * (width - 20) / max(needed, 1))
+    bar = np.zeros((BAR_PX, width, 3), np.uint8)
+    thick = 1 if scale < 0.6 else 2  # strokes two pixels wide run together in small text
+    cv2.putText(bar, text, (10, 28), font, scale, colour, thick, cv2.LINE_AA)
+    picture = np.vstack([bar, sheet])
+    return np.ascontiguousarray(picture[: picture.shape[0] // 2 * 2, : width // 2 * 2])
+
+
+def tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
+    """Return the number of cameras a row, and the scale, that fill the video best."""
+    count, width, height = len(widths), max(widths), max(heights)
+    room = MAX_HEIGHT_PX - BAR_PX
+
+    def scale(columns: int) -> float:
+        return min(1.0, MAX_WIDTH_PX / (columns * width), room / (-(-count // columns) * height))
+
+    columns = max(range(1, count + 1), key=scale)
+    return columns, scale(columns)
+
+
+class VideoFile:
+    """A video that appears under its name when it is whole; pictures, (H, W, 3) BGR or (H, W), are of one shape.
+
+    The extension chooses the codec (CODECS). Raises InputError for another one, and where it cannot be written.
+    """
+
+    def __init__(self, path: Path, fps: float) -> None:
+        if path.suffix not in CODECS:
+            remedy = f"Name it with one of {', '.join(CODECS)}."
+            raise InputError(f"a video '{path.suffix}' cannot be written", where=str(path), remedy=remedy)
+        self.path, self._fps = path, fps
+        self._beside = path.with_name(f".{path.stem}.part{path.suffix}")
+        self._writer: cv2.VideoWriter | None = None
+
+    def write(self, picture: np.ndarray) -> None:
+        """Append a picture."""
+        if self._writer is None:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            code = cv2.VideoWriter.fourcc(*CODECS[self.path.suffix])
+            size, is_colour = (picture.shape[1], picture.shape[0]), picture.ndim == 3
+            self._writer = cv2.VideoWriter(str(self._beside), code, self._fps, size, is_colour)
+            if not self._writer.isOpened():
+                remedy = "Install an OpenCV with FFmpeg, or name another folder."
+                raise InputError("a video cannot be written", where=str(self.path), remedy=remedy)
+        self._writer.write(picture)
+
+    def __enter__(self) -> VideoFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._writer is not None:
+            self._writer.release()
+        if kind is None and self._beside.exists():
+            self._beside.replace(self.path)
+        self._beside.unlink(missing_ok=True)

@@ -14,11 +14,21 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig, Volume, default_volume, save_rig
 from capture_rig.yaml_file import save_mapping
 
-from ...recording.writer import own_version
-from ..session_folder import new_session_folder, volume_around, write_truth_file
-from .footage import Footage, Movie, Source, copy_footage, is_grey
-from .formats import FIRST_USABLE_FRAME, CommonTime, Mocap, common_time, read_c3d, read_cal, read_ofs
-from .joints import Joints, joints, markers_mm, measures
+from ..recording.writer import own_version
+from .formats import (
+    FIRST_USABLE_FRAME,
+    CommonTime,
+    Mocap,
+    common_time,
+    new_session_folder,
+    read_c3d,
+    read_cal,
+    read_ofs,
+    volume_around,
+    write_truth_file,
+)
+from .humaneva_footage import Footage, Movie, Source, copy_footage, is_grey
+from .humaneva_joints import Joints, joints, markers_mm, measures
 
 CAMERAS = ("C1", "C2", "C3", "BW1", "BW2", "BW3", "BW4")
 """Colour before grey cameras: the order in which the data set's own code takes them."""
