@@ -30,7 +30,7 @@ from .frames_ros import camera_frames
 from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
 from .hull_ros import SaveMeshService, camera_values, frame_set_message, summarise
 from .overload.overload_ros import NoOverloadControl, OverloadControl
-from .settings import NodeSettings, hull_settings
+from .settings import NodeSettings
 from .silhouette_input_ros import SilhouetteInput
 
 
@@ -58,8 +58,8 @@ class HullNode(SagomaNode):
 
     Settings = NodeSettings
 
-    def __init__(self, name: str = "hull_server", **options: object) -> None:
-        super().__init__(name, **options)
+    def __init__(self, **options: object) -> None:
+        super().__init__("hull_server", **options)
         self._pipeline: HullPipeline | None = None
         self.silhouettes: SilhouetteInput | None = None
         self._carver: Worker[ClosedSet] | None = None  # one thread begins the next set ...
@@ -77,7 +77,7 @@ class HullNode(SagomaNode):
         """Load the rig, compute the calibration's tables, subscribe."""
         settings: NodeSettings = self.settings
         rig = self._load_rig()
-        self._pipeline = HullPipeline(rig, hull_settings(settings))
+        self._pipeline = HullPipeline(rig, settings)
         self._pipeline.warm_up()
         mask_png.warm_up()
         self.get_logger().info(f"carving with {self._pipeline.backend.name}: {self._pipeline.backend_reason}")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
 import numpy as np
 
 from capture_rig import Volume
@@ -31,18 +29,15 @@ class ShadowResolver:
         height, width = views.seen.shape[1:]
         self._labels = PixelLabels.zeros((0, 0, width, height))
 
-    def resolve(self, masks: Masks, seeing: int, chosen: Collection[str] | None = None) -> dict[str, Mask]:
+    def resolve(self, masks: Masks, seeing: int) -> dict[str, Mask]:
         """Resolve masks of one instant, of the levels of ``capture_rig.mask_levels``, to masks of 0 and 255.
 
-        ``seeing``: how many cameras must see a voxel. ``chosen``: cameras to resolve, with the help of all; all of them
-        unless given. The masks that come in are not written to, and are returned where they are binary. InputError for
-        a camera that is not in the rig, and for a mask of the wrong size.
+        ``seeing``: how many cameras must see a voxel. The masks that come in are not written to, and are returned where
+        they are binary. InputError for a camera that is not in the rig, and for a mask of the wrong size.
         """
         self._views.present(masks)
         boxes = self._stack.take(masks)
-        wanted = masks if chosen is None else {name: mask for name, mask in masks.items() if name in chosen}
-        boxes = {name: box for name, box in boxes.items() if name in wanted}
-        binary = {name: self._stack.binary(name, mask) if name in boxes else mask for name, mask in wanted.items()}
+        binary = {name: self._stack.binary(name, mask) if name in boxes else mask for name, mask in masks.items()}
         if self._settings.enabled:
             for name, box in boxes.items():
                 self._resolve(self._views.number[name], box, seeing, binary[name])

@@ -221,10 +221,6 @@ class BufferSet:
         self._fence = GL.glFenceSync(GL.GL_SYNC_GPU_COMMANDS_COMPLETE, 0)
         GL.glFlush()
 
-    def list_lengths(self) -> list[int]:
-        """Read how much each kernel left to the next: coarse blocks, bricks, blocks, half blocks. Waits for them."""
-        return [int(length) for length in self.frame.read(np.uint32, 4 * LISTS)[3::4]]
-
     def has_arrived(self) -> bool:
         """Check whether the read-back has arrived."""
         return GL.glClientWaitSync(self._fence, 0, 0) == GL.GL_ALREADY_SIGNALED
