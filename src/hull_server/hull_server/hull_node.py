@@ -27,7 +27,7 @@ from sagoma_ros.process import run_node
 from sagoma_ros.worker import Worker
 
 from .frames_ros import camera_frames
-from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
+from .hull_pipeline import HullPipeline, HullResult, Mask, PendingHull
 from .hull_ros import SaveMeshService, camera_values, frame_set_message, summarise
 from .overload.overload_ros import NoOverloadControl, OverloadControl
 from .settings import NodeSettings
@@ -49,7 +49,7 @@ class CarvedSet:
     closed: ClosedSet
     begun_ns: int
     carved_ns: int
-    under_way: SetUnderWay
+    pending: PendingHull
 
 
 class HullNode(SagomaNode):
@@ -167,15 +167,15 @@ class HullNode(SagomaNode):
         """Begin to carve one frame set, on the carver's thread."""
         assert self._pipeline is not None and self._slicer is not None
         begun_ns = self.get_clock().now().nanoseconds
-        under_way = self._pipeline.begin(closed.frame_set)
-        self._slicer.put_blocking(CarvedSet(closed, begun_ns, self.get_clock().now().nanoseconds, under_way))
+        pending = self._pipeline.begin(closed.frame_set)
+        self._slicer.put_blocking(CarvedSet(closed, begun_ns, self.get_clock().now().nanoseconds, pending))
 
     def _finish(self, carved: CarvedSet) -> None:
         """Finish, convert and publish one frame set, on the slicer's thread."""
         assert self._pipeline is not None and self._mesh is not None
         frame_set, frame_id = carved.closed.frame_set, self.settings.frame_id
         taken_ns = monotonic_ns()
-        result = self._pipeline.finish(carved.under_way)
+        result = self._pipeline.finish(carved.pending)
         self._mesh.keep(result)
         # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
         for report in result.support:

@@ -8,7 +8,7 @@ import numpy as np
 
 from capture_rig.kernel import kernel, njit
 
-from ..level_stack import Mask
+from ..silhouette_batch import Mask
 from ..views import Box
 from .scene import ATTENUATED, CANDIDATE
 

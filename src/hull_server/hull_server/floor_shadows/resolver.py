@@ -7,8 +7,8 @@ import numpy as np
 from capture_rig import Volume
 from capture_rig.kernel import njit
 
-from ..level_stack import LevelStack, Mask
 from ..settings import ShadowSettings
+from ..silhouette_batch import Mask, SilhouetteBatch
 from ..views import Box, Masks, RigViews
 from .labels import STRIDE, PixelLabels, apply_labels
 from .rules import label_pixels
@@ -23,7 +23,7 @@ class ShadowResolver:
 
     def __init__(self, views: RigViews, volume: Volume, settings: ShadowSettings) -> None:
         self._views, self._settings = views, settings
-        self._stack = LevelStack(views)
+        self._stack = SilhouetteBatch(views)
         self._scene = floor_scene(views, volume)
         self._floor_px = np.empty((len(views.names), 3))
         height, width = views.seen.shape[1:]

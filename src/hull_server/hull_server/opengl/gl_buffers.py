@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 
+from ..bitset import high_bytes, nonzero_bytes
 from ..grid import BRICK_EDGE
 from ..views import Masks, RigViews
-from ..words import high_bytes, nonzero_bytes
 from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
 
 from OpenGL import GL  # isort: skip
