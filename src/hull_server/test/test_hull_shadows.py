@@ -13,8 +13,8 @@ from hull_server.floor_shadows import ShadowResolver
 from hull_server.floor_shadows.labels import STRIDE, PixelLabels
 from hull_server.floor_shadows.rules import RAY_STEP_M, label_pixels
 from hull_server.floor_shadows.scene import floor_scene
-from hull_server.level_stack import BLIND, binary_mask
 from hull_server.settings import ShadowSettings
+from hull_server.silhouette_batch import BLIND, binary_mask
 from hull_server.views import RigViews, min_seeing
 
 SHADOW = [(-0.15, -0.1), (0.75, -0.25), (0.95, 0.25), (0.6, 0.45), (-0.05, 0.3)]  # on the floor, under the feet too

@@ -9,7 +9,7 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 from capture_rig.mask_levels import FOREGROUND, UNCERTAIN
 
-from ..level_stack import Mask
+from ..silhouette_batch import Mask
 from ..views import Box
 from .scene import ATTENUATED, CANDIDATE
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
 import numpy as np
 
 from capture_rig import Volume
 from capture_rig.kernel import njit
 
-from ..level_stack import LevelStack, Mask
 from ..settings import ShadowSettings
+from ..silhouette_batch import Mask, SilhouetteBatch
 from ..views import Box, Masks, RigViews
 from .labels import STRIDE, PixelLabels, apply_labels
 from .rules import label_pixels
@@ -25,25 +23,22 @@ class ShadowResolver:
 
     def __init__(self, views: RigViews, volume: Volume, settings: ShadowSettings) -> None:
         self._views, self._settings = views, settings
-        self._stack = LevelStack(views)
+        self._stack = SilhouetteBatch(views)
         self._scene = floor_scene(views, volume)
         self._floor_px = np.empty((len(views.names), 3))
         self._bodies = np.zeros((len(views.names), 4), np.int64)
         height, width = views.seen.shape[1:]
         self._labels = PixelLabels.zeros((0, 0, width, height))
 
-    def resolve(self, masks: Masks, seeing: int, chosen: Collection[str] | None = None) -> dict[str, Mask]:
+    def resolve(self, masks: Masks, seeing: int) -> dict[str, Mask]:
         """Resolve masks of one instant, of the levels of ``capture_rig.mask_levels``, to masks of 0 and 255.
 
-        ``seeing``: how many cameras must see a voxel. ``chosen``: cameras to resolve, with the help of all; all of them
-        unless given. The masks that come in are not written to, and are returned where they are binary. InputError for
-        a camera that is not in the rig, and for a mask of the wrong size.
+        ``seeing``: how many cameras must see a voxel. The masks that come in are not written to, and are returned where
+        they are binary. InputError for a camera that is not in the rig, and for a mask of the wrong size.
         """
         self._views.present(masks)
         boxes = self._stack.take(masks)
-        wanted = masks if chosen is None else {name: mask for name, mask in masks.items() if name in chosen}
-        boxes = {name: box for name, box in boxes.items() if name in wanted}
-        binary = {name: self._stack.binary(name, mask) if name in boxes else mask for name, mask in wanted.items()}
+        binary = {name: self._stack.binary(name, mask) if name in boxes else mask for name, mask in masks.items()}
         if self._settings.enabled:
             self._stack.write_body_boxes(self._bodies)
             for name, box in boxes.items():

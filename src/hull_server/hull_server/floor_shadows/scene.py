@@ -12,7 +12,7 @@ from capture_rig import Volume
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, STEPS_OF_CANDIDATE, UNCERTAIN
 
-from ..level_stack import BLIND
+from ..silhouette_batch import BLIND
 from ..views import RigViews
 
 UNSEEN, EMPTY, CANDIDATE, ATTENUATED, SURE = 0, 1, 2, 3, 4  # kinds of levels
