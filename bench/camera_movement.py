@@ -40,7 +40,8 @@ from camera_movement_scenes import (
     session_clips,
     stamp_ns,
 )
-from scenes import Clip, shared_sessions
+from clips import Clip
+from scenes import shared_sessions
 
 from camera_client.background.model import read_background
 from camera_client.movement.detector import CameraMovedDetector, MovementState

@@ -9,7 +9,8 @@ from itertools import islice
 
 import cv2
 import numpy as np
-from scenes import STATURE_M, STUDIO_FPS, Clip, canvas_masks, shared_sessions
+from clips import Clip, canvas_masks
+from scenes import STATURE_M, STUDIO_FPS, shared_sessions
 
 from camera_client.background.model import BackgroundLearner, BackgroundModel
 from camera_client.camera_chain import CameraChain, FrameResult

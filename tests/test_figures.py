@@ -105,6 +105,12 @@ def test_a_page_that_says_something_else_is_named(tree, capsys):
     ]
 
 
+def test_a_record_in_words_stands_for_the_figure_of_its_row(tree):
+    record(tree, figures={"text": "about a millimetre"}, commit=git(tree, "rev-parse", "HEAD"))
+    assert main(tree, check=False) == 0
+    assert "| the way | about a millimetre |" in (tree / "README.md").read_text()
+
+
 def test_a_row_that_does_not_fit_its_record_is_an_error_that_names_it(tree, capsys):
     record(tree, figures={"on_mm": 1.0})
     assert main(tree, check=False) == 1

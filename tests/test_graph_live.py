@@ -38,10 +38,10 @@ FRAME_SET_TOPIC = "/hull/frame_set"
 
 
 @pytest.fixture(scope="module")
-def live(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> LiveRun:
+def live(three_cameras: Path, tmp_path_factory: pytest.TempPathFactory) -> LiveRun:
     """One live run, played as fast as the graph keeps up; no set is given up because a camera gets no time."""
     patient = {"hull_server.deadline_s": 600.0}
-    return run_live(FootageInput(built_in_session), tmp_path_factory.mktemp("live"), settings=patient)
+    return run_live(FootageInput(three_cameras), tmp_path_factory.mktemp("live"), settings=patient)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ PAGE = "src/mocap_pipeline/mocap_pipeline/pipeline.py"
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
 MOST_WORDS = 900
 MOST_PAGES = 25
-CODE, NAMING = ("src", "bench", "scripts", "examples", "config"), (".py", ".sh", ".xml", ".yaml")
+CODE, NAMING = ("src", "bench", "models", "scripts", "examples", "config"), (".py", ".sh", ".xml", ".yaml")
 FILE = re.compile(r"\b([a-z_]+)/((?:[a-z_]+/)*)([a-z_]+\.py)?")
 
 
@@ -65,6 +65,11 @@ def test_every_link_of_the_documentation_leads_to_a_file_and_its_heading():
     ]
 
 
+def test_every_image_stands_in_a_page():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert not [image.name for image in (ROOT / "docs" / "images").iterdir() if f"images/{image.name})" not in text]
+
+
 def test_every_page_that_code_names_exists():
     files = [path for folder in CODE for path in sorted((ROOT / folder).rglob("*.*")) if path.suffix in NAMING]
     named = {
@@ -77,7 +82,7 @@ def test_every_page_that_code_names_exists():
 
 
 def test_every_script_and_test_that_the_documentation_names_exists():
-    named = re.compile(r"\b((?:bench|scripts|tests|src/[a-z_]+/test|examples)/[\w/]+\.(?:py|sh))\b")
+    named = re.compile(r"\b((?:bench|models|scripts|tests|src/[a-z_]+/test|examples)/[\w/]+\.(?:py|sh))\b")
     found = {(page, path) for page in PAGES for path in named.findall(page.read_text(encoding="utf-8"))}
     assert len(found) > 15
     assert not [f"{page.relative_to(ROOT)}: {path}" for page, path in sorted(found) if not (ROOT / path).exists()]

@@ -105,23 +105,6 @@ def test_joints_of_the_urdf_are_those_of_the_joint_states_and_links_have_shapes(
     assert shown >= {link_name(BODY_ID, stick) for stick in ("torso", "head", "left_forearm", "right_calf")}
 
 
-def test_a_urdf_library_reads_it_the_same():
-    yourdfpy = pytest.importorskip("yourdfpy")
-    body, rng = Body.from_stature(1.75), np.random.default_rng(3)
-    pose = Pose.from_angles(np.zeros(3), np.eye(3), rng.uniform(ANGLE_LOW, ANGLE_HIGH))
-    robot = yourdfpy.URDF(yourdfpy.URDF._parse_robot(_lxml(body_urdf(body, BODY_ID))), build_scene_graph=True)
-    robot.update_cfg(dict(zip(ANGLE_NAMES, pose.angles(), strict=True)))
-    for i, point in enumerate(forward(body, pose)):
-        found = robot.get_transform(link_name(BODY_ID, link_of_point(i)), link_name(BODY_ID, "torso"))
-        np.testing.assert_allclose(found[:3, 3], point, atol=1e-6)
-
-
-def _lxml(text):
-    from lxml import etree
-
-    return etree.fromstring(text)
-
-
 @pytest.mark.parametrize("growth_m", [0.0, 1e-4, 5e-4])
 def test_urdf_is_told_again_when_somebody_could_see_the_change(growth_m):
     body = Body.from_stature(1.75)
@@ -190,9 +173,9 @@ def test_body_and_its_links_are_on_tf_where_the_reference_points_are(open_probe,
 
 
 @pytest.fixture(scope="module")
-def walked(built_in_session) -> tuple[Body, list[ReferencePoints]]:
+def walked(three_cameras) -> tuple[Body, list[ReferencePoints]]:
     """Of a rendered person who moves: the measured body, and the fitted points of every set since it is known."""
-    session = load_session(built_in_session)
+    session = load_session(three_cameras)
     settings = {"hull_server.backend": "cpu", "icp_tracker.initial_pose.source": "t_pose"}
     pipeline, fitted = MocapPipeline(session.rig, Configuration.of(settings)), []
     for frame, masks in enumerate(exact_silhouettes(session)):

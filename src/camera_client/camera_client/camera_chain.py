@@ -1,4 +1,4 @@
-"""Processes a frame: checks, silhouette, background watch, movement; calibration and background may change any time."""
+"""Processes a frame: checks, silhouette, condition, movement; calibration and background may change any time."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from capture_rig.verdict import Finding
 from mocap_packets.silhouette import Silhouette
 from mocap_packets.support import ForegroundSupport
 
+from .background.causes import unfit
 from .background.model import BackgroundModel, load_background, read_background
-from .background.watch import BackgroundWatch, unfit
 from .condition import Condition, ConditionWatch
 from .frame_source import Frame
 from .movement.detector import CameraMovedDetector, Movement, carry_turn_over, turn_when_learned
@@ -45,7 +45,6 @@ class _Stages:
     checks: FrameChecks
     pipeline: SilhouettePipeline | None = None
     background: BackgroundModel | None = None
-    watch: BackgroundWatch | None = None
     moved: CameraMovedDetector | None = None
     condition: ConditionWatch | None = None
 
@@ -63,7 +62,7 @@ class CameraChain:
         """``camera``: None while its lens is unknown. ``placed``: its pose is known; without, the floor is
         unknown, and shadows stay in the silhouettes. ``volume``: the capture volume, metres."""
         self._settings, self._volume, self._placed = settings, volume, placed
-        self._stages = _Stages(camera, FrameChecks(settings.frame_checks))
+        self._stages = _Stages(camera, FrameChecks())
         self.refused: Finding | None = None
         """Why the background that there is cannot serve the camera."""
 
@@ -81,11 +80,6 @@ class CameraChain:
     def pipeline(self) -> SilhouettePipeline | None:
         """The pipeline in use; None without a background or without a calibrated lens."""
         return self._stages.pipeline
-
-    @property
-    def watch(self) -> BackgroundWatch | None:
-        """Follows whether the background in use still fits; None without one."""
-        return self._stages.watch
 
     @property
     def condition(self) -> Condition:
@@ -161,10 +155,7 @@ class CameraChain:
             silhouette, gain = tools.pipeline.run(frame.image, frame.stamp_ns), tools.pipeline.gain
         flags = tools.checks.check(frame.image, frame.stamp_ns, gain)
         if tools.condition is not None and silhouette is not None and not flags:
-            tools.condition.update(frame.stamp_ns, silhouette)
-        if tools.watch is not None and not flags:
-            shows = None if tools.pipeline is None else tools.pipeline.background_pixels
-            tools.watch.update(frame.image, frame.stamp_ns, gain, shows)
+            tools.condition.update(frame.image, frame.stamp_ns, silhouette)
         moved = tools.moved
         if moved is not None and not {*flags} & NO_PICTURE_FLAGS:
             moved.update(frame.image, frame.stamp_ns)
@@ -172,16 +163,15 @@ class CameraChain:
 
     def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Stages:
         s = self._settings
-        frame_checks = s.frame_checks
-        if s.source == "footage":  # a codec repeats a picture of a scene in which nothing moves, bit by bit
-            frame_checks = replace(frame_checks, frozen_s=0.0)
+        checks = FrameChecks(None if model is None else model.mean, may_repeat=s.source == "footage")
         if model is None:
-            return _Stages(camera, FrameChecks(frame_checks))
-        checks, pipeline, moved, condition = FrameChecks(frame_checks, model.mean), None, None, None
+            return _Stages(camera, checks)
+        pipeline, moved, condition = None, None, None
         if camera is not None:
             silhouette = s.silhouette if self._placed else replace(s.silhouette, shadow="keep")
-            pipeline = SilhouettePipeline(camera, model, silhouette, s.background_model, self._volume)
             moved = CameraMovedDetector(camera, model, s.camera_moved, turn_when_learned(model.provenance, camera))
-            condition = ConditionWatch(pipeline)
-        watch = BackgroundWatch(model, model.limits(s.background_model), s.background_watch)
-        return _Stages(camera, checks, pipeline, model, watch, moved, condition)
+            pipeline = SilhouettePipeline(
+                camera, model, silhouette, s.background_model, self._volume, alignment=moved.alignment
+            )
+            condition = ConditionWatch(pipeline, model)
+        return _Stages(camera, checks, pipeline, model, moved, condition)

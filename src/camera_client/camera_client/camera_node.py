@@ -43,10 +43,8 @@ from .background.model import BackgroundModel
 from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingRequest
 from .background.verdict import describe_background
 from .camera_chain import CameraChain, FrameResult
-from .camera_report_ros import CameraReport
-from .camera_topics_ros import CameraTopics, camera_from_message
+from .camera_ros import CameraReport, CameraTopics, FootageClockTopic, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
-from .footage_clock_ros import FootageClockTopic
 from .frame_source import Frame, FrameSource
 from .settings import CameraClientSettings
 from .silhouettes.warm_up import warm_up_silhouettes

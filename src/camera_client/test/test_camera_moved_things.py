@@ -157,8 +157,15 @@ def test_visitor_whom_nobody_else_sees_sways_and_is_no_thing():
     assert share(foreground, PERSON) > 0.9 and room.moved.absorbed == 0
 
 
-@pytest.mark.parametrize("colour", [False, True])
-@pytest.mark.parametrize("seen", ["by all", "by this camera alone", "by others most of the time"])
+@pytest.mark.parametrize(
+    "colour, seen",
+    [
+        (False, "by all"),
+        (False, "by this camera alone"),
+        (False, "by others most of the time"),
+        (True, "by others most of the time"),
+    ],
+)
 def test_person_who_stands_still_for_ten_minutes_stays_whole(colour, seen):
     room, random = Room(colour=colour, fps=1), np.random.default_rng(2)
     picture = with_person(room.background)

@@ -236,7 +236,7 @@ def test_raw_images_and_previews_are_published_on_request(bench, session, scene)
 
 def test_no_preview_is_drawn_while_nobody_looks(bench, session, monkeypatch):
     drawn = []
-    monkeypatch.setattr("camera_client.camera_topics_ros.outline", lambda image, mask: drawn.append(1) or image)
+    monkeypatch.setattr("camera_client.camera_ros.outline", lambda image, mask: drawn.append(1) or image)
     camera = bench(**session.parameters)
     camera.start()
     camera.until(lambda: len(camera.masks) == FRAMES)

@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from camera_client.background.model import load_background
 from camera_client.background.training import KEY, TrainingReport
-from camera_client.camera_topics_ros import CameraTopics
+from camera_client.camera_ros import CameraTopics
 from camera_client.configuration import unplaced_camera
 from camera_client.diagnostics import UNCALIBRATED, UNPLACED
 from camera_client.frame_source import Frame
@@ -74,7 +74,7 @@ def test_background_learned_before_the_calibration_serves_after_it(bench, unknow
     values = camera.values()
     training = TrainingReport.from_json(values[KEY])
     assert (training.number, training.frames, training.text, training.saved) == (1, 20, answer.message, "")
-    assert (values["background_age_h"], values["background_static_foreground"]) == ("0", "0")
+    assert (values["background_age_h"], values["background_static_foreground"]) == ("0", "")  # there is no foreground
     wanted = lens(scene)
     answer = set_camera_info(camera, camera_info_message(wanted, 0, "cam01_optical"))
     assert answer.success

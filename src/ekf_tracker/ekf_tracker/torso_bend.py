@@ -23,7 +23,7 @@ from .measurement import Measurement
 
 NS = 1e-9
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
-# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/tracking_ablation.py
+# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation
 # SESSION.
 FEWEST_POINTS = 4  # of neck, shoulders and hips: three leave only what a rigid torso does
 FADES_S = 2.0 * (REST_SD / RATE_SD) ** 2

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from camera_client.background.causes import KEY as FINDINGS_KEY
+from camera_client.background.causes import read_findings
 from camera_client.background.training import KEY as TRAINING_KEY
 from camera_client.background.training import TrainingReport
-from camera_client.condition_findings import KEY as FINDINGS_KEY
-from camera_client.condition_findings import read_findings
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE

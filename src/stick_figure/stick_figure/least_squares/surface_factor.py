@@ -20,7 +20,7 @@ from .normal_equations import CHAIN_COLUMNS, ENDS, add_pose_sums, add_scalar_res
 from .placed_figure import STICKS, surface_distances
 
 FIRST_JOINT_SLOT = 6
-# Thresholds: measured by python bench/tracking_ablation.py SESSION.
+# Thresholds: measured by python bench/people.py --ablation SESSION.
 SAMPLES = 3  # points along each stick that belong inside the hull, the last one at its end
 # where along upper arms and forearms the torso's surface is looked for
 ARM_SAMPLES = np.array(

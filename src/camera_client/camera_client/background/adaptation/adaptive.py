@@ -4,7 +4,7 @@
 noise that is left and the displacement, and renew the expected image, some rows at a time. A person in view does not
 matter to any of them: the fits are robust, and what was foreground a frame ago counts little.
 
-The thesis's rules (6.2, 6.3), which follow nothing, are :class:`.fixed.FixedBackground`; both say of every pixel how
+The thesis's rules (6.2, 6.3), which follow nothing, are :class:`FixedBackground`; both say of every pixel how
 far it is from the background, as a squared distance in sigmas.
 """
 
@@ -23,12 +23,10 @@ from ...movement.alignment import PictureAlignment
 from ...settings import BackgroundSettings
 from ..kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, take_residuals, take_samples
 from ..model import BackgroundModel
-from ..noise import FOLLOW_S, Noise, assumed_noise, learned_noise, measured_noise
-from .expected_image import At, ExpectedImage, Floats
-from .grain import GrainMeter
+from ..noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
+from .expected_image import At, ExpectedImage, Floats, SlowChanges
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
-from .slow_changes import SlowChanges
 
 # Thresholds: SAMPLES from the error of a mean, 1/sqrt(n); else measured by python bench/rooms.py.
 SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
@@ -86,7 +84,7 @@ class AdaptiveBackground:
         )
         self._row, self._column = rows.reshape(-1), columns.reshape(-1)
         cell = self._row * FIELD_DOWN // height * FIELD_ACROSS + self._column * FIELD_ACROSS // width
-        self._light, self._grain = LightEstimator(cell, channels), GrainMeter(self._row, self._column, width)
+        self._light, self._grain = LightEstimator(cell, channels), NoiseCorrelationMeter(self._row, self._column, width)
         self._shift, self._aligner = ShiftEstimator((height, width)), aligner
         self._slow, self._block_px = SlowChanges(self._image.shape, block_px), block_px
         self._blocks = -(-height // block_px), -(-width // block_px)
@@ -285,3 +283,42 @@ class AdaptiveBackground:
         self._next_row = end % height
         if self._next_row == 0:
             self._last_sweep_s, self._sweep_s = self._sweep_s, 0.0
+
+
+FOREGROUND_DISTANCE = 255
+
+
+class FixedBackground:
+    """Answers as :class:`AdaptiveBackground` does, and follows nothing: pixels are background or not."""
+
+    threshold = FOREGROUND_DISTANCE - 1
+
+    def __init__(self, model: BackgroundModel, settings: BackgroundSettings) -> None:
+        self._limits, self._mean = model.limits(settings), model.mean
+        typical = float(np.median(np.maximum(model.sigma, np.float32(settings.sigma_floor))))
+        channels = 1 if model.mean.ndim == 2 else 3
+        noise = assumed_noise(typical, channels)
+        self.state = BackgroundState(Light.unchanged(channels), noise, noise, Displacement(), 0.0, 0.0)
+
+    @property
+    def light(self) -> Light:
+        return self.state.light
+
+    @property
+    def noise(self) -> Noise:
+        return self.state.noise
+
+    def follow(self, image: Image, stamp_ns: int) -> None:
+        """Follow nothing."""
+
+    def note_foreground(self, dense: Mask) -> None:
+        """Take no notice."""
+
+    def distance(self, image: Image, out: Mask) -> Mask:
+        """Write 0 into ``out`` (H, W) where the image keeps the limits of 6.3, else 255."""
+        cv2.inRange(image, self._limits.lo, self._limits.hi, dst=out)
+        return np.asarray(cv2.bitwise_not(out, dst=out))
+
+    def expected(self, at: tuple[slice, slice]) -> npt.NDArray[np.float32]:
+        """Return a part of the background: (h, w) or (h, w, 3), grey levels."""
+        return self._mean[at]
