@@ -12,6 +12,7 @@ from footage_clips import cut_off, transcoded, with_late_frames, write_clip
 from intrinsics_views import lens, shown
 
 from capture_rig.camera_info_file import load_camera_info, save_camera_info
+from capture_rig.rigid import transform
 from capture_rig.session import load_session
 from capture_rig.video import Video
 from rig_calibration.boards.board import Checkerboard
@@ -21,7 +22,7 @@ from virtual_studio.recording.session import write_session
 from virtual_studio.rendering.board_camera import BoardCamera, PosedBoard
 from virtual_studio.rendering.camera import Sensor
 from virtual_studio.rig import ring
-from virtual_studio.scene.boards import print_of, transform
+from virtual_studio.scene.boards import print_of
 
 FPS, FRAMES = 25.0, 14
 

@@ -57,7 +57,7 @@ def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Cons
         inputs.targets,
         moved_frames=inputs.moved_frames,
         floor_guess=inputs.floor_guess,
-        intrinsics_covariance=read_lens_deviations(request.intrinsics, cameras),
+        intrinsics_sd=read_lens_deviations(request.intrinsics, cameras),
         refine_intrinsics=request.refine_intrinsics,
         tape=request.tape,
     )

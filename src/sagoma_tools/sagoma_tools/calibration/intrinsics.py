@@ -19,9 +19,8 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.specification import board_text
-from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
+from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
 from rig_calibration.intrinsics.lens_fit import MIN_VIEWS
-from rig_calibration.intrinsics.model_choice import AUTO
 from rig_calibration.intrinsics.result import Intrinsics, report_of
 from rig_calibration.intrinsics.selection import ENOUGH_VIEWS, BoardImageProcessor, ViewCollector
 

@@ -27,9 +27,8 @@ from capture_rig.errors import InputError
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
 from rig_calibration.boards.board import Board
-from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
+from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
 from rig_calibration.intrinsics.coverage import Coverage
-from rig_calibration.intrinsics.model_choice import AUTO
 from rig_calibration.intrinsics.result import Intrinsics
 from rig_calibration.intrinsics.selection import BoardImageProcessor, ImageResult, ViewCollector
 from sagoma_ros.images import camera_info_message, decode_image, preview_message

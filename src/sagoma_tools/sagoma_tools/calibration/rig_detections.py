@@ -20,7 +20,6 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import diagnose_board, find_board
-from rig_calibration.boards.image_quality import blur_px
 from rig_calibration.boards.wand import find_wand
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND
 
@@ -173,7 +172,7 @@ def _in_one(
             detection = find(footage.name, frame_index, image)
         except InputError as error:
             refused, detection = refused or error, None
-        if detection is not None and refuse_blurred and blur_px(image, detection) > MAX_BLUR_PX:
+        if detection is not None and refuse_blurred and detection.blur_px > MAX_BLUR_PX:
             blurred, detection = blurred + 1, None
         if detection is not None:
             picture = picture if detections else image

@@ -23,7 +23,6 @@ from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import find_board
-from rig_calibration.boards.image_quality import blur_px
 from rig_calibration.extrinsics.calibrate import MOVING
 from rig_calibration.extrinsics.carried_board import ENOUGH_SHARED, MotionProgress, motion_progress
 from sagoma_ros.images import decode_image
@@ -124,7 +123,7 @@ class MotionRecorder:
         image = decode_image(message, self._topics[name])
         self._pictures.setdefault(name, image)
         detection = find_board(image, self._board, camera=name, frame_index=frame_index, target=MOVING)
-        if detection is not None and blur_px(image, detection) > MAX_BLUR_PX:
+        if detection is not None and detection.blur_px > MAX_BLUR_PX:
             self._blurred[name] += 1
             return None
         return detection

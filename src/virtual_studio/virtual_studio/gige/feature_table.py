@@ -10,8 +10,8 @@ from gige_vision import bootstrap
 from gige_vision.bootstrap import Capability
 from gige_vision.pixel_formats import PixelFormat
 
-from ..server.device import OLD, CameraSettings
-from ..server.registers import Feature, boolean, choice, command, hidden, integer, placed, real, text
+from .device import OLD, CameraSettings
+from .registers import Feature, boolean, choice, command, hidden, integer, placed, real, text
 
 MAX_BINNING = 4
 MAX_GAIN_DB = 24.0
@@ -29,7 +29,7 @@ PTP_STATES = {
 TRIGGER_SOURCES = {"Software": 0, "Line1": 1, "Action1": 2, "PeriodicSignal1": 3}
 ACQUISITION_MODES = {"Continuous": 0, "SingleFrame": 1, "MultiFrame": 2}
 AUTO = {"Off": 0, "Once": 1, "Continuous": 2}
-CHUNKS = {"Timestamp": 0x0A01, "ExposureTime": 0x0A02, "FrameID": 0x0A03, "Gain": 0x0A04}
+CHUNKS = {"Timestamp": 0x0A01, "ExposureTime": 0x0A02}
 IMAGE_CHUNK = 0x0A00
 CAPABILITIES = (
     Capability.CONCATENATION
@@ -60,7 +60,6 @@ OLD_NAMES = {
     "PtpClockID": "GevIEEE1588ClockId",
     "PtpParentClockID": "GevIEEE1588ParentClockId",
     "TimestampLatch": "GevTimestampControlLatch",
-    "TimestampReset": "GevTimestampControlReset",
     "TimestampLatchValue": "GevTimestampValue",
     "SyncFreeRunTimerTriggerRate": "SyncFreeRunTimerTriggerRateAbs",
 }
@@ -138,7 +137,6 @@ def _device(s: CameraSettings) -> list[Feature]:
         text("DeviceSerialNumber", where, s.serial, 16, address=bootstrap.SERIAL_NUMBER, writable=False),
         text("DeviceUserID", where, s.user_id, 16, address=bootstrap.USER_NAME, help="Kept over power cycles"),
         real("DeviceTemperature", where, 42.0, writable=False, volatile=True, unit="C"),
-        command("DeviceReset", where, help="Power cycle"),
         command("UserSetLoad", where, help="Back to the values after power-on"),
     ]
 
@@ -235,7 +233,6 @@ def _time() -> list[Feature]:
         integer("PtpClockID", where, 0, length=8, writable=False),
         integer("PtpParentClockID", where, 0, length=8, writable=False, volatile=True),
         command("TimestampLatch", "DeviceControl"),
-        command("TimestampReset", "DeviceControl"),
         integer("TimestampLatchValue", "DeviceControl", 0, length=8, writable=False, volatile=True, unit="ns"),
     ]
 
@@ -258,8 +255,6 @@ def _chunks() -> list[Feature]:
         boolean("ChunkEnable", where, volatile=True),
         integer("ChunkTimestamp", where, length=8, writable=False, chunk=CHUNKS["Timestamp"], unit="ns"),
         real("ChunkExposureTime", where, writable=False, chunk=CHUNKS["ExposureTime"], unit="us"),
-        integer("ChunkFrameID", where, length=8, writable=False, chunk=CHUNKS["FrameID"]),
-        real("ChunkGain", where, writable=False, chunk=CHUNKS["Gain"], unit="dB"),
     ]
 
 
@@ -274,7 +269,6 @@ def _transport(s: CameraSettings) -> list[Feature]:
         integer("GevSCPHostPort", where, address=bootstrap.STREAM_PORT, low=0, high=0xFFFF_FFFF),
         integer("GevSCDA", where, address=bootstrap.STREAM_DESTINATION, low=0, high=0xFFFF_FFFF),
         integer("GevSCSP", where, address=bootstrap.STREAM_SOURCE_PORT, writable=False),
-        integer("GevSCCFG", where, address=bootstrap.STREAM_CONFIGURATION, low=0, high=bootstrap.EXTENDED_ID_MODE),
         integer(
             "GevHeartbeatTimeout", where, 3000, address=bootstrap.HEARTBEAT_TIMEOUT_MS, low=300, high=600_000, unit="ms"
         ),

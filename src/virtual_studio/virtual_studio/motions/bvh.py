@@ -1,26 +1,53 @@
-"""Reads Biovision hierarchy files (BVH): a tree of joints with offsets, and channels frame by frame.
+"""Reads Biovision hierarchy files (BVH) as positions of named joints over time, and finds out who is who among them.
 
-A joint's position in its parent is its OFFSET; a position channel takes that axis's place. Its rotation is the product
-of its rotation channels in the order in which the file names them, each about the axes that the ones before have
-turned. (Meredith & Maddock, "Motion capture file formats explained", Sheffield CS-01-11, 2001.)
+A file is a tree of joints with offsets, and channels frame by frame. A joint's position in its parent is its OFFSET; a
+position channel takes that axis's place. Its rotation is the product of its rotation channels in the order in which the
+file names them, each about the axes that the ones before have turned. (Meredith & Maddock, "Motion capture file formats
+explained", Sheffield CS-01-11, 2001.)
 """
 
 from __future__ import annotations
 
+import difflib
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
+from capture_rig.files import read_text
+from capture_rig.yaml_file import read_mapping
 
-from .joints import Array, JointMotion, number, read_lines
+Array = NDArray[np.float64]
 
 AXES = {"X": 0, "Y": 1, "Z": 2}
 CHANNELS = {f"{axis.lower()}{kind}": (kind, axis) for axis in AXES for kind in ("position", "rotation")}
 END = "_end"
 """An end site is called after its joint."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """Joints of one skeleton, frame by frame, in the file's own axes and unit of length.
+
+    names (J,): each once; positions (F, J, 3): world; fps: frames a second; source: the file they come from.
+    """
+
+    names: tuple[str, ...]
+    positions: Array
+    fps: float
+    source: Path
+
+    def of(self, name: str) -> Array:
+        """Returns the positions (F, 3) of one joint."""
+        return self.positions[:, self.names.index(name)]
+
+    def error(self, problem: str, remedy: str) -> InputError:
+        """Makes the error that names the file."""
+        return InputError(problem, where=str(self.source), remedy=remedy)
 
 
 @dataclass
@@ -37,7 +64,7 @@ def read_bvh(path: str | Path) -> JointMotion:
     Raises InputError naming file and line for anything that is not BVH.
     """
     path = Path(path)
-    tokens = _Tokens(path, read_lines(path, "BVH"))
+    tokens = _Tokens(path, read_text(path, "Give the path of a BVH file.").splitlines())
     joints = _hierarchy(tokens)
     fps, rows = _motion(tokens, sum(len(joint.channels) for joint in joints))
     return JointMotion(tuple(joint.name for joint in joints), _positions(joints, rows), fps, path)
@@ -83,7 +110,7 @@ class _Tokens:
         values = []
         for _ in range(count):
             where = self.where()
-            values.append(number(self.take(), where))
+            values.append(_number(self.take(), where))
         return np.array(values)
 
     def error(self, wanted: str) -> InputError:
@@ -94,6 +121,16 @@ class _Tokens:
 
 def _error(problem: str, remedy: str, where: str) -> InputError:
     return InputError(problem, where=where, remedy=remedy)
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = np.nan
+    if not np.isfinite(value):
+        raise _error(f"'{text}' is not a number", "The file is damaged: export it again.", where)
+    return value
 
 
 def _split(line: str) -> list[str]:
@@ -189,7 +226,7 @@ def _motion(tokens: _Tokens, channels: int) -> tuple[float, Array]:
             "The file is cut short or its header is wrong: export it again.",
             announced,
         )
-    values = [[number(word, tokens.where(n)) for word in line.split()] for n, line in rows]
+    values = [[_number(word, tokens.where(n)) for word in line.split()] for n, line in rows]
     return 1.0 / period_s, np.array(values).reshape(frames, channels)
 
 
@@ -215,3 +252,80 @@ def _positions(joints: list[_Joint], rows: Array) -> Array:
             rotation = turned[joint.parent] * rotation
         turned.append(rotation)
     return placed
+
+
+# --- Which joint of the figure each one is.
+
+SIDED = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+NEEDED = ("neck", "head", *(f"{side}_{joint}" for side in ("left", "right") for joint in SIDED))
+OPTIONAL = ("head_tip",)
+Choice = dict[str, tuple[str, ...]]
+
+
+def _naming(neck: str, head: str, tip: str, left: str, right: str, joints: str) -> Choice:
+    """Return a way of naming: alternatives are separated by blanks; {} in a joint's name is the side."""
+    table = {"neck": tuple(neck.split()), "head": tuple(head.split()), "head_tip": tuple(tip.split())}
+    for side, word in (("left", left), ("right", right)):
+        for joint, names in zip(SIDED, joints.split(","), strict=True):
+            table[f"{side}_{joint}"] = tuple(name.format(word) for name in names.split())
+    return table
+
+
+NAMINGS: dict[str, Choice] = {
+    # bones' ends: a humerus ends at the elbow
+    "CMU": _naming(
+        "lowerneck", "upperneck", "head", "l", "r", "{}clavicle,{}humerus,{}radius,{}hipjoint,{}femur,{}tibia"
+    ),
+    "MotionBuilder, Mixamo, cgspeed": _naming(
+        "neck1 neck", "head", "headtopend headend", "left", "right", "{}arm,{}forearm,{}hand,{}upleg,{}leg,{}foot"
+    ),
+    "3ds Max, Xsens, SMPL": _naming(
+        "neck", "head", "headend headtopend", "left", "right", "{}shoulder,{}elbow,{}wrist,{}hip,{}knee,{}ankle"
+    ),
+    "Poser, DAZ": _naming("neck", "head", "headend", "l", "r", "{}shldr,{}forearm,{}hand,{}thigh,{}shin,{}foot"),
+    "Unreal": _naming("neck01", "head", "headend", "l", "r", "upperarm{},lowerarm{},hand{},thigh{},calf{},foot{}"),
+    "Bandai Namco": _naming(
+        "neck", "head", "headend", "l", "r", "upperarm{},lowerarm{},hand{},upperleg{},lowerleg{},foot{}"
+    ),
+}
+"""Names as `plain` writes them."""
+
+
+def plain(name: str) -> str:
+    """Strips case, punctuation and an exporter's prefix (``mixamorig:LeftArm``) from a joint's name."""
+    return re.sub(r"[\s_.-]", "", re.sub(r"^(mixamorig\d*[:_])?(.*:)?", "", name.strip().lower()))
+
+
+def joints_by_role(motion: JointMotion) -> dict[str, str]:
+    """Finds the joint of each role in `NEEDED` (and `OPTIONAL` where there is one), by the first naming that fits.
+
+    Raises InputError when none does.
+    """
+    names = {plain(name): name for name in motion.names}
+    for naming in NAMINGS.values():
+        found = {
+            role: names[next(n for n in choice if n in names)]
+            for role, choice in naming.items()
+            if any(n in names for n in choice)
+        }
+        if all(role in found for role in NEEDED):
+            return found
+    problem = f"its joints are named in no known way: {', '.join(motion.names[:8])} ..."
+    raise motion.error(problem, f"Give a YAML file that says which joint is {', '.join(NEEDED)}.")
+
+
+def load_joints_by_role(path: str | Path, motion: JointMotion) -> dict[str, str]:
+    """Reads the same from a YAML file, ``role: joint``. Raises InputError naming file, key and value."""
+    document = read_mapping(Path(path), "Give a YAML file with 'role: joint' on every line.")
+    for role in document:
+        if role not in NEEDED + OPTIONAL:
+            known = f"Known: {', '.join(NEEDED + OPTIONAL)}."
+            raise InputError(f"there is no joint '{role}'", where=str(path), remedy=known)
+    missing = [role for role in NEEDED if role not in document]
+    if missing:
+        raise InputError(f"'{missing[0]}' is missing", where=str(path), remedy="Give all of them.")
+    for role, name in document.items():
+        if name not in motion.names:
+            near = f"It has {', '.join(difflib.get_close_matches(str(name), motion.names, 3, 0.0))}."
+            raise InputError(f"{motion.source.name} has no joint '{name}'", where=f"{path}, {role}", remedy=near)
+    return {str(role): str(name) for role, name in document.items()}

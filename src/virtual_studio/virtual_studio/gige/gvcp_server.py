@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import functools
 import ipaddress
 import socket
 import time
@@ -12,7 +11,7 @@ from collections.abc import Callable
 
 from capture_rig.errors import InputError
 from gige_vision import bootstrap
-from gige_vision.bootstrap import Privilege
+from gige_vision.bootstrap import CONTROL
 from gige_vision.gvcp import (
     PORT,
     AcknowledgePacket,
@@ -35,7 +34,6 @@ from .loop import Timer
 from .registers import RegisterError
 
 Peer = tuple[str, int]
-BROADCAST = "255.255.255.255"
 LARGEST_COMMAND = 2048
 
 
@@ -53,15 +51,8 @@ class ControlPrivilege:
         self._heard_ns = 0
         self._timer: Timer | None = None
 
-    @property
-    def exclusive(self) -> bool:
-        return bool(self._registers.integer("ControlPrivilege") & Privilege.EXCLUSIVE)
-
     def may_write(self, peer: Peer) -> bool:
         return self.owner == peer
-
-    def may_read(self, peer: Peer) -> bool:
-        return self.owner in (None, peer) or not self.exclusive
 
     def heartbeat_from(self, peer: Peer) -> None:
         """Notes that a peer is alive: any command of the owner is a heartbeat."""
@@ -73,11 +64,11 @@ class ControlPrivilege:
         if self.owner not in (None, peer):
             self._counters["control_denied"] += 1
             raise RegisterError(Status.ACCESS_DENIED)
-        if not value & (Privilege.CONTROL | Privilege.EXCLUSIVE):
+        if not value & CONTROL:
             if self.owner is not None:
                 self.release()
             return
-        self._registers["ControlPrivilege"] = value & (Privilege.CONTROL | Privilege.EXCLUSIVE)
+        self._registers["ControlPrivilege"] = CONTROL
         self._registers["PrimaryPort"] = peer[1]
         self._registers["PrimaryAddress"] = int(ipaddress.IPv4Address(peer[0]))
         self.owner = peer
@@ -120,21 +111,16 @@ class GvcpServer:
         self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
         self._loop, self._privilege, self._on_resend, self._on_action = device.loop, privilege, on_resend, on_action
         self._socket = _bound(device.address)
-        self._sockets = [self._socket]
-        if device.settings.broadcast:
-            self._sockets.append(_bound(BROADCAST))
-        for each in self._sockets:
-            self._loop.add_reader(each, functools.partial(self._receive, each))
+        self._loop.add_reader(self._socket, self._receive)
 
     def close(self) -> None:
-        for each in self._sockets:
-            self._loop.remove_reader(each)
-            each.close()
+        self._loop.remove_reader(self._socket)
+        self._socket.close()
 
-    def _receive(self, sock: socket.socket) -> None:
+    def _receive(self) -> None:
         while True:
             try:
-                data, peer = sock.recvfrom(LARGEST_COMMAND)
+                data, peer = self._socket.recvfrom(LARGEST_COMMAND)
             except OSError:  # nothing more
                 return
             if self._faults.unplugged:
@@ -188,8 +174,6 @@ class GvcpServer:
         if packet.command == Command.DISCOVERY:
             return self._record()
         if packet.command in (Command.READ_REGISTER, Command.READ_MEMORY):
-            if not self._privilege.may_read(peer):
-                raise RegisterError(Status.ACCESS_DENIED)
             return self._read(packet)
         if packet.command == Command.WRITE_REGISTER:
             for address, value in decode_writes(packet.payload):
@@ -237,8 +221,6 @@ def _bound(address: str) -> socket.socket:
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         sock.setblocking(False)
-        if address == BROADCAST:
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind((address, PORT))
     except OSError as error:
         sock.close()

@@ -14,18 +14,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from gige_vision.bootstrap import EXTENDED_ID_MODE, SIZE_MASK, PacketSize
+from gige_vision.bootstrap import SIZE_MASK, PacketSize
 from gige_vision.gvcp import ResendRequest, Status
-from gige_vision.gvsp import (
-    EXTENDED_HEADER,
-    HEADER,
-    IP_AND_UDP,
-    Content,
-    ImageLeader,
-    ImageTrailer,
-    PacketHeader,
-    payload_capacity,
-)
+from gige_vision.gvsp import HEADER, IP_AND_UDP, Content, ImageLeader, ImageTrailer, PacketHeader, payload_capacity
 
 from .device import Device
 
@@ -40,19 +31,14 @@ BURST_NS = 500_000  # packets that a delay spreads leave in bursts this far apar
 
 @dataclass(frozen=True)
 class Layout:
-    """How a block is cut: bytes of the block, size of a packet (IP header included), long ids or short ones."""
+    """How a block is cut: bytes of the block, size of a packet (IP header included)."""
 
     block_bytes: int
     packet_size: int
-    extended: bool = False
-
-    @property
-    def header(self) -> int:
-        return EXTENDED_HEADER if self.extended else HEADER
 
     @cached_property
     def capacity(self) -> int:
-        return payload_capacity(self.packet_size, self.extended)
+        return payload_capacity(self.packet_size)
 
     @cached_property
     def rows(self) -> int:
@@ -62,7 +48,7 @@ class Layout:
     @property
     def segment(self) -> int:
         """Bytes of every payload packet but the last, header included."""
-        return self.header + self.capacity
+        return HEADER + self.capacity
 
 
 Piece = list[bytes | memoryview]
@@ -78,7 +64,7 @@ class Block:
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
         self.block_id = 0
-        headers = [PacketHeader(Content.PAYLOAD, 0, row + 1, extended=layout.extended) for row in range(layout.rows)]
+        headers = [PacketHeader(Content.PAYLOAD, 0, row + 1) for row in range(layout.rows)]
         self._headers = np.frombuffer(b"".join(h.encode() for h in headers), np.uint8).reshape(layout.rows, -1).copy()
         self._header_views = [memoryview(row.data).cast("B") for row in self._headers]
         self._image = memoryview(b"")
@@ -90,13 +76,11 @@ class Block:
 
     def fill(self, block_id: int, leader: ImageLeader, data: NDArray[np.uint8], trailer: ImageTrailer) -> None:
         """Puts a new image in: ``data`` (layout.block_bytes,), contiguous."""
-        layout, self.block_id = self.layout, block_id
-        id_bytes = np.frombuffer(struct.pack(">Q" if layout.extended else ">H", block_id), np.uint8)
-        first = 8 if layout.extended else 2
-        self._headers[:, first : first + len(id_bytes)] = id_bytes
+        self.block_id = block_id
+        self._headers[:, 2:4] = np.frombuffer(struct.pack(">H", block_id), np.uint8)
         self._image = memoryview(data.data).cast("B")
         self._leader = self._header(Content.LEADER, 0) + leader.encode()
-        self._trailer = self._header(Content.TRAILER, layout.rows + 1) + trailer.encode()
+        self._trailer = self._header(Content.TRAILER, self.layout.rows + 1) + trailer.encode()
 
     def packet(self, packet_id: int) -> Piece:
         """Returns one packet."""
@@ -121,7 +105,7 @@ class Block:
         return [struct.pack(">H", Status.PACKET_RESEND) + bytes(header[2:]), *image]
 
     def _header(self, content: Content, packet_id: int) -> bytes:
-        return PacketHeader(content, self.block_id, packet_id, extended=self.layout.extended).encode()
+        return PacketHeader(content, self.block_id, packet_id).encode()
 
 
 class StreamChannel:
@@ -177,9 +161,7 @@ class StreamChannel:
         if block is None:
             self._counters["resend_missed"] += 1
             for packet_id in range(request.first, min(request.last, request.first + MOST_REFUSALS) + 1):
-                header = PacketHeader(
-                    Content.PAYLOAD, request.block_id, packet_id, Status.PACKET_UNAVAILABLE, request.extended
-                )
+                header = PacketHeader(Content.PAYLOAD, request.block_id, packet_id, Status.PACKET_UNAVAILABLE)
                 self._transmit([header.encode()], self._destination)
             return
         for packet_id in range(request.first, min(request.last, block.packets - 1) + 1):
@@ -193,9 +175,7 @@ class StreamChannel:
         return address, self._registers.integer("GevSCPHostPort") & 0xFFFF
 
     def _take_block(self, size: int) -> Block:
-        packet_size = self._registers.integer("PacketSizeWord") & SIZE_MASK
-        extended = bool(self._registers.integer("GevSCCFG") & EXTENDED_ID_MODE)
-        layout = Layout(size, packet_size, extended)
+        layout = Layout(size, self._registers.integer("PacketSizeWord") & SIZE_MASK)
         if layout != self._layout:
             self._layout, self._next = layout, 0
             self._blocks = [Block(layout) for _ in range(self._settings.resend_frames)]

@@ -55,8 +55,6 @@ class CameraSettings:
     ptp_settle_s: float = setting(0.4, "Time from PtpEnable to status Slave", unit="s", low=0, high=600)
     ptp_offset_ns: int = setting(80, "Typical offset from the master once in step", unit="ns", low=0, high=10**9)
     tai_minus_utc_s: int = setting(37, "Leap seconds: PTP counts TAI", unit="s", low=0, high=100)
-    boot_s: float = setting(0.5, "DeviceReset: time without an answer", unit="s", low=0, high=600)
-    broadcast: bool = setting(False, "Also answer discoveries that are broadcast")
     seed: int = setting(1, "Of noise, clock offset and packet loss", low=0)
 
 

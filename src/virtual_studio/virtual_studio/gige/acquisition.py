@@ -12,17 +12,15 @@ from gige_vision.gvcp import Action, Status
 from gige_vision.gvsp import ImageLeader, ImageTrailer, Payload, encode_chunk, next_block_id
 from gige_vision.pixel_formats import PixelFormat
 
-from ...live.scenes import CameraScene
-from ..server.device import Device
-from ..server.loop import Timer
-from ..server.registers import RegisterError, Value
-from ..server.stream import StreamChannel
+from .device import Device
 from .feature_table import ACQUISITION_MODES, CHUNKS, IMAGE_CHUNK
 from .imaging import ImagingPipeline, pixel_bytes
-from .timing import CameraClock, Timing
+from .loop import Timer
+from .registers import RegisterError, Value
+from .scenes import CameraScene
+from .stream import StreamChannel
+from .timing import LONGEST_BACKLOG_NS, CameraClock, Timing
 
-LONGEST_BACKLOG_NS = 250_000_000
-"""A camera that is late by more (its machine slept) leaves frames out."""
 REMEMBERED = 4096
 LOCKED = ("Width", "Height", "BinningHorizontal", "BinningVertical", "PixelFormat", "ChunkModeActive", "ChunkEnable")
 
@@ -142,7 +140,7 @@ class Acquisition:
     def _send(self, start_ns: int, exposure_ns: int) -> None:
         picture = self._imaging.capture(self.scene.image(start_ns + exposure_ns // 2))
         region, r = self._imaging.region, self._registers
-        self._block_id = next_block_id(self._block_id, bool(r.integer("GevSCCFG")))
+        self._block_id = next_block_id(self._block_id)
         stamp = self._clock.stamp(start_ns)
         data = pixel_bytes(picture, region.pixel_format)
         chunk_bytes = None
@@ -170,8 +168,6 @@ class Acquisition:
         contents = {
             "Timestamp": struct.pack(">q", stamp),
             "ExposureTime": struct.pack(">d", self._imaging.exposure.exposure_us),
-            "FrameID": struct.pack(">Q", self._block_id),
-            "Gain": struct.pack(">d", self._imaging.exposure.gain_db),
         }
         tail = encode_chunk(IMAGE_CHUNK, b"")[:4] + struct.pack(">I", len(data))
         tail += b"".join(encode_chunk(CHUNKS[name], contents[name]) for name in self._imaging.region.chunks)

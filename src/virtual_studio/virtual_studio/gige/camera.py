@@ -9,26 +9,25 @@ from collections import Counter
 import numpy as np
 
 from capture_rig.errors import InputError
-from gige_vision import bootstrap
 from gige_vision.bootstrap import Capability
 
-from ...live.scenes import CameraScene
-from ..server.device import CameraSettings, Device, Faults
-from ..server.genicam_xml import XML_NAME, genicam_xml, zipped
-from ..server.gvcp_server import ControlPrivilege, GvcpServer
-from ..server.loop import EventLoop
-from ..server.registers import FILE_SPACE, Registers
-from ..server.stream import StreamChannel
 from .acquisition import Acquisition
+from .device import CameraSettings, Device, Faults
 from .feature_table import CAPABILITIES, feature_table
+from .genicam_xml import XML_NAME, genicam_xml, zipped
+from .gvcp_server import ControlPrivilege, GvcpServer
 from .imaging import ImagingPipeline
+from .loop import EventLoop
+from .registers import FILE_SPACE, Registers
+from .scenes import CameraScene
+from .stream import StreamChannel
 from .timing import CameraClock, Timing, TriggerWire
 
 STEADY_C, SWING_C, SWING_S = 42.0, 1.5, 120.0
 """The device's mean temperature, and amplitude and period of its swing."""
 KEPT_BY_USER_SET = (
     *("FirstUrl", "DeviceUserID", "PtpClockID", "ControlPrivilege", "PrimaryPort", "PrimaryAddress"),
-    *("GevHeartbeatTimeout", "PacketSizeWord", "GevSCPHostPort", "GevSCDA", "GevSCSP", "GevSCPD", "GevSCCFG"),
+    *("GevHeartbeatTimeout", "PacketSizeWord", "GevSCPHostPort", "GevSCDA", "GevSCSP", "GevSCPD"),
 )
 
 
@@ -185,10 +184,7 @@ class _PoweredCamera:
         r.reads["PtpStatus"] = lambda: clock.ptp_state
         r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
         r.writes["PtpDataSetLatch"] = self._latch_ptp
-        r.writes["TimestampLatch"] = self._latch_time
-        r.writes["TimestampReset"] = clock.reset
-        r.writes["TimestampControl"] = self._timestamp_control
-        r.writes["DeviceReset"] = self._reboot
+        r.writes["TimestampLatch"] = r.writes["TimestampControl"] = self._latch_time
         r.writes["UserSetLoad"] = self._load_defaults
 
     def _capability(self) -> int:
@@ -201,24 +197,8 @@ class _PoweredCamera:
 
     def _latch_time(self) -> None:
         stamp = self._clock.stamp(self._camera.loop.clock.now_ns())
-        self.registers["TimestampLatchValue"] = stamp
+        self.registers["TimestampLatchValue"], self.registers["TimestampControl"] = stamp, 0
         self.registers["TimestampHigh"], self.registers["TimestampLow"] = stamp >> 32, stamp & 0xFFFF_FFFF
-
-    def _timestamp_control(self) -> None:
-        if self.registers.integer("TimestampControl") & bootstrap.TIMESTAMP_LATCH:
-            self._latch_time()
-        if self.registers.integer("TimestampControl") & bootstrap.TIMESTAMP_RESET:
-            self._clock.reset()
-        self.registers["TimestampControl"] = 0
-
-    def _reboot(self) -> None:
-        camera = self._camera
-
-        def restart() -> None:
-            camera._power_off()
-            camera.loop.call_later(round(camera.settings.boot_s * 1e9), camera._power_on)
-
-        camera.loop.call_later(0, restart)  # the answer to the command leaves first
 
     def _load_defaults(self) -> None:
         kept = {key: self.registers[key] for key in KEPT_BY_USER_SET}

@@ -13,19 +13,14 @@ from gige_vision.gvcp import Status
 from gige_vision.gvsp import encode_chunk
 from gige_vision.pixel_formats import PixelFormat
 
-from ...rendering.camera import Image
-from ..server.device import OLD, CameraSettings, Device
-from ..server.registers import RegisterError, Registers, Value
+from ..rendering.camera import Image
+from .device import OLD, CameraSettings, Device
 from .feature_table import AUTO, CHUNKS, GAIN_RAW_STEP_DB
+from .registers import RegisterError, Registers, Value
 
 Bytes = NDArray[np.uint8]
-_BAYER_ROWS = {"RG": ((2, 1), (1, 0)), "GR": ((1, 2), (0, 1)), "GB": ((1, 0), (2, 1)), "BG": ((0, 1), (1, 2))}
-"""Channel (of B, G, R) of the four pixels of a pattern's tile."""
-AUTO_TARGET = 110.0
-"""Mean grey level that the auto functions steer to."""
-AUTO_SPEED = 0.2
-AUTO_STEP_PX = 16
-DARKEST = 1.0
+_BAYER_RG = ((2, 1), (1, 0))
+"""Channel (of B, G, R) of the four pixels of the pattern's tile."""
 _AXES = (
     ("SensorWidth", "BinningHorizontal", "WidthMax", "Width", "OffsetX"),
     ("SensorHeight", "BinningVertical", "HeightMax", "Height", "OffsetY"),
@@ -70,7 +65,7 @@ class ImagingPipeline:
     def _exposed(self, scene: Image) -> Image:
         if self._faults.lens_cap:
             return np.zeros_like(scene)
-        factor = self.exposure.factor(scene) * self._faults.brightness
+        factor = self.exposure.factor * self._faults.brightness
         if factor == 1.0:
             return scene
         table = np.clip(np.rint(np.arange(256) * factor), 0, 255).astype(np.uint8)
@@ -92,13 +87,11 @@ class ImagingPipeline:
 class ExposureControl:
     """How bright a picture becomes, relative to what the scene shows at nominal exposure and 0 dB.
 
-    While ExposureAuto or GainAuto run, a factor of their own is steered towards a mean grey level, and the feature that
-    they control cannot be written.
+    While ExposureAuto or GainAuto run, the feature that they control cannot be written; its value stays.
     """
 
     def __init__(self, registers: Registers, settings: CameraSettings) -> None:
         self._registers, self._settings = registers, settings
-        self._auto_factor = 1.0
         registers.checks["ExposureTime"] = lambda value: self._refuse_while_auto("ExposureAuto", value)
         registers.checks["Gain"] = lambda value: self._refuse_while_auto("GainAuto", value)
 
@@ -115,21 +108,13 @@ class ExposureControl:
         value = self._registers.real("Gain")
         return value * GAIN_RAW_STEP_DB if self._settings.generation == OLD else value
 
-    def factor(self, scene: Image) -> float:
-        """Returns the factor on the scene's grey levels."""
-        by_hand = self.exposure_us / self._settings.nominal_exposure_us * 10.0 ** (self.gain_db / 20.0)
-        if not (self._is_auto("ExposureAuto") or self._is_auto("GainAuto")):
-            self._auto_factor = 1.0
-            return by_hand
-        mean = max(float(scene[::AUTO_STEP_PX, ::AUTO_STEP_PX].mean()), DARKEST)
-        self._auto_factor += AUTO_SPEED * (AUTO_TARGET / (mean * by_hand) - self._auto_factor)
-        return by_hand * self._auto_factor
-
-    def _is_auto(self, key: str) -> bool:
-        return self._registers.integer(key) != AUTO["Off"]
+    @property
+    def factor(self) -> float:
+        """The factor on the scene's grey levels."""
+        return self.exposure_us / self._settings.nominal_exposure_us * 10.0 ** (self.gain_db / 20.0)
 
     def _refuse_while_auto(self, key: str, value: Value) -> None:
-        if self._is_auto(key):
+        if self._registers.integer(key) != AUTO["Off"]:
             raise RegisterError(Status.ACCESS_DENIED)
 
 
@@ -194,7 +179,7 @@ class Region:
 
 
 def pixel_bytes(image: Image, pixel_format: PixelFormat) -> Bytes:
-    """Encodes a picture, (H, W) grey or (H, W, 3) BGR, in a pixel format: bytes (n,).
+    """Encodes a picture, (H, W) grey or (H, W, 3) BGR, in a format that the cameras offer: bytes (n,).
 
     More than 8 bits repeat the upper bits below, so that black stays black and white white. A grey picture gives grey
     colours, a coloured one the grey of BT.601.
@@ -206,13 +191,13 @@ def pixel_bytes(image: Image, pixel_format: PixelFormat) -> Bytes:
         deep = _deepened(grey, pixel_format.depth)
         return _packed(deep, pixel_format.depth) if pixel_format.is_packed else deep.astype("<u2").view(np.uint8)
     if pixel_format.is_bayer:
-        return _bayer(image, pixel_format.name[5:7]).reshape(-1)
+        return _bayer(image).reshape(-1)
     colour = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
     if pixel_format is PixelFormat.BGR8:
         return np.ascontiguousarray(colour).reshape(-1)
     if pixel_format is PixelFormat.RGB8:
         return np.asarray(cv2.cvtColor(colour, cv2.COLOR_BGR2RGB), np.uint8).reshape(-1)
-    return _yuv422(colour, luma_first=pixel_format is PixelFormat.YUV422_8)
+    return _yuv422(colour)
 
 
 def _deepened(grey: Image, depth: int) -> NDArray[np.uint16]:
@@ -234,25 +219,24 @@ def _packed(values: NDArray[np.uint16], depth: int) -> Bytes:
     return flat[:-1] if odd else flat
 
 
-def _bayer(image: Image, pattern: str) -> Image:
+def _bayer(image: Image) -> Image:
     if image.ndim == 2:
         return np.ascontiguousarray(image)
     mosaic = np.empty(image.shape[:2], np.uint8)
-    for y, row in enumerate(_BAYER_ROWS[pattern]):
+    for y, row in enumerate(_BAYER_RG):
         for x, channel in enumerate(row):
             mosaic[y::2, x::2] = image[y::2, x::2, channel]
     return mosaic
 
 
-def _yuv422(colour: Image, luma_first: bool) -> Bytes:
+def _yuv422(colour: Image) -> Bytes:
     """Full range, each pair of pixels with the mean of its colours."""
     even = colour[:, : colour.shape[1] // 2 * 2]
     # OpenCV's YCrCb is BT.601 with the full range of 8 bits in every channel
     full = np.asarray(cv2.cvtColor(even, cv2.COLOR_BGR2YCrCb), np.uint16)
     red_blue = (full[:, 0::2, 1:] + full[:, 1::2, 1:] + 1) // 2
     out = np.empty((*even.shape[:2], 2), np.uint8)
-    luma, chroma = (0, 1) if luma_first else (1, 0)
-    out[..., luma] = full[..., 0]
-    out[:, 0::2, chroma] = red_blue[..., 1]  # U belongs to blue
-    out[:, 1::2, chroma] = red_blue[..., 0]
+    out[..., 0] = full[..., 0]
+    out[:, 0::2, 1] = red_blue[..., 1]  # U belongs to blue
+    out[:, 1::2, 1] = red_blue[..., 0]
     return out.reshape(-1)

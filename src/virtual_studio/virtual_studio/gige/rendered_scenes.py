@@ -24,7 +24,7 @@ from stick_figure.body import Body
 from ..motions.catalogue import MOTIONS
 from ..people import Capsules, VolumetricBody
 from ..recording.footage import FLOOR_BOARD, HAND_BOARD
-from ..rendering.board_camera import LENS_BLUR_PX, BoardCamera, exposure_poses
+from ..rendering.board_camera import EXPOSURE_S, LENS_BLUR_PX, BoardCamera, exposure_poses
 from ..rendering.camera import WHITE, Image, Light, VirtualCamera
 from ..rendering.capsules import floor_shadow
 from ..scene.boards import BoardPrint, PosedBoard, PosePath, print_of
@@ -39,7 +39,6 @@ EMPTY, INTRINSICS, FLOOR, MOVING, PERSON = PHASES = ("empty", "intrinsics", "flo
 NEXT = "next"
 CARRIED_S = 30.0
 SAMPLES = 12
-EXPOSURE_S = 0.008
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,24 +12,24 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from capture_rig.errors import InputError
+from capture_rig.session import WRIST_FRACTION
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import Pose
 from stick_figure.skeleton import L_CALF, L_THIGH, R_CALF, R_THIGH, T_POSE_ANGLES
 
-from ..motions.timeline import T_POSE_S, Motion, ease, frame_count
-from ..people import VolumetricBody
-from .bvh import read_bvh
-from .joints import Array, JointMotion, joints_by_role, load_joints_by_role
+from ..people import ANKLE_HEIGHT, VolumetricBody
+from .bvh import Array, JointMotion, joints_by_role, load_joints_by_role, read_bvh
+from .timeline import T_POSE_S, Motion, ease, frame_count
 
 SUFFIX = ".bvh"
-HAND_OVER_FOREARM = 0.108 / 0.146
-HEAD_OVER_LEG = 0.130 / (0.530 - 0.039)
+HAND_OVER_FOREARM = 1.0 / WRIST_FRACTION - 1.0
+STATURE_OVER_LEG = 1.0 / (0.530 - ANKLE_HEIGHT)
+"""Stature over the leg from hip to ankle."""
+HEAD_OVER_LEG = 0.130 * STATURE_OVER_LEG
 """Segments over each other, Drillis & Contini (1966), as in Winter, Biomechanics and Motor Control, fig. 4.1."""
 LIKELY_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU's unit": 0.0254 / 0.45}
 LIKELY_STATURES = (1.2, 2.2)
-STATURE_OVER_LEG = 1.0 / 0.491
-"""Stature over the leg from hip to ankle, same source."""
 UPRIGHT = 0.5
 """Least cosine between the way from ankles to neck, on average, and up."""
 WORLD_FROM_UP = {

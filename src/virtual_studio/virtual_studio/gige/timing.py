@@ -13,17 +13,17 @@ from functools import lru_cache
 
 from capture_rig.stamps import UTC, CaptureClock
 
-from ..server.device import CameraSettings, Faults
-from ..server.loop import EventLoop, Timer
-from ..server.registers import Registers
+from .device import CameraSettings, Faults
 from .feature_table import ON, PTP_STATES, TICKS_PER_SECOND, TRIGGER_SOURCES
 from .imaging import ExposureControl
+from .loop import EventLoop, Timer
+from .registers import Registers
 
 LISTENING_SHARE = 0.4  # of the time it takes PTP to settle
 SECOND_NS = 1_000_000_000
 MOST_HZ = 1000.0
 _RATE_GRAIN = 1000  # rates are taken to 1/1000 Hz
-LATENESS_NS = 250_000_000  # pulses of the generator later than this are left out
+LONGEST_BACKLOG_NS = 250_000_000  # frames, and pulses of the generator, that are late by more are left out
 
 
 def next_multiple(after_ns: int, period_ns: Fraction, origin_ns: int = 0) -> int:
@@ -53,10 +53,6 @@ class CameraClock:
         self._zero_ns = self._now_ns() - self._rng.randrange(2_000_000_000)  # it counted while the camera booted
         self._ptp_since_ns: int | None = None
         self._residual_ns = round(self._rng.uniform(-1, 1) * self._settings.ptp_offset_ns)
-
-    def reset(self) -> None:
-        """Counts from 0 again."""
-        self._zero_ns = self._now_ns()
 
     def enable_ptp(self, enabled: bool) -> None:
         if enabled != (self._ptp_since_ns is not None):
@@ -224,7 +220,7 @@ class TriggerWire:
         self._timer = self._loop.call_at(when_ns, lambda: self._tick(when_ns, rate))
 
     def _tick(self, when_ns: int, rate: Fraction) -> None:
-        if self._loop.clock.now_ns() - when_ns < LATENESS_NS:
+        if self._loop.clock.now_ns() - when_ns < LONGEST_BACKLOG_NS:
             self._rise(when_ns)
         self._schedule(rate)
 
