@@ -37,13 +37,7 @@ PER_SET = (
     PREDICTION_TOPIC,
 )
 # topic -> the nodes that must listen to it before the first set is sent, where each has a process of its own
-LISTENERS = {
-    "/hull/contour_rays": {"icp_tracker"},
-    "/hull/centerline": {"icp_tracker"},
-    "/hull/voxels": {"icp_tracker"},
-    "/icp/reference_points": {"ekf_tracker"},
-    PREDICTION_TOPIC: {"icp_tracker"},
-}
+LISTENERS = {"/hull/products": {"icp_tracker"}, "/icp/people": {"ekf_tracker"}, PREDICTION_TOPIC: {"icp_tracker"}}
 
 
 def replay_through_graph(

@@ -17,7 +17,7 @@ from rclpy.serialization import deserialize_message
 
 from mocap_packets.hull import VoxelSamples
 from motion_export.motion import point_deviations
-from sagoma_ros.packets import read_finite, read_reference_points
+from sagoma_ros.packets import read_packet, read_reference_points
 
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.ros_link import RosLink, below, in_graph, namespace_of, our_nodes, topics_of
@@ -105,7 +105,7 @@ class LiveGraph:
     def new_voxels(self) -> np.ndarray | None:
         """Return the hull's voxels (m, 3), when there are newer ones."""
         cloud = self._feed.pop_newest(VOXELS[0])
-        return None if cloud is None else read_finite(cloud, VoxelSamples, VOXELS[0])[0].points_world
+        return None if cloud is None else read_packet(cloud, VoxelSamples, VOXELS[0]).points_world
 
     def reports(self) -> dict[str, NodeReport | None]:
         """Return the last report of every node that is in the graph or was heard, by its name in the namespace."""
