@@ -49,7 +49,7 @@ class _Stages:
     condition: ConditionWatch | None = None
 
 
-class CameraChain:
+class FrameProcessor:
     """Checks frames and finds silhouettes. Frames come on one thread; what is used may be replaced on another."""
 
     def __init__(
