@@ -29,8 +29,7 @@ from people_sets import KEPT, follower_of, recorded
 
 from mocap_packets.fit import PART_NAMES, PART_POINTS
 from sagoma_tools.arguments import parse_settings
-from sagoma_tools.evaluation.part_calls import PartCalls, share
-from sagoma_tools.evaluation.scores import INSIDE_95, number, squared_distances
+from sagoma_tools.evaluation.scores import INSIDE_95, PartCalls, number, share, squared_distances
 from sagoma_tools.evaluation.track import Track
 
 SHOWN = (

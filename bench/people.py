@@ -40,11 +40,10 @@ from scenes import inside_volume
 
 from capture_rig.session import Truth
 from sagoma_tools.arguments import parse_settings
-from sagoma_tools.evaluation.live_run import distort_mask
 from sagoma_tools.evaluation.people import score_people
 from sagoma_tools.evaluation.scores import covariance_coverage
 from sagoma_tools.evaluation.track import Track
-from sagoma_tools.overlays.drawing import Window, montage, overlay
+from sagoma_tools.overlays import Window, montage, overlay
 from stick_figure import metrics
 from stick_figure.skeleton import POINT_NAMES
 
@@ -141,11 +140,10 @@ def draw(what: Recorded, clip: Clip, track: Track, path: Path) -> None:
         return
     estimate, truth = aligned.points_world[frame], what.truths[0][frame]
     pictures = []
-    for camera in what.rig.cameras:
+    for camera in (model.undistorted_view().camera for model in what.rig.cameras):
         window = Window.around(camera, np.concatenate([estimate, truth]), CLOSE_UP_PX)
-        image = np.zeros((camera.height, camera.width, 3), np.uint8)
-        mask = distort_mask(camera, clip.mask(frame, camera.name))
-        pictures.append(overlay(camera, image, mask, estimate, truth, window))
+        image = np.where(clip.mask(frame, camera.name) > 0, np.uint8(140), np.uint8(40))
+        pictures.append(overlay(camera, image, estimate, truth, window))
     path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path), montage(pictures, columns=len(pictures)))
     print(f"{path}: frame {frame}, {POINT_NAMES[int(np.argmax(np.linalg.norm(estimate - truth, axis=1)))]}")

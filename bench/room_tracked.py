@@ -142,7 +142,7 @@ def follow(rig_file: str) -> tuple[dict[int, Track], str]:
     for frame, (stamp_ns, images) in enumerate(frame_sets(session)):
         hull = pipeline.hull.run(FrameSet.of_instant(stamp_ns, pipeline.segment(stamp_ns, images)))
         pipeline.report_support(hull.support)
-        step = pipeline.body.step(hull.products.as_sent())
+        step = pipeline.body.step(hull.products)
         for person in step.people:
             if person.fit.state in ("tracking", "doubtful"):
                 tracks[person.person][frame] = np.array(person.fit.reference_points_world)

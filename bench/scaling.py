@@ -31,7 +31,7 @@ import numpy as np
 
 from capture_rig import Rig
 from capture_rig.mask_levels import ATTENUATED_LEVELS, FOREGROUND, SHADOW_CANDIDATE
-from ekf_tracker.people import PeopleFilter
+from ekf_tracker.filter import PeopleFilter
 from hull_server import hull_pipeline
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
@@ -95,7 +95,7 @@ class Server:
         lap()
         result = self._hull.run(FrameSet.of_instant(stamp_ns, masks, ()))
         lap()
-        products = result.products.as_sent()
+        products = result.products
         lap()
         fit = self._body.fit(products)
         lap()

@@ -10,16 +10,14 @@ from sagoma_tools.command_help import HELP, STATUSES, commands_of
 
 PAGE = """# Commands
 
-Every command with its exit statuses, and what all of them keep to. `sagoma COMMAND --help` has the arguments and
-examples. This page is printed from `sagoma_tools/command_help.py` by `python scripts/commands_page.py`.
+Every command with the exit statuses of its own, and what all of them keep to. `sagoma COMMAND --help` has the arguments
+and examples. This page is printed from `sagoma_tools/command_help.py` by `python scripts/commands_page.py`.
 
 | status | meaning, where the command's own line says nothing else |
 |---|---|
 {statuses}
 
-| command | does | statuses of its own |
-|---|---|---|
-{rows}
+{commands}
 
 ## Output
 
@@ -37,12 +35,12 @@ examples. This page is printed from `sagoma_tools/command_help.py` by `python sc
 
 def page(parser: argparse.ArgumentParser) -> str:
     """Return docs/commands.md."""
-    rows = []
+    lines = []
     for name, _, text in commands_of(parser):
         meant = "; ".join(f"{status}: {meaning}" for status, meaning in sorted(HELP[name].statuses.items()))
-        rows.append(f"| `sagoma {name}` | {text} | {meant} |")
+        lines.append(f"- `sagoma {name}`: {text}{f' ({meant})' if meant else ''}")
     statuses = "\n".join(f"| {status} | {meaning} |" for status, meaning in STATUSES.items())
-    return PAGE.format(rows="\n".join(rows), statuses=statuses)
+    return PAGE.format(commands="\n".join(lines), statuses=statuses)
 
 
 if __name__ == "__main__":

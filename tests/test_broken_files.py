@@ -27,7 +27,7 @@ from capture_rig.yaml_file import save_mapping
 from icp_tracker.acquisition.initial_pose import load_initial_pose, save_initial_pose
 from rig_calibration.boards.specification import read_board
 from sagoma_bringup.graph import camera_from_file
-from sagoma_tools.calibration.clicking import OuterCorners, read_corners, save_corners
+from sagoma_tools.calibration.outer_corners import read_corners
 from sagoma_tools.cli import main
 from sagoma_tools.recording.reader import read_messages, read_provenance
 from sagoma_tools.recording.writer import BagWriter
@@ -35,7 +35,7 @@ from sagoma_tools.takes.folder import TakesFolder
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, save_body
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from virtual_studio.motion_files.bvh import read_bvh
+from virtual_studio.motions.bvh import read_bvh
 from virtual_studio.rig import ring
 
 FEW, MANY = 12, 400
@@ -86,7 +86,7 @@ KINDS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]]
     "board": ("board.yaml", lambda path: save_mapping(path, BOARD), lambda path: read_board(str(path))),
     "corners": (
         "corners.yaml",
-        lambda path: save_corners(path, {"cam01": OuterCorners(np.eye(4)[:, :2], 3)}),
+        lambda path: path.write_text("cam01: {corners: [[1, 0], [0, 1], [0, 0], [0, 0]], frame: 3}\n"),
         read_corners,
     ),
     "camera parameters": ("cam01.yaml", lambda path: save_mapping(path, CAMERA), camera_from_file),

@@ -10,8 +10,7 @@ from mocap_packets.fit import PART_NAMES, PART_POINTS
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import BodyFollower, MocapPipeline
 from mocap_pipeline.session_footage import EPOCH_NS
-from sagoma_tools.evaluation.part_calls import PartCalls
-from sagoma_tools.evaluation.scores import INSIDE_95, squared_distances
+from sagoma_tools.evaluation.scores import INSIDE_95, PartCalls, squared_distances
 from sagoma_tools.evaluation.track import Track
 from stick_figure.body import Body
 from stick_figure.kinematics import forward

@@ -19,6 +19,7 @@ from sagoma_bringup.graph import build_graph
 from sagoma_ros.images import decode_silhouette
 from sagoma_tools.evaluation.live_inputs import FootageInput
 from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live
+from sagoma_tools.evaluation.track import frame_count
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX
 from sagoma_tools.recording.lockstep import replay_through_graph
@@ -30,7 +31,6 @@ from sagoma_tools.recording.reader import (
     read_messages,
 )
 from sagoma_tools.recording.recorder import GraphRecorder
-from sagoma_tools.recording.session_clock import frame_count
 
 T_POSE = {"icp_tracker.initial_pose.source": "t_pose"}
 FRAME_SET_TOPIC = "/hull/frame_set"

@@ -26,10 +26,11 @@ from ekf_tracker.urdf import body_urdf, link_name, link_of_point, same_sizes
 from hull_server.frames_ros import camera_frames
 from hull_server.hull_node import HullNode
 from mocap_packets.fit import FIRST_PERSON, ReferencePoints
+from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
 from sagoma_ros import frames
-from sagoma_ros.packets import packet_cloud, read_reference_points
+from sagoma_ros.packets import FITTED_PEOPLE, read_reference_points, tables_message
 from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_tools.cli import main
 from sagoma_tools.evaluation.in_process import exact_silhouettes
@@ -252,10 +253,8 @@ class Published(NamedTuple):
 
 def follow(open_probe, tmp_path, body, fitted, **parameters) -> Published:
     """Let a filter answer one set of fitted points after the other, however long each takes on a busy machine."""
-    body_file = tmp_path / "body.yaml"
-    save_body(body, body_file)
-    probe = open_probe(NodeProbe, EkfNode, {"body_file": str(body_file), "stale_after_s": 0.0, **parameters})
-    sender = probe.peer.create_publisher(PointCloud2, "icp/reference_points", RESULT)
+    probe = open_probe(NodeProbe, EkfNode, {"stale_after_s": 0.0, **parameters})
+    sender = probe.peer.create_publisher(FITTED_PEOPLE.kind, FITTED_PEOPLE.name, RESULT)
     clouds = probe.listen(PointCloud2, "mocap/reference_points")
     joints = probe.listen(JointState, "mocap/joint_states")
     markers = probe.listen(MarkerArray, "mocap/skeleton")
@@ -264,7 +263,8 @@ def follow(open_probe, tmp_path, body, fitted, **parameters) -> Published:
     probe.until(sender.get_subscription_count)
     probe.until(lambda: all(probe.node.count_subscribers(topic) for topic in probe.heard))
     for number, measured in enumerate(fitted):
-        sender.publish(packet_cloud(measured, START_NS + round(number * 1e9 / FPS), "map"))
+        stamp_ns = START_NS + round(number * 1e9 / FPS)
+        sender.publish(tables_message(FittedPeople(stamp_ns, PeoplePoints({1: measured}), {1: body}), "map"))
         probe.until(lambda: min(len(clouds), len(joints), len(markers)) > number and texts)  # noqa: B023
     points = [read_reference_points(cloud, "test").points_world for cloud in clouds]
     return Published(points, list(joints), list(markers), texts[0].data)

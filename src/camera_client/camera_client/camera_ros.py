@@ -28,7 +28,6 @@ from sagoma_ros.raw import CompressedImageWriter, StampedMessage
 from .background.causes import KEY as FINDINGS_KEY
 from .background.causes import findings_text
 from .background.model import BackgroundModel
-from .camera_chain import CameraChain, FrameResult
 from .diagnostics import (
     CameraState,
     Level,
@@ -40,6 +39,7 @@ from .diagnostics import (
     frame_values,
     source_values,
 )
+from .frame_processor import FrameProcessor, FrameResult
 from .frame_source import Frame, FrameSource
 from .settings import CameraClientSettings
 from .silhouettes.pipeline import outline
@@ -140,7 +140,7 @@ class CameraReport:
 
     def update(
         self,
-        chain: CameraChain,
+        processor: FrameProcessor,
         source: FrameSource,
         loop: GrabLoop,
         last: tuple[Frame, FrameResult] | None,
@@ -148,10 +148,10 @@ class CameraReport:
     ) -> None:
         """Report now; ``last`` : the newest frame and its results, ``placed`` : the camera's pose is known."""
         now_s = time.time()
-        values = source_values(source) | (frame_values(*last) if last else {}) | background_values(chain, now_s)
+        values = source_values(source) | (frame_values(*last) if last else {}) | background_values(processor, now_s)
         for key, value in values.items():
             self._health.set(key, value)
-        findings = background_findings(chain, source, self._settings, now_s)
+        findings = background_findings(processor, source, self._settings, now_s)
         self._health.set(FINDINGS_KEY, findings_text(findings))
         state = CameraState(
             loop.state,
@@ -159,11 +159,11 @@ class CameraReport:
             loop.reason,
             source.connection,
             self._recent.update(time.monotonic(), source.statistics),
-            calibrated=chain.camera is not None,
+            calibrated=processor.camera is not None,
             placed=placed,
-            has_background=chain.background is not None,
-            mismatch=background_mismatch(chain, source),
-            refused=chain.refused,
+            has_background=processor.background is not None,
+            mismatch=background_mismatch(processor, source),
+            refused=processor.refused,
             findings=findings,
         )
         self._say(*assess(state.with_result(last[1]) if last else state))

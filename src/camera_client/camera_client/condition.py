@@ -131,7 +131,7 @@ class ConditionWatch:
     def _collected(self, stamp_ns: int, silhouette: Silhouette) -> Condition:
         state, certainty = self._pipeline.background.state, self._pipeline.certainty
         moved, anything = self._pipeline.moved, silhouette.foreground_fraction + silhouette.candidate_fraction
-        restless = 0.0 if moved is None else moved.restless
+        restless = 0.0 if moved is None else moved.dynamic_share
         lasts = self._lasts(stamp_ns, Shares(restless, certainty.unexplained, certainty.faint or 0.0))
         things = {} if moved is None else self._things(stamp_ns)
         return Condition(
@@ -175,8 +175,8 @@ class ConditionWatch:
         """Return the figures of what moved; places are looked for only when something was absorbed or given back."""
         moved = self._pipeline.moved
         assert moved is not None
-        if self._things_known != (moved.absorbed, moved.given_back):
-            self._things_known, places = (moved.absorbed, moved.given_back), moved.places()
+        if self._things_known != (moved.absorbed, moved.reverted):
+            self._things_known, places = (moved.absorbed, moved.reverted), moved.places()
             self._places = describe_things(places, self._pipeline.background_pixels.shape)
             self._newest_ns = max((place.since_ns for place in places), default=0)
         return {
@@ -184,8 +184,8 @@ class ConditionWatch:
             "things_places": self._places,
             "things_since_s": max(stamp_ns - self._newest_ns, 0) * NS if self._places else None,
             "things_absorbed": moved.absorbed,
-            "things_given_back": moved.given_back,
-            "things_endless": moved.endless,
+            "things_given_back": moved.reverted,
+            "things_endless": moved.overflowed,
         }
 
 

@@ -13,7 +13,7 @@ from enum import IntEnum
 from capture_rig.verdict import GOOD, Finding
 
 from .background.causes import age_h, find_causes, other_setting, worst_first
-from .camera_chain import CameraChain, FrameResult
+from .frame_processor import FrameProcessor, FrameResult
 from .frame_source import Connection, ConnectionState, Frame, FrameSource, FrameStatistics
 from .settings import CameraClientSettings
 from .sources.frame_checks import LIGHTS, REMEDIES
@@ -165,15 +165,15 @@ class RecentStatistics:
 
 
 def background_findings(
-    chain: CameraChain, source: FrameSource, settings: CameraClientSettings, now_s: float
+    processor: FrameProcessor, source: FrameSource, settings: CameraClientSettings, now_s: float
 ) -> tuple[Finding, ...]:
     """Return what speaks against the background in use, the worst first; ``now_s`` is the system's clock.
 
     Footage is as old as its background, whatever the clock says.
     """
-    background, condition, limit_h = chain.background, chain.condition, settings.background_age_h
+    background, condition, limit_h = processor.background, processor.condition, settings.background_age_h
     if background is None:
-        return () if chain.refused is None else (chain.refused,)
+        return () if processor.refused is None else (processor.refused,)
     corrected = condition.light_gain if settings.background_model.rule == "adaptive" else None
     figures, age = condition.figures(), age_h(background.provenance, now_s)
     if age is not None and limit_h > 0 and source.connection is not None:
@@ -182,16 +182,16 @@ def background_findings(
     return worst_first([*other, *find_causes(figures)])
 
 
-def background_mismatch(chain: CameraChain, source: FrameSource) -> str:
+def background_mismatch(processor: FrameProcessor, source: FrameSource) -> str:
     """Why the picture must look unlike the background in use: another setting than it was learned with."""
-    if chain.background is None:
+    if processor.background is None:
         return ""
-    return next((finding.line for finding in other_setting(chain.background.provenance, source.details)), "")
+    return next((finding.line for finding in other_setting(processor.background.provenance, source.details)), "")
 
 
-def background_values(chain: CameraChain, now_s: float) -> dict[str, object]:
+def background_values(processor: FrameProcessor, now_s: float) -> dict[str, object]:
     """Return how well the background still fits: its age, what changed since, and how sure silhouettes are."""
-    background, values = chain.background, chain.condition.values()
+    background, values = processor.background, processor.condition.values()
     if background is None:
         return values
     age = age_h(background.provenance, now_s)

@@ -157,10 +157,10 @@ def test_settings_that_are_the_same_or_unknown_are_no_concern(now):
 def test_old_background_of_a_live_camera_is_told_in_hours_and_footage_is_never_old(hours, live, limit_h, told):
     created = datetime.datetime(2026, 3, 1, 8, tzinfo=datetime.UTC)
     about = Provenance("camera", 100, 1.5, created=created.isoformat())
-    chain = SimpleNamespace(background=SimpleNamespace(provenance=about), condition=Condition(), refused=None)
+    processor = SimpleNamespace(background=SimpleNamespace(provenance=about), condition=Condition(), refused=None)
     source = SimpleNamespace(details={}, connection=Connection(ConnectionState.STREAMING) if live else None)
     now_s = created.timestamp() + hours * 3600
-    found = background_findings(chain, source, CameraClientSettings(background_age_h=limit_h), now_s)
+    found = background_findings(processor, source, CameraClientSettings(background_age_h=limit_h), now_s)
     assert [finding.what for finding in found] == ["the background is 13 h old"] * told
     assert age_h(about, now_s) == pytest.approx(hours)
     assert age_h(Provenance("video", 100, 1.5), now_s) is None

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from camera_client.camera_chain import FrameResult
 from camera_client.diagnostics import (
     CameraState,
     Level,
@@ -15,6 +14,7 @@ from camera_client.diagnostics import (
     frame_values,
     source_values,
 )
+from camera_client.frame_processor import FrameResult
 from camera_client.frame_source import Connection, ConnectionState, Downtime, Frame, FrameStatistics, Outage
 from camera_client.sources.frame_checks import REMEDIES
 from camera_client.sources.grab_loop import GrabState

@@ -94,7 +94,7 @@ def test_intrinsics_set_by_service_are_saved_and_used_at_the_next_start(bench, u
     assert answer.success and np.array_equal(load_camera_info(path, scene.camera()).K, lens(scene).K)
     assert camera.node.trigger_deactivate() == SUCCESS and camera.node.trigger_cleanup() == SUCCESS
     assert camera.node.trigger_configure() == SUCCESS
-    assert np.array_equal(camera.node.chain.camera.K, lens(scene).K)
+    assert np.array_equal(camera.node.processor.camera.K, lens(scene).K)
 
 
 def test_intrinsics_of_another_camera_fail_configure(bench, unknown, session, scene):
@@ -188,7 +188,7 @@ def test_background_of_the_last_lesson_is_used_at_the_next_start(bench, session,
     camera.masks.clear()
     camera.start()
     camera.until(lambda: camera.masks)
-    assert camera.node.chain.background.provenance.frames == 20
+    assert camera.node.processor.background.provenance.frames == 20
 
 
 def test_damaged_background_of_the_last_lesson_keeps_no_camera_from_starting(bench, session):

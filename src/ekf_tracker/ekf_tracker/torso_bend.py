@@ -47,7 +47,9 @@ class TorsoBend:
         self._stamp_ns, rest = stamp_ns, body.straight
         self.bend, self.covariance = fade(self.bend, self.covariance, passed_s, self._rest_variance)
         if np.count_nonzero(z.visible[_POINTS]) >= FEWEST_POINTS:
-            self.bend, self.covariance = look(self.bend, self.covariance, rest.torso_points[1:], bend_columns(rest), z)
+            self.bend, self.covariance = correct(
+                self.bend, self.covariance, rest.torso_points[1:], bend_columns(rest), z
+            )
         return body.bent(self.bend)
 
 
@@ -62,7 +64,7 @@ def fade(bend, covariance, passed_s, rest_variance):
 
 
 @njit(cache=True, nogil=True)
-def look(bend, covariance, rest, columns, z):
+def correct(bend, covariance, rest, columns, z):
     """Bend and covariance corrected with the visible ones of neck, shoulders and hips (a Kalman update).
 
     rest (5, 3) m : these points of the body at rest, torso frame; columns (5, 3, 13) : `bend_columns` of it.

@@ -39,14 +39,14 @@ Floats = npt.NDArray[np.floating]
 class Noise(NamedTuple):
     """Variance of a pixel's grey level in each channel: read + slope level, grey levels squared.
 
-    read, slope (C,) float64. correlation : of two channels' noise: codecs err mostly in brightness. grain : share that
-    neighbours have in common (:class:`NoiseCorrelationMeter`).
+    read, slope (C,) float64. correlation : of two channels' noise: codecs err mostly in brightness.
+    spatial_correlation : share that neighbours have in common (:class:`NoiseCorrelationMeter`).
     """
 
     read: npt.NDArray[np.float64]
     slope: npt.NDArray[np.float64]
     correlation: float = 0.0
-    grain: float = 0.0
+    spatial_correlation: float = 0.0
 
     def variance(self, level: Floats) -> Floats:
         """Return the variance of grey levels (..., C), or of levels without channels for mono images."""
@@ -148,7 +148,7 @@ OPPONENT = np.array([[1 / 3, 1, 0], [1 / 3, -1, -1], [1 / 3, 0, 1]], np.float32)
 
 
 class NoiseCorrelationMeter:
-    """Measures the grain at sampled pixels. ``grain`` : 0 until it is known."""
+    """Measures it at sampled pixels. ``spatial_correlation`` : 0 until it is known."""
 
     def __init__(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp], width: int) -> None:
         """Sample at ``row``, ``column`` (n,) of a picture of this width."""
@@ -157,10 +157,10 @@ class NoiseCorrelationMeter:
         self._before: Floats | None = None
         self._sure_before = np.zeros(len(row), bool)
         self._passing: deque[float] = deque(maxlen=2)
-        self._known, self.grain = False, 0.0
+        self._known, self.spatial_correlation = False, 0.0
 
     def update(self, seen: Floats, rest: Floats, sure: npt.NDArray[np.bool_], step_s: float) -> float:
-        """Take a frame, ``step_s`` after the last one taken; return the grain.
+        """Take a frame, ``step_s`` after the last one taken; return the correlation.
 
         seen, rest (3, n, C) : grey levels at ``row``, ``column`` (3, n), and by how much they differ from the
         background. sure (n,) : which samples show the background.
@@ -168,14 +168,14 @@ class NoiseCorrelationMeter:
         before, both = self._before, sure & self._sure_before
         self._before, self._sure_before = seen, sure
         if before is None:
-            return self.grain
+            return self.spatial_correlation
         found, passing = measured_correlation(*rest[:, sure]), measured_correlation(*(seen - before)[:, both])
         self._passing.append(1.0 if passing is None else passing)  # only codecs show the same picture again
         if found is not None and len(self._passing) == self._passing.maxlen:
             share = 1 - math.exp(-step_s / FOLLOW_S) if self._known else 1.0
-            self.grain += share * (min(found, PASSING * min(self._passing)) - self.grain)
+            self.spatial_correlation += share * (min(found, PASSING * min(self._passing)) - self.spatial_correlation)
             self._known = True
-        return self.grain
+        return self.spatial_correlation
 
 
 def measured_correlation(own: Floats, near: Floats, far: Floats) -> float | None:

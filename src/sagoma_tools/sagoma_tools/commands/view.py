@@ -12,10 +12,9 @@ from capture_rig.rig import Rig, load_rig
 from capture_rig.stop_signals import StopOnSignal
 
 from ..arguments import SECONDS, add_takes_argument, bag_of
+from ..console import until_stopped
 from ..graph.diagnostics_table import DiagnosticsTable
-from ..graph.namespace import add_namespace_argument, namespace_argument
-from ..graph.ros_link import RosLink
-from ..progress_line import until_stopped
+from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument
 from ..takes.folder import TakesFolder
 from ..view.control import Control
 from ..view.guard import ANY_HOST, Guard

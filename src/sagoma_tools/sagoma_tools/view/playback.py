@@ -16,7 +16,7 @@ from motion_export.motion import NS_PER_S, Motion, point_deviations
 from ..recording.reader import SIDECAR_RIG
 from ..recording.recorded_motion import recorded_motions
 from ..takes.take import Take
-from .figures import Figure
+from .scene import Figure
 
 Array = np.ndarray
 

@@ -27,7 +27,7 @@ At = tuple[slice, slice]
 
 
 class ExpectedImage:
-    """Levels and sureness, 1 / sigma, of every pixel.
+    """Level and 1 / sigma of every pixel.
 
     Changes of light and noise act on the rows that are renewed; gain and offset act at once.
     """
@@ -42,7 +42,7 @@ class ExpectedImage:
             square = model.sigma.reshape(self.shape).astype(float) ** 2
             self._excess_learned += np.maximum(square - learned_noise.variance(self._learned), 0).astype(np.float32)
         self._least_variance = sigma_floor**2
-        self._levels, self._sureness = np.empty_like(self._learned), np.empty_like(self._learned)
+        self._levels, self._inverse_sigma = np.empty_like(self._learned), np.empty_like(self._learned)
         self.place(Displacement(), None)
 
     @property
@@ -53,13 +53,13 @@ class ExpectedImage:
     # --- what it looks like now
 
     def samples(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Return level / gain, without the offset, and sureness of some pixels, both (n, C)."""
-        return self._levels[row, column], self._sureness[row, column]
+        """Return level / gain, without the offset, and 1 / sigma of some pixels, both (n, C)."""
+        return self._levels[row, column], self._inverse_sigma[row, column]
 
     def flat(self) -> tuple[Floats, Floats, Floats]:
-        """Return level / gain without the offset, sureness, and variance beyond the noise's, (H W, C)."""
+        """Return level / gain without the offset, 1 / sigma, and variance beyond the noise's, (H W, C)."""
         shape = -1, self.shape[2]
-        return self._levels.reshape(shape), self._sureness.reshape(shape), self._excess.reshape(shape)
+        return self._levels.reshape(shape), self._inverse_sigma.reshape(shape), self._excess.reshape(shape)
 
     def levels(self, at: At, light: Light) -> Floats:
         """Return the grey levels of a part: (h, w), of colour images (h, w, 3)."""
@@ -72,7 +72,7 @@ class ExpectedImage:
 
     def distance(self, image: Image, light: Light, correlation: float, out: Mask) -> Mask:
         """Write into ``out`` (H, W) uint8 how far each pixel is from the background: min(255, SCALE z^2)."""
-        flat = image.reshape(-1), self._levels.reshape(-1), self._sureness.reshape(-1), light.gain, light.offset
+        flat = image.reshape(-1), self._levels.reshape(-1), self._inverse_sigma.reshape(-1), light.gain, light.offset
         if self.shape[2] == 1:
             squared_distance(*flat, out.reshape(-1))
         else:
@@ -130,13 +130,13 @@ class ExpectedImage:
             across.reshape(FIELD_DOWN, -1),
             down.clip(0, FIELD_DOWN - 1).astype(np.float32),
             np.tile(parts.astype(np.float32), width),
-            *(each[rows].reshape(end - first, -1) for each in (self._levels, self._sureness)),
+            *(each[rows].reshape(end - first, -1) for each in (self._levels, self._inverse_sigma)),
         )
 
     def rest(self, image: Image, rows: slice, light: Light) -> tuple[Floats, Floats]:
         """Return image minus background of some rows, and its squared distance in each channel, (h, W, C)."""
         rest = image.reshape(self.shape)[rows] - (self._levels[rows] * light.gain + light.offset)
-        return rest, np.square(rest * self._sureness[rows])
+        return rest, np.square(rest * self._inverse_sigma[rows])
 
 
 # --- what changes slowly in single places: sun that creeps over a wall, dust, a lamp that warms up
