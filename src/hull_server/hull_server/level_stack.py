@@ -13,7 +13,7 @@ from capture_rig.kernel import kernel
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FOREGROUND, SHADOW_CANDIDATE, UNCERTAIN
 
 from .views import Box, Masks, RigViews
-from .words import high_bytes, nonzero_bytes, span_of_words
+from .words import HIGH_BITS, high_bytes, nonzero_bytes, span_of_words
 
 BLIND = 1  # level of pixels that the camera does not see; no camera client sends it
 DARKEST, LIGHTEST = CANDIDATE_LEVELS[0], ATTENUATED_LEVELS[-1]  # levels from and to of pixels that may be shadow
@@ -21,6 +21,8 @@ DARKEST, LIGHTEST = CANDIDATE_LEVELS[0], ATTENUATED_LEVELS[-1]  # levels from an
 FIRST_BITS = np.uint64(0x0101010101010101)  # of every byte of a word
 ALL_UNCERTAIN = FIRST_BITS * np.uint64(UNCERTAIN)  # a word of it
 NEITHER_SURE_NOR_BLIND = np.uint64(0xFEFEFEFEFEFEFEFE)  # bits that 0, BLIND and, turned over, FOREGROUND do not have
+
+ANYWHERE = (-(1 << 30), -(1 << 30), 1 << 30, 1 << 30)  # a box
 
 Mask = npt.NDArray[np.uint8]
 
@@ -71,6 +73,15 @@ class LevelStack:
         camera, binary = self._views.number[name], np.zeros_like(mask)
         _threshold(self._words[camera], self._shown[camera], binary.view(np.uint64))
         return binary
+
+    def write_body_boxes(self, boxes: npt.NDArray[np.int64]) -> None:
+        """Write a box that holds each camera's pixels that may be the person to ``boxes`` (N, 4); an absent camera's is
+        boundless."""
+        for camera, absent in enumerate(self._absent):
+            if absent:
+                boxes[camera] = ANYWHERE
+            else:
+                _bound_body(self._words[camera], self._shown[camera], boxes[camera])
 
 
 def binary_mask(mask: Mask) -> Mask:
@@ -173,3 +184,16 @@ def bounds_of_words(words):  # type: ignore[no-untyped-def]
             top, bottom = min(top, v), v + 1
             left, right = min(left, first), max(right, last)
     return (left, top, right, bottom) if bottom else (0, 0, 0, 0)
+
+
+@kernel
+def _bound_body(level_words, shown, box):  # type: ignore[no-untyped-def]
+    """Write the box of the pixels (H, W / 8) above SHADOW_CANDIDATE, or UNCERTAIN, within the box ``shown``."""
+    left, top, right, bottom = level_words.shape[1], level_words.shape[0], 0, 0
+    for v in range(shown[1], shown[3]):
+        for word in range(shown[0] // 8, shown[2] // 8):
+            uncertain = FIRST_BITS ^ nonzero_bytes(level_words[v, word] ^ ALL_UNCERTAIN)
+            if (level_words[v, word] & HIGH_BITS) | uncertain:
+                top, bottom = min(top, v), v + 1
+                left, right = min(left, word), max(right, word + 1)
+    box[0], box[1], box[2], box[3] = 8 * left, top, 8 * right, bottom

@@ -28,6 +28,7 @@ class ShadowResolver:
         self._stack = LevelStack(views)
         self._scene = floor_scene(views, volume)
         self._floor_px = np.empty((len(views.names), 3))
+        self._bodies = np.zeros((len(views.names), 4), np.int64)
         height, width = views.seen.shape[1:]
         self._labels = PixelLabels.zeros((0, 0, width, height))
 
@@ -44,6 +45,7 @@ class ShadowResolver:
         boxes = {name: box for name, box in boxes.items() if name in wanted}
         binary = {name: self._stack.binary(name, mask) if name in boxes else mask for name, mask in wanted.items()}
         if self._settings.enabled:
+            self._stack.write_body_boxes(self._bodies)
             for name, box in boxes.items():
                 self._resolve(self._views.number[name], box, seeing, binary[name])
         return binary
@@ -56,21 +58,22 @@ class ShadowResolver:
         """Correct the camera's ``binary`` mask within the box."""
         min_height_m, scene = self._settings.min_height_m, self._scene
         if scene.centres[camera, 2] > max(min_height_m, LEAST_CENTRE_Z_M):
-            levels = self._stack.levels
-            _resolve(scene, levels, camera, box, (seeing, min_height_m), self._floor_px, self._labels, binary)
+            batch = self._stack.levels, self._bodies
+            _resolve(scene, batch, camera, box, (seeing, min_height_m), self._floor_px, self._labels, binary)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _resolve(scene, levels, camera, box, limits, floor_px, scratch, mask):
+def _resolve(scene, batch, camera, box, limits, floor_px, scratch, mask):
     """Correct one camera's ``mask`` (h, w) of 0 and 255 in a box; limits : cameras that must see a voxel, least height.
 
-    scratch : labels for a whole canvas.
+    batch : levels of all cameras, and a box for each of what may be the person; scratch : labels for a whole canvas.
     """
-    (left, top, right, bottom), (seeing, min_height) = box, limits
+    (left, top, right, bottom), (seeing, min_height), (levels, bodies) = box, limits, batch
     h, w = (bottom - top + STRIDE - 1) // STRIDE, (right - left + STRIDE - 1) // STRIDE
     foreground, shadow, candidate = scratch.foreground[:h, :w], scratch.shadow[:h, :w], scratch.candidate[:h, :w]
-    labels = PixelLabels(foreground, shadow, candidate, scratch.body[:h, :w], scratch.applied[:h, :w])
+    body, undecided, applied = scratch.body[:h, :w], scratch.undecided[:h, :w], scratch.applied[:h, :w]
+    labels = PixelLabels(foreground, shadow, candidate, body, undecided, applied)
     for label in labels:
         label[:] = 0
-    label_pixels(scene, levels, camera, box, seeing, min_height, floor_px, labels)
+    label_pixels(scene, levels, bodies, camera, box, seeing, min_height, floor_px, labels)
     apply_labels(scene.kind, levels[camera], box, labels, mask)
