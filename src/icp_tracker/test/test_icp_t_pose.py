@@ -217,7 +217,7 @@ def test_known_body_keeps_its_sizes_in_a_t_pose(t_pose):
 def test_settings_choose_the_source(tmp_path):
     save_body(BODY, tmp_path / "body.yaml")
     alone = make_pose_source(InitialPoseSettings(source="t_pose"), str(tmp_path / "body.yaml"))
-    assert isinstance(alone, TPoseSource) and alone.needs_voxels
+    assert isinstance(alone, TPoseSource)
     assert isinstance(make_pose_source(InitialPoseSettings()), AnyPoseSource)
 
 

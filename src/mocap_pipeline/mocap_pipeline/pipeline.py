@@ -90,7 +90,7 @@ class MocapPipeline:
             for name, background in (backgrounds or {}).items()
         }
         self.hull = HullPipeline(rig, configuration.hull)
-        self.body = BodyFollower.of(configuration, rig)
+        self.body = TrackingStage.of(configuration, rig)
 
     def step(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Step:
         """Return the persons at one instant, from the cameras' images (H, W[, 3]) uint8."""
@@ -125,7 +125,7 @@ class MocapPipeline:
                 self.cameras[report.camera].take_support(report)
 
 
-class BodyFollower:
+class TrackingStage:
     """Tracker and filters of everybody: each fit starts from the filter's state after the frame set before."""
 
     def __init__(self, tracker: PeopleTracker, filters: PeopleFilter, feedback: bool = True) -> None:
@@ -135,7 +135,7 @@ class BodyFollower:
         self._predictions: dict[int, Prediction] = {}
 
     @classmethod
-    def of(cls, configuration: Configuration, rig: Rig | None = None) -> BodyFollower:
+    def of(cls, configuration: Configuration, rig: Rig | None = None) -> TrackingStage:
         """Build tracker and filters as the settings say; ``rig`` : whose hulls it gets."""
         tracker = make_people_tracker(configuration.icp, rig, configuration.hull.min_seeing)
         return cls(tracker, PeopleFilter(configuration.ekf), configuration.feedback)

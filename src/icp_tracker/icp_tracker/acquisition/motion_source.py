@@ -126,10 +126,6 @@ class MotionSource:
         self._fit_settings = ArticulatedSettings()
         self.reset()
 
-    @property
-    def needs_voxels(self) -> bool:
-        return True
-
     def reset(self) -> None:
         """Forget what was watched."""
         self._girth, self._girth_is_known, self._last_ns = 0, False, 0

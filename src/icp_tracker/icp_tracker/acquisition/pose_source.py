@@ -72,10 +72,6 @@ class AnyPoseSource:
     """Looks for a T-pose, which measures the body at once, and for any other posture, which takes a body of average
     proportions and learns its sizes later. While a T-pose is being held it alone decides."""
 
-    @property
-    def needs_voxels(self) -> bool:
-        return True
-
     def __init__(self, t_pose: TPoseSource, motion: MotionSource) -> None:
         self._t_pose, self._motion = t_pose, motion
         self._held_ns = 0

@@ -91,20 +91,6 @@ class PeopleTracker:
         tracker = self._persons[person].tracker
         return tracker.bent_body if bent else tracker.body
 
-    @property
-    def needs_voxels(self) -> bool:
-        """Whether the next step uses the hull's voxels."""
-        return any(tracker.needs_voxels for tracker in self._trackers)
-
-    @property
-    def needs_contour_rays(self) -> bool:
-        """Whether the next step uses the contour rays."""
-        return any(tracker.needs_contour_rays for tracker in self._trackers)
-
-    @property
-    def _trackers(self) -> tuple[IcpTracker, ...]:
-        return (*(person.tracker for person in self._persons.values()), *self._newcomers.values())
-
     def step(self, seen: HullProducts, predictions: Mapping[int, Prediction]) -> tuple[Fit, ...]:
         """Fit one frame set: one answer for each person that is there, in order, and always one for the first."""
         parts = seen.numbers()
