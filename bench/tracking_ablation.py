@@ -31,7 +31,6 @@ from sagoma_tools.evaluation.scores import Scores, score
 from sagoma_tools.evaluation.track import Track
 
 CHANGES: dict[str, dict[str, object]] = {
-    "ours without sticks inside the hull": {SOLVE + "volume.inside_weight": 0.0},
     "ours without the hull's surface": {SOLVE + "volume.weight": 0.0},
     "ours without contour rays": {SOLVE + "contour.weight": 0.0},
     "ours without the search for better poses": {"icp_tracker.recovery.search": False},
@@ -46,7 +45,6 @@ CHANGES: dict[str, dict[str, object]] = {
         SOLVE + "prior.ball_sd": 0.7,
         SOLVE + "prior.hinge_sd": 0.7,
     },
-    "ours, arms may cross the torso": {SOLVE + "volume.clearance_weight": 0.0},
     "ours, identity model": {"ekf_tracker.motion_model": "identity"},
     "ours, every error new in every set": {"ekf_tracker.filter.measurement_bias.share": 0.0},
     "ours, joints known for certain": {"ekf_tracker.filter.measurement_bias.joints": 0.0},

@@ -5,10 +5,9 @@ hierarchical ICP of thesis 4.3, but the 24 tangent components of the pose are so
 limb is frozen before its descendants are fitted:
 
     minimise  sum_i rho(|x_i - c_i|) / sigma_i^2  +  sum_v rho(distance of voxel v from the body's surface) / sigma_v^2
-              +  sum_r rho(distance of contour ray r from the body's surface) / sigma_r^2
-              +  sum_s rho(distance of stick point s from the hull) / sigma_s^2  +  |pose (-) start|^2_Lambda
+              +  sum_r rho(distance of contour ray r from the body's surface) / sigma_r^2  +  |pose (-) start|^2_Lambda
 
-with c_i the foot point on the closest stick, rho Geman-McClure or X84, and Lambda a weak prior that holds what the
+with c_i the foot point on the closest stick, rho Geman-McClure, and Lambda a weak prior that holds what the
 data do not show. Ball joints move on SO(3): no gimbal lock. Elbows and knees may pass straight during the solve (a
 limit there is a saddle that traps arms) and are bent the right way again afterwards, with the same points. Weights are
 equivalent centerline points: a term of weight 900 counts as much as 900 points of the centerline.
@@ -34,7 +33,6 @@ from stick_figure.least_squares.gauss_newton import Data, DataMatch, Scale, Stop
 from stick_figure.least_squares.hull_samples import HullSamples
 from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure, State
-from stick_figure.least_squares.point_factor import GEMAN_MCCLURE, SIGMA_FLOOR_M, X84
 from stick_figure.pose import Pose
 
 # Thresholds: the former chosen with python bench/tracking_ablation.py SESSION, in steps of about a half, the last
@@ -45,9 +43,7 @@ HINGE_MARGIN = 0.15  # rad a hinge may stay on the wrong side of straight
 STEP_LIMIT = 0.5  # m, rad, largest component of one step
 VOXEL_GATE_M = 0.06  # distance at which a voxel's weight has fallen to 1/4
 TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight has fallen to a half
-INSIDE_SAMPLES = 1000  # voxels of surface and interior that stand for the hull
-INSIDE_SLACK_M = 0.045  # distance from them that still counts as inside: the spacing of the samples
-INSIDE_GATE_M = 0.2  # distance at which the weight of a point outside has fallen to 1/4
+HULL_SAMPLES = 1000  # voxels of surface and interior that stand for the hull
 CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
 CONTOUR_SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
 # of its covariance and visibility; checked by bench/covariance_coverage.py of commit d6079d2
@@ -90,18 +86,12 @@ class PriorSettings:
 
 @dataclass(frozen=True)
 class VolumeSettings:
-    """The voxels of the hull against the body's surface and sticks."""
+    """The voxels of the hull against the body's surface."""
 
     weight: float = setting(
         900.0, "all surface voxels together, in centerline points; 0 leaves the voxels out", low=0.0, high=1e6
     )
     samples: int = setting(1000, "surface voxels that are used", low=10, high=100000)
-    inside_weight: float = setting(
-        6.0, "one point of a stick outside the hull, in centerline points; 0: off", low=0.0, high=1e6
-    )
-    clearance_weight: float = setting(
-        10.0, "keeping an arm out of the torso, in centerline points; 0: off", low=0.0, high=1e6
-    )
 
 
 @dataclass(frozen=True)
@@ -133,11 +123,6 @@ class ContourSettings:
 class ArticulatedSettings:
     """Settings of the all-joints solve."""
 
-    robust: str = setting(
-        "geman_mcclure",
-        "weight of distant points: smooth (hulls) or X84 rejection per stick (clean points)",
-        choices=("geman_mcclure", "x84"),
-    )
     gate_m: float = setting(0.08, "distance at which a Geman-McClure weight has fallen to 1/4", unit="m", low=1e-3)
     model_sigma_m: float = setting(
         0.03, "distance of a perfect centerline point from its stick (a body is no stick figure)", unit="m", low=1e-4
@@ -257,7 +242,6 @@ def make_data(
     sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
     volume = settings.volume
     surface = (voxels if volume.weight > 0.0 else NO_VOXELS).surface_points(volume.samples)
-    hull = (voxels if volume.inside_weight > 0.0 else NO_VOXELS).hull_points(INSIDE_SAMPLES)
     contour_rays = contour_rays if settings.contour.weight > 0.0 else NO_CONTOUR_RAYS
     if visibility is not None:
         whole = visibility.near_unseen.rows_outside(points)
@@ -269,7 +253,7 @@ def make_data(
         1.0 / (settings.model_sigma_m**2 + sigma**2),
         gate2,
         surface,
-        HullSamples.of(hull, EVERYWHERE if visibility is None else visibility.unseen_cells),
+        HullSamples.of(voxels.hull_points(HULL_SAMPLES), EVERYWHERE if visibility is None else visibility.unseen_cells),
         _contour_rays(rays_in_use(contour_rays, settings, visibility), settings),
     )
 
@@ -297,17 +281,11 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     voxels = len(data.voxels)
     return Weights(
         prior=prior.information,
-        robust=X84 if settings.robust == "x84" else GEMAN_MCCLURE,
-        floor=SIGMA_FLOOR_M,
         voxel=volume.weight * one / voxels if voxels else 0.0,
         voxel_gate=VOXEL_GATE_M,
         voxel_tight=TIGHT_M,
         contour_gate=CONTOUR_GATE_M,
         contour_slack=CONTOUR_SLACK_M,
-        clearance=volume.clearance_weight * one if voxels else 0.0,
-        inside=volume.inside_weight * one if len(data.hull.points) else 0.0,
-        inside_slack=INSIDE_SLACK_M,
-        inside_gate=INSIDE_GATE_M,
         neck=_information(prior.neck_sd),
         neck_pitch=prior.neck_pitch,
         limit=_information(prior.limit_sd),

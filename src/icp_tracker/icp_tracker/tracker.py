@@ -127,8 +127,7 @@ class IcpTracker:
         """Whether the next step uses the hull's voxels."""
         if self._pose is None and self._source.needs_voxels:
             return True
-        volume = self._settings.articulated.volume
-        return self._all_joints and max(volume.weight, volume.inside_weight) > 0.0
+        return self._all_joints
 
     @property
     def needs_contour_rays(self) -> bool:

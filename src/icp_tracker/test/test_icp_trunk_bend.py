@@ -15,7 +15,7 @@ from stick_figure.kinematics import forward
 from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.trunk_bend import LEFT_Z, PELVIS_YAW, RIGHT_X
 
-BENDS = ArticulatedSettings(volume=VolumeSettings(weight=0.0, inside_weight=0.0))
+BENDS = ArticulatedSettings(volume=VolumeSettings(weight=0.0))
 RIGID = replace(BENDS, contour=replace(BENDS.contour, bend=0.0))
 FRAME_NS = 16_666_667
 BEND = np.zeros(BEND_NUMBERS)

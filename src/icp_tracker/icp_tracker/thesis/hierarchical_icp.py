@@ -3,8 +3,13 @@
 The torso first, then every limb from its root to its end: each stick is aligned by ICP to the points nearest to it,
 helped by the points of its descendants with a small weight (they fix the rotation about the stick's own axis), and
 carries its descendants along. Corrections to the text: model points are moved onto data points (not the reverse); a
-lone stick takes the smallest rotation (its Procrustes problem leaves the twist open); X84 is one-sided, per group; and
-a stick is done when its increment is small, since with noisy data the mean distance never falls below a threshold.
+lone stick takes the smallest rotation (its Procrustes problem leaves the twist open); and a stick is done when its
+increment is small, since with noisy data the mean distance never falls below a threshold.
+
+The X84 rejection rule (eq. 4.11) discards pairs with ``|e - med e| > 3.5 * 1.4826 MAD``, here group by group. Two
+corrections: a distance BELOW the median is never an outlier, so the rule is one-sided; and the median absolute
+deviation of a nearly perfect set is nearly zero and would discard half of it, so the scale never falls below a floor of
+a few millimetres.
 """
 
 from __future__ import annotations
@@ -20,16 +25,20 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import inverse
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, columns
-from stick_figure.least_squares.point_factor import SIGMA_FLOOR_M, place_feet, prefer_stick, x84_keep
+from stick_figure.least_squares.point_factor import place_feet, prefer_stick
 from stick_figure.pose import Pose
 from stick_figure.skeleton import PARENT, PREORDER
 
 from .procrustes import weighted_extended_procrustes, weighted_procrustes_about, weighted_swing_about
 
 OWN, DESCENDANT, OTHER = 0, 1, 2
-# Thresholds: MIN_OWN_POINTS from Arun et al. 1987: three points fix a rotation; else judgement.
+# Thresholds: MIN_OWN_POINTS from Arun et al. 1987: three points fix a rotation; X84 from Hampel et al., "Robust
+# Statistics", 1986, and the normal distribution; else judgement.
 MIN_OWN_POINTS = 3  # a stick with fewer points of its own stays where it is
 ROTATION_TOLERANCE, SHIFT_TOLERANCE_M = 1e-3, 1e-4  # rad, m: a stick, the torso, is done below this increment
+CUT = 3.5  # standard deviations
+MAD_TO_SIGMA = 1.4826  # a Gaussian's standard deviation over its median absolute deviation
+SIGMA_FLOOR_M = 0.005
 
 
 def _descendants() -> np.ndarray:
@@ -227,3 +236,37 @@ def apply_motion(j, R, t, G, t0):
             for p in range(3):
                 G[k, p, q] = R[p, 0] * column[0] + R[p, 1] * column[1] + R[p, 2] * column[2]
     return np.sqrt(shift)
+
+
+@njit(cache=True)
+def x84_threshold(distances, floor=SIGMA_FLOOR_M):
+    """Return the largest distance (m) that is kept of ``distances`` (n,), m; infinite for an empty set."""
+    if distances.shape[0] == 0:
+        return np.inf
+    centre = np.median(distances)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(distances - centre))
+    return centre + CUT * max(sigma, floor)
+
+
+@njit(cache=True)
+def x84_keep(distances, group, groups, floor, keep):
+    """Apply the rule to each group on its own; groups outside 0..groups-1 are not kept.
+
+    ``distances`` (n,) m, ``group`` (n,) int, ``keep`` (n,) bool is written; returns the number kept.
+    """
+    n = distances.shape[0]
+    keep[:] = False
+    members = np.empty(n)
+    kept = 0
+    for g in range(groups):
+        count = 0
+        for i in range(n):
+            if group[i] == g:
+                members[count] = distances[i]
+                count += 1
+        limit = x84_threshold(members[:count], floor)
+        for i in range(n):
+            if group[i] == g and distances[i] <= limit:
+                keep[i] = True
+                kept += 1
+    return kept
