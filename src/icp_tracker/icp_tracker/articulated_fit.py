@@ -16,14 +16,12 @@ equivalent centerline points: a term of weight 900 counts as much as 900 points 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from capture_rig.settings import setting
 from capture_rig.visibility import EVERYWHERE, RigVisibility
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
-from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.joint_centres import with_joint_centres
 from stick_figure.least_squares import gauss_newton
@@ -46,42 +44,22 @@ TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight 
 HULL_SAMPLES = 1000  # voxels of surface and interior that stand for the hull
 CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
 CONTOUR_SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
+# of what is known without data: a start that is a guess may be so far off; tighter ones gained nothing on any session
+PRIOR_SD_M, PRIOR_SD = 0.3, 0.5  # m, rad, of the start
+NECK_SD, NECK_PITCH = 0.25, 0.1  # rad, of the head about its rest, forward of the torso's axis; not in the covariance
+LIMIT_SD = 0.2  # rad, joint limits, as a soft cost beyond the range; not in the covariance
 # of its covariance and visibility; checked by bench/covariance_coverage.py of commit d6079d2
 UNSEEN_SD = 0.5  # m, rad, of what no row bears on: a forearm that nothing shows may be 15 cm off
 COVARIANCE_SHARE = 0.05  # of their weight with which voxels enter the covariance: their errors are common to many
 SUPPORT_POINTS = 3  # inliers that make a reference point visible
 SUPPORT_VOXELS = 5  # surface voxels on the body near a point's stick that make it visible without inliers
 UNKNOWN_SD_M = 10.0  # standard deviation of a point about which nothing is known
+PRIOR = np.repeat([PRIOR_SD_M, PRIOR_SD], [3, TANGENT - 3]) ** -2
 UNSEEN = np.full(TANGENT, UNSEEN_SD**-2)
 # sticks that meet at each reference point, one or two: torso centre, head tip, neck, shoulders, hips, elbows, knees,
 # hands, feet
 FIRST_SUPPORT = np.array([0, 1, 0, 0, 0, 0, 0, 2, 3, 4, 5, 6, 7, 8, 9])
 SECOND_SUPPORT = np.array([0, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 6, 7, 8, 9])
-
-
-@dataclass(frozen=True)
-class PriorSettings:
-    """How far the pose may leave its start where no datum says otherwise: standard deviations of a Gaussian prior."""
-
-    position_sd_m: float = setting(0.1, "torso position", unit="m", low=1e-4, high=100.0)
-    rotation_sd: float = setting(0.2, "torso rotation", unit="rad", low=1e-4, high=100.0)
-    ball_sd: float = setting(0.15, "neck, shoulders and hips", unit="rad", low=1e-4, high=100.0)
-    hinge_sd: float = setting(0.2, "elbows and knees", unit="rad", low=1e-4, high=100.0)
-    neck_sd: float = setting(
-        0.25, "head about its rest direction; in the solve, not in the covariance (0: off)", unit="rad", low=0.0
-    )
-    neck_pitch: float = setting(0.1, "rest direction of the head, forward of the torso's axis", unit="rad")
-    limit_sd: float = setting(
-        0.2, "joint limits, as a soft cost beyond the range; not in the covariance (0: off)", unit="rad", low=0.0
-    )
-
-    @cached_property
-    def information(self) -> np.ndarray:
-        """The (24,) inverse variances of the tangent slots."""
-        sd = np.full(TANGENT, self.ball_sd)
-        sd[:3], sd[3:6] = self.position_sd_m, self.rotation_sd
-        sd[kernels.HINGE_SLOT] = self.hinge_sd
-        return 1.0 / sd**2
 
 
 @dataclass(frozen=True)
@@ -134,7 +112,6 @@ class ArticulatedSettings:
     tolerance_m: float = setting(
         0.002, "converged when an iteration moves no reference point farther than this", unit="m", low=0.0
     )
-    prior: PriorSettings = setting(PriorSettings, "prior about the start of the fit")
     volume: VolumeSettings = setting(VolumeSettings, "the hull's voxels")
     contour: ContourSettings = setting(ContourSettings, "the contour rays")
 
@@ -277,18 +254,17 @@ def _contour_rays(rays: ContourRays, settings: ArticulatedSettings) -> RayArrays
 
 def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     """Turn the settings into information: what counts how much."""
-    prior, volume, one = settings.prior, settings.volume, 1.0 / settings.model_sigma_m**2
-    voxels = len(data.voxels)
+    volume, one, voxels = settings.volume, 1.0 / settings.model_sigma_m**2, len(data.voxels)
     return Weights(
-        prior=prior.information,
+        prior=PRIOR,
         voxel=volume.weight * one / voxels if voxels else 0.0,
         voxel_gate=VOXEL_GATE_M,
         voxel_tight=TIGHT_M,
         contour_gate=CONTOUR_GATE_M,
         contour_slack=CONTOUR_SLACK_M,
-        neck=_information(prior.neck_sd),
-        neck_pitch=prior.neck_pitch,
-        limit=_information(prior.limit_sd),
+        neck=NECK_SD**-2,
+        neck_pitch=NECK_PITCH,
+        limit=LIMIT_SD**-2,
         ends=CORRELATED * _information(settings.contour.turn_sd),
     )
 

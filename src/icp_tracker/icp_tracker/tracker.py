@@ -283,13 +283,13 @@ class IcpTracker:
         settings, body = self._settings, found.body
         if body is None or settings.refinement.keyframes == 0 or not self.needs_contour_rays:
             return None
-        prior, contour = settings.articulated.prior, settings.articulated.contour
+        contour = settings.articulated.contour
         if found.estimate is None:
             if body.build.any():
                 return None
-            return BodyRefiner(known_sizes(body), settings.refinement, prior, body, contour.bend, contour.turn_sd)
+            return BodyRefiner(known_sizes(body), settings.refinement, body, contour.bend, contour.turn_sd)
         bend, turn_sd, build = contour.bend, contour.turn_sd, body.build
-        return BodyRefiner(found.estimate, settings.refinement, prior, bend=bend, turn_sd=turn_sd, build=build)
+        return BodyRefiner(found.estimate, settings.refinement, bend=bend, turn_sd=turn_sd, build=build)
 
 
 def make_tracker(settings: IcpNodeSettings, visibility: RigVisibility | None = None) -> IcpTracker:
@@ -330,7 +330,7 @@ def warm_up(settings: TrackerSettings) -> None:
         for k in range(2):
             trunk.look(k, body, pose, data.contour_rays, matched.rays)
     if settings.refinement.keyframes > 0:
-        warm_up_refiner(settings.refinement, settings.articulated.prior)
+        warm_up_refiner(settings.refinement)
 
 
 def _solution(fit: FitResult) -> Solution:

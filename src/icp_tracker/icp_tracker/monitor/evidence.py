@@ -25,7 +25,7 @@ from stick_figure.least_squares.surface_factor import point_on_stick
 from stick_figure.pose import Pose
 
 from ..articulated_fit import CONTOUR_SLACK_M as SLACK_M
-from ..articulated_fit import ArticulatedSettings, PriorSettings, minimise
+from ..articulated_fit import ArticulatedSettings, minimise
 
 PARTS = 5
 TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
@@ -43,8 +43,7 @@ RAYS_PER_OUTSIDE_M = 30.0  # a hand 0.1 m outside the hull weighs as much as thr
 LOSS = 1.5  # a ray that another pose explains worse counts so much more than one that it explains better
 LIMIT_RAD = 0.5  # so far beyond a joint's range costs one ray, twice as far four
 SAME_M = 0.10  # poses whose 15 points are so near to each other are one
-FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
-FREE_ITERATIONS = 12
+GUESS_ITERATIONS = 12  # of a fit that starts from a guess
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,9 +118,9 @@ class Observation:
         """Return the evidence about a pose; ``matched`` : as of `evidence_of`."""
         return evidence_of(Figure.of(self.body), pose, self.data, matched)
 
-    def fitted(self, pose: Pose, free: bool = False) -> Pose:
-        """Return the pose that the fit reaches from another one, more freely if it is only a guess."""
-        settings = replace(self.settings, prior=FREE, max_iterations=FREE_ITERATIONS) if free else self.settings
+    def fitted(self, pose: Pose, guess: bool = False) -> Pose:
+        """Return the pose that the fit reaches from another one, with more iterations if that is only a guess."""
+        settings = replace(self.settings, max_iterations=GUESS_ITERATIONS) if guess else self.settings
         return minimise(self.body, pose, self.data, settings)[0]
 
     def apart_m(self, pose: Pose, other: Pose) -> float:

@@ -212,7 +212,7 @@ class TrackMonitor:
             return
         else:
             guess = self._other_way_round(seen, pose)
-        fitted = seen.fitted(guess.pose, free=True)
+        fitted = seen.fitted(guess.pose, guess=True)
         margin = evidence.margin_of(seen.evidence_of(fitted))
         best = 0.0 if self._hypothesis is None else self._hypothesis.margin
         if margin > best and seen.apart_m(fitted, pose) > SAME_M:
