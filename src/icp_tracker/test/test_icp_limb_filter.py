@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from icp_tracker.monitor.limb_filter import DOUBTFUL, MEMORY_S, PLACE_LOG_PRIOR, RAYS_PER_NAT, LimbBelief
-from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces
+from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces, _distinct
 
 NEAR, FAR, SHOWN = 0.2, 0.6, 15.0  # m, m, samples of a limb in view
 
@@ -74,11 +74,18 @@ def test_a_hidden_limb_is_moved_only_to_what_explains_more_than_nothing_would():
     assert after(*[places((4.0, FAR, 0), samples=0.0)] * 60, hidden=True).likeliest_place is None
 
 
-def test_a_place_keeps_its_odds_when_it_is_found_anew_in_the_library_and_a_refuted_one_starts_anew():
+def test_a_place_that_is_followed_keeps_its_odds_and_a_refuted_or_new_one_starts_anew():
     known = after(*[places((6.0, NEAR, 0))] * 3)
-    anew = LimbBelief.after(known, places((6.0, NEAR + 0.05, -1), (2.0, FAR, -1)), 1 / 60, False)
-    assert anew.log_odds[0] > known.log_odds[0] > anew.log_odds[1]
+    later = LimbBelief.after(known, places((6.0, NEAR, 0), (2.0, FAR, -1), (1.0, FAR, 1)), 1 / 60, False)
+    assert later.log_odds[0] > known.log_odds[0] > later.log_odds[1:].max()
     assert known.without(0).log_odds[0] == PLACE_LOG_PRIOR
+
+
+def test_places_are_distinct_and_know_from_which_they_come():
+    ends = np.zeros((5, 2, 3))
+    ends[:, 1, 0] = [0.0, 0.5, 0.05, 1.0, 1.05]  # the first two are known; the third is where the first one is
+    kept, origins = _distinct(np.array([1.0, 5.0, 2.0, -np.inf, 0.5]), ends, 2)
+    assert kept.tolist() == [1, 2, 4] and origins.tolist() == [1, 0, -1]
 
 
 def test_probabilities_add_up_and_the_spread_reaches_the_other_place():

@@ -15,9 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_rig.kernel import njit
-
-from .limb_search import APART_M, LimbPlaces, farther_apart
+from .limb_search import LimbPlaces
 
 # Thresholds: chosen with python bench/doubt.py on clothed figures before three cameras.
 MEMORY_S = 0.1  # time in which a body moves by a limb's width: older evidence is forgotten, newer is the same again
@@ -49,7 +47,7 @@ class LimbBelief:
         the absence of its rays is no surprise and is believed at once."""
         gain = 1.0 - math.exp(-dt_s / MEMORY_S)
         seen = np.clip(places.margins / RAYS_PER_NAT + PLACE_LOG_PRIOR, -SET_NATS, SET_NATS)
-        prior = _inherited(before, places)
+        prior = _inherited(before, places.origins)
         prior = np.where(np.isnan(prior), np.minimum(seen, PLACE_LOG_PRIOR), prior)
         log_odds = prior + gain * (seen - prior)
         unseen = min(max(CHANCE_SAMPLES - places.samples, -SET_NATS), SET_NATS)
@@ -101,23 +99,7 @@ class LimbBelief:
         return LimbBelief(self.places, log_odds, self.unseen, self.hidden)
 
 
-def _inherited(before: LimbBelief | None, places: LimbPlaces) -> np.ndarray:
+def _inherited(before: LimbBelief | None, origins: np.ndarray) -> np.ndarray:
     """Return the log odds (k,) before this set of the places that are followed; NaN of new ones."""
-    if before is None or len(before.log_odds) == 0:
-        return np.full(len(places.margins), np.nan)
-    return np.asarray(_of_nearest(places.ends, places.origins, before.places.ends, before.log_odds))
-
-
-@njit(cache=True)
-def _of_nearest(ends, origins, ends_before, log_odds):
-    """Return the log odds of the place that each was refined from, else of the nearest one within APART_M."""
-    inherited, earlier = np.full(ends.shape[0], np.nan), origins.copy()
-    for k in range(ends.shape[0]):
-        nearest = APART_M
-        for m in range(ends_before.shape[0] if origins[k] < 0 else 0):
-            apart = farther_apart(ends[k], ends_before[m])
-            if apart < nearest and not (earlier == m).any():
-                nearest, earlier[k] = apart, m
-        if 0 <= earlier[k] < log_odds.shape[0]:
-            inherited[k] = log_odds[earlier[k]]
-    return inherited
+    known = np.append(np.empty(0) if before is None else before.log_odds, np.nan)
+    return np.asarray(known[np.where(origins < len(known), origins, -1)])

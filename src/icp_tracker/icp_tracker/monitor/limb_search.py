@@ -61,7 +61,8 @@ class LimbPlaces:
     poses : upper limb to torso and flexion, as in the library. margins (k,) : what each explains beyond the tracked
     place, in rays. ends (k, 2, 3) : elbow and hand, or knee and foot, m, world; tracked (2, 3) : those of the tracked
     place. samples : cells of the limb's surface (independent samples) whose rays the tracked place explains, and the
-    rest of the body does not. origins (k,) : the known place that each was refined from, -1 for one of the library.
+    rest of the body does not. origins (k,) : the known place that each was refined from, or that is the same place, -1
+    for a new one.
     """
 
     poses: LimbPoses
@@ -140,25 +141,29 @@ def _search(data, matched, state, figure, limb, library, known):
         if _is_held(placed, limb, data.hull) and farther_apart(ends[m], tracked) > APART_M:
             gain = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
             margins[m] = gain + _volume_gained(left, placed, limb) - explained
-    kept = _distinct(margins, ends)
-    origins = np.where(kept < known.flexion.shape[0], kept, -1)
+    kept, origins = _distinct(margins, ends, known.flexion.shape[0])
     return R[kept], flexion[kept], margins[kept], ends[kept], tracked, samples, origins
 
 
 @njit(cache=True)
-def _distinct(margins, ends):
-    """Return the indices of the best places, KEPT at most, none of which is the same place as a better one."""
-    kept, count = np.empty(KEPT, np.int64), 0
+def _distinct(margins, ends, known):
+    """Return the indices of the best places, KEPT at most, none of which is the same place as a better one; and of each
+    the known place that is the same, -1 for a new one. The first ``known`` places are known."""
+    kept, origins, count = np.empty(KEPT, np.int64), np.full(KEPT, -1), 0
     for m in np.argsort(-margins):
-        if count == KEPT or margins[m] == -np.inf:
+        if margins[m] == -np.inf:
             break
-        alone = True
-        for other in kept[:count]:
-            alone = alone and farther_apart(ends[m], ends[other]) > APART_M
-        if alone:
+        same = 0
+        while same < count and farther_apart(ends[m], ends[kept[same]]) > APART_M:
+            same += 1
+        if same == KEPT:
+            continue
+        if same == count:
             kept[count] = m
             count += 1
-    return kept[:count]
+        if m < known and origins[same] < 0:
+            origins[same] = m
+    return kept[:count], origins[:count]
 
 
 @njit(cache=True)
