@@ -26,13 +26,19 @@ from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings, make_data, minimise, rays_in_use
 from ..monitor.evidence import EXPLAINED_M, GATE_M, Evidence, evidence_of, ray_cost
-from ..monitor.pose_library import arms_exchanged, legs_exchanged, sides_exchanged, turned_around
+from ..monitor.pose_library import (
+    OF_NEWCOMERS,
+    arms_exchanged,
+    legs_exchanged,
+    natural_poses,
+    sides_exchanged,
+    turned_around,
+)
 from .body_parts import evidence_of_feet
 from .body_sizes import BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
 from .truncation import FEET, HEAD, Stance, cut_parts, what_to_do
 from .upright import FEWEST_VOXELS, Upright, pitch_of, stance_of
-from .walking_poses import natural_poses
 
 NS_PER_S = 1e9
 NO_HULL = "no hull"
@@ -196,9 +202,8 @@ class MotionSource:
         """Fit the best of the natural postures and follow those that differ from what is followed, and are no worse."""
         figure, free = Figure.of(body), replace(self._fit_settings, max_iterations=FIRST_ITERATIONS)
         crown = stance.floor_world + body.stature
-        costs = [
-            (evidence_of(figure, pose, data).cost, pose) for pose in natural_poses(body, stance.place_world, crown)
-        ]
+        guesses = natural_poses(body, stance.place_world, crown, OF_NEWCOMERS)
+        costs = [(evidence_of(figure, pose, data).cost, pose) for pose in guesses]
         best = [pose for _, pose in sorted(costs, key=lambda pair: pair[0])[:STARTS]]
         fitted = [minimise(body, pose, data, free)[0] for pose in best]
         fitted.sort(key=lambda pose: evidence_of(figure, pose, data).cost)
