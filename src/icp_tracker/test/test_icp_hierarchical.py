@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 
 from icp_tracker.articulated_fit import ArticulatedSettings, fit_articulated
-from icp_tracker.thesis.hierarchical_icp import (
-    DESCENDANTS,
-    HierarchicalSettings,
-    fit_hierarchical,
-    weight_points,
-    x84_keep,
-    x84_threshold,
-)
+from icp_tracker.thesis.hierarchical_icp import DESCENDANTS, fit_hierarchical, weight_points, x84_keep, x84_threshold
 from stick_figure.kinematics import forward
 
 
@@ -39,8 +32,10 @@ def test_noiseless_sticks_are_found_from_a_fifth_of_a_radian_and_five_centimetre
     tangent[6:] = 0.2 * rng.choice([-1, 1], 18) / np.sqrt(3)
     start = truth.retract(tangent)
     assert errors_mm(body, start, truth).max() > 80
-    fit = fit_hierarchical(body, start, points, HierarchicalSettings(weighting="proximal", sweeps=10))
-    assert errors_mm(body, fit.pose, truth).mean() < 5.0
+    pose = start
+    for _ in range(10):
+        pose = fit_hierarchical(body, pose, points).pose
+    assert errors_mm(body, pose, truth).mean() < 5.0
 
 
 def test_thesis_weights_follow_a_noisy_motion_but_worse_than_all_joints_at_once(body, synthetic):
@@ -60,28 +55,23 @@ def test_thesis_weights_follow_a_noisy_motion_but_worse_than_all_joints_at_once(
     assert thesis > 1.5 * ours
 
 
-def weights(j, stick, along, squared, proximal, epsilon=0.2):
-    stick, along, squared = np.array(stick), np.array(along, float), np.array(squared, float)
+def weights(j, stick, squared, epsilon=0.2):
+    stick, squared = np.array(stick), np.array(squared, float)
     keep, weight = np.empty(len(stick), bool), np.empty(len(stick))
-    own = weight_points(j, (stick, along, np.zeros((len(stick), 3)), squared), proximal, epsilon, keep, weight)
-    return own, weight
+    match = (stick, np.full(len(stick), 0.5), np.zeros((len(stick), 3)), squared)
+    return weight_points(j, match, epsilon, keep, weight), weight
 
 
 def test_thesis_weights_are_one_epsilon_and_zero():
-    own, weight = weights(2, [2, 2, 6, 0, 3, 7], [0.5] * 6, [0.0] * 6, proximal=False)
+    own, weight = weights(2, [2, 2, 6, 0, 3, 7], [0.0] * 6)
     assert own == 2
     assert weight.tolist() == [1, 1, 0.2, 0, 0, 0]
-
-
-def test_proximal_weights_count_direct_children_by_their_nearness_to_the_joint():
-    _, weight = weights(0, [0, 2, 2, 2, 6], [0.5, 0.0, 0.5, 1.0, 0.0], [0.0] * 5, proximal=True)
-    assert weight.tolist() == [1, 1, 0.25, 0, 0]  # the forearm is a grandchild of the torso
 
 
 def test_rejection_judges_own_points_and_descendants_apart():
     squared = np.r_[np.full(20, 0.01**2), 0.3**2, np.full(20, 0.2**2), 0.9**2]
     stick = np.r_[np.full(21, 2), np.full(21, 6)]
-    own, weight = weights(2, stick, np.full(42, 0.5), squared, proximal=False)
+    own, weight = weights(2, stick, squared)
     assert own == 21
     assert weight[20] == 0 and weight[41] == 0
     assert (weight[:20] == 1).all() and (weight[21:41] == 0.2).all()
