@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from numba.core import event
@@ -96,6 +97,13 @@ def test_changed_kernel_leaves_no_file_of_the_old_one(checkout):
     (checkout / "play" / "play" / "caller.py").write_text("\n\n" + CALLER)
     assert run(checkout) == [20, -1, 0, 1]
     assert sorted(path.name for path in checkout.rglob("*.nb?")) == before
+
+
+def test_cache_that_names_a_class_which_is_gone_is_made_anew(checkout):
+    (index,) = checkout.rglob("caller.caller*.nbi")
+    index.write_bytes(pickle.dumps(numba.__version__) + b"cgone\nPlay\n.")
+    assert run(checkout) == [20, -1, 0, 1]
+    assert run(checkout) == [20, -1, 1, 1]
 
 
 def test_callee_has_no_machine_code_of_its_own(compiled):
