@@ -39,6 +39,7 @@ CHANGES: dict[str, dict[str, object]] = {
     "ours, a rigid trunk": {SOLVE + "contour.bend": 0.0, "ekf_tracker.filter.bend": 0.0},
     "ours, hands and feet stiff": {SOLVE + "contour.turn_sd": 0.0},
     "ours, joint centres of the figure": {SOLVE + "contour.joint_centres": False},
+    "ours, loose prior": {SOLVE + "prior": 4.0},
     "ours, identity model": {"ekf_tracker.motion_model": "identity"},
     "ours, every error new in every set": {"ekf_tracker.filter.measurement_bias.share": 0.0},
     "ours, joints known for certain": {"ekf_tracker.filter.measurement_bias.joints": 0.0},

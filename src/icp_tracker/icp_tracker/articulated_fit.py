@@ -22,13 +22,13 @@ import numpy as np
 from capture_rig.settings import setting
 from capture_rig.visibility import EVERYWHERE, RigVisibility
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
+from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.joint_centres import with_joint_centres
 from stick_figure.least_squares import gauss_newton
-from stick_figure.least_squares.contour_factor import RayArrays
+from stick_figure.least_squares.contour_factor import RayArrays, RayMatch
 from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
-from stick_figure.least_squares.gauss_newton import Data, DataMatch, Scale, Stop, Weights
-from stick_figure.least_squares.hull_samples import HullSamples
+from stick_figure.least_squares.gauss_newton import Data, Scale, Stop, Weights
 from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.pose import Pose
@@ -44,8 +44,8 @@ TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight 
 HULL_SAMPLES = 1000  # voxels of surface and interior that stand for the hull
 CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
 CONTOUR_SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
-# of what is known without data: a start that is a guess may be so far off; tighter ones gained nothing on any session
-PRIOR_SD_M, PRIOR_SD = 0.3, 0.5  # m, rad, of the start
+# of what is known without data; twice and three times as wide loses arms of stylised people (bench/families.py)
+POSITION_SD_M, ROTATION_SD, BALL_SD, HINGE_SD = 0.1, 0.2, 0.15, 0.2  # m, rad, about the start
 NECK_SD, NECK_PITCH = 0.25, 0.1  # rad, of the head about its rest, forward of the torso's axis; not in the covariance
 LIMIT_SD = 0.2  # rad, joint limits, as a soft cost beyond the range; not in the covariance
 # of its covariance and visibility; checked by bench/covariance_coverage.py of commit d6079d2
@@ -54,7 +54,10 @@ COVARIANCE_SHARE = 0.05  # of their weight with which voxels enter the covarianc
 SUPPORT_POINTS = 3  # inliers that make a reference point visible
 SUPPORT_VOXELS = 5  # surface voxels on the body near a point's stick that make it visible without inliers
 UNKNOWN_SD_M = 10.0  # standard deviation of a point about which nothing is known
-PRIOR = np.repeat([PRIOR_SD_M, PRIOR_SD], [3, TANGENT - 3]) ** -2
+PRIOR_SD = np.repeat([POSITION_SD_M, ROTATION_SD, BALL_SD], [3, 3, TANGENT - 6])
+PRIOR_SD[kernels.HINGE_SLOT] = HINGE_SD
+PRIOR = PRIOR_SD**-2
+GUESS = 3.0  # so many times as wide is the prior of a fit that starts from a guess
 UNSEEN = np.full(TANGENT, UNSEEN_SD**-2)
 # sticks that meet at each reference point, one or two: torso centre, head tip, neck, shoulders, hips, elbows, knees,
 # hands, feet
@@ -108,6 +111,9 @@ class ArticulatedSettings:
     correlation: float = setting(
         4.0, "data that carry the information of one independent datum (neighbours share voxels)", low=1.0
     )
+    prior: float = setting(
+        1.0, "how far a pose may leave its start where no datum says otherwise, over 0.1 m, 0.15 to 0.2 rad", low=1e-3
+    )
     max_iterations: int = setting(8, "Gauss-Newton iterations at most", low=1, high=1000)
     tolerance_m: float = setting(
         0.002, "converged when an iteration moves no reference point farther than this", unit="m", low=0.0
@@ -131,7 +137,7 @@ class FitResult:
     rms_m : root mean square distance (m) of the inliers to their sticks; stick_inliers : (10,) inliers a stick.
     reference_points_world : (15, 3) m; covariance : (15, 3, 3) m^2, from the solver's information.
     visible : (15,) bool, enough points support a stick that meets at the reference point.
-    matched : what the rays and voxels were matched to.
+    matched : what the rays were matched to.
     """
 
     pose: Pose
@@ -144,7 +150,7 @@ class FitResult:
     reference_points_world: np.ndarray
     covariance: np.ndarray
     visible: np.ndarray
-    matched: DataMatch
+    matched: RayMatch
 
 
 def fit_articulated(
@@ -230,8 +236,9 @@ def make_data(
         1.0 / (settings.model_sigma_m**2 + sigma**2),
         gate2,
         surface,
-        HullSamples.of(voxels.hull_points(HULL_SAMPLES), EVERYWHERE if visibility is None else visibility.unseen_cells),
+        np.ascontiguousarray(voxels.hull_points(HULL_SAMPLES), dtype=np.float64),
         _contour_rays(rays_in_use(contour_rays, settings, visibility), settings),
+        EVERYWHERE if visibility is None else visibility.unseen_cells,
     )
 
 
@@ -256,7 +263,7 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     """Turn the settings into information: what counts how much."""
     volume, one, voxels = settings.volume, 1.0 / settings.model_sigma_m**2, len(data.voxels)
     return Weights(
-        prior=PRIOR,
+        prior=PRIOR / settings.prior**2,
         voxel=volume.weight * one / voxels if voxels else 0.0,
         voxel_gate=VOXEL_GATE_M,
         voxel_tight=TIGHT_M,

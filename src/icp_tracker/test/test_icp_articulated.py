@@ -88,7 +88,7 @@ def test_pose_is_recovered_exactly_from_noiseless_sticks(body, synthetic):
     truth = synthetic.smooth_motion(30, seed=1)[20]
     points = synthetic.stick_cloud(body, truth, rng, 400, sigma=0.0)
     start = truth.retract(0.1 * rng.uniform(-1, 1, 24))
-    settings = ArticulatedSettings(max_iterations=40, tolerance_m=1e-9)
+    settings = ArticulatedSettings(max_iterations=40, tolerance_m=1e-9, prior=1e3)
     fit = fit_articulated(body, start, points, settings=settings)
     assert fit.converged
     assert mean_error_mm(body, fit.pose, truth) < 1.0  # what is left: points near a joint prefer the other stick
@@ -133,7 +133,7 @@ def test_hinge_passes_straight_and_is_described_the_right_way_round(body, synthe
     start = Pose.from_angles(np.array([0, 0, 1.2]), np.eye(3), angles)
     truth = start.retract(np.eye(24)[6 + slot] * -2 * angles[slot])  # bent the other way
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(12), 400, 0.005)
-    fit = fit_articulated(body, start, points, settings=ArticulatedSettings(max_iterations=12))
+    fit = fit_articulated(body, start, points, settings=ArticulatedSettings(max_iterations=12, prior=4.0))
     assert mean_error_mm(body, fit.pose, truth) < 10.0
     assert (fit.pose.hinges[:2] <= 0.15).all() and (fit.pose.hinges[2:] >= -0.15).all()
     assert np.abs(fit.pose.hinges).max() == pytest.approx(0.4, abs=0.05)
@@ -147,7 +147,7 @@ def test_head_returns_to_rest_only_with_the_neck_prior(body, synthetic, monkeypa
     start = truth.retract(np.eye(24)[NECK_Y] * 1.2)
 
     def pitch():
-        fit = fit_articulated(body, start, points, settings=ArticulatedSettings(max_iterations=20))
+        fit = fit_articulated(body, start, points, settings=ArticulatedSettings(max_iterations=20, prior=4.0))
         assert not fit.visible[1]
         direction = fit.pose.R_joints[0, :, 2]
         return np.arctan2(direction[0], direction[2])
@@ -172,9 +172,10 @@ def test_neck_rest_is_a_gauss_newton_residual(body, synthetic):
     assert H[NECK_X, NECK_X] == H[NECK_Y, NECK_Y] == 2.0
 
 
-def test_covariance_of_independent_points_holds_what_it_says(body, synthetic):
+def test_covariance_of_independent_points_holds_what_it_says(body, synthetic, monkeypatch):
     """Independent noise of known size, correlation factor 1: 95 % ellipsoids hold the truth 85 to 99 % of the time."""
-    settings = ArticulatedSettings(model_sigma_m=SIGMA, correlation=1.0)
+    no_rest(monkeypatch)
+    settings = ArticulatedSettings(model_sigma_m=SIGMA, correlation=1.0, prior=5.0)
     inside = []
     for seed in range(5):
         rng = np.random.default_rng(seed)
@@ -205,7 +206,7 @@ def test_limb_without_points_is_invisible_and_uncertain(body, synthetic):
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(15), 300, 0.01)
     stick, _, _ = nearest_on_sticks(sticks(body, truth), points)
     points = points[(stick != HEAD) & (stick != 6)]  # no head, no left forearm
-    fit = fit_articulated(body, truth, points, settings=ArticulatedSettings())
+    fit = fit_articulated(body, truth, points, settings=ArticulatedSettings(prior=4.0))
     assert not fit.visible[[1, 11]].any()
     assert fit.visible[[0, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 13, 14]].all()
     sd = np.sqrt(np.trace(fit.covariance, axis1=1, axis2=2))

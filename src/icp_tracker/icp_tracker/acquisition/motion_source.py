@@ -24,7 +24,7 @@ from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.pose import Pose
 
-from ..articulated_fit import ArticulatedSettings, make_data, minimise, rays_in_use
+from ..articulated_fit import GUESS, ArticulatedSettings, make_data, minimise, rays_in_use
 from ..monitor.evidence import EXPLAINED_M, GATE_M, Evidence, evidence_of, ray_cost
 from ..monitor.pose_library import (
     OF_NEWCOMERS,
@@ -200,7 +200,7 @@ class MotionSource:
 
     def _look(self, body: Body, data: Data, stance: Stance) -> None:
         """Fit the best of the natural postures and follow those that differ from what is followed, and are no worse."""
-        figure, free = Figure.of(body), replace(self._fit_settings, max_iterations=FIRST_ITERATIONS)
+        figure, free = Figure.of(body), replace(self._fit_settings, prior=GUESS, max_iterations=FIRST_ITERATIONS)
         crown = stance.floor_world + body.stature
         guesses = natural_poses(body, stance.place_world, crown, OF_NEWCOMERS)
         costs = [(evidence_of(figure, pose, data).cost, pose) for pose in guesses]
@@ -279,7 +279,7 @@ class MotionSource:
         if self._visibility is not None:
             looks = self._visibility.seen_by(0.5 * (placed.A + placed.B))
         rays = np.zeros(looks.shape, np.int64)
-        sticks = placed.surface.stick[evidence.matched.rays.capsule]
+        sticks = placed.surface.stick[evidence.matched.capsule]
         np.add.at(rays, (sticks[explained], self._cameras[explained]), 1)
         return float(np.mean(rays[looks] >= SEEN_RAYS)) if looks.any() else 0.0
 
