@@ -175,7 +175,7 @@ class IcpTracker:
         self._pose = fit.pose
         judged = self._judged(seen.stamp_ns, started_from, fit, found)
         if found.better is None and found.quality.state == GOOD and self._body is not None:
-            self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays, fit.matched.rays)
+            self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays, fit.matched)
         return judged
 
     def _start(self, body: Body, own: Pose, stamp_ns: int, prediction: Prediction | None) -> tuple[Pose, str]:
@@ -328,7 +328,7 @@ def warm_up(settings: TrackerSettings) -> None:
         data = make_data(points, 0.01, voxels, settings.articulated, contour_rays)
         matched = assess(body, pose, data, 0, True, settings.articulated).matched
         for k in range(2):
-            trunk.look(k, body, pose, data.contour_rays, matched.rays)
+            trunk.look(k, body, pose, data.contour_rays, matched)
     if settings.refinement.keyframes > 0:
         warm_up_refiner(settings.refinement)
 

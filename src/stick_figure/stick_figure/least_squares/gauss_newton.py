@@ -12,12 +12,12 @@ import numpy as np
 
 from capture_rig.kernel import njit
 from capture_rig.small_matrices import solve_positive
+from capture_rig.visibility import UnseenCells
 
 from .. import kernels
 from ..joint_limits import add_joint_limits, add_neck_rest
 from .contour_factor import (
     RayArrays,
-    RayMatch,
     add_contour,
     best_of_all,
     best_of_stiff,
@@ -27,7 +27,6 @@ from .contour_factor import (
     ray_match,
 )
 from .free_ends import follow, straight_ends, turn_ends
-from .hull_samples import HullSamples
 from .independent_rows import add_independent_rows
 from .normal_equations import TANGENT, mirror_upper, point_covariances
 from .placed_figure import STICKS, place, reference_points, surface_distances
@@ -39,22 +38,15 @@ LOOKS_AT_ENDS = 3  # until hands and feet of a given pose have turned to where t
 
 class Data(NamedTuple):
     """What was measured: centerline points (n, 3) m with information (n,) 1/m^2 and squared gate (n,) m^2; voxels
-    (m, 3) m of the hull's surface, samples of the whole hull, and contour rays."""
+    (m, 3) m of the hull's surface, samples (k, 3) m of the whole hull, contour rays, and where no hull can be."""
 
     points: np.ndarray
     information: np.ndarray
     gate2: np.ndarray
     voxels: np.ndarray
-    hull: HullSamples
+    hull: np.ndarray
     contour_rays: RayArrays
-
-
-class DataMatch(NamedTuple):
-    """What contour rays and surface voxels are matched to by a pose with hands and feet straight: as `match_rays` and
-    `surface_distances` return it."""
-
-    rays: RayMatch
-    voxels: tuple[np.ndarray, np.ndarray, np.ndarray]
+    unseen: UnseenCells
 
 
 class Weights(NamedTuple):
@@ -116,7 +108,7 @@ def assess(data, state, figure, weights, scale):
 
     Returns reference points (15, 3) m and their covariance (15, 3, 3) m^2, that of the independent rows where there are
     contour rays; inliers a stick (10,) and their root mean square distance (m); surface voxels near each stick's
-    surface (10,); what rays and voxels were matched to.
+    surface (10,); what rays were matched to.
     """
     placed, counts, near = place(state, figure), np.zeros(STICKS, np.int64), np.zeros(STICKS, np.int64)
     nearest = surface_distances(data.voxels, placed)
@@ -125,7 +117,7 @@ def assess(data, state, figure, weights, scale):
         if abs(distance[i]) < weights.voxel_gate:
             near[placed.surface.stick[capsule[i]]] += 1
     best = best_of_all(data.contour_rays, placed, weights.contour_slack)
-    matched = DataMatch(ray_match(best), nearest)
+    matched = ray_match(best)
     if data.contour_rays.information.shape[0] > 0:
         rays_match, placed = _with_ends_turned(data.contour_rays, best, state, figure, placed, weights)
         match, independent = match_points(data, placed), np.diag(scale.unseen)
@@ -136,7 +128,7 @@ def assess(data, state, figure, weights, scale):
     else:  # larger by the reduced chi-square where the inliers lie farther off than their own sigma says
         H, g, ends = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), straight_ends(weights.ends)
         voxel = scale.voxel_share * loose_hull_weight(weights, distance)
-        match = linearise(data, matched.rays, nearest, placed, weights, voxel, ends, H, g)
+        match = linearise(data, matched, nearest, placed, weights, voxel, ends, H, g)
         mirror_upper(H)
         total, chi2, freedom = summarise(match, counts)
         spread = scale.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))

@@ -47,10 +47,3 @@ def _weigh_voxels(distance, information, gate, normals, weight):
         weight[i] = information / (ratio * ratio) if length > 0.0 else 0.0
         length = length if length > 0.0 else 1.0
         normals[0, i], normals[1, i], normals[2, i] = x / length, y / length, z / length
-
-
-@kernel
-def point_on_stick(placed, j, u, point):
-    """Fill ``point`` (3,) with the place ``u``, 0 to 1, along stick j."""
-    for q in range(3):
-        point[q] = placed.A[j, q] + u * (placed.B[j, q] - placed.A[j, q])
