@@ -17,11 +17,10 @@ from pathlib import Path
 from report import Table, execute, finish, parser
 
 import numpy as np
-from cut_rigs import cut_cases
-from people import BUILDS as WALKERS
-from people import KEPT, recorded
-from scenes import canvas_masks, session_with_truth
-from starts import Start, of_cut, of_studio_walk, of_walk_in
+from clips import canvas_masks, session_with_truth
+from people_sets import BUILDS as WALKERS
+from people_sets import KEPT, recorded
+from starts import Start, cut_cases, of_cut, of_studio_walk, of_walk_in
 
 from capture_rig.session import Session, footage_stamp_ns
 from capture_rig.visibility import RigVisibility
@@ -183,13 +182,16 @@ def of_starts(products: Path, quick: bool) -> dict[str, dict[str, object]]:
     table = Table(columns, "cut off in a T-pose, then 10 s of walking; s to the track, mm, largest error of a size, mm")
     for stature, case in product((1.75,) if quick else (1.62, 1.75, 1.88), cut_cases()):
         _put(table, results, f"{case.name}, {stature:.2f} m", of_cut(case, Body.from_stature(stature)))
-    table = Table(columns, "walking in, no T-pose")
+    table, walked = Table(columns, "walking in, no T-pose"), []
     for (stature, build, arms, legs), cameras in product((*WALKERS, *UNUSUAL), (3, 6) if quick else (3, 4, 6, 8)):
         rig, name = ring(cameras, ceiling=False), f"studio, {cameras} cameras, {stature:.2f} m, build {build:g}"
         _put(table, results, name, of_studio_walk(person_of(stature, arms, legs), build, rig))
+        walked.append(results[name])
     for what in recorded(products, ["walk_ring5top", "charleston_ring5top", "zombie_he3", "walkin"]):
         _put(table, results, what.name, of_walk_in(what))
-    return results
+    began_s, end_mm = ([walk[key] for walk in walked] for key in ("began_s", "end_mm"))
+    ends = {"least_mm": np.nanmin(end_mm), "most_mm": np.nanmax(end_mm)}
+    return results | {"walking_in": {"began_s": np.nanmedian(began_s), "latest_s": np.nanmax(began_s), **ends}}
 
 
 def _put(table: Table, results: dict[str, dict[str, object]], name: str, start: Start) -> None:

@@ -18,8 +18,8 @@ from scenes import SHARED
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, load_rig
+from capture_rig.rigid import inverse
 from rig_calibration.boards.board import Board, Checkerboard, TargetDetection
-from rig_calibration.bundle.rigid import inverse
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, FloorTarget, RigCalibration, Target, calibrate_rig
 from rig_calibration.extrinsics.floor import average_still_board
 from rig_calibration.extrinsics.world import WorldChoice

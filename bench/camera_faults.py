@@ -28,7 +28,8 @@ from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
-from scenes import STATURE_M, STUDIO_FPS, Clip, canvas_masks, shared_sessions, studio_masks
+from clips import Clip, canvas_masks
+from scenes import STATURE_M, STUDIO_FPS, shared_sessions, studio_masks
 
 from hull_server.carve_backends import CarveBackend, make_backend
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector

@@ -40,7 +40,8 @@ from camera_movement_scenes import (
     session_clips,
     stamp_ns,
 )
-from scenes import Clip, shared_sessions
+from clips import Clip
+from scenes import shared_sessions
 
 from camera_client.background.model import read_background
 from camera_client.movement.detector import CameraMovedDetector, MovementState
@@ -100,7 +101,7 @@ class Footage:
 
 def footage_of(studio: Studio) -> Footage:
     """All cameras in their places; false alarms of the camera clients, and what the detector costs a frame."""
-    chains = {camera.name: studio.chain(camera) for camera in studio.rig.cameras}
+    chains = {camera.name: studio.processor(camera) for camera in studio.rig.cameras}
     watches = {
         camera.name: CameraMovedDetector(camera, chains[camera.name].background) for camera in studio.rig.cameras
     }
@@ -129,7 +130,7 @@ def footage_of(studio: Studio) -> Footage:
 def drill(studio: Studio, unmoved: Footage, camera: str, displacement: Displacement, sign: float) -> Drill:
     """One camera films from its place for a second, and then from where the displacement has put it."""
     result, model, views = Drill(), studio.rig.camera(camera), RigViews.from_rig(studio.rig)
-    chain, moved, view = studio.chain(model), displacement.moved(model, sign), model.undistorted_view()
+    processor, moved, view = studio.processor(model), displacement.moved(model, sign), model.undistorted_view()
     by_exact, by_ours = ExtrinsicMonitor(studio.rig, views), ExtrinsicMonitor(studio.rig, views)
     dissent = CameraFaultDetector(studio.rig, views, CameraFaultSettings())
     for frame in range(len(studio.capsules)):
@@ -138,7 +139,7 @@ def drill(studio: Studio, unmoved: Footage, camera: str, displacement: Displacem
         if since >= 0:
             picture, raw = studio.film(moved, frame)
             mask = view.undistort_mask(raw)
-        seen = seen_by(chain, picture, frame)
+        seen = seen_by(processor, picture, frame)
         assert seen.movement is not None and seen.silhouette is not None
         if seen.movement.state in (MovementState.MOVED, MovementState.LOST):
             result.note("picture", since, camera, [camera])
@@ -148,9 +149,9 @@ def drill(studio: Studio, unmoved: Footage, camera: str, displacement: Displacem
         result.note("flooded", since, camera, by_ours.update(masks, stamp_ns(frame)).suspects)
         exact = unmoved.exact[frame] | {camera: mask}
         result.note("silhouettes", since, camera, by_exact.update(exact, stamp_ns(frame)).suspects)
-    chain.use_learned_background(studio.empty(moved))
+    processor.use_learned_background(studio.empty(moved))
     for frame in range(len(studio.capsules) - 2 * MOVED_AT, len(studio.capsules)):
-        seen = seen_by(chain, studio.film(moved, frame)[0], frame + len(studio.capsules))
+        seen = seen_by(processor, studio.film(moved, frame)[0], frame + len(studio.capsules))
     result.kept = seen.movement is not None and seen.movement.state is MovementState.MOVED
     return result
 

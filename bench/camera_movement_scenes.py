@@ -9,10 +9,11 @@ from itertools import islice
 
 import cv2
 import numpy as np
-from scenes import STATURE_M, STUDIO_FPS, Clip, canvas_masks, shared_sessions
+from clips import Clip, canvas_masks
+from scenes import STATURE_M, STUDIO_FPS, shared_sessions
 
 from camera_client.background.model import BackgroundLearner, BackgroundModel
-from camera_client.camera_chain import CameraChain, FrameResult
+from camera_client.frame_processor import FrameProcessor, FrameResult
 from camera_client.frame_source import Frame
 from camera_client.settings import CameraClientSettings
 from capture_rig import CameraModel
@@ -89,11 +90,11 @@ class Studio:
             learner.add(self.sensor.expose(_eye(camera).empty_room(), number, 10_000 + frame))
         return learner.model("the studio")
 
-    def chain(self, camera: CameraModel) -> CameraChain:
+    def processor(self, camera: CameraModel) -> FrameProcessor:
         """A camera client's chain, with the background of where the camera stands by its calibration."""
-        chain = CameraChain(camera, CameraClientSettings(), self.rig.volume)
-        chain.use_learned_background(_empty(self, camera))
-        return chain
+        processor = FrameProcessor(camera, CameraClientSettings(), self.rig.volume)
+        processor.use_learned_background(_empty(self, camera))
+        return processor
 
     def _number(self, camera: CameraModel) -> int:
         return self.rig.names.index(camera.name)
@@ -114,9 +115,9 @@ def stamp_ns(frame: int) -> int:
     return round(frame * EVERY / FPS * 1e9) + 1
 
 
-def seen_by(chain: CameraChain, picture: Mask, frame: int) -> FrameResult:
+def seen_by(processor: FrameProcessor, picture: Mask, frame: int) -> FrameResult:
     """What the chain makes of a picture."""
-    return chain.run(Frame(picture, stamp_ns(frame), frame, "the studio's"))
+    return processor.run(Frame(picture, stamp_ns(frame), frame, "the studio's"))
 
 
 def session_clips(only: str) -> Iterator[Clip]:

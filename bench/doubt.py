@@ -24,15 +24,12 @@ from typing import Any
 from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
-from people import KEPT, recorded
-from products import Recorded
+from clips import Recorded
+from people_sets import KEPT, follower_of, recorded
 
 from mocap_packets.fit import PART_NAMES, PART_POINTS
-from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower
 from sagoma_tools.arguments import parse_settings
-from sagoma_tools.evaluation.part_calls import PartCalls, share
-from sagoma_tools.evaluation.scores import INSIDE_95, number, squared_distances
+from sagoma_tools.evaluation.scores import INSIDE_95, PartCalls, number, share, squared_distances
 from sagoma_tools.evaluation.track import Track
 
 SHOWN = (
@@ -74,7 +71,7 @@ class Calls(PartCalls):
 
 def calls_of(what: Recorded, settings: dict[str, Any]) -> tuple[Calls, float]:
     """Track a set; also the processor time of fit and filter, ms a set."""
-    follower = BodyFollower.of(Configuration.of({"hull_server.backend": "cpu", **what.start, **settings}), what.rig)
+    follower = follower_of(what, settings)
     truth = what.truths[0]
     began = time.process_time()
     steps = [follower.step(products) for products in what.products]

@@ -2,7 +2,7 @@
 
     python bench/families.py [NAME ...] [--products FOLDER] [--offsets] [--set NODE.PARAMETER=VALUE ...]
 
-Tracks the sets avatar_FAMILY_BODY_CLIP_RIG of `bench/avatar_people.py` (those with a NAME in theirs) with automatic
+Tracks the sets avatar_FAMILY_BODY_CLIP_RIG of `models/avatar_people.py` (those with a NAME in theirs) with automatic
 start and default settings. Makers put joints to different places: the constant offset of each point in the pelvis's
 frame says what they mean by it, and is taken out of all columns but the first.
 
@@ -20,8 +20,9 @@ from typing import Any, NamedTuple
 from report import Table, add_settings, execute, finish, parser
 
 import numpy as np
-from people import BAD_MM, KEPT, followed
-from products import Recorded, load
+from clips import Recorded, load
+from people import BAD_MM
+from people_sets import KEPT, followed
 
 from sagoma_tools.arguments import parse_settings
 from sagoma_tools.evaluation.scores import INSIDE_95, squared_distances
@@ -41,7 +42,7 @@ class Errors(NamedTuple):
 
 def errors_of(what: Recorded, settings: dict[str, Any]) -> Errors:
     """Track a set."""
-    tracks, _ = followed(what, settings)
+    tracks = followed(what, settings).tracks
     truth, none = what.truths[0], np.full(what.truths[0].shape[:2], np.nan)
     if not tracks:
         return Errors(none, none, none, np.full((15, 3), np.nan))

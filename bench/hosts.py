@@ -23,7 +23,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -34,6 +34,19 @@ from report import Table, execute, finish, parser
 import hosts_clients
 import psutil
 from hosts_camera import READY, write_clip
+from hosts_drill import (
+    DOMAIN,
+    JUMBO,
+    NO_PROFILE,
+    OTHER_DOMAIN,
+    SERVER,
+    SETTLE_S,
+    NetworkDrill,
+    Trial,
+    cut,
+    environment_of,
+    steady,
+)
 from hosts_witness import Row, Witness
 from namespaces import Condition, World, inside, is_inside, why_not
 from scenes import studio_clip
@@ -41,31 +54,24 @@ from scenes import studio_clip
 from capture_rig import save_rig
 
 CAMERAS, HZ, CLIP_S = 4, 60.0, 2.0
-SECONDS, QUICK_S, SETTLE_S = 8.0, 4.0, 1.5
-START_S, RECOVER_S, LOOK_S = 90.0, 30.0, 0.02
-CUT_S, ABSENT_S, WAY_S = 3.0, 6.0, 0.5
+SECONDS, QUICK_S = 8.0, 4.0
+START_S, ABSENT_S, WAY_S = 90.0, 6.0, 0.5
 VOXEL_M = 0.08
-SERVER, DOMAIN, OTHER_DOMAIN = "server", "7", "8"
-JUMBO = 9000
 BENCH = Path(__file__).resolve().parent
 PROFILE = BENCH.parent / "config" / "dds" / "fastdds.xml"
-NO_PROFILE = "none"
 QUICK = ("plain", "loss 5 %", "a host vanishes")
 
 
-class Drill:
-    """A world with a server and camera hosts in it, all of them running."""
+class Drill(NetworkDrill):
+    """Light senders and a hull server, all of them running."""
+
+    cut_s, recover_s = 3.0, 30.0
 
     def __init__(self, world: World, folder: Path, arguments: Any) -> None:
         self.world, self.folder, self.hz, self.seconds = world, folder, arguments.hz, arguments.seconds
-        self.cameras = [name for name in world.hosts if name != SERVER]
-        self._environment = {"ROS_DOMAIN_ID": DOMAIN, "ROS_LOG_DIR": str(folder), "OPENBLAS_NUM_THREADS": "1"}
+        self._environment = environment_of(world, folder, arguments)
         if arguments.profile != NO_PROFILE:
-            self._environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(arguments.profile).resolve())
             self._environment["RMW_FASTRTPS_USE_QOS_FROM_XML"] = "1"
-        if arguments.peers:
-            peers = ";".join(host.address for host in world.hosts.values())
-            self._environment |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": peers}
         self.witness = self._start_server(arguments.resend)
         for camera in self.cameras:
             self.start_camera(camera)
@@ -97,16 +103,6 @@ class Drill:
         assert sender.stdout.readline().strip() == READY, f"the sender of {camera} did not start"
         return time.monotonic()
 
-    def wait(self, what: str, happened: Callable[[], float | None], patience_s: float = RECOVER_S) -> float | None:
-        """Return what ``happened`` returns once it does; None when it did not within ``patience_s``, and say so."""
-        deadline_s = time.monotonic() + patience_s
-        while time.monotonic() < deadline_s:
-            if (at_s := happened()) is not None:
-                return at_s
-            time.sleep(LOOK_S)
-        print(f"{what} did not come within {patience_s:g} s", flush=True)
-        return None
-
     def measure(self, name: str, seconds: float | None = None, **times: float | None) -> Row:
         """Let some time pass, and return its figures."""
         begin_ns, seconds = time.time_ns(), seconds or self.seconds
@@ -118,10 +114,9 @@ class Drill:
         figures = {"hull_cpu": used[0], "sender_cpu": used[1], **times}
         return self.witness.figures(name, begin_ns, seconds, self.hz, **figures)
 
-    def since_whole(self, since_s: float) -> float | None:
-        """Wait until sets are whole; return how long that took after ``since_s``."""
-        at_s = self.wait("a whole frame set", lambda: self.witness.whole_since(since_s))
-        return None if at_s is None else at_s - since_s
+    def figures(self, name: str, begin_ns: int, begin_s: float, seconds: float, **times: float | None) -> Row:
+        """As of the real clients' drill."""
+        return self.witness.figures(name, begin_ns, seconds, self.hz, **times)
 
     def restart(self, camera: str, *options: str) -> None:
         """Start a camera's sender anew, with other options."""
@@ -133,31 +128,6 @@ def used_s(pid: int) -> float:
     """Processor time of a process so far, s."""
     times = psutil.Process(pid).cpu_times()
     return float(times.user + times.system)
-
-
-def steady(condition: Condition, everywhere: bool = False) -> Callable[[Drill, str], list[Row]]:
-    """Return the trial of a condition of the cameras' cables, or of every cable."""
-
-    def trial(drill: Drill, name: str) -> list[Row]:
-        with drill.world.under(condition, drill.world.hosts if everywhere else drill.cameras):
-            time.sleep(SETTLE_S)
-            return [drill.measure(name)]
-
-    return trial
-
-
-def cut(drill: Drill, name: str) -> list[Row]:
-    """Cut the last camera's cable and mend it, then the server's."""
-    rows = []
-    for host in (drill.cameras[-1], SERVER):
-        cable = drill.world.cables[host]
-        cable.cut()
-        begin_ns = time.time_ns()
-        time.sleep(CUT_S)
-        cable.mend()
-        recovered_s = drill.since_whole(time.monotonic())
-        rows.append(drill.witness.figures(f"{name}, of {host}", begin_ns, CUT_S, drill.hz, recovered_s=recovered_s))
-    return rows
 
 
 def vanish(drill: Drill, name: str) -> list[Row]:
@@ -175,7 +145,7 @@ def vanish(drill: Drill, name: str) -> list[Row]:
     return [Row(**{**asdict(row), **times})]
 
 
-def apart(seconds: float) -> Callable[[Drill, str], list[Row]]:
+def apart(seconds: float) -> Trial:
     """Return the trial of a clock that is ahead by so much."""
 
     def trial(drill: Drill, name: str) -> list[Row]:
@@ -212,7 +182,7 @@ def jumbo(drill: Drill, name: str) -> list[Row]:
     return [row]
 
 
-CONDITIONS: dict[str, Callable[[Drill, str], list[Row]]] = {
+CONDITIONS: dict[str, Trial] = {
     "plain": steady(Condition()),
     "delay 5 ms": steady(Condition(delay_ms=5.0)),
     "delay 20 ms": steady(Condition(delay_ms=20.0)),

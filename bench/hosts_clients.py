@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,6 +25,7 @@ from typing import Any
 from report import Table
 
 from hosts_camera import write_clip
+from hosts_drill import JUMBO, OTHER_DOMAIN, SERVER, SETTLE_S, NetworkDrill, Trial, cut, environment_of, steady
 from hosts_witness import Witness
 from namespaces import Condition, World
 from scenes import studio_clip
@@ -38,14 +39,11 @@ from virtual_studio.gige.control import ask
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
-SERVER, DOMAIN, OTHER_DOMAIN = "server", "7", "8"
 CLIENT_HZ, FPS = 10.0, ACTED_HZ / SLOWER
 SAGOMA = [sys.executable, "-m", "sagoma_tools.cli"]
 BENCH = Path(__file__).resolve().parent
 CAMERA_ADDRESS = "127.0.1.1"
-START_S, RECOVER_S, LOOK_S = 300.0, 120.0, 0.05
-SETTLE_S, CUT_S, ABSENT_S, LATEST_S, DOCTOR_S = 2.0, 5.0, 8.0, 1.0, 5.0
-JUMBO = 9000
+START_S, ABSENT_S, LATEST_S, DOCTOR_S = 300.0, 8.0, 1.0, 5.0
 NEIGHBOUR_HZ = 60.0
 STANDS_S, SECOND_NS = 5.0, 1_000_000_000  # in the T-pose, once tracked
 
@@ -129,8 +127,10 @@ class CameraPC:
         return (self._folder / f"{self.name}_{label}.log").open("a")
 
 
-class ClientDrill:
-    """A world with a server and camera PCs in it, their backgrounds learned, a person tracked."""
+class ClientDrill(NetworkDrill):
+    """Camera PCs, their backgrounds learned, a person tracked."""
+
+    cut_s, recover_s = 5.0, 120.0
 
     def __init__(self, world: World, folder: Path, arguments: Any) -> None:
         self.world, self.folder, self.hz, self.seconds = world, folder, arguments.hz, arguments.seconds
@@ -138,7 +138,7 @@ class ClientDrill:
         assert truth is not None
         self._truth: Truth = truth
         self.environment = environment_of(world, folder, arguments)
-        names = [name for name in world.hosts if name != SERVER]
+        names = self.cameras
         self.pcs = {name: CameraPC(world, folder, name, self.hz, self.environment) for name in names}
         settings = {"tolerance_s": 0.5 / self.hz, "resend": str(arguments.resend).lower(), "backend": "cpu"}
         words = [word for key, value in settings.items() for word in ("--set", f"hull_server.{key}={value}")]
@@ -187,21 +187,6 @@ class ClientDrill:
     def _knows_all(self) -> bool:
         return bool(self.witness.known) and len(self.witness.known[-1]["known"]) == len(self.pcs)
 
-    def wait(self, what: str, happened: Callable[[], Any], patience_s: float = RECOVER_S) -> Any:
-        """Return what ``happened`` returns once it does; None when it did not within ``patience_s``, and say so."""
-        deadline_s = time.monotonic() + patience_s
-        while time.monotonic() < deadline_s:
-            if (seen := happened()) is not None:
-                return seen
-            time.sleep(LOOK_S)
-        print(f"{what} did not come within {patience_s:g} s", flush=True)
-        return None
-
-    def since_whole(self, since_s: float) -> float | None:
-        """Wait until sets are whole; return how long that took after ``since_s``."""
-        at_s = self.wait("a whole frame set", lambda: self.witness.whole_since(since_s))
-        return None if at_s is None else at_s - since_s
-
     def doctor(self, pc: CameraPC | None = None) -> str:
         """Return the codes of what the server's doctor finds in the graph and on the way to a PC, notes apart."""
         words = ["doctor", "--no-machine", "--json", "--live", "--seconds", f"{DOCTOR_S:g}", "--rig", str(self._rig)]
@@ -230,47 +215,6 @@ class ClientDrill:
         shares = (sets.complete, sets.formed, sets.p50_ms, sets.p95_ms, p50_ms, p95_ms, len(errors_mm) / exposed)
         noticed_s, recovered_s = times.get("noticed_s"), times.get("recovered_s")
         return ClientRow(name, *shares, error_mm, noticed_s, recovered_s, says, "")
-
-
-def environment_of(world: World, folder: Path, arguments: Any) -> dict[str, str]:
-    """Return the variables that docs/hosts.md sets on every machine."""
-    environment = {"ROS_DOMAIN_ID": DOMAIN, "ROS_LOG_DIR": str(folder), "OPENBLAS_NUM_THREADS": "1"}
-    if arguments.profile != "none":
-        environment["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(arguments.profile).resolve())
-    if arguments.peers:
-        peers = ";".join(host.address for host in world.hosts.values())
-        environment |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_STATIC_PEERS": peers}
-    return environment
-
-
-Trial = Callable[[ClientDrill, str], list[ClientRow]]
-
-
-def steady(condition: Condition, everywhere: bool = False) -> Trial:
-    """Return the trial of a condition of the cameras' cables, or of every cable."""
-
-    def trial(drill: ClientDrill, name: str) -> list[ClientRow]:
-        with drill.world.under(condition, drill.world.hosts if everywhere else drill.world.hosts.keys() - {SERVER}):
-            time.sleep(SETTLE_S)
-            row = drill.measure(name)
-        time.sleep(SETTLE_S)
-        return [row]
-
-    return trial
-
-
-def cut(drill: ClientDrill, name: str) -> list[ClientRow]:
-    """Cut the last camera PC's cable and mend it, then the server's."""
-    rows = []
-    for host in (drill.last.name, SERVER):
-        cable = drill.world.cables[host]
-        begin_ns, begin_s = time.time_ns(), time.monotonic()
-        cable.cut()
-        time.sleep(CUT_S)
-        cable.mend()
-        recovered_s = drill.since_whole(time.monotonic())
-        rows.append(drill.figures(f"{name}, of {host}", begin_ns, begin_s, CUT_S, recovered_s=recovered_s))
-    return rows
 
 
 def vanish(drill: ClientDrill, name: str) -> list[ClientRow]:

@@ -1,7 +1,7 @@
 """Times the hull server's core, silhouettes in to centerline points out, against other ways to carve.
 
     python bench/hull.py --quick                 # under a minute
-    python bench/hull.py [--plot FILE.png]       # 5 and 8 cameras, 40 to 5 mm, all methods, and how the cost grows
+    python bench/hull.py [--plot FILE.png]       # 5 and 8 cameras, 40 to 5 mm, all methods (more cameras: scaling.py)
 
 All methods take turns on the same frames in one process; a cell is the median of its times in ms, "x" its ratio to
 ours on the CPU. A method that would take longer than --limit seconds a frame is left out of the finer grids. The scene
@@ -16,16 +16,11 @@ points_20mm_8cam_ms, points_10mm_5cam_ms : silhouettes -> filtered points with t
     after another as in the server. (In the table the others evict ours from the caches each turn: half as long again.)
 gl_10mm_5cam_ms : the same with OpenGL compute, on whatever device there is; null without OpenGL 4.3.
 voxel_disagreement : share of the occupied voxels on which the worst backend differs from NumPy in float64.
-rss_10mm_mb : resident memory of a fresh process that carves at 10 mm with 8 cameras.
 exponent (not with --quick): time grows as (1 / voxel size) to this power, 20 to 5 mm; 2 is surface, 3 is volume.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -40,13 +35,10 @@ from hull_baselines import BASELINES, VOLUME, Masks, PlainNumpy, scene
 from capture_rig import InputError
 from hull_server.carve_backends import CarveBackend, make_backend
 from hull_server.grid import VoxelGrid
-from hull_server.hull_pipeline import HullPipeline
-from hull_server.settings import BlobSettings, HullSettings
+from hull_server.settings import BlobSettings
 from hull_server.slicing.skeletonisation import find_centerline, slice_hull
 from hull_server.views import RigViews, min_seeing
-from mocap_packets.frame_set import FrameSet
 
-MEMORY_OPTION = "--memory-of-one-process"
 OURS = {"ours, cpu": "cpu", "ours, OpenGL": "gl"}
 BASE = "ours, cpu"
 COST_OF_FINER = 3.0  # a method's time grows at most with the number of voxels
@@ -149,29 +141,11 @@ def disagreement(poses: int) -> float:
     return max(wrong.values()) / occupied
 
 
-def growth(budget_s: float) -> dict[str, float]:
-    """How ours on the CPU grows with voxels, cameras and bodies: printed; the exponent of the voxel size returned."""
-    sizes_mm = np.array([20, 15, 10, 7, 5])
-    ms = [measure(5, int(size), [BASE], 6, budget_s)[BASE] for size in sizes_mm]
-    exponent = -float(np.polyfit(np.log(sizes_mm), np.log(ms), 1)[0])
-    print("voxels:  " + ", ".join(f"{s} mm {t:.2f} ms" for s, t in zip(sizes_mm, ms, strict=True)))
-    print(f"         time ~ (1 / voxel size)^{exponent:.2f}; the number of voxels has 3, the body's surface 2")
-    by_cameras = {n: measure(n, 15, [BASE], 6, budget_s)[BASE] for n in (3, 4, 5, 6, 8, 10, 12)}
-    print("cameras: " + ", ".join(f"{n} {t:.2f} ms" for n, t in by_cameras.items()) + " (15 mm)")
-    print("bodies:  " + ", ".join(f"{n} {t:.2f} ms" for n, t in by_bodies().items()) + " (15 mm, 8 cameras)")
-    return {"exponent": round(exponent, 2)}
-
-
-def by_bodies() -> dict[int, float]:
-    """Median ms with one, two and three bodies in the volume."""
-    found = {}
-    for bodies in (1, 2, 3):
-        rig, frames = scene(8, 6, bodies)
-        views, grid = RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.015)
-        methods = dict(entries(views, grid, [BASE]))
-        take_turns(methods, frames, 0.0)
-        found[bodies] = methods[BASE].median_ms
-    return found
+def exponent(found: dict) -> float:
+    """How time of ours on the CPU grows with 1 / voxel size, 5 cameras, 20 mm and finer; the number of voxels has 3."""
+    sizes_mm = [mm for cameras, mm in found if cameras == 5 and mm <= 20]
+    ms = [found[5, mm][BASE] for mm in sizes_mm]
+    return round(-float(np.polyfit(np.log(sizes_mm), np.log(ms), 1)[0]), 2)
 
 
 def plot(found: dict, path: Path) -> None:
@@ -214,16 +188,6 @@ def device() -> str:
     return backend.device
 
 
-def memory_of_one_process() -> None:
-    """Carve at 10 mm with 8 cameras and print the resident memory in MB: run in a process of its own."""
-    rig, frames = scene(8, 2)
-    pipeline = HullPipeline(rig, HullSettings(voxel_size_m=0.01))
-    for masks in frames:
-        pipeline.run(FrameSet.of_instant(0, masks))
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    print(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
-
-
 def figures_of(found: dict, auto: str) -> dict[str, float | None]:
     """The figures of the last line that come from the table."""
     row = found[5, 20]
@@ -248,11 +212,7 @@ def main() -> None:
     given = parser(__doc__, quick="three configurations and the exactness, nothing else")
     given.add_argument("--plot", type=Path, help="draw the table to this file")
     given.add_argument("--limit", type=float, default=20.0, help="seconds a frame that a method may take")
-    given.add_argument(MEMORY_OPTION, action="store_true", help=argparse.SUPPRESS)
     arguments = given.parse_args()
-    if arguments.memory_of_one_process:
-        memory_of_one_process()
-        return
     versions = ", ".join(f"{module.__name__} {module.__version__}" for module in (np, cv2))
     print(f"{machine_line()}; {versions}\nOpenGL: {device()}")
     if arguments.quick:
@@ -263,12 +223,9 @@ def main() -> None:
     auto = "ours, OpenGL" if auto_is_gl() else BASE
     figures = figures_of(found, auto) | {"voxel_disagreement": disagreement(2 if arguments.quick else 8)}
     if not arguments.quick:
-        figures |= growth(budget_s=1.0)
+        figures["exponent"] = exponent(found)
     if arguments.plot:
         plot(found, arguments.plot)
-    output = subprocess.run([sys.executable, __file__, MEMORY_OPTION], check=True, capture_output=True, text=True)
-    figures["rss_10mm_mb"] = round(float(output.stdout.split()[-1]), 1)
-    print(f"resident memory at 10 mm with 8 cameras: {figures['rss_10mm_mb']} MB")
     finish(figures)
 
 

@@ -18,7 +18,7 @@ from hull_server.thesis_plane_sweep import PlaneSweepCarver
 from hull_server.views import RigViews, min_seeing
 from stick_figure.body import Body
 from virtual_studio.motions.catalogue import tour
-from virtual_studio.people import Capsules, VolumetricBody
+from virtual_studio.people import VolumetricBody
 from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
 
@@ -26,25 +26,18 @@ Masks = dict[str, np.ndarray]
 Method = Callable[[Masks], int]
 VOLUME = Volume(np.array([-1.25, -1.25, 0.0]), np.array([1.25, 1.25, 2.2]))
 STATURE_M, TOUR_S, TOUR_FPS = 1.75, 12.0, 10.0
-PLACES_M = ((0.6, 0.5, 0.0), (-0.6, 0.5, 0.0), (0.0, -0.6, 0.0))  # how far several bodies are shifted
 
 
 @cache
-def scene(cameras: int, poses: int, bodies: int = 1) -> tuple[Rig, list[Masks]]:
+def scene(cameras: int, poses: int) -> tuple[Rig, list[Masks]]:
     """A ring of cameras and one above, 640 x 480 with lens distortion, and exact canvas silhouettes.
 
-    The bodies move through ``poses`` poses of the built-in tour, side by side.
+    The body moves through ``poses`` poses of the built-in tour.
     """
     rig, body = Rig(ring(cameras - 1).cameras, VOLUME), Body.from_stature(STATURE_M)
     person, eyes, motion = VolumetricBody(body), ExactSilhouettes(rig), tour(body, TOUR_S, TOUR_FPS)
-    places = np.array(PLACES_M[:bodies]) if bodies > 1 else np.zeros((1, 3))
-    frames = []
-    for index in np.linspace(0, len(motion.poses) - 1, poses).astype(int):
-        one = person.place(motion.poses[index])
-        starts, ends = (np.concatenate([points + place for place in places]) for points in (one.starts, one.ends))
-        several = Capsules(starts, ends, np.tile(one.radii, (len(places), 1)), np.tile(one.albedo, len(places)))
-        frames.append(eyes.render(several))
-    return rig, frames
+    chosen = np.linspace(0, len(motion.poses) - 1, poses).astype(int)
+    return rig, [eyes.render(person.place(motion.poses[index])) for index in chosen]
 
 
 class PlainNumpy:

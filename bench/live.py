@@ -4,7 +4,7 @@
     python bench/live.py --seconds 60                # the whole minute
     python bench/live.py --hz 100 --cameras 5        # faster
     python bench/live.py --processes three           # a process a node
-    python bench/live.py --overload                  # twice what it holds: what is answered, how late, how soon over
+    python bench/live.py --overload                  # twice what it holds, then half: answered, how late, how soon over
 
 A player sends every camera's silhouette and camera_info over loopback, all of an instant at once and stamped then; the
 server is what `sagoma up` starts. Beside it the server of an older commit (--before) runs in a domain of its own, and
@@ -12,8 +12,9 @@ the two are played to in turns, so that whatever else the machine does hits both
 processes' own (user and system) over the counted turns; per answered set, as sets that are dropped cost less. Latency
 runs from the stamp to the joint state's arrival at a subscriber in another process. Silhouettes: a session of the test
 data as camera clients segment it or, where there is none, exact ones of the built-in studio. Last,
-camera clients of this tree on simulated GigE cameras (bench/camera.py). The last line is JSON: this tree's figures, and
-those of the older one under "before".
+camera clients of this tree on simulated GigE cameras (bench/camera.py). --overload looks for what the server holds
+first, with a server that thins nothing out: the rate rises by a tenth until sets are dropped or wait. The last line is
+JSON: this tree's figures, and those of the older one under "before".
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -32,9 +33,9 @@ from report import Table, add_settings, execute, finish, machine_line, parser
 
 import camera
 import numpy as np
-from live_overload import measure_overload, print_overload
+from clips import Clip, session_clip
 from live_servers import PROCESSES, TREE, Server, running, tree_of
-from scenes import SHARED, Clip, session_clip, studio_clip
+from scenes import SHARED, studio_clip
 
 from capture_rig import Rig
 from sagoma_tools.arguments import parse_settings
@@ -48,6 +49,10 @@ FEWER_CAMERAS = {
 FIRST_DOMAIN = 90  # of the servers; beside another bench, give --domain
 CLIENTS, CLIENT_FPS, CLIENT_S = 2, 60.0, 10.0
 QUICK_S, QUICK_TURNS = 10.0, 2
+FIRST_HZ, STEP = 45.0, 1.1
+SETTLE_S, TRY_S = 1.5, 2.5
+HELD_SHARE, HELD_P95_MS = 0.99, 100.0  # answered, and within this, at a rate that is held
+OVERLOAD_S, LOW_S = 15.0, 6.0
 
 
 @dataclass(frozen=True)
@@ -106,6 +111,81 @@ def measure(servers: Sequence[Server], hz: float, seconds: float, turns: int) ->
         for server, own in zip(servers, played, strict=True):
             own.append(server.play(hz, seconds / turns))
     return [Figures.of(own) for own in played]
+
+
+# --- overload
+
+
+@dataclass(frozen=True)
+class OverloadFigures:
+    """Rates in Hz; ``overload_share``: of the held rate that is answered, whole, at twice that rate."""
+
+    hz_held: float
+    overload_hz_sent: float
+    overload_hz_answered: float
+    overload_share: float
+    overload_incomplete: int
+    overload_latency_p50_ms: float
+    overload_latency_p95_ms: float
+    recovery_s: float
+
+
+def measure_overload(
+    clip: Clip, processes: str, folder: Path, domain: int, settings: Mapping[str, Any], hz: float | None = None
+) -> OverloadFigures:
+    """Find the rate that is held (or take ``hz``), play twice that rate, then half of it."""
+    if hz is None:
+        with running(
+            "held", TREE, processes, clip, folder / "held", domain, {**settings, "hull_server.thin_out": False}
+        ) as s:
+            hz = held_hz(s)
+    with running("overload", TREE, processes, clip, folder / "overload", domain + 2, settings) as server:
+        _, over, low = server.play_phases([(0.5 * hz, SETTLE_S), (2.0 * hz, OVERLOAD_S), (0.5 * hz, LOW_S)])
+    ages = [age for _, age in over["ages"]]
+    answered_hz = (len(over["answered_s"]) - over["incomplete"]) / OVERLOAD_S
+    return OverloadFigures(
+        hz_held=round(hz, 1),
+        overload_hz_sent=round(2 * hz, 1),
+        overload_hz_answered=round(answered_hz, 1),
+        overload_share=round(answered_hz / hz, 3),
+        overload_incomplete=over["incomplete"],
+        overload_latency_p50_ms=round(float(np.percentile(ages, 50)), 1),
+        overload_latency_p95_ms=round(float(np.percentile(ages, 95)), 1),
+        recovery_s=round(recovery_s(low["answered_s"], low["hz"], low["seconds"]), 2),
+    )
+
+
+def held_hz(server: Any) -> float:
+    """The highest rate, in steps of a tenth, at which sets are neither dropped nor wait."""
+    hz, held = FIRST_HZ, 0.0
+    while True:
+        _, tried = server.play_phases([(hz, SETTLE_S), (hz, TRY_S)])
+        answered, sent = len(tried["answered_s"]), tried["sent"]
+        p95 = float(np.percentile([age for _, age in tried["ages"]], 95)) if tried["ages"] else np.inf
+        print(f"{hz:.0f} Hz: {answered} of {sent} answered, 95 % within {p95:.0f} ms", flush=True)
+        if answered < HELD_SHARE * sent or p95 > HELD_P95_MS:
+            return held or hz
+        held, hz = hz, hz * STEP
+
+
+def recovery_s(answered_s: list[float], hz: float, seconds: float) -> float:
+    """When the last exposure lay that was not answered, since the phase began; its length where it never ended."""
+    gaps = np.diff([0.0, *answered_s, seconds])
+    late = np.flatnonzero(gaps > 1.5 / hz)
+    return 0.0 if len(late) == 0 else float([0.0, *answered_s, seconds][late[-1] + 1])
+
+
+def print_overload(figures: OverloadFigures) -> None:
+    """One row."""
+    table = Table(
+        "held Hz:>8.1f | offered Hz:>11.1f | answered Hz:>12.1f | share:>6.2f | incomplete:>11d | p50 ms:>7.1f"
+        " | p95 ms:>7.1f | recovery s:>11.2f",
+        "twice the rate that is held, then half of it: sets answered, latency, time until every set is answered again",
+    )
+    table.row(*vars(figures).values())
+
+
+# --- camera clients, and the command
 
 
 def client_ms_per_frame(folder: Path, domain: int) -> float:

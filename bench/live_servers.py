@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from scenes import Clip
+from clips import Clip
 
 from capture_rig import save_rig
 from capture_rig.errors import InputError

@@ -1,10 +1,12 @@
 """One table over everybody there is to track: test data, the studio's people, hard cases, rendered mesh people.
 
     python bench/people.py [NAME ...] [--products FOLDER] [--pictures FOLDER] [--set NODE.PARAMETER=VALUE ...]
+    python bench/people.py --ablation | --fast | --smoothed [NAME ...]        # other tables of the same sets
 
 Tracks every set (those with a NAME in theirs) with automatic start and default settings: each session of the test data
-with its own silhouettes and, as _exact, with exact ones; the studio's tour by five people and its hard cases; and what
-`bench/mesh_people.py` put into FOLDER (mesh_fit_: constants may have been fitted to them; mesh_prove_: never).
+with its own silhouettes and, as _exact, with exact ones; the studio's tour by five people and its hard cases; scenes of
+two to four of its people (together_); and what `models/mesh_people.py` and `models/random_people.py` put into FOLDER
+(mesh_fit_: constants may have been fitted to them; mesh_prove_: never).
 
 The hulls are carved once and kept in FOLDER (output/people): empty it after a change of cameras or hull.
 
@@ -12,17 +14,17 @@ Columns: frames in which a person is wholly inside the volume; mean error of the
 constant offset in the pelvis's frame; share of tracked frames with a point over 200 mm; share of frames tracked; share
 of errors inside the track's own 95 % ellipsoids, all and of the worst point; processor time of fit and filter, ms a set
 (with the start, and compiled code that is loaded in the first sets); identity switches and tracks of nobody where there
-are several persons (figures: all persons' together). A second table holds the covariances point by point over all sets.
-The last line is JSON. What is called doubtful: `bench/doubt.py`.
+are several persons (all persons' together; below, each person's mean error and ms a set by the number of persons). A
+second table holds the covariances point by point over all sets. The last line is JSON.
 --pictures draws the worst frame of every set with a point over 200 mm from the first person's side: silhouettes, which
-must lie in FOLDER/../clips as `bench/mesh_people.py` writes them, truth in white, track in colour.
+must lie in FOLDER/../clips as `models/mesh_people.py` writes them, truth in white, track in colour.
+What is called doubtful: `bench/doubt.py`.
 """
 
 from __future__ import annotations
 
 import pickle
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -31,30 +33,22 @@ from report import Table, add_settings, execute, finish, parser
 
 import cv2
 import numpy as np
-from products import Recorded, load
-from scenes import SHARED, Clip, inside_volume, session_clip, studio_clip
+from clips import Clip, Recorded
+from people_sets import KEPT, Followed, followed, recorded
+from people_studies import ablation, fast_motion, smoothed
+from scenes import inside_volume
 
 from capture_rig.session import Truth
-from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower
 from sagoma_tools.arguments import parse_settings
-from sagoma_tools.evaluation.live_run import distort_mask
 from sagoma_tools.evaluation.people import score_people
 from sagoma_tools.evaluation.scores import covariance_coverage
 from sagoma_tools.evaluation.track import Track
-from sagoma_tools.overlays.drawing import Window, montage, overlay
+from sagoma_tools.overlays import Window, montage, overlay
 from stick_figure import metrics
 from stick_figure.skeleton import POINT_NAMES
-from virtual_studio.motions.catalogue import HARD_CASES
-from virtual_studio.people import person_of
 
-KEPT = Path("output/people")
 BAD_MM = 1e3 * metrics.LARGE_ERROR_M
 CLOSE_UP_PX = 240
-BUILDS = ((1.60, 0.85, 1.0, 1.0), (1.88, 1.2, 1.0, 1.0), (1.75, 1.0, 1.0, 1.0), (1.68, 1.3, 0.95, 1.03),
-          (1.82, 0.9, 1.05, 0.97))  # fmt: skip
-"""Stature, m; build; length of arms and legs, over the average's."""
-TOUR_S = 8.0
 COLUMNS = 10  # of the table; a row of figures holds more
 
 
@@ -74,59 +68,13 @@ class Figures:
     ghosts: int | None = None
     point_inside_95: tuple[float, ...] | None = None
     point_nees: tuple[float, ...] | None = None
+    persons_mm: tuple[float | None, ...] | None = None
+    ms_by_persons: list[float | None] | None = None
 
 
-def sets() -> Iterator[tuple[str, Callable[[], Clip]]]:
-    """Every set that can be made from the test data and the studio, and what makes its silhouettes."""
-    rendered = SHARED / "sessions"
-    for folder in [*sorted(rendered.glob("*/")), SHARED / "real_4cam"]:
-        if not folder.is_dir():
-            continue
-        yield folder.name, lambda folder=folder: session_clip(folder, exact=False)  # type: ignore[misc]
-        if folder.parent == rendered:
-            yield f"{folder.name}_exact", lambda folder=folder: session_clip(folder, exact=True)  # type: ignore[misc]
-    for stature, build, arms, legs in BUILDS:
-        person = person_of(stature, arms, legs)
-        yield (
-            f"studio_tour_6_{stature:.2f}_{build:g}_{arms:g}_{legs:g}",
-            lambda person=person, build=build: studio_clip("tour", TOUR_S, 6, person, build),  # type: ignore[misc]
-        )
-    for case, motion in HARD_CASES.items():
-        yield (
-            f"studio_{case}_6_1.75_1_1_1",
-            lambda case=case, motion=motion: studio_clip(case, motion.duration_s, 6),  # type: ignore[misc]
-        )
-
-
-def recorded(folder: Path, only: list[str]) -> Iterator[Recorded]:
-    """The sets chosen: those kept in the folder, the others made and kept."""
-    makers = dict(sets())
-    kept = {path.stem for path in folder.glob("*.pkl")}
-    for name in [*makers, *sorted(kept - set(makers))]:
-        if only and not any(part in name for part in only):
-            continue
-        path = folder / f"{name}.pkl"
-        if name not in kept:
-            Recorded.of(makers[name]()).save(path)
-        yield load(path)
-
-
-def followed(what: Recorded, settings: dict[str, Any]) -> tuple[dict[int, Track], float]:
-    """Every person's track by number, and the processor time of fit and filter, ms a set."""
-    configuration = Configuration.of({"hull_server.backend": "cpu", **what.start, **settings})
-    follower = BodyFollower.of(configuration, what.rig)
-    rows: dict[int, list[tuple[int, Any]]] = {}
-    began = time.process_time()
-    for frame, products in enumerate(what.products):
-        for person in follower.step(products).people:
-            if person.state is not None:
-                rows.setdefault(person.person, []).append((frame, person.state))
-    ms = 1e3 * (time.process_time() - began) / max(len(what.products), 1)
-    return {number: Track.of_states(states) for number, states in rows.items()}, ms
-
-
-def judged(what: Recorded, tracks: dict[int, Track], ms: float) -> Figures:
+def judged(what: Recorded, found: Followed) -> Figures:
     """The figures of all persons together."""
+    tracks, ms = found.tracks, found.ms
     truths = [Truth(np.arange(len(t)), t, None, 1.0, Path(what.name)) for t in what.truths]
     known = [np.flatnonzero(inside_volume(what.rig, t)) for t in what.truths]
     frames = sum(map(len, known))
@@ -145,6 +93,7 @@ def judged(what: Recorded, tracks: dict[int, Track], ms: float) -> Figures:
     distances = 1e3 * np.linalg.norm(errors, axis=2)
     tracked = np.isfinite(distances).any(axis=1)
     worst = np.where(tracked, np.nan_to_num(distances, nan=-1.0).max(axis=1), np.nan)
+    persons_mm = tuple(_mean(1e3 * metrics.point_errors(track.points_world, truth)) for track, truth in pairs)
     coverage = covariance_coverage(errors, np.concatenate([track.covariance for track, _ in pairs]))
     return Figures(
         frames,
@@ -159,6 +108,8 @@ def judged(what: Recorded, tracks: dict[int, Track], ms: float) -> Figures:
         ghosts,
         tuple(coverage.point_inside_95.tolist()),
         tuple(coverage.point_nees.tolist()),
+        persons_mm if several else None,
+        found.ms_by_persons if several else None,
     )
 
 
@@ -189,11 +140,10 @@ def draw(what: Recorded, clip: Clip, track: Track, path: Path) -> None:
         return
     estimate, truth = aligned.points_world[frame], what.truths[0][frame]
     pictures = []
-    for camera in what.rig.cameras:
+    for camera in (model.undistorted_view().camera for model in what.rig.cameras):
         window = Window.around(camera, np.concatenate([estimate, truth]), CLOSE_UP_PX)
-        image = np.zeros((camera.height, camera.width, 3), np.uint8)
-        mask = distort_mask(camera, clip.mask(frame, camera.name))
-        pictures.append(overlay(camera, image, mask, estimate, truth, window))
+        image = np.where(clip.mask(frame, camera.name) > 0, np.uint8(140), np.uint8(40))
+        pictures.append(overlay(camera, image, estimate, truth, window))
     path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path), montage(pictures, columns=len(pictures)))
     print(f"{path}: frame {frame}, {POINT_NAMES[int(np.argmax(np.linalg.norm(estimate - truth, axis=1)))]}")
@@ -222,30 +172,51 @@ def main() -> None:
     given.add_argument("names", nargs="*", help="parts of names of sets; default: all")
     given.add_argument("--products", type=Path, default=KEPT, help="where hulls are kept, and mesh people lie")
     given.add_argument("--pictures", type=Path, help="folder for the worst frames")
+    given.add_argument("--ablation", action="store_true", help="what each part of the tracker is worth, set by set")
+    given.add_argument("--fast", action="store_true", help="error and lag of hands and feet, by their speed")
+    given.add_argument("--smoothed", action="store_true", help="filter and smoother beside each other")
     add_settings(given)
     arguments = given.parse_args()
     settings = parse_settings(arguments.settings)
+    chosen = recorded(arguments.products, arguments.names)
+    if arguments.ablation:
+        finish(ablation(chosen))
+    elif arguments.fast:
+        finish(fast_motion(chosen, settings))
+    elif arguments.smoothed:
+        finish(smoothed(chosen, settings))
+    else:
+        finish(whole_table(chosen, settings, arguments.products.parent / "clips", arguments.pictures))
+
+
+def whole_table(
+    chosen: Iterable[Recorded], settings: dict[str, Any], clips: Path, pictures: Path | None
+) -> dict[str, dict[str, Any]]:
+    """Track and judge the sets; draw their worst frames into the folder ``pictures`` if there is one."""
     shown = Table(
         "set:<40 | frames:>7d | mean:>6.1f | -offset:>8.1f | > 200:>7.1% | tracked:>8.0%"
         " | inside:>7.1% | worst:>6.0% | ms:>5.2f | switches:>9d | ghosts:>7d"
     )
-    table, found = dict[str, dict[str, Any]](), list[Figures]()
-    for what in recorded(arguments.products, arguments.names):
-        tracks, ms = followed(what, settings)
-        figures = judged(what, tracks, ms)
-        silhouettes = arguments.products.parent / "clips" / f"{what.name}.pkl"
-        if arguments.pictures and tracks and silhouettes.is_file():
-            draw(
-                what,
-                pickle.loads(silhouettes.read_bytes()),
-                tracks[_number_of_first(what, tracks)],
-                arguments.pictures / f"{what.name}.png",
-            )
-        found.append(figures)
+    table, every = dict[str, dict[str, Any]](), list[Figures]()
+    for what in chosen:
+        found = followed(what, settings)
+        figures = judged(what, found)
+        silhouettes = clips / f"{what.name}.pkl"
+        if pictures and found.tracks and silhouettes.is_file():
+            track = found.tracks[_number_of_first(what, found.tracks)]
+            draw(what, pickle.loads(silhouettes.read_bytes()), track, pictures / f"{what.name}.png")
+        every.append(figures)
         table[what.name] = asdict(figures)
         shown.row(what.name, *list(table[what.name].values())[:COLUMNS])
-    coverage_of_people(found)
-    finish(table)
+        if figures.persons_mm:
+            persons, ms = (", ".join(map(_text, part)) for part in (figures.persons_mm, figures.ms_by_persons or ()))
+            print(f"{'':<40} each person, mm: {persons}; ms a set by persons: {ms}", flush=True)
+    coverage_of_people(every)
+    return table
+
+
+def _text(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"
 
 
 if __name__ == "__main__":

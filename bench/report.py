@@ -1,7 +1,12 @@
 """What every bench shares: one thread, its arguments, its tables, and one line of JSON at its end.
 
 With ``--record`` the figures are kept in docs/figures, with machine, commit, date and command; `make figures` writes
-those into the pages. Imported before numpy: BLAS reads its number of threads once.
+those into the pages. Run by itself it does so for a `sagoma` command that ends with a line of JSON:
+
+    python bench/report.py --record=demo demo
+    python bench/report.py --record=real_4cam evaluate ../shared/data/real_4cam --json
+
+Imported before numpy: BLAS reads its number of threads once.
 """
 
 from __future__ import annotations
@@ -31,9 +36,9 @@ from capture_rig.files import write_text  # noqa: E402
 cv2.setNumThreads(1)
 
 TREE = Path(__file__).resolve().parents[1]
-sys.path.append(str(TREE / "tests" / "support"))  # what benches share with tests
+sys.path += [str(TREE / "models"), str(TREE / "tests" / "support")]  # what benches share with these
 FIGURES = TREE / "docs" / "figures"
-MEASURED = ("src", "bench")
+MEASURED = ("src", "bench", "models")
 """A change in these folders that no commit holds makes the recorded commit a dirty one."""
 SHARED_IN_PAGES = "../shared/data"
 _asked = argparse.Namespace(record=None, commit=None)
@@ -88,7 +93,7 @@ class Table:
         self._print([_cell(value, spec) for value, spec in zip(values, self._formats, strict=True)])
 
     def _print(self, cells: Sequence[str]) -> None:
-        self._kept.append([cell.strip() for cell in cells])
+        self._kept.append([" ".join(cell.split()) for cell in cells])
         line = f"| {' | '.join(cell.strip() for cell in cells)} |" if self._markdown else " ".join(cells)
         print(line.rstrip(), flush=True)
 
@@ -200,3 +205,24 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and np.isnan(value) else value
+
+
+def run_sagoma() -> None:
+    """Run a `sagoma` command, show what it prints, and take its last line as the figures."""
+    given = parser(__doc__)
+    given.add_argument("command", nargs=argparse.REMAINDER, help="subcommand of sagoma with its arguments")
+    words = given.parse_args().command
+    line = ""
+    with subprocess.Popen([sys.executable, "-m", "sagoma_tools.cli", *words], stdout=subprocess.PIPE, text=True) as run:
+        for following in run.stdout or ():
+            print(line, end="", flush=True)
+            line = following
+    if run.returncode or not line.startswith("{"):
+        said = f"it ended with status {run.returncode} and the line {line!r}"
+        remedy = "Give one that ends well and with a line of JSON: demo, or evaluate SESSION --json."
+        raise InputError(said, where=" ".join(words), remedy=remedy)
+    finish(json.loads(line), command=["sagoma", *words])
+
+
+if __name__ == "__main__":
+    execute(run_sagoma)

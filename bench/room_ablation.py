@@ -1,11 +1,9 @@
 """What each part of the silhouettes is worth: the whole chain, videos in, with one part off in every row.
 
-    python bench/room_ablation.py [SESSION ...] [--quick]    # by default every session of the test data with a truth
-
-A cell is the mean error of the 15 points in mm / the share of frames with a point more than 200 mm off / the IoU of the
-silhouettes as sent (what is above 127 is the person; blank where there are no exact ones). Parts that no setting
-switches off are replaced for the row by what does nothing. "the thesis's rule" is background_model.rule: tail, which
-follows nothing and asks no neighbours. The last line is JSON: {row: {session: {"mean_mm", "over_200mm", "iou"}}}.
+``python bench/rooms.py --ablation [SESSION ...]``. A cell is the mean error of the 15 points in mm / the share of
+frames with a point more than 200 mm off / the IoU of the silhouettes as sent (what is above 127 is the person; blank
+where there are no exact ones). Parts that no setting switches off are replaced for the row by what does nothing. "the
+thesis's rule" is background_model.rule: tail, which follows nothing and asks no neighbours.
 """
 
 from __future__ import annotations
@@ -17,11 +15,11 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import PropertyMock, patch
 
-from report import Table, execute, finish, parser
+from report import Table
 
-import cv2
 import numpy as np
-from scenes import SHARED, session_with_truth
+from clips import session_with_truth
+from scenes import SHARED
 
 from camera_client.background.adaptation.light import LightEstimator
 from camera_client.background.adaptation.shift import ShiftEstimator
@@ -131,23 +129,17 @@ def exact_masks(session: Session) -> Iterator[dict[str, Any]]:
         }  # type: ignore[index]
 
 
-def main() -> None:
-    """Print the table and the line of JSON."""
-    given = parser(__doc__, quick="three rows")
-    given.add_argument("sessions", nargs="*", type=Path, metavar="SESSION")
-    arguments = given.parse_args()
-    cv2.setNumThreads(1)
+def ablation(folders: list[Path], quick: bool) -> dict[str, Any]:
+    """Print the table of these sessions, or of every session of the test data with one person; return its figures."""
     rendered = sorted((SHARED / "sessions").glob("*")) if (SHARED / "sessions").is_dir() else []
-    folders = arguments.sessions or [SHARED / "real_4cam", *(f for f in rendered if not (f / "truth_2.csv").exists())]
+    folders = folders or [SHARED / "real_4cam", *(f for f in rendered if not (f / "truth_2.csv").exists())]
     sessions = {folder.name: session_with_truth(folder) for folder in folders if folder.is_dir()}
-    if not sessions:
-        raise SystemExit(f"{SHARED} is not there: give a session folder with a truth.csv")
     table = Table({"row": "<30"} | {name[-18:]: "<22" for name in sessions})
     found: dict[str, Any] = {}
-    for row in ROWS[:2] + ROWS[-1:] if arguments.quick else ROWS:
+    for row in ROWS[:2] + ROWS[-1:] if quick else ROWS:
         found[row.name] = {name: figures(session, row) for name, session in sessions.items()}
         table.row(row.name, *(cell(each) for each in found[row.name].values()))
-    finish(found)
+    return found
 
 
 def cell(each: Mapping[str, float | None]) -> str:
@@ -155,7 +147,3 @@ def cell(each: Mapping[str, float | None]) -> str:
     mm, over, iou = each["mean_mm"], each["over_200mm"], each["iou"]
     error = "no body" if mm is None or over is None else f"{mm:.1f} / {100 * over:.0f} %"
     return error if iou is None else f"{error} / {iou:.3f}"
-
-
-if __name__ == "__main__":
-    execute(main)

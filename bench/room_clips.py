@@ -1,6 +1,9 @@
-"""Holds the footage of bench/rooms.py: what every camera sees of an empty room and of a person in it, exact masks.
+"""Footage of bench/rooms.py: what every camera sees of an empty room and of a person in it, exact masks.
 
-Clips are decoded once into a folder of .npy files, which the processes of the bench map into memory.
+Clips are sessions of the test data, or the virtual studio's: a person who walks in a ring of cameras in clothes of any
+kind, grey or in colour, casting shadows; its sensors have a noise of two grey levels and its lamps a ripple of half a
+percent, in the empty room, too. They are decoded once into a folder of .npy files, which the processes of the bench map
+into memory.
 """
 
 from __future__ import annotations
@@ -9,14 +12,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scenes import STATURE_M, STUDIO_FPS
 
 from camera_client.sources.footage_reader import MONO_TOLERANCE
 from capture_rig import Rig
 from capture_rig.rig import load_rig, save_rig
 from capture_rig.session import Session
 from capture_rig.video import Video
+from stick_figure.body import Body
+from stick_figure.pose import Pose
+from virtual_studio.motions.catalogue import MOTIONS
+from virtual_studio.outfits import OUTFITS
+from virtual_studio.people import Capsules, VolumetricBody
+from virtual_studio.recording.session import BACKGROUND_S, FIRST_BACKGROUND_FRAME
+from virtual_studio.rendering.camera import Sensor, VirtualCamera
+from virtual_studio.rendering.capsules import floor_shadow
+from virtual_studio.rig import ring
 
 STRIDE, EMPTY_STRIDE = 4, 2
 """Of 60 frames a second every fourth one is played, as 15 Hz cameras would give them; of the empty room every second
@@ -26,6 +40,9 @@ SCORED_EVERY = 2
 EPOCH_NS = 1_000_000_000_000_000_000
 PERSON_PX = 400
 """Frames with fewer of the person's pixels in the picture count for what they show falsely alone."""
+
+SIDE_CAMERAS = 4
+SENSOR = Sensor(noise=2.0, flicker=0.005, seed=13)
 
 Frames = np.ndarray
 """(F, H, W) or (F, H, W, 3) uint8."""
@@ -119,3 +136,82 @@ def _decoded(path: Path, frames: int, stride: int) -> Frames:
         images = np.array(list(islice(video, 0, frames, stride)))
     spread = images[0].astype(int).max(axis=2) - images[0].min(axis=2)
     return np.ascontiguousarray(images[..., 0]) if spread.max() <= MONO_TOLERANCE else images
+
+
+# --- the studio's
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a studio clip looks: colour or grey, one of the studio's outfits, strength of the floor's shadows 0..1."""
+
+    colour: bool = False
+    outfit: str = "middle"
+    shadow: float = 0.5
+
+    def __str__(self) -> str:
+        return f"studio_{'colour' if self.colour else 'mono'}_{self.outfit}_shadow{self.shadow:g}"
+
+
+LOOKS = tuple(
+    Look(colour, outfit, shadow)
+    for colour in (False, True)
+    for outfit, shadow in (
+        ("middle", 0.5),
+        ("dark", 0.5),
+        ("light", 0.5),
+        ("room", 0.5),
+        ("middle", 0.0),
+        ("middle", 1.0),
+    )
+)
+"""The first of each kind is the one that is disturbed further."""
+
+
+class Studio:
+    """The studio's rig and its person, looked at in one way."""
+
+    def __init__(self, look: Look) -> None:
+        self.look, self.rig = look, ring(SIDE_CAMERAS)
+        self.cameras = {camera.name: VirtualCamera(camera) for camera in self.rig.cameras}
+        self._person = VolumetricBody(Body.from_stature(STATURE_M))
+
+    def empty(self, camera: str) -> np.ndarray:
+        """Return the light of the empty room, (H, W[, 3])."""
+        eye = self.cameras[camera]
+        return eye.empty_room_colour() if self.look.colour else eye.empty_room()
+
+    def shadow(self, pose: Pose) -> tuple[Capsules, np.ndarray]:
+        """Return the person in a pose, and the shadow on the floor, the same for every camera."""
+        capsules = self._person.place(pose)
+        return capsules, floor_shadow(capsules, self.look.shadow)
+
+    def seen(self, camera: str, capsules: Capsules, shadow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return light and exact mask of the person in the room."""
+        eye, outfit = self.cameras[camera], OUTFITS[self.look.outfit]
+        if self.look.colour:
+            return eye.render_colour(capsules, outfit.albedo_bgr(capsules), shadow)
+        return eye.render(outfit.dress(capsules), shadow)
+
+    def empty_frames(self, camera: str, frames: int) -> np.ndarray:
+        """Return pictures of the empty room, to learn from."""
+        light, number = self.empty(camera), self.rig.names.index(camera)
+        return np.array([SENSOR.expose(light, number, FIRST_BACKGROUND_FRAME + k) for k in range(frames)])
+
+
+def studio_clip(look: Look, seconds: float) -> RoomClip:
+    """Film the person walking for so long, from the T-pose on."""
+    studio, fps = Studio(look), STUDIO_FPS / STRIDE
+    poses = MOTIONS["walk"](Body.from_stature(STATURE_M), seconds, fps).poses
+    names = studio.rig.names
+    films: dict[str, list[Any]] = {name: [] for name in names}
+    masks: dict[str, list[Any]] = {name: [] for name in names}
+    for frame, pose in enumerate(poses):
+        capsules, shadow = studio.shadow(pose)
+        for number, name in enumerate(names):
+            light, mask = studio.seen(name, capsules, shadow)
+            films[name].append(SENSOR.expose(light, number, frame))
+            masks[name].append(mask)
+    empty = {name: studio.empty_frames(name, round(BACKGROUND_S * STUDIO_FPS / EMPTY_STRIDE)) for name in names}
+    take, truth = ({name: np.array(frames) for name, frames in part.items()} for part in (films, masks))
+    return RoomClip(str(look), studio.rig, fps, empty, take, truth)

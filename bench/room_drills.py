@@ -16,10 +16,9 @@ from report import Table
 
 import cv2
 import numpy as np
-from room_clips import EPOCH_NS, RoomClip
+from room_clips import EPOCH_NS, SENSOR, Look, RoomClip, Studio
 from room_disturbances import moved
 from room_methods import JUDGED, PERSON_ABOVE, SENT, Score, our_pipeline, segment
-from room_studio import SENSOR, Look, Studio
 from scenes import STATURE_M
 
 from stick_figure.body import Body

@@ -7,8 +7,9 @@
     python bench/rooms.py --long | --jump          # drills: ten minutes, lamp, door, touched cameras; an empty room
     python bench/rooms.py --holes                  # a third of the person missing, a desk, a pillar; tracked
     python bench/rooms.py --lab                    # two men in an ordinary laboratory, against points clicked by hand
+    python bench/rooms.py --ablation [SESSION ...] # what each part of the silhouettes is worth; tracked
 
-Rows: sessions of the test data as they are; the studio with clothes and shadows of any kind (room_studio.py); a grey
+Rows: sessions of the test data as they are; the studio with clothes and shadows of any kind (room_clips.py); a grey
 session and the studio in colour with disturbances added after decoding (room_disturbances.py). Every frame is run, with
 the stamps of 15 Hz cameras; every second one of two cameras is scored, on the undistorted canvas. Frames within half a
 second of a sudden change of light, and within four seconds of things moved, are not scored.
@@ -40,13 +41,12 @@ from report import Table, execute, finish, parser
 import cv2
 import numpy as np
 import room_rivals
-from room_clips import RoomClip, of_session, open_clip
+from room_ablation import ablation
+from room_clips import LOOKS, RoomClip, of_session, open_clip, studio_clip
 from room_disturbances import Disturbance
 from room_drills import jumps, long_drills
-from room_holes import holes
-from room_lab import laboratory
 from room_methods import CV2_RIVALS, JUDGED, SENT, CanvasTruth, our_pipeline, our_scores, rival_scores, visible_share
-from room_studio import LOOKS, studio_clip
+from room_tracked import holes, laboratory
 from scenes import shared_sessions
 
 SECONDS = 4.0
@@ -213,12 +213,15 @@ def main() -> None:
     given.add_argument(
         "--rivals", default="", metavar="PYTHON", help="interpreter of rivals and codecs (room_rivals.py)"
     )
-    given.add_argument("--markdown", action="store_true", help="the table as docs/rooms.md has it")
+    given.add_argument("--markdown", action="store_true", help="the table as Markdown")
     given.add_argument("--cost", action="store_true", help="milliseconds a frame instead of the table")
     given.add_argument("--long", action="store_true", help="drills of minutes instead of the table")
     given.add_argument("--jump", action="store_true", help="a person who is gone from the room instead of the table")
     given.add_argument("--holes", action="store_true", help="a person with holes, tracked, instead of the table")
     given.add_argument("--lab", action="store_true", help="two men in a laboratory instead of the table")
+    given.add_argument(
+        "--ablation", nargs="*", type=Path, metavar="SESSION", help="parts off in turn, instead of the table"
+    )
     arguments = given.parse_args()
     looks = [LOOKS[0]] if arguments.quick else [LOOKS[0], STUDIO[COLOUR]]
     looks = [look for look in looks if arguments.only in str(look)]
@@ -232,6 +235,8 @@ def main() -> None:
         finish(holes())
     elif arguments.lab:
         finish(laboratory())
+    elif arguments.ablation is not None:
+        finish(ablation(arguments.ablation, arguments.quick))
     else:
         whole_table(arguments)
 

@@ -9,11 +9,11 @@ each: what else the machine does falls on all. Times are processor time of one t
 masks to the filtered pose, without middleware. Stages that are due a few times a second count with their share.
 
 Several people are bodies side by side in the silhouettes: the hull server's cost. One of them is tracked here, so that
-tracker and filter do not depend on their number (bench/people_together.py measures what each person costs them).
+tracker and filter do not depend on their number (bench/people.py together_ measures what each person costs them).
 
 The last line is JSON:
 
-cameras_ms, voxels_ms, people_ms : {number: mean ms of a set}, about 6 cameras, 20 mm and one person.
+cameras_ms, voxels_ms, people_ms : {"6 cameras": mean ms of a set}, about 6 cameras, 20 mm and one person.
 set_bytes_per_camera : masks on the wire.
 """
 
@@ -28,11 +28,10 @@ from report import Table, execute, finish, parser
 
 import cv2
 import numpy as np
-from hull_baselines import PLACES_M
 
 from capture_rig import Rig
 from capture_rig.mask_levels import ATTENUATED_LEVELS, FOREGROUND, SHADOW_CANDIDATE
-from ekf_tracker.people import PeopleFilter
+from ekf_tracker.filter import PeopleFilter
 from hull_server import hull_pipeline
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
@@ -51,6 +50,7 @@ from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
 
 FPS, STATURE_M = 60.0, 1.75
+PLACES_M = ((0.6, 0.5, 0.0), (-0.6, 0.5, 0.0), (0.0, -0.6, 0.0))  # how far several bodies are shifted
 FIRST_S = 2.0  # of the motion: it begins with a T-pose
 WARM_UP = 12  # sets that do not count
 CAMERAS, VOXELS_MM, PEOPLE = (3, 4, 6, 8, 10, 12, 30), (20, 15, 10, 7, 5), (1, 2, 3)
@@ -95,7 +95,7 @@ class Server:
         lap()
         result = self._hull.run(FrameSet.of_instant(stamp_ns, masks, ()))
         lap()
-        products = result.products.as_sent()
+        products = result.products
         lap()
         fit = self._body.fit(products)
         lap()
@@ -214,7 +214,8 @@ def main() -> None:
     show("over voxels: 6 cameras, 1 person", "voxel mm", found["voxels"])
     show("over people: 6 cameras, 20 mm; one of them is tracked", "people", found["people"])
     figures = {
-        f"{kind}_ms": {n: round(one.mean_ms("sum"), 2) for n, one in rows.items()} for kind, rows in found.items()
+        f"{kind}_ms": {f"{n} {kind}": round(one.mean_ms("sum"), 2) for n, one in rows.items()}
+        for kind, rows in found.items()
     }
     finish({**figures, "set_bytes_per_camera": round(servers[USUAL].set_bytes / cameras)})
 

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from cut_rigs import CutCase
-from products import Recorded
-from scenes import Clip, studio_masks
+from clips import Clip, Recorded
+from scenes import studio_masks
 
+from capture_rig import Rig
 from capture_rig.rigid import rotation_matrix
 from icp_tracker.acquisition.body_sizes import ANKLE, SIZES, sizes_of_body
 from mocap_packets.hull import HullProducts
@@ -21,12 +21,42 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from virtual_studio.motions.catalogue import MOTIONS
 from virtual_studio.motions.timeline import T_POSE_S
 from virtual_studio.people import VolumetricBody
+from virtual_studio.rig import narrowed, ring, tilted, with_camera
 
 FPS = 30.0
 HELD_S, ARRIVED_S, WALKED_S = 2.0, 2.0, 10.0  # the T-pose; the way to the middle; the walk that sizes are learnt from
 SETTLED_S = 2.0  # at the end, over which the error is taken
 FIRST_FRAME = 90  # of the recorded sets that begin with a T-pose
 STARTED = {"hull_server.backend": "cpu", "icp_tracker.initial_pose.source": "auto"}
+
+
+@dataclass(frozen=True)
+class CutCase:
+    """Somebody in a T-pose in a rig that does not show all of them: place (2,) m and heading, rad."""
+
+    name: str
+    rig: Rig
+    place: tuple[float, float] = (0.0, 0.0)
+    heading: float = 0.4
+
+
+def cut_cases(cameras: int = 3) -> list[CutCase]:
+    """The same person in the middle and in places and rigs that cut a part off, by a ring of cameras."""
+    rig = ring(cameras, ceiling=False)
+    last = cameras - 1
+    up, down = tilted(rig.cameras[last], 0.24), tilted(rig.cameras[last], -0.27)
+    narrow = Rig(tuple(narrowed(camera, 1.45) for camera in rig.cameras), rig.volume)
+    # the direction in which the last camera sees people from nearer: there its picture ends first
+    way = rig.cameras[last].centre_world[:2] / np.linalg.norm(rig.cameras[last].centre_world[:2])
+    near = (float(0.5 * way[0]), float(0.5 * way[1]))
+    return [
+        CutCase("in the middle", rig),
+        CutCase("feet cut by one camera", with_camera(rig, last, up), near),
+        CutCase("head cut by one camera", with_camera(rig, last, down), near),
+        CutCase("an arm outside the volume", rig, (0.0, 0.95), 0.0),
+        CutCase("at the volume's edge", rig, (1.25, 0.0), 0.0),
+        CutCase("a lens too narrow", narrow),
+    ]
 
 
 @dataclass(frozen=True)
@@ -43,10 +73,10 @@ class Start:
 
 
 def followed(
-    rig: object, products: Iterable[HullProducts], truth: np.ndarray, fps: float, sizes: np.ndarray | None = None
+    rig: Rig, products: Iterable[HullProducts], truth: np.ndarray, fps: float, sizes: np.ndarray | None = None
 ) -> Start:
     """Track sets from their first on, automatically, and compare with the truth (F, 15, 3)."""
-    follower = BodyFollower.of(Configuration.of(STARTED), rig)  # type: ignore[arg-type]
+    follower = BodyFollower.of(Configuration.of(STARTED), rig)
     told, errors = "", {}
     for frame, seen in enumerate(products):
         first = follower.step(seen).people[0]
@@ -97,10 +127,10 @@ def of_walk_in(what: Recorded) -> Start:
     return followed(what.rig, what.products[first:], what.truths[0][first:], what.fps)
 
 
-def of_studio_walk(body: Body, build: float, rig: object, seconds: float = 6.0) -> Start:
+def of_studio_walk(body: Body, build: float, rig: Rig, seconds: float = 6.0) -> Start:
     """Somebody who walks in a circle in the studio, from half a step on."""
     first = round((T_POSE_S + 0.4) * FPS)
     poses: Sequence[Pose] = MOTIONS["walk"](body, T_POSE_S + 0.4 + seconds, FPS, build).poses[first:]
     truth = np.array([forward(body, pose) for pose in poses])
-    clip = Clip.of("walk", rig, FPS, studio_masks(rig, body, poses, build), truth=truth)  # type: ignore[arg-type]
+    clip = Clip.of("walk", rig, FPS, studio_masks(rig, body, poses, build), truth=truth)
     return followed(rig, clip.carved({}), truth, FPS, sizes_of_body(body))

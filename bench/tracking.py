@@ -1,6 +1,6 @@
 """Tracking on synthetic sticks: our methods, the thesis's, and the statistical bound.
 
-    python bench/tracking.py [--quick] [--motion FILE.bvh ...]
+    python bench/tracking.py [--quick]
 
 1. Moving stick figures, 300 noisy points a frame, trackers from the true first pose: mean error of the 15 points.
 2. Time of one set with 500 points and 1500 voxels.
@@ -12,17 +12,13 @@ Times are CPU time of one thread. The last line is JSON: {"mean_mm", "default_me
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-
 from report import Table, execute, finish, parser
 
 import numpy as np
 from synthetic.bounds import BOUND_EVERY, SETTLED, Bounds, bounds
-from synthetic.clips import FPS, POINTS, Clip, clouds, file_clip, random_clip, studio_clip
+from synthetic.clips import FPS, POINTS, Clip, clouds, random_clip, studio_clip
 from synthetic.trackers import Method, Run, all_joints_alone, chain, chain_for_sticks, thesis, times_ms, track
 
-from virtual_studio.motion_files.recorded import ReadingOptions
 from virtual_studio.motions.catalogue import MOTIONS
 
 LOST_M = 0.2
@@ -33,26 +29,11 @@ QUICK_S, FULL_S = 4.0, 6.0
 
 def main() -> None:
     """Print the tables and the line of JSON."""
-    options = _parser().parse_args()
-    clips = gather(options)
-    figures = protocol(clips)
-    finish(figures | times_ms(studio_clip("tour", 2.0 if options.quick else QUICK_S)))
-
-
-def gather(options: argparse.Namespace) -> list[Clip]:
-    """The clips that are asked for."""
-    seconds = QUICK_S if options.quick else FULL_S
-    names = QUICK_CLIPS if options.quick else [name for name in MOTIONS if name != "t_pose_only"]
-    clips = [studio_clip(name, seconds) for name in names] + [
-        random_clip(seed) for seed in range(1 if options.quick else 4)
-    ]
-    reading = ReadingOptions(
-        metres_per_unit=options.motion_scale,
-        up=options.motion_up,
-        joints=options.motion_joints,
-        start_s=options.motion_start,
-    )
-    return clips + [file_clip(path, reading) for path in options.motion]
+    quick = parser(__doc__, quick="few, short clips: under a minute").parse_args().quick
+    names = QUICK_CLIPS if quick else [name for name in MOTIONS if name != "t_pose_only"]
+    clips = [studio_clip(name, QUICK_S if quick else FULL_S) for name in names]
+    figures = protocol(clips + [random_clip(seed) for seed in range(1 if quick else 4)])
+    finish(figures | times_ms(studio_clip("tour", 2.0 if quick else QUICK_S)))
 
 
 def protocol(clips: list[Clip]) -> dict[str, float]:
@@ -115,16 +96,6 @@ def _print_means(runs: dict[Method, list[Run]], limits: list[Bounds]) -> None:
 
 def _rounded(mm: float) -> float:
     return round(mm, 2)
-
-
-def _parser() -> argparse.ArgumentParser:
-    made = parser(__doc__, quick="few, short clips: under a minute")
-    made.add_argument("--motion", nargs="*", type=Path, default=[], help="BVH files to track too")
-    made.add_argument("--motion-scale", type=float, help="metres in one unit of these files")
-    made.add_argument("--motion-start", type=float, default=0.0, help="seconds of each to leave out")
-    made.add_argument("--motion-up", default="y", help="their axis that points up")
-    made.add_argument("--motion-joints", type=Path, help="YAML that says which joint is which")
-    return made
 
 
 if __name__ == "__main__":

@@ -14,7 +14,8 @@ docs/figures/NAME.json is a record: figures and tables of one command, with mach
         more: " ({NAME[KEY]:.0%})"   # stands in the table called "all" alone
         measures: [PACKAGE, ...]     # of src/, whose code the figure depends on
 
-A table stands in a page between ``<!-- figures: TABLE -->`` and ``<!-- /figures -->``. Rows whose record is older than
+A record whose figures are but a ``text`` was taken from a page: its words stand for those of its rows. A table stands
+in a page between ``<!-- figures: TABLE -->`` and ``<!-- /figures -->``. Rows whose record is older than
 the code that they measure are named.
 """
 
@@ -84,10 +85,12 @@ class Figures:
         row = self.described["rows"][name]
         template = row["figure"] + (row.get("more", "") if long else "")
         try:
-            figure = template.format_map({key: record["figures"] for key, record in self.records.items()})
+            records = [self.records[record] for record in records_of(template)]
+            in_words = [record["figures"]["text"] for record in records if "text" in record["figures"]]
+            figures = {key: record["figures"] for key, record in self.records.items()}
+            figure = "; ".join(in_words) or template.format_map(figures)
         except (KeyError, IndexError, TypeError, ValueError) as error:
             raise FigureError(f"row {name!r}: {template!r} does not fit the records: {error!r}") from None
-        records = [self.records[record] for record in records_of(template)]
         commands = dict.fromkeys(f"`{record['command']}`" for record in records)
         taken = dict.fromkeys(map(_taken, records))
         return [row["what"], figure, "; ".join(commands), *(["; ".join(taken)] if long else [])]

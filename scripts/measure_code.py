@@ -31,12 +31,13 @@ def measure(root: Path) -> dict[str, int]:
     tests = [text for path, text in sources.items() if "test" in path.parts]
     tests += [path.read_text(encoding="utf-8") for path in _python(root / "tests")]
     trees = {path: ast.parse(text) for path, text in product.items()}
-    settings = [call for tree in trees.values() for call in ast.walk(tree) if _is_setting(call)]
-    constants = [name for tree in trees.values() for name in tuned_constants(tree)]
+    constants = {path: len(list(tuned_constants(tree))) for path, tree in trees.items()}
+    nodes = [node for path, tree in trees.items() if "setting(" in product[path] for node in ast.walk(tree)]
+    settings = [node for node in nodes if _is_setting(node)]
     counts = {
         "product lines": _lines(product.values()),
         "product modules": len(product),
-        "tuned constants": len(constants) + sum(_is_number(call.args[0], int, float) for call in settings),
+        "tuned constants": sum(constants.values()) + sum(_is_number(call.args[0], int, float) for call in settings),
         "settings": len(settings),
         "bench lines": _lines(path.read_text(encoding="utf-8") for path in _python(root / "bench")),
         "models lines": _lines(path.read_text(encoding="utf-8") for path in _python(root / "models")),
@@ -44,17 +45,14 @@ def measure(root: Path) -> dict[str, int]:
         "docs words": _words((root / "docs").rglob("*.md")),
         "README words": _words([root / "README.md", *(root / "src").glob("*/README.md")]),
         f"functions over {ARGUMENTS_AT_MOST} arguments": sum(
-            _arguments(node) > ARGUMENTS_AT_MOST
-            for tree in trees.values()
-            for node in ast.walk(tree)
-            if isinstance(node, ast.FunctionDef)
+            _arguments(node) > ARGUMENTS_AT_MOST for tree in trees.values() for node in _functions(tree.body)
         ),
     }
     for package in sorted({path.relative_to(root / "src").parts[0] for path in product}):
         mine = {path: text for path, text in product.items() if path.relative_to(root / "src").parts[0] == package}
         counts[f"  {package} lines"] = _lines(mine.values())
         counts[f"  {package} modules"] = len(mine)
-        counts[f"  {package} constants"] = sum(len(list(tuned_constants(trees[path]))) for path in mine)
+        counts[f"  {package} constants"] = sum(constants[path] for path in mine)
     return counts
 
 
@@ -85,6 +83,15 @@ def _is_number(value: ast.expr, *types: type) -> bool:
 
 def _is_setting(node: ast.AST) -> bool:
     return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "setting"
+
+
+def _functions(body: Iterable[ast.stmt]) -> Iterator[ast.FunctionDef]:
+    """Yield the functions that stand in modules, classes and functions."""
+    for node in body:
+        if isinstance(node, ast.FunctionDef):
+            yield node
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield from _functions(node.body)
 
 
 def _python(folder: Path) -> list[Path]:

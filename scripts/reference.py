@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the table of every node parameter into docs/parameters.md: ``scripts/reference.py``."""
+"""Writes the list of every node parameter into docs/parameters.md: ``scripts/reference.py``."""
 
 from __future__ import annotations
 
@@ -23,35 +23,35 @@ SETTINGS = {
 GENERATED = re.compile(r"(<!-- parameters -->\n).*(<!-- /parameters -->)", re.S)
 
 
-def with_tables(page: str) -> str:
-    """Return the page with the tables of today's settings between its marks."""
-    return GENERATED.sub(lambda marks: marks[1] + "\n".join(tables()) + "\n" + marks[2], page)
+def with_lists(page: str) -> str:
+    """Return the page with the lists of today's settings between its marks."""
+    return GENERATED.sub(lambda marks: marks[1] + "\n".join(lists()) + "\n" + marks[2], page)
 
 
-def tables() -> Iterator[str]:
-    """Yield the lines of one table a node, parameters in the order of its settings class."""
+def lists() -> Iterator[str]:
+    """Yield the lines of one list a node, parameters in the order of its settings class."""
     for node, settings in SETTINGS.items():
-        yield from ("", f"### {node}", "| parameter | default | allowed | meaning |", "|---|---|---|---|")
+        yield from ("", f"### {node}", "")
         for leaf in leaves(settings):
-            yield f"| `{leaf.key}` | {_default(leaf)} | {_allowed(leaf)} | {_cell(leaf.metadata['help'])} |"
+            values = "; ".join(filter(None, (_default(leaf), _allowed(leaf))))
+            yield f"- `{leaf.key}`{f' ({values})' if values else ''}: {leaf.metadata['help']}"
 
 
 def _default(leaf: Leaf) -> str:
-    value = str(leaf.default).lower() if isinstance(leaf.default, bool) else leaf.default
-    if value in ("", []):
-        return ""
-    return f"{_cell(str(value))} {leaf.metadata['unit']}".strip()
+    """Return the default with its unit; nothing for an empty one."""
+    value = str(leaf.default).lower() if isinstance(leaf.default, bool) else str(leaf.default)
+    return "" if leaf.default in ("", []) else f"{value} {leaf.metadata['unit']}".strip()
 
 
 def _allowed(leaf: Leaf) -> str:
-    if leaf.metadata["choices"]:
-        return ", ".join(map(str, leaf.metadata["choices"]))
+    """Return the other choices, or the bounds that the setting names."""
+    low, high, choices = (leaf.metadata[name] for name in ("low", "high", "choices"))
+    if choices:
+        return ", ".join(str(choice) for choice in choices if choice != leaf.default)
+    if low is not None and high is None:
+        return f"from {low:.12g}"
     return leaf.range_text if leaf.has_range else ""
 
 
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
-
-
 if __name__ == "__main__":
-    PAGE.write_text(with_tables(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    PAGE.write_text(with_lists(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -26,8 +26,8 @@ from capture_rig.session import load_session, load_truth
 from capture_rig.yaml_file import save_mapping
 from icp_tracker.acquisition.initial_pose import load_initial_pose, save_initial_pose
 from rig_calibration.boards.specification import read_board
-from sagoma_bringup.graph import build_graph, camera_from_file
-from sagoma_tools.calibration.clicking import OuterCorners, read_corners, save_corners
+from sagoma_bringup.graph import camera_from_file
+from sagoma_tools.calibration.outer_corners import read_corners
 from sagoma_tools.cli import main
 from sagoma_tools.recording.reader import read_messages, read_provenance
 from sagoma_tools.recording.writer import BagWriter
@@ -35,7 +35,7 @@ from sagoma_tools.takes.folder import TakesFolder
 from stick_figure.body import Body
 from stick_figure.body_file import load_body, save_body
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from virtual_studio.motion_files.bvh import read_bvh
+from virtual_studio.motions.bvh import read_bvh
 from virtual_studio.rig import ring
 
 FEW, MANY = 12, 400
@@ -86,7 +86,7 @@ KINDS: dict[str, tuple[str, Callable[[Path], object], Callable[[Path], object]]]
     "board": ("board.yaml", lambda path: save_mapping(path, BOARD), lambda path: read_board(str(path))),
     "corners": (
         "corners.yaml",
-        lambda path: save_corners(path, {"cam01": OuterCorners(np.eye(4)[:, :2], 3)}),
+        lambda path: path.write_text("cam01: {corners: [[1, 0], [0, 1], [0, 0], [0, 0]], frame: 3}\n"),
         read_corners,
     ),
     "camera parameters": ("cam01.yaml", lambda path: save_mapping(path, CAMERA), camera_from_file),
@@ -207,30 +207,19 @@ def test_a_broken_bag_is_a_clear_error_of_every_command(take: Path, tmp_path: Pa
 # --- found by trying
 
 
-def test_a_session_without_a_background_is_an_error_of_evaluate(built_in_session: Path, tmp_path: Path) -> None:
+def test_a_session_without_a_background_is_an_error_of_evaluate(three_cameras: Path, tmp_path: Path) -> None:
     session = tmp_path / "session"
-    shutil.copytree(built_in_session, session)
+    shutil.copytree(three_cameras, session)
     next(session.glob("cam03_background.*")).unlink()
     status, said = run("evaluate", session, "--plots", tmp_path / "out")
     assert status == 2 and "there is no background for cam03" in said and "Add cam03_background" in said
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda text: text.replace("plumb_bob", "[plumb_bob]"), "distortion_model = ['plumb_bob'] is not known"),
-        (lambda text: text.replace("cam01", "left camera"), "'left camera' cannot be a camera's name"),
-        (lambda text: "a: " + "[" * 1000 + "]" * 1000, "nested more than 40 deep"),
-        (lambda text: text.replace("cameras", "c\udcff"), "is not UTF-8 text (line"),
-    ],
-)
-def test_a_broken_rig_is_an_error(change: Callable[[str], str], says: str, tmp_path: Path) -> None:
+def test_a_camera_whose_name_can_be_no_topic_is_an_error(tmp_path: Path) -> None:
     save_rig(ring(2), tmp_path / "rig.yaml")
-    text = change((tmp_path / "rig.yaml").read_text())
-    (tmp_path / "rig.yaml").write_bytes(text.encode(errors="surrogateescape"))
-    with pytest.raises(InputError) as refused:
+    (tmp_path / "rig.yaml").write_text((tmp_path / "rig.yaml").read_text().replace("cam01", "left camera"))
+    with pytest.raises(InputError, match=r"rig\.yaml.*'left camera' cannot be a camera's name"):
         load_rig(tmp_path / "rig.yaml")
-    assert says in str(refused.value) and "rig.yaml" in str(refused.value)
 
 
 def test_a_huge_body_file_is_refused_unread(tmp_path: Path) -> None:
@@ -238,13 +227,6 @@ def test_a_huge_body_file_is_refused_unread(tmp_path: Path) -> None:
         file.truncate(1 << 40)  # a hole: takes no room
     with pytest.raises(InputError, match=r"body\.yaml: is larger than 0\.0625 MiB"):
         load_body(tmp_path / "body.yaml")
-
-
-def test_a_parameter_file_that_is_not_utf8_is_an_error(tmp_path: Path) -> None:
-    save_rig(ring(1, False), tmp_path / "rig.yaml")
-    (tmp_path / "cam01.yaml").write_bytes(b"/cam01/camera_client:\n  ros__parameters: {a: \xff}\n")
-    with pytest.raises(InputError, match=r"cam01\.yaml: is not UTF-8 text \(line 2"):
-        build_graph(rig=tmp_path / "rig.yaml", cameras=tmp_path / "cam01.yaml")
 
 
 @pytest.mark.parametrize(
@@ -284,16 +266,15 @@ def test_a_message_shorter_than_its_stamp_is_an_error_with_its_place(tmp_path: P
             read()
 
 
-def test_a_session_whose_description_is_broken_is_an_error(built_in_session: Path, tmp_path: Path) -> None:
-    session = tmp_path / "session"
-    shutil.copytree(built_in_session, session)
-    rng = np.random.default_rng(3)
+def test_a_session_whose_description_is_broken_raises_input_errors_alone(three_cameras: Path, tmp_path: Path) -> None:
+    session, rng, refused = tmp_path / "session", np.random.default_rng(3), 0
+    shutil.copytree(three_cameras, session)
     whole = (session / "session.yaml").read_bytes()
     for _ in range(FEW):
         (session / "session.yaml").write_bytes(whole)
         damage(session / "session.yaml", rng)
-        with contextlib.suppress(InputError):
+        try:
             load_session(session)
-    (session / "session.yaml").write_bytes(b"fps: \xff")
-    with pytest.raises(InputError, match="is not UTF-8 text"):
-        load_session(session)
+        except InputError:
+            refused += 1
+    assert refused

@@ -62,6 +62,16 @@ def pc(lasting):
     lasting.camera.faults.clear()
 
 
+@pytest.fixture(scope="module")
+def second(listener, rig, tmp_path_factory):
+    """Another camera PC, whose camera is off when its client starts."""
+    pc = CameraPC("cam02", tmp_path_factory.mktemp("cam02"), listener, rig)
+    pc.camera.power_off()
+    pc.client = pc.start_client()
+    yield pc
+    pc.close()
+
+
 @pytest.fixture
 def fresh(listener, rig, tmp_path):
     """Camera PCs of a test's own."""
@@ -99,10 +109,8 @@ def outage_of(pc, cut, before):
     return first_s
 
 
-def test_camera_that_is_off_before_start_is_awaited_and_used_when_it_comes(fresh):
-    pc = fresh("cam02")
-    pc.camera.power_off()
-    pc.start_client()
+def test_camera_that_is_off_before_start_is_awaited_and_used_when_it_comes(second):
+    pc = second
     pc.until_said(ERROR, "no camera: ")
     assert pc.address in pc.listener.level(pc.node)[1]
     pc.camera.power_on()
@@ -111,6 +119,38 @@ def test_camera_that_is_off_before_start_is_awaited_and_used_when_it_comes(fresh
     measured("first masks after a late power-on", pc.listener.received_s["cam02"] - on_s)
     pc.until_well()
     assert sum_rule_holds(pc.listener.values(pc.node))
+
+
+def test_other_cameras_and_the_hull_go_on_while_one_camera_is_gone(pc, second, fresh, rig, listener, tmp_path):
+    others = [second, fresh("cam03")]
+    others[1].start_client()
+    given = {"rig_file": rig, "autostart": "true", "backend": "cpu", "voxel_size_m": "0.05"}
+    parameters = [word for key, value in given.items() for word in ("-p", f"{key}:={value}")]
+    command = [sys.executable, "-m", "hull_server.hull_node", "--ros-args", *parameters]
+    with (tmp_path / "hull.log").open("wb") as log:
+        hull = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
+    try:
+        for one in (pc, *others):
+            one.until_well()
+        listener.until(lambda: listener.number(HULL, "sets_complete") > 0, "hulls of all cameras")
+        pc.camera.power_off()
+        pc.until_said(ERROR, "no camera")
+        counts = [listener.masks(other.name) for other in others]
+        results = listener.number(HULL, "results")
+        listener.until(lambda: listener.number(HULL, "results") > results + 10, "hulls without cam01")
+        for other, count in zip(others, counts, strict=True):
+            listener.until(lambda name=other.name, count=count: listener.masks(name) > count, f"masks of {other.name}")
+        assert "cam01" in listener.level(HULL)[1]
+    finally:
+        end(hull)
+
+
+def test_sigterm_releases_control_so_that_the_camera_can_be_opened_at_once(second):
+    second.until_well()
+    second.client.send_signal(signal.SIGTERM)
+    assert second.client.wait(PATIENCE_S) == 0
+    with AravisSource(AravisSettings(address=second.address)) as source:  # held, it would be refused for 3 s
+        assert source.shape
 
 
 def test_camera_switched_off_in_the_middle_of_a_frame_leaves_it_incomplete_and_comes_back(pc):
@@ -248,34 +288,24 @@ def test_half_of_all_packets_lost_is_counted_honestly_and_recovered_from(pc, res
     assert values["reconnects"] == str(before["reconnects"])  # packets of broken frames are a sign of life
 
 
-def test_sigterm_releases_control_so_that_the_camera_can_be_opened_at_once(fresh):
-    pc = fresh("cam02")
-    client = pc.start_client()
-    pc.until_streaming()
-    client.send_signal(signal.SIGTERM)
-    assert client.wait(PATIENCE_S) == 0
-    with AravisSource(AravisSettings(address=pc.address)) as source:  # held, it would be refused for 3 s
-        assert source.shape
-
-
 @pytest.mark.slow
 def test_client_killed_by_force_gets_its_camera_back_after_the_heartbeat(fresh):
-    pc = fresh("cam02")
+    pc = fresh("cam03")
     client = pc.start_client()
     pc.until_streaming()
     os.kill(client.pid, signal.SIGKILL)
     client.wait(PATIENCE_S)
-    killed_s, seen = time.monotonic(), pc.listener.masks("cam02")
+    killed_s, seen = time.monotonic(), pc.listener.masks("cam03")
     pc.start_client()
-    pc.listener.until(lambda: pc.listener.masks("cam02") > seen, "masks of the second client")
-    back_s = pc.listener.received_s["cam02"] - killed_s
+    pc.listener.until(lambda: pc.listener.masks("cam03") > seen, "masks of the second client")
+    back_s = pc.listener.received_s["cam03"] - killed_s
     measured("from kill -9 to masks of the next client", back_s)
     assert client.returncode == -signal.SIGKILL and back_s > 0
 
 
 @pytest.mark.slow
 def test_client_ends_cleanly_while_its_camera_is_dead(fresh):
-    pc = fresh("cam02")
+    pc = fresh("cam03")
     client = pc.start_client()
     pc.until_streaming()
     pc.camera.power_off()
@@ -297,39 +327,3 @@ def test_services_of_a_client_whose_camera_just_died_answer(pc):
     pc.camera.faults.clear()
     assert client.bring([[pc.node]], State.ACTIVE).ok
     pc.until_well()
-
-
-def test_other_cameras_and_the_hull_go_on_while_one_camera_is_gone(pc, fresh, rig, listener, tmp_path):
-    others = [fresh("cam02"), fresh("cam03")]
-    for other in others:
-        other.start_client()
-    command = [
-        sys.executable,
-        "-m",
-        "hull_server.hull_node",
-        "--ros-args",
-        "-p",
-        f"rig_file:={rig}",
-        "-p",
-        "autostart:=true",
-        "-p",
-        "backend:=cpu",
-        "-p",
-        "voxel_size_m:=0.05",
-    ]
-    with (tmp_path / "hull.log").open("wb") as log:
-        hull = subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT)
-    try:
-        for one in (pc, *others):
-            one.until_well()
-        listener.until(lambda: listener.number(HULL, "sets_complete") > 0, "hulls of all cameras")
-        pc.camera.power_off()
-        pc.until_said(ERROR, "no camera")
-        counts = [listener.masks(other.name) for other in others]
-        results = listener.number(HULL, "results")
-        listener.until(lambda: listener.number(HULL, "results") > results + 10, "hulls without cam01")
-        for other, count in zip(others, counts, strict=True):
-            listener.until(lambda name=other.name, count=count: listener.masks(name) > count, f"masks of {other.name}")
-        assert "cam01" in listener.level(HULL)[1]
-    finally:
-        end(hull)

@@ -1,22 +1,30 @@
-"""The commands that the documentation names, as the programs read them: `sagoma`, `python bench/...`, `make`."""
+"""The commands that the documentation names, as programs read them: `sagoma`, `python bench/...` or models, `make`."""
 
 import ast
-import importlib.util
 import re
 import shlex
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 from sagoma_tools.cli import build_parser
 
 ROOT = Path(__file__).resolve().parents[1]
+PROGRAMS = [*sorted(ROOT.glob("bench/*.py")), *sorted(ROOT.glob("models/*.py"))]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
 GENERATED = {"commands.md"}  # from the parser itself
 BLOCK = re.compile(r"^```[a-z]*\n(.*?)^```|((?:^    \S.*\n)+)", re.M | re.S)
 SHORTENED = re.compile(r"\.\.\.|[|\[\]<>]")  # notation, not a command as it is typed
+
+
+def names_in(program: Path) -> set[str]:
+    """What a file defines, assigns or imports."""
+    nodes = [*ast.walk(ast.parse(program.read_text(encoding="utf-8")))]
+    names = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    names |= {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return names | {
+        alias.asname or alias.name for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
 
 
 def commands_of(page: Path) -> Iterator[tuple[str, bool]]:
@@ -48,7 +56,7 @@ def parser():
 
 def test_every_sagoma_command_is_one_that_the_command_line_takes(capsys):
     commands, refused = documented("sagoma "), []
-    assert len(commands) > 200
+    assert len(commands) > 100
     for page, command, typed in commands:
         if SHORTENED.search(command):
             continue
@@ -64,8 +72,8 @@ def test_every_sagoma_command_is_one_that_the_command_line_takes(capsys):
 
 def test_every_option_of_a_bench_is_one_that_it_declares():
     shared = (ROOT / "bench" / "report.py").read_text(encoding="utf-8")
-    commands, unknown = documented("python bench/"), []
-    assert len(commands) > 80
+    commands, unknown = documented("python bench/") + documented("python models/"), []
+    assert len(commands) > 20
     for page, command, _ in commands:
         script, *words = command.split()[1:]
         source = (ROOT / script).read_text(encoding="utf-8") + shared
@@ -81,18 +89,29 @@ def test_every_make_target_exists():
     assert not {(page, target) for page, target in named if target not in targets}
 
 
-@pytest.mark.parametrize("bench", sorted((ROOT / "bench").glob("*.py")), ids=lambda path: path.stem)
-def test_what_a_bench_imports_of_the_packages_is_there(bench):
-    packages = {path.name for path in (ROOT / "src").iterdir()}
-    missing = []
-    for node in ast.walk(ast.parse(bench.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in packages:
-            if importlib.util.find_spec(node.module) is None:
-                missing.append(node.module)
+def source_of(module: str) -> Path | None:
+    """The file of a module of ours: of a package, or of a bench or model that others import."""
+    package, *parts = module.split(".")
+    below = ROOT.joinpath("src", package, package, *parts)
+    places = (
+        below.with_suffix(".py"),
+        below / "__init__.py",
+        *(ROOT / f / f"{module}.py" for f in ("bench", "models")),
+    )
+    return next((place for place in places if place.is_file()), None)
+
+
+def test_what_benches_and_models_import_of_ours_is_there_and_models_import_no_bench():
+    packages, named, wrong = {path.name for path in (ROOT / "src").iterdir()}, cache(names_in), []
+    for program in PROGRAMS:
+        tree = ast.parse(program.read_text(encoding="utf-8"))
+        for node in (n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module):
+            source = source_of(node.module)
+            if source is None:
+                wrong += [f"{program.name}: {node.module}"] if node.module.split(".")[0] in packages else []
                 continue
-            module = importlib.import_module(node.module)
-            for alias in node.names:
-                submodule = f"{node.module}.{alias.name}"
-                if not hasattr(module, alias.name) and importlib.util.find_spec(submodule) is None:
-                    missing.append(submodule)
-    assert missing == []
+            names = [alias.name for alias in node.names if source_of(f"{node.module}.{alias.name}") is None]
+            wrong += [f"{program.name}: {node.module}.{name}" for name in names if name not in named(source)]
+            if (program.parent.name, source.parent.name) == ("models", "bench"):
+                wrong.append(f"{program.name} imports {source.name}")
+    assert wrong == []

@@ -1,9 +1,10 @@
-"""Each of the examples, run as the process that a user would start, and what comes of it."""
+"""Each of the examples, run as a user would run it, and what comes of it."""
 
 import ast
 import csv
 import io
 import re
+import runpy
 import select
 import signal
 import subprocess
@@ -32,12 +33,16 @@ EXAMPLES = ROOT / "examples"
 PATIENCE_S = 30.0
 
 
-def result_of(name: str, *arguments: object) -> str:
-    """What an example prints until it has ended well."""
-    command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+@pytest.fixture
+def result_of(monkeypatch, capsys):
+    """``result_of(NAME, *arguments)``: what an example prints; in this process, whose compiled code is loaded."""
+
+    def run(name: str, *arguments: object) -> str:
+        monkeypatch.setattr(sys, "argv", [name, *map(str, arguments)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
 
 
 def numbers(printed: str) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -47,9 +52,9 @@ def numbers(printed: str) -> tuple[list[str], np.ndarray, np.ndarray]:
     return header[1:], table[:, 0].astype(int), table[:, 1:]
 
 
-def test_tracked_session_has_the_true_elbows_and_knees(built_in_session):
-    names, frames, angles_deg = numbers(result_of("01_track_session.py", built_in_session))
-    truth = load_session(built_in_session).truth
+def test_tracked_session_has_the_true_elbows_and_knees(three_cameras, result_of):
+    names, frames, angles_deg = numbers(result_of("01_track_session.py", three_cameras))
+    truth = load_session(three_cameras).truth
     assert truth is not None and truth.angles is not None
     assert tuple(names) == ANGLE_NAMES and len(frames) > 30 and frames[-1] == truth.frames[-1]
     hinges = [column for column, name in enumerate(names) if name.endswith(("elbow", "knee"))]
@@ -57,20 +62,19 @@ def test_tracked_session_has_the_true_elbows_and_knees(built_in_session):
     assert len(hinges) == 4 and np.median(off_deg) < 8.0
 
 
-def test_the_example_of_the_readme_prints_the_angles_of_each_frame(built_in_session):
+def test_the_example_of_the_readme_prints_the_angles_of_each_frame(three_cameras, capsys):
     block = re.search(r"```python\n(from .*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
     assert block is not None
-    code = block[1].replace("my_session", str(built_in_session))
-    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    stamps, angles = zip(*(line.split(" ", 1) for line in printed.splitlines()), strict=True)
+    exec(block[1].replace("my_session", str(three_cameras)), {})
+    stamps, angles = zip(*(line.split(" ", 1) for line in capsys.readouterr().out.splitlines()), strict=True)
     assert len(stamps) > 30 and sorted(set(map(int, stamps))) == list(map(int, stamps))
     assert tuple(ast.literal_eval(angles[-1])) == ANGLE_NAMES
 
 
-def test_own_silhouettes_give_the_true_places_of_the_hands(tmp_path):
+def test_own_silhouettes_give_the_true_places_of_the_hands(tmp_path, result_of):
     look = RenderSettings(shadow=False)
     session = write_session(
-        tmp_path / "s", ring(4, True), Body.from_stature(1.75), fps=30.0, seconds=1.5, settings=look
+        tmp_path / "s", ring(3, ceiling=False), Body.from_stature(1.75), fps=30.0, seconds=1.5, settings=look
     )
     _, frames, hands = numbers(result_of("02_own_silhouettes.py", session))
     truth = load_session(session).truth
@@ -80,7 +84,7 @@ def test_own_silhouettes_give_the_true_places_of_the_hands(tmp_path):
     assert np.linalg.norm(hands.reshape(-1, 2, 3) - expected, axis=2).mean() < 0.03
 
 
-def test_take_becomes_a_bvh_file_whose_root_walks_as_the_person_did(tmp_path):
+def test_take_becomes_a_bvh_file_whose_root_walks_as_the_person_did(tmp_path, result_of):
     take = write_take(tmp_path / "walk", frames=40)
     said = result_of("04_take_to_bvh.py", take, tmp_path / "animations")
     path = tmp_path / "animations" / "walk.bvh"

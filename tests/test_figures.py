@@ -105,6 +105,12 @@ def test_a_page_that_says_something_else_is_named(tree, capsys):
     ]
 
 
+def test_a_record_in_words_stands_for_the_figure_of_its_row(tree):
+    record(tree, figures={"text": "about a millimetre"}, commit=git(tree, "rev-parse", "HEAD"))
+    assert main(tree, check=False) == 0
+    assert "| the way | about a millimetre |" in (tree / "README.md").read_text()
+
+
 def test_a_row_that_does_not_fit_its_record_is_an_error_that_names_it(tree, capsys):
     record(tree, figures={"on_mm": 1.0})
     assert main(tree, check=False) == 1
@@ -145,50 +151,56 @@ def test_without_a_history_ages_are_unknown(tree, tmp_path_factory):
 
 
 BENCH = """
-import sys
+import json, sys
 from pathlib import Path
 import report
-report.FIGURES = Path(sys.argv.pop(1))
-given = report.parser("A bench of nothing.", quick="nothing")
-given.add_argument("--hz")
-given.parse_args()
-report.Table("way:<8 | off:>6.1f").row("there", 1.5)
-if given.parse_args().hz != "0":
-    report.finish({"off_mm": 1.5, "lost": float("nan")})
-report.execute(lambda: None)
+report.FIGURES = Path(sys.argv[1])
+
+def bench():
+    given = report.parser("A bench of nothing.", quick="nothing")
+    given.add_argument("--hz")
+    hz = given.parse_args().hz
+    report.Table("way:<8 | off:>6.1f").row("there", 1.5)
+    if hz != "0":
+        report.finish({"off_mm": 1.5, "lost": float("nan")})
+
+for sys.argv[1:] in json.loads(sys.argv[2]):
+    report.execute(bench)
 """
+RUNS = {
+    "bench_of_nothing_quick": ("--quick", ["--quick", "--record"]),
+    "way": ("--hz 60", ["--record=way", "--hz", "60"]),
+    "60": ("--hz 60", ["--record", "60", "--hz", "60"]),
+    "": ("", []),
+    "refused": ("", ["--record=refused", "--hz", "0"]),
+}
+"""Name of the record, the command in it, and the words that start the bench."""
 
 
-def run_bench(folder, *words):
-    """A bench of nothing that keeps its record in ``folder``."""
-    program = folder / "bench_of_nothing.py"
-    program.write_text(BENCH)
-    command = [sys.executable, str(program), str(folder), *words]
+@pytest.fixture(scope="module")
+def benched(tmp_path_factory):
+    """The folder of records, and the process that ran a bench of nothing once for each of RUNS."""
+    folder = tmp_path_factory.mktemp("records")
+    (folder / "bench_of_nothing.py").write_text(BENCH)
+    words = json.dumps([words for _, words in RUNS.values()])
+    command = [sys.executable, str(folder / "bench_of_nothing.py"), str(folder), words]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT / "bench"), *sys.path])}
-    return subprocess.run(command, capture_output=True, text=True, env=environment)
+    return folder, subprocess.run(command, capture_output=True, text=True, env=environment)
 
 
-@pytest.mark.parametrize(
-    ("words", "name", "command"),
-    [
-        (["--quick", "--record"], "bench_of_nothing_quick", "--quick"),
-        (["--record=way", "--hz", "60"], "way", "--hz 60"),
-        (["--record", "60", "--hz", "60"], "60", "--hz 60"),
-    ],
-)
-def test_record_keeps_figures_with_command_commit_and_machine(words, name, command, tmp_path):
-    *printed, last = run_bench(tmp_path, *words).stdout.splitlines()
-    kept = json.loads((tmp_path / f"{name}.json").read_text())
-    assert kept["command"].startswith("python ") and kept["command"].endswith(f"bench_of_nothing.py {command}")
-    assert kept["figures"] == json.loads(last) == {"off_mm": 1.5, "lost": None}
-    assert kept["tables"][-1] == [line.split() for line in printed[1:]] == [["way", "off"], ["there", "1.5"]]
-    head = subprocess.run(["git", "-C", ROOT, "rev-parse", "HEAD"], capture_output=True, text=True).stdout.strip()
-    assert (kept["commit"] or "").partition("-")[0] == head
-    assert kept["machine"]["cores"] >= 1 and kept["machine"]["processor"]
+def test_record_keeps_figures_with_command_commit_and_machine(benched):
+    folder, done = benched
+    printed, head = done.stdout.splitlines(), git(ROOT, "rev-parse", "HEAD")
+    for name, (command, _) in list(RUNS.items())[:3]:
+        kept = json.loads((folder / f"{name}.json").read_text())
+        assert kept["command"].startswith("python ") and kept["command"].endswith(f"bench_of_nothing.py {command}")
+        assert kept["figures"] == json.loads(printed[3]) == {"off_mm": 1.5, "lost": None}
+        assert kept["tables"][-1] == [line.split() for line in printed[1:3]] == [["way", "off"], ["there", "1.5"]]
+        assert (kept["commit"] or "").partition("-")[0] == head
+        assert kept["machine"]["cores"] >= 1 and kept["machine"]["processor"]
 
 
-def test_without_record_nothing_is_written_and_a_bench_without_figures_refuses_it(tmp_path):
-    assert run_bench(tmp_path).returncode == 0
-    refused = run_bench(tmp_path, "--record", "--hz", "0")
-    assert refused.returncode == 2 and "without a line of JSON" in refused.stderr
-    assert not list(tmp_path.glob("*.json"))
+def test_without_record_nothing_is_written_and_a_bench_without_figures_refuses_it(benched):
+    folder, done = benched
+    assert len(list(folder.glob("*.json"))) == 3 and done.stdout.count("there") == len(RUNS)
+    assert done.returncode == 2 and "without a line of JSON" in done.stderr

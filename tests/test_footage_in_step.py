@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from heard import Heard
 
 from sagoma_bringup.graph import Role, build_graph
 from sagoma_bringup.processes import THREE_PROCESSES
-from sagoma_ros.qos import RESULT
 from sagoma_tools.graph.lifecycle_client import State
 from sagoma_tools.graph.processes import ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink
@@ -21,27 +20,9 @@ RATE = 0.2  # a busy machine keeps up
 SETS = 5
 
 
-class FrameSets:
-    """What the hull server says of each frame set."""
-
-    def __init__(self, link: RosLink) -> None:
-        self._came, self.sets = threading.Condition(), list[dict[str, str]]()
-        link.node.create_subscription(DiagnosticArray, "/hull/frame_set", self._take, RESULT)
-
-    def wait_for(self, count: int, missing: str) -> list[dict[str, str]]:
-        """Return so many sets that lack just these cameras; fewer after PATIENCE_S."""
-
-        def found() -> list[dict[str, str]]:
-            return [one for one in self.sets if one["missing"] == missing]
-
-        with self._came:
-            self._came.wait_for(lambda: len(found()) >= count, PATIENCE_S)
-            return found()
-
-    def _take(self, message: DiagnosticArray) -> None:
-        with self._came:
-            self.sets.append({pair.key: pair.value for pair in message.status[0].values})
-            self._came.notify_all()
+def values_of(message: DiagnosticArray) -> dict[str, str]:
+    """What the hull server says of a frame set."""
+    return {pair.key: pair.value for pair in message.status[0].values}
 
 
 @pytest.mark.slow
@@ -53,13 +34,11 @@ def test_sets_are_complete_though_one_camera_of_the_footage_begins_late(three_ca
         RosLink("listener") as link,
         Supervisor(graph, tmp_path / "run", ProcessSettings(THREE_PROCESSES)) as supervisor,
     ):
-        seen = FrameSets(link)
+        seen = Heard(link.node, DiagnosticArray, "/hull/frame_set", PATIENCE_S, values_of)
         supervisor.configure(tolerate_cameras=False)
         assert supervisor.lifecycle.bring([[name for name in names if name != late]], State.ACTIVE).ok
-        early = seen.wait_for(SETS, "cam03")
-        assert len(early) >= SETS, seen.sets
+        assert seen.wait_for(SETS, lambda one: one["missing"] == "cam03"), seen.kept
         assert supervisor.lifecycle.bring([[late]], State.ACTIVE).ok
-        whole = seen.wait_for(SETS, "")
-        assert len(whole) >= SETS, seen.sets
-        assert {float(one["spread_ms"]) for one in whole} == {0.0}  # equal stamps of all three
+        assert seen.wait_for(SETS, lambda one: not one["missing"]), seen.kept
+        assert {float(one["spread_ms"]) for one in seen.kept if not one["missing"]} == {0.0}  # equal stamps of all
         supervisor.stop()

@@ -20,6 +20,7 @@ from sagoma_bringup.processes import SERVER_LAYOUTS
 from sagoma_ros.images import decode_silhouette
 from sagoma_tools.evaluation.live_inputs import FootageInput
 from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live
+from sagoma_tools.evaluation.track import frame_count
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX
 from sagoma_tools.recording.lockstep import replay_through_graph
@@ -31,17 +32,16 @@ from sagoma_tools.recording.reader import (
     read_messages,
 )
 from sagoma_tools.recording.recorder import GraphRecorder
-from sagoma_tools.recording.session_clock import frame_count
 
 T_POSE = {"icp_tracker.initial_pose.source": "t_pose"}
 FRAME_SET_TOPIC = "/hull/frame_set"
 
 
 @pytest.fixture(scope="module")
-def live(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> LiveRun:
+def live(three_cameras: Path, tmp_path_factory: pytest.TempPathFactory) -> LiveRun:
     """One live run, played as fast as the graph keeps up; no set is given up because a camera gets no time."""
     patient = {"hull_server.deadline_s": 600.0}
-    return run_live(FootageInput(built_in_session), tmp_path_factory.mktemp("live"), settings=patient)
+    return run_live(FootageInput(three_cameras), tmp_path_factory.mktemp("live"), settings=patient)
 
 
 @pytest.fixture(scope="module")

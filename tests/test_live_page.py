@@ -16,7 +16,7 @@ from take_bags import write_take
 from sagoma_tools.recording.reader import bag_topics, read_messages
 from sagoma_tools.recording.recorded_motion import recorded_motions
 from sagoma_tools.takes.folder import TakesFolder
-from sagoma_tools.takes.summary_file import finish_take
+from sagoma_tools.takes.measure import finish_take
 
 PATIENCE_S = 240.0
 PICTURES = Path("output/live_page")

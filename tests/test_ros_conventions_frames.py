@@ -26,10 +26,11 @@ from ekf_tracker.urdf import body_urdf, link_name, link_of_point, same_sizes
 from hull_server.frames_ros import camera_frames
 from hull_server.hull_node import HullNode
 from mocap_packets.fit import FIRST_PERSON, ReferencePoints
+from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
 from sagoma_ros import frames
-from sagoma_ros.packets import packet_cloud, read_reference_points
+from sagoma_ros.packets import FITTED_PEOPLE, read_reference_points, tables_message
 from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_tools.cli import main
 from sagoma_tools.evaluation.in_process import exact_silhouettes
@@ -105,23 +106,6 @@ def test_joints_of_the_urdf_are_those_of_the_joint_states_and_links_have_shapes(
     assert shown >= {link_name(BODY_ID, stick) for stick in ("torso", "head", "left_forearm", "right_calf")}
 
 
-def test_a_urdf_library_reads_it_the_same():
-    yourdfpy = pytest.importorskip("yourdfpy")
-    body, rng = Body.from_stature(1.75), np.random.default_rng(3)
-    pose = Pose.from_angles(np.zeros(3), np.eye(3), rng.uniform(ANGLE_LOW, ANGLE_HIGH))
-    robot = yourdfpy.URDF(yourdfpy.URDF._parse_robot(_lxml(body_urdf(body, BODY_ID))), build_scene_graph=True)
-    robot.update_cfg(dict(zip(ANGLE_NAMES, pose.angles(), strict=True)))
-    for i, point in enumerate(forward(body, pose)):
-        found = robot.get_transform(link_name(BODY_ID, link_of_point(i)), link_name(BODY_ID, "torso"))
-        np.testing.assert_allclose(found[:3, 3], point, atol=1e-6)
-
-
-def _lxml(text):
-    from lxml import etree
-
-    return etree.fromstring(text)
-
-
 @pytest.mark.parametrize("growth_m", [0.0, 1e-4, 5e-4])
 def test_urdf_is_told_again_when_somebody_could_see_the_change(growth_m):
     body = Body.from_stature(1.75)
@@ -190,9 +174,9 @@ def test_body_and_its_links_are_on_tf_where_the_reference_points_are(open_probe,
 
 
 @pytest.fixture(scope="module")
-def walked(built_in_session) -> tuple[Body, list[ReferencePoints]]:
+def walked(three_cameras) -> tuple[Body, list[ReferencePoints]]:
     """Of a rendered person who moves: the measured body, and the fitted points of every set since it is known."""
-    session = load_session(built_in_session)
+    session = load_session(three_cameras)
     settings = {"hull_server.backend": "cpu", "icp_tracker.initial_pose.source": "t_pose"}
     pipeline, fitted = MocapPipeline(session.rig, Configuration.of(settings)), []
     for frame, masks in enumerate(exact_silhouettes(session)):
@@ -269,10 +253,8 @@ class Published(NamedTuple):
 
 def follow(open_probe, tmp_path, body, fitted, **parameters) -> Published:
     """Let a filter answer one set of fitted points after the other, however long each takes on a busy machine."""
-    body_file = tmp_path / "body.yaml"
-    save_body(body, body_file)
-    probe = open_probe(NodeProbe, EkfNode, {"body_file": str(body_file), "stale_after_s": 0.0, **parameters})
-    sender = probe.peer.create_publisher(PointCloud2, "icp/reference_points", RESULT)
+    probe = open_probe(NodeProbe, EkfNode, {"stale_after_s": 0.0, **parameters})
+    sender = probe.peer.create_publisher(FITTED_PEOPLE.kind, FITTED_PEOPLE.name, RESULT)
     clouds = probe.listen(PointCloud2, "mocap/reference_points")
     joints = probe.listen(JointState, "mocap/joint_states")
     markers = probe.listen(MarkerArray, "mocap/skeleton")
@@ -281,7 +263,8 @@ def follow(open_probe, tmp_path, body, fitted, **parameters) -> Published:
     probe.until(sender.get_subscription_count)
     probe.until(lambda: all(probe.node.count_subscribers(topic) for topic in probe.heard))
     for number, measured in enumerate(fitted):
-        sender.publish(packet_cloud(measured, START_NS + round(number * 1e9 / FPS), "map"))
+        stamp_ns = START_NS + round(number * 1e9 / FPS)
+        sender.publish(tables_message(FittedPeople(stamp_ns, PeoplePoints({1: measured}), {1: body}), "map"))
         probe.until(lambda: min(len(clouds), len(joints), len(markers)) > number and texts)  # noqa: B023
     points = [read_reference_points(cloud, "test").points_world for cloud in clouds]
     return Published(points, list(joints), list(markers), texts[0].data)

@@ -73,8 +73,8 @@ def imported(*folders: Path) -> set[str]:
 
 @cache
 def helpers() -> frozenset[str]:
-    """Modules beside tests and in bench/, which belong to the checkout and not to a package."""
-    folders = (*SOURCES.glob("*/test"), ROOT / "tests", ROOT / "bench")
+    """Modules beside tests, which belong to the checkout and not to a package."""
+    folders = (*SOURCES.glob("*/test"), ROOT / "tests")
     return frozenset(file.stem for folder in folders for file in folder.rglob("*.py"))
 
 

@@ -16,11 +16,11 @@ from ekf_tracker.ekf_node import EkfNode
 from hull_server.hull_node import HullNode
 from icp_tracker.icp_node import IcpNode
 from mocap_packets.fit import ReferencePoints
+from mocap_packets.people import FittedPeople, PeoplePoints
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import packet_cloud
+from sagoma_ros.packets import FITTED_PEOPLE, tables_message
 from sagoma_ros.qos import RESULT
 from stick_figure.body import Body
-from stick_figure.body_file import save_body
 from stick_figure.joint_motion import JOINT_NAMES
 from stick_figure.kinematics import stick_frames
 from stick_figure.pose import Pose
@@ -36,20 +36,19 @@ TOPICS = {
 
 
 @pytest.fixture
-def heard(open_probe, tmp_path):
+def heard(open_probe):
     """Everything of the topics above, by stamp, of four sets that the filter answered."""
-    body_file = tmp_path / "body.yaml"
     person = Person(Body.from_stature(1.75))
-    save_body(person.body, body_file)
-    probe = open_probe(NodeProbe, EkfNode, {"body_file": str(body_file)})
-    points = probe.peer.create_publisher(PointCloud2, "icp/reference_points", RESULT)
+    probe = open_probe(NodeProbe, EkfNode)
+    people = probe.peer.create_publisher(FITTED_PEOPLE.kind, FITTED_PEOPLE.name, RESULT)
     found = {topic: probe.listen(kind, topic) for topic, kind in TOPICS.items()}
     probe.start()
-    probe.until(points.get_subscription_count)
+    probe.until(people.get_subscription_count)
     probe.until(lambda: all(probe.node.count_subscribers(topic) for topic in TOPICS))
     for k in range(4):
         measured = ReferencePoints(person.points(k / 60), np.tile(1e-4 * np.eye(3), (15, 1, 1)), np.ones(15, bool))
-        points.publish(packet_cloud(measured, EPOCH_NS + k * PERIOD_NS, "map"))
+        fitted = FittedPeople(EPOCH_NS + k * PERIOD_NS, PeoplePoints({1: measured}), {1: person.body})
+        people.publish(tables_message(fitted, "map"))
         probe.until(lambda wanted=k + 1: all(len(messages) == wanted for messages in found.values()))
     by_stamp = defaultdict(dict)
     for topic, messages in found.items():

@@ -25,15 +25,15 @@ from sagoma_tools.graph.ros_link import RosLink
 
 SOURCES = Path(__file__).parents[1] / "src"
 PATIENCE_S = 60.0  # only ever reached by a failing test
-ROUNDS = 3
+ROUNDS = 2
 FPS = 30.0
 EVERYTHING = QoSProfile(depth=1000)  # reliable; this thread also does the nodes' work
 
 
 @pytest.fixture(scope="module")
-def bag(built_in_session: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(three_cameras: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two seconds of silhouettes as the cameras send them: a T-pose, then movement."""
-    session = load_session(built_in_session)
+    session = load_session(three_cameras)
     folder = tmp_path_factory.mktemp("time") / "bag"
     return write_silhouette_bag(folder, session.rig, exact_silhouettes(session), FPS)
 
@@ -137,7 +137,7 @@ def test_bag_played_twice_and_looped_in_simulated_time_is_tracked_each_time(bag,
             stop = threading.Event()
             looped = threading.Thread(target=replay_timed, args=(arguments(bag, clock=50.0, loop=True), link, stop))
             looped.start()
-            server.wait_for(lambda: len(server.rounds) > ROUNDS, "the bag from the start for the fourth time")
+            server.wait_for(lambda: len(server.rounds) > ROUNDS, "the bag from the start for the third time")
             stop.set()
             looped.join()
         bag_now_ns = [node.get_clock().now().nanoseconds for node in server.nodes]

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import psutil
 import pytest
+from heard import Heard
 from sensor_msgs.msg import JointState
 
 from capture_rig.rig import save_rig
 from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
-from sagoma_ros.qos import RESULT
 from sagoma_tools.graph.lifecycle_client import LifecycleClient, State
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, camera_topics
@@ -21,6 +21,10 @@ from virtual_studio.rig import ring
 
 PATIENCE_S = 120.0
 SERVER = ("/hull_server", "/icp_tracker", "/ekf_tracker")
+
+
+def poses_of(link: RosLink) -> Heard:
+    return Heard(link.node, JointState, "/mocap/joint_states", PATIENCE_S)
 
 
 @pytest.fixture()
@@ -47,7 +51,10 @@ def up(built_in_session: Path, tmp_path: Path):
 @pytest.mark.slow
 def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(up, built_in_session, tmp_path):
     with RosLink("listener") as link:
-        poses, running = Poses(link), up("--record", str(tmp_path / "bag"))
+        poses, running = (
+            Heard(link.node, JointState, "/mocap/joint_states", PATIENCE_S),
+            up("--record", str(tmp_path / "bag")),
+        )
         assert poses.wait_for_more(10), running.stdout.read()
         processes = psutil.Process(running.pid).children()
         running.send_signal(signal.SIGINT)
@@ -68,7 +75,7 @@ def test_second_up_beside_a_running_graph_is_refused_and_the_first_one_goes_on(u
     second = [sys.executable, "-m", "sagoma_tools.cli", "up", "--rig", str(tmp_path / "other.yaml"), "--seconds", "1"]
     second += ["--server", server, "--run-folder", str(tmp_path / "second")]
     with RosLink("listener") as link:
-        poses, running = Poses(link), up("--server", server)
+        poses, running = poses_of(link), up("--server", server)
         assert poses.wait_for_more(10), running.stdout.read()
         refused = subprocess.run(second, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
         assert refused.returncode == 1, refused.stdout + refused.stderr
@@ -80,22 +87,3 @@ def test_second_up_beside_a_running_graph_is_refused_and_the_first_one_goes_on(u
         said, _ = running.communicate(timeout=PATIENCE_S)
     assert running.returncode == 0, said
     assert "died" not in said
-
-
-class Poses:
-    """Counts joint states."""
-
-    def __init__(self, link: RosLink) -> None:
-        self._came, self._total = threading.Condition(), 0
-        link.node.create_subscription(JointState, "/mocap/joint_states", self._take, RESULT)
-
-    def wait_for_more(self, count: int) -> bool:
-        """True once so many more have come."""
-        with self._came:
-            wanted = self._total + count
-            return self._came.wait_for(lambda: self._total >= wanted, PATIENCE_S)
-
-    def _take(self, message: JointState) -> None:
-        with self._came:
-            self._total += 1
-            self._came.notify_all()

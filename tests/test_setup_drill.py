@@ -37,28 +37,10 @@ def footage(tmp_path_factory) -> Path:
 def test_filmed_cameras_are_calibrated_to_the_truth(footage, tmp_path):
     lenses, rig = str(tmp_path / "lenses"), str(tmp_path / "rig.yaml")
     filmed = {path.stem: str(path) for path in footage.iterdir()}
-    assert (
-        sagoma(["calibrate", "intrinsics", filmed["intrinsics"], "--board", filmed["board"], "--output", lenses]) == 0
-    )
-    assert (
-        sagoma(
-            [
-                "calibrate",
-                "extrinsics",
-                "--intrinsics",
-                lenses,
-                "--board",
-                filmed["floor_board"],
-                "--floor",
-                filmed["floor"],
-                "--moving",
-                filmed["moving"],
-                "--output",
-                rig,
-            ]
-        )
-        == 0
-    )
+    given = ["--board", filmed["board"], "--output", lenses]
+    assert sagoma(["calibrate", "intrinsics", filmed["intrinsics"], *given]) == 0
+    given = ["--board", filmed["floor_board"], "--floor", filmed["floor"], "--moving", filmed["moving"]]
+    assert sagoma(["calibrate", "extrinsics", "--intrinsics", lenses, *given, "--output", rig]) == 0
     truth, T_world_floor = load_rig(footage / "truth_rig.yaml"), read_truth_floor(footage)
     errors = camera_errors(load_rig(rig), truth, T_world_floor)
     assert [camera.name for camera in errors] == list(CAMERAS)
@@ -80,20 +62,8 @@ def run(*words: object) -> str:
 
 
 def calibrate_lens(name: str, board: Path, lenses: Path) -> None:
-    run(
-        "calibrate",
-        "intrinsics",
-        "--topic",
-        f"/{name}/image_raw",
-        "--board",
-        board,
-        "--output",
-        lenses,
-        "--seconds",
-        "120",
-        "--wait",
-        "60",
-    )
+    given = ("--topic", f"/{name}/image_raw", "--board", board, "--output", lenses, "--seconds", "120", "--wait", "60")
+    run("calibrate", "intrinsics", *given)
 
 
 class Graph:
@@ -146,19 +116,8 @@ def test_live_cameras_are_set_up_from_the_empty_room_to_a_tracked_person(tmp_pat
             with ThreadPoolExecutor(len(CAMERAS)) as pool:  # each has a board of its own in front of it
                 list(pool.map(lambda name: calibrate_lens(name, boards["board"], lenses), CAMERAS))
             studio.ask("show", phase="floor")
-            run(
-                "calibrate",
-                "extrinsics",
-                "--live",
-                "--cameras",
-                *CAMERAS,
-                "--intrinsics",
-                lenses,
-                "--board",
-                boards["floor_board"],
-                "--output",
-                rig,
-            )
+            given = ("--intrinsics", lenses, "--board", boards["floor_board"], "--output", rig)
+            run("calibrate", "extrinsics", "--live", "--cameras", *CAMERAS, *given)
             studio.ask("show", phase="empty")
             run("background", "--countdown", "0", "--expect", "3", "--wait", "30")
         truth, T_world_floor = load_rig(studio.folder / "truth_rig.yaml"), read_truth_floor(studio.folder)

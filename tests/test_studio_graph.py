@@ -8,9 +8,9 @@ import pytest
 from capture_rig.errors import InputError
 from sagoma_tools.evaluation.live_inputs import StudioProcess
 from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_studio
+from sagoma_tools.evaluation.track import clock_of_bag
 from sagoma_tools.graph.topics import PREDICTION_TOPIC
 from sagoma_tools.recording.reader import read_messages
-from sagoma_tools.recording.session_clock import clock_of_bag
 
 CAMERA_FPS, SPEED, BACKGROUND_FRAMES = 20.0, 0.5, 40
 QUICK = {"cameras.background_frames": BACKGROUND_FRAMES}

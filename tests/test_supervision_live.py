@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
-from rclpy.node import Node
+from heard import Heard
 from sensor_msgs.msg import JointState
 
 from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
@@ -21,7 +21,6 @@ from sagoma_tools.graph.supervisor import Supervisor
 
 CAMERA_FPS = 5.0
 PATIENCE_S = 300.0
-JOINT_STATES = "/mocap/joint_states"
 CRASHES = {
     ONE_PROCESS: {"/cam02/camera_client": signal.SIGKILL, "/hull_server": signal.SIGSEGV},
     THREE_PROCESSES: {
@@ -31,25 +30,6 @@ CRASHES = {
         "/cam01/camera_client": signal.SIGSEGV,
     },
 }
-
-
-class Counted:
-    """Counts the messages of a topic."""
-
-    def __init__(self, node: Node, kind: type, topic: str) -> None:
-        self._came, self._total = threading.Condition(), 0
-        self._subscription = node.create_subscription(kind, topic, self._take, 10)
-
-    def wait_for_more(self, count: int) -> bool:
-        """True as soon as so many more have come, False after PATIENCE_S."""
-        with self._came:
-            wanted = self._total + count
-            return self._came.wait_for(lambda: self._total >= wanted, PATIENCE_S)
-
-    def _take(self, message: object) -> None:
-        with self._came:
-            self._total += 1
-            self._came.notify_all()
 
 
 @pytest.mark.slow
@@ -68,7 +48,7 @@ def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in
             studio.prepare(supervisor, cancel)
             studio.studio.ask("room", state="occupied")
             studio.studio.ask("hold")  # whoever moves at 5 Hz is too fast to be followed
-            joints = Counted(supervisor.node, JointState, JOINT_STATES)
+            joints = Heard(supervisor.node, JointState, "/mocap/joint_states", PATIENCE_S)
             assert joints.wait_for_more(1)
             for name, number in CRASHES[server].items():
                 os.kill(supervisor.processes.pids()[name], number)

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 from websockets.sync.client import connect
@@ -28,37 +28,6 @@ FIELD = """
     const field = box.querySelector('input[type=text], input:not([type])');
 """
 """JavaScript: the text field that follows a label."""
-COUNTER = """(() => {
-    const painted = window.painted = {frames: 0, poses: 0};
-    const people = () => {
-        const found = [];
-        window.__viserMutable?.scene?.traverse(node => { if (node.matricesTexture) found.push(node); });
-        return found;
-    };
-    let drew = false, place = null, shown = null, meshes = [], looked = -Infinity;
-    const where = () => meshes.map(mesh => Array.from(mesh.matricesTexture.image.data.subarray(12, 15))).join();
-    const prototype = WebGL2RenderingContext.prototype;
-    for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
-        const draw = prototype[name];
-        prototype[name] = function (...all) {
-            if (!drew) { drew = true; place = where(); }
-            return draw.apply(this, all);
-        };
-    }
-    const request = window.requestAnimationFrame.bind(window);
-    const refreshed = now => {
-        if (drew) painted.frames += 1;
-        if (drew && place !== shown) { painted.poses += 1; shown = place; }
-        drew = false;
-        if (now - looked > 500) { meshes = people(); looked = now; }
-        request(refreshed);
-    };
-    request(refreshed);
-})();"""
-"""JavaScript: counts animation frames in which the scene is drawn, and those of them that draw somebody anew.
-
-Of every person the place of the first ball, as it is when the frame is drawn, tells one pose from another.
-"""
 LISTENING = re.compile(r"DevTools listening on (ws://\S+)")
 
 
@@ -191,26 +160,3 @@ class Browser:
     def picture(self, path: Path) -> None:
         """What the page looks like, as a PNG."""
         path.write_bytes(base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"]))
-
-    def frames_a_second(self, seconds: float) -> Painted:
-        """How often the scene was painted; the page must have been opened after :meth:`count_frames`."""
-        script = f"""new Promise(resolve => {{
-            const before = {{...painted}}, begin = performance.now();
-            setTimeout(() => {{
-                const took = (performance.now() - begin) / 1e3;
-                resolve([(painted.frames - before.frames) / took, (painted.poses - before.poses) / took]);
-            }}, {1e3 * seconds});
-        }})"""
-        return Painted(*self.run(script))
-
-    def count_frames(self) -> None:
-        """Count, on the pages opened from now on, the frames that are painted."""
-        self.call("Page.enable")
-        self.call("Page.addScriptToEvaluateOnNewDocument", source=COUNTER)
-
-
-class Painted(NamedTuple):
-    """Frames a second in which the scene was painted, and those of them that show somebody in a pose of their own."""
-
-    frames: float
-    poses: float

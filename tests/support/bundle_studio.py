@@ -9,13 +9,15 @@ import numpy as np
 
 from capture_rig.camera import CameraModel, looking_at
 from rig_calibration.boards.board import Checkerboard, TargetDetection
-from rig_calibration.bundle.solution import RigSolution
+from rig_calibration.bundle.solve import RigSolution
 
 BOARD = Checkerboard(6, 5, (0.08, 0.08))
 FLOOR_BOARD = Checkerboard(7, 4, (0.2, 0.2))
 TARGETS = {"moving": BOARD.corners_board, "floor": FLOOR_BOARD.corners_board}
 T_WORLD_FLOOR = np.array([[1, 0, 0, -0.6], [0, 1, 0, 0.3], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 SIZE = (640, 480)
+ON_FLOOR = ("floor", 0)
+"""The reference: the board on the floor."""
 
 
 def camera_at(name: str, centre: Iterable[float], looking_at_world: Iterable[float] = (0, 0, 0.9)) -> CameraModel:
@@ -102,10 +104,19 @@ def truth(cameras: Mapping[str, CameraModel], reference: str = "floor") -> dict[
     return {name: camera.T_camera_world @ T for name, camera in cameras.items()}
 
 
-def errors(solution: RigSolution, T_camera_reference: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """(6,) by camera: rotation vector (rad, camera frame), centre (m, reference frame), found minus true."""
+def seen_from(solution: RigSolution, camera: str) -> dict[str, np.ndarray]:
+    """T_camera_reference with one camera as the reference."""
+    T = np.linalg.inv(solution.T_camera_reference[camera])
+    return {name: T_camera @ T for name, T_camera in solution.T_camera_reference.items()}
+
+
+def errors(
+    solution: RigSolution, T_camera_reference: Mapping[str, np.ndarray], camera: str = ""
+) -> dict[str, np.ndarray]:
+    """(6,) by camera: rotation vector (rad, camera frame), centre (m, reference frame), found minus true; the reference
+    is that of the solution, or a ``camera``."""
     found = {}
-    for name, T in solution.T_camera_reference.items():
+    for name, T in (seen_from(solution, camera) if camera else solution.T_camera_reference).items():
         true = T_camera_reference[name]
         centre = -T[:3, :3].T @ T[:3, 3] + true[:3, :3].T @ true[:3, 3]
         found[name] = np.concatenate([cv2.Rodrigues(T[:3, :3] @ true[:3, :3].T)[0].ravel(), centre])

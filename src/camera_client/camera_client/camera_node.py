@@ -42,11 +42,9 @@ from sagoma_ros.worker import Worker
 from .background.model import BackgroundModel
 from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingRequest
 from .background.verdict import describe_background
-from .camera_chain import CameraChain, FrameResult
-from .camera_report_ros import CameraReport
-from .camera_topics_ros import CameraTopics, camera_from_message
+from .camera_ros import CameraReport, CameraTopics, FootageClockTopic, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
-from .footage_clock_ros import FootageClockTopic
+from .frame_processor import FrameProcessor, FrameResult
 from .frame_source import Frame, FrameSource
 from .settings import CameraClientSettings
 from .silhouettes.warm_up import warm_up_silhouettes
@@ -62,7 +60,7 @@ SETTLE_S = 0.2  # from the first match until both ends of a new connection know 
 PUBLISH_DEPTH = 4  # frames of a live camera that may wait to be published: more were stale when they are sent
 
 
-class Finished(NamedTuple):
+class ProcessedFrame(NamedTuple):
     """A frame with its results, to be published; ``began_s`` : when work on it began, on the performance counter."""
 
     frame: Frame
@@ -80,9 +78,9 @@ class CameraNode(SagomaNode):
         cv2.setNumThreads(1)
         self.source: FrameSource | None = None
         self.loop: GrabLoop | None = None
-        self._outbox: Worker[Finished] | None = None
-        self._hand_over: Callable[[Finished], None] = self._publish
-        self.chain: CameraChain | None = None
+        self._outbox: Worker[ProcessedFrame] | None = None
+        self._hand_over: Callable[[ProcessedFrame], None] = self._publish
+        self.processor: FrameProcessor | None = None
         self.trainer = BackgroundTrainer(self._use_background)
         self.selector = FrameSelector()  # which frames the hull server can take
         self._held: list[tuple] = []  # (destroy function, entity) of everything made at configure
@@ -103,14 +101,14 @@ class CameraNode(SagomaNode):
         settings: CameraClientSettings = self.settings
         name = settings.camera_name or self.get_namespace().rsplit("/", 1)[-1]
         known = self._calibration = load_calibration(settings, name)
-        self.chain = CameraChain(known.camera, settings, known.volume, known.placed)
+        self.processor = FrameProcessor(known.camera, settings, known.volume, known.placed)
         self._topics = CameraTopics(self._publisher, f"{name}_optical", settings, to_calibrate=not known.placed)
         self._footage_clock = FootageClockTopic(self, name)
         self._awaited = len(load_rig(settings.rig_file).names) if settings.footage.wait_for_cameras else 0
         self.source = connect_source(settings, self._accept, self._footage_clock.shared)
         mask_png.warm_up()
         if not self.source.shape:
-            self.chain.check_background_file()
+            self.processor.check_background_file()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # it reports while simulated time stands still, too
         self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._on_report, clock=steady))
         self._hold(self.destroy_subscription, self.create_subscription(Image, SUPPORT_TOPIC, self._on_support, RESULT))
@@ -168,22 +166,22 @@ class CameraNode(SagomaNode):
         for destroy, entity in self._held:
             destroy(entity)
         self._held = []
-        self.chain = self._last = None
+        self.processor = self._last = None
         if self.source is not None:
             self.source.close()
             self.source = None
 
     def _accept(self, source: FrameSource) -> None:
         """Check a new connection before its first frame, and take the background that fits it."""
-        assert self.chain is not None
+        assert self.processor is not None
         for warning in source.warnings:
             self.get_logger().warning(warning)
         self.health.hardware_id = str(source.details.get("camera_serial") or HOST)
-        if self.chain.camera is not None:
-            check_size(source, self.chain.camera)
+        if self.processor.camera is not None:
+            check_size(source, self.processor.camera)
         warm_up_silhouettes(len(source.shape) == 3)
-        taken = self.chain.use_shape(source.shape) or self._takes_saved_background(source)
-        refused = self.chain.refuse_unfit_background(source.details)
+        taken = self.processor.use_shape(source.shape) or self._takes_saved_background(source)
+        refused = self.processor.refuse_unfit_background(source.details)
         if refused is not None:
             self.health.set("background", "")
             self.get_logger().warning(f"the background is not used: {refused.line}")
@@ -192,9 +190,9 @@ class CameraNode(SagomaNode):
         release_free_memory()
 
     def _takes_saved_background(self, source: FrameSource) -> bool:
-        assert self.chain is not None
+        assert self.processor is not None
         try:
-            return self.chain.use_saved_background(source.shape)
+            return self.processor.use_saved_background(source.shape)
         except InputError as error:  # it would be replaced anyway
             self.get_logger().warning(f"the background learned last is not used: {error}")
             return False
@@ -218,21 +216,21 @@ class CameraNode(SagomaNode):
     # --- one frame, on the grab loop's thread --------------------------------------------------------------------
 
     def _on_frame(self, frame: Frame) -> None:
-        assert self.chain is not None
+        assert self.processor is not None
         began_s = time.perf_counter()
         self.trainer.add(frame.image)
         if not self.selector.keeps(frame.stamp_ns, time.monotonic_ns()):
             self.health.count("frames_thinned")
             return
-        seen = self.chain.run(frame)
+        seen = self.processor.run(frame)
         self._last = (frame, seen)
         for flag in seen.flags:
             self.health.count(f"{flag}_frames")
-        self._hand_over(Finished(frame, seen, began_s))
+        self._hand_over(ProcessedFrame(frame, seen, began_s))
 
     # --- ... of a live camera on another one, so that its next frame does not wait for encoder and middleware -------
 
-    def _publish(self, done: Finished) -> None:
+    def _publish(self, done: ProcessedFrame) -> None:
         frame, seen = done.frame, done.seen
         self._topics.publish_image(frame)
         if seen.canvas is None:
@@ -272,11 +270,11 @@ class CameraNode(SagomaNode):
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
 
     def _on_support(self, message: Image) -> None:
-        if self.chain is None or self.chain.camera is None:
+        if self.processor is None or self.processor.camera is None:
             return
-        canvas = self.chain.camera.undistorted_view().camera
+        canvas = self.processor.camera.undistorted_view().camera
         try:
-            self.chain.take_support(read_support(message, canvas.name, canvas.width, SUPPORT_TOPIC))
+            self.processor.take_support(read_support(message, canvas.name, canvas.width, SUPPORT_TOPIC))
         except InputError as error:
             self.health.count("bad_reports")
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
@@ -284,8 +282,8 @@ class CameraNode(SagomaNode):
     # --- background and calibration ------------------------------------------------------------------------------
 
     async def _on_learn(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        source, loop, chain, settings = self.source, self.loop, self.chain, self.settings
-        if source is None or loop is None or chain is None or loop.state is not GrabState.RUNNING:
+        source, loop, processor, settings = self.source, self.loop, self.processor, self.settings
+        if source is None or loop is None or processor is None or loop.state is not GrabState.RUNNING:
             response.message = "no frames are coming: activate the camera first"
             return response
         if source.lost:
@@ -296,7 +294,7 @@ class CameraNode(SagomaNode):
         about = {key: details[key] for key in PROVENANCE if key in details}
         about["created"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         request = TrainingRequest(
-            settings.background_frames, source.description, settings.background_file, chain.background, about
+            settings.background_frames, source.description, settings.background_file, processor.background, about
         )
         learned = Future()
         try:
@@ -313,29 +311,29 @@ class CameraNode(SagomaNode):
         return response
 
     def _use_background(self, model: BackgroundModel) -> BackgroundModel:
-        assert self.chain is not None
-        used = self.chain.use_learned_background(model)
+        assert self.processor is not None
+        used = self.processor.use_learned_background(model)
         self._show_background()
         release_free_memory()
         return used
 
     def _show_background(self) -> None:
-        assert self.chain is not None and self.chain.background is not None
-        self._topics.publish_background(self.chain.background)
-        self.health.set("background", describe_background(self.chain.background))
+        assert self.processor is not None and self.processor.background is not None
+        self._topics.publish_background(self.processor.background)
+        self.health.set("background", describe_background(self.processor.background))
 
     def _on_set_camera_info(
         self, request: SetCameraInfo.Request, response: SetCameraInfo.Response
     ) -> SetCameraInfo.Response:
-        if self.chain is None:
+        if self.processor is None:
             response.status_message = "not configured: configure the node first"
             return response
         try:
-            camera = camera_from_message(request.camera_info, self.chain.camera or self._blank(request.camera_info))
+            camera = camera_from_message(request.camera_info, self.processor.camera or self._blank(request.camera_info))
             path = self.settings.camera_info_file
             if path:
                 save_camera_info(path, camera)
-            self.chain.use_camera(camera)
+            self.processor.use_camera(camera)
         except InputError as error:
             response.status_message = str(error)
             return response
@@ -351,11 +349,11 @@ class CameraNode(SagomaNode):
         return unplaced_camera(self._calibration.name, width, height)
 
     def _on_report(self) -> None:
-        source, loop, chain = self.source, self.loop, self.chain
-        if loop is None or source is None or chain is None:
+        source, loop, processor = self.source, self.loop, self.processor
+        if loop is None or source is None or processor is None:
             return
         self.health.set(PROGRESS_KEY, self.trainer.progress)
-        self._report.update(chain, source, loop, self._last, placed=self._calibration.placed)
+        self._report.update(processor, source, loop, self._last, placed=self._calibration.placed)
         connection = source.connection
         if loop.state in (GrabState.ENDED, GrabState.FAILED):
             self.trainer.cancel(f"{loop.state.value} {loop.reason}".strip())

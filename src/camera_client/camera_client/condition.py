@@ -1,28 +1,40 @@
-"""Says how well a camera's background fits the room now: figures with units, for the diagnostics.
+"""Measures how well a camera's background fits the room now: figures with units, for the diagnostics.
 
-:class:`ConditionWatch` collects them from the silhouette pipeline, by the frames' stamps; what they mean, and what to
-do about it, say :mod:`.condition_findings`. No silhouette depends on either.
+:class:`ConditionWatch` collects them from the silhouette pipeline, twice a second by the frames' stamps; what they mean
+is said by :mod:`.background.causes`. No silhouette depends on either.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import Silhouette
 
+from .background.model import BackgroundModel
 from .background.moved_things.absorption import AbsorbedPlace
-from .background.verdict import ImageRegion, describe_regions
+from .background.verdict import ImageRegion, describe_regions, find_regions
+from .frame_source import Image, Mask
 from .silhouettes.certainty import LEAST_PERSON
 from .silhouettes.pipeline import TYPICAL_LEVEL, SilhouettePipeline
+from .sources.frame_checks import grid_step
 
 PERIOD_S = 0.5  # the figures are collected so often
+MAX_STEP_S = 2.0  # a gap between frames counts as this
+CHANNELS = ("blue", "green", "red")
 # Thresholds: LASTING_S from the time in which a thing that keeps still is absorbed; else judgement
 # (test_camera_condition.py states cases).
 LASTING_S = 3.0  # what lasts so long is said: the time in which a thing that keeps still is absorbed
 RECENT_S = 30.0  # switches of the light within this count together
+STATIC_S, ALWAYS = 300.0, 0.9  # for so long, nine tenths of the time, a pixel was foreground of one grey level: static
+SAME_SIGMAS = 4.0  # within which the grey level of a pixel is the same
+FADE_TIME_S = 60.0  # that grey level may change with the light over about so long
+SMALLEST_STATIC_PLACE = 2e-3  # of the grid's pixels: four or five of them
 
 
 @dataclass(frozen=True)
@@ -51,11 +63,33 @@ class Condition:
     person_faint: float | None = None  # share of the person that differs by less than 4 sigmas from the background
     person_maybe_shadow: float | None = None  # share of the person that may be floor in shadow
     shadow_share: float | None = None  # share of the foreground that was taken for shadow
+    background_static_foreground: float | None = None  # share of the picture that has not moved for STATIC_S
+    background_static_places: str = ""  # where
 
     def values(self) -> dict[str, object]:
         """Return the keys of the diagnostics; those of what was not measured are there, and empty."""
         figures = {field.name: getattr(self, field.name) for field in fields(self)}
         return {key: "" if value is None else value for key, value in figures.items()}
+
+    def figures(self) -> dict[str, Any]:
+        """Return the figures that :func:`.background.causes.find_causes` judges."""
+        figures = {field.name: getattr(self, field.name) for field in fields(self)}
+        gains = [float(gain) for gain in self.light_gains.split()]
+        if gains:
+            mean = sum(gains) / len(gains)
+            named = zip(CHANNELS, gains, strict=True)
+            figures["light_tint"] = max(abs(gain / mean - 1) for gain in gains)
+            figures["light_colours"] = ", ".join(f"{name} {100 * (gain - 1):+.0f} %" for name, gain in named)
+        if self.light_gain is not None:
+            figures |= {"light_brighter": self.light_gain - 1, "light_darker": 1 - self.light_gain}
+        if self.noise_levels is not None:
+            figures["noise_times"] = self.noise_levels / (self.noise_learned_levels or self.noise_levels)
+        if not self.things_places:
+            figures["things_share"] = None
+        if not self.background_static_places:
+            figures["background_static_foreground"] = None
+        shadow, maybe = self.shadow_share or 0.0, self.person_maybe_shadow or 0.0
+        return figures | {"shadow_share": shadow, "maybe_shadow": maybe, "most_shadow": max(shadow, maybe)}
 
 
 class Shares(NamedTuple):
@@ -69,8 +103,10 @@ class Shares(NamedTuple):
 class ConditionWatch:
     """Collects the condition of one pipeline's background. Frames come on one thread; ``found`` may be read on any."""
 
-    def __init__(self, pipeline: SilhouettePipeline) -> None:
-        self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S)
+    def __init__(self, pipeline: SilhouettePipeline, background: BackgroundModel) -> None:
+        """``background`` : as it was learned."""
+        self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S, longest_s=MAX_STEP_S)
+        self._static = StaticForeground(background)
         self._last_ns = 0
         self._restart()
         self._things_known, self._places = (0, 0), ""
@@ -82,18 +118,20 @@ class ConditionWatch:
         self._lasting: deque[tuple[int, Shares]] = deque()
         self._switches: deque[tuple[int, int]] = deque()
 
-    def update(self, stamp_ns: int, silhouette: Silhouette) -> None:
-        """Take the silhouette of the frame of ``stamp_ns``, the last one that the pipeline ran."""
+    def update(self, image: Image, stamp_ns: int, silhouette: Silhouette) -> None:
+        """Add the frame (H, W) or (H, W, 3) of ``stamp_ns``, the last one that the pipeline ran, if it is time to."""
         if stamp_ns < self._last_ns:
             self._restart()
         self._last_ns = stamp_ns
-        if self._throttle.step_s(stamp_ns) > 0:
+        step_s = self._throttle.step_s(stamp_ns)
+        if step_s > 0:
+            self._static.update(image, self._pipeline.background_pixels, step_s)
             self.found = self._collected(stamp_ns, silhouette)
 
     def _collected(self, stamp_ns: int, silhouette: Silhouette) -> Condition:
         state, certainty = self._pipeline.background.state, self._pipeline.certainty
         moved, anything = self._pipeline.moved, silhouette.foreground_fraction + silhouette.candidate_fraction
-        restless = 0.0 if moved is None else moved.restless
+        restless = 0.0 if moved is None else moved.dynamic_share
         lasts = self._lasts(stamp_ns, Shares(restless, certainty.unexplained, certainty.faint or 0.0))
         things = {} if moved is None else self._things(stamp_ns)
         return Condition(
@@ -113,6 +151,8 @@ class ConditionWatch:
             person_faint=None if certainty.faint is None else lasts.faint,
             person_maybe_shadow=certainty.maybe_shadow,
             shadow_share=silhouette.candidate_fraction / anything if anything >= LEAST_PERSON else None,
+            background_static_foreground=self._static.share,
+            background_static_places=self._static.places,
             **things,
         )
 
@@ -135,8 +175,8 @@ class ConditionWatch:
         """Return the figures of what moved; places are looked for only when something was absorbed or given back."""
         moved = self._pipeline.moved
         assert moved is not None
-        if self._things_known != (moved.absorbed, moved.given_back):
-            self._things_known, places = (moved.absorbed, moved.given_back), moved.places()
+        if self._things_known != (moved.absorbed, moved.reverted):
+            self._things_known, places = (moved.absorbed, moved.reverted), moved.places()
             self._places = describe_things(places, self._pipeline.background_pixels.shape)
             self._newest_ns = max((place.since_ns for place in places), default=0)
         return {
@@ -144,9 +184,47 @@ class ConditionWatch:
             "things_places": self._places,
             "things_since_s": max(stamp_ns - self._newest_ns, 0) * NS if self._places else None,
             "things_absorbed": moved.absorbed,
-            "things_given_back": moved.given_back,
-            "things_endless": moved.endless,
+            "things_given_back": moved.reverted,
+            "things_endless": moved.overflowed,
         }
+
+
+class StaticForeground:
+    """Finds foreground that keeps its grey level for minutes, on a sparse grid of pixels.
+
+    A pixel's share of the time in which it was foreground of one grey level is an exponential mean: a walking person
+    covers no pixel for long, and one who dances on the spot changes the pixels that they cover.
+    """
+
+    def __init__(self, background: BackgroundModel) -> None:
+        self._step, self._shape = grid_step(background.shape), background.shape
+        self._grid = (slice(self._step // 2, None, self._step),) * 2
+        self._near = SAME_SIGMAS * np.maximum(background.sigma[self._grid], np.float32(1))
+        self._level = background.mean[self._grid].copy()  # that a pixel has had for some time
+        self._always = np.zeros(self._level.shape[:2], np.float32)
+        self._time_s = STATIC_S / -math.log(1 - ALWAYS)
+
+    def update(self, image: Image, background: Mask, step_s: float) -> None:
+        """Add a frame that stands for ``step_s`` seconds; background (H, W) : 255 where it shows the background."""
+        change = image[self._grid] - self._level
+        other = np.abs(change) > self._near
+        self._level += np.where(other, 1.0, min(step_s / FADE_TIME_S, 1.0)).astype(np.float32) * change
+        changed = other if other.ndim == 2 else other.any(axis=2)
+        same = (background[self._grid] == 0) & ~changed
+        self._always += np.float32(-math.expm1(-step_s / self._time_s)) * (same - self._always)
+
+    @property
+    def share(self) -> float:
+        """Share of the pixels that are static."""
+        return float((self._always > ALWAYS).mean())
+
+    @property
+    def places(self) -> str:
+        """Where they are, in words; "" where there are none."""
+        static = self._always > ALWAYS
+        if not static.any():
+            return ""
+        return describe_regions(find_regions(static, SMALLEST_STATIC_PLACE, self._step), self._shape)
 
 
 def describe_things(places: list[AbsorbedPlace], shape: tuple[int, ...]) -> str:

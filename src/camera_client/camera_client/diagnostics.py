@@ -12,11 +12,9 @@ from enum import IntEnum
 
 from capture_rig.verdict import GOOD, Finding
 
-from .background.watch import age_h, concerns, other_setting
-from .camera_chain import CameraChain, FrameResult
-from .condition_findings import condition_findings, worst_first
-from .connection import Connection, ConnectionState
-from .frame_source import Frame, FrameSource, FrameStatistics
+from .background.causes import age_h, find_causes, other_setting, worst_first
+from .frame_processor import FrameProcessor, FrameResult
+from .frame_source import Connection, ConnectionState, Frame, FrameSource, FrameStatistics
 from .settings import CameraClientSettings
 from .sources.frame_checks import LIGHTS, REMEDIES
 from .sources.grab_loop import GrabState
@@ -167,46 +165,38 @@ class RecentStatistics:
 
 
 def background_findings(
-    chain: CameraChain, source: FrameSource, settings: CameraClientSettings, now_s: float
+    processor: FrameProcessor, source: FrameSource, settings: CameraClientSettings, now_s: float
 ) -> tuple[Finding, ...]:
     """Return what speaks against the background in use, the worst first; ``now_s`` is the system's clock.
 
     Footage is as old as its background, whatever the clock says.
     """
-    background, watch, condition = chain.background, chain.watch, chain.condition
-    if background is None or watch is None:
-        return () if chain.refused is None else (chain.refused,)
-    found = concerns(
-        background.provenance,
-        source.details,
-        watch.found,
-        settings.background_watch,
-        background.shape,
-        now_s=None if source.connection is None else now_s,
-        corrected=condition.light_gain if settings.background_model.rule == "adaptive" else None,
-    )
-    return worst_first([*found, *condition_findings(condition)])
+    background, condition, limit_h = processor.background, processor.condition, settings.background_age_h
+    if background is None:
+        return () if processor.refused is None else (processor.refused,)
+    corrected = condition.light_gain if settings.background_model.rule == "adaptive" else None
+    figures, age = condition.figures(), age_h(background.provenance, now_s)
+    if age is not None and limit_h > 0 and source.connection is not None:
+        figures |= {"age_h": age, "age_over_h": age - limit_h}
+    other = other_setting(background.provenance, source.details, corrected)
+    return worst_first([*other, *find_causes(figures)])
 
 
-def background_mismatch(chain: CameraChain, source: FrameSource) -> str:
+def background_mismatch(processor: FrameProcessor, source: FrameSource) -> str:
     """Why the picture must look unlike the background in use: another setting than it was learned with."""
-    if chain.background is None:
+    if processor.background is None:
         return ""
-    return next((finding.line for finding in other_setting(chain.background.provenance, source.details)), "")
+    return next((finding.line for finding in other_setting(processor.background.provenance, source.details)), "")
 
 
-def background_values(chain: CameraChain, now_s: float) -> dict[str, object]:
+def background_values(processor: FrameProcessor, now_s: float) -> dict[str, object]:
     """Return how well the background still fits: its age, what changed since, and how sure silhouettes are."""
-    background, watch = chain.background, chain.watch
-    values = chain.condition.values()
-    if background is None or watch is None:
+    background, values = processor.background, processor.condition.values()
+    if background is None:
         return values
-    found, age = watch.found, age_h(background.provenance, now_s)
+    age = age_h(background.provenance, now_s)
     values["background_learned"] = background.provenance.created
     values["background_serial"] = background.provenance.camera_serial
-    values["background_static_foreground"] = round(found.static_share, 4)
     if age is not None:
         values["background_age_h"] = round(age, 2)
-    if found.gain_drift is not None:
-        values["background_gain_drift"] = round(found.gain_drift, 4)
     return values

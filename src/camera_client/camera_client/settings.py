@@ -83,9 +83,9 @@ class AravisSettings:
         "RisingEdge", "sync line: the edge", choices=("RisingEdge", "FallingEdge", "AnyEdge")
     )
     trigger_delay_us: float = setting(-1.0, "From trigger to exposure", unit="us", low=-1, high=1e7)
-    action_device_key: int = setting(1, "sync action: key of the camera", low=0, high=0xFFFFFFFF)
-    action_group_key: int = setting(1, "sync action: key of the group", low=0, high=0xFFFFFFFF)
-    action_group_mask: int = setting(1, "sync action: mask of the group", low=1, high=0xFFFFFFFF)
+    action_device_key: int = setting(
+        1, "sync action: key of the cameras, another one for each rig of a network", low=0, high=0xFFFFFFFF
+    )
     action_lead_ms: float = setting(100.0, "sync action: sent so long ahead", unit="ms", low=1, high=10000)
     ptp_wait_s: float = setting(10.0, "PTP: longest wait for the camera to be in step", unit="s", low=0, high=600)
 
@@ -248,39 +248,6 @@ class SupervisionSettings:
 
 
 @dataclass(frozen=True)
-class FrameCheckSettings:
-    """When a frame is no picture of the scene: black, white, frozen, or under other lights."""
-
-    lights_change: float = setting(
-        0.25, "The lights changed when the typical pixel is brighter or darker by this share", low=0.02, high=10
-    )
-    frozen_s: float = setting(
-        1.0,
-        "A camera is frozen when its picture stays the same for so long; 0 never, as with footage",
-        unit="s",
-        low=0,
-        high=3600,
-    )
-
-
-@dataclass(frozen=True)
-class BackgroundWatchSettings:
-    """When a background that was good once no longer fits the room."""
-
-    age_h: float = setting(12.0, "A background is old after this; 0: never", unit="h", low=0, high=1e5)
-    drift: float = setting(
-        0.5,
-        "The light drifted when the typical pixel has used up this share of what its noise allows; 0: not looked at",
-        low=0,
-        high=10,
-    )
-    static_s: float = setting(
-        300.0, "Foreground that has not moved for so long belongs to the room", unit="s", low=1, high=86400
-    )
-    static_share: float = setting(0.01, "... and is reported when it fills more than this share", low=0, high=1)
-
-
-@dataclass(frozen=True)
 class CameraMovedSettings:
     """When a camera counts as moved since it was calibrated, by its picture."""
 
@@ -317,6 +284,7 @@ class CameraClientSettings:
     )
     background_frames: int = setting(100, "Frames taken by ~/learn_background", low=2, high=100000)
     background_file: str = setting("", "Where ~/learn_background saves the model (.npz); empty: nowhere")
+    background_age_h: float = setting(12.0, "A background is old after this; 0: never", unit="h", low=0, high=1e5)
     publish_raw: bool = setting(False, "Publish image_raw (without a rig it is there in any case, for calibration)")
     publish_preview: bool = setting(
         True, "Offer preview/compressed: the image with the silhouette's outline, sent while somebody subscribes"
@@ -326,6 +294,4 @@ class CameraClientSettings:
     supervision: SupervisionSettings = setting(SupervisionSettings, "Stalls and reconnections of a live camera")
     background_model: BackgroundSettings = setting(BackgroundSettings, "Background model")
     silhouette: SilhouetteSettings = setting(SilhouetteSettings, "Silhouette")
-    frame_checks: FrameCheckSettings = setting(FrameCheckSettings, "When a frame is no picture of the scene")
-    background_watch: BackgroundWatchSettings = setting(BackgroundWatchSettings, "When the background fits no longer")
     camera_moved: CameraMovedSettings = setting(CameraMovedSettings, "When the camera was moved")

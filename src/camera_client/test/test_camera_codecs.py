@@ -45,7 +45,8 @@ def test_grain_tells_a_codec_from_a_sensor_and_from_a_camera_that_was_touched(co
         image = exposed(np.roll(light, 30 * (frame >= 20), axis=1), rng)
         background.follow(through_jpeg(image) if codec else image, round(frame * 1e9 / FPS))
         if frame >= 8:
-            assert (background.noise.grain > FINE_GRAIN) == codec, (frame, background.noise.grain)
+            correlation = background.noise.spatial_correlation
+            assert (correlation > FINE_GRAIN) == codec, (frame, correlation)
 
 
 def test_codec_errors_reach_a_block_far_and_are_there_with_codecs_only():
@@ -53,7 +54,7 @@ def test_codec_errors_reach_a_block_far_and_are_there_with_codecs_only():
     image = expected.astype(np.uint8)
     image[:, 60:] = 200
     assert codec_error_sigma(image, expected, assumed_noise(2.0, 1)) is None
-    codec_sigma = codec_error_sigma(image, expected, assumed_noise(2.0, 1)._replace(grain=0.6))
+    codec_sigma = codec_error_sigma(image, expected, assumed_noise(2.0, 1)._replace(spatial_correlation=0.6))
     assert (codec_sigma[:, 52:] > 2).all() and (codec_sigma[:, :52] == 0).all()
 
 
@@ -70,6 +71,6 @@ def test_blocks_beside_a_person_are_no_person(colour):
     person[truth > 0] = [40, 70, 190] if colour else 205
     for frame in range(40):
         found = pipeline.run(through_jpeg(exposed(person, rng)), round(frame * 1e9 / FPS)).image_mask > 127
-    assert pipeline.background.noise.grain > FINE_GRAIN
+    assert pipeline.background.noise.spatial_correlation > FINE_GRAIN
     assert np.count_nonzero(found & (truth > 0)) > 0.97 * np.count_nonzero(truth)
     assert np.count_nonzero(found & (truth == 0)) < 0.06 * np.count_nonzero(truth)

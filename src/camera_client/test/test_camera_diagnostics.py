@@ -5,8 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from camera_client.camera_chain import FrameResult
-from camera_client.connection import Connection, ConnectionState, Downtime, Outage
 from camera_client.diagnostics import (
     CameraState,
     Level,
@@ -16,7 +14,8 @@ from camera_client.diagnostics import (
     frame_values,
     source_values,
 )
-from camera_client.frame_source import Frame, FrameStatistics
+from camera_client.frame_processor import FrameResult
+from camera_client.frame_source import Connection, ConnectionState, Downtime, Frame, FrameStatistics, Outage
 from camera_client.sources.frame_checks import REMEDIES
 from camera_client.sources.grab_loop import GrabState
 from capture_rig.verdict import GOOD, USABLE, Finding

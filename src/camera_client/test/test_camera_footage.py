@@ -26,16 +26,13 @@ class Ready(Pace):
     """Every frame is due at once; remembers how it was called."""
 
     def __init__(self):
-        self.begun, self.acknowledged = [], []
+        self.begun = []
 
     def begin(self, clock, frame):
         self.begun.append((clock.epoch_ns, frame))
 
     def wait(self, frame, timeout_s):
         return True
-
-    def acknowledge(self, stamp_ns):
-        self.acknowledged.append(stamp_ns)
 
 
 def source_of(path, pace=None, now_ns=lambda: EPOCH_NS, channels="auto", **settings):
@@ -94,12 +91,6 @@ def test_stamps_do_not_depend_on_the_playing_rate(video):
     assert stamps[0] == stamps[1] == stamps[2]
 
 
-def test_frame_rate_of_the_settings_overrides_that_of_the_file(video):
-    with source_of(video, fps=10.0) as source:
-        source.start()
-        assert read(source, 2)[1].stamp_ns == EPOCH_NS + 100_000_000
-
-
 def test_loop_goes_on_with_rising_stamps(video, images, scene):
     with source_of(video, loop=True) as source:
         source.start()
@@ -147,13 +138,6 @@ def test_start_after_the_end_without_an_epoch_takes_a_new_one(video):
     assert first[0].stamp_ns == EPOCH_NS + 10**9
     assert again[0].stamp_ns == EPOCH_NS + 61 * 10**9
     assert again[0].frame_id == 0
-
-
-def test_acknowledgements_reach_the_pace(video):
-    pace = Ready()
-    with source_of(video, pace=pace) as source:
-        source.acknowledge(5)
-    assert pace.acknowledged == [5]
 
 
 def test_rate_zero_waits_for_the_acknowledgement(video, scene):

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from camera_client.settings import FrameCheckSettings
 from camera_client.sources.frame_checks import DARK, FROZEN, LIGHTS, REMEDIES, SATURATED, FrameChecks, grid_sample
 
 PERIOD_NS = 20_000_000
@@ -19,7 +18,7 @@ def brighter(image, factor):
 
 @pytest.fixture(params=[False, True], ids=["mono", "colour"])
 def checks(request, scene):
-    checks = FrameChecks(None, mean_of(scene.empty(30, colour=request.param)))
+    checks = FrameChecks(mean_of(scene.empty(30, colour=request.param)))
     checks.colour = request.param
     return checks
 
@@ -40,7 +39,7 @@ def test_black_image_is_dark_without_a_background():
 
 
 def test_scene_that_was_learned_black_is_not_dark():
-    assert FrameChecks(None, np.full((120, 160), 8.0)).check(np.full((120, 160), 8, np.uint8), 0) == ()
+    assert FrameChecks(np.full((120, 160), 8.0)).check(np.full((120, 160), 8, np.uint8), 0) == ()
 
 
 @pytest.mark.parametrize("factor", [0.3, 0.7, 1.4])
@@ -72,7 +71,7 @@ def test_window_that_is_always_white_is_not_saturated(scene):
     images = scene.empty(20)
     for image in images:
         image[:60] = 255
-    assert FrameChecks(None, mean_of(images)).check(images[0], 0) == ()
+    assert FrameChecks(mean_of(images)).check(images[0], 0) == ()
 
 
 def test_same_picture_for_longer_than_a_second_is_frozen(scene, checks):
@@ -98,8 +97,8 @@ def test_repeated_frame_over_a_jump_of_the_clock_is_not_frozen(scene, checks):
     assert checks.check(image, 10) == ()  # and back
 
 
-def test_frozen_is_not_looked_for_when_switched_off(scene):
-    checks = FrameChecks(FrameCheckSettings(frozen_s=0.0))
+def test_footage_that_repeats_a_picture_is_not_frozen(scene):
+    checks = FrameChecks(may_repeat=True)
     assert {checks.check(scene.empty(1)[0], k * PERIOD_NS) for k in range(200)} == {()}
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camera_client.gige.triggers import MOST_PENDING, ActionSender, TriggerSchedule, TriggerThread
+from camera_client.gige.triggers import ACTION_GROUP, MOST_PENDING, ActionSender, TriggerSchedule, TriggerThread
 from camera_client.sources.aravis_stream import first_of_run
 from gige_vision.gvcp import PORT, AcknowledgePacket, Action, CommandPacket, Status
 from virtual_studio.gige import free_addresses
@@ -102,7 +102,7 @@ def device():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         listener.bind((address, PORT))
         listener.settimeout(PATIENCE_S)
-        sender = ActionSender(address, "127.0.0.1", 1, 2, 4)
+        sender = ActionSender(address, "127.0.0.1", 7)
         yield listener, sender
         sender.close()
 
@@ -119,7 +119,7 @@ def test_action_carries_keys_and_time_and_its_answer_is_counted(device):
     for status in (Status.SUCCESS, Status.ACTION_LATE, Status.OVERFLOW, Status.NO_REFERENCE_TIME):
         sender.send(NOW_NS)
         action, peer = answer(listener, status)
-        assert action == Action(1, 2, 4, NOW_NS)
+        assert action == Action(7, ACTION_GROUP, ACTION_GROUP, NOW_NS)
     listener.sendto(b"nonsense", peer)
     sender.collect()
     assert sender.counts == {"actions": 1, "actions_late": 1, "actions_refused": 2, "actions_unanswered": 0}

@@ -56,10 +56,9 @@ def iou(mask, truth):
 def test_lights_that_dim_a_fifth_in_five_minutes_leave_the_masks_clean(scene, colour):
     room, fixed = Room(scene, colour), Room(scene, colour, FIXED)
     for light in np.linspace(1.0, 0.8, 300):
-        silhouette = room.see(light)
-        fixed.see(light)
-        assert silhouette.foreground_fraction < 0.001
-    assert room.pipeline.gain == pytest.approx(0.8, rel=0.02)
+        assert room.see(light).foreground_fraction < 0.001
+    fixed.see(0.8)  # the thesis's rules follow nothing
+    assert room.pipeline.gain == pytest.approx(0.8, rel=0.02) and fixed.pipeline.gain == 1.0
     assert room.noise < 0.01 < 0.5 < fixed.noise
     assert iou(room.see(0.8, scene.person_mask()).image_mask, scene.person_mask()) > 0.95
 
@@ -75,7 +74,7 @@ def test_lights_that_are_switched_cost_no_mask_and_are_told(scene, light, colour
     assert room.pipeline.background.light.switched
     assert iou(silhouette.image_mask, person) > 0.93
     assert room.pipeline.gain == pytest.approx(light, rel=0.03)
-    assert FrameChecks(None, room.background.mean).check(lit(room.empty[0] * 1.0, light), 0, room.pipeline.gain) == ()
+    assert FrameChecks(room.background.mean).check(lit(room.empty[0] * 1.0, light), 0, room.pipeline.gain) == ()
 
 
 def test_lamp_that_lights_a_part_of_the_room_is_taken_up_within_half_a_second(scene):
@@ -138,20 +137,16 @@ def test_what_turns_white_in_brighter_light_stays_background(scene, colour):
         assert iou(pipeline.run(frame, k * SECOND_NS).image_mask, person) > 0.95
 
 
-def test_person_who_stands_still_for_ten_minutes_stays_whole_and_leaves_no_ghost(scene):
+def test_person_who_stands_still_for_ten_minutes_stays_whole_and_leaves_no_ghost_also_when_the_light_dims(scene):
     room, person = Room(scene), scene.person_mask()
     for _ in range(50):
         room.see()
     first = iou(room.see(1.0, person).image_mask, person)
-    scores = [iou(room.see(1.0, person).image_mask, person) for _ in range(600)]
+    scores = [iou(room.see(1.0, person).image_mask, person) for _ in range(300)]
     assert first > 0.97 and min(scores) > first - 0.02
     assert room.see().foreground_fraction == 0
-
-
-def test_person_who_stands_still_while_the_light_dims_stays_whole(scene):
-    room, person = Room(scene), scene.person_mask()
     scores = [iou(room.see(light, person).image_mask, person) for light in np.linspace(1.0, 0.8, 300)]
-    assert min(scores[20:]) > 0.93
+    assert min(scores) > 0.93
     assert room.see(0.8).foreground_fraction < 0.001  # the place behind the person dimmed, too
 
 
@@ -177,13 +172,6 @@ def test_thing_put_down_beside_the_person_stays_foreground(scene):
     for _ in range(300):
         silhouette = room.see(1.0, thing)
     assert iou(silhouette.image_mask, thing) > 0.9
-
-
-def test_thesis_rules_follow_nothing(scene):
-    room = Room(scene, settings=FIXED)
-    for light in np.linspace(1.0, 0.8, 60):
-        silhouette = room.see(light)
-    assert silhouette.foreground_fraction > 0.5 and room.pipeline.gain == 1.0
 
 
 def test_same_stamps_give_the_same_masks_and_a_clock_set_back_does_no_harm(scene):

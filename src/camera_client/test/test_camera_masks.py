@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from camera_client.background.fixed import FixedBackground
+from camera_client.background.adaptation.adaptive import FixedBackground
 from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people

@@ -14,8 +14,8 @@ import pytest
 
 from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance, load_background
 from camera_client.background.verdict import turn_findings
-from camera_client.camera_chain import CameraChain, FrameResult
 from camera_client.diagnostics import CameraState, Level, assess, frame_values
+from camera_client.frame_processor import FrameProcessor, FrameResult
 from camera_client.frame_source import Frame
 from camera_client.movement.alignment import PictureAlignment
 from camera_client.movement.detector import (
@@ -201,27 +201,27 @@ def test_background_learned_anew_after_a_bump_remembers_the_turn_until_the_camer
 
 
 def chain_of(number=1):
-    chain = CameraChain(studio_camera(number), CameraClientSettings(), ring(5).volume)
-    chain.use_learned_background(background(number))
-    return chain
+    processor = FrameProcessor(studio_camera(number), CameraClientSettings(), ring(5).volume)
+    processor.use_learned_background(background(number))
+    return processor
 
 
-def seen(chain, image, look):
-    return chain.run(Frame(image, (look + 1) * PERIOD_NS, look, "a test"))
+def seen(processor, image, look):
+    return processor.run(Frame(image, (look + 1) * PERIOD_NS, look, "a test"))
 
 
 def test_chain_names_the_bumped_camera_while_its_silhouette_floods_and_after_it_learned_the_background_again():
-    chain = chain_of()
+    processor = chain_of()
     for number in range(3):
-        result = seen(chain, picture(frame=number), number)
+        result = seen(processor, picture(frame=number), number)
     honest = result.silhouette.foreground_fraction
     for number in range(3, 6):
-        result = seen(chain, picture(frame=number, turn_deg=(0, 2.0, 0)), number)
+        result = seen(processor, picture(frame=number, turn_deg=(0, 2.0, 0)), number)
     assert result.silhouette.foreground_fraction > honest + 0.005
     assert result.movement.state is MovementState.MOVED
-    chain.use_learned_background(background(turn_deg=(0, 2.0, 0)))
+    processor.use_learned_background(background(turn_deg=(0, 2.0, 0)))
     for number in range(6, 10):
-        result = seen(chain, picture(frame=number, turn_deg=(0, 2.0, 0)), number)
+        result = seen(processor, picture(frame=number, turn_deg=(0, 2.0, 0)), number)
     assert result.silhouette.foreground_fraction < 0.01
     assert result.movement.state is MovementState.MOVED and result.movement.swing_deg == pytest.approx(2.0, abs=0.05)
 

@@ -157,8 +157,15 @@ def test_visitor_whom_nobody_else_sees_sways_and_is_no_thing():
     assert share(foreground, PERSON) > 0.9 and room.moved.absorbed == 0
 
 
-@pytest.mark.parametrize("colour", [False, True])
-@pytest.mark.parametrize("seen", ["by all", "by this camera alone", "by others most of the time"])
+@pytest.mark.parametrize(
+    "colour, seen",
+    [
+        (False, "by all"),
+        (False, "by this camera alone"),
+        (False, "by others most of the time"),
+        (True, "by others most of the time"),
+    ],
+)
 def test_person_who_stands_still_for_ten_minutes_stays_whole(colour, seen):
     room, random = Room(colour=colour, fps=1), np.random.default_rng(2)
     picture = with_person(room.background)
@@ -212,7 +219,7 @@ def test_door_closed_again_is_background_at_once_and_open_again_is_absorbed_agai
     assert share(room.watch(opened, 5, NOBODY), DOOR) < 0.01
     assert share(room.see(room.background, NOBODY), DOOR) < 0.01
     room.watch(room.background, 4, NOBODY)
-    assert room.moved.given_back >= 1 and room.moved.share == 0
+    assert room.moved.reverted >= 1 and room.moved.share == 0
     assert share(room.see(opened, NOBODY), DOOR) > 0.95
     assert share(room.watch(opened, 5, NOBODY), DOOR) < 0.01
 
@@ -275,7 +282,7 @@ def test_room_that_changes_without_end_is_said_and_no_more_than_half_is_absorbed
     for left in range(0, 280, 40):
         picture = with_thing(picture, (slice(8, 232), slice(left, left + 36)), 60.0 + left / 4)
         room.watch(picture, 5, NOBODY)
-    assert room.moved.endless and 0.3 < room.moved.share <= 0.5
+    assert room.moved.overflowed and 0.3 < room.moved.share <= 0.5
 
 
 def test_reports_count_from_the_same_frame_whenever_they_come_in_time():

@@ -170,10 +170,10 @@ def test_learning_while_somebody_moves_keeps_the_old_background(bench, session, 
     parameters["footage.path"] = scene.write_video(session.folder / "moving.avi", images)
     camera = bench(**parameters).start()
     camera.until(lambda: camera.masks)
-    before = camera.node.chain.pipeline
+    before = camera.node.processor.pipeline
     answer = camera.ask_to_learn()
     assert not answer.success and "something moved" in answer.message
-    assert camera.node.chain.pipeline is before
+    assert camera.node.processor.pipeline is before
 
 
 def test_learning_without_frames_is_refused(bench, session):
@@ -236,7 +236,7 @@ def test_raw_images_and_previews_are_published_on_request(bench, session, scene)
 
 def test_no_preview_is_drawn_while_nobody_looks(bench, session, monkeypatch):
     drawn = []
-    monkeypatch.setattr("camera_client.camera_topics_ros.outline", lambda image, mask: drawn.append(1) or image)
+    monkeypatch.setattr("camera_client.camera_ros.outline", lambda image, mask: drawn.append(1) or image)
     camera = bench(**session.parameters)
     camera.start()
     camera.until(lambda: len(camera.masks) == FRAMES)

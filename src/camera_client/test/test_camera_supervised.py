@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from camera_client.connection import ConnectionState
-from camera_client.frame_source import Frame, FrameSource, SourceUnavailable
+from camera_client.frame_source import ConnectionState, Frame, FrameSource, SourceUnavailable
 from camera_client.settings import SupervisionSettings
 from camera_client.sources.supervised_source import SupervisedSource
 from capture_rig.errors import InputError

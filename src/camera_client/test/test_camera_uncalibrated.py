@@ -12,7 +12,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from camera_client.background.model import load_background
 from camera_client.background.training import KEY, TrainingReport
-from camera_client.camera_topics_ros import CameraTopics
+from camera_client.camera_ros import CameraTopics
 from camera_client.configuration import unplaced_camera
 from camera_client.diagnostics import UNCALIBRATED, UNPLACED
 from camera_client.frame_source import Frame
@@ -74,7 +74,7 @@ def test_background_learned_before_the_calibration_serves_after_it(bench, unknow
     values = camera.values()
     training = TrainingReport.from_json(values[KEY])
     assert (training.number, training.frames, training.text, training.saved) == (1, 20, answer.message, "")
-    assert (values["background_age_h"], values["background_static_foreground"]) == ("0", "0")
+    assert (values["background_age_h"], values["background_static_foreground"]) == ("0", "")  # there is no foreground
     wanted = lens(scene)
     answer = set_camera_info(camera, camera_info_message(wanted, 0, "cam01_optical"))
     assert answer.success
@@ -94,7 +94,7 @@ def test_intrinsics_set_by_service_are_saved_and_used_at_the_next_start(bench, u
     assert answer.success and np.array_equal(load_camera_info(path, scene.camera()).K, lens(scene).K)
     assert camera.node.trigger_deactivate() == SUCCESS and camera.node.trigger_cleanup() == SUCCESS
     assert camera.node.trigger_configure() == SUCCESS
-    assert np.array_equal(camera.node.chain.camera.K, lens(scene).K)
+    assert np.array_equal(camera.node.processor.camera.K, lens(scene).K)
 
 
 def test_intrinsics_of_another_camera_fail_configure(bench, unknown, session, scene):
@@ -188,7 +188,7 @@ def test_background_of_the_last_lesson_is_used_at_the_next_start(bench, session,
     camera.masks.clear()
     camera.start()
     camera.until(lambda: camera.masks)
-    assert camera.node.chain.background.provenance.frames == 20
+    assert camera.node.processor.background.provenance.frames == 20
 
 
 def test_damaged_background_of_the_last_lesson_keeps_no_camera_from_starting(bench, session):

@@ -175,10 +175,6 @@ class UndistortedView:
         unused = np.empty(0, np.uint16)
         return cv2.remap(mask, self._nearest, unused, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
 
-    def undistort_image(self, image: np.ndarray) -> np.ndarray:
-        """Image (H, W[, 3]) to the canvas, black where unseen; nearest pixel, meant for looking at."""
-        return self.undistort_mask(image)
-
 
 def _make_undistorted_view(camera: CameraModel) -> UndistortedView:
     low, high = _canvas_bounds(camera)

@@ -49,24 +49,15 @@ def undistort(points: Array, D: Array) -> Array:
     return ideal
 
 
-def fold_radius(D: Array) -> float:
-    """Return the ideal radius from which the radial polynomial runs backwards (or has a pole): no light gets there."""
-    return _radius_of_slope(D, 0.0)
-
-
 def reach_radius(D: Array) -> float:
-    """Return the ideal radius up to which the model is used, just short of the fold: there the distorted radius grows
-    by less than LEAST_SLOPE of the ideal one. Infinite where it always grows."""
-    return _radius_of_slope(D, LEAST_SLOPE)
-
-
-def _radius_of_slope(D: Array, least: float) -> float:
-    """The smallest ideal radius at which the distorted radius r top / bottom grows by ``least`` only, or has a pole."""
+    """Return the ideal radius up to which the model is used, just short of where the radial polynomial runs backwards
+    (no light gets there) or has a pole: there the distorted radius grows by less than LEAST_SLOPE of the ideal one.
+    Infinite where it always grows."""
     k1, k2, _, _, k3, k4, k5, k6 = _eight(D)
     top, bottom = np.poly1d([k3, k2, k1, 1.0]), np.poly1d([k6, k5, k4, 1.0])
     q = np.poly1d([1.0, 0.0])  # r^2
     slope = (top + 2 * q * top.deriv()) * bottom - 2 * q * top * bottom.deriv()
-    roots = np.concatenate([(slope - least * bottom * bottom).roots, bottom.roots])
+    roots = np.concatenate([(slope - LEAST_SLOPE * bottom * bottom).roots, bottom.roots])
     ahead = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0)]
     return float(np.sqrt(ahead.min(initial=np.inf)))
 

@@ -1,4 +1,4 @@
-"""Rotations and rigid fits: rotation vectors, matrices, quaternions, and the transform that fits points best.
+"""Rotations and rigid transforms: rotation vectors, matrices, quaternions, and the transform that fits points best.
 
 Plain functions first, then the compiled kernels that they and other packages call; of these none allocates, but for
 :func:`polar_rotation` and :func:`rigid_transform`.
@@ -17,11 +17,12 @@ from .small_matrices import diagonalise
 Array = np.ndarray
 
 
-def rotation_matrix(vector: npt.ArrayLike) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,), rad (Rodrigues; thesis eq. 5.25 with |omega| = 1)."""
-    x, y, z = np.reshape(np.asarray(vector, float), 3).tolist()
-    R = np.empty((3, 3))
-    rotation_exp(x, y, z, R)
+def rotation_matrix(vectors: npt.ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad (Rodrigues; thesis eq. 5.25, |omega| = 1)."""
+    vectors = np.asarray(vectors, float)
+    R = np.empty((*vectors.shape[:-1], 3, 3))
+    for (x, y, z), one in zip(vectors.reshape(-1, 3).tolist(), R.reshape(-1, 3, 3), strict=True):
+        rotation_exp(x, y, z, one)
     return R
 
 
@@ -43,6 +44,25 @@ def nearest_rotation(M: Array) -> Array:
     """Rotations (..., 3, 3) nearest to the matrices ``M`` (..., 3, 3) in the Frobenius norm, never reflections."""
     matrices = np.ascontiguousarray(M, float).reshape(-1, 3, 3)
     return np.array([polar_rotation(one) for one in matrices]).reshape(np.shape(M))
+
+
+def transform(R: Array, t: Array) -> Array:
+    """Join rotations (..., 3, 3) and translations (..., 3) to rigid transforms (..., 4, 4)."""
+    T = np.zeros((*np.shape(R)[:-2], 4, 4))
+    T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R, t, 1.0
+    return T
+
+
+def inverse(T: Array) -> Array:
+    """Invert rigid transforms (..., 4, 4)."""
+    R = np.swapaxes(T[..., :3, :3], -1, -2)
+    return transform(R, -(R @ T[..., :3, 3, None])[..., 0])
+
+
+def angles_between(R_a: Array, R_b: Array) -> Array:
+    """Compute the angles (n, m), rad, between rotations (n, 3, 3) and (m, 3, 3)."""
+    trace = R_a.reshape(-1, 9) @ R_b.reshape(-1, 9).T
+    return np.arccos(np.clip((trace - 1) / 2, -1, 1))
 
 
 # --- kernels

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 GOOD, USABLE, REDO = "good", "usable", "redo"
@@ -46,3 +46,9 @@ def judge(findings: Iterable[Finding]) -> Verdict:
     found = tuple(findings)
     grades = {finding.grade for finding in found}
     return Verdict(next((grade for grade in (REDO, USABLE) if grade in grades), GOOD), found)
+
+
+def graded(value: float, limits: tuple[float, float], what: str, remedy: str) -> Iterator[Finding]:
+    """Yield a finding where a value exceeds the first of its limits: USABLE up to the second, REDO beyond (NaN too)."""
+    if not value <= limits[0]:
+        yield Finding(USABLE if value <= limits[1] else REDO, what, remedy)

@@ -83,20 +83,14 @@ def run(packages, **environment):
     return [int(word) for word in done.stdout.split()]
 
 
-def test_changed_callee_invalidates_its_caller_and_nothing_else(checkout):
+def test_moved_checkout_finds_its_cache_and_recompiles_what_calls_a_changed_kernel(checkout):
+    assert {path.name.split("-")[0] for path in checkout.rglob("*.nbi")} == {"caller.caller", "other.other"}  # no leaf
+    before = sorted(path.name for path in checkout.rglob("*.nb?"))
     (checkout / "play" / "play" / "leaf.py").write_text(LEAF.format(number=2))
     assert run(checkout) == [30, -1, 0, 1]
-
-
-def test_cache_is_found_where_the_checkout_was_moved_to(checkout):
-    assert run(checkout) == [20, -1, 1, 1]
-
-
-def test_changed_kernel_leaves_no_file_of_the_old_one(checkout):
-    before = sorted(path.name for path in checkout.rglob("*.nb?"))
     (checkout / "play" / "play" / "caller.py").write_text("\n\n" + CALLER)
-    assert run(checkout) == [20, -1, 0, 1]
-    assert sorted(path.name for path in checkout.rglob("*.nb?")) == before
+    assert run(checkout) == [30, -1, 0, 1]
+    assert sorted(path.name for path in checkout.rglob("*.nb?")) == before  # nothing of the old ones is left
 
 
 def test_cache_that_names_a_class_which_is_gone_is_made_anew(checkout):
@@ -104,10 +98,6 @@ def test_cache_that_names_a_class_which_is_gone_is_made_anew(checkout):
     index.write_bytes(pickle.dumps(numba.__version__) + b"cgone\nPlay\n.")
     assert run(checkout) == [20, -1, 0, 1]
     assert run(checkout) == [20, -1, 1, 1]
-
-
-def test_callee_has_no_machine_code_of_its_own(compiled):
-    assert {path.name.split("-")[0] for path in compiled.rglob("*.nbi")} == {"caller.caller", "other.other"}
 
 
 def test_kernels_are_kept_in_a_temporary_folder_where_neither_checkout_nor_home_can_be_written(checkout, tmp_path):

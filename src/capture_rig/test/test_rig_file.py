@@ -58,23 +58,18 @@ def refusal(tmp_path: Path, content: dict[str, Any] | str) -> str:
     return text
 
 
-def test_rig_has_its_cameras_in_name_order(tmp_path: Path) -> None:
+def test_rig_has_its_cameras_in_name_order_with_every_number_of_their_entries(tmp_path: Path) -> None:
     rig = load_rig(write(tmp_path, document(image_width=800)))
     assert rig.names == ("cam01", "cam02")
-    assert [camera.width for camera in rig.cameras] == [640, 800]
-    assert rig.camera("cam02").width == 800
-
-
-def test_camera_reads_every_number_of_its_entry(tmp_path: Path) -> None:
-    camera = load_rig(write(tmp_path, document())).camera("cam01")
-    assert camera.K.tolist() == CAMERA["camera_matrix"]
-    assert camera.D.tolist() == CAMERA["distortion"]
+    assert [camera.width for camera in rig.cameras] == [640, 800] and rig.camera("cam02").width == 800
+    camera = rig.camera("cam01")
+    assert camera.K.tolist() == CAMERA["camera_matrix"] and camera.D.tolist() == CAMERA["distortion"]
     assert camera.R_camera_world.tolist() == CAMERA["R_camera_world"]
     assert camera.t_camera_world.tolist() == CAMERA["t_camera_world"]
     assert camera.T_camera_world[3].tolist() == [0, 0, 0, 1]
 
 
-def test_saved_rig_reads_back_to_the_same_numbers(tmp_path: Path) -> None:
+def test_saved_rig_reads_back_to_the_same_numbers_and_bytes(tmp_path: Path) -> None:
     rotation, _ = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))
     rotation *= np.sign(np.linalg.det(rotation))
     rational = document(
@@ -87,6 +82,8 @@ def test_saved_rig_reads_back_to_the_same_numbers(tmp_path: Path) -> None:
     first = load_rig(write(tmp_path, rational))
     save_rig(first, tmp_path / "again.yaml")
     second = load_rig(tmp_path / "again.yaml")
+    save_rig(second, tmp_path / "third.yaml")
+    assert (tmp_path / "again.yaml").read_bytes() == (tmp_path / "third.yaml").read_bytes()
     assert first.names == second.names
     assert np.array_equal(first.volume.low, second.volume.low)
     assert np.array_equal(first.volume.high, second.volume.high)
@@ -94,12 +91,6 @@ def test_saved_rig_reads_back_to_the_same_numbers(tmp_path: Path) -> None:
         assert (a.name, a.width, a.height, a.distortion_model) == (b.name, b.width, b.height, b.distortion_model)
         for name in ("K", "D", "T_camera_world"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
-
-
-def test_saving_a_loaded_rig_twice_gives_the_same_bytes(tmp_path: Path) -> None:
-    save_rig(load_rig(write(tmp_path, document())), tmp_path / "one.yaml")
-    save_rig(load_rig(tmp_path / "one.yaml"), tmp_path / "two.yaml")
-    assert (tmp_path / "one.yaml").read_bytes() == (tmp_path / "two.yaml").read_bytes()
 
 
 def test_rotation_rounded_in_the_file_becomes_the_nearest_rotation(tmp_path: Path) -> None:
@@ -154,38 +145,9 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
     assert "rig file" in caught.value.remedy
 
 
-def test_folder_instead_of_a_file_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cannot be read"):
-        load_rig(tmp_path)
-
-
-def test_text_that_is_no_yaml_is_refused_with_its_line(tmp_path: Path) -> None:
-    assert "line 2" in refusal(tmp_path, "cameras:\n  cam01: [1, 2\n")
-
-
-def test_binary_file_is_refused_as_no_yaml(tmp_path: Path) -> None:
-    (tmp_path / "rig.yaml").write_bytes(b"\x89PNG\xff\xfe\x00\x01")
-    with pytest.raises(InputError, match=r"rig\.yaml: is not UTF-8 text"):
-        load_rig(tmp_path / "rig.yaml")
-
-
-def test_list_instead_of_a_mapping_is_refused(tmp_path: Path) -> None:
-    assert "is not a mapping" in refusal(tmp_path, "- cam01\n- cam02\n")
-
-
 @pytest.mark.parametrize("content", ["", "units: metres\n", "cameras: {}\n", "cameras: 3\n"])
 def test_rig_without_cameras_is_refused(tmp_path: Path, content: str) -> None:
     assert "'cameras' is missing or empty" in refusal(tmp_path, content)
-
-
-def test_same_camera_twice_is_refused(tmp_path: Path) -> None:
-    assert "'cam01' appears twice" in refusal(tmp_path, "cameras:\n  cam01: {}\n  cam01: {}\n")
-
-
-def test_same_key_twice_in_a_camera_is_refused(tmp_path: Path) -> None:
-    assert "'image_width' appears twice" in refusal(
-        tmp_path, "cameras:\n  a:\n    image_width: 1\n    image_width: 2\n"
-    )
 
 
 def test_camera_that_is_no_mapping_is_refused(tmp_path: Path) -> None:
@@ -200,20 +162,49 @@ def test_missing_key_is_named_with_its_camera(tmp_path: Path, key: str) -> None:
     assert f"cameras.cam02: key '{key}' is missing" in text
 
 
+NOT_FINITE = "finite numbers"
+NO_ROTATION = "R_camera_world is not a rotation"
+
+
 @pytest.mark.parametrize(
-    "K",
+    ("key", "value", "says"),
     [
-        [[0, 0, 0], [0, 0, 0], [0, 0, 0]],
-        [[0.0, 0, 320], [0, 470, 240], [0, 0, 1]],
-        [[470, 0, 320], [0, -470, 240], [0, 0, 1]],
-        [[470, 0, 320], [0, 470, 240], [0, 0, 0]],
-        [[470, 2.5, 320], [0, 470, 240], [0, 0, 1]],  # OpenCV, and our lens model, have no skew
+        ("camera_matrix", [[0, 0, 0], [0, 0, 0], [0, 0, 0]], "fx, fy > 0 pixels"),
+        ("camera_matrix", [[0.0, 0, 320], [0, 470, 240], [0, 0, 1]], "fx, fy > 0 pixels"),
+        ("camera_matrix", [[470, 0, 320], [0, -470, 240], [0, 0, 1]], "fx, fy > 0 pixels"),
+        ("camera_matrix", [[470, 0, 320], [0, 470, 240], [0, 0, 0]], "fx, fy > 0 pixels"),
+        ("camera_matrix", [[470, 2.5, 320], [0, 470, 240], [0, 0, 1]], "fx, fy > 0 pixels"),  # OpenCV has no skew
+        ("camera_matrix", [[470, 0, -1e9], [0, 470, 240], [0, 0, 1]], "has its principal point at ["),
+        ("camera_matrix", [[470, 0, 320], [0, 470, -1e9], [0, 0, 1]], "has its principal point at ["),
+        ("camera_matrix", [[float("nan"), 0, 320], [0, 470, 240], [0, 0, 1]], NOT_FINITE),
+        ("camera_matrix", [[470, 0], [0, 470]], NOT_FINITE),
+        ("distortion", [0.1, float("inf"), 0, 0, 0], NOT_FINITE),
+        ("distortion", [0.1] * 8, "is not 5 finite numbers"),
+        ("distortion", [0.1] * 3, "is not 5 finite numbers"),
+        ("distortion", 0.1, "is not 5 finite numbers"),
+        ("distortion_model", "rational_polynomial", "is not 8 finite numbers"),
+        ("distortion_model", "fisheye", "= 'fisheye' is not known"),
+        ("R_camera_world", [[1, 0, 0], [0, 1, 0]], NOT_FINITE),
+        ("R_camera_world", [[1.1, 0, 0], [0, 1, 0], [0, 0, 1]], NO_ROTATION),
+        ("R_camera_world", [[1, 0.01, 0], [0, 1, 0], [0, 0, 1]], NO_ROTATION),
+        ("R_camera_world", np.zeros((3, 3)).tolist(), NO_ROTATION),
+        ("R_camera_world", [[1, 0, 0], [0, 1, 0], [0, 0, -1]], "by 2"),
+        ("t_camera_world", [0, float("nan"), 0], NOT_FINITE),
+        ("t_camera_world", [0, 1], NOT_FINITE),
+        ("t_camera_world", ["left", 0, 1], NOT_FINITE),
+        ("t_camera_world", None, NOT_FINITE),
+        *(
+            ("image_height", size, f"= {size!r} is not a whole number from 1 to 20000")
+            for size in (0, -640, 640.5, "640", True, None, 60000, 10**9)
+        ),
     ],
 )
-def test_camera_matrix_that_is_no_intrinsic_matrix_is_refused(tmp_path: Path, K: list) -> None:
-    text = refusal(tmp_path, document(camera_matrix=K))
-    assert "cameras.cam02: camera_matrix = [[" in text
-    assert "fx, fy > 0 pixels" in text
+def test_wrong_value_of_a_camera_is_refused_with_camera_and_key(
+    tmp_path: Path, key: str, value: object, says: str
+) -> None:
+    text = refusal(tmp_path, document(**{key: value}))
+    named = "distortion" if says == "is not 8 finite numbers" else key
+    assert f"cameras.cam02: {named} " in text and says in text
 
 
 @pytest.mark.parametrize("focal", [1e-12, 8.0, 1e5, 1e300])
@@ -221,13 +212,6 @@ def test_focal_length_of_no_lens_is_refused_with_its_range_in_pixels(tmp_path: P
     text = refusal(tmp_path, document(camera_matrix=[[470, 0, 320], [0, focal, 240], [0, 0, 1]]))
     assert f"cameras.cam02: camera_matrix has focal lengths of 470 and {focal:g} pixels in an image 640 wide" in text
     assert "in pixels, 32 to 64000, not millimetres" in text
-
-
-@pytest.mark.parametrize("column", [0, 1])
-def test_principal_point_beyond_any_sensor_is_refused(tmp_path: Path, column: int) -> None:
-    K = [[470, 0, 320], [0, 470, 240], [0, 0, 1]]
-    K[column][2] = -1e9
-    assert "cameras.cam02: camera_matrix has its principal point at [" in refusal(tmp_path, document(camera_matrix=K))
 
 
 def test_translation_in_millimetres_is_refused_with_the_unit_as_the_likely_cause(tmp_path: Path) -> None:
@@ -241,62 +225,6 @@ def test_translation_in_millimetres_is_refused_with_the_unit_as_the_likely_cause
 def test_more_cameras_than_a_set_can_hold_are_refused(tmp_path: Path) -> None:
     cameras = {f"cam{number:03d}": CAMERA for number in range(MAX_CAMERAS + 1)}
     assert "cameras: there are 64 cameras. At most 63" in refusal(tmp_path, {"cameras": cameras})
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("camera_matrix", [[float("nan"), 0, 320], [0, 470, 240], [0, 0, 1]]),
-        ("camera_matrix", [[470, 0], [0, 470]]),
-        ("distortion", [0.1, float("inf"), 0, 0, 0]),
-        ("R_camera_world", [[1, 0, 0], [0, 1, 0]]),
-        ("t_camera_world", [0, float("nan"), 0]),
-        ("t_camera_world", [0, 1]),
-        ("t_camera_world", ["left", 0, 1]),
-        ("t_camera_world", None),
-    ],
-)
-def test_numbers_that_are_missing_or_not_finite_are_refused(tmp_path: Path, key: str, value: object) -> None:
-    text = refusal(tmp_path, document(**{key: value}))
-    assert f"cameras.cam02: {key} = " in text
-    assert "finite numbers" in text and "alibrate" in text
-
-
-@pytest.mark.parametrize(
-    "R", [[[1.1, 0, 0], [0, 1, 0], [0, 0, 1]], [[1, 0.01, 0], [0, 1, 0], [0, 0, 1]], np.zeros((3, 3)).tolist()]
-)
-def test_rotation_that_is_not_rigid_is_refused(tmp_path: Path, R: list) -> None:
-    text = refusal(tmp_path, document(R_camera_world=R))
-    assert "cameras.cam02: R_camera_world is not a rotation" in text
-    assert "extrinsics" in text
-
-
-def test_left_handed_rotation_is_refused_by_its_determinant(tmp_path: Path) -> None:
-    text = refusal(tmp_path, document(R_camera_world=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]))
-    assert "R_camera_world is not a rotation" in text
-    assert "by 2" in text and "right-handed" in text
-
-
-@pytest.mark.parametrize(
-    ("model", "D"),
-    [("plumb_bob", [0.1] * 8), ("plumb_bob", [0.1] * 3), ("rational_polynomial", [0.1] * 5), ("plumb_bob", 0.1)],
-)
-def test_wrong_number_of_distortion_coefficients_is_refused(tmp_path: Path, model: str, D: object) -> None:
-    text = refusal(tmp_path, document(distortion_model=model, distortion=D))
-    assert "cameras.cam02: distortion = " in text
-    assert f"is not {8 if model == 'rational_polynomial' else 5} finite numbers" in text
-
-
-def test_unknown_distortion_model_lists_the_known_ones(tmp_path: Path) -> None:
-    text = refusal(tmp_path, document(distortion_model="fisheye"))
-    assert "cameras.cam02: distortion_model = 'fisheye' is not known" in text
-    assert "plumb_bob, rational_polynomial" in text
-
-
-@pytest.mark.parametrize("size", [0, -640, 640.5, "640", True, None, 60000, 10**9])
-def test_image_size_that_no_sensor_has_is_refused(tmp_path: Path, size: object) -> None:
-    text = refusal(tmp_path, document(image_height=size))
-    assert f"cameras.cam02: image_height = {size!r} is not a whole number from 1 to 20000" in text
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,17 @@
-"""The articulated extended Kalman filter: one measurement of 15 points in, one state out (thesis 5.2, Algorithm 3)."""
+"""The articulated extended Kalman filter: one measurement of 15 points in, one state out (thesis 5.2, Algorithm 3).
+
+`PeopleFilter` has one for each person.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import numpy as np
 
 from capture_rig.errors import InputError
+from mocap_packets.fit import FIRST_PERSON
+from mocap_packets.people import FittedPeople, body_numbers
 from mocap_packets.state import BodyState, NoState
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -12,7 +19,7 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .measurement import Measurement
 from .settings import EkfSettings
-from .track import POINT_SD_FLOOR_M, READMIT_AFTER_SETS, Track, enough_to_start
+from .track import POINT_SD_FLOOR_M, Track, enough_to_start
 
 NO_BODY = "waiting for the body"
 # Thresholds: judgement, no measurement.
@@ -26,11 +33,11 @@ NONE = np.zeros(15, bool)
 class ArticulatedEkf:
     """Follows one body. Deterministic: equal calls give equal bytes.
 
-    Call :meth:`step` once for each frame set, in stamp order; or :meth:`predict` and :meth:`update` one by one.
+    Call :meth:`step` once for each frame set, in stamp order.
     """
 
     def __init__(self, body: Body | None = None, settings: EkfSettings | None = None) -> None:
-        """Without a body, sets are answered with NoState until :meth:`follow` brings one."""
+        """Without a body, sets are answered with NoState until :meth:`set_body` brings one."""
         self.body = body
         self.settings = settings or EkfSettings()
         self.reset()
@@ -40,14 +47,17 @@ class ArticulatedEkf:
         self._track: Track | None = None
         self._stamp_ns: int | None = None
 
-    def follow(self, body: Body) -> None:
-        """Follow this body from the next set on.
+    def set_body(self, body: Body) -> None:
+        """Track this body from the next set on.
 
         Other sizes of the same person, known better now, leave pose, velocity and their covariance as they are. Sizes
         that differ by more than a T-pose errs are another person's: then the filter starts anew.
         """
-        before, self.body = self.body, body
-        if before is None or before is body:
+        before = self.body
+        if body is before or (before is not None and body_numbers(body) == body_numbers(before)):
+            return
+        self.body = body
+        if before is None:
             return
         if abs(body.stature - before.stature) > SAME_PERSON_M:
             self.reset()
@@ -77,22 +87,22 @@ class ArticulatedEkf:
     ) -> BodyState | NoState:
         """Predict to a frame set's stamp, then update with its points: the thesis's Algorithm 3 for one set.
 
-        Arguments as for :meth:`predict` and :meth:`update`; both are checked before the filter moves. doubtful (15,)
-        bool : points that may be elsewhere, as whoever measured them says; their covariance has to say it too. moved
-        (15,) bool : points that were found in another place: what the filter knew of their limbs was wrong.
+        points_world (15, 3) m; covariance (15, 3, 3) m^2; visible (15,) bool: the others' numbers do not matter.
+        doubtful (15,) bool : points that may be elsewhere, as whoever measured them says; their covariance has to say
+        it too. moved (15,) bool : points that were found in another place: what the filter knew of their limbs was
+        wrong. Raises InputError, before the filter moves, for a stamp that is not later than the last one, points that
+        are not finite, and covariances that are none.
         """
+        z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
+        return self.step_measured(stamp_ns, z, doubtful, moved)
+
+    def step_measured(
+        self, stamp_ns: int, z: Measurement, doubtful: np.ndarray = NONE, moved: np.ndarray = NONE
+    ) -> BodyState | NoState:
+        """Do the same with a measurement that was checked."""
         if self.body is None:
             return NoState(stamp_ns, NO_BODY)
-        z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
-        return self._update(self.predict(stamp_ns), z, doubtful, moved)
-
-    def is_past(self, stamp_ns: int) -> bool:
-        """Return whether a set of this stamp comes too late: not after the last one."""
-        return self._stamp_ns is not None and stamp_ns <= self._stamp_ns
-
-    def predict(self, stamp_ns: int) -> int:
-        """Move the state to ``stamp_ns``, which is returned (thesis Table 5.5). InputError when :meth:`is_past`."""
-        if self.is_past(stamp_ns):
+        if self._stamp_ns is not None and stamp_ns <= self._stamp_ns:
             raise InputError(
                 f"stamp {stamp_ns} ns is not later than the last one, {self._stamp_ns} ns",
                 remedy="Send each frame set once, in stamp order, or reset the tracker.",
@@ -100,18 +110,7 @@ class ArticulatedEkf:
         if self._track is not None:
             self._track.predict(stamp_ns)
         self._stamp_ns = stamp_ns
-        return stamp_ns
-
-    def update(self, points_world: np.ndarray, covariance: np.ndarray, visible: np.ndarray) -> BodyState | NoState:
-        """Correct the state with measured points at the stamp of the last :meth:`predict` (thesis Table 5.7).
-
-        points_world (15, 3) m; covariance (15, 3, 3) m^2; visible (15,) bool: the others are not looked at.
-        Raises InputError for points that are not finite or covariances that are none.
-        """
-        if self._stamp_ns is None:
-            raise ValueError("update before the first predict")
-        z = Measurement.checked(points_world, covariance, visible, POINT_SD_FLOOR_M)
-        return self._update(self._stamp_ns, z, NONE, NONE)
+        return self._update(stamp_ns, z, doubtful, moved)
 
     def _update(self, stamp_ns: int, z: Measurement, doubtful: np.ndarray, moved: np.ndarray) -> BodyState | NoState:
         if self._track is None:
@@ -130,13 +129,58 @@ class ArticulatedEkf:
         return self._track.state(z, z.visible, NONE, doubtful, np.zeros(15))
 
 
+class PeopleFilter:
+    """One filter for every person that is measured. Deterministic: equal calls give equal bytes.
+
+    The first person's filter is always there. Another's is made with the first measurement of that person and dropped
+    with the first set that holds none.
+    """
+
+    def __init__(self, settings: EkfSettings | None = None) -> None:
+        self._settings = settings or EkfSettings()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everybody's state, and bodies, which come with the measurements again."""
+        self._filters = {FIRST_PERSON: ArticulatedEkf(None, self._settings)}
+
+    def of(self, person: int) -> ArticulatedEkf:
+        """Return the filter of a person that is tracked; KeyError for anybody else."""
+        return self._filters[person]
+
+    @property
+    def bodies(self) -> Mapping[int, Body]:
+        """The body of everybody who has one, by number, as the filters use it."""
+        return {person: ekf.body for person, ekf in self._filters.items() if ekf.body is not None}
+
+    def step(self, people: FittedPeople) -> dict[int, BodyState | NoState]:
+        """Answer one frame set: predict everybody, update with their points; persons that are not measured go.
+
+        Raises InputError, before any filter moves, for points that are not finite or covariances that are none.
+        """
+        measured = {
+            person: (Measurement.checked(points, covariance, visible, POINT_SD_FLOOR_M), doubtful, moved)
+            for person, (points, covariance, visible, doubtful, moved) in sorted(people.points.of.items())
+        }
+        for person in [person for person in self._filters if person not in measured and person != FIRST_PERSON]:
+            del self._filters[person]
+        answers: dict[int, BodyState | NoState] = {}
+        for person, (z, doubtful, moved) in measured.items():
+            ekf = self._filters.setdefault(person, ArticulatedEkf(None, self._settings))
+            if (body := people.bodies.get(person)) is not None:
+                ekf.set_body(body)
+            answers[person] = ekf.step_measured(people.stamp_ns, z, doubtful, moved)
+        return answers
+
+
 def warm_up() -> None:
     """Run a filter of its own over some sets, so that compiling does not hold up the first real one."""
     body = Body.from_stature(STATURE_M)
     points = forward(body, Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES))
     covariance = np.tile(np.eye(3) * 1e-4, (15, 1, 1))
     ekf = ArticulatedEkf(body)
-    moves_m = (0.0, 0.0, 0.1, *(1.0,) * (READMIT_AFTER_SETS + 1))  # rest, a manoeuvre, a foot out of reach
+    moves_m = (0.0, 0.0, 0.1, 1.0, 1.0)  # rest, a manoeuvre, a foot out of reach
     for number, move_m in enumerate(moves_m):
         points[-1, 0] += move_m
-        ekf.step(FRAME_NS * (1 + number), points, covariance, np.ones(15, bool)).prediction.as_sent()
+        prediction = ekf.step(FRAME_NS * (1 + number), points, covariance, np.ones(15, bool)).prediction
+        assert prediction.pose is not None and len(prediction.velocity) == 24

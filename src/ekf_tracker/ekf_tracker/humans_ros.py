@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol
 
 import numpy as np
 from geometry_msgs.msg import TransformStamped
@@ -31,36 +30,20 @@ Tracked = Mapping[str, tuple[BodyState, Body]]
 """The bodies that are tracked, by REP-155 id."""
 
 
-class Humans(Protocol):
-    """Publishes what REP-155 says of tracked bodies."""
+class NoHumans:
+    """Publishes nothing of what REP-155 says of tracked bodies."""
 
     def update(self, tracked: Tracked, stamp_ns: int) -> None:
         """These bodies are tracked, and no others."""
-        ...
 
     def forget(self, body_id: str) -> None:
         """Take back the topics of a body that has left."""
-        ...
 
     def close(self) -> None:
         """Destroy the publishers."""
-        ...
 
 
-class NoHumans:
-    """Publishes nothing."""
-
-    def update(self, tracked: Tracked, stamp_ns: int) -> None:
-        """Nothing."""
-
-    def forget(self, body_id: str) -> None:
-        """Nothing."""
-
-    def close(self) -> None:
-        """Nothing."""
-
-
-class HumansPublisher:
+class HumansPublisher(NoHumans):
     """/humans/bodies/ID/joint_states and urdf; with hri_msgs /humans/bodies/tracked; with tf2_msgs body_ID on /tf.
 
     The topics of ``first_id`` are there from the start, those of others from when they are tracked first.
@@ -139,6 +122,6 @@ def _ids_message(ids: list[str], stamp_ns: int) -> IdsList:
     return message
 
 
-def make_humans(node: Node, publish: bool, first_id: str, frame_id: str) -> Humans:
+def make_humans(node: Node, publish: bool, first_id: str, frame_id: str) -> NoHumans:
     """Return the publisher that the parameters ask for; ``first_id`` : the first person's."""
     return HumansPublisher(node, first_id, frame_id) if publish else NoHumans()

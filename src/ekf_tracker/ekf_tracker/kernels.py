@@ -8,7 +8,6 @@ summation, so equal inputs give equal bytes.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -287,20 +286,3 @@ def report(pose, velocity, P, sizes, lasting, joints, least_information, angles)
     add_measurement_bias(at, pose, lasting, joints, least_information, points, state)
     _, _, _, hinges = pose
     return at.h, points, state, rates_of_angles(hinges, velocity, angles)
-
-
-@njit(cache=True)
-def span_way(measured, left_out, points, covariance, elsewhere_m, belief):
-    """Widen the covariance (15, 3, 3) of points (15, 3) that were left out farther away than ``elsewhere_m``.
-
-    It then spans the way to where each was measured, in which there is some belief. Returns (15,) bool which.
-    """
-    far, way = np.zeros(15, np.bool_), np.empty(3)
-    for point in range(15):
-        way[:] = measured[point] - points[point]
-        far[point] = left_out[point] and math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2) > elsewhere_m
-        if far[point]:
-            for i in range(3):
-                for j in range(3):
-                    covariance[point, i, j] += belief * way[i] * way[j]
-    return far

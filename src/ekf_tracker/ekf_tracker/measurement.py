@@ -1,9 +1,8 @@
-"""The filter's measurement: 15 reference points with a covariance each (thesis eq. 5.48), their prediction, the gate.
+"""The filter's measurement: 15 reference points with a covariance each (thesis eq. 5.48), and their prediction.
 
 The measurement function h gives the 15 points of a pose (thesis Table 5.2), H is its Jacobian (Table 5.8). The pose's
 state arrays (t0, R0, RJ, hinges) are those of `stick_figure.kernels`. A point hangs from at most eleven of the 24
-tangent slots, and only those columns of its Jacobian are kept. Points that contradict the prediction are left out by a
-chi-square gate, but not for ever.
+tangent slots, and only those columns of its Jacobian are kept.
 """
 
 from __future__ import annotations
@@ -97,33 +96,6 @@ def linearised(body: Body, pose: Pose) -> Linearised:
     at = empty_linearised()
     linearise(pose.arrays, Sizes.of(body), at)
     return at
-
-
-class GateDecision(NamedTuple):
-    """accepted, rejected, readmitted : (15,) bool; a readmitted point is one of the accepted. n_... : how many."""
-
-    accepted: np.ndarray
-    rejected: np.ndarray
-    readmitted: np.ndarray
-    n_accepted: int
-    n_rejected: int
-    n_readmitted: int
-
-
-class InnovationGate:
-    """Chi-square gate with a memory.
-
-    A point beyond the threshold is left out; one that has been left out for more than ``patience`` sets in a row is
-    readmitted: by then it is the prediction that is wrong. Sets in which the point is not visible do not count.
-    """
-
-    def __init__(self, threshold: float, patience: int) -> None:
-        self._threshold, self._patience = threshold, patience
-        self.rejected_in_a_row = np.zeros(POINTS, dtype=np.int64)
-
-    def decide(self, distances: np.ndarray, visible: np.ndarray) -> GateDecision:
-        """Squared Mahalanobis distances (15,) of the visible points (15,) against the threshold."""
-        return GateDecision(*_decide(distances, visible, self._threshold, self._patience, self.rejected_in_a_row))
 
 
 def _refuse(points_world: np.ndarray, covariance: np.ndarray) -> None:
@@ -252,19 +224,3 @@ def add_information(at, point, weight, y, information, gradient):
         row = information[slots[a]]
         for b in range(n):
             row[slots[b]] += J[0, a] * WJ[0, b] + J[1, a] * WJ[1, b] + J[2, a] * WJ[2, b]
-
-
-@njit(cache=True)
-def _decide(distances, visible, threshold, patience, rejected_in_a_row):
-    accepted, rejected, readmitted = np.zeros(15, np.bool_), np.zeros(15, np.bool_), np.zeros(15, np.bool_)
-    for point in range(15):
-        if not visible[point]:
-            continue
-        outlying = distances[point] > threshold
-        rejected_in_a_row[point] = rejected_in_a_row[point] + 1 if outlying else 0
-        if rejected_in_a_row[point] > patience:
-            readmitted[point] = True
-            rejected_in_a_row[point] = 0
-        rejected[point] = outlying and not readmitted[point]
-        accepted[point] = not rejected[point]
-    return accepted, rejected, readmitted, accepted.sum(), rejected.sum(), readmitted.sum()

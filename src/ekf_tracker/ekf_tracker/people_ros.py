@@ -149,14 +149,10 @@ class PersonTopics:
     def publish_state(self, answer: Answer) -> None:
         """Publish how far to trust an answer."""
         self._answer = answer
-        self.say(answer)
-
-    def say(self, answer: Answer) -> None:
-        """Publish the state of an answer that changes nothing."""
         self._state.publish(state_message, answer, self._name)
 
-    def be_silent(self, reason: str) -> None:
-        """Say that no sets come any more: the body is lost, its markers go."""
+    def publish_stale(self, reason: str) -> None:
+        """Publish that no sets come any more: the body is lost, its markers go."""
         last = self._answer
         tracking = Tracking.LOST if isinstance(last, BodyState) else Tracking.ACQUIRING
         self._skeleton.clear(0 if last is None else last.stamp_ns)
@@ -204,14 +200,10 @@ class PeopleTopics:
             else:
                 self._away(person, topics, stamp_ns)
 
-    def say_of_first(self, answer: Answer) -> None:
-        """Publish the first person's state in an answer to a set that is left out."""
-        self._first.say(answer)
-
-    def be_silent(self, reason: str) -> Tracking:
-        """Say that no sets come any more; returns the first person's state."""
+    def publish_stale(self, reason: str) -> Tracking:
+        """Publish that no sets come any more; returns the first person's state."""
         for topics in (self._first, *self._persons.values()):
-            topics.be_silent(reason)
+            topics.publish_stale(reason)
         return Tracking.LOST if isinstance(self._first.last, BodyState) else Tracking.ACQUIRING
 
     def clear(self) -> None:

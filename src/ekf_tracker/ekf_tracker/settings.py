@@ -15,7 +15,7 @@ NO_FRAMES, TORSO_FRAME, LINK_FRAMES = TF_CHOICES = ("none", "torso", "links")
 class DampedVelocitySettings:
     """Model `constant_velocity`: a velocity that fades, driven by white acceleration.
 
-    The accelerations are those of quiet movement; where a limb strikes they are raised (`manoeuvres`).
+    The accelerations are those of quiet movement; where a limb strikes they are raised (`motion_model`).
     """
 
     torso_m_s2: float = setting(8.0, "acceleration of the torso's position", unit="m/s^2", low=0.01)
@@ -26,18 +26,8 @@ class DampedVelocitySettings:
 
 
 @dataclass(frozen=True)
-class IdentitySettings:
-    """Model `identity` (thesis 5.2): all motion is noise."""
-
-    torso_m_s: float = setting(1.0, "speed of the torso's position", unit="m/s", low=0.001)
-    torso_rad_s: float = setting(1.5, "speed of the torso's rotation", unit="rad/s", low=0.001)
-    ball_joints_rad_s: float = setting(3.0, "speed of neck, shoulders and hips", unit="rad/s", low=0.001)
-    hinges_rad_s: float = setting(3.0, "speed of elbows and knees", unit="rad/s", low=0.001)
-
-
-@dataclass(frozen=True)
 class MeasurementBiasSettings:
-    """Time-correlated bias of the measured points; see `bias` and `joint_uncertainty`."""
+    """Time-correlated bias of the measured points; see `bias`."""
 
     share: float = setting(
         0.95,
@@ -58,7 +48,6 @@ class EkfSettings:
         "constant_velocity", "how the body moves between two sets", choices=("constant_velocity", "identity")
     )
     constant_velocity: DampedVelocitySettings = field(default_factory=DampedVelocitySettings)
-    identity: IdentitySettings = field(default_factory=IdentitySettings)
     measurement_bias: MeasurementBiasSettings = field(default_factory=MeasurementBiasSettings)
     bend: float = setting(
         1.0, "how far the trunk bends, over what is usual in daily movement (0: a rigid torso)", low=0.0, high=10.0
@@ -94,10 +83,6 @@ class EkfSettings:
 class EkfNodeSettings:
     """Parameters of the node; those of the filter under ``filter.``."""
 
-    body_file: str = setting("", "YAML file of the body; empty: wait for the body on icp/body")
-    body_wait_s: float = setting(
-        1.0, "how long a visible set waits for the body on icp/body before it is answered without", unit="s", low=0.0
-    )
     frame_id: str = setting("map", "frame of the points that come in and of all that goes out", is_name=True)
     skeleton_rate_hz: float = setting(30.0, "rate of mocap/skeleton at most; 0: every set", unit="Hz", low=0.0)
     skeleton_covariance: bool = setting(False, "draw the points' covariance as ellipsoids of 2 sigma")
@@ -121,8 +106,8 @@ def limit_weight(settings: EkfSettings) -> float:
 
 def motion_model(settings: EkfSettings) -> MotionModel:
     """Return the motion model that the settings choose."""
-    s, i = settings.constant_velocity, settings.identity
+    s = settings.constant_velocity
     if settings.motion_model == "identity":
-        return Identity((i.torso_m_s, i.torso_rad_s, i.ball_joints_rad_s, i.hinges_rad_s))
+        return Identity()
     accelerations = (s.torso_m_s2, s.torso_rad_s2, s.ball_joints_rad_s2, s.hinges_rad_s2)
     return DampedVelocity(accelerations, s.kept)

@@ -83,7 +83,7 @@ def _filter(
     )
     for number, one in enumerate(sets):
         if one.body is not None:
-            ekf.follow(one.body)
+            ekf.set_body(one.body)
         answer = ekf.step(one.stamp_ns, *one.points)
         answers.append(answer)
         if not isinstance(answer, BodyState):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from capture_rig.kernel import njit
 from mocap_packets.fit import PART_OF_POINT
 from mocap_packets.state import Tracking
 from stick_figure.kernels import HINGE_SLOT
@@ -43,19 +42,11 @@ def assess(accepted: np.ndarray, gated: np.ndarray, unmeasured_s: float, lost_af
     return Tracking.TRACKING, f"{used} points used"
 
 
-@njit(cache=True)
-def doubtful_points(doubtful, left_out):
+def doubtful_points(doubtful: np.ndarray, left_out: np.ndarray) -> np.ndarray:
     """Return (15,) bool: every point of the parts of the body that somebody doubts.
 
     Points (15,) that were measured as doubtful make their part so, and points that were left out of a limb: the limb
     is either where they are or where the filter has it. Of the trunk's seven points, half of them do.
     """
-    parts = len(_POINTS_OF_PART)
-    doubts, misses, result = np.zeros(parts), np.zeros(parts), np.empty(15, np.bool_)
-    for point in range(15):
-        doubts[PART_OF_POINT[point]] += doubtful[point]
-        misses[PART_OF_POINT[point]] += left_out[point]
-    for point in range(15):
-        part = PART_OF_POINT[point]
-        result[point] = doubts[part] > 0 or 2 * misses[part] >= _POINTS_OF_PART[part]
-    return result
+    doubts, misses = (np.bincount(PART_OF_POINT, weights=points) for points in (doubtful, left_out))
+    return ((doubts > 0) | (2 * misses >= _POINTS_OF_PART))[PART_OF_POINT]

@@ -23,7 +23,7 @@ from .measurement import Measurement
 
 NS = 1e-9
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
-# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/tracking_ablation.py
+# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation
 # SESSION.
 FEWEST_POINTS = 4  # of neck, shoulders and hips: three leave only what a rigid torso does
 FADES_S = 2.0 * (REST_SD / RATE_SD) ** 2
@@ -47,7 +47,9 @@ class TorsoBend:
         self._stamp_ns, rest = stamp_ns, body.straight
         self.bend, self.covariance = fade(self.bend, self.covariance, passed_s, self._rest_variance)
         if np.count_nonzero(z.visible[_POINTS]) >= FEWEST_POINTS:
-            self.bend, self.covariance = look(self.bend, self.covariance, rest.torso_points[1:], bend_columns(rest), z)
+            self.bend, self.covariance = correct(
+                self.bend, self.covariance, rest.torso_points[1:], bend_columns(rest), z
+            )
         return body.bent(self.bend)
 
 
@@ -62,7 +64,7 @@ def fade(bend, covariance, passed_s, rest_variance):
 
 
 @njit(cache=True, nogil=True)
-def look(bend, covariance, rest, columns, z):
+def correct(bend, covariance, rest, columns, z):
     """Bend and covariance corrected with the visible ones of neck, shoulders and hips (a Kalman update).
 
     rest (5, 3) m : these points of the body at rest, torso frame; columns (5, 3, 13) : `bend_columns` of it.

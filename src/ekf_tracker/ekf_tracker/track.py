@@ -13,10 +13,19 @@ from stick_figure.skeleton import TORSO_POINTS
 
 from .bias import MeasurementBias
 from .covariance import positive_definite, reset_slots
-from .kernels import Estimate, UpdateOptions, correct_estimate, innovation_distances, predict_estimate, report, span_way
-from .manoeuvres import EXPECTED, LEVELS, LIMBS, MOST_M_S, raised_covariance, worst_of_limbs
-from .measurement import InnovationGate, Measurement, Sizes, linearised
-from .motion_model import NO_TRANSITION, MotionModel, Transition
+from .kernels import Estimate, UpdateOptions, correct_estimate, innovation_distances, predict_estimate, report
+from .measurement import Measurement, Sizes, linearised
+from .motion_model import (
+    EXPECTED,
+    LEVELS,
+    LIMBS,
+    MOST_M_S,
+    NO_TRANSITION,
+    MotionModel,
+    Transition,
+    raised_covariance,
+    worst_of_limbs,
+)
 from .settings import EkfSettings, limit_weight, motion_model
 from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot
 from .torso_bend import TorsoBend
@@ -29,13 +38,11 @@ JOINT_SD_CAP_RAD = 1.0
 """Predicted standard deviation of a joint at most: beyond it the linearisation of an unobserved twist means nothing."""
 MAX_ITERATIONS = 5
 """Relinearisations of one update at most."""
-READMIT_AFTER_SETS = 1
-"""Sets in a row after which a point that is still left out is accepted, and its limb looked for anew."""
 ELSEWHERE_M = 0.1
 """A point that is left out farther away than this makes its limb doubtful; nearer, both say about the same."""
-AS_LIKELY = 0.5
+REJECTED_POINT_PRIOR = 0.5
 """Belief in a point that is left out: it is there, or where the filter has it."""
-RESIZED_M, RESIZED_RAD = 0.01, 0.04
+RESIZE_SD_M, RESIZE_SD_RAD = 0.01, 0.04
 """What other sizes of the body change in the pose that suits the same points: a centimetre, also at a limb's end."""
 RELEASED_TORSO_SD_M = 0.5
 """How far the torso may have gone while its points were left out."""
@@ -58,7 +65,7 @@ class Track:
         self.settings, self._trunk = settings, TorsoBend(settings.bend)
         self.repairs = 0
         self._motion = motion_model(settings)
-        self._gate = InnovationGate(settings.gate_chi2, READMIT_AFTER_SETS)
+        self._left_out = np.zeros(15, bool)  # when each point was last visible
         self._update_options = UpdateOptions(MAX_ITERATIONS, limit_weight(settings))
         self._bias = MeasurementBias(settings.measurement_bias)
         self._last_transition: Transition | None = None
@@ -68,7 +75,7 @@ class Track:
         self.body = self._trunk.bent(body, stamp_ns, noise)
         self._estimate = first_estimate(self.body, noise, self._motion, JOINT_SD_CAP_RAD, self._update_options)
         self._F, self._prior = NO_TRANSITION, self._estimate
-        self._note_measured(z, z.visible)
+        self._add_measured(z, z.visible)
 
     @property
     def passage(self) -> tuple[Estimate, Estimate, np.ndarray]:
@@ -90,7 +97,7 @@ class Track:
         self.body = body
         x, slots = self._estimate, np.arange(24)
         P = x.covariance.copy()
-        P[slots, slots] += per_slot(RESIZED_M, RESIZED_RAD, RESIZED_RAD, RESIZED_RAD) ** 2
+        P[slots, slots] += per_slot(RESIZE_SD_M, RESIZE_SD_RAD, RESIZE_SD_RAD, RESIZE_SD_RAD) ** 2
         self._estimate = Estimate(x.arrays, x.velocity, P)
 
     def predict(self, stamp_ns: int) -> None:
@@ -117,14 +124,17 @@ class Track:
         self.body = self._trunk.bent(self.body, self._stamp_ns, noise)
         distances, manoeuvre = self._explain_manoeuvres(noise)
         self._prior = self._estimate
-        decision = self._gate.decide(np.where(moved, 0.0, distances), z.visible)
-        anew = decision.readmitted | (moved & z.visible)
+        outlying = z.visible & ~moved & (distances > self.settings.gate_chi2)
+        readmitted = outlying & self._left_out  # still there in the next set: it is the prediction that is wrong
+        left_out, anew = outlying & ~readmitted, readmitted | (moved & z.visible)
+        self._left_out = np.where(z.visible, left_out, self._left_out)
         if 2 * np.count_nonzero(anew[TORSO_POINTS]) >= len(TORSO_POINTS) and enough_to_start(z):
             return None
-        if decision.n_accepted:
-            self._estimate = self._correct(noise, decision.accepted, anew, manoeuvre)
-            self._note_measured(z, decision.accepted)
-        return self.state(z, decision.accepted, decision.rejected, doubtful, distances)
+        accepted = z.visible & ~left_out
+        if accepted.any():
+            self._estimate = self._correct(noise, accepted, anew, manoeuvre)
+            self._add_measured(z, accepted)
+        return self.state(z, accepted, left_out, doubtful, distances)
 
     def _explain_manoeuvres(self, z: Measurement) -> tuple[np.ndarray, bool]:
         """Raise the process noise of limbs that accelerate.
@@ -173,7 +183,7 @@ class Track:
             mended = Estimate(prior.arrays, prior.velocity, positive_definite(prior.covariance))
             return correct_estimate(self.body, mended, z, accepted, self._update_options, start)
 
-    def _note_measured(self, z: Measurement, used: np.ndarray) -> None:
+    def _add_measured(self, z: Measurement, used: np.ndarray) -> None:
         self._bias.update(z.covariance, used)
         self._measured_ns, self._coasting = self._stamp_ns, True
 
@@ -227,7 +237,7 @@ class Track:
             JOINT_SD_CAP_RAD**-2,
             self._angles,
         )
-        far = span_way(z.points_world, gated, points_world, point_covariance, ELSEWHERE_M, AS_LIKELY)
+        far = inflate_covariance_along(z.points_world - points_world, gated, point_covariance)
         tracking, reason = assess(accepted, gated, self.unmeasured_s, self.settings.lost_after_s)
         return BodyState(
             stamp_ns=self._stamp_ns,
@@ -253,6 +263,17 @@ class Track:
         if self._last_dt == 0.0:
             return np.zeros(24)
         return self._motion.transition(self._last_dt).f_cross * velocity / self._last_dt
+
+
+def inflate_covariance_along(way: np.ndarray, left_out: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Widen the covariances (15, 3, 3), in place, of points that were left out farther away than ELSEWHERE_M.
+
+    Each then spans the way (15, 3) m to where the point was measured, in which there is some belief. Returns (15,) bool
+    which.
+    """
+    far: np.ndarray = left_out & (np.linalg.norm(way, axis=1) > ELSEWHERE_M)
+    covariance[far] += REJECTED_POINT_PRIOR * way[far, :, None] * way[far, None, :]
+    return far
 
 
 def enough_to_start(z: Measurement) -> bool:

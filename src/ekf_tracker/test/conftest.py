@@ -4,7 +4,6 @@ import pytest
 from ekf_probe import EkfProbe
 
 from stick_figure.body import Body
-from stick_figure.body_file import save_body
 
 
 @pytest.fixture(scope="session")
@@ -20,12 +19,13 @@ def person(body):
 
 
 @pytest.fixture
-def bench(open_probe):
-    """bench(parameter=value, ...): a node with these parameters, not yet started; ``__`` in names stands for a dot."""
-    return lambda **given: open_probe(EkfProbe, **{name.replace("__", "."): value for name, value in given.items()})
+def bench(open_probe, body):
+    """bench(parameter=value, ...): a node with these parameters, not yet started, whose tracker sends the body.
 
+    ``__`` in names stands for a dot.
+    """
 
-@pytest.fixture
-def body_file(body, tmp_path):
-    save_body(body, tmp_path / "body.yaml")
-    return str(tmp_path / "body.yaml")
+    def make(body=body, **given):
+        return open_probe(EkfProbe, body, **{name.replace("__", "."): value for name, value in given.items()})
+
+    return make

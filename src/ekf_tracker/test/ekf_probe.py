@@ -5,14 +5,16 @@ from ekf_person import ALL, isotropic
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from node_probe import NodeProbe
 from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
 
 from ekf_tracker.ekf_node import EkfNode
 from mocap_packets.fit import ReferencePoints
+from mocap_packets.latency import NO_AGES
+from mocap_packets.people import FittedPeople, PeoplePoints
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import packet_cloud
-from sagoma_ros.qos import LATCHED, RESULT
+from sagoma_ros.packets import FITTED_PEOPLE, tables_message
+from sagoma_ros.qos import RESULT
 
 OUTPUTS = {
     "mocap/joint_states": JointState,
@@ -29,11 +31,10 @@ OUTPUTS = {
 class EkfProbe(NodeProbe):
     """An EkfNode; its peer plays the ICP tracker and keeps what the node publishes in order of arrival."""
 
-    def __init__(self, context, **parameters):
+    def __init__(self, context, body, **parameters):
         super().__init__(context, EkfNode, parameters)
-        self.arrived, self.listened = [], []
-        self.points = self.peer.create_publisher(PointCloud2, "icp/reference_points", RESULT)
-        self.body = self.peer.create_publisher(String, "icp/body", LATCHED)
+        self.body, self.arrived, self.listened = body, [], []
+        self.people = self.peer.create_publisher(Float64MultiArray, FITTED_PEOPLE.name, RESULT)
         for topic, kind in OUTPUTS.items():
             self.listen(kind, topic)
 
@@ -43,14 +44,18 @@ class EkfProbe(NodeProbe):
 
     def start(self):
         super().start()
-        listeners = 1 + self.listened.count("icp/reference_points")
-        self.until(lambda: self.points.get_subscription_count() == listeners)
+        listeners = 1 + self.listened.count(FITTED_PEOPLE.name)
+        self.until(lambda: self.people.get_subscription_count() == listeners)
         self.until(lambda: all(self.node.count_subscribers(topic) == 1 for topic in OUTPUTS))
         return self
 
-    def send(self, stamp_ns, points, visible=ALL, frame_id="map", sd=0.01):
-        measured = ReferencePoints(points, isotropic(sd), visible)
-        self.points.publish(packet_cloud(measured, stamp_ns, frame_id))
+    def send(self, stamp_ns, points, visible=ALL, frame_id="map", sd=0.01, ages=NO_AGES):
+        self.send_people(stamp_ns, {1: ReferencePoints(points, isotropic(sd), visible)}, frame_id, ages)
+
+    def send_people(self, stamp_ns, people, frame_id="map", ages=NO_AGES):
+        """Send a set of reference points by person; all have the bench's body, if it has one."""
+        bodies = {} if self.body is None else dict.fromkeys(people, self.body)
+        self.people.publish(tables_message(FittedPeople(stamp_ns, PeoplePoints(people), bodies, ages), frame_id))
 
     def fit(self, stamp_ns, points, **options):
         """Send a set and wait for its answer; returns what was published from the sending on."""

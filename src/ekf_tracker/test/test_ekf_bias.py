@@ -7,8 +7,8 @@ import pytest
 from ekf_person import ALL, IDEAL, NONE, Person, ellipsoid_distances, isotropic, run, stamp
 from scipy.stats import chi2
 
+from ekf_tracker.bias import JOINT_SD_M
 from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.joint_uncertainty import JOINT_SD_M
 from ekf_tracker.settings import MeasurementBiasSettings
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import POINT_NAMES

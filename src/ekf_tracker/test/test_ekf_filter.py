@@ -385,26 +385,11 @@ def test_reset_forgets_body_and_time(body, person):
     assert 1e3 * np.linalg.norm(state.points_world - person.points(2.0), axis=1).max() < 5.0
 
 
-def test_update_without_prediction_is_a_programming_error(body, person):
-    with pytest.raises(ValueError, match="before the first predict"):
-        ArticulatedEkf(body, IDEAL).update(person.points(0.0), isotropic(0.02), ALL)
-
-
-def test_predict_and_update_one_by_one_equal_one_step(body, person):
-    whole, halves = ArticulatedEkf(body, IDEAL), ArticulatedEkf(body, IDEAL)
-    for k in range(5):
-        a = whole.step(stamp(k), person.points(k / 60), isotropic(0.02), ALL)
-        halves.predict(stamp(k))
-        b = halves.update(person.points(k / 60), isotropic(0.02), ALL)
-    np.testing.assert_array_equal(a.points_world, b.points_world)
-    np.testing.assert_array_equal(a.covariance, b.covariance)
-
-
 def test_filter_goes_on_with_better_known_sizes_of_the_same_body(body, person):
     ekf = ArticulatedEkf(body, IDEAL)
     before, truth = run(ekf, person, 60)
     resized = Body(body.half_lengths * 1.01, body.half_shoulder_width * 0.98)
-    ekf.follow(resized)
+    ekf.set_body(resized)
     after, truth = run(ekf, person, 30, start=60)
     assert ekf.body is resized
     # no start from nothing: velocity is known at once, and the error stays that of a settled filter
@@ -416,6 +401,6 @@ def test_filter_goes_on_with_better_known_sizes_of_the_same_body(body, person):
 def test_filter_starts_anew_when_the_body_is_somebody_elses(body, person):
     ekf = ArticulatedEkf(body, IDEAL)
     run(ekf, person, 5)
-    assert ekf.is_past(stamp(0))
-    ekf.follow(Body.from_stature(body.stature + 0.1))
-    assert not ekf.is_past(stamp(0))
+    ekf.set_body(Body.from_stature(body.stature + 0.1))
+    again = ekf.step(stamp(0), person.points(0.0), isotropic(0.02), ALL)  # it has forgotten the stamps before, too
+    assert isinstance(again, BodyState)

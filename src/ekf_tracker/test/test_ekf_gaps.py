@@ -6,7 +6,6 @@ from ekf_person import ALL, IDEAL, NONE, Person, ellipsoid_distances, errors_mm,
 from scipy.stats import chi2
 
 from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.track import READMIT_AFTER_SETS
 from mocap_packets.state import BodyState, Tracking
 from stick_figure.skeleton import POINT_NAMES
 
@@ -84,7 +83,7 @@ def test_legs_that_changed_places_for_good_are_believed_after_the_stated_number_
     for k in range(60, 90):
         exchange(k, truth[k])
     assert states[60].gated[points].all()
-    assert not states[60 + READMIT_AFTER_SETS].gated[points].any()
+    assert not states[61].gated[points].any()
     assert errors_mm(states, truth)[75:][:, points].mean() < 60.0  # the thighs now cross, as far as lengths allow
 
 

@@ -83,8 +83,9 @@ def test_noise_is_a_covariance_for_every_time_step(model):
 
 
 def test_settings_choose_the_model_with_their_numbers():
-    chosen = motion_model(build_settings(EkfSettings, {"motion_model": "identity", "identity.torso_m_s": 2}, "test"))
-    assert chosen == Identity(rates=(2.0, 1.5, 3.0, 3.0))
+    assert motion_model(build_settings(EkfSettings, {"motion_model": "identity"}, "test")) == Identity()
+    faster = build_settings(EkfSettings, {"constant_velocity.torso_m_s2": 9}, "test")
+    assert motion_model(faster) == DampedVelocity((9.0, 30.0, 60.0, 80.0))
     assert motion_model(EkfSettings()) == DampedVelocity()
 
 

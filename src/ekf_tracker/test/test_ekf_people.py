@@ -1,10 +1,14 @@
 """One filter a person: made with the first measurement, dropped with the first set without one."""
 
-import numpy as np
+from dataclasses import replace
 
-from ekf_tracker.filter import ArticulatedEkf
-from ekf_tracker.people import PeopleFilter
+import numpy as np
+import pytest
+
+from capture_rig.errors import InputError
+from ekf_tracker.filter import ArticulatedEkf, PeopleFilter
 from mocap_packets.fit import ReferencePoints
+from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_packets.state import BodyState, NoState
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -21,31 +25,33 @@ def measured(person, x=0.0):
     return ReferencePoints(points, np.tile(1e-4 * np.eye(3), (15, 1, 1)), np.ones(15, bool))
 
 
-def following(*persons):
-    people = PeopleFilter()
-    for person in persons:
-        people.follow(person, BODIES[person])
-    return people
+def fitted(k, people, bodies=BODIES):
+    return FittedPeople(k * FRAME_NS, PeoplePoints(people), {p: bodies[p] for p in people if p in bodies})
 
 
 def test_every_person_is_filtered_as_alone():
-    people, alone = following(1, 2), ArticulatedEkf(BODIES[2])
+    people, alone = PeopleFilter(), ArticulatedEkf(BODIES[2])
     for k in range(1, 6):
-        both = people.step(k * FRAME_NS, {1: measured(1), 2: measured(2, 0.01 * k)})
+        both = people.step(fitted(k, {1: measured(1), 2: measured(2, 0.01 * k)}))
         one = alone.step(k * FRAME_NS, *measured(2, 0.01 * k))
         np.testing.assert_array_equal(both[2].points_world, one.points_world)
     assert isinstance(both[1], BodyState)
 
 
 def test_person_who_is_not_measured_goes_and_begins_anew_when_measured_again():
-    people = following(1, 2)
-    people.step(FRAME_NS, {1: measured(1), 2: measured(2)})
-    assert list(people.step(2 * FRAME_NS, {1: measured(1)})) == [1]
-    people.follow(2, BODIES[2])
-    back = people.step(3 * FRAME_NS, {1: measured(1), 2: measured(2, 3.0)})
+    people = PeopleFilter()
+    people.step(fitted(1, {1: measured(1), 2: measured(2)}))
+    assert list(people.step(fitted(2, {1: measured(1)}))) == [1]
+    back = people.step(fitted(3, {1: measured(1), 2: measured(2, 3.0)}))
     np.testing.assert_allclose(back[2].points_world, measured(2, 3.0).points_world, atol=0.01)
 
 
+def test_points_of_one_that_cannot_be_used_move_nobodys_filter():
+    people, spoilt = PeopleFilter(), replace(measured(2), covariance=-np.tile(np.eye(3), (15, 1, 1)))
+    with pytest.raises(InputError):
+        people.step(fitted(1, {1: measured(1), 2: spoilt}))
+    assert isinstance(people.step(fitted(1, {1: measured(1), 2: measured(2)}))[1], BodyState)
+
+
 def test_first_person_is_answered_for_without_a_body():
-    answer = PeopleFilter().step(FRAME_NS, {1: measured(1)})[1]
-    assert isinstance(answer, NoState)
+    assert isinstance(PeopleFilter().step(fitted(1, {1: measured(1)}, {}))[1], NoState)

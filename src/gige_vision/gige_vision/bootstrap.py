@@ -26,23 +26,17 @@ CONTROL_PRIVILEGE = 0x0A00
 PRIMARY_PORT, PRIMARY_ADDRESS = 0x0A04, 0x0A14
 STREAM_PORT, STREAM_PACKET_SIZE, STREAM_PACKET_DELAY = 0x0D00, 0x0D04, 0x0D08
 STREAM_DESTINATION, STREAM_SOURCE_PORT = 0x0D18, 0x0D1C
-STREAM_CHANNEL_CAPABILITY, STREAM_CONFIGURATION = 0x0D20, 0x0D24
-ACTION_GROUP_KEY, ACTION_GROUP_MASK, ACTION_GROUP_STEP = 0x9800, 0x9804, 0x10
-MANUFACTURER_SPACE = 0xA000
+STREAM_CHANNEL_CAPABILITY = 0x0D20
+ACTION_GROUP_KEY, ACTION_GROUP_MASK = 0x9800, 0x9804
 
 VERSION_2_0 = 0x0002_0000
+TIMESTAMP_LATCH = 0x2
 BIG_ENDIAN_UTF8 = 0x8000_0001
 """DEVICE_MODE: registers are big endian, texts UTF-8; the device is a transmitter."""
-TIMESTAMP_RESET, TIMESTAMP_LATCH = 0x1, 0x2
-EXTENDED_ID_MODE = 0x1
-"""STREAM_CONFIGURATION: block ids of 64 bits."""
 
 
-class Privilege(IntFlag):
-    """CONTROL_PRIVILEGE: who may write. Control lets others read, exclusive does not."""
-
-    EXCLUSIVE = 1 << 0
-    CONTROL = 1 << 1
+CONTROL = 1 << 1
+"""CONTROL_PRIVILEGE: its owner alone may write; others may read."""
 
 
 class Capability(IntFlag):
@@ -51,18 +45,12 @@ class Capability(IntFlag):
     CONCATENATION = 1 << 0
     WRITE_MEMORY = 1 << 1
     PACKET_RESEND = 1 << 2
-    EVENT = 1 << 3
-    EVENT_DATA = 1 << 4
     PENDING_ACK = 1 << 5
     ACTION = 1 << 6
     SCHEDULED_ACTION = 1 << 17
     PTP = 1 << 19
-    UNCONDITIONAL_ACTION = 1 << 20
     PRIMARY_APPLICATION = 1 << 21
     EXTENDED_STATUS = 1 << 22
-    TEST_DATA = 1 << 25
-    LINK_SPEED = 1 << 28
-    HEARTBEAT_DISABLE = 1 << 29
     SERIAL_NUMBER = 1 << 30
     USER_NAME = 1 << 31
 
@@ -70,7 +58,6 @@ class Capability(IntFlag):
 class PacketSize(IntFlag):
     """The flags of STREAM_PACKET_SIZE beside its lower 16 bits, the size: IP, UDP and GVSP headers included."""
 
-    BIG_ENDIAN_PIXELS = 1 << 29
     DO_NOT_FRAGMENT = 1 << 30
     FIRE_TEST_PACKET = 1 << 31
 

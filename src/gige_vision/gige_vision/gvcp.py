@@ -16,15 +16,11 @@ from . import bootstrap
 
 PORT = 3956
 KEY = 0x42
-MAX_DATA = 536
-"""Bytes of payload a GVCP packet can carry: 576 of IP, less the headers of IP, UDP and GVCP."""
 
 ACKNOWLEDGE = 0x01
 """Flag of every command: the sender wants an answer."""
 ALLOW_BROADCAST_ACK = 0x10
 """Flag of DISCOVERY: the device may answer by broadcast."""
-EXTENDED_IDS = 0x10
-"""Flag of PACKETRESEND: block ids of 64 bits."""
 SCHEDULED = 0x80
 """Flag of ACTION: a time of execution follows."""
 
@@ -40,15 +36,12 @@ class Command(IntEnum):
     """Commands; the acknowledge of each is the next odd number."""
 
     DISCOVERY = 0x0002
-    FORCE_IP = 0x0004
     PACKET_RESEND = 0x0040
     READ_REGISTER = 0x0080
     WRITE_REGISTER = 0x0082
     READ_MEMORY = 0x0084
     WRITE_MEMORY = 0x0086
     PENDING = 0x0088  # exists as acknowledge only
-    EVENT = 0x00C0
-    EVENT_DATA = 0x00C2
     ACTION = 0x0100
 
     @property
@@ -57,7 +50,7 @@ class Command(IntEnum):
 
 
 class Status(IntEnum):
-    """Status codes of acknowledges and of stream packets."""
+    """Status codes of acknowledges and of stream packets, of those that are used here."""
 
     SUCCESS = 0x0000
     PACKET_RESEND = 0x0100
@@ -67,24 +60,10 @@ class Status(IntEnum):
     WRITE_PROTECT = 0x8004
     BAD_ALIGNMENT = 0x8005
     ACCESS_DENIED = 0x8006
-    BUSY = 0x8007
-    LOCAL_PROBLEM = 0x8008
-    MESSAGE_MISMATCH = 0x8009
-    INVALID_PROTOCOL = 0x800A
-    NO_MESSAGE = 0x800B
     PACKET_UNAVAILABLE = 0x800C
-    DATA_OVERRUN = 0x800D
-    INVALID_HEADER = 0x800E
-    WRONG_CONFIG = 0x800F
-    PACKET_NOT_YET_AVAILABLE = 0x8010
-    PACKET_AND_PREVIOUS_REMOVED = 0x8011
-    PACKET_REMOVED = 0x8012
     NO_REFERENCE_TIME = 0x8013
-    PACKET_TEMPORARILY_UNAVAILABLE = 0x8014
     OVERFLOW = 0x8015
     ACTION_LATE = 0x8016
-    LEADER_TRAILER_OVERFLOW = 0x8017
-    ERROR = 0x8FFF
 
 
 @dataclass(frozen=True)
@@ -139,20 +118,12 @@ class AcknowledgePacket:
         return cls(acknowledge, data[_ANSWER.size : _ANSWER.size + length], request_id, status)
 
 
-def status_text(status: int) -> str:
-    """Return a status code in words, such as "access denied (0x8006)"."""
-    try:
-        return f"{Status(status).name.lower().replace('_', ' ')} (0x{status:04x})"
-    except ValueError:
-        return f"unknown status 0x{status:04x}"
-
-
 # --- payloads: registers, memory, resend requests, actions
 
 PACKET_ID_MASK = 0x00FFFFFF
 
 _WORD, _PAIR = struct.Struct(">I"), struct.Struct(">II")
-_RESEND, _RESEND_EXTENDED = struct.Struct(">HHII"), struct.Struct(">HHIIQ")
+_RESEND = struct.Struct(">HHII")
 _ACTION, _TIME = struct.Struct(">III"), struct.Struct(">Q")
 
 
@@ -213,25 +184,17 @@ class ResendRequest:
     first: int
     last: int
     channel: int = 0
-    extended: bool = False
 
     def command(self, request_id: int = 1) -> CommandPacket:
-        if self.extended:
-            payload = _RESEND_EXTENDED.pack(self.channel, 0, self.first, self.last, self.block_id)
-        else:
-            payload = _RESEND.pack(self.channel, self.block_id, self.first, self.last)
-        return CommandPacket(Command.PACKET_RESEND, payload, request_id, EXTENDED_IDS if self.extended else 0)
+        payload = _RESEND.pack(self.channel, self.block_id, self.first, self.last)
+        return CommandPacket(Command.PACKET_RESEND, payload, request_id, 0)
 
     @classmethod
     def decode(cls, packet: CommandPacket) -> ResendRequest:
         """Decode a packet. Raises MalformedPacket."""
-        extended = bool(packet.flags & EXTENDED_IDS)
-        layout = _RESEND_EXTENDED if extended else _RESEND
-        if len(packet.payload) < layout.size:
+        if len(packet.payload) < _RESEND.size:
             raise MalformedPacket(f"{len(packet.payload)} bytes are no PACKETRESEND")
-        channel, block_id, first, last, *long_id = layout.unpack_from(packet.payload)
-        if extended:
-            return cls(long_id[0], first, last, channel, True)
+        channel, block_id, first, last = _RESEND.unpack_from(packet.payload)
         return cls(block_id, first & PACKET_ID_MASK, last & PACKET_ID_MASK, channel)
 
 

@@ -1,6 +1,6 @@
 """GVSP, the stream protocol of GigE Vision: a block (frame) is a leader, payload packets and a trailer over UDP.
 
-Headers have 8 bytes (block ids of 16 bits, which run 1 ... 65535) or, with extended ids, 20 (block ids of 64 bits).
+Headers have 8 bytes; block ids have 16 bits and run 1 ... 65535. (Extended ids, of 64 bits, are not supported.)
 Source: GigE Vision 2.x, "GigE Vision Streaming Protocol".
 """
 
@@ -13,13 +13,12 @@ from enum import IntEnum
 from .gvcp import MalformedPacket, Status
 
 IP_AND_UDP = 20 + 8
-HEADER, EXTENDED_HEADER = 8, 20
+HEADER = 8
 LAST_BLOCK_ID = 0xFFFF
-EXTENDED_ID_FLAG = 0x80
 CHUNKS_FOLLOW = 0x4000
 """Flag of a payload type: chunks follow the image."""
 
-_SHORT, _LONG = struct.Struct(">HHI"), struct.Struct(">HHIQI")
+_HEADER = struct.Struct(">HHI")
 _LEADER = struct.Struct(">HHQIIIIIHH")
 _TRAILER, _CHUNK_TRAILER = struct.Struct(">HHI"), struct.Struct(">HHIII")
 _CHUNK_TAIL = struct.Struct(">II")
@@ -31,25 +30,23 @@ class Content(IntEnum):
     LEADER = 1
     TRAILER = 2
     PAYLOAD = 3
-    ALL_IN = 4
 
 
 class Payload(IntEnum):
     """What a block holds."""
 
     IMAGE = 0x0001
-    CHUNKS = 0x0004
     IMAGE_WITH_CHUNKS = 0x4001
 
 
-def payload_capacity(packet_size: int, extended: bool = False) -> int:
+def payload_capacity(packet_size: int) -> int:
     """Image bytes in one packet of the size that the stream channel's register states (IP header included)."""
-    return packet_size - IP_AND_UDP - (EXTENDED_HEADER if extended else HEADER)
+    return packet_size - IP_AND_UDP - HEADER
 
 
-def next_block_id(block_id: int, extended: bool = False) -> int:
-    """Return the id after this one: 0 is never used, and ids of 16 bits start again at 1."""
-    return block_id + 1 if extended or block_id < LAST_BLOCK_ID else 1
+def next_block_id(block_id: int) -> int:
+    """Return the id after this one: 0 is never used, and ids start again at 1."""
+    return block_id + 1 if block_id < LAST_BLOCK_ID else 1
 
 
 @dataclass(frozen=True)
@@ -60,27 +57,17 @@ class PacketHeader:
     block_id: int
     packet_id: int
     status: int = Status.SUCCESS
-    extended: bool = False
 
     def encode(self) -> bytes:
-        if self.extended:
-            infos = (EXTENDED_ID_FLAG | self.content) << 24
-            return _LONG.pack(self.status, 0, infos, self.block_id, self.packet_id)
-        return _SHORT.pack(self.status, self.block_id, self.content << 24 | self.packet_id)
+        return _HEADER.pack(self.status, self.block_id, self.content << 24 | self.packet_id)
 
     @classmethod
     def decode(cls, data: bytes) -> tuple[PacketHeader, bytes]:
         """Return the header and what follows it. Raises MalformedPacket."""
         if len(data) < HEADER:
             raise MalformedPacket(f"{len(data)} bytes are no GVSP packet")
-        status, block_id, infos = _SHORT.unpack_from(data)
-        content = infos >> 24 & 0x0F
-        if not infos >> 24 & EXTENDED_ID_FLAG:
-            return cls(content, block_id, infos & 0xFFFFFF, status), data[HEADER:]
-        if len(data) < EXTENDED_HEADER:
-            raise MalformedPacket(f"{len(data)} bytes are no GVSP packet with extended ids")
-        _, _, _, block_id, packet_id = _LONG.unpack_from(data)
-        return cls(content, block_id, packet_id, status, True), data[EXTENDED_HEADER:]
+        status, block_id, infos = _HEADER.unpack_from(data)
+        return cls(infos >> 24 & 0x0F, block_id, infos & 0xFFFFFF, status), data[HEADER:]
 
 
 @dataclass(frozen=True)
@@ -150,22 +137,3 @@ class ImageTrailer:
 def encode_chunk(chunk_id: int, data: bytes) -> bytes:
     """Return a chunk: its data, and behind it its id and length."""
     return data + _CHUNK_TAIL.pack(chunk_id, len(data))
-
-
-def decode_chunks(block: bytes) -> dict[int, bytes]:
-    """Return the chunks of a block by id, read from its end (the image itself is one of them).
-
-    Raises MalformedPacket when the lengths do not add up.
-    """
-    chunks: dict[int, bytes] = {}
-    end = len(block)
-    while end > 0:
-        start = end - _CHUNK_TAIL.size
-        if start < 0:
-            raise MalformedPacket("the block does not end with a chunk")
-        chunk_id, length = _CHUNK_TAIL.unpack_from(block, start)
-        if length > start:
-            raise MalformedPacket(f"chunk 0x{chunk_id:08x} claims {length} bytes of {start}")
-        chunks[chunk_id] = block[start - length : start]
-        end = start - length
-    return chunks

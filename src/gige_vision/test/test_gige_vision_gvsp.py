@@ -11,7 +11,6 @@ from gige_vision.gvsp import (
     ImageTrailer,
     PacketHeader,
     Payload,
-    decode_chunks,
     encode_chunk,
     next_block_id,
     payload_capacity,
@@ -28,11 +27,6 @@ def hexed(text):
 def test_packet_header_is_status_block_format_and_packet_id():
     assert PacketHeader(Content.PAYLOAD, 0x0102, 0x030405).encode() == hexed("0000 0102 03 030405")
     assert PacketHeader(Content.LEADER, 1, 0, Status.PACKET_RESEND).encode() == hexed("0100 0001 01 000000")
-
-
-def test_extended_header_has_flag_80_and_the_ids_behind():
-    header = PacketHeader(Content.TRAILER, 1 << 33, 7, extended=True)
-    assert header.encode() == hexed("0000 0000 82 000000 0000000200000000 00000007")
 
 
 def test_image_leader_is_36_bytes_in_the_standard_s_order():
@@ -53,12 +47,10 @@ def test_chunk_ends_with_its_id_and_length():
 
 def test_capacity_leaves_room_for_ip_udp_and_gvsp():
     assert payload_capacity(1500) == 1464
-    assert payload_capacity(9000, extended=True) == 8952
 
 
 def test_block_ids_of_16_bits_start_again_at_one():
     assert next_block_id(0xFFFF) == 1
-    assert next_block_id(0xFFFF, extended=True) == 0x10000
 
 
 @pytest.mark.parametrize(
@@ -83,11 +75,9 @@ def test_packed_image_with_an_odd_number_of_pixels_ends_with_two_bytes():
     assert PixelFormat.Mono12Packed.image_bytes(3, 1) == 5
 
 
-@given(st.sampled_from(Content), st.booleans(), st.data())
-def test_any_packet_header_comes_back_as_it_was(content, extended, data):
-    block_id = data.draw(st.integers(0, 2**64 - 1 if extended else 2**16 - 1))
-    packet_id = data.draw(st.integers(0, 2**32 - 1 if extended else 2**24 - 1))
-    header = PacketHeader(content, block_id, packet_id, Status.SUCCESS, extended)
+@given(st.sampled_from(Content), st.integers(0, 2**16 - 1), st.integers(0, 2**24 - 1))
+def test_any_packet_header_comes_back_as_it_was(content, block_id, packet_id):
+    header = PacketHeader(content, block_id, packet_id, Status.SUCCESS)
     assert PacketHeader.decode(header.encode() + b"rest") == (header, b"rest")
 
 
@@ -100,17 +90,6 @@ def test_any_image_leader_comes_back_as_it_was(timestamp, code, width, height, x
 @given(words, st.none() | words)
 def test_any_trailer_comes_back_as_it_was(height, chunk_bytes):
     assert ImageTrailer.decode(ImageTrailer(height, chunk_bytes).encode()) == ImageTrailer(height, chunk_bytes)
-
-
-@given(st.dictionaries(words, st.binary(max_size=40), min_size=1))
-def test_chunks_of_a_block_are_found_from_its_end(chunks):
-    assert decode_chunks(b"".join(encode_chunk(i, data) for i, data in chunks.items())) == chunks
-
-
-@pytest.mark.parametrize("block", [b"\0\0\0", hexed("00000001 000000FF")])
-def test_block_whose_chunks_do_not_add_up_is_malformed(block):
-    with pytest.raises(MalformedPacket):
-        decode_chunks(block)
 
 
 @pytest.mark.parametrize("decode", [PacketHeader.decode, ImageLeader.decode, ImageTrailer.decode])

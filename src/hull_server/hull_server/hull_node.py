@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from time import monotonic_ns
 
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import Image, PointCloud2
-from std_msgs.msg import Int64MultiArray
 
 from capture_rig import CameraModel, InputError, Rig, load_rig
 from mocap_packets.frame_set import FrameSet
-from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
-from mocap_packets.latency import HullTimes
+from mocap_packets.hull import PARTS
+from mocap_packets.latency import SetAges
 from sagoma_ros import mask_png
 from sagoma_ros.frames import FramePublisher
 from sagoma_ros.health import WARN
 from sagoma_ros.images import support_message
 from sagoma_ros.intra_process import LazyPublisher, PacketPublisher
-from sagoma_ros.latency import TIMES_TOPIC, times_message
 from sagoma_ros.node import SagomaNode
-from sagoma_ros.packets import packet_cloud
+from sagoma_ros.packets import HULL_PRODUCTS, packet_cloud
 from sagoma_ros.process import run_node
 from sagoma_ros.worker import Worker
 
@@ -53,8 +51,8 @@ class CarvedSet:
 
 
 class HullNode(SagomaNode):
-    """Silhouettes of all cameras in; hull/contour_rays, hull/centerline, hull/voxels, hull/frame_set out, one each
-    per set; a few times a second CAM/silhouette/support."""
+    """Silhouettes of all cameras in; hull/products, its parts as clouds, and hull/frame_set out, one each per set; a
+    few times a second CAM/silhouette/support."""
 
     Settings = NodeSettings
 
@@ -145,16 +143,14 @@ class HullNode(SagomaNode):
         self._newest = None
 
     def _advertise(self) -> None:
-        self._contour_rays = PacketPublisher[ContourRays](self, PointCloud2, "hull/contour_rays", packet_cloud)
-        self._centerline = PacketPublisher[Centerline](self, PointCloud2, "hull/centerline", packet_cloud)
-        self._voxels = PacketPublisher[VoxelSamples](self, PointCloud2, "hull/voxels", packet_cloud)
-        self._times = PacketPublisher[HullTimes](self, Int64MultiArray, TIMES_TOPIC, times_message)
+        self._products = PacketPublisher(self, HULL_PRODUCTS)
+        self._clouds = {part: LazyPublisher(self, PointCloud2, f"hull/{part}") for part in PARTS}
         self._frame_set = LazyPublisher(self, DiagnosticArray, "hull/frame_set")
         self._supports = {
             camera: LazyPublisher(self, Image, f"{camera}/silhouette/support") for camera in self._canvases
         }
-        self._closing += [self._contour_rays.close, self._centerline.close, self._voxels.close, self._frame_set.close]
-        self._closing += [self._times.close, *(publisher.close for publisher in self._supports.values())]
+        publishers = (self._frame_set, *self._clouds.values(), *self._supports.values())
+        self._closing += [self._products.close, *(publisher.close for publisher in publishers)]
 
     def _take(self, frame_set: FrameSet[Mask]) -> None:
         """Hand a frame set to the carver's thread."""
@@ -180,14 +176,13 @@ class HullNode(SagomaNode):
         # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
         for report in result.support:
             self._supports[report.camera].publish(support_message, report)
-        # the centerline last but one: the tracker starts to fit when it arrives, with the contour rays that it has
         products = result.products
         self._overload.hand_over(products.stamp_ns)
-        times = HullTimes(products.stamp_ns, carved.closed.closed_ns, self.get_clock().now().nanoseconds)
-        self._times.publish(times, products.stamp_ns, frame_id)
-        self._contour_rays.publish(products.contour_rays, products.stamp_ns, frame_id)
-        self._centerline.publish(products.centerline, products.stamp_ns, frame_id)
-        self._voxels.publish(products.voxels, products.stamp_ns, frame_id)
+        handed_over_ns = self.get_clock().now().nanoseconds
+        ages = SetAges(carved.closed.closed_ns - products.stamp_ns, handed_over_ns - products.stamp_ns)
+        self._products.publish(replace(products, ages=ages), frame_id)
+        for part, publisher in self._clouds.items():
+            publisher.publish(packet_cloud, getattr(products, part), products.stamp_ns, frame_id)
         published_ns = self.get_clock().now().nanoseconds
         times_ms = {
             "spread_ms": frame_set.spread_ns / 1e6,

@@ -56,13 +56,8 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
 def camera_values(result: HullResult) -> dict[str, str]:
     """Report which cameras are left out, how far each contradicts the others, and its calibration."""
     faults = result.camera_faults
-    texts = {"left_out": ",".join(faults.left_out)}
-    for key, shares in (
-        ("veto_fraction", faults.veto_fraction),
-        ("silhouette_offset_fraction", faults.offset_fraction),
-    ):
-        texts[key] = " ".join(f"{camera}={share:.3f}" for camera, share in shares.items())
-    return texts | calibration_values(result)
+    vetoes = " ".join(f"{camera}={share:.3f}" for camera, share in faults.veto_fraction.items())
+    return {"left_out": ",".join(faults.left_out), "veto_fraction": vetoes} | calibration_values(result)
 
 
 def calibration_values(result: HullResult) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """A shadow resolver's node: takes all cameras' silhouettes, hands on those of its cameras with the shadows resolved.
 
-Several of them, each with some cameras, take the hull server's largest part off it (docs/scaling.md):
+Several of them, each with some cameras, take the hull server's largest part off it (docs/hosts.md):
 
     ros2 run hull_server shadow_resolver --ros-args -r __node:=resolver_1 -p rig_file:=RIG -p cameras:="[cam01, cam02]"
     ros2 run hull_server hull_server --ros-args -p rig_file:=RIG -p resolved:=true

@@ -87,7 +87,6 @@ def test_sound_cameras_are_all_used_and_veto_next_to_nothing(cameras):
     assert faults.updated and session.left_out_after == {} and faults.suspects == () and faults.reasons == {}
     assert max(faults.veto_fraction.values()) < 0.01 and max(faults.excess.values()) < 0.01
     assert faults.conflict < 0.05 and faults.warning == ""
-    assert all(np.hypot(*offset) < 2 for offset in faults.silhouette_offset_px.values())
 
 
 @pytest.mark.parametrize("faulty", rig_of(5).names)
@@ -110,28 +109,19 @@ def test_leaving_the_faulty_out_brings_the_body_back():
     assert sound <= carve_brute_force(rig, rest, 0.04, min_seeing(4)).sum() < 1.5 * sound
 
 
-@pytest.mark.parametrize(("axis", "shift"), [((0, 1, 0), (-1, 0)), ((1, 0, 0), (0, 1))])
-def test_camera_turned_by_two_degrees_is_left_out_and_its_offset_is_measured(axis, shift):
-    """A turn about the camera's y axis moves the picture to the right: the shift that cures it goes to the left."""
+@pytest.mark.parametrize("axis", [(0, 1, 0), (1, 0, 0)])
+def test_camera_turned_by_two_degrees_is_left_out(axis):
     rig = rig_of(6)
-    session = Session(rig, walking(6))
-    faults = session.show(2 * LAP, rotated(rig, "cam04", 2.0 * np.array(axis)))
-    assert faults.left_out == ("cam04",)
-    expected_px = FOCAL_PX * np.tan(np.radians(2.0))
-    assert np.dot(faults.silhouette_offset_px["cam04"], shift) == pytest.approx(expected_px, rel=0.5)
-    assert faults.offset_fraction["cam04"] > 3 * max(
-        share for name, share in faults.offset_fraction.items() if name != "cam04"
-    )
-    assert "pixels" in faults.reasons["cam04"] or "vetoes" in faults.reasons["cam04"]
+    faults = Session(rig, walking(6)).show(2 * LAP, rotated(rig, "cam04", 2.0 * np.array(axis)))
+    assert faults.left_out == ("cam04",) and "was it moved" in faults.reasons["cam04"]
 
 
-def test_camera_that_is_frozen_is_named_as_such_while_the_person_walks_on():
+def test_camera_that_is_frozen_is_left_out_while_the_person_walks_on():
     session = Session(rig_of(5), walking(5))
     session.show(6)
     old = walking(5)[5]["cam03"]
     faults = session.show(8, lambda masks: {"cam03": old})
-    assert faults.left_out == ("cam03",)
-    assert "has not changed for" in faults.reasons["cam03"]
+    assert faults.left_out == ("cam03",) and "frozen" in faults.reasons["cam03"]
 
 
 def test_camera_whose_view_is_all_foreground_is_left_out_although_it_vetoes_nothing():

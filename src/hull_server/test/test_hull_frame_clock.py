@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hull_server.overload.frame_clock import STAMPS_KEPT, FrameClock
+from hull_server.overload.thinning_control import STAMPS_KEPT, FrameClock
 from mocap_packets.thinning import FrameDecimation
 
 EPOCH_NS = 1_790_000_000_000_000_000

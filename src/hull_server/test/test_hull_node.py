@@ -8,20 +8,18 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from hull_probe import stamp
 from hull_scenes import capsule_person, ring_rig, silhouettes
 from node_probe import FAILURE, SUCCESS
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import Image
-from std_msgs.msg import Int64MultiArray
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from capture_rig import load_rig, save_rig
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
-from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
+from mocap_packets.hull import PARTS, Centerline, ContourRays, VoxelSamples
 from sagoma_ros.images import read_support
-from sagoma_ros.latency import read_times
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import read_packet
+from sagoma_ros.packets import HULL_PRODUCTS, read_packet
 
 
 def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene):
@@ -93,23 +91,6 @@ def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, 
     bench.until_values(sets_empty="1")
 
 
-def test_node_publishes_the_contour_rays_before_the_centerline_of_the_same_set(make_bench, scene, monkeypatch):
-    """The tracker starts to fit when the centerline comes; the contour rays must be there."""
-    _, rig, masks = scene
-    bench, order, publish = make_bench().start(rig), [], Publisher.publish
-
-    def recorded(publisher, message):
-        order.append(publisher.topic_name)
-        publish(publisher, message)
-
-    monkeypatch.setattr(Publisher, "publish", recorded)
-    for k in range(3):
-        bench.send(masks, k)
-    bench.answers(3)
-    clouds = ["/hull/contour_rays", "/hull/centerline", "/hull/voxels"]
-    assert [topic for topic in order if topic in clouds] == clouds * 3
-
-
 def test_node_counts_people_and_says_whose_each_point_is(make_bench, scene):
     rig, rig_file = ring_rig(7), scene[0].with_name("seven.yaml")
     save_rig(rig, rig_file)
@@ -168,15 +149,19 @@ def test_node_refuses_to_configure_with_a_clear_error(make_bench, parameters, te
     assert bench.diagnostics[-1].status[0].level == DiagnosticStatus.ERROR
 
 
-def test_node_says_when_a_set_was_closed_and_when_its_hull_left(make_bench, scene):
+def test_node_hands_on_one_packet_a_set_with_all_that_the_clouds_hold_and_its_ages(make_bench, scene):
     _, rig, masks = scene
     bench = make_bench()
-    heard = bench.listen(Int64MultiArray, "hull/times")
+    heard = bench.listen(Float64MultiArray, HULL_PRODUCTS.name)
     bench.start(rig).send(masks, 0)
     bench.answers(1)
     bench.until(lambda: heard)
-    times = read_times(heard[0], "test")
-    assert times.stamp_ns == stamp(0) and stamp(0) < times.received_ns < times.hull_ns <= time.time_ns()
+    assert HULL_PRODUCTS.header_of(heard[0]) == (stamp(0), "map")
+    products = HULL_PRODUCTS.from_message(heard[0], "test")
+    for name, kind in PARTS.items():
+        part, cloud = getattr(products, name), read_packet(bench.heard[f"hull/{name}"][0], kind, "test")
+        np.testing.assert_array_equal(part.points_world.astype(np.float32), cloud.points_world)
+    assert 0 < products.ages.received < products.ages.hull <= time.time_ns() - stamp(0)
 
 
 def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):

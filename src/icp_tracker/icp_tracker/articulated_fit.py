@@ -33,9 +33,9 @@ from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.pose import Pose
 
-# Thresholds: the former chosen with python bench/tracking_ablation.py SESSION, in steps of about a half, the last
+# Thresholds: the former chosen with python bench/people.py --ablation SESSION, in steps of about a half, the last
 # four with covariance_coverage.py among the benches of commit d6079d2.
-# of the fit; checked by bench/tracking_ablation.py on rendered and real sessions
+# of the fit; checked by bench/people.py --ablation on rendered and real sessions
 GATE_SIGMAS = 3.0  # the gate of a point is wider by so many of its own standard deviations
 HINGE_MARGIN = 0.15  # rad a hinge may stay on the wrong side of straight
 STEP_LIMIT = 0.5  # m, rad, largest component of one step

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,6 @@ from capture_rig.files import make_folder
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.people import Predictions
 from mocap_packets.state import Prediction
-from sagoma_ros.worker import Mailbox
 from stick_figure.body import Body
 from stick_figure.body_file import save_body
 
@@ -68,33 +68,59 @@ class SaveBodyService:
         return response
 
 
-KEPT = 64
-
-
 class FilterFeedback:
-    """Hands the fit of set k the filter's state after set k-1; what comes too late serves as the newest there is."""
+    """Hands the fit of set k the filter's state after set k-1, as soon as it is there, or after a bounded wait.
+
+    A filter that did not answer in time is not waited for again until it answers: then its newest state serves.
+    ``timeouts`` counts the waits in vain.
+    """
 
     def __init__(self, wait_s: float) -> None:
-        self.mailbox: Mailbox[Predictions] = Mailbox(KEPT, wait_s)
-        self._asked_ns: int | None = None
+        self._wait_s = wait_s
+        self._changed = threading.Condition()
+        self._open, self._silent = True, False
+        self._sent_ns: int | None = None
+        self._newest: Predictions | None = None
+        self.waiting, self.timeouts = False, 0
 
-    def put(self, predictions: Predictions) -> None:
-        """Take a state that arrived (any thread)."""
-        self.mailbox.put(predictions.stamp_ns, predictions)
+    def update(self, predictions: Predictions) -> None:
+        """Add a state that arrived (any thread); one of a set that was not sent yet is none of ours."""
+        with self._changed:
+            if self._sent_ns is not None and predictions.stamp_ns <= self._sent_ns:
+                self._newest, self._silent = predictions, False
+                self._changed.notify_all()
 
-    def asked(self, stamp_ns: int) -> None:
-        """Remember the set whose reference points went out: the filter will answer with its stamp."""
-        self._asked_ns = stamp_ns
+    def sent(self, stamp_ns: int) -> None:
+        """Remember the set whose fits go out: the filter will answer with its stamp."""
+        with self._changed:
+            self._sent_ns = stamp_ns
 
     def forget(self) -> None:
-        """Forget what was asked and what was answered: stamps begin anew, and may be those of earlier answers."""
-        self._asked_ns = None
-        self.mailbox.forget()
+        """Forget what was sent and what was answered: stamps begin anew, and may be those of earlier answers."""
+        with self._changed:
+            self._sent_ns = self._newest = None
+
+    def close(self) -> None:
+        """Release the thread that waits."""
+        with self._changed:
+            self._open = False
+            self._changed.notify_all()
 
     def after_previous_set(self) -> Mapping[int, Prediction]:
-        """Return each person's state after the set last asked for, or the newest before it when that did not come in
-        time; nobody's when there is none."""
-        if self._asked_ns is None:
-            return {}
-        found = self.mailbox.take(self._asked_ns) or self.mailbox.newest()
-        return found.of if found is not None and found.stamp_ns <= self._asked_ns else {}
+        """Return each person's state after the set last sent, or the newest before it when that did not come in time;
+        nobody's when there is none."""
+        with self._changed:
+            if self._sent_ns is None:
+                return {}
+            self.waiting = True
+            in_time = self._changed.wait_for(
+                lambda: not self._open or self._stamp_ns == self._sent_ns, 0.0 if self._silent else self._wait_s
+            )
+            self.waiting = False
+            self.timeouts += not in_time and not self._silent
+            self._silent = not in_time
+            return {} if self._newest is None else self._newest.of
+
+    @property
+    def _stamp_ns(self) -> int | None:
+        return None if self._newest is None else self._newest.stamp_ns

@@ -321,7 +321,7 @@ def warm_up(settings: TrackerSettings) -> None:
     ahead, aside = np.tile([1.0, 0.0, 0.0], (15, 1)), np.tile([0.0, 1.0, 0.0], (15, 1))
     contour_rays = ContourRays(points, ahead, aside, np.full(15, 0.1), np.full(15, 0.01))
     for k in range(3):  # acquisition, a fit, and a look for another pose
-        predicted = Prediction(k, pose, np.zeros(TANGENT)).as_sent()
+        predicted = Prediction.of(k, pose, np.zeros(TANGENT))
         tracker.step(HullProducts.of_points(k, points, 0.01, voxels, contour_rays=contour_rays), predicted)
     if settings.method == "articulated":
         trunk = TrunkBend(settings.articulated)

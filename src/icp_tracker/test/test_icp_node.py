@@ -1,4 +1,4 @@
-"""The ICP node among messages: one answer for every centerline, whatever arrives."""
+"""The ICP node among messages: one answer for every hull, whatever arrives."""
 
 import os
 from types import SimpleNamespace
@@ -8,18 +8,18 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_probe import FAILURE, SUCCESS, NodeProbe, values_of
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
 from icp_tracker.icp_node import IcpNode, fit_message
 from icp_tracker.tracker import IcpTracker, fits_nothing
-from mocap_packets.hull import Centerline, HullProducts, VoxelSamples
+from mocap_packets.hull import NO_VOXELS, Centerline, HullProducts, VoxelSamples
 from mocap_packets.people import Predictions, parse_bodies
 from mocap_packets.state import Prediction
-from sagoma_ros.joint_motion import prediction_message, predictions_message
+from sagoma_ros.joint_motion import predictions_message
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import packet_cloud, read_packet, read_people_points, read_reference_points
+from sagoma_ros.packets import HULL_PRODUCTS, read_people_points, read_reference_points, tables_message
 from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.kinematics import forward
 
@@ -33,12 +33,20 @@ def stamp(k):
     return EPOCH_NS + k * PERIOD_NS
 
 
-def centerline(points, k, sigma=0.005):
-    return packet_cloud(Centerline.of_points(points, sigma), stamp(k), "map")
+def hull(points, k, voxels=NO_VOXELS):
+    """Message of a hull whose centerline are the points (n, 3), or a `Centerline`."""
+    line = points if isinstance(points, Centerline) else Centerline.of_points(points, 0.005)
+    return tables_message(HullProducts(stamp(k), line, voxels), "map")
 
 
-def voxel_cloud(points, k):
-    return packet_cloud(VoxelSamples(points, np.zeros(len(points))), stamp(k), "map")
+def prediction_message(stamp_ns, pose=None, velocity=None):
+    """Message of the first person's prediction alone."""
+    one = (
+        Prediction(stamp_ns)
+        if pose is None
+        else Prediction.of(stamp_ns, pose, np.zeros(24) if velocity is None else velocity)
+    )
+    return predictions_message(Predictions(stamp_ns, {1: one}))
 
 
 class IcpProbe(NodeProbe):
@@ -50,22 +58,21 @@ class IcpProbe(NodeProbe):
         super().__init__(context, IcpNode, {**points_alone, **parameters}, NAMESPACE)
         self.points = self.listen(PointCloud2, "icp/reference_points")
         self.fits = self.listen(DiagnosticArray, "icp/fit")
-        self.centerlines = self.peer.create_publisher(PointCloud2, "hull/centerline", RESULT)
-        self.voxels = self.peer.create_publisher(PointCloud2, "hull/voxels", RESULT)
+        self.hulls = self.peer.create_publisher(Float64MultiArray, HULL_PRODUCTS.name, RESULT)
         self.predictions = self.peer.create_publisher(MultiDOFJointState, "ekf/prediction", RESULT)
 
     def start(self):
         super().start()
-        outgoing = (self.centerlines, self.voxels, self.predictions)
+        outgoing = (self.hulls, self.predictions)
         self.until(lambda: all(p.get_subscription_count() for p in outgoing))
         self.until(lambda: all(self.peer.count_publishers(topic) for topic in self.heard))
-        self.until(lambda: all(p.is_wanted for p in self.node._publishers_held[:2]))
+        self.until(lambda: self.node._points_publisher.is_wanted and self.node._fit_publisher.is_wanted)
         return self
 
     def answer(self, message):
-        """Publish a centerline; the values of icp/fit and the points that answer it."""
+        """Publish a hull; the values of icp/fit and the points that answer it."""
         count = len(self.points)
-        self.centerlines.publish(message)
+        self.hulls.publish(message)
         self.until(lambda: len(self.points) > count and len(self.fits) > count)
         points, covariance, visible, *_ = read_reference_points(self.points[-1], "test")
         values = values_of(self.fits[-1])
@@ -104,7 +111,7 @@ def walk(body, synthetic, tmp_path):
 def test_every_centerline_is_answered_with_its_stamp(bench, walk):
     node = bench(**walk.parameters).start()
     for k, (pose, cloud) in enumerate(zip(walk.poses, walk.clouds, strict=True)):
-        answer = node.answer(centerline(cloud, k))
+        answer = node.answer(hull(cloud, k))
         assert answer.stamp_ns == stamp(k)
         assert np.linalg.norm(answer.points - forward(walk.body, pose), axis=1).mean() < 0.02
         assert answer.visible.all() and answer.state == "tracking"
@@ -117,106 +124,83 @@ def test_every_centerline_is_answered_with_its_stamp(bench, walk):
 
 def test_fit_starts_from_the_prediction_of_the_previous_set(bench, walk):
     node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
-    node.answer(centerline(walk.clouds[0], 0))
-    node.centerlines.publish(centerline(walk.clouds[1], 1))
-    node.until(lambda: node.node._feedback.mailbox.waiting)
+    node.answer(hull(walk.clouds[0], 0))
+    node.hulls.publish(hull(walk.clouds[1], 1))
+    node.until(lambda: node.node._feedback.waiting)
     assert len(node.points) == 1  # no fit without the filter's word
-    node.predictions.publish(prediction_message(Prediction(stamp(0), walk.poses[0], np.zeros(24))))
+    node.predictions.publish(prediction_message(stamp(0), walk.poses[0]))
     node.until(lambda: len(node.fits) == 2)
     assert values_of(node.fits[1])["started_from"] == str(stamp(0))
 
 
 def test_filter_that_never_answers_is_waited_for_once(bench, walk):
     node = bench(**{**walk.parameters, "prediction_wait_s": 0.2}).start()
-    answers = [node.answer(centerline(cloud, k)) for k, cloud in enumerate(walk.clouds)]
+    answers = [node.answer(hull(cloud, k)) for k, cloud in enumerate(walk.clouds)]
     assert [answer.started_from for answer in answers] == ["initial"] + ["own"] * 11
-    assert node.node._feedback.mailbox.timeouts == 1
-    node.predictions.publish(prediction_message(Prediction(stamp(11), walk.poses[-1], np.zeros(24))))  # it is back
-    node.until(lambda: node.node._feedback.mailbox.newest() is not None)
-    assert node.answer(centerline(walk.clouds[-1], 12)).started_from == str(stamp(11))
+    assert node.node._feedback.timeouts == 1
+    node.predictions.publish(prediction_message(stamp(11), walk.poses[-1]))  # it is back
+    node.until(lambda: node.node._feedback._newest is not None)
+    assert node.answer(hull(walk.clouds[-1], 12)).started_from == str(stamp(11))
 
 
 def test_filter_without_a_state_leaves_the_start_to_the_tracker(bench, walk):
     node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
-    node.answer(centerline(walk.clouds[0], 0))
-    node.predictions.publish(prediction_message(Prediction(stamp(0), None, np.zeros(24))))
-    assert node.answer(centerline(walk.clouds[1], 1)).started_from == "own"
+    node.answer(hull(walk.clouds[0], 0))
+    node.predictions.publish(prediction_message(stamp(0)))
+    assert node.answer(hull(walk.clouds[1], 1)).started_from == "own"
 
 
 def test_empty_centerline_is_answered_with_invisible_points(bench, walk):
     node = bench(**walk.parameters).start()
-    before = node.answer(centerline(walk.clouds[0], 0))
-    answer = node.answer(centerline(np.empty((0, 3)), 1))
+    before = node.answer(hull(walk.clouds[0], 0))
+    answer = node.answer(hull(np.empty((0, 3)), 1))
     assert answer.stamp_ns == stamp(1)
     assert not answer.visible.any()
     assert np.abs(answer.points - before.points).max() < 1e-6
     assert "0 centerline points" in answer.reason
-    assert node.answer(centerline(walk.clouds[2], 2)).visible.all()
+    assert node.answer(hull(walk.clouds[2], 2)).visible.all()
 
 
-def test_points_that_are_not_finite_are_dropped_and_counted(bench, walk):
+def test_damaged_hull_is_counted_and_the_graph_goes_on(bench, walk):
     node = bench(**walk.parameters).start()
-    dirty = np.vstack([[np.nan, 0.0, 1.0], walk.clouds[0], [0.0, np.inf, 1.0]])
-    answer = node.answer(centerline(dirty, 0))
-    assert answer.state == "tracking"
-    assert np.linalg.norm(answer.points - forward(walk.body, walk.poses[0]), axis=1).mean() < 0.02
-    assert node.node.health.counter("dropped_points") == 2
-
-
-def test_damaged_centerline_is_counted_and_the_graph_goes_on(bench, walk):
-    node = bench(**walk.parameters).start()
-    node.answer(centerline(walk.clouds[0], 0))
-    damaged = centerline(walk.clouds[1], 1)
-    damaged.fields = [field for field in damaged.fields if field.name != "sigma"]
-    answer = node.answer(damaged)
-    assert answer.stamp_ns == stamp(1) and not answer.visible.any()
-    short = centerline(walk.clouds[2], 2)
-    short.width += 5
-    assert not node.answer(short).visible.any()
-    assert node.node.health.counter("bad_centerline") == 2
-    assert node.answer(centerline(walk.clouds[3], 3)).visible.all()
+    node.answer(hull(walk.clouds[0], 0))
+    other, short = hull(walk.clouds[1], 1), hull(walk.clouds[2], 2)
+    other.layout.dim[1].label = "centerline: x y z"
+    short.layout.dim[1].size += 5
+    for damaged in (other, short):
+        node.hulls.publish(damaged)
+    node.until(lambda: node.node.health.counter("bad_hulls") == 2)
+    assert node.answer(hull(walk.clouds[3], 3)).visible.all() and len(node.points) == 2
 
 
 def test_stamp_that_goes_back_is_dropped_and_counted(bench, walk):
     node = bench(**walk.parameters).start()
-    node.answer(centerline(walk.clouds[5], 5))
-    node.centerlines.publish(centerline(walk.clouds[4], 4))
-    node.centerlines.publish(centerline(walk.clouds[5], 5))
-    answer = node.answer(centerline(walk.clouds[6], 6))
+    node.answer(hull(walk.clouds[5], 5))
+    node.hulls.publish(hull(walk.clouds[4], 4))
+    node.hulls.publish(hull(walk.clouds[5], 5))
+    answer = node.answer(hull(walk.clouds[6], 6))
     assert answer.stamp_ns == stamp(6)
     assert node.node.health.counter("backward_stamps") == 2
 
 
-def test_a_set_far_in_the_future_is_left_out_and_those_after_it_are_fitted(bench, walk):
-    node = bench(**walk.parameters).start()
-    node.answer(centerline(walk.clouds[4], 4))
-    node.centerlines.publish(centerline(walk.clouds[5], 10**9))
-    answer = node.answer(centerline(walk.clouds[5], 5))
-    assert (answer.stamp_ns, answer.state) == (stamp(5), "tracking")
-    assert node.node.health.counter("ahead_stamps") == 1 and node.node.health.counter("restarts") == 0
-
-
-def test_stamps_that_go_back_begin_anew_with_the_third_set_and_say_so_once(bench, walk, capfd):
+def test_stamps_that_go_back_far_begin_anew_at_once_and_are_logged_once(bench, walk, capfd):
     """A bag played twice, footage that starts again, a clock that was set back."""
     node = bench(**{**walk.parameters, "prediction_wait_s": 0.0}).start()
     for k in (40, 41):
-        node.answer(centerline(walk.clouds[0], k))
-    later = Prediction(stamp(41), walk.poses[5], np.ones(24))
-    node.predictions.publish(prediction_message(later))
-    node.until(lambda: node.node._feedback.mailbox.newest() is not None)
-    for k in (0, 1):
-        node.centerlines.publish(centerline(walk.clouds[k], k))
-    answers = [node.answer(centerline(walk.clouds[k], k)) for k in range(2, 6)]
+        node.answer(hull(walk.clouds[0], k))
+    node.predictions.publish(prediction_message(stamp(41), walk.poses[5], np.ones(24)))
+    node.until(lambda: node.node._feedback._newest is not None)
+    answers = [node.answer(hull(walk.clouds[k], k)) for k in range(4)]
     assert [answer.started_from for answer in answers] == ["initial", "own", "own", "own"]
     assert {answer.state for answer in answers} == {"tracking"}
     assert node.node.health.counter("restarts") == 1
-    assert capfd.readouterr().err.count("stamps went back by 0.975 s: a new beginning") == 1
+    assert capfd.readouterr().err.count("stamps went back by 1.025 s: a new beginning") == 1
 
 
 def test_silence_of_the_hull_server_is_reported_within_a_second_and_its_return_too(bench, walk):
     node = bench(**{**walk.parameters, "stale_after_s": 0.4}).start()
     node.until_said("no frame sets for")
-    node.answer(centerline(walk.clouds[0], 0))
+    node.answer(hull(walk.clouds[0], 0))
     node.until(lambda: not node.diagnostics[-1].status[0].message.startswith("no frame sets"))
     node.until_said("no frame sets for")
     assert node.diagnostics[-1].status[0].level == DiagnosticStatus.WARN
@@ -224,30 +208,29 @@ def test_silence_of_the_hull_server_is_reported_within_a_second_and_its_return_t
 
 def test_bad_prediction_is_counted_and_not_used(bench, walk):
     node = bench(**walk.parameters).start()
-    node.answer(centerline(walk.clouds[0], 0))
-    message = prediction_message(Prediction(stamp(0), walk.poses[0], np.zeros(24)))
+    node.answer(hull(walk.clouds[0], 0))
+    message = prediction_message(stamp(0), walk.poses[0])
     message.joint_names[3] = "nonsense"
     node.predictions.publish(message)
     node.until(lambda: node.node.health.counter("bad_predictions") == 1)
-    assert node.answer(centerline(walk.clouds[1], 1)).started_from == "own"
+    assert node.answer(hull(walk.clouds[1], 1)).started_from == "own"
 
 
 def test_t_pose_is_acquired_from_voxels_and_reset_looks_for_it_again(bench, body, synthetic):
     pose = synthetic.t_pose((0.2, 0.1, 0.53 * 1.75 + body.half_lengths[0]), heading=0.7)
     cloud = synthetic.stick_cloud(body, pose, np.random.default_rng(2), 300, 0.01)
-    voxels = synthetic.voxels(body, pose)
-    node = bench(**{"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0, "voxels_wait_s": NEVER_S}).start()
+    inside = synthetic.voxels(body, pose)
+    voxels = VoxelSamples(inside, np.zeros(len(inside), bool))
+    node = bench(**{"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0}).start()
     for k in range(3):
-        node.voxels.publish(voxel_cloud(voxels, k))
-        answer = node.answer(centerline(cloud, k))
+        answer = node.answer(hull(cloud, k, voxels))
         assert answer.state == ("acquiring" if k == 0 else "tracking")
         if k == 0:
             assert answer.reason == "T-pose seen, hold it (1 of 2)"
             assert not answer.points.any() and not answer.visible.any()
     response = node.ask(Trigger, "icp_tracker/reset")
     assert response.success and "auto" in response.message
-    node.voxels.publish(voxel_cloud(voxels, 3))
-    assert node.answer(centerline(cloud, 3)).state == "acquiring"
+    assert node.answer(hull(cloud, 3, voxels)).state == "acquiring"
 
 
 def two_in_a_t_pose(body, synthetic):
@@ -259,23 +242,22 @@ def two_in_a_t_pose(body, synthetic):
     voxels = [synthetic.voxels(body, pose) for pose in poses]
     numbers = [np.repeat([0.0, 1.0], [len(part) for part in parts]) for parts in (clouds, voxels)]
     line = Centerline.of_points(np.vstack(clouds), 0.005, numbers[0])
-    return poses, line, VoxelSamples(np.vstack(voxels), np.zeros(len(numbers[1])), numbers[1])
+    return poses, line, VoxelSamples(np.vstack(voxels), np.zeros(len(numbers[1]), bool), numbers[1])
 
 
 def test_two_persons_are_answered_in_one_message_with_a_body_each(bench, body, synthetic, tmp_path):
     poses, line, voxels = two_in_a_t_pose(body, synthetic)
-    parameters = {"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": NEVER_S, "voxels_wait_s": NEVER_S}
+    parameters = {"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": NEVER_S}
     node = bench(**parameters, **{"bodies.folder": str(tmp_path)})
     others = node.listen(String, "icp/bodies", LATCHED)
     node.start()
     for k in range(3):
-        node.voxels.publish(packet_cloud(voxels, stamp(k), "map"))
-        node.centerlines.publish(packet_cloud(line, stamp(k), "map"))
+        node.hulls.publish(hull(line, k, voxels))
         node.until(lambda count=k + 1: len(node.points) == len(node.fits) == count)
         if k == 0:
             assert node.points[0].height == 1 and len(read_people_points(node.points[0], "test").of) == 1
-        predictions = {1: Prediction(stamp(k), None, np.zeros(24)), 2: Prediction(stamp(k), poses[1], np.zeros(24))}
-        node.predictions.publish(predictions_message(Predictions(stamp(k), predictions), stamp(k)))
+        predictions = {1: Prediction(stamp(k)), 2: Prediction.of(stamp(k), poses[1], np.zeros(24))}
+        node.predictions.publish(predictions_message(Predictions(stamp(k), predictions)))
     assert (node.points[-1].height, node.points[-1].width) == (2, 15)
     people = read_people_points(node.points[-1], "test")
     for pose, points in zip(poses, people.of.values(), strict=True):
@@ -291,44 +273,36 @@ def test_two_persons_are_answered_in_one_message_with_a_body_each(bench, body, s
 
 def test_no_more_persons_are_followed_than_the_parameter_says(bench, body, synthetic):
     _, line, voxels = two_in_a_t_pose(body, synthetic)
-    parameters = {"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0, "voxels_wait_s": NEVER_S}
+    parameters = {"initial_pose.t_pose.hold_sets": 2, "prediction_wait_s": 0.0}
     node = bench(**parameters, **{"people.max": 1}).start()
     for k in range(3):
-        node.voxels.publish(packet_cloud(voxels, stamp(k), "map"))
-        node.centerlines.publish(packet_cloud(line, stamp(k), "map"))
+        node.hulls.publish(hull(line, k, voxels))
         node.until(lambda count=k + 1: len(node.points) == count)
     assert [message.height for message in node.points] == [1, 1, 1]
 
 
-def test_missing_voxels_are_not_waited_for_for_ever(bench, walk):
-    node = bench(voxels_wait_s=0.01).start()
-    answer = node.answer(centerline(walk.clouds[0], 0))
-    assert answer.state == "acquiring" and answer.reason == "no hull"
-    assert node.node.health.counter("sets_without_voxels") == 1
-
-
 def test_slow_fit_drops_the_oldest_sets_and_counts_them(bench, walk):
     node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S, "queue_depth": 2}).start()
-    node.answer(centerline(walk.clouds[0], 0))
-    node.centerlines.publish(centerline(walk.clouds[1], 1))
-    node.until(lambda: node.node._feedback.mailbox.waiting)
+    node.answer(hull(walk.clouds[0], 0))
+    node.hulls.publish(hull(walk.clouds[1], 1))
+    node.until(lambda: node.node._feedback.waiting)
     for k in range(2, 8):  # set 1 waits for the filter; of 2 to 7 only the last two fit into the queue
-        node.centerlines.publish(centerline(walk.clouds[k], k))
+        node.hulls.publish(hull(walk.clouds[k], k))
     node.until(lambda: node.node.health.counter("dropped_sets") == 4)
-    for k in (0, 1, 6):
-        node.predictions.publish(prediction_message(Prediction(stamp(k), walk.poses[k], np.zeros(24))))
-    node.until(lambda: len(node.points) == 4)
+    for count, k in enumerate((0, 1, 6), start=2):
+        node.predictions.publish(prediction_message(stamp(k), walk.poses[k]))
+        node.until(lambda wanted=count: len(node.points) == wanted)
     assert [to_ns(message.header.stamp) for message in node.points] == [stamp(k) for k in (0, 1, 6, 7)]
 
 
 def test_suspended_node_is_silent_and_resumes(bench, walk):
     node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
-    node.answer(centerline(walk.clouds[0], 0))
-    node.centerlines.publish(centerline(walk.clouds[1], 1))  # its fit waits for the filter
+    node.answer(hull(walk.clouds[0], 0))
+    node.hulls.publish(hull(walk.clouds[1], 1))  # its fit waits for the filter
     assert node.node.trigger_deactivate() == SUCCESS
     assert node.node.trigger_activate() == SUCCESS
-    node.until(lambda: node.centerlines.get_subscription_count())
-    assert node.answer(centerline(walk.clouds[2], 2)).state == "tracking"
+    node.until(lambda: node.hulls.get_subscription_count())
+    assert node.answer(hull(walk.clouds[2], 2)).state == "tracking"
     assert node.node.trigger_deactivate() == SUCCESS
     assert node.node.trigger_cleanup() == SUCCESS
 
@@ -358,8 +332,8 @@ def test_two_runs_give_the_same_bytes(bench, walk):
     def run():
         node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
         for k, cloud in enumerate(walk.clouds):
-            node.answer(centerline(cloud, k))
-            node.predictions.publish(prediction_message(Prediction(stamp(k), walk.poses[k], np.full(24, 0.1))))
+            node.answer(hull(cloud, k))
+            node.predictions.publish(prediction_message(stamp(k), walk.poses[k], np.full(24, 0.1)))
         node.node.trigger_deactivate()
         # not the serialised messages: CDR pads with whatever bytes lie about
         return b"".join(bytes(message.data) for message in node.points), node.fits
@@ -372,9 +346,8 @@ def test_node_publishes_exactly_what_the_tracker_returns(bench, walk):
     node = bench(**walk.parameters).start()
     tracker = IcpTracker(KnownPose(walk.poses[0], walk.body), node.node.settings)
     for k, cloud in enumerate(walk.clouds[:4]):
-        message = centerline(cloud, k)
-        answer = node.answer(message)
-        expected = tracker.step(HullProducts(stamp(k), read_packet(message, Centerline, "test")))
+        answer = node.answer(hull(cloud, k))
+        expected = tracker.step(HullProducts.of_points(stamp(k), cloud, 0.005))
         assert np.array_equal(answer.points, expected.reference_points_world.astype(np.float32))
         assert fit_message((expected,), "articulated") == node.fits[-1]
 
@@ -385,12 +358,12 @@ def test_reason_of_an_acquisition_is_logged_when_it_changes_and_at_most_once_a_s
     node = bench().node
     for k in range(60):  # three seconds of sets, whose reasons change with each, then stay
         clock.now_s = 100.0 + 0.05 * k
-        node._tell(fits_nothing(stamp(k), f"arm {k} cm too low" if k < 50 else "stand still"))
+        node._log_state(fits_nothing(stamp(k), f"arm {k} cm too low" if k < 50 else "stand still"))
     lines = [line for line in capfd.readouterr().err.splitlines() if "acquiring" in line]
     assert [line.rpartition("acquiring: ")[2] for line in lines] == [
         *("arm 0 cm too low", "arm 20 cm too low", "arm 40 cm too low")
     ]
     clock.now_s += 1.0
-    node._tell(fits_nothing(stamp(60), "stand still"))
-    node._tell(fits_nothing(stamp(61), "stand still"))
+    node._log_state(fits_nothing(stamp(60), "stand still"))
+    node._log_state(fits_nothing(stamp(61), "stand still"))
     assert capfd.readouterr().err.count("stand still") == 1

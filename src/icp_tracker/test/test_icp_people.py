@@ -49,7 +49,7 @@ def hulls():
     def carved(*placed):
         pipeline = HullPipeline(rig, HullSettings(backend="cpu"))
         masks = eyes.render(together(*(person.place(pose) for person, pose in placed)))
-        return pipeline.run(FrameSet.of_instant(1, masks, ())).products.as_sent()
+        return pipeline.run(FrameSet.of_instant(1, masks, ())).products
 
     return {
         "both": carved((TALL, TALL_AT), (SHORT, SHORT_AT)),

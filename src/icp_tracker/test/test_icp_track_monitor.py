@@ -143,8 +143,9 @@ def test_the_true_pose_explains_the_outlines_and_no_joint_is_beyond_its_range(pe
     assert evidence.share > 0.95
     assert evidence.cost < 0.05 * evidence.rays
     assert evidence.beyond < 1.0
-    behind = posed({"left_hip_y": 1.8}, person.pose)  # a leg straight back
-    assert evidence_of(Figure.of(person.body), behind, data_of(person)).beyond > 3.0
+    leg = LimbPoses.of(person.pose, LIMBS[2])
+    through = with_limb(person.pose, LIMBS[2], leg.R[0], 3.6)  # the calf in the thigh
+    assert evidence_of(Figure.of(person.body), through, data_of(person)).beyond > 3.0
 
 
 def test_the_lead_of_a_pose_over_another_has_the_sign_of_the_truth(person):

@@ -14,7 +14,6 @@ from stick_figure.pose import Pose
 from .table import column, columns, fill, layout
 
 UPPER_TRIANGLE = np.triu_indices(3)
-BELOW_DIAGONAL = ((1, 0), (2, 0), (2, 1))
 COVARIANCE_FIELDS = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 
 GOOD, DOUBTFUL, LOST = "good", "doubtful", "lost"
@@ -62,15 +61,6 @@ class ReferencePoints:
             covariance[:, row, col] = covariance[:, col, row] = column(table, name)
         flags = (table[name] > 0.5 for name in ("visible", "doubtful", "moved"))
         return cls(columns(table, "x", "y", "z"), covariance, *flags)
-
-    def as_sent(self) -> ReferencePoints:
-        """Return the same, rounded to float32 as the cloud between the nodes is."""
-        covariance = np.asarray(self.covariance, np.float32).astype(np.float64)
-        for row, col in BELOW_DIAGONAL:  # as six numbers make a matrix again
-            covariance[:, row, col] = covariance[:, col, row]
-        points_world = np.asarray(self.points_world, np.float32).astype(np.float64)
-        flags = (np.asarray(flag, bool) for flag in (self.visible, self.doubtful, self.moved))
-        return ReferencePoints(points_world, covariance, *flags)
 
 
 NOTHING_SEEN = ReferencePoints(np.zeros((15, 3)), np.zeros((15, 3, 3)), np.zeros(15, bool))
@@ -143,10 +133,11 @@ class Fit:
 
     @property
     def reference_points(self) -> ReferencePoints:
-        """What travels on to the filter."""
+        """What travels on to the filter; each covariance exactly symmetric, as its six numbers in a message are."""
         doubtful = points_of_parts([state != GOOD for state in self.quality.parts])
-        moved = points_of_parts(self.moved)
-        return ReferencePoints(self.reference_points_world, self.covariance, self.visible, doubtful, moved)
+        covariance = np.triu(self.covariance) + np.triu(self.covariance, 1).transpose(0, 2, 1)
+        visible, moved = np.asarray(self.visible, bool), points_of_parts(self.moved)
+        return ReferencePoints(self.reference_points_world, covariance, visible, doubtful, moved)
 
 
 def points_of_parts(parts: Sequence[bool] | np.ndarray) -> np.ndarray:

@@ -1,17 +1,19 @@
 """What the hull server hands to the tracker: centerline, voxel samples and contour rays of one frame set.
 
-Each type knows its table (``LAYOUT``, all fields float32), which is also the point cloud between the nodes. Rows carry
+Each type knows its table (``LAYOUT``), which is also published as a point cloud, for whoever listens. Rows carry
 the number of the body that they belong to: the hull server numbers bodies that do not touch; people who touch share a
 number until they part; -1 is nobody. World frame (map), metres.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from .latency import NO_AGES, SetAges
 from .table import column, columns, fill, layout
 
 # Thresholds: judgement, no measurement.
@@ -84,10 +86,6 @@ class Centerline:
             table["body"].astype(np.int32),
         )
 
-    def as_sent(self) -> Centerline:
-        """Return the same, rounded to float32 as its cloud is."""
-        return Centerline.from_table(self.to_table())
-
 
 @dataclass(frozen=True, eq=False)
 class VoxelSamples:
@@ -131,10 +129,6 @@ class VoxelSamples:
     def from_table(cls, table: np.ndarray) -> VoxelSamples:
         """Return the inverse of :meth:`to_table`."""
         return cls(columns(table, "x", "y", "z"), table["surface"] > 0.5, table["body"].astype(np.int32))
-
-    def as_sent(self) -> VoxelSamples:
-        """Return the same, rounded to float32 as its cloud is."""
-        return VoxelSamples.from_table(self.to_table())
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,11 +193,9 @@ class ContourRays:
             table["camera"].astype(np.int32),
         )
 
-    def as_sent(self) -> ContourRays:
-        """Return the same, rounded to float32 as its cloud is."""
-        return ContourRays.from_table(self.to_table())
 
-
+PARTS: dict[str, Any] = {"centerline": Centerline, "voxels": VoxelSamples, "contour_rays": ContourRays}
+"""The parts of `HullProducts`, in its order."""
 NO_CENTERLINE = Centerline.of_points(np.empty((0, 3)))
 NO_VOXELS = VoxelSamples(np.empty((0, 3)), np.empty(0, dtype=np.bool_))
 NO_CONTOUR_RAYS = ContourRays(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), np.empty(0))
@@ -211,12 +203,18 @@ NO_CONTOUR_RAYS = ContourRays(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3
 
 @dataclass(frozen=True, eq=False)
 class HullProducts:
-    """What the hull server hands on of one frame set: everything in the volume, of all bodies."""
+    """What the hull server hands on of one frame set: everything in the volume, of all bodies; how old the set is."""
+
+    LAYOUTS: ClassVar[dict[str, np.dtype]] = {
+        **{name: kind.LAYOUT for name, kind in PARTS.items()},
+        "ages": SetAges.LAYOUT,
+    }
 
     stamp_ns: int
     centerline: Centerline
     voxels: VoxelSamples = NO_VOXELS
     contour_rays: ContourRays = NO_CONTOUR_RAYS
+    ages: SetAges = NO_AGES
 
     @classmethod
     def of_points(
@@ -230,10 +228,15 @@ class HullProducts:
         """Products of one body whose centerline is any cloud of points (n, 3)."""
         return cls(stamp_ns, Centerline.of_points(points_world, sigma), voxels, contour_rays)
 
-    def as_sent(self) -> HullProducts:
-        """Return the same, rounded to float32 as the clouds between the nodes are."""
-        line, voxels, rays = self.centerline, self.voxels, self.contour_rays
-        return HullProducts(self.stamp_ns, _as_sent(line), _as_sent(voxels), _as_sent(rays))
+    def to_tables(self) -> dict[str, np.ndarray]:
+        """Return the tables of :data:`LAYOUTS`."""
+        return {name: getattr(self, name).to_table() for name in PARTS} | {"ages": self.ages.to_table()}
+
+    @classmethod
+    def from_tables(cls, stamp_ns: int, tables: Mapping[str, np.ndarray]) -> HullProducts:
+        """Return the inverse of :meth:`to_tables`. Raises InputError for ages that are not one row."""
+        line, voxels, rays = (kind.from_table(tables[name]) for name, kind in PARTS.items())
+        return cls(stamp_ns, line, voxels, rays, SetAges.from_table(tables["ages"]))
 
     def finite(self) -> tuple[HullProducts, int]:
         """Return the same with the centerline points that are finite numbers, and how many were not."""
@@ -298,13 +301,6 @@ def _rows(packet: Rows, rows: np.ndarray) -> Rows:
 def _numbered_zero(packet: Rows) -> Rows:
     """Return the packet with all rows as body 0's."""
     return replace(packet, body=np.zeros(len(packet), np.int32))
-
-
-def _as_sent(packet: Rows) -> Rows:
-    """Return the packet as its table would give it back: numbers rounded to float32, all else as it is."""
-    columns = vars(packet).values()
-    rounded = (c.astype(np.float32).astype(np.float64) if c.dtype == np.float64 else c for c in columns)
-    return type(packet)(*rounded)
 
 
 def _thinned(points: np.ndarray, count: int, rows: np.ndarray | None = None) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What tracker and filter say to each other of everybody in one frame set: one packet each way, whoever is there.
+"""What tracker and filter tell each other of everybody in one frame set: one packet each way, whoever is there.
 
 One packet a set, not one a person: whoever gets it knows that nobody else is there and waits for no other message.
 """
@@ -13,15 +13,22 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.yaml_file import format_mapping, parse_mapping
-from stick_figure.body import Body
+from stick_figure.body import BUILD_NUMBERS, Body
 from stick_figure.body_file import format_body, parse_body
+from stick_figure.skeleton import STICK_NAMES
 
 from .fit import FIRST_PERSON, Fit, ReferencePoints
+from .latency import NO_AGES, SetAges
 from .state import Prediction
 from .table import fill, layout
 
 POINTS = 15
 MOST_BODIES_BYTES = 256 << 10  # of some 250 persons
+_RATIOS = ("half_shoulder_width", "shoulder_height_ratio", "hip_width_ratio")
+BODY_LAYOUT = layout(
+    "person", *(f"half_{name}" for name in STICK_NAMES), *_RATIOS, *(f"build_{k}" for k in range(BUILD_NUMBERS))
+)
+"""A row a person: the numbers of `stick_figure.body.Body`, at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +53,7 @@ class PeoplePoints:
         tables = [points.to_table() for points in self.of.values()]
         if list(self.of) == [FIRST_PERSON]:
             return tables[0]
-        rows = [table.view(np.float32).reshape(POINTS, -1) for table in tables]
+        rows = [table.view(np.float64).reshape(POINTS, -1) for table in tables]
         return fill(self.LAYOUT, np.concatenate(rows), np.repeat(list(self.of), POINTS))
 
     @classmethod
@@ -64,9 +71,47 @@ class PeoplePoints:
             {p: ReferencePoints.from_table(own) for p, own in zip(persons, table.reshape(-1, POINTS), strict=True)}
         )
 
-    def as_sent(self) -> PeoplePoints:
-        """Return the same, rounded as in the cloud between the nodes."""
-        return PeoplePoints({person: points.as_sent() for person, points in self.of.items()})
+
+@dataclass(frozen=True, eq=False)
+class FittedPeople:
+    """The tracker's answer to a frame set: everybody's points, the body of each who has one, and how old the set is."""
+
+    LAYOUTS: ClassVar[dict[str, np.dtype]] = {
+        "points": PeoplePoints.LAYOUT,
+        "bodies": BODY_LAYOUT,
+        "ages": SetAges.LAYOUT,
+    }
+
+    stamp_ns: int
+    points: PeoplePoints
+    bodies: Mapping[int, Body]
+    ages: SetAges = NO_AGES
+
+    def to_tables(self) -> dict[str, np.ndarray]:
+        """Return the tables of :data:`LAYOUTS`."""
+        points = self.points.to_table()
+        if points.dtype != PeoplePoints.LAYOUT:
+            points = fill(PeoplePoints.LAYOUT, points.view(np.float64).reshape(POINTS, -1), np.ones(POINTS))
+        bodies = [(person, *body_numbers(body)) for person, body in self.bodies.items()]
+        return {"points": points, "bodies": np.array(bodies, BODY_LAYOUT), "ages": self.ages.to_table()}
+
+    @classmethod
+    def from_tables(cls, stamp_ns: int, tables: Mapping[str, np.ndarray]) -> FittedPeople:
+        """Return the inverse of :meth:`to_tables`. Raises InputError for rows that are no person's."""
+        bodies = {int(row["person"]): _body_of(row) for row in tables["bodies"]}
+        return cls(stamp_ns, PeoplePoints.from_table(tables["points"]), bodies, SetAges.from_table(tables["ages"]))
+
+
+def body_numbers(body: Body) -> tuple[float, ...]:
+    """Return the numbers of a body at rest, in the order of `BODY_LAYOUT` behind the person."""
+    rest = body.straight
+    return (*rest.half_lengths.tolist(), *(getattr(rest, name) for name in _RATIOS), *rest.build.tolist())
+
+
+def _body_of(row: np.void) -> Body:
+    numbers, sticks, build = row.tolist()[1:], len(STICK_NAMES), len(STICK_NAMES) + len(_RATIOS)
+    width, shoulders, hips = numbers[sticks:build]
+    return Body(np.array(numbers[:sticks]), width, shoulders, hips, np.array(numbers[build:]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +120,6 @@ class Predictions:
 
     stamp_ns: int
     of: Mapping[int, Prediction]
-
-    def as_sent(self) -> Predictions:
-        """Return the same, poses rounded as they are between the nodes."""
-        return Predictions(self.stamp_ns, {person: one.as_sent() for person, one in self.of.items()})
 
 
 def format_bodies(bodies: Mapping[int, Body], source: str = "") -> str:

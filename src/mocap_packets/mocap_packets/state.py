@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -27,21 +28,29 @@ class Tracking(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The filter's state after the frame set of ``stamp_ns``; pose is None while the filter has no state.
+    """The filter's state after the frame set of ``stamp_ns``; motion is None while the filter has no state.
 
-    velocity : (24,) rate of the pose's tangent, m/s and rad/s: the pose dt later is ``pose.retract(velocity * dt)``.
+    It is kept as quaternions and twists, the numbers of its message, so that pose and velocity are the same bytes on
+    both sides of a wire.
     """
 
     stamp_ns: int
-    pose: Pose | None
-    velocity: np.ndarray
+    motion: JointMotion | None = None
 
-    def as_sent(self) -> Prediction:
-        """Return the same, its rotations as quaternions gave them back, as they do between the nodes."""
-        if self.pose is None:
-            return self
-        motion = JointMotion.of(self.pose, self.velocity)
-        return Prediction(self.stamp_ns, motion.pose, motion.velocity)
+    @classmethod
+    def of(cls, stamp_ns: int, pose: Pose, velocity: np.ndarray) -> Prediction:
+        """Return the prediction of a pose and the rates (24,) of its tangent, m/s and rad/s."""
+        return cls(stamp_ns, JointMotion.of(pose, velocity))
+
+    @cached_property
+    def pose(self) -> Pose | None:
+        """The pose; that dt later is ``pose.retract(velocity * dt)``."""
+        return None if self.motion is None else self.motion.pose
+
+    @cached_property
+    def velocity(self) -> np.ndarray:
+        """(24,) rates of the pose's tangent; zero without a pose."""
+        return np.zeros(24) if self.motion is None else self.motion.velocity
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +104,7 @@ class BodyState:
     @property
     def prediction(self) -> Prediction:
         """Where the next fit starts."""
-        return Prediction(self.stamp_ns, self.pose, self.predicted_velocity)
+        return Prediction.of(self.stamp_ns, self.pose, self.predicted_velocity)
 
     @property
     def normalised_innovation(self) -> float:
@@ -116,4 +125,4 @@ class NoState:
     @property
     def prediction(self) -> Prediction:
         """A prediction without a pose."""
-        return Prediction(self.stamp_ns, None, np.zeros(24))
+        return Prediction(self.stamp_ns)

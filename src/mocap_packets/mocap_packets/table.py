@@ -1,4 +1,4 @@
-"""Tables of float32 fields: the form in which packets leave a stage, in a message or in memory."""
+"""Tables of float64 fields, one row a point, ray or person: the form in which packets go into messages."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 
 
 def layout(*names: str) -> np.dtype:
-    """Structured dtype of float32 fields in this order."""
-    return np.dtype([(name, np.float32) for name in names])
+    """Structured dtype of float64 fields in this order."""
+    return np.dtype([(name, np.float64) for name in names])
 
 
 def fill(dtype: np.dtype, *columns: np.ndarray) -> np.ndarray:
     """Structured array (n,) of a :func:`layout` from columns (n,) or (n, k) in the order of its fields."""
-    flat = np.column_stack(columns).astype(np.float32)
+    flat = np.column_stack(columns).astype(np.float64)
     return np.ascontiguousarray(flat).view(dtype).reshape(-1)
 
 

@@ -1,7 +1,7 @@
 """From the images of one instant to the joint angles of everybody in view: the whole method on one page.
 
-The nodes of the graph hold the same objects and call them in the same order; what travels between two of them is
-rounded here as it is in a message (``as_sent``), so this page and the graph give the same numbers, bit for bit.
+The nodes of the graph hold the same objects and call them in the same order, and their messages hold every number
+exactly, so this page and the graph give the same results, bit for bit.
 
     images -> segment -> silhouettes -> resolve shadows -> carve -> slice -> fit -> filter -> predict -> next fit
                  ^---- where the others see a body <---|
@@ -19,13 +19,14 @@ from camera_client.settings import CameraClientSettings
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, Volume
-from ekf_tracker.people import PeopleFilter
+from ekf_tracker.filter import PeopleFilter
 from hull_server.hull_pipeline import HullPipeline
 from icp_tracker.people.people_tracker import PeopleTracker, make_people_tracker
 from icp_tracker.tracker import TRACKING
 from mocap_packets.fit import FIRST_PERSON, Fit
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
+from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_packets.state import BodyState, NoState, Prediction
 from mocap_packets.support import ForegroundSupport
 from stick_figure.kinematics import forward
@@ -115,7 +116,7 @@ class MocapPipeline:
         self.report_support(under_way.support)
         # slice the hull along x, y and z and keep the centroids of the slices that look like a limb (3.2; slicing/);
         # sample its voxels, and trace the rays that touch the body (slicing/voxel_samples.py, contour_rays/)
-        return self.hull.finish(under_way).products.as_sent()
+        return self.hull.finish(under_way).products
 
     def report_support(self, reports: tuple[ForegroundSupport, ...]) -> None:
         """Tell the cameras that are segmented here what the others see of their foreground."""
@@ -152,17 +153,14 @@ class BodyFollower:
         return self.tracker.step(products, self._predictions)
 
     def filter(self, fits: tuple[Fit, ...]) -> dict[int, BodyState | NoState]:
-        """Correct the predictions with the fitted reference points (5.2; ekf_tracker/people.py, filter.py)."""
+        """Correct the predictions with the fitted reference points (5.2; ekf_tracker/filter.py, track.py)."""
         # a body is measured with the first pose; its sizes are refined as it moves (acquisition/, refinement/)
-        for fit in fits:
-            if (body := self.tracker.body_of(fit.person)) is not None:
-                self.filters.follow(fit.person, body)
+        bodies = {fit.person: body for fit in fits if (body := self.tracker.body_of(fit.person)) is not None}
         # extended Kalman filter over pose and velocity, predicted to this stamp (tables 5.5 and 5.7)
-        measured = {fit.person: fit.reference_points.as_sent() for fit in fits}
-        answers = self.filters.step(fits[0].stamp_ns, measured)
+        answers = self.filters.step(FittedPeople(fits[0].stamp_ns, PeoplePoints.of_fits(fits), bodies))
         # predict: where the next fit starts (table 5.5; ekf_tracker/motion_model.py)
         if self._feeds_back:
-            self._predictions = {person: answer.prediction.as_sent() for person, answer in answers.items()}
+            self._predictions = {person: answer.prediction for person, answer in answers.items()}
         return answers
 
     def restart_at(self, stamp_ns: int, pose: Pose, sd_m: float = 0.02) -> Step:

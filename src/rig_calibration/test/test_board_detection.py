@@ -4,7 +4,6 @@ import pytest
 from rendered_boards import camera, looking_at_board, render, true_corners
 
 from rig_calibration.boards.detector import diagnose_board, find_board
-from rig_calibration.boards.image_quality import blur_px
 from rig_calibration.boards.specification import read_board
 
 BOARD = read_board("checkerboard 9x6 25mm")
@@ -124,19 +123,17 @@ def test_image_without_a_board_gives_nothing():
 
 @pytest.mark.parametrize("blur", [0.5, 1.0, 2.0])
 def test_blur_of_the_optics_is_measured(blur):
-    image, detection, _ = seen(BOARD, blur=blur)
-    assert blur_px(image, detection) == pytest.approx(blur, abs=0.15)
+    assert seen(BOARD, blur=blur)[1].blur_px == pytest.approx(blur, abs=0.15)
 
 
 def test_motion_counts_in_the_direction_of_the_worse_blur():
     length = 6.0
-    image, detection, _ = seen(BOARD, roll=0, tilt=0, blur=0.6, shutter_px=(length, 0.0))
-    assert blur_px(image, detection) == pytest.approx(np.hypot(0.6, length / np.sqrt(12)), rel=0.25)
+    detection = seen(BOARD, roll=0, tilt=0, blur=0.6, shutter_px=(length, 0.0))[1]
+    assert detection.blur_px == pytest.approx(np.hypot(0.6, length / np.sqrt(12)), rel=0.25)
 
 
 def test_markers_do_not_spoil_the_measure_of_blur():
-    image, detection, _ = seen(CHARUCO, distance=0.45, blur=1.0)
-    assert blur_px(image, detection) == pytest.approx(1.0, abs=0.25)
+    assert seen(CHARUCO, distance=0.45, blur=1.0)[1].blur_px == pytest.approx(1.0, abs=0.25)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bundle_studio import BOARD, T_WORLD_FLOOR, TARGETS, carried, carried_and_floor, detections_of, errors, ring, truth
+from bundle_studio import (
+    BOARD,
+    ON_FLOOR,
+    T_WORLD_FLOOR,
+    TARGETS,
+    carried,
+    carried_and_floor,
+    detections_of,
+    errors,
+    ring,
+    truth,
+)
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -46,7 +57,7 @@ def in_sds(runs: int, wrong_lenses: bool = False, delayed: bool = False, **optio
         rng = np.random.default_rng(run)
         detections = not_synchronous(rng) if delayed else carried_and_floor(CAMERAS, rng, 15)
         cameras = with_wrong_lenses(rng) if wrong_lenses else CAMERAS
-        solution = solve_rig(cameras, detections, TARGETS, reference="floor", **options)  # type: ignore[arg-type]
+        solution = solve_rig(cameras, detections, TARGETS, reference=ON_FLOOR, **options)  # type: ignore[arg-type]
         normalised += [
             error / np.sqrt(np.diag(solution.covariance[name]))
             for name, error in errors(solution, truth(CAMERAS)).items()
@@ -60,8 +71,8 @@ def in_sds(runs: int, wrong_lenses: bool = False, delayed: bool = False, **optio
     [
         {},
         {"delayed": True},
-        {"wrong_lenses": True, "intrinsics_covariance": dict.fromkeys(CAMERAS, LENS_SD)},
-        {"wrong_lenses": True, "intrinsics_covariance": dict.fromkeys(CAMERAS, LENS_SD), "refine_intrinsics": True},
+        {"wrong_lenses": True, "intrinsics_sd": dict.fromkeys(CAMERAS, LENS_SD)},
+        {"wrong_lenses": True, "intrinsics_sd": dict.fromkeys(CAMERAS, LENS_SD), "refine_intrinsics": True},
     ],
     ids=["noise", "delays", "wrong lenses", "refined lenses"],
 )
@@ -78,10 +89,8 @@ def test_errors_lie_within_three_standard_deviations():
 
 def test_uncertain_lenses_enlarge_the_covariance():
     detections = carried_and_floor(CAMERAS, np.random.default_rng(0), 15)
-    exact = solve_rig(CAMERAS, detections, TARGETS, reference="floor")
-    doubted = solve_rig(
-        CAMERAS, detections, TARGETS, reference="floor", intrinsics_covariance=dict.fromkeys(CAMERAS, LENS_SD)
-    )
+    exact = solve_rig(CAMERAS, detections, TARGETS, reference=ON_FLOOR)
+    doubted = solve_rig(CAMERAS, detections, TARGETS, reference=ON_FLOOR, intrinsics_sd=dict.fromkeys(CAMERAS, LENS_SD))
     for name in CAMERAS:
         more = doubted.covariance[name] - exact.covariance[name]
         assert np.linalg.eigvalsh(more).min() > -1e-12 and np.trace(more) > np.trace(exact.covariance[name])
@@ -95,9 +104,9 @@ def test_refining_lenses_brings_focal_lengths_nearer_the_truth():
         cameras,
         detections,
         TARGETS,
-        reference="floor",
+        reference=ON_FLOOR,
         refine_intrinsics=True,
-        intrinsics_covariance=dict.fromkeys(CAMERAS, LENS_SD),
+        intrinsics_sd=dict.fromkeys(CAMERAS, LENS_SD),
     )
     before = [cameras[name].K - CAMERAS[name].K for name in CAMERAS]
     after = [refined.cameras[name].K - CAMERAS[name].K for name in CAMERAS]
@@ -107,14 +116,14 @@ def test_refining_lenses_brings_focal_lengths_nearer_the_truth():
 
 
 def test_delays_of_a_moving_board_are_noticed_and_cost_little():
-    late = solve_rig(CAMERAS, not_synchronous(np.random.default_rng(1)), TARGETS, reference="floor")
-    prompt = solve_rig(CAMERAS, not_synchronous(np.random.default_rng(1), delay_s=0.0), TARGETS, reference="floor")
+    late = solve_rig(CAMERAS, not_synchronous(np.random.default_rng(1)), TARGETS, reference=ON_FLOOR)
+    prompt = solve_rig(CAMERAS, not_synchronous(np.random.default_rng(1), delay_s=0.0), TARGETS, reference=ON_FLOOR)
     assert prompt.sync_error_m == 0.0
     assert 0.0002 < late.sync_error_m < 0.005  # up to 5 ms at 0.5 m/s
     rms = [np.sqrt(np.mean([e[3:] @ e[3:] for e in errors(s, truth(CAMERAS)).values()])) for s in (late, prompt)]
     assert rms[0] < rms[1] + 0.004
 
 
-def test_covariance_of_wrong_shape_is_refused():
-    with pytest.raises(InputError, match=r"camera 'cam01' has shape \(7,\)"):
-        solve_rig(CAMERAS, [], {"": BOARD.corners_board}, intrinsics_covariance={"cam01": np.ones(7)})
+def test_deviations_of_wrong_shape_are_refused():
+    with pytest.raises(InputError, match=r"camera 'cam01' have shape \(7,\)"):
+        solve_rig(CAMERAS, [], {"": BOARD.corners_board}, intrinsics_sd={"cam01": np.ones(7)})

@@ -7,8 +7,7 @@ import pytest
 from bundle_studio import rotation
 
 from rig_calibration.bundle.adjustment import FreeUnknowns, information_of_each, normal_equations, reduce, step
-from rig_calibration.bundle.projection import linearise, residuals_px
-from rig_calibration.bundle.state import Layout, Observations, State
+from rig_calibration.bundle.state import Layout, Observations, State, linearise, residuals_px
 
 RATIONAL = np.array([-0.25, 0.08, 1e-3, -2e-3, 0.01, 0.05, -0.02, 0.004])
 
@@ -46,7 +45,9 @@ def test_corners_fall_where_opencv_projects_them():
     for row in range(4):
         camera, pose = seen.camera[row], seen.pose[row]
         target = seen.target[row]
-        scaled = (seen.points[row] + np.outer(seen.bend[row] @ state.bow[target], [0, 0, 1])) * state.scale[target]
+        scaled = (seen.points[row] + np.outer(seen.bend[row] @ state.board_warp[target], [0, 0, 1])) * state.scale[
+            target
+        ]
         x = scaled @ state.R_pose[pose].T + state.position[pose] - state.centre[camera]
         K = np.array(
             [

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from bundle_studio import (
     BOARD,
+    ON_FLOOR,
     SIZE,
     T_WORLD_FLOOR,
     TARGETS,
@@ -18,6 +19,7 @@ from bundle_studio import (
     detections_of,
     errors,
     ring,
+    seen_from,
     truth,
     worst,
 )
@@ -32,16 +34,16 @@ from rig_calibration.bundle.solve import RigSolution, solve_rig
 def noisy() -> RigSolution:
     """Four cameras, a carried board, a board on the floor; corners with 0.2 px of noise."""
     cameras = ring(4)
-    return solve_rig(cameras, carried_and_floor(cameras, np.random.default_rng(1), 100), TARGETS, reference="floor")
+    return solve_rig(cameras, carried_and_floor(cameras, np.random.default_rng(1), 100), TARGETS, reference=ON_FLOOR)
 
 
 def test_exact_corners_give_the_exact_rig():
     cameras = ring(3)
     detections = carried_and_floor(cameras, np.random.default_rng(0), 8, noise_px=0.0)
-    solution = solve_rig(cameras, detections, TARGETS, reference="floor")
+    solution = solve_rig(cameras, detections, TARGETS, reference=ON_FLOOR)
     centre_mm, rotation_deg = worst(errors(solution, truth(cameras)))
     assert centre_mm < 1e-3 and rotation_deg < 1e-4
-    assert solution.left_out == () and solution.rms_all_px < 1e-4
+    assert solution.left_out == () and max(solution.rms_px.values()) < 1e-4
 
 
 def test_noisy_corners_give_centres_within_5_mm_and_a_tenth_of_a_degree(noisy: RigSolution):
@@ -50,8 +52,6 @@ def test_noisy_corners_give_centres_within_5_mm_and_a_tenth_of_a_degree(noisy: R
 
 
 def test_figures_tell_the_noise_that_was_injected(noisy: RigSolution):
-    assert noisy.noise == pytest.approx(1.0, abs=0.08)
-    assert noisy.rms_all_px == pytest.approx(0.2 * np.sqrt(2), rel=0.1)
     assert all(rms == pytest.approx(0.2 * np.sqrt(2), rel=0.15) for rms in noisy.rms_px.values())
     assert noisy.inflation < 1.5 and noisy.sync_error_m == 0.0
 
@@ -70,11 +70,10 @@ def test_targets_are_placed_in_their_own_frames(noisy: RigSolution):
 def test_gauge_changes_neither_residuals_nor_relative_poses(noisy: RigSolution):
     cameras = ring(4)
     detections = carried_and_floor(cameras, np.random.default_rng(1), 100)
-    other = solve_rig(cameras, detections, TARGETS, reference="cam02")
-    np.testing.assert_allclose(other.T_camera_reference["cam02"], np.eye(4), atol=1e-12)
-    assert not other.covariance["cam02"].any() and other.covariance["cam01"].any()
-    for name in cameras:
-        T = noisy.T_camera_reference[name] @ np.linalg.inv(noisy.T_camera_reference["cam02"])
+    other = solve_rig(cameras, detections, TARGETS)
+    (root,) = [name for name, covariance in other.covariance.items() if not covariance.any()]
+    np.testing.assert_allclose(other.T_camera_reference[root], np.eye(4), atol=1e-12)
+    for name, T in seen_from(noisy, root).items():
         np.testing.assert_allclose(other.T_camera_reference[name], T, atol=1e-9)
     for a, b in zip(noisy.residuals_px, other.residuals_px, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-7)
@@ -84,14 +83,14 @@ def test_same_bytes_in_whatever_order_the_input_comes():
     cameras = ring(3)
     detections = carried_and_floor(cameras, np.random.default_rng(2), 10)
     covariance = {name: np.array([1, 1, 1, 1, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3]) for name in cameras}
-    first = solve_rig(cameras, detections, TARGETS, intrinsics_covariance=covariance)
+    first = solve_rig(cameras, detections, TARGETS, intrinsics_sd=covariance)
     shuffled = [detections[i] for i in np.random.default_rng(0).permutation(len(detections))]
     upset = [replace(s, ids=s.ids[::-1].copy(), pixels=s.pixels[::-1].copy()) for s in shuffled]
     second = solve_rig(
         dict(reversed(cameras.items())),
         upset,
         dict(reversed(TARGETS.items())),
-        intrinsics_covariance=dict(reversed(covariance.items())),
+        intrinsics_sd=dict(reversed(covariance.items())),
     )
     for a, b in ((first.T_camera_reference, second.T_camera_reference), (first.covariance, second.covariance)):
         assert list(a) == list(b) == sorted(cameras)
@@ -122,7 +121,7 @@ def test_two_cameras_agree_with_stereo_calibration_of_opencv():
         criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12),
     )
     both = [s for s in detections if s.frame_index in frames]
-    T = solve_rig(cameras, both, {"moving": BOARD.corners_board}, reference="cam01").T_camera_reference["cam02"]
+    T = seen_from(solve_rig(cameras, both, {"moving": BOARD.corners_board}), "cam01")["cam02"]
     assert len(frames) > 8
     assert np.degrees(np.linalg.norm(cv2.Rodrigues(T[:3, :3] @ result[5].T)[0])) < 0.01
     np.testing.assert_allclose(T[:3, 3], result[6].ravel(), atol=5e-4)
@@ -132,7 +131,7 @@ def test_minimum_is_that_of_scipy_least_squares():
     cameras = ring(3)
     rng = np.random.default_rng(5)
     detections = [s for s in carried_and_floor(cameras, rng, 6) if s.target == "floor" or s.frame_index < 6]
-    solution = solve_rig(cameras, detections, TARGETS, reference="floor")
+    solution = solve_rig(cameras, detections, TARGETS, reference=ON_FLOOR)
     names, keys = sorted(cameras), sorted(key for key in solution.T_reference_target if key != ("floor", 0))
 
     def residuals(x: np.ndarray) -> np.ndarray:
@@ -165,8 +164,8 @@ def test_minimum_is_that_of_scipy_least_squares():
 def test_rig_is_found_when_each_pair_shares_views_but_nobody_sees_all():
     cameras = ring(6)
     detections = detections_of(cameras, carried(np.random.default_rng(6), 60), "moving", np.random.default_rng(0))
-    solution = solve_rig(cameras, detections, {"moving": BOARD.corners_board}, reference="cam01")
-    centre_mm, rotation_deg = worst(errors(solution, truth(cameras, "cam01")))
+    solution = solve_rig(cameras, detections, {"moving": BOARD.corners_board})
+    centre_mm, rotation_deg = worst(errors(solution, truth(cameras, "cam01"), "cam01"))
     assert centre_mm < 15 and rotation_deg < 0.2
 
 
@@ -191,8 +190,7 @@ def test_detections_that_do_not_fit_are_named(detections: list[TargetDetection],
         solve_rig(ring(3), detections, TARGETS)
 
 
-@pytest.mark.parametrize(("reference", "said"), [("moving", r"seen in \d+ frames"), ("ceiling", "neither a camera")])
-def test_impossible_reference_is_refused(reference: str, said: str):
+def test_reference_that_was_not_seen_is_refused():
     cameras = ring(3)
-    with pytest.raises(InputError, match=said):
-        solve_rig(cameras, carried_and_floor(cameras, np.random.default_rng(0), 30), TARGETS, reference=reference)
+    with pytest.raises(InputError, match="'ceiling' was not seen in frame 0"):
+        solve_rig(cameras, carried_and_floor(cameras, np.random.default_rng(0), 8), TARGETS, reference=("ceiling", 0))

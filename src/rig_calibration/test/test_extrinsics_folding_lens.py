@@ -101,9 +101,9 @@ def test_wand_places_folding_lenses_to_each_other():
         T[:3, 3] = rng.uniform([-0.9, -0.9, 0.3], [0.9, 0.9, 1.8])
         for camera in rig.values():
             detections += seen(camera, wand_points(MARKS), T, WAND, frame)
-    solution = solve_rig(rig, detections, {WAND: wand_points(MARKS)}, reference="cam01")
-    first = rig["cam01"].T_camera_world
+    solution = solve_rig(rig, detections, {WAND: wand_points(MARKS)})
+    first = {"found": solution.T_camera_reference["cam01"], "true": rig["cam01"].T_camera_world}
     for name, camera in rig.items():
-        T = camera.T_camera_world @ np.linalg.inv(first)
-        found = solution.T_camera_reference[name]
+        T = camera.T_camera_world @ np.linalg.inv(first["true"])
+        found = solution.T_camera_reference[name] @ np.linalg.inv(first["found"])
         assert np.linalg.norm(found[:3, :3].T @ found[:3, 3] - T[:3, :3].T @ T[:3, 3]) < 0.01

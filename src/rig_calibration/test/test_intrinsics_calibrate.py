@@ -103,7 +103,7 @@ def test_bent_board_is_measured_and_does_not_spoil_the_lens():
     camera = lens()
     detections = shown(camera, 30, 0.1, seed=6, bow_m=0.002)
     result = found(detections)
-    assert result.bow_m[0] == pytest.approx(0.002, abs=3e-4) and abs(result.bow_m[1]) < 2e-4
+    assert result.warp_m[0] == pytest.approx(0.002, abs=3e-4) and abs(result.warp_m[1]) < 2e-4
     assert np.abs(errors_in_sds(result, camera)).max() < 3.5
     assert any("bent along its rows" in finding.what for finding in result.verdict.findings)
 

@@ -82,22 +82,10 @@ def test_images_of_several_sizes_are_refused():
         found(detections)
 
 
-def test_views_of_several_cameras_are_refused():
-    detections = shown(lens(), 8, 0.2, seed=7)
-    detections[5] = replace(detections[5], camera="cam02")
-    with pytest.raises(InputError, match="several cameras: cam01, cam02"):
-        found(detections)
-
-
 @pytest.mark.parametrize("count", [0, 2])
 def test_too_few_views_are_refused(count):
     with pytest.raises(InputError, match=f"{count} views of the board can be used, 3 are the least.*20 or more"):
         found(shown(lens(), count, 0.2, seed=8))
-
-
-def test_corners_that_the_board_does_not_have_are_refused():
-    with pytest.raises(InputError, match="shows corner 40, but the board has 40 corners"):
-        found(shown(lens(), 8, 0.2, seed=9), Checkerboard(8, 5, (0.025, 0.025)))
 
 
 def test_views_that_show_one_row_only_are_left_out():

@@ -8,71 +8,68 @@ import pytest
 from intrinsics_views import BOARD, lens, shown
 
 from capture_rig.errors import InputError
-from rig_calibration.boards.image_quality import motion_px
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from rig_calibration.intrinsics.coverage import coverage_of, placement_of
 from rig_calibration.intrinsics.lens_fit import board_pose
 from rig_calibration.intrinsics.lens_model import LensModel
-from rig_calibration.intrinsics.selection import AccuracyGoals, ViewCollector
+from rig_calibration.intrinsics.selection import AccuracyGoals, ViewCollector, motion_px
 
 
-def jittered(detection, frame_index, seed=0):
+def jittered(detection, frame_index, blur_px=0.0):
     """The same view a frame later."""
-    shake = np.random.default_rng(seed).normal(0, 0.2, detection.pixels.shape)
-    return replace(detection, pixels=detection.pixels + shake, frame_index=frame_index)
+    shake = np.random.default_rng(0).normal(0, 0.2, detection.pixels.shape)
+    return replace(detection, pixels=detection.pixels + shake, frame_index=frame_index, blur_px=blur_px)
 
 
 def test_views_alike_are_taken_once():
     view = shown(lens(), 1, 0.1, seed=1)[0]
     collector = ViewCollector(BOARD)
-    assert collector.offer(view).taken
-    offer = collector.offer(jittered(view, 1), blur_px=0.5)
-    assert not offer.taken and "like one that is there already" in offer.reason
+    assert collector.try_add(view) == ""
+    assert "like one that is there already" in collector.try_add(jittered(view, 1, blur_px=0.5))
     assert len(collector) == 1 and collector.refused == 1
 
 
 def test_sharper_and_stiller_view_takes_the_place_of_the_one_alike():
     view = shown(lens(), 1, 0.1, seed=1)[0]
     collector = ViewCollector(BOARD)
-    collector.offer(view, blur_px=1.5, motion_px=2.0)
-    assert collector.offer(jittered(view, 1), blur_px=0.5, motion_px=0.1).taken
+    collector.try_add(replace(view, blur_px=1.5), motion_px=2.0)
+    assert collector.try_add(jittered(view, 1, blur_px=0.5), motion_px=0.1) == ""
     assert [detection.frame_index for detection in collector.detections] == [1]
 
 
 def test_chosen_pictures_are_all_taken():
     view = shown(lens(), 1, 0.1, seed=1)[0]
     collector = ViewCollector(BOARD, every=True)
-    assert collector.offer(view).taken and collector.offer(jittered(view, 1)).taken
+    assert collector.try_add(view) == "" == collector.try_add(jittered(view, 1))
 
 
 @pytest.mark.parametrize(
     "blur_px, motion_px, said",
     [
         (3.0, 0.0, "too blurred: by 3.0 px"),
-        (np.nan, 0.0, "too blurred: beyond measure"),
         (0.5, 8.0, "the board moves: hold it still"),
         (0.5, np.inf, "the board moves"),
     ],
 )
 def test_blurred_and_moving_boards_are_refused_with_the_reason(blur_px, motion_px, said):
     collector = ViewCollector(BOARD)
-    offer = collector.offer(shown(lens(), 1, 0.1, seed=1)[0], blur_px=blur_px, motion_px=motion_px)
-    assert not offer.taken and said in offer.reason and len(collector) == 0
+    view = replace(shown(lens(), 1, 0.1, seed=1)[0], blur_px=blur_px)
+    assert said in collector.try_add(view, motion_px) and len(collector) == 0
 
 
 def test_image_of_another_size_is_refused():
     views = shown(lens(), 2, 0.1, seed=2)
     collector = ViewCollector(BOARD)
-    collector.offer(views[0])
+    collector.try_add(views[0])
     with pytest.raises(InputError, match=r"several sizes: \(640, 480\), then \(1280, 960\)"):
-        collector.offer(replace(views[1], image_size=(1280, 960)))
+        collector.try_add(replace(views[1], image_size=(1280, 960)))
 
 
 def test_collecting_ends_when_lens_is_known_and_everything_covered():
     camera, collector = lens(), ViewCollector(BOARD, goals=AccuracyGoals(focal_sd=0.002, centre_sd_px=1.0))
     for view in shown(camera, 120, 0.1, seed=3):
         assert not collector.enough and collector.advice()
-        collector.offer(view, blur_px=0.5)
+        collector.try_add(replace(view, blur_px=0.5))
         if collector.enough:
             break
     assert collector.enough and collector.advice() == "" and 12 <= len(collector) < 80
@@ -85,7 +82,7 @@ def test_collecting_ends_when_lens_is_known_and_everything_covered():
 def test_untilted_boards_are_never_enough_and_the_advice_is_to_tilt():
     collector = ViewCollector(BOARD)
     for view in shown(lens(), 40, 0.1, seed=4, tilt_deg=3.0, sizes=(0.2, 0.8)):
-        collector.offer(view)
+        collector.try_add(view)
     assert not collector.enough
     assert "tilt the board by 30 to 45 degrees, its" in collector.advice()
 

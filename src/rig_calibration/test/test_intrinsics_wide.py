@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from intrinsics_views import BOARD, folding_lens, lens, pixel_errors, shown
+from wide_lenses import PROJECTIONS, DesignedLens
 
 from rig_calibration.boards.board import CharucoBoard
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
-from rig_calibration.intrinsics.lens_family import family_angle, family_radius, nearest_member
+from rig_calibration.intrinsics.lens_model import family_angle, family_radius, nearest_member
 from rig_calibration.intrinsics.picture import draw
 from rig_calibration.intrinsics.result import report_of
-from virtual_studio.wide_lenses import PROJECTIONS, DesignedLens
 
 NOISE_PX = 0.1
 

@@ -70,10 +70,8 @@ LOSSLESS_SETTINGS: Mapping[str, Any] = {
     "hull_server.deadline_s": 3.0,  # only a camera that lost a frame is waited for so long
     "hull_server.queue_depth": 1000,
     "icp_tracker.prediction_wait_s": 20.0,
-    "icp_tracker.voxels_wait_s": 20.0,
     "icp_tracker.queue_depth": 1000,
     "icp_tracker.stale_after_s": 0.0,  # between two sets may lie any time
-    "ekf_tracker.body_wait_s": 20.0,
     "ekf_tracker.stale_after_s": 0.0,
 }
 ALL_CAMERAS, SERVER = "cameras", "server"
@@ -98,7 +96,7 @@ def build_graph(
         ``cameras`` the server alone, without ``rig`` the cameras alone.
     only : "server", "cameras" or a camera's name: this part of the graph.
     rate, epoch_ns, loop : how footage is played (parameters ``footage.*`` of the camera client).
-    body : a body YAML for the trackers.
+    body : a body YAML for the ICP tracker, whose fits bring it to the filter.
     settings : more parameters, as NODE.PARAMETER (``hull_server.voxel_size_m``), CAMERA.PARAMETER or cameras.PARAMETER.
 
     Raises InputError for whatever does not fit: no such file, camera count, unknown camera or node.
@@ -164,11 +162,11 @@ def server_graph(rig: str | Path, *, body: str | Path | None = None) -> list[Nod
     """Hull server, ICP tracker and EKF tracker for one rig."""
     rig_file = Path(rig).resolve()
     load_rig(rig_file)
-    trackers = {"body_file": _body_file(Path(body))} if body is not None else {}
+    known = {"body_file": _body_file(Path(body))} if body is not None else {}
     parameters: dict[str, Mapping[str, Any]] = {
         "hull_server": {"rig_file": str(rig_file)},
-        "icp_tracker": {"initial_pose.rig_file": str(rig_file), **trackers},
-        "ekf_tracker": trackers,
+        "icp_tracker": {"initial_pose.rig_file": str(rig_file), **known},
+        "ekf_tracker": {},
     }
     modules = {"hull_server": "hull_node", "icp_tracker": "icp_node", "ekf_tracker": "ekf_node"}
     return [

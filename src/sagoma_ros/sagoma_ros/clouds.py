@@ -1,9 +1,8 @@
-"""PointCloud2 to and from structured numpy arrays of float32 fields."""
+"""Tables of float64 fields as PointCloud2 in single precision, and back."""
 
 from __future__ import annotations
 
 import array
-from collections.abc import Collection
 
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
@@ -12,7 +11,7 @@ from capture_rig.errors import InputError
 
 from .messages import to_stamp
 
-UNLESS_SAID = {"body": 0.0, "person": 1.0, "doubtful": 0.0, "moved": 0.0}
+DEFAULTS = {"body": 0.0, "person": 1.0, "doubtful": 0.0, "moved": 0.0}
 """What a cloud without one of these fields means: all is one body, one person's, nothing is doubtful or elsewhere."""
 
 _NUMPY_TYPES = {
@@ -28,8 +27,9 @@ _NUMPY_TYPES = {
 
 
 def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str, rows: int = 1) -> PointCloud2:
-    """Structured array (n,) of float32 fields to an unordered cloud, or to one of so many rows."""
+    """Table (n,) to an unordered cloud of float32 fields, or to one of so many rows."""
     names = points.dtype.names or ()
+    numbers = np.ascontiguousarray(points).view(np.float64).astype(np.float32)
     cloud = PointCloud2(height=rows, width=len(points) // rows, is_bigendian=False, is_dense=True)
     cloud.header.stamp = to_stamp(stamp_ns)
     cloud.header.frame_id = frame_id
@@ -37,9 +37,9 @@ def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str, rows: int = 1) ->
         PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
         for index, name in enumerate(names)
     ]
-    cloud.point_step = points.dtype.itemsize
+    cloud.point_step = 4 * len(names)
     cloud.row_step = cloud.point_step * cloud.width
-    cloud.data = array.array("B", np.ascontiguousarray(points).tobytes())
+    cloud.data = array.array("B", numbers.tobytes())
     return cloud
 
 
@@ -52,7 +52,7 @@ def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
     Raises InputError when a field is missing, the size does not fit, or a number is not finite.
     """
     fields = {field.name: field for field in cloud.fields}
-    wanted = [name for name in layout.names or () if name in fields or name not in UNLESS_SAID]
+    wanted = [name for name in layout.names or () if name in fields or name not in DEFAULTS]
     missing = [name for name in wanted if name not in fields]
     if missing:
         raise InputError(
@@ -62,10 +62,9 @@ def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
         )
     wire = np.frombuffer(_rows(cloud, where), _wire_layout(cloud, [fields[name] for name in wanted], where))
     points = np.empty(len(wire), layout)
-    with np.errstate(over="ignore"):  # a double too big for float32 is refused below
-        for name in layout.names or ():
-            points[name] = wire[name] if name in fields else UNLESS_SAID[name]
-    if not np.isfinite(points.view(np.float32)).all():
+    for name in layout.names or ():
+        points[name] = wire[name] if name in fields else DEFAULTS[name]
+    if not np.isfinite(points.view(np.float64)).all():
         raise InputError(
             "the cloud holds numbers that are not finite", where=where, remedy="Drop such points before publishing."
         )
@@ -106,34 +105,3 @@ def _rows(cloud: PointCloud2, where: str) -> np.ndarray:
             remedy="The message is damaged; check its publisher.",
         )
     return np.ascontiguousarray(np.frombuffer(cloud.data, np.uint8).reshape(cloud.height, row)[:, :used])
-
-
-def only_finite(cloud: PointCloud2, names: Collection[str]) -> tuple[PointCloud2, int]:
-    """Return the cloud without the points that have a NaN or infinity in one of the float32 fields ``names``.
-
-    Returns the cloud itself when all is well (or when its layout is not plain enough to judge: the reader that follows
-    says what is wrong with it), and the number of points dropped.
-    """
-    plain = cloud.point_step > 0 and len(cloud.data) % cloud.point_step == 0
-    if not plain:
-        return cloud, 0
-    rows = np.frombuffer(cloud.data, np.uint8).reshape(-1, cloud.point_step)
-    finite = np.ones(len(rows), dtype=bool)
-    for field in cloud.fields:
-        if field.name in names and field.datatype == PointField.FLOAT32:
-            column = np.ascontiguousarray(rows[:, field.offset : field.offset + 4])
-            finite &= np.isfinite(column.view(">f4" if cloud.is_bigendian else "<f4")[:, 0])
-    if finite.all():
-        return cloud, 0
-    kept = PointCloud2(
-        header=cloud.header,
-        height=1,
-        width=int(finite.sum()),
-        fields=cloud.fields,
-        is_bigendian=cloud.is_bigendian,
-        point_step=cloud.point_step,
-        row_step=cloud.point_step * int(finite.sum()),
-        is_dense=True,
-    )
-    kept.data = array.array("B", rows[finite].tobytes())
-    return kept, int((~finite).sum())

@@ -1,8 +1,8 @@
 """Packets from node to node: handed over in memory within a process, as messages to everybody else.
 
 A topic whose publisher lives in this process is not subscribed to over the wire: its packets come on the publisher's
-own thread, in order, and are rounded as in a message, so that the results are the same bytes either way. A message is
-made only when somebody outside listens.
+own thread, in order. Messages hold every number of a packet exactly, so that the results are the same bytes either way.
+A message is made only when somebody outside listens.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from functools import cached_property
+from typing import Any, Generic, Protocol, TypeVar
 from weakref import WeakKeyDictionary
 
 from rclpy.context import Context
@@ -19,11 +20,20 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 
+from capture_rig.errors import InputError
+
 from .limits import oversize
-from .messages import to_ns
 from .qos import RESULT
 
-P = TypeVar("P")
+
+class Packet(Protocol):
+    """What travels: of one frame set, by whose capture stamp it is known."""
+
+    @property
+    def stamp_ns(self) -> int: ...
+
+
+P = TypeVar("P", bound=Packet)
 
 
 class LazyPublisher:
@@ -49,17 +59,31 @@ class LazyPublisher:
         self._node.destroy_publisher(self._publisher)
 
 
-@dataclass(frozen=True, eq=False)
-class Delivery(Generic[P]):
-    """One packet that has arrived: from this process as ``packet``, as exact as its sender has it; else as ``message``.
+@dataclass(frozen=True)
+class PacketTopic(Generic[P]):
+    """A topic between two of our nodes.
 
-    Its taker rounds the one as a message would (``as_sent``), or converts the other, on the thread where it is used.
+    to_message : of a packet and its frame id, a message of type ``kind``. header_of : stamp, ns, and frame id of a
+    message. from_message : the packet of a message, whose origin an InputError names.
     """
 
-    stamp_ns: int
-    frame_id: str
-    packet: P | None = None
-    message: Any = None
+    name: str
+    kind: type
+    to_message: Callable[[P, str], Any]
+    header_of: Callable[[Any], tuple[int, str]]
+    from_message: Callable[[Any, str], P]
+
+
+class Delivery(Generic[P]):
+    """One packet that has arrived, with its stamp and frame id."""
+
+    def __init__(self, stamp_ns: int, frame_id: str, read: Callable[[], P]) -> None:
+        self.stamp_ns, self.frame_id, self._read = stamp_ns, frame_id, read
+
+    @cached_property
+    def packet(self) -> P:
+        """The packet; a message is read on the thread that asks first. Raises InputError for a damaged one."""
+        return self._read()
 
 
 @dataclass(eq=False)
@@ -68,12 +92,11 @@ class _Channel:
 
     publishers: int = 0
     subscriptions: list[PacketSubscription] = field(default_factory=list)
-    kept: Delivery | None = None
 
     def joined(self, change: int) -> None:
         self.publishers += change
         for subscription in self.subscriptions:
-            subscription.follow(self.publishers > 0)
+            subscription.use_memory(self.publishers > 0)
 
 
 _CHANNELS: WeakKeyDictionary[Context, dict[str, _Channel]] = WeakKeyDictionary()
@@ -88,13 +111,9 @@ def _channel(node: Node, topic: str) -> _Channel:
 class PacketPublisher(Generic[P]):
     """The sending end of a topic of packets."""
 
-    def __init__(
-        self, node: Node, kind: type, topic: str, to_message: Callable[[P, int, str], Any], qos: QoSProfile = RESULT
-    ) -> None:
-        """``to_message(packet, stamp_ns, frame_id)`` makes a message of type ``kind``."""
-        self._outside, self._to_message = LazyPublisher(node, kind, topic, qos), to_message
-        self._keeps = qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        self._channel = _channel(node, topic)
+    def __init__(self, node: Node, topic: PacketTopic[P]) -> None:
+        self._outside, self._to_message = LazyPublisher(node, topic.kind, topic.name), topic.to_message
+        self._channel = _channel(node, topic.name)
         with _CHANGING:
             self._channel.joined(+1)
 
@@ -103,20 +122,17 @@ class PacketPublisher(Generic[P]):
         """Whether there is a subscriber outside this process."""
         return self._outside.is_wanted
 
-    def publish(self, packet: P, stamp_ns: int, frame_id: str) -> None:
+    def publish(self, packet: P, frame_id: str) -> None:
         """Send a packet to everybody: first to this process's own, on this thread."""
-        delivery = Delivery(stamp_ns, frame_id, packet)
-        if self._keeps:
-            self._channel.kept = delivery
+        delivery = Delivery(packet.stamp_ns, frame_id, lambda: packet)
         for subscription in tuple(self._channel.subscriptions):
             subscription.deliver(delivery)
-        self._outside.publish(self._to_message, packet, stamp_ns, frame_id)
+        self._outside.publish(self._to_message, packet, frame_id)
 
     def close(self) -> None:
         """Take the topic back; who follows it here listens to the wire from now on."""
         self._outside.close()
         with _CHANGING:
-            self._channel.kept = None
             self._channel.joined(-1)
 
 
@@ -127,51 +143,47 @@ class PacketSubscription(Generic[P]):
     with what comes from this process.
     """
 
-    def __init__(
-        self, node: Node, kind: type, topic: str, callback: Callable[[Delivery[P]], None], qos: QoSProfile = RESULT
-    ) -> None:
-        self._node, self._kind, self._topic, self._qos = node, kind, topic, qos
-        self._callback = callback
+    def __init__(self, node: Node, topic: PacketTopic[P], callback: Callable[[Delivery[P]], None]) -> None:
+        self._node, self._topic, self._callback = node, topic, callback
+        self._where = node.resolve_topic_name(topic.name)
         self._wire: Subscription | None = None
-        self._channel = _channel(node, topic)
+        self._channel = _channel(node, topic.name)
         with _CHANGING:
             self._channel.subscriptions.append(self)
-            self.follow(self._channel.publishers > 0)
-            kept = self._channel.kept
-        if kept is not None:
-            self.deliver(kept)
+            self.use_memory(self._channel.publishers > 0)
 
-    def follow(self, in_memory: bool) -> None:
+    def use_memory(self, in_memory: bool) -> None:
         """Listen to this process, or to the wire."""
         if in_memory and self._wire is not None:
             self._node.destroy_subscription(self._wire)
             self._wire = None
         elif not in_memory and self._wire is None:
-            self._wire = self._node.create_subscription(self._kind, self._topic, self._on_message, self._qos)
+            topic = self._topic
+            self._wire = self._node.create_subscription(topic.kind, topic.name, self._on_message, RESULT)
 
     def deliver(self, delivery: Delivery[P]) -> None:
-        """Take a packet from this process."""
+        """Pass on a packet from this process."""
         self._callback(delivery)
 
     def close(self) -> None:
         """Listen no longer."""
         with _CHANGING:
             self._channel.subscriptions.remove(self)
-            self.follow(in_memory=True)
+            self.use_memory(True)
 
     def _on_message(self, message: Any) -> None:
-        excess = oversize(message)
-        if excess:
-            self._refuse(excess)
+        try:
+            if excess := oversize(message):
+                raise InputError(f"a message is refused: {excess}")
+            stamp_ns, frame_id = self._topic.header_of(message)
+        except InputError as error:
+            self._refuse(str(error))
             return
-        header = getattr(message, "header", None)
-        stamp_ns, frame_id = (to_ns(header.stamp), header.frame_id) if header is not None else (0, "")
-        self._callback(Delivery(stamp_ns, frame_id, message=message))
+        self._callback(Delivery(stamp_ns, frame_id, lambda: self._topic.from_message(message, self._where)))
 
-    def _refuse(self, excess: str) -> None:
-        """Count and tell what was too large to be taken."""
+    def _refuse(self, why: str) -> None:
+        """Count and log what is too large, or no message of ours."""
         health = getattr(self._node, "health", None)
         if health is not None:
             health.count("large_messages")
-        text = f"{self._topic}: a message is refused: {excess}"
-        self._node.get_logger().warning(text, throttle_duration_sec=5.0)
+        self._node.get_logger().warning(f"{self._topic.name}: {why}", throttle_duration_sec=5.0)

@@ -9,7 +9,7 @@ from sensor_msgs.msg import MultiDOFJointState
 from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.people import Predictions
-from mocap_packets.state import NoState, Prediction
+from mocap_packets.state import Prediction
 from stick_figure.joint_motion import JOINT_NAMES, JointMotion
 
 from .messages import to_ns, to_stamp
@@ -62,31 +62,17 @@ def read_motions(message: MultiDOFJointState, where: str) -> dict[int, JointMoti
     return motions
 
 
-def predictions_message(predictions: Predictions, stamp_ns: int, frame_id: str = "map") -> MultiDOFJointState:
+def predictions_message(predictions: Predictions, frame_id: str = "map") -> MultiDOFJointState:
     """Return everybody's predictions as :func:`motion_message`; who has no pose has no joints."""
-    motions = {p: JointMotion.of(one.pose, one.velocity) for p, one in predictions.of.items() if one.pose is not None}
-    return motion_message(motions, stamp_ns, frame_id)
-
-
-def prediction_message(prediction: Prediction, frame_id: str = "map") -> MultiDOFJointState:
-    """Return the first person's prediction alone, as :func:`predictions_message`."""
-    return predictions_message(
-        Predictions(prediction.stamp_ns, {FIRST_PERSON: prediction}), prediction.stamp_ns, frame_id
-    )
+    motions = {person: one.motion for person, one in predictions.of.items() if one.motion is not None}
+    return motion_message(motions, predictions.stamp_ns, frame_id)
 
 
 def read_predictions(message: MultiDOFJointState, where: str) -> Predictions:
     """Return the inverse of :func:`predictions_message`; InputError as :func:`read_motions`."""
     stamp_ns = to_ns(message.header.stamp)
-    predictions = {FIRST_PERSON: NoState(stamp_ns, "").prediction}
-    for person, motion in read_motions(message, where).items():
-        predictions[person] = Prediction(stamp_ns, motion.pose, motion.velocity)
-    return Predictions(stamp_ns, predictions)
-
-
-def read_prediction(message: MultiDOFJointState, where: str) -> Prediction:
-    """Return the first person's prediction; InputError as :func:`read_predictions`."""
-    return read_predictions(message, where).of[FIRST_PERSON]
+    motions = {FIRST_PERSON: None, **read_motions(message, where)}
+    return Predictions(stamp_ns, {person: Prediction(stamp_ns, motion) for person, motion in motions.items()})
 
 
 def _not_ours(where: str) -> InputError:

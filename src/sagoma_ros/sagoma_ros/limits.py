@@ -22,8 +22,9 @@ def oversize(message: Any) -> str:
     """Return what in a message is larger than any node sends; empty when nothing is."""
     data = getattr(message, "data", ())
     most = MOST_TEXT_BYTES if isinstance(data, str) else MOST_CLOUD_BYTES
-    if len(data) > most:
-        return f"{len(data)} bytes of data, at most {most} are taken"
+    size = len(data) * getattr(data, "itemsize", 1)
+    if size > most:
+        return f"{size} bytes of data, at most {most} are taken"
     for name, most in _COUNTED.items():
         if len(getattr(message, name, ())) > most:
             return f"{len(getattr(message, name))} entries of {name}, at most {most} are taken"

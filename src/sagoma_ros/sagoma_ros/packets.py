@@ -1,27 +1,36 @@
-"""Packets (`mocap_packets`) to and from messages, one conversion each; silhouettes are in `images`, poses in
-`joint_motion`."""
+"""Packets (`mocap_packets`) to and from messages, and the topics on which our nodes hand them to each other.
+
+Those topics hold several tables in one std_msgs/Float64MultiArray. Its first dimension is labelled with the frame id;
+its two numbers are seconds and nanoseconds of the stamp. Each other dimension is a table: label ``NAME: COLUMN ...``,
+size the rows, stride the columns. Clouds are for whoever listens else. Silhouettes are in `images`, poses in
+`joint_motion`.
+"""
 
 from __future__ import annotations
 
 import array
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Protocol, Self, TypeVar
 
 import numpy as np
-from sensor_msgs.msg import JointState, PointCloud2, PointField
-from std_msgs.msg import String
+from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2, PointField
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from capture_rig.errors import InputError
 from mocap_packets.fit import ReferencePoints
-from mocap_packets.people import PeoplePoints
+from mocap_packets.hull import HullProducts
+from mocap_packets.people import FittedPeople, PeoplePoints, Predictions
 
-from .clouds import from_cloud, only_finite, to_cloud
-from .messages import to_stamp
+from .clouds import from_cloud, to_cloud
+from .intra_process import PacketTopic
+from .joint_motion import predictions_message, read_predictions
+from .messages import NS_PER_S, to_ns, to_stamp
+
+MOST_SECONDS = 2**31  # of a stamp
 
 
 class Table(Protocol):
-    """A packet with a table of float32 fields: Centerline, VoxelSamples, ContourRays, ReferencePoints."""
+    """A packet with a table: Centerline, VoxelSamples, ContourRays, ReferencePoints."""
 
     LAYOUT: ClassVar[np.dtype]
 
@@ -31,18 +40,92 @@ class Table(Protocol):
     def from_table(cls, table: np.ndarray) -> Self: ...
 
 
+class Tables(Protocol):
+    """A packet of several tables: HullProducts, FittedPeople."""
+
+    LAYOUTS: ClassVar[dict[str, np.dtype]]
+
+    @property
+    def stamp_ns(self) -> int: ...
+
+    def to_tables(self) -> dict[str, np.ndarray]: ...
+
+    @classmethod
+    def from_tables(cls, stamp_ns: int, tables: Mapping[str, np.ndarray]) -> Self: ...
+
+
 T = TypeVar("T", bound=Table)
+M = TypeVar("M", bound=Tables)
+
+# --- between our nodes
 
 
-@dataclass(frozen=True)
-class Text:
-    """A packet that is a document, such as a body's YAML."""
+def tables_message(packet: Tables, frame_id: str) -> Float64MultiArray:
+    """Return a packet's tables in one message."""
+    tables = packet.to_tables()
+    message = Float64MultiArray()
+    message.layout.dim = [MultiArrayDimension(label=frame_id, size=1, stride=2)]
+    for name, table in tables.items():
+        stride = len(table.dtype.names or ())
+        message.layout.dim.append(MultiArrayDimension(label=_label(name, table.dtype), size=len(table), stride=stride))
+    numbers = [np.array(divmod(packet.stamp_ns, NS_PER_S), float), *(t.view(np.float64) for t in tables.values())]
+    message.data = array.array("d", np.concatenate(numbers).tobytes())
+    return message
 
-    data: str
 
-    def to_message(self, stamp_ns: int, frame_id: str) -> String:
-        """Return it as a message, which has no stamp."""
-        return String(data=self.data)
+def header_of_tables(message: Float64MultiArray) -> tuple[int, str]:
+    """Return stamp, ns, and frame id. Raises InputError for a message without."""
+    sec, nanosec = message.data[:2] if len(message.data) >= 2 else (-1.0, 0.0)
+    if not message.layout.dim or not (0 <= sec < MOST_SECONDS and 0 <= nanosec < NS_PER_S):
+        raise InputError("the message has no stamp", remedy="Run the same version of all three server nodes.")
+    return int(sec) * NS_PER_S + int(nanosec), message.layout.dim[0].label
+
+
+def read_tables(message: Float64MultiArray, kind: type[M], where: str) -> M:
+    """Return the packet of a message. Raises InputError for other tables, and numbers that are not finite."""
+    stamp_ns, _ = header_of_tables(message)
+    numbers, sizes = np.frombuffer(message.data)[2:].copy(), [dim.size for dim in message.layout.dim[1:]]
+    labels = [_label(name, layout) for name, layout in kind.LAYOUTS.items()]
+    counts = [size * len(layout.names or ()) for size, layout in zip(sizes, kind.LAYOUTS.values(), strict=False)]
+    try:
+        if [dim.label for dim in message.layout.dim[1:]] != labels or sum(counts) != len(numbers):
+            raise InputError("does not hold the tables of its labels", remedy="Run the same version of all nodes.")
+        if not np.isfinite(numbers).all():
+            raise InputError("holds numbers that are not finite", remedy="Check its publisher.")
+        parts = np.split(numbers, np.cumsum(counts)[:-1])
+        tables = {n: part.view(layout) for (n, layout), part in zip(kind.LAYOUTS.items(), parts, strict=True)}
+        return kind.from_tables(stamp_ns, tables)
+    except InputError as error:
+        raise InputError(error.what, where=where, remedy=error.remedy) from None
+
+
+def _label(name: str, layout: np.dtype) -> str:
+    return f"{name}: {' '.join(layout.names or ())}"
+
+
+def _header_of_joints(message: MultiDOFJointState) -> tuple[int, str]:
+    return to_ns(message.header.stamp), message.header.frame_id
+
+
+HULL_PRODUCTS = PacketTopic[HullProducts](
+    "hull/products",
+    Float64MultiArray,
+    tables_message,
+    header_of_tables,
+    lambda message, where: read_tables(message, HullProducts, where),
+)
+FITTED_PEOPLE = PacketTopic[FittedPeople](
+    "icp/people",
+    Float64MultiArray,
+    tables_message,
+    header_of_tables,
+    lambda message, where: read_tables(message, FittedPeople, where),
+)
+PREDICTIONS = PacketTopic[Predictions](
+    "ekf/prediction", MultiDOFJointState, predictions_message, _header_of_joints, read_predictions
+)
+
+# --- for whoever listens
 
 
 def packet_cloud(packet: Table, stamp_ns: int, frame_id: str) -> PointCloud2:
@@ -53,12 +136,6 @@ def packet_cloud(packet: Table, stamp_ns: int, frame_id: str) -> PointCloud2:
 def read_packet(cloud: PointCloud2, kind: type[T], where: str) -> T:
     """Return the inverse of :func:`packet_cloud`; InputError when fields are missing or numbers are not finite."""
     return kind.from_table(from_cloud(cloud, kind.LAYOUT, where))
-
-
-def read_finite(cloud: PointCloud2, kind: type[T], where: str) -> tuple[T, int]:
-    """Return the same as :func:`read_packet` without rows that are not finite, and how many were dropped."""
-    finite, dropped = only_finite(cloud, kind.LAYOUT.names or ())
-    return read_packet(finite, kind, where), dropped
 
 
 def read_reference_points(cloud: PointCloud2, where: str) -> ReferencePoints:

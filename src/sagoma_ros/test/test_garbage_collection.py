@@ -11,7 +11,7 @@ import pytest
 
 from sagoma_ros.process import freeze_garbage_collector
 
-RINGS = 60_000
+RINGS = 20_000
 
 
 class Ring:

@@ -10,16 +10,16 @@ import pytest
 import rclpy
 from node_probe import Spinner
 from rclpy.context import Context
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 
-from mocap_packets.hull import Centerline
+from capture_rig.errors import InputError
+from mocap_packets.hull import HullProducts
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
-from sagoma_ros.packets import Text, packet_cloud, read_packet
+from sagoma_ros.packets import HULL_PRODUCTS, tables_message
 from sagoma_ros.qos import LATCHED, RESULT
 
-LINE = Centerline.of_points(np.array([[0.1, 0.2, 0.3]]), 0.01)
 STAMP_NS = 1_700_000_000_123_456_789
+HULL = HullProducts.of_points(STAMP_NS, np.array([[0.1, 0.2, 0.3]]), 0.01)
 
 
 @pytest.fixture()
@@ -44,62 +44,81 @@ def closing() -> Iterator[ExitStack]:
         yield stack
 
 
-def lines(node: rclpy.node.Node, closing: ExitStack) -> PacketPublisher[Centerline]:
-    publisher = PacketPublisher[Centerline](node, PointCloud2, "line", packet_cloud)
+def hulls(node: rclpy.node.Node, closing: ExitStack) -> PacketPublisher[HullProducts]:
+    publisher = PacketPublisher(node, HULL_PRODUCTS)
     closing.callback(publisher.close)
     return publisher
 
 
-def follow(node: rclpy.node.Node, closing: ExitStack) -> list[Delivery[Centerline]]:
-    taken: list[Delivery[Centerline]] = []
-    closing.callback(PacketSubscription[Centerline](node, PointCloud2, "line", taken.append).close)
+def follow(node: rclpy.node.Node, closing: ExitStack) -> list[Delivery[HullProducts]]:
+    taken: list[Delivery[HullProducts]] = []
+    closing.callback(PacketSubscription(node, HULL_PRODUCTS, taken.append).close)
     return taken
 
 
 def test_packet_reaches_a_node_of_the_same_process_at_once_as_it_is(ros: Spinner, closing: ExitStack) -> None:
-    publisher = lines(make(ros, "sender"), closing)
+    publisher = hulls(make(ros, "sender"), closing)
     taken = follow(make(ros, "taker"), closing)
-    publisher.publish(LINE, STAMP_NS, "map")
-    assert [(d.packet, d.message, d.stamp_ns, d.frame_id) for d in taken] == [(LINE, None, STAMP_NS, "map")]
+    publisher.publish(HULL, "map")
+    (delivery,) = taken
+    assert delivery.packet is HULL and (delivery.stamp_ns, delivery.frame_id) == (STAMP_NS, "map")
     assert not publisher.is_wanted  # no message was made: nobody outside listens
 
 
-def test_packet_reaches_another_process_as_a_message(ros: Spinner, outside: Spinner, closing: ExitStack) -> None:
-    publisher = lines(make(ros, "sender"), closing)
+def test_packet_reaches_another_process_as_a_message_without_any_loss(
+    ros: Spinner, outside: Spinner, closing: ExitStack
+) -> None:
+    publisher = hulls(make(ros, "sender"), closing)
     taken = follow(make(outside, "taker"), closing)
     ros.until(lambda: publisher.is_wanted)
-    publisher.publish(LINE, STAMP_NS, "map")
+    publisher.publish(HULL, "map")
     outside.until(lambda: taken)
     (delivery,) = taken
-    assert (delivery.packet, delivery.stamp_ns, delivery.frame_id) == (None, STAMP_NS, "map")
-    received = read_packet(delivery.message, Centerline, "line")
-    assert (received.points_world == LINE.as_sent().points_world).all()
+    assert (delivery.stamp_ns, delivery.frame_id) == (STAMP_NS, "map")
+    assert (delivery.packet.centerline.points_world == HULL.centerline.points_world).all()
+
+
+@pytest.mark.parametrize("case", ["label", "size", "nan", "tables", "stamp"])
+def test_message_that_is_no_packet_is_refused_when_it_is_read(case: str) -> None:
+    message = tables_message(HULL, "map")
+    if case == "label":
+        message.layout.dim[1].label = "centerline: x"
+    if case == "size":
+        message.layout.dim[2].size += 1
+    if case == "nan":
+        message.data[3] = float("nan")
+    if case == "tables":
+        message.layout.dim = message.layout.dim[:2]
+    if case == "stamp":
+        message.data[0] = -1.0
+    with pytest.raises(InputError) as caught:
+        HULL_PRODUCTS.from_message(message, "hull/products")
+    assert caught.value.remedy and (case == "stamp" or str(caught.value).startswith("hull/products: "))
+
+
+def test_empty_message_is_counted_and_nobody_is_called(ros: Spinner, outside: Spinner, closing: ExitStack) -> None:
+    taken = follow(make(ros, "taker"), closing)
+    sender = make(outside, "sender").create_publisher(Float64MultiArray, HULL_PRODUCTS.name, RESULT)
+    outside.until(sender.get_subscription_count)
+    sender.publish(Float64MultiArray())
+    sender.publish(tables_message(HULL, "map"))
+    ros.until(lambda: taken)
+    assert len(taken) == 1
 
 
 def test_whoever_follows_a_publisher_that_closes_listens_to_the_wire_from_then_on(
     ros: Spinner, outside: Spinner, closing: ExitStack
 ) -> None:
-    here = PacketPublisher[Centerline](make(ros, "sender"), PointCloud2, "line", packet_cloud)
-    taken, there = follow(make(ros, "taker"), closing), lines(make(outside, "sender"), closing)
+    here = PacketPublisher(make(ros, "sender"), HULL_PRODUCTS)
+    taken, there = follow(make(ros, "taker"), closing), hulls(make(outside, "sender"), closing)
     assert not there.is_wanted
     here.close()
     ros.until(lambda: there.is_wanted)
-    there.publish(LINE, STAMP_NS, "map")
+    there.publish(HULL, "map")
     ros.until(lambda: taken)
-    assert taken[0].message is not None
-    lines(make(ros, "other_sender"), closing)
+    assert taken[0].packet is not HULL
+    hulls(make(ros, "other_sender"), closing)
     ros.until(lambda: not there.is_wanted)
-
-
-def test_last_packet_of_a_latched_topic_is_kept_for_later_followers(ros: Spinner, closing: ExitStack) -> None:
-    sender, taker = make(ros, "sender"), make(ros, "taker")
-    publisher = PacketPublisher[Text](sender, String, "body", Text.to_message, LATCHED)
-    closing.callback(publisher.close)
-    publisher.publish(Text("old"), 1, "")
-    publisher.publish(Text("new"), 2, "")
-    taken: list[Delivery[Text]] = []
-    closing.callback(PacketSubscription[Text](taker, String, "body", taken.append, LATCHED).close)
-    assert [delivery.packet for delivery in taken] == [Text("new")]
 
 
 def test_message_that_nobody_takes_is_not_made(ros: Spinner, outside: Spinner) -> None:

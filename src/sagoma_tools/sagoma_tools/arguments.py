@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import datetime
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +14,9 @@ from capture_rig.number import number
 from capture_rig.session import load_session
 from capture_rig.yaml_file import parse_value
 from sagoma_bringup.first_pose import AUTO_START, STARTS, start_settings
-from sagoma_bringup.graph import NodeSpec, apply_settings, build_graph
+from sagoma_bringup.graph import ALL_CAMERAS, NodeSpec, Role, apply_settings, build_graph
 from sagoma_bringup.processes import ONE_PROCESS, SERVER_LAYOUTS
 
-from .start_at import in_step, start_instant_ns
 from .takes.folder import TAKES, TakesFolder
 
 # types of numbers that several commands take
@@ -126,3 +127,57 @@ def bag_of(given: str, folder: str) -> Path:
     path = Path(given)
     named = Path(folder) / path
     return named if path.name == given and not path.exists() and named.exists() else path
+
+
+# the instant at which footage begins ----------------------------------------------------------------------------------
+
+
+FARTHEST_S = 3600.0  # the camera client refuses stamps further ahead; footage that began long ago is over
+EXAMPLE = "Write it as 14:30:05, 2026-03-01T14:30:05, or with a Z for UTC."
+
+
+def start_instant_ns(text: str, now_ns: int) -> int:
+    """Return a time of day (today's, of this machine's time zone) or a date and time as ns since 1970.
+
+    Raises InputError for what is neither, and for more than an hour from now, which is a slip.
+    """
+    now = datetime.datetime.fromtimestamp(now_ns * 1e-9).astimezone()
+    if ":" not in text:  # 14.30 would be read as 14 hours and three tenths
+        raise InputError(f"'{text}' is no time", where="--start-at", remedy=EXAMPLE)
+    try:
+        time_of_day = datetime.time.fromisoformat(text)
+        instant = datetime.datetime.combine(now.astimezone(time_of_day.tzinfo).date(), time_of_day)
+    except ValueError:
+        try:
+            instant = datetime.datetime.fromisoformat(text)
+        except ValueError:
+            raise InputError(f"'{text}' is no time", where="--start-at", remedy=EXAMPLE) from None
+    ahead_s = (instant.astimezone() - now).total_seconds()
+    if abs(ahead_s) > FARTHEST_S:
+        side = "ahead" if ahead_s > 0 else "ago"
+        what = f"{text} is {datetime.timedelta(seconds=round(abs(ahead_s)))} {side}: it is {now:%H:%M:%S %Z} here"
+        raise InputError(what, where="--start-at", remedy="Give a moment within the hour, the same on every machine.")
+    return round(instant.astimezone().timestamp() * 1e9)
+
+
+def in_step(graph: Sequence[NodeSpec], cameras: int, start_at_ns: int | None, rate: float) -> list[NodeSpec]:
+    """Return the part of a session's graph that runs here, its footage beginning with the other machines'.
+
+    cameras : of the whole session. Raises InputError for a part of several cameras without a common beginning.
+    """
+    here = [node.label for node in graph if node.role is Role.CAMERA]
+    if start_at_ns is None:
+        if 0 < len(here) < cameras:
+            raise InputError(
+                f"of {cameras} cameras only {', '.join(here)} plays here, and its frames would not meet the others'",
+                where="--only",
+                remedy="Give every machine the same moment to begin, a minute from now: --start-at 14:30:05.",
+            )
+        return list(graph)
+    settings: dict[str, Any] = {"epoch_ns": start_at_ns}
+    if rate > 0:
+        settings |= {"keep_up": True, "wait_for_cameras": False}
+    else:
+        settings |= {"wait_for_cameras": True, "wait_for_consumer_s": 300.0}  # ... nobody begins before all are there
+    prefix = f"{ALL_CAMERAS}.footage."
+    return apply_settings(graph, {f"{prefix}{key}": value for key, value in settings.items()} if here else {})

@@ -12,9 +12,9 @@ from capture_rig.errors import InputError, shortened
 from capture_rig.files import describe_os_error
 
 from .command_help import BAD_INPUT, FAILED, INTERRUPTED, NO_READER, CommandParser, describe
-from .graph.errors import GraphError
+from .console import ProgressLine
+from .graph import GraphError
 from .graph.network_settings import add_peers_argument, use_peers
-from .progress_line import ProgressLine
 
 COMMANDS = {
     "demo": ("demo",),
@@ -23,12 +23,10 @@ COMMANDS = {
     "graph": ("up", "start", "suspend", "stop", "studio"),
     "recording": ("record", "replay", "compare", "recover"),
     "takes": ("takes",),
-    "smooth": ("smooth",),
     "view": ("view",),
     "evaluate": ("evaluate",),
-    "export": ("export",),
+    "export": ("smooth", "export", "urdf"),
     "import_session": ("import",),
-    "urdf": ("urdf",),
     "doctor": ("doctor",),
 }
 """Module -> its subcommands, in the order of the help."""

@@ -3,6 +3,7 @@ through the lens at the board's plane."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -49,6 +50,22 @@ def held(board: Board, place: tuple[float, float, float], lean: tuple[float, flo
     T = np.eye(4)
     T[:3, :3] = cv2.Rodrigues(np.array(lean))[0]
     T[:3, 3] = place - T[:3, :3] @ board.corners_board.mean(axis=0)
+    return T
+
+
+def at_the_origin(name: str) -> CameraModel:
+    """The same camera in the world's own axes: z forward, y down."""
+    return replace(camera_at(name, (1.0, 0.0, 1.0), (0.0, 0.0, 1.0)), T_camera_world=np.eye(4))
+
+
+def before(
+    camera: CameraModel, board: Board, across: float, down: float, lean_x: float, lean_y: float, distance: float
+) -> np.ndarray:
+    """T_camera_board: its middle so far across and down the picture (shares), leaning (degrees), so far away (m)."""
+    T = np.eye(4)
+    T[:3, :3] = cv2.Rodrigues(np.deg2rad([lean_x, lean_y, 0.0]))[0] @ np.diag([1.0, -1.0, -1.0])
+    middle = distance * np.linalg.solve(camera.K, [across * camera.width, down * camera.height, 1.0])
+    T[:3, 3] = middle - T[:3, :3] @ board.corners_board.mean(axis=0)
     return T
 
 

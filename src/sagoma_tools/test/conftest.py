@@ -42,7 +42,7 @@ def somebody_is_found(monkeypatch):
 @pytest.fixture(autouse=True)
 def _commands_take_no_time(monkeypatch):
     """No command logs its progress, however busy the machine: what stands on stderr is what was wrong."""
-    monkeypatch.setattr("sagoma_tools.progress_line.LOG_EVERY_S", threading.TIMEOUT_MAX)
+    monkeypatch.setattr("sagoma_tools.console.LOG_EVERY_S", threading.TIMEOUT_MAX)
 
 
 @pytest.fixture()

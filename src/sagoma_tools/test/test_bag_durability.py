@@ -11,7 +11,6 @@ import sys
 import threading
 import time
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -54,7 +53,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", "--lazy", str(mount)], check=True)
 
 
-def fill(writer: BagWriter, kib: int = 256) -> int:
+def fill(writer, kib=256):
     """Write until the writer refuses; return the messages that it took."""
     for number in range(10_000):
         try:
@@ -64,7 +63,7 @@ def fill(writer: BagWriter, kib: int = 256) -> int:
     raise AssertionError("the disk is not full")
 
 
-def test_a_killed_recorder_loses_less_than_a_second(tmp_path: Path) -> None:
+def test_a_killed_recorder_loses_less_than_a_second(tmp_path):
     command = [sys.executable, "-c", WRITER_TO_KILL, str(tmp_path / "bag")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
         first_ns = int(process.stdout.readline())
@@ -83,12 +82,12 @@ def test_a_killed_recorder_loses_less_than_a_second(tmp_path: Path) -> None:
     assert sum(min(gap, 50_000_000) for gap in lost) < 1e9
 
 
-def test_after_a_power_cut_there_is_what_was_synced_at_most_a_second_ago(tmp_path: Path, monkeypatch) -> None:
+def test_after_a_power_cut_there_is_what_was_synced_at_most_a_second_ago(tmp_path, monkeypatch):
     """The disk is sure to have of a file what it held when fsync returned: the rest is cut off here."""
     on_disk, synced = [0], threading.Condition()
     fsync = os.fsync
 
-    def remember(descriptor: int) -> None:
+    def remember(descriptor):
         fsync(descriptor)
         if os.readlink(f"/proc/self/fd/{descriptor}") == str(tmp_path / "bag" / "bag.mcap"):
             with synced:
@@ -111,7 +110,7 @@ def test_after_a_power_cut_there_is_what_was_synced_at_most_a_second_ago(tmp_pat
     assert SYNC_S <= 0.5
 
 
-def test_a_full_disk_ends_the_recording_and_what_was_saved_can_be_read(small_disk: Path) -> None:
+def test_a_full_disk_ends_the_recording_and_what_was_saved_can_be_read(small_disk):
     writer = BagWriter(small_disk / "bag")
     writer.add_topic(TOPIC, TEXT)
     taken = fill(writer)
@@ -130,14 +129,14 @@ def test_a_full_disk_ends_the_recording_and_what_was_saved_can_be_read(small_dis
     assert not list((small_disk / "bag").glob(".*"))
 
 
-def test_a_disk_without_room_for_a_bag_is_refused_at_once(small_disk: Path) -> None:
+def test_a_disk_without_room_for_a_bag_is_refused_at_once(small_disk):
     (small_disk / "other").write_bytes(bytes(6 << 20))
     with pytest.raises(InputError, match=r"no bag can be written \(No space left on device\)\. Free space"):
         BagWriter(small_disk / "bag")
     assert not (small_disk / "bag").exists()
 
 
-def test_a_disk_that_is_full_even_at_the_end_says_how_to_go_on(small_disk: Path) -> None:
+def test_a_disk_that_is_full_even_at_the_end_says_how_to_go_on(small_disk):
     writer = BagWriter(small_disk / "bag")
     writer.add_topic(TOPIC, TEXT)
     fill(writer)
@@ -150,7 +149,7 @@ def test_a_disk_that_is_full_even_at_the_end_says_how_to_go_on(small_disk: Path)
     assert recover_bag(small_disk / "bag", small_disk.parent / "mended").counts == {TOPIC: writer.counts[TOPIC]}
 
 
-def test_a_disk_that_fails_ends_the_bag_and_what_was_there_is_recovered(tmp_path: Path, monkeypatch) -> None:
+def test_a_disk_that_fails_ends_the_bag_and_what_was_there_is_recovered(tmp_path, monkeypatch):
     writer = BagWriter(tmp_path / "bag")
     writer.add_topic(TOPIC, TEXT)
     for number in range(6):  # the first chunk is closed by its size
@@ -166,11 +165,11 @@ def test_a_disk_that_fails_ends_the_bag_and_what_was_there_is_recovered(tmp_path
     assert writer.counts[TOPIC] <= recovered and 4 <= recovered <= 6
 
 
-def fail(data: bytes) -> int:
+def fail(data):
     raise OSError(errno.EIO, "Input/output error")
 
 
-def test_record_on_a_full_disk_says_what_was_saved_and_ends_with_status_1(small_disk: Path, link) -> None:
+def test_record_on_a_full_disk_says_what_was_saved_and_ends_with_status_1(small_disk, link):
     publisher = link.node.create_publisher(String, TOPIC, LATCHED)
     command = [sys.executable, "-m", "sagoma_tools.cli", "record", str(small_disk / "bag")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
@@ -187,7 +186,7 @@ def test_record_on_a_full_disk_says_what_was_saved_and_ends_with_status_1(small_
     assert len(list(read_messages(small_disk / "bag", TOPIC.__eq__))) == saved > 0
 
 
-def test_messages_of_a_bag_have_a_checksum(tmp_path: Path) -> None:
+def test_messages_of_a_bag_have_a_checksum(tmp_path):
     """A flipped byte is found, and costs the messages of its chunk alone."""
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic(TOPIC, TEXT)
@@ -208,7 +207,7 @@ def test_messages_of_a_bag_have_a_checksum(tmp_path: Path) -> None:
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "": CompressionType.NONE}
 
 
-def write_compressed(bag: Path, compression: str, messages: list[bytes]) -> Path:
+def write_compressed(bag, compression, messages):
     """Write a bag with chunks of four messages each as `ros2 bag record` compresses them, and no end."""
     bag.mkdir()
     mcap = bag / f"{bag.name}.mcap"
@@ -225,33 +224,24 @@ def write_compressed(bag: Path, compression: str, messages: list[bytes]) -> Path
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_of_a_bag_cut_in_a_chunk_that_chunk_is_lost(tmp_path: Path, compression: str) -> None:
+def test_of_a_bag_cut_or_damaged_in_a_chunk_that_chunk_alone_is_lost(tmp_path, compression):
     draw = np.random.default_rng(0)
-    messages = [b"\0\1\0\0" + draw.bytes(1 << 16) + bytes(1 << 16) for _ in range(12)]
+    messages = [b"\0\1\0\0" + draw.bytes(1 << 16) for _ in range(12)]
     mcap = write_compressed(tmp_path / "bag", compression, messages)
-    os.truncate(mcap, mcap.stat().st_size - (1 << 16))
+    whole = mcap.read_bytes()
+    os.truncate(mcap, len(whole) - (1 << 16))
     with pytest.raises(InputError, match="sagoma recover"):
         list(read_messages(tmp_path / "bag"))
     recovery = recover_bag(tmp_path / "bag", tmp_path / "mended")
     read = [message.data for message in read_messages(tmp_path / "mended")]
     assert read == messages[:8] and recovery.damaged_chunks == 0 and recovery.unread_bytes > 0
+    place = whole.index(messages[5][1000:1020])  # random bytes: no compression changes them
+    mcap.write_bytes(whole[:place] + bytes(4) + whole[place + 4 :])
+    assert recover_bag(tmp_path / "bag", tmp_path / "repaired").damaged_chunks == 1
+    assert [m.data for m in read_messages(tmp_path / "repaired")] == messages[:4] + messages[8:]
 
 
-@pytest.mark.parametrize("compression", COMPRESSIONS)
-def test_a_damaged_compressed_chunk_costs_its_messages_alone(tmp_path: Path, compression: str) -> None:
-    draw = np.random.default_rng(0)
-    messages = [b"\0\1\0\0" + draw.bytes(1 << 16) for _ in range(12)]
-    mcap = write_compressed(tmp_path / "bag", compression, messages)
-    content = bytearray(mcap.read_bytes())
-    place = content.index(messages[5][1000:1020])  # random bytes: no compression changes them
-    content[place : place + 4] = bytes(4)
-    mcap.write_bytes(content)
-    recovery = recover_bag(tmp_path / "bag", tmp_path / "mended")
-    assert recovery.damaged_chunks == 1
-    assert [m.data for m in read_messages(tmp_path / "mended")] == messages[:4] + messages[8:]
-
-
-def test_a_chunk_that_claims_a_terabyte_or_an_unknown_compression_is_no_trap(tmp_path: Path) -> None:
+def test_a_chunk_that_claims_a_terabyte_or_an_unknown_compression_is_no_trap(tmp_path):
     mcap = write_compressed(tmp_path / "bag", "zstd", [RECORDED] * 4)
     content = bytearray(mcap.read_bytes())
     place = content.index(b"\4\0\0\0zstd")

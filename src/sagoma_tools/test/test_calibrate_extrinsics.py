@@ -1,9 +1,6 @@
 """``sagoma calibrate extrinsics`` from pictures to files, and what it says about input it cannot use."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,7 +17,6 @@ from calibration_room import (
     write_pictures,
 )
 
-from capture_rig.camera import CameraModel
 from capture_rig.rig import load_rig, save_rig
 from rig_calibration.boards.board import Checkerboard
 from sagoma_tools.cli import main
@@ -33,17 +29,17 @@ HELD = [((x, y, z), (0.5 * y, 0.4 * x, 0.9 * z)) for x in (-0.3, 0.3) for y in (
 
 
 @pytest.fixture(scope="module")
-def cameras() -> dict[str, CameraModel]:
+def cameras():
     return three_cameras()
 
 
 @pytest.fixture(scope="module")
-def floor_pictures(cameras: dict[str, CameraModel]) -> dict[str, np.ndarray]:
+def floor_pictures(cameras):
     return {name: picture(camera, BOARD, on_floor(BOARD, TURN)) for name, camera in cameras.items()}
 
 
 @pytest.fixture(scope="module")
-def held_pictures(cameras: dict[str, CameraModel]) -> dict[str, list[np.ndarray]]:
+def held_pictures(cameras):
     """The board carried through the room."""
     return {
         name: [picture(camera, BOARD, held(BOARD, *pose), seed) for seed, pose in enumerate(HELD)]
@@ -52,26 +48,26 @@ def held_pictures(cameras: dict[str, CameraModel]) -> dict[str, list[np.ndarray]
 
 
 @pytest.fixture()
-def room(tmp_path: Path, cameras: dict[str, CameraModel], floor_pictures: dict[str, np.ndarray]) -> Path:
+def room(tmp_path, cameras, floor_pictures):
     """A folder with intrinsics/ and floor/."""
     write_intrinsics(tmp_path / "intrinsics", cameras)
     write_pictures(tmp_path / "floor", {name: [image] for name, image in floor_pictures.items()})
     return tmp_path
 
 
-def calibrate(room: Path, *more: object, floor: bool = True, board: str = BOARD_TEXT) -> int:
+def calibrate(room, *more, floor=True, board=BOARD_TEXT):
     pictures = ["--floor", room / "floor"] if floor else []
     given = ["--intrinsics", room / "intrinsics", "--board", board, "--output", room / "rig.yaml"]
     return main(["calibrate", "extrinsics", *map(str, [*pictures, *given, *more])])
 
 
-def complaint(capsys: pytest.CaptureFixture[str], room: Path, *more: object, floor: bool = True) -> str:
+def complaint(capsys, room, *more, floor=True):
     """What it says when it cannot use the input."""
     assert calibrate(room, *more, floor=floor) == BAD_INPUT
     return capsys.readouterr().err
 
 
-def place_errors_mm(path: Path, cameras: dict[str, CameraModel]) -> dict[str, float]:
+def place_errors_mm(path, cameras):
     """In the frame of the floor board, whose rows were turned by TURN from the room's x."""
     c, s = np.cos(TURN), np.sin(TURN)
     R_floor_room = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -81,9 +77,7 @@ def place_errors_mm(path: Path, cameras: dict[str, CameraModel]) -> dict[str, fl
     }
 
 
-def test_floor_pictures_give_rig_report_and_pictures_and_the_same_bytes_twice(
-    room: Path, cameras: dict[str, CameraModel], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_floor_pictures_give_rig_report_and_pictures_and_the_same_bytes_twice(room, cameras, capsys):
     assert calibrate(room) == 0
     printed = capsys.readouterr().out
     once = (room / "rig.yaml").read_bytes()
@@ -102,21 +96,14 @@ def test_floor_pictures_give_rig_report_and_pictures_and_the_same_bytes_twice(
     assert (room / "rig.yaml").read_bytes() == once
 
 
-def test_carried_board_adds_a_camera_that_does_not_see_the_floor_board(
-    room: Path, cameras: dict[str, CameraModel], held_pictures: dict[str, list[np.ndarray]]
-) -> None:
+def test_carried_board_adds_a_camera_that_does_not_see_the_floor_board(room, cameras, held_pictures):
     (room / "floor" / "cam03.png").unlink()
     write_pictures(room / "moving", held_pictures)
     assert calibrate(room, "--moving", room / "moving") == 0
     assert max(place_errors_mm(room / "rig.yaml", cameras).values()) < 10.0
 
 
-def test_lenses_are_refined_as_far_as_their_reports_leave_them_uncertain(
-    room: Path,
-    cameras: dict[str, CameraModel],
-    held_pictures: dict[str, list[np.ndarray]],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_lenses_are_refined_as_far_as_their_reports_leave_them_uncertain(room, cameras, held_pictures, capsys):
     wrong = {name: replace(camera, K=camera.K @ np.diag([1.008, 1.008, 1.0])) for name, camera in cameras.items()}
     write_intrinsics(room / "intrinsics", wrong)
     write_pictures(room / "moving", held_pictures)
@@ -136,39 +123,24 @@ def test_lenses_are_refined_as_far_as_their_reports_leave_them_uncertain(
     assert off[0] == pytest.approx(0.008, abs=1e-6) and off[1] < 0.003
 
 
-def test_lenses_may_come_from_a_rig_file(room: Path, cameras: dict[str, CameraModel]) -> None:
+def test_lenses_may_come_from_a_rig_file(room, cameras):
     assert calibrate(room) == 0
     rig = load_rig(room / "rig.yaml")
     moved = replace(rig, cameras=tuple(replace(c, T_camera_world=np.eye(4)) for c in rig.cameras))
     save_rig(moved, room / "old.yaml")
-    arguments = [
-        "calibrate",
-        "extrinsics",
-        "--floor",
-        room / "floor",
-        "--intrinsics",
-        room / "old.yaml",
-        "--board",
-        BOARD_TEXT,
-        "--output",
-        room / "new.yaml",
-    ]
-    assert main([str(argument) for argument in arguments]) == 0
-    assert (room / "new.yaml").read_bytes() == (room / "rig.yaml").read_bytes()
+    once = (room / "rig.yaml").read_bytes()
+    assert calibrate(room, "--intrinsics", room / "old.yaml") == 0  # the last one counts
+    assert (room / "rig.yaml").read_bytes() == once
 
 
-def test_wrong_size_that_a_tape_reveals_is_redo(
-    room: Path, cameras: dict[str, CameraModel], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_size_that_a_tape_reveals_is_redo(room, cameras, capsys):
     apart = np.linalg.norm(cameras["cam01"].centre_world - cameras["cam02"].centre_world)
     assert calibrate(room, "--check", "cam01", "cam02", f"{apart / 1.05:.3f}") == REDO
     printed = " ".join(capsys.readouterr().out.split())
     assert "verdict: REDO" in printed and "+5." in printed and "measure the print" in printed
 
 
-def test_camera_without_a_board_is_named_and_may_be_left_out(
-    room: Path, cameras: dict[str, CameraModel], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_camera_without_a_board_is_named_and_may_be_left_out(room, cameras, capsys):
     cv2.imwrite(str(room / "floor" / "cam03.png"), np.full((480, 640), 90, np.uint8))
     said = complaint(capsys, room)
     assert "no board was found for cam03" in said and "--corners" in said and "--without cam03" in said
@@ -176,32 +148,24 @@ def test_camera_without_a_board_is_named_and_may_be_left_out(
     assert load_rig(room / "rig.yaml").names == ("cam01", "cam02")
 
 
-def test_camera_without_intrinsics_is_named(room: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (room / "intrinsics" / "cam02.yaml").unlink()
+def test_lenses_that_are_missing_or_of_another_camera_or_image_size_are_refused(room, capsys):
+    lens = room / "intrinsics" / "cam02.yaml"
+    image = cv2.imread(str(room / "floor" / "cam02.png"))
+    cv2.imwrite(str(room / "floor" / "cam02.png"), cv2.resize(image, (1280, 960), interpolation=cv2.INTER_CUBIC))
+    assert "cam02: its images are 1280 x 960 pixels, its intrinsics are for 640 x 480" in complaint(capsys, room)
+    lens.write_bytes((room / "intrinsics" / "cam01.yaml").read_bytes())
+    assert "camera_name = 'cam01', but the footage is called 'cam02'" in complaint(capsys, room)
+    lens.unlink()
     said = complaint(capsys, room)
     assert "camera 'cam02'" in said and "sagoma calibrate intrinsics" in said
 
 
-def test_intrinsics_of_another_camera_are_refused(room: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (room / "intrinsics" / "cam02.yaml").write_bytes((room / "intrinsics" / "cam01.yaml").read_bytes())
-    assert "camera_name = 'cam01', but the footage is called 'cam02'" in complaint(capsys, room)
-
-
-def test_intrinsics_of_another_image_size_are_refused(room: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    image = cv2.imread(str(room / "floor" / "cam02.png"))
-    cv2.imwrite(str(room / "floor" / "cam02.png"), cv2.resize(image, (1280, 960), interpolation=cv2.INTER_CUBIC))
-    said = complaint(capsys, room)
-    assert "cam02: its images are 1280 x 960 pixels, its intrinsics are for 640 x 480" in said
-
-
-def test_duplicate_camera_names_are_refused(room: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_duplicate_camera_names_are_refused(room, capsys):
     said = complaint(capsys, room, "--floor", room / "floor", f"cam01={room / 'floor' / 'cam02.png'}", floor=False)
     assert "camera 'cam01'" in said and "twice" in said
 
 
-def test_symmetric_board_alone_is_refused_with_the_ways_out(
-    room: Path, cameras: dict[str, CameraModel], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_symmetric_board_alone_is_refused_with_the_ways_out(room, cameras, capsys):
     even = Checkerboard(6, 4, (0.12, 0.12))
     write_pictures(room / "floor", {n: [picture(c, even, on_floor(even, TURN))] for n, c in cameras.items()})
     assert calibrate(room, board="checkerboard 6x4 120mm") == BAD_INPUT
@@ -223,16 +187,12 @@ def test_symmetric_board_alone_is_refused_with_the_ways_out(
         (("--live", "--floor", "floor"), "pictures come from the cameras"),
     ],
 )
-def test_arguments_that_contradict_each_other_are_refused_with_a_remedy(
-    arguments: tuple[str, ...], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_arguments_that_contradict_each_other_are_refused_with_a_remedy(arguments, words, capsys):
     assert main(["calibrate", "extrinsics", "--intrinsics", "none", "--board", BOARD_TEXT, *arguments]) == BAD_INPUT
     assert words in capsys.readouterr().err
 
 
-def test_measured_points_on_the_floor_serve_instead_of_a_board(
-    room: Path, cameras: dict[str, CameraModel], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_measured_points_on_the_floor_serve_instead_of_a_board(room, cameras, capsys):
     points = {"A": [-0.8, -0.5], "B": [0.8, -0.5], "C": [0.8, 0.6], "D": [-0.8, 0.6], "E": [0.0, 0.0, 0.4]}
     world = np.array([[*xy, 0.0][:3] for xy in points.values()])
     rng = np.random.default_rng(4)
@@ -247,7 +207,7 @@ def test_measured_points_on_the_floor_serve_instead_of_a_board(
         assert np.linalg.norm(camera.centre_world - cameras[camera.name].centre_world) < 0.03
 
 
-def hidden(image: np.ndarray, camera: CameraModel) -> np.ndarray:
+def hidden(image, camera):
     """The picture with a box standing across the board."""
     corners = corner_pixels(camera, BOARD, on_floor(BOARD, TURN)).reshape(4, 7, 2)
     across = corners[[0, 1, 2, 3], [1, 2, 3, 4]]
@@ -255,12 +215,7 @@ def hidden(image: np.ndarray, camera: CameraModel) -> np.ndarray:
     return cv2.rectangle(image.copy(), low.tolist(), high.tolist(), 140, cv2.FILLED)
 
 
-def test_outer_corners_from_a_file_serve_where_the_board_is_not_found(
-    room: Path,
-    cameras: dict[str, CameraModel],
-    floor_pictures: dict[str, np.ndarray],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_outer_corners_from_a_file_serve_where_the_board_is_not_found(room, cameras, floor_pictures, capsys):
     cv2.imwrite(str(room / "floor" / "cam03.png"), hidden(floor_pictures["cam03"], cameras["cam03"]))
     assert "cam03" in complaint(capsys, room)
     rough = outer_pixels(cameras["cam03"], BOARD, on_floor(BOARD, TURN), 7)
@@ -271,30 +226,16 @@ def test_outer_corners_from_a_file_serve_where_the_board_is_not_found(
     assert place_errors_mm(room / "rig.yaml", cameras)["cam03"] < 25.0
 
 
-def test_corners_of_something_else_are_refused_naming_the_camera(
-    room: Path,
-    cameras: dict[str, CameraModel],
-    floor_pictures: dict[str, np.ndarray],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+@pytest.mark.parametrize(("name", "words"), [("cam03", "cam03"), ("cam07", "there is no camera 'cam07'")])
+def test_corners_of_something_else_or_of_nobody_are_refused_naming_the_camera(room, capsys, name, words):
     path = room / "corners.yaml"
-    path.write_text("cam03: [[10, 10], [90, 12], [95, 60], [12, 66]]\n")
-    assert "cam03" in complaint(capsys, room, "--corners", path)
+    path.write_text(f"{name}: [[10, 10], [90, 12], [95, 60], [12, 66]]\n")
+    assert words in complaint(capsys, room, "--corners", path)
 
 
-def test_camera_that_is_not_there_is_refused_in_a_corners_file(room: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = room / "corners.yaml"
-    path.write_text("cam07: [[10, 10], [90, 12], [95, 60], [12, 66]]\n")
-    assert "there is no camera 'cam07'" in complaint(capsys, room, "--corners", path)
-
-
-def test_click_without_a_display_writes_pictures_and_a_file_to_fill_in(
-    room: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+def test_click_writes_pictures_and_a_file_to_fill_in(room, capsys):
     cv2.imwrite(str(room / "floor" / "cam03.png"), np.full((480, 640), 90, np.uint8))
     said = complaint(capsys, room, "--click")
-    assert "no display" in said and "cam03_click.png" in said and "--corners" in said
+    assert "corners are wanted of cam03" in said and "cam03_click.png" in said and "--corners" in said
     assert cv2.imread(str(room / "cam03_click.png")).shape == (1200, 1600, 3)
     assert list(yaml.safe_load((room / "rig.corners.yaml").read_text())) == ["cam03"]

@@ -7,24 +7,43 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from board_pictures import BOARD, BOARD_TEXT, CENTRE_PX, FOCAL_PX, pictures
+from calibration_room import at_the_origin, before, picture
 from sensor_msgs.msg import CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
 
 from capture_rig.camera_info_file import read_camera_info
 from capture_rig.errors import InputError
+from rig_calibration.boards.board import Checkerboard
 from rig_calibration.intrinsics.selection import BoardImageProcessor, ViewCollector
 from sagoma_ros.images import decode_image, image_message
 from sagoma_ros.qos import RESULT
-from sagoma_tools.calibration.live_display import draw_preview, panel, plain_line, state_of
-from sagoma_tools.calibration.live_lens import camera_name_of, namespace_of
+from sagoma_tools.calibration.live_lens import camera_name_of, draw_preview, namespace_of, panel, plain_line
 from sagoma_tools.cli import main
 from sagoma_tools.graph.ros_link import RosLink
+
+CAMERA = at_the_origin("cam01")
+BOARD, BOARD_TEXT = Checkerboard(9, 6, (0.1, 0.1)), "checkerboard 9x6 100mm"
+STATIONS = [  # place of the board's middle in the picture (of its width and height), lean about its x and y, distance m
+    (0.5, 0.5, 35, 0, 1.28),
+    (0.5, 0.5, -35, 0, 1.28),
+    (0.5, 0.5, 0, 35, 1.28),
+    (0.5, 0.5, 0, -35, 1.28),
+    (0.25, 0.27, 25, 25, 1.7),
+    (0.75, 0.27, 25, -25, 1.7),
+    (0.25, 0.73, -25, 25, 1.7),
+    (0.75, 0.73, -25, -25, 1.7),
+    (0.5, 0.5, 0, 0, 1.2),
+    (0.2, 0.5, 20, 30, 2.0),
+    (0.8, 0.5, -20, -30, 2.0),
+    (0.5, 0.25, 40, 10, 2.2),
+    (0.5, 0.75, -40, -10, 2.2),
+    (0.35, 0.4, 30, -30, 2.4),
+]
 
 
 @pytest.fixture(scope="module")
 def shown():
-    return pictures()
+    return [picture(CAMERA, BOARD, before(CAMERA, BOARD, *station), seed) for seed, station in enumerate(STATIONS)]
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +70,8 @@ def test_stills_give_the_lens_and_files_that_read_back(stills, tmp_path, capsys)
     status, figures, _ = calibrated(capsys, stills, "--board", BOARD_TEXT, "--output", tmp_path)
     (camera,) = figures["cameras"]
     assert status == 0 and camera["camera"] == "cam01" and camera["views"] >= 12
-    assert camera["values"]["fx"] == pytest.approx(FOCAL_PX, rel=0.003)
-    assert abs(camera["values"]["cx"] - CENTRE_PX[0]) < 1.0 and abs(camera["values"]["cy"] - CENTRE_PX[1]) < 1.0
+    assert camera["values"]["fx"] == pytest.approx(CAMERA.K[0, 0], rel=0.003)
+    assert abs(camera["values"]["cx"] - CAMERA.K[0, 2]) < 1.0 and abs(camera["values"]["cy"] - CAMERA.K[1, 2]) < 1.0
     read = read_camera_info(tmp_path / "cam01.yaml")
     assert read.name == "cam01" and read.K[0, 0] == pytest.approx(camera["values"]["fx"], abs=1e-5)
     report = yaml.safe_load((tmp_path / "cam01.report.yaml").read_text())
@@ -125,7 +144,7 @@ def test_live_camera_is_calibrated_and_given_the_result(shown, tmp_path, capsys)
     (found,) = figures["cameras"]
     assert status == 0, said
     assert found["camera"] == "cam01" and found["views"] == 8
-    assert found["values"]["fx"] == pytest.approx(FOCAL_PX, rel=0.01)
+    assert found["values"]["fx"] == pytest.approx(CAMERA.K[0, 0], rel=0.01)
     assert camera.given[0].k[0] == pytest.approx(found["values"]["fx"], abs=1e-5)
     assert "the camera client took it: in use" in said
     preview = cv2.imdecode(np.frombuffer(camera.previews[-1].data, np.uint8), cv2.IMREAD_COLOR)
@@ -152,12 +171,11 @@ def test_panel_and_line_show_progress_advice_and_the_last_reason(shown):
     watcher.process(shown[0], None, 0)
     seen = watcher.process(shown[0], shown[0], 1)
     assert seen.detection is not None and not seen.taken
-    state = state_of(watcher, seen.reason, 2, 0)
-    line = plain_line(state)
+    advice = watcher.collector.advice()
+    line = plain_line(watcher)
     assert line.startswith("cam01: 1 views; image ") and "tilt" in line
-    shown_panel = panel(state)
-    assert state.advice in str(shown_panel.title) and state.last == seen.reason
-    picture = draw_preview(shown[0], seen, watcher.collector.coverage, state.advice)
+    assert advice in str(panel(watcher, seen.reason).title)
+    picture = draw_preview(shown[0], seen, watcher.collector.coverage, advice)
     marked = np.ptp(picture.astype(int), axis=2) > 100
     corner = np.rint(seen.detection.pixels[20]).astype(int)
     assert marked[corner[1] - 6 : corner[1] + 7, corner[0] - 6 : corner[0] + 7].any()

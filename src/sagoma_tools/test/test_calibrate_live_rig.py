@@ -1,7 +1,5 @@
 """The rig's calibration from running cameras: their pictures are published here."""
 
-from __future__ import annotations
-
 import threading
 import time
 from io import StringIO
@@ -31,7 +29,7 @@ PERIOD_S = 0.15
 class PublishedCameras:
     """Publishes the same instant of all cameras again and again: the board on the floor, or being carried."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.carried = False
         self._count = 0
         self._floor = {name: [picture(camera, BOARD, on_floor(BOARD))] for name, camera in CAMERAS.items()}
@@ -43,14 +41,14 @@ class PublishedCameras:
         }
         self._link.node.create_timer(PERIOD_S, self._publish)
 
-    def _publish(self) -> None:
+    def _publish(self):
         pictures, stamp_ns = self._carried if self.carried else self._floor, time.time_ns()
         self._count += 1
         for name, publisher in self._publishers.items():
             image = pictures[name][self._count % len(pictures[name])]
             publisher.publish(image_message(image, stamp_ns, f"{name}_optical"))
 
-    def close(self) -> None:
+    def close(self):
         self._link.close()
 
 
@@ -61,7 +59,7 @@ def published():
     cameras.close()
 
 
-def test_cameras_are_found_and_deliver_their_pictures(published: PublishedCameras, link: RosLink) -> None:
+def test_cameras_are_found_and_deliver_their_pictures(published, link):
     topics = find_topics(link.node, ())
     assert topics == {name: f"/{name}/image_raw" for name in CAMERAS}
     shots = grab(link.node, topics, 2)
@@ -69,20 +67,18 @@ def test_cameras_are_found_and_deliver_their_pictures(published: PublishedCamera
     assert np.array_equal(shots["cam02"].pictures[0], picture(CAMERAS["cam02"], BOARD, on_floor(BOARD)))
 
 
-def test_camera_that_does_not_publish_is_named(published: PublishedCameras, link: RosLink) -> None:
+def test_camera_that_does_not_publish_is_named(published, link):
     assert set(find_topics(link.node, list(CAMERAS))) == set(CAMERAS)  # these are known from here on
     with pytest.raises(InputError, match=r"no node publishes /cam09/image_raw.*cam01, cam02, cam03"):
         find_topics(link.node, ["cam01", "cam09"], timeout_s=0.5)
 
 
-def test_floor_and_carried_board_are_seen_live_in_common_frames(
-    published: PublishedCameras, link: RosLink, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_floor_and_carried_board_are_seen_live_in_common_frames(published, link, monkeypatch):
     for name, few in (("ENOUGH_SHARED", 3), ("ENOUGH_FRAMES", 5), ("ENOUGH_CELLS", 1)):
         monkeypatch.setattr(progress, name, few)
     asked: list[str] = []
 
-    def ask(what: str) -> None:
+    def ask(what):
         asked.append(what)
         published.carried = "Carry" in what
 

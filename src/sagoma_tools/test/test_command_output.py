@@ -7,8 +7,7 @@ import threading
 import pytest
 from rich.table import Table
 
-from sagoma_tools.console import CommandConsole, command_console
-from sagoma_tools.progress_line import ProgressLine, doing, until_stopped
+from sagoma_tools.console import CommandConsole, ProgressLine, command_console, doing, until_stopped
 
 ESCAPE = "\x1b"
 PATH = "/a/path/that/is/longer/than/any/terminal/that/is/forty/columns/wide/overlay.png"
@@ -62,7 +61,7 @@ def test_a_log_gets_a_plain_line_now_and_then_until_the_step_is_over(monkeypatch
             super().write(text)
             written.release()
 
-    monkeypatch.setattr("sagoma_tools.progress_line.LOG_EVERY_S", 0.01)
+    monkeypatch.setattr("sagoma_tools.console.LOG_EVERY_S", 0.01)
     monkeypatch.setattr(sys, "stderr", Log())
     with ProgressLine():
         doing("tracking frames", 400)(100)

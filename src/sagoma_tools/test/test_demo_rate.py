@@ -10,8 +10,7 @@ from sagoma_tools.cli import main
 from sagoma_tools.commands import demo
 from sagoma_tools.commands.demo import next_step, rate_line, speed_line, unsound
 from sagoma_tools.evaluation import live_run
-from sagoma_tools.evaluation.held_rate import LONGEST_S, SETTLED_S, HeldRate, RuleHistory
-from sagoma_tools.evaluation.live_inputs import TooSlow
+from sagoma_tools.evaluation.live_inputs import LONGEST_S, SETTLED_S, HeldRate, TooSlow
 from sagoma_tools.evaluation.live_run import slow_motion
 
 
@@ -23,14 +22,14 @@ class Trial(HeldRate):
     """A trial whose graph tells these rules at these times, and whose clock a test moves."""
 
     def __init__(self, told):
-        self.history, self.now_s = RuleHistory(), 0.0
+        self._rules, self.now_s = [], 0.0
         self._now_s = self.tick
         self._told = list(told)
 
     def tick(self):
         self.now_s += 0.05
         while self._told and self._told[0][0] <= self.now_s:
-            self.history.add(*self._told.pop(0))
+            self._rules.append(self._told.pop(0))
         return self.now_s
 
 
@@ -38,11 +37,11 @@ class Trial(HeldRate):
     ("told", "ends_s", "fraction"),
     [
         ([], SETTLED_S, 1.0),
-        ([(0.1, EVERY_FRAME, "")], SETTLED_S, 1.0),
-        ([(0.1, EVERY_FRAME, ""), (0.6, thinned(1, 2), "sets wait")], 0.6 + SETTLED_S, 0.5),
-        ([(0.1, EVERY_FRAME, ""), (0.6, thinned(1, 2), ""), (1.5, thinned(2, 3), "")], 0.6 + SETTLED_S, 2 / 3),
-        ([(0.1, EVERY_FRAME, ""), (0.6, thinned(2, 3), ""), (2.0, thinned(1, 2), "")], 2.0 + SETTLED_S, 0.5),
-        ([(t, thinned(20 - t, 20), "") for t in range(1, 19)], LONGEST_S, 0.4),
+        ([(0.1, EVERY_FRAME)], SETTLED_S, 1.0),
+        ([(0.1, EVERY_FRAME), (0.6, thinned(1, 2))], 0.6 + SETTLED_S, 0.5),
+        ([(0.1, EVERY_FRAME), (0.6, thinned(1, 2)), (1.5, thinned(2, 3))], 0.6 + SETTLED_S, 2 / 3),
+        ([(0.1, EVERY_FRAME), (0.6, thinned(2, 3)), (2.0, thinned(1, 2))], 2.0 + SETTLED_S, 0.5),
+        ([(t, thinned(20 - t, 20)) for t in range(1, 19)], LONGEST_S, 0.4),
     ],
     ids=["nothing told", "every frame", "one fall", "a rise later", "two falls", "never settles"],
 )
@@ -52,7 +51,7 @@ def test_trial_ends_when_the_rate_no_longer_falls(told, ends_s, fraction):
     never.wait = lambda timeout: False
     trial.settle(never)
     assert trial.now_s == pytest.approx(ends_s, abs=0.3)
-    assert trial.history.newest[0].fraction == pytest.approx(fraction, abs=0.051)
+    assert trial.fraction == pytest.approx(fraction, abs=0.051)
 
 
 def test_capture_at_any_rate_is_sound_when_its_sets_are_answered_and_somebody_is_tracked():

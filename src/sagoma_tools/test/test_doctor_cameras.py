@@ -28,7 +28,7 @@ from sagoma_tools.doctor.cameras import (
     stream_bytes_per_s,
 )
 from sagoma_tools.doctor.findings import Severity, ok
-from sagoma_tools.doctor.network import Interface
+from sagoma_tools.doctor.machine import Interface
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
 from virtual_studio.rig import ring
 

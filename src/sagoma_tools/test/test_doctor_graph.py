@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from camera_client.background.causes import find_causes, findings_text, unfit
 from camera_client.background.model import Provenance
 from camera_client.background.training import TrainingReport
-from camera_client.background.watch import unfit
 from camera_client.condition import Condition
-from camera_client.condition_findings import condition_findings, findings_text
 from capture_rig.verdict import Finding
 from sagoma_tools.doctor.findings import Severity
 from sagoma_tools.doctor.graph import graph_findings
@@ -217,7 +216,7 @@ CAUSES = [
     (Condition(light_gain=1.4), "WARNING", "light.brighter", "the light is 40 % brighter than when the background"),
     (Condition(light_gain=1.0, light_switches_recent=4), "WARNING", "light.unsteady", "4 times in half a minute"),
     (Condition(light_gain=1.0, light_flicker=0.06), "WARNING", "light.flicker", "6.0 %"),
-    (Condition(noise_levels=8.0, noise_learned_levels=2.0), "WARNING", "noise.higher", "4.0 times what was learned"),
+    (Condition(noise_levels=4.0, noise_learned_levels=1.0), "NOTE", "noise.higher", "4.0 times what was learned"),
     (Condition(noise_levels=8.0, noise_learned_levels=7.5), "WARNING", "noise.high", "8.0 grey levels"),
     (Condition(noise_levels=1.0, background_doubtful=0.4), "WARNING", "levels.clipped", "40 %"),
     (Condition(displacement_left_px=0.7), "WARNING", "moved.unfollowed", "0.7 px"),
@@ -237,7 +236,7 @@ CAUSES = [
 
 @pytest.mark.parametrize("condition, severity, code, value", CAUSES, ids=[f"{case[1]}-{case[2]}" for case in CAUSES])
 def test_cause_that_a_client_names_is_a_finding_with_its_code_and_remedy(condition, severity, code, value):
-    found = condition_findings(condition)
+    found = find_causes(condition.figures())
     says = {"level": b"\1", "message": found[0].line} if severity == "WARNING" and found else {}
     client = reporting(C2, values={"findings": findings_text(found)}, **says)
     named = [each for each in graph_findings(graph([client])) if each.severity > Severity.OK]

@@ -9,7 +9,7 @@ import pytest
 from sagoma_tools.doctor import hosts
 from sagoma_tools.doctor.findings import examine
 from sagoma_tools.doctor.hosts import FULL_BYTES, HEADERS, Host, Peer, RosSettings, ask_peer, hears_multicast, serve
-from sagoma_tools.doctor.network import Interface
+from sagoma_tools.doctor.machine import Interface
 
 HERE, THERE = "10.0.0.1", "10.0.0.2"
 OURS = RosSettings(domain=7, profile="fastdds.xml")

@@ -8,10 +8,16 @@ import psutil
 import pytest
 
 from capture_rig.errors import InputError
-from sagoma_tools.doctor import machine, network
+from sagoma_tools.doctor import machine
 from sagoma_tools.doctor.findings import Severity
-from sagoma_tools.doctor.machine import check_disk, examine_machine
-from sagoma_tools.doctor.network import Interface, domains_of_ports, interface_to, interfaces
+from sagoma_tools.doctor.machine import (
+    Interface,
+    check_disk,
+    domains_of_ports,
+    examine_machine,
+    interface_to,
+    interfaces,
+)
 
 LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=1500, speed_mbit=1000)
 VARIABLES = ("ROS_DOMAIN_ID", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
@@ -39,10 +45,10 @@ GOOD = {
     "machine.psutil.disk_usage": disk(50 * GIB),
     "machine.import_aravis": lambda: None,
     "machine._answer": answers(chronyc="A29FC87B,10.0.0.1,3,1763712345.6,0.000012345,0.00001"),
-    "network.interfaces": lambda: [LINK],
-    "network.Path.read_text": lambda path, **options: str(8 << 20),
-    "network.UFW": Path("/nowhere"),
-    "network.psutil.process_iter": lambda names: [],
+    "machine.interfaces": lambda: [LINK],
+    "machine.Path.read_text": lambda path, **options: str(8 << 20),
+    "machine.UFW": Path("/nowhere"),
+    "machine.psutil.process_iter": lambda names: [],
 }
 
 
@@ -87,9 +93,9 @@ def test_machine_as_it_should_be_has_nothing_but_ok(examined):
         ({"machine._answer": answers(chronyc="A,B,3,0.0,-0.005")}, "WARNING", "clock.off", "5 ms"),
         ({"machine._answer": answers(timedatectl="no")}, "WARNING", "clock.unsynchronised", "systemd"),
         ({"machine._answer": answers()}, "NOTE", "clock.unknown", "timedatectl is not there"),
-        ({"network.Path.read_text": lambda path: "212992"}, "WARNING", "rmem_max.small", "rmem_max=4194304"),
-        ({"network.interfaces": lambda: []}, "NOTE", "network.loopback_only", ""),
-        ({"network.psutil.process_iter": lambda names: [SimpleNamespace(info={"name": "firewalld"})]},
+        ({"machine.Path.read_text": lambda path: "212992"}, "WARNING", "rmem_max.small", "rmem_max=4194304"),
+        ({"machine.interfaces": lambda: []}, "NOTE", "network.loopback_only", ""),
+        ({"machine.psutil.process_iter": lambda names: [SimpleNamespace(info={"name": "firewalld"})]},
          "NOTE", "firewall.active", "firewalld"),
     ],
 )  # fmt: skip
@@ -107,7 +113,7 @@ def test_machine_that_is_not_ready_is_found_with_a_remedy(examined, changes, sev
     ],
 )
 def test_interface_that_is_slow_or_down_is_named(examined, link, severity, code):
-    assert examined({"network.interfaces": lambda: [link]})[0][:2] == (severity, code)
+    assert examined({"machine.interfaces": lambda: [link]})[0][:2] == (severity, code)
 
 
 @pytest.mark.parametrize(
@@ -171,7 +177,7 @@ def test_buffer_that_a_container_hides_is_unknown(monkeypatch):
         raise FileNotFoundError
 
     monkeypatch.setattr(Path, "read_text", hidden)
-    assert network.check_buffer("wmem_max", 1, network.note).code == "wmem_max.unknown"
+    assert machine.check_buffer("wmem_max", 1, machine.note).code == "wmem_max.unknown"
 
 
 def test_domains_are_told_from_well_known_ports():

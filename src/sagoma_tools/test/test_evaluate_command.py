@@ -116,8 +116,9 @@ def test_a_bag_of_live_cameras_is_judged_by_what_can_be_said(session, tmp_path, 
     assert figures.pop("states") == {"doubtful": 2, "tracking": 34}
     assert {key: figures.pop(key) for key in DOUBT} == dict.fromkeys(DOUBT)  # there is no truth
     assert figures == {"frames": 40, "tracked": 36, "time_to_track_s": 0.3, "jitter_mm": 0.0}
-    assert main(["evaluate", str(bag), "--thesis"]) == 2
-    assert "Leave out --thesis" in capsys.readouterr().err
+    for option, said in (("--thesis", "Leave out --thesis"), ("--ablation", "one track and no variants")):
+        assert main(["evaluate", str(bag), option]) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_a_bag_holds_a_track_of_each_person(session, tmp_path, capsys):
@@ -168,8 +169,3 @@ def write_live_bag(folder, rig, others=()):
                 bag.write(topic, stamp_ns, serialize_message(message))
     bag.describe({}, rig)
     return folder
-
-
-def test_a_bag_has_no_ablation(session, tmp_path, capsys):
-    assert main(["evaluate", str(session), "--bag", str(tmp_path), "--ablation"]) == 2
-    assert "one track and no variants" in capsys.readouterr().err

@@ -5,10 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.session import WRIST_FRACTION, Truth
-from sagoma_tools.evaluation.live_run import distort_mask
 from sagoma_tools.evaluation.scores import score
 from sagoma_tools.evaluation.track import Track
 from stick_figure.body import Body
@@ -125,12 +123,3 @@ def test_angle_errors_are_taken_the_short_way_round(points_world):
     angles[:, 3] = -np.pi + np.deg2rad(2.0)  # the truth says -178 degrees, the track +180
     scores = score(track_of(points_world), truth_of(points_world, angles=angles))
     assert scores.angle_rmse_deg[3] == pytest.approx(2.0)
-
-
-def test_a_silhouette_comes_back_to_the_pixels_it_was_seen_at():
-    K = np.array([[470.0, 0, 318], [0, 468.0, 242], [0, 0, 1]])
-    camera = CameraModel("cam01", 640, 480, K, "plumb_bob", np.array([-0.19, 0.08, 3e-4, -5e-4, 0]), np.eye(4))
-    mask = np.zeros((480, 640), np.uint8)
-    mask[100:300, 5:200] = 255  # reaches into the corner, where distortion is strong
-    back = distort_mask(camera, camera.undistorted_view().undistort_mask(mask))
-    assert np.mean(back != mask) < 0.004

@@ -12,6 +12,7 @@ from footage_clips import cut_off, transcoded, with_late_frames, write_clip
 from intrinsics_views import lens, shown
 
 from capture_rig.camera_info_file import load_camera_info, save_camera_info
+from capture_rig.rigid import transform
 from capture_rig.session import load_session
 from capture_rig.video import Video
 from rig_calibration.boards.board import Checkerboard
@@ -21,7 +22,7 @@ from virtual_studio.recording.session import write_session
 from virtual_studio.rendering.board_camera import BoardCamera, PosedBoard
 from virtual_studio.rendering.camera import Sensor
 from virtual_studio.rig import ring
-from virtual_studio.scene.boards import print_of, transform
+from virtual_studio.scene.boards import print_of
 
 FPS, FRAMES = 25.0, 14
 
@@ -47,7 +48,7 @@ def doctor(capsys, session):
     return [(f["severity"], f["code"], f["what"]) for f in found if f["severity"] != "ok"]
 
 
-@pytest.mark.parametrize("codec", ["XVID", "MJPG", "avc1"])
+@pytest.mark.parametrize("codec", ["XVID", "avc1"])
 def test_session_in_another_codec_is_tracked_as_well(session, tmp_path, capsys, codec):
     copied = transcoded(session, tmp_path / "copied", codec, FPS)
     figures, said = evaluated(capsys, copied)
@@ -106,7 +107,7 @@ def test_rate_that_no_camera_has_is_an_error_until_the_true_one_is_stated(sessio
     assert "footage.rate" not in [code for _, code, _ in doctor(capsys, copied)]
 
 
-BOARD = Checkerboard(9, 6, (0.025, 0.025))
+BOARD, BOARD_TEXT = Checkerboard(9, 6, (0.025, 0.025)), "checkerboard 9x6 25mm"
 
 
 @pytest.fixture(scope="module")
@@ -140,20 +141,8 @@ def test_lens_is_calibrated_from_a_film_in_that_codec(film, tmp_path, codec, nam
     camera, images = film
     write_clip(tmp_path / name, images, 25.0, codec)
     output = tmp_path / "lens"
-    assert (
-        main(
-            [
-                "calibrate",
-                "intrinsics",
-                str(tmp_path / name),
-                "--board",
-                "checkerboard 9x6 25mm",
-                "--output",
-                str(output),
-            ]
-        )
-        == 0
-    )
+    given = [str(tmp_path / name), "--board", BOARD_TEXT, "--output", str(output)]
+    assert main(["calibrate", "intrinsics", *given]) == 0
     found = load_camera_info(output / "cam01.yaml", camera)
     assert np.abs(found.K.diagonal()[:2] / camera.K.diagonal()[:2] - 1).max() < 2e-3
     assert np.abs(found.K[:2, 2] - camera.K[:2, 2]).max() < 1.0
@@ -165,7 +154,7 @@ def test_films_of_a_carried_board_at_different_rates_are_refused_with_the_rates(
     for number, fps in ((1, 25.0), (2, 50.0)):
         write_clip(tmp_path / f"cam0{number}.avi", images[:4], fps, "XVID")
         save_camera_info(tmp_path / "lenses" / f"cam0{number}.yaml", replace(camera, name=f"cam0{number}"))
-    given = ["--intrinsics", str(tmp_path / "lenses"), "--moving", str(tmp_path), "--board", "checkerboard 9x6 25mm"]
+    given = ["--intrinsics", str(tmp_path / "lenses"), "--moving", str(tmp_path), "--board", BOARD_TEXT]
     assert main(["calibrate", "extrinsics", *given, "--output", str(tmp_path / "rig.yaml")]) == 2
     said = capsys.readouterr().err
     assert "different frame rates (cam01 25, cam02 50 fps): frame k of each is not of the same instant" in said

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from capture_rig.errors import InputError
-from sagoma_tools.importers.humaneva.formats import Offset, common_time, read_c3d, read_cal, read_mp, read_ofs
+from sagoma_tools.importers.formats import Offset, common_time, read_c3d, read_cal, read_mp, read_ofs
 from virtual_studio.rig import ring
 
 CAL = "700 710\n320 240\n0\n-0.2 0.1 0.001 -0.002 0.03\n1 0 0\n0 0 -1\n0 1 0\n100 1200 3400\n"
@@ -92,16 +92,13 @@ def test_c3d_points_are_found_by_label_in_floats_and_in_integers(tmp_path, step,
         assert np.abs(mocap.track_mm(label) - track).max() < max(step, 1e-3)
 
 
-def test_c3d_in_metres_is_read_as_millimetres(tmp_path):
-    written = tracks()
-    path = write_c3d(tmp_path / "x.c3d", {label: track / 1000 for label, track in written.items()}, unit="m")
-    assert read_c3d(path).track_mm("PELO") == pytest.approx(written["PELO"], abs=1e-3)
-
-
-def test_unseen_points_of_a_c3d_stay_zero(tmp_path):
+def test_c3d_in_metres_is_read_as_millimetres_and_unseen_points_stay_zero(tmp_path):
     written = tracks()
     written["C7"][2] = 0.0
-    assert (read_c3d(write_c3d(tmp_path / "x.c3d", written)).track_mm("C7")[2] == 0).all()
+    path = write_c3d(tmp_path / "x.c3d", {label: track / 1000 for label, track in written.items()}, unit="m")
+    mocap = read_c3d(path)
+    assert mocap.track_mm("PELO") == pytest.approx(written["PELO"], abs=1e-3)
+    assert (mocap.track_mm("C7")[2] == 0).all()
 
 
 def test_either_of_two_names_finds_a_point_and_a_missing_one_is_named(tmp_path):
@@ -132,23 +129,20 @@ def test_damaged_c3d_is_refused_by_name(tmp_path):
 IMAGE, MOCAP = st.floats(1, 400), st.floats(-200, 800)
 
 
-def test_common_frame_one_is_the_first_image_of_the_camera_that_starts_latest():
-    # image 1 at mocap frame 13, 9, 21
-    time = common_time({"C1": Offset(10, 31, 2), "C2": Offset(7, 21, 2), "BW1": Offset(6, 31, 2)})
-    assert dict(time.first_image) == {"C1": 5, "C2": 7, "BW1": 1}
-    assert time.mocap(np.array([1, 6])).tolist() == [21.0, 31.0]
-    assert time.image("C1", 6) == 10 and time.image("BW1", 6) == 6
-
-
-def test_motion_capture_that_starts_after_the_cameras_is_common_frame_one():
-    time = common_time({"C1": Offset(51, 1, 2), "C2": Offset(61, 1, 2)})
-    assert dict(time.first_image) == {"C1": 51, "C2": 61}
-    assert time.mocap(np.array([1, 2])).tolist() == [1.0, 3.0]
-
-
-def test_half_a_frame_is_rounded_up():
-    time = common_time({"C1": Offset(1, 10, 2), "C2": Offset(1, 9, 2)})
-    assert dict(time.first_image) == {"C1": 1, "C2": 2}
+@pytest.mark.parametrize(
+    ("offsets", "first_image", "mocap"),
+    [  # image 1 at mocap frame 13, 9, 21: the camera that starts latest
+        ({"C1": (10, 31, 2), "C2": (7, 21, 2), "BW1": (6, 31, 2)}, {"C1": 5, "C2": 7, "BW1": 1}, [21.0, 31.0]),
+        ({"C1": (51, 1, 2), "C2": (61, 1, 2)}, {"C1": 51, "C2": 61}, [1.0, 11.0]),  # motion capture starts latest
+        ({"C1": (1, 10, 2), "C2": (1, 9, 2)}, {"C1": 1, "C2": 2}, [10.0, 20.0]),  # half a frame is rounded up
+        ({"C1": (1, 1, 1.9), "C2": (1, 1, 2.1)}, {"C1": 1, "C2": 1}, [1.0, 11.0]),  # the rate is the mean of all
+    ],
+)
+def test_common_frame_one_is_where_the_last_begins(offsets, first_image, mocap):
+    time = common_time({name: Offset(*offset) for name, offset in offsets.items()})
+    assert dict(time.first_image) == first_image
+    assert time.mocap(np.array([1, 6])) == pytest.approx(mocap)
+    assert time.image("C1", 6) == first_image["C1"] + 5
 
 
 @given(st.lists(st.tuples(IMAGE, MOCAP), min_size=1, max_size=7), st.floats(1.99, 2.01), st.integers(1, 1000))
@@ -160,8 +154,3 @@ def test_every_image_is_within_half_a_frame_of_the_common_instant(pairs, rate, f
     for name, offset in offsets.items():
         taken_at = offset.mocap + (time.image(name, frame) - offset.image) * rate  # what the .ofs file says
         assert abs(taken_at - instant) <= 0.5 * rate + 1e-6
-
-
-def test_the_rate_is_the_mean_of_all_cameras():
-    time = common_time({"C1": Offset(1, 1, 1.9), "C2": Offset(1, 1, 2.1)})
-    assert time.mocap_per_frame == pytest.approx(2.0)

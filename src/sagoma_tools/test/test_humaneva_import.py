@@ -1,6 +1,5 @@
 """A whole data set in HumanEva-I's formats about a person we know, imported and held against what is known."""
 
-import json
 import shutil
 
 import cv2
@@ -16,29 +15,15 @@ from icp_tracker.acquisition.pose_source import make_pose_source
 from mocap_pipeline.configuration import Configuration
 from sagoma_bringup.first_pose import start_settings
 from sagoma_tools.cli import main
-from sagoma_tools.importers.humaneva.importer import Request, Trial, import_trial
+from sagoma_tools.importers.humaneva import Request, Trial, import_trial
 from stick_figure.kinematics import forward
 
 FIRST = 6
 CAMERAS = ("C1", "C2", "C3", "BW1")
 NAMES = dict(zip(CAMERAS, ("cam01", "cam02", "cam03", "cam04"), strict=True))
 WITH_TRUTH = [*range(8, 10), *range(13, 20), *range(21, 36)]  # common frames, from the data set's DROPOUTS
-JOINT_OF_POINT = {
-    1: "Head",
-    2: "Neck",
-    3: "LShoulder",
-    4: "RShoulder",
-    5: "LHip",
-    6: "RHip",
-    7: "LElbow",
-    8: "RElbow",
-    9: "LKnee",
-    10: "RKnee",
-    11: "LWrist",
-    12: "RWrist",
-    13: "LAnkle",
-    14: "RAnkle",
-}
+_JOINTS = "Head Neck LShoulder RShoulder LHip RHip LElbow RElbow LKnee RKnee LWrist RWrist LAnkle RAnkle"
+JOINT_OF_POINT = dict(enumerate(_JOINTS.split(), start=1))
 
 
 @pytest.fixture(scope="module")
@@ -76,10 +61,8 @@ def images(path):
 
 
 def test_all_cameras_have_every_common_frame_from_the_sixth_on(imported, films):
-    folder, summary = imported
-    assert load_session(folder).fps == 60.0
-    assert summary.footage.frames == LAST_COMMON - FIRST + 1
-    assert {len(film) for film in films.values()} == {LAST_COMMON - FIRST + 1}
+    assert load_session(imported[0]).fps == 60.0
+    assert {imported[1].footage.frames, *map(len, films.values())} == {LAST_COMMON - FIRST + 1}
 
 
 def test_a_flash_of_light_is_at_one_frame_in_all_cameras(films):
@@ -122,41 +105,17 @@ def test_calibration_projects_points_where_opencv_puts_them(data_set, imported):
         assert (rig.camera(name).width, rig.camera(name).height) == (320, 240)
 
 
-def test_truth_is_where_the_person_was(data_set, imported):
-    truth = load_session(imported[0]).truth
+def test_truth_is_where_the_person_was_and_empty_in_gaps(data_set, imported):
+    folder, summary = imported
+    truth = load_session(folder).truth
     known = np.isfinite(truth.points_world).all(axis=(1, 2))
-    assert (truth.frames[known] + FIRST).tolist() == WITH_TRUTH
+    assert (truth.frames[known] + FIRST).tolist() == WITH_TRUTH and summary.frames_with_truth == len(WITH_TRUTH)
     for frame, points in zip(truth.frames[known] + FIRST, truth.points_world[known], strict=True):
         for index, joint in JOINT_OF_POINT.items():
             assert np.linalg.norm(points[index] - data_set.joints[frame][joint]) < 1e-3, (frame, joint)
-
-
-def test_truth_begins_at_the_first_known_frame_and_leaves_later_gaps_empty(imported):
-    rows = (imported[0] / "truth.csv").read_text().splitlines()
-    assert rows[1].startswith("2,0")  # common frame 8
-    gap = [row for row in rows if row.startswith(f"{10 - FIRST},")]
-    assert gap and set(gap[0].removeprefix(f"{10 - FIRST}")) == {","}
-    assert imported[1].frames_with_truth == len(WITH_TRUTH)
-
-
-def test_a_frame_of_motion_capture_off_would_be_seen(data_set):
-    steps = [np.linalg.norm(data_set.joints[f + 1]["LAnkle"] - data_set.joints[f]["LAnkle"]) for f in WITH_TRUTH[:-1]]
-    assert max(steps) / 2 > 10e-3  # ten times what the truth may be off
-
-
-def test_truth_lies_on_the_person_in_every_image(imported, films):
-    session = load_session(imported[0])
-    truth = session.truth
-    for name, film in films.items():
-        empty = images(session.backgrounds[name]).mean(axis=0)
-        on_person = []
-        for frame, points in zip(truth.frames, truth.points_world, strict=True):
-            if np.isfinite(points).all() and frame != FLASH_COMMON - FIRST:
-                difference = np.abs(film[frame] - empty).max(axis=2)
-                pixels = session.rig.camera(name).project(points[[0, 2, 5, 6, 7, 8, 9, 10, 13, 14]])
-                u, v = np.rint(pixels).astype(int).T
-                on_person += (difference[v, u] > 15).tolist()
-        assert np.mean(on_person) > 0.97, name
+    first, *others = (folder / "truth.csv").read_text().splitlines()[1:]
+    assert first.startswith("2,0")  # common frame 8
+    assert [set(row.removeprefix("4")) for row in others if row.startswith("4,")] == [{","}]
 
 
 def test_volume_holds_the_person_with_a_margin(imported):
@@ -179,31 +138,10 @@ def test_session_file_says_where_it_comes_from(imported):
     }
 
 
-def import_by_command(data_set, out):
-    # the folder behind the cameras, where argparse would take it for one of them
-    return main(
-        [
-            "import",
-            "humaneva",
-            str(data_set.root),
-            "--subject",
-            "S2",
-            "--action",
-            "Walking",
-            "--frames",
-            "13",
-            "22",
-            "--cameras",
-            "C1",
-            "C2",
-            "C3",
-            str(out),
-        ]
-    )
-
-
 def test_command_imports_chosen_frames_and_says_what_is_there(data_set, tmp_path, capsys):
-    assert import_by_command(data_set, tmp_path / "chosen") == 0
+    # the folder behind the cameras, where argparse would take it for one of them
+    options = ["--subject", "S2", "--action", "Walking", "--frames", "13", "22", "--cameras", "C1", "C2", "C3"]
+    assert main(["import", "humaneva", str(data_set.root), *options, str(tmp_path / "chosen")]) == 0
     said = capsys.readouterr().out
     assert "10 frames of C1, C2, C3" in said and "9 of them (90%)" in said
     truth = load_session(tmp_path / "chosen").truth
@@ -218,16 +156,6 @@ def test_evaluation_starts_from_the_truth_of_an_imported_session(data_set, impor
     for index, joint in JOINT_OF_POINT.items():
         if joint not in ("LWrist", "RWrist"):  # the figure's arms end at the finger tips
             assert np.linalg.norm(points[index] - data_set.joints[8][joint]) < 0.05, joint
-
-
-@pytest.mark.slow
-def test_evaluate_tracks_an_imported_session(data_set, tmp_path, capsys):
-    import_by_command(data_set, tmp_path / "chosen")
-    capsys.readouterr()
-    assert main(["evaluate", str(tmp_path / "chosen"), "--start", "session", "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert figures["tracked"] >= 9
-    assert figures["mean_mm"] < 150.0  # three small images: that it is the same person at the same place and time
 
 
 def test_footage_alone_needs_no_motion_capture(data_set, copy, tmp_path):
@@ -292,20 +220,20 @@ def test_damaged_file_is_named_with_a_remedy_and_nothing_is_left(data_set, copy,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--subject", "S7", "--action", "Walking"], "has no folder 'S7'. It has S2"),
-        (["--subject", "S2", "--action", "Jog"], r"Jog_1_\(C1\)\.ofs: is not there. Sync_Data has Walking_1"),
-        (["--subject", "S2", "--action", "Walking", "--frames", "1", "9"], "--frames: 1 9 is not a range"),
-        (["--subject", "S2", "--action", "Walking", "--frames", "9", "8"], "--frames: 9 8 is not a range"),
-        (["--subject", "S2", "--action", "Walking", "--frames", "30", "90"], "too early. Import fewer frames"),
-        (["--subject", "S2", "--action", "Walking", "--frames", "36", "38"], "no imported frame of S2 Walking_1 has"),
-        (["--subject", "S2", "--action", "Walking", "--cameras", "C1", "C9"], "no camera 'C9'"),
+        ("OUT --subject S7 --action Walking --cameras C1", "has no folder 'S7'. It has S2"),
+        ("OUT --subject S2 --action Jog --cameras C1", "Jog_1_(C1).ofs: is not there. Sync_Data has Walking_1"),
+        ("OUT --subject S2 --action Walking --cameras C1 --frames 1 9", "--frames: 1 9 is not a range"),
+        ("OUT --subject S2 --action Walking --cameras C1 --frames 9 8", "--frames: 9 8 is not a range"),
+        ("OUT --subject S2 --action Walking --cameras C1 --frames 30 90", "too early. Import fewer frames"),
+        ("OUT --subject S2 --action Walking --cameras C1 --frames 36 38", "no imported frame of S2 Walking_1 has"),
+        ("OUT --subject S2 --action Walking --cameras C1 C9", "no camera 'C9'"),
+        ("--subject S2 --action Walking --cameras C1 C2", "no session folder to write is given"),
     ],
 )
 def test_command_says_what_it_cannot_use(data_set, tmp_path, capsys, arguments, message):
-    defaults = [] if "--cameras" in arguments else ["--cameras", "C1"]
-    assert main(["import", "humaneva", str(data_set.root), str(tmp_path / "out"), *arguments, *defaults]) == 2
-    said = capsys.readouterr().err
-    assert message.replace("\\", "") in said
+    given = arguments.replace("OUT", str(tmp_path / "out")).split()
+    assert main(["import", "humaneva", str(data_set.root), *given]) == 2
+    assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -314,9 +242,3 @@ def test_a_folder_with_anything_in_it_is_left_alone(data_set, tmp_path):
     with pytest.raises(InputError, match="exists and is not an empty folder"):
         import_trial(request_of(data_set, cameras=("C1",), frames=(6, 7)), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
-
-
-def test_no_folder_to_write_is_said(data_set, capsys):
-    arguments = ["import", "humaneva", str(data_set.root), "--subject", "S2", "--action", "Walking"]
-    assert main([*arguments, "--cameras", "C1", "C2"]) == 2
-    assert "no session folder to write is given" in capsys.readouterr().err

@@ -6,8 +6,8 @@ from humaneva_files import SHOULDER_WIDTH_MM, joints_of, marker_points, model_po
 from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
-from sagoma_tools.importers.humaneva.formats import Mocap, read_c3d
-from sagoma_tools.importers.humaneva.joints import MARKERS, Instants, Measures, joints, measures, segment
+from sagoma_tools.importers.formats import Mocap, read_c3d
+from sagoma_tools.importers.humaneva_joints import Instants, Measures, joints, measures, segment
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import walk
@@ -128,10 +128,6 @@ def test_frames_beyond_the_motion_capture_are_invalid(person):
     points, R_torso = (a[::50] for a in person)
     found = joints(mocap_of(points, R_torso), np.array([0.5, 1.0, 10.0, 10.2, 30.0]), SIZES)
     assert found.valid.tolist() == [False, True, True, False, False]
-
-
-def test_39_markers_are_asked_for():
-    assert len(set(MARKERS)) == 39
 
 
 def test_chest_radius_leaves_out_frames_in_which_a_shoulder_was_not_seen(tmp_path):

@@ -12,11 +12,9 @@ from sagoma_tools.cli import main
 from sagoma_tools.commands.background import select_clients
 from sagoma_tools.graph.background_training import SERVICE, find_clients
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
-from sagoma_tools.graph.namespace import in_graph, topics_of
-from sagoma_tools.graph.ros_link import RosLink, our_nodes
+from sagoma_tools.graph.ros_link import RosLink, in_graph, our_nodes, topics_of
 from sagoma_tools.recording.reader import bag_topics, read_messages
-from sagoma_tools.view.feed import Feed
-from sagoma_tools.view.live import LiveGraph
+from sagoma_tools.view.live import Feed, LiveGraph
 
 PATIENCE_S = 30.0
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -37,7 +35,7 @@ def graphs():
         yield
 
 
-def until(met) -> None:
+def until(met):
     """Wait for discovery, which rclpy tells nobody of."""
     deadline, ended = PATIENCE_S / 0.05, threading.Event()
     while not met():

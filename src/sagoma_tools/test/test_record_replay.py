@@ -85,7 +85,7 @@ class ListOfPublished:
         self.published.append(message)
 
 
-@pytest.mark.parametrize("rate", [1.0, 2.0, 0.25])
+@pytest.mark.parametrize("rate", [1.0, 0.25])
 def test_timed_replay_waits_for_recorded_intervals_divided_by_the_rate(rate):
     log_ms = [0, 5, 5, 40, 1000]
     messages = [BagMessage("/x", SILHOUETTE, EPOCH_NS + ms * 1_000_000, b"") for ms in log_ms]

@@ -3,26 +3,13 @@
 import os
 import queue
 import signal
-import threading
-import time
 
 import pytest
-from std_msgs.msg import String
 from test_supervisor_graph import camera, segments_of, tiny
 
 from sagoma_bringup.processes import processes_of
-from sagoma_ros.qos import LATCHED
-from sagoma_tools.graph.restarts import (
-    BODY_TOPIC,
-    CachedBody,
-    ProcessExited,
-    ProcessRecovered,
-    RestartPolicy,
-    with_kept_backgrounds,
-)
+from sagoma_tools.graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy, restarted, with_kept_backgrounds
 from sagoma_tools.graph.supervisor import Supervisor
-from stick_figure.body import Body
-from stick_figure.body_file import format_body, load_body
 
 SOON = RestartPolicy(first_s=0.1, longest_s=0.1, most=2)
 PATIENCE_S = 60.0
@@ -65,33 +52,11 @@ def test_live_cameras_keep_their_background_in_the_run_folder_unless_they_have_a
     assert files == [None, str(tmp_path / "cam01_background.npz"), "/somewhere/cam02.npz", None]
 
 
-@pytest.mark.parametrize(
-    ("given", "expected"),
-    [
-        ({}, None),  # finds whoever comes, and learns the sizes anew
-        ({"initial_pose.source": "auto"}, None),
-        ({"initial_pose.source": "t_pose"}, "restored_body.yaml"),
-        ({"initial_pose.source": "session", "body_file": "/somewhere/body.yaml"}, "/somewhere/body.yaml"),
-    ],
-)
-def test_tracker_that_would_wait_for_a_pose_gets_its_body_back(tmp_path, link, given, expected):
-    tracker = tiny("icp_tracker").with_parameters(given)
-    body, deadline_s = CachedBody(link.node, tmp_path), time.monotonic() + PATIENCE_S
-    (process,) = processes_of([tracker])
-    none_yet = tracker.with_parameters({"autostart": True})
-    assert body.restored(process).nodes == (none_yet,)
-    link.node.create_publisher(String, BODY_TOPIC, LATCHED).publish(String(data=format_body(Body.from_stature(1.8))))
-    while not body.text and time.monotonic() < deadline_s:
-        threading.Event().wait(0.01)
-    assert body.text
-    (restored,) = body.restored(process).nodes
-    if expected is None:
-        assert restored == none_yet
-        return
-    found = {"initial_pose.source": "auto", "body_file": str(tmp_path / expected)}
-    assert restored == none_yet.with_parameters(found)
-    if "body_file" not in given:
-        assert load_body(found["body_file"]).stature == pytest.approx(1.8, abs=1e-3)
+def test_a_restarted_tracker_finds_the_person_in_any_pose_and_every_node_becomes_active_by_itself():
+    nodes = [tiny("hull_server"), tiny("icp_tracker").with_parameters({"initial_pose.source": "t_pose"})]
+    given = [node.parameters for process in processes_of(nodes) for node in restarted(process).nodes]
+    assert all(parameters["autostart"] for parameters in given)
+    assert [parameters.get("initial_pose.source") for parameters in given] == [None, "auto"]
 
 
 @pytest.fixture()

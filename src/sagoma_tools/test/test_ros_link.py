@@ -8,7 +8,7 @@ from std_msgs.msg import Int64
 
 from sagoma_tools.graph.ros_link import RosLink
 
-WARM, COUNTED = 300, 3000
+WARM, COUNTED = 200, 1000
 PATIENCE_S = 60.0
 
 

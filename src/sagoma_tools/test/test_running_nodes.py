@@ -47,7 +47,7 @@ def test_refusal_names_the_nodes_the_machine_and_the_remedy(places, where):
 
 @pytest.mark.usefixtures("somebody_is_found")
 def test_node_that_is_just_ending_is_waited_for_and_counts_no_longer(link, monkeypatch):
-    monkeypatch.setattr(looks, "ENDING_S", 60.0)
+    monkeypatch.setattr(looks, "ANSWER_S", 60.0)
     ending = RosLink("hull_server")
 
     class Cancel(threading.Event):

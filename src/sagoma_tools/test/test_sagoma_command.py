@@ -3,9 +3,9 @@
 import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from test_supervisor_graph import camera, tiny
 
 from capture_rig.errors import InputError
-from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_tools.arguments import parse_settings
 from sagoma_tools.cli import main
 from sagoma_tools.graph.supervisor import Supervisor
@@ -17,24 +17,12 @@ TOPIC = "/mocap/joint_states"
 
 @pytest.fixture()
 def running_graph(tmp_path):
-    """A server node and a camera node, unconfigured, as some launch file may have started them."""
+    """Starts a server node and cameras that behave so, unconfigured, as some launch file may have started them."""
 
-    def start(camera_behaviour="good"):
-        graph = [
-            NodeSpec("none", "none", "tiny_lifecycle_node", "hull_server", "/", Role.SERVER, {"behaviour": "good"}),
-            NodeSpec(
-                "none",
-                "none",
-                "tiny_lifecycle_node",
-                "camera_client",
-                "/cam01",
-                Role.CAMERA,
-                {"behaviour": camera_behaviour},
-            ),
-        ]
+    def start(*cameras):
+        graph = [tiny("hull_server"), *(camera(f"cam0{k}", behaviour) for k, behaviour in enumerate(cameras, start=1))]
         supervisors.append(Supervisor(graph, tmp_path / "run"))
         supervisors[-1].start()
-        return supervisors[-1]
 
     supervisors = []
     yield start
@@ -42,39 +30,28 @@ def running_graph(tmp_path):
         supervisor.stop()
 
 
-def test_start_suspend_and_stop_drive_every_node_and_report_its_state(running_graph, capsys):
-    running_graph()
+def test_start_suspend_and_stop_drive_every_node_and_report_its_state(running_graph, capsys, link):
+    running_graph("good")
     for verb, state in (("start", "active"), ("suspend", "inactive"), ("start", "active"), ("stop", "unconfigured")):
         assert main([verb, "--expect", "2", "--wait", "30"]) == 0
         assert capsys.readouterr().out == f"/cam01/camera_client: {state}\n/hull_server: {state}\n"
+    names = ["/hull_server", "/cam01/camera_client"]
+    found = read_configuration(link.node, names, timeout_s=60)
+    assert {name: parameters["behaviour"] for name, parameters in found.items()} == dict.fromkeys(names, "good")
 
 
-def test_start_names_the_node_that_refuses_and_starts_the_others(running_graph, capsys):
-    running_graph("refuses_to_configure")
-    assert main(["start", "--expect", "2", "--wait", "30"]) == 1
+def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_others(running_graph, capsys):
+    running_graph("refuses_to_configure", "never_answers")
+    assert main(["start", "--expect", "3", "--wait", "30", "--timeout", "2"]) == 1
     said = capsys.readouterr().out
     assert "/hull_server: active" in said
     assert "failed: /cam01/camera_client: configure refused" in said
-
-
-def test_start_names_the_node_that_does_not_answer(running_graph, capsys):
-    running_graph("never_answers")
-    assert main(["start", "--expect", "2", "--wait", "30", "--timeout", "1"]) == 1
-    assert "failed: /cam01/camera_client: configure did not answer" in capsys.readouterr().out
+    assert "failed: /cam02/camera_client: configure did not answer" in said
 
 
 def test_start_without_any_node_is_an_input_error(capsys):
     assert main(["start", "--wait", "0.3"]) == 2
     assert "found 0 nodes of ours, expected 1" in capsys.readouterr().err
-
-
-def test_configuration_of_running_nodes_is_read_from_the_nodes_themselves(running_graph, link):
-    running_graph()
-    found = read_configuration(link.node, ["/hull_server", "/cam01/camera_client"], timeout_s=60)
-    assert {name: parameters["behaviour"] for name, parameters in found.items()} == {
-        "/hull_server": "good",
-        "/cam01/camera_client": "good",
-    }
 
 
 def joint_states(bag, angles):
@@ -95,17 +72,12 @@ def test_compare_tells_equal_from_different_bags(tmp_path, capsys):
     assert f"{TOPIC}: message 1 (of 2 and 2 messages) differs first" in capsys.readouterr().out
 
 
-def test_compare_of_bags_without_outputs_is_an_input_error(tmp_path, capsys):
+def test_compare_of_bags_without_outputs_and_recover_of_a_complete_bag_are_input_errors(tmp_path, capsys):
     with BagWriter(tmp_path / "a") as writer:
         writer.add_topic("/cam01/camera_info", "sensor_msgs/msg/CameraInfo")
-    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "a")]) == 2
-    assert "neither bag holds an output" in capsys.readouterr().err
-
-
-def test_recover_refuses_a_complete_bag(tmp_path, capsys):
-    bag = joint_states(tmp_path / "a", [0.1])
-    assert main(["recover", bag]) == 2
-    assert "is complete" in capsys.readouterr().err
+    for command, said in ((["compare", str(tmp_path / "a")], "neither bag holds"), (["recover"], "is complete")):
+        assert main([*command, str(tmp_path / "a")]) == 2
+        assert said in capsys.readouterr().err
 
 
 def test_recover_says_what_is_there_instead_of_a_bag(tmp_path, capsys):

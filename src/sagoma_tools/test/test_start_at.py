@@ -6,7 +6,7 @@ import pytest
 
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import Role, camera_node
-from sagoma_tools.start_at import in_step, start_instant_ns
+from sagoma_tools.arguments import in_step, start_instant_ns
 
 NOON = datetime.datetime(2026, 3, 1, 12, 0, 0, tzinfo=datetime.UTC)
 NOON_NS = round(NOON.timestamp() * 1e9)
@@ -50,27 +50,18 @@ def footage(*names):
     return [camera_node(name, {"source": "footage", "footage.epoch_ns": 0}) for name in names]
 
 
-def test_one_camera_of_several_without_a_common_beginning_is_refused():
+def test_one_camera_of_several_without_a_common_beginning_is_refused_and_all_of_them_or_none_need_none():
     with pytest.raises(InputError, match=r"of 4 cameras only cam02 plays here.*--start-at"):
         in_step(footage("cam02"), 4, None, 1.0)
+    for names in (("cam01", "cam02"), ()):
+        assert in_step(footage(*names), 2, None, 1.0) == footage(*names)
+    assert in_step([], 4, NOON_NS, 1.0) == []
 
 
-@pytest.mark.parametrize("names", [("cam01", "cam02"), ()])
-def test_all_cameras_of_one_machine_or_none_need_no_common_beginning(names):
-    assert in_step(footage(*names), 2, None, 1.0) == footage(*names)
-
-
-def test_cameras_of_several_machines_share_the_beginning_and_keep_up():
+def test_cameras_of_several_machines_share_the_beginning_and_keep_up_or_wait_for_each_other():
     (node,) = in_step(footage("cam02"), 4, NOON_NS, 1.0)
     assert node.role is Role.CAMERA
     assert node.parameters["footage.epoch_ns"] == NOON_NS and node.parameters["footage.keep_up"] is True
     assert node.parameters["footage.wait_for_cameras"] is False  # nobody waits for a machine that is late
-
-
-def test_footage_as_fast_as_the_graph_can_waits_for_all_cameras_instead():
-    (node,) = in_step(footage("cam02"), 4, NOON_NS, 0.0)
+    (node,) = in_step(footage("cam02"), 4, NOON_NS, 0.0)  # as fast as the graph can
     assert node.parameters["footage.wait_for_cameras"] is True and "footage.keep_up" not in node.parameters
-
-
-def test_a_server_alone_takes_the_option_too():
-    assert in_step([], 4, NOON_NS, 1.0) == []

@@ -10,11 +10,13 @@ import pytest
 from rich.console import Console
 
 from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_tools.graph.lifecycle_client import Transition, Verdict
+from sagoma_tools.graph.lifecycle_client import Verdict
 from sagoma_tools.graph.processes import Exit, ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink, settled
 from sagoma_tools.graph.running_nodes import places_of
 from sagoma_tools.graph.supervisor import GraphError, Supervisor, with_common_epoch
+
+REFUSES = "refuses_to_configure"
 
 
 def tiny(name: str, behaviour: str = "good", role: Role = Role.SERVER) -> NodeSpec:
@@ -48,7 +50,7 @@ def supervise(tmp_path):
         supervisor.stop()
 
 
-def test_whole_graph_reaches_active_and_ends_cleanly(supervise):
+def test_whole_graph_reaches_active_tells_of_itself_and_ends_cleanly(supervise):
     run = supervise(tiny("hull_server"), camera("cam01"), camera("cam02"))
     configured = run.configure()
     assert configured.answers[0].node == "/hull_server"  # the server's side first
@@ -58,6 +60,13 @@ def test_whole_graph_reaches_active_and_ends_cleanly(supervise):
     usage = run.processes.usage()
     assert usage.keys() == {"hull_server", "cam01", "cam02"}
     assert all(used.peak_mib >= used.resident_mib > 10 and used.cpu_s > 0 for used in usage.values())
+    assert run.diagnostics.wait_for(["/cam01/camera_client"], timeout_s=30)
+    report = run.diagnostics.report("/cam01/camera_client")
+    assert report.values["rate_hz"] == "60.0" and report.losses() == {"dropped": 7}
+    names, states = {"/cam01/camera_client": "cam01", "/gone": "gone"}, {"/cam01/camera_client": "active"}
+    heard_line = rendered(run.diagnostics.table(names, states, now_s=report.heard_s))[1]
+    assert heard_line.split() == ["cam01", "active", "60.0", "7", "dropped", "tiny"]
+    assert "silent for 10 s" in rendered(run.diagnostics.table(names, states, now_s=report.heard_s + 10))[1]
     pids = run.processes.pids().values()
     exit_statuses = run.stop()
     assert [ended.exit for ended in exit_statuses] == [Exit.CLEAN] * 3
@@ -66,24 +75,22 @@ def test_whole_graph_reaches_active_and_ends_cleanly(supervise):
 
 
 def test_configure_names_the_node_and_its_log_when_a_server_node_refuses(supervise):
-    run = supervise(tiny("hull_server", "refuses_to_configure"), camera("cam01"))
+    run = supervise(tiny("hull_server", REFUSES), camera("cam01"))
     with pytest.raises(GraphError, match=r"(?s)/hull_server: configure refused.*cannot be opened as a video"):
         run.configure()
     assert run.states() == {"/hull_server": "unconfigured", "/cam01/camera_client": "inactive"}
 
 
-@pytest.mark.parametrize(("stopped", "raised"), [(True, KeyboardInterrupt), (False, GraphError)])
-def test_start_that_the_user_ends_is_an_interruption_and_no_failure(tmp_path, stopped, raised):
+def test_start_that_the_user_ends_is_an_interruption_and_no_failure(tmp_path):
     stop = threading.Event()
-    with pytest.raises(raised), Supervisor([tiny("hull_server", "refuses_to_configure")], tmp_path, cancel=stop) as run:
-        if stopped:
-            stop.set()
+    with pytest.raises(KeyboardInterrupt), Supervisor([tiny("hull_server", REFUSES)], tmp_path, cancel=stop) as run:
+        stop.set()
         run.configure()
     assert len(run.exit_statuses) == 1  # its process has ended
 
 
 def test_graph_goes_on_when_one_of_two_cameras_refuses(supervise):
-    run = supervise(tiny("hull_server"), camera("cam01", "refuses_to_configure"), camera("cam02"))
+    run = supervise(tiny("hull_server"), camera("cam01", REFUSES), camera("cam02"))
     outcome = run.configure()
     assert [(each.node, each.verdict) for each in outcome.failures] == [("/cam01/camera_client", Verdict.REFUSED)]
     run.activate()
@@ -119,30 +126,22 @@ def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supe
 
 
 def test_only_camera_lost_is_an_error(supervise):
-    run = supervise(tiny("hull_server"), camera("cam01", "refuses_to_configure"))
+    run = supervise(camera("cam01", REFUSES))
     with pytest.raises(GraphError, match="cam01"):
         run.configure()
 
 
-def test_second_graph_of_the_same_names_is_refused_before_a_process_of_it_starts(
+def test_nodes_of_the_same_names_are_refused_before_a_second_graph_starts_and_before_one_is_configured(
     supervise, monkeypatch, tmp_path, request
 ):
-    monkeypatch.setattr("sagoma_tools.graph.running_nodes.ENDING_S", 0.0)
-    first = supervise(tiny("hull_server"), camera("cam01"))
-    first.configure()
+    monkeypatch.setattr("sagoma_tools.graph.running_nodes.ANSWER_S", 0.0)
+    run = supervise(tiny("hull_server"), camera("cam01"))
     request.getfixturevalue("somebody_is_found")
     second = Supervisor([tiny("hull_server"), camera("cam02")], tmp_path / "second")
-    with pytest.raises(
-        GraphError, match=r"^/hull_server run already in this ROS domain on this machine.*ROS_DOMAIN_ID"
-    ):
+    why = r"^/hull_server run already in this ROS domain on this machine.*ROS_DOMAIN_ID"
+    with pytest.raises(GraphError, match=why):
         second.start()
     assert second.processes.pids() == {} and not (tmp_path / "second").exists()
-    names = ["/hull_server", "/cam01/camera_client"]
-    assert first.lifecycle.states(names) == dict.fromkeys(names, "inactive")
-
-
-def test_graph_whose_names_somebody_else_took_meanwhile_is_refused_before_it_is_configured(supervise):
-    run = supervise(tiny("hull_server"), camera("cam01"))
     with RosLink("hull_server") as late:
         assert settled(lambda: {"seen"} if len(places_of(run.node).get("/hull_server", ())) > 1 else set(), 1, 60.0)
         with pytest.raises(GraphError, match=r"^/hull_server run already"):
@@ -179,26 +178,6 @@ def test_node_that_cannot_be_secured_refuses_to_run_open(supervise, tmp_path):
     assert "doesn't have the security libraries" in death.log_tail or "enclave" in death.log_tail
 
 
-@pytest.mark.slow
-def test_lifecycle_client_names_the_silent_node_and_serves_the_others(supervise):
-    run = supervise(tiny("hung", "never_answers"), tiny("good"), settings=ProcessSettings(grace_s=1.0))
-    assert set(run.lifecycle.states(["/hung", "/good"], timeout_s=30).values()) == {"unconfigured"}
-    outcome = run.lifecycle.change(dict.fromkeys(["/hung", "/good"], Transition.CONFIGURE), timeout_s=2.0)
-    assert outcome.silent == ("/hung",)
-    assert {a.node: a.verdict for a in outcome.answers}["/good"] is Verdict.ACKNOWLEDGED
-
-
-def test_board_shows_what_a_node_says_of_itself(supervise):
-    run = supervise(camera("cam01"))
-    assert run.diagnostics.wait_for(["/cam01/camera_client"], timeout_s=30)
-    report = run.diagnostics.report("/cam01/camera_client")
-    assert report.values["rate_hz"] == "60.0" and report.losses() == {"dropped": 7}
-    names, states = {"/cam01/camera_client": "cam01", "/gone": "gone"}, {"/cam01/camera_client": "active"}
-    heard_line = rendered(run.diagnostics.table(names, states, now_s=report.heard_s))[1]
-    assert heard_line.split() == ["cam01", "active", "60.0", "7", "dropped", "tiny"]
-    assert "silent for 10 s" in rendered(run.diagnostics.table(names, states, now_s=report.heard_s + 10))[1]
-
-
 def rendered(table):
     console = Console(width=150, file=io.StringIO())
     console.print(table)
@@ -211,14 +190,10 @@ def footage_camera(name, **parameters):
     return NodeSpec(package, package, f"{package}.camera_node", package, f"/{name}", Role.CAMERA, given)
 
 
-def test_footage_played_as_fast_as_possible_is_stamped_from_one_epoch():
-    unpaced, paced = {"footage.rate": 0.0, "footage.epoch_ns": 0}, {"footage.rate": 1.0, "footage.epoch_ns": 0}
-    graph = [footage_camera("cam01", **unpaced), footage_camera("cam02", **unpaced), footage_camera("cam03", **paced)]
-    epochs = [spec.parameters["footage.epoch_ns"] for spec in with_common_epoch(graph, 7_000_000_123)]
-    assert epochs == [7_000_000_123, 7_000_000_123, 0]
+def test_footage_played_as_fast_as_possible_is_stamped_from_one_epoch_or_the_one_that_was_given():
+    def epochs(*given):
+        graph = [footage_camera(f"cam0{k}", **{"footage.rate": r, "footage.epoch_ns": e}) for k, (r, e) in given]
+        return [spec.parameters["footage.epoch_ns"] for spec in with_common_epoch(graph, 7_000_000_123)]
 
-
-def test_an_epoch_that_was_given_is_kept():
-    given = {"footage.rate": 0.0, "footage.epoch_ns": 5_000_000_000}
-    graph = [footage_camera("cam01", **given), footage_camera("cam02", **given)]
-    assert with_common_epoch(graph, 7_000_000_123) == tuple(graph)
+    assert epochs(*enumerate([(0.0, 0), (0.0, 0), (1.0, 0)])) == [7_000_000_123, 7_000_000_123, 0]
+    assert epochs(*enumerate([(0.0, 5_000_000_000)] * 2)) == [5_000_000_000] * 2

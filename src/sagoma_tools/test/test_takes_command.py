@@ -6,7 +6,7 @@ import pytest
 import take_bags
 
 from sagoma_tools.cli import main
-from sagoma_tools.takes.summary_file import SIDECAR_TAKE, finish_take
+from sagoma_tools.takes.measure import SIDECAR_TAKE, finish_take
 
 
 @pytest.fixture()

@@ -8,11 +8,9 @@ from capture_rig.errors import InputError
 from sagoma_tools.recording.reader import bag_topics, read_messages, read_provenance
 from sagoma_tools.recording.recorded_motion import recorded_motions
 from sagoma_tools.takes.folder import TakesFolder
-from sagoma_tools.takes.measure import measure
-from sagoma_tools.takes.summary_file import finish_take, read_summary
+from sagoma_tools.takes.measure import ERROR, OK, WARNING, finish_take, measure, read_summary, verify
 from sagoma_tools.takes.take import Background, Summary
 from sagoma_tools.takes.trim import trim
-from sagoma_tools.takes.verify import ERROR, OK, WARNING, verify
 
 
 @pytest.fixture()

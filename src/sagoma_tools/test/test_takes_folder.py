@@ -8,7 +8,7 @@ import take_bags
 
 from capture_rig.errors import InputError
 from sagoma_tools.takes.folder import BEING_WRITTEN_S, TakesFolder
-from sagoma_tools.takes.summary_file import SIDECAR_TAKE, finish_take
+from sagoma_tools.takes.measure import SIDECAR_TAKE, finish_take
 from sagoma_tools.takes.take import TakeState
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sagoma_tools.overlays.drawing import BONES
-from sagoma_tools.view.figures import GREEN, HEAD_M, RED, Figure, instances_of, rotations_of_z_onto, unit_sphere
+from sagoma_tools.overlays import BONES
+from sagoma_tools.view.scene import GREEN, HEAD_M, RED, Figure, instances_of, rotations_of_z_onto, unit_sphere
 from stick_figure.skeleton import POINT_NAMES
 
 POINTS = np.random.default_rng(3).uniform(-1.0, 2.0, (15, 3))

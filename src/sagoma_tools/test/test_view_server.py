@@ -9,13 +9,12 @@ import msgspec
 import pytest
 import viser
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 from capture_rig.errors import InputError
 from sagoma_tools.cli import main
-from sagoma_tools.view.client_script import SCRIPT
 from sagoma_tools.view.guard import COOKIE, Guard
-from sagoma_tools.view.server import FRAMING, PORT, guarded_server, listening_socket
+from sagoma_tools.view.server import FRAMING, PORT, SCRIPT, guarded_server, listening_socket
 
 CAMERA = {
     "type": "ViewerCameraMessage",
@@ -45,13 +44,13 @@ def port(server):
     return server.get_port()
 
 
-def get(port: int, path: str, **headers: str) -> http.client.HTTPResponse:
+def get(port, path, **headers):
     connection = http.client.HTTPConnection("127.0.0.1", port)
     connection.request("GET", path, headers=headers)
     return connection.getresponse()
 
 
-def get_with_exactly(port: int, *headers: str, path: str = "/") -> bytes:
+def get_with_exactly(port, *headers, path="/"):
     """The answer to a request that has these header lines and no others."""
     with socket.create_connection(("127.0.0.1", port)) as link:
         link.sendall("\r\n".join([f"GET {path} HTTP/1.1", *headers, "", ""]).encode("latin-1"))
@@ -105,15 +104,15 @@ def test_a_path_too_long_for_a_file_is_refused(port):
     assert get(port, "/" + "a" * 5000, **OPENED).status == 400
 
 
-def send(link: ClientConnection, message: object) -> None:
+def send(link, message):
     link.send(msgspec.msgpack.encode(message))
 
 
-def update_of(control, **updates: object) -> dict:
+def update_of(control, **updates):
     return {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": updates}
 
 
-def test_messages_of_wrong_types_are_left_out_and_every_control_goes_on(server: viser.ViserServer, caplog):
+def test_messages_of_wrong_types_are_left_out_and_every_control_goes_on(server, caplog):
     gui = server.gui
     controls = [
         gui.add_slider("second", 0.0, 9.0, 0.01, 1.0),

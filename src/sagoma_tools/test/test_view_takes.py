@@ -15,13 +15,13 @@ from capture_rig.errors import InputError
 from motion_export.motion import UNTRACKED
 from sagoma_tools.graph.diagnostics_table import STALE_S, NodeReport
 from sagoma_tools.takes.folder import TakesFolder, describe
-from sagoma_tools.takes.summary_file import finish_take
+from sagoma_tools.takes.measure import finish_take
+from sagoma_tools.view.control import ALL_FORMATS, TakeActions
+from sagoma_tools.view.graph_panel import states_html, trouble_of
 from sagoma_tools.view.guard import Guard
 from sagoma_tools.view.jobs import Jobs
 from sagoma_tools.view.page import EVERY_S, Page
 from sagoma_tools.view.playback import Playback, first_pose_ns, last_frame
-from sagoma_tools.view.states import states_html, trouble_of
-from sagoma_tools.view.take_work import ALL_FORMATS, TakeWork
 from sagoma_tools.view.takes_panel import about_html, whole_range
 
 FRAMES = 50
@@ -39,7 +39,7 @@ def silently(text):
 
 
 def test_buttons_do_what_the_commands_do(takes):
-    work = TakeWork(takes, lambda: "")
+    work = TakeActions(takes, lambda: "")
     assert "gait" in work.rename("walk", "gait")(silently)
     assert "made part" in work.trim("gait", "part", 0.2, 0.6)(silently)
     assert takes.find("part").trimmed_from["take"] == "gait"
@@ -51,7 +51,7 @@ def test_buttons_do_what_the_commands_do(takes):
 
 def test_no_button_reaches_out_of_the_folder_or_touches_what_is_recorded(takes, tmp_path):
     outside = take_bags.write_take(tmp_path / "outside", 3)
-    work = TakeWork(takes, lambda: "walk")
+    work = TakeActions(takes, lambda: "walk")
     sent = []
     for name in ("walk", "../outside", str(outside), ""):
         for asked in (
@@ -65,14 +65,14 @@ def test_no_button_reaches_out_of_the_folder_or_touches_what_is_recorded(takes, 
                 asked(silently)
     for new_name in ("../mine", "/tmp/mine", ""):
         with pytest.raises(InputError):
-            TakeWork(takes, lambda: "").trim("walk", new_name, 0.1, 0.3)(silently)
+            TakeActions(takes, lambda: "").trim("walk", new_name, 0.1, 0.3)(silently)
     assert not sent and {path.name for path in tmp_path.iterdir()} == {"takes", "outside"}
     assert {path.name for path in takes.path.iterdir()} == {"walk"}
 
 
 def test_an_export_is_written_into_the_take_and_sent_to_who_asked(takes):
     sent = {}
-    work = TakeWork(takes, lambda: "")
+    work = TakeActions(takes, lambda: "")
     assert "walk.bvh" in work.export("walk", "bvh", sent.__setitem__)(silently)
     assert sent["walk.bvh"].startswith(b"HIERARCHY")
     work.export("walk", ALL_FORMATS, sent.__setitem__)(silently)

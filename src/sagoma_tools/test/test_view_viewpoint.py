@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from capture_rig.camera import looking_at
-from sagoma_tools.view.figures import Figure
+from sagoma_tools.view.scene import Figure
 from sagoma_tools.view.viewpoint import (
     ASPECT,
     FOV_RAD,
@@ -27,19 +27,19 @@ STANDING[:2, 2] = 0.0, 1.8
 class Views:
     """A server's views as viser keeps them, without a browser."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count):
         self.initial_camera = SimpleNamespace(position=None, look_at=None, fov=None)
         self.cameras = [SimpleNamespace(up_direction=np.array([0.0, 0.0, 1.0])) for _ in range(count)]
 
-    def get_clients(self) -> dict:
+    def get_clients(self):
         return {k: SimpleNamespace(camera=camera, atomic=nullcontext) for k, camera in enumerate(self.cameras)}
 
-    def open(self, camera: SimpleNamespace) -> None:
+    def open(self, camera):
         """As a browser that has just come: where new views begin."""
         camera.position, camera.look_at = np.array(self.initial_camera.position), np.array(self.initial_camera.look_at)
 
 
-def on_screen(views: Views, points: np.ndarray) -> np.ndarray:
+def on_screen(views, points):
     """(n, 2) places on the screen, its edges at -1 and 1."""
     position, look_at = np.asarray(views.initial_camera.position), np.asarray(views.initial_camera.look_at)
     T = looking_at(position, look_at)
@@ -47,11 +47,11 @@ def on_screen(views: Views, points: np.ndarray) -> np.ndarray:
     return np.column_stack([x / ASPECT, y]) / (z * np.tan(0.5 * FOV_RAD))[:, None]
 
 
-def at(x: float, y: float) -> np.ndarray:
+def at(x, y):
     return STANDING + np.array([x, y, 0.0])
 
 
-def person_at(x: float, y: float) -> dict[str, Figure]:
+def person_at(x, y):
     return {"b0001": Figure(at(x, y), np.full(15, 0.01), "tracking")}
 
 

@@ -1,6 +1,6 @@
 """How people's surfaces differ: the capsules of any build, by the body's lengths and a few numbers.
 
-The table ``builds.csv`` (made by ``bench/body_builds.py``) is a Gaussian over the surfaces of 40 rendered people in 12
+The table ``builds.csv`` (made by ``models/body_builds.py``) is a Gaussian over the surfaces of 40 rendered people in 12
 poses each (MakeHuman's mesh with random phenotypes, adolescent to old, CC0), found by expectation maximisation from
 rays along their outlines against their true bones, hands and feet in frames of their own. Girths of 6 per cent and the
 studio's people, whose flesh is centred on the bones, widen it. Each of the eight numbers of a capsule (start and end in
@@ -37,7 +37,7 @@ from .skeleton import (
     TORSO,
 )
 
-# Thresholds: made by python bench/body_builds.py, fitted to rendered mesh people of 40 bodies that no test shows and
+# Thresholds: made by python models/body_builds.py, fitted to rendered mesh people of 40 bodies that no test shows and
 # the spread of the studio's capsule people, from rays along their outlines; the least radius: judgement.
 TABLE = Path(__file__).with_name("builds.csv")
 NUMBERS = ("start_x", "start_y", "start_z", "end_x", "end_y", "end_z", "start_radius", "end_radius")

@@ -6,7 +6,7 @@ the head. As centres are regressed on markers of the skin (Bell, Pedersen & Bran
 shoulders), they are here on the figure's pose: displacements, over the stature, that are linear in the directions of
 upper arms, thighs and head against the torso and in the trunk's bend. In the mean pose there is none.
 
-The table ``joint_centres.csv`` is made by ``bench/joint_centres.py`` from tracked rendered people (MakeHuman's mesh,
+The table ``joint_centres.csv`` is made by ``models/joint_centres.py`` from tracked rendered people (MakeHuman's mesh,
 CC0) whose joints are known.
 """
 
@@ -25,7 +25,7 @@ from .rotations import Array
 from .skeleton import POINT_NAMES
 from .trunk_bend import FLEXION, PELVIS_ROLL, PELVIS_YAW, REST_SD
 
-# Thresholds: made by python bench/joint_centres.py, fitted to tracked rendered people (bench/random_people.py --clips
+# Thresholds: made by python models/joint_centres.py, fitted to tracked rendered people (models/random_people.py --clips
 # fit, 42 of them, and the mesh_fit_ sets).
 TABLE = Path(__file__).with_name("joint_centres.csv")
 CENTRES = ("shoulder", "hip", "neck")

@@ -16,7 +16,7 @@ from gige_vision.gvcp import PORT, AcknowledgePacket, Command, CommandPacket
 HOST = "127.0.0.1"
 PATIENCE_S = 30.0  # only ever used up by a failing test
 RECEIVE_BUFFER_BYTES = 4 << 20
-CONTROL_PRIVILEGE, CONTROL, EXCLUSIVE = 0x0A00, 2, 1
+CONTROL_PRIVILEGE, CONTROL = 0x0A00, 2
 
 
 def import_aravis():
@@ -177,5 +177,5 @@ class GvcpClient:
     def read_memory(self, address, count):
         return self.ask(Command.READ_MEMORY, gvcp_payloads.encode_memory_read(address, count))
 
-    def take_control(self, exclusive=False):
-        return self.write(CONTROL_PRIVILEGE, EXCLUSIVE if exclusive else CONTROL)
+    def take_control(self):
+        return self.write(CONTROL_PRIVILEGE, CONTROL)

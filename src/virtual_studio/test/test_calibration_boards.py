@@ -7,14 +7,22 @@ import cv2
 import numpy as np
 import pytest
 
+from capture_rig.rigid import transform
 from rig_calibration.boards.board import CharucoBoard, Checkerboard
 from stick_figure.body import Body
 from virtual_studio.people import VolumetricBody
-from virtual_studio.rendering.board_camera import BoardCamera, FilmingCamera, Optics, exposure_poses, ideal_corners
-from virtual_studio.rendering.board_caster import cast_board, sample_offsets
+from virtual_studio.rendering.board_camera import (
+    BoardCamera,
+    FilmingCamera,
+    Optics,
+    cast_board,
+    exposure_poses,
+    ideal_corners,
+    sample_offsets,
+)
 from virtual_studio.rendering.camera import WHITE, Sensor
 from virtual_studio.rig import ring
-from virtual_studio.scene.boards import PosedBoard, Wand, print_of, transform
+from virtual_studio.scene.boards import PosedBoard, Wand, print_of
 from virtual_studio.scene.handling import FACING, carry, hands, on_floor, person_with
 
 RIG = ring(2, ceiling=True)

@@ -9,7 +9,7 @@ from gige_client import AravisClient, eventually
 from capture_rig.errors import InputError
 from gige_vision.pixel_formats import PixelFormat
 from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera
-from virtual_studio.gige.server.stream import kept_packets
+from virtual_studio.gige.stream import kept_packets
 
 SECOND_NS = 1_000_000_000
 

@@ -10,10 +10,10 @@ import pytest
 
 from gige_vision import bootstrap
 from gige_vision.gvcp import Status
-from virtual_studio.gige.server.device import OLD, SFNC, CameraSettings
-from virtual_studio.gige.server.genicam_xml import genicam_xml, zipped
-from virtual_studio.gige.server.registers import FILE_SPACE, Kind, RegisterError, Registers
-from virtual_studio.gige.simulated_camera.feature_table import feature_table
+from virtual_studio.gige.device import OLD, SFNC, CameraSettings
+from virtual_studio.gige.feature_table import feature_table
+from virtual_studio.gige.genicam_xml import genicam_xml, zipped
+from virtual_studio.gige.registers import FILE_SPACE, Kind, RegisterError, Registers
 
 NAMESPACE = "{http://www.genicam.org/GenApi/Version_1_1}"
 

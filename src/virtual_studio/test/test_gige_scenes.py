@@ -12,10 +12,10 @@ from capture_rig.rig import save_rig
 from capture_rig.session import load_session
 from gige_vision.pixel_formats import PixelFormat
 from stick_figure.body import Body
-from virtual_studio.gige.simulated_camera.imaging import pixel_bytes
-from virtual_studio.live.rendered_scenes import RoomScene
-from virtual_studio.live.scenes import PatternScene
-from virtual_studio.live.session_scene import load_session_scene
+from virtual_studio.gige.feature_table import COLOUR_FORMATS, MONO_FORMATS
+from virtual_studio.gige.imaging import pixel_bytes
+from virtual_studio.gige.rendered_scenes import RoomScene
+from virtual_studio.gige.scenes import PatternScene, load_session_scene
 from virtual_studio.motions.catalogue import MOTIONS
 from virtual_studio.people import VolumetricBody
 from virtual_studio.rendering.camera import WHITE, VirtualCamera
@@ -162,6 +162,6 @@ def test_nothing_is_rendered_while_nobody_looks(room):
 @pytest.mark.parametrize("shape", [(6, 8), (6, 8, 3)])
 def test_every_format_takes_grey_and_coloured_scenes(shape):
     picture = np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
-    for pixel_format in PixelFormat:
+    for pixel_format in (PixelFormat[name] for name in (*MONO_FORMATS, *COLOUR_FORMATS)):
         data = pixel_bytes(picture, pixel_format)
         assert data.dtype == np.uint8 and data.shape == (pixel_format.image_bytes(8, 6),), pixel_format.name

@@ -10,8 +10,8 @@ import yaml
 from capture_rig.errors import InputError
 from virtual_studio.gige import Studio, StudioSettings, free_addresses
 from virtual_studio.gige.command import request_from, write_rig_files
-from virtual_studio.live.rendered_scenes import PHASES, LiveScene, RenderedSet, SetupScene
-from virtual_studio.live.scenes import Playback
+from virtual_studio.gige.rendered_scenes import PHASES, LiveScene, RenderedSet, SetupScene
+from virtual_studio.gige.scenes import Playback
 from virtual_studio.recording.footage import FLOOR_BOARD, HAND_BOARD
 from virtual_studio.rig import ring
 from virtual_studio.scene.boards import PosedBoard, print_of

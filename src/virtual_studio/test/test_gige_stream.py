@@ -10,11 +10,11 @@ from gige_client import eventually
 
 from gige_vision.gvcp import ResendRequest, Status
 from gige_vision.gvsp import Content, ImageLeader, ImageTrailer, PacketHeader
-from virtual_studio.gige.server.device import CameraSettings, Device, Faults
-from virtual_studio.gige.server.loop import EventLoop
-from virtual_studio.gige.server.registers import Registers
-from virtual_studio.gige.server.stream import Block, Layout, StreamChannel, stretches
-from virtual_studio.gige.simulated_camera.camera import feature_table
+from virtual_studio.gige.camera import feature_table
+from virtual_studio.gige.device import CameraSettings, Device, Faults
+from virtual_studio.gige.loop import EventLoop
+from virtual_studio.gige.registers import Registers
+from virtual_studio.gige.stream import Block, Layout, StreamChannel, stretches
 
 DATA = np.random.default_rng(1).integers(0, 256, 100_003).astype(np.uint8)
 LEADER, TRAILER = ImageLeader(5, 0x01080001, 100_003, 1), ImageTrailer(1)
@@ -23,7 +23,7 @@ LEADER, TRAILER = ImageLeader(5, 0x01080001, 100_003, 1), ImageTrailer(1)
 class Wire:
     """A stream channel and the socket that it sends to."""
 
-    def __init__(self, packet_size=1500, extended=False, **faults):
+    def __init__(self, packet_size=1500, **faults):
         self.receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.receiver.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
         self.receiver.bind(("127.0.0.1", 0))
@@ -35,7 +35,7 @@ class Wire:
         self.channel = StreamChannel(device)
         self.registers["GevSCDA"] = int(ipaddress.IPv4Address("127.0.0.1"))
         self.registers["GevSCPHostPort"] = self.receiver.getsockname()[1]
-        self.registers["PacketSizeWord"], self.registers["GevSCCFG"] = packet_size, int(extended)
+        self.registers["PacketSizeWord"] = packet_size
         self.loop.start()
 
     def __enter__(self):
@@ -61,16 +61,14 @@ class Wire:
         return received
 
 
-@pytest.mark.parametrize("extended", [False, True])
 @pytest.mark.parametrize("packet_size", [576, 1500, 9000, 65500])
-def test_block_is_leader_payload_and_trailer_with_rising_packet_ids(packet_size, extended):
-    with Wire(packet_size, extended) as wire:
+def test_block_is_leader_payload_and_trailer_with_rising_packet_ids(packet_size):
+    with Wire(packet_size) as wire:
         wire.send(block_id=7)
-        packets = wire.packets(Layout(len(DATA), packet_size, extended).rows + 2)
+        packets = wire.packets(Layout(len(DATA), packet_size).rows + 2)
     headers = [header for header, _, _ in packets]
     assert [header.packet_id for header in headers] == list(range(len(packets)))
     assert {header.block_id for header in headers} == {7}
-    assert {header.extended for header in headers} == {extended}
     contents = [header.content for header in headers]
     assert contents == [Content.LEADER, *[Content.PAYLOAD] * (len(packets) - 2), Content.TRAILER]
     assert ImageLeader.decode(packets[0][1]) == LEADER

@@ -13,8 +13,8 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import POINT_NAMES
 from virtual_studio.__main__ import main
-from virtual_studio.motion_files.joints import NAMINGS, plain
-from virtual_studio.motion_files.recorded import (
+from virtual_studio.motions.bvh import NAMINGS, plain
+from virtual_studio.motions.recorded import (
     ReadingOptions,
     RecordedMotion,
     read_joints,
@@ -243,4 +243,4 @@ def test_the_studio_renders_a_motion_file(tmp_path: Path, capsys: pytest.Capture
     session = yaml.safe_load((tmp_path / "session" / "session.yaml").read_text())
     assert session["recipe"]["motion"] == "wave.bvh"
     assert main([str(tmp_path / "other"), "--motion", str(tmp_path / "none.bvh")]) == 2
-    assert "does not exist" in capsys.readouterr().err
+    assert "No such file" in capsys.readouterr().err

@@ -13,8 +13,8 @@ from capture_rig.number import number
 from rig_calibration.boards.specification import board_text, read_board
 from stick_figure.body import STATURES_M
 
-from .motion_files.recorded import ReadingOptions, RecordedMotion, is_motion_file
 from .motions.catalogue import MOTIONS, MotionFunction
+from .motions.recorded import ReadingOptions, RecordedMotion, is_motion_file
 from .motions.together import TOGETHER
 from .outfits import OUTFITS
 from .people import people_of_sizes, person_of

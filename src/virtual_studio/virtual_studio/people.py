@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from capture_rig.errors import InputError
+from capture_rig.session import WRIST_FRACTION
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.pose import Pose
@@ -34,10 +35,8 @@ Array = NDArray[np.float64]
 
 REFERENCE_STATURE_M = 1.75
 UP = np.array([0.0, 0.0, 1.0])
-WRIST = 0.146 / (0.146 + 0.108)
-"""Wrist on the stick from elbow to finger tip: forearm .146 and hand .108 of stature (Drillis & Contini 1966)."""
 ANKLE_HEIGHT = 0.039
-"""Ankle over stature, same source."""
+"""Ankle over stature (Drillis & Contini 1966)."""
 SKIN, HAIR, SHIRT, SLEEVE, TROUSERS, SHOES = 0.38, 0.09, 0.27, 0.30, 0.15, 0.11
 """Albedos: a person darker than the room, in clothes that differ from each other."""
 LEVEL_FOOT_BELOW, FREE_FOOT_ABOVE = 0.05, 0.16
@@ -245,7 +244,7 @@ def _arms(body: Body, s: float, hand: float) -> list[_Part]:
     """s, hand: scale of the arms' thickness and of the hands'."""
     parts = []
     for upper, fore in ((L_UPPER_ARM, L_FOREARM), (R_UPPER_ARM, R_FOREARM)):
-        wrist, tip = WRIST * body.lengths[fore], body.lengths[fore]
+        wrist, tip = WRIST_FRACTION * body.lengths[fore], body.lengths[fore]
         palm = wrist + 0.55 * (tip - wrist)
         parts += [
             _Part(upper, (0, 0, 0), (0, body.lengths[upper], 0), (0.058 * s, 0.044 * s), SLEEVE),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, sticks
 from stick_figure.pose import Pose
-from virtual_studio.motion_files.recorded import ReadingOptions, read_stick_motion
 from virtual_studio.motions.catalogue import MOTIONS, T_POSE_S
 
 FPS = 40.0
@@ -75,12 +73,6 @@ def _random_motion(seed: int) -> list[Pose]:
 def random_clip(seed: int) -> Clip:
     """Every joint swinging at random, through most of its range."""
     return Clip(f"random {seed}", Body.from_stature(STATURE_M), tuple(_random_motion(seed)))
-
-
-def file_clip(path: Path, options: ReadingOptions) -> Clip:
-    """A motion file's."""
-    read = read_stick_motion(path, FPS, options)
-    return Clip(path.stem, read.body, read.poses)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ekf_tracker.people import PeopleFilter
+from ekf_tracker.filter import PeopleFilter
 from ekf_tracker.settings import EkfSettings
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings

@@ -27,24 +27,24 @@ HALF_MEDIAN = 1.4826  # standard deviations of a normal distribution in a median
 
 
 @njit(**OPTIONS)
-def squared_distance(image, expected, sureness, gain, offset, out):  # type: ignore[no-untyped-def]
-    """Write min(255, SCALE z^2) of every pixel of a mono image, z = (image - gain expected - offset) sureness.
+def squared_distance(image, expected, inverse_sigma, gain, offset, out):  # type: ignore[no-untyped-def]
+    """Write min(255, SCALE z^2) of every pixel of a mono image, z = (image - gain expected - offset) inverse_sigma.
 
     What would be brighter than white is white, whatever the light.
-    image (n,) uint8; expected, sureness (n,) float32; gain, offset (1,) float32; out (n,) uint8.
+    image (n,) uint8; expected, inverse_sigma (n,) float32; gain, offset (1,) float32; out (n,) uint8.
     """
     g, b = gain[0], offset[0]
     for i in range(len(out)):
-        rest = (F32(image[i]) - min(g * expected[i] + b, F32(HIGHEST))) * sureness[i]
+        rest = (F32(image[i]) - min(g * expected[i] + b, F32(HIGHEST))) * inverse_sigma[i]
         out[i] = np.uint8(min(rest * rest * F32(SCALE), F32(HIGHEST)))
 
 
 @njit(**OPTIONS)
-def squared_distance_of_colours(image, expected, sureness, gain, offset, rho, out):  # type: ignore[no-untyped-def]
+def squared_distance_of_colours(image, expected, inverse_sigma, gain, offset, rho, out):  # type: ignore[no-untyped-def]
     """Write min(255, SCALE z^2) of every pixel of a colour image, z the Mahalanobis distance.
 
     What would be brighter than white is white, whatever the light.
-    image (3 n,) uint8; expected, sureness (3 n,) float32; gain, offset (3,) float32; rho : correlation of any two
+    image (3 n,) uint8; expected, inverse_sigma (3 n,) float32; gain, offset (3,) float32; rho : correlation of any two
     channels' noise, whose covariance has the inverse (1 - common) / (1 - rho), with common = rho / (1 + 2 rho) in every
     place of the matrix; out (n,) uint8.
     """
@@ -52,23 +52,24 @@ def squared_distance_of_colours(image, expected, sureness, gain, offset, rho, ou
     g0, g1, g2, b0, b1, b2 = gain[0], gain[1], gain[2], offset[0], offset[1], offset[2]
     for i in range(len(out)):
         k = 3 * i
-        r0 = (F32(image[k]) - min(g0 * expected[k] + b0, F32(HIGHEST))) * sureness[k]
-        r1 = (F32(image[k + 1]) - min(g1 * expected[k + 1] + b1, F32(HIGHEST))) * sureness[k + 1]
-        r2 = (F32(image[k + 2]) - min(g2 * expected[k + 2] + b2, F32(HIGHEST))) * sureness[k + 2]
+        r0 = (F32(image[k]) - min(g0 * expected[k] + b0, F32(HIGHEST))) * inverse_sigma[k]
+        r1 = (F32(image[k + 1]) - min(g1 * expected[k + 1] + b1, F32(HIGHEST))) * inverse_sigma[k + 1]
+        r2 = (F32(image[k + 2]) - min(g2 * expected[k + 2] + b2, F32(HIGHEST))) * inverse_sigma[k + 2]
         whole = r0 + r1 + r2
         total = r0 * r0 + r1 * r1 + r2 * r2 - common * whole * whole
         out[i] = np.uint8(min(total * scale, F32(HIGHEST)))
 
 
 @njit(**OPTIONS)
-def refresh_rows(mean, excess, steepness2, field, down, noise, expected, sureness):  # type: ignore[no-untyped-def]
-    """Write the expected image and its sureness, 1 / sigma, of some rows; n is width times channels.
+def refresh_rows(mean, excess, steepness2, field, down, noise, expected, inverse_sigma):  # type: ignore[no-untyped-def]
+    """Write the expected image and 1 / sigma of some rows; n is width times channels.
 
     mean (rows, n) float32 : the background under the light that it was learned in. excess (rows, n) float32 : variance
     of each pixel beyond the noise's. steepness2 (rows, n) float32 : squared gradient, grey levels^2 / px^2. field
     (cells down, n) float32 : the light's field along the middle rows of its cells. down (rows,) float32 : where each
     row lies between those, in cells. noise (4, n) float32 : read, slope, geometry and light of each channel: variance =
-    read + slope level + geometry steepness2 + light level^2 + excess. expected, sureness (rows, n) float32 : written.
+    read + slope level + geometry steepness2 + light level^2 + excess. expected, inverse_sigma (rows, n) float32
+    : written.
     """
     rows, n = mean.shape
     last = len(field) - 1
@@ -77,7 +78,7 @@ def refresh_rows(mean, excess, steepness2, field, down, noise, expected, surenes
         top = min(int(down[y]), last)
         below, share = min(top + 1, last), down[y] - F32(top)
         above_row, below_row, row = field[top], field[below], mean[y]
-        more, steep, to, sure = excess[y], steepness2[y], expected[y], sureness[y]
+        more, steep, to, sure = excess[y], steepness2[y], expected[y], inverse_sigma[y]
         for i in range(n):
             level = row[i] * (above_row[i] + share * (below_row[i] - above_row[i]))
             to[i] = level
@@ -181,18 +182,18 @@ def robust_gain(seen, expected, precision, trust, start, prior, steps, reach, we
 
 
 @njit(**OPTIONS)
-def take_samples(picture, levels, sureness, at, doubted, out, trust):  # type: ignore[no-untyped-def]
+def take_samples(picture, levels, inverse_sigma, at, doubted, out, trust):  # type: ignore[no-untyped-def]
     """Collect what the light is fitted to, at some places of the picture.
 
-    picture (H W, C) uint8, levels, sureness (H W, C) float32; at (2, n) : index of each sample, and of its block in
-    ``doubted`` (blocks,) uint8. out (3, C, n) float32 : written: seen, levels, sureness^2. trust (n,) float32
+    picture (H W, C) uint8, levels, inverse_sigma (H W, C) float32; at (2, n) : index of each sample, and of its block
+    in ``doubted`` (blocks,) uint8. out (3, C, n) float32 : written: seen, levels, inverse_sigma^2. trust (n,) float32
     : written: DOUBTED where the block is doubted, else 1.
     """
     for i in range(at.shape[1]):
         k = at[0, i]
         for c in range(picture.shape[1]):
             out[0, c, i], out[1, c, i] = picture[k, c], levels[k, c]
-            out[2, c, i] = sureness[k, c] * sureness[k, c]
+            out[2, c, i] = inverse_sigma[k, c] * inverse_sigma[k, c]
         trust[i] = F32(DOUBTED) if doubted[at[1, i]] else F32(1)
 
 

@@ -24,6 +24,7 @@ from .features import Features
 FRAME_TRIGGER = "FrameStart"
 PTP_POLL_S = 0.05
 TIMER_LEAD_NS = SECOND // 5  # from arming a free-run timer to its first exposure
+ACTION_GROUP = 1  # key and mask of the one group that all cameras of a rig belong to
 PERIODIC_SIGNAL = "PeriodicSignal1"
 
 
@@ -122,8 +123,8 @@ def _listen_to_actions(features: Features, settings: AravisSettings) -> None:
     features.require("ActionDeviceKey", "aravis.sync")
     for name, value, key in (
         ("ActionDeviceKey", settings.action_device_key, "aravis.action_device_key"),
-        ("ActionGroupKey", settings.action_group_key, "aravis.action_group_key"),
-        ("ActionGroupMask", settings.action_group_mask, "aravis.action_group_mask"),
+        ("ActionGroupKey", ACTION_GROUP, "aravis.sync"),
+        ("ActionGroupMask", ACTION_GROUP, "aravis.sync"),
     ):
         features.set(name, value, key)
 
@@ -248,8 +249,8 @@ class ActionSender:
     room for another one or no PTP time), actions_unanswered.
     """
 
-    def __init__(self, address: str, host: str, device_key: int, group_key: int, group_mask: int) -> None:
-        self._keys = (device_key, group_key, group_mask)
+    def __init__(self, address: str, host: str, device_key: int) -> None:
+        self._keys = (device_key, ACTION_GROUP, ACTION_GROUP)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, 0))

@@ -103,6 +103,7 @@ class CameraMovedDetector:
     """Compares frames of one camera with its background; the same frames give the same results at every speed.
 
     ``since_rad`` (3,) : the turn that the camera had made already when the background was learned.
+    ``alignment`` : of pictures with the background, for others on the frames' thread.
     Frames come on one thread; ``movement`` may be read on another.
     """
 
@@ -114,7 +115,7 @@ class CameraMovedDetector:
         since_rad: Array | None = None,
     ) -> None:
         self._camera, self._settings = camera, settings or CameraMovedSettings()
-        self._alignment = PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
+        self.alignment = PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
         self._since = rotation_matrix(np.zeros(3) if since_rad is None else since_rad)
         self._samples: deque[Alignment] = deque(maxlen=SAMPLES)
         self._throttle = StampThrottle(PERIOD_S)
@@ -123,7 +124,7 @@ class CameraMovedDetector:
 
     @property
     def enabled(self) -> bool:
-        return self._settings.limit_deg > 0 and self._alignment.has_enough_edges
+        return self._settings.limit_deg > 0 and self.alignment.has_enough_edges
 
     def update(self, image: Image, stamp_ns: int) -> Movement:
         """Compare a frame (H, W) or (H, W, 3) of ``stamp_ns`` if it is time to; returns ``movement``."""
@@ -132,7 +133,7 @@ class CameraMovedDetector:
             return self.movement
         search = stamp_ns - self._searched_ns >= SEARCH_S * 1e9 or not self._samples
         start_rad = self._samples[-1].turn_rad if self._samples else np.zeros(3)
-        found = self._alignment.align(image, start_rad, search)
+        found = self.alignment.align(image, start_rad, search)
         if found is not None and found.agreeing >= MIN_AGREEMENT:
             self._samples.append(found)
             self._unlike_s = 0.0

@@ -2,7 +2,7 @@
 
 A codec draws an empty room once, and well; but where somebody comes, the blocks around them are drawn anew, coarsely:
 the background beside a person differs from what it was by a share of the contrast within the block. That a codec is
-there shows in its noise, which is as coarse as its blocks (``Noise.grain``).
+there shows in its noise, which is as coarse as its blocks (``Noise.spatial_correlation``).
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ def codec_error_sigma(image: Image, expected: npt.NDArray[np.float32], noise: No
 
     image, expected (h, w[, 3]) : the same part of the frame, and of the background, grey levels.
     """
-    if noise.grain <= FINE_GRAIN:
+    if noise.spatial_correlation <= FINE_GRAIN:
         return None
     change = largest_difference(image, expected)
     around = cv2.dilate(change, np.ones((2 * REACH_PX + 1, 2 * REACH_PX + 1), np.uint8))
-    share = OF_CONTRAST * (noise.grain - FINE_GRAIN) / (1 - FINE_GRAIN)
+    share = OF_CONTRAST * (noise.spatial_correlation - FINE_GRAIN) / (1 - FINE_GRAIN)
     return np.asarray(around * np.float32(share), np.float32)

@@ -19,8 +19,7 @@ from capture_rig.rig import Volume
 from mocap_packets.silhouette import Silhouette
 from mocap_packets.support import ForegroundSupport
 
-from ..background.adaptation.adaptive import AdaptiveBackground
-from ..background.fixed import FixedBackground
+from ..background.adaptation.adaptive import AdaptiveBackground, FixedBackground
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things.absorption import MovedThings
 from ..frame_source import Image, Mask
@@ -60,15 +59,17 @@ class SilhouettePipeline:
         settings: SilhouetteSettings | None = None,
         background_settings: BackgroundSettings | None = None,
         volume: Volume | None = None,
+        alignment: PictureAlignment | None = None,
     ) -> None:
-        """``volume``: the capture volume; what may be floor far from it stays the person."""
+        """``volume``: the capture volume; what may be floor far from it stays the person. ``alignment``: of pictures
+        with the background, where there is one already."""
         settings, background_settings = settings or SilhouetteSettings(), background_settings or BackgroundSettings()
         check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
         self._camera, self._settings, self._shape = camera.name, settings, background.shape
         self.background: AdaptiveBackground | FixedBackground
         if background_settings.rule == "adaptive":
-            aligner = PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
-            self.background = AdaptiveBackground(background, background_settings, BLOCK_PX, aligner)
+            alignment = alignment or PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
+            self.background = AdaptiveBackground(background, background_settings, BLOCK_PX, alignment)
         else:
             self.background = FixedBackground(background, background_settings)
         self.moved: MovedThings | None = None

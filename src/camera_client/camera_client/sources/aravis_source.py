@@ -200,9 +200,7 @@ class AravisSource(FrameSource):
             found = self._found
             assert found is not None
             self._check_scheduled_actions()
-            self._actions = ActionSender(
-                found.device.address, found.host, s.action_device_key, s.action_group_key, s.action_group_mask
-            )
+            self._actions = ActionSender(found.device.address, found.host, s.action_device_key)
         self._time = self._time_source(features, reading)
         self._warnings = [warning for warning in self._warnings if warning]
 

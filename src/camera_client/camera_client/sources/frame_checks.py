@@ -1,6 +1,6 @@
 """Checks whether a frame is a picture of the scene at all, on a sparse grid of its pixels.
 
-    checks = FrameChecks(settings.frame_checks, background.mean)    # without a background yet: FrameChecks(settings)
+    checks = FrameChecks(background.mean)    # without a background yet: FrameChecks()
     flags = checks.check(frame.image, frame.stamp_ns, pipeline.gain)    # () for a sound frame
     for flag in flags: WARN with REMEDIES[flag]
 
@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ..frame_source import Image
-from ..settings import FrameCheckSettings
 
 DARK, LIGHTS, FROZEN, SATURATED = "dark", "lights", "frozen", "saturated"
 REMEDIES = {
@@ -31,6 +30,8 @@ SAMPLES = 2500
 WHITE_LEVEL = 250
 DARK_LEVEL, DARK_SHARE = 16, 0.99  # a frame is dark when so much of it is no brighter than this grey level
 SATURATED_SHARE = 0.2  # a frame is saturated when so much more of it is white than of the background
+LIGHTS_CHANGE = 0.25  # the lights changed when the typical pixel is brighter or darker by this share
+FROZEN_S = 1.0  # a camera is frozen when its picture stays the same for so long
 MIN_REPEATS = 5  # two equal frames and a jump of the clock are no frozen camera
 MIN_LIT_LEVEL = 24  # grey levels; darker backgrounds do not show a change of the lights
 
@@ -42,8 +43,9 @@ class FrameChecks:
     found. Time is taken from the frames' stamps, so that replayed footage gives the same flags.
     """
 
-    def __init__(self, settings: FrameCheckSettings | None = None, background_mean: np.ndarray | None = None) -> None:
-        self._settings = settings or FrameCheckSettings()
+    def __init__(self, background_mean: np.ndarray | None = None, *, may_repeat: bool = False) -> None:
+        """``may_repeat`` : footage, whose codec repeats a picture in which nothing moves: it is never frozen."""
+        self._may_repeat = may_repeat
         self._sampled, self._black_share, self._white_share = 0, 0.0, 0.0  # of the background
         self._lit: npt.NDArray[np.intp] | None = None
         if background_mean is not None:
@@ -81,7 +83,7 @@ class FrameChecks:
         """Whether most pixels changed by more than the limit: neither a person nor a shadow covers half the image."""
         if self._lit is None or len(sample) != self._sampled:
             return False
-        values, factor = sample[self._lit], 1 + self._settings.lights_change
+        values, factor = sample[self._lit], 1 + LIGHTS_CHANGE
         brighter = int(np.count_nonzero(values > self._lit_mean * np.float32(gain * factor)))
         darker = int(np.count_nonzero(values < self._lit_mean * np.float32(gain / factor)))
         return 2 * max(brighter, darker) > len(values)
@@ -98,7 +100,7 @@ class FrameChecks:
             return False
         self._repeats += 1
         long_s = (stamp_ns - self._same_since_ns) * 1e-9
-        return self._repeats >= MIN_REPEATS and 0 < self._settings.frozen_s <= long_s
+        return not self._may_repeat and self._repeats >= MIN_REPEATS and long_s >= FROZEN_S
 
 
 def is_black(sample: npt.NDArray[np.uint8]) -> bool:

@@ -15,8 +15,16 @@ from typing import TypeVar
 
 from capture_rig.errors import InputError
 
-from ..connection import Connection, ConnectionState, Downtime, RetryPause
-from ..frame_source import Frame, FrameSource, FrameStatistics, SourceUnavailable
+from ..frame_source import (
+    Connection,
+    ConnectionState,
+    Downtime,
+    Frame,
+    FrameSource,
+    FrameStatistics,
+    RetryPause,
+    SourceUnavailable,
+)
 from ..settings import SupervisionSettings
 
 # Thresholds: judgement, no measurement.

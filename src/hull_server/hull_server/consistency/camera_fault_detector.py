@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import numpy.typing as npt
 
 from capture_rig import Rig
 from capture_rig.stamps import StampThrottle
@@ -20,7 +19,7 @@ from capture_rig.stamps import StampThrottle
 from ..settings import CameraFaultSettings
 from ..views import Masks, RigViews
 from .occluders import OccluderMap
-from .silhouette_residuals import CameraResiduals, ResidualEstimator, Residuals, SilhouetteOffset
+from .silhouette_residuals import CameraResiduals, ResidualEstimator, Residuals
 
 # Thresholds: chosen with python bench/camera_faults.py (figures of sound cameras); three voters: of two that
 # contradict each other either may be right.
@@ -34,15 +33,12 @@ MEMORY_S = 2.0  # length of the published running means
 
 # what is allowed, as shares: 0 to 1
 VETO_ALLOWANCE = 0.025  # of the body, as the others show it
-OFFSET_ALLOWANCE = 0.04  # of a silhouette that fits better elsewhere: calibrations err
 EXCESS_ALLOWANCE = 0.15  # of a camera's view that is foreground in no other camera
 NEXT_WORST = 1.5  # a faulty camera's residual is at least this many times that of the next worst
 
 # how fast
 SATURATION = 0.1  # residual beyond the allowance at which the sum grows by one second a second
 DETECTION_S = 0.3  # sum at which a camera is faulty
-REINSTATE_VETO = 0.02  # share of the body that a camera may veto and still agree again
-STILL_S = 0.25  # a silhouette that does not change for this long, while the others do, is frozen
 
 # contradictions without a culprit
 WARNING_CONFLICT = 0.15  # share of all foreground outside the common hull
@@ -58,8 +54,6 @@ class CameraFaults:
     reasons : a message with the remedy for each of both.
     veto_fraction : share of the body, as the others show it, that each camera vetoes.
     excess : share of each camera's view that is foreground in no other camera.
-    offset_fraction : share of each silhouette that would come to lie inside the hull of the others if it were shifted
-    by silhouette_offset_px (right, down), to where it fits best: 0 where the calibration holds.
     consistency : agreement of each silhouette with the reprojected hull of the others: 1 when that explains all of it
     and the camera vetoes nothing that they agree on.
     conflict : share of the foreground of all cameras not left out that their common hull leaves unexplained.
@@ -71,8 +65,6 @@ class CameraFaults:
     reasons: Mapping[str, str] = field(default_factory=dict)
     veto_fraction: Mapping[str, float] = field(default_factory=dict)
     excess: Mapping[str, float] = field(default_factory=dict)
-    offset_fraction: Mapping[str, float] = field(default_factory=dict)
-    silhouette_offset_px: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     consistency: Mapping[str, float] = field(default_factory=dict)
     conflict: float = 0.0
     warning: str = ""
@@ -90,7 +82,7 @@ class CameraFaultDetector:
         self._throttle = StampThrottle(settings.period_s, early_share=EARLY)
         self._fewest = max(FEWEST_VOTERS, min_seeing)
         self._records = [_CameraRecord() for _ in views.names]
-        self._conflict, self._offset_slot, self._pair_slot = 0.0, 0, 0
+        self._conflict, self._pair_slot = 0.0, 0
         self._faults = replace(self._summary((), {}), updated=False)
 
     def update(self, masks: Masks, stamp_ns: int) -> CameraFaults:
@@ -103,7 +95,7 @@ class CameraFaultDetector:
         if step_s <= 0.0:
             return replace(self._faults, updated=False)
         # flooded and excluded cameras are compared, but cannot veto
-        voters, others = self._choose_voters(masks, step_s)
+        voters, others = self._choose_voters(masks)
         residuals = self._estimator.estimate(voters, others)
         if residuals is not None:
             self.occluders.learn(residuals, step_s)
@@ -112,12 +104,11 @@ class CameraFaultDetector:
         self._faults = self._decide([camera for camera, name in enumerate(self.names) if name in masks])
         return self._faults
 
-    def _choose_voters(self, masks: Masks, step_s: float) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    def _choose_voters(self, masks: Masks) -> tuple[tuple[int, ...], tuple[int, ...]]:
         """Set all masks; return the cameras that can veto, and the others."""
         present = self._views.present(masks).tolist()
         for camera in present:
-            fingerprint = self._estimator.set_mask(camera, masks[self.names[camera]])
-            self._records[camera].note_fingerprint(fingerprint, step_s)
+            self._estimator.set_mask(camera, masks[self.names[camera]])
         coverage = {camera: self._estimator.coverage(camera) for camera in present}
         limit = max(FLOODED, FLOODED_TIMES * float(np.median(list(coverage.values()) or [0.0])))
         voters = tuple(c for c in present if coverage[c] <= limit and not self._records[c].left_out)
@@ -126,7 +117,6 @@ class CameraFaultDetector:
     def _accumulate(self, residuals: Residuals, step_s: float) -> bool:
         """Add the residuals to the cameras' records; False when there is no body to compare by."""
         shows_body = residuals.body_litres >= self.settings.min_body_litres
-        self._measure_next_offset(residuals, shows_body, step_s)
         for slot in np.flatnonzero(shows_body):
             self._test_camera(residuals, int(slot), step_s)
         if shows_body.any():
@@ -134,38 +124,21 @@ class CameraFaultDetector:
         unsolved = residuals.showing >= self._fewest and residuals.conflict.min() > PAIR_CONFLICT
         return bool(unsolved and self._test_pair(residuals, step_s)) or bool(shows_body.any())
 
-    def _measure_next_offset(self, residuals: Residuals, shows_body: npt.NDArray[np.bool_], step_s: float) -> None:
-        """Measure the silhouette offset of one camera, the next one at every comparison."""
-        cameras = residuals.cameras
-        if not cameras:
-            return
-        slot = self._offset_slot = (self._offset_slot + 1) % len(cameras)
-        if shows_body[slot] and residuals.explained_m2[slot] >= LEAST_EXPLAINED_M2:
-            offset = self._estimator.silhouette_offset(residuals, slot)
-            self._records[cameras[slot]].add_offset(offset, _gain(step_s * len(cameras)))
-
     def _test_camera(self, residuals: Residuals, slot: int, step_s: float) -> None:
         """Compare one camera's residuals with what is allowed, and with the next worst camera's."""
         record, mine = self._records[residuals.cameras[slot]], residuals.of(slot)
         rest = [other for other in range(residuals.voters) if other != slot]
         next_veto = float(residuals.veto_fraction[rest].max(initial=0.0))
-        next_offset = max((self._records[residuals.cameras[other]].latest_offset for other in rest), default=0.0)
         lenience = 2.0 ** max(ENOUGH_VOTERS - residuals.voters, 0)
         record.update_means(mine, _gain(step_s))
         if not record.left_out:
             ratio = NEXT_WORST + lenience - 1.0
             fault = max(
-                mine.veto_fraction - max(lenience * VETO_ALLOWANCE, ratio * next_veto),
-                record.lasting_offset - max(lenience * OFFSET_ALLOWANCE, ratio * next_offset),
-                mine.excess - EXCESS_ALLOWANCE,
+                mine.veto_fraction - max(lenience * VETO_ALLOWANCE, ratio * next_veto), mine.excess - EXCESS_ALLOWANCE
             )
             record.add_fault(mine, fault / SATURATION, step_s)
             return
-        agrees = (
-            mine.veto_fraction <= max(lenience * REINSTATE_VETO, next_veto)
-            and record.latest_offset <= max(lenience * OFFSET_ALLOWANCE / 2, next_offset)
-            and mine.excess <= EXCESS_ALLOWANCE / 2
-        )
+        agrees = mine.veto_fraction <= max(lenience * VETO_ALLOWANCE, next_veto) and mine.excess <= EXCESS_ALLOWANCE / 2
         if not agrees or residuals.explained_m2[slot] >= LEAST_EXPLAINED_M2:  # disagreement counts twice
             record.agreed_s = max(record.agreed_s + (step_s if agrees else -2 * step_s), 0.0)
 
@@ -206,12 +179,10 @@ class CameraFaultDetector:
         }
         for camera in sorted(faulty, key=lambda c: records[c].severity, reverse=True):
             name = self.names[camera]
-            reasons[name] = _reason(name, records[camera], sound, float(self._estimator.focal_px[camera]))
+            reasons[name] = _reason(name, records[camera].faulty_mean, len(sound))
             if len(used) > self._fewest:
                 used.remove(camera)
                 records[camera].left_out, records[camera].agreed_s = True, 0.0
-                for other in used:  # measured against a hull that this camera had cut
-                    records[other].offsets = (0.0, 0.0)
         return self._summary(tuple(self.names[camera] for camera in faulty if camera in used), reasons)
 
     def _summary(self, suspects: tuple[str, ...], reasons: Mapping[str, str]) -> CameraFaults:
@@ -229,11 +200,6 @@ class CameraFaultDetector:
             reasons=reasons,
             veto_fraction={name: record.mean.veto_fraction for name, record in records.items()},
             excess={name: record.mean.excess for name, record in records.items()},
-            offset_fraction={name: record.mean_offset for name, record in records.items()},
-            silhouette_offset_px={
-                name: (float(record.mean_offset_px[0]), float(record.mean_offset_px[1]))
-                for name, record in records.items()
-            },
             consistency={name: record.mean.consistency for name, record in records.items()},
             conflict=self._conflict,
             warning=warning,
@@ -245,40 +211,18 @@ class _CameraRecord:
     """What is known of one camera.
 
     cusum_s : sum of its faults, in seconds of a large one. agreed_s : how long it has agreed since it was left out.
-    mean, mean_offset, mean_offset_px : running means. faulty_mean : mean since the sum was last zero.
-    offsets : the last two measurements of the share of the silhouette that fits better elsewhere.
+    mean : running mean. faulty_mean : mean since the sum was last zero.
     """
 
     def __init__(self) -> None:
         self.left_out = False
-        self.cusum_s, self.agreed_s, self.unchanged_s = 0.0, 0.0, 0.0
-        self.mean, self.mean_offset, self.mean_offset_px = CameraResiduals(), 0.0, np.zeros(2)
+        self.cusum_s, self.agreed_s = 0.0, 0.0
+        self.mean = CameraResiduals()
         self.faulty_mean, self._faulty_count = CameraResiduals(), 0
-        self.offsets, self.latest_offset_px = (0.0, 0.0), (0.0, 0.0)
-        self._fingerprint = 0
-
-    @property
-    def latest_offset(self) -> float:
-        return self.offsets[1]
-
-    @property
-    def lasting_offset(self) -> float:
-        """The part that the last two measurements share: others may seem faulty for a moment while one camera is."""
-        return min(self.offsets)
 
     @property
     def severity(self) -> float:
-        return self.faulty_mean.veto_fraction + self.faulty_mean.excess + self.lasting_offset
-
-    def note_fingerprint(self, fingerprint: int, step_s: float) -> None:
-        """Measure for how long the silhouette has not changed."""
-        self.unchanged_s = self.unchanged_s + step_s if fingerprint == self._fingerprint else 0.0
-        self._fingerprint = fingerprint
-
-    def add_offset(self, offset: SilhouetteOffset, gain: float) -> None:
-        self.offsets, self.latest_offset_px = (self.offsets[1], offset.share), offset.offset_px
-        self.mean_offset += gain * (offset.share - self.mean_offset)
-        self.mean_offset_px = self.mean_offset_px + gain * (np.array(offset.offset_px) - self.mean_offset_px)
+        return self.faulty_mean.veto_fraction + self.faulty_mean.excess
 
     def update_means(self, residuals: CameraResiduals, gain: float) -> None:
         self.mean = self.mean.moved(residuals, gain)
@@ -299,9 +243,9 @@ def _gain(step_s: float) -> float:
     return 1.0 - float(np.exp(-step_s / MEMORY_S))
 
 
-def _reason(name: str, record: _CameraRecord, sound: list[_CameraRecord], focal_px: float) -> str:
-    """Say what is wrong with a camera, and what to do; ``sound`` are the cameras that are not faulty."""
-    mean, others = record.faulty_mean, f"the other {len(sound)}"
+def _reason(name: str, mean: CameraResiduals, sound: int) -> str:
+    """Say what is wrong with a camera, and what to do; ``sound`` is the number of cameras that are not faulty."""
+    others = f"the other {sound}"
     if mean.excess > EXCESS_ALLOWANCE:
         return (
             f"{name}: {mean.excess:.0%} of its view is foreground that {others} do not confirm: has the light changed, "
@@ -311,15 +255,7 @@ def _reason(name: str, record: _CameraRecord, sound: list[_CameraRecord], focal_
         return (
             f"{name}: its silhouette is empty where {others} see a person: is its lens covered, or its exposure wrong?"
         )
-    vetoes = f"{name} vetoes {mean.veto_fraction:.0%} of the body that {others} agree on"
-    moving = sum(other.unchanged_s == 0.0 for other in sound)
-    if record.unchanged_s >= STILL_S and sound and moving > len(sound) / 2:
-        return f"{vetoes}, and its silhouette has not changed for {record.unchanged_s:.1f} s: are its images frozen?"
-    if record.lasting_offset > OFFSET_ALLOWANCE:
-        offset_px = float(np.hypot(*record.latest_offset_px))
-        turned_deg = np.degrees(np.arctan2(offset_px, focal_px))
-        return (
-            f"{vetoes}, and its silhouette fits better when it is shifted by {offset_px:.0f} pixels ({turned_deg:.1f} "
-            "degrees): was it moved or turned? Then calibrate it again."
-        )
-    return f"{vetoes}: is something in front of it, or is its background old?"
+    return (
+        f"{name} vetoes {mean.veto_fraction:.0%} of the body that {others} agree on: is something in front of it, is "
+        "its background old, was it moved, or are its images frozen?"
+    )

@@ -5,8 +5,8 @@ differences that involve one rotated camera fit the same three angles. So the an
 together by robust least squares (outliers: shadows, hidden or missing parts), with a prior that most calibrations are
 sound. Then each camera is tested alone: how much better are the differences explained if it, and no other, has moved
 (model evidence: MacKay, "Bayesian interpolation", Neural Computation 1992), also compared with a silhouette that is too
-large or too small? Errors of a degree are found within seconds, small ones within minutes, long before the camera harms
-the hull enough to be excluded. The thresholds are those of bench/camera_movement.py.
+large or too small? Errors of a degree are found within seconds, long before the camera harms the hull enough to be
+excluded. The thresholds are those of bench/camera_movement.py.
 """
 
 from __future__ import annotations
@@ -31,10 +31,9 @@ from .epipolar_tangents import UNKNOWNS, Array, EpipolarTangentFinder, Tangents
 PERIOD_S = 0.2  # between frame sets that are measured
 # Thresholds: chosen with python bench/camera_movement.py.
 RECENT_SETS = 20  # four seconds
-LASTING_EVERY, LASTING_SETS = 10, 60  # every tenth of the measured sets is kept longer: two minutes of movement
 TESTED_EVERY = 3  # measured sets
 EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
-NEWS_RAD = np.radians(0.5)  # if the contours moved by less, silhouettes err as they did before
+MIN_MOTION_RAD = np.radians(0.5)  # if the contours moved by less, silhouettes err as they did before
 
 # the noise model
 TYPICAL_RAD, WRONG_RAD = np.radians(0.12), np.radians(1.5)  # standard deviation of sound and of wrong calibrations
@@ -79,9 +78,7 @@ class ExtrinsicMonitor:
         self.errors = ExtrinsicErrors()
         self._finder = EpipolarTangentFinder(rig, views)
         self._recent: deque[Tangents] = deque(maxlen=RECENT_SETS)
-        self._lasting: deque[Tangents] = deque(maxlen=LASTING_SETS)
         self._throttle, self._measured = StampThrottle(PERIOD_S, early_share=EARLY), 0
-        self._lasting_errors: list[ExtrinsicError] = []
         self._in_a_row = [0] * len(views.names)
 
     def update(self, masks: Masks, stamp_ns: int) -> ExtrinsicErrors:
@@ -94,11 +91,6 @@ class ExtrinsicMonitor:
         tangents = self._finder.find(masks)
         if tangents.first.size and self._has_moved(tangents):
             self._recent.append(tangents)
-            if self._measured % LASTING_EVERY == 0:
-                self._lasting.append(tangents)
-                self._lasting_errors = estimate_extrinsic_errors(
-                    self._lasting, len(self.names), LASTING_EVERY * PERIOD_S
-                )
             self._measured += 1
             if self._measured % TESTED_EVERY == 0:
                 self.errors = self._test()
@@ -110,10 +102,10 @@ class ExtrinsicMonitor:
             return True
         moved_rad = np.abs(tangents.angles - self._recent[-1].angles)
         known = np.isfinite(moved_rad)
-        return not known.any() or float(np.median(moved_rad[known])) > NEWS_RAD
+        return not known.any() or float(np.median(moved_rad[known])) > MIN_MOTION_RAD
 
     def _test(self) -> ExtrinsicErrors:
-        """Test every camera by the recent and by the lasting measurements."""
+        """Test every camera by the recent measurements."""
         recent = estimate_extrinsic_errors(self._recent, len(self.names), PERIOD_S)
         present = sum(error.count >= FEWEST for error in recent)
         lenience = 2.0 ** max(ENOUGH_CAMERAS - present, 0)
@@ -121,9 +113,10 @@ class ExtrinsicMonitor:
         errors: dict[str, ExtrinsicError] = {}
         suspects: dict[str, str] = {}
         for camera, name in enumerate(self.names):
-            if max(recent[camera].count, self._lasting_errors[camera].count) < FEWEST:
+            if recent[camera].count < FEWEST:
                 continue
-            excess_rad, errors[name] = self._worst(recent, camera, allowed_rad, CLEARER * lenience)
+            errors[name] = recent[camera]
+            excess_rad = _certain_error_rad(recent, camera, CLEARER * lenience)
             self._in_a_row[camera] = self._in_a_row[camera] + 1 if excess_rad > allowed_rad else 0
             if self._in_a_row[camera] >= CONFIRMATIONS or excess_rad > GROSS * allowed_rad:
                 suspects[name] = self._reason(name, errors[name])
@@ -133,20 +126,6 @@ class ExtrinsicMonitor:
             roll_rad={name: float(error.rotation_rad[2]) for name, error in errors.items()},
             suspects=suspects,
         )
-
-    def _worst(
-        self, recent: list[ExtrinsicError], camera: int, allowed_rad: float, clearer: float
-    ) -> tuple[float, ExtrinsicError]:
-        """Return the certain part of the camera's error (0 if allowed), and the estimate that shows it."""
-        now, lasting = recent[camera], self._lasting_errors[camera]
-        excess_rad = _certain_error_rad(recent, camera, clearer)
-        excess_lasting_rad = _certain_error_rad(self._lasting_errors, camera, clearer)
-        if excess_rad > allowed_rad:
-            return excess_rad, now
-        is_good_now = now.angle_rad + 2 * now.sd_rad < allowed_rad
-        if excess_lasting_rad > allowed_rad and not is_good_now:
-            return excess_lasting_rad, lasting
-        return 0.0, min((now, lasting), key=lambda error: error.sd_rad)
 
     def _reason(self, name: str, error: ExtrinsicError) -> str:
         aside, about = np.degrees(np.hypot(*error.rotation_rad[:2])), np.degrees(abs(error.rotation_rad[2]))

@@ -61,7 +61,7 @@ class SupportReporter:
         self._space = _Space.of(grid, rig.volume)
         self._reaches = [tuple(_reach_cells(P, rig.volume, reach) for reach in (MARGIN_M, NEAR_M)) for P in views.P]
         self._throttle = StampThrottle(PERIOD_S, early_share=EARLY)
-        self._proven = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
+        self._trusted = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
         self._judged: tuple[int, Cells] = (0, np.zeros(self._cells.seen.shape, np.uint8))
 
     def update(self, masks: Masks, resolved: Masks, stamp_ns: int) -> tuple[ForegroundSupport, ...]:
@@ -80,8 +80,8 @@ class SupportReporter:
             if names[camera] in resolved:
                 _pool(np.ascontiguousarray(resolved[names[camera]]).view(np.uint64), HIGH_BITS, shown[camera])
         covered = shown.mean(axis=(1, 2)) / 255
-        has_say = [c for c in present if covered[c] <= MOST_COVERED and names[c] in resolved]
-        levels = self._levels(shown, summed_area(sent), sum(1 << int(camera) for camera in has_say))
+        voting = [c for c in present if covered[c] <= MOST_COVERED and names[c] in resolved]
+        levels = self._levels(shown, summed_area(sent), sum(1 << int(camera) for camera in voting))
         return tuple(self._report(int(camera), levels[camera], stamp_ns) for camera in present)
 
     def _levels(self, shown: Cells, sent: Tables, voters: int) -> Cells:
@@ -89,19 +89,19 @@ class SupportReporter:
         found = np.zeros_like(shown)
         # bodies in the volume, and what half of the others see next to them
         sure, half, agreed = self._vote(shown, sent, voters, True)
-        self._proven |= agreed
+        self._trusted |= agreed
         for camera, (margin, near) in enumerate(self._reaches):
             beside = cv2.dilate(sure[camera], near) if sure[camera].any() else np.full_like(sure[camera], 1)
             found[camera] = cv2.dilate(sure[camera] | (half[camera] & beside), margin) * np.uint8(BODY)
         # what is left of the pictures: things and people around the volume
         outside, _, _ = self._vote(np.where(found > 0, np.uint8(0), shown), sent, voters, False)
         found[(outside > 0) & (found == 0)] = OUTSIDE
-        return np.where(found > 0, found, self._judgeable(voters & self._proven))
+        return np.where(found > 0, found, self._judgeable(voters & self._trusted))
 
     def _vote(self, shown: Cells, sent: Tables, voters: int, of_bodies: bool) -> tuple[Cells, Cells, int]:
         """Return the cells (N, h, w), 0 or 1, that others support for certain, that half of them do, and who agrees."""
         needed = min_seeing(int(popcount(np.uint64(voters))), self._requested_seeing) - 1
-        votes = Votes(voters, self._proven, needed, of_bodies)
+        votes = Votes(voters, self._trusted, needed, of_bodies)
         pictures, sure, half = Pictures(summed_area(shown), sent), np.zeros_like(shown), np.zeros_like(shown)
         agreed = mark_supported(self._boxes, self._coarse, pictures, votes, self._space, sure, half)
         return sure, half, int(agreed)
@@ -142,12 +142,12 @@ class _Space(NamedTuple):
 
 
 class Votes(NamedTuple):
-    """voters, proven : bits of the cameras whose foreground counts, and of those whose empty view counts, too.
+    """voters, trusted : bits of the cameras whose foreground counts, and of those whose empty view counts, too.
     needed : how many others have to show foreground, where so many look.
     of_bodies : whether they vote on blocks where bodies in the volume may be, or on those around."""
 
     voters: int
-    proven: int
+    trusted: int
     needed: int
     of_bodies: bool
 
@@ -196,7 +196,7 @@ def _look(boxes, pictures, votes, block):  # type: ignore[no-untyped-def]
                     showing |= 1 << camera
                 elif (
                     visibility == SEEN
-                    and votes.proven >> camera & 1
+                    and votes.trusted >> camera & 1
                     and count_in_box(pictures.sent, camera, u0, v0, u1, v1) == 0
                 ):
                     denying |= 1 << camera

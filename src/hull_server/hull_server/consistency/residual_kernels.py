@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from capture_rig.kernel import ARITHMETIC, kernel, njit
+from capture_rig.kernel import kernel
 from capture_rig.mask_levels import UNCERTAIN
 
 from ..carving.pixel_boxes import SEEN, UNSEEN, BlockBoxes, count_in_box
@@ -23,7 +23,6 @@ UNSEEN_CELL, BACKGROUND_CELL = -1, 0  # labels of cells; foreground cells are nu
 COARSE_EDGE, FINE_EDGE = 16, 4
 TOO_MANY = -1
 NEEDED_BY = 2  # cameras whose foreground stays unexplained without a voxel: one may show a thing, or noise
-OFFSET_REACH = 8  # cells, in each direction, by which a silhouette is shifted at most
 
 
 class CoarseViews(NamedTuple):
@@ -61,12 +60,12 @@ def number_cells(mask, mask_words, stride, cells, box):  # type: ignore[no-untyp
     mask_words (H, W / 8) : the same, eight pixels to a word. cells : seen (h, w), nonzero where the camera sees;
     unshown (h, w), labels where nothing is shown; labels (h, w) and table (h + 1, w + 1), which are written. box (4,) :
     rows and columns from and to that hold all foreground cells of the mask before; then of this one. Returns the number
-    of foreground cells, and a number that changes when they do.
+    of foreground cells.
     """
     seen, unshown, labels, table = cells
     for row in range(box[0], box[1]):
         _copy(unshown[row, box[2] : box[3]], labels[row, box[2] : box[3]])
-    found, fingerprint, first, width, shown = 0, 0, stride // 2, labels.shape[1], 0
+    found, first, width, shown = 0, stride // 2, labels.shape[1], 0
     box[0], box[1], box[2], box[3] = labels.shape[0], 0, width, 0
     for row in range(labels.shape[0]):
         v, before = first + row * stride, shown
@@ -80,7 +79,6 @@ def number_cells(mask, mask_words, stride, cells, box):  # type: ignore[no-untyp
                     else:
                         found += 1
                         labels[row, column] = found
-                        fingerprint = fingerprint * 31 + row * 4096 + column
                     shown += UNSURE if level == UNCERTAIN else SURE
                     box[2], box[3] = min(box[2], column), max(box[3], column + 1)
                 areas[column + 1] = above[column + 1] + shown - before
@@ -88,7 +86,7 @@ def number_cells(mask, mask_words, stride, cells, box):  # type: ignore[no-untyp
             _copy(table[row], table[row + 1])
         if shown > before:
             box[0], box[1] = min(box[0], row), row + 1
-    return found, fingerprint
+    return found
 
 
 @kernel
@@ -292,27 +290,3 @@ def count_explained(cells, with_veto, without_veto, explained, vetoed):  # type:
             for slot in range(cells.size):
                 explained[image, slot] += reached >> slot & 1
                 vetoed[image, slot] += (reached & ~kept) >> slot & 1
-
-
-@kernel
-def draw_hull(views, camera, voxels, outline):  # type: ignore[no-untyped-def]
-    """Set the cells of ``outline``, which has a margin of OFFSET_REACH, that the voxels (M, 3) cover."""
-    for found in range(voxels.shape[0]):
-        top, bottom, left, right = _footprint(views, camera, voxels[found])
-        for row in range(top + OFFSET_REACH, bottom + OFFSET_REACH):
-            for column in range(left + OFFSET_REACH, right + OFFSET_REACH):
-                outline[row, column] = 1
-
-
-@njit(**ARITHMETIC, crops=True)
-def count_outside(labels, outline, outside):  # type: ignore[no-untyped-def]
-    """Count the foreground cells outside the outline after each shift (down, right); return the number of all cells."""
-    cells, shifts = 0, outside.shape[0]
-    for row in range(labels.shape[0]):
-        for column in range(labels.shape[1]):
-            if labels[row, column] > BACKGROUND_CELL:
-                cells += 1
-                for down in range(shifts):
-                    for right in range(shifts):
-                        outside[down, right] += 1 - np.int64(outline[row + down, column + right])
-    return cells

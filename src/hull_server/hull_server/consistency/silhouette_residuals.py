@@ -25,14 +25,11 @@ from .residual_kernels import (
     BACKGROUND_CELL,
     COARSE_EDGE,
     FINE_EDGE,
-    OFFSET_REACH,
     TOO_MANY,
     UNSEEN_CELL,
     CoarseViews,
     VotingSet,
     count_explained,
-    count_outside,
-    draw_hull,
     find_shared_voxels,
     mark_denied,
     mark_explained,
@@ -42,7 +39,6 @@ from .residual_kernels import (
 # Thresholds: measured by python bench/camera_faults.py.
 MAX_SHARED_VOXELS = 1 << 15  # two cubic metres of 40 mm voxels: more is not a body
 FLOOR_M = 0.15  # floor shadows make hulls up to this height, so vetoes below are ignored
-LEAST_OFFSET_SHARE = 0.01  # a smaller gain says nothing about the direction of an offset
 
 Floats = npt.NDArray[np.float64]
 
@@ -72,8 +68,7 @@ class Residuals:
     excess : share of the camera's view that is foreground which that hull does not explain.
     coverage : share of the camera's view that is foreground. explained_share : of it, what that hull explains.
     consistency : share of the camera's foreground that the hull without its veto explains (silhouette coherence; 1
-    where
-        it shows nothing), times the share of the body that it does not veto.
+        where it shows nothing), times the share of the body that it does not veto.
     conflict : share of the voters' other foreground that stays unexplained without this camera's veto.
     unexplained : share of the voters' foreground that their common hull leaves unexplained. showing : how many voters
         show any foreground.
@@ -98,16 +93,6 @@ class Residuals:
         return CameraResiduals(*(float(share[slot]) for share in shares))
 
 
-class SilhouetteOffset(NamedTuple):
-    """share : of a silhouette, that comes to lie inside the hull's outline when it is shifted to where it fits best.
-
-    offset_px : that shift, to the right and down; (0, 0) when nothing is gained.
-    """
-
-    share: float = 0.0
-    offset_px: tuple[float, float] = (0.0, 0.0)
-
-
 class ResidualEstimator:
     """Estimates the residuals of frame sets; tables of the calibration are computed once. One thread at a time."""
 
@@ -115,8 +100,7 @@ class ResidualEstimator:
         self._requested_seeing = requested_seeing
         grid = VoxelGrid.covering(rig.volume, voxel_size_m)
         self._voxel_litres = grid.voxel_volume_m3 * 1e3
-        self.focal_px = _focal_px(views)
-        px_per_m = self.focal_px / _depth_of_middle(views, grid)
+        px_per_m = _focal_px(views) / _depth_of_middle(views, grid)
         # a cell is about half as large as a voxel in the image
         self.stride = max(1, round(float(np.median(px_per_m)) * voxel_size_m / 2))
         self._cell_m2 = (self.stride / px_per_m) ** 2
@@ -138,12 +122,11 @@ class ResidualEstimator:
         self._counts = np.zeros(n, np.int64)
         self._found = 0
 
-    def set_mask(self, camera: int, mask: npt.NDArray[np.uint8]) -> int:
-        """Take one camera's mask (h, w); return a fingerprint that differs for another mask."""
+    def set_mask(self, camera: int, mask: npt.NDArray[np.uint8]) -> None:
+        """Set one camera's mask (h, w)."""
         mask = np.ascontiguousarray(mask)
         words, cells, box = mask.view(np.uint64), self._cells[camera], self._boxes[camera]
-        self._counts[camera], fingerprint = number_cells(mask, words, self.stride, cells, box)
-        return int(fingerprint)
+        self._counts[camera] = number_cells(mask, words, self.stride, cells, box)
 
     def coverage(self, camera: int) -> float:
         """Return the share of the camera's view that is foreground."""
@@ -171,28 +154,6 @@ class ResidualEstimator:
         explained, vetoed = np.zeros((n, n), np.int64), np.zeros((n, n), np.int64)
         count_explained(cells, self._with_veto, self._without_veto, explained, vetoed)
         return self._shares(voting, vetoes, cells, explained, vetoed)
-
-    def silhouette_offset(self, residuals: Residuals, slot: int) -> SilhouetteOffset:
-        """Find the shift at which the silhouette of ``residuals.cameras[slot]`` fits the hull without its veto best.
-
-        A rotated camera's silhouette fits again when it is shifted back; a shadow on the floor does not. The hull is
-        that
-        of the last call of :meth:`estimate`.
-        """
-        camera = residuals.cameras[slot]
-        by_voters = self._vetoes[: self._found] & (1 << residuals.voters) - 1
-        hull = self._voxels[: self._found][(by_voters & ~(1 << slot)) == 0]
-        labels, (width, height) = self.labels[camera], self._views.sizes[camera]
-        outline = np.zeros(tuple(side + 2 * OFFSET_REACH for side in labels.shape), np.uint8)
-        draw_hull(self._views, camera, hull, outline)
-        outside = np.zeros((2 * OFFSET_REACH + 1, 2 * OFFSET_REACH + 1), np.int64)
-        cells = count_outside(labels[:height, :width], outline, outside)
-        share = (outside[OFFSET_REACH, OFFSET_REACH] - outside.min()) / max(cells, 1)
-        if share < LEAST_OFFSET_SHARE:
-            return SilhouetteOffset()
-        offsets = np.argwhere(outside == outside.min()) - OFFSET_REACH
-        down, right = offsets[np.argmin(np.hypot(*offsets.T))].astype(float) * self.stride
-        return SilhouetteOffset(float(share), (float(right), float(down)))
 
     def denied_cells(self, residuals: Residuals, slot: int) -> npt.NDArray[np.bool_]:
         """Return the cells (H, W) in which ``residuals.cameras[slot]`` alone denies what two others need.

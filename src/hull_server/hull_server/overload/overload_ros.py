@@ -6,12 +6,12 @@ from time import monotonic_ns
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from sensor_msgs.msg import MultiDOFJointState
 
 from mocap_packets.frame_set import FrameSet
-from mocap_packets.state import Prediction
+from mocap_packets.people import Predictions
 from sagoma_ros.intra_process import Delivery, PacketSubscription
 from sagoma_ros.node import SagomaNode
+from sagoma_ros.packets import PREDICTIONS
 from sagoma_ros.qos import LATCHED
 from sagoma_ros.thinning import TOPIC, thinning_message
 
@@ -52,7 +52,7 @@ class OverloadControl(NoOverloadControl):
     def __init__(self, node: SagomaNode) -> None:
         self._node, self._control = node, ThinningControl()
         self._publisher = node.create_publisher(DiagnosticArray, TOPIC, LATCHED)
-        self._answers = PacketSubscription[Prediction](node, MultiDOFJointState, "ekf/prediction", self._on_answer)
+        self._answers = PacketSubscription(node, PREDICTIONS, self._on_answer)
         self._timer = node.create_timer(UPDATE_S, self._update, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._answered_ns = 0
         self._logged = ""
@@ -89,7 +89,7 @@ class OverloadControl(NoOverloadControl):
         if now_ns - self._answered_ns > NO_TRACKER_NS:
             self._control.add_answer(stamp_ns, now_ns)
 
-    def _on_answer(self, answer: Delivery[Prediction]) -> None:
+    def _on_answer(self, answer: Delivery[Predictions]) -> None:
         self._answered_ns = monotonic_ns()
         self._control.add_answer(answer.stamp_ns, self._answered_ns)
 

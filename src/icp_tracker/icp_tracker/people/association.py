@@ -28,7 +28,7 @@ EXPLAINED_M = 0.08  # a row this near to somebody's surface may be that person's
 CLEARLY_M = 0.03  # so much nearer to one surface than to the other is clear: twice the error of a good prediction
 ELSEWHERE_M = 0.15  # and so much nearer that it is not this person's lost limb either: the length of a hand
 # a ray that is not clear is uncertain by so much, the error of a prediction: it tells where one of the two is, not
-# which, and must not hold a hand that it caught (0.01 to 0.1 tried with bench/people_together.py and the meeting as
+# which, and must not hold a hand that it caught (0.01 to 0.1 tried with bench/people.py together_ and the meeting as
 # footage; from 0.015 to 0.03 fewest hands stay on the other's outline)
 UNCLEAR_SD_M = 0.02
 SLACK_M = 0.05  # a body may touch a ray this far from the stretch where the ray touches the hull

@@ -67,7 +67,7 @@ class RefinementSettings:
     pause_s: float = setting(0.2, "and not more often than this", unit="s", low=0.0)
 
 
-# Thresholds: chosen with the bodies of its README; measured by python bench/tracking_ablation.py SESSION; PATIENT_S,
+# Thresholds: chosen with the bodies of its README; measured by python bench/people.py --ablation SESSION; PATIENT_S,
 # LEAST_SHARE, BELOW_BEST with stout people who walk in (python bench/acquisition.py).
 # checked by the studio's bodies and rendered sessions of the package's README
 RAYS = 400  # of a kept pose that are used

@@ -19,7 +19,7 @@ from ..articulated_fit import CONTOUR_GATE_M, PRIOR, ArticulatedSettings
 
 NS = 1e-9
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
-# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/tracking_ablation.py
+# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation
 # SESSION.
 RAYS_OF_A_DATUM = 25.0
 """Of the fit's rays (1200 of about 15000 / m^2) that count as one independent one of a centimetre: a set shows some 200

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from capture_rig.lens import Array
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,11 @@ class CharucoBoard:
         """Whether a half turn shows: always, by its markers."""
         return True
 
+    @property
+    def starts_black(self) -> bool:
+        """Whether the upper left field is black."""
+        return not (self.legacy and self.rows % 2 == 0)
+
 
 Board: TypeAlias = Checkerboard | CharucoBoard
 
@@ -81,15 +86,17 @@ class TargetDetection:
     place). target : which of several targets, "" when there is only one. ids (n,) : which corners, rows of the
     target's ``corners_board``. pixels (n, 2) : where, in the raw (distorted) image; pixel centres at whole numbers.
     image_size : (width, height), px. sigma_px : standard deviation of a corner's coordinate, as far as it is known.
+    blur_px : that of the blur across the board's edges, 0 where it was not measured.
     """
 
     camera: str
     frame_index: int
     ids: npt.NDArray[np.int64]
-    pixels: npt.NDArray[np.float64]
+    pixels: Array
     image_size: tuple[int, int]
     target: str = ""
     sigma_px: float = 0.2
+    blur_px: float = 0.0
 
     def __len__(self) -> int:
         return len(self.ids)

@@ -7,20 +7,20 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 import numpy.typing as npt
+
+from capture_rig.lens import Array
 
 from .x_corner import XCorners, fit_x_corners
 
 # --- Arithmetic on grids.
 
-Array = npt.NDArray[np.float64]
-
-# Thresholds: CHI_SQUARE_MEDIAN from the distribution; else measured by python bench/calibration.py --boards (found at
-# which tilt and size).
+CHI_SQUARE_MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # of one degree of freedom
+# Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
 MAX_BEND = 0.4  # of a field
-CHI_SQUARE_MEDIAN = 0.4549  # of one degree of freedom
 
 
 def steps(pixels: Array) -> tuple[Array, Array]:
@@ -49,11 +49,6 @@ def mean_of_known(arrays: list[Array]) -> Array:
         return np.nanmean(np.stack(arrays), axis=0)
 
 
-def padded(pixels: Array) -> Array:
-    """Surround the grid with a rim of unknown corners all around."""
-    return np.pad(pixels, [(1, 1), (1, 1), (0, 0)][: pixels.ndim], constant_values=np.nan)
-
-
 def trimmed(pixels: Array, fewest: float) -> Array:
     """Cut off outer lines on which less than the share ``fewest`` of the corners, or only one, is known."""
     known = np.isfinite(pixels[:, :, 0])
@@ -62,12 +57,7 @@ def trimmed(pixels: Array, fewest: float) -> Array:
         if all(line.sum() >= max(2, fewest * line.size) for line in lines):
             break
         worst = int(np.argmin([line.sum() / line.size if line.sum() > 1 else line.sum() * 1e-3 for line in lines]))
-        cut = [
-            (slice(1, None), slice(None)),
-            (slice(None, -1), slice(None)),
-            (slice(None), slice(1, None)),
-            (slice(None), slice(None, -1)),
-        ][worst]
+        cut = (np.s_[1:], np.s_[:-1], np.s_[:, 1:], np.s_[:, :-1])[worst]
         pixels, known = pixels[cut], known[cut]
     return pixels
 
@@ -136,17 +126,23 @@ MAX_OF_EXTRA_LINE = 0.67  # a line of which more is found is the board's own: th
 
 @dataclass(frozen=True, eq=False)
 class CornerGrid:
-    """Corners (rows, columns, 2) of a pattern of any size in pixels, NaN where there is none; their contrast, standard
-    deviation (rows, columns), and blur (rows, columns, 2), as :class:`XCorners` has them."""
+    """A pattern of any size: ``values`` (rows, columns, 6), NaN where there is no corner: its place in pixels (2),
+    contrast, standard deviation and blur (2), as :class:`XCorners` has them."""
 
-    pixels: Array
-    contrast: Array
-    sd_px: Array
-    blur_px: Array
+    values: Array
+
+    @property
+    def pixels(self) -> Array:
+        """(rows, columns, 2)."""
+        return self.values[:, :, :2]
+
+    @property
+    def contrast(self) -> Array:
+        return self.values[:, :, 2]
 
     @property
     def found(self) -> npt.NDArray[np.bool_]:
-        return np.isfinite(self.pixels[:, :, 0])
+        return np.isfinite(self.contrast)
 
     @property
     def count(self) -> int:
@@ -156,13 +152,19 @@ class CornerGrid:
     def sigma_px(self) -> float:
         """Standard deviation of a coordinate: what the fits' residuals say, or the scatter of the corners about smooth
         lines where that is larger (compression, interlacing, an uneven print)."""
-        from_fits = float(np.sqrt(np.nanmean(self.sd_px**2)))
+        from_fits = float(np.sqrt(np.nanmean(self.values[:, :, 3] ** 2)))
         return max(from_fits, scatter_px(self.pixels))
+
+    @property
+    def blur_px(self) -> float:
+        """Standard deviation of the blur across the board's edges: median over the corners, the worse of the two
+        directions (motion blurs the edges that it crosses). About 0.3 for a sharp image."""
+        return float(np.nanmedian(self.values[:, :, 4:], axis=(0, 1)).max())
 
 
 def empty_grid(rows: int, columns: int) -> CornerGrid:
     """Make a grid of which no corner is known yet."""
-    return _split(np.full((rows, columns, 6), np.nan))
+    return CornerGrid(np.full((rows, columns, 6), np.nan))
 
 
 def fitted(image: npt.NDArray[np.uint8], expected: Array, known: CornerGrid, marker_margin: float = 1.0) -> CornerGrid:
@@ -172,23 +174,23 @@ def fitted(image: npt.NDArray[np.uint8], expected: Array, known: CornerGrid, mar
     wanted = ~known.found & np.all(np.isfinite(np.dstack([expected, along, down])), axis=2)
     corners = fit_x_corners(image, expected[wanted], along[wanted], down[wanted], marker_margin=marker_margin)
     good = _is_good(corners, expected[wanted], along[wanted], down[wanted], known.contrast[known.found])
-    everything, kept = _joined(known), known.found
-    everything[wanted] = np.column_stack([corners.pixels, corners.contrast, corners.sd_px, corners.blur_px])
+    values, kept = known.values.copy(), known.found
+    values[wanted] = np.column_stack([corners.pixels, corners.contrast, corners.sd_px, corners.blur_px])
     kept[wanted] = good
-    kept &= _has_right_colour(everything[:, :, 2], kept)
-    everything[~kept] = np.nan
-    return _split(everything)
+    kept &= _has_right_colour(values[:, :, 2], kept)
+    values[~kept] = np.nan
+    return CornerGrid(values)
 
 
 def grown(image: npt.NDArray[np.uint8], grid: CornerGrid, marker_margin: float = 1.0) -> CornerGrid:
     """Grow the grid by one more line on each side where the image shows one, and fill its holes."""
-    wider = _split(padded(_joined(grid)))
+    wider = CornerGrid(np.pad(grid.values, [(1, 1), (1, 1), (0, 0)], constant_values=np.nan))
     return without_ragged_rim(fitted(image, predict(wider.pixels), wider, marker_margin))
 
 
 def without_ragged_rim(grid: CornerGrid) -> CornerGrid:
     """Cut off outer lines of which little was found: chance finds."""
-    return _split(trimmed(_joined(grid), MIN_OF_OUTER_LINE))
+    return CornerGrid(trimmed(grid.values, MIN_OF_OUTER_LINE))
 
 
 def cut_to(grid: CornerGrid, rows: int, columns: int) -> CornerGrid | None:
@@ -196,37 +198,29 @@ def cut_to(grid: CornerGrid, rows: int, columns: int) -> CornerGrid | None:
 
     None when it is smaller than ``rows`` x ``columns``, or when the lines too many are nearly complete.
     """
-    everything = _joined(grid)
+    values = grid.values
     for axis, wanted in enumerate((rows, columns)):
-        while everything.shape[axis] > wanted:
-            found = np.isfinite(everything[:, :, 0]).mean(axis=1 - axis)
+        while values.shape[axis] > wanted:
+            found = np.isfinite(values[:, :, 0]).mean(axis=1 - axis)
             if min(found[0], found[-1]) > MAX_OF_EXTRA_LINE:
                 return None
-            everything = np.delete(everything, 0 if found[0] < found[-1] else -1, axis=axis)
-    return _split(everything) if everything.shape[:2] == (rows, columns) else None
+            values = np.delete(values, 0 if found[0] < found[-1] else -1, axis=axis)
+    return CornerGrid(values) if values.shape[:2] == (rows, columns) else None
 
 
 def turned(grid: CornerGrid, quarter_turns: int) -> CornerGrid:
     """Read the same corners from another of the four sides; a quarter turn swaps the colours' places, and rows and
     columns."""
-    everything = np.rot90(_joined(grid), quarter_turns).copy()
+    values = np.rot90(grid.values, quarter_turns).copy()
     if quarter_turns % 2:
-        everything[:, :, 2] *= -1
-        everything[:, :, 4:] = everything[:, :, [5, 4]]
-    return _split(everything)
+        values[:, :, 2] *= -1
+        values[:, :, 4:] = values[:, :, [5, 4]]
+    return CornerGrid(values)
 
 
 def is_black_first(grid: CornerGrid) -> bool:
     """Tell whether the field up-left of the first corner is black."""
     return float(np.nansum(grid.contrast * parity(grid.contrast.shape))) < 0
-
-
-def _joined(grid: CornerGrid) -> Array:
-    return np.dstack([grid.pixels, grid.contrast, grid.sd_px, grid.blur_px])
-
-
-def _split(everything: Array) -> CornerGrid:
-    return CornerGrid(everything[:, :, :2], everything[:, :, 2], everything[:, :, 3], everything[:, :, 4:])
 
 
 def _is_good(corners: XCorners, expected: Array, along: Array, down: Array, usual: Array) -> npt.NDArray[np.bool_]:

@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.lens import Array
+
 from .board import Board, CharucoBoard, Checkerboard, TargetDetection, opencv_board
 from .corner_grid import (
     CornerGrid,
@@ -57,13 +59,13 @@ def checkerboard_patterns(
     again from another variant of the image. None grows far beyond ``limit`` corners in both directions."""
     for variant in variants:
         for lattice in find_lattices(variant.make(image), variant.smoothing_px):
-            grid = complete(image, variant.to_raw(lattice.pixels), limit, marker_margin)
+            grid = complete(image, variant.to_raw(lattice), limit, marker_margin)
             if grid is not None:
                 yield grid
 
 
 def complete(
-    image: npt.NDArray[np.uint8], pixels: npt.NDArray[np.float64], limit: int = 60, marker_margin: float = 1.0
+    image: npt.NDArray[np.uint8], pixels: Array, limit: int = 60, marker_margin: float = 1.0
 ) -> CornerGrid | None:
     """Refine a lattice (rows, columns, 2) in the raw image, fill its holes and let it grow as far as the pattern goes.
 
@@ -106,8 +108,6 @@ def _runs_right(grid: CornerGrid) -> tuple[float, float]:
 
 # --- ChArUco boards.
 
-Array = npt.NDArray[np.float64]
-
 MIN_CHARUCO_CORNERS = 6
 MAX_FROM_PLANE = 0.4  # of a field: further from where a flat board would have it, a corner is another board's
 ROUNDS = 4
@@ -134,11 +134,7 @@ def _by_colours(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tup
     if not plain.half_turn_is_visible:
         return None
     grid = find_checkerboard(image, plain, variants, marker_margin(board))
-    return turned(grid, 2) if grid is not None and not _starts_black(board) else grid
-
-
-def _starts_black(board: CharucoBoard) -> bool:
-    return not (board.legacy and board.rows % 2 == 0)
+    return turned(grid, 2) if grid is not None and not board.starts_black else grid
 
 
 def charuco_detector(board: CharucoBoard) -> cv2.aruco.CharucoDetector:
@@ -188,7 +184,7 @@ def _is_plausible(grid: CornerGrid, board: CharucoBoard) -> bool:
     """Enough corners, not all in one line, and the colours where this board has them."""
     rows, columns = np.nonzero(grid.found)
     spread = grid.count >= MIN_CHARUCO_CORNERS and np.ptp(rows) >= 1 and np.ptp(columns) >= 1
-    return bool(spread) and is_black_first(grid) == _starts_black(board)
+    return bool(spread) and is_black_first(grid) == board.starts_black
 
 
 def find_board(
@@ -236,6 +232,7 @@ def detection_of(
         pixels=grid.pixels.reshape(-1, 2)[found].copy(),
         image_size=(shape[1], shape[0]),
         sigma_px=grid.sigma_px,
+        blur_px=grid.blur_px,
     )
 
 

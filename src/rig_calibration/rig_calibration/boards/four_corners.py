@@ -12,13 +12,12 @@ from scipy.spatial import cKDTree
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.lens import Array
 
 from .board import Board, CharucoBoard, TargetDetection
 from .corner_grid import CornerGrid, discontinuities, empty_grid, fitted, is_black_first, predict, steps, turned
 from .detector import as_grey, complete, detection_of, marker_margin, possible_orders
 from .lattice import Variant, find_saddles
-
-Array = npt.NDArray[np.float64]
 
 # Thresholds: MIN_FOUND, MAX_FROM_PLANE measured by python bench/calibration.py --boards; clicks: judgement.
 POINTING_ERROR_PX = 6.0
@@ -28,6 +27,7 @@ HIT_FIELDS, MIN_HIT_PX = 0.25, 1.0  # how near a saddle must lie to where a corn
 MIN_FOUND = 0.5  # of a board's corners
 ROUNDS = 12
 VARIANTS = (Variant(), Variant(1, 2), Variant(1, 3), Variant(1, 1, 2.5))
+OUTER = ((0, 0, -1, -1), (0, -1, -1, 0))  # rows and columns of the outermost corners, in reading order
 ORDER = "Give the outermost inner corners in reading order: first, end of first row, last, start of last row."
 
 
@@ -41,8 +41,8 @@ class _View:
 
     @property
     def outer(self) -> npt.NDArray[np.int64]:
-        rows, columns = self.shape
-        return np.array([0, columns - 1, rows * columns - 1, (rows - 1) * columns])
+        """Ids of the outermost corners."""
+        return np.ravel_multi_index(OUTER, self.shape, mode="wrap")
 
     def corners(self, ids: npt.NDArray[np.int64], pixels: Array) -> Array:
         """Return all corners (rows, columns, 2) of the flat board whose corners ``ids`` lie at ``pixels``."""
@@ -97,17 +97,18 @@ def find_from_outer_corners(
 
 
 def _checked(outer_px: npt.ArrayLike, where: str) -> Array:
-    outer = np.asarray(outer_px, float)
+    outer, problem = np.asarray(outer_px, float), ""
     if outer.shape != (4, 2) or not np.isfinite(outer).all():
-        raise InputError(
-            f"four corners (x, y) in pixels are needed, not {np.shape(outer_px)}", where=where, remedy=ORDER
-        )
-    sides = np.roll(outer, -1, axis=0) - outer
-    turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
-    if np.all(turns < 0):
-        raise InputError("the four corners run round the board the wrong way", where=where, remedy=ORDER)
-    if not np.all(turns > 0):
-        raise InputError("the four corners are no convex quadrilateral", where=where, remedy=ORDER)
+        problem = f"four corners (x, y) in pixels are needed, not {np.shape(outer_px)}"
+    else:
+        sides = np.roll(outer, -1, axis=0) - outer
+        turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
+        if np.all(turns < 0):
+            problem = "the four corners run round the board the wrong way"
+        elif not np.all(turns > 0):
+            problem = "the four corners are no convex quadrilateral"
+    if problem:
+        raise InputError(problem, where=where, remedy=ORDER)
     return outer
 
 
@@ -118,7 +119,7 @@ def _snapped(grey: npt.NDArray[np.uint8], view: _View, outer: Array) -> Array:
     tree = cKDTree(saddles)
     expected = view.corners(view.outer, outer)
     choices = []
-    for corner, field in zip(outer, _fields_px(expected)[_outer_index(view.shape)], strict=True):
+    for corner, field in zip(outer, _fields_px(expected)[OUTER], strict=True):
         reach = max(POINTING_ERROR_PX, POINTING_ERROR_FIELDS * float(np.nan_to_num(field)))
         distance, index = tree.query(corner, k=min(3 * CANDIDATES, len(saddles)), distance_upper_bound=reach)
         choices.append([corner, *_distinct(saddles[index[np.isfinite(distance)]], corner)])
@@ -150,11 +151,6 @@ def _fields_px(corners: Array) -> Array:
     return np.fmin(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))
 
 
-def _outer_index(shape: tuple[int, int]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    rows, columns = shape
-    return np.array([0, 0, rows - 1, rows - 1]), np.array([0, columns - 1, columns - 1, 0])
-
-
 def _followed(grey: npt.NDArray[np.uint8], view: _View, outer: Array, margin: float) -> CornerGrid:
     """Fit corners where they are expected; expect the others from those found; until nothing is added."""
     grid, expected = empty_grid(*view.shape), view.corners(view.outer, outer)
@@ -183,8 +179,7 @@ def _whole(grey: npt.NDArray[np.uint8], grid: CornerGrid, board: Board) -> Corne
 def _ordered(grid: CornerGrid, board: Board, outer: Array, where: str) -> CornerGrid:
     """Order the grid with the first corner first, where colours tell; else leave it as given."""
     if isinstance(board, CharucoBoard):
-        black_first = not (board.legacy and board.rows % 2 == 0)
-        choices = [each for each in (grid, turned(grid, 2)) if is_black_first(each) == black_first]
+        choices = [each for each in (grid, turned(grid, 2)) if is_black_first(each) == board.starts_black]
     else:
         choices = possible_orders(grid, board)
     lines = [grid.found[0], grid.found[-1], grid.found[:, 0], grid.found[:, -1]]
@@ -200,8 +195,7 @@ def _ordered(grid: CornerGrid, board: Board, outer: Array, where: str) -> Corner
 
 def _off(grid: CornerGrid, outer: Array) -> float:
     """Sum of the distances from the corners given to the found ones next in line, px."""
-    rows, columns = _outer_index((grid.pixels.shape[0], grid.pixels.shape[1]))
     filled = grid.pixels
     for _ in range(3):
         filled = predict(filled)
-    return float(np.nansum(np.linalg.norm(filled[rows, columns] - outer, axis=1)))
+    return float(np.nansum(np.linalg.norm(filled[OUTER] - outer, axis=1)))

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-Array = npt.NDArray[np.float64]
+from capture_rig.lens import Array
 
 MAX_SADDLES = 3000
 # Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
@@ -41,37 +41,22 @@ class Saddles:
     second: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Lattice:
-    """Corners in a grid: ``pixels`` (rows, columns, 2), NaN where none was found; row to row and column to column form
-    a right-handed pair (x right, y down)."""
-
-    pixels: Array
-
-    @property
-    def found(self) -> npt.NDArray[np.bool_]:
-        return np.isfinite(self.pixels[:, :, 0])
-
-    @property
-    def count(self) -> int:
-        return int(self.found.sum())
-
-    @property
-    def area_px(self) -> float:
-        """Area of the convex hull of its corners."""
-        return float(cv2.contourArea(cv2.convexHull(self.pixels[self.found].astype(np.float32))))
-
-
-def find_lattices(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float]) -> list[Lattice]:
+def find_lattices(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float]) -> list[Array]:
     """Find all lattices of at least ``MIN_CORNERS`` corners in a grey image (H, W), the one that covers most of it
-    first (a photograph may show a screen that shows the board). ``smoothing_px``: Gaussian to smooth with, in x and
-    y."""
+    first (a photograph may show a screen that shows the board): (rows, columns, 2) pixels, NaN where no corner was
+    found; row to row and column to column form a right-handed pair (x right, y down).
+
+    ``smoothing_px``: Gaussian to smooth with, in x and y."""
     saddles = find_saddles(image, smoothing_px)
     if len(saddles.pixels) < MIN_CORNERS:
         return []
     links = _in_quads(_mutual_links(saddles), saddles.pixels)
-    lattices = [_lattice(saddles, cells) for cells in _walk(links)]
-    return sorted((lattice for lattice in lattices if lattice.count >= MIN_CORNERS), key=lambda found: -found.area_px)
+    return sorted((_lattice(saddles, cells) for cells in _walk(links) if len(cells) >= MIN_CORNERS), key=_minus_area_px)
+
+
+def _minus_area_px(lattice: Array) -> float:
+    """Return the area of the corners' convex hull, negative."""
+    return -cv2.contourArea(cv2.convexHull(lattice[np.isfinite(lattice[:, :, 0])].astype(np.float32)))
 
 
 def find_saddles(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float]) -> Saddles:
@@ -235,14 +220,14 @@ def _walk_from(seed: int, links: npt.NDArray[np.int64], seen: set[int]) -> dict[
     return cells
 
 
-def _lattice(saddles: Saddles, cells: dict[int, tuple[int, int]]) -> Lattice:
+def _lattice(saddles: Saddles, cells: dict[int, tuple[int, int]]) -> Array:
     index = np.array(list(cells), dtype=np.int64)
     places = np.array([cells[key] for key in cells], dtype=np.int64).reshape(-1, 2)
     places -= places.min(axis=0)
     columns, rows = places.max(axis=0) + 1
     pixels = np.full((rows, columns, 2), np.nan)
     pixels[places[:, 1], places[:, 0]] = saddles.pixels[index]
-    return Lattice(pixels)
+    return pixels
 
 
 # --- The image scaled in one or both directions: the detector looks for patterns of a certain size.
@@ -250,7 +235,7 @@ def _lattice(saddles: Saddles, cells: dict[int, tuple[int, int]]) -> Lattice:
 
 OWN_BLUR_PX = 0.6  # of an ordinary image: optics and pixel
 COMFORTABLE_PX = 900  # long side at which boards are found fast
-MAX_PIXELS = 8e6
+MAX_PIXELS = 8_000_000
 STRETCHES: tuple[tuple[Any, ...], ...] = (  # across, down, blur, equalised
     (1, 2),
     (1, 1, 1.0),

@@ -12,7 +12,6 @@ length cannot be much farther away than the near end: z_far / z_near = 1 + c (s_
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import cv2
@@ -21,10 +20,10 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.lens import Array
 
 from .board import TargetDetection
 
-Array = npt.NDArray[np.float64]
 Grey = npt.NDArray[np.uint8]
 
 WAND = "wand"
@@ -32,13 +31,12 @@ MIN_MARK_DISTANCE = 0.05  # of the wand's length
 MIN_ASYMMETRY = 0.15  # of the wand's length: markers that differ by less from their mirror image do not tell the ends
 MAX_BLOBS = 10
 # Thresholds: judgement, no measurement.
-OFF_LINE = 0.02  # of the wand's length in the image: a spot farther from the line is no marker
-OFF_PLACE = 0.02  # likewise along the line
+OFF_PLACE = 0.02  # of the wand's length in the image: a spot farther from its place, along or beside, is no marker
 MAX_DEPTH_RATIO = 1.6  # far end over near end, in distance: a wand seen from less than twice its length away is refused
-MIN_CONTRAST = 30.0  # grey levels of a marker's peak above what surrounds it
+MIN_CONTRAST = 30  # grey levels of a marker's peak above what surrounds it
 PEAK_SHARE = 0.4  # of the brightest marker: what is brighter than that belongs to a marker
 MIN_AREA_PX, MAX_AREA_SHARE = 2, 0.01  # of the image
-MAX_ELONGATION = 4.0  # length over width: a longer streak is a reflection or moved while exposed
+MAX_ELONGATION = 4  # length over width: a longer streak is a reflection or moved while exposed
 RIM_PX = 2  # around the thresholded blob, whose soft edge counts too
 FAINT = 0.1  # coverage of a pixel below which noise, not the marker, may have made it
 CENTROID_SIGMA_PX = 0.1
@@ -70,12 +68,12 @@ def find_wand(
     """
     marks = _marks(marks_m)
     blobs = find_blobs(image, background)
-    ideal = camera.ideal_points(blobs.centroid)
+    ideal = camera.ideal_points(blobs)
     reached = np.flatnonzero(np.isfinite(ideal).all(axis=1))
     rows = label_markers(ideal[reached], marks)
     if rows is None:
         return None
-    pixels = blobs.centroid[reached][rows]
+    pixels = blobs[reached][rows]
     size = (image.shape[1], image.shape[0])
     return TargetDetection(camera.name, frame_index, np.arange(len(marks)), pixels, size, target, CENTROID_SIGMA_PX)
 
@@ -136,7 +134,7 @@ def _on_a_line(points: Array) -> Array | None:
     _, _, axes = np.linalg.svd(centred, full_matrices=True)
     along, across = centred @ axes[0], centred @ axes[1]
     length = np.ptp(along)
-    return along if length > 0 and np.abs(across).max() <= OFF_LINE * length else None
+    return along if length > 0 and np.abs(across).max() <= OFF_PLACE * length else None
 
 
 def _cost(u: Array, marks_m: Array) -> float:
@@ -160,21 +158,9 @@ def _cost(u: Array, marks_m: Array) -> float:
 # --- Bright markers in an image: light-emitting diodes, retro-reflective balls.
 
 
-@dataclass(frozen=True, eq=False)
-class Blobs:
-    """Bright spots: centroid (n, 2), pixel centres at whole numbers; area_px (n,); brightness (n,) summed grey levels;
-    brightest first."""
-
-    centroid: Array
-    area_px: Array
-    brightness: Array
-
-    def __len__(self) -> int:
-        return len(self.centroid)
-
-
-def find_blobs(image: np.ndarray, background: np.ndarray | None = None) -> Blobs:
-    """Find compact spots in an image (H, W[, 3]) uint8 that are brighter than their surroundings.
+def find_blobs(image: np.ndarray, background: np.ndarray | None = None) -> Array:
+    """Find compact spots in an image (H, W[, 3]) uint8 that are brighter than their surroundings: their centroids
+    (n, 2), pixel centres at whole numbers, brightest first.
 
     ``background``: the same view without the wand; without it, what is larger than a marker is taken for background.
     Centroids are weighted by how much of a pixel the marker covers. Raises InputError when ``background`` is of another
@@ -184,16 +170,14 @@ def find_blobs(image: np.ndarray, background: np.ndarray | None = None) -> Blobs
     bright = _above(grey, None if background is None else _grey(background))
     peak = float(bright.max(initial=0.0))
     if peak < MIN_CONTRAST:
-        return Blobs(np.empty((0, 2)), np.empty(0), np.empty(0))
+        return np.empty((0, 2))
     mask = (bright > max(PEAK_SHARE * peak, MIN_CONTRAST / 2)).astype(np.uint8)
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(mask)
     lit = _with_rim(mask)
     found = [
         _measure(grey, bright, lit, labels == i, boxes[i]) for i in range(1, count) if _compact(boxes[i], mask.size)
     ]
-    found.sort(key=lambda blob: -blob[3])
-    columns = np.array(found, float).reshape(-1, 4)
-    return Blobs(columns[:, :2], columns[:, 2], columns[:, 3])
+    return np.array(sorted(found, key=lambda blob: -blob[2]), float).reshape(-1, 3)[:, :2]
 
 
 def _grey(image: np.ndarray) -> Grey:
@@ -236,13 +220,13 @@ def _compact(box: np.ndarray, image_px: int) -> bool:
 
 def _measure(
     grey: Grey, bright: npt.NDArray[np.float32], lit: Grey, blob: npt.NDArray[np.bool_], box: np.ndarray
-) -> tuple[float, float, float, float]:
-    """Centroid, area and brightness of a blob; ``lit`` marks all blobs and their rims.
+) -> tuple[float, float, float]:
+    """Centroid and brightness of a blob; ``lit`` marks all blobs and their rims.
 
     What lies behind the marker is painted in from around it, and the pixels' coverage follows from that: a dark stick
     on one side of a ball before a brighter wall would otherwise shift it by 0.03 px, and make a wand 0.1 % too long.
     """
-    x, y, width, height, area = (int(v) for v in box)
+    x, y, width, height = (int(v) for v in box[:4])
     margin = RIM_PX + 4
     part = np.s_[max(y - margin, 0) : y + height + margin, max(x - margin, 0) : x + width + margin]
     own = _with_rim(blob[part].astype(np.uint8)) > 0
@@ -252,4 +236,4 @@ def _measure(
     weight = np.where(own, np.clip((coverage - FAINT) / (1 - 2 * FAINT), 0.0, 1.0), 0.0)
     rows, columns = np.mgrid[part]
     total = weight.sum()
-    return (weight * columns).sum() / total, (weight * rows).sum() / total, area, float(bright[part][own].sum())
+    return (weight * columns).sum() / total, (weight * rows).sum() / total, float(bright[part][own].sum())

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.kernel import njit
+from capture_rig.lens import Array
 from capture_rig.small_matrices import solve_positive
 
 # --- The compiled part: one Levenberg-Marquardt fit, pixel by pixel.
@@ -22,32 +23,33 @@ from capture_rig.small_matrices import solve_positive
 # Parameters: x, y; directions of the edge along the row and of the edge along the column, rad; logarithms of the blur
 # (sigma, px) across the edge along the column and across the one along the row; contrast; light and its two slopes.
 
-# Thresholds: variances and blur from rounding to grey levels and a pixel's width (1/12); else measured by python
-# bench/calibration.py --boards (stated sigma against rms).
+# Thresholds: measured by python bench/calibration.py --boards (stated sigma against rms).
+ROUNDING_VARIANCE = 1 / 12  # of a pixel's own width, px^2, and of rounding to whole grey levels
 REACH = 0.7  # of a field, on each side of the corner
+MAX_HALF_WINDOW_PX = 12
+WINDOWS = 2  # so often the window may be laid anew around the estimate
 SIZE = 10
 X, Y, ALONG_ROW, ALONG_COLUMN, LOG_BLUR_U, LOG_BLUR_V, CONTRAST, LIGHT, LIGHT_X, LIGHT_Y = range(SIZE)
 PRIOR_PRECISION = np.array([0, 0, 1 / 0.2**2, 1 / 0.2**2, 1 / 0.7**2, 1 / 0.7**2, 0, 0, 0, 0])
 STEP_LIMIT = np.array([2.0, 2.0, 0.3, 0.3, 0.7, 0.7, 1e9, 1e9, 1e9, 1e9])
 MAX_ITERATIONS = 12
-MIN_LOG_BLUR = math.log(0.28)  # a pixel's own width alone blurs as much
+MIN_LOG_BLUR = 0.5 * math.log(ROUNDING_VARIANCE)
 MARKER_BLUR_PX = 1.5
 CONVERGED_PX = 2e-3
-GREY_VARIANCE = 0.3**2  # of rounding to whole grey levels
 FLAT = math.sqrt(2 / math.pi)
 HALF_ROOT = math.sqrt(0.5)
 
 
 @njit(cache=True)
-def select_pixels(image, x, y, row_step, column_step, margin, most, pixels):
+def select_pixels(image, x, y, row_step, column_step, margin, pixels):
     """Fill ``pixels`` (m, 5) with dx, dy, grey, u, v of the window's pixels (offsets in pixels and in fields); the
     number of them. ``margin``: rim of white fields that no marker covers, over a field's side; 1 without markers."""
     height, width = image.shape
     area = row_step[0] * column_step[1] - row_step[1] * column_step[0]
     if not (math.isfinite(x) and math.isfinite(y)) or abs(area) < 1e-3:
         return 0
-    half_x = min(math.ceil(REACH * (abs(row_step[0]) + abs(column_step[0]))), most)
-    half_y = min(math.ceil(REACH * (abs(row_step[1]) + abs(column_step[1]))), most)
+    half_x = min(math.ceil(REACH * (abs(row_step[0]) + abs(column_step[0]))), MAX_HALF_WINDOW_PX)
+    half_y = min(math.ceil(REACH * (abs(row_step[1]) + abs(column_step[1]))), MAX_HALF_WINDOW_PX)
     count = 0
     for row in range(max(round(y) - half_y, 0), min(round(y) + half_y, height - 1) + 1):
         for column in range(max(round(x) - half_x, 0), min(round(x) + half_x, width - 1) + 1):
@@ -143,7 +145,7 @@ def fit_corner(pixels, count, p):
     cost = normal_equations(pixels, count, p, normal, gradient)
     damping = 1e-3
     for _ in range(MAX_ITERATIONS):
-        variance = cost / max(count - SIZE, 1) + GREY_VARIANCE
+        variance = cost / max(count - SIZE, 1) + ROUNDING_VARIANCE
         work[:] = normal
         for i in range(SIZE):
             prior = variance * PRIOR_PRECISION[i]
@@ -168,7 +170,7 @@ def fit_corner(pixels, count, p):
             damping *= 10
             if damping > 1e4:
                 break
-    variance = cost / max(count - SIZE, 1) + GREY_VARIANCE
+    variance = cost / max(count - SIZE, 1) + ROUNDING_VARIANCE
     return variance, _position_variance(normal, variance)
 
 
@@ -188,18 +190,18 @@ def _position_variance(normal, variance):
 
 
 @njit(cache=True)
-def fit_corners(image, start, row_steps, column_steps, margin, most, rounds, result, means):
+def fit_corners(image, start, row_steps, column_steps, margin, result, means):
     """Fit every corner; ``result`` (n, 13): parameters with x, y in the image, residual variance, variance of the
     position, variance of the window's grey levels (0 where the window holds too few pixels); ``means`` (n, 4)."""
-    pixels = np.empty(((2 * most + 1) ** 2, 5))
+    pixels = np.empty(((2 * MAX_HALF_WINDOW_PX + 1) ** 2, 5))
     for n in range(len(start)):
         p = result[n, :SIZE]
         p[ALONG_ROW] = math.atan2(row_steps[n, 1], row_steps[n, 0])
         p[ALONG_COLUMN] = math.atan2(column_steps[n, 1], column_steps[n, 0])
         x, y = start[n, 0], start[n, 1]
         result[n, 10:] = 0.0
-        for again in range(rounds):
-            count = select_pixels(image, x, y, row_steps[n], column_steps[n], margin, most, pixels)
+        for again in range(WINDOWS):
+            count = select_pixels(image, x, y, row_steps[n], column_steps[n], margin, pixels)
             if count < 2 * SIZE:
                 result[n, 12] = 0.0
                 break
@@ -234,12 +236,6 @@ def _start_light(pixels, count, means, p):
     p[CONTRAST] = contrast if math.isfinite(contrast) else 0.0
 
 
-Array = npt.NDArray[np.float64]
-
-MAX_HALF_WINDOW_PX = 12
-PIXEL_VARIANCE = 1 / 12  # of a pixel's own width, px^2
-
-
 @dataclass(frozen=True, eq=False)
 class XCorners:
     """n fitted corners, in the order given.
@@ -261,27 +257,20 @@ class XCorners:
 
 
 def fit_x_corners(
-    image: npt.NDArray[np.uint8],
-    pixels: Array,
-    row_step: Array,
-    column_step: Array,
-    *,
-    marker_margin: float = 1.0,
-    rounds: int = 2,
-    max_half_window_px: int = MAX_HALF_WINDOW_PX,
+    image: npt.NDArray[np.uint8], pixels: Array, row_step: Array, column_step: Array, *, marker_margin: float = 1.0
 ) -> XCorners:
     """Refine corners near ``pixels`` (n, 2) in a grey image (H, W).
 
     ``row_step``, ``column_step`` (n, 2): from the corner to the next in its row, and to the next row, pixels; the two
     must form a right-handed pair (x right, y down). ``marker_margin``: width of the rim of a white field that no marker
-    covers, over the field's side (ChArUco). ``rounds``: how often the window may be laid anew around the estimate.
+    covers, over the field's side (ChArUco).
     """
     start, along, down = (np.ascontiguousarray(each, float).reshape(-1, 2) for each in (pixels, row_step, column_step))
     result, means = np.zeros((len(start), SIZE + 3)), np.zeros((len(start), 4))
     grey = np.ascontiguousarray(image)
-    fit_corners(grey, start, along, down, float(marker_margin), int(max_half_window_px), rounds, result, means)
+    fit_corners(grey, start, along, down, float(marker_margin), result, means)
     unexplained, position_variance, total = result[:, SIZE], result[:, SIZE + 1], result[:, SIZE + 2]
-    blur = np.exp(2 * result[:, [LOG_BLUR_U, LOG_BLUR_V]]) - PIXEL_VARIANCE
+    blur = np.exp(2 * result[:, [LOG_BLUR_U, LOG_BLUR_V]]) - ROUNDING_VARIANCE
     return XCorners(
         pixels=result[:, :2].copy(),
         sd_px=np.sqrt(position_variance),

@@ -1,6 +1,6 @@
 """Step 4: bundle adjustment. All poses of cameras and targets at once, so that the corners fit best.
 
-    minimise over cameras, poses [scales, lenses, bows]  sum rho(|pixel - predicted| / sigma)  [+ |shared - prior|^2]
+    minimise over cameras, poses [scales, lenses, warps]  sum rho(|pixel - predicted| / sigma)  [+ |shared - prior|^2]
 
 with rho Huber's loss at 3 standard deviations, by Levenberg-Marquardt with iteratively reweighted least squares. The
 scale of sigma is estimated from the residuals themselves (their median), because what detectors and lenses really do
@@ -12,20 +12,21 @@ with U, V and W the blocks of J^T J by shared, by pose and mixed,
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .projection import Linearised, linearise, residuals_px
-from .rigid import Array
-from .state import POSE, Bools, Layout, Observations, State
+from capture_rig.lens import Array
 
-# Thresholds: from the normal distribution (99 % efficiency) and Rayleigh's; the least scale: judgement.
-HUBER = 3.0  # standard deviations: corners with normal noise are hardly weighed down (99 % efficiency)
-RAYLEIGH_MEDIAN = 1.1774  # the median length of a two-dimensional residual of unit variance
+from .state import POSE, Bools, Layout, Linearised, Observations, State, linearise, residuals_px
+
+# Thresholds: from the normal distribution (99 % efficiency); the least scale: judgement.
+HUBER = 3.0  # standard deviations: corners with normal noise are hardly weighed down; beyond, something is wrong
+RAYLEIGH_MEDIAN = math.sqrt(2 * math.log(2))  # the median length of a two-dimensional residual of unit variance
 MIN_SCALE_PX = 0.002
 ROUNDS = 4
-TINY = 1e-10  # keeps the turn of a wand about itself, which no picture shows, from being divided by zero
+TINY = 1e-9  # of the trace: keeps the turn of a wand about itself, which no picture shows, from being divided by zero
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,6 @@ class Adjusted:
 
     state: State
     scale: float
-    iterations: int
 
 
 def adjust(
@@ -74,13 +74,13 @@ def adjust(
     stop: StopCriterion = CONVERGED,
 ) -> Adjusted:
     """Adjust robustly, estimating the scale of the noise and the state in turns."""
-    scale, iterations = noise_scale(state, seen), 0
+    scale = noise_scale(state, seen)
     for _ in range(ROUNDS):
-        state, used = _levenberg_marquardt(state, seen.weighted(np.array(1 / scale)), layout, free, prior, stop)
-        before, scale, iterations = scale, noise_scale(state, seen), iterations + used
+        state = _levenberg_marquardt(state, seen.weighted(np.array(1 / scale)), layout, free, prior, stop)
+        before, scale = scale, noise_scale(state, seen)
         if abs(scale - before) < 0.01 * before:
             break
-    return Adjusted(state, scale, iterations)
+    return Adjusted(state, scale)
 
 
 def noise_scale(state: State, seen: Observations) -> float:
@@ -107,11 +107,11 @@ def robust_rows(state: State, seen: Observations, with_lens: bool) -> Linearised
 
 def _levenberg_marquardt(
     state: State, seen: Observations, layout: Layout, free: FreeUnknowns, prior: Prior | None, stop: StopCriterion
-) -> tuple[State, int]:
+) -> State:
     damping, cost = 1e-4, _cost(state, seen, layout, prior)
     if not np.isfinite(cost):
-        return state, 0
-    for iteration in range(stop.iterations):
+        return state
+    for _ in range(stop.iterations):
         linear = robust_rows(state, seen, layout.with_lens)
         equations = with_prior(normal_equations(linear, seen, layout, len(free.poses)), prior, state, layout)
         while True:
@@ -121,11 +121,11 @@ def _levenberg_marquardt(
                 break
             damping *= 10
             if damping > 1e8:
-                return state, iteration
+                return state
         gained, state, cost, damping = cost - trial_cost, trial, trial_cost, max(damping / 10, 1e-12)
         if gained <= stop.decrease * cost:
-            return state, iteration + 1
-    return state, stop.iterations
+            break
+    return state
 
 
 def _cost(state: State, seen: Observations, layout: Layout, prior: Prior | None) -> float:
@@ -232,8 +232,8 @@ def _inverses(V: Array, damping: float = 0.0) -> Array:
 
 
 def _shared(state: State, layout: Layout) -> Array:
-    """Lenses, scales and bows as laid out, zeros for the poses of cameras (no prior speaks of those)."""
+    """Lenses, scales and warps as laid out, zeros for the poses of cameras (no prior speaks of those)."""
     by_camera = np.zeros((layout.cameras, layout.width))
     by_camera[:, POSE:] = state.lens if layout.with_lens else 0.0
-    by_target = np.column_stack([state.scale, state.bow])[:, : layout.target_width]
+    by_target = np.column_stack([state.scale, state.board_warp])[:, : layout.target_width]
     return np.concatenate([by_camera.ravel(), by_target.ravel()])

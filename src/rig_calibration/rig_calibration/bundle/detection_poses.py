@@ -15,15 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
+from capture_rig.lens import Array
 from capture_rig.rigid import rotation_matrix
 
 from ..boards.board import TargetDetection
-from .problem import LINE, TargetShape
-from .rigid import Array
-from .view_graph import PoseKey
+from .problem import FLAT, LINE, PoseKey, TargetShape
 
 MIN_CORNERS = 4
-SAME_POSE = 1e-3  # rad: two solutions closer than this are one
+SAME_POSE = np.deg2rad(0.5)  # two solutions closer than this are one
 THIN = 0.02  # corners whose spread across is less than this share of their length lie, in effect, on a line
 
 
@@ -44,12 +43,6 @@ class DetectionPoses:
     def weight(self) -> Array:
         """(h,) how well each fits beside the best one, 1 to 0."""
         return (self.rms_px.min() / self.rms_px) ** 2
-
-    @property
-    def ambiguity(self) -> float:
-        """How well the second planar solution fits beside the first: 0 not at all, 1 just as well."""
-        weights = self.weight[self.symmetry == 0]
-        return float(weights[1]) if len(weights) > 1 else 0.0
 
 
 def detection_poses(detection: TargetDetection, camera: CameraModel, shape: TargetShape) -> DetectionPoses | None:
@@ -75,10 +68,13 @@ def poses_of(
     """Find the same from corners without distortion (n, 2)."""
     reached = np.isfinite(ideal).all(axis=1)
     points, ideal = shape.points[ids[reached]], ideal[reached]
-    if shape.dimension == LINE or len(points) < MIN_CORNERS or _on_a_line(points):
+    if shape.dimension == LINE or len(points) < MIN_CORNERS:
+        return None
+    longest, across, out = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    if across < THIN * longest:
         return None
     focal_px = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-    found = _planar(points, ideal) if _flat(points) else _spatial(points, ideal)
+    found = _planar(points, ideal) if out < FLAT * longest else _spatial(points, ideal)
     refined = [_refine(points, ideal, R, t) for R, t in found]
     scored = [(_rms(points, ideal, R, t) * focal_px, R, t) for R, t in refined if np.all(points @ R[2] + t[2] > 0)]
     distinct = _distinct(sorted(scored, key=lambda one: one[0]))
@@ -95,20 +91,6 @@ def poses_of(
     )
 
 
-def _spread(points: Array) -> Array:
-    return np.linalg.svd(points - points.mean(0), compute_uv=False)
-
-
-def _on_a_line(points: Array) -> bool:
-    spread = _spread(points)
-    return bool(spread[1] < THIN * spread[0])
-
-
-def _flat(points: Array) -> bool:
-    spread = _spread(points)
-    return bool(spread[2] < 1e-6 * spread[0])
-
-
 def _planar(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
     """Both solutions of IPPE, in the plane's own axes."""
     centre = points.mean(0)
@@ -119,20 +101,20 @@ def _planar(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
     _, rotations, translations, _ = cv2.solvePnPGeneric(flat, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     found: list[tuple[Array, Array]] = []
     for vector, translation in zip(rotations, translations, strict=True):
-        R = rotation_matrix(vector) @ axes
-        found.append((R, np.asarray(translation, float).reshape(3) - R @ centre))
+        R = rotation_matrix(np.ravel(vector)) @ axes
+        found.append((R, np.ravel(translation) - R @ centre))
     return [(R, t) for R, t in found if np.isfinite(R).all() and np.isfinite(t).all()]
 
 
 def _spatial(points: Array, ideal: Array) -> list[tuple[Array, Array]]:
     found, rotations, translations, _ = cv2.solvePnPGeneric(points, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
     solutions = zip(rotations, translations, strict=True) if found else ()
-    return [(rotation_matrix(vector), np.asarray(translation, float).reshape(3)) for vector, translation in solutions]
+    return [(rotation_matrix(np.ravel(vector)), np.ravel(translation)) for vector, translation in solutions]
 
 
 def _refine(points: Array, ideal: Array, R: Array, t: Array) -> tuple[Array, Array]:
     vector, translation = cv2.solvePnPRefineLM(points, ideal, np.eye(3), None, cv2.Rodrigues(R)[0], t.reshape(3, 1))
-    return rotation_matrix(vector), np.asarray(translation, float).reshape(3)
+    return rotation_matrix(np.ravel(vector)), np.ravel(translation)
 
 
 def _rms(points: Array, ideal: Array, R: Array, t: Array) -> float:

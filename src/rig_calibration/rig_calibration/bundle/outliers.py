@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from capture_rig.lens import Array
+
 from ..boards.board import TargetDetection
 from .adjustment import RAYLEIGH_MEDIAN, ROUGHLY, Adjusted, FreeUnknowns, adjust, normalised_lengths
-from .rigid import Array
 from .state import Bools, Ints, Layout, Observations
 
 WORST_FIRST = 0.3  # of the worst: what is left out in one round
@@ -44,7 +45,7 @@ LENS_LIMITS = Limits(3.5, 0.3, 5.0, 0.3, 2)
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
+class RejectedDetection:
     """A detection that took no part, or the ``corners`` (ids) of it that took none, and why."""
 
     detection: TargetDetection

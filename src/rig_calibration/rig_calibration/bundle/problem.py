@@ -15,25 +15,26 @@ from scipy.spatial import cKDTree
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.lens import Array
+from capture_rig.rigid import rotation_matrix
 
 from ..boards.board import Board, Checkerboard, TargetDetection
-from .rigid import Array, rotation
-from .view_graph import PoseKey
 
 LENS = 12  # fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
+PoseKey = tuple[str, int]  # (target, frame): one pose of one target
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Cameras and targets in name order, detections by (target, frame, camera) with corners by id.
 
-    ``lens_covariance``: (12, 12) of fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6, of the cameras for which it was given.
+    ``lens_sd``: (12,) of fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6, of the cameras for which it was given.
     """
 
     cameras: dict[str, CameraModel]
     shapes: dict[str, TargetShape]
     detections: tuple[TargetDetection, ...]
-    lens_covariance: dict[str, Array]
+    lens_sd: dict[str, Array]
 
     @property
     def keys(self) -> tuple[PoseKey, ...]:
@@ -46,7 +47,7 @@ def check_problem(
     detections: Sequence[TargetDetection],
     targets: Mapping[str, npt.ArrayLike],
     symmetry_orders: Mapping[str, int],
-    intrinsics_covariance: Mapping[str, npt.ArrayLike],
+    intrinsics_sd: Mapping[str, npt.ArrayLike],
 ) -> Problem:
     """Check the input and put it in an order that does not depend on the order given; InputError for what does not fit
     together."""
@@ -59,19 +60,14 @@ def check_problem(
         _check_detection(detection, models, shapes)
         if before and _name(before) == _name(detection):
             raise InputError(f"there are two detections {_name(detection)}", remedy="Give each picture once.")
-    covariances = {
-        name: _lens_covariance(models, name, intrinsics_covariance[name]) for name in sorted(intrinsics_covariance)
-    }
-    return Problem(models, shapes, ordered, covariances)
+    return Problem(
+        models, shapes, ordered, {name: _lens_sd(models, name, intrinsics_sd[name]) for name in sorted(intrinsics_sd)}
+    )
 
 
 def _by_id(detection: TargetDetection) -> TargetDetection:
     order = np.argsort(detection.ids, kind="stable")
-    return replace(
-        detection,
-        ids=np.asarray(detection.ids, np.int64)[order],
-        pixels=np.asarray(detection.pixels, float).reshape(-1, 2)[order],
-    )
+    return replace(detection, ids=detection.ids[order], pixels=detection.pixels[order])
 
 
 def _name(detection: TargetDetection) -> str:
@@ -82,55 +78,42 @@ def _name(detection: TargetDetection) -> str:
 def _check_detection(
     detection: TargetDetection, cameras: Mapping[str, CameraModel], shapes: Mapping[str, TargetShape]
 ) -> None:
-    where = f"the detection {_name(detection)}"
+    def refuse(what: str, remedy: str) -> None:
+        raise InputError(what, where=f"the detection {_name(detection)}", remedy=remedy)
+
     if detection.camera not in cameras:
-        raise InputError(
-            f"there are no intrinsics of camera '{detection.camera}'",
-            where=where,
-            remedy=f"Calibrate it first; known cameras: {', '.join(cameras)}.",
+        known = ", ".join(cameras)
+        refuse(
+            f"there are no intrinsics of camera '{detection.camera}'", f"Calibrate it first; known cameras: {known}."
         )
     if detection.target not in shapes:
-        raise InputError(
-            f"target '{detection.target}' is not known",
-            where=where,
-            remedy=f"Known targets: {', '.join(map(repr, shapes))}.",
-        )
-    camera = cameras[detection.camera]
+        refuse(f"target '{detection.target}' is not known", f"Known targets: {', '.join(map(repr, shapes))}.")
+    camera, ids = cameras[detection.camera], detection.ids
     if tuple(detection.image_size) != (camera.width, camera.height):
-        raise InputError(
-            f"its image has {detection.image_size[0]} x {detection.image_size[1]} pixels, the camera's "
-            f"intrinsics are for {camera.width} x {camera.height}",
-            where=where,
-            remedy="Calibrate the intrinsics at the image size that the camera is used with.",
+        size = f"{detection.image_size[0]} x {detection.image_size[1]} pixels"
+        refuse(
+            f"its image has {size}, the camera's intrinsics are for {camera.width} x {camera.height}",
+            "Calibrate the intrinsics at the image size that the camera is used with.",
         )
     count = len(shapes[detection.target].points)
-    if len(detection.pixels) != len(detection.ids) or len(set(detection.ids.tolist())) != len(detection.ids):
-        raise InputError("its corners are not numbered one by one", where=where, remedy="Give each corner one id.")
-    if len(detection.ids) and not 0 <= detection.ids.min() <= detection.ids.max() < count:
-        raise InputError(
-            f"it has corner {detection.ids.max()}, the target has {count}",
-            where=where,
-            remedy="Use the target that was calibrated with.",
-        )
+    if len(detection.pixels) != len(ids) or len(np.unique(ids)) != len(ids):
+        refuse("its corners are not numbered one by one", "Give each corner one id.")
+    if len(ids) and not 0 <= ids.min() <= ids.max() < count:
+        refuse(f"it has corner {ids.max()}, the target has {count}", "Use the target that was calibrated with.")
     if not np.isfinite(detection.pixels).all() or not detection.sigma_px > 0:
-        raise InputError("its pixels are not finite, or sigma_px is not positive", where=where)
+        refuse("its pixels are not finite, or sigma_px is not positive", "Find the corners anew.")
 
 
-def _lens_covariance(cameras: Mapping[str, CameraModel], name: str, given: npt.ArrayLike) -> Array:
+def _lens_sd(cameras: Mapping[str, CameraModel], name: str, given: npt.ArrayLike) -> Array:
     if name not in cameras:
-        raise InputError(f"intrinsics covariance of an unknown camera '{name}'", remedy=f"Known: {', '.join(cameras)}.")
-    matrix = np.asarray(given, float)
-    matrix = np.diag(matrix**2) if matrix.ndim == 1 else matrix
-    size, sizes = len(matrix), (4, 4 + len(cameras[name].D))
-    if size not in sizes or matrix.shape != (size, size):
+        raise InputError(f"deviations of an unknown camera's lens, '{name}'", remedy=f"Known: {', '.join(cameras)}.")
+    sd, sizes = np.asarray(given, float), (4, 4 + len(cameras[name].D))
+    if sd.ndim != 1 or len(sd) not in sizes:
         raise InputError(
-            f"intrinsics covariance of camera '{name}' has shape {np.shape(given)}",
-            remedy=f"Give {sizes[0]} or {sizes[1]} standard deviations (fx fy cx cy and distortion), "
-            "or their covariance matrix.",
+            f"the deviations of camera '{name}' have shape {np.shape(given)}",
+            remedy=f"Give {sizes[0]} or {sizes[1]} standard deviations: of fx fy cx cy, and of the distortion.",
         )
-    full = np.zeros((LENS, LENS))
-    full[:size, :size] = matrix
-    return full
+    return np.pad(sd, (0, LENS - len(sd)))
 
 
 # --- Targets.
@@ -201,7 +184,7 @@ def shapes_of(targets: Mapping[str, npt.ArrayLike], symmetry_orders: Mapping[str
 
 
 def _turn(centred: Array, vector: Array) -> Symmetry | None:
-    R = rotation(vector)
+    R = rotation_matrix(vector)
     distance, nearest = cKDTree(centred).query(centred @ R.T)
     alike = distance.max() < 1e-3 * np.abs(centred).max() and len(set(nearest.tolist())) == len(nearest)
     return Symmetry(nearest.astype(np.int64), R) if alike else None

@@ -17,9 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
+from capture_rig.lens import Array
+from capture_rig.rigid import angles_between, transform
 
 from .detection_poses import DetectionPoses, View
-from .rigid import Array, angle_between, transform
 
 # Thresholds: judgement, no measurement.
 ANGLE_TOLERANCE = np.radians(5.0)  # of the rotation that one board tells
@@ -88,7 +89,7 @@ def _row_agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
     """Return (candidates, hypotheses) how well each hypothesis agrees with each candidate."""
     miss = np.einsum("cij,oj->coi", R, hypotheses.centre_a) + t[:, None] - hypotheses.centre_b
     ratio = np.linalg.norm(miss, axis=2) / np.linalg.norm(hypotheses.centre_b, axis=1)
-    return hypotheses.weight * agreement_weight(angle_between(R, hypotheses.R), ratio)
+    return hypotheses.weight * agreement_weight(angles_between(R, hypotheses.R), ratio)
 
 
 def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:

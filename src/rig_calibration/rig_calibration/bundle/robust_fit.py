@@ -2,7 +2,7 @@
 
 Between adjustments detections are reweighted: those whose corners scatter more than the others' count less, and where
 cameras contradict one another more than the corners' noise explains, each detection may be displaced
-(:mod:`.sync_error`).
+(:mod:`.uncertainty`).
 """
 
 from __future__ import annotations
@@ -12,9 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from capture_rig.lens import Array
+from capture_rig.rigid import inverse
+
 from ..boards.board import TargetDetection
 from .adjustment import (
     CONVERGED,
+    HUBER,
     ROUGHLY,
     Adjusted,
     FreeUnknowns,
@@ -27,20 +31,15 @@ from .adjustment import (
     step,
     with_prior,
 )
-from .covariance import MIN_DOF, Covariance, covariance
 from .detection_poses import View
-from .initial_poses import InitialPoses, with_symmetry
-from .outliers import ODD_ONE, RIG_LIMITS, LeftOut, Limits, bad_corners, contradictions, readmissible
+from .initial_poses import InitialPoses, comparable_targets, most_seen, with_symmetry
+from .outliers import ODD_ONE, RIG_LIMITS, Limits, RejectedDetection, bad_corners, contradictions, readmissible
 from .problem import LENS, LINE, Problem
-from .projection import Linearised, residuals_px
-from .rigid import Array, inverse
-from .state import BOW, Bools, Ints, Layout, Observations, State, lens_of, observe
-from .sync_error import first_tau, next_tau, pose_misfit, whitened
-from .view_graph import comparable_targets, most_seen
+from .state import WARP, Bools, Ints, Layout, Linearised, Observations, State, lens_of, observe, residuals_px
+from .uncertainty import MIN_DOF, Covariance, covariance, first_tau, next_tau, pose_misfit, whitened
 
 RETURNS = 3
-SCALE_SDS, SCALE_TOLERANCE = 3.0, 0.005
-CLEAR = 3.0  # standard deviations above what is usual
+SCALE_TOLERANCE = 0.005
 SYNC_ERROR_ROUNDS, GAUSS_NEWTON_STEPS = 4, 2
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
 
@@ -51,8 +50,8 @@ class Fit:
 
     ``seen`` holds the observations of all detections; ``free_scales`` (k,) which targets' sizes are unknown;
     ``reweighting`` (s,) by what the weights of each detection's corners are multiplied; ``sync_error`` (s,), m, how far
-    (sd) the target may have been elsewhere for each detection; ``prior`` of the lenses and bows, where these are
-    adjusted; ``free_lenses`` (c, 12), ``free_bows`` (k, 2) which of them.
+    (sd) the target may have been elsewhere for each detection; ``prior`` of the lenses and warps, where these are
+    adjusted; ``free_lenses`` (c, 12), ``free_warps`` (k, 2) which of them.
     """
 
     problem: Problem
@@ -63,8 +62,8 @@ class Fit:
     root: int
     free_scales: Bools
     free_lenses: Bools
-    free_bows: Bools
-    left_out: tuple[LeftOut, ...]
+    free_warps: Bools
+    left_out: tuple[RejectedDetection, ...]
     reweighting: Array
     sync_error: Array
     scale_of: dict[str, tuple[float, float]]
@@ -98,14 +97,14 @@ class Fit:
         shared[layout.camera(self.root)] = False
         shared[layout.scales] = self.free_scales
         if layout.with_lens:
-            shared[layout.bows] = self.free_bows
+            shared[layout.warps] = self.free_warps
             for row, free in enumerate(self.free_lenses):
                 shared[layout.lens(row)] = free
         return FreeUnknowns(shared, np.isin(np.arange(len(self.adjusted.state.position)), self.seen.pose[self.rows]))
 
     def covariance(self, free: FreeUnknowns) -> Covariance:
         """Covariances in the gauge that ``free`` sets; lenses that were not adjusted are as uncertain as given."""
-        known = self.problem.lens_covariance if self.prior is None else {}
+        known = self.problem.lens_sd if self.prior is None else {}
         lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known}
         return covariance(self.adjusted, self.used, free, lenses, self.sync_error[self.rows], self.prior)
 
@@ -126,18 +125,19 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
     keep = placed & in_front
     on_a_line = np.array([view.shape.dimension == LINE for view in views], bool)  # one view of a wand is no mishap
     left_out = tuple(
-        LeftOut(detections[i], ODD_ONE if placed[i] else NO_POSE) for i in np.flatnonzero(~keep & (placed | ~on_a_line))
+        RejectedDetection(detections[i], ODD_ONE if placed[i] else NO_POSE)
+        for i in np.flatnonzero(~keep & (placed | ~on_a_line))
     )
     return Fit(
         problem=problem,
         all_detections=detections,
         seen=seen,
         rows=np.flatnonzero(keep),
-        adjusted=Adjusted(state, 1.0, 0),
+        adjusted=Adjusted(state, 1.0),
         root=names.index(initial.root),
         free_scales=np.zeros(targets, bool),
         free_lenses=np.zeros((len(names), LENS), bool),
-        free_bows=np.zeros((targets, BOW), bool),
+        free_warps=np.zeros((targets, WARP), bool),
         left_out=left_out,
         reweighting=np.ones(len(detections)),
         sync_error=np.zeros(len(detections)),
@@ -177,8 +177,7 @@ def adjusted(fit: Fit, stop: StopCriterion = CONVERGED) -> Fit:
     if len(fit.rows) == 0:
         return fit
     layout = fit.layout
-    found = adjust(fit.adjusted.state, fit.used, layout, fit.free(layout), fit.prior, stop)
-    return replace(fit, adjusted=replace(found, iterations=fit.adjusted.iterations + found.iterations))
+    return replace(fit, adjusted=adjust(fit.adjusted.state, fit.used, layout, fit.free(layout), fit.prior, stop))
 
 
 def _first_state(problem: Problem, initial: InitialPoses) -> State:
@@ -191,7 +190,7 @@ def _first_state(problem: Problem, initial: InitialPoses) -> State:
         T[:, :3, :3],
         T[:, :3, 3],
         np.ones(len(problem.shapes)),
-        np.zeros((len(problem.shapes), BOW)),
+        np.zeros((len(problem.shapes), WARP)),
     )
 
 
@@ -219,11 +218,13 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
     weight[fit.rows] = np.where(wrong, 0.0, weight[fit.rows])
     detections = fit.detections
     far = np.linalg.norm(residuals_px(fit.adjusted.state, fit.used), axis=2)
-    named = [LeftOut(detections[row], reason) for row, reason in out]
+    named = [RejectedDetection(detections[row], reason) for row, reason in out]
     for row in np.flatnonzero(wrong.any(axis=1)):
         corners = detections[row].ids[np.flatnonzero(wrong[row])]
         named.append(
-            LeftOut(detections[row], f"up to {far[row][wrong[row]].max():.1f} px off", tuple(corners.tolist()))
+            RejectedDetection(
+                detections[row], f"up to {far[row][wrong[row]].max():.1f} px off", tuple(corners.tolist())
+            )
         )
     rows = np.delete(fit.rows, [row for row, _ in out])
     return replace(fit, seen=replace(fit.seen, weight=weight), rows=rows, left_out=(*fit.left_out, *named))
@@ -249,7 +250,7 @@ def _reweighted(fit: Fit) -> Fit:
     variance = (normalised_lengths(fit.adjusted.state, used) ** 2).sum(axis=1) / (2 * corners)
     weights = np.ones(len(fit.reweighting))
     ratio = variance / np.median(variance)
-    weights[fit.rows] = np.where(ratio > 1 + CLEAR / np.sqrt(corners), np.maximum(ratio, 1.0) ** -0.5, 1.0)
+    weights[fit.rows] = np.where(ratio > 1 + HUBER / np.sqrt(corners), np.maximum(ratio, 1.0) ** -0.5, 1.0)
     return adjusted(replace(fit, reweighting=weights)) if weights.min() < 1 else fit
 
 
@@ -258,7 +259,7 @@ def _estimate_sync_error(fit: Fit) -> Fit:
     linear = fit.rows_at_solution(fit.layout.with_lens)
     misfit, shared = pose_misfit(linear), int(fit.free(fit.layout).shared.sum())
     ratio, dof = misfit.ratio(linear.residual, int((fit.used.weight > 0).sum()), fit.used.pose, shared)
-    if dof < MIN_DOF or ratio < 1 + CLEAR * np.sqrt(2 / dof):
+    if dof < MIN_DOF or ratio < 1 + HUBER * np.sqrt(2 / dof):
         return fit
     tau = np.full(len(fit.rows), first_tau(linear, misfit, dof))
     for _ in range(SYNC_ERROR_ROUNDS):
@@ -275,7 +276,7 @@ def _whitened_step(fit: Fit, tau: Array) -> Fit:
     linear = whitened(fit.rows_at_solution(layout.with_lens), tau)
     equations = with_prior(normal_equations(linear, fit.used, layout, len(state.position)), fit.prior, state, layout)
     moved = state.moved(*step(equations, fit.free(layout), 0.0))
-    return replace(fit, adjusted=replace(fit.adjusted, state=moved, iterations=fit.adjusted.iterations + 1))
+    return replace(fit, adjusted=replace(fit.adjusted, state=moved))
 
 
 # --- Sizes of targets, and lenses.
@@ -287,7 +288,7 @@ def _compare_sizes(fit: Fit) -> Fit:
         return fit
     sd = fit.covariance(fit.free(replace(fit.layout, with_lens=True))).scale
     ratio = fit.adjusted.state.scale
-    agree = np.abs(ratio - 1) <= np.maximum(SCALE_SDS * sd, SCALE_TOLERANCE)
+    agree = np.abs(ratio - 1) <= np.maximum(HUBER * sd, SCALE_TOLERANCE)
     names = list(fit.problem.shapes)
     scale_of = {names[k]: (float(ratio[k]), float(sd[k])) for k in np.flatnonzero(fit.free_scales)}
     state = replace(fit.adjusted.state, scale=np.where(agree, 1.0, ratio))
@@ -297,18 +298,12 @@ def _compare_sizes(fit: Fit) -> Fit:
 
 
 def _with_free_lenses(fit: Fit) -> Fit:
-    """Lenses free, with the covariances given as a prior around those given."""
-    layout, given = replace(fit.layout, with_lens=True), fit.problem.lens_covariance
+    """Lenses free, with a prior around those given that is as wide as their standard deviations."""
+    layout = replace(fit.layout, with_lens=True)
     mean, information = np.zeros(layout.size), np.zeros((layout.size, layout.size))
-    free = np.array([np.diag(given[name]) > 0 for name in fit.problem.cameras])
-    for row, name in enumerate(fit.problem.cameras):
+    sd = np.array([fit.problem.lens_sd[name] for name in fit.problem.cameras])
+    for row, deviations in enumerate(sd):
         mean[layout.lens(row)] = fit.adjusted.state.lens[row]
-        known = np.arange(layout.size)[layout.lens(row)][free[row]]
-        information[np.ix_(known, known)] = _information(given[name][np.ix_(free[row], free[row])])
-    return replace(fit, free_lenses=free, prior=Prior(mean, information))
-
-
-def _information(Sigma: Array) -> Array:
-    """The inverse, taken among correlations: variances of focal lengths and of k3 differ by many powers of ten."""
-    sd = np.sqrt(np.diag(Sigma))
-    return np.linalg.pinv(Sigma / np.outer(sd, sd), rcond=1e-12, hermitian=True) / np.outer(sd, sd)
+        known = np.arange(layout.size)[layout.lens(row)][deviations > 0]
+        information[known, known] = deviations[deviations > 0] ** -2.0
+    return replace(fit, free_lenses=sd > 0, prior=Prior(mean, information))

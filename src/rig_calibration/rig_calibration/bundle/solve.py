@@ -3,23 +3,63 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.lens import Array
+from capture_rig.rigid import transform
 
 from ..boards.board import TargetDetection
+from .adjustment import FreeUnknowns, normal_equations, reduce, step
 from .detection_poses import all_undistorted, views_of
-from .initial_poses import initial_poses
-from .problem import Problem, check_problem
-from .robust_fit import NO_POSE, fit_robustly, start_fit
-from .solution import RigSolution, choose_reference, in_gauge, to_solution
-from .view_graph import PoseKey, require_connected
+from .initial_poses import initial_poses, most_seen, require_connected
+from .outliers import RejectedDetection
+from .problem import PoseKey, Problem, check_problem
+from .robust_fit import NO_POSE, Fit, fit_robustly, start_fit
+from .state import State, camera_with, residuals_px
+from .uncertainty import whitened
 
-__all__ = ["RigSolution", "solve_rig"]
+
+@dataclass(frozen=True, eq=False)
+class RigSolution:
+    """The poses of all cameras and targets, in the frame of the reference, and how good they are.
+
+    cameras : the cameras, with these poses as their ``T_camera_world`` (and refined lenses, if asked for).
+    T_camera_reference : (4, 4) by camera. T_reference_target : (4, 4) by (target, frame).
+    detections, residuals_px : what was used, ids as they proved right, and seen minus predicted pixels (n, 2) of each.
+    rms_px : by camera, root mean square distance of its corners (sqrt(2) times the noise of one coordinate, as OpenCV
+    reports it).
+    covariance : (6, 6) by camera, relative to the reference: rotation vector (rad, in the camera's frame), centre (m,
+    in the reference's frame). inflation : by how much it exceeds what independent errors of corners would leave (1: not
+    at all), because the cameras contradict one another: a target that moved between the exposures or is bent, a lens.
+    sync_error_m : by how much (sd) the targets seem to have moved between the cameras' exposures, 0 where nothing says
+    that they did.
+    left_out : detections that took no part, with the reason (not those of a wand that no other camera saw, which tell
+    nothing).
+    undecided : cameras whose half turn nothing settles. scale_of : by target, the size that it has beside
+    the most seen one (``scale_base``) over the size given, and its standard deviation; believed when consistent with
+    1, else the solution uses the ratio. focal_of : by camera, the focal length that all views together ask for over the
+    one given (or refined), and its standard deviation: far from 1, the intrinsics are not this camera's.
+    """
+
+    cameras: dict[str, CameraModel]
+    T_camera_reference: dict[str, Array]
+    T_reference_target: dict[PoseKey, Array]
+    detections: tuple[TargetDetection, ...]
+    residuals_px: tuple[Array, ...]
+    rms_px: dict[str, float]
+    covariance: dict[str, Array]
+    inflation: float
+    sync_error_m: float
+    left_out: tuple[RejectedDetection, ...]
+    undecided: tuple[str, ...]
+    scale_base: str
+    scale_of: dict[str, tuple[float, float]]
+    focal_of: dict[str, tuple[float, float]]
 
 
 def solve_rig(
@@ -27,26 +67,27 @@ def solve_rig(
     detections: Sequence[TargetDetection],
     targets: Mapping[str, npt.ArrayLike],
     *,
-    reference: str | PoseKey | None = None,
+    reference: PoseKey | None = None,
     symmetry_orders: Mapping[str, int] | None = None,
-    intrinsics_covariance: Mapping[str, npt.ArrayLike] | None = None,
+    intrinsics_sd: Mapping[str, npt.ArrayLike] | None = None,
     refine_intrinsics: bool = False,
 ) -> RigSolution:
     """Solve for the poses of all ``cameras`` (their own poses are ignored) from ``detections`` of rigid ``targets`` of
     known size.
 
     targets : by name, (n, 3) corners in the target's frame, m. What several cameras see of a target in the same frame
-    is in one place. reference : whose frame the poses are in: a camera, a target that was seen in one frame only, or
-    (target, frame); the best linked camera by default. symmetry_orders : of targets whose turns a picture does not
-    show (:func:`.problem.symmetry_order_of`): their numbering is settled by what the cameras agree on.
-    intrinsics_covariance : by camera, of fx fy cx cy and the distortion (standard deviations or a matrix); it enlarges
-    the poses' covariance. refine_intrinsics : adjust the lenses as well, with that covariance as the prior.
+    is in one place. reference : (target, frame) whose frame the poses are in; by default that of the camera that is
+    linked best. symmetry_orders : of targets whose turns a picture does not show (:func:`.problem.symmetry_order_of`):
+    their numbering is settled by what the cameras agree on.
+    intrinsics_sd : by camera, standard deviations of fx fy cx cy [and the distortion]; they enlarge the poses'
+    covariance. refine_intrinsics : adjust the lenses as well, with a prior that is so wide.
 
     The same input gives the same result to the last bit, in whatever order detections and names come. Raises InputError
     for detections without camera, target or fitting image size, for cameras that see nothing and for groups of cameras
-    that share no view (both also when nothing is left after contradictory detections were left out).
+    that share no view (both also when nothing is left after contradictory detections were left out), and for a
+    reference that was not seen or contradicts the rest.
     """
-    problem = check_problem(cameras, detections, targets, symmetry_orders or {}, intrinsics_covariance or {})
+    problem = check_problem(cameras, detections, targets, symmetry_orders or {}, intrinsics_sd or {})
     problem = _within_reach(problem)
     _check_refinement(problem, refine_intrinsics)
     # 1. The pose of each target in each picture by itself: all solutions.
@@ -60,8 +101,8 @@ def solve_rig(
     fit = fit_robustly(start_fit(problem, views, initial), refine_intrinsics)
     require_connected(problem.cameras, fit.detections, fit.reasons)
     # 6. The frame asked for, and the covariance in it.
-    chosen = choose_reference(problem, reference, initial.root)
-    return to_solution(in_gauge(fit, chosen), chosen, initial)
+    row = _row_of(reference, fit)
+    return _solution(fit if row is None else _in_frame_of(row, fit), row)
 
 
 def _within_reach(problem: Problem) -> Problem:
@@ -76,9 +117,150 @@ def _within_reach(problem: Problem) -> Problem:
 
 
 def _check_refinement(problem: Problem, refine_intrinsics: bool) -> None:
-    missing = sorted(set(problem.cameras) - set(problem.lens_covariance))
+    missing = sorted(set(problem.cameras) - set(problem.lens_sd))
     if refine_intrinsics and missing:
         raise InputError(
             f"the intrinsics of {', '.join(missing)} are to be refined, but how well they are known is not given",
             remedy="Calibrate them (sagoma calibrate intrinsics) and keep the reports beside them; or do not refine.",
         )
+
+
+# --- The frame of the solution.
+
+
+def _row_of(reference: PoseKey | None, fit: Fit) -> int | None:
+    """Return the row of the pose that is the reference; InputError when it was not seen, or contradicts the rest."""
+    if reference is None:
+        return None
+    if reference not in fit.problem.keys:
+        raise InputError(f"target '{reference[0]}' was not seen in frame {reference[1]}", remedy="Show it to a camera.")
+    row = fit.problem.keys.index(reference)
+    if row not in fit.used.pose:
+        raise InputError(
+            f"the reference, target '{reference[0]}' in frame {reference[1]}, contradicts the rest",
+            remedy="Take another reference, or take its pictures again.",
+        )
+    return row
+
+
+def _in_frame_of(row: int, fit: Fit) -> Fit:
+    """Transform the solution into the target's own frame at pose ``row``."""
+    state = fit.adjusted.state
+    R, origin = state.R_pose[row].T, _target_origin(fit.problem, state, row)
+    moved = replace(
+        state,
+        R_camera=state.R_camera @ R.T,
+        centre=(state.centre - origin) @ R.T,
+        R_pose=R @ state.R_pose,
+        position=(state.position - origin) @ R.T,
+    )
+    return replace(fit, adjusted=replace(fit.adjusted, state=moved))
+
+
+def _target_origin(problem: Problem, state: State, row: int) -> Array:
+    """Return (3,) where the origin of the target's own frame lies, for pose ``row``."""
+    names = list(problem.shapes)
+    name = problem.keys[row][0]
+    return state.position[row] - state.scale[names.index(name)] * state.R_pose[row] @ problem.shapes[name].centroid
+
+
+# --- A check of the focal lengths that were given.
+#
+# One Gauss-Newton step away from the solution, with focal lengths and principal points of all cameras set free: if the
+# intrinsics are right, it changes them by no more than their standard deviations. (A board that only one camera sees
+# tells little about them: a longer lens looks like a board farther away. Another camera knows where the board is.)
+
+WIDE = 0.1  # of the focal length: standard deviation of what is assumed of all four beforehand
+PINHOLE = 4
+
+
+def _focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
+    """Compare, by camera, the focal length that all views together ask for with the one given: their ratio and its
+    standard deviation."""
+    state, names = fit.adjusted.state, list(fit.problem.cameras)
+    layout = replace(fit.layout, with_lens=True)
+    linear = whitened(fit.rows_at_solution(with_lens=True), fit.sync_error[fit.rows])
+    equations = normal_equations(linear, fit.used, layout, len(state.position))
+    focal_px = np.sqrt(state.lens[:, 0] * state.lens[:, 1])
+    free, U = fit.free(layout), equations.U.copy()
+    shared = free.shared.copy()
+    for row in range(len(names)):
+        pinhole = np.arange(layout.size)[layout.lens(row)][:PINHOLE]
+        shared[pinhole] = True
+        U[pinhole, pinhole] += (WIDE * focal_px[row]) ** -2.0
+    asked = replace(equations, U=U)
+    free = FreeUnknowns(shared, free.poses)
+    change = step(asked, free, 0.0)[0]
+    variance = np.zeros(layout.size)
+    variance[shared] = np.diag(np.linalg.pinv(reduce(asked, free).S, rcond=1e-14, hermitian=True))
+    found = {}
+    for row, name in enumerate(names):
+        focal = np.arange(layout.size)[layout.lens(row)][:2]
+        ratio = float(np.mean(1 + change[focal] / state.lens[row, :2]))
+        found[name] = ratio, float(np.sqrt(variance[focal].mean()) / focal_px[row])
+    return found
+
+
+def _solution(fit: Fit, reference: int | None) -> RigSolution:
+    """Make the solution: poses, residuals, covariance relative to the reference, what was left out and why."""
+    problem, state, used = fit.problem, fit.adjusted.state, fit.used
+    names = list(problem.cameras)
+    T_camera = dict(zip(names, transform(state.R_camera, _origins_in_camera(state)), strict=True))
+    T_target = {
+        key: transform(state.R_pose[row], _target_origin(problem, state, row))
+        for row, key in enumerate(problem.keys)
+        if row in used.pose
+    }
+    residuals = residuals_px(state, used)
+    squares = np.where(used.weight > 0, (residuals**2).sum(axis=2), np.nan)
+    rms_px = [float(np.sqrt(np.nanmean(squares[used.camera == row]))) for row in range(len(names))]
+    found = fit.covariance(_free(fit, reference))
+    lenses = zip(names, state.lens, strict=True)
+    return RigSolution(
+        cameras={name: camera_with(problem.cameras[name], lens, T_camera[name]) for name, lens in lenses},
+        T_camera_reference=T_camera,
+        T_reference_target=T_target,
+        detections=fit.detections,
+        residuals_px=tuple(r[: len(s)] for r, s in zip(residuals, fit.detections, strict=True)),
+        rms_px=dict(zip(names, rms_px, strict=True)),
+        covariance=dict(zip(names, found.cameras, strict=True)),
+        inflation=found.inflation,
+        sync_error_m=float(np.sqrt(np.mean(fit.sync_error[fit.rows] ** 2))),
+        left_out=tuple(sorted((out for out in fit.left_out if out.whole), key=_place)),
+        undecided=_undecided(fit),
+        scale_base=most_seen(fit.detections, list(problem.shapes)),
+        scale_of=fit.scale_of,
+        focal_of=_focal_ratios(fit),
+    )
+
+
+def _origins_in_camera(state: State) -> Array:
+    return -(state.R_camera @ state.centre[..., None])[..., 0]
+
+
+def _free(fit: Fit, reference: int | None) -> FreeUnknowns:
+    """Return all that moves when the reference holds the frame; without one the root camera does."""
+    layout = replace(fit.layout, with_lens=True)
+    free = fit.free(layout)
+    if reference is None:
+        return free
+    shared, poses = free.shared.copy(), free.poses.copy()
+    shared[layout.camera(fit.root)] = True
+    poses[reference] = False
+    return FreeUnknowns(shared, poses)
+
+
+def _place(out: RejectedDetection) -> tuple[str, int, str]:
+    return out.detection.target, out.detection.frame_index, out.detection.camera
+
+
+def _undecided(fit: Fit) -> tuple[str, ...]:
+    """Cameras linked to the others by a single pose of a target whose turns cannot be seen."""
+    used = fit.used
+    shared = np.bincount(used.pose)[used.pose] > 1
+    links: dict[str, list[str]] = {name: [] for name in fit.problem.cameras}
+    for detection, linked in zip(fit.detections, shared, strict=True):
+        if linked:
+            links[detection.camera].append(detection.target)
+    hides = {name for name, shape in fit.problem.shapes.items() if len(shape.symmetries) > 1}
+    return tuple(name for name, targets in links.items() if len(targets) == 1 and targets[0] in hides)

@@ -1,6 +1,6 @@
-"""The unknowns of the adjustment, how they are laid out in one vector, and the corners that it is adjusted to.
+"""The unknowns of the adjustment, the corners that it is adjusted to, and where the one puts the other.
 
-Shared by many corners are the poses of the cameras, their lenses, and the targets' sizes and bending; each target has a
+Shared by many corners are the poses of the cameras, their lenses, and the targets' sizes and warp; each target has a
 pose of its own at each frame. A lens by itself is a rig of one camera whose pose is held fixed.
 """
 
@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
-from capture_rig.rigid import nearest_rotation
+from capture_rig.lens import Array, derivatives, distort
+from capture_rig.rigid import nearest_rotation, rotation_matrix
 
 from ..boards.board import TargetDetection
-from .problem import LENS, TargetShape
-from .rigid import Array, rotation
-from .view_graph import PoseKey
+from .problem import LENS, PoseKey, TargetShape
 
-POSE, BOW = 6, 2
+POSE, WARP = 6, 2
+MIN_DEPTH = 1e-6  # m
 Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
@@ -31,7 +31,7 @@ class State:
 
     R_camera (c, 3, 3), centre (c, 3): x_camera = R_camera (x - centre); lens (c, 12): fx fy cx cy k1 k2 p1 p2 k3 k4 k5
     k6; R_pose (m, 3, 3), position (m, 3): x = R_pose scale x_target + position, x_target about the target's centroid;
-    scale (k,) of each target; bow (k, 2): how far its middle stands out along its z, m, bent along x and along y.
+    scale (k,) of each target; board_warp (k, 2): how far its middle stands out along its z, m, bent along x and y.
     """
 
     R_camera: Array
@@ -40,7 +40,7 @@ class State:
     R_pose: Array
     position: Array
     scale: Array
-    bow: Array
+    board_warp: Array
 
     def moved(self, shared: Array, poses: Array) -> State:
         """The state after a step: ``shared`` (as laid out by :class:`Layout`), ``poses`` (m, 6) rotation, position.
@@ -52,20 +52,20 @@ class State:
         layout = Layout(cameras, targets, with_lens=len(shared) != Layout(cameras, targets).size)
         by_camera = shared[: cameras * layout.width].reshape(cameras, layout.width)
         return State(
-            nearest_rotation(rotation(by_camera[:, :3]) @ self.R_camera),
+            nearest_rotation(rotation_matrix(by_camera[:, :3]) @ self.R_camera),
             self.centre + by_camera[:, 3:POSE],
             self.lens + by_camera[:, POSE:] if layout.with_lens else self.lens,
-            nearest_rotation(rotation(poses[:, :3]) @ self.R_pose),
+            nearest_rotation(rotation_matrix(poses[:, :3]) @ self.R_pose),
             self.position + poses[:, 3:],
             self.scale + shared[layout.scales],
-            self.bow + shared[layout.bows] if layout.with_lens else self.bow,
+            self.board_warp + shared[layout.warps] if layout.with_lens else self.board_warp,
         )
 
 
 @dataclass(frozen=True)
 class Layout:
     """Where the shared unknowns lie: for each camera rotation (3), centre (3) and, ``with_lens``, lens (12); then for
-    each target its scale and, ``with_lens``, its bow (2)."""
+    each target its scale and, ``with_lens``, its warp (2)."""
 
     cameras: int
     targets: int
@@ -78,7 +78,7 @@ class Layout:
 
     @property
     def target_width(self) -> int:
-        return 1 + BOW * self.with_lens
+        return 1 + WARP * self.with_lens
 
     @property
     def size(self) -> int:
@@ -97,8 +97,8 @@ class Layout:
         return self.cameras * self.width + self.target_width * np.arange(self.targets)
 
     @property
-    def bows(self) -> Ints:
-        """(k, 2) places of the targets' bows."""
+    def warps(self) -> Ints:
+        """(k, 2) places of the targets' warps."""
         return self.scales[:, None] + np.arange(1, self.target_width)
 
     def columns(self, camera: Ints, target: Ints) -> Ints:
@@ -140,10 +140,8 @@ def observe(
     shapes: Mapping[str, TargetShape],
 ) -> Observations:
     """Arrange detections as observations of the poses ``keys`` by ``cameras``."""
-    camera_row = {name: row for row, name in enumerate(cameras)}
+    targets, count, longest = list(shapes), len(detections), max(map(len, detections), default=0)
     pose_row = {key: row for row, key in enumerate(keys)}
-    target_row = {name: row for row, name in enumerate(shapes)}
-    count, longest = len(detections), max(map(len, detections), default=0)
     points, weight = np.zeros((count, longest, 3)), np.zeros((count, longest))
     bend, pixels = np.zeros((2, count, longest, 2))
     for row, detection in enumerate(detections):
@@ -151,9 +149,9 @@ def observe(
         points[row, :n], bend[row, :n] = shape.points[detection.ids], shape.bend[detection.ids]
         pixels[row, :n], weight[row, :n] = detection.pixels, 1 / detection.sigma_px
     return Observations(
-        np.array([camera_row[s.camera] for s in detections], np.int64),
+        np.array([cameras.index(s.camera) for s in detections], np.int64),
         np.array([pose_row[s.target, s.frame_index] for s in detections], np.int64),
-        np.array([target_row[s.target] for s in detections], np.int64),
+        np.array([targets.index(s.target) for s in detections], np.int64),
         points,
         bend,
         pixels,
@@ -170,3 +168,69 @@ def camera_with(camera: CameraModel, lens: Array, T_camera_world: Array) -> Came
     """Make the camera with another lens (12,) and pose."""
     K = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     return replace(camera, K=K, D=lens[4 : 4 + len(camera.D)], T_camera_world=T_camera_world)
+
+
+# --- Where the state puts the corners, lens distortion included, and how that changes with the state.
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """residual (s, 2n) seen minus predicted, over its standard deviation; derivatives of the prediction, likewise:
+    by_shared (s, 2n, width + target_width), as :meth:`Layout.columns` has them, and by_pose (s, 2n, 6)."""
+
+    residual: Array
+    by_shared: Array
+    by_pose: Array
+
+
+def residuals_px(state: State, seen: Observations) -> Array:
+    """Compute (s, n, 2) seen minus predicted pixels; infinite for a corner behind its camera."""
+    x = _in_camera(state, seen, _arm(state, seen))
+    lens = state.lens[seen.camera][:, None]
+    with np.errstate(all="ignore"):
+        predicted = distort(x[..., :2] / x[..., 2:], lens[..., 4:]) * lens[..., :2] + lens[..., 2:4]
+    return np.where(x[..., 2:] > MIN_DEPTH, seen.pixels - predicted, np.inf)
+
+
+def linearise(state: State, seen: Observations, with_lens: bool = False) -> Linearised:
+    """Compute the residuals and their analytic derivatives, at a state in which all corners lie in front of their
+    cameras.
+
+    x_camera = R_camera (x - centre),  x = arm + position,  arm = scale R_pose (x_target + bend warp e_z); with q a row
+    of d(pixel)/d(x):  by the camera's rotation x_camera x (row by x_camera), by its centre -q, by the target's rotation
+    arm x q, by its position q, by its scale q.arm / scale, by its warp q.(scale R_pose e_z) bend.
+    """
+    arm = _arm(state, seen)
+    x = _in_camera(state, seen, arm)
+    lens, scale = state.lens[seen.camera][:, None], state.scale[seen.target][:, None, None]
+    ideal = x[..., :2] / x[..., 2:]
+    distorted, by_ideal, by_coefficients = derivatives(ideal, lens[..., 4:])
+    residual = np.where(x[..., 2:] > MIN_DEPTH, seen.pixels - distorted * lens[..., :2] - lens[..., 2:4], np.inf)
+    by_ideal = by_ideal * lens[..., :2, None]
+    by_x = np.concatenate([by_ideal, -(by_ideal @ ideal[..., None])], axis=-1) / x[..., 2, None, None]  # x_camera
+    q = by_x @ state.R_camera[seen.camera][:, None]
+    shared = [np.cross(x[:, :, None], by_x), -q]
+    if with_lens:
+        focal = distorted[..., None] * np.eye(2)
+        shared += [focal, np.broadcast_to(np.eye(2), focal.shape), by_coefficients * lens[..., :2, None]]
+    shared.append((q @ arm[..., None]) / scale[..., None])
+    if with_lens:
+        normal = scale * state.R_pose[seen.pose][:, None, :, 2]
+        shared.append((q @ normal[..., None]) * seen.bend[:, :, None])
+    weight = seen.weight[..., None]
+    rows = lambda a: (a * weight[..., None]).reshape(len(a), 2 * a.shape[1], -1)  # noqa: E731
+    by_pose = np.concatenate([np.cross(arm[:, :, None], q), q], axis=-1)
+    return Linearised((residual * weight).reshape(len(x), -1), rows(np.concatenate(shared, axis=-1)), rows(by_pose))
+
+
+def _arm(state: State, seen: Observations) -> Array:
+    """Return (s, n, 3) from the target's centroid to its corners, common frame."""
+    points = seen.points.copy()
+    points[..., 2] += (seen.bend @ state.board_warp[seen.target][:, :, None])[..., 0]
+    scaled = state.R_pose[seen.pose] * state.scale[seen.target][:, None, None]
+    return points @ np.swapaxes(scaled, 1, 2)
+
+
+def _in_camera(state: State, seen: Observations, arm: Array) -> Array:
+    x = arm + (state.position[seen.pose] - state.centre[seen.camera])[:, None]
+    return x @ np.swapaxes(state.R_camera[seen.camera], 1, 2)

@@ -10,23 +10,22 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.lens import Array
 from capture_rig.verdict import Verdict, judge
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.diagnosis import diagnose
+from ..boards.wand import WAND
 from ..bundle.problem import symmetry_order_of
-from ..bundle.solution import RigSolution
-from ..bundle.solve import solve_rig
+from ..bundle.solve import RigSolution, solve_rig
 from .figures import RigFigures, rig_figures
 from .floor import FloorView, floor_view
-from .verdict import RigEvidence, TapeCheck, TapeMeasure, rig_verdict
+from .verdict import RigEvidence, TapeCheck, TapeMeasure, footage_findings, rig_verdict
 from .world import PlacedRig, WorldChoice, board_in_world, place_rig, world_from_floor, world_of_level_camera
 
-Array = npt.NDArray[np.float64]
-
-FLOOR, MOVING, WAND = "floor", "moving", "wand"
-"""Names of the targets."""
+FLOOR, MOVING = "floor", "moving"
+"""Names of the targets, beside WAND."""
 FLOOR_POSE = (FLOOR, 0)
+__all__ = ["FLOOR", "MOVING", "WAND", "FloorTarget", "RigCalibration", "Target", "calibrate_rig"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +75,7 @@ def calibrate_rig(
     detections: Sequence[TargetDetection],
     targets: Mapping[str, Target],
     *,
-    intrinsics_covariance: Mapping[str, npt.ArrayLike] | None = None,
+    intrinsics_sd: Mapping[str, npt.ArrayLike] | None = None,
     refine_intrinsics: bool = False,
     moved_frames: Mapping[str, tuple[int, int]] | None = None,
     floor_guess: tuple[int, ...] = (),
@@ -85,7 +84,7 @@ def calibrate_rig(
     """Place all ``cameras`` (only their intrinsics are used) by what they saw of ``targets``.
 
     The target called FLOOR, a FloorTarget seen in frame 0, tells where the world is; without it the first camera is
-    taken for level. Every detection names its target. ``intrinsics_covariance``, ``refine_intrinsics`` : as
+    taken for level. Every detection names its target. ``intrinsics_sd``, ``refine_intrinsics`` : as
     :func:`solve_rig` takes them. ``moved_frames``, ``floor_guess`` : as RigEvidence. Raises InputError naming cameras
     that see nothing, or groups that share no view.
     """
@@ -98,7 +97,7 @@ def calibrate_rig(
         {name: target.points for name, target in targets.items()},
         reference=FLOOR_POSE if floor is not None else None,
         symmetry_orders={name: target.symmetry_order for name, target in targets.items()},
-        intrinsics_covariance=intrinsics_covariance,
+        intrinsics_sd=intrinsics_sd,
         refine_intrinsics=refine_intrinsics,
     )
     # z up, the origin on the floor (thesis 6.1)
@@ -141,7 +140,7 @@ def _verdict(evidence: RigEvidence, solution: RigSolution) -> Verdict:
     """The rig's findings, and what its footage was like. (A floor board alone shares one view with every camera: there
     is nothing in it that could contradict.)"""
     shared = any(detection.target != FLOOR for detection in solution.detections)
-    return judge([*rig_verdict(evidence).findings, *(diagnose(solution) if shared else ())])
+    return judge([*rig_verdict(evidence).findings, *(footage_findings(solution) if shared else ())])
 
 
 def _floor_target(targets: Mapping[str, Target]) -> FloorTarget | None:

@@ -13,18 +13,18 @@ from itertools import combinations, pairwise
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.lens import Array
+from capture_rig.rigid import inverse
 
 from ..boards.board import Board, TargetDetection
+from ..bundle.initial_poses import common_frames, groups_of
 from ..bundle.problem import symmetry_order_of
-from ..bundle.rigid import inverse
 from ..bundle.solve import solve_rig
-from ..bundle.view_graph import common_frames, groups_of
+from .floor import SAME_PLACE_PX
 
-Array = npt.NDArray[np.float64]
 Feature = tuple[str | int, ...]
 
 MAX_FRAMES = 120
@@ -117,15 +117,10 @@ def _gain(features: Sequence[Feature], seen: Counter[Feature]) -> float:
 FloorAt = int | Literal["first", "last", "lowest"]
 
 # Thresholds: judgement, no measurement.
-BELOW_M = 0.03
-"""So far may another board's corner, or a camera, lie below the plane of a board on the floor (noise, a soft floor)."""
-STRAYS_PERCENT = 1.0  # of all corners, so many may lie lower still: poses go wrong now and then
-RISES_M = 0.10
-"""So far above that plane, at least, the board must have been carried: two boards in one plane tell no floor."""
+BELOW_M = 0.03  # so far may another board's corner, or a camera, lie below the plane of a board on the floor
+STRAYS_PERCENT = 1  # of all corners, so many may lie lower still: poses go wrong now and then
+RISES_M = 0.10  # the board must have been carried so far above that plane: two boards in one plane tell no floor
 SAME_PLACE_M = 0.01  # a board whose corners all stay within this rests
-
-
-RESTS_PX = 0.5  # a board whose corners stay within this (median, in every camera) from one frame to the next rests
 
 
 def frames_on_floor(
@@ -220,7 +215,7 @@ def _at_same_place(corners: Array, frame_index: int) -> list[int]:
 def _rests(one: Sequence[TargetDetection], other: Sequence[TargetDetection]) -> bool:
     """Do all cameras that saw the board both times see it at the same place, and is there one?"""
     ways = [shift_px(a, b) for a in one for b in other if a.camera == b.camera]
-    return bool(ways) and max(ways) <= RESTS_PX
+    return bool(ways) and max(ways) <= SAME_PLACE_PX
 
 
 def _ranges(frames: Sequence[int]) -> str:

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
+from capture_rig.lens import Array
 
-from ..bundle.solution import RigSolution
+from ..bundle.solve import RigSolution
 from .floor import FloorView
 from .world import PlacedRig, centre_of
-
-Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)

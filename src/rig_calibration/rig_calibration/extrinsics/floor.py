@@ -14,19 +14,14 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.lens import Array
+from capture_rig.rigid import inverse, transform
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.detection_poses import detection_poses
+from ..bundle.detection_poses import MIN_CORNERS, detection_poses
 from ..bundle.problem import target_shape
-from ..bundle.rigid import inverse, transform
 
-Array = npt.NDArray[np.float64]
-
-MIN_CORNERS = 4
-SAME_POSE = np.deg2rad(0.5)  # solutions whose planes differ by less are one
-# Thresholds: RULED_OUT_CHI2 from 5 standard deviations; else measured by python bench/calibration.py.
-RULED_OUT_CHI2 = 25.0
-"""The second solution is ruled out when it explains the corners so much worse (5 standard deviations)."""
+RULED_OUT_SDS = 5  # standard deviations by which the second solution must explain the corners worse to be ruled out
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +30,6 @@ class FloorView:
 
     T_camera_board : (4, 4). rms_px : of the corners' coordinates. other : the second solution (4, 4), None when the
     corners rule it out. distance_m and angle (rad, from the board's normal) : of the camera, from the board's middle.
-    sd_centre_m, sd_rotation (rad) : expected from the corners' noise, in the direction in which it is largest.
     """
 
     camera: str
@@ -45,13 +39,6 @@ class FloorView:
     other: Array | None
     distance_m: float
     angle: float
-    sd_centre_m: float
-    sd_rotation: float
-
-    @property
-    def centre_board(self) -> Array:
-        """(3,) the camera's centre in the board frame."""
-        return inverse(self.T_camera_board)[:3, 3]
 
 
 def floor_view(detection: TargetDetection, corners_board: Array, camera: CameraModel) -> FloorView:
@@ -82,8 +69,6 @@ def floor_view(detection: TargetDetection, corners_board: Array, camera: CameraM
             "in reading order: the first row's two ends, then the last row's last and first.",
         )
     rms, T = above[0]
-    sigma = max(detection.sigma_px, rms)
-    sd_rotation, sd_centre = _standard_deviations(points, camera, T, sigma)
     to_camera = inverse(T)[:3, 3] - points.mean(axis=0)
     distance = float(np.linalg.norm(to_camera))
     return FloorView(
@@ -91,11 +76,9 @@ def floor_view(detection: TargetDetection, corners_board: Array, camera: CameraM
         T_camera_board=T,
         rms_px=rms,
         corners=len(detection),
-        other=_not_ruled_out(above, len(detection), sigma),
+        other=_not_ruled_out(above, len(detection), max(detection.sigma_px, rms)),
         distance_m=distance,
         angle=float(np.arccos(np.clip(to_camera[2] / distance, -1.0, 1.0))),
-        sd_centre_m=sd_centre,
-        sd_rotation=sd_rotation,
     )
 
 
@@ -118,43 +101,20 @@ def _rms(misses: Array) -> float:
 
 
 def _not_ruled_out(solutions: list[tuple[float, Array]], corners: int, sigma: float) -> Array | None:
-    """Return the next best solution with another plane, when its residual is not clearly worse."""
-    best_rms, best = solutions[0]
-    for rms, T in solutions[1:]:
-        apart = np.arccos(np.clip(best[:3, 2] @ T[:3, 2], -1.0, 1.0))
-        if apart > SAME_POSE and 2 * corners * (rms**2 - best_rms**2) < RULED_OUT_CHI2 * sigma**2:
-            return T
-    return None
-
-
-def _standard_deviations(points: Array, camera: CameraModel, T: Array, sigma: float) -> tuple[float, float]:
-    """Standard deviations of rotation (rad) and centre (m), each in its worst direction.
-
-    The covariance is (J^T J / sigma^2)^-1 of a pinhole. With x' = x + w x x + v in the camera frame, the rotation errs
-    by w and the centre by -R^T v.
-    """
-    x, y, z = T[:3, :3] @ points.T + T[:3, 3:]
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    by_point = np.stack([np.stack([one / z, zero, -x / z**2]), np.stack([zero, one / z, -y / z**2])])  # (2, 3, n)
-    by_point *= camera.K.diagonal()[:2, None, None]
-    by_turn = np.stack([np.stack([zero, z, -y]), np.stack([-z, zero, x]), np.stack([y, -x, zero])])  # (3, 3, n)
-    J = np.concatenate([np.einsum("ijn,jkn->nik", by_point, by_turn), by_point.transpose(2, 0, 1)], axis=2)
-    J = J.reshape(-1, 6)
-    covariance = sigma**2 * np.linalg.pinv(J.T @ J)
-    worst = [float(np.sqrt(np.linalg.eigvalsh(block)[-1])) for block in (covariance[:3, :3], covariance[3:, 3:])]
-    return worst[0], worst[1]
+    """Return the next best solution, when its residual is not clearly worse."""
+    worse = [2 * corners * (rms**2 - solutions[0][0] ** 2) for rms, _ in solutions]
+    return solutions[1][1] if len(solutions) > 1 and worse[1] < (RULED_OUT_SDS * sigma) ** 2 else None
 
 
 # --- The corners of a still board, averaged over frames without the hands that cover some.
 
 
-SAME_PLACE_PX = 1.0
-"""Corners that lie further apart (median over the board) belong to a board, or a camera, that was moved."""
+# Thresholds: measured by python bench/calibration.py.
+SAME_PLACE_PX = 1.0  # corners that lie further apart (median over the board) belong to a board, or a camera, that moved
 OUTLIER_SDS = 4.0
 MIN_SCATTER_PX = 0.1  # a corner that strays less than OUTLIER_SDS times this is never an outlier
 MIN_SHARE = 1 / 3  # a corner counts when so many of the frames that agree show it
-LASTING_PX = 0.05
-"""What averaging does not remove: compression, the grid of pixels and the lens err alike in every frame."""
+LASTING_PX = 0.05  # not removed by averaging: compression, the grid of pixels and the lens err alike in every frame
 
 
 @dataclass(frozen=True, eq=False)

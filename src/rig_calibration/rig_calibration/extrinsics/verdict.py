@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import chain
+from math import inf
 
 import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
-from capture_rig.verdict import REDO, USABLE, Finding, Verdict, judge
+from capture_rig.verdict import REDO, USABLE, Finding, Verdict, graded, judge
 
+from ..bundle.solve import RigSolution
 from .figures import CameraFigures, RigFigures
 from .floor import FloorView
 
@@ -89,21 +90,28 @@ class RigEvidence:
     tape: tuple[TapeCheck, ...] = ()
 
 
-# Thresholds: GRAZING_DEG measured by python bench/calibration.py --boards (found at 75 degrees, hardly at 80); else
-# judgement.
-FACING_DEG = 170.0  # cameras that look at each other see the same outline, mirrored
-CLOSE_DEG, WIDE_DEG = 12.0, 170.0
+# Limits of USABLE and REDO; where only one grade is given the other is out of reach. GRAZING_DEG measured by python
+# bench/calibration.py --boards (found at 75 degrees, hardly at 80); else judgement.
+FACING_DEG, CLOSE_DEG = 170.0, 12.0  # cameras that look at each other see the same outline, mirrored
 MIN_CAMERAS = 3
 RESTING_FRAMES = 3  # a board that lies on the floor is seen there in so many frames
-SCALE_USABLE, SCALE_REDO, SCALE_SDS = 0.01, 0.03, 4.0
+RATIO = (0.01, 0.03)  # of two sizes, of a length to the tape's, of a focal length to the one given
+CLEAR_SDS = 4.0  # a ratio must depart from 1 by more than so many of its standard deviations
 TAPE_ERROR_M = 0.02  # a tape held against a lens errs by so much
+GRAZING_DEG = 75.0  # from the board's normal; beyond, its fields are too thin to find them well
+SD_MM, SD_DEG = (10.0, 40.0), (0.2, 1.0)
+RMS_PX, RMS_WIDTH_PX = (1.0, 3.0), 1000  # wider images may have residuals in proportion
+LOWEST_M, HIGHEST_M = 0, 6
+WRONG_SHARE = (0.2, 0.3)  # of a camera's detections or its frames of the floor board: USABLE; of all detections: REDO
+SYNC_ERROR_M = 0.001
+CONTRADICTION = 4.0  # variance ratio: standard deviations are twice what the corners' noise explains
+FEW_TIES = 3
 
 
 def rig_verdict(evidence: RigEvidence) -> Verdict:
     """Judge the rig GOOD, USABLE or REDO, with every finding and its remedy: the rig's first, then each camera's."""
-    cameras = (camera_findings(camera, evidence) for camera in evidence.figures.cameras)
-    rig = (_of_floor(evidence), _of_guess(evidence), _of_sides(evidence), _of_scale(evidence), _of_layout(evidence))
-    return judge(chain.from_iterable([*rig, *cameras]))
+    findings = [*_of_floor(evidence), *_of_scale(evidence), *_of_layout(evidence)]
+    return judge([*findings, *(f for camera in evidence.figures.cameras for f in camera_findings(camera, evidence))])
 
 
 def _of_floor(evidence: RigEvidence) -> Iterator[Finding]:
@@ -113,9 +121,6 @@ def _of_floor(evidence: RigEvidence) -> Iterator[Finding]:
             "no picture shows the board on the floor: heights and the vertical are guesses",
             "Add pictures of the board lying on the floor (--floor), or carry it there (--floor-at).",
         )
-
-
-def _of_guess(evidence: RigEvidence) -> Iterator[Finding]:
     if 0 < len(evidence.floor_guess) < RESTING_FRAMES:
         frames = ", ".join(map(str, evidence.floor_guess))
         yield Finding(
@@ -124,9 +129,6 @@ def _of_guess(evidence: RigEvidence) -> Iterator[Finding]:
             "Look at the floor's grid in the pictures; lay the board down for some seconds, or say when it lies on the "
             "floor (--floor-at).",
         )
-
-
-def _of_sides(evidence: RigEvidence) -> Iterator[Finding]:
     if evidence.undecided:
         yield Finding(
             REDO,
@@ -137,23 +139,18 @@ def _of_sides(evidence: RigEvidence) -> Iterator[Finding]:
 
 def _of_scale(evidence: RigEvidence) -> Iterator[Finding]:
     for target, (ratio, sd) in sorted(evidence.scales.items()):
-        if abs(ratio - 1.0) > max(SCALE_USABLE, SCALE_SDS * sd):
-            yield Finding(
-                REDO if abs(ratio - 1.0) > SCALE_REDO else USABLE,
-                f"board '{target}' is {ratio:.3f} times as large as stated, if the other board's size is right",
-                "Measure the fields of both prints over the whole length of a row, and state those (--board, "
-                "--floor-board).",
-            )
+        yield from graded(
+            abs(ratio - 1.0),
+            (max(RATIO[0], CLEAR_SDS * sd), RATIO[1]),
+            f"board '{target}' is {ratio:.3f} times as large as stated, if the other board's size is right",
+            "Measure the fields of both prints over the whole length of a row, and state those (--board, "
+            "--floor-board).",
+        )
     for check in evidence.tape:
-        yield from _of_tape(check)
-
-
-def _of_tape(check: TapeCheck) -> Iterator[Finding]:
-    error = abs(check.ratio - 1.0)
-    if error > max(SCALE_USABLE, TAPE_ERROR_M / check.tape_m):
         size = "smaller" if check.ratio > 1.0 else "larger"
-        yield Finding(
-            REDO if error > SCALE_REDO else USABLE,
+        yield from graded(
+            abs(check.ratio - 1.0),
+            (max(RATIO[0], TAPE_ERROR_M / check.tape_m), RATIO[1]),
             str(check),
             f"If the tape is right, the board's fields are {size} than stated, {1.0 / check.ratio:.4f} times as "
             "large: measure the print, state that size and calibrate again.",
@@ -161,23 +158,16 @@ def _of_tape(check: TapeCheck) -> Iterator[Finding]:
 
 
 def _of_layout(evidence: RigEvidence) -> Iterator[Finding]:
-    figures = evidence.figures
-    if len(figures.cameras) == 1:
-        yield Finding(
-            REDO, "one camera alone makes no hull", "Give the pictures of all cameras (--cameras names them)."
-        )
-    elif len(figures.cameras) < MIN_CAMERAS:
-        yield Finding(
-            USABLE,
-            f"{len(figures.cameras)} cameras: the hull will be much fatter than the body",
-            "Use three or more, around the person.",
-        )
+    figures, count = evidence.figures, len(evidence.figures.cameras)
+    if count == 1:
+        remedy = "Give the pictures of all cameras (--cameras names them)."
+        yield Finding(REDO, "one camera alone makes no hull", remedy)
+    elif count < MIN_CAMERAS:
+        what = f"{count} cameras: the hull will be much fatter than the body"
+        yield Finding(USABLE, what, "Use three or more, around the person.")
     if not evidence.usable_volume:
-        yield Finding(
-            USABLE,
-            "nowhere do enough cameras see a standing person from feet to head",
-            "Move the cameras back, or turn them towards one place.",
-        )
+        what = "nowhere do enough cameras see a standing person from feet to head"
+        yield Finding(USABLE, what, "Move the cameras back, or turn them towards one place.")
     for (one, other), angle in figures.facing_deg.items():
         if angle > FACING_DEG:
             what = f"{one} and {other} look at each other ({angle:.0f} degrees): they see the same outline"
@@ -189,92 +179,56 @@ def _of_layout(evidence: RigEvidence) -> Iterator[Finding]:
                 "Move one of them around the volume; if they stand far apart in the room, check that each "
                 "has its own footage.",
             )
-    if len(figures.cameras) >= MIN_CAMERAS:
-        for (one, other), gap in figures.gaps_deg.items():
-            if gap > WIDE_DEG:
-                yield Finding(
-                    USABLE,
-                    f"no camera stands between {one} and {other}, {gap:.0f} degrees apart",
-                    "Spread the cameras around the volume.",
-                )
-
-
-# --- Findings about one camera.
-
-GRAZING_DEG = 75.0  # from the board's normal; beyond, its fields are too thin to find them well
-SD_USABLE_MM, SD_REDO_MM = 10.0, 40.0
-SD_USABLE_DEG, SD_REDO_DEG = 0.2, 1.0
-RMS_USABLE_PX, RMS_REDO_PX = 1.0, 3.0
-RMS_WIDTH_PX = 1000  # wider images may have residuals in proportion
-LOWEST_M, HIGHEST_M = 0.0, 6.0
-LEFT_OUT_SHARE = 0.2
-MOVED_SHARE = 0.2
+    for (one, other), gap in figures.gaps_deg.items() if count >= MIN_CAMERAS else ():
+        if gap > FACING_DEG:
+            what = f"no camera stands between {one} and {other}, {gap:.0f} degrees apart"
+            yield Finding(USABLE, what, "Spread the cameras around the volume.")
 
 
 def camera_findings(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
     """Find all that is wrong with one camera, the worst causes first."""
     yield from _of_view(camera, evidence)
-    yield from _of_precision(camera, evidence)
-    yield from _of_height(camera, evidence)
-    yield from _of_detections(camera, evidence)
-
-
-def _of_view(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
-    view = evidence.floor.get(camera.name)
-    if view is None or camera.floor_angle_deg is None:
-        return
-    alone = camera.name in evidence.by_floor_alone
-    if view.other is not None and alone:
-        yield Finding(
-            REDO,
-            f"two poses of {camera.name} fit the floor board equally well",
-            "Use a larger board, lay it nearer to the camera, or carry a board through the room (--moving).",
-        )
-    if camera.floor_angle_deg > GRAZING_DEG and alone:
-        yield Finding(
-            USABLE,
-            f"{camera.name} sees the board at {camera.floor_angle_deg:.0f} degrees from its normal",
-            "Raise the camera, move the board nearer to it, or carry a board through the room (--moving).",
-        )
-
-
-def _of_precision(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
     widening = max(1.0, evidence.widths_px[camera.name] / RMS_WIDTH_PX)
-    if camera.rms_px > RMS_USABLE_PX * widening:
-        grade = REDO if camera.rms_px > RMS_REDO_PX * widening else USABLE
-        yield Finding(
-            grade,
-            f"{camera.name}: the corners miss their places by {camera.rms_px:.2f} px (rms)",
-            "Check that the intrinsics are this camera's, at this focus and image size, that the board is "
-            "flat and specified as printed, and that it was held still.",
-        )
-    if camera.sd_centre_mm > SD_USABLE_MM:
-        grade = REDO if camera.sd_centre_mm > SD_REDO_MM else USABLE
-        yield Finding(grade, f"the place of {camera.name} is known to {camera.sd_centre_mm:.0f} mm only (sd)", _NEARER)
-    if camera.sd_rotation_deg > SD_USABLE_DEG:
-        grade = REDO if camera.sd_rotation_deg > SD_REDO_DEG else USABLE
-        what = f"the direction of {camera.name} is known to {camera.sd_rotation_deg:.2f} degrees only (sd)"
-        yield Finding(grade, what, _NEARER)
-
-
-_NEARER = "Show it the board larger, nearer, more from above, and at more places of its image (--moving)."
-
-
-def _of_height(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
-    if not evidence.floor_known:
-        return
-    if camera.height_m < LOWEST_M:
+    yield from graded(
+        camera.rms_px / widening,
+        RMS_PX,
+        f"{camera.name}: the corners miss their places by {camera.rms_px:.2f} px (rms)",
+        "Check that the intrinsics are this camera's, at this focus and image size, that the board is "
+        "flat and specified as printed, and that it was held still.",
+    )
+    nearer = "Show it the board larger, nearer, more from above, and at more places of its image (--moving)."
+    what = f"the place of {camera.name} is known to {camera.sd_centre_mm:.0f} mm only (sd)"
+    yield from graded(camera.sd_centre_mm, SD_MM, what, nearer)
+    what = f"the direction of {camera.name} is known to {camera.sd_rotation_deg:.2f} degrees only (sd)"
+    yield from graded(camera.sd_rotation_deg, SD_DEG, what, nearer)
+    if evidence.floor_known and camera.height_m < LOWEST_M:
         yield Finding(
             REDO,
             f"{camera.name} comes to lie {-camera.height_m:.2f} m below the floor",
             "Lay the board on the floor, print upwards; where corners are given by hand, give them in reading order.",
         )
-    elif camera.height_m > HIGHEST_M:
+    if evidence.floor_known and camera.height_m > HIGHEST_M:
+        what = f"{camera.name} comes to lie {camera.height_m:.1f} m above the floor"
+        yield Finding(USABLE, what, "If it hangs lower, the board's size is wrong: measure a field of the print.")
+    yield from _of_detections(camera, evidence)
+
+
+def _of_view(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
+    view = evidence.floor.get(camera.name)
+    if view is None or camera.floor_angle_deg is None or camera.name not in evidence.by_floor_alone:
+        return
+    if view.other is not None:
         yield Finding(
-            USABLE,
-            f"{camera.name} comes to lie {camera.height_m:.1f} m above the floor",
-            "If it hangs lower, the board's size is wrong: measure a field of the print.",
+            REDO,
+            f"two poses of {camera.name} fit the floor board equally well",
+            "Use a larger board, lay it nearer to the camera, or carry a board through the room (--moving).",
         )
+    yield from graded(
+        camera.floor_angle_deg,
+        (GRAZING_DEG, inf),
+        f"{camera.name} sees the board at {camera.floor_angle_deg:.0f} degrees from its normal",
+        "Raise the camera, move the board nearer to it, or carry a board through the room (--moving).",
+    )
 
 
 def _of_detections(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
@@ -287,7 +241,7 @@ def _of_detections(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Fin
         )
     reasons = evidence.left_out.get(camera.name, ())
     total = len(reasons) + camera.detections
-    if len(reasons) > LEFT_OUT_SHARE * total:
+    if len(reasons) > WRONG_SHARE[0] * total:
         yield Finding(
             USABLE,
             f"{len(reasons)} of {total} detections of {camera.name} contradict the rest: {reasons[0]}",
@@ -295,9 +249,63 @@ def _of_detections(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Fin
             "was not touched.",
         )
     moved_frames, frames = evidence.moved_frames.get(camera.name, (0, 0))
-    if moved_frames > MOVED_SHARE * frames:
+    if moved_frames > WRONG_SHARE[0] * frames:
         yield Finding(
             USABLE,
             f"in {moved_frames} of {frames} frames of {camera.name} the floor board lies elsewhere",
             "Film it lying still, and start when everybody has left it.",
         )
+
+
+# --- What the solution says about how the footage was taken.
+
+
+def footage_findings(solution: RigSolution) -> Iterator[Finding]:
+    """Find what is wrong with synchrony, lenses and ties; sizes and left-out views stand in the evidence."""
+    if solution.sync_error_m > SYNC_ERROR_M:
+        yield Finding(
+            USABLE,
+            f"the cameras see targets {1000 * solution.sync_error_m:.1f} mm apart: they moved between the exposures, "
+            "or are bent",
+            "Hold the board still for each picture, carry it slowly, or synchronise the cameras; fix the print to "
+            "something flat.",
+        )
+    elif solution.inflation > CONTRADICTION:
+        yield Finding(
+            USABLE,
+            f"the cameras contradict one another {np.sqrt(solution.inflation):.1f} times as much as the noise of the "
+            "corners explains",
+            "Calibrate the intrinsics more thoroughly, to the edges of the images; use a flat board.",
+        )
+    for name, (ratio, sd) in solution.focal_of.items():
+        yield from graded(
+            abs(ratio - 1),
+            (max(RATIO[0], CLEAR_SDS * sd), RATIO[1]),
+            f"together with the other cameras' views, those of {name} ask for a focal length {ratio:.3f} times the "
+            "one given",
+            f"Calibrate the intrinsics of {name} again, at the focus, zoom and image size that it is used with.",
+        )
+    for name, count in common_pose_counts(solution).items():
+        if count < FEW_TIES:
+            yield Finding(
+                USABLE,
+                f"{name} is tied to the other cameras by {count} position(s) of a target only: nothing would tell a "
+                "mistake in them",
+                "Carry the board where it and another camera see it.",
+            )
+    lost, used = len(solution.left_out), len(solution.detections)
+    if lost > WRONG_SHARE[1] * (lost + used):
+        yield Finding(
+            REDO,
+            f"{lost} of {lost + used} detections contradict the rest",
+            "Was a camera moved, or is the footage of different recordings? Record again, all cameras together.",
+        )
+
+
+def common_pose_counts(solution: RigSolution) -> dict[str, int]:
+    """Count by camera how many poses of targets it saw together with another camera."""
+    seen: dict[tuple[str, int], set[str]] = {}
+    for detection in solution.detections:
+        seen.setdefault((detection.target, detection.frame_index), set()).add(detection.camera)
+    shared = [cameras for cameras in seen.values() if len(cameras) > 1]
+    return {name: sum(name in cameras for cameras in shared) for name in solution.cameras}

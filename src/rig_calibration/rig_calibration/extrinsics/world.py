@@ -15,11 +15,9 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from capture_rig.camera import CameraModel
+from capture_rig.lens import Array
 from capture_rig.rig import DEFAULT_HEIGHT_M, FLOOR_MARGIN_M, Rig, Volume, default_volume
-
-from ..bundle.rigid import inverse
-
-Array = npt.NDArray[np.float64]
+from capture_rig.rigid import inverse
 
 CENTRE: Literal["centre"] = "centre"
 FIRST_CORNER: Literal["first-corner"] = "first-corner"

@@ -1,4 +1,8 @@
-"""Intrinsics of one camera from views of a board (thesis 6.1)."""
+"""Intrinsics of one camera from views of a board (thesis 6.1), and which lens model they ask for.
+
+Of two models the one is taken that explains the views better, and by more than chance; of two that explain them alike,
+the one that has a ray for every pixel.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +11,26 @@ from dataclasses import replace
 
 import numpy as np
 
+from capture_rig.rigid import transform
 from capture_rig.verdict import judge
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.outliers import LeftOut
-from ..bundle.projection import residuals_px
-from ..bundle.rigid import transform
+from ..bundle.outliers import RejectedDetection
+from ..bundle.state import residuals_px
 from .coverage import placement_of
-from .lens_fit import LensFit, diagonal_m, fit_lens, usable_detections
-from .lens_model import LensModel
-from .model_choice import AUTO, ModelChoice, choose_model
-from .ray_uncertainty import edge_sd_px
-from .result import Intrinsics, ViewResult
+from .lens_fit import LensFit, diagonal_m, fit_lens, usable_detections, view_squares
+from .lens_model import RATIONAL, SIMPLE, LensModel, edge_sd_px
+from .result import Intrinsics, ModelChoice, ViewResult
 from .verdict import lens_findings
+
+AUTO = "auto"
+# Thresholds: judgement, no measurement.
+STANDARD_ERRORS = 2.0
+WORTHWHILE = 0.02  # relative gain in rms for which three more coefficients are taken (by chance they gain 0.0003)
+LOST_PX = 10.0  # at most, of a view that a model cannot explain at all
+# a model has rays where they are known to that share of the image's width; where they are not, none at all are better
+KNOWN_RAYS = 0.05
+MORE_OF_IMAGE = 0.005  # share of the image that a model must have rays for beyond the other: a finger in one corner
 
 
 def calibrate_intrinsics(
@@ -32,7 +43,7 @@ def calibrate_intrinsics(
     Raises InputError: images of several sizes, corners that the board has not, too few views that agree.
     """
     usable, poor = usable_detections(detections, board)
-    # lens, poses and the board's bending together, without what the other views contradict
+    # lens, poses and the board's warp together, without what the other views contradict
     choice, fit = choose_model(usable, board) if model == AUTO else (None, fit_lens(usable, board, LensModel(model)))
     result = _result(fit, board, name, (*poor, *fit.left_out), choice)
     # is it good enough, and if not, what to do
@@ -40,7 +51,7 @@ def calibrate_intrinsics(
 
 
 def _result(
-    fit: LensFit, board: Board, name: str, left_out: tuple[LeftOut, ...], choice: ModelChoice | None
+    fit: LensFit, board: Board, name: str, left_out: tuple[RejectedDetection, ...], choice: ModelChoice | None
 ) -> Intrinsics:
     covariance, enlarged_by = fit.covariance()
     camera = replace(fit.camera, name=name)
@@ -56,8 +67,8 @@ def _result(
         covariance=of_lens,
         sd_enlarged_by=enlarged_by,
         board_diagonal_m=diagonal_m(board),
-        bow_m=(float(fit.bow_m[0]), float(fit.bow_m[1])),
-        bow_sd_m=(float(sd[-2]), float(sd[-1])),
+        warp_m=(float(fit.warp_m[0]), float(fit.warp_m[1])),
+        warp_sd_m=(float(sd[-2]), float(sd[-1])),
         views=views,
         left_out=left_out,
         edge_sd_px=edge_sd_px(camera, of_lens),
@@ -87,3 +98,42 @@ def _view_results(fit: LensFit, board: Board) -> list[ViewResult]:
             )
         )
     return views
+
+
+# --- Which lens model.
+
+
+def choose_model(views: Sequence[TargetDetection], board: Board) -> tuple[ModelChoice, LensFit]:
+    """Choose by how well each model explains each view, and return its fit. The simpler model that folds inside the
+    image gives way to one that does not and explains as well. (A view has a hundred corners: the three coefficients
+    more cannot adapt to its noise.)"""
+    fits = {name: fit_lens(views, board, LensModel(name)) for name in (SIMPLE, RATIONAL)}
+    squares = {name: _squares(fit, views) for name, fit in fits.items()}
+    rms_px = {name: float(np.sqrt(np.median(of_views))) for name, of_views in squares.items()}
+    gain = np.log(squares[SIMPLE]) - np.log(
+        squares[RATIONAL]
+    )  # of every view; logarithms: no view outweighs the others
+    margin = max(STANDARD_ERRORS * gain.std(ddof=1) / np.sqrt(len(gain)), 2 * WORTHWHILE)
+    unused_share = {name: fit.camera.unused_share for name, fit in fits.items()}
+    better = gain.mean() > margin
+    wider = unused_share[SIMPLE] > unused_share[RATIONAL] + MORE_OF_IMAGE and _edge_sd(fits[RATIONAL]) < KNOWN_RAYS
+    wider &= bool(gain.mean() > -margin)
+    reason = f"rms {rms_px[SIMPLE]:.3f} px with {SIMPLE}, {rms_px[RATIONAL]:.3f} px with {RATIONAL}"
+    if wider and not better:
+        reason += f": as good, and {SIMPLE} has no rays for the outer {100 * unused_share[SIMPLE]:.1f} % of the image"
+    elif not better:
+        reason += ": no better, so the simpler one"
+    chosen = RATIONAL if better or wider else SIMPLE
+    return ModelChoice(chosen, rms_px, reason), fits[chosen]
+
+
+def _squares(fit: LensFit, views: Sequence[TargetDetection]) -> np.ndarray:
+    """(V,) px^2 of each view."""
+    found = view_squares(fit)
+    return np.clip([found[view.frame_index] for view in views], 1e-12, LOST_PX**2)
+
+
+def _edge_sd(fit: LensFit) -> float:
+    """Uncertainty of the outermost rays, as a share of the image's longer side."""
+    count = len(fit.model.names)
+    return edge_sd_px(fit.camera, fit.covariance()[0][:count, :count]) / max(fit.camera.width, fit.camera.height)

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.lens import Array
+
 from ..boards.board import TargetDetection
-from .lens_model import Array
 
 CELLS_ACROSS = 8
 # Thresholds: measured by python bench/calibration.py (rendered video).

@@ -1,6 +1,6 @@
 """A lens from views of a board: the bundle adjustment of a rig of one camera, which holds the frame.
 
-Free are its lens (with a wide prior), the board's bow and its pose in each view. How well they are known: the inverse
+Free are its lens (with a wide prior), the board's warp and its pose in each view. How well they are known: the inverse
 of the normal matrix assumes that corners err independently. Real ones do not: a view is a little blurred, a board
 bends, a shutter rolls, and then all corners of a view err together. The scatter of the views' scores (the sandwich
 estimator for errors that clusters share, Liang & Zeger 1986) tells by how much the normal matrix promises too much, and
@@ -16,29 +16,26 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.lens import Array
+from capture_rig.rigid import transform
 
 from ..boards.board import Board, TargetDetection
 from ..bundle.adjustment import RAYLEIGH_MEDIAN, StopCriterion, information_of_each
-from ..bundle.detection_poses import detection_poses, views_of
+from ..bundle.detection_poses import THIN, detection_poses, views_of
 from ..bundle.initial_poses import initial_poses
-from ..bundle.outliers import LENS_LIMITS, LeftOut
+from ..bundle.outliers import LENS_LIMITS, RejectedDetection
 from ..bundle.problem import LENS, check_problem, shapes_of
-from ..bundle.projection import residuals_px
-from ..bundle.rigid import transform
 from ..bundle.robust_fit import NO_POSE, Fit, adjusted, settled, start_fit
-from ..bundle.state import camera_with
-from .lens_family import nearest_member, rational_prior
-from .lens_model import LAYOUT, RATIONAL, Array, LensModel
+from ..bundle.state import camera_with, residuals_px
+from .lens_model import LAYOUT, RATIONAL, LensModel, nearest_member, rational_prior
 
 # Thresholds: judgement, no measurement.
 MIN_CORNERS = 8
-MIN_SPREAD = 0.02  # the corners' shape on the board: its shorter axis over its longer one; below, they lie on a line
 MIN_VIEWS = 3
 AGREEING_SHARE = 0.4  # of the views must agree, else it is open which of them are right
 FOCAL_TRIALS = np.geomspace(0.4, 5.0, 7)  # of the image's longer side: from a fisheye to a long lens
 TRIAL_VIEWS = 12
 UNEXPLAINED_PX = 1e4  # of a view to which no pose fits
-ROUNDING = 1e-15  # of double precision
 START = StopCriterion(40, 1e-5)
 
 
@@ -55,16 +52,16 @@ class LensFit:
     model: LensModel
     camera: CameraModel
     fit: Fit
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[RejectedDetection, ...]
     sigma_px: float
     information: Array
     score: Array
     precision: Array
 
     @property
-    def bow_m(self) -> Array:
+    def warp_m(self) -> Array:
         """(2,) how far the board's middle stands out, bent along its x and along its y axis."""
-        return self.fit.adjusted.state.bow[0]
+        return self.fit.adjusted.state.board_warp[0]
 
     def covariance(self) -> tuple[Array, float]:
         """(p, p) of the parameters, and the factor >= 1 by which errors that views share enlarge standard deviations
@@ -87,7 +84,7 @@ def _inverse(precision: Array) -> Array:
     """The covariance, also where exact corners leave coefficients that make up for each other to rounding alone."""
     unit = np.sqrt(np.diag(precision))
     values, vectors = np.linalg.eigh(precision / np.outer(unit, unit))
-    known = np.maximum(values, ROUNDING * values[-1])
+    known = np.maximum(values, np.finfo(float).eps * values[-1])
     return np.asarray((vectors / known) @ vectors.T / np.outer(unit, unit), np.float64)
 
 
@@ -165,7 +162,7 @@ def _fit_from(
     model: LensModel,
     radial: tuple[Array, Array] | None = None,
 ) -> Fit:
-    """Return the solver's first state: poses by that lens, lens and bow free with their prior."""
+    """Return the solver's first state: poses by that lens, lens and warp free with their prior."""
     target = detections[0].target
     problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, {}, {})
     views = views_of(problem.detections, problem.cameras, problem.shapes)
@@ -174,7 +171,7 @@ def _fit_from(
     return replace(
         fit,
         free_lenses=np.arange(LENS)[None] < len(model.names),
-        free_bows=np.ones_like(fit.free_bows),
+        free_warps=np.ones_like(fit.free_warps),
         prior=model.prior(focal_px, (camera.width, camera.height), diagonal_m(board), radial),
     )
 
@@ -195,7 +192,7 @@ def _with_information(fit: Fit, model: LensModel) -> LensFit:
     return LensFit(model, _camera_of(fit), fit, _left_out(fit, sigma_px), sigma_px, information, score, precision)
 
 
-def _left_out(fit: Fit, sigma_px: float) -> tuple[LeftOut, ...]:
+def _left_out(fit: Fit, sigma_px: float) -> tuple[RejectedDetection, ...]:
     """Views left out, with how far their corners lie off, and single corners of those that were kept."""
     kept = {detection.frame_index for detection in fit.detections}
     away = np.linalg.norm(residuals_px(fit.adjusted.state, fit.seen), axis=2)
@@ -219,14 +216,22 @@ def _left_out(fit: Fit, sigma_px: float) -> tuple[LeftOut, ...]:
 
 def usable_detections(
     detections: Sequence[TargetDetection], board: Board
-) -> tuple[list[TargetDetection], list[LeftOut]]:
+) -> tuple[list[TargetDetection], list[RejectedDetection]]:
     """Select the detections worth adjusting, ordered by frame; those that show too little, with the reason.
 
-    Raises InputError for what cannot belong together: images of several sizes or cameras, corners that the board does
-    not have, fewer than three views.
+    Raises InputError for images of several sizes, and for fewer than three views.
     """
     ordered = sorted(detections, key=lambda detection: detection.frame_index)
-    _require_one_camera(ordered)
+    first: dict[tuple[int, int], int] = {}
+    for detection in ordered:
+        first.setdefault(detection.image_size, detection.frame_index)
+    if len(first) > 1:
+        listed = ", ".join(f"{w} x {h} (first: frame {first[w, h]})" for w, h in sorted(first))
+        raise InputError(
+            f"the images have several sizes: {listed}",
+            where=ordered[0].camera,
+            remedy="Give images of one size: the one that the camera will work with.",
+        )
     reasons = [why_useless(detection, board) for detection in ordered]
     kept = [detection for detection, reason in zip(ordered, reasons, strict=True) if not reason]
     if len(kept) < MIN_VIEWS:
@@ -235,54 +240,18 @@ def usable_detections(
             where=ordered[0].camera if ordered else "",
             remedy="Take 20 or more, tilted and all over the image; check the board's size.",
         )
-    return kept, [LeftOut(detection, why) for detection, why in zip(ordered, reasons, strict=True) if why]
+    return kept, [RejectedDetection(detection, why) for detection, why in zip(ordered, reasons, strict=True) if why]
 
 
 def why_useless(detection: TargetDetection, board: Board) -> str:
-    """Say why a detection is too little to fix the board's pose, "" when it is not.
-
-    Raises InputError for corners that the board does not have.
-    """
-    corners = board.corners_board
-    wrong = [int(corner) for corner in detection.ids if not 0 <= corner < len(corners)]
-    if wrong:
-        raise InputError(
-            f"frame {detection.frame_index} shows corner {wrong[0]}, but the board has {len(corners)} corners",
-            where=detection.camera,
-            remedy="Name the board that was filmed, and film only one.",
-        )
-    if len(np.unique(detection.ids)) != len(detection.ids):
-        raise InputError(
-            f"frame {detection.frame_index} shows a corner twice", where=detection.camera, remedy="Leave this view out."
-        )
+    """Say why a detection is too little to fix the board's pose, "" when it is not."""
     if len(detection) < MIN_CORNERS:
         return f"shows {len(detection)} corners only"
-    if not np.isfinite(np.asarray(detection.pixels, float)).all():
-        return "has corners that are no numbers"
-    seen = corners[detection.ids, :2]
+    seen = board.corners_board[detection.ids, :2]
     spread = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
-    return "shows corners on one line only" if spread[1] < MIN_SPREAD * spread[0] else ""
+    return "shows corners on one line only" if spread[1] < THIN * spread[0] else ""
 
 
 def diagonal_m(board: Board) -> float:
     """Return the diagonal of the board's corners, m."""
     return float(np.linalg.norm(np.ptp(board.corners_board, axis=0)))
-
-
-def _require_one_camera(detections: Sequence[TargetDetection]) -> None:
-    first: dict[tuple[int, int], int] = {}
-    for detection in detections:
-        first.setdefault(detection.image_size, detection.frame_index)
-    if len(first) > 1:
-        listed = ", ".join(f"{w} x {h} (first: frame {first[w, h]})" for w, h in sorted(first))
-        raise InputError(
-            f"the images have several sizes: {listed}",
-            where=detections[0].camera,
-            remedy="Give images of one size: the one that the camera will work with.",
-        )
-    cameras = sorted({detection.camera for detection in detections})
-    if len(cameras) > 1:
-        raise InputError(
-            f"the views come from several cameras: {', '.join(cameras)}",
-            remedy="Calibrate each camera's intrinsics by itself.",
-        )

@@ -9,14 +9,22 @@ from typing import Any
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.lens import Array
 from capture_rig.verdict import Verdict
 
 from ..boards.board import TargetDetection
-from ..bundle.outliers import LeftOut
+from ..bundle.outliers import RejectedDetection
 from .coverage import BoardPlacement
-from .lens_model import Array
-from .model_choice import ModelChoice
-from .ray_uncertainty import outermost_pixels
+from .lens_model import outermost_pixels
+
+
+@dataclass(frozen=True)
+class ModelChoice:
+    """``model`` and why; rms_px: of a corner's coordinate in the median view, by model."""
+
+    model: str
+    rms_px: dict[str, float]
+    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +47,7 @@ class Intrinsics:
 
     camera : pose = identity. rms_px : of the corners' distances (as OpenCV's). sigma_px : sd of a corner's coordinate,
     from the residuals. sd : by parameter name, px or without unit; covariance : theirs, in the same order.
-    sd_enlarged_by : factor >= 1 by which sd exceeds what independent corner errors would give. bow_m : how far the
+    sd_enlarged_by : factor >= 1 by which sd exceeds what independent corner errors would give. warp_m : how far the
     board's middle stands out along x and y, and sd. views, left_out : what the result rests on, and what not.
     edge_sd_px : uncertainty of a ray at the four corners of the image (or as far as the lens model holds), the worst.
     choice : why this lens model, when it was chosen.
@@ -52,10 +60,10 @@ class Intrinsics:
     covariance: Array
     sd_enlarged_by: float
     board_diagonal_m: float
-    bow_m: tuple[float, float]
-    bow_sd_m: tuple[float, float]
+    warp_m: tuple[float, float]
+    warp_sd_m: tuple[float, float]
     views: tuple[ViewResult, ...]
-    left_out: tuple[LeftOut, ...]
+    left_out: tuple[RejectedDetection, ...]
     edge_sd_px: float
     choice: ModelChoice | None
     verdict: Verdict
@@ -97,8 +105,8 @@ def report_of(result: Intrinsics, about: Mapping[str, Any]) -> dict[str, Any]:
         "lens_holds_to_deg": _short(float(np.rad2deg(result.camera.reach_rad))),
         "image_unused": _short(result.camera.unused_share),
         "board_bow_mm": {
-            axis: {"value": _short(1e3 * bow), "sd": _short(1e3 * sd)}
-            for axis, bow, sd in zip("xy", result.bow_m, result.bow_sd_m, strict=True)
+            axis: {"value": _short(1e3 * warp), "sd": _short(1e3 * sd)}
+            for axis, warp, sd in zip("xy", result.warp_m, result.warp_sd_m, strict=True)
         },
         **(
             {
@@ -125,7 +133,7 @@ def _view(view: ViewResult) -> dict[str, Any]:
     }
 
 
-def _left_out(entry: LeftOut) -> dict[str, Any]:
+def _left_out(entry: RejectedDetection) -> dict[str, Any]:
     what = {"frame": entry.detection.frame_index, "why": entry.reason}
     return what if entry.whole else {**what, "corners": list(entry.corners)}
 

@@ -9,19 +9,19 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.lens import Array
 
 from ..boards.board import Board, TargetDetection
-from ..boards.detector import find_board
-from ..boards.image_quality import blur_px, motion_px
+from ..boards.detector import as_grey, find_board
 from .coverage import BoardPlacement, Coverage, coverage_of, placement_of
 from .lens_fit import board_pose, fit_lens, why_useless
-from .lens_model import Array, LensModel
+from .lens_model import REFERENCE_WIDTH_PX, LensModel
 
-REFERENCE_WIDTH_PX = 640
 # Thresholds: measured by python bench/calibration.py (rendered video).
 BLUR_PX, BLUR_FACTOR = 2.0, 2.0  # refused above: at 640 pixels of width, and of the sharpest views so far
 MOTION_PX = 3.0  # refused above, between neighbouring images, at 640 pixels of width
@@ -30,6 +30,7 @@ BETTER = 0.7  # an alike view takes another's place when it is that much stiller
 FIRST_FIT, GROWTH = 6, 1.3  # fits after so many views, then after so many times more
 PLENTY = 80  # views; more help little
 ENOUGH_VIEWS = 12
+TRACKED_SHARE = 0.5  # of the corners must be found again to tell how far the board moved
 
 
 @dataclass(frozen=True)
@@ -46,14 +47,6 @@ class ExpectedAccuracy:
 
     focal_sd: float
     centre_sd_px: float
-
-
-@dataclass(frozen=True, eq=False)
-class Offer:
-    """Whether a view was taken; if not, why."""
-
-    taken: bool
-    reason: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +90,13 @@ class ViewCollector:
     def __len__(self) -> int:
         return len(self._held)
 
-    def offer(self, detection: TargetDetection, *, blur_px: float = 0.0, motion_px: float = 0.0) -> Offer:
-        """Take the view, or say why not. Raises InputError for an image of another size, corners the board has not."""
-        answer = self._take(detection, blur_px, motion_px)
-        self.refused += not answer.taken
-        return answer
+    def try_add(self, detection: TargetDetection, motion_px: float = 0.0) -> str:
+        """Add the view and return "", or say why not. ``motion_px`` : how far it moved from the image before.
+
+        Raises InputError for an image of another size, corners the board has not."""
+        reason = self._add(detection, motion_px)
+        self.refused += bool(reason)
+        return reason
 
     @property
     def coverage(self) -> Coverage:
@@ -140,24 +135,22 @@ class ViewCollector:
         """Return the views to calibrate from, in the order of their frames."""
         return sorted(self.detections, key=lambda detection: detection.frame_index)
 
-    def _take(self, detection: TargetDetection, blur_px: float, motion_px: float) -> Offer:
+    def _add(self, detection: TargetDetection, motion_px: float) -> str:
         scale = max(detection.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
-        limit = max(BLUR_PX * scale, BLUR_FACTOR * self._sharpest())
-        if not blur_px <= limit:
-            how = "beyond measure" if np.isnan(blur_px) else f"by {blur_px:.1f} px"
-            return Offer(False, f"too blurred: {how}; hold it still, check focus and exposure")
+        if detection.blur_px > max(BLUR_PX * scale, BLUR_FACTOR * self._sharpest()):
+            return f"too blurred: by {detection.blur_px:.1f} px; hold it still, check focus and exposure"
         if not motion_px <= MOTION_PX * scale:
-            return Offer(False, "the board moves: hold it still")
+            return "the board moves: hold it still"
         if reason := why_useless(detection, self._board):
-            return Offer(False, reason)
+            return reason
         if self._held and detection.image_size != self._held[0].detection.image_size:
             raise InputError(
                 f"the images have several sizes: {self._held[0].detection.image_size}, then {detection.image_size}",
                 where=detection.camera,
                 remedy="Give images of one size.",
             )
-        held = self._placed(detection, float(np.hypot(blur_px, motion_px)))
-        return Offer(False, "its pose cannot be told") if held is None else self._compare(held)
+        held = self._placed(detection, float(np.hypot(detection.blur_px, motion_px)))
+        return "its pose cannot be told" if held is None else self._compare(held)
 
     def _sharpest(self) -> float:
         return float(np.percentile([held.blur_and_motion_px for held in self._held], 25)) if self._held else 0.0
@@ -173,20 +166,19 @@ class ViewCollector:
         roll = float(np.arctan2(along[1], along[0]))
         return _CollectedView(detection, placement_of(pose, detection), roll, blur_and_motion_px)
 
-    def _compare(self, held: _CollectedView) -> Offer:
+    def _compare(self, held: _CollectedView) -> str:
         distances = [held.unlike(other) for other in self._held]
         if not self._every and distances and min(distances) < 1.0:
             nearest = int(np.argmin(distances))
             if held.blur_and_motion_px >= BETTER * self._held[nearest].blur_and_motion_px:
-                return Offer(False, "like one that is there already: show the board elsewhere or tilted otherwise")
+                return "like one that is there already: show the board elsewhere or tilted otherwise"
             self._held[nearest] = held
-            self._fit_now_and_then()
-            return Offer(True, "in place of one less sharp")
-        if len(self._held) >= PLENTY:
-            return Offer(False, "there are views enough")
-        self._held.append(held)
+        elif len(self._held) >= PLENTY:
+            return "there are views enough"
+        else:
+            self._held.append(held)
         self._fit_now_and_then()
-        return Offer(True, "")
+        return ""
 
     def _fit_now_and_then(self) -> None:
         if len(self) < self._next_fit:
@@ -210,11 +202,14 @@ NOT_SEEN = "the board is not seen"
 
 @dataclass(frozen=True, eq=False)
 class ImageResult:
-    """What an image showed: the detection, None when the board was not found; ``taken``, or the ``reason`` why not."""
+    """What an image showed: the detection, None when the board was not found; the ``reason`` why it was not taken."""
 
     detection: TargetDetection | None
-    taken: bool
     reason: str
+
+    @property
+    def taken(self) -> bool:
+        return not self.reason
 
 
 class BoardImageProcessor:
@@ -233,17 +228,30 @@ class BoardImageProcessor:
 
         Raises InputError when the images change their size.
         """
-        result = self._detect(image, neighbour, frame_index)
-        self.examined += 1
-        self.found += result.detection is not None
-        if not result.taken:
-            self.reasons[result.reason.partition(":")[0]] += 1
-        return result
-
-    def _detect(self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int) -> ImageResult:
         detection = find_board(image, self.board, camera=self.camera, frame_index=frame_index, thorough=self.thorough)
-        if detection is None:
-            return ImageResult(None, False, NOT_SEEN)
-        moved = 0.0 if neighbour is None else motion_px(image, neighbour, detection.pixels)
-        offer = self.collector.offer(detection, blur_px=blur_px(image, detection), motion_px=moved)
-        return ImageResult(detection, offer.taken, offer.reason)
+        reason = NOT_SEEN
+        if detection is not None:
+            moved = 0.0 if neighbour is None else motion_px(image, neighbour, detection.pixels)
+            reason = self.collector.try_add(detection, moved)
+        self.examined += 1
+        self.found += detection is not None
+        if reason:
+            self.reasons[reason.partition(":")[0]] += 1
+        return ImageResult(detection, reason)
+
+
+def motion_px(image: np.ndarray, neighbour: np.ndarray, pixels: Array) -> float:
+    """Measure the median distance that the corners ``pixels`` (n, 2) of ``image`` travel to the ``neighbour``, px.
+
+    By optical flow (Lucas & Kanade 1981, pyramids); infinite when half of the corners cannot be found again.
+    """
+    first, second = as_grey(image), as_grey(neighbour)
+    if first.shape != second.shape:
+        return float("inf")
+    corners = pixels.astype(np.float32).reshape(-1, 1, 2)
+    none = np.empty(0, np.float32)
+    moved, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, none, winSize=(15, 15), maxLevel=3)
+    seen = np.ravel(found) == 1
+    if moved is None or seen.mean() < TRACKED_SHARE:
+        return float("inf")
+    return float(np.median(np.hypot(*(moved - corners).reshape(-1, 2)[seen].T)))

@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
+import argparse
+import math
 from collections.abc import Iterator
-from functools import partial
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, cast
 
 import numpy as np
 from rich.console import Console
 
-from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from rig_calibration.boards.board import Board, TargetDetection
-from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration, calibrate_rig
+from capture_rig.files import make_folder
+from capture_rig.rig import FARTHEST_M
+from rig_calibration.boards.board import Board
+from rig_calibration.boards.specification import read_board
+from rig_calibration.extrinsics.calibrate import RigCalibration, calibrate_rig
+from rig_calibration.extrinsics.carried_board import FloorAt
+from rig_calibration.extrinsics.verdict import TapeMeasure
+from rig_calibration.extrinsics.world import CENTRE, FIRST_CORNER, WorldChoice
 
-from .clicking import (
-    OuterCorners,
-    click_corners,
-    find_from_clicks,
-    open_display,
-    read_corners,
-    save_corners,
-    write_click_help,
-    write_template,
-)
+from .outer_corners import read_corners, write_corner_help, write_template
 from .rig_detections import CameraDetections, Cameras, CamerasDetections, RigSources, detections_of
 from .rig_inputs import (
     RigInputs,
@@ -38,13 +38,12 @@ from .rig_inputs import (
     wand_inputs,
 )
 from .rig_report import print_report, write_outputs
-from .rig_request import RigRequest
 
 
 def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Console) -> RigCalibration:
     """Detect, solve, print, write. Raises InputError with the remedy for what cannot be solved."""
     cameras = read_intrinsics(request.intrinsics, _names(request, sources))
-    floor, by_hand = _detect_floor(request, sources, cameras, console)
+    floor, by_hand = _detect_floor(request, sources, cameras)
     moving = sources.detect_moving(request.board, cameras) if request.board is not None else {}
     wands = sources.detect_wand(request.wand_marks_m, cameras)
     for seen in (floor, moving, wands):
@@ -58,7 +57,7 @@ def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Cons
         inputs.targets,
         moved_frames=inputs.moved_frames,
         floor_guess=inputs.floor_guess,
-        intrinsics_covariance=read_lens_deviations(request.intrinsics, cameras),
+        intrinsics_sd=read_lens_deviations(request.intrinsics, cameras),
         refine_intrinsics=request.refine_intrinsics,
         tape=request.tape,
     )
@@ -70,7 +69,7 @@ def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Cons
 
 
 def _detect_floor(
-    request: RigRequest, sources: RigSources, cameras: Cameras, console: Console
+    request: RigRequest, sources: RigSources, cameras: Cameras
 ) -> tuple[CamerasDetections, frozenset[str]]:
     """Return the detections in the pictures of the floor, and the cameras whose corners a person gave."""
     board = request.floor_board
@@ -83,10 +82,7 @@ def _detect_floor(
         raise InputError(f"there is no camera '{unknown[0]}'", where=str(request.corners), remedy=remedy)
     floor = sources.detect_floor(board, cameras, corners)
     if request.click is not None and floor:
-        clicked = click_missing(request, floor, cameras, board, console)
-        again = {name: cameras[name] for name in clicked}
-        floor |= sources.detect_floor(board, again, clicked) if again else {}
-        corners |= clicked
+        ask_for_corners(request, floor)
     return floor, frozenset(corners)
 
 
@@ -124,12 +120,10 @@ def _footage(
     return {kind: {name: (found, board) for name, found in seen.items()} for kind, seen, board in kinds}
 
 
-def click_missing(
-    request: RigRequest, floor: CamerasDetections, cameras: Cameras, board: Board, console: Console
-) -> dict[str, OuterCorners]:
-    """Let a person click the corners for the requested cameras, or for all without a detection, and save them.
+def ask_for_corners(request: RigRequest, floor: CamerasDetections) -> None:
+    """Raise InputError that asks for the corners in the requested cameras, or in all without a detection.
 
-    Without a display, writes pictures with a grid and a file to fill in, and raises InputError naming them.
+    Writes their pictures under a grid and a file to fill in beside the output.
     """
     wanted = [name for name in request.click or [name for name, seen in floor.items() if not seen.detections]]
     unknown = sorted(set(wanted) - set(floor))
@@ -137,36 +131,122 @@ def click_missing(
         remedy = f"Cameras with one: {', '.join(sorted(floor))}."
         raise InputError(f"there is no picture of the floor by '{unknown[0]}'", where="--click", remedy=remedy)
     if not wanted:
-        return {}
-    if not open_display():
-        raise _help_without_display(request, wanted, floor)
-    clicked: dict[str, OuterCorners] = {}
-    for name in wanted:
-        fit = partial(_fit, floor[name].picture, board, cameras[name])
-        outer = click_corners(name, floor[name].picture, fit)
-        if outer is not None:
-            clicked[name] = OuterCorners(outer)
-    if clicked:
-        path = request.output.with_suffix(".corners.yaml")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_corners(path, clicked)
-        console.print(f"clicked corners: {path} (give it with --corners next time)")
-    return clicked
-
-
-def _fit(picture: np.ndarray, board: Board, camera: CameraModel, outer_px: np.ndarray) -> TargetDetection:
-    return find_from_clicks(picture, board, outer_px, model=camera, frame_index=0, target=FLOOR)
-
-
-def _help_without_display(request: RigRequest, names: list[str], floor: CamerasDetections) -> InputError:
-    folder = request.output.parent
-    folder.mkdir(parents=True, exist_ok=True)
-    pictures = [write_click_help(folder, name, floor[name].picture) for name in names]
-    template = request.output.with_suffix(".corners.yaml")
-    write_template(template, names)
-    return InputError(
-        "there is no display to click on",
+        return
+    folder, template = make_folder(request.output.parent), request.output.with_suffix(".corners.yaml")
+    pictures = [write_corner_help(folder, name, floor[name].picture) for name in wanted]
+    write_template(template, wanted)
+    raise InputError(
+        f"the board's corners are wanted of {', '.join(wanted)}",
         where="--click",
         remedy=f"Read the outer corners off {', '.join(map(str, pictures))}, write them into {template}, and run this "
         f"again with --corners {template}.",
     )
+
+
+# the request ----------------------------------------------------------------------------------------------------------
+
+
+NO_FLOOR = "none"
+
+
+@dataclass(frozen=True)
+class RigRequest:
+    """What to calibrate, beside the pictures.
+
+    board, floor_board : the carried one and the one on the floor; None where none is needed. floor_at : when the
+    carried board lies on the floor; None when other pictures show the floor, or it is not wanted.
+    refine_intrinsics : adjust the lenses, too. click : cameras whose corners a person is to give, () for those in which
+    no board is found, None for none. text : the arguments as typed, for the report.
+    """
+
+    intrinsics: Path
+    output: Path
+    board: Board | None = None
+    floor_board: Board | None = None
+    floor_points: Path | None = None
+    floor_at: FloorAt | None = None
+    wand_marks_m: tuple[float, ...] = ()
+    corners: Path | None = None
+    click: tuple[str, ...] | None = None
+    without: tuple[str, ...] = ()
+    refine_intrinsics: bool = False
+    choice: WorldChoice = field(default_factory=WorldChoice)
+    tape: tuple[TapeMeasure, ...] = ()
+    text: dict[str, Any] = field(default_factory=dict)
+
+
+def request_from(args: argparse.Namespace) -> RigRequest:
+    """Return the arguments of the command, checked against each other. Raises InputError."""
+    footage = bool(args.floor or args.moving or args.wand)
+    if args.moving == [] and not args.live:
+        raise InputError("no footage is given", where="--moving", remedy="Name its folder, or add --live.")
+    if not (args.live or footage or args.floor_points):
+        raise InputError("no pictures are given", remedy="Give --floor, --moving or --wand, or --live.")
+    if args.live and footage:
+        remedy = "Leave out the footage; write --moving alone to record a carried board."
+        raise InputError("pictures come from the cameras", where="--live", remedy=remedy)
+    if args.floor and args.floor_points:
+        raise InputError("both give the floor", where="--floor, --floor-points", remedy="Leave one of them out.")
+    if args.wand and args.wand_marks is None:
+        remedy = "Write --wand-marks 0,0.25,0.4."
+        raise InputError("the wand's markers are not given", where="--wand-marks", remedy=remedy)
+    if not (args.board or args.floor_board) and (args.floor or args.moving or args.live):
+        remedy = 'Say what was printed, e.g. --board "checkerboard 9x6 25mm".'
+        raise InputError("no board is described", where="--board", remedy=remedy)
+    texts = args.board, args.floor_board or args.board
+    carried, lying = (None if text is None else read_board(text) for text in texts)
+    marks = _numbers(args.wand_marks, None, "--wand-marks", "0,0.25,0.4") if args.wand else []
+    apart = [TapeMeasure(a, b, *_numbers(m, 1, "--check", "cam01 cam02 3.42")) for a, b, m in args.check]
+    high = [TapeMeasure(a, None, *_numbers(m, 1, "--check-height", "cam01 2.31")) for a, m in args.check_height]
+    return RigRequest(
+        intrinsics=Path(args.intrinsics),
+        output=Path(args.output),
+        board=carried or lying,
+        floor_board=lying,
+        floor_points=Path(args.floor_points) if args.floor_points else None,
+        floor_at=_floor_at(args.floor_at, bool(args.floor or args.floor_points or args.live), bool(args.moving)),
+        wand_marks_m=tuple(marks),
+        corners=Path(args.corners) if args.corners else None,
+        click=None if args.click is None else tuple(args.click),
+        without=tuple(args.without),
+        refine_intrinsics=args.refine_intrinsics,
+        choice=WorldChoice(_origin(args.origin), math.radians(args.heading), args.board_thickness),
+        tape=(*apart, *high),
+        text={key: value for key, value in vars(args).items() if key != "run" and value not in (None, [], False)},
+    )
+
+
+def _origin(text: str) -> Literal["centre", "first-corner"] | tuple[float, float]:
+    if text in (CENTRE, FIRST_CORNER):
+        return cast(Literal["centre", "first-corner"], text)
+    x, y = _numbers(text, 2, "--origin", "centre, first-corner, or x,y in metres, as 0.5,-0.3")
+    return x, y
+
+
+def _floor_at(text: str | None, has_floor: bool, has_moving: bool) -> FloorAt | None:
+    """Return when the carried board lies on the floor: as given, else at its lowest place if nothing else shows it."""
+    if text not in (None, NO_FLOOR) and (has_floor or not has_moving):
+        why = "other pictures show the floor" if has_floor else "no board is carried"
+        what = f"says when the carried board lies on the floor, but {why}"
+        raise InputError(what, where="--floor-at", remedy="Leave it out.")
+    if text == NO_FLOOR or has_floor or not has_moving:
+        return None
+    if text in (None, "lowest", "first", "last"):
+        return cast(FloorAt, text or "lowest")
+    assert text is not None
+    if not text.isdigit():
+        remedy = "Give a frame's number (from 0), first, last, lowest, or none."
+        raise InputError(f"'{text}' is no frame", where="--floor-at", remedy=remedy)
+    return int(text)
+
+
+def _numbers(text: str, count: int | None, where: str, example: str) -> list[float]:
+    """Return numbers that commas part, none farther from 0 than a rig may reach, metres."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    within = all(abs(one) <= FARTHEST_M for one in numbers)  # NaN is not
+    if not numbers or (count is not None and len(numbers) != count) or not within:
+        raise InputError(f"'{text}' cannot be read", where=where, remedy=f"Write {where} {example}.")
+    return numbers

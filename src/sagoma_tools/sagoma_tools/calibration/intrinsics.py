@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
 from rich.table import Table
 
 from capture_rig.camera_info_file import save_camera_info
@@ -20,12 +19,12 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.specification import board_text
-from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
+from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
 from rig_calibration.intrinsics.lens_fit import MIN_VIEWS
-from rig_calibration.intrinsics.model_choice import AUTO
 from rig_calibration.intrinsics.result import Intrinsics, report_of
 from rig_calibration.intrinsics.selection import ENOUGH_VIEWS, BoardImageProcessor, ViewCollector
 
+from ..console import doing, until_stopped
 from .footage import CameraFootage, open_footage_of_cameras
 
 MAX_EXAMINED = 400  # frames of a video in the first pass
@@ -63,14 +62,11 @@ def calibrate_footage(
 
 
 def _calibrate_one(footage: CameraFootage, board: Board, model: str, console: Console) -> Intrinsics:
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(footage.name, total=None)
-
-        def progress(watcher: BoardImageProcessor) -> None:
-            text = f"{footage.name}: board in {watcher.found} of {watcher.examined}, {len(watcher.collector)} views"
-            bar.update(task, description=text, completed=watcher.examined)
-
-        watcher = watch_footage(footage, board, "plumb_bob" if model == AUTO else model, progress)
+    done = doing(f"{footage.name}: looking for the board in images")
+    watcher = watch_footage(
+        footage, board, "plumb_bob" if model == AUTO else model, lambda watcher: done(watcher.examined)
+    )
+    until_stopped()
     console.print(
         f"{footage.name}: {watcher.examined} images, board found in {watcher.found}, "
         f"{len(watcher.collector)} views kept",

@@ -8,12 +8,18 @@ from __future__ import annotations
 import argparse
 import threading
 import time
+from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
+import cv2
 import numpy as np
 from rclpy.node import Node
-from rich.console import Console
+from rich.console import Console, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
 from sensor_msgs.msg import CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
 
@@ -21,8 +27,8 @@ from capture_rig.errors import InputError
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
 from rig_calibration.boards.board import Board
-from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
-from rig_calibration.intrinsics.model_choice import AUTO
+from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
+from rig_calibration.intrinsics.coverage import Coverage
 from rig_calibration.intrinsics.result import Intrinsics
 from rig_calibration.intrinsics.selection import BoardImageProcessor, ImageResult, ViewCollector
 from sagoma_ros.images import camera_info_message, decode_image, preview_message
@@ -30,14 +36,12 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from ..graph.ros_link import RosLink, call_all
+from ..console import REFRESH_S
+from ..graph.ros_link import DISCOVERY_S, RosLink, call_all
 from .intrinsics import save_results
-from .live_display import LiveReport, LiveState, draw_preview, panel, plain_line, state_of
 
 COMPRESSED = "/compressed"
 PREVIEW = "calibration/preview/compressed"
-REFRESH_S = 0.25
-SERVICE_TIMEOUT_S = 10.0
 
 
 def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> Intrinsics:
@@ -68,7 +72,7 @@ def offer(node: Node, namespace: str, result: Intrinsics) -> str:
     service = f"{namespace}/set_camera_info"
     camera = result.camera
     request = SetCameraInfo.Request(camera_info=camera_info_message(camera, 0, f"{camera.name}_optical"))
-    reply = call_all(node, SetCameraInfo, {service: request}, SERVICE_TIMEOUT_S, repeatable=True)[service]
+    reply = call_all(node, SetCameraInfo, {service: request}, DISCOVERY_S, repeatable=True)[service]
     if reply is None:
         return f"{service} did not answer: is the camera client running?"
     return f"the camera client {'took it' if reply.success else 'refused it'}: {reply.status_message}"
@@ -78,11 +82,11 @@ def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argpar
     """Show the progress until the views suffice, the user stops it, or the time is over."""
     begun_s = time.monotonic()
     with LiveReport(console) as report:
-        while not stop.is_set() and not camera.state.enough:
+        while not stop.is_set() and not camera.shown.enough:
             camera.changed.wait(REFRESH_S)
             camera.changed.clear()
-            state = camera.state
-            report.update(panel(state), plain_line(state), state.views, last=state.enough)
+            shown = camera.shown
+            report.update(shown.panel, shown.line, shown.views, last=shown.enough)
             passed_s = time.monotonic() - begun_s
             if camera.error is not None:
                 raise camera.error
@@ -90,7 +94,7 @@ def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argpar
                 raise InputError(f"no image came for {args.wait:g} s", where=args.topic, remedy=_who_publishes(node))
             if args.seconds is not None and passed_s > args.seconds:
                 return
-            if args.views is not None and camera.state.views >= args.views:
+            if args.views is not None and camera.shown.views >= args.views:
                 return
 
 
@@ -111,6 +115,15 @@ class _Pair:
     number: int
 
 
+class Shown(NamedTuple):
+    """The progress of collecting views, as it is shown; how many there are, and whether they suffice."""
+
+    panel: Panel
+    line: str
+    views: int
+    enough: bool
+
+
 class LiveCamera:
     """Subscribes to ``topic`` (best effort), feeds ``watcher`` on a worker thread, and publishes a preview.
 
@@ -121,12 +134,12 @@ class LiveCamera:
         self._topic, self._watcher = topic, watcher
         self.changed = threading.Event()
         self.error: Exception | None = None
-        self.received = self.dropped = 0
+        self.received = 0
         self._last: Image | CompressedImage | None = None
-        self.state: LiveState = state_of(watcher, "waiting for images", 0, 0)
+        self._show("waiting for images")
         self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
         self._worker: Worker[_Pair] = Worker(
-            "board watcher", self._process, depth=1, on_drop=self._count_drop, on_error=self._fail
+            "board watcher", self._process, depth=1, on_drop=lambda: None, on_error=self._fail
         )
         kind = CompressedImage if topic.endswith(COMPRESSED) else Image
         self._subscription = node.create_subscription(kind, topic, self._on_image, SILHOUETTE_SUBSCRIBER)
@@ -141,9 +154,6 @@ class LiveCamera:
             self._worker.put(_Pair(self._last, message, self.received - 1))
         self._last = message
 
-    def _count_drop(self) -> None:
-        self.dropped += 1
-
     def _fail(self, error: Exception) -> None:
         self.error = error
         self.changed.set()
@@ -153,19 +163,21 @@ class LiveCamera:
         try:
             image, before = decode_image(pair.image, self._topic), decode_image(pair.before, self._topic)
         except InputError as error:  # one bad message: the next may be better
-            self._update_state(str(error))
+            self._show(str(error))
             return
         seen = self._watcher.process(image, before, pair.number)
-        self._update_state("taken" if seen.taken else seen.reason)
+        self._show("taken" if seen.taken else seen.reason)
         if self._preview.get_subscription_count():
             self._publish_preview(pair.image, image, seen)
 
-    def _update_state(self, last: str) -> None:
-        self.state = state_of(self._watcher, last, self.received, self.dropped)
+    def _show(self, last: str) -> None:
+        """Describe the progress, on the thread that makes it."""
+        collector, watcher = self._watcher.collector, self._watcher
+        self.shown = Shown(panel(watcher, last), plain_line(watcher), len(collector), collector.enough)
         self.changed.set()
 
     def _publish_preview(self, message: Image | CompressedImage, image: np.ndarray, seen: ImageResult) -> None:
-        picture = draw_preview(image, seen, self._watcher.collector.coverage, self.state.advice)
+        picture = draw_preview(image, seen, self._watcher.collector.coverage, self._watcher.collector.advice())
         header = message.header
         self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
@@ -178,3 +190,101 @@ def namespace_of(topic: str) -> str:
 def camera_name_of(topic: str) -> str:
     """cam01 of /cam01/image_raw; "camera" of a topic without namespace."""
     return namespace_of(topic).rpartition("/")[2] or "camera"
+
+
+# display --------------------------------------------------------------------------------------------------------------
+
+
+BAR_WIDTH = 24
+LINE_EVERY_S = 2.0
+
+
+class LiveReport:
+    """Shows a panel on a terminal; elsewhere prints a line when there is news, at most every LINE_EVERY_S."""
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._printed_s = console, -LINE_EVERY_S
+        self._news: Hashable = None
+        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+
+    def __enter__(self) -> LiveReport:
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(self, *of_error: object) -> None:
+        if self._live is not None:
+            self._live.stop()
+
+    def update(self, panel: RenderableType, line: str, news: Hashable, last: bool = False) -> None:
+        """Show the state. news : what differs once there is something to say; last : print it now."""
+        now_s = time.monotonic()
+        if self._live is not None:
+            self._live.update(panel, refresh=True)
+        elif news != self._news and (last or now_s - self._printed_s >= LINE_EVERY_S):
+            self._news, self._printed_s = news, now_s
+            self._console.print(line, highlight=False, soft_wrap=True)
+
+
+def panel(watcher: BoardImageProcessor, last: str) -> Panel:
+    """Return the progress as a panel for a terminal; ``last`` : what came of the last image."""
+    collector, table = watcher.collector, Table.grid(padding=(0, 2))
+    for goal, share in collector.coverage.progress().items():
+        filled = round(share * BAR_WIDTH)
+        colour = "green" if share >= 1.0 else "yellow"
+        table.add_row(goal, f"[{colour}]{'█' * filled}[/]{'░' * (BAR_WIDTH - filled)}", f"{100 * share:.0f} %")
+    table.add_row("focal length", *_against(collector, "focal_sd", 100.0, "%"))
+    table.add_row("principal point", *_against(collector, "centre_sd_px", 1.0, "px"))
+    table.add_row("views", str(len(collector)), f"board in {watcher.found} of {watcher.examined} images")
+    table.add_row("last image", last, "")
+    title = f"{watcher.camera}: {collector.advice() or 'enough'}"
+    return Panel(table, title=title, subtitle="Ctrl-C: calibrate with these")
+
+
+def plain_line(watcher: BoardImageProcessor) -> str:
+    """Return the progress as a line for a log file."""
+    collector = watcher.collector
+    progress = ", ".join(f"{goal} {100 * share:.0f} %" for goal, share in collector.coverage.progress().items())
+    expected = collector.expected
+    known = f", f ± {100 * expected.focal_sd:.2f} %, centre ± {expected.centre_sd_px:.1f} px" if expected else ""
+    return f"{watcher.camera}: {len(collector)} views; {progress}{known}; {collector.advice() or 'enough'}"
+
+
+def _against(collector: ViewCollector, name: str, scale: float, unit: str) -> tuple[str, str]:
+    """Return the expected standard deviation and its target."""
+    wanted = getattr(collector.goals, name)
+    target = f"wanted: ± {scale * wanted:g} {unit}"
+    if collector.expected is None:
+        return "not known yet", target
+    value = getattr(collector.expected, name)
+    return f"[{'green' if value <= wanted else 'yellow'}]± {scale * value:.2f} {unit}[/]", target
+
+
+TAKEN, FOUND, COVERED = (60, 220, 60), (40, 160, 255), (90, 160, 60)  # BGR
+TEXT_HEIGHT_SHARE = 0.035
+
+
+def draw_preview(image: np.ndarray, seen: ImageResult, coverage: Coverage, advice: str) -> np.ndarray:
+    """Return the image (H, W[, 3]) as BGR with covered cells tinted, corners marked, and a line of advice."""
+    picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+    height, width = picture.shape[:2]
+    cells = cv2.resize(coverage.cells.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    picture[cells] = (0.75 * picture[cells] + 0.25 * np.array(COVERED)).astype(np.uint8)
+    if seen.detection is not None:
+        colour, radius = TAKEN if seen.taken else FOUND, max(2, width // 200)
+        for x, y in np.rint(seen.detection.pixels).astype(int):
+            cv2.circle(picture, (int(x), int(y)), radius, colour, max(1, radius // 2))
+    _write(picture, advice or "enough", 1)
+    _write(picture, "taken" if seen.taken else seen.reason, 2)
+    return picture
+
+
+def _write(picture: np.ndarray, text: str, line: int) -> None:
+    """Write a line of text, counted from the bottom, readable on any background."""
+    height, width = picture.shape[:2]
+    scale = TEXT_HEIGHT_SHARE * height / 22
+    needed = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0]
+    scale *= min(1.0, 0.97 * width / max(needed, 1))
+    place = (int(0.01 * width), int(height - (line - 0.6) * 1.6 * TEXT_HEIGHT_SHARE * height))
+    for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv2.LINE_AA)

@@ -11,23 +11,21 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
+from itertools import count, islice
 from typing import Any, Protocol
 
 import numpy as np
-from rich.console import Console
-from rich.progress import Progress
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import diagnose_board, find_board
-from rig_calibration.boards.image_quality import blur_px
 from rig_calibration.boards.wand import find_wand
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND
 
-from .clicking import OuterCorners, find_from_clicks
+from ..console import doing, until_stopped
 from .footage import CameraFootage, open_footage_of_cameras
+from .outer_corners import OuterCorners, find_from_corners
 
 FLOOR_FRAMES, MOVING_FRAMES = 15, 160
 """Of each camera's footage, at most so many frames are examined, evenly spread."""
@@ -86,7 +84,7 @@ def find_floor(
 
     def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
         if name in corners:
-            return find_from_clicks(
+            return find_from_corners(
                 image, board, corners[name].pixels, model=cameras[name], frame_index=frame_index, target=FLOOR
             )
         return find_board(image, board, camera=name, frame_index=frame_index, target=FLOOR, thorough=True)
@@ -174,7 +172,7 @@ def _in_one(
             detection = find(footage.name, frame_index, image)
         except InputError as error:
             refused, detection = refused or error, None
-        if detection is not None and refuse_blurred and blur_px(image, detection) > MAX_BLUR_PX:
+        if detection is not None and refuse_blurred and detection.blur_px > MAX_BLUR_PX:
             blurred, detection = blurred + 1, None
         if detection is not None:
             picture = picture if detections else image
@@ -221,7 +219,7 @@ class FootageSources(RigSources):
     """Stills and videos. Raises InputError for footage that cannot be read."""
 
     def __init__(
-        self, floor: Sequence[str], moving: Sequence[str], wand: Sequence[str], without: Sequence[str], console: Console
+        self, floor: Sequence[str], moving: Sequence[str], wand: Sequence[str], without: Sequence[str]
     ) -> None:
         self._floor, self._moving, self._wand = (_open(sources) for sources in (floor, moving, wand))
         every = self._floor.keys() | self._moving.keys() | self._wand.keys()
@@ -230,7 +228,6 @@ class FootageSources(RigSources):
             what = f"there is no footage of camera '{unknown[0]}' to leave out"
             raise InputError(what, where="--without", remedy=f"Known cameras: {', '.join(sorted(every))}.")
         self.names = tuple(sorted(every - set(without)))
-        self._console = console
 
     def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
         find = partial(find_floor, board=board, cameras=cameras, corners=corners)
@@ -248,13 +245,13 @@ class FootageSources(RigSources):
     def _search(
         self, what: str, clips: Mapping[str, CameraFootage], cameras: Container[str], find: Callable[..., Any]
     ) -> CamerasDetections:
-        """Run ``find`` on the footage of ``cameras``; on a terminal, count its pictures."""
+        """Run ``find`` on the footage of ``cameras``, and count its pictures."""
         footage = {name: clip for name, clip in clips.items() if name in cameras}
         if not footage:
             return {}
-        with Progress(console=self._console, transient=True, disable=not self._console.is_terminal) as bar:
-            task = bar.add_task(f"looking for the {what} in {len(footage)} cameras' pictures", total=None)
-            found: CamerasDetections = find(footage, progress=lambda: bar.advance(task))
+        done, counted = doing(f"looking for the {what} in {len(footage)} cameras' pictures"), count(1)
+        found: CamerasDetections = find(footage, progress=lambda: done(next(counted)))
+        until_stopped()
         return found
 
 

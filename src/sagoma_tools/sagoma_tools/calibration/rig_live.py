@@ -23,7 +23,6 @@ from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import find_board
-from rig_calibration.boards.image_quality import blur_px
 from rig_calibration.extrinsics.calibrate import MOVING
 from rig_calibration.extrinsics.carried_board import ENOUGH_SHARED, MotionProgress, motion_progress
 from sagoma_ros.images import decode_image
@@ -31,16 +30,18 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from .live_display import LiveReport
+from ..console import REFRESH_S
+from ..graph.ros_link import LOOK_S
+from .live_lens import LiveReport
 from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, RigSources, find_floor
 
 TOLERANCE_NS = 10_000_000
 """Exposures further apart are not one frame set: a board carried at 0.5 m/s moves 5 mm meanwhile."""
 DEADLINE_NS = 2_000_000_000
-REFRESH_S, SILENCE_S = 0.25, 15.0
+SILENCE_S = 15.0
 TOPIC = "image_raw"
 IMAGE_TYPE = "sensor_msgs/msg/Image"
-FIND_TIMEOUT_S, SETTLE_S, POLL_S = 15.0, 3.0, 0.1
+FIND_TIMEOUT_S, SETTLE_S = 15.0, 3.0
 FLOOR_SHOTS, SHOTS_TIMEOUT_S = 5, 15.0
 
 Ask = Callable[[str], None]
@@ -122,7 +123,7 @@ class MotionRecorder:
         image = decode_image(message, self._topics[name])
         self._pictures.setdefault(name, image)
         detection = find_board(image, self._board, camera=name, frame_index=frame_index, target=MOVING)
-        if detection is not None and blur_px(image, detection) > MAX_BLUR_PX:
+        if detection is not None and detection.blur_px > MAX_BLUR_PX:
             self._blurred[name] += 1
             return None
         return detection
@@ -248,7 +249,7 @@ def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = FIND_TIMEO
             seen, since_s = found, time.monotonic()
         elif seen and not wanted and time.monotonic() - since_s > SETTLE_S:
             return seen
-        time.sleep(POLL_S)  # the graph offers no event to wait for
+        time.sleep(LOOK_S)  # the graph offers no event to wait for
     missing = ", ".join(sorted(set(wanted) - set(seen)))
     raise InputError(
         f"no node publishes /{missing or 'NAME'}/{TOPIC}",

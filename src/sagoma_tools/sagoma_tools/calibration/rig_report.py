@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import datetime
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,8 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
 from rig_calibration.extrinsics.figures import CameraFigures, RigFigures
+
+from ..recording.writer import own_version
 
 COLOURS = {GOOD: "green", USABLE: "yellow", REDO: "red"}
 CAMERA_FIGURES = (
@@ -129,7 +130,7 @@ def write_report(path: Path, calibrated: RigCalibration, asked: Mapping[str, Any
         "left_out": [_left_document(left) for left in calibrated.solution.left_out],
         "asked": dict(asked),
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "versions": {"sagoma_tools": _version("sagoma_tools"), "opencv": cv2.__version__, "numpy": np.__version__},
+        "versions": {"sagoma_tools": own_version(), "opencv": cv2.__version__, "numpy": np.__version__},
     }
     save_mapping(path, document, default_flow_style=None, width=120)
     return path
@@ -177,10 +178,3 @@ def _left_document(left: Any) -> dict[str, Any]:
 
 def _rounded(value: float | None) -> float | int | None:
     return value if value is None or isinstance(value, int) else float(f"{value:.5g}")
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"

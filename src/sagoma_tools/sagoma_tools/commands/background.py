@@ -36,7 +36,6 @@ from ..arguments import NODES, SECONDS
 from ..command_help import INTERRUPTED
 from ..console import command_console
 from ..graph.background_training import (
-    TIMEOUT_S,
     TrainingOutcome,
     camera_of,
     find_clients,
@@ -44,13 +43,12 @@ from ..graph.background_training import (
     progress_of,
     train_backgrounds,
 )
-from ..graph.diagnostics_table import DiagnosticsTable
-from ..graph.namespace import add_namespace_argument, namespace_argument, namespace_of
-from ..graph.ros_link import RosLink
+from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
+from ..graph.processes import START_TIMEOUT_S
+from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument, namespace_of
 
 COUNTDOWN_S = 10
 LAST_SECONDS = 5  # in a log each of them has a line
-CONTACT_S = 3.0  # within this every client publishes its diagnostics
 ERROR = b"\2"
 IDLE = ("unconfigured", "configured, inactive", "suspended")
 STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
@@ -81,7 +79,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     )
     option("--expect", type=NODES, default=1, metavar="N", help="wait until so many camera clients are found")
     option("--wait", type=SECONDS, default=5.0, metavar="S", help="... but no longer than this")
-    option("--timeout", type=SECONDS, default=TIMEOUT_S, metavar="S", help="for a camera's frames to come")
+    option("--timeout", type=SECONDS, default=START_TIMEOUT_S, metavar="S", help="for a camera's frames to come")
     add_namespace_argument(parser)
     option("--json", action="store_true", help="print the result as one line of JSON, too")
     parser.set_defaults(run=run)
@@ -101,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
         diagnostics = DiagnosticsTable(link.node)
         found = find_clients(link.node, args.expect, args.wait)
         names = select_clients(found, args.cameras, namespace_of(link.node))
-        diagnostics.wait_for(names, CONTACT_S)
+        diagnostics.wait_for(names, STALE_S)
         if args.repeat:
             names = needing_training(diagnostics, names)
         if not names:

@@ -5,21 +5,23 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from functools import partial
 from pathlib import Path
+
+from rich.console import Console
 
 from capture_rig.errors import InputError
 from capture_rig.lens import COEFFICIENTS
 from capture_rig.number import number
+from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
-from rig_calibration.boards.drawing import print_size_m, save_for_print
-from rig_calibration.boards.printing import PAPER_MM
+from rig_calibration.boards.drawing import PAPER_MM, print_size_m, save_for_print
 from rig_calibration.boards.specification import board_text, read_board
-from rig_calibration.intrinsics.model_choice import AUTO
+from rig_calibration.intrinsics.calibrate import AUTO
 
 from ..arguments import SECONDS
 from ..calibration.intrinsics import calibrate_footage, figures, print_results
 from ..console import command_console
-from . import calibrate_extrinsics
 
 INTRINSICS_FOLDER = "output/intrinsics"
 MODELS = (*COEFFICIENTS, AUTO)
@@ -32,7 +34,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     steps = parser.add_subparsers(title="steps", required=True, metavar="STEP")
     _add_board(steps)
     _add_intrinsics(steps)
-    calibrate_extrinsics.add_parser(steps)
+    _add_extrinsics(steps)
 
 
 def _add_board(steps: argparse._SubParsersAction) -> None:
@@ -97,3 +99,98 @@ def calibrate_cameras(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps({"cameras": [figures(result) for result in results], "failed": [str(f) for f in failures]}))
     return FAILED if failures or any(result.verdict.grade == REDO for result in results) else 0
+
+
+# extrinsics -----------------------------------------------------------------------------------------------------------
+
+
+NOT_GOOD_ENOUGH = 1
+WIDTH = 120
+EPILOG = """\
+A SOURCE is a folder (cam01.mp4, cam02.png, cam03/*.jpg ...), one video or still, or NAME=PATH.
+The world: z up, origin on the floor in the middle of the floor board, x along its rows."""
+
+
+def _add_extrinsics(steps: argparse._SubParsersAction) -> None:
+    """Add the step."""
+    parser = steps.add_parser(
+        "extrinsics",
+        help="where the cameras stand: a board on the floor, a board carried through the room",
+        epilog=EPILOG,
+    )
+    _add_pictures(parser.add_argument_group("pictures"))
+    _add_world(parser.add_argument_group("world"))
+    option = parser.add_argument_group("where the floor board is not found").add_argument
+    option("--corners", metavar="FILE", help="YAML: NAME: four [x, y] outer corners, in pixels")
+    help_click = "write pictures with a grid, and a file of corners to fill in, of these cameras or of all without it"
+    option("--click", nargs="*", default=None, metavar="NAME", help=help_click)
+    option = parser.add_argument
+    help_refine = "adjust focal lengths and principal points as well, as far as NAME.report.yaml leaves them uncertain"
+    option("--refine-intrinsics", action="store_true", help=help_refine)
+    option("--without", nargs="+", default=[], metavar="NAME", help="leave these cameras out")
+    many = {"action": "append", "default": []}
+    help_check = "distance between two lenses, measured with a tape"
+    option("--check", nargs=3, metavar=("NAME", "NAME", "METRES"), help=help_check, **many)
+    help_height = "height of a lens above the floor, measured with a tape"
+    option("--check-height", nargs=2, metavar=("NAME", "METRES"), help=help_height, **many)
+    help_output = "rig file to write; report and pictures come beside it (default: rig.yaml)"
+    option("--output", default="rig.yaml", metavar="FILE", help=help_output)
+    parser.set_defaults(run=run_extrinsics)
+
+
+def _add_pictures(group: argparse._ArgumentGroup) -> None:
+    option = group.add_argument
+    help_intrinsics = "one NAME.yaml (camera_info) a camera; or a rig file to take the lenses from"
+    option("--intrinsics", required=True, metavar="FOLDER", help=help_intrinsics)
+    option("--floor", nargs="+", default=[], metavar="SOURCE", help="the board lying still on the floor")
+    help_moving = "a board carried through the room; same frame number = same moment"
+    option("--moving", nargs="*", default=None, metavar="SOURCE", help=help_moving)
+    option("--wand", nargs="+", default=[], metavar="SOURCE", help="a wand with bright markers, carried")
+    option("--wand-marks", metavar="M,M,...", help="positions of its markers along it, metres")
+    option("--board", metavar="TEXT|FILE", help='e.g. "checkerboard 9x6 25mm" (inner corners), or a YAML file')
+    option("--floor-board", metavar="TEXT|FILE", help="the board on the floor, where it is another one")
+    option("--live", action="store_true", help="take the pictures from the running cameras' image_raw topics")
+    help_cameras = "with --live: these cameras (default: all that publish)"
+    option("--cameras", nargs="+", default=[], metavar="NAME", help=help_cameras)
+
+
+def _add_world(group: argparse._ArgumentGroup) -> None:
+    option = group.add_argument
+    corner = "in metres from its first corner, along its rows and towards the top of the print"
+    help_origin = f"on the floor board: centre (default), first-corner, or x,y {corner}"
+    option("--origin", default="centre", metavar="WHERE", help=help_origin)
+    help_heading = "from the board's rows to world x, counterclockwise from above"
+    option("--heading", type=number("degrees", -360, 360), default=0.0, metavar="DEG", help=help_heading)
+    option("--board-thickness", type=number("m", 0, 0.5), default=0.0, metavar="METRES", help="of the floor board")
+    when = "a frame's number, first, last, lowest (default: found), or none (no floor is known)"
+    option("--floor-at", metavar="WHEN", help=f"without --floor: when the carried board lies on the floor: {when}")
+    option("--floor-points", metavar="FILE", help="YAML of points measured on the floor and seen by cameras")
+
+
+def run_extrinsics(args: argparse.Namespace) -> int:
+    """Calibrate; 0 when the rig can be used, 1 when it should be calibrated again."""
+    from ..calibration.extrinsics import calibrate_extrinsics, request_from  # solver and numba take a second to load
+
+    request, console = request_from(args), command_console(width=WIDTH)
+    if args.live:
+        from ..calibration.rig_live import LiveSources
+        from ..graph.ros_link import RosLink
+
+        with RosLink("sagoma_calibrate") as link, StopOnSignal() as stop:
+            wanted = args.cameras, args.without, args.moving is not None
+            live = LiveSources(link.node, *wanted, console, partial(_ask, console), stop)
+            calibrated = calibrate_extrinsics(request, live, console)
+    else:
+        from ..calibration.rig_detections import FootageSources
+
+        footage = FootageSources(args.floor, args.moving or (), args.wand, args.without)
+        calibrated = calibrate_extrinsics(request, footage, console)
+    return NOT_GOOD_ENOUGH if calibrated.verdict.grade == REDO else 0
+
+
+def _ask(console: Console, what: str) -> None:
+    """Tell a person what to do, and wait until it is done where somebody can say so."""
+    if sys.stdin.isatty():
+        console.input(f"{what}, then press Enter: ")
+    else:
+        console.print(what)

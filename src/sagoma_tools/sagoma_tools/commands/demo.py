@@ -23,14 +23,14 @@ from virtual_studio.rig import ring
 
 from ..arguments import FRAME_RATE, PLAYING_SPEED, add_settings_argument, add_start_argument, next_steps, parse_settings
 from ..command_help import INTERRUPTED
-from ..console import command_console
+from ..console import command_console, doing
 from ..evaluation.live_inputs import FootageInput
-from ..evaluation.live_run import KEPT_UP, LiveRun, draw, evaluate_run, run_live, run_studio
+from ..evaluation.live_run import KEPT_UP, LiveRun, evaluate_run, run_live, run_studio
+from ..evaluation.pictures import draw
 from ..evaluation.reasons import explain
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
-from ..progress_line import doing
-from ..takes.summary_file import finish_take
+from ..takes.measure import finish_take
 
 CAMERA_FPS = 60.0  # at most; what the machine does not hold is thinned out, or shown in slow motion
 TRACKED = 0.5  # of those answered, at least, have a body: the rest is the time until the first pose
@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
     outcome = evaluate_run(live) if len(live.track) else None
     scores = outcome.scores if outcome else None
     report(console, live, scores)
-    for path in draw(live, output, outcome) if outcome else ():
+    for path in draw(output, outcome) if outcome else ():
         console.print(f"picture: {path}")
     console.print(f"bag: {live.bag}  (replay it: sagoma replay {live.bag} --graph --lockstep --output OUT)")
     console.print(next_steps(live.bag))

@@ -11,14 +11,13 @@ from capture_rig.errors import InputError
 from capture_rig.number import number
 from capture_rig.stop_signals import StopOnSignal
 
-from ..console import command_console
+from ..console import command_console, doing, until_stopped
 from ..doctor.cameras import examine_camera
 from ..doctor.findings import Finding, exit_status, show, summary
 from ..doctor.graph import LIVE_S, examine_graph
 from ..doctor.hosts import PORT, examine_hosts, serve
 from ..doctor.machine import examine_machine
 from ..doctor.rig import examine_rig
-from ..progress_line import doing, until_stopped
 
 DESCRIPTION = (
     "Examine this machine; with --rig also a rig and its calibration, with --live also the running graph, with "

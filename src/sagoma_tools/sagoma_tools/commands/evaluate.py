@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +18,14 @@ from mocap_pipeline.configuration import Configuration
 from sagoma_bringup.first_pose import start_settings
 
 from ..arguments import add_settings_argument, add_start_argument, parse_settings
-from ..console import command_console
+from ..console import command_console, doing
 from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_people
 from ..evaluation.people import PeopleScores, identify, main_track, score_people
-from ..evaluation.pictures import draw_stills, write_overlay
+from ..evaluation.pictures import draw, write_overlay
 from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_ablation, print_evaluation, print_people
-from ..evaluation.track import Track, tracks_from_bag
-from ..evaluation.track_evaluation import TrackEvaluation, evaluate_track
-from ..progress_line import doing
-from ..recording.session_clock import clock_of_bag, is_bag, session_of_bag
+from ..evaluation.track import Track, clock_of_bag, is_bag, session_of_bag, tracks_from_bag
+from ..evaluation.track_evaluation import evaluate_track
 
 IN_JSON = ("mean_mm", "over_200mm", "inside_95")
 """Of each row of an ablation."""
@@ -72,7 +70,10 @@ def run(args: argparse.Namespace) -> int:
             print_ablation(console, rows)
     if args.plots or args.video or not args.json:
         folder = Path(args.plots) if args.plots else Path("output/evaluate") / session.folder.name
-        for path in pictures(folder, evaluated, args.video, doing("drawing frames", evaluated.frames)):
+        paths, progress = draw(folder, evaluated), doing("drawing frames", evaluated.frames)
+        if args.video and session.videos:
+            paths.append(write_overlay(folder / "overlay.mp4", evaluated, progress))
+        for path in paths:
             console.print(f"picture: {path}")
     if rows:
         figures["ablation"] = {
@@ -145,17 +146,6 @@ def ablation_scores(session: Session, tracks: Mapping[str, Track]) -> dict[str, 
     """Return the scores of the ablation's rows, in order; None for an empty track."""
     assert session.truth is not None
     return {name: score(tracks[name], session.truth) if len(tracks[name]) else None for name in ROWS}
-
-
-def pictures(folder: Path, evaluated: TrackEvaluation, video: bool, progress: Callable[[int], None]) -> list[Path]:
-    """Draw plots, and overlays where there is footage; returns the paths."""
-    from ..evaluation.plots import draw_plots  # matplotlib takes a second to load
-
-    paths = draw_plots(folder, evaluated)
-    if not evaluated.session.videos:
-        return paths
-    paths += draw_stills(folder, evaluated)
-    return [*paths, write_overlay(folder / "overlay.mp4", evaluated, progress)] if video else paths
 
 
 def _settings(args: argparse.Namespace, session: Session) -> dict[str, Any]:

@@ -22,19 +22,17 @@ from capture_rig.stop_signals import StopOnSignal
 from virtual_studio.gige import command as studio
 
 from ..arguments import NODES, SECONDS, add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
-from ..console import command_console
+from ..console import REFRESH_S, command_console, doing, until_stopped
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit, ProcessSettings
 from ..graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
 from ..graph.ros_link import RosLink, our_nodes, settled
 from ..graph.supervisor import GraphError, Supervisor
-from ..progress_line import doing, until_stopped
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
-from ..takes.summary_file import finish_take
+from ..takes.measure import finish_take
 from .view import add_page_arguments, page_of
 
-REFRESH_S = 0.5
 # verb -> (the state it leads to, whether the cameras go first, help)
 VERBS = {
     "start": (State.ACTIVE, False, "configure and activate every node of the running graph"),

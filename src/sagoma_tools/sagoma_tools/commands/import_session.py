@@ -13,7 +13,7 @@ from capture_rig.number import number
 
 from ..console import command_console
 from ..importers import biocv
-from ..importers.humaneva.importer import CAMERAS, Request, Summary, Trial, import_trial
+from ..importers.humaneva import CAMERAS, Request, Summary, Trial, import_trial
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:

@@ -14,8 +14,8 @@ from capture_rig.stop_signals import StopOnSignal
 
 from ..arguments import SECONDS, add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings
 from ..command_help import INTERRUPTED
-from ..graph.namespace import add_namespace_argument, namespace_argument
-from ..graph.ros_link import RosLink, our_nodes
+from ..console import doing, until_stopped
+from ..graph.ros_link import PATIENCE_S, RosLink, add_namespace_argument, namespace_argument
 from ..graph.topics import (
     CLOCK_TOPIC,
     DIAGNOSTICS,
@@ -25,18 +25,14 @@ from ..graph.topics import (
     camera_topics,
     topics_of_others,
 )
-from ..progress_line import doing, until_stopped
 from ..recording.asked_topics import AskedTopics, matches_any
 from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
-from ..recording.recorder import Recorder, read_configuration, rig_of_configuration
+from ..recording.recorder import Recorder
 from ..recording.recovery import recover_bag
 from ..recording.replayer import CLOCK_HZ, InputPublishers, LockstepReport, MonotonicClock, SimulatedClock, play_timed
 from ..recording.writer import require_new
-from ..takes.summary_file import finish_take
-
-PARAMETERS_TIMEOUT_S = 2.0
-SUBSCRIBER_TIMEOUT_S = 30.0
+from ..takes.measure import finish_take
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -112,10 +108,7 @@ def record(args: argparse.Namespace) -> int:
         until_stopped()
         stop.wait(args.seconds)
         doing("closing the bag")
-        configuration = read_configuration(link.node, sorted(our_nodes(link.node)), PARAMETERS_TIMEOUT_S)
-        counts = recorder.close(
-            {"graph": configuration}, Path(args.rig) if args.rig else rig_of_configuration(configuration)
-        )
+        counts = recorder.close_with_graph(Path(args.rig) if args.rig else None)
     finish_take(Path(args.bag))
     print_counts(counts)
     if any(counts.values()):
@@ -156,7 +149,7 @@ def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event)
     publishers = InputPublishers(link.node, {name: types[name] for name in sorted(wanted)})
     silhouettes = [name for name in inputs & wanted if name.endswith(SILHOUETTE_SUFFIX)]
     if args.topics == "inputs":
-        publishers.wait_for_subscribers(silhouettes, SUBSCRIBER_TIMEOUT_S)
+        publishers.wait_for_subscribers(silhouettes, PATIENCE_S)
     if silhouettes:
         publishers.require_no_other(silhouettes)
     count, times, clock = 0, 0, MonotonicClock(stop)

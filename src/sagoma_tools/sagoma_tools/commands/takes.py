@@ -16,16 +16,12 @@ from rich.text import Text
 from capture_rig.errors import InputError
 
 from ..arguments import FRAME_RATE, SECONDS, add_takes_argument, chosen_take
-from ..console import command_console
-from ..progress_line import doing
+from ..console import command_console, doing
 from ..takes.exporting import EXPORTS
 from ..takes.folder import TAKES, TakesFolder
-from ..takes.measure import digests
-from ..takes.summary_file import finish_take
-from ..takes.take import Summary, TakeState
-from ..takes.texts import FIGURES, MIB, NOT_MEASURED, date, figures, origin, remark, summary_lines
+from ..takes.measure import ERROR, OK, WARNING, Check, digests, finish_take, verify
+from ..takes.take import FIGURES, MIB, NOT_MEASURED, Summary, TakeState, date, figures, origin, remark, summary_lines
 from ..takes.trim import trim
-from ..takes.verify import ERROR, OK, WARNING, Check, verify
 from ..takes.video import VIDEO, write_video
 
 STATE_STYLE = {TakeState.WHOLE: "", TakeState.UNFINISHED: "yellow", TakeState.DAMAGED: "red"}

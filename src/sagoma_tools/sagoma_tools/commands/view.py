@@ -12,10 +12,9 @@ from capture_rig.rig import Rig, load_rig
 from capture_rig.stop_signals import StopOnSignal
 
 from ..arguments import SECONDS, add_takes_argument, bag_of
+from ..console import until_stopped
 from ..graph.diagnostics_table import DiagnosticsTable
-from ..graph.namespace import add_namespace_argument, namespace_argument
-from ..graph.ros_link import RosLink
-from ..progress_line import until_stopped
+from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument
 from ..takes.folder import TakesFolder
 from ..view.control import Control
 from ..view.guard import ANY_HOST, Guard
@@ -41,7 +40,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> None:
     """The arguments of a page; :func:`page_of` reads them."""
     if switch:
-        parser.add_argument(switch, action="store_true", help="serve the live page, too (docs/view.md)")
+        parser.add_argument(switch, action="store_true", help="serve the live page, too (docs/takes.md)")
     help_host = "address to listen on; others than this machine then need the token that is printed (default: this one)"
     parser.add_argument("--host", default=HOST, help=help_host)
     port = number("", 0, 65535, whole=True)

@@ -30,8 +30,7 @@ from sagoma_bringup.graph import camera_from_file
 from sagoma_ros.names import resolve_packages
 
 from .findings import Finding, check, error, examine, graded, note, ok, warning
-from .machine import SUBJECT
-from .network import Interface, check_buffer, interface_to
+from .machine import SUBJECT, Interface, check_buffer, interface_to
 
 NODE_PARAMETERS = ("autostart",)  # of every node, not of the camera client's settings
 OLD_S = 12 * 3600.0  # daylight and lamps change from one day to the next

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from camera_client.background.causes import KEY as FINDINGS_KEY
+from camera_client.background.causes import read_findings
 from camera_client.background.training import KEY as TRAINING_KEY
 from camera_client.background.training import TrainingReport
-from camera_client.condition_findings import KEY as FINDINGS_KEY
-from camera_client.condition_findings import read_findings
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
@@ -37,8 +37,8 @@ NOTHING, ENOUGH_MASKS, SAME_PX = 1e-5, 10, 0.01
 OLD_S, EARLY_S = 1.0, 5e-3
 PACKET_BYTES = 1400
 OF_GRADE = {GOOD: note, USABLE: warning, REDO: error}
-RECOVERY = "docs/recovery.md"
-PAGES = {HULL: "docs/camera_faults.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
+RECOVERY = "docs/tracking.md"
+PAGES = {HULL: "docs/faults.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
 UNREACHABLE = "Look for its process and log there; for the way: sagoma doctor --host ADDRESS, firewall, cable."
 BIG_MESSAGES = (
     "Large messages get lost: one MTU on all machines (sagoma doctor --host ADDRESS), "
@@ -192,7 +192,7 @@ def check_message(node: NodeFacts, facts: GraphFacts) -> Finding | None:
     page = "docs/camera_pcs.md" if node.camera else PAGES.get(node.name, "")
     remedy = f"See {page}." if page else "See its log."
     if level == 1 and message.startswith(ACQUIRING):
-        return note("says.acquiring", message, "Somebody has to come, or stand in the T-pose: docs/acquisition.md.")
+        return note("says.acquiring", message, "Somebody has to come, or stand in the T-pose: docs/tracking.md.")
     if level == 1 and facts.room_empty and any(words in message for words in EMPTY):
         return ok("says", f"{message} (the room is empty)")
     return graded("says", message, (level > 1, error, "error", remedy), (level > 0, warning, "warning", remedy))

@@ -33,7 +33,7 @@ from ..graph.network_settings import PEERS_VARIABLE
 from ..graph.ros_link import RosLink, call_all, node_names, owners_of, settled
 from ..graph.running_nodes import own_machine, places_of
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
-from .network import domains_here
+from .machine import domains_here
 
 OWN_NAME = "sagoma_doctor"
 FRAME_SET_TOPIC = "/hull/frame_set"

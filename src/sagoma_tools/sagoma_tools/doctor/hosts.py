@@ -24,7 +24,7 @@ import psutil
 
 from ..graph.network_settings import PEERS_VARIABLE, PROFILE_VARIABLE, RANGE_VARIABLE
 from .findings import Finding, check, error, examine, note, ok, warning
-from .network import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, domains_here, interface_to
+from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, domains_here, interface_to
 
 PORT = 7398  # below all ROS domains' ports
 UNUSED_PORT = 10 + 2 * PARTICIPANTS + 9  # of a domain's: no process listens there

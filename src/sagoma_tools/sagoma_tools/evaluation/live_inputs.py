@@ -8,34 +8,36 @@ import tempfile
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import psutil
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 from capture_rig.stamps import UTC, CaptureClock
+from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_bringup.graph import NodeSpec, build_graph
+from sagoma_ros.qos import LATCHED
+from sagoma_ros.thinning import TOPIC, read_thinning
 from virtual_studio.gige.addresses import consecutive_addresses, is_free
 from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
 from virtual_studio.gige.control import ask
 
 from ..graph.background_training import learn_backgrounds
 from ..graph.processes import START_TIMEOUT_S, Child, Usage, busy_machine, stop_children
-from ..graph.ros_link import call_all
+from ..graph.ros_link import ANSWER_S, LOOK_S, PATIENCE_S, call_all
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC
 from ..recording.recorder import GraphRecorder
-from ..recording.session_clock import SessionClock, frame_count
-from .held_rate import HeldRate
+from .track import SessionClock, frame_count
 
-START_POLL_S = 0.05
-GRACE_S = 5.0
 SILENCE_S = 20.0
-POLL_S = 0.5
-RESET_TIMEOUT_S = 30.0
 FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
 
 
@@ -82,7 +84,7 @@ class StudioProcess:
         deadline_s = time.monotonic() + START_TIMEOUT_S  # a long session is decoded into memory first
         while self._child.log_tail(1) != "ready":
             interrupted = cancel is not None and cancel.is_set()
-            if ended.wait(START_POLL_S) or interrupted:
+            if ended.wait(LOOK_S) or interrupted:
                 why, remedy = "it was interrupted" if interrupted else "it has ended", "Correct what its log names."
             elif time.monotonic() > deadline_s:
                 why = f"it was not ready after {START_TIMEOUT_S:g} s"
@@ -101,7 +103,7 @@ class StudioProcess:
     def close(self) -> None:
         """End it; may be called twice."""
         if self._child is not None:
-            stop_children([self._child], GRACE_S)
+            stop_children([self._child], ANSWER_S)
         self._sockets.cleanup()
 
     def __enter__(self) -> StudioProcess:
@@ -250,11 +252,11 @@ class StudioInput(LiveInput):
         self.studio.ask("room", state="occupied")
         if self.in_real_time:
             self.held.settle(cancel)
-            held_hz = self.held.history.newest[0].fraction * self._fps
+            held_hz = self.held.fraction * self._fps
             if held_hz < self._least_hz and not cancel.is_set():
                 raise TooSlow(held_hz)
         resets = {f"/{tracker}/reset": Trigger.Request() for tracker in ("icp_tracker", "ekf_tracker")}
-        call_all(self._supervisor.node, Trigger, resets, RESET_TIMEOUT_S)
+        call_all(self._supervisor.node, Trigger, resets, PATIENCE_S)
 
     def usage(self) -> dict[str, Usage]:
         used = self.studio.usage()
@@ -271,7 +273,7 @@ class StudioInput(LiveInput):
         """Wait for the answer to a stamp, or until nothing has been answered for SILENCE_S since the last exposure."""
         counts, heard_s = recorder.recorder.counts, time.monotonic() + self.clock.wait_ns(last_ns) * 1e-9
         while time.monotonic() < heard_s + SILENCE_S and not cancel.is_set():
-            if recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, POLL_S):
+            if recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, LOOK_S):
                 return
             if counts != (counts := recorder.recorder.counts):
                 heard_s = max(heard_s, time.monotonic())
@@ -293,3 +295,67 @@ def free_first_address(count: int, candidates: Sequence[str] = FIRST_ADDRESSES) 
     raise InputError(
         "other studios hold every address", where=f"{candidates[0]} to {candidates[-1]}", remedy="End one of them."
     )
+
+
+# the rate that a graph holds ------------------------------------------------------------------------------------------
+
+
+SETTLED_S = 3.0  # without a fall of the rate: a queue that grows by 5 % stands by then
+LONGEST_S = 12.0  # a machine whose load changes all the time never settles
+
+
+class HeldRate:
+    """Keeps the rules of thinning that a running graph publishes; its node must be spun by another thread."""
+
+    def __init__(self, node: Node, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s, self._rules = now_s, list[tuple[float, FrameDecimation]]()
+        self._subscription = node.create_subscription(DiagnosticArray, TOPIC, self._on_rule, LATCHED)
+
+    @property
+    def fraction(self) -> float:
+        """The share of the frames that the rule in force keeps; all before there was any."""
+        return (self._rules[-1][1] if self._rules else EVERY_FRAME).fraction
+
+    def add(self, rule: FrameDecimation) -> None:
+        """Add a rule that was published now."""
+        self._rules.append((self._now_s(), rule))
+
+    def settle(self, cancel: threading.Event) -> None:
+        """Return once the rate has not fallen for SETTLED_S, at the latest after LONGEST_S."""
+        began_s = self._now_s()
+        while not self.is_settled(began_s) and not cancel.wait(LOOK_S):
+            pass
+
+    def is_settled(self, began_s: float) -> bool:
+        """Return whether the rate has not fallen for SETTLED_S since ``began_s``, or LONGEST_S have passed."""
+        steps, now_s = list(pairwise(self._rules)), self._now_s()
+        falls = [s for (_, before), (s, rule) in steps if s >= began_s and rule.fraction < before.fraction]
+        return now_s - max(falls, default=began_s) >= SETTLED_S or now_s - began_s >= LONGEST_S
+
+    def _on_rule(self, message: DiagnosticArray) -> None:
+        self.add(read_thinning(message, TOPIC))
+
+
+class OtherPrograms:
+    """Measures what programs other than this process and its children take of the machine's processors."""
+
+    def __init__(self) -> None:
+        self._before = self._times()
+
+    def share(self) -> float:
+        """Return their share (0 to 1) of all processors since construction."""
+        busy, total, own = (now - then for now, then in zip(self._times(), self._before, strict=True))
+        return min(max((busy - own) / total, 0.0), 1.0) if total > 0 else 0.0
+
+    @staticmethod
+    def _times() -> tuple[float, float, float]:
+        machine = psutil.cpu_times()
+        idle = machine.idle + getattr(machine, "iowait", 0.0)
+        own = 0.0
+        for process in (psutil.Process(), *psutil.Process().children(recursive=True)):
+            try:
+                times = process.cpu_times()
+            except psutil.Error:  # it has ended meanwhile
+                continue
+            own += times.user + times.system
+        return sum(machine[:8]) - idle, sum(machine[:8]), own

@@ -1,45 +1,36 @@
-"""Runs the whole graph live, every node a process, records a bag, and reads it back as figures and pictures."""
+"""Runs the whole graph live, every node a process, records a bag, and reads it back as figures."""
 
 from __future__ import annotations
 
 import math
 import shutil
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from sensor_msgs.msg import CompressedImage
 
-from capture_rig.camera import CameraModel
 from capture_rig.session import Session
 from mocap_packets.latency import POINTS
 from sagoma_bringup.first_pose import start_settings
-from sagoma_ros.images import decode_silhouette
 
+from ..console import doing
 from ..graph.processes import ProcessSettings, Usage
 from ..graph.supervisor import Supervisor
-from ..graph.topics import PREDICTION_TOPIC, camera_topics
-from ..progress_line import doing
+from ..graph.topics import PREDICTION_TOPIC
 from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
-from ..recording.session_clock import SessionClock, clock_of_bag, silhouette_stamps
-from .held_rate import OtherPrograms
-from .live_inputs import LiveInput, StudioInput, TooSlow
+from .live_inputs import LiveInput, OtherPrograms, StudioInput, TooSlow
 from .people import main_track
-from .pictures import session_overlay
 from .reasons import reasons_of_bag
-from .track import Track, tracks_from_bag
+from .track import SessionClock, Track, clock_of_bag, silhouette_stamps, tracks_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track
 
 FRAME_SET_TOPIC = "/hull/frame_set"
-NOWHERE_PX = -9.0  # beyond the canvas
-OVERLAY_FRAMES = 3
 LEAST_HZ = 25.0  # frame sets a second that simulated cameras are to have, or they go slower
 SLOWEST = 1 / 32
 SPARED = 1.25  # times the rate that a graph holds: in slow motion it takes no pictures that it leaves out
@@ -244,50 +235,6 @@ def _values(message: BagMessage) -> dict[str, str]:
     if not statuses:
         raise message.damaged("holds no status")
     return {pair.key: pair.value for pair in statuses[0].values}
-
-
-def image_masks(
-    bag: Path, cameras: Iterable[CameraModel], frames: Sequence[int], frame_of_stamp: Callable[[int], int]
-) -> dict[str, list[np.ndarray]]:
-    """Each camera's silhouettes (H, W) at the given frames, distorted back to image pixels; empty where none came."""
-    return {camera.name: _masks_of(bag, camera, frames, frame_of_stamp) for camera in cameras}
-
-
-def distort_mask(camera: CameraModel, canvas_mask: np.ndarray) -> np.ndarray:
-    """Distort a mask (h, w) on the padded undistorted canvas back into the camera's image (H, W)."""
-    canvas = camera.undistorted_view().camera
-    rows, columns = np.mgrid[0 : camera.height, 0 : camera.width]
-    rays_world = camera.rays_world(np.column_stack([columns.ravel(), rows.ravel()]))
-    on_canvas = rays_world @ camera.R_camera_world.T @ canvas.K.T
-    places = np.nan_to_num(on_canvas[:, :2] / on_canvas[:, 2:], nan=NOWHERE_PX)  # NaN: the lens has no ray there
-    pixels = places.astype(np.float32).reshape(camera.height, camera.width, 2)
-    return cv2.remap(canvas_mask, pixels[..., 0], pixels[..., 1], cv2.INTER_NEAREST)
-
-
-def _masks_of(
-    bag: Path, camera: CameraModel, frames: Sequence[int], frame_of_stamp: Callable[[int], int]
-) -> list[np.ndarray]:
-    topic, canvas = camera_topics(camera.name)[1].name, camera.undistorted_view().camera
-    found = {}
-    for message in read_messages(bag, topic.__eq__):
-        frame = frame_of_stamp(message.stamp_ns)
-        if frame in frames:
-            image = message.decode(CompressedImage)
-            found[frame] = distort_mask(camera, decode_silhouette(image, canvas.width, canvas.height, topic))
-    empty = np.zeros((camera.height, camera.width), np.uint8)
-    return [found.get(frame, empty) for frame in frames]
-
-
-def draw(run: LiveRun, output: Path, evaluated: TrackEvaluation) -> list[Path]:
-    """Write overlay.png and the plots of angles and errors; returns their paths."""
-    from .plots import draw_plots  # matplotlib takes a second to load
-
-    session, track = run.session, run.track
-    frames = [int(f) for f in track.frames[np.linspace(0, len(track.frames) - 1, OVERLAY_FRAMES + 2).astype(int)[1:-1]]]
-    masks = image_masks(run.bag, session.rig.cameras, frames, run.clock.frame_of)
-    overlay = output / "overlay.png"
-    cv2.imwrite(str(overlay), session_overlay(session, frames, track.at(np.array(frames)).points_world, masks))
-    return [overlay, *draw_plots(output, evaluated)]
 
 
 def evaluate_run(run: LiveRun) -> TrackEvaluation:

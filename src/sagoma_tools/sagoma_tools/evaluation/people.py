@@ -16,7 +16,7 @@ from capture_rig.session import Truth
 from capture_rig.visibility import RigVisibility
 from mocap_packets.state import Tracking
 
-from .scores import OVERALL, Scores, number, score
+from .scores import OVERALL, Scores, mean_of_known, number, score
 from .track import Track
 from .track_evaluation import time_to_track_s
 
@@ -155,10 +155,7 @@ def distances_m(track: Track, truths: Sequence[Truth]) -> np.ndarray:
     columns = []
     for truth in truths:
         apart = np.linalg.norm(truth.comparable(track.points_world) - truth.points_at(track.frames), axis=2)
-        known = np.isfinite(apart)
-        count = known.sum(axis=1)
-        mean = np.where(known, apart, 0.0).sum(axis=1) / np.maximum(count, 1)
-        columns.append(np.where(count > 0, mean, np.nan))
+        columns.append(mean_of_known(apart, 1))
     return np.array(columns).T.reshape(-1, len(truths))
 
 
@@ -166,10 +163,7 @@ def assign(distances: Mapping[int, np.ndarray], fps: float) -> dict[int, int | N
     """Return the truth that each person's track belongs to by its first second; None for one that is with nobody."""
     owners: dict[int, int | None] = {}
     for person, rows in distances.items():
-        first = rows[: max(round(FIRST_S * fps), 1)]
-        known = np.isfinite(first)
-        mean = np.where(known, first, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        mean[~known.any(axis=0)] = np.inf
+        mean = np.nan_to_num(mean_of_known(rows[: max(round(FIRST_S * fps), 1)], 0), nan=np.inf)
         nearest = int(np.argmin(mean))
         owners[person] = nearest if mean[nearest] < GHOST_M else None
     return owners

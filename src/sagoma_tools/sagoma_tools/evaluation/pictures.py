@@ -1,4 +1,4 @@
-"""Draws a track over footage and silhouettes: single frames as pictures, all frames as a video."""
+"""Draws a track over its footage: single frames as pictures, all frames as a video."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from capture_rig.session import Session, Truth
+from capture_rig.session import Truth
 from capture_rig.video import Video
 from stick_figure.skeleton import POINT_NAMES
 
-from ..overlays.drawing import Window, montage, overlay
-from ..overlays.sheets import MAX_WIDTH_PX, VideoFile, captioned, tiling
+from ..overlays import MAX_WIDTH_PX, VideoFile, Window, captioned, montage, overlay, tiling
 from .track_evaluation import TRACKING, TrackEvaluation
 
 STILLS = 3
@@ -33,27 +32,19 @@ def read_frames(video: Path, wanted: Sequence[int]) -> Iterator[np.ndarray]:
             yield image
 
 
-def session_overlay(
-    session: Session, frames: Sequence[int], points_world: np.ndarray, masks: dict[str, list[np.ndarray]] | None = None
-) -> np.ndarray:
-    """Rows of frames, columns of cameras: the track (len(frames), 15, 3) over the session's footage.
-
-    masks : silhouettes of each camera at those frames, in image pixels.
-    """
-    truth = truth_at(session.truth, frames)
-    rows: list[list[np.ndarray]] = [[] for _ in frames]
-    for camera in session.rig.cameras:
-        for index, image in enumerate(read_frames(session.videos[camera.name], frames)):
-            mask = masks[camera.name][index] if masks else None
-            rows[index].append(overlay(camera, image, mask, points_world[index], truth[index]))
-    return montage([picture for row in rows for picture in row], columns=len(session.rig.cameras))
-
-
 def truth_at(truth: Truth | None, frames: Sequence[int]) -> list[np.ndarray | None]:
     """Return the truth's points (15, 3) of each frame; None where it has none."""
     if truth is None:
         return [None] * len(frames)
     return [points if f in truth.frames else None for f, points in zip(frames, truth.points_at(frames), strict=True)]
+
+
+def draw(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
+    """Write plots, and stills where there is footage, into the folder; returns the paths."""
+    from .plots import draw_plots  # matplotlib takes a second to load
+
+    paths = draw_plots(folder, evaluated)
+    return [*paths, *draw_stills(folder, evaluated)] if evaluated.session.videos else paths
 
 
 def draw_stills(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
@@ -83,7 +74,7 @@ def _close_ups(evaluated: TrackEvaluation, frames: list[int]) -> Iterator[np.nda
         side = CLOSE_UP_WIDTH_PX // min(len(cameras), CLOSE_UPS_A_ROW)
         windows = [Window.around(camera, shown, side) for camera in cameras]
         cells = [
-            overlay(camera, image, None, points, truth, window)
+            overlay(camera, image, points, truth, window)
             for camera, image, window in zip(cameras, images, windows, strict=True)
         ]
         sheet = montage(cells, min(len(cells), CLOSE_UPS_A_ROW), MAX_WIDTH_PX)
@@ -116,7 +107,7 @@ def sheets(evaluated: TrackEvaluation) -> Iterator[np.ndarray]:
     windows = [Window.whole(camera, scale) for camera in rig]
     for frame, cameras, images, points, truth in _pictures(evaluated, range(evaluated.frames)):
         cells = [
-            overlay(camera, image, None, points, truth, window)
+            overlay(camera, image, points, truth, window)
             for camera, image, window in zip(cameras, images, windows, strict=True)
         ]
         sheet = montage(cells, columns, MAX_WIDTH_PX)

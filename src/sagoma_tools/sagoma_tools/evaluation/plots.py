@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib
@@ -12,7 +11,7 @@ import numpy as np
 from stick_figure import metrics
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
-from .angles import angle_truth, defined, torso_rotations
+from .angles import angle_truth, defined
 from .scores import Scores
 from .track_evaluation import TRACKING, TrackEvaluation
 
@@ -24,15 +23,13 @@ from matplotlib.figure import Figure
 
 OURS, TRUTH, THESIS, UNSURE, LIMIT = "#1769aa", "0.55", "#d9772b", "#f2c744", "#b22222"
 ANGLE_PAGES: Mapping[str, tuple[str, ...]] = {
-    "torso_neck_elbows": ("torso_heading", "torso_lean", "neck_x", "neck_y", "left_elbow", "right_elbow"),
+    "neck_elbows": ("neck_x", "neck_y", "left_elbow", "right_elbow"),
     "shoulders": tuple(f"{side}_shoulder_{axis}" for axis in "xzy" for side in ("left", "right")),
     "hips": tuple(f"{side}_hip_{axis}" for axis in "xyz" for side in ("left", "right")),
     "knees": ("left_knee", "right_knee"),
 }
 POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
 """The points as plots list them, three a row: the trunk, then limb by limb from the body outwards."""
-ROBUST = 99.5
-"""Percentile of the errors at which the axes end."""
 
 
 def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
@@ -52,81 +49,39 @@ def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
 
 def angle_figures(evaluated: TrackEvaluation) -> dict[str, Figure]:
     """Pages of angles over time against the truth (as thesis fig. 7.4 to 7.7), by file name."""
-    track, session = evaluated.track, evaluated.session
-    ours = Curves.of(track.frames, track.angles, torso_rotations(track.points_world))
-    truth = None
+    session, track = evaluated.session, evaluated.track
+    curves = [("ours", OURS, 1.3, track.frames, track.angles)]
     if session.truth is not None:
-        known = angle_truth(session.truth)
-        truth = Curves.of(session.truth.frames, known.angles, known.R_world_torso)
-    return {f"angles_{page}": _angle_page(evaluated, ours, truth, page, names) for page, names in ANGLE_PAGES.items()}
+        curves.insert(0, ("truth", TRUTH, 3.5, session.truth.frames, angle_truth(session.truth).angles))
+    return {f"angles_{page}": _angle_page(evaluated, curves, page, names) for page, names in ANGLE_PAGES.items()}
 
 
-@dataclass(frozen=True, eq=False)
-class Curves:
-    """Angles over time: values, by name (F,) rad without jumps of full turns; sure, by name (F,) where determined.
-
-    Beside the stick figure's angles, the torso's heading (of its forward axis, from world x towards y) and lean (of its
-    upward axis from the vertical).
-    """
-
-    frames: np.ndarray
-    values: Mapping[str, np.ndarray]
-    sure: Mapping[str, np.ndarray]
-
-    @classmethod
-    def of(cls, frames: np.ndarray, angles: np.ndarray, R_world_torso: np.ndarray) -> Curves:
-        """Build from angles (F, 18) and the torso's rotations (F, 3, 3)."""
-        torso = {
-            "torso_heading": np.arctan2(R_world_torso[:, 1, 0], R_world_torso[:, 0, 0]),
-            "torso_lean": np.arccos(np.clip(R_world_torso[:, 2, 2], -1.0, 1.0)),
-        }
-        values = dict(zip(ANGLE_NAMES, angles.T, strict=True)) | torso
-        sure = dict(zip(ANGLE_NAMES, defined(angles).T, strict=True))
-        sure |= {name: np.isfinite(value) for name, value in torso.items()}
-        return cls(frames, {name: unwrapped(value) for name, value in values.items()}, sure)
+Curve = tuple[str, str, float, np.ndarray, np.ndarray]
+"""Label, colour, width of the line, frames (F,) and angles (F, 18) rad."""
 
 
-def _angle_page(
-    evaluated: TrackEvaluation, ours: Curves, truth: Curves | None, page: str, names: Sequence[str]
-) -> Figure:
+def _angle_page(evaluated: TrackEvaluation, curves: Sequence[Curve], page: str, names: Sequence[str]) -> Figure:
     rows = -(-len(names) // 2)
     figure, axes = plt.subplots(rows, 2, figsize=(12, 1.2 + 2.3 * rows), sharex=True, constrained_layout=True)
     for axis, name in zip(np.ravel(axes), names, strict=True):
-        turns, title = 0.0, name.replace("_", " ")
-        if truth is not None:
-            _draw_curve(axis, truth, name, evaluated.session.fps, TRUTH, 3.5, "truth")
-            turns = _turns_between(ours.frames, ours.values[name], truth.frames, truth.values[name])
-        _draw_curve(axis, ours, name, evaluated.session.fps, OURS, 1.3, "ours", turns)
-        if evaluated.scores is not None and name in ANGLE_NAMES:
-            title += f": RMSE {evaluated.scores.angle_rmse_deg[ANGLE_NAMES.index(name)]:.1f} deg"
+        slot, title = ANGLE_NAMES.index(name), name.replace("_", " ")
+        for label, colour, width, frames, angles in curves:
+            seconds, degrees = frames / evaluated.session.fps, unbridged(frames, np.rad2deg(angles[:, slot]))
+            axis.plot(seconds, degrees, ":", color=colour, linewidth=0.4 * width + 0.5)
+            sure = np.where(defined(angles)[:, slot], degrees, np.nan)
+            axis.plot(seconds, sure, color=colour, linewidth=width, label=label)
+        if evaluated.scores is not None:
+            title += f": RMSE {evaluated.scores.angle_rmse_deg[slot]:.1f} deg"
         axis.set_title(title, fontsize=10)
     _finish(figure, evaluated, page.replace("_", ", "), "angle [deg], dotted where the pose does not determine it")
     return figure
 
 
-def _draw_curve(
-    axis: Axes, curves: Curves, name: str, fps: float, colour: str, width: float, label: str, turns: float = 0.0
-) -> None:
-    """One angle in degrees, thin dots where it is undetermined, and no line across frames that are missing."""
-    degrees = np.rad2deg(_with_gaps(curves.frames, curves.values[name] + turns))
-    seconds = curves.frames / fps
-    axis.plot(seconds, degrees, ":", color=colour, linewidth=0.4 * width + 0.5)
-    sure = np.where(curves.sure[name], degrees, np.nan)
-    axis.plot(seconds, sure, color=colour, linewidth=width, label=label)
-
-
-def _turns_between(frames: np.ndarray, ours: np.ndarray, truth_frames: np.ndarray, reference: np.ndarray) -> float:
-    """Whole turns, rad, that bring our unwrapped angle nearest to the truth's."""
-    both, here, there = np.intersect1d(frames, truth_frames, return_indices=True)
-    apart = reference[there] - ours[here]
-    apart = apart[np.isfinite(apart)]
-    return float(2.0 * np.pi * np.round(np.median(apart) / (2.0 * np.pi))) if len(both) and apart.size else 0.0
-
-
-def _with_gaps(frames: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the values, NaN at the first row behind frames that the track lacks, so that no line bridges them."""
+def unbridged(frames: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+    """Return the angles (F,), NaN behind missing frames and full turns, so that no line bridges them."""
     usual = np.median(np.diff(frames)) if len(frames) > 1 else 1.0
-    return np.where(np.diff(frames, prepend=frames[:1]) > 3 * usual, np.nan, values)
+    steps = np.diff(frames, prepend=frames[:1]) > 3 * usual, np.abs(np.diff(degrees, prepend=degrees[:1])) > 180.0
+    return np.where(steps[0] | steps[1], np.nan, degrees)
 
 
 def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
@@ -144,7 +99,7 @@ def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
         axis.axhline(1e3 * metrics.LARGE_ERROR_M, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
         _shade_unsure(axis, evaluated)
         axis.set_title(f"{_name(point)}: mean {scores.point_mm[point]:.0f} mm", fontsize=10)
-    top = np.nanpercentile(scores.errors_mm, ROBUST)
+    top = np.nanpercentile(scores.errors_mm, 99.5)
     axes.flat[0].set_ylim(0.0, max(220.0, 1.1 * top))
     _finish(figure, evaluated, "point errors", "error [mm]")
     return figure
@@ -208,11 +163,3 @@ def _title(evaluated: TrackEvaluation, what: str) -> str:
 
 def _name(point: int) -> str:
     return POINT_NAMES[point].replace("_", " ")
-
-
-def unwrapped(angles: np.ndarray) -> np.ndarray:
-    """Angles (F,) rad without jumps of 2 pi, for plotting; NaN gaps stay gaps."""
-    known = np.isfinite(angles)
-    out = np.full(len(angles), np.nan)
-    out[known] = np.unwrap(angles[known])
-    return out

@@ -34,7 +34,7 @@ WAIT = (
     "Let the person be seen for longer: from a T-pose the start takes five frame sets, from any other posture "
     "icp_tracker.initial_pose.motion.watch_s."
 )
-ELSE = "See what the tracker asks for before it begins: docs/acquisition.md."
+ELSE = "See what the tracker asks for before it begins: docs/tracking.md."
 DOCTOR = "sagoma doctor --session SESSION says what is wrong with footage and rig."
 REMEDIES = (
     (("watched for", "hold it (", "body seen ("), WAIT),
@@ -68,7 +68,7 @@ REMEDIES = (
         "Begin in a T-pose and hold it for five frame sets; any posture does with initial_pose.source=auto.",
     ),
 )
-"""Words of a reason, and what helps; the first that fits. docs/acquisition.md has every reason."""
+"""Words of a reason, and what helps; the first that fits. docs/tracking.md has every reason."""
 
 
 @dataclass(frozen=True)

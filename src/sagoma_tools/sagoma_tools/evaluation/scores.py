@@ -11,11 +11,12 @@ from scipy.stats import chi2
 
 from capture_rig.errors import InputError
 from capture_rig.session import Truth
+from mocap_packets.fit import GOOD, PART_NAMES, PART_POINTS
 from stick_figure import metrics
+from stick_figure.metrics import LARGE_ERROR_M
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from .angles import AngleScores, angle_truth, score_angles
-from .part_calls import PartCalls
 from .track import Track
 
 DIMENSIONS = 3
@@ -51,10 +52,10 @@ def covariance_coverage(errors: np.ndarray, covariance: np.ndarray) -> Covarianc
     count = known.sum(0).max(initial=0)
     interval = chi2.ppf([0.025, 0.975], DIMENSIONS * count) / count if count else [np.nan, np.nan]
     return CovarianceCoverage(
-        _mean(inside, 0),
-        float(_mean(inside)),
-        _mean(squared, 0),
-        float(_mean(squared)),
+        mean_of_known(inside, 0),
+        float(mean_of_known(inside)),
+        mean_of_known(squared, 0),
+        float(mean_of_known(squared)),
         (float(interval[0]), float(interval[1])),
     )
 
@@ -72,8 +73,8 @@ def squared_distances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return out
 
 
-def _mean(values: np.ndarray, axis: int | None = None) -> np.ndarray:
-    """Over the known values; NaN where there is none."""
+def mean_of_known(values: np.ndarray, axis: int | None = None) -> np.ndarray:
+    """Return the mean over the known values; NaN where there is none."""
     known = ~np.isnan(values)
     count = known.sum(axis)
     return np.where(count > 0, np.where(known, values, 0.0).sum(axis) / np.maximum(count, 1), np.nan)
@@ -214,3 +215,44 @@ def _named(names: tuple[str, ...], values: np.ndarray, digits: int) -> dict[str,
 def number(value: float, digits: int = 4) -> float | None:
     """Return a number as JSON knows them: None for what is not finite."""
     return round(float(value), digits) if np.isfinite(value) else None
+
+
+CLEAR_M = 0.1
+"""A frame is clear when all 15 points are nearer to the truth."""
+
+
+@dataclass(frozen=True, eq=False)
+class PartCalls:
+    """What a track says of the parts of the body (``PART_NAMES``), frame by frame; an untracked frame says nothing.
+
+    wrong : (F, 5) bool, a point of the part is more than 200 mm off. called : (F, 5) bool, its published state is
+    doubtful or lost. clear : (F,) bool, frames with all points known and less than 100 mm off.
+    """
+
+    wrong: np.ndarray
+    called: np.ndarray
+    clear: np.ndarray
+
+    @classmethod
+    def of(cls, errors_mm: np.ndarray, parts: np.ndarray) -> PartCalls:
+        """Compare errors (F, 15), NaN where unknown, with the states (F, 5) of the parts, empty where unknown."""
+        told = (parts.reshape(-1, len(PART_NAMES)) != "").all(axis=1)
+        far = errors_mm > 1e3 * LARGE_ERROR_M
+        wrong = np.stack([far[:, list(points)].any(axis=1) for points in PART_POINTS], axis=1)
+        clear = (errors_mm < 1e3 * CLEAR_M).all(axis=1)
+        return cls(wrong & told[:, None], (parts != GOOD) & told[:, None], clear & told)
+
+    @property
+    def flagged_of_bad(self) -> float:
+        """Share of the wrong parts that are called; NaN without any."""
+        return share(self.called[self.wrong])
+
+    @property
+    def false_alarms(self) -> float:
+        """Share of the clear frames in which any part is called; NaN without any."""
+        return share(self.called[self.clear].any(axis=1))
+
+
+def share(chosen: np.ndarray) -> float:
+    """Return the share of the true ones; NaN of nothing."""
+    return float(chosen.mean()) if chosen.size else float("nan")

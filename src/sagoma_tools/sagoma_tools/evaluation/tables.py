@@ -58,7 +58,6 @@ def _points(scores: Scores) -> Table:
     title = "error of the points (RMSE: thesis Table 7.2)"
     table = _table(title, "point", "RMSE mm", *POINT_COLUMNS)
     columns = (
-        scores.point_rmse_mm,
         scores.point_mm,
         scores.point_median_mm,
         scores.point_p95_mm,
@@ -67,27 +66,24 @@ def _points(scores: Scores) -> Table:
         scores.coverage.point_inside_95,
         scores.coverage.point_nees,
     )
-    for name, row in zip(POINT_NAMES, zip(*columns, strict=True), strict=True):
-        table.add_row(name.replace("_", " "), *_point_cells(*row))
-    whole = (
-        scores.rmse_mean_mm,
-        scores.mean_mm,
-        scores.median_mm,
-        scores.p95_mm,
-        scores.over_200mm,
-        scores.mean_mm_without_offset,
-        scores.coverage.inside_95,
-        scores.coverage.nees,
-    )
-    table.add_row("all", *_point_cells(*whole), style="bold")
+    for name, rmse, *row in zip(POINT_NAMES, scores.point_rmse_mm, *columns, strict=True):
+        table.add_row(name.replace("_", " "), f"{rmse:.1f}", *_cells(*row))
+    table.add_row("all", f"{scores.rmse_mean_mm:.1f}", *_overall_cells(scores), style="bold")
     return table
 
 
-def _point_cells(
-    rmse: float, mean: float, median: float, p95: float, over: float, centred: float, inside: float, nees: float
+def _overall_cells(scores: Scores) -> tuple[str, ...]:
+    """Return the POINT_COLUMNS of all points together."""
+    errors = scores.mean_mm, scores.median_mm, scores.p95_mm, scores.over_200mm, scores.mean_mm_without_offset
+    return _cells(*errors, scores.coverage.inside_95, scores.coverage.nees)
+
+
+def _cells(
+    mean: float, median: float, p95: float, over: float, centred: float, inside: float, nees: float
 ) -> tuple[str, ...]:
-    millimetres = (f"{value:.1f}" for value in (rmse, mean, median, p95))
-    return *millimetres, f"{100 * over:.1f} %", f"{centred:.1f}", f"{100 * inside:.0f} %", f"{nees:.1f}"
+    """Return the POINT_COLUMNS: mm, and shares."""
+    errors = f"{mean:.1f}", f"{median:.1f}", f"{p95:.1f}", f"{100 * over:.1f} %", f"{centred:.1f}"
+    return *errors, f"{100 * inside:.0f} %", f"{nees:.1f}"
 
 
 def _angles(angles: AngleScores) -> Table:
@@ -146,7 +142,7 @@ def print_people(console: Console, people: PeopleScores) -> None:
             continue
         called = _percent(scores.flagged_of_bad), _percent(scores.false_alarms)
         frames = f"{scores.tracked} of {scores.frames}"
-        table.add_row(name, numbers, *_cells(scores), *called, frames, str(person.switches))
+        table.add_row(name, numbers, *_overall_cells(scores), *called, frames, str(person.switches))
     console.print(table)
     nobody = f"; tracks of nobody: {', '.join(map(str, people.ghosts))}" if people.ghosts else ""
     console.print(f"{people.switches} identity switches; {people.ghost_frames} frames with a track of nobody{nobody}")
@@ -161,15 +157,8 @@ def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
             table.add_row(name, "no body")
             continue
         better = "" if first is None else f"{first.mean_mm / scores.mean_mm:.1f}"
-        table.add_row(name, *_cells(scores), better)
+        table.add_row(name, *_overall_cells(scores), better)
     console.print(table)
-
-
-def _cells(scores: Scores) -> tuple[str, ...]:
-    """Return the POINT_COLUMNS of all points together."""
-    errors = f"{scores.mean_mm:.1f}", f"{scores.median_mm:.1f}", f"{scores.p95_mm:.0f}"
-    over, offset = f"{100 * scores.over_200mm:.1f} %", f"{scores.mean_mm_without_offset:.1f}"
-    return *errors, over, offset, f"{100 * scores.inside_95:.0f} %", f"{scores.coverage.nees:.1f}"
 
 
 def _table(title: str, first: str, *columns: str) -> Table:

@@ -18,11 +18,11 @@ from capture_rig.verdict import REDO
 from sagoma_bringup.graph import Role
 
 from .diagnostics_table import DiagnosticsTable
+from .processes import START_TIMEOUT_S
 from .ros_link import call_all, owners_of, settled
 from .supervisor import Supervisor
 
 SERVICE, SERVICE_TYPE = "learn_background", "std_srvs/srv/Trigger"
-TIMEOUT_S = 300.0  # two seconds of frames; minutes where clients hardly get a processor
 REPORT_S = 1.5  # diagnostics come once a second, and at once when a training ends
 NEEDS_ONE = "sagoma background"  # part of a client's message when its background should be trained anew
 
@@ -90,7 +90,7 @@ def train_backgrounds(
     node: Node,
     diagnostics: DiagnosticsTable,
     names: Iterable[str],
-    timeout_s: float = TIMEOUT_S,
+    timeout_s: float = START_TIMEOUT_S,
     wanted: Callable[[], bool] = lambda: True,
 ) -> list[TrainingOutcome]:
     """Train all clients ``names`` (full names) at once; the room must be empty. Stops waiting once ``wanted`` is false.
@@ -132,7 +132,7 @@ def train_backgrounds(
     ]
 
 
-def learn_backgrounds(supervisor: Supervisor, timeout_s: float = TIMEOUT_S) -> dict[str, str]:
+def learn_backgrounds(supervisor: Supervisor, timeout_s: float = START_TIMEOUT_S) -> dict[str, str]:
     """Train all cameras of a supervised graph; the room must be empty. Returns each client's response.
 
     Raises InputError naming the cameras that refuse, and why, or that do not answer.

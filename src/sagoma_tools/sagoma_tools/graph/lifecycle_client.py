@@ -15,10 +15,7 @@ from rclpy.node import Node
 
 from sagoma_bringup.graph import CAMERA_NODE
 
-from .ros_link import call_all
-
-STATE_TIMEOUT_S = 5.0
-INFER_TIMEOUT_S = 1.5
+from .ros_link import ANSWER_S, ASK_S, call_all
 
 
 class Transition(Enum):
@@ -120,7 +117,7 @@ class LifecycleClient:
         """``alive(name)``: whether a node's process still runs; a dead one is not waited for."""
         self._node, self._alive = node, alive
 
-    def states(self, nodes: Iterable[str], timeout_s: float = STATE_TIMEOUT_S) -> dict[str, str | None]:
+    def states(self, nodes: Iterable[str], timeout_s: float = ANSWER_S) -> dict[str, str | None]:
         """Fully qualified node name -> state label, None where no answer came."""
         questions = {f"{name}/get_state": GetState.Request() for name in nodes}
         replies = call_all(self._node, GetState, questions, timeout_s, self._lives, repeatable=True)
@@ -135,7 +132,7 @@ class LifecycleClient:
 
         def inferred(silent: set[str]) -> dict[str, Any]:
             """Success for nodes that are in the wanted state, though their reply was lost."""
-            labels = self.states(map(_owner, silent), INFER_TIMEOUT_S)
+            labels = self.states(map(_owner, silent), ASK_S)
             reached = [name for name, label in labels.items() if label == REACHED[wanted[name]].value]
             return {f"{name}/change_state": ChangeState.Response(success=True) for name in reached}
 
@@ -145,11 +142,7 @@ class LifecycleClient:
         return Outcome(tuple(Answer(name, wanted[name], verdict) for name, verdict in answers.items()))
 
     def bring(
-        self,
-        groups: Sequence[Sequence[str]],
-        goal: State,
-        timeout_s: float | None = None,
-        contact_s: float = STATE_TIMEOUT_S,
+        self, groups: Sequence[Sequence[str]], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S
     ) -> Outcome:
         """Bring every node to ``goal`` from its present state, group after group, a group's nodes in step.
 

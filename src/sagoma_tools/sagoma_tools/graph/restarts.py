@@ -1,7 +1,7 @@
 """Processes that crash: when they are started again, what is told about it, and what they find again.
 
-Rig, calibration and parameters are files that every start reads. What was learnt while the graph ran, backgrounds and
-the body's sizes, is kept in the run folder.
+Rig, calibration and parameters are files that every start reads. Backgrounds that were learnt while the graph ran are
+kept in the run folder; a tracker learns the sizes of the body anew.
 """
 
 from __future__ import annotations
@@ -11,16 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rclpy.node import Node
-from std_msgs.msg import String
-
-from capture_rig.files import write_text
 from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_bringup.processes import ProcessSpec
-from sagoma_ros.qos import LATCHED
 
-BODY_TOPIC, BODY_FILE, TRACKER = "/icp/body", "restored_body.yaml", "icp_tracker"
-SOURCE, ANY_POSE = "initial_pose.source", "auto"
+TRACKER = "icp_tracker"
 LIKELY = {
     signal.SIGKILL: " (by hand, or by the kernel when memory ran out: see dmesg)",
     signal.SIGSEGV: " (it crashed in native code; the end of its log has the Python stack)",
@@ -102,29 +96,11 @@ def reads_file(spec: NodeSpec) -> bool:
     return spec.role is Role.CAMERA and spec.parameters.get("source") == "footage"
 
 
-class CachedBody:
-    """The body that the tracker published last, for a tracker that is started again.
+def restarted(process: ProcessSpec) -> ProcessSpec:
+    """Return the process with nodes that become active by themselves; its tracker finds the person in any pose."""
+    return replace(process, nodes=tuple(_restarted(node) for node in process.nodes))
 
-    One that finds whoever comes learns the sizes anew. One that takes its body from a T-pose, a file or a session
-    would wait for that pose: it gets the sizes that it had, and finds the person in any pose.
-    """
 
-    def __init__(self, node: Node, folder: Path) -> None:
-        self.text, self._path = "", (folder / BODY_FILE).resolve()
-        self._subscription = node.create_subscription(String, BODY_TOPIC, self._update, LATCHED)
-
-    def restored(self, process: ProcessSpec) -> ProcessSpec:
-        """Return the process with nodes that become active by themselves and find their body again."""
-        return replace(process, nodes=tuple(self._with_body(node) for node in process.nodes))
-
-    def _with_body(self, node: NodeSpec) -> NodeSpec:
-        parameters: dict[str, object] = {"autostart": True}
-        if node.name == TRACKER and self.text and node.parameters.get(SOURCE, ANY_POSE) != ANY_POSE:
-            given = node.parameters.get("body_file")
-            if not given:
-                write_text(self._path, self.text)
-            parameters |= {SOURCE: ANY_POSE, "body_file": given or str(self._path)}
-        return node.with_parameters(parameters)
-
-    def _update(self, message: String) -> None:
-        self.text = message.data
+def _restarted(node: NodeSpec) -> NodeSpec:
+    finds_anybody = {"initial_pose.source": "auto"} if node.name == TRACKER else {}
+    return node.with_parameters({"autostart": True, **finds_anybody})

@@ -5,6 +5,7 @@ The main thread waits for events with a timeout; `capture_rig.stop_signals` turn
 
 from __future__ import annotations
 
+import argparse
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -14,18 +15,22 @@ import rclpy
 from rclpy._rclpy_pybind11 import InvalidHandle
 from rclpy.client import Client
 from rclpy.context import Context
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.validate_namespace import validate_namespace
 
+from capture_rig.errors import InputError
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 
-from .namespace import below
-
-SPIN_END_S = 5.0
-SETTLED_S, LOOK_S = 1.0, 0.1
+LOOK_S = 0.05  # rclpy has no event for a change of the graph, a service that appears, or a process's death
+SETTLED_S = 1.0
 RESEND_S = 1.0
-POLL_S = 0.05  # rclpy has no event for "the service has appeared" or for a process's death
+ASK_S = 1.5  # within this a node that is not busy answers
+ANSWER_S = 5.0  # ... and any that runs
+DISCOVERY_S = 10.0  # discovery settles sooner, or a domain has nodes without end
+PATIENCE_S = 30.0  # with the nodes of a busy machine, to find each other and to do what they are asked for
 
 
 class RosLink:
@@ -60,8 +65,8 @@ class RosLink:
             return
         self._closing.set()
         self._wake.trigger()
-        self._thread.join(SPIN_END_S)
-        self._executor.shutdown(timeout_sec=SPIN_END_S)
+        self._thread.join(ANSWER_S)
+        self._executor.shutdown(timeout_sec=ANSWER_S)
         self.node.destroy_node()
         self.context.try_shutdown()
         if self.error is not None:
@@ -182,7 +187,7 @@ class _CallRound:
                 again_s = time.monotonic() + RESEND_S
             with self._answered:
                 self._send_ready(waiting)
-                self._answered.wait(POLL_S)
+                self._answered.wait(LOOK_S)
                 waiting = {name for name in waiting if self.replies[name] is None and self._alive(name)}
 
     def _resend(self, waiting: set[str]) -> None:
@@ -204,3 +209,53 @@ class _CallRound:
             if self.replies[service] is None:
                 self.replies[service] = reply
             self._answered.notify()
+
+
+# namespace of the graph -----------------------------------------------------------------------------------------------
+
+
+SHARED = ("/diagnostics", "/tf", "/tf_static", "/clock", "/rosout", "/parameter_events")
+"""Topics that nodes of every namespace name from the root."""
+
+
+def add_namespace_argument(parser: argparse.ArgumentParser) -> None:
+    """--namespace: of the graph; :func:`namespace_argument` reads it."""
+    text = "of the graph, as it was launched with (namespace:=studio); default: that of a graph without one"
+    parser.add_argument("--namespace", default="", metavar="NAME", help=text)
+
+
+def namespace_argument(args: argparse.Namespace) -> str:
+    """Return the namespace asked for as ROS writes it, "/studio", and "" for none. Raises InputError for no name."""
+    given = str(getattr(args, "namespace", "")).strip("/")
+    try:
+        validate_namespace(f"/{given}")
+    except InvalidNamespaceException as error:
+        remedy = "Give letters, digits and underscores, as in the launch file: --namespace studio."
+        raise InputError(f"'{given}' is no namespace: {error}", where="--namespace", remedy=remedy) from None
+    return f"/{given}" if given else ""
+
+
+def namespace_of(node: Node) -> str:
+    """Return the namespace that a node stands in, "/studio"; "" for none."""
+    return str(node.get_namespace()).rstrip("/")
+
+
+def below(node: Node, full_name: str) -> bool:
+    """Is this full name of a node or topic in the node's namespace, or below it?"""
+    return full_name.startswith(f"{namespace_of(node)}/")
+
+
+def in_graph(node: Node, name: str) -> str:
+    """Return the full name of a topic, named as it is in a graph without a namespace."""
+    return name if name in SHARED else namespace_of(node) + name
+
+
+def topics_of(node: Node) -> dict[str, str]:
+    """Return the topics of the node's namespace and those that all share, named as without one: name -> type."""
+    found = {}
+    for full_name, (msgtype, *_) in node.get_topic_names_and_types():
+        if full_name in SHARED:
+            found[full_name] = msgtype
+        elif below(node, full_name):
+            found[full_name.removeprefix(namespace_of(node))] = msgtype
+    return found

@@ -17,13 +17,10 @@ from rclpy.node import Node
 from std_msgs.msg import Empty
 
 from .lifecycle_client import LifecycleClient
-from .ros_link import LOOK_S, settled
+from .ros_link import ANSWER_S, ASK_S, DISCOVERY_S, LOOK_S, settled
 
 COMMON_TOPIC = "/parameter_events"  # every node publishes there
-DISCOVERY_S = 10.0  # discovery settles sooner, or a domain has nodes without end
-ENDING_S = 5.0  # a graph that is just being stopped is gone after that
 LEASE_S = 25.0  # a process that died without goodbye is forgotten by then: Fast DDS's 20 s, and some to look
-ASK_S = 1.0
 PID = slice(4, 6)  # of a GUID of Fast DDS: the low 16 bits of the process's number, the lowest byte first
 PID_BITS = 0xFFFF
 
@@ -71,7 +68,7 @@ def own_machine(node: Node) -> str:
 def living_nodes(node: Node, names: Collection[str], cancel: threading.Event) -> dict[str, list[Place]]:
     """Return where nodes of these names run, before any of our own does.
 
-    Not those that end within ENDING_S; who answers nothing may have died, and has until LEASE_S to be forgotten.
+    Not those that end within ANSWER_S; who answers nothing may have died, and has until LEASE_S to be forgotten.
     """
 
     def look() -> dict[str, list[Place]]:
@@ -81,7 +78,7 @@ def living_nodes(node: Node, names: Collection[str], cancel: threading.Event) ->
     lifecycle, start_s = LifecycleClient(node), time.monotonic()
     while (found := look()) and not cancel.is_set():
         passed_s = time.monotonic() - start_s
-        if passed_s > LEASE_S or (passed_s > ENDING_S and any(lifecycle.states(found, ASK_S).values())):
+        if passed_s > LEASE_S or (passed_s > ANSWER_S and any(lifecycle.states(found, ASK_S).values())):
             break
         cancel.wait(LOOK_S)
     return found

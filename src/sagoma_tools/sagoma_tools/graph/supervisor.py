@@ -17,8 +17,8 @@ from capture_rig.errors import InputError
 from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_bringup.processes import ProcessSpec
 
+from . import GraphError
 from .diagnostics_table import DiagnosticsTable
-from .errors import GraphError
 from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
 from .processes import (
     START_TIMEOUT_S,
@@ -29,14 +29,11 @@ from .processes import (
     busy_machine,
     remove_abandoned_memory,
 )
-from .restarts import CachedBody, ProcessExited, ProcessRecovered, RestartPolicy, reads_file, with_kept_backgrounds
-from .ros_link import RosLink
+from .restarts import ProcessExited, ProcessRecovered, RestartPolicy, reads_file, restarted, with_kept_backgrounds
+from .ros_link import ANSWER_S, ASK_S, LOOK_S, RosLink
 from .running_nodes import foreign_nodes, living_nodes, own_machine, places_of, run_already
 
 FRESH, ACTIVE = State.UNCONFIGURED.value, State.ACTIVE.value
-STOP_TIMEOUT_S = 5.0
-POLL_S = 0.05  # rclpy has no event for a node that is discovered
-SETTLE_S = 1.0  # between two questions whether a restarted process is active: it takes seconds to start
 
 
 class Supervisor:
@@ -81,7 +78,6 @@ class Supervisor:
         self._exits_s: dict[str, list[float]] = {}
         self._restarting: set[str] = set()
         self._link: RosLink | None = None
-        self._body: CachedBody | None = None
 
     def __enter__(self) -> Supervisor:
         self.start()
@@ -107,7 +103,6 @@ class Supervisor:
         self._link = RosLink("sagoma_supervisor", domain_id=self._domain_id)
         self.diagnostics = DiagnosticsTable(self._link.node)
         self.lifecycle = LifecycleClient(self._link.node, alive=self._should_wait_for)
-        self._body = CachedBody(self._link.node, self.run_folder)
         try:
             names = {spec.full_name for spec in self.graph}
             if running := living_nodes(self.node, names, self._cancel):
@@ -129,7 +124,7 @@ class Supervisor:
             self._restarting.clear()
         inactive = State.INACTIVE
         self.stop_outcome = self.suspend()
-        self.stop_outcome += self._bring(self._in(inactive, cameras_first=True), State.UNCONFIGURED, STOP_TIMEOUT_S)
+        self.stop_outcome += self._bring(self._in(inactive, cameras_first=True), State.UNCONFIGURED, ANSWER_S)
         self.exit_statuses = self.processes.stop()
         self._link.close()
         self._link = None
@@ -161,7 +156,7 @@ class Supervisor:
     def suspend(self) -> Outcome:
         """Deactivate every active node, the cameras first; what dies from now on stays dead."""
         self._running = False
-        return self._bring(self._in(State.ACTIVE, cameras_first=True), State.INACTIVE, STOP_TIMEOUT_S)
+        return self._bring(self._in(State.ACTIVE, cameras_first=True), State.INACTIVE, ANSWER_S)
 
     def states(self) -> dict[str, str]:
         """Full node name -> lifecycle state as last acknowledged, "dead", or "restarting" after a crash."""
@@ -192,7 +187,7 @@ class Supervisor:
         if delay_s is None or self._halted.wait(delay_s):
             return
         restarted = self._start_again(process)
-        while restarted is not None and restarted.alive and not self._halted.wait(SETTLE_S):
+        while restarted is not None and restarted.alive and not self._halted.wait(ASK_S):
             if self._is_active(process):
                 self._on_event(ProcessRecovered(process, restarted.pid, time.monotonic() - exited_s))
                 return
@@ -215,14 +210,14 @@ class Supervisor:
 
     def _start_again(self, process: ProcessSpec) -> Child | None:
         """Start a process whose nodes become active by themselves; None when the graph is stopped meanwhile."""
-        assert self._restart is not None and self._body is not None
+        assert self._restart is not None
         remove_abandoned_memory()
         while True:
             with self._lock:
                 if self._halted.is_set():
                     return None
                 try:
-                    child = self.processes.start(self._body.restored(process))
+                    child = self.processes.start(restarted(process))
                     self._restarting.discard(process.label)
                     return child
                 except (OSError, InputError):  # no memory for a process, no room for its files: perhaps later
@@ -232,7 +227,7 @@ class Supervisor:
     def _is_active(self, process: ProcessSpec) -> bool:
         """Ask the nodes of a restarted process for their states; True when all are active."""
         names = [node.full_name for node in process.nodes]
-        if set(self.lifecycle.states(names, SETTLE_S).values()) != {ACTIVE}:
+        if set(self.lifecycle.states(names, ASK_S).values()) != {ACTIVE}:
             return False
         with self._lock:
             self._states |= dict.fromkeys(names, ACTIVE)
@@ -250,11 +245,7 @@ class Supervisor:
         ]
 
     def _bring(
-        self,
-        groups: Sequence[Sequence[str]],
-        goal: State,
-        timeout_s: float | None = None,
-        contact_s: float = STOP_TIMEOUT_S,
+        self, groups: Sequence[Sequence[str]], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S
     ) -> Outcome:
         outcome = self.lifecycle.bring(groups, goal, timeout_s, contact_s)
         with self._lock:
@@ -272,7 +263,7 @@ class Supervisor:
                 raise GraphError(run_already(foreign, here))
             if not any(map(self._should_wait_for, unknown)):
                 return
-            self._cancel.wait(POLL_S)
+            self._cancel.wait(LOOK_S)
 
     def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()

@@ -1,1 +1,1 @@
-"""Recordings of others into session folders: one package an importer, listed by name in ``table``."""
+"""Recordings of public data sets as session folders."""

@@ -25,12 +25,18 @@ from capture_rig.video import Video
 from capture_rig.yaml_file import read_mapping, save_mapping
 
 from ..recording.writer import own_version
-from .humaneva.formats import Mocap, read_c3d, read_numbers
-from .session_folder import new_session_folder, volume_around, write_truth_file
+from .formats import (
+    ROTATION_TOLERANCE,
+    Mocap,
+    new_session_folder,
+    read_c3d,
+    read_numbers,
+    volume_around,
+    write_truth_file,
+)
 
 NUMBERS = "width height K(3 x 3) L(4 x 4, mm) k0..k4"
 COUNT = 2 + 9 + 16 + 5
-ROTATION_TOLERANCE = 1e-3
 NOT_A_ROTATION = "L is the matrix from world to camera, millimetres, its last row 0 0 0 1."
 MARKERS: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "Head": (("HEAD_TOP",), ("LFHD", "RFHD", "LBHD", "RBHD")),

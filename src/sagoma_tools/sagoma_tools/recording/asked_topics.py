@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 
-from ..graph.namespace import in_graph, topics_of
+from ..graph.ros_link import in_graph, topics_of
 from ..graph.topics import Topic, message_class
 from .reader import TYPES
 

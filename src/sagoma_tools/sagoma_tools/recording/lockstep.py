@@ -15,19 +15,16 @@ from capture_rig.rig import load_rig
 from sagoma_bringup.graph import LOSSLESS_SETTINGS, build_graph
 from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
 
+from ..console import doing
 from ..graph.processes import ProcessSettings
-from ..graph.ros_link import RosLink
+from ..graph.ros_link import LOOK_S, PATIENCE_S, RosLink
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX, camera_topics
-from ..progress_line import doing
 from .reader import SIDECAR_RIG, bag_cameras, bag_topics, frame_tolerance_ns, input_topics, read_frame_sets
 from .recorder import GraphRecorder, server_topics
 from .replayer import Answers, InputPublishers, LockstepReport, play_lockstep
 
-ANSWER_TIMEOUT_S = 30.0
-CONNECT_TIMEOUT_S = 30.0
 QUIET_S, FLUSH_TIMEOUT_S = 0.5, 10.0
-LOOK_S = 0.05
 
 TOLERANCE = "hull_server.tolerance_s"
 # topics with exactly one message a frame set
@@ -40,13 +37,7 @@ PER_SET = (
     PREDICTION_TOPIC,
 )
 # topic -> the nodes that must listen to it before the first set is sent, where each has a process of its own
-LISTENERS = {
-    "/hull/contour_rays": {"icp_tracker"},
-    "/hull/centerline": {"icp_tracker"},
-    "/hull/voxels": {"icp_tracker"},
-    "/icp/reference_points": {"ekf_tracker"},
-    PREDICTION_TOPIC: {"icp_tracker"},
-}
+LISTENERS = {"/hull/products": {"icp_tracker"}, "/icp/people": {"ekf_tracker"}, PREDICTION_TOPIC: {"icp_tracker"}}
 
 
 def replay_through_graph(
@@ -84,7 +75,7 @@ def replay_through_graph(
             recorder.wait_for_publishers()
             supervisor.activate()
             if server == THREE_PROCESSES:  # else they hand over in memory
-                wait_for_listeners(link.node, CONNECT_TIMEOUT_S)
+                wait_for_listeners(link.node, PATIENCE_S)
             tolerance_ns = round(chosen[TOLERANCE] * 1e9)  # sets are formed here as the hull server forms them
             cameras = load_rig(rig_file).names
             report = lockstep_into(link.node, bag, cameras, tolerance_ns=tolerance_ns, cancel=cancel)
@@ -111,11 +102,11 @@ def lockstep_into(
     topics = {topic.name: topic.msgtype for camera in cameras for topic in camera_topics(camera)}
     publishers = InputPublishers(node, topics | {name: types[name] for name in input_topics(bag)})
     silhouettes = [f"/{camera}{SILHOUETTE_SUFFIX}" for camera in {*cameras, *bag_cameras(bag)}]
-    publishers.wait_for_subscribers(silhouettes, CONNECT_TIMEOUT_S)
+    publishers.wait_for_subscribers(silhouettes, PATIENCE_S)
     publishers.require_no_other(silhouettes)
     frame_sets = read_frame_sets(bag, frame_tolerance_ns(bag) if tolerance_ns is None else tolerance_ns)
     done = doing("replaying frame sets")
-    return play_lockstep(frame_sets, publishers, answers, timeout_s=ANSWER_TIMEOUT_S, cancel=cancel, progress=done)
+    return play_lockstep(frame_sets, publishers, answers, timeout_s=PATIENCE_S, cancel=cancel, progress=done)
 
 
 def wait_for_listeners(node: Node, timeout_s: float) -> None:
@@ -125,7 +116,7 @@ def wait_for_listeners(node: Node, timeout_s: float) -> None:
         if time.monotonic() > deadline_s:
             what = f"not heard by {', '.join(sorted(set().union(*missing.values())))} within {timeout_s:g} s"
             raise InputError(what, where=", ".join(missing), remedy="All three nodes of the server must be active.")
-        threading.Event().wait(LOOK_S)  # rclpy has no event for a change of the graph
+        threading.Event().wait(LOOK_S)
 
 
 def matching_rig(bag: str | Path, rig: str | Path | None) -> Path:

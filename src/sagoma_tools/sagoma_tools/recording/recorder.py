@@ -22,8 +22,7 @@ from capture_rig.errors import InputError
 from mocap_packets.frame_set import TIME_JUMP_NS
 from sagoma_bringup.graph import NodeSpec, Role
 
-from ..graph.namespace import in_graph, topics_of
-from ..graph.ros_link import RosLink, call_all
+from ..graph.ros_link import ANSWER_S, PATIENCE_S, RosLink, call_all, in_graph, our_nodes, topics_of
 from ..graph.topics import (
     DIAGNOSTICS,
     FIRST_BODY_ID,
@@ -44,7 +43,6 @@ from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 DISCOVERY_S = 0.2
 STAMPED_BYTES = 12  # lead-in and stamp of a message that begins with a header
 SETTLE_S = 0.3  # the publisher discovers this subscription a little later than this node discovers the publisher
-CONNECT_TIMEOUT_S = 60.0
 
 
 class TimeJumpDetector:
@@ -172,6 +170,11 @@ class Recorder:
         with self._arrived:
             return self._arrived.wait_for(lambda: self._writer.counts.get(topic, 0) >= count, timeout_s)
 
+    def close_with_graph(self, rig: Path | None = None) -> dict[str, int]:
+        """Close the bag with the parameters of the graph's nodes and their rig file, unless ``rig`` is another."""
+        configuration = read_configuration(self._node, sorted(our_nodes(self._node)), ANSWER_S)
+        return self.close({"graph": configuration}, rig or rig_of_configuration(configuration))
+
     def close(self, provenance: Mapping[str, Any] | None = None, rig: Path | None = None) -> dict[str, int]:
         """Stop listening and finish the bag; returns the messages written by topic. May be called twice."""
         with self._arrived:
@@ -280,7 +283,7 @@ class GraphRecorder:
             self._link.close()
             raise
 
-    def wait_for_publishers(self, timeout_s: float = CONNECT_TIMEOUT_S) -> tuple[str, ...]:
+    def wait_for_publishers(self, timeout_s: float = PATIENCE_S) -> tuple[str, ...]:
         """Return once every topic but latched ones and persons' has a publisher; returns those that have none in time.
 
         Nodes open their publishers when they are configured: call it between configure and activate. A publisher that

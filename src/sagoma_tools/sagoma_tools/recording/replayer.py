@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
@@ -23,7 +23,7 @@ from mocap_packets.frame_set import FrameSet
 from sagoma_ros.images import absence_message
 from sagoma_ros.messages import to_stamp
 
-from ..graph.ros_link import settled
+from ..graph.ros_link import DISCOVERY_S, settled
 from ..graph.topics import (
     CLOCK_TOPIC,
     LOSSLESS,
@@ -36,22 +36,11 @@ from ..graph.topics import (
 from .reader import BagMessage, header_stamp_ns
 
 SERVER_ALONE = "`sagoma up --rig RIG --only server`"
-DISCOVERY_S = 10.0
 CLOCK_HZ = 100.0  # latencies by a clock of steps are that coarse: 10 ms, a set at 100 Hz
 
 
-class Clock(Protocol):
-    """The time source of a timed replay; tests inject their own."""
-
-    def now_s(self) -> float: ...
-
-    def sleep_until(self, deadline_s: float) -> bool:
-        """Wait; False when the replay was stopped meanwhile."""
-        ...
-
-
 class MonotonicClock:
-    """Real time; ``stop``, once set, wakes a waiting replay and ends it."""
+    """Real time, by which a replay is timed; ``stop``, once set, wakes a waiting replay and ends it."""
 
     def __init__(self, stop: threading.Event) -> None:
         self._stopped = stop
@@ -60,27 +49,8 @@ class MonotonicClock:
         return time.monotonic()
 
     def sleep_until(self, deadline_s: float) -> bool:
+        """Wait; False when the replay was stopped meanwhile."""
         return not self._stopped.wait(max(0.0, deadline_s - time.monotonic()))
-
-
-@dataclass
-class Playback:
-    """How the bag's time runs beside that of the player: it shows ``log_ns`` at ``at_s``, ``rate`` times as fast."""
-
-    log_ns: int
-    at_s: float
-    rate: float
-
-    def due_s(self, log_ns: int) -> float:
-        """Return when the player's clock shows a time of the bag."""
-        return self.at_s + (log_ns - self.log_ns) / 1e9 / self.rate
-
-    def ticks(self, after_s: float, until_s: float, hz: float) -> Iterator[tuple[float, int]]:
-        """Yield when the bag's clock ticks after one time of the player's, up to another, and what it then shows."""
-        number = int((after_s - self.at_s) * hz + 1e-6) + 1
-        while (tick_s := self.at_s + number / hz) < until_s:
-            yield tick_s, self.log_ns + round((tick_s - self.at_s) * self.rate * 1e9)
-            number += 1
 
 
 class SimulatedClock:
@@ -161,29 +131,23 @@ class InputPublishers:
 def play_timed(
     messages: Iterable[BagMessage],
     publishers: InputPublishers,
-    clock: Clock,
+    clock: MonotonicClock,
     rate: float = 1.0,
     simulated: SimulatedClock | None = None,
 ) -> int:
     """Publish each message when its log time has come, ``rate`` times as fast as recorded; returns how many.
 
-    ``simulated`` : shows the bag's time from just before the first message to the last.
+    ``simulated`` : shows the bag's time, ``hz`` times a second of the clock, from the first message to the last.
     """
-    count, shown_s = 0, 0.0
-    playback: Playback | None = None
+    count, ticks, began_s, first_ns = 0, 0, clock.now_s(), 0
     for message in messages:
-        if playback is None:
-            shown_s = clock.now_s()
-            playback = Playback(message.log_ns, shown_s, rate)
-            if simulated is not None:
-                simulated.show(message.log_ns)
-        due_s = playback.due_s(message.log_ns)
-        if simulated is not None:
-            for tick_s, time_ns in playback.ticks(shown_s, due_s, simulated.hz):
-                if not clock.sleep_until(tick_s):
-                    return count
-                simulated.show(time_ns)
-                shown_s = tick_s
+        first_ns = first_ns or message.log_ns
+        due_s = began_s + (message.log_ns - first_ns) / 1e9 / rate
+        while simulated is not None and (ticks == 0 or began_s + ticks / simulated.hz < due_s):
+            if not clock.sleep_until(began_s + ticks / simulated.hz):
+                return count
+            simulated.show(first_ns + round(ticks / simulated.hz * rate * 1e9))
+            ticks += 1
         if not clock.sleep_until(due_s):
             break
         publishers.publish(message)

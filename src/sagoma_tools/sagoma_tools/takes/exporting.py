@@ -44,24 +44,14 @@ class Options:
     overwrite: bool = False
 
 
-@dataclass(frozen=True)
-class ExportedFile:
-    """A file of one person's motion, in a format; ``note`` : what the format lost, empty when nothing."""
-
-    path: Path
-    body_id: str
-    kind: str
-    note: str
-
-
 def export_take(
     take: Path,
     folder: Path,
     formats: Sequence[str],
     options: Options | None = None,
     tell: Callable[[str], None] = lambda text: None,
-) -> list[ExportedFile]:
-    """Write every person of a take in every format wanted, each file whole or not at all.
+) -> list[Path]:
+    """Write every person of a take in every format wanted, each file whole or not at all; returns the files.
 
     tell : hears of every person and file. Raises InputError for a take without a person, and for files that exist.
     """
@@ -80,12 +70,11 @@ def export_take(
     make_folder(folder)
     for body_id, motion in motions.items():
         tell(f"{body_id}: {describe(motion)}")
-    files = []
     for body_id, kind, path, write in planned:
         write_whole(motions[body_id], path, write)
-        files.append(ExportedFile(path, body_id, kind, note(motions[body_id], kind)))
-        tell(f"  {path}{files[-1].note}")
-    return files
+        filled = motions[body_id].gaps and kind in WITHOUT_GAPS
+        tell(f"  {path}{'  (gaps are filled by interpolation)' if filled else ''}")
+    return [path for _, _, path, _ in planned]
 
 
 def describe(motion: Motion) -> str:
@@ -93,11 +82,6 @@ def describe(motion: Motion) -> str:
     lost = sum(end - first for first, end in motion.gaps) / motion.rate_hz
     gaps = f", {len(motion.gaps)} gaps of {lost:.1f} s in all" if motion.gaps else ", no gaps"
     return f"{len(motion)} frames at {motion.rate_hz:g} Hz{gaps}"
-
-
-def note(motion: Motion, kind: str) -> str:
-    """Return what this format did to the motion, empty when it holds all of it."""
-    return "  (gaps are filled by interpolation)" if motion.gaps and kind in WITHOUT_GAPS else ""
 
 
 def write_whole(motion: Motion, path: Path, write: Writer) -> None:

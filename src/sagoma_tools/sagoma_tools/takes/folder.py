@@ -15,7 +15,7 @@ from pathlib import Path
 from capture_rig.errors import InputError
 
 from ..recording.reader import open_bag, read_provenance
-from .summary_file import SIDECAR_TAKE, read_summary
+from .measure import SIDECAR_TAKE, read_summary
 from .take import Take, TakeState, check_name
 
 TAKES = "output/takes"

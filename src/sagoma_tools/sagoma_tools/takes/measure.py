@@ -3,28 +3,33 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import re
-from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from capture_rig.errors import InputError
+from capture_rig.files import write_text
+from capture_rig.rig import load_rig
+from capture_rig.yaml_file import read_mapping
 from mocap_packets.fit import DOUBTFUL, LOST
 from motion_export.motion import point_deviations, usual_rate
 from sagoma_ros.packets import read_reference_points
 
-from ..graph.topics import CAMERA_TOPIC, DIAGNOSTICS_TOPIC, FIRST_BODY_ID
-from ..recording.reader import BagMessage, read_messages
+from ..graph.topics import CAMERA_TOPIC, DIAGNOSTICS_TOPIC, FIRST_BODY_ID, cameras_in
+from ..recording.reader import SIDECAR_RIG, BagMessage, open_bag, read_messages
 from ..recording.writer import own_version
-from .take import Background, CameraRecord, PersonRecord, Quality, Summary
+from .take import REMEDY, Background, CameraRecord, PersonRecord, Quality, Summary, Take, TakeState
 
 FRAME_SETS, FITS, BODY = "/hull/frame_set", "/icp/fit", "/icp/body"
 PERSON = re.compile(r"^/mocap/(?:bodies/(?P<body_id>[^/]+)/)?(?P<kind>reference_points|state)$")
@@ -209,3 +214,108 @@ def _values(status: DiagnosticStatus) -> dict[str, str]:
 
 def _rounded(value: Any) -> float:
     return round(float(value), ROUNDED)
+
+
+# the summary beside a bag, take.yaml ----------------------------------------------------------------------------------
+
+
+SIDECAR_TAKE = "take.yaml"
+_log = logging.getLogger("sagoma.takes")
+
+
+def finish_take(bag: Path, progress: Callable[[int], None] = lambda messages: None) -> Summary | None:
+    """Measure a bag that was just closed, and write its summary; None where that fails.
+
+    The recording is whole without it: a summary that cannot be made is made later, by `sagoma takes measure`.
+    """
+    try:
+        summary = measure(bag, progress)
+        write_summary(bag, summary)
+    except Exception as error:  # a full disk, a foreign message: the bag itself is closed, and must be reported so
+        _log.warning("%s is recorded, but its figures cannot be measured: %s", bag, error)
+        return None
+    return summary
+
+
+def write_summary(bag: Path, summary: Summary) -> None:
+    """Write (or replace) take.yaml, whole or not at all."""
+    write_text(bag / SIDECAR_TAKE, yaml.safe_dump(summary.document(), sort_keys=False, allow_unicode=True))
+
+
+def read_summary(bag: Path) -> Summary | None:
+    """Return the summary beside a bag, None where there is none. Raises InputError for one that cannot be read."""
+    path = bag / SIDECAR_TAKE
+    return Summary.parse(read_mapping(path, REMEDY), str(path)) if path.is_file() else None
+
+
+# checks ---------------------------------------------------------------------------------------------------------------
+
+
+OK, WARNING, ERROR = "ok", "warning", "error"
+
+
+@dataclass(frozen=True)
+class Check:
+    """What one check found: ok, warning or error, and a sentence."""
+
+    grade: str
+    text: str
+
+
+def verify(take: Take, progress: Callable[[int], None] = lambda messages: None) -> list[Check]:
+    """Return what every check found; a take that cannot be read has one error."""
+    if take.state is not TakeState.WHOLE:
+        return [Check(ERROR, take.problem)]
+    try:
+        return [*_messages(take.path, progress), *_rig(take), *_summary(take)]
+    except InputError as error:
+        return [Check(ERROR, str(error))]
+    except Exception as error:  # a broken file may break its reader in any way
+        return [Check(ERROR, f"{take.path} cannot be read to its end ({type(error).__name__}: {error})")]
+
+
+def _messages(bag: Path, progress: Callable[[int], None]) -> Iterator[Check]:
+    with open_bag(bag) as reader:
+        promised = Counter({connection.topic: connection.msgcount for connection in reader.connections})
+        found: Counter[str] = Counter()
+        last_ns = back = 0
+        for number, (connection, log_ns, _) in enumerate(reader.messages()):
+            found[connection.topic] += 1
+            back += log_ns < last_ns
+            last_ns = log_ns
+            progress(number)
+    missing = {topic: count - found[topic] for topic, count in promised.items() if count != found[topic]}
+    for topic, count in missing.items():
+        yield Check(ERROR, f"{topic}: {count} of the messages that the index promises are missing")
+    if back:
+        yield Check(ERROR, f"{back} messages are logged before their predecessors")
+    if not missing and not back:
+        yield Check(OK, f"all {found.total()} messages on {len(promised)} topics can be read, in order")
+
+
+def _rig(take: Take) -> Iterator[Check]:
+    if not (take.path / SIDECAR_RIG).is_file():
+        yield Check(WARNING, f"has no {SIDECAR_RIG}: where its cameras stood is not known (record with --rig)")
+        return
+    unknown = set(cameras_in(take.topics)) - set(load_rig(take.path / SIDECAR_RIG).names)
+    if unknown:
+        yield Check(ERROR, f"{SIDECAR_RIG} does not know {', '.join(sorted(unknown))}")
+    else:
+        yield Check(OK, f"{SIDECAR_RIG} knows every camera")
+
+
+def _summary(take: Take) -> Iterator[Check]:
+    now = measure(take.path)
+    stored = take.summary
+    if stored is None:
+        yield Check(WARNING, "has no figures: its recorder was killed (`sagoma takes measure` writes them)")
+        return
+    changed = [name for name in {*stored.files, *now.files} if stored.files.get(name) != now.files.get(name)]
+    for name in sorted(changed):
+        yield Check(ERROR, f"{name} is not what was recorded: its SHA-256 or its size differs")
+    if not changed:
+        yield Check(OK, f"{', '.join(now.files)} as recorded (SHA-256)")
+    if now.same_figures(stored):
+        yield Check(OK, "the figures are those of the messages")
+    else:
+        yield Check(ERROR if changed else WARNING, "the figures measured now differ: measured by " + stored.measured_by)

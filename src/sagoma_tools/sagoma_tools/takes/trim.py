@@ -19,8 +19,7 @@ from ..recording.reader import SIDECAR_RIG, BagMessage, open_bag, read_messages,
 from ..recording.recorder import has_header
 from ..recording.writer import BagWriter, own_version
 from .folder import TakesFolder, move_new, remove_folder
-from .measure import measure
-from .summary_file import finish_take
+from .measure import finish_take, measure
 from .take import Summary, Take, TakeState
 
 STATE = re.compile(r"^/mocap/(?:bodies/[^/]+/)?state$")

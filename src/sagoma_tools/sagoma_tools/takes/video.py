@@ -20,8 +20,7 @@ from sagoma_ros.images import decode_image, decode_silhouette
 from stick_figure.skeleton import POINT_NAMES
 
 from ..graph.topics import SILHOUETTE_SUFFIX, cameras_in
-from ..overlays.drawing import Window, draw_skeleton, montage, write_name
-from ..overlays.sheets import MAX_WIDTH_PX, VideoFile, captioned, tiling
+from ..overlays import MAX_WIDTH_PX, VideoFile, Window, captioned, draw_skeleton, montage, tiling, write_name
 from ..recording.reader import SIDECAR_RIG, BagMessage, read_messages
 from ..recording.recorded_motion import TRUSTED, recorded_motions
 from .measure import measure
@@ -34,8 +33,6 @@ ROOM_GREY, BODY_GREY, SHADOW_GREY = 38, 150, 75
 HEAD = POINT_NAMES.index("head")
 HOLD_S = 0.5
 """For so long a camera's last picture is shown: previews come five times a second."""
-FASTEST_HZ = 60.0
-"""Frames a second of a video at most: what screens show."""
 
 
 def write_video(
@@ -57,7 +54,7 @@ def write_video(
         motions = recorded_motions(take.path)
     except InputError:
         motions = {}  # of a take without a person, the silhouettes
-    rate_hz = fps if fps is not None else min(quality.rate_hz, FASTEST_HZ)
+    rate_hz = fps if fps is not None else min(quality.rate_hz, 60.0)
     if not (np.isfinite(rate_hz) and rate_hz > 0.0):
         raise InputError(f"{rate_hz:g} frames a second are none", where="--fps", remedy="Give a number above 0.")
     frames = round(quality.seconds * rate_hz) + 1

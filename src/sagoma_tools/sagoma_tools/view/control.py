@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 from std_srvs.srv import Trigger
@@ -12,15 +15,18 @@ from capture_rig.verdict import REDO
 from ..graph.background_training import SERVICE, SERVICE_TYPE, camera_of, progress_of, train_backgrounds
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
-from ..graph.ros_link import RosLink, call_all, our_nodes, owners_of
+from ..graph.ros_link import ANSWER_S, RosLink, call_all, our_nodes, owners_of
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
-from ..recording.recorder import Recorder, read_configuration, rig_of_configuration
+from ..recording.recorder import Recorder
+from ..takes.exporting import EXPORTS, FORMATS, Options, export_take
 from ..takes.folder import TakesFolder
-from ..takes.summary_file import finish_take
-from .jobs import Jobs, Tell, Work
+from ..takes.measure import finish_take
+from ..takes.take import MIB
+from ..takes.trim import trim
+from ..takes.video import VIDEO, write_video
+from .jobs import Deliver, Jobs, Tell, Work
 
 RESET, RESET_TYPE = "reset", "std_srvs/srv/Trigger"
-RESET_TIMEOUT_S, PARAMETERS_TIMEOUT_S = 5.0, 2.0
 
 
 class Control:
@@ -65,7 +71,7 @@ class Control:
         requests = {f"{owner}/{RESET}": Trigger.Request() for owner in sorted(owners)}
         if not requests:
             return "no tracker is in the graph"
-        replies = call_all(self._link.node, Trigger, requests, RESET_TIMEOUT_S)
+        replies = call_all(self._link.node, Trigger, requests, ANSWER_S)
         return "; ".join(
             f"{service.rpartition('/')[0]}: {reply.message if reply is not None else 'did not answer'}"
             for service, reply in replies.items()
@@ -116,9 +122,7 @@ class Control:
         """Finish the take."""
         if self._recorder is None or self._recording_to is None:
             return "nothing is being recorded"
-        names = sorted(our_nodes(self._link.node))
-        configuration = read_configuration(self._link.node, names, PARAMETERS_TIMEOUT_S)
-        counts = self._recorder.close({"graph": configuration}, rig_of_configuration(configuration))
+        counts = self._recorder.close_with_graph()
         folder, failure = self._recording_to, self._recorder.failure
         self._recorder, self._recording_to = None, None
         finish_take(folder)
@@ -132,3 +136,100 @@ class Control:
 def recording_text(name: str) -> str:
     """Say what is being recorded."""
     return f"recording {name}"
+
+
+# takes ----------------------------------------------------------------------------------------------------------------
+
+
+ALL_FORMATS = "all formats"
+SHOWN_EVERY = 15  # frames of a video
+
+
+class TakeActions:
+    """Makes the work of the takes' buttons; every take is named by its name in one folder."""
+
+    def __init__(self, takes: TakesFolder, recording: Callable[[], str]) -> None:
+        """``recording`` : says the name of the take that is being recorded, which is left alone."""
+        self._takes, self._recording = takes, recording
+
+    def rename(self, name: str, new_name: str) -> Work:
+        """Give a take another name."""
+
+        def work(tell: Tell) -> str:
+            self._check(name)
+            return f"{name} is now {self._takes.rename(name, new_name).name}"
+
+        return work
+
+    def trim(self, name: str, new_name: str, from_s: float, to_s: float) -> Work:
+        """Make a new take of a part."""
+
+        def work(tell: Tell) -> str:
+            self._check(name)
+            if not new_name.strip():
+                raise InputError("a part needs a name of its own", where="new name", remedy="Write one.")
+            path = trim(self._takes, name, new_name, from_s, to_s)
+            return f"made {path.name}: {from_s:.2f} s to {to_s:.2f} s of {name}"
+
+        return work
+
+    def delete(self, name: str) -> Work:
+        """Move a take into the bin."""
+
+        def work(tell: Tell) -> str:
+            self._check(name)
+            return f"{self._takes.delete(name).name} is in the bin: 'restore' brings it back"
+
+        return work
+
+    def restore(self, tell: Tell) -> str:
+        """Bring back what was deleted last."""
+        deleted = self._takes.deleted()
+        return f"{self._takes.restore(deleted[0].path.name).name} is back" if deleted else "the bin is empty"
+
+    def export(self, name: str, kind: str, deliver: Deliver) -> Work:
+        """Write files of other programs into the take's folder, and give them to who asked, several as one zip."""
+
+        def work(tell: Tell) -> str:
+            self._check(name)
+            take = self._takes.find(name)
+            formats = list(FORMATS) if kind == ALL_FORMATS else [kind]
+            files = export_take(take.path, take.path / EXPORTS, formats, Options(overwrite=True), tell)
+            _deliver(files, f"{name}_{kind.replace(' ', '_')}.zip", deliver)
+            return f"exported {', '.join(file.name for file in files)} into {take.name}/{EXPORTS}"
+
+        return work
+
+    def video(self, name: str, deliver: Deliver) -> Work:
+        """Draw the take's video, unless it has been drawn, and give it to who asked."""
+
+        def work(tell: Tell) -> str:
+            self._check(name)
+            take = self._takes.find(name)
+            path = take.path / EXPORTS / VIDEO
+
+            def progress(frame: int, frames: int) -> None:
+                if frame % SHOWN_EVERY == 0:
+                    tell(f"drawing the video of {name}: {100 * frame / frames:.0f} %")
+
+            if not path.exists():
+                write_video(take, path, progress=progress)
+            deliver(f"{name}.mp4", path.read_bytes())
+            return f"{name}/{EXPORTS}/{VIDEO}, {path.stat().st_size / MIB:.1f} MB"
+
+        return work
+
+    def _check(self, name: str) -> None:
+        if name and name == self._recording():
+            raise InputError(f"'{name}' is being recorded", where="takes", remedy="Finish the recording first.")
+
+
+def _deliver(paths: list[Path], name: str, deliver: Deliver) -> None:
+    if len(paths) == 1:
+        deliver(paths[0].name, paths[0].read_bytes())
+        return
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        for path in paths:
+            archive.write(path, path.name)
+    deliver(name, packed.getvalue())

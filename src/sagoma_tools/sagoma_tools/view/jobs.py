@@ -5,11 +5,15 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
+import viser
+
 from capture_rig.errors import InputError
 
 BUSY = "still busy with: {}"
 Tell = Callable[[str], None]
 Work = Callable[[Tell], str]
+Deliver = Callable[[str, bytes], None]
+"""Gives a file of this name to who asked for it."""
 
 
 class Jobs:
@@ -56,3 +60,25 @@ class Jobs:
             said = f"{what} failed: {error!r}"
         with self._lock:
             self._said, self._running = said, ""
+
+
+Button = viser.GuiButtonHandle | viser.GuiButtonGroupHandle
+
+
+def on_click(button: Button, act: Callable[[], object]) -> None:
+    """Do this when somebody presses the button."""
+
+    def clicked(event: viser.GuiEvent) -> None:
+        act()
+
+    button.on_click(clicked)
+
+
+def on_click_deliver(button: Button, act: Callable[[Deliver], object]) -> None:
+    """Do this when somebody presses the button; it is given a function that sends a file to that browser."""
+
+    def clicked(event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            act(event.client.send_file_download)
+
+    button.on_click(clicked)

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import threading
 import time
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
 import viser
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 
 from mocap_packets.hull import VoxelSamples
 from motion_export.motion import point_deviations
-from sagoma_ros.packets import read_finite, read_reference_points
+from sagoma_ros.packets import read_packet, read_reference_points
 
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
-from ..graph.namespace import below, namespace_of, topics_of
-from ..graph.ros_link import RosLink, our_nodes
-from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, persons_in
-from .feed import Feed
-from .figures import Figure
+from ..graph.ros_link import RosLink, below, in_graph, namespace_of, our_nodes, topics_of
+from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class, persons_in
+from .scene import Figure
 
 LOOK_S = 1.0
 """How often the graph is asked who is there: names are cheap, but not free."""
@@ -100,7 +105,7 @@ class LiveGraph:
     def new_voxels(self) -> np.ndarray | None:
         """Return the hull's voxels (m, 3), when there are newer ones."""
         cloud = self._feed.take(VOXELS[0])
-        return None if cloud is None else read_finite(cloud, VoxelSamples, VOXELS[0])[0].points_world
+        return None if cloud is None else read_packet(cloud, VoxelSamples, VOXELS[0]).points_world
 
     def reports(self) -> dict[str, NodeReport | None]:
         """Return the last report of every node that is in the graph or was heard, by its name in the namespace."""
@@ -125,3 +130,52 @@ class LiveGraph:
             else:
                 with folder:
                     self._pictures[camera] = gui.add_image(small, label=camera, format="jpeg", order=order)
+
+
+# topics ---------------------------------------------------------------------------------------------------------------
+
+
+NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""A page that is late drops what it missed, and no publisher waits for it."""
+
+
+class Feed:
+    """Keeps serialized messages as they come, and reads one only when the page draws it; safe from any thread."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._lock = threading.Lock()
+        self._subscriptions: dict[str, Any] = {}
+        self._kinds: dict[str, Any] = {}
+        self._newest: dict[str, bytes] = {}
+
+    def watch(self, wanted: Iterable[tuple[str, str]]) -> None:
+        """Subscribe to these topics (name, type), and to no others any more."""
+        kinds = dict(wanted)
+        for name in [name for name in self._subscriptions if name not in kinds]:
+            self._node.destroy_subscription(self._subscriptions.pop(name))
+            with self._lock:
+                self._newest.pop(name, None)
+        for name, msgtype in kinds.items():
+            if name not in self._subscriptions:
+                self._kinds[name] = message_class(msgtype)
+                keep = partial(self._keep, name)
+                self._subscriptions[name] = self._node.create_subscription(
+                    self._kinds[name], in_graph(self._node, name), keep, NEWEST, raw=True
+                )
+
+    @property
+    def watched(self) -> frozenset[str]:
+        """The topics that are subscribed to."""
+        return frozenset(self._subscriptions)
+
+    def take(self, name: str) -> Any | None:
+        """Return the newest message of a topic, once; None while there is no newer one."""
+        with self._lock:
+            data = self._newest.pop(name, None)
+        return None if data is None else deserialize_message(data, self._kinds[name])
+
+    def _keep(self, name: str, data: bytes) -> None:
+        with self._lock:
+            if name in self._kinds:
+                self._newest[name] = data

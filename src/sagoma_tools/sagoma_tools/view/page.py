@@ -12,20 +12,17 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 
 from ..takes.folder import TakesFolder, describe
-from .control import Control, recording_text
-from .figures import Figure
+from .control import Control, TakeActions, recording_text
 from .graph_panel import GraphPanel
 from .guard import Guard
 from .jobs import Jobs
 from .live import LiveGraph
 from .playback import Playback
-from .scene import RoomScene
+from .scene import Figure, RoomScene
 from .server import guarded_server
-from .take_work import TakeWork
 from .takes_panel import PLAY, TakesPanel
 from .viewpoint import Viewpoint
 
-FRAMES_HZ = 30.0
 STATES, PICTURES, TAKES = "states", "pictures", "takes"
 EVERY_S = {STATES: 0.5, PICTURES: 0.25, TAKES: 2.0}
 """How often tables, the cameras' pictures and the list of takes are drawn anew."""
@@ -64,7 +61,7 @@ class Page:
         self._said = gui.add_html("")
         tabs = gui.add_tab_group()
         self._graph = GraphPanel(gui, tabs, live, control, self._jobs) if live and control else None
-        work = TakeWork(takes, lambda: control.recording if control is not None else "")
+        work = TakeActions(takes, lambda: control.recording if control is not None else "")
         leave = self.show_live if live is not None else None
         self._take_panel = TakesPanel(gui, tabs, work, self._jobs, self.play, leave)
         self.server.on_client_connect(lambda client: self._watched.set())
@@ -144,7 +141,7 @@ class Page:
             except Exception as error:  # a message that cannot be read, a take that vanished: the page goes on
                 self._jobs.say(f"the page could not be drawn: {error}")
             self.frames += 1
-            self._ended.wait(max(0.0, 1.0 / FRAMES_HZ - (time.monotonic() - now)))
+            self._ended.wait(max(0.0, 1.0 / 30.0 - (time.monotonic() - now)))
 
     def _draw_frame(self, now_s: float, next_at: dict[str, float]) -> None:
         """Draw what is due; ``next_at`` : when tables, pictures and takes are drawn next."""

@@ -12,19 +12,16 @@ import viser
 
 from ..graph.topics import FIRST_BODY_ID
 from ..takes.exporting import FORMATS
-from ..takes.take import Take
-from ..takes.texts import FIGURES, date, figures, remark, summary_lines
-from .buttons import on_click, on_click_deliver
-from .jobs import Jobs, Tell, Work
+from ..takes.take import FIGURES, Take, date, figures, remark, summary_lines
+from .control import ALL_FORMATS, TakeActions
+from .jobs import Deliver, Jobs, Tell, Work, on_click, on_click_deliver
 from .playback import SIDES, Playback
-from .take_work import ALL_FORMATS, Deliver, TakeWork
 
 NO_TAKES = "(none yet)"
 PLAY, PAUSE, BACK = "play", "pause", "back to live"
 EXPORT, VIDEO = "export", "video"
 RENAME, TRIM, DELETE, RESTORE = "rename", "trim", "delete", "restore"
 BEGIN, END = "begin", "end"
-SLIDER_LAG_S = 0.2
 """The slider follows what is played in such steps: each is a message to every browser."""
 
 
@@ -35,7 +32,7 @@ class TakesPanel:
         self,
         gui: viser.GuiApi,
         tabs: viser.GuiTabGroupHandle,
-        work: TakeWork,
+        work: TakeActions,
         jobs: Jobs,
         play: Callable[[str], None],
         leave: Callable[[], None] | None,
@@ -122,10 +119,10 @@ class TakesPanel:
 
     def show_progress(self, playback: Playback) -> None:
         """Move the slider to where the take plays."""
-        if abs(self._position.value - playback.position_s) > SLIDER_LAG_S:
+        if abs(self._position.value - playback.position_s) > 0.2:
             _set(self._position, round(playback.position_s, 2))
 
-    def _trimming(self, work: TakeWork) -> Work:
+    def _trimming(self, work: TakeActions) -> Work:
         return work.trim(self.chosen, self._new_name.value, self._from.value, self._to.value)
 
     def _changing(self, work: Work) -> Work:

@@ -14,7 +14,7 @@ import viser
 
 from capture_rig.rig import Rig
 
-from .figures import Figure
+from .scene import Figure
 
 Array = np.ndarray
 

@@ -24,14 +24,14 @@ CAPSULE, STICK = np.array(END_CAPSULES), np.array(END_STICKS)
 STIFF = np.setdiff1d(np.arange(CAPSULES), END_CAPSULES)  # the others
 AXES = np.array([[0, 2], [0, 2], [1, 2], [1, 2]])  # of the stick's frame: the hand bends across the forearm, the foot
 # Thresholds: TURN_SD wider than the range of daily movement (Ryu et al. 1991), as forearms turn, too: of 0.35, 0.7
-# and 1 rad the best on 66 people of python bench/random_people.py; CORRELATED from the noise model: the rays of a set
+# and 1 rad the best on 66 people of python models/random_people.py; CORRELATED from the noise model: the rays of a set
 # are worth six independent ones of a centimetre; else judgement.
 # nods and turns
 TURN_SD = 1.0
 """How far hands and feet are from where an average one points, rad. Wrists bend by 0.35 (Ryu et al. 1991 find 40
 degrees used), and a forearm that turns about itself takes the hand's way, 0.2 off its axis, around with it. The rays
-decide: a prior of 0.35 left forearms and calves pulled along (66 random rendered people, `bench/random_people.py`: mean
-error of all points 15.9 mm; 0.7: 15.2; 1.0: 15.1)."""
+decide: a prior of 0.35 left forearms and calves pulled along (66 people of `models/random_people.py`, mean error of all
+points: 15.9 mm; 0.7: 15.2; 1.0: 15.1)."""
 CORRELATED = 200.0  # rays that count as one independent one: a set's are 1e7 / m^2, and worth six of a centimetre
 LARGEST_TURN = 1.0  # rad
 

@@ -1,12 +1,12 @@
 """A studio of simulated GigE Vision cameras on loopback: they speak the real protocol to any GenICam client."""
 
-from ..live.scenes import CameraScene, PatternScene, Playback
 from .addresses import free_addresses
-from .server.device import CameraSettings, Faults
-from .server.loop import EventLoop
-from .simulated_camera.camera import SimulatedCamera
-from .simulated_camera.timing import TriggerWire
+from .camera import SimulatedCamera
+from .device import CameraSettings, Faults
+from .loop import EventLoop
+from .scenes import CameraScene, PatternScene, Playback
 from .studio import Studio, StudioSettings
+from .timing import TriggerWire
 
 __all__ = [
     "CameraScene",

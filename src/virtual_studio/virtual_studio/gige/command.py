@@ -17,10 +17,10 @@ from capture_rig.settings import build_settings, leaves
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.yaml_file import parse_value, save_mapping
 
-from ..live.rendered_scenes import PHASES
 from ..recording.footage import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE, save_truth
 from .control import Request, ask, default_path
-from .server.device import FAULT_NAMES
+from .device import FAULT_NAMES
+from .rendered_scenes import PHASES
 from .studio import PERSON_SCENE, SETUP_SCENE, Studio, StudioSettings
 
 RIG_FILE = "rig.yaml"

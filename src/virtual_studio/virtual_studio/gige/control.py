@@ -15,7 +15,7 @@ from typing import Any
 
 from capture_rig.errors import InputError
 
-from .server.loop import EventLoop
+from .loop import EventLoop
 
 Request = dict[str, Any]
 LONGEST_LINE = 1 << 16

@@ -17,17 +17,16 @@ from capture_rig.stamps import CaptureClock
 from rig_calibration.boards.board import Board
 from rig_calibration.boards.specification import board_text, read_board
 
-from ..live.rendered_scenes import PERSON, LiveScene, RoomScene, SetupScene
-from ..live.scenes import CameraScene, PatternScene, Playback
-from ..live.session_scene import load_session_scene
 from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..rig import ring
 from .addresses import consecutive_addresses
+from .camera import SimulatedCamera
 from .control import ControlServer, Request
-from .server.device import CameraSettings
-from .server.loop import EventLoop
-from .simulated_camera.camera import SimulatedCamera
-from .simulated_camera.timing import TriggerWire
+from .device import CameraSettings
+from .loop import EventLoop
+from .rendered_scenes import PERSON, LiveScene, RoomScene, SetupScene
+from .scenes import CameraScene, PatternScene, Playback, load_session_scene
+from .timing import TriggerWire
 
 PERSON_SCENE, SETUP_SCENE = "person", "setup"
 

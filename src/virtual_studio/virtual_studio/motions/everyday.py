@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..people import VolumetricBody
-from .limbs import Array, both_sides, left, right
-from .timeline import Activity, Timeline, hold
+from .timeline import STAND_S, Activity, Array, Timeline, both_sides, hold, left, right
 
 STEP_HZ = 0.85
 """Full walking cycles (two steps) per second."""
@@ -121,7 +120,7 @@ T_POSE_ONLY = Timeline((), t_pose_s=np.inf)
 
 def turn_on_spot(person: VolumetricBody) -> Timeline:
     """Turns twice to the left, stepping, in five seconds."""
-    return Timeline((hold(0.9, STANDING), Activity(5.0, stepping, turning=4 * np.pi / 5.0), hold(0.8, STANDING)))
+    return Timeline((hold(STAND_S, STANDING), Activity(5.0, stepping, turning=4 * np.pi / 5.0), hold(0.8, STANDING)))
 
 
 def leave_and_return(person: VolumetricBody) -> Timeline:
@@ -132,12 +131,12 @@ def leave_and_return(person: VolumetricBody) -> Timeline:
 
     ahead, around = Activity(AWAY_S, walking, lean=walking_lean), turned(np.pi)
     back = turned(-np.pi - AWAY_RAD)
-    return Timeline((hold(0.9, STANDING), turned(AWAY_RAD), ahead, around, ahead, back, hold(1.2, STANDING)))
+    return Timeline((hold(STAND_S, STANDING), turned(AWAY_RAD), ahead, around, ahead, back, hold(1.2, STANDING)))
 
 
 def run(person: VolumetricBody) -> Timeline:
     """Runs in a circle."""
-    return Timeline((hold(0.9, STANDING), Activity(6.0, _running, lean=_running_lean, turning=RUN_RAD_S)))
+    return Timeline((hold(STAND_S, STANDING), Activity(6.0, _running, lean=_running_lean, turning=RUN_RAD_S)))
 
 
 def stepping(t: float) -> Array:

@@ -9,12 +9,24 @@ import numpy as np
 
 from ..people import VolumetricBody
 from .everyday import STANDING
-from .limbs import ARM, Array, both_sides, legs, reaching, with_left, with_right
-from .timeline import Activity, Key, Timeline, ease, hold, key_postures
+from .timeline import (
+    ARM,
+    STAND_S,
+    Activity,
+    Array,
+    Key,
+    Timeline,
+    both_sides,
+    ease,
+    hold,
+    key_postures,
+    legs,
+    reaching,
+    with_left,
+    with_right,
+)
 
 LEG = ("hip_x", "hip_y", "hip_z", "knee")
-BEFORE_S = 0.9
-"""Standing before each motion begins."""
 CHEST_M, BELLY_M, HIP_M = 0.132, 0.105, 0.165
 """Where the built-in body's skin is before the torso's axis at chest and belly, and beside it at the hips, for the
 reference stature and an average build."""
@@ -134,7 +146,7 @@ def jump(person: VolumetricBody) -> Timeline:
     """Jumps twice on the spot, out of a crouch and back into it."""
     jumping = _Jump(person)
     jumps = Activity(JUMPS * JUMP_S + 0.6, jumping.angles, lean=jumping.lean, lift=jumping.lift)
-    return Timeline((hold(BEFORE_S, STANDING), jumps))
+    return Timeline((hold(STAND_S, STANDING), jumps))
 
 
 class _Jump:
@@ -197,7 +209,7 @@ def posture(of_legs: Array, of_arms: Array) -> Array:
 
 def _through(duration_s: float, *keys: tuple) -> Timeline:
     """Stands, then goes through key postures: tuples of time, s, angles (18,) and, if not 0, the torso's lean, rad."""
-    return Timeline((hold(BEFORE_S, STANDING), key_postures([Key(*key) for key in keys], duration_s)))
+    return Timeline((hold(STAND_S, STANDING), key_postures([Key(*key) for key in keys], duration_s)))
 
 
 def _arms(raised: float, out: float, bend: float = -0.25) -> Array:

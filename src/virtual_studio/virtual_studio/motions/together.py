@@ -18,10 +18,25 @@ from stick_figure.skeleton import L_CALF, L_THIGH, T_POSE_ANGLES, TORSO
 from ..people import VolumetricBody
 from .catalogue import motion_by_steps
 from .everyday import STANDING, stepping, walking, walking_lean
-from .limbs import ARM, Array, legs, reaching, with_left, with_right
-from .timeline import FADE_S, T_POSE_S, Activity, Key, Motion, Timeline, hold, key_postures
+from .timeline import (
+    ARM,
+    FADE_S,
+    STAND_S,
+    T_POSE_S,
+    Activity,
+    Array,
+    Key,
+    Motion,
+    Timeline,
+    hold,
+    key_postures,
+    legs,
+    reaching,
+    with_left,
+    with_right,
+)
 
-STAND_S, GREET_S = 0.9, 0.7
+GREET_S = 0.7
 HANDSHAKE_M, HUG_M = 0.92, 0.26
 """Between the torsos' axes."""
 HAND_HEIGHT_M = 1.02

@@ -9,9 +9,24 @@ from stick_figure.skeleton import L_THIGH
 
 from ..people import Capsules, VolumetricBody
 from .everyday import STANDING, stepping, walking, walking_lean
-from .hard_cases import BEFORE_S, posture
-from .limbs import ARM, Array, legs, reaching, with_left, with_right
-from .timeline import T_POSE_S, Activity, Key, Motion, Things, Timeline, hold, key_postures
+from .hard_cases import posture
+from .timeline import (
+    ARM,
+    STAND_S,
+    T_POSE_S,
+    Activity,
+    Array,
+    Key,
+    Motion,
+    Things,
+    Timeline,
+    hold,
+    key_postures,
+    legs,
+    reaching,
+    with_left,
+    with_right,
+)
 
 TOES_UNDER = 1.95
 """How far a kneeling person's calves lie behind the knees, rad from the vertical: heels up, as toes are bent under."""
@@ -59,7 +74,7 @@ def kneeling(person: VolumetricBody) -> Timeline:
         (4.8, *working),
     ]
     keys += [(5.6, *upright), (6.5, *crouched), (7.4, STANDING)]
-    return Timeline((hold(BEFORE_S, STANDING), key_postures([Key(*key) for key in keys], 8.0)))
+    return Timeline((hold(STAND_S, STANDING), key_postures([Key(*key) for key in keys], 8.0)))
 
 
 def chair(person: VolumetricBody, motion: Motion) -> Things:
@@ -105,12 +120,12 @@ def carry_a_box(person: VolumetricBody) -> Timeline:
     away = Activity(CARRY_S, lambda t: with_box(walking(t)), lean=walking_lean)
     lifting = key_postures(keys, PICKED_S)
     there = Activity(APPROACH_S, walking, lean=walking_lean)
-    return Timeline((hold(BEFORE_S, STANDING), there, lifting, turning, away, hold(1.6, with_box(STANDING))))
+    return Timeline((hold(STAND_S, STANDING), there, lifting, turning, away, hold(1.6, with_box(STANDING))))
 
 
 def box_on_a_stand(person: VolumetricBody, motion: Motion) -> Things:
     """The box of `carry_a_box`, and the stand that it is on until the hands have it."""
-    taken = round((T_POSE_S + BEFORE_S + APPROACH_S + GRASP_S) * motion.fps)
+    taken = round((T_POSE_S + STAND_S + APPROACH_S + GRASP_S) * motion.fps)
     places = [_between_the_hands(person, motion, frame) for frame in range(len(motion.poses))]
     places[:taken] = [places[taken]] * taken
     boxes = [_box(middle, heading) for middle, heading in places[taken:]]

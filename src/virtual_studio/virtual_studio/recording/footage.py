@@ -20,18 +20,17 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, save_rig
-from capture_rig.rigid import rotation_vector
+from capture_rig.rigid import rotation_vector, transform
 from capture_rig.yaml_file import read_mapping, save_mapping
 from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
 from stick_figure.body import Body
 
 from ..people import VolumetricBody
-from ..rendering.board_camera import FilmingCamera, Optics
+from ..rendering.board_camera import EXPOSURE_S, LENS_BLUR_PX, FilmingCamera, Optics
 from ..rendering.camera import Image, Sensor
-from ..scene.boards import Array, BoardPrint, Wand, print_of, transform
+from ..scene.boards import Array, BoardPrint, Wand, print_of
 from ..scene.handling import carry, hands, on_floor, person_with, swing, wave
-from .files import FOOTAGE, MADE_BY, VideoFile, atomic_folder
-from .session import RenderSettings, write_session
+from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, atomic_folder, write_session
 
 DESCRIPTION = "setup.yaml"
 INTRINSICS, FLOOR, MOVING, WAND = "intrinsics", "floor", "moving", "wand"
@@ -70,8 +69,8 @@ class FootagePlan:
     seed: int = 1
     noise: float = 3.0
     flicker: float = 0.005
-    blur_px: float = 0.6
-    exposure_s: float = 0.008
+    blur_px: float = LENS_BLUR_PX
+    exposure_s: float = EXPOSURE_S
     stature_m: float = 1.75
 
 

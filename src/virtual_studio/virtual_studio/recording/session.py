@@ -9,18 +9,22 @@ from __future__ import annotations
 
 import csv
 import os
-from collections.abc import Callable, Sequence
+import shutil
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, save_rig
 from capture_rig.rigid import rotation_vector
-from capture_rig.yaml_file import save_mapping
+from capture_rig.yaml_file import read_mapping, save_mapping
 from stick_figure.body import Body
 from stick_figure.body_file import save_body
 from stick_figure.kinematics import forward
@@ -32,8 +36,12 @@ from ..outfits import Outfit
 from ..people import Capsules, VolumetricBody, together
 from ..rendering.camera import Light, Sensor, VirtualCamera
 from ..rendering.capsules import floor_shadow
-from .files import FOOTAGE, LOSSLESS, MADE_BY, VideoFile, atomic_folder
 
+MADE_BY = "virtual_studio"
+FOOTAGE = ("mp4v", ".mp4")
+"""Codec and suffix of footage: MPEG-4 part 2, which every OpenCV wheel can write (H.264 is not in them)."""
+LOSSLESS = ("FFV1", ".mkv")
+"""Codec and suffix of exact silhouettes, under 1 KB each (OpenCV 4.8 refuses FFV1 in mp4)."""
 BACKGROUND_S = 1.5
 FIRST_BACKGROUND_FRAME = 1_000_000
 """Number of the first background frame as the sensor counts, so that no noise repeats in the footage."""
@@ -83,7 +91,7 @@ def write_session(
 ) -> Path:
     """Renders a session into `folder` and returns its path.
 
-    motion: one of `motions.catalogue.MOTIONS`, or a function such as `motion_files.recorded.RecordedMotion`; progress
+    motion: one of `motions.catalogue.MOTIONS`, or a function such as `motions.recorded.RecordedMotion`; progress
     is called with (frames done, frames in all). An older session of the virtual studio in `folder` is replaced.
     Raises InputError for an unknown motion, impossible numbers, or a folder that holds anything else.
     """
@@ -233,3 +241,80 @@ def _write_description(path: Path, fps: float, recipe: dict) -> None:
         "body": "body.yaml",
     }
     save_mapping(path, document)
+
+
+# --- Videos, and folders that appear whole or not at all and replace only what the virtual studio wrote itself.
+
+
+@contextmanager
+def atomic_folder(folder: Path, description: str) -> Iterator[Path]:
+    """Gives a folder to write into, which takes the place of ``folder`` when all went well.
+
+    ``description`` names the YAML file in it that says ``made_by: virtual_studio``.
+    Raises InputError when ``folder`` is no folder, or holds something that the studio did not write.
+    """
+    _check(folder, description)
+    partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
+    partial.mkdir(parents=True)
+    try:
+        yield partial
+        _put_in_place(partial, folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _check(folder: Path, description: str) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InputError("is not a folder", where=str(folder), remedy="Give the path of a new folder.")
+    if folder.is_dir() and any(folder.iterdir()) and not _is_own(folder / description):
+        raise InputError(
+            "is not empty and was not written by the virtual studio",
+            where=str(folder),
+            remedy="Give a new folder, or empty this one yourself.",
+        )
+
+
+def _is_own(description: Path) -> bool:
+    try:
+        return read_mapping(description, "").get("made_by") == MADE_BY
+    except InputError:
+        return False
+
+
+def _put_in_place(partial: Path, folder: Path) -> None:
+    """Swaps the finished folder in; an older one goes only when the new one is there."""
+    old = partial.with_suffix(".old")
+    if folder.exists():
+        folder.rename(old)
+    partial.rename(folder)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+class VideoFile:
+    """Writes a camera's grey video, NAME + tail + the kind's suffix; use it as a context manager.
+
+    OpenCV's own FFmpeg writes it on every supported platform, without an ffmpeg binary.
+    Raises InputError when it cannot be opened.
+    """
+
+    def __init__(self, folder: Path, camera: CameraModel, kind: tuple[str, str], fps: float, tail: str = "") -> None:
+        codec, suffix = kind
+        path, size = folder / f"{camera.name}{tail}{suffix}", (camera.width, camera.height)
+        fourcc = cv2.VideoWriter.fourcc(*codec)
+        self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), size, False)
+        if not self._writer.isOpened():
+            raise InputError(
+                f"a video with codec {codec} cannot be written",
+                where=str(path),
+                remedy="Install an OpenCV with FFmpeg (pip install opencv-python-headless).",
+            )
+
+    def write(self, image: NDArray[np.uint8]) -> None:
+        """Appends one image (h, w) uint8."""
+        self._writer.write(image)
+
+    def __enter__(self) -> VideoFile:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._writer.release()

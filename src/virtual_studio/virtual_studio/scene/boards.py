@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from capture_rig.rigid import transform
 from rig_calibration.boards.board import Board, CharucoBoard
 from rig_calibration.boards.drawing import draw_board, print_size_m
 
@@ -78,13 +79,6 @@ class BoardPrint:
     def centred(self, T_frame_middle: Array) -> Array:
         """Returns the board's pose T_frame_board (4, 4) that puts its middle into a pose."""
         return T_frame_middle @ transform(np.eye(3), -self.middle_board)
-
-
-def transform(R: Array, position: Array) -> Array:
-    """Returns the pose (4, 4) of a rotation (3, 3) and a position (3,), m."""
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, position
-    return T
 
 
 def print_of(board: Board) -> BoardPrint:

@@ -13,13 +13,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import CameraModel
+from capture_rig.rigid import transform
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
-from ..motions.limbs import ARM, reaching, with_right
-from ..motions.timeline import ease
+from ..motions.timeline import ARM, ease, reaching, with_right
 from ..people import SKIN, SLEEVE, Capsules, VolumetricBody
-from .boards import Array, BoardPrint, PosePath, transform
+from .boards import Array, BoardPrint, PosePath
 
 TREMOR_M, TREMOR_RAD = 0.0007, 0.003
 """Standard deviations of a hand's tremor."""

@@ -4,7 +4,7 @@
 noise that is left and the displacement, and renew the expected image, some rows at a time. A person in view does not
 matter to any of them: the fits are robust, and what was foreground a frame ago counts little.
 
-The thesis's rules (6.2, 6.3), which follow nothing, are :class:`.fixed.FixedBackground`; both say of every pixel how
+The thesis's rules (6.2, 6.3), which follow nothing, are :class:`FixedBackground`; both say of every pixel how
 far it is from the background, as a squared distance in sigmas.
 """
 
@@ -23,12 +23,10 @@ from ...movement.alignment import PictureAlignment
 from ...settings import BackgroundSettings
 from ..kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, take_residuals, take_samples
 from ..model import BackgroundModel
-from ..noise import FOLLOW_S, Noise, assumed_noise, learned_noise, measured_noise
-from .expected_image import At, ExpectedImage, Floats
-from .grain import GrainMeter
+from ..noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
+from .expected_image import At, ExpectedImage, Floats, SlowChanges
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
-from .slow_changes import SlowChanges
 
 # Thresholds: SAMPLES from the error of a mean, 1/sqrt(n); else measured by python bench/rooms.py.
 SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
@@ -86,7 +84,8 @@ class AdaptiveBackground:
         )
         self._row, self._column = rows.reshape(-1), columns.reshape(-1)
         cell = self._row * FIELD_DOWN // height * FIELD_ACROSS + self._column * FIELD_ACROSS // width
-        self._light, self._grain = LightEstimator(cell, channels), GrainMeter(self._row, self._column, width)
+        self._light = LightEstimator(cell, channels)
+        self._coarseness = NoiseCorrelationMeter(self._row, self._column, width)
         self._shift, self._aligner = ShiftEstimator((height, width)), aligner
         self._slow, self._block_px = SlowChanges(self._image.shape, block_px), block_px
         self._blocks = -(-height // block_px), -(-width // block_px)
@@ -153,7 +152,7 @@ class AdaptiveBackground:
         edges = self._edges(picture) if measured else None
         at_once = edges is not None and self._follow_sudden_shift(picture, edges, first)
         if at_once:
-            self._light.take_back()
+            self._light.rollback()
             rest, edges = self._follow_light(picture, step_s), self._edges(picture)
         self._follow_noise(picture, rest, step_s, first)
         steps, at_once = MOST_STEPS, at_once or first  # without a cause, one step at a time
@@ -171,8 +170,8 @@ class AdaptiveBackground:
         """Return what is left of the samples (n, C), grey levels."""
         shape, n = self._image.shape, len(self._row)
         samples, trust = np.empty((3, shape[2], n), np.float32), np.empty(n, np.float32)
-        pixels, (levels, sureness, _) = picture.reshape(-1, shape[2]), self._image.flat()
-        take_samples(pixels, levels, sureness, self._sampled, self._doubted(), samples, trust)
+        pixels, (levels, inverse_sigma, _) = picture.reshape(-1, shape[2]), self._image.flat()
+        take_samples(pixels, levels, inverse_sigma, self._sampled, self._doubted(), samples, trust)
         return self._light.update(samples, trust, step_s).T
 
     def _follow_noise(self, picture: Image, rest: Floats, step_s: float, first: bool) -> None:
@@ -182,20 +181,21 @@ class AdaptiveBackground:
             return
         level = self._image.samples(self._row, self._column)[0] * self.light.gain
         sure = (self._trust(self._row, self._column) >= 1) & (level + rest < CLIPPED).all(axis=1)
-        grain = self._follow_grain(picture, sure)
+        spatial = self._update_correlation(picture, sure)
         level = level[sure]
         found = measured_noise(level, rest[sure], foreground_known=self._dense is not None)
         if found is None:
             return
         found = found.at_least(self._least_noise, float(np.median(level)))
-        self._noise = self._noise.moved(found, 1 - math.exp(-self._since_noise_s / FOLLOW_S))._replace(grain=grain)
+        share = 1 - math.exp(-self._since_noise_s / FOLLOW_S)
+        self._noise = self._noise.moved(found, share)._replace(spatial_correlation=spatial)
         self._since_noise_s = 0.0
 
-    def _follow_grain(self, picture: Image, sure: npt.NDArray[np.bool_]) -> float:
-        at = self._grain.row, self._grain.column
+    def _update_correlation(self, picture: Image, sure: npt.NDArray[np.bool_]) -> float:
+        at = self._coarseness.row, self._coarseness.column
         seen = picture[at].astype(np.float32)
         rest = seen - self._image.samples(*at)[0] * self.light.gain - self.light.offset
-        return self._grain.update(seen, rest, sure, self._since_noise_s)
+        return self._coarseness.update(seen, rest, sure, self._since_noise_s)
 
     def _follow_sudden_shift(self, picture: Image, edges: Edges, first: bool) -> bool:
         """Move the background at once when the picture has moved at once."""
@@ -217,7 +217,7 @@ class AdaptiveBackground:
         found = self._aligner.align(image, self._aligner.turn_of(*total), search=False)
         if found is None:
             return False
-        since = Displacement(*self._aligner.displacement_of(found.turn_rad)).after(total)
+        since = Displacement(*self._aligner.displacement_of(found.turn_rad)).relative_to(total)
         return since.most_px(self._image.shape) >= LINEAR_PX and self._move(since, picture, edges)
 
     def _move(self, by: Displacement, picture: Image, edges: Edges) -> bool:
@@ -229,7 +229,7 @@ class AdaptiveBackground:
         if self._shift.misfit(self._edges(picture)) < self._shift.misfit(edges):
             return True
         self._slow.local = local
-        self._shift.move(Displacement().after(by))
+        self._shift.move(Displacement().relative_to(by))
         self._place()
         return False
 
@@ -285,3 +285,42 @@ class AdaptiveBackground:
         self._next_row = end % height
         if self._next_row == 0:
             self._last_sweep_s, self._sweep_s = self._sweep_s, 0.0
+
+
+FOREGROUND_DISTANCE = 255
+
+
+class FixedBackground:
+    """Answers as :class:`AdaptiveBackground` does, and follows nothing: pixels are background or not."""
+
+    threshold = FOREGROUND_DISTANCE - 1
+
+    def __init__(self, model: BackgroundModel, settings: BackgroundSettings) -> None:
+        self._limits, self._mean = model.limits(settings), model.mean
+        typical = float(np.median(np.maximum(model.sigma, np.float32(settings.sigma_floor))))
+        channels = 1 if model.mean.ndim == 2 else 3
+        noise = assumed_noise(typical, channels)
+        self.state = BackgroundState(Light.unchanged(channels), noise, noise, Displacement(), 0.0, 0.0)
+
+    @property
+    def light(self) -> Light:
+        return self.state.light
+
+    @property
+    def noise(self) -> Noise:
+        return self.state.noise
+
+    def follow(self, image: Image, stamp_ns: int) -> None:
+        """Follow nothing."""
+
+    def note_foreground(self, dense: Mask) -> None:
+        """Take no notice."""
+
+    def distance(self, image: Image, out: Mask) -> Mask:
+        """Write 0 into ``out`` (H, W) where the image keeps the limits of 6.3, else 255."""
+        cv2.inRange(image, self._limits.lo, self._limits.hi, dst=out)
+        return np.asarray(cv2.bitwise_not(out, dst=out))
+
+    def expected(self, at: tuple[slice, slice]) -> npt.NDArray[np.float32]:
+        """Return a part of the background: (h, w) or (h, w, 3), grey levels."""
+        return self._mean[at]

@@ -27,7 +27,7 @@ At = tuple[slice, slice]
 
 
 class ExpectedImage:
-    """Levels and sureness, 1 / sigma, of every pixel.
+    """Level and 1 / sigma of every pixel.
 
     Changes of light and noise act on the rows that are renewed; gain and offset act at once.
     """
@@ -42,7 +42,7 @@ class ExpectedImage:
             square = model.sigma.reshape(self.shape).astype(float) ** 2
             self._excess_learned += np.maximum(square - learned_noise.variance(self._learned), 0).astype(np.float32)
         self._least_variance = sigma_floor**2
-        self._levels, self._sureness = np.empty_like(self._learned), np.empty_like(self._learned)
+        self._levels, self._inverse_sigma = np.empty_like(self._learned), np.empty_like(self._learned)
         self.place(Displacement(), None)
 
     @property
@@ -53,13 +53,13 @@ class ExpectedImage:
     # --- what it looks like now
 
     def samples(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Return level / gain, without the offset, and sureness of some pixels, both (n, C)."""
-        return self._levels[row, column], self._sureness[row, column]
+        """Return level / gain, without the offset, and 1 / sigma of some pixels, both (n, C)."""
+        return self._levels[row, column], self._inverse_sigma[row, column]
 
     def flat(self) -> tuple[Floats, Floats, Floats]:
-        """Return level / gain without the offset, sureness, and variance beyond the noise's, (H W, C)."""
+        """Return level / gain without the offset, 1 / sigma, and variance beyond the noise's, (H W, C)."""
         shape = -1, self.shape[2]
-        return self._levels.reshape(shape), self._sureness.reshape(shape), self._excess.reshape(shape)
+        return self._levels.reshape(shape), self._inverse_sigma.reshape(shape), self._excess.reshape(shape)
 
     def levels(self, at: At, light: Light) -> Floats:
         """Return the grey levels of a part: (h, w), of colour images (h, w, 3)."""
@@ -72,7 +72,7 @@ class ExpectedImage:
 
     def distance(self, image: Image, light: Light, correlation: float, out: Mask) -> Mask:
         """Write into ``out`` (H, W) uint8 how far each pixel is from the background: min(255, SCALE z^2)."""
-        flat = image.reshape(-1), self._levels.reshape(-1), self._sureness.reshape(-1), light.gain, light.offset
+        flat = image.reshape(-1), self._levels.reshape(-1), self._inverse_sigma.reshape(-1), light.gain, light.offset
         if self.shape[2] == 1:
             squared_distance(*flat, out.reshape(-1))
         else:
@@ -130,10 +130,68 @@ class ExpectedImage:
             across.reshape(FIELD_DOWN, -1),
             down.clip(0, FIELD_DOWN - 1).astype(np.float32),
             np.tile(parts.astype(np.float32), width),
-            *(each[rows].reshape(end - first, -1) for each in (self._levels, self._sureness)),
+            *(each[rows].reshape(end - first, -1) for each in (self._levels, self._inverse_sigma)),
         )
 
     def rest(self, image: Image, rows: slice, light: Light) -> tuple[Floats, Floats]:
         """Return image minus background of some rows, and its squared distance in each channel, (h, W, C)."""
         rest = image.reshape(self.shape)[rows] - (self._levels[rows] * light.gain + light.offset)
-        return rest, np.square(rest * self._sureness[rows])
+        return rest, np.square(rest * self._inverse_sigma[rows])
+
+
+# --- what changes slowly in single places: sun that creeps over a wall, dust, a lamp that warms up
+
+# Thresholds: chosen with the rooms of test_camera_light.py.
+MOST_CHANGE = 12.0  # grey levels by which a single pixel may depart from how it was learned
+FOLLOW_S = 60.0  # time constant
+QUIET_S = 30.0  # a pixel is followed when no foreground has been near for so long ...
+NEAR_OF_HEIGHT = 0.06  # ... within this share of the image height
+
+
+class SlowChanges:
+    """The departure of each pixel from the learned background, grey levels: ``local`` (H, W, C) float32."""
+
+    def __init__(self, shape: tuple[int, ...], block_px: int) -> None:
+        """``shape`` : (H, W, C). block_px : side of the blocks of :meth:`note_foreground`."""
+        self.local = np.zeros(shape, np.float32)
+        self._block_px = block_px
+        self._disturbed_ns: npt.NDArray[np.int64] | None = None
+        reach = 2 * -(-int(NEAR_OF_HEIGHT * shape[0]) // block_px) + 1
+        self._reach = np.ones((reach, reach), np.uint8)
+
+    def note_foreground(self, dense: Mask, stamp_ns: int) -> None:
+        """Take the blocks of a frame, one pixel each, that are foreground (not 0)."""
+        if self._disturbed_ns is None or (self._disturbed_ns > stamp_ns).any():  # the first, or a clock set back
+            self._disturbed_ns = np.full(dense.shape, stamp_ns, np.int64)
+        self._disturbed_ns[cv2.dilate(dense, self._reach) > 0] = stamp_ns
+
+    def quiet_anywhere(self, rows: slice, stamp_ns: int) -> bool:
+        """Whether some pixels of these rows may be followed."""
+        return self._disturbed_ns is not None and bool(self._quiet_blocks(rows, stamp_ns).any())
+
+    def follow(
+        self, rows: slice, rest: Floats, background: npt.NDArray[np.bool_], stamp_ns: int, step_s: float
+    ) -> Floats:
+        """Follow some rows; return by how much their pixels changed (h, W, C).
+
+        rest (h, W, C) : image minus background. background (h, W) : where the image shows the background. step_s :
+        since these rows' last turn.
+        """
+        follows = (self._quiet(rows, stamp_ns) & background)[..., None]
+        local = self.local[rows]
+        step = np.float32(min(step_s / FOLLOW_S, 1.0)) * rest * follows
+        moved = np.clip(local + step, -MOST_CHANGE, MOST_CHANGE)
+        self.local[rows] = moved
+        return np.asarray(moved - local, np.float32)
+
+    def _quiet_blocks(self, rows: slice, stamp_ns: int) -> npt.NDArray[np.bool_]:
+        assert self._disturbed_ns is not None
+        blocks = self._disturbed_ns[rows.start // self._block_px : -(-rows.stop // self._block_px)]
+        return np.asarray(stamp_ns - blocks >= int(QUIET_S * 1e9))
+
+    def _quiet(self, rows: slice, stamp_ns: int) -> npt.NDArray[np.bool_]:
+        """Return (h, W) pixels that no foreground has been near for QUIET_S."""
+        side, width = self._block_px, self.local.shape[1]
+        pixels = self._quiet_blocks(rows, stamp_ns).repeat(side, axis=0).repeat(side, axis=1)
+        top = rows.start % side
+        return np.asarray(pixels[top : top + rows.stop - rows.start, :width])

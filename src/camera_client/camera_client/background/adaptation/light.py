@@ -119,7 +119,7 @@ class LightEstimator:
         self.light = Light(gain, offset, field, scale, switched)
         return rest
 
-    def take_back(self) -> None:
+    def rollback(self) -> None:
         """Forget the last frame: its samples were compared with a background that lay elsewhere."""
         vars(self).update(self._before)
 

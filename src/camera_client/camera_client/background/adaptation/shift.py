@@ -21,7 +21,7 @@ from ..kernels import BIN_SIGMAS, HALF_MEDIAN, median_of, robust_shift
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
 STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
 # Thresholds: LINEAR_PX from edges that are a pixel or two wide; else measured by python bench/rooms.py.
-HOLD = 30.0  # information that holds the displacement at zero, px^-2: a picture without edges does not move
+PRIOR_INFORMATION = 30.0  # that the displacement is zero, px^-2: a picture without edges does not move
 FOLLOW_PX = 0.1  # a larger displacement is taken over ...
 LINEAR_PX = 0.5  # edges are a pixel or two wide: a fit to their slopes is right within this
 SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the first time at once
@@ -48,11 +48,11 @@ class Displacement(NamedTuple):
         """Return an upper bound of any pixel's displacement in a picture (H, W)."""
         return math.hypot(self.right_px, self.down_px) + abs(self.roll_rad) * math.hypot(*shape[:2]) / 2
 
-    def further(self, by: Displacement) -> Displacement:
+    def compose(self, by: Displacement) -> Displacement:
         """Return the sum of two displacements; they are small, so that they add."""
         return Displacement(*(a + b for a, b in zip(self, by, strict=True)))
 
-    def after(self, before: Displacement) -> Displacement:
+    def relative_to(self, before: Displacement) -> Displacement:
         """Return the displacement since ``before``; displacements are small, so that they add."""
         return Displacement(*(a - b for a, b in zip(self, before, strict=True)))
 
@@ -145,7 +145,7 @@ class ShiftEstimator:
         gain (C,) : of the light. at_once : this frame alone counts.
         """
         slopes = self._right * gain, self._down * gain, self._turned * gain
-        found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust, STEPS, REACH, HOLD)
+        found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust, STEPS, REACH, PRIOR_INFORMATION)
         instant, left_px = Displacement(*found[:3]), float(found[3])
         share = 1.0 if at_once else 1 - math.exp(-step_s / LEFT_S)
         self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
@@ -163,7 +163,7 @@ class ShiftEstimator:
 
     def move(self, by: Displacement) -> bool:
         """Add a displacement to ``total``; False, and nothing is changed, where that is more than is followed."""
-        total = self.total.further(by)
+        total = self.total.compose(by)
         if total.most_px(self._shape) > MOST_OF_WIDTH * self._shape[1]:
             return False
         self.total = total

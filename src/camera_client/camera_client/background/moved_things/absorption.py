@@ -39,10 +39,10 @@ TAKEN_AWAY_S = 1.0  # the outlines say enough; the picture must have come to res
 WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands move while a trunk does not
 LEAST_UNSEEN = 0.5  # ... that nobody else sees, so that those may be absorbed
 MOST_BODY = 0.2  # share of a blob where others see something: rays of other things that cross, not a person
-GIVE_BACK_S = 2.0  # as it was learned for so long: what was absorbed is forgotten
+REVERT_S = 2.0  # as it was learned for so long: what was absorbed is forgotten
 MOST_BLOBS = 8  # looked at a time: bounds the work
 MOST_ABSORBED = 0.5  # share of the picture; more is another room
-ENDLESS_S = 5.0  # it is called so for so long
+OVERFLOW_S = 5.0  # it is called so for so long
 COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
 
 Pictures = tuple[Image, Mask, Image]  # of a frame: the camera's, what differs from the background's, the background's
@@ -64,8 +64,9 @@ class MovedThings:
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
     likely : (H, W) uint8, 255 where foreground is likely a thing and will be absorbed if it stays so; None: nowhere.
-    absorbed, given_back : how many times things were. endless : more moved, just now, than may be absorbed. restless :
-    share of the picture that has been foreground for seconds where nobody else sees anybody, and does not keep still.
+    absorbed, reverted : how many times things were. overflowed : more moved, just now, than may be absorbed.
+    dynamic_share : share of the picture that has been foreground for seconds where nobody else sees anybody, and does
+    not keep still.
     """
 
     def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32]) -> None:
@@ -80,7 +81,7 @@ class MovedThings:
         self.replaced = np.zeros(self._shape, np.uint8)
         self.likely: Mask | None = None
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
-        self.absorbed = self.given_back = 0
+        self.absorbed = self.reverted = 0
         self._restart()
 
     def _restart(self) -> None:
@@ -93,8 +94,8 @@ class MovedThings:
         self._still_s, self._shown_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._since_ns = np.where(self._blocks_of(self.replaced) > 0, np.int64(1), np.int64(0))
-        self._endless_ns: int | None = None
-        self.restless = 0.0
+        self._overflow_ns: int | None = None
+        self.dynamic_share = 0.0
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
         self._note_change()
         self._samples = 0
@@ -116,9 +117,9 @@ class MovedThings:
         return float(np.count_nonzero(self.replaced) / self.replaced.size)
 
     @property
-    def endless(self) -> bool:
+    def overflowed(self) -> bool:
         """Whether more moved in the last seconds than may be absorbed."""
-        return self._endless_ns is not None and self._last_ns - self._endless_ns <= ENDLESS_S / NS
+        return self._overflow_ns is not None and self._last_ns - self._overflow_ns <= OVERFLOW_S / NS
 
     def places(self) -> list[AbsorbedPlace]:
         """Return where things are absorbed, the largest first."""
@@ -193,14 +194,14 @@ class MovedThings:
         self._follow(image, step_s)
         # what looks as it was learned is given back
         if self._box is not None:
-            self._give_back(self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
+            self._revert(self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
         doubted = shown & (np.minimum(self._still_s, self._others.unseen_s) >= LIKELY_S)
         self.likely = np.where(self._to_pixels(doubted), np.uint8(255), np.uint8(0)) if doubted.any() else None
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
         self._absorb(shown, (image, unexplained, background), stamp_ns)
         nobody = (self._others.unseen_s >= STILL_S) & (self._others.outside_s <= 0) & (self._others.body_s <= 0)
-        self.restless = float((shown & nobody & (self._shown_s >= TAKEN_AWAY_S)).mean())
+        self.dynamic_share = float((shown & nobody & (self._shown_s >= TAKEN_AWAY_S)).mean())
 
     # --- what keeps still
 
@@ -262,7 +263,7 @@ class MovedThings:
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         blocks = blob | (around & (self._still_s >= TAKEN_AWAY_S) & (self._others.body_s <= 0))
         if np.count_nonzero(blocks | (self._since_ns > 0)) > MOST_ABSORBED * blocks.size:
-            self._endless_ns = stamp_ns
+            self._overflow_ns = stamp_ns
             return
         assert self._running is not None
         pixels = self._to_pixels(blocks)
@@ -273,7 +274,7 @@ class MovedThings:
 
     # --- giving back
 
-    def _give_back(self, unlike_learned: Blocks, unexplained: Blocks, step_s: float) -> None:
+    def _revert(self, unlike_learned: Blocks, unexplained: Blocks, step_s: float) -> None:
         """Forget what was absorbed where the picture is as learned again, or where the others see a body in it.
 
         unlike_learned : blocks that differ from what was learned. unexplained : those that also differ from what was
@@ -284,13 +285,13 @@ class MovedThings:
         self._learned_s = np.where(absorbed & ~unlike_learned, self._learned_s + np.float32(step_s), np.float32(0))
         # a thing's own neighbours look as learned all the time; they go when the whole thing does
         beside = cv2.dilate((absorbed & unlike_learned).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        back = absorbed & (self._learned_s >= GIVE_BACK_S) & ~beside
+        back = absorbed & (self._learned_s >= REVERT_S) & ~beside
         self._denied_s = counted(self._denied_s, matched & self._others.sees_body & ~self._gone, step_s, COUNTED_S)
         back |= self._denied_s >= STILL_S
         if back.any():
             self._since_ns[back], self._gone[back] = 0, False
             self.replaced[self._to_pixels(back)] = 0
-            self.given_back += int(cv2.connectedComponents(back.astype(np.uint8), connectivity=8)[0]) - 1
+            self.reverted += int(cv2.connectedComponents(back.astype(np.uint8), connectivity=8)[0]) - 1
             self._note_change()
         # light moves on
         follows = self._to_pixels(matched & ~back & (self._still_s >= FOLLOW_S))

@@ -1,0 +1,341 @@
+"""The one list of what can be wrong with a background, and with what its camera shows: figure, limits, words, remedy.
+
+:data:`CAUSES` is the list, :func:`find_causes` the judge. The figures of a background that is learned are measured by
+:mod:`.verdict`, those of one in use by :mod:`camera_client.condition`; a cause whose figure was not measured is silent.
+Every code is stable, so that scripts may test it.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from string import Formatter
+from typing import Any
+
+from capture_rig.verdict import GOOD, REDO, USABLE, Finding
+
+from .adaptation.light import MOST_GAIN
+from .model import Provenance
+
+KEY = "findings"  # of the diagnostics: what speaks against the background in use, as JSON, the worst first
+REMEDY = "clear the room and run sagoma background"
+MAINS = "expose for whole periods of the mains: 10 ms at 50 Hz, 8.33 ms at 60 Hz"
+GRADES = (GOOD, USABLE, REDO)
+NEVER = math.inf
+
+
+class _Words(Formatter):
+    """Words with figures in braces; {share:.1%} is a share in percent."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if format_spec.endswith("%"):
+            return f"{100 * value:{format_spec[:-1]}f} %"
+        return str(super().format_field(value, format_spec))
+
+
+@dataclass(frozen=True)
+class Cause:
+    """One thing that may be wrong.
+
+    code : "ABOUT.CONDITION". words : with figures in braces. figure : the name of the one that is judged. limits :
+    beyond which it is worth knowing (GOOD), costs silhouettes (USABLE), makes the background useless (REDO); those that
+    are missing are never reached. severe : the remedy from USABLE on, where that is another. unless : code of a cause
+    that says more.
+    """
+
+    code: str
+    words: str
+    remedy: str
+    figure: str
+    limits: tuple[float, ...]
+    severe: str = ""
+    unless: str = ""
+
+    def judge(self, figures: Mapping[str, Any]) -> Finding | None:
+        """Return the finding; None where the figure is within the limits, or was not measured."""
+        value = figures.get(self.figure)
+        if value is None or not value > min(self.limits):
+            return None
+        grade = max(grade for grade, limit in enumerate(self.limits) if value > limit)
+        remedy = self.severe if self.severe and grade else self.remedy
+        return Finding(GRADES[grade], _Words().format(self.words, **figures), remedy, self.code)
+
+
+def cause(words: str, remedy: str, severe: str = "", unless: str = "", **limits: tuple[float, ...]) -> Cause:
+    """Return a row of the list: "CODE: words", and the limits of the figure that is judged under its name."""
+    ((figure, beyond),) = limits.items()
+    code, _, words = words.partition(": ")
+    return Cause(code, words, remedy, figure, beyond, severe, unless)
+
+
+# Limits: noise_error from the noise of a standard deviation, 1/sqrt(2 (n - 1)) of 25 frames; light_brighter, _darker
+# from what is exposed to 200 of 255 grey levels and turns white; displacement_px from an edge of 50 grey levels;
+# unexplained_foreground, restless_foreground from a person's share of the picture; turn_deg as camera_moved.limit_deg;
+# else chosen with the rooms of test_camera_background_verdict.py, test_camera_condition.py.
+CAUSES = (
+    # a background that was learned
+    cause("levels.black: the image is black", "take the lens cap off, or switch the light on", black=(NEVER, NEVER, 0)),
+    cause(
+        "levels.white: {white_share:.0%} of the image is white",
+        "shorten the exposure or lower the gain",
+        unless="levels.black",
+        white_share=(NEVER, 0.02, 0.3),
+    ),
+    cause(
+        "levels.dim: the image is dim, {level:.0f} grey levels on the median",
+        "lengthen the exposure, open the iris, or add light",
+        unless="levels.black",
+        dim_by=(NEVER, 0),
+    ),
+    cause(
+        "training.few_frames: a single picture does not tell the noise, which is assumed",
+        "set background_frames to 100",
+        single=(NEVER, 0),
+    ),
+    cause(
+        "training.few_frames: {frames} frames measure the noise to {noise_error:.0%} only",
+        "set background_frames to 100",
+        noise_error=(NEVER, 0.1444),
+    ),
+    cause(
+        "training.movement: something moved: {moved_places}",
+        "clear the scene, see that the camera stands firm, and call again",
+        moved_share=(NEVER, 0.001, 0.02),
+    ),
+    cause(
+        "training.something_else: something else than in the background{since}: {changed_places}",
+        "if a person stood there, clear the room and learn again; moved furniture is all right",
+        changed_share=(NEVER, 0),
+    ),
+    cause(
+        "light.brighter: the light is {brighter:.0%} brighter than in the background{since}",
+        "nothing is to be done",
+        brighter=(0.05,),
+    ),
+    cause(
+        "light.darker: the light is {darker:.0%} darker than in the background{since}",
+        "nothing is to be done",
+        darker=(0.05,),
+    ),
+    cause(
+        "noise.higher: the noise is {noise_growth:.1f} times that of the background{since}",
+        "less gain, more light, a higher bit rate of a codec",
+        noise_growth=(2.0,),
+    ),
+    cause(
+        "noise.high: the noise is high, {noise:.1f} grey levels on the median",
+        "lower the gain and add light; check that the camera stands firm",
+        noise=(NEVER, 6.0),
+    ),
+    cause(
+        "noise.low: the noise is suspiciously low, {noise:.2f} grey levels on the median",
+        "check that the camera sends new pictures and does not smooth them",
+        noise_lacking=(NEVER, 0),
+    ),
+    cause("light.flicker: the brightness flickers by {flicker:.1%}", MAINS, flicker=(NEVER, 0.01)),
+    cause(
+        "light.drift: the brightness changed by {drift:+.1%} while it was learned",
+        "wait until lamps are warm and automatic exposure is off",
+        drifted=(NEVER, 0.03),
+    ),
+    cause(
+        "moved.turned: since it was calibrated the camera has turned by {turn_deg:.1f} degrees",
+        "calibrate it again",
+        turn_deg=(NEVER, 0.2),
+    ),
+    # a background in use: the room
+    cause(
+        "room.endless: more of the room has changed than may become background",
+        f"{REMEDY}; is another room before the camera?",
+        things_endless=(NEVER, 0),
+    ),
+    cause(
+        "room.restless: {restless_foreground:.1%} of the picture keeps changing where no other camera sees anybody",
+        "switch screens and fans off, draw curtains, close doors, or turn the camera: it is never learned",
+        restless_foreground=(NEVER, 0.005),
+    ),
+    cause(
+        "room.unexplained: {unexplained_foreground:.1%} of the picture differs from the background and is not the "
+        "person",
+        f"other people out of the picture; for things that moved {REMEDY}",
+        unless="room.restless",
+        unexplained_foreground=(0.005, 0.02),
+    ),
+    cause(
+        "room.things_moved: things were moved or taken away, and are background now: {things_places}",
+        "nothing is to be done; when the room is empty, the background may be learned again",
+        severe=REMEDY,
+        things_share=(0, 0.2),
+    ),
+    cause(
+        "background.static: something has been in the picture for 5 minutes without moving: {background_static_places}",
+        f"take it away, or {REMEDY}",
+        background_static_foreground=(NEVER, 0.01),
+    ),
+    cause("background.old: the background is {age_h:.0f} h old", REMEDY, age_over_h=(NEVER, 0)),
+    # ... its light
+    cause(
+        "light.brighter: the light is {light_brighter:.0%} brighter than when the background was learned",
+        "it is followed: nothing is to be done",
+        severe=f"it is followed, but white and black places are lost, and noise grows: {REMEDY}",
+        light_brighter=(0.05, 0.25),
+    ),
+    cause(
+        "light.darker: the light is {light_darker:.0%} darker than when the background was learned",
+        "it is followed: nothing is to be done",
+        severe=f"it is followed, but white and black places are lost, and noise grows: {REMEDY}",
+        light_darker=(0.05, 0.2),
+    ),
+    cause(
+        "light.colour: the light has another colour than when the background was learned: {light_colours}",
+        "it is followed; switch automatic white balance off",
+        light_tint=(0.05,),
+    ),
+    cause(
+        "light.uneven: the light changed by {light_unevenness:.0%} more in some places than in others",
+        "it is followed as far as it is smooth: a lamp was moved or switched, or the sun came in",
+        light_unevenness=(0.1,),
+    ),
+    cause(
+        "light.unsteady: the light changed suddenly {light_switches_recent} times in half a minute",
+        "switch automatic exposure off, and lamps with a loose contact; draw the curtains against clouds",
+        light_switches_recent=(NEVER, 2),
+    ),
+    cause(
+        "light.switched: the lights were switched just now",
+        "it is followed",
+        unless="light.unsteady",
+        light_switches_recent=(0,),
+    ),
+    cause(
+        "light.flicker: the light flickers by {light_flicker:.1%}",
+        f"it is followed; better {MAINS}",
+        light_flicker=(0.01, 0.05),
+    ),
+    # ... noise, place, and the person
+    cause(
+        "noise.higher: the noise is {noise_levels:.1f} grey levels, {noise_times:.1f} times what was learned",
+        "a higher bit rate, less gain, more light",
+        noise_times=(2.0,),
+    ),
+    cause(
+        "noise.high: the noise is high, {noise_levels:.1f} grey levels",
+        "lower the gain and add light; a higher bit rate",
+        noise_levels=(NEVER, 6.0),
+    ),
+    cause(
+        "levels.clipped: {background_doubtful:.0%} of the background is white or black: a person as bright is not seen "
+        "there",
+        "shorten the exposure where it is white, lengthen it or add light where it is black; learn again",
+        background_doubtful=(0.02, 0.3),
+    ),
+    cause(
+        "moved.followed: the camera was touched: its picture lies {displacement_px:.1f} px beside the background",
+        "it is followed; fasten the mount, and see whether its calibration still holds",
+        displacement_px=(0.3,),
+    ),
+    cause(
+        "moved.unfollowed: edges of the room lie {displacement_left_px:.1f} px beside the background's, which cannot "
+        "be followed",
+        "fasten the mount, keep fans and doors off its wall; when it stands firm, learn the background again",
+        displacement_left_px=(NEVER, 0.5),
+    ),
+    cause(
+        "clothes.like_background: {person_faint:.0%} of the person hardly differs from the background",
+        "other clothes, more light, or a cloth of another brightness behind",
+        person_faint=(NEVER, 0.25),
+    ),
+    cause(
+        "shadow.large: {shadow_share:.0%} of the foreground was taken for shadow, {maybe_shadow:.0%} of the person may "
+        "be",
+        "softer light from more sides, or a paler floor; see whether legs are in the mask (docs/silhouettes.md)",
+        most_shadow=(0.6,),
+    ),
+)
+
+
+def find_causes(figures: Mapping[str, Any]) -> tuple[Finding, ...]:
+    """Return what the figures say, the worst first; () when nothing is wrong."""
+    found = [(each, finding) for each in CAUSES if (finding := each.judge(figures)) is not None]
+    codes = {finding.code for _, finding in found}
+    return worst_first(finding for each, finding in found if each.unless not in codes)
+
+
+def worst_first(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Return the findings by their grade; those of one grade stay in their order."""
+    return tuple(sorted(findings, key=lambda finding: -GRADES.index(finding.grade)))
+
+
+def findings_text(findings: Iterable[Finding]) -> str:
+    """Return the findings as one line of JSON, for programs."""
+    return json.dumps([asdict(finding) for finding in findings])
+
+
+def read_findings(text: str) -> tuple[Finding, ...]:
+    """Return what :func:`findings_text` wrote; nothing of any other text."""
+    try:
+        return tuple(Finding(**values) for values in json.loads(text))
+    except (TypeError, ValueError):
+        return ()
+
+
+# --- where a background comes from: another camera or setting, long ago
+
+SAME_NUMBER = 0.01  # cameras give back what was set with so much error, relative
+UNITS = {"exposure_us": " us", "gain": ""}
+
+
+def age_h(provenance: Provenance, now_s: float) -> float | None:
+    """Hours since a background was learned, None where that is unknown; ``now_s`` is the system's clock."""
+    try:
+        created = datetime.datetime.fromisoformat(provenance.created)
+    except ValueError:
+        return None
+    return max(now_s - created.timestamp(), 0.0) / 3600
+
+
+def unfit(provenance: Provenance, camera: Mapping[str, str]) -> Finding | None:
+    """Return why a background cannot serve a camera: learned with another one, or at quite another exposure.
+
+    What is unknown of either is not compared; None when nothing speaks against it.
+    """
+    learned, serial = provenance.camera_serial, camera.get("camera_serial", "")
+    if learned and serial and learned != serial:
+        what = f"the background was learned with camera {learned}, this is {serial}"
+        return Finding(REDO, what, REMEDY, "background.other_camera")
+    then, now = _number(provenance.exposure_us), _number(camera.get("exposure_us", ""))
+    if then > 0 and now > 0 and not 1 / MOST_GAIN < now / then < MOST_GAIN:
+        what = f"the exposure is {now:g} us, the background was learned at {then:g} us: that cannot be corrected"
+        return Finding(REDO, what, f"{REMEDY}, or set the exposure back", "background.other_exposure")
+    return None
+
+
+def other_setting(
+    provenance: Provenance, camera: Mapping[str, str], corrected: float | None = None
+) -> tuple[Finding, ...]:
+    """Return the settings that the background was not learned at; what is unknown of either is not compared.
+
+    camera : the details of the connected source. corrected : by which factor the light is followed now; None where it
+    is not followed.
+    """
+    found = []
+    for key, unit in UNITS.items():
+        then, now, name = getattr(provenance, key), camera.get(key, ""), key.partition("_")[0]
+        off, size = abs(_number(now) - _number(then)), max(abs(_number(now)), abs(_number(then)), 1.0)
+        if not then or not now or then == now or off <= SAME_NUMBER * size:
+            continue
+        what = f"the {name} is {now}{unit}, the background was learned at {then}{unit}"
+        if corrected is not None:
+            what += f" (corrected by x {corrected:.2f})"
+        found.append(Finding(USABLE, what, f"{REMEDY}, or set the {name} back", f"background.{name}"))
+    return tuple(found)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

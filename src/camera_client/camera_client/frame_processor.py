@@ -1,0 +1,177 @@
+"""Processes a frame: checks, silhouette, condition, movement; calibration and background may change any time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from capture_rig.camera import CameraModel
+from capture_rig.rig import Volume
+from capture_rig.verdict import Finding
+from mocap_packets.silhouette import Silhouette
+from mocap_packets.support import ForegroundSupport
+
+from .background.causes import unfit
+from .background.model import BackgroundModel, load_background, read_background
+from .condition import Condition, ConditionWatch
+from .frame_source import Frame
+from .movement.detector import CameraMovedDetector, Movement, carry_turn_over, turn_when_learned
+from .settings import CameraClientSettings
+from .silhouettes.pipeline import SilhouettePipeline
+from .sources.footage_reader import open_footage
+from .sources.frame_checks import NO_PICTURE_FLAGS, FrameChecks
+
+
+@dataclass(frozen=True, eq=False)
+class FrameResult:
+    """Results of a frame: ``flags`` of the frame itself (see frame_checks.REMEDIES); no silhouette without background.
+
+    ``canvas`` is the undistorted camera that the silhouette's mask belongs to, None of a camera whose lens is unknown:
+    it has no silhouettes; ``movement`` whether the camera has moved since its calibration, as far as that is known.
+    """
+
+    canvas: CameraModel | None
+    flags: tuple[str, ...]
+    silhouette: Silhouette | None = None
+    movement: Movement | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Stages:
+    """The stages in use, which are replaced as one between two frames."""
+
+    camera: CameraModel | None
+    checks: FrameChecks
+    pipeline: SilhouettePipeline | None = None
+    background: BackgroundModel | None = None
+    moved: CameraMovedDetector | None = None
+    condition: ConditionWatch | None = None
+
+
+class FrameProcessor:
+    """Checks frames and finds silhouettes. Frames come on one thread; what is used may be replaced on another."""
+
+    def __init__(
+        self,
+        camera: CameraModel | None,
+        settings: CameraClientSettings,
+        volume: Volume | None = None,
+        placed: bool = True,
+    ) -> None:
+        """``camera``: None while its lens is unknown. ``placed``: its pose is known; without, the floor is
+        unknown, and shadows stay in the silhouettes. ``volume``: the capture volume, metres."""
+        self._settings, self._volume, self._placed = settings, volume, placed
+        self._stages = _Stages(camera, FrameChecks())
+        self.refused: Finding | None = None
+        """Why the background that there is cannot serve the camera."""
+
+    @property
+    def camera(self) -> CameraModel | None:
+        """The calibrated camera in use; None while its lens is unknown."""
+        return self._stages.camera
+
+    @property
+    def background(self) -> BackgroundModel | None:
+        """The background in use."""
+        return self._stages.background
+
+    @property
+    def pipeline(self) -> SilhouettePipeline | None:
+        """The pipeline in use; None without a background or without a calibrated lens."""
+        return self._stages.pipeline
+
+    @property
+    def condition(self) -> Condition:
+        """How well the background in use fits the room now, as far as that was measured."""
+        watch = self._stages.condition
+        return Condition() if watch is None else watch.found
+
+    def use_background(self, model: BackgroundModel | None) -> None:
+        """Use a background from the next frame on; InputError when it does not fit the camera's image size."""
+        self._stages = self._made(self.camera, model)
+        self.refused = None
+
+    def refuse_unfit_background(self, details: Mapping[str, str]) -> Finding | None:
+        """Give up the background in use when it cannot serve the camera that told these details; returns why."""
+        reason = None if self.background is None else unfit(self.background.provenance, details)
+        if reason is not None:
+            self.use_background(None)
+            self.refused = reason
+        return reason
+
+    def use_learned_background(self, model: BackgroundModel) -> BackgroundModel:
+        """Use a background that was learned just now, from the next frame on; return it as it should be saved: with
+        how far the camera has turned since its calibration. Raises InputError as :meth:`use_background` does."""
+        related = model if self.camera is None else carry_turn_over(model, self.background, self.camera)
+        self.use_background(related)
+        return related
+
+    def use_camera(self, camera: CameraModel) -> None:
+        """Use another calibration of the same camera from the next frame on."""
+        self._stages = self._made(camera, self.background)
+
+    def use_shape(self, shape: tuple[int, ...]) -> bool:
+        """Take the background that the settings name for images of this shape, unless one of that shape is in use.
+
+        True when the background was replaced. Raises InputError when the file cannot be read or does not fit.
+        """
+        if self.background is not None and self.background.shape == shape:
+            return False
+        path = self._settings.background
+        self.use_background(read_background(path, shape, self._settings.background_model) if path else None)
+        return bool(path)
+
+    def use_saved_background(self, shape: tuple[int, ...]) -> bool:
+        """Take the background that the last training saved, if there is one and the settings name no other.
+
+        True when it is in use now. Raises InputError when it cannot be read or does not fit images of ``shape``.
+        """
+        path = self._settings.background_file
+        if self._settings.background or self.background is not None or not path or not Path(path).exists():
+            return False
+        self.use_background(read_background(path, shape, self._settings.background_model))
+        return True
+
+    def check_background_file(self) -> None:
+        """Raises InputError when the background that the settings name is not there, whatever the images' shape."""
+        path = self._settings.background
+        if path.endswith(".npz"):
+            load_background(path)
+        elif path:
+            open_footage(path).close()
+
+    def take_support(self, report: ForegroundSupport) -> None:
+        """Take what the other cameras see, from any thread; it counts for frames some time after its stamp."""
+        if self.pipeline is not None:
+            self.pipeline.take_support(report)
+
+    def run(self, frame: Frame) -> FrameResult:
+        """Process one frame. Raises InputError for one of another size or type."""
+        tools = self._stages
+        canvas = None if tools.camera is None else tools.camera.undistorted_view().camera
+        silhouette, gain = None, 1.0
+        if tools.pipeline is not None:
+            silhouette, gain = tools.pipeline.run(frame.image, frame.stamp_ns), tools.pipeline.gain
+        flags = tools.checks.check(frame.image, frame.stamp_ns, gain)
+        if tools.condition is not None and silhouette is not None and not flags:
+            tools.condition.update(frame.image, frame.stamp_ns, silhouette)
+        moved = tools.moved
+        if moved is not None and not {*flags} & NO_PICTURE_FLAGS:
+            moved.update(frame.image, frame.stamp_ns)
+        return FrameResult(canvas, flags, silhouette, None if moved is None else moved.movement)
+
+    def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Stages:
+        s = self._settings
+        checks = FrameChecks(None if model is None else model.mean, may_repeat=s.source == "footage")
+        if model is None:
+            return _Stages(camera, checks)
+        pipeline, moved, condition = None, None, None
+        if camera is not None:
+            silhouette = s.silhouette if self._placed else replace(s.silhouette, shadow="keep")
+            moved = CameraMovedDetector(camera, model, s.camera_moved, turn_when_learned(model.provenance, camera))
+            pipeline = SilhouettePipeline(
+                camera, model, silhouette, s.background_model, self._volume, alignment=moved.alignment
+            )
+            condition = ConditionWatch(pipeline, model)
+        return _Stages(camera, checks, pipeline, model, moved, condition)

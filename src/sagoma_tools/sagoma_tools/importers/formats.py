@@ -1,0 +1,249 @@
+"""What importers share: session folders, motion captures (.c3d), and HumanEva's other formats and clock.
+
+.cal : a camera's calibration in the terms of Bouguet's toolbox, whose model is OpenCV's plumb_bob. 22 numbers: focal
+lengths (2), principal point (2), skew (1), k1 k2 p1 p2 k3 (5), rotation by rows (9), translation in mm (3), with
+x_camera = R x_world + T; the world is Vicon's, z up.
+.mp : a subject's measures as Vicon's software stores them, lines ``$Name = value`` in millimetres.
+.ofs : three numbers a, b, s: mocap frame = b + (image frame - a) s, both counted from 1; s is near 2 (120 Hz against
+60 Hz). Frames are counted from 1, as the data set's authors do (S2 Walking 1: 6 to 438 validation, 439 on training).
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import shutil
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import c3d
+import numpy as np
+
+from capture_rig.camera import CameraModel
+from capture_rig.errors import InputError
+from capture_rig.rig import FLOOR_MARGIN_M, Volume
+from capture_rig.rigid import nearest_rotation
+
+SIDE_MARGIN_M, TOP_MARGIN_M = 0.4, 0.3
+"""From the outermost markers to the sides of the capture volume: body surface and hands lie beyond them."""
+
+
+@contextmanager
+def new_session_folder(folder: str | Path) -> Iterator[Path]:
+    """An empty folder beside ``folder`` to write into; it becomes ``folder`` when the block ends without an error.
+
+    Raises InputError when ``folder`` exists and is not empty.
+    """
+    folder = Path(folder)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        remedy = "Give the path of a new folder, or remove this one yourself."
+        raise InputError("exists and is not an empty folder", where=str(folder), remedy=remedy)
+    partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
+    partial.mkdir(parents=True)
+    try:
+        yield partial
+        if folder.exists():
+            folder.rmdir()
+        partial.rename(folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def volume_around(points_world: np.ndarray) -> Volume:
+    """Return the capture volume around all markers (n, 3) of a recording, metres."""
+    low, high = points_world.min(axis=0), points_world.max(axis=0)
+    return Volume(
+        np.array([*(low[:2] - SIDE_MARGIN_M), -FLOOR_MARGIN_M]),
+        np.array([*(high[:2] + SIDE_MARGIN_M), high[2] + TOP_MARGIN_M]),
+    )
+
+
+def write_truth_file(path: Path, frames: np.ndarray, points_world: Mapping[str, np.ndarray]) -> None:
+    """Write one row a frame: its 0-based number (F,), then x, y, z of every point (F, 3), metres, map frame.
+
+    Cells of points that are not finite stay empty: unknown.
+    """
+    header = ["frame", *(f"{name}_{axis}" for name in points_world for axis in "xyz")]
+    table = np.hstack(list(points_world.values()))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for frame, row in zip(frames, table, strict=True):
+            writer.writerow([int(frame), *(f"{value:.6f}" if np.isfinite(value) else "" for value in row)])
+
+
+COPY_AGAIN = "Copy it again from the data set."
+CAL_NUMBERS = "fc(2) cc(2) alpha_c kc(5) R(9, row by row) T(3, mm)"
+ROTATION_TOLERANCE = 1e-3
+LINE = re.compile(r"^\s*\$\s*(\w+)\s*=\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*$", re.MULTILINE)
+MM_PER = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+OFS_NUMBERS = "image frame, mocap frame, mocap frames per image frame"
+FIRST_USABLE_FRAME = 6
+"""The codec repeats the first image of every movie: its first five frames show nothing new."""
+
+
+def read_numbers(path: Path, count: int, meaning: str) -> np.ndarray:
+    """Return the first ``count`` numbers (count,) of a text file. Raises InputError naming the file."""
+    remedy = f"It reads {meaning}: copy it again from the data set."
+    try:
+        words = path.read_text(encoding="ascii").split()
+        numbers = np.array([float(word) for word in words[:count]])
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
+    except ValueError as error:
+        raise InputError(f"holds something else than numbers ({error})", where=str(path), remedy=remedy) from None
+    if len(numbers) < count or not np.isfinite(numbers).all():
+        found = f"{int(np.isfinite(numbers).sum())} finite numbers"
+        raise InputError(f"holds {found} instead of {count}", where=str(path), remedy=remedy)
+    return numbers
+
+
+def read_cal(path: Path, name: str, width: int, height: int) -> CameraModel:
+    """The camera that a ``.cal`` file describes, called ``name``, metres; its images are ``width`` x ``height`` px.
+
+    Raises InputError naming the file for missing numbers, a skewed sensor, or a matrix that is no rotation.
+    """
+    numbers = read_numbers(path, 22, CAL_NUMBERS)
+    focal, centre, skew, D = numbers[0:2], numbers[2:4], numbers[4], numbers[5:10]
+    if (focal <= 0).any() or skew != 0:
+        what = f"focal lengths {focal.tolist()} and skew {skew:g} are not those of a camera with square axes"
+        raise InputError(what, where=str(path), remedy="Focal lengths must be positive pixels and the skew 0.")
+    T_camera_world = np.eye(4)
+    T_camera_world[:3, :3] = _rotation(numbers[10:19].reshape(3, 3), path)
+    T_camera_world[:3, 3] = numbers[19:22] / 1000.0
+    K = np.array([[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]])
+    return CameraModel(name, width, height, K, "plumb_bob", D, T_camera_world)
+
+
+def _rotation(R: np.ndarray, path: Path) -> np.ndarray:
+    """Return the rotation nearest to R: the file's digits are rounded."""
+    error = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1))
+    if error > ROTATION_TOLERANCE:
+        what = f"its R is not a rotation: it departs from R R^T = I, det R = 1 by {error:.2g}"
+        raise InputError(what, where=str(path), remedy=f"It reads {CAL_NUMBERS}: copy it again from the data set.")
+    return nearest_rotation(R)
+
+
+def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
+    """Return the named measures of a ``.mp`` file, mm. Raises InputError naming the file and the missing line."""
+    try:
+        text = path.read_text(encoding="latin-1")
+    except OSError as error:
+        raise InputError(
+            f"cannot be read ({error.strerror})", where=str(path), remedy="It lies in Mocap_Data beside the .c3d files."
+        ) from None
+    measures = {name: float(value) for name, value in LINE.findall(text)}
+    missing = [name for name in names if name not in measures]
+    if missing:
+        raise InputError(f"has no line '${missing[0]} = number'", where=str(path), remedy=COPY_AGAIN)
+    return {name: measures[name] for name in names}
+
+
+@dataclass(frozen=True, eq=False)
+class Mocap:
+    """Points (F, M, 3) of F mocap frames, mm, Vicon's world (z up); all zero where a point was not seen.
+
+    ``column`` finds a label's point; a subject's name before a colon is not part of a label.
+    """
+
+    path: Path
+    column: dict[str, int]
+    points_mm: np.ndarray
+    rate_hz: float
+
+    def track_mm(self, *labels: str) -> np.ndarray:
+        """(F, 3) of the first of ``labels`` that the file has. Raises InputError when it has none of them."""
+        for label in labels:
+            if label in self.column:
+                return self.points_mm[:, self.column[label]]
+        remedy = "Take the .c3d of the original release: it holds the markers and the body model's points."
+        raise InputError(f"has no point labelled {' or '.join(labels)}", where=str(self.path), remedy=remedy)
+
+
+WITHHELD = "That of trial 2 is withheld by the owners: import its footage alone with --no-truth."
+
+
+def read_c3d(path: Path, remedy: str = WITHHELD) -> Mocap:
+    """Return all points of a ``.c3d`` file.
+
+    Raises InputError naming a file that is damaged, cut short, or cannot be read (then with ``remedy``).
+    """
+    try:
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about parameters that are not read here
+            reader = c3d.Reader(file)
+            labels = [str(label).split(":")[-1].strip() for label in reader.point_labels]
+            unit = reader.get("POINT:UNITS")
+            scale = MM_PER[unit.string_value.strip().lower() if unit is not None else "mm"]
+            frames = [points[:, :3] for _, points, _ in reader.read_frames(copy=True)]
+            expected, rate_hz = int(reader.frame_count), float(reader.point_rate)
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
+    except Exception as error:  # the library asserts and indexes its way through damaged files
+        raise InputError(
+            f"is not a readable .c3d file ({type(error).__name__}: {error})", where=str(path), remedy=COPY_AGAIN
+        ) from None
+    if not frames or len(frames) < expected:
+        raise InputError(f"ends after {len(frames)} of {expected} frames", where=str(path), remedy=COPY_AGAIN)
+    column = {label: index for index, label in reversed(list(enumerate(labels)))}  # the first of equal labels counts
+    return Mocap(path, column, scale * np.stack(frames).astype(float), rate_hz)
+
+
+@dataclass(frozen=True)
+class Offset:
+    """Image frame ``image`` was taken at mocap frame ``mocap``; both 1-based and fractional."""
+
+    image: float
+    mocap: float
+    mocap_per_image: float
+
+
+def read_ofs(path: Path) -> Offset:
+    """Return the offset of one camera. Raises InputError naming the file."""
+    offset = Offset(*read_numbers(path, 3, OFS_NUMBERS).tolist())
+    if offset.mocap_per_image <= 0:
+        remedy = "It must be positive, near 2: copy the file again from the data set."
+        raise InputError(f"{offset.mocap_per_image:g} mocap frames per image frame", where=str(path), remedy=remedy)
+    return offset
+
+
+@dataclass(frozen=True)
+class CommonTime:
+    """Common frame k is image ``first_image[camera]`` + k - 1 and mocap frame ``first_mocap`` + (k - 1) times the rate.
+
+    All counted from 1; images are whole, mocap frames fractional; ``mocap_per_frame`` is near 2.
+    """
+
+    first_image: Mapping[str, int]
+    first_mocap: float
+    mocap_per_frame: float
+
+    def image(self, camera: str, frame: int) -> int:
+        """Return the camera's image (1-based) of a common frame."""
+        return self.first_image[camera] + frame - 1
+
+    def mocap(self, frames: np.ndarray) -> np.ndarray:
+        """Fractional mocap frames (F,), 1-based, of common frames (F,)."""
+        return self.first_mocap + (np.asarray(frames, float) - 1) * self.mocap_per_frame
+
+
+def common_time(offsets: Mapping[str, Offset]) -> CommonTime:
+    """The clock that the authors' code derives from the offsets of all cameras, imported or not, colour before grey."""
+    cameras = list(offsets.values())
+    # every camera's image at one instant: mocap frame b of the first camera
+    instant = cameras[0].mocap
+    images = np.array([c.image + (instant - c.mocap) / c.mocap_per_image for c in cameras])
+    mocap_per_frame = float(np.mean([c.mocap_per_image for c in cameras]))
+    # common frame 1 is the first image of the camera that starts latest, ...
+    first_mocap = instant - mocap_per_frame * (images.min() - 1)
+    first_images = images - images.min() + 1
+    # ... or the first mocap frame where the motion capture starts later still
+    if first_mocap < 1:
+        first_images = first_images + (1 - first_mocap) / mocap_per_frame
+        first_mocap = 1.0
+    rounded = np.floor(first_images + 0.5).astype(int).tolist()  # shutters are not in step: off by half a frame at most
+    return CommonTime(dict(zip(offsets, rounded, strict=True)), float(first_mocap), mocap_per_frame)

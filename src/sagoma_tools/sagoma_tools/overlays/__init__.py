@@ -1,1 +1,0 @@
-"""People drawn over the pictures of cameras, as pictures and as videos."""

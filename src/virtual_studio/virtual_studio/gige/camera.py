@@ -1,0 +1,211 @@
+"""A simulated GigE Vision camera on a loopback address, which clients open exactly as hardware."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+
+import numpy as np
+
+from capture_rig.errors import InputError
+from gige_vision.bootstrap import Capability
+
+from .acquisition import Acquisition
+from .device import CameraSettings, Device, Faults
+from .feature_table import CAPABILITIES, feature_table
+from .genicam_xml import XML_NAME, genicam_xml, zipped
+from .gvcp_server import ControlPrivilege, GvcpServer
+from .imaging import ImagingPipeline
+from .loop import EventLoop
+from .registers import FILE_SPACE, Registers
+from .scenes import CameraScene
+from .stream import StreamChannel
+from .timing import CameraClock, Timing, TriggerWire
+
+STEADY_C, SWING_C, SWING_S = 42.0, 1.5, 120.0
+"""The device's mean temperature, and amplitude and period of its swing."""
+KEPT_BY_USER_SET = (
+    *("FirstUrl", "DeviceUserID", "PtpClockID", "ControlPrivilege", "PrimaryPort", "PrimaryAddress"),
+    *("GevHeartbeatTimeout", "PacketSizeWord", "GevSCPHostPort", "GevSCDA", "GevSCSP", "GevSCPD"),
+)
+
+
+class SimulatedCamera:
+    """Serves a scene as a camera. start() powers it on, close() ends it; also a context manager.
+
+    Several cameras of one process share an event loop (one thread) and a trigger wire; a camera that is given none has
+    its own. ``faults`` can be changed while it runs; ``counters`` tell what has happened.
+    Raises InputError from start() where the address cannot be had.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        scene: CameraScene,
+        settings: CameraSettings | None = None,
+        *,
+        loop: EventLoop | None = None,
+        wire: TriggerWire | None = None,
+    ) -> None:
+        self.address, self.scene, self.settings = address, scene, settings or CameraSettings()
+        self.faults, self.counters = Faults(), Counter[str]()
+        self._own_loop = loop is None
+        self.loop = loop or EventLoop(f"camera {address}")
+        self.wire = wire or TriggerWire(self.loop)
+        self.wire.listen(self._line_rose)
+        self._user_id = self.settings.user_id
+        height, width, *channels = scene.shape
+        self.features = feature_table(self.settings, address, width, height, bool(channels))
+        self._description = zipped(genicam_xml(self.features, self.settings.vendor, self.settings.model))
+        self._powered: _PoweredCamera | None = None
+        self._started = self._closed = False
+
+    def start(self) -> SimulatedCamera:
+        """Powers the camera on."""
+        if self._closed:
+            raise RuntimeError("a closed camera cannot be started again")
+        if not self._started:
+            if self._own_loop:
+                self.loop.start()
+            self._started = True
+            try:
+                self.power_on()
+            except InputError:
+                self.close()
+                raise
+        return self
+
+    def close(self) -> None:
+        """Powers the camera off for good."""
+        if self._started and not self._closed:
+            self.power_off()
+            self._closed = True
+            if self._own_loop:
+                self.loop.stop()
+
+    def power_off(self) -> None:
+        """Closes its sockets and loses its state, except for the user-defined name."""
+        self.loop.call(self._power_off)
+
+    def power_on(self) -> None:
+        """Starts anew: registers as after power-on, a new clock, nobody in control."""
+        self.loop.call(self._power_on)
+
+    @property
+    def powered(self) -> bool:
+        return self._powered is not None
+
+    @property
+    def registers(self) -> Registers:
+        """The register memory. Only while the camera is powered."""
+        assert self._powered is not None
+        return self._powered.registers
+
+    def status(self) -> dict[str, object]:
+        """Returns what it is doing, for people and for programs."""
+        return self.loop.call(self._status)
+
+    def __enter__(self) -> SimulatedCamera:
+        return self.start()
+
+    def __exit__(self, *raised: object) -> None:
+        self.close()
+
+    def _power_on(self) -> None:
+        if self._powered is None:
+            self._powered = _PoweredCamera(self, self._description, self._user_id)
+
+    def _power_off(self) -> None:
+        if self._powered is not None:
+            self._user_id = str(self._powered.registers["DeviceUserID"])
+            self._powered.close()
+            self._powered = None
+
+    def _line_rose(self, instant_ns: int) -> None:
+        if self._powered is not None and not self.faults.unplugged:
+            self._powered.acquisition.trigger("Line1", instant_ns)
+
+    def _status(self) -> dict[str, object]:
+        status: dict[str, object] = {"address": self.address, "serial": self.settings.serial, "power": self.powered}
+        if self._powered is not None:
+            status |= self._powered.status()
+        return status | {"faults": self.faults.active(), "counters": dict(self.counters)}
+
+
+class _PoweredCamera:
+    """The parts of a camera that live from power-on to power-off."""
+
+    def __init__(self, camera: SimulatedCamera, description: bytes, user_id: str) -> None:
+        self._camera, self.registers = camera, Registers(camera.features, description)
+        device = Device(camera.address, camera.settings, self.registers, camera.faults, camera.counters, camera.loop)
+        self._set_identity(description, user_id)
+        self._clock = CameraClock(camera.settings, camera.faults, camera.loop.clock)
+        self._imaging = ImagingPipeline(device)
+        self._timing = Timing(self.registers, self._clock, self._imaging.exposure)
+        self._stream = StreamChannel(device)
+        self.acquisition = Acquisition(device, camera.scene, self._clock, self._imaging, self._timing, self._stream)
+        self.privilege = ControlPrivilege(device, self.acquisition.stop)
+        try:
+            self._server = GvcpServer(device, self.privilege, self._stream.resend, self.acquisition.execute_action)
+        except InputError:
+            self._stream.close()
+            raise
+        self._hook_device_features()
+
+    def close(self) -> None:
+        self.acquisition.stop()
+        self.privilege.release()
+        self._server.close()
+        self._stream.close()
+
+    def status(self) -> dict[str, object]:
+        owner = self.privilege.owner
+        p50, p99, most = np.percentile(np.array(self.acquisition.lateness_ns or [0]) / 1e3, (50, 99, 100)).round(1)
+        return {
+            "user_id": self.registers["DeviceUserID"],
+            "controller": f"{owner[0]}:{owner[1]}" if owner else "",
+            "streaming": self.acquisition.running and self._stream.is_open,
+            "frame_rate": round(float(1 / self._timing.period_s), 3),
+            "trigger": self._timing.source,
+            "ptp": self.registers.label("PtpStatus") if self.registers["PtpEnable"] else "off",
+            "late_us": {"p50": float(p50), "p99": float(p99), "max": float(most)},
+        }
+
+    def _set_identity(self, description: bytes, user_id: str) -> None:
+        self.registers["FirstUrl"] = f"Local:{XML_NAME}.zip;{FILE_SPACE:X};{len(description):X}"
+        self.registers["DeviceUserID"] = user_id
+        self.registers["PtpClockID"] = 0x0200_00FF_FE00_0000 | self.registers.integer("CurrentIp") & 0xFFFFFF
+
+    def _hook_device_features(self) -> None:
+        r, clock = self.registers, self._clock
+        r.reads["DeviceTemperature"] = lambda: STEADY_C + SWING_C * math.sin(2 * math.pi * time.time() / SWING_S)
+        r.reads["GvcpCapability"] = self._capability
+        r.reads["PtpStatus"] = lambda: clock.ptp_state
+        r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
+        r.writes["PtpDataSetLatch"] = self._latch_ptp
+        r.writes["TimestampLatch"] = r.writes["TimestampControl"] = self._latch_time
+        r.writes["UserSetLoad"] = self._load_defaults
+
+    def _capability(self) -> int:
+        without = Capability.PACKET_RESEND if self._camera.faults.no_resend else Capability(0)
+        return int(CAPABILITIES & ~without)
+
+    def _latch_ptp(self) -> None:
+        self.registers["PtpOffsetFromMaster"] = self._clock.offset_from_master_ns
+        self.registers["PtpParentClockID"] = 0x0011_22FF_FE33_4455 if self._clock.is_synchronised else 0
+
+    def _latch_time(self) -> None:
+        stamp = self._clock.stamp(self._camera.loop.clock.now_ns())
+        self.registers["TimestampLatchValue"], self.registers["TimestampControl"] = stamp, 0
+        self.registers["TimestampHigh"], self.registers["TimestampLow"] = stamp >> 32, stamp & 0xFFFF_FFFF
+
+    def _load_defaults(self) -> None:
+        kept = {key: self.registers[key] for key in KEPT_BY_USER_SET}
+        self.acquisition.stop()
+        self.registers.reset()
+        for key, value in kept.items():
+            self.registers[key] = value
+        self._imaging.region.reset()
+        self._timing.reset()
+        self._clock.enable_ptp(False)

@@ -1,0 +1,141 @@
+"""One simulated camera: its settings, the faults that can be switched on, and what its parts share."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from capture_rig.errors import InputError
+from capture_rig.settings import LARGEST_INT, setting
+
+from .loop import EventLoop
+from .registers import Registers
+
+SFNC, OLD = "sfnc", "old"
+LIGHTS_OFF = 0.06
+"""Share of the light that is left when the lamps are off."""
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """A simulated GigE Vision camera. What a client sets by feature is only the value after power-on here."""
+
+    serial: str = setting("SIM00001", "Serial number, 15 bytes at most")
+    user_id: str = setting("", "User-defined name at first power-on, 15 bytes at most")
+    vendor: str = setting("Sagoma", "Vendor's name")
+    model: str = setting("Studio", "Model's name")
+    generation: str = setting(
+        SFNC,
+        "Names of the features: sfnc (today's), or old (ExposureTimeAbs, GainRaw, GevIEEE1588, ...)",
+        choices=(SFNC, OLD),
+    )
+    frame_rate: float = setting(60.0, "Frame rate", unit="Hz", low=0.1, high=1000)
+    exposure_us: float = setting(4000.0, "Exposure time", unit="us", low=10, high=1e6)
+    nominal_exposure_us: float = setting(
+        4000.0, "At this exposure and 0 dB the picture is as bright as the scene gives it", unit="us", low=10, high=1e6
+    )
+    pixel_format: str = setting("auto", "Pixel format; auto: Mono8, or BayerRG8 where the scene has colour")
+    auto_functions: str = setting(
+        "Off", "ExposureAuto, GainAuto and BalanceWhiteAuto", choices=("Off", "Once", "Continuous")
+    )
+    noise: float = setting(
+        0.0, "Sensor noise added to every picture (standard deviation)", unit="grey levels", low=0, high=50
+    )
+    max_packet_size: int = setting(
+        16000, "Largest stream packet, IP header included", unit="bytes", low=576, high=65500
+    )
+    resend_frames: int = setting(8, "Frames kept for resend requests", low=1, high=256)
+    drift_ppm: float = setting(
+        12.0, "How much faster the free-running clock is than UTC", unit="ppm", low=-1000, high=1000
+    )
+    ptp_grandmaster: bool = setting(True, "A PTP grandmaster is on the network")
+    ptp_settle_s: float = setting(0.4, "Time from PtpEnable to status Slave", unit="s", low=0, high=600)
+    ptp_offset_ns: int = setting(80, "Typical offset from the master once in step", unit="ns", low=0, high=10**9)
+    tai_minus_utc_s: int = setting(37, "Leap seconds: PTP counts TAI", unit="s", low=0, high=100)
+    seed: int = setting(1, "Of noise, clock offset and packet loss", low=0)
+
+
+@dataclass
+class Faults:
+    """The faults of one camera; assigning to a field takes effect with the next packet, frame or command.
+
+    packet_loss : probability that a stream packet (resent ones too) is never sent.
+    stall : no frames leave, while control goes on answering.
+    unplugged : the cable is out: nothing is answered and nothing is sent, but the camera keeps its state.
+    frozen : the picture does not change any more; stamps and ids go on.
+    lens_cap : black pictures (with the sensor's noise).
+    lights_off : the scene is much darker; light : the same by degrees, as a factor.
+    stamp_jump_ns : added to the camera's clock.
+    wrong_format : leaders announce another pixel format than the one that was set.
+    no_resend : the camera neither offers nor answers packet resends.
+    slow_control_ms : every command is answered "pending" first, and only then.
+    ptp_lost : the grandmaster is gone: the status goes back to Listening.
+    """
+
+    packet_loss: float = 0.0
+    stall: bool = False
+    unplugged: bool = False
+    frozen: bool = False
+    lens_cap: bool = False
+    lights_off: bool = False
+    light: float = 1.0
+    stamp_jump_ns: int = 0
+    wrong_format: bool = False
+    no_resend: bool = False
+    slow_control_ms: float = 0.0
+    ptp_lost: bool = False
+
+    @property
+    def brightness(self) -> float:
+        """Factor on the scene's light."""
+        return self.light * (LIGHTS_OFF if self.lights_off else 1.0)
+
+    def update(self, changes: Mapping[str, Any], where: str = "faults") -> None:
+        """Sets several faults by name, all or none. Raises InputError for an unknown name or an impossible value."""
+        checked = {name: _checked(name, value, where) for name, value in changes.items()}
+        for name, value in checked.items():
+            setattr(self, name, value)
+
+    def clear(self) -> None:
+        """Switches all faults off."""
+        for field in dataclasses.fields(self):
+            setattr(self, field.name, field.default)
+
+    def active(self) -> dict[str, Any]:
+        """Returns the faults that are on."""
+        fields = dataclasses.fields(self)
+        return {f.name: getattr(self, f.name) for f in fields if getattr(self, f.name) != f.default}
+
+
+@dataclass(frozen=True, eq=False)
+class Device:
+    """What the parts of a powered camera share. Only used from within the loop."""
+
+    address: str
+    settings: CameraSettings
+    registers: Registers
+    faults: Faults
+    counters: Counter[str]
+    loop: EventLoop
+
+
+FAULT_NAMES = tuple(field.name for field in dataclasses.fields(Faults))
+
+
+def _checked(name: str, value: Any, where: str) -> Any:
+    kinds: dict[str, type] = {field.name: type(field.default) for field in dataclasses.fields(Faults)}
+    if name not in kinds:
+        raise InputError(f"there is no fault '{name}'", where=where, remedy=f"Known faults: {', '.join(kinds)}.")
+    kind = kinds[name]
+    if kind is bool:
+        fits = isinstance(value, bool) or value in (0, 1)
+    else:
+        fits = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST_INT
+    high = {"packet_loss": 1.0, "light": 10.0}.get(name)
+    if not fits or (kind is float and not value >= 0) or (high is not None and value > high):
+        limits = f"a number from 0 to {high:g}" if high else "true or false" if kind is bool else "a number"
+        raise InputError(f"{name} = {value!r} is not possible", where=where, remedy=f"Give {limits}.")
+    return kind(value)

@@ -1,0 +1,233 @@
+"""The control channel of a camera (GVCP): answers commands from its registers; one application has control."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import ipaddress
+import socket
+import time
+from collections.abc import Callable
+
+from capture_rig.errors import InputError
+from gige_vision import bootstrap
+from gige_vision.bootstrap import CONTROL
+from gige_vision.gvcp import (
+    PORT,
+    AcknowledgePacket,
+    Action,
+    Command,
+    CommandPacket,
+    MalformedPacket,
+    ResendRequest,
+    Status,
+    decode_memory,
+    decode_memory_read,
+    decode_words,
+    decode_writes,
+    encode_memory,
+    encode_words,
+)
+
+from .device import Device
+from .loop import Timer
+from .registers import RegisterError
+
+Peer = tuple[str, int]
+LARGEST_COMMAND = 2048
+
+
+class ControlPrivilege:
+    """Grants control to the first application that asks, and takes it back when its heartbeat stops.
+
+    on_release is called whenever the control becomes free.
+    """
+
+    def __init__(self, device: Device, on_release: Callable[[], None]) -> None:
+        self._registers, self._counters, self._loop = device.registers, device.counters, device.loop
+        self._on_release = on_release
+        device.registers.writes["GevHeartbeatTimeout"] = self._watch
+        self.owner: Peer | None = None
+        self._heard_ns = 0
+        self._timer: Timer | None = None
+
+    def may_write(self, peer: Peer) -> bool:
+        return self.owner == peer
+
+    def heartbeat_from(self, peer: Peer) -> None:
+        """Notes that a peer is alive: any command of the owner is a heartbeat."""
+        if peer == self.owner:
+            self._heard_ns = time.monotonic_ns()
+
+    def request(self, peer: Peer, value: int) -> None:
+        """Handles a write to the privilege register. Raises RegisterError (access denied) while a peer owns it."""
+        if self.owner not in (None, peer):
+            self._counters["control_denied"] += 1
+            raise RegisterError(Status.ACCESS_DENIED)
+        if not value & CONTROL:
+            if self.owner is not None:
+                self.release()
+            return
+        self._registers["ControlPrivilege"] = CONTROL
+        self._registers["PrimaryPort"] = peer[1]
+        self._registers["PrimaryAddress"] = int(ipaddress.IPv4Address(peer[0]))
+        self.owner = peer
+        self.heartbeat_from(peer)
+        self._watch()
+
+    def release(self) -> None:
+        """Frees the control, and ends the stream."""
+        self.owner = None
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+        for key in ("ControlPrivilege", "PrimaryPort", "PrimaryAddress", "GevSCPHostPort", "GevSCDA"):
+            self._registers[key] = 0
+        self._on_release()
+
+    def _watch(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        if self.owner is None:
+            return
+        left_ns = self._registers.integer("GevHeartbeatTimeout") * 1_000_000 - (time.monotonic_ns() - self._heard_ns)
+        if left_ns <= 0:
+            self._counters["heartbeats_lost"] += 1
+            self.release()
+            return
+        self._timer = self._loop.call_later(left_ns, self._watch)
+
+
+class GvcpServer:
+    """Serves one camera's control channel on its address, port 3956. Raises InputError if the address is not free."""
+
+    def __init__(
+        self,
+        device: Device,
+        privilege: ControlPrivilege,
+        on_resend: Callable[[ResendRequest], None],
+        on_action: Callable[[Action], Status | None],
+    ) -> None:
+        self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
+        self._loop, self._privilege, self._on_resend, self._on_action = device.loop, privilege, on_resend, on_action
+        self._socket = _bound(device.address)
+        self._loop.add_reader(self._socket, self._receive)
+
+    def close(self) -> None:
+        self._loop.remove_reader(self._socket)
+        self._socket.close()
+
+    def _receive(self) -> None:
+        while True:
+            try:
+                data, peer = self._socket.recvfrom(LARGEST_COMMAND)
+            except OSError:  # nothing more
+                return
+            if self._faults.unplugged:
+                continue
+            try:
+                self._take(CommandPacket.decode(data), peer)
+            except MalformedPacket:
+                self._counters["malformed_commands"] += 1
+
+    def _take(self, packet: CommandPacket, peer: Peer) -> None:
+        self._counters["commands"] += 1
+        self._privilege.heartbeat_from(peer)
+        if packet.command == Command.PACKET_RESEND:
+            if self._is_owners(peer):
+                self._on_resend(ResendRequest.decode(packet))
+            return
+        answer = self._answer(packet, peer)
+        if answer is None or not packet.wants_answer:
+            return
+        delay_ms = self._faults.slow_control_ms
+        if not delay_ms:
+            self._send(answer, peer)
+            return
+        pending = AcknowledgePacket(
+            Command.PENDING.acknowledge, encode_words([round(delay_ms) + 500]), packet.request_id
+        )
+        self._send(pending, peer)
+        self._loop.call_later(round(delay_ms * 1e6), lambda: self._send(answer, peer))
+
+    def _is_owners(self, peer: Peer) -> bool:
+        """Stream receivers ask for resends from a socket of their own, on the owner's machine."""
+        owner = self._privilege.owner
+        return owner is not None and owner[0] == peer[0]
+
+    def _answer(self, packet: CommandPacket, peer: Peer) -> AcknowledgePacket | None:
+        """Return the answer to a command; None for an action that is meant for other cameras."""
+        status, payload = Status.SUCCESS, b""
+        try:
+            if packet.command == Command.ACTION:
+                acted = self._on_action(Action.decode(packet))
+                if acted is None:
+                    return None
+                status = acted
+            else:
+                payload = self._payload(packet, peer)
+        except RegisterError as error:
+            status = error.status
+        return AcknowledgePacket(packet.command + 1, payload, packet.request_id, status)
+
+    def _payload(self, packet: CommandPacket, peer: Peer) -> bytes:
+        if packet.command == Command.DISCOVERY:
+            return self._record()
+        if packet.command in (Command.READ_REGISTER, Command.READ_MEMORY):
+            return self._read(packet)
+        if packet.command == Command.WRITE_REGISTER:
+            for address, value in decode_writes(packet.payload):
+                self._write(address, value.to_bytes(4, "big"), peer)
+            return encode_words([len(packet.payload) // 8])
+        if packet.command == Command.WRITE_MEMORY:
+            address, data = decode_memory(packet.payload)
+            self._write(address, data, peer)
+            return encode_words([len(data)])
+        raise RegisterError(Status.NOT_IMPLEMENTED)
+
+    def _read(self, packet: CommandPacket) -> bytes:
+        if packet.command == Command.READ_REGISTER:
+            return b"".join(self._registers.read(address, 4) for address in decode_words(packet.payload))
+        address, size = decode_memory_read(packet.payload)
+        return encode_memory(address, self._registers.read(address, size))
+
+    def _write(self, address: int, data: bytes, peer: Peer) -> None:
+        if address == bootstrap.CONTROL_PRIVILEGE and len(data) == 4:
+            self._privilege.request(peer, int.from_bytes(data, "big"))
+            return
+        if not self._privilege.may_write(peer):
+            self._counters["writes_denied"] += 1
+            raise RegisterError(Status.ACCESS_DENIED)
+        self._registers.write(address, data)
+
+    def _record(self) -> bytes:
+        """Return the first bytes of the bootstrap registers; what is not implemented among them reads as zero."""
+        record = bytearray(bootstrap.DISCOVERY_SIZE)
+        address = 0
+        while address < len(record):
+            with contextlib.suppress(RegisterError):
+                record[address : address + 4] = self._registers.read(address, 4)
+            address += 4
+        return bytes(record)
+
+    def _send(self, answer: AcknowledgePacket, peer: Peer) -> None:
+        try:
+            self._socket.sendto(answer.encode(), peer)
+        except OSError:  # the peer is gone, or this camera was switched off meanwhile
+            self._counters["answers_lost"] += 1
+
+
+def _bound(address: str) -> socket.socket:
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        sock.setblocking(False)
+        sock.bind((address, PORT))
+    except OSError as error:
+        sock.close()
+        reason = "another camera is there" if error.errno == errno.EADDRINUSE else error.strerror
+        raise InputError(
+            f"cannot listen on port {PORT} ({reason})",
+            where=f"camera {address}",
+            remedy="Choose another loopback address (127.x.y.z).",
+        ) from None
+    return sock

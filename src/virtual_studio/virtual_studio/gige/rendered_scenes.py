@@ -1,0 +1,245 @@
+"""Renders the virtual room live, for all cameras of a rig: a person in it, or a set-up in phases.
+
+One thread renders for all cameras; what it renders depends on the scene, when on the cameras.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from capture_rig.errors import InputError
+from capture_rig.rig import Rig
+from capture_rig.stamps import UTC, CaptureClock
+from rig_calibration.boards.board import Board
+from stick_figure.body import Body
+
+from ..motions.catalogue import MOTIONS
+from ..people import Capsules, VolumetricBody
+from ..recording.footage import FLOOR_BOARD, HAND_BOARD
+from ..rendering.board_camera import EXPOSURE_S, LENS_BLUR_PX, BoardCamera, exposure_poses
+from ..rendering.camera import WHITE, Image, Light, VirtualCamera
+from ..rendering.capsules import floor_shadow
+from ..scene.boards import BoardPrint, PosedBoard, PosePath, print_of
+from ..scene.handling import carry, hands, on_floor, person_with, wave
+from .scenes import SECOND_NS, SWITCH_AFTER_NS, Playback
+
+KEPT_SETS = 3
+LONGEST_STEP_NS = 200_000_000
+"""The next exposure of cameras that expose less often is not predicted."""
+POSES_PER_S = 60.0
+EMPTY, INTRINSICS, FLOOR, MOVING, PERSON = PHASES = ("empty", "intrinsics", "floor", "moving", "person")
+NEXT = "next"
+CARRIED_S = 30.0
+SAMPLES = 12
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedSet:
+    """Pictures of all cameras, by name, at one instant (UTC, ns)."""
+
+    instant_ns: int
+    pictures: Mapping[str, Image]
+
+
+class LiveScene(ABC):
+    """Renders for all cameras of a rig while they look. start() begins to render, close() ends it.
+
+    One thread renders the room for the instants at which cameras will expose next. It is rarely as fast as they are:
+    a camera that looks meanwhile sees the newest picture once more, and so do the others that look at that instant.
+    ``views`` by camera name. ``counters``: sets_rendered, and how many of the views were fresh or repeated.
+    """
+
+    def __init__(self, playback: Playback, empty: Mapping[str, Image], most_hz: float) -> None:
+        self.playback, self._empty, self._shortest_ns = playback, empty, round(1e9 / most_hz)
+        self.views = {name: LiveView(self, name) for name in empty}
+        self.counters = Counter[str]()
+        self._sets: deque[RenderedSet] = deque(maxlen=KEPT_SETS)
+        self._asked: deque[int] = deque(maxlen=2)  # the last two instants that cameras asked for
+        self._chosen: RenderedSet | None = None  # what is seen at the last of them
+        self._condition = threading.Condition()
+        self._running = False
+        self._thread = threading.Thread(target=self._run, name="room", daemon=True)
+
+    @abstractmethod
+    def render(self, instant_ns: int) -> Mapping[str, Image]:
+        """Renders what each camera sees at an instant while the room is occupied."""
+
+    def start(self) -> None:
+        """Renders the first set, then goes on in a thread."""
+        now_ns = self.playback.clock.now_ns()
+        self._sets.append(RenderedSet(now_ns, self.render(now_ns)))
+        self._running = True
+        self._thread.start()
+
+    def close(self) -> None:
+        with self._condition:
+            self._running = False
+            self._condition.notify()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def empty(self, name: str) -> Image:
+        """Returns one camera's picture of the empty room."""
+        return self._empty[name]
+
+    def newest(self, instant_ns: int) -> RenderedSet:
+        """Returns the latest set that is not from after the instant; also tells the renderer that a camera looks."""
+        with self._condition:
+            if self._asked and instant_ns == self._asked[-1] and self._chosen is not None:
+                return self._chosen
+            chosen = next((s for s in reversed(self._sets) if s.instant_ns <= instant_ns), self._sets[0])
+            if not self._asked or instant_ns > self._asked[-1]:
+                self._asked.append(instant_ns)
+                self._chosen = chosen
+                self._condition.notify()
+            return chosen
+
+    def _run(self) -> None:
+        duration_ns = 0
+        while (instant_ns := self._next_instant(duration_ns)) is not None:
+            began = time.monotonic_ns()
+            rendered = RenderedSet(instant_ns, self.render(instant_ns))
+            duration_ns = round((time.monotonic_ns() - began) * self.playback.clock.speed)
+            with self._condition:
+                self._sets.append(rendered)
+            self.counters["sets_rendered"] += 1
+
+    def _next_instant(self, duration_ns: int) -> int | None:
+        """Return the exposure to render next, None at the end; waits until a camera looks, and for the rate's limit.
+
+        It is the first exposure that has not begun when the rendering, of about ``duration_ns``, will be done.
+        """
+        with self._condition:
+            while self._running and not self._is_stale():
+                self._condition.wait()
+            if not self._running:
+                return None
+            last, step = self._asked[-1], self._asked[-1] - self._asked[0]
+        if not 0 < step < LONGEST_STEP_NS:
+            return last
+        return last + step * max(-((last - self.playback.clock.now_ns() - duration_ns) // step), 0)
+
+    def _is_stale(self) -> bool:
+        return bool(self._asked) and self._asked[-1] - self._sets[-1].instant_ns >= self._shortest_ns
+
+
+class LiveView:
+    """One camera's view of the room."""
+
+    def __init__(self, scene: LiveScene, name: str) -> None:
+        self._scene, self._name = scene, name
+        self._last_ns = 0
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self._scene.empty(self._name).shape
+
+    def image(self, instant_ns: int) -> Image:
+        if not self._scene.playback.occupied_at(instant_ns):
+            return self._scene.empty(self._name)
+        newest = self._scene.newest(instant_ns)
+        self._scene.counters["views_repeated" if newest.instant_ns == self._last_ns else "views_fresh"] += 1
+        self._last_ns = newest.instant_ns
+        return newest.pictures[self._name]
+
+
+class RoomScene(LiveScene):
+    """A person who moves in the room, seen by all cameras of a rig."""
+
+    def __init__(
+        self, rig: Rig, motion: str = "tour", seconds: float = 20.0, most_hz: float = 20.0, clock: CaptureClock = UTC
+    ) -> None:
+        body = Body.from_stature(1.75)
+        self._person = VolumetricBody(body)
+        self._poses = MOTIONS[motion](body, seconds, POSES_PER_S).poses
+        self._cameras = {camera.name: VirtualCamera(camera) for camera in rig.cameras}
+        empty = {name: _picture(camera.empty_room()) for name, camera in self._cameras.items()}
+        super().__init__(Playback(len(self._poses), POSES_PER_S, clock), empty, most_hz)
+
+    def render(self, instant_ns: int) -> Mapping[str, Image]:
+        capsules = self._person.place(self._poses[self.playback.frame_at(instant_ns)])
+        shadow = floor_shadow(capsules)
+        return {name: _picture(camera.render(capsules, shadow)[0]) for name, camera in self._cameras.items()}
+
+
+class SetupScene(RoomScene):
+    """Phases of a set-up: nobody; a board before each camera; a board on the floor; one carried about; the person.
+
+    ``phase`` is the one that is shown, from the empty room on.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        motion: str = "tour",
+        seconds: float = 20.0,
+        most_hz: float = 20.0,
+        clock: CaptureClock = UTC,
+        hand_board: Board = HAND_BOARD,
+        floor_board: Board = FLOOR_BOARD,
+        seed: int = 1,
+    ) -> None:
+        super().__init__(rig, motion, seconds, most_hz, clock)
+        self._board_cameras = {camera.name: BoardCamera(camera) for camera in rig.cameras}
+        self._hand, self._floor = print_of(hand_board), print_of(floor_board)
+        self._waves = {c.name: wave(c, self._hand, seed + number) for number, c in enumerate(rig.cameras)}
+        self._carried, self._lying = carry(self._floor, CARRIED_S, seed), on_floor(self._floor)
+        self._phase = self._before = PERSON
+        self._since_ns = 0
+        self.show(EMPTY)
+
+    @property
+    def phase(self) -> str:
+        return self._phase if self.playback.occupied else EMPTY
+
+    def show(self, phase: str) -> str:
+        """Switches to a phase ("next": the one after this), which begins anew; returns its name. Raises InputError."""
+        if phase == NEXT:
+            phase = PHASES[(PHASES.index(self.phase) + 1) % len(PHASES)]
+        if phase not in PHASES:
+            remedy = f"It shows {', '.join(PHASES)}, or the next one: {NEXT}."
+            raise InputError(f"there is no phase '{phase}'", where="studio", remedy=remedy)
+        if phase != EMPTY:
+            self._before, self._phase, self._since_ns = (
+                self._phase,
+                phase,
+                self.playback.clock.now_ns() + SWITCH_AFTER_NS,
+            )
+        self.playback.occupy(phase != EMPTY)
+        return phase
+
+    def render(self, instant_ns: int) -> Mapping[str, Image]:
+        phase = self._phase if instant_ns >= self._since_ns else self._before
+        t = max(instant_ns - self._since_ns, 0) / SECOND_NS
+        if phase == INTRINSICS:
+            return {name: self._render_waved(name, t) for name in self._waves}
+        if phase == MOVING:
+            t %= CARRIED_S
+            person = person_with(self._person, self._floor, self._carried(t))
+            return {name: self._render_board(name, self._floor, self._carried, t, person) for name in self._waves}
+        if phase == PERSON:
+            return super().render(instant_ns)
+        return {name: self._render_board(name, self._floor, lambda _: self._lying, 0.0, None) for name in self._waves}
+
+    def _render_waved(self, name: str, t: float) -> Image:
+        waved = self._waves[name]
+        t %= waved.duration_s
+        return self._render_board(name, self._hand, waved.path, t, hands(self._hand, waved.path(t)))
+
+    def _render_board(self, name: str, board: BoardPrint, path: PosePath, t: float, people: Capsules | None) -> Image:
+        camera = self._board_cameras[name]
+        posed = PosedBoard(board, exposure_poses(camera.camera, board, path, t, EXPOSURE_S))
+        return _picture(camera.render([posed], people, LENS_BLUR_PX, SAMPLES))
+
+
+def _picture(light: Light) -> Image:
+    """Return the picture of light 0..1, without noise: that comes from the camera's sensor."""
+    return np.asarray(cv2.convertScaleAbs(light, alpha=WHITE), np.uint8)

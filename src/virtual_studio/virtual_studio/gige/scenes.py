@@ -1,0 +1,245 @@
+"""What a simulated camera sees at an instant: the interface, a test pattern, a session's footage decoded into memory,
+and the playback that a rig shares."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from capture_rig.errors import InputError
+from capture_rig.session import STILL_SUFFIXES, Session
+from capture_rig.stamps import UTC, CaptureClock
+from capture_rig.video import Video, is_grey
+
+from ..rendering.camera import Image
+
+SECOND_NS = 1_000_000_000
+SWITCH_AFTER_NS = 50_000_000
+"""Switching takes effect so long after the request, so that no camera is ahead of another."""
+PLAY_AFTER_NS = 1_500_000_000
+"""A playback begins so long after the request (of UTC), so that whoever asked can get ready."""
+
+
+class CameraScene(Protocol):
+    """The view of one camera."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W) of grey pictures, (H, W, 3) of coloured ones (BGR)."""
+
+    def image(self, instant_ns: int) -> Image:
+        """Returns the picture at an instant (studio's clock, ns), uint8; nobody changes it later. Must be quick."""
+
+
+class PatternScene:
+    """A test pattern that carries its own number and instant as black and white squares; stripes move below them.
+
+    Pictures are numbered from 0 in the order in which they are taken.
+    """
+
+    SQUARE_PX = 4
+    PER_ROW = 32
+    ROWS = 3  # 32 bits of number, 64 of time
+
+    def __init__(self, width: int = 640, height: int = 480, colour: bool = False) -> None:
+        least = self.PER_ROW * self.SQUARE_PX
+        if width < least or height < self.ROWS * self.SQUARE_PX:
+            raise InputError(f"a pattern of {width} x {height} pixels", remedy=f"Give at least {least} x 12.")
+        self._width, self._height, self._colour = width, height, colour
+        y, x = np.mgrid[: height + 256, :width]
+        self._stripes = ((x + y) % 256).astype(np.uint8)
+        self.number = 0
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return (self._height, self._width, 3) if self._colour else (self._height, self._width)
+
+    def image(self, instant_ns: int) -> Image:
+        picture = self.picture(self.number, instant_ns)
+        self.number += 1
+        return picture
+
+    def picture(self, number: int, instant_ns: int) -> Image:
+        """Draws the picture with this number, taken at this instant."""
+        shift = number % 256
+        picture = self._stripes[shift : shift + self._height].copy()
+        bits = [(number % (1 << 32)) >> bit & 1 for bit in range(32)] + [instant_ns >> bit & 1 for bit in range(64)]
+        squares = (255 * np.array(bits, np.uint8)).reshape(self.ROWS, self.PER_ROW)
+        block = np.kron(squares, np.ones((self.SQUARE_PX, self.SQUARE_PX), np.uint8))
+        if not self._colour:
+            picture[: block.shape[0], : block.shape[1]] = block
+            return picture
+        coloured = np.stack([picture, np.roll(picture, 64, 1), 255 - picture], axis=2)
+        coloured[: block.shape[0], : block.shape[1]] = block[..., None]
+        return coloured
+
+    @classmethod
+    def read(cls, picture: Image) -> tuple[int, int]:
+        """Reads number and instant (UTC, ns) from a picture, in any format that keeps black from white."""
+        grey = picture if picture.ndim == 2 else picture[..., 1]
+        middle = cls.SQUARE_PX // 2
+        squares = grey[middle :: cls.SQUARE_PX, middle :: cls.SQUARE_PX][: cls.ROWS, : cls.PER_ROW]
+        bits = [int(value > 127) for value in squares.reshape(-1)]
+        return sum(bit << i for i, bit in enumerate(bits[:32])), sum(bit << i for i, bit in enumerate(bits[32:]))
+
+
+class Playback:
+    """Which of ``frames`` frames at ``fps`` is seen at an instant, the same for every camera; who is in the room.
+
+    Until play() is called it runs for ever, from frame 0 at the start of 1970. The room can be emptied meanwhile.
+    clock : of the instants; UTC, unless in slow motion.
+    """
+
+    def __init__(self, frames: int, fps: float, clock: CaptureClock = UTC) -> None:
+        self.clock = clock
+        self.frames, self._fps = frames, Fraction(fps).limit_denominator(1000)
+        self.epoch_ns, self.loop, self._held = 0, True, False
+        self._occupied, self._before, self._since_ns = True, True, 0
+
+    @property
+    def fps(self) -> float:
+        return float(self._fps)
+
+    @property
+    def occupied(self) -> bool:
+        return self._occupied
+
+    def play(self, at_ns: int | None = None, loop: bool = True) -> int:
+        """Begins anew: frame 0 at ``at_ns`` (None: a second and a half of UTC from now), which is returned.
+
+        It is rounded to a whole multiple of the frame period, where free-running cameras expose. Before, frame 0 is
+        seen; without ``loop`` the last frame stays.
+        """
+        if at_ns is None:
+            at_ns = self.clock.now_ns() + round(PLAY_AFTER_NS * self.clock.speed)
+        period_ns = SECOND_NS / self._fps
+        self.epoch_ns, self.loop, self._held = round(round(at_ns / period_ns) * period_ns), loop, False
+        return self.epoch_ns
+
+    def hold(self) -> None:
+        """Stays at frame 0."""
+        self._held = True
+
+    def occupy(self, occupied: bool) -> None:
+        """Lets the person in, or out."""
+        self._before, self._occupied = self._occupied, occupied
+        self._since_ns = self.clock.now_ns() + SWITCH_AFTER_NS
+
+    def occupied_at(self, instant_ns: int) -> bool:
+        return self._occupied if instant_ns >= self._since_ns else self._before
+
+    def frame_at(self, instant_ns: int) -> int:
+        """Returns the number of the frame that is seen at an instant."""
+        if self._held:
+            return 0
+        frame = (instant_ns - self.epoch_ns) * self._fps.numerator // (self._fps.denominator * SECOND_NS)
+        if self.loop and frame >= 0:
+            return frame % self.frames
+        return min(max(frame, 0), self.frames - 1)
+
+
+# --- The footage of a session.
+
+BACKGROUND_SHARE = 0.25
+"""Of the memory, at most, for the empty room."""
+LOADERS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class SessionView:
+    """One camera's pictures of a session, all in memory: frames (F of them), and of the empty room (none, or more)."""
+
+    playback: Playback
+    frames: tuple[Image, ...]
+    background: tuple[Image, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.frames[0].shape
+
+    def image(self, instant_ns: int) -> Image:
+        if self.background and not self.playback.occupied_at(instant_ns):
+            number = int(instant_ns * self.playback.fps // 1_000_000_000)
+            return self.background[number % len(self.background)]
+        return self.frames[self.playback.frame_at(instant_ns)]
+
+
+@dataclass(frozen=True, eq=False)
+class SessionScene:
+    """A session as a scene: views by camera name; of total_frames in the footage playback.frames are shown."""
+
+    playback: Playback
+    views: dict[str, SessionView]
+    total_frames: int
+
+    @property
+    def can_be_empty(self) -> bool:
+        """True when every camera knows what the empty room looks like."""
+        return all(view.background for view in self.views.values())
+
+
+def load_session_scene(session: Session, memory_mb: float = 800.0, clock: CaptureClock = UTC) -> SessionScene:
+    """Decodes a session into memory; no more frames than fit into ``memory_mb``, the same number for each camera.
+
+    Raises InputError when not even one frame a camera fits, or a video cannot be read.
+    """
+    names = session.rig.names
+    budget = memory_mb * 1e6 / len(names)
+    with ThreadPoolExecutor(LOADERS) as pool:
+        footage = list(pool.map(lambda n: _decode(session.videos[n], budget * (1 - BACKGROUND_SHARE)), names))
+        backgrounds = list(pool.map(lambda n: _background(session, n, budget * BACKGROUND_SHARE), names))
+    count = min(len(frames) for frames in footage)
+    playback = Playback(count, session.fps, clock)
+    views = {
+        name: SessionView(playback, tuple(frames[:count]), tuple(_alike(frames[0], background)))
+        for name, frames, background in zip(names, footage, backgrounds, strict=True)
+    }
+    lengths = []
+    for name, frames in zip(names, footage, strict=True):
+        with Video(session.videos[name]) as video:
+            lengths.append(max(video.frame_count, len(frames)))  # a raw stream's header does not tell
+    return SessionScene(playback, views, min(lengths))
+
+
+def _background(session: Session, name: str, budget: float) -> list[Image]:
+    path = session.backgrounds.get(name)
+    if path is None:
+        return []
+    if path.suffix.lower() not in STILL_SUFFIXES:
+        return _decode(path, budget)
+    still = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if still is None:
+        raise InputError("is not a readable picture", where=str(path), remedy="Check the file.")
+    return [np.ascontiguousarray(still[..., 1] if is_grey(still) else still, np.uint8)]
+
+
+def _decode(path: Path, budget: float) -> list[Image]:
+    """Return the first frames of a video, as many as fit into ``budget`` bytes; at least one."""
+    frames = list[Image]()
+    with Video(path) as video:
+        for picture in video:
+            if not frames:
+                mono = is_grey(picture)
+            elif frames[0].nbytes * (len(frames) + 1) > budget:
+                break
+            frames.append(np.ascontiguousarray(picture[..., 1] if mono else picture, np.uint8))
+    if not frames:
+        raise InputError("holds no frame that can be decoded", where=str(path), remedy="Check the file, or its codec.")
+    if frames[0].nbytes > budget:
+        size, remedy = f"one frame has {frames[0].nbytes / 1e6:.1f} MB", "Give the studio more memory (--memory)."
+        raise InputError(size, where=str(path), remedy=remedy)
+    return frames
+
+
+def _alike(frame: Image, background: list[Image]) -> list[Image]:
+    """Return the background in the same form (grey or colour) as the frames."""
+    if not background or background[0].ndim == frame.ndim:
+        return background
+    code = cv2.COLOR_GRAY2BGR if frame.ndim == 3 else cv2.COLOR_BGR2GRAY
+    return [np.asarray(cv2.cvtColor(picture, code), np.uint8) for picture in background]

@@ -1,1 +1,0 @@
-"""The device side of GigE Vision: registers, control channel (GVCP), stream channel (GVSP), GenICam description."""

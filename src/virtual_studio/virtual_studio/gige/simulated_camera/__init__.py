@@ -1,1 +1,0 @@
-"""A simulated camera: its features, clock and triggers, sensor, and acquisition."""

@@ -1,0 +1,275 @@
+"""Recorded motions: from the joints of a motion file to the stick figure, and played by a person of any size.
+
+The joints give 15 reference points, these a body and its poses. `RecordedMotion` plays them after a T-pose and a blend.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from capture_rig.errors import InputError
+from capture_rig.session import WRIST_FRACTION
+from stick_figure.body import Body
+from stick_figure.kinematics import forward, inverse
+from stick_figure.pose import Pose
+from stick_figure.skeleton import L_CALF, L_THIGH, R_CALF, R_THIGH, T_POSE_ANGLES
+
+from ..people import ANKLE_HEIGHT, VolumetricBody
+from .bvh import Array, JointMotion, joints_by_role, load_joints_by_role, read_bvh
+from .timeline import T_POSE_S, Motion, ease, frame_count
+
+SUFFIX = ".bvh"
+HAND_OVER_FOREARM = 1.0 / WRIST_FRACTION - 1.0
+STATURE_OVER_LEG = 1.0 / (0.530 - ANKLE_HEIGHT)
+"""Stature over the leg from hip to ankle."""
+HEAD_OVER_LEG = 0.130 * STATURE_OVER_LEG
+"""Segments over each other, Drillis & Contini (1966), as in Winter, Biomechanics and Motor Control, fig. 4.1."""
+LIKELY_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU's unit": 0.0254 / 0.45}
+LIKELY_STATURES = (1.2, 2.2)
+UPRIGHT = 0.5
+"""Least cosine between the way from ankles to neck, on average, and up."""
+WORLD_FROM_UP = {
+    "x": np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]),
+    "y": np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]),
+    "z": np.eye(3),
+}
+"""Rotations that turn the file's up axis to z; even permutations, so nothing is mirrored."""
+ORDER = tuple(
+    f"{side}_{joint}" for joint in ("shoulder", "hip", "elbow", "knee", "wrist", "ankle") for side in ("left", "right")
+)
+"""Joints of the reference points from the fourth on."""
+
+
+BLEND_S = 1.0
+"""From the T-pose into the first frame; longer than between activities, because a file may begin with anything."""
+FLOOR_PERCENTILE = 2.0
+"""So many percent of the frames may have a foot in the floor: recorded feet are not exact."""
+ROOM_M = 1.4
+"""Half the width of the room that the studio's cameras see."""
+_LEGS = [L_THIGH, R_THIGH, L_CALF, R_CALF]
+
+
+@dataclass(frozen=True)
+class ReadingOptions:
+    """What a motion file does not say.
+
+    metres_per_unit : metres in one of its units; None: refuse, with the likely ones. leg_m : instead of a unit, how
+    long the person's legs are to be, hip to ankle. up : the axis that points up. start_s : what to leave out at the
+    start (some files begin with a rest pose). joints : YAML, ``role: joint``.
+    """
+
+    metres_per_unit: float | None = None
+    up: str = "y"
+    joints: Path | None = None
+    leg_m: float | None = None
+    start_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class StickMotion:
+    """Poses of a body of its own at a steady rate; fit_error_m: mean distance of the file's points to the figure's."""
+
+    body: Body
+    poses: tuple[Pose, ...]
+    fps: float
+    fit_error_m: float
+
+
+def read_stick_motion(path: str | Path, fps: float | None = None, options: ReadingOptions | None = None) -> StickMotion:
+    """Reads the stick figure's motion from a BVH file, at ``fps`` frames a second (None: the file's own).
+
+    World frame: z up, metres; origin and heading are the file's. Raises InputError for anything that cannot be read.
+    """
+    options = options or ReadingOptions()
+    motion = read_joints(path)
+    points = reference_points(motion, options)[_first_frame(motion, options.start_s) :]
+    body = Body.from_points(points)
+    points, rate = (points, motion.fps) if fps is None else (resampled(points, motion.fps, fps), fps)
+    poses: list[Pose] = []
+    for frame in points:
+        poses.append(inverse(body, frame, poses[-1] if poses else None))
+    placed = np.array([forward(body, pose) for pose in poses])
+    return StickMotion(body, tuple(poses), rate, float(np.linalg.norm(placed - points, axis=2).mean()))
+
+
+def read_joints(path: str | Path) -> JointMotion:
+    """Reads all joints of a BVH file, in its own axes and unit. Raises InputError for other files."""
+    if Path(path).suffix.lower() != SUFFIX:
+        raise InputError("is no motion file", where=str(path), remedy=f"Give a BVH file, named *{SUFFIX}.")
+    return read_bvh(path)
+
+
+def reference_points(motion: JointMotion, options: ReadingOptions | None = None) -> Array:
+    """Computes the 15 reference points (F, 15, 3), m, z up.
+
+    A motion file's wrist is a joint, the figure's forearm a stick to the finger tip: the hand is taken as stretched
+    along the forearm, in its average proportion. The tip of the head is the end of the file's head, or, where the file
+    has none, beyond the head's joint at the average distance from the neck.
+    """
+    options = options or ReadingOptions()
+    roles = joints_by_role(motion) if options.joints is None else load_joints_by_role(options.joints, motion)
+    if options.up not in WORLD_FROM_UP:
+        raise InputError(f"the axis that points up is '{options.up}'", remedy="Give x, y or z.")
+    R = WORLD_FROM_UP[options.up]
+    joint = {role: motion.of(name) @ R.T for role, name in roles.items()}
+    _check_upright(joint, motion, options.up)
+    scale = options.leg_m / _leg(joint) if options.leg_m else _metres_per_unit(joint, motion, options.metres_per_unit)
+    points = np.empty((len(motion.positions), 15, 3))
+    points[:, 2] = joint["neck"]
+    points[:, 3:] = np.stack([joint[role] for role in ORDER], axis=1)
+    points[:, 0] = 0.5 * (points[:, 2] + points[:, 5:7].mean(1))
+    points[:, 11:13] += HAND_OVER_FOREARM * (points[:, 11:13] - points[:, 7:9])
+    points[:, 1] = _head_tip(joint)
+    return scale * points
+
+
+def _first_frame(motion: JointMotion, start_s: float) -> int:
+    first = round(start_s * motion.fps)
+    if not 0 <= first < len(motion.positions):
+        raise motion.error(
+            f"there is no motion at {start_s:g} s", f"It lasts {len(motion.positions) / motion.fps:.2f} s."
+        )
+    return first
+
+
+def _head_tip(joint: dict[str, Array]) -> Array:
+    neck, head = joint["neck"], joint["head"]
+    along = head - neck
+    if "head_tip" in joint:
+        tip = joint["head_tip"] - neck
+        if np.median(np.linalg.norm(tip, axis=1)) > 1.2 * np.median(np.linalg.norm(along, axis=1)):
+            return neck + tip
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return neck + HEAD_OVER_LEG * _leg(joint) * along / np.maximum(length, 1e-12)
+
+
+def _leg(joint: dict[str, Array]) -> float:
+    """Hip to ankle along the leg, the file's unit."""
+    parts = [("hip", "knee"), ("knee", "ankle")]
+    lengths = [
+        np.linalg.norm(joint[f"{side}_{a}"] - joint[f"{side}_{b}"], axis=1)
+        for side in ("left", "right")
+        for a, b in parts
+    ]
+    return 0.5 * float(sum(np.median(length) for length in lengths))
+
+
+def _metres_per_unit(joint: dict[str, Array], motion: JointMotion, given: float | None) -> float:
+    stature = STATURE_OVER_LEG * _leg(joint)
+    if given is None:
+        fits = [
+            f"{scale:.5g} ({name}) for a person of {scale * stature:.2f} m"
+            for name, scale in LIKELY_UNITS.items()
+            if LIKELY_STATURES[0] <= scale * stature <= LIKELY_STATURES[1]
+        ]
+        remedy = "Give the metres of one unit" + (f": {', '.join(fits)}." if fits else ".")
+        raise motion.error(f"a motion file has no unit; its person is {stature:.4g} units tall", remedy)
+    if not (np.isfinite(given) and 0.5 <= given * stature <= 2.6):
+        raise motion.error(f"with {given:g} m a unit its person is {given * stature:.3g} m tall", "Give another unit.")
+    return given
+
+
+def _check_upright(joint: dict[str, Array], motion: JointMotion, up: str) -> None:
+    """Raises InputError when the person mostly does not stand along the given up axis."""
+    ankles = 0.5 * (joint["left_ankle"] + joint["right_ankle"])
+    standing = (joint["neck"] - ankles).mean(0)
+    if standing[2] < UPRIGHT * np.linalg.norm(standing):
+        in_file = WORLD_FROM_UP[up].T @ standing
+        likely = "xyz"[int(np.argmax(np.abs(in_file)))]
+        raise motion.error(f"the person does not stand along {up}", f"Say which axis points up, probably {likely}.")
+
+
+def resampled(points: Array, fps: float, wanted_fps: float) -> Array:
+    """Resamples points (F, ...) at another rate, by cubic splines through time."""
+    if not (np.isfinite(wanted_fps) and wanted_fps > 0.0):
+        raise InputError(f"fps is {wanted_fps!r}", remedy="Give a positive number.")
+    if len(points) < 2 or abs(wanted_fps - fps) < 1e-9 * fps:
+        return points
+    times = np.arange(len(points)) / fps
+    count = int(np.floor(times[-1] * wanted_fps + 1e-6)) + 1
+    return CubicSpline(times, points, axis=0)(np.arange(count) / wanted_fps)
+
+
+@dataclass(frozen=True)
+class RecordedMotion:
+    """Plays the motion of a BVH file with a person of any size.
+
+    Steps are as long as the person's legs, so the file's unit does not matter. The path is moved to the middle of the
+    room, and its lowest frames onto the floor.
+    """
+
+    path: Path
+    options: ReadingOptions = field(default_factory=ReadingOptions)
+
+    def __call__(self, body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
+        """Plays at most ``seconds`` of it, T-pose and blend included; less where the file ends before.
+
+        Raises InputError for a file that cannot be read, a time too short, or a path that leaves the room.
+        """
+        person = VolumetricBody(body, build)
+        opening = round((T_POSE_S + BLEND_S) * fps)
+        frames = frame_count(seconds, fps) - opening
+        if frames < 1:
+            late = f"{seconds:g} s end before the recorded motion begins, at {T_POSE_S + BLEND_S:g} s"
+            raise InputError(late, remedy="Give a longer time.")
+        poses = _placed(person, self._poses(body, fps)[:frames], self.path)
+        poses = [*_opening(person, poses[0], fps, opening), *poses]
+        angles: list[np.ndarray] = []
+        for pose in poses:
+            angles.append(pose.angles(angles[-1] if angles else None))
+        return Motion(tuple(poses), np.array(angles), fps)
+
+    def _poses(self, body: Body, fps: float) -> tuple[Pose, ...]:
+        options = replace(self.options, metres_per_unit=None, leg_m=float(body.lengths[_LEGS].sum() / 2.0))
+        return read_stick_motion(self.path, fps, options).poses
+
+    def __str__(self) -> str:
+        return self.path.name
+
+
+def is_motion_file(name: str) -> bool:
+    """Tells a motion file's name from that of a built-in motion."""
+    return Path(name).suffix.lower() == SUFFIX
+
+
+def _placed(person: VolumetricBody, poses: tuple[Pose, ...], path: Path) -> list[Pose]:
+    """Return the poses with their path in the middle of the room and their feet on the floor."""
+    places = np.array([pose.position_world for pose in poses])
+    shift = np.zeros(3)
+    shift[:2] = -0.5 * (places[:, :2].min(0) + places[:, :2].max(0))
+    shift[2] = -np.percentile([_lowest(person, pose) for pose in poses], FLOOR_PERCENTILE)
+    farthest = np.abs(places[:, :2] + shift[:2]).max()
+    if farthest > ROOM_M:
+        too_far = f"the person walks {2.0 * farthest:.1f} m, the room is {2.0 * ROOM_M:g} m wide"
+        raise InputError(too_far, where=str(path), remedy="Take fewer seconds of it, or start elsewhere.")
+    return [_moved(pose, shift) for pose in poses]
+
+
+def _opening(person: VolumetricBody, first: Pose, fps: float, frames: int) -> list[Pose]:
+    """Return the T-pose and the blend into ``first``, on the same spot, facing the same way."""
+    forward = first.R_world_torso[:2, 0]
+    yaw = float(np.arctan2(forward[1], forward[0]))
+    c, s = np.cos(yaw), np.sin(yaw)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    t_pose = Pose.from_angles(first.position_world, R, T_POSE_ANGLES)
+    way, height = first.minus(t_pose), _lowest(person, first)
+    opening = []
+    for frame in range(frames):
+        done = ease((frame / fps - T_POSE_S) / BLEND_S)
+        pose = t_pose.retract(done * way)
+        opening.append(_moved(pose, np.array([0.0, 0.0, done * height - _lowest(person, pose)])))
+    return opening
+
+
+def _lowest(person: VolumetricBody, pose: Pose) -> float:
+    """Height of the lowest part of the body, m."""
+    centres, radii = person.contact_spheres(pose)
+    return float((centres[:, 2] - radii).min())
+
+
+def _moved(pose: Pose, shift: np.ndarray) -> Pose:
+    return replace(pose, position_world=pose.position_world + shift)

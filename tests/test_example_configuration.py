@@ -1,0 +1,77 @@
+"""The parameter files that we ship can be used as they are; graph and replay give a node what it declares."""
+
+from pathlib import Path
+
+import pytest
+
+from camera_client.configuration import load_camera
+from camera_client.settings import CameraClientSettings
+from capture_rig.settings import build_settings, leaves
+from ekf_tracker.settings import EkfNodeSettings
+from hull_server.settings import NodeSettings as HullNodeSettings
+from icp_tracker.settings import IcpNodeSettings
+from sagoma_bringup.graph import LOSSLESS_SETTINGS, build_graph, camera_from_file
+from sagoma_tools.doctor.cameras import read_file
+
+ROOT = Path(__file__).resolve().parents[1]
+CONFIG = ROOT / "config"
+RIG = CONFIG / "rig" / "ring4.yaml"
+LIVE = sorted((CONFIG / "camera").glob("*.yaml"))
+FOOTAGE = sorted((CONFIG / "camera" / "footage").glob("*.yaml"))
+SETTINGS = {
+    "camera_client": CameraClientSettings,
+    "hull_server": HullNodeSettings,
+    "icp_tracker": IcpNodeSettings,
+    "ekf_tracker": EkfNodeSettings,
+}
+CHOSEN = {
+    *("rig_file", "camera_name", "source", "background_file"),
+    *("aravis.address", "aravis.exposure_us", "aravis.gain", "aravis.frame_rate"),
+}
+"""What a file spells out as a choice of this example; the rest is the default."""
+
+
+def accepted(graph):
+    """Each node's settings by label; raises where it is given what it does not declare."""
+    given = {node.label: {k: v for k, v in node.parameters.items() if k != "autostart"} for node in graph}
+    return {node.label: build_settings(SETTINGS[node.name], given[node.label], node.full_name) for node in graph}
+
+
+@pytest.mark.parametrize("path", LIVE + FOOTAGE, ids=lambda path: f"{path.parent.name}_{path.stem}")
+def test_parameter_file_has_only_known_parameters_with_possible_values(path):
+    file = read_file(path)
+    assert file.name == path.stem == file.settings.camera_name
+    assert file.settings.source == ("aravis" if path in LIVE else "footage")
+    if path in LIVE:
+        defaults = {leaf.key: leaf.default for leaf in leaves(CameraClientSettings)}
+        given = {key: value for key, value in camera_from_file(path).parameters.items() if key != "autostart"}
+        assert {key for key, value in given.items() if value != defaults[key]} == CHOSEN
+
+
+@pytest.mark.parametrize("path", LIVE, ids=lambda path: path.stem)
+def test_camera_of_the_file_is_in_the_rig_that_it_names(path, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    settings = read_file(path).settings
+    assert load_camera(settings, settings.camera_name)[0].name == path.stem
+
+
+def test_example_rig_with_its_cameras_and_body():
+    graph = build_graph(rig=RIG, cameras=CONFIG / "camera", body=CONFIG / "body/default.yaml")
+    settings = accepted(graph)
+    assert settings["cam02"].aravis.address == "192.168.1.12"
+    assert len({settings[f"cam0{k}"].aravis.address for k in (1, 2, 3, 4)}) == 4
+    assert settings["hull_server"].rig_file.endswith("ring4.yaml")
+
+
+def test_lossless_settings():
+    settings = accepted(build_graph(rig=RIG, settings=LOSSLESS_SETTINGS))
+    assert settings["hull_server"].reliable
+    assert min(settings[n].queue_depth for n in ("hull_server", "icp_tracker")) >= 1000
+
+
+@pytest.mark.parametrize("rate", [0.0, 1.0])
+def test_session_of_real_footage(shared_data, rate):
+    settings = accepted(build_graph(session=shared_data("real_4cam"), rate=rate))
+    assert settings["hull_server"].tolerance_s == pytest.approx(0.5 / 60)
+    assert settings["hull_server"].reliable == (rate == 0.0)
+    assert settings["cam03"].footage.fps == pytest.approx(60.0)
