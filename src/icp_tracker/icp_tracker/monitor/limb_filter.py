@@ -19,9 +19,9 @@ from .limb_search import LimbPlaces
 
 # Thresholds: chosen with python bench/doubt.py on clothed figures before three cameras.
 MEMORY_S = 0.1  # time in which a body moves by a limb's width: older evidence is forgotten, newer is the same again
-PLACE_LOG_PRIOR = -2.0  # of a place that the search found, against the tracked one: 1 to 7
+PLACE_LOG_PRIOR = -1.0  # of a place that the search found, against the tracked one: 1 to 3
 SET_NATS = 4.0  # one set in 50 is torn, so none says more than ln 50 for or against a place
-CHANCE_SAMPLES = 4.0  # independent samples that a limb explains wherever it is
+CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever it is
 DOUBTFUL = 0.40  # probability of another place, or of none: at most 1 % of clear frames are called; bench/doubt.py
 UNSEEN = 0.95  # probability of "unseen" at which a hand or foot is not published
 ELSEWHERE_M = 0.25  # a place whose elbow or hand is so far off is another one: the track may then be 0.2 m wrong
