@@ -13,7 +13,7 @@ from clips import Clip, Recorded, load, session_clip
 from scenes import SHARED, studio_clip, together_clip
 
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower
+from mocap_pipeline.pipeline import TrackingStage
 from sagoma_tools.evaluation.track import Track
 from virtual_studio.motions.catalogue import HARD_CASES
 from virtual_studio.people import people_of_sizes, person_of
@@ -66,9 +66,9 @@ def recorded(folder: Path, only: list[str]) -> Iterator[Recorded]:
         yield load(path)
 
 
-def follower_of(what: Recorded, settings: dict[str, Any]) -> BodyFollower:
+def follower_of(what: Recorded, settings: dict[str, Any]) -> TrackingStage:
     """Tracker and filter for a set, from its first frame on."""
-    return BodyFollower.of(Configuration.of({"hull_server.backend": "cpu", **what.start, **settings}), what.rig)
+    return TrackingStage.of(Configuration.of({"hull_server.backend": "cpu", **what.start, **settings}), what.rig)
 
 
 class Followed(NamedTuple):

@@ -17,7 +17,7 @@ from ekf_tracker.smoother import Set, smooth
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState, NoState
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower
+from mocap_pipeline.pipeline import TrackingStage
 from sagoma_tools.evaluation.in_process import OURS, SOLVE, ablation_rows
 from sagoma_tools.evaluation.scores import Scores, covariance_coverage, score
 from sagoma_tools.evaluation.track import Track
@@ -80,7 +80,7 @@ def scores_of(what: Recorded) -> dict[str, Scores | None]:
     known = np.flatnonzero(np.isfinite(what.truths[0]).any(axis=(1, 2)))
     truth, found = Truth(known, what.truths[0][known], None, 1.0, Path(what.name)), {}
     for name, configuration in rows_of(what.start).items():
-        follower, rows = BodyFollower.of(configuration, what.rig), []
+        follower, rows = TrackingStage.of(configuration, what.rig), []
         for frame, products in enumerate(what.products):
             state = follower.step(products).state
             if state is not None:

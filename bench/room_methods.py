@@ -20,7 +20,7 @@ from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import majority
 from camera_client.silhouettes.pipeline import MIN_AREA
-from hull_server.hull_pipeline import HullPipeline, SetUnderWay
+from hull_server.hull_pipeline import HullPipeline, PendingHull
 from mocap_packets.frame_set import FrameSet
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import Masks, MocapPipeline
@@ -116,11 +116,11 @@ class WatchedHull(HullPipeline):
 
     judged: Masks | None = None
 
-    def begin(self, frame_set: FrameSet) -> SetUnderWay:
+    def begin(self, frame_set: FrameSet) -> PendingHull:
         """Begin as usual."""
-        under_way = super().begin(frame_set)
-        self.judged = under_way.masks
-        return under_way
+        pending = super().begin(frame_set)
+        self.judged = pending.masks
+        return pending
 
 
 def our_pipeline(clip: RoomClip, settings: Mapping[str, object]) -> MocapPipeline:

@@ -40,7 +40,7 @@ from icp_tracker.people.people_tracker import PeopleTracker
 from icp_tracker.settings import TrackerSettings
 from icp_tracker.tracker import IcpTracker
 from mocap_packets.frame_set import FrameSet
-from mocap_pipeline.pipeline import BodyFollower
+from mocap_pipeline.pipeline import TrackingStage
 from sagoma_ros import mask_png
 from stick_figure.body import Body
 from stick_figure.pose import Pose
@@ -82,7 +82,7 @@ class Server:
     def __post_init__(self) -> None:
         self._hull = HullPipeline(self.rig, HullSettings(voxel_size_m=self.voxel_mm / 1e3, backend="cpu"))
         source, settings = KnownPose(self.first, self.body), TrackerSettings(acquire_inliers=0.0)
-        self._body = BodyFollower(PeopleTracker(lambda: IcpTracker(source, settings), most=1), PeopleFilter())
+        self._body = TrackingStage(PeopleTracker(lambda: IcpTracker(source, settings), most=1), PeopleFilter())
 
     def answer(self, number: int) -> None:
         """Answer one set, and note what it cost."""

@@ -14,7 +14,7 @@ from capture_rig.rigid import rotation_matrix
 from icp_tracker.acquisition.body_sizes import ANKLE, SIZES, sizes_of_body
 from mocap_packets.hull import HullProducts
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower
+from mocap_pipeline.pipeline import TrackingStage
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -76,7 +76,7 @@ def followed(
     rig: Rig, products: Iterable[HullProducts], truth: np.ndarray, fps: float, sizes: np.ndarray | None = None
 ) -> Start:
     """Track sets from their first on, automatically, and compare with the truth (F, 15, 3)."""
-    follower = BodyFollower.of(Configuration.of(STARTED), rig)
+    follower = TrackingStage.of(Configuration.of(STARTED), rig)
     told, errors = "", {}
     for frame, seen in enumerate(products):
         first = follower.step(seen).people[0]

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from mocap_packets.fit import FIRST_PERSON
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower
+from mocap_pipeline.pipeline import TrackingStage
 from stick_figure import joint_centres as table
 from stick_figure.body import Body
 from stick_figure.pose import Pose
@@ -82,7 +82,7 @@ class Tracked:
 def tracked(path: Path) -> Tracked | None:
     """The frames of a set that can be used; None of one with fewer than ten."""
     what, rows = load(path), []
-    follower = BodyFollower.of(Configuration.of({**what.start, **FIGURE}), what.rig)
+    follower = TrackingStage.of(Configuration.of({**what.start, **FIGURE}), what.rig)
     for frame, products in enumerate(what.products):
         fit, body = follower.step(products).fit, follower.tracker.body_of(FIRST_PERSON, bent=True)
         truth = what.truths[0][frame]

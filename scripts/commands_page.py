@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from textwrap import fill
 
 from sagoma_tools.cli import build_parser
 from sagoma_tools.command_help import HELP, STATUSES, commands_of
@@ -38,7 +39,8 @@ def page(parser: argparse.ArgumentParser) -> str:
     lines = []
     for name, _, text in commands_of(parser):
         meant = "; ".join(f"{status}: {meaning}" for status, meaning in sorted(HELP[name].statuses.items()))
-        lines.append(f"- `sagoma {name}`: {text}{f' ({meant})' if meant else ''}")
+        line = f"- `sagoma {name}`: {text}{f' ({meant})' if meant else ''}"
+        lines.append(fill(line, 120, subsequent_indent="  ", break_on_hyphens=False))
     statuses = "\n".join(f"| {status} | {meaning} |" for status, meaning in STATUSES.items())
     return PAGE.format(commands="\n".join(lines), statuses=statuses)
 

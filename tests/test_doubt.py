@@ -8,7 +8,7 @@ import pytest
 from capture_rig.session import footage_stamp_ns
 from mocap_packets.fit import PART_NAMES, PART_POINTS
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower, MocapPipeline
+from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import EPOCH_NS
 from sagoma_tools.evaluation.scores import INSIDE_95, PartCalls, squared_distances
 from sagoma_tools.evaluation.track import Track
@@ -48,7 +48,7 @@ def played(motion, seconds, cameras):
 
 def calls_of(scene):
     """What is called of the parts in the tracked frames, and (F, 5) whether all points of a part are in their 95 %."""
-    follower = BodyFollower.of(CONFIGURATION, scene.rig)
+    follower = TrackingStage.of(CONFIGURATION, scene.rig)
     states = [(frame, follower.step(products).state) for frame, products in enumerate(scene.products)]
     track = Track.of_states([(frame, state) for frame, state in states if state is not None])
     errors = track.points_world - scene.truth[track.frames]

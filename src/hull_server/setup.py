@@ -17,10 +17,5 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
     zip_safe=True,
-    entry_points={
-        "console_scripts": [
-            "hull_server = hull_server.hull_node:main",
-            "shadow_resolver = hull_server.resolver_node:main",
-        ]
-    },
+    entry_points={"console_scripts": ["hull_server = hull_server.hull_node:main"]},
 )

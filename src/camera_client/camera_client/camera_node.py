@@ -49,6 +49,7 @@ from .frame_source import Frame, FrameSource
 from .settings import CameraClientSettings
 from .silhouettes.warm_up import warm_up_silhouettes
 from .sources.grab_loop import GrabLoop, GrabState
+from .sources.topic_source_ros import TopicSource
 
 T = TypeVar("T")
 
@@ -105,7 +106,7 @@ class CameraNode(SagomaNode):
         self._topics = CameraTopics(self._publisher, f"{name}_optical", settings, to_calibrate=not known.placed)
         self._footage_clock = FootageClockTopic(self, name)
         self._awaited = len(load_rig(settings.rig_file).names) if settings.footage.wait_for_cameras else 0
-        self.source = connect_source(settings, self._accept, self._footage_clock.shared)
+        self.source = connect_source(settings, self._accept, self._footage_clock.shared, self._topic_source)
         mask_png.warm_up()
         if not self.source.shape:
             self.processor.check_background_file()
@@ -170,6 +171,16 @@ class CameraNode(SagomaNode):
         if self.source is not None:
             self.source.close()
             self.source = None
+
+    def _topic_source(self) -> FrameSource:
+        settings, client, namespace = self.settings, self.get_name(), self.get_namespace()
+        return TopicSource(settings.topic, settings.channels, client, namespace, self.context, self._use_lens)
+
+    def _use_lens(self, info: CameraInfo) -> None:
+        """Use the lens of a driver's camera_info instead of the rig's. Raises InputError."""
+        assert self.chain is not None
+        where = self.settings.topic.camera_info
+        self.chain.use_camera(camera_from_message(info, self.chain.camera or self._blank(info), where))
 
     def _accept(self, source: FrameSource) -> None:
         """Check a new connection before its first frame, and take the background that fits it."""
@@ -249,7 +260,7 @@ class CameraNode(SagomaNode):
         """Return whether stamps follow the system clock, so that their age is a latency."""
         if self.settings.source == "footage":
             return self.settings.footage.rate == 1.0
-        return self.settings.aravis.clock_speed == 1.0
+        return self.settings.source != "aravis" or self.settings.aravis.clock_speed == 1.0
 
     def _on_error(self, error: Exception) -> None:
         bad_frame = isinstance(error, InputError)

@@ -51,13 +51,13 @@ SILHOUETTE_TOPIC = "silhouette/compressed"
 FOOTAGE_CLOCK_TOPIC = "footage/clock"
 
 
-def camera_from_message(info: CameraInfo, camera: CameraModel) -> CameraModel:
-    """Return ``camera`` with the intrinsics of ``info``. Raises InputError naming the field and the value."""
+def camera_from_message(info: CameraInfo, camera: CameraModel, where: str = "set_camera_info") -> CameraModel:
+    """Return ``camera`` with the intrinsics of ``info``. Raises InputError naming ``where``, the field and value."""
     K, R = np.reshape(info.k, (3, 3)), np.reshape(info.r, (3, 3))
     if not R.any():  # zero where the sender did not fill it in
         R = np.eye(3)
     return with_intrinsics(
-        camera, info.width, info.height, K.tolist(), info.distortion_model, list(info.d), R.tolist(), "set_camera_info"
+        camera, info.width, info.height, K.tolist(), info.distortion_model, list(info.d), R.tolist(), where
     )
 
 

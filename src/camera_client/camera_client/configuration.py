@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from .sources.aravis_source import AravisSource
 from .sources.footage_pace import SharedClock
 from .sources.footage_source import FootageSource
 from .sources.supervised_source import SupervisedSource
+from .sources.webcam_source import WebcamSource
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +84,16 @@ def load_camera(settings: CameraClientSettings, name: str) -> tuple[CameraModel,
     return camera, rig.volume
 
 
-def connect_source(settings: CameraClientSettings, accept: Accept, clock: SharedClock) -> FrameSource:
+def connect_source(
+    settings: CameraClientSettings, accept: Accept, clock: SharedClock, topic: Callable[[], FrameSource]
+) -> FrameSource:
     """Return the source that ``settings.source`` names, connected, and looked at by ``accept``. Raises InputError.
 
     A live camera that is not there is no error: it is awaited once the source runs, and looked at when it comes.
-    ``clock`` : the one that footage shares with the other cameras.
+    ``clock`` : the one that footage shares with the other cameras; ``topic`` : makes the source of source: topic.
     """
-    if settings.source == "aravis":
-        source: FrameSource = live_source(settings, accept)
+    if settings.source != "footage":
+        source: FrameSource = live_source(settings, accept, topic)
         source.connect()
         return source
     if not settings.footage.path:
@@ -106,19 +110,40 @@ def connect_source(settings: CameraClientSettings, accept: Accept, clock: Shared
     return source
 
 
-def live_source(settings: CameraClientSettings, accept: Accept) -> SupervisedSource:
-    """Return the GigE Vision camera of ``settings`` under supervision, not connected yet."""
-    return SupervisedSource(
-        lambda: AravisSource(settings.aravis, settings.channels),
-        settings.supervision,
-        accept,
-        lambda source: stall_timeout_s(settings, source),
-    )
+def live_source(
+    settings: CameraClientSettings, accept: Accept, topic: Callable[[], FrameSource] | None = None
+) -> SupervisedSource:
+    """Return the live camera of ``settings`` under supervision, not connected yet. Raises InputError."""
+    makers: dict[str, Callable[[], FrameSource] | None] = {
+        "aravis": lambda: AravisSource(settings.aravis, settings.channels),
+        "webcam": lambda: WebcamSource(settings.webcam, settings.channels),
+        "topic": topic,
+    }
+    make = makers[settings.source] if settings.source in makers else plugin(settings)
+    assert make is not None
+    return SupervisedSource(make, settings.supervision, accept, lambda source: stall_timeout_s(settings, source))
+
+
+def plugin(settings: CameraClientSettings) -> Callable[[], FrameSource]:
+    """Return what makes a user's own source, ``MODULE:CLASS`` called with plugin.options. Raises InputError."""
+    where, name = "parameter plugin.source", settings.plugin.source
+    module_name, _, class_name = name.partition(":")
+    try:
+        kind = getattr(import_module(module_name), class_name)
+    except (ImportError, AttributeError, ValueError) as error:
+        remedy = "Name it as MODULE:CLASS, its module on PYTHONPATH (docs/camera_pcs.md has an example)."
+        raise InputError(f"'{name}' cannot be imported: {error}", where=where, remedy=remedy) from None
+    if not (isinstance(kind, type) and issubclass(kind, FrameSource)):
+        raise InputError(f"'{name}' is no FrameSource", where=where, remedy="Derive it from FrameSource.")
+    options = dict(option.split("=", 1) if "=" in option else (option, "") for option in settings.plugin.options)
+    return lambda: kind(**options)
 
 
 def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> float:
     """Return how long the connected ``source`` may be silent before it counts as stalled; infinite for never."""
     supervision = settings.supervision
+    if settings.source != "aravis":
+        return max(supervision.stall_timeout_s, STALL_PERIODS / (_rate_hz(source.details) or math.inf))
     if settings.aravis.sync == "line":  # when the line is pulsed is not known here
         return supervision.triggered_stall_timeout_s or math.inf
     rate_hz = settings.aravis.frame_rate if settings.aravis.frame_rate > 0 else _rate_hz(source.details)

@@ -124,6 +124,51 @@ class AravisSettings:
 
 
 @dataclass(frozen=True)
+class TopicSettings:
+    """Images that another ROS node publishes: a driver of USB, depth or industrial cameras, or a bag that is played."""
+
+    name: str = setting("", "Topic of sensor_msgs/Image or CompressedImage, for instance /driver/cam01/image_raw")
+    camera_info: str = setting("", "Topic of sensor_msgs/CameraInfo: its lens replaces the rig's; empty: the rig's")
+    bits: int = setting(
+        16, "Bits of a grey level in encodings of 16 bits: 10, 12 or 14 of many cameras", low=8, high=16
+    )
+    stamp_offset_ms: float = setting(
+        0.0, "From the header's stamp to mid-exposure: what the driver's stamps lack", unit="ms", low=-1000, high=1000
+    )
+    stamp_uncertainty_ms: float = setting(
+        2.0,
+        "Standard deviation of the stamps that way, as of drivers that stamp the arrival",
+        unit="ms",
+        low=0,
+        high=1000,
+    )
+
+
+@dataclass(frozen=True)
+class WebcamSettings:
+    """A webcam of this machine, opened through Video4Linux2. Zero leaves a number as it is."""
+
+    device: str = setting("0", "Number or path of the device: 0, /dev/video2, /dev/v4l/by-id/...")
+    width: int = setting(0, "Width of the picture", unit="px", low=0, high=100000)
+    height: int = setting(0, "Height of the picture", unit="px", low=0, high=100000)
+    frame_rate: float = setting(0.0, "Frame rate", unit="Hz", low=0, high=1000)
+    fourcc: str = setting("MJPG", "Pixel format: MJPG lets several webcams share a USB bus; empty: the driver's")
+    exposure_100us: int = setting(0, "Exposure time; 0: the webcam's automatic", unit="100 us", low=0, high=100000)
+    stamp_offset_ms: float = setting(
+        -15.0, "From the driver's stamp (first byte) to mid-exposure", unit="ms", low=-1000, high=1000
+    )
+    stamp_uncertainty_ms: float = setting(8.0, "Standard deviation of the stamps that way", unit="ms", low=0, high=1000)
+
+
+@dataclass(frozen=True)
+class PluginSettings:
+    """A source of the user's: a class derived from camera_client.frame_source.FrameSource."""
+
+    source: str = setting("", "MODULE:CLASS, to be found on PYTHONPATH")
+    options: list[str] = setting([], "Keyword arguments of the class, 'name=value', as texts")
+
+
+@dataclass(frozen=True)
 class BackgroundSettings:
     """The background model of thesis 6.2-6.3."""
 
@@ -268,7 +313,9 @@ class CameraClientSettings:
         "", "Rig YAML with the calibration of all cameras; empty: not calibrated yet, images instead of silhouettes"
     )
     camera_name: str = setting("", "Which camera of the rig this is; empty takes the node's namespace")
-    source: str = setting("footage", "Where frames come from", choices=("footage", "aravis"))
+    source: str = setting(
+        "footage", "Where frames come from", choices=("footage", "aravis", "topic", "webcam", "plugin")
+    )
     channels: str = setting(
         "auto",
         "Work in mono or colour; auto follows the footage, or takes what the camera has",
@@ -291,6 +338,9 @@ class CameraClientSettings:
     )
     footage: FootageSettings = setting(FootageSettings, "Footage source")
     aravis: AravisSettings = setting(AravisSettings, "GigE Vision source")
+    topic: TopicSettings = setting(TopicSettings, "Images from a topic")
+    webcam: WebcamSettings = setting(WebcamSettings, "Webcam source")
+    plugin: PluginSettings = setting(PluginSettings, "Source of the user's own")
     supervision: SupervisionSettings = setting(SupervisionSettings, "Stalls and reconnections of a live camera")
     background_model: BackgroundSettings = setting(BackgroundSettings, "Background model")
     silhouette: SilhouetteSettings = setting(SilhouetteSettings, "Silhouette")

@@ -278,7 +278,7 @@ def test_rendered_session_is_segmented_with_high_recall(shared_data, session, le
         background = read_background(folder / f"{camera.name}_background.mp4", shape, BackgroundSettings())
         pipeline = SilhouettePipeline(camera, background)
         videos = [open_footage(folder / f"{camera.name}{tail}.mp4", "mono") for tail in ("", "_mask")]
-        for k in range(200):
+        for k in range(126):
             frame, exact = (video.read() for video in videos)
             found = pipeline.run(frame).image_mask
             if k % 25 == 0:

@@ -184,7 +184,7 @@ def _converted(leaf: Leaf, value: Any, where: str) -> Any:
 
 
 def _fits(value: Any, kind: type) -> bool:
-    """Return an int serves as a float; a bool is no number."""
+    """Return whether a value is of a type; an int serves as a float, a bool is no number."""
     if isinstance(value, bool):
         return kind is bool
     return isinstance(value, (int, float) if kind is float else kind)

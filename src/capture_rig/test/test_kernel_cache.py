@@ -152,7 +152,7 @@ def calls(x):
 
 @njit(cache=False)
 def of_numpy(values):
-    return np.sort(np.concatenate((values, np.zeros(2)))).sum() + np.median(values)
+    return np.sort(np.concatenate((values, np.zeros(2)))).sum()
 
 
 @kernel
@@ -169,7 +169,7 @@ def test_what_a_called_function_raises_reaches_python():
 
 def test_what_numba_wrote_of_numpy_is_a_part_of_its_callers():
     with event.install_recorder("numba:compile") as compiled:
-        assert of_numpy(np.array([3.0, 1.0, 2.0])) == 8.0
+        assert of_numpy(np.array([3.0, 1.0, 2.0])) == 6.0
     kinds = [type(begun.data["dispatcher"]) for _, begun in compiled.buffer if begun.is_start]
     assert kinds[0] is _KernelDispatcher and len(kinds) > 3 and set(kinds[1:]) == {_PartDispatcher}
 

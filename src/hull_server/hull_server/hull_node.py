@@ -25,10 +25,10 @@ from sagoma_ros.process import run_node
 from sagoma_ros.worker import Worker
 
 from .frames_ros import camera_frames
-from .hull_pipeline import HullPipeline, HullResult, Mask, SetUnderWay
+from .hull_pipeline import HullPipeline, HullResult, Mask, PendingHull
 from .hull_ros import SaveMeshService, camera_values, frame_set_message, summarise
 from .overload.overload_ros import NoOverloadControl, OverloadControl
-from .settings import NodeSettings, hull_settings
+from .settings import NodeSettings
 from .silhouette_input_ros import SilhouetteInput
 
 
@@ -47,7 +47,7 @@ class CarvedSet:
     closed: ClosedSet
     begun_ns: int
     carved_ns: int
-    under_way: SetUnderWay
+    pending: PendingHull
 
 
 class HullNode(SagomaNode):
@@ -56,8 +56,8 @@ class HullNode(SagomaNode):
 
     Settings = NodeSettings
 
-    def __init__(self, name: str = "hull_server", **options: object) -> None:
-        super().__init__(name, **options)
+    def __init__(self, **options: object) -> None:
+        super().__init__("hull_server", **options)
         self._pipeline: HullPipeline | None = None
         self.silhouettes: SilhouetteInput | None = None
         self._carver: Worker[ClosedSet] | None = None  # one thread begins the next set ...
@@ -75,7 +75,7 @@ class HullNode(SagomaNode):
         """Load the rig, compute the calibration's tables, subscribe."""
         settings: NodeSettings = self.settings
         rig = self._load_rig()
-        self._pipeline = HullPipeline(rig, hull_settings(settings))
+        self._pipeline = HullPipeline(rig, settings)
         self._pipeline.warm_up()
         mask_png.warm_up()
         self.get_logger().info(f"carving with {self._pipeline.backend.name}: {self._pipeline.backend_reason}")
@@ -163,15 +163,15 @@ class HullNode(SagomaNode):
         """Begin to carve one frame set, on the carver's thread."""
         assert self._pipeline is not None and self._slicer is not None
         begun_ns = self.get_clock().now().nanoseconds
-        under_way = self._pipeline.begin(closed.frame_set)
-        self._slicer.put_blocking(CarvedSet(closed, begun_ns, self.get_clock().now().nanoseconds, under_way))
+        pending = self._pipeline.begin(closed.frame_set)
+        self._slicer.put_blocking(CarvedSet(closed, begun_ns, self.get_clock().now().nanoseconds, pending))
 
     def _finish(self, carved: CarvedSet) -> None:
         """Finish, convert and publish one frame set, on the slicer's thread."""
         assert self._pipeline is not None and self._mesh is not None
         frame_set, frame_id = carved.closed.frame_set, self.settings.frame_id
         taken_ns = monotonic_ns()
-        result = self._pipeline.finish(carved.under_way)
+        result = self._pipeline.finish(carved.pending)
         self._mesh.keep(result)
         # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
         for report in result.support:

@@ -69,7 +69,7 @@ class HullResult:
 
 
 @dataclass(frozen=True, eq=False)
-class SetUnderWay:
+class PendingHull:
     """A frame set whose carve has begun: what :meth:`HullPipeline.begin` hands to :meth:`HullPipeline.finish`."""
 
     frame_set: FrameSet[Mask]
@@ -79,7 +79,7 @@ class SetUnderWay:
     extrinsic_errors: ExtrinsicErrors
     support: tuple[ForegroundSupport, ...]
     min_seeing: int
-    ticket: Any
+    handle: Any
     stage_ms: dict[str, float]
 
 
@@ -111,7 +111,7 @@ class HullPipeline:
         """
         return self.finish(self.begin(frame_set))
 
-    def begin(self, frame_set: FrameSet[Mask]) -> SetUnderWay:
+    def begin(self, frame_set: FrameSet[Mask]) -> PendingHull:
         """Choose the cameras, resolve shadows, and begin to carve: all that needs the silhouettes of all cameras."""
         watch = _StageWatch()
         # a camera has no say where something hides the person from it
@@ -131,15 +131,15 @@ class HullPipeline:
         watch.lap("shadows")
         # carve: voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
         boxes = self._shadows.boxes(masks)
-        ticket = self.backend.submit(masks, seeing, boxes)
+        handle = self.backend.submit(masks, seeing, boxes)
         watch.lap("carve")
         blank = tuple(name for name, mask in masks.items() if not cv2.hasNonZero(_part(mask, boxes[name])))
-        return SetUnderWay(frame_set, masks, blank, faults, errors, support, seeing, ticket, watch.laps_ms)
+        return PendingHull(frame_set, masks, blank, faults, errors, support, seeing, handle, watch.laps_ms)
 
-    def finish(self, under_way: SetUnderWay) -> HullResult:
+    def finish(self, pending: PendingHull) -> HullResult:
         """Wait for the carve, then slice, filter, sample, and trace the contour rays."""
-        frame_set, blob, watch = under_way.frame_set, self.settings.blob, _StageWatch()
-        volume = self.backend.collect(under_way.ticket)
+        frame_set, blob, watch = pending.frame_set, self.settings.blob, _StageWatch()
+        volume = self.backend.collect(pending.handle)
         watch.lap("collect")
         # connected components of all slices along x, y and z (3.2)
         slices = slice_hull(volume, blob.erosion_voxels, blob.growth_step_m)
@@ -152,22 +152,22 @@ class HullPipeline:
         voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels * max(len(bodies), 1), whose)
         watch.lap("sample")
         # rays along the silhouettes' contours: where the hull is wider than the body, they are still tangent to it
-        contour_rays = self._contour.trace(under_way.masks, slices.runs, frame_set.frames, whose)
+        contour_rays = self._contour.trace(pending.masks, slices.runs, frame_set.frames, whose)
         watch.lap("contour_rays")
         return HullResult(
             stamp_ns=frame_set.stamp_ns,
             products=HullProducts(frame_set.stamp_ns, centerline, voxels, contour_rays),
             volume=volume,
             bodies=bodies,
-            cameras=tuple(under_way.masks),
+            cameras=tuple(pending.masks),
             missing=frame_set.missing,
-            blank=under_way.blank,
-            camera_faults=under_way.camera_faults,
-            extrinsic_errors=under_way.extrinsic_errors,
-            support=under_way.support,
-            min_seeing=under_way.min_seeing,
+            blank=pending.blank,
+            camera_faults=pending.camera_faults,
+            extrinsic_errors=pending.extrinsic_errors,
+            support=pending.support,
+            min_seeing=pending.min_seeing,
             backend=self.backend.name,
-            stage_ms=under_way.stage_ms | watch.laps_ms,
+            stage_ms=pending.stage_ms | watch.laps_ms,
         )
 
     def warm_up(self) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from capture_rig.settings import setting
 
@@ -123,9 +123,6 @@ class NodeSettings(HullSettings):
     queue_depth: int = setting(
         4, "closed frame sets that may wait for the carver; one more drops the oldest", low=1, high=1_000_000
     )
-    resolved: bool = setting(
-        False, "take silhouettes from shadow resolvers (CAM/silhouette/resolved), and resolve no shadows here"
-    )
     thin_out: bool = setting(
         True, "leave out frame sets, the same ones in all cameras, while the graph cannot process them all"
     )
@@ -139,17 +136,3 @@ class NodeSettings(HullSettings):
         "subscribe reliably, thin nothing out: for replay and lockstep; live, a lost silhouette should cost one view, "
         "not a wait",
     )
-
-
-def hull_settings(settings: NodeSettings) -> HullSettings:
-    """Return the settings of the node's pipeline: without shadow resolution where resolvers have done it."""
-    if not settings.resolved:
-        return settings
-    return replace(settings, shadow=replace(settings.shadow, enabled=False))
-
-
-@dataclass(frozen=True)
-class ResolverSettings(NodeSettings):
-    """The parameters of a shadow resolver: the hull node's, of which it uses some, and its cameras."""
-
-    cameras: list[str] = setting([], "cameras whose shadows this process resolves; none given: all")

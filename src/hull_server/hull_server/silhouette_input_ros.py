@@ -32,7 +32,6 @@ GIVE_UP_SETS = 5  # in a row have waited for a camera in vain: none does any mor
 MAX_OPEN_SETS = 8  # frame sets that wait for cameras
 SILENT_AFTER_NS = 1_000_000_000
 NEVER_NS = 1 << 62
-RESOLVED = "silhouette/resolved"  # below a camera's name: its silhouettes, from a shadow resolver
 LOG_EVERY_S = 5.0
 COUNTER_KEYS = {name: name for name in ("frames", "restarts")} | {
     name: f"sets_{name}" for name in ("complete", "incomplete")
@@ -60,12 +59,11 @@ class SilhouetteInput:
         self._polled_at_ns = 0
         reliable = self._settings.reliable or self._settings.resend
         qos = SILHOUETTE_RELIABLE_SUBSCRIBER if reliable else SILHOUETTE_SUBSCRIBER
-        silhouettes = RESOLVED if self._settings.resolved else "silhouette"
         self._subscriptions = [
             node.create_subscription(kind, topic, partial(callback, camera, topic), qos, raw=True)
             for camera in canvases
             for kind, topic, callback in (
-                (CompressedImage, f"{camera}/{silhouettes}/compressed", self._on_silhouette),
+                (CompressedImage, f"{camera}/silhouette/compressed", self._on_silhouette),
                 (CameraInfo, f"{camera}/camera_info", self._on_camera_info),
             )
         ]

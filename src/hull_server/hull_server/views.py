@@ -120,13 +120,13 @@ class CarveBackend(Protocol):
         ...
 
     def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> Any:
-        """Begin to carve; the ticket is exchanged for the hull by :meth:`collect`, on any thread, in any order.
+        """Begin to carve; the handle is exchanged for the hull by :meth:`collect`, on any thread, in any order.
 
         boxes : that hold each camera's nonzero pixels, where they are known: the rest of a mask need not be read.
         """
         ...
 
-    def collect(self, ticket: Any) -> BrickVolume:
+    def collect(self, handle: Any) -> BrickVolume:
         """Wait for the hull that :meth:`submit` began."""
         ...
 
@@ -136,12 +136,12 @@ class CarveBackend(Protocol):
 
 
 class Immediate:
-    """Carves on the caller's thread: the ticket is the hull itself."""
+    """Carves on the caller's thread: the handle is the hull itself."""
 
     def submit(self: CarveBackend, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
         """Carve."""
         return self.carve(masks, min_seeing)
 
-    def collect(self, ticket: BrickVolume) -> BrickVolume:
+    def collect(self, handle: BrickVolume) -> BrickVolume:
         """Return the hull."""
-        return ticket
+        return handle

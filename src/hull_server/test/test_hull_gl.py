@@ -186,10 +186,10 @@ def test_tickets_collected_late_in_any_order_twice_or_never_hold_their_own_frame
 def test_masks_may_be_reused_as_soon_as_they_are_submitted(carver):
     _, _, frames = scene()
     masks = {name: mask.copy() for name, mask in frames[0].items()}
-    ticket = carver.submit(masks, 3)
+    handle = carver.submit(masks, 3)
     for mask in masks.values():
         mask[:] = 255
-    assert same_bytes(carver.collect(ticket), expected()[0])
+    assert same_bytes(carver.collect(handle), expected()[0])
 
 
 @pytest.mark.parametrize("slow_device", [False, True])
@@ -229,10 +229,10 @@ def test_device_that_does_not_finish_is_no_graphics_and_may_be_asked_again(carve
     _, _, frames = scene()
     with monkeypatch.context() as stuck:
         stuck.setattr(gl_buffers.GL, "glClientWaitSync", lambda *args: gl_buffers.GL.GL_TIMEOUT_EXPIRED)
-        ticket = carver.submit(frames[2], 3)
+        handle = carver.submit(frames[2], 3)
         with pytest.raises(NoGraphics, match=r"did not finish a carve within 10 s; choose backend 'cpu'"):
-            carver.collect(ticket)
-    assert same_bytes(carver.collect(ticket), expected()[2])
+            carver.collect(handle)
+    assert same_bytes(carver.collect(handle), expected()[2])
 
 
 def test_submit_of_an_unknown_camera_or_a_wrong_mask_is_refused_and_leaves_the_carver_usable(carver):

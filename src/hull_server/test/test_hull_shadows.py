@@ -13,8 +13,8 @@ from hull_server.floor_shadows import ShadowResolver
 from hull_server.floor_shadows.labels import STRIDE, PixelLabels
 from hull_server.floor_shadows.rules import RAY_STEP_M, label_pixels
 from hull_server.floor_shadows.scene import floor_scene
-from hull_server.level_stack import BLIND, binary_mask
 from hull_server.settings import ShadowSettings
+from hull_server.silhouette_batch import BLIND, binary_mask
 from hull_server.views import RigViews, min_seeing
 
 SHADOW = [(-0.15, -0.1), (0.75, -0.25), (0.95, 0.25), (0.6, 0.45), (-0.05, 0.3)]  # on the floor, under the feet too
@@ -46,7 +46,8 @@ def body_and_shadow(rig: Rig, body_level: int = 255, shadow_level: int = ATTENUA
 
 def share(masks: dict[str, np.ndarray], where: dict[str, np.ndarray]) -> float:
     """How much of the places is foreground, over all cameras."""
-    return sum(np.count_nonzero(masks[n][where[n]]) for n in where) / sum(np.count_nonzero(w) for w in where.values())
+    found = sum(np.count_nonzero(masks[n][where[n]] > 127) for n in where)
+    return found / sum(np.count_nonzero(w) for w in where.values())
 
 
 def test_binary_masks_are_passed_on_as_they_are():
@@ -75,6 +76,16 @@ def test_shadow_at_the_feet_is_removed_and_the_person_stays(cameras, least):
     assert share(resolved, body) == 1.0
     assert all(np.array_equal(levels[n], before[n]) for n in levels)
     assert set(np.unique(np.concatenate([m.ravel() for m in resolved.values()]))) == {0, 255}
+
+
+def test_candidates_deny_no_body_that_the_others_see():
+    above = look_at("cam06", np.array([0.4, 0.3, 4.0]), np.array([0.0, 0, 0]), 235.0, (320, 240))
+    rig = Rig((*ring_rig(5, seed=2).cameras, above), VOLUME)
+    levels, body, shadow = body_and_shadow(rig)
+    levels["cam06"][body["cam06"] | shadow["cam06"]] = CANDIDATE_LEVELS[2]  # a person who looks like floor in shadow
+    mask = resolver(rig).resolve(levels, 4)["cam06"]
+    assert (mask[body["cam06"]] >= UNCERTAIN).mean() > 0.9  # soles that stand in the shadow may be floor
+    assert (mask[shadow["cam06"]] >= UNCERTAIN).mean() < 0.5  # ... and shadow is seen beside the others' hull
 
 
 def test_clothes_exactly_as_dark_as_the_shadow_lose_at_most_the_soles():
@@ -173,11 +184,12 @@ def test_kernel_follows_the_rule_pixel_by_pixel(seed):
     for index, name in enumerate(rig.names):
         h, w = levels[name].shape
         stack[index, :h, :w] |= levels[name]
+    bodies = np.array([body_box(levels_of) for levels_of in stack])
     compared = Counter({"shadow": 0, "body": 0, "": 0})
     for index, name in enumerate(rig.names):
         h, w = levels[name].shape
         found = PixelLabels.zeros((0, 0, w, h))
-        label_pixels(scene, stack, index, (0, 0, w, h), 3, 0.1, np.empty((4, 3)), found)
+        label_pixels(scene, stack, bodies, index, (0, 0, w, h), 3, 0.1, np.empty((4, 3)), found)
         for v in range(0, h, STRIDE):
             for u in range(0, w, STRIDE):
                 at, expected = (v // STRIDE, u // STRIDE), true_label(rig, levels, name, u, v)
@@ -187,6 +199,12 @@ def test_kernel_follows_the_rule_pixel_by_pixel(seed):
                 assert bool(found.body[at]) == (expected == "body")
                 compared[expected] += 1
     assert compared["shadow"] > 20 and compared["body"] > 0 and compared[""] > 20
+
+
+def body_box(levels: np.ndarray) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom of the pixels that may be the person."""
+    v, u = np.nonzero((levels > 127) | (levels == UNCERTAIN))
+    return (u.min(), v.min(), u.max() + 1, v.max() + 1)
 
 
 def attenuation(level: int) -> tuple[int, int]:

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from hull_server.bitset import lowest_bit, popcount, select_bit, transpose8
 from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.slicing.skeletonisation import BlobTable, shape_of, slice_hull
 from hull_server.slicing.voxel_samples import sample_runs
-from hull_server.words import lowest_bit, popcount, select_bit, transpose8
 
 
 def sample_voxels(volume, max_voxels):

@@ -123,13 +123,6 @@ class IcpTracker:
         return None if self._refiner is None else self._refiner.refined
 
     @property
-    def needs_voxels(self) -> bool:
-        """Whether the next step uses the hull's voxels."""
-        if self._pose is None and self._source.needs_voxels:
-            return True
-        return self._all_joints
-
-    @property
     def needs_contour_rays(self) -> bool:
         """Whether the next step uses the contour rays."""
         return self._all_joints and self._settings.articulated.contour.weight > 0.0

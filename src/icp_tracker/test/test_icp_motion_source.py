@@ -9,7 +9,7 @@ from t_pose_studio import SET_NS, Studio, both_sides, box, person, standing
 
 from icp_tracker.acquisition.body_sizes import sizes_of_body
 from icp_tracker.acquisition.motion_source import LEAST_AGREEMENT, MotionSettings, MotionSource, PoseHypothesis
-from icp_tracker.acquisition.pose_source import AnyPoseSource
+from icp_tracker.acquisition.pose_source import CombinedPoseSource
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
@@ -125,14 +125,14 @@ def test_feet_that_are_not_seen_are_told_first_and_not_measured():
 
 def test_who_walks_in_is_told_so_and_not_to_raise_the_arms():
     sets, _, visibility = walk()
-    source = AnyPoseSource(TPoseSource(TPoseSettings(), visibility), MotionSource(MotionSettings(), visibility))
+    source = CombinedPoseSource(TPoseSource(TPoseSettings(), visibility), MotionSource(MotionSettings(), visibility))
     assert source.find_pose(sets[0]).reason.startswith("somebody is here: watched for 0.0 of 1.0 s")
 
 
 def test_t_pose_that_is_held_decides_alone():
     room = Studio(ring(3, ceiling=False))
     seen = room.render(person(BODY, standing(BODY, both_sides())), apart_ns=SET_NS)
-    source = AnyPoseSource(TPoseSource(TPoseSettings(hold_sets=2)), MotionSource(MotionSettings(watch_s=0.0)))
+    source = CombinedPoseSource(TPoseSource(TPoseSettings(hold_sets=2)), MotionSource(MotionSettings(watch_s=0.0)))
     first, second = source.find_pose(seen), source.find_pose(seen)
     assert first.reason.startswith("T-pose seen, hold it")
     assert second.pose is not None and second.estimate is not None  # measured, not guessed

@@ -8,7 +8,7 @@ import pytest
 from capture_rig.rigid import rotation_matrix
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.people.association import UNCLEAR_SD_M, Expected, associate_parts, associate_rows, is_ghost
+from icp_tracker.people.association import UNCLEAR_SD_M, Expected, associate_parts, associate_rows, is_phantom
 from icp_tracker.people.identity import IdentityCheck, Verdict
 from icp_tracker.people.people_tracker import GONE_AFTER_S, PeopleTracker, make_people_tracker
 from icp_tracker.settings import IcpNodeSettings
@@ -216,11 +216,11 @@ def test_ray_that_nobody_explains_is_left_to_both(hulls):
     assert kept[1] + kept[2] > 1.4 * len(rays)
 
 
-def test_volume_behind_a_person_whose_outline_bounds_it_in_every_picture_is_a_ghost(hulls):
+def test_volume_behind_a_person_whose_outline_bounds_it_in_every_picture_is_a_phantom(hulls):
     seen = hulls["tall"]
     behind = replace(seen.contour_rays, points_world=seen.contour_rays.points_world + seen.contour_rays.directions)
-    ghost = HullProducts(1, seen.centerline, seen.voxels, behind)
+    phantom = HullProducts(1, seen.centerline, seen.voxels, behind)
     (part,) = seen.numbers()
-    assert is_ghost(ghost, part, [Expected(1, TALL.body, TALL_AT)])
-    assert not is_ghost(hulls["short"], hulls["short"].numbers()[0], [Expected(1, TALL.body, TALL_AT)])
-    assert not is_ghost(ghost, part, [])
+    assert is_phantom(phantom, part, [Expected(1, TALL.body, TALL_AT)])
+    assert not is_phantom(hulls["short"], hulls["short"].numbers()[0], [Expected(1, TALL.body, TALL_AT)])
+    assert not is_phantom(phantom, part, [])

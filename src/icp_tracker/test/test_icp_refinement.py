@@ -246,8 +246,6 @@ def test_refinement_starts_from_the_sizes_that_a_t_pose_measured():
 class FixedSource:
     """A first pose that is there at once."""
 
-    needs_voxels = False
-
     def __init__(self, found):
         self._found = found
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from t_pose_studio import DOWN, SET_NS, both_sides, box, person, standing, studio, with_angles
 
-from icp_tracker.acquisition.pose_source import AnyPoseSource, InitialPoseSettings, make_pose_source
+from icp_tracker.acquisition.pose_source import CombinedPoseSource, InitialPoseSettings, make_pose_source
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pose
 from icp_tracker.acquisition.t_pose_source import TPoseSource, find_t_pose, pose_of
 from icp_tracker.acquisition.upright import PoseRejected
@@ -217,8 +217,8 @@ def test_known_body_keeps_its_sizes_in_a_t_pose(t_pose):
 def test_settings_choose_the_source(tmp_path):
     save_body(BODY, tmp_path / "body.yaml")
     alone = make_pose_source(InitialPoseSettings(source="t_pose"), str(tmp_path / "body.yaml"))
-    assert isinstance(alone, TPoseSource) and alone.needs_voxels
-    assert isinstance(make_pose_source(InitialPoseSettings()), AnyPoseSource)
+    assert isinstance(alone, TPoseSource)
+    assert isinstance(make_pose_source(InitialPoseSettings()), CombinedPoseSource)
 
 
 def test_walking_with_arms_stretched_out_is_refused_until_it_ends(t_pose):

@@ -115,13 +115,10 @@ def test_before_the_first_pose_the_points_are_zero_invisible_and_unknown(motion)
     _, clouds = motion
 
     class Nothing:
-        needs_voxels = True
-
         def find_pose(self, seen):
             return InitialPose(reason="arms not level")
 
     tracker = IcpTracker(Nothing())
-    assert tracker.needs_voxels
     result = tracker.step(HullProducts.of_points(stamp(0), clouds[0]))
     assert result.state == "acquiring" and result.reason == "arms not level"
     assert result.started_from == "nothing"
@@ -150,7 +147,6 @@ def test_t_pose_starts_the_tracker_and_the_body_is_followed(body, synthetic):
     assert tracker.step(HullProducts.of_points(stamp(0), cloud[0], 0.0, voxels)).state == "acquiring"
     result = tracker.step(HullProducts.of_points(stamp(1), cloud[1], 0.0, voxels))
     assert result.state == "tracking"
-    assert tracker.needs_voxels  # the solve goes on looking at them
     assert error_mm(body, result, standing) < 40
     lowering = np.zeros(24)
     lowering[[8, 9]] = [-1.0, 1.0]  # both arms sink sideways
@@ -200,8 +196,6 @@ def test_first_pose_is_looked_for_on_everybody_and_fitted_to_the_body_that_shows
     poses, clouds = motion
 
     class OfTheSecond:
-        needs_voxels = True
-
         def find_pose(self, seen):
             self.seen = seen
             return InitialPose(poses[0], body)

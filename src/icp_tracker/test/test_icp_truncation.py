@@ -9,7 +9,14 @@ from t_pose_studio import Studio, both_sides, person, standing
 from icp_tracker.acquisition.body_parts import find_legs
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import find_t_pose
-from icp_tracker.acquisition.truncation import FEET, LEFT_HAND, Stance, cut_parts, smallest_step, what_to_do
+from icp_tracker.acquisition.truncation import (
+    FEET,
+    LEFT_HAND,
+    Stance,
+    advice_text,
+    cut_parts,
+    smallest_translation_into_view,
+)
 from icp_tracker.acquisition.upright import PoseRejected, Upright, stance_of
 from stick_figure.body import Body
 from virtual_studio.rig import narrowed, ring, tilted, with_camera
@@ -67,7 +74,7 @@ def test_cut_off_person_is_told_what_is_missing_and_where_to_go(up, place, headi
     told = answer(studio, place, heading)
     assert told.startswith(starts), told
     stance = Stance(np.array(place), np.array([np.cos(heading), np.sin(heading)]), 0.0, BODY.stature)
-    step = smallest_step(stance, studio.visibility)
+    step = smallest_translation_into_view(stance, studio.visibility)
     assert abs(np.linalg.norm(step) - step_of(told)) <= 0.2
     there = np.array(place) + step  # whoever obeys is measured, or asked for a short step more: hulls are wide
     left = answer(studio, tuple(there), heading)
@@ -83,16 +90,16 @@ def test_step_is_said_about_where_the_person_faces_when_that_is_known():
     visibility = room().visibility
     for forward, word in (((1.0, 0.0), " right"), ((-1.0, 0.0), " left")):
         stance = Stance(np.array([0.0, 0.95]), np.array(forward), 0.0, 1.75, facing=5.0)
-        told = what_to_do((LEFT_HAND,), stance, visibility)
+        told = advice_text((LEFT_HAND,), stance, visibility)
         assert "left hand" in told and word in told
 
 
 def test_without_a_place_a_camera_is_to_be_turned():
     stance = Stance(np.zeros(2), np.array([1.0, 0.0]), 0.0, 1.75)
-    assert what_to_do((FEET,), stance, room(0.6).visibility) == (
+    assert advice_text((FEET,), stance, room(0.6).visibility) == (
         "cam03 does not see your feet: no place in the volume is seen by 3 cameras; turn cam03 down"
     )
-    assert "you do not fit into its picture" in what_to_do((FEET,), stance, room(0.0, 2.2).visibility)
+    assert "you do not fit into its picture" in advice_text((FEET,), stance, room(0.0, 2.2).visibility)
 
 
 def test_whole_body_near_the_border_is_not_called_cut():

@@ -90,7 +90,7 @@ class MocapPipeline:
             for name, background in (backgrounds or {}).items()
         }
         self.hull = HullPipeline(rig, configuration.hull)
-        self.body = BodyFollower.of(configuration, rig)
+        self.body = TrackingStage.of(configuration, rig)
 
     def step(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Step:
         """Return the persons at one instant, from the cameras' images (H, W[, 3]) uint8."""
@@ -110,13 +110,13 @@ class MocapPipeline:
         frame_set = FrameSet.of_instant(stamp_ns, dict(masks), missing)
         # leave out cameras that contradict the others, resolve what may be shadow, carve the voxels that all cameras
         # see as foreground (3.1; consistency/, floor_shadows/, carving/ or opengl/)
-        under_way = self.hull.begin(frame_set)
+        pending = self.hull.begin(frame_set)
         # tell each camera where the others see a body: things that moved are seen by none, and become background
         # (consistency/foreground_support.py; camera_client/background/moved_things/absorption.py)
-        self.report_support(under_way.support)
+        self.report_support(pending.support)
         # slice the hull along x, y and z and keep the centroids of the slices that look like a limb (3.2; slicing/);
         # sample its voxels, and trace the rays that touch the body (slicing/voxel_samples.py, contour_rays/)
-        return self.hull.finish(under_way).products
+        return self.hull.finish(pending).products
 
     def report_support(self, reports: tuple[ForegroundSupport, ...]) -> None:
         """Tell the cameras that are segmented here what the others see of their foreground."""
@@ -125,7 +125,7 @@ class MocapPipeline:
                 self.cameras[report.camera].take_support(report)
 
 
-class BodyFollower:
+class TrackingStage:
     """Tracker and filters of everybody: each fit starts from the filter's state after the frame set before."""
 
     def __init__(self, tracker: PeopleTracker, filters: PeopleFilter, feedback: bool = True) -> None:
@@ -135,7 +135,7 @@ class BodyFollower:
         self._predictions: dict[int, Prediction] = {}
 
     @classmethod
-    def of(cls, configuration: Configuration, rig: Rig | None = None) -> BodyFollower:
+    def of(cls, configuration: Configuration, rig: Rig | None = None) -> TrackingStage:
         """Build tracker and filters as the settings say; ``rig`` : whose hulls it gets."""
         tracker = make_people_tracker(configuration.icp, rig, configuration.hull.min_seeing)
         return cls(tracker, PeopleFilter(configuration.ekf), configuration.feedback)

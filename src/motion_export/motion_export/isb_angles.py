@@ -26,8 +26,7 @@ from stick_figure.skeleton import (
     TORSO,
 )
 
-from .axes import R_BIOMECHANICS_WORLD
-from .motion import Motion
+from .motion import R_BIOMECHANICS_WORLD, Motion
 
 Array = np.ndarray
 

@@ -24,8 +24,7 @@ from stick_figure.skeleton import (
     TORSO,
 )
 
-from .axes import R_ANIMATION_WORLD, rotated
-from .motion import T_POSE_STICKS, Motion, fill_linearly, fill_rotations
+from .motion import R_ANIMATION_WORLD, T_POSE_STICKS, Motion, fill_linearly, fill_rotations, rotated
 
 Array = np.ndarray
 RIGID_M = 1e-3

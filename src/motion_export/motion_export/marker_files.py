@@ -12,8 +12,7 @@ from c3d import Writer
 from capture_rig.files import write_bytes, write_text
 from stick_figure.skeleton import POINT_NAMES
 
-from .axes import R_BIOMECHANICS_WORLD
-from .motion import Motion, point_deviations
+from .motion import R_BIOMECHANICS_WORLD, Motion, point_deviations
 
 MM_PER_M = 1000.0
 LABEL_LENGTH = 16

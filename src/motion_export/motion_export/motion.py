@@ -14,6 +14,10 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import T_POSE_ANGLES
 
 Array = np.ndarray
+R_ANIMATION_WORLD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+"""From the axes of REP-103 to those of animation (BVH, glTF): y up, the rest pose looks along +z, its left is +x."""
+R_BIOMECHANICS_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""To those of biomechanics (OpenSim; Wu & Cavanagh, J. Biomech. 28, 1995): x forward, y up, z right."""
 NS_PER_S = 1e9
 UNTRACKED = ""
 """The state of a frame in a gap."""
@@ -155,3 +159,8 @@ def fill_rotations(R: Array, tracked: Array) -> Array:
 
 T_POSE_STICKS = stick_frames(Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES))
 """(10, 3, 3) frames of the sticks in the T-pose of a torso along the world's axes."""
+
+
+def rotated(R: Array, R_to_from: Array) -> Array:
+    """Return rotations (..., 3, 3) expressed in other axes."""
+    return R_to_from @ R @ R_to_from.T

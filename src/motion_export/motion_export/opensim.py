@@ -32,8 +32,7 @@ from stick_figure.skeleton import (
     TORSO,
 )
 
-from .axes import R_BIOMECHANICS_WORLD, rotated
-from .motion import Motion, fill_linearly, fill_rotations
+from .motion import R_BIOMECHANICS_WORLD, Motion, fill_linearly, fill_rotations, rotated
 
 AVERAGE_BMI = 22.0
 """kg/m^2, the middle of the WHO's normal range."""

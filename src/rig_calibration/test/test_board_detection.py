@@ -22,9 +22,9 @@ def seen(
     return image, detection, errors
 
 
-@pytest.mark.parametrize(("tilt", "blur"), [(0, 0.5), (0, 1.0), (40, 0.5), (65, 1.0)])
+@pytest.mark.parametrize(("tilt", "blur"), [(0, 1.0), (40, 0.5), (65, 1.0)])
 def test_corners_are_exact_to_hundredths_of_a_pixel_and_sigma_says_so(tilt, blur):
-    _, detection, errors = seen(BOARD, tilt=tilt, blur=blur, noise=2.5, oversample=10)
+    _, detection, errors = seen(BOARD, tilt=tilt, blur=blur, noise=2.5, oversample=6)
     rms = np.sqrt(np.mean(errors**2))
     assert len(detection) == 54
     assert rms < 0.03
@@ -53,10 +53,9 @@ def test_rows_run_to_the_right_where_the_half_turn_is_not_visible(turn):
 
 
 def test_columns_and_rows_given_the_other_way_round_are_the_same_board_turned():
-    T = looking_at_board(BOARD, 0.6, 20)
-    image = render(LENS, BOARD, T, oversample=4)
-    swapped = find_board(image, read_board("checkerboard 6x9 25mm"))
-    as_is = find_board(image, BOARD)
+    image, as_is, _ = seen(BOARD)
+    again, swapped = find_board(image, BOARD), find_board(image, read_board("checkerboard 6x9 25mm"))
+    assert as_is.pixels.tobytes() == again.pixels.tobytes() and as_is.sigma_px == again.sigma_px
     assert {tuple(pixel) for pixel in swapped.pixels.round(3)} == {tuple(pixel) for pixel in as_is.pixels.round(3)}
     along, down = swapped.pixels[1] - swapped.pixels[0], swapped.pixels[6] - swapped.pixels[0]
     assert along[0] * down[1] - along[1] * down[0] > 0
@@ -109,12 +108,6 @@ def test_jpeg_colour_and_uneven_light_do_no_harm():
     assert len(detection) == 54 and np.sqrt(np.mean(errors**2)) < 0.1
 
 
-def test_same_image_gives_the_same_bytes():
-    image, first, _ = seen(BOARD)
-    again = find_board(image, BOARD)
-    assert first.pixels.tobytes() == again.pixels.tobytes() and first.sigma_px == again.sigma_px
-
-
 def test_image_without_a_board_gives_nothing():
     noise = np.random.default_rng(3).integers(0, 256, (240, 320)).astype(np.uint8)
     assert find_board(cv2.GaussianBlur(noise, (0, 0), 2), BOARD) is None
@@ -136,6 +129,11 @@ def test_markers_do_not_spoil_the_measure_of_blur():
     assert seen(CHARUCO, distance=0.45, blur=1.0)[1].blur_px == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.fixture(scope="module")
+def plain_view():
+    return render(LENS, BOARD, looking_at_board(BOARD, 0.6, 20), oversample=3)
+
+
 @pytest.mark.parametrize(
     ("asked", "says"),
     [
@@ -145,10 +143,9 @@ def test_markers_do_not_spoil_the_measure_of_blur():
         ("charuco 8x6 30mm 22mm DICT_5X5_100", "no markers"),
     ],
 )
-def test_another_board_is_named(asked, says):
-    image = render(LENS, BOARD, looking_at_board(BOARD, 0.6, 20), oversample=3)
-    assert find_board(image, read_board(asked)) is None
-    assert says in diagnose_board(image, read_board(asked))
+def test_another_board_is_named(plain_view, asked, says):
+    assert find_board(plain_view, read_board(asked)) is None
+    assert says in diagnose_board(plain_view, read_board(asked))
 
 
 def test_markers_of_another_dictionary_are_named():
@@ -164,7 +161,6 @@ def test_board_that_is_partly_outside_is_named():
     assert "outside the image" in diagnose_board(image, BOARD)
 
 
-def test_found_board_and_dark_image_are_told_apart():
-    image = render(LENS, BOARD, looking_at_board(BOARD, 0.6, 20), oversample=3)
-    assert diagnose_board(image, BOARD) is None
+def test_found_board_and_dark_image_are_told_apart(plain_view):
+    assert diagnose_board(plain_view, BOARD) is None
     assert "black" in diagnose_board(np.full((240, 320), 4, np.uint8), BOARD)

@@ -12,7 +12,7 @@ from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from rig_calibration.intrinsics.coverage import coverage_of, placement_of
 from rig_calibration.intrinsics.lens_fit import board_pose
 from rig_calibration.intrinsics.lens_model import LensModel
-from rig_calibration.intrinsics.selection import AccuracyGoals, ViewCollector, motion_px
+from rig_calibration.intrinsics.selection import LensAccuracy, ViewCollector, motion_px
 
 
 def jittered(detection, frame_index, blur_px=0.0):
@@ -27,6 +27,8 @@ def test_views_alike_are_taken_once():
     assert collector.try_add(view) == ""
     assert "like one that is there already" in collector.try_add(jittered(view, 1, blur_px=0.5))
     assert len(collector) == 1 and collector.refused == 1
+    chosen = ViewCollector(BOARD, every=True)  # by hand: taken whatever they show
+    assert chosen.try_add(view) == "" == chosen.try_add(jittered(view, 1))
 
 
 def test_sharper_and_stiller_view_takes_the_place_of_the_one_alike():
@@ -35,12 +37,6 @@ def test_sharper_and_stiller_view_takes_the_place_of_the_one_alike():
     collector.try_add(replace(view, blur_px=1.5), motion_px=2.0)
     assert collector.try_add(jittered(view, 1, blur_px=0.5), motion_px=0.1) == ""
     assert [detection.frame_index for detection in collector.detections] == [1]
-
-
-def test_chosen_pictures_are_all_taken():
-    view = shown(lens(), 1, 0.1, seed=1)[0]
-    collector = ViewCollector(BOARD, every=True)
-    assert collector.try_add(view) == "" == collector.try_add(jittered(view, 1))
 
 
 @pytest.mark.parametrize(
@@ -66,7 +62,7 @@ def test_image_of_another_size_is_refused():
 
 
 def test_collecting_ends_when_lens_is_known_and_everything_covered():
-    camera, collector = lens(), ViewCollector(BOARD, goals=AccuracyGoals(focal_sd=0.002, centre_sd_px=1.0))
+    camera, collector = lens(), ViewCollector(BOARD, goals=LensAccuracy(focal_sd=0.003, centre_sd_px=1.5))
     for view in shown(camera, 120, 0.1, seed=3):
         assert not collector.enough and collector.advice()
         collector.try_add(replace(view, blur_px=0.5))
@@ -74,21 +70,21 @@ def test_collecting_ends_when_lens_is_known_and_everything_covered():
             break
     assert collector.enough and collector.advice() == "" and 12 <= len(collector) < 80
     expected, result = collector.expected, calibrate_intrinsics(collector.best(), BOARD, name="cam01")
-    assert expected.focal_sd <= 0.002 and expected.centre_sd_px <= 1.0
+    assert expected.focal_sd <= 0.003 and expected.centre_sd_px <= 1.5
     assert result.sd["fx"] / result.values["fx"] == pytest.approx(expected.focal_sd, rel=0.35)
     assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.006)
 
 
 def test_untilted_boards_are_never_enough_and_the_advice_is_to_tilt():
     collector = ViewCollector(BOARD)
-    for view in shown(lens(), 40, 0.1, seed=4, tilt_deg=3.0, sizes=(0.2, 0.8)):
+    for view in shown(lens(), 16, 0.1, seed=4, tilt_deg=3.0, sizes=(0.2, 0.8)):
         collector.try_add(view)
     assert not collector.enough
     assert "tilt the board by 30 to 45 degrees, its" in collector.advice()
 
 
 def test_advice_names_the_part_of_the_image_that_lacks_most():
-    detections = [s for s in shown(lens(), 200, 0.1, seed=5, sizes=(0.2, 0.4)) if s.pixels[:, 0].min() > 330]
+    detections = [s for s in shown(lens(), 100, 0.1, seed=5, sizes=(0.2, 0.4)) if s.pixels[:, 0].min() > 330]
     start = LensModel("plumb_bob").camera("cam01", 467.0, (640, 480))
     placements = [placement_of(board_pose(detection, BOARD, start), detection) for detection in detections]
     coverage = coverage_of([detection.pixels for detection in detections], placements, (640, 480))

@@ -40,6 +40,10 @@ ENCODINGS: dict[str, tuple[int, str, int | None]] = {
     "bayer_bggr8": (1, "u1", cv2.COLOR_BayerRG2BGR),
     "bayer_gbrg8": (1, "u1", cv2.COLOR_BayerGR2BGR),
     "bayer_grbg8": (1, "u1", cv2.COLOR_BayerGB2BGR),
+    "bayer_rggb16": (1, "u2", cv2.COLOR_BayerBG2BGR),
+    "bayer_bggr16": (1, "u2", cv2.COLOR_BayerRG2BGR),
+    "bayer_gbrg16": (1, "u2", cv2.COLOR_BayerGR2BGR),
+    "bayer_grbg16": (1, "u2", cv2.COLOR_BayerGB2BGR),
 }
 
 
@@ -156,9 +160,10 @@ def _bytes(values: np.ndarray) -> array.array:
     return array.array("B", values.tobytes())
 
 
-def decode_image(message: Image | CompressedImage, where: str) -> np.ndarray:
+def decode_image(message: Image | CompressedImage, where: str, bits: int | None = None) -> np.ndarray:
     """Return the image (H, W) or (H, W, 3) BGR uint8 of a raw message (encodings of cameras) or a compressed one.
 
+    bits : of a grey level in encodings of 16 bits, the upper 8 are kept; None: as bright as the image allows.
     Raises InputError naming ``where`` for an unknown encoding or a wrong size.
     """
     if isinstance(message, CompressedImage):
@@ -180,7 +185,10 @@ def decode_image(message: Image | CompressedImage, where: str) -> np.ndarray:
     rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)[:, :row_bytes]
     pixels = np.ascontiguousarray(rows).view(dtype).reshape(message.height, message.width, channels)
     if dtype.itemsize == 2:
-        pixels = (pixels / max(int(pixels.max()), 1) * 255).astype(np.uint8)
+        if bits is None:
+            pixels = (pixels / max(int(pixels.max()), 1) * 255).astype(np.uint8)
+        else:
+            pixels = np.minimum(pixels >> (bits - 8), 255).astype(np.uint8)
     pixels = pixels[:, :, 0] if channels == 1 else pixels
     return pixels if conversion is None else cv2.cvtColor(pixels, conversion)
 

@@ -109,7 +109,7 @@ class _Ending:
     def __init__(self) -> None:
         self.asked = self.spinning = False
         for number in SIGNALS:
-            signal.signal(number, self._take)
+            signal.signal(number, self._on_signal)
         signal.signal(signal.SIGALRM, self._insist)
 
     def ignore(self) -> None:
@@ -118,7 +118,7 @@ class _Ending:
         for number in (*SIGNALS, signal.SIGALRM):
             signal.signal(number, signal.SIG_IGN)
 
-    def _take(self, number: int, frame: object) -> None:
+    def _on_signal(self, number: int, frame: object) -> None:
         self.asked = True
         if not self.spinning:
             raise KeyboardInterrupt

@@ -8,7 +8,7 @@ import pytest
 
 from capture_rig.session import Session, load_session
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower, MocapPipeline
+from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import exact_silhouettes
 from sagoma_bringup.first_pose import start_settings
 from sagoma_tools.evaluation.in_process import (
@@ -84,7 +84,7 @@ def test_variants_that_need_other_hulls_are_refused(session):
 
 def test_without_feedback_every_fit_starts_from_the_fit_before(session):
     graph = MocapPipeline(session.rig, started(session))
-    closed, opened = graph.body, BodyFollower.of(started(session, feedback=False))
+    closed, opened = graph.body, TrackingStage.of(started(session, feedback=False))
     starts: dict[str, list[str]] = {"closed": [], "opened": []}
     for frame, masks in enumerate(exact_silhouettes(session)):
         clouds = graph.carve(1_000_000_000 + 50_000_000 * frame, masks)

@@ -12,7 +12,7 @@ from ekf_tracker.state_ros import state_message
 from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES
 from mocap_packets.state import BodyState, NoState
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower
+from mocap_pipeline.pipeline import TrackingStage
 from sagoma_bringup.first_pose import start_settings
 from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.evaluation.in_process import EPOCH_NS, OURS, track_people
@@ -127,7 +127,7 @@ def test_bag_and_session_evaluate_alike(tmp_path, monkeypatch):
     folder = write_session(tmp_path / "tour", ring(4, True), Body.from_stature(1.75), "tour", fps=20.0, seconds=1.0)
     session = load_session(folder)
     answers: list[BodyState | NoState] = []
-    step = BodyFollower.step
+    step = TrackingStage.step
 
     def stepped(self, products):
         """Six frames in which the left arm is not believed, whatever it looks like."""
@@ -139,7 +139,7 @@ def test_bag_and_session_evaluate_alike(tmp_path, monkeypatch):
         answers.append(answer.answer)
         return answer
 
-    monkeypatch.setattr(BodyFollower, "step", stepped)
+    monkeypatch.setattr(TrackingStage, "step", stepped)
     configuration = Configuration.of({**start_settings(session, "session"), "hull_server.backend": "cpu"})
     in_process = track_people(session, {OURS: configuration}, exact_masks=True)[OURS][1]
     with BagWriter(tmp_path / "bag") as bag:

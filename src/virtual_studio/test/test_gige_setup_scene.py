@@ -31,10 +31,6 @@ def shown(scene, phase, seconds=1.0):
     return scene.render(time.time_ns() + round(seconds * SECOND_NS))
 
 
-def test_setup_begins_with_the_empty_room(scene):
-    assert SetupScene(ring(1, ceiling=False), seconds=2.0).phase == "empty"
-
-
 def test_floor_board_lies_where_the_truth_says_in_every_picture(scene):
     printed = print_of(FLOOR_BOARD)
     corners_world = PosedBoard(printed, on_floor(printed)[None]).corners_world

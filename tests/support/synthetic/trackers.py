@@ -16,7 +16,7 @@ from icp_tracker.thesis.hierarchical_icp import HierarchicalSettings
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import NO_VOXELS, HullProducts, VoxelSamples
 from mocap_packets.state import BodyState
-from mocap_pipeline.pipeline import BodyFollower
+from mocap_pipeline.pipeline import TrackingStage
 from virtual_studio.people import Capsules, VolumetricBody
 
 from .clips import FPS, Clip, clouds
@@ -81,7 +81,7 @@ def track(
 ) -> Run:
     """Follow the clouds (n, 3) m of a clip; sigma_m: what the points say of their own noise."""
     tracker = PeopleTracker(lambda: IcpTracker(KnownPose(clip.poses[0], clip.body), method.icp), most=1)
-    follower = BodyFollower(tracker, PeopleFilter(method.ekf), method.feedback)
+    follower = TrackingStage(tracker, PeopleFilter(method.ekf), method.feedback)
     errors, times, inside = [], [], []
     for frame, (cloud, true) in enumerate(zip(points, clip.points_world, strict=True)):
         stamp_ns, samples = round(frame * NS / FPS), voxels[frame] if voxels else NO_VOXELS

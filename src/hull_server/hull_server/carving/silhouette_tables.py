@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from capture_rig.kernel import kernel
 
+from ..bitset import high_bytes, nonzero_bytes, nonzero_span
 from ..views import Box
-from ..words import high_bytes, nonzero_bytes, span_of_words
 
 BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # labels of pixels; blind are those that are uncertain, too
 SURE, UNSURE = 2, 1  # what a foreground and an uncertain pixel count in the summed areas
@@ -169,7 +169,7 @@ def _foreground_bounds(words, part, reach):  # type: ignore[no-untyped-def]
         if begin >= end:
             continue
         row = words[v, begin:end]
-        first, last = span_of_words(row)
+        first, last = nonzero_span(row)
         if last:
             top, bottom = min(top, v), v + 1
             left, right = min(left, begin + first), max(right, begin + last)

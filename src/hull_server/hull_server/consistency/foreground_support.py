@@ -21,10 +21,10 @@ from capture_rig.kernel import kernel
 from capture_rig.stamps import StampThrottle
 from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
+from ..bitset import HIGH_BITS, nonzero_bytes, popcount
 from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summed_area
 from ..grid import VoxelGrid
 from ..views import Masks, RigViews, min_seeing
-from ..words import HIGH_BITS, nonzero_bytes, popcount
 
 # Thresholds: REACH_M, NEAR_M from the length of an arm; else chosen with the rooms of
 # test_hull_foreground_support.py.

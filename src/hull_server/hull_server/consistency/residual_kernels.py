@@ -15,9 +15,9 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import UNCERTAIN
 
+from ..bitset import popcount
 from ..carving.pixel_boxes import SEEN, UNSEEN, BlockBoxes, count_in_box
 from ..carving.silhouette_tables import SURE, UNSURE
-from ..words import popcount
 
 UNSEEN_CELL, BACKGROUND_CELL = -1, 0  # labels of cells; foreground cells are numbered from 1
 COARSE_EDGE, FINE_EDGE = 16, 4

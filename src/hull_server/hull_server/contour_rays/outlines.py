@@ -22,7 +22,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 
-from ..words import HIGH_BITS
+from ..bitset import HIGH_BITS
 
 CORNER_PX = math.sqrt(0.5)  # from the middle of a crack to that of the next, around a corner; straight on it is 1
 # Thresholds: chosen with contour_rays.py among the benches of commit d6079d2 (spread, coverage).

@@ -12,15 +12,16 @@ from .scene import ATTENUATED, CANDIDATE, EMPTY, SURE, UNSEEN, level_of
 
 # Thresholds: chosen with shadow_resolution.py among the benches of commit d6079d2.
 TOLERANCE = 1  # attenuation steps of a tenth by which two cameras may differ and agree
-RAY_STEP_M = 0.06  # a leg is thicker
+RAY_STEP_M = 0.03  # half of a forearm
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def label_pixels(scene, levels, camera, box, seeing, min_height, floor_px, labels):
+def label_pixels(scene, levels, bodies, camera, box, seeing, min_height, floor_px, labels):
     """Write the ``labels`` of one camera's attenuated pixels and candidates by rules 1 and 2.
 
-    ``levels`` (N, H, W); ``box`` (left, top, right, bottom) of the pixels to test; ``floor_px`` (N, 3) is scratch
-    memory: the homogeneous pixel of the tested floor place in every camera.
+    ``levels`` (N, H, W); ``bodies`` (N, 4): a box that holds each camera's pixels that may be the person; ``box`` of
+    the pixels to test; boxes are (left, top, right, bottom). ``floor_px`` (N, 3) is scratch memory: the homogeneous
+    pixel of the tested floor place in every camera.
     """
     left, top, right, bottom = box
     G = scene.floor
@@ -45,17 +46,21 @@ def label_pixels(scene, levels, camera, box, seeing, min_height, floor_px, label
                 continue
             if not (scene.low[1] - FLOOR_REACH_M < y < scene.high[1] + FLOOR_REACH_M):
                 continue
-            if not _is_in_question(scene, levels, camera, level, x, y, floor_px):
-                continue
-            on_body = _meets_hull(scene, levels, camera, x, y, seeing, min_height, floor_px)
-            if kind == ATTENUATED and not on_body:
-                labels.shadow[row, column] = YES
-            elif kind == CANDIDATE and on_body:
-                labels.body[row, column] = YES
+            for other in range(len(levels)):
+                P = scene.P[other]
+                for k in range(3):
+                    floor_px[other, k] = P[k, 0] * x + P[k, 1] * y + P[k, 3]
+            if kind == ATTENUATED:
+                if _is_in_question(scene, levels, camera, level, floor_px):
+                    on_body = _meets_hull(scene, levels, bodies, camera, (x, y), seeing, min_height, floor_px)
+                    labels.shadow[row, column] = not on_body
+            elif _meets_hull(scene, levels, bodies, camera, (x, y), seeing, min_height, floor_px):
+                labels.undecided[row, column] = YES
+                labels.body[row, column] = _is_in_question(scene, levels, camera, level, floor_px)
 
 
 @kernel
-def _is_in_question(scene, levels, camera, own, x, y, floor_px):
+def _is_in_question(scene, levels, camera, own, floor_px):
     """Check whether the other cameras' view of a floor place speaks against the kind of level ``own`` (rule 1).
 
     The person (attenuated) is in question when a camera agrees that it is floor so attenuated, and no more contradict;
@@ -67,9 +72,7 @@ def _is_in_question(scene, levels, camera, own, x, y, floor_px):
         if other == camera:
             continue
         left -= 1
-        P, f = scene.P[other], floor_px[other]
-        for k in range(3):
-            f[k] = P[k, 0] * x + P[k, 1] * y + P[k, 3]
+        f = floor_px[other]
         level = level_of(levels[other], f[0], f[1], f[2])
         kind = scene.kind[level]
         if kind == EMPTY:
@@ -87,12 +90,17 @@ def _is_in_question(scene, levels, camera, own, x, y, floor_px):
 
 
 @kernel
-def _meets_hull(scene, levels, camera, x, y, seeing, min_height, floor_px):
-    """Check whether the ray from floor point (x, y) to the camera meets the hull of the others above ``min_height``."""
+def _meets_hull(scene, levels, bodies, camera, floor, seeing, min_height, floor_px):
+    """Check whether the ray from ``floor`` (x, y) to the camera meets the hull of the others above ``min_height``."""
+    x, y = floor
     dx, dy, cz = scene.centres[camera, 0] - x, scene.centres[camera, 1] - y, scene.centres[camera, 2]
     start, end = min_height / cz, min(scene.high[2] / cz, 1.0)
     start, end = _clip(x, dx, scene.low[0], scene.high[0], start, end)
     start, end = _clip(y, dy, scene.low[1], scene.high[1], start, end)
+    for other in range(len(levels)):
+        if other != camera and start <= end:
+            ends = floor_px[other], scene.epipoles[other, camera]
+            start, end = _clip_to_body(scene.whole[other], bodies[other], ends, start, end)
     step = RAY_STEP_M / math.sqrt(dx * dx + dy * dy + cz * cz)
     t, vetoed_by = start, 0
     while t <= end:
@@ -131,6 +139,32 @@ def _clip(origin, direction, low, high, start, end):
         return (start, end) if low <= origin <= high else (1.0, 0.0)
     t0, t1 = (low - origin) / direction, (high - origin) / direction
     return max(start, min(t0, t1)), min(end, max(t0, t1))
+
+
+@kernel
+def _clip_to_body(whole, body, ends, start, end):
+    """Clip start .. end to where a camera may show the person; only where it sees all of the ray.
+
+    whole, body : boxes of pixels that the camera sees, and that may be the person. ends : homogeneous pixels (3,) of
+    the floor place and of the camera whose ray it is.
+    """
+    if not (_is_inside(ends, whole, start) and _is_inside(ends, whole, end)):
+        return start, end
+    for axis in range(2):
+        for side in range(2):  # of pixels whose middles are whole numbers
+            edge, sign = body[axis + 2 * side] - 0.5, 1.0 - 2.0 * side
+            at_floor = sign * (ends[0][axis] - edge * ends[0][2])
+            at_camera = sign * (ends[1][axis] - edge * ends[1][2])
+            start, end = _clip(at_floor, at_camera - at_floor, 0.0, math.inf, start, end)
+    return start, end
+
+
+@kernel
+def _is_inside(ends, box, t):
+    """Check that the place ``t`` between two homogeneous pixels is before the camera and inside a box of pixels."""
+    f, e, s = ends[0], ends[1], 1.0 - t
+    u, v, w = s * f[0] + t * e[0], s * f[1] + t * e[1], s * f[2] + t * e[2]
+    return w > 0.0 and box[0] * w <= u <= (box[2] - 1) * w and box[1] * w <= v <= (box[3] - 1) * w
 
 
 @kernel

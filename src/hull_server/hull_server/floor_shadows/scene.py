@@ -12,7 +12,7 @@ from capture_rig import Volume
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, STEPS_OF_CANDIDATE, UNCERTAIN
 
-from ..level_stack import BLIND
+from ..silhouette_batch import BLIND
 from ..views import RigViews
 
 UNSEEN, EMPTY, CANDIDATE, ATTENUATED, SURE = 0, 1, 2, 3, 4  # kinds of levels
@@ -26,7 +26,8 @@ class FloorScene(NamedTuple):
     P (N, 3, 4), metres to pixels; centres (N, 3) of the cameras, metres; epipoles (N, N, 3): [j, i] is camera i's
     centre in camera j, homogeneous pixels; floor (N, 3, 3): pixels to (x, y, 1) on z = 0; low, high (3,) the volume,
     metres; kind (256,) of each level: UNSEEN, EMPTY, CANDIDATE, ATTENUATED or SURE; attenuation (256, 2): the least and
-    greatest attenuation step that each level may stand for.
+    greatest attenuation step that each level may stand for; whole (N, 4): left, top, right, bottom of a box of pixels
+    all of which the camera sees.
     """
 
     P: Array
@@ -37,6 +38,7 @@ class FloorScene(NamedTuple):
     high: Array
     kind: npt.NDArray[np.int8]
     attenuation: npt.NDArray[np.int8]
+    whole: npt.NDArray[np.int64]
 
 
 def floor_scene(views: RigViews, volume: Volume) -> FloorScene:
@@ -62,7 +64,22 @@ def floor_scene(views: RigViews, volume: Volume) -> FloorScene:
         high=np.array(volume.high, float),
         kind=kind,
         attenuation=attenuation,
+        whole=np.array([_whole_box(seen > 0) for seen in views.seen]),
     )
+
+
+def _whole_box(seen: npt.NDArray[np.bool_]) -> tuple[int, int, int, int]:
+    """Return a box inside what a canvas (H, W) sees: its sides move inwards, the worst first, until all is seen."""
+    left, top, right, bottom = 0, 0, seen.shape[1], seen.shape[0]
+    while right > left and bottom > top:
+        part = seen[top:bottom, left:right]
+        blind = [1.0 - side.mean() for side in (part[:, 0], part[0], part[:, -1], part[-1])]
+        worst = int(np.argmax(blind))
+        if blind[worst] == 0.0:
+            break
+        left, top = left + (worst == 0), top + (worst == 1)
+        right, bottom = right - (worst == 2), bottom - (worst == 3)
+    return left, top, right, bottom
 
 
 @kernel

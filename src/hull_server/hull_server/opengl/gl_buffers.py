@@ -13,9 +13,9 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 
+from ..bitset import high_bytes, nonzero_bytes
 from ..grid import BRICK_EDGE
 from ..views import Masks, RigViews
-from ..words import high_bytes, nonzero_bytes
 from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
 
 from OpenGL import GL  # isort: skip
@@ -220,10 +220,6 @@ class BufferSet:
             GL.glCopyBufferSubData(GL.GL_COPY_READ_BUFFER, GL.GL_COPY_WRITE_BUFFER, 0, offset, nbytes)
         self._fence = GL.glFenceSync(GL.GL_SYNC_GPU_COMMANDS_COMPLETE, 0)
         GL.glFlush()
-
-    def list_lengths(self) -> list[int]:
-        """Read how much each kernel left to the next: coarse blocks, bricks, blocks, half blocks. Waits for them."""
-        return [int(length) for length in self.frame.read(np.uint32, 4 * LISTS)[3::4]]
 
     def has_arrived(self) -> bool:
         """Check whether the read-back has arrived."""

@@ -84,7 +84,7 @@ class GlCarver:
         """Send the silhouettes of one frame set to the device; do not wait. The masks may be reused at once.
 
         Tickets may be collected in any order, or never. A third frame set first waits for the oldest of the two
-        under way, whose hull its ticket then holds. Raises InputError as :meth:`carve` does.
+        under way, whose hull its handle then holds. Raises InputError as :meth:`carve` does.
         """
         present = self.views.present(masks)
         with self._filling:  # meanwhile others may collect
@@ -98,19 +98,19 @@ class GlCarver:
                 for _ in self._carve_step_by_step(buffers):
                     pass
                 buffers.queue_read_back()
-                ticket = self._under_way[buffers] = Ticket(buffers)
+                handle = self._under_way[buffers] = Ticket(buffers)
                 if buffers.has_arrived():  # a software renderer: its collector need not wait for the context
-                    self._read_back(ticket)
-        return ticket
+                    self._read_back(handle)
+        return handle
 
-    def collect(self, ticket: Ticket) -> BrickVolume:
+    def collect(self, handle: Ticket) -> BrickVolume:
         """Return the hull of a submitted frame set, when the device has finished it."""
-        if ticket.volume is None:
+        if handle.volume is None:
             with self._context.current():
-                if ticket.volume is None:  # no other thread has read it back in the meantime
-                    self._read_back(ticket)
-        assert ticket.volume is not None
-        return ticket.volume
+                if handle.volume is None:  # no other thread has read it back in the meantime
+                    self._read_back(handle)
+        assert handle.volume is not None
+        return handle.volume
 
     def close(self) -> None:
         """Release the context and everything in it."""
@@ -194,14 +194,14 @@ class GlCarver:
             yield name
         GL.glMemoryBarrier(GL.GL_BUFFER_UPDATE_BARRIER_BIT)
 
-    def _read_back(self, ticket: Ticket) -> None:
-        """Give a ticket its volume: in brick order, without the bricks in which no voxel survived."""
-        bricks = ticket.buffers.arrived()
-        del self._under_way[ticket.buffers]
+    def _read_back(self, handle: Ticket) -> None:
+        """Give a handle its volume: in brick order, without the bricks in which no voxel survived."""
+        bricks = handle.buffers.arrived()
+        del self._under_way[handle.buffers]
         order = np.argsort(bricks["index"])
         leaves = bricks["leaves"][order]
         kept = leaves.any(axis=1)
-        ticket.volume = BrickVolume(self.grid, bricks["index"][order[kept]], leaves[kept])
+        handle.volume = BrickVolume(self.grid, bricks["index"][order[kept]], leaves[kept])
 
 
 class SinglePrecision(NamedTuple):

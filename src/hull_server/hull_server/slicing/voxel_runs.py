@@ -10,7 +10,7 @@ import numpy as np
 
 from capture_rig.kernel import njit
 
-from ..words import lowest_bit, transpose8
+from ..bitset import lowest_bit, transpose8
 
 _U1 = np.uint64(1)
 

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from capture_rig.kernel import njit
 from mocap_packets.hull import NO_VOXELS, VoxelSamples
 
+from ..bitset import popcount, select_bit
 from ..grid import VoxelGrid
-from ..words import popcount, select_bit
 from .skeletonisation import HullRuns
 from .voxel_runs import run_at, sides
 

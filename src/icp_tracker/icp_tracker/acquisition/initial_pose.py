@@ -42,11 +42,6 @@ class InitialPose:
 class PoseSource(Protocol):
     """Looks for a first pose in one frame set after another."""
 
-    @property
-    def needs_voxels(self) -> bool:
-        """Whether it looks at the hull's voxels."""
-        ...
-
     def find_pose(self, seen: HullProducts) -> InitialPose:
         """Return the first pose, if this frame set brings it."""
         ...
@@ -58,10 +53,6 @@ class KnownPose:
 
     pose: Pose
     body: Body
-
-    @property
-    def needs_voxels(self) -> bool:
-        return False
 
     def find_pose(self, seen: HullProducts) -> InitialPose:
         return InitialPose(self.pose, self.body)

@@ -37,7 +37,7 @@ from ..monitor.pose_library import (
 from .body_parts import evidence_of_feet
 from .body_sizes import BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
-from .truncation import FEET, HEAD, Stance, cut_parts, what_to_do
+from .truncation import FEET, HEAD, Stance, advice_text, cut_parts
 from .upright import FEWEST_VOXELS, Upright, pitch_of, stance_of
 
 NS_PER_S = 1e9
@@ -130,10 +130,6 @@ class MotionSource:
         self._settings, self._visibility, self._stature_m, self._known = settings, visibility, stature_m, known
         self._fit_settings = ArticulatedSettings()
         self.reset()
-
-    @property
-    def needs_voxels(self) -> bool:
-        return True
 
     def reset(self) -> None:
         """Forget what was watched."""
@@ -292,7 +288,7 @@ class MotionSource:
         rivals_sets = max(other.sets for other in rivals)
         watched_s = (stamp_ns - self._began_ns) / NS_PER_S
         if cut and self._visibility is not None:
-            told = what_to_do(cut, stance, self._visibility)
+            told = advice_text(cut, stance, self._visibility)
         else:
             told = f"somebody is here: watched for {min(watched_s, settings.watch_s):.1f} of {settings.watch_s:.1f} s"
         if not self._girth_is_known and 2.0 * watched_s >= settings.watch_s and self._known is None:

@@ -62,19 +62,15 @@ def make_pose_source(
         held = TPoseSource(settings.t_pose, visibility, body)
         stature = (settings.t_pose.stature_low_m, settings.t_pose.stature_high_m)
         moving = MotionSource(settings.motion, visibility, stature, body)
-        return held if settings.source == T_POSE else AnyPoseSource(held, moving)
+        return held if settings.source == T_POSE else CombinedPoseSource(held, moving)
     if settings.source == "file":
         return _from_file(settings.file, body)
     return _from_session(settings.session, settings.frame, body)
 
 
-class AnyPoseSource:
+class CombinedPoseSource:
     """Looks for a T-pose, which measures the body at once, and for any other posture, which takes a body of average
     proportions and learns its sizes later. While a T-pose is being held it alone decides."""
-
-    @property
-    def needs_voxels(self) -> bool:
-        return True
 
     def __init__(self, t_pose: TPoseSource, motion: MotionSource) -> None:
         self._t_pose, self._motion = t_pose, motion

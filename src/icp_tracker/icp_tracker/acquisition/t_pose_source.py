@@ -28,10 +28,6 @@ RIGHT = np.array([name.startswith("right") for name in ANGLE_NAMES])
 class TPoseSource:
     """A first pose as soon as one body has shown the pose in several frame sets in a row, standing still."""
 
-    @property
-    def needs_voxels(self) -> bool:
-        return True
-
     def __init__(
         self, settings: TPoseSettings, visibility: RigVisibility | None = None, known: Body | None = None
     ) -> None:

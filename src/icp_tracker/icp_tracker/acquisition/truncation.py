@@ -114,7 +114,7 @@ def _tip(arms: np.ndarray, outwards: np.ndarray) -> np.ndarray:
     return side & (outwards > outwards[side].max(initial=0.0) - TIP_M)
 
 
-def what_to_do(parts: tuple[str, ...], stance: Stance, visibility: RigVisibility) -> str:
+def advice_text(parts: tuple[str, ...], stance: Stance, visibility: RigVisibility) -> str:
     """Say in one sentence what is not seen, by which cameras, and where to step or which camera to turn."""
     names = [_told(part, stance) for part in parts]
     yours = "you" if parts == (BODY,) else "your " + " and ".join(dict.fromkeys(names))
@@ -127,13 +127,13 @@ def what_to_do(parts: tuple[str, ...], stance: Stance, visibility: RigVisibility
     else:
         what = f"{_listed(blind)} {'does' if len(blind) == 1 else 'do'} not see {yours}"
         what = what.replace("see you", "see all of you") if yours == "you" else what
-    step = smallest_step(stance, visibility)
+    step = smallest_translation_into_view(stance, visibility)
     if step is not None:
         return f"{what}: {_said(step, stance, visibility)}"
     return f"{what}: {_turn(stance, visibility)}"
 
 
-def smallest_step(stance: Stance, visibility: RigVisibility) -> np.ndarray | None:
+def smallest_translation_into_view(stance: Stance, visibility: RigVisibility) -> np.ndarray | None:
     """Return the smallest step (2,) m after which a T-pose of this stance is shown whole; None if there is no place."""
     places = stance.places_of()
     spread = MARGIN_M * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]], float)

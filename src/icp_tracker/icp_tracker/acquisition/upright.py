@@ -11,7 +11,7 @@ import numpy as np
 
 from capture_rig.visibility import RigVisibility
 
-from .truncation import HEAD, TYPICAL_STATURE_M, Stance, cut_parts, what_to_do
+from .truncation import HEAD, TYPICAL_STATURE_M, Stance, advice_text, cut_parts
 
 
 class PoseRejected(Exception):
@@ -120,7 +120,7 @@ def reject_cut_off(voxels_world: np.ndarray, pitch: float, visibility: RigVisibi
     if HEAD in parts:
         stance = replace(stance, stature=max(stance.stature, TYPICAL_STATURE_M))
     if parts:
-        raise PoseRejected(what_to_do(parts, stance, visibility))
+        raise PoseRejected(advice_text(parts, stance, visibility))
 
 
 def stance_of(voxels_world: np.ndarray, pitch: float) -> Stance:

@@ -34,8 +34,8 @@ UNCLEAR_SD_M = 0.02
 SLACK_M = 0.05  # a body may touch a ray this far from the stretch where the ray touches the hull
 ANYWHERE_M = 100.0  # and as far as this when it is a line
 GRAZED_M = 0.04  # a line that passes a body's surface so near is a view of it: EXPLAINED_M of monitor/evidence.py
-GHOST_SHARE = 0.85  # of a part's rays that graze persons elsewhere: of a ghost nearly all do
-GHOST_LEAST_RAYS = 20  # fewer say nothing
+PHANTOM_SHARE = 0.85  # of a part's rays that graze persons elsewhere: of a phantom nearly all do
+PHANTOM_LEAST_RAYS = 20  # fewer say nothing
 
 
 class Expected(NamedTuple):
@@ -109,19 +109,19 @@ def associate_rows(
     return rows
 
 
-def is_ghost(seen: HullProducts, part: int, expected: Sequence[Expected]) -> bool:
+def is_phantom(seen: HullProducts, part: int, expected: Sequence[Expected]) -> bool:
     """Whether a part of the hull has no outline of its own: nearly all of its contour rays graze persons elsewhere.
 
     Where silhouettes of two persons cross, few cameras leave a volume that all of them see as foreground; but what
     bounds it in every picture is the outline of somebody in front of it or behind it.
     """
     rays = seen.of_body(part).contour_rays
-    if not expected or len(rays) < GHOST_LEAST_RAYS:
+    if not expected or len(rays) < PHANTOM_LEAST_RAYS:
         return False
     arrays, grazed = _arrays(rays), np.zeros(len(rays), bool)
     for one in expected:
         grazed |= match_rays(arrays, one.placed, ANYWHERE_M).separation < GRAZED_M
-    return bool(grazed.mean() >= GHOST_SHARE)
+    return bool(grazed.mean() >= PHANTOM_SHARE)
 
 
 class _Rows(NamedTuple):

@@ -69,30 +69,30 @@ class IdentityCheck:
 
 
 @dataclass
-class _Meeting:
+class _OcclusionEvent:
     """Two persons who share, or shared, a part of the hull: from when until when."""
 
     began_ns: int
     until_ns: int
 
 
-class Meetings:
+class OcclusionEvents:
     """Which persons share, or shared a moment ago, a part of the hull."""
 
     def __init__(self) -> None:
-        self._meetings: dict[tuple[int, int], _Meeting] = {}
+        self._events: dict[tuple[int, int], _OcclusionEvent] = {}
 
-    def note(self, stamp_ns: int, shared: Iterable[Sequence[int]]) -> list[IdentityCheck]:
+    def update(self, stamp_ns: int, shared: Iterable[Sequence[int]]) -> list[IdentityCheck]:
         """Take note of the persons who share each part; return whom to compare now, some time after they parted."""
         for persons in shared:
             for pair in combinations(persons, 2):
-                meeting = self._meetings.setdefault(pair, _Meeting(stamp_ns, stamp_ns))
-                meeting.until_ns = stamp_ns
+                event = self._events.setdefault(pair, _OcclusionEvent(stamp_ns, stamp_ns))
+                event.until_ns = stamp_ns
         checks = []
-        for pair, meeting in sorted(self._meetings.items()):
-            if stamp_ns - meeting.until_ns >= APART_S * NS_PER_S:
-                del self._meetings[pair]
-                if meeting.until_ns - meeting.began_ns >= TOGETHER_S * NS_PER_S:
+        for pair, event in sorted(self._events.items()):
+            if stamp_ns - event.until_ns >= APART_S * NS_PER_S:
+                del self._events[pair]
+                if event.until_ns - event.began_ns >= TOGETHER_S * NS_PER_S:
                     checks.append(IdentityCheck(*pair))
         return checks
 

@@ -24,12 +24,12 @@ from ..acquisition.pose_source import HULL_SOURCES
 from ..acquisition.upright import reasons_of_bodies
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker, visibility_of
-from .association import Association, Expected, associate_parts, associate_rows, is_ghost
-from .identity import ALIKE, IdentityCheck, Meetings, Verdict, sizes_apart
+from .association import Association, Expected, associate_parts, associate_rows, is_phantom
+from .identity import ALIKE, IdentityCheck, OcclusionEvents, Verdict, sizes_apart
 
 GONE_AFTER_S = 1.0  # a person other than the first who has not been seen for so long has left
 AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
-BACK_S = 0.2  # so long a fit stays good before somebody is taken for a person who was away: a ghost's does not
+BACK_S = 0.2  # so long a fit stays good before somebody is taken for a person who was away: a phantom's does not
 SAME_PLACE_M = 0.12  # two figures whose points are so near to each other on average are one person
 LOOK_PERIOD_S = 0.045  # from one look at a newcomer to the next while somebody is followed: fits do not wait for it
 KEPT_S = 1.0  # a newcomer whose part of the hull is missing for so long is gone
@@ -69,7 +69,7 @@ class PeopleTracker:
         self._persons: dict[int, _Person] = {}
         self._newcomers: dict[int, IcpTracker] = {NO_PART: self._make()}  # by the number of their part of the hull
         self._reasons: dict[int, str] = {}
-        self._meetings = Meetings()
+        self._occlusions = OcclusionEvents()
         self._checks: list[IdentityCheck] = []
         self._newcomer_ns: dict[int, int] = {}  # when each was there last
         self._looked_ns, self._turn = 0, 0
@@ -91,20 +91,6 @@ class PeopleTracker:
         tracker = self._persons[person].tracker
         return tracker.bent_body if bent else tracker.body
 
-    @property
-    def needs_voxels(self) -> bool:
-        """Whether the next step uses the hull's voxels."""
-        return any(tracker.needs_voxels for tracker in self._trackers)
-
-    @property
-    def needs_contour_rays(self) -> bool:
-        """Whether the next step uses the contour rays."""
-        return any(tracker.needs_contour_rays for tracker in self._trackers)
-
-    @property
-    def _trackers(self) -> tuple[IcpTracker, ...]:
-        return (*(person.tracker for person in self._persons.values()), *self._newcomers.values())
-
     def step(self, seen: HullProducts, predictions: Mapping[int, Prediction]) -> tuple[Fit, ...]:
         """Fit one frame set: one answer for each person that is there, in order, and always one for the first."""
         parts = seen.numbers()
@@ -114,12 +100,12 @@ class PeopleTracker:
         expected = self._expected(seen.stamp_ns, predictions)
         association = associate_parts(seen, parts, expected)
         there = [one for one in expected if one.person in association.parts]
-        free = [part for part in parts if part not in association.claimed and not is_ghost(seen, part, there)]
-        back = self._give_back(seen, association, free)
+        free = [part for part in parts if part not in association.claimed and not is_phantom(seen, part, there)]
+        back = self._reassign_lost_tracks(seen, association, free)
         fits = self._follow(seen, associate_rows(seen, association, there), back, association, predictions)
         fits |= self._acquire(seen, [part for part in free if not self._is_just_away(back, part, seen)], fits)
-        self._part_doubles(fits)
-        self._checks += self._meetings.note(seen.stamp_ns, association.shared.values())
+        self._merge_duplicate_tracks(fits)
+        self._checks += self._occlusions.update(seen.stamp_ns, association.shared.values())
         fits = self._tell_apart(seen.stamp_ns, association, fits)
         return tuple(replace(fits[person], dropped_points=dropped) for person in sorted(fits))
 
@@ -146,11 +132,13 @@ class PeopleTracker:
                 expected.append(Expected(number, body, pose))
         return expected
 
-    def _give_back(self, seen: HullProducts, association: Association, free: Sequence[int]) -> dict[int, int]:
+    def _reassign_lost_tracks(
+        self, seen: HullProducts, association: Association, free: Sequence[int]
+    ) -> dict[int, int]:
         """Return for each person whom the hull does not show where they were expected the part to be looked for in."""
         missed = {number: p for number, p in sorted(self._persons.items()) if number not in association.parts}
         back: dict[int, int] = {}
-        for part in sorted(free, key=lambda part: (-_size_of(seen, part), part)):  # ghosts are small
+        for part in sorted(free, key=lambda part: (-_size_of(seen, part), part)):  # phantoms are small
             apart = {
                 number: float(np.linalg.norm(person.tracker.pose.position_world[:2] - _place_of(seen, part)))
                 for number, person in missed.items()
@@ -189,7 +177,7 @@ class PeopleTracker:
                 self._has_returned(number, person, seen.stamp_ns)
             elif gone:
                 continue
-            elif number in back and fit.state != LOST:  # perhaps a ghost: not believed yet
+            elif number in back and fit.state != LOST:  # perhaps a phantom: not believed yet
                 reason = fit.reason or "perhaps back: it has to fit a little longer"
                 fit = replace(fit, state=LOST, reason=reason, visible=np.zeros(15, dtype=bool))
             fits[number] = replace(fit, person=number)
@@ -202,7 +190,7 @@ class PeopleTracker:
             if another.away and another.tracker.body is not None:
                 self._checks.append(IdentityCheck(number, other))
 
-    def _part_doubles(self, fits: Mapping[int, Fit]) -> None:
+    def _merge_duplicate_tracks(self, fits: Mapping[int, Fit]) -> None:
         """Drop the one of two figures in one place that explains less: one person is not there twice."""
         for first, second in combinations(sorted(fits), 2):
             places = [fits[number].reference_points_world for number in (first, second)]

@@ -34,19 +34,14 @@ TRACKED_SHARE = 0.5  # of the corners must be found again to tell how far the bo
 
 
 @dataclass(frozen=True)
-class AccuracyGoals:
-    """Accuracy at which enough is known: sd of the focal length (share), of the principal point (px)."""
-
-    focal_sd: float = 0.001
-    centre_sd_px: float = 1.0
-
-
-@dataclass(frozen=True)
-class ExpectedAccuracy:
-    """What a calibration from the views so far would know: sd of focal length (share) and principal point (px)."""
+class LensAccuracy:
+    """How well a lens is known: sd of the focal length (share) and of the principal point (px)."""
 
     focal_sd: float
     centre_sd_px: float
+
+
+GOALS = LensAccuracy(focal_sd=0.001, centre_sd_px=1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +68,10 @@ class ViewCollector:
     """Collects views of ``board`` by one camera. ``every`` : take alike views, too (a few chosen photographs)."""
 
     def __init__(
-        self, board: Board, *, model: str = "plumb_bob", every: bool = False, goals: AccuracyGoals | None = None
+        self, board: Board, *, model: str = "plumb_bob", every: bool = False, goals: LensAccuracy = GOALS
     ) -> None:
         self._board, self._model, self._every = board, LensModel(model), every
-        self.goals = goals or AccuracyGoals()
+        self.goals = goals
         self._held: list[_CollectedView] = []
         self._lens: CameraModel | None = None
         self._fitted_sd: Array = np.empty(0)  # of the lens's parameters, when it was fitted
@@ -107,12 +102,13 @@ class ViewCollector:
         )
 
     @property
-    def expected(self) -> ExpectedAccuracy | None:
-        """None until there are enough views to tell; since the last fit by their number."""
+    def expected(self) -> LensAccuracy | None:
+        """What a calibration from the views so far would know, since the last fit by their number; None until there are
+        enough to tell."""
         if self._lens is None:
             return None
         sd = self._fitted_sd * np.sqrt(self._fitted / len(self))
-        return ExpectedAccuracy(float((sd[:2] / self._lens.K.diagonal()[:2]).max()), float(sd[2:4].max()))
+        return LensAccuracy(float((sd[:2] / self._lens.K.diagonal()[:2]).max()), float(sd[2:4].max()))
 
     @property
     def enough(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 
 from capture_rig.verdict import REDO, USABLE, Finding, graded
 
-from .lens_model import RATIONAL, REFERENCE_WIDTH_PX, LensModel, outermost_pixels
+from .lens_model import ASPECT_PRIOR, CENTRE_PRIOR, RATIONAL, REFERENCE_WIDTH_PX, LensModel, outermost_pixels
 from .result import Intrinsics
 
 # Limits of USABLE and REDO, px at 640 pixels of width: judgement.
@@ -20,8 +20,6 @@ REACH = (0.75, 0.5)  # of the half diagonal
 TILT_DEG = (20.0, 8.0)
 NOISE_PX = (0.4, 1.2)  # sd of a corner's coordinate
 NOISE_FACTOR, NOISE_HARMLESS_PX = 3.0, 0.15  # residuals against what the corners' own sharpness promises
-ASPECT_TOLERANCE = 0.02
-CENTRE_TOLERANCE = 0.12  # of the image's longer side
 FOCAL_RANGE = (0.3, 8.0)  # of the image's longer side
 LEFT_OUT_SHARE, CORNERS_LEFT_OUT_SHARE = 0.2, 0.03
 WARP_SDS, WARP_SHARE = 4.0, 0.002  # of the board's diagonal
@@ -156,14 +154,14 @@ def _plausibility(result: Intrinsics) -> Iterator[Finding]:
     aspect = abs(values["fx"] / values["fy"] - 1)
     yield from graded(
         aspect,
-        (ASPECT_TOLERANCE, inf),
+        (ASPECT_PRIOR, inf),
         f"fx and fy differ by {100 * aspect:.1f} %",
         "check that fields are as wide and as high as given, and that images are not stretched",
     )
     offset = np.hypot(values["cx"] - (camera.width - 1) / 2, values["cy"] - (camera.height - 1) / 2)
     yield from graded(
         offset / longer,
-        (CENTRE_TOLERANCE, inf),
+        (CENTRE_PRIOR, inf),
         f"the principal point lies {offset:.0f} px from the image's centre",
         "usual for a cut-out of a larger sensor only; else tilt the board more",
     )

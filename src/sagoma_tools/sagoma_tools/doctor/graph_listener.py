@@ -227,11 +227,11 @@ def _listen(node: Node, kind: type, topic: str, qos: QoSProfile) -> Heard:
     """Subscribe, and return the queue into which messages and their times are put."""
     heard: Heard = deque(maxlen=KEPT)
 
-    def take(message: Any, info: Any) -> None:
+    def on_message(message: Any, info: Any) -> None:
         heard.append((message, info))
 
     # rclpy's annotation has a callback that gets the message alone
-    node.create_subscription(kind, topic, cast(Callable[[Any], None], take), qos)
+    node.create_subscription(kind, topic, cast(Callable[[Any], None], on_message), qos)
     return heard
 
 
@@ -274,12 +274,12 @@ def ask_states(node: Node, names: Iterable[str]) -> tuple[dict[str, str], dict[s
         for question in range(QUESTIONS if client.wait_for_service(ANSWER_S) else 0):
             came, began_s, arrived_s = threading.Event(), time.perf_counter(), [0.0]
 
-            def take(_: Any, came: threading.Event = came, arrived_s: list[float] = arrived_s) -> None:
+            def on_answer(_: Any, came: threading.Event = came, arrived_s: list[float] = arrived_s) -> None:
                 arrived_s[0] = time.perf_counter()
                 came.set()
 
             future = client.call_async(GetState.Request())
-            future.add_done_callback(take)
+            future.add_done_callback(on_answer)
             if came.wait(ANSWER_S):
                 states[name] = cast(Any, future.result()).current_state.label
                 trips[name] = min(arrived_s[0] - began_s, trips.get(name, ANSWER_S))

@@ -10,7 +10,7 @@ from capture_rig.session import Session, footage_stamp_ns
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import BodyFollower, MocapPipeline
+from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import EPOCH_NS, FootageEnded, exact_silhouettes, ignore_end, pipeline_of, segmented
 
 from .people import main_track
@@ -67,7 +67,7 @@ def track_people(
         raise ValueError("variants of one run differ in the settings of cameras or hull")
     pipeline = MocapPipeline(session.rig, first) if exact_masks else pipeline_of(session, first)
     masks = exact_silhouettes(session, ended) if exact_masks else segmented(session, pipeline, ended)
-    followers = [pipeline.body, *(BodyFollower.of(other, session.rig) for other in others)]
+    followers = [pipeline.body, *(TrackingStage.of(other, session.rig) for other in others)]
     rows: list[dict[int, list[tuple[int, BodyState]]]] = [{FIRST_PERSON: []} for _ in followers]
     reasons: list[tuple[str, ...]] = []
     for frame, frame_masks in enumerate(masks):

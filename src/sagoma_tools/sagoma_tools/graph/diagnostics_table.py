@@ -51,8 +51,8 @@ class DiagnosticsTable:
     def __init__(self, node: Node) -> None:
         self._heard = threading.Condition()
         self._reports: dict[str, NodeReport] = {}
-        take = cast(Callable[[Any], None], self._take)  # rclpy's annotation has the message alone
-        self._subscription = node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, take, LOSSLESS)
+        on_message = cast(Callable[[Any], None], self._on_message)  # rclpy's annotation has the message alone
+        self._subscription = node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, on_message, LOSSLESS)
 
     def report(self, name: str) -> NodeReport | None:
         """Return the last report of the node with this fully qualified name."""
@@ -91,7 +91,7 @@ class DiagnosticsTable:
         table.caption_justify = "left"
         return table
 
-    def _take(self, message: DiagnosticArray, info: Mapping[str, int]) -> None:
+    def _on_message(self, message: DiagnosticArray, info: Mapping[str, int]) -> None:
         heard_s = time.monotonic()
         lead_s = 1e-9 * (to_ns(message.header.stamp) - info["received_timestamp"])
         with self._heard:

@@ -195,16 +195,16 @@ class _CallRound:
             self._unsent |= waiting
         sent = waiting - self._unsent
         for service, reply in (self._inferred(sent) if sent else {}).items():
-            self._take(service, reply)
+            self._add_answer(service, reply)
 
     def _send_ready(self, waiting: set[str]) -> None:
         for service in sorted(self._unsent & waiting):
             if self._clients[service].service_is_ready():
                 self._unsent.discard(service)
                 future = self._clients[service].call_async(self._requests[service])
-                future.add_done_callback(lambda done, service=service: self._take(service, done.result()))
+                future.add_done_callback(lambda done, service=service: self._add_answer(service, done.result()))
 
-    def _take(self, service: str, reply: Any) -> None:
+    def _add_answer(self, service: str, reply: Any) -> None:
         with self._answered:
             if self.replies[service] is None:
                 self.replies[service] = reply

@@ -116,7 +116,7 @@ class TakesFolder:
     def _settled(self, name: str) -> Take:
         """Return a take that nobody writes to."""
         take = self.find(name)
-        if take.state is TakeState.UNFINISHED and time.time() - _newest_change(take.path) < BEING_WRITTEN_S:
+        if take.state is TakeState.UNFINISHED and time.time() - _newest_change_ns(take.path) / 1e9 < BEING_WRITTEN_S:
             remedy = f"Finish the recording; if its recorder was killed, wait for {BEING_WRITTEN_S:.0f} s."
             raise InputError(f"'{name}' is being recorded", where=str(self.path), remedy=remedy)
         return take
@@ -210,10 +210,6 @@ def _signature(path: Path) -> tuple:
 
 def _newest_change_ns(path: Path) -> int:
     return max((ns for _, ns, _ in _signature(path)), default=0)
-
-
-def _newest_change(path: Path) -> float:
-    return _newest_change_ns(path) / 1e9
 
 
 def _size(path: Path) -> int:

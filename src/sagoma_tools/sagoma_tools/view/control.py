@@ -110,7 +110,7 @@ class Control:
                 return f"{self.recording} is being recorded already"
             folder = self._takes.new_path(name)
             self._recorder = Recorder(
-                self._link.node, folder, [*OUTPUT_TOPICS, DIAGNOSTICS], on_failure=self._tell_failure
+                self._link.node, folder, [*OUTPUT_TOPICS, DIAGNOSTICS], on_failure=self._report_failure
             )
             self._recorder.follow_graph()
             self._recording_to = folder
@@ -129,8 +129,8 @@ class Control:
         early = f"; {failure}" if failure is not None else ""
         return f"recorded {folder.name}: {sum(counts.values())} messages{early}"
 
-    def _tell_failure(self, error: InputError) -> None:
-        self._jobs.say(f"{error} The capture goes on.")
+    def _report_failure(self, error: InputError) -> None:
+        self._jobs.report(f"{error} The capture goes on.")
 
 
 def recording_text(name: str) -> str:

@@ -46,14 +46,14 @@ class Jobs:
         """End a countdown."""
         self.cancelled.set()
 
-    def say(self, text: str) -> None:
+    def report(self, text: str) -> None:
         """Show this until something else is said."""
         with self._lock:
             self._said = text
 
     def _run(self, what: str, work: Work) -> None:
         try:
-            said = work(self.say)
+            said = work(self.report)
         except InputError as error:
             said = str(error)
         except Exception as error:  # the page goes on, whatever a request met

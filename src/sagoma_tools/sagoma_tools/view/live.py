@@ -85,10 +85,10 @@ class LiveGraph:
         """Return everybody who is there, by id; None when nothing has changed."""
         now_s, changed = time.monotonic(), False
         for body_id, prefix in self._bodies.items():
-            state = self._feed.take(f"{prefix}/state")
+            state = self._feed.pop_newest(f"{prefix}/state")
             if state is not None:
                 self._states[body_id] = state.message
-            cloud = self._feed.take(f"{prefix}/reference_points")
+            cloud = self._feed.pop_newest(f"{prefix}/reference_points")
             if cloud is None:
                 continue
             points = read_reference_points(cloud, f"{prefix}/reference_points")
@@ -104,7 +104,7 @@ class LiveGraph:
 
     def new_voxels(self) -> np.ndarray | None:
         """Return the hull's voxels (m, 3), when there are newer ones."""
-        cloud = self._feed.take(VOXELS[0])
+        cloud = self._feed.pop_newest(VOXELS[0])
         return None if cloud is None else read_packet(cloud, VoxelSamples, VOXELS[0]).points_world
 
     def reports(self) -> dict[str, NodeReport | None]:
@@ -117,7 +117,7 @@ class LiveGraph:
     def draw_pictures(self, gui: viser.GuiApi, folder: viser.GuiFolderHandle) -> None:
         """Draw each camera's newest picture: its preview where the client publishes one, else its silhouette."""
         for order, (camera, topic) in enumerate(self._cameras.items()):
-            message = self._feed.take(topic)
+            message = self._feed.pop_newest(topic)
             if message is None:
                 continue
             image = cv2.imdecode(np.frombuffer(bytes(message.data), np.uint8), cv2.IMREAD_COLOR)
@@ -169,7 +169,7 @@ class Feed:
         """The topics that are subscribed to."""
         return frozenset(self._subscriptions)
 
-    def take(self, name: str) -> Any | None:
+    def pop_newest(self, name: str) -> Any | None:
         """Return the newest message of a topic, once; None while there is no newer one."""
         with self._lock:
             data = self._newest.pop(name, None)

@@ -90,7 +90,7 @@ class Page:
         playback = Playback.of(take)
         playback.playing = False
         self._show(playback)
-        self._jobs.say(f"{take.name}: its first pose, at {playback.position_s:.2f} s; '{PLAY}' plays it")
+        self._jobs.report(f"{take.name}: its first pose, at {playback.position_s:.2f} s; '{PLAY}' plays it")
 
     def show_live(self) -> None:
         """Go back to the live graph."""
@@ -98,7 +98,7 @@ class Page:
         self._scene.show({})
         self._show_rig(self._rig)
         self._take_panel.show_playback(None)
-        self._jobs.say("")
+        self._jobs.report("")
 
     def close(self) -> None:
         """Close the page."""
@@ -139,7 +139,7 @@ class Page:
                 with self.server.atomic():
                     self._draw_frame(now, next_at)
             except Exception as error:  # a message that cannot be read, a take that vanished: the page goes on
-                self._jobs.say(f"the page could not be drawn: {error}")
+                self._jobs.report(f"the page could not be drawn: {error}")
             self.frames += 1
             self._ended.wait(max(0.0, 1.0 / 30.0 - (time.monotonic() - now)))
 

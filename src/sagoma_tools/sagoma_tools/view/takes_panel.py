@@ -176,7 +176,7 @@ class TakesPanel:
 
     def _go_on(self, playback: Playback) -> None:
         playback.playing = True
-        self._jobs.say(f"playing {playback.take.name}")
+        self._jobs.report(f"playing {playback.take.name}")
 
     def _pause(self) -> None:
         """Stand still, or go on."""
@@ -188,7 +188,7 @@ class TakesPanel:
         else:
             playback.playing = False
             _set(self._position, round(playback.position_s, 2))
-            self._jobs.say(f"paused at {playback.position_s:.2f} s; '{PLAY}' goes on")
+            self._jobs.report(f"paused at {playback.position_s:.2f} s; '{PLAY}' goes on")
 
     def _jump(self, event: viser.GuiEvent) -> None:
         """Go on playing from where somebody has moved the slider to."""

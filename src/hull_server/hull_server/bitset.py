@@ -81,7 +81,7 @@ def high_bytes(word):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def span_of_words(row):  # type: ignore[no-untyped-def]
+def nonzero_span(row):  # type: ignore[no-untyped-def]
     """Return the first word of (n,) that is not zero, and the one after the last such; 0, 0 where all are zero."""
     filled = np.uint64(0)
     for word in row:

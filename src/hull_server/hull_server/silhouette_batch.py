@@ -12,8 +12,8 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, FOREGROUND, SHADOW_CANDIDATE, UNCERTAIN
 
+from .bitset import HIGH_BITS, high_bytes, nonzero_bytes, nonzero_span
 from .views import Box, Masks, RigViews
-from .words import high_bytes, nonzero_bytes, span_of_words
 
 BLIND = 1  # level of pixels that the camera does not see; no camera client sends it
 DARKEST, LIGHTEST = CANDIDATE_LEVELS[0], ATTENUATED_LEVELS[-1]  # levels from and to of pixels that may be shadow
@@ -22,10 +22,12 @@ FIRST_BITS = np.uint64(0x0101010101010101)  # of every byte of a word
 ALL_UNCERTAIN = FIRST_BITS * np.uint64(UNCERTAIN)  # a word of it
 NEITHER_SURE_NOR_BLIND = np.uint64(0xFEFEFEFEFEFEFEFE)  # bits that 0, BLIND and, turned over, FOREGROUND do not have
 
+ANYWHERE = (-(1 << 30), -(1 << 30), 1 << 30, 1 << 30)  # a box
+
 Mask = npt.NDArray[np.uint8]
 
 
-class LevelStack:
+class SilhouetteBatch:
     """Levels of all cameras of a rig, for one frame set after another. One thread at a time.
 
     levels (N, H, W) uint8: of ``capture_rig.mask_levels``; BLIND where a camera is absent or does not see.
@@ -72,6 +74,15 @@ class LevelStack:
         _threshold(self._words[camera], self._shown[camera], binary.view(np.uint64))
         return binary
 
+    def write_body_boxes(self, boxes: npt.NDArray[np.int64]) -> None:
+        """Write a box that holds each camera's pixels that may be the person to ``boxes`` (N, 4); an absent camera's is
+        boundless."""
+        for camera, absent in enumerate(self._absent):
+            if absent:
+                boxes[camera] = ANYWHERE
+            else:
+                _bound_body(self._words[camera], self._shown[camera], boxes[camera])
+
 
 def binary_mask(mask: Mask) -> Mask:
     """Make a mask of 0, UNCERTAIN and 255 as a camera alone would: candidates are background, attenuated pixels the
@@ -87,7 +98,7 @@ def _take(mask_words, blind_words, level_words, levels, shown, doubtful):  # typ
     The words are pixels, eight to a word; levels (H, W) are the same as level_words. ``shown`` comes with the box of
     the mask before, whose levels are forgotten. Returns whether any pixel may be shadow.
     """
-    left, top, right, bottom = bounds_of_words(mask_words)
+    left, top, right, bottom = nonzero_bounds(mask_words)
     for v in range(shown[1], shown[3]):
         first, last = shown[0] // 8, shown[2] // 8
         _copy(blind_words[v, first:last], level_words[v, first:last])
@@ -163,13 +174,26 @@ def _threshold(level_words, box, binary_words):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def bounds_of_words(words):  # type: ignore[no-untyped-def]
+def nonzero_bounds(words):  # type: ignore[no-untyped-def]
     """Bound all that is nonzero in (h, words): left, top, right, bottom, in words and rows; zeros where nothing is."""
     left, top, right, bottom = words.shape[1], words.shape[0], 0, 0
     for v in range(words.shape[0]):
         row = words[v]
-        first, last = span_of_words(row)
+        first, last = nonzero_span(row)
         if last:
             top, bottom = min(top, v), v + 1
             left, right = min(left, first), max(right, last)
     return (left, top, right, bottom) if bottom else (0, 0, 0, 0)
+
+
+@kernel
+def _bound_body(level_words, shown, box):  # type: ignore[no-untyped-def]
+    """Write the box of the pixels (H, W / 8) above SHADOW_CANDIDATE, or UNCERTAIN, within the box ``shown``."""
+    left, top, right, bottom = level_words.shape[1], level_words.shape[0], 0, 0
+    for v in range(shown[1], shown[3]):
+        for word in range(shown[0] // 8, shown[2] // 8):
+            uncertain = FIRST_BITS ^ nonzero_bytes(level_words[v, word] ^ ALL_UNCERTAIN)
+            if (level_words[v, word] & HIGH_BITS) | uncertain:
+                top, bottom = min(top, v), v + 1
+                left, right = min(left, word), max(right, word + 1)
+    box[0], box[1], box[2], box[3] = 8 * left, top, 8 * right, bottom

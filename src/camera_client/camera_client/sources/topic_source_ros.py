@@ -1,0 +1,232 @@
+"""A source that takes the images of any ROS driver: sensor_msgs/Image or CompressedImage on a topic."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.qos import ReliabilityPolicy as Reliability
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from sensor_msgs.msg import CameraInfo, CompressedImage
+from sensor_msgs.msg import Image as ImageMessage
+
+from capture_rig.errors import InputError
+from sagoma_ros.images import decode_image
+from sagoma_ros.messages import NS_PER_S, to_ns
+from sagoma_ros.raw import read_message
+
+from ..frame_source import Frame, FrameSource, SourceUnavailable
+from ..settings import TopicSettings
+from .footage_reader import convert_channels
+from .frame_numbers import FrameNumbers
+
+T = TypeVar("T")
+
+TYPES = {"sensor_msgs/msg/Image": ImageMessage, "sensor_msgs/msg/CompressedImage": CompressedImage}
+OURS = ("camera_info", "image_raw")  # what the client publishes in its own namespace
+CLOCK = "header of the topic"
+# Thresholds: judgement, no measurement.
+PATIENCE_S = 3.0  # for a publisher to be found, and for its first two images, which tell size and rate
+POLL_S = 0.05  # of discovery, which wakes nobody
+DEPTH = 4  # images that may wait: older ones make room, and count as lost
+
+
+class TopicSource(FrameSource):
+    """Images that a driver publishes; ``client`` is the name of the node that uses them, in ``namespace``.
+
+    ``use_lens`` is called with the driver's camera_info, where the settings name one, before the connection is made.
+
+    A frame's stamp is its header's plus ``stamp_offset_ms`` (a driver stamps the start or end of an exposure, or the
+    arrival; ours is mid-exposure). ROS headers are not numbered: a gap between stamps of n frame periods counts as
+    n - 1 lost frames. It subscribes as reliably as the publisher offers, in a node and on a thread of its own.
+    """
+
+    def __init__(
+        self,
+        settings: TopicSettings,
+        channels: str = "auto",
+        client: str = "camera_client",
+        namespace: str = "/",
+        context: Context | None = None,
+        use_lens: Callable[[CameraInfo], None] = lambda info: None,
+    ) -> None:
+        super().__init__()
+        self._use_lens = use_lens
+        self._client = client
+        self._settings, self._channels, self._namespace, self._context = settings, channels, namespace, context
+        self._node: Node | None = None
+        self._executor: SingleThreadedExecutor | None = None
+        self._spinner: threading.Thread | None = None
+        self._kind: type[ImageMessage] | type[CompressedImage] = ImageMessage
+        self._waiting: deque[tuple[bytes, int]] = deque(maxlen=DEPTH)  # serialised images, when they arrived, ns
+        self._arrived = threading.Condition()
+        self._running = False
+        self._shape: tuple[int, ...] = ()
+        self._rate_hz = 0.0
+        self._numbers = FrameNumbers()
+        self._camera_info: CameraInfo | None = None
+
+    def connect(self) -> None:
+        if not self._settings.name:
+            raise InputError(
+                "is empty", where="parameter topic.name", remedy="Name the driver's image topic: /usb_cam1/image_raw."
+            )
+        self._node = Node("images", namespace=self._namespace, context=self._context, use_global_arguments=False)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        try:
+            self._subscribe(self._publishers())
+        except BaseException:
+            self.close()
+            raise
+
+    def _subscribe(self, publishers: list[TopicEndpointInfo]) -> None:
+        """Learn size, rate and lens from the first images. Raises InputError."""
+        node, deadline_s = self._node, time.monotonic() + PATIENCE_S
+        assert node is not None
+        kinds = {info.topic_type for info in publishers}
+        if len(kinds) != 1 or kinds.isdisjoint(TYPES):
+            raise InputError(
+                f"carries {', '.join(sorted(kinds))}",
+                where=self.description,
+                remedy="Name a topic of sensor_msgs Image or CompressedImage.",
+            )
+        self._kind = TYPES[kinds.pop()]
+        offers = {info.qos_profile.reliability for info in publishers}
+        qos = QoSProfile(depth=DEPTH, reliability=max(offers, key=lambda offer: offer == Reliability.BEST_EFFORT))
+        node.create_subscription(self._kind, self._settings.name, self._on_image, qos, raw=True)
+        if lens := self._settings.camera_info:
+            node.create_subscription(CameraInfo, lens, self._on_camera_info, qos)
+        self._first(lambda: self._waiting if len(self._waiting) > 1 else None, self._settings.name, deadline_s)
+        first, second = (self._frame(*self._waiting.popleft()) for _ in range(2))
+        if lens:
+            self._use_lens(self._first(lambda: self._camera_info, lens, deadline_s))
+        self._check_own_namespace()  # by now all that the driver publishes is known
+        self._shape = first.image.shape
+        self._rate_hz = NS_PER_S / max(second.stamp_ns - first.stamp_ns, 1)
+        if abs(age_s := (time.time_ns() - second.stamp_ns) / NS_PER_S) > 1.0:
+            self.warnings = (
+                f"{self.description}: its stamps are {age_s:.0f} s older than this machine's clock; "
+                "cameras agree only where all drivers stamp by one clock",
+            )
+
+    def _publishers(self) -> list[TopicEndpointInfo]:
+        """Return who publishes the images. Raises SourceUnavailable when nobody does."""
+        node, topic = self._node, self._settings.name
+        assert node is not None
+        find = lambda: node.get_publishers_info_by_topic(node.resolve_topic_name(topic)) or None  # noqa: E731
+        found = self._spin_for(find, time.monotonic() + PATIENCE_S)
+        if found is None:
+            raise SourceUnavailable("nobody publishes it", where=self.description)
+        return found
+
+    def _check_own_namespace(self) -> None:
+        """Raises InputError when the driver publishes what the client itself publishes under the same name."""
+        assert self._node is not None
+        for topic in map(self._node.resolve_topic_name, OURS):
+            theirs = [i for i in self._node.get_publishers_info_by_topic(topic) if i.node_name != self._client]
+            if theirs:
+                raise InputError(
+                    f"node {theirs[0].node_name} publishes {topic}, as the camera client does of its own images",
+                    where=self.description,
+                    remedy=f"Start the driver in another namespace: --ros-args -r __ns:=/driver{self._namespace}",
+                )
+
+    def _spin_for(self, take: Callable[[], T | None], deadline_s: float) -> T | None:
+        """Return what ``take`` gives once it gives something, or None after ``deadline_s``."""
+        assert self._executor is not None
+        while (found := take()) is None and time.monotonic() < deadline_s:
+            self._executor.spin_once(timeout_sec=POLL_S)
+        return found
+
+    def _first(self, take: Callable[[], T | None], topic: str, deadline_s: float) -> T:
+        if (found := self._spin_for(take, deadline_s)) is None:
+            raise SourceUnavailable(f"nothing came on {topic} within {PATIENCE_S:.0f} s", where=self.description)
+        return found
+
+    def start(self) -> None:
+        if self._executor is None:
+            raise InputError("is not connected", where=self.description, remedy="Call connect() first.")
+        if self._running:
+            return
+        self._running = True
+        self._waiting.clear()
+        self._numbers.restart()
+        self._statistics.restart()
+        self._spinner = threading.Thread(target=self._executor.spin, name="images", daemon=True)
+        self._spinner.start()
+
+    def read(self, timeout_s: float) -> Frame | None:
+        with self._arrived:
+            if not self._arrived.wait_for(lambda: self._waiting, timeout_s):
+                return None
+            message, arrived_ns = self._waiting.popleft()
+        frame = self._frame(message, arrived_ns)
+        if frame.image.shape != self._shape:
+            raise SourceUnavailable(
+                f"images changed from {self._shape} to {frame.image.shape} (rows, columns)", where=self.description
+            )
+        number, repeated = self._numbers.add(frame.stamp_ns), self._statistics.repeated
+        self._statistics.add(number)
+        return replace(frame, frame_id=number) if self._statistics.repeated == repeated else None
+
+    def stop(self) -> None:
+        if not self._running:
+            return
+        self._running = False
+        assert self._executor is not None and self._spinner is not None and self._node is not None
+        self._executor.shutdown(timeout_sec=1.0)
+        self._spinner.join(1.0)
+        self._executor = SingleThreadedExecutor(context=self._context)  # one that was shut down spins no more
+        self._executor.add_node(self._node)
+
+    def close(self) -> None:
+        self.stop()
+        if self._executor is not None:
+            self._executor.shutdown(timeout_sec=1.0)
+        if self._node is not None:
+            self._node.destroy_node()
+        self._node = self._executor = None
+        self._waiting.clear()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self._shape
+
+    @property
+    def description(self) -> str:
+        return f"topic {self._settings.name}"
+
+    @property
+    def details(self) -> dict[str, str]:
+        return {"frame_rate": f"{self._rate_hz:.2f}"} | self._numbers.details()
+
+    def _on_image(self, message: bytes) -> None:
+        with self._arrived:
+            if len(self._waiting) == DEPTH:
+                self.count("overwritten")
+            self._waiting.append((message, time.time_ns()))
+            self._arrived.notify()
+
+    def _on_camera_info(self, message: CameraInfo) -> None:
+        self._camera_info = message
+
+    def _frame(self, message: bytes, arrived_ns: int) -> Frame:
+        """Decode a message. Raises InputError for one that is damaged or of an unknown encoding."""
+        settings = self._settings
+        image = read_message(message, self._kind)
+        stamp_ns, clock, uncertainty_ms = to_ns(image.header.stamp), CLOCK, settings.stamp_uncertainty_ms
+        if not stamp_ns:
+            self.count("without_stamp")
+            stamp_ns, clock = arrived_ns, "arrival"
+        stamp_ns += round(settings.stamp_offset_ms * 1e6)
+        pixels = convert_channels(decode_image(image, settings.name, settings.bits), self._channels)
+        return Frame(pixels, stamp_ns, 0, clock, round(uncertainty_ms * 1e6))

@@ -1,0 +1,220 @@
+"""Images of a ROS driver as a source: what it publishes is tracked as if the camera were ours."""
+
+import contextlib
+import threading
+import time
+
+import numpy as np
+import pytest
+from camera_probe import NAMESPACE
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+
+from camera_client.frame_source import SourceUnavailable
+from camera_client.settings import TopicSettings
+from camera_client.sources.topic_source_ros import TopicSource
+from capture_rig.errors import InputError
+from sagoma_ros.images import camera_info_message, decode_silhouette, image_message, preview_message
+from sagoma_ros.messages import to_stamp
+
+TOPIC = f"/driver{NAMESPACE}/image_raw"
+PERIOD_S = 0.02
+
+
+class Driver:
+    """A foreign driver: publishes pictures in turn, stamped by the system clock, until it is closed."""
+
+    def __init__(self, kind=Image, topic=TOPIC, qos=qos_profile_sensor_data, info=None):
+        self.context = Context()
+        self.context.init()
+        self.node = Node("usb_cam", context=self.context, use_global_arguments=False)
+        self.images = self.node.create_publisher(kind, topic, qos)
+        self.infos = info and self.node.create_publisher(CameraInfo, f"/driver{NAMESPACE}/camera_info", 10)
+        self.info, self.messages, self.stamps_ns, self.clock_ns = info, [], [], None
+        self.node.create_timer(PERIOD_S, self.publish)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.thread = threading.Thread(target=self.spin, daemon=True)
+
+    def spin(self):
+        with contextlib.suppress(ExternalShutdownException):
+            self.executor.spin()
+
+    def publish(self):
+        message = self.messages[len(self.stamps_ns) % len(self.messages)]
+        stamp_ns = next(self.clock_ns) if self.clock_ns else time.time_ns()
+        message.header.stamp = to_stamp(stamp_ns)
+        self.stamps_ns.append(stamp_ns)
+        self.images.publish(message)
+        if self.infos:
+            self.info.header.stamp = message.header.stamp
+            self.infos.publish(self.info)
+
+    def start(self, messages):
+        self.messages = messages
+        self.thread.start()
+        return self
+
+    def close(self):
+        self.executor.shutdown()
+        if self.thread.is_alive():
+            self.thread.join(5)
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def driver():
+    made = []
+
+    def make(**options):
+        made.append(Driver(**options))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.fixture
+def source(ros_context):
+    made = []
+
+    def make(channels="auto", **settings):
+        settings = TopicSettings(**{"name": TOPIC, **settings})
+        made.append(TopicSource(settings, channels, "camera_client", NAMESPACE, ros_context))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def read(source):
+    """The next frame, however long that takes."""
+    while (frame := source.read(1.0)) is None:
+        pass
+    return frame
+
+
+def pictures(scene, count=5):
+    return [image_message(image, 0, "usb_cam") for image in scene.empty(count)]
+
+
+def test_driver_is_a_camera_of_the_graph(bench, session, scene, driver):
+    driver().start([image_message(scene.with_person(image), 0, "usb_cam") for image in scene.empty(5, seed=4)])
+    topic = {"source": "topic", "topic.name": TOPIC, "topic.stamp_offset_ms": -7.5, "topic.stamp_uncertainty_ms": 3.0}
+    camera = bench(**{**session.parameters, **topic}).start()
+    camera.until(lambda: len(camera.masks) >= 5)
+    canvas = scene.camera().undistorted_view().camera
+    mask = decode_silhouette(camera.masks[-1], canvas.width, canvas.height, "test")
+    found, truth = mask[: scene.height, : scene.width] > 0, session.truth > 0
+    assert (found & truth).sum() / (found | truth).sum() > 0.9
+    assert camera.node.settings.source == "topic"
+    camera.until(lambda: camera.diagnostics and "stamp_source" in camera.values())
+    values = camera.values()
+    assert values["stamp_source"] == "header of the topic" and float(values["frame_rate"]) > 5
+
+
+def test_stamps_are_the_drivers_moved_to_the_middle_of_the_exposure(source, scene, driver):
+    usb = driver().start(pictures(scene))
+    topic = source(stamp_offset_ms=-7.5, stamp_uncertainty_ms=3.0)
+    topic.connect()
+    topic.start()
+    frames = [read(topic) for _ in range(4)]
+    assert {frame.stamp_ns + 7_500_000 for frame in frames} <= set(usb.stamps_ns)
+    assert {frame.uncertainty_ns for frame in frames} == {3_000_000}
+    assert np.diff([frame.stamp_ns for frame in frames]).min() > 0
+
+
+def test_a_gap_of_stamps_counts_as_lost_frames_and_an_older_stamp_as_repeated(source, scene, driver):
+    usb = driver()
+    usb.clock_ns = gaps(10**18, steps=[1, 1, 1, 1, 1, 1, 1, 1, 4, -1, 2])
+    usb.start(pictures(scene))
+    topic = source()
+    topic.connect()
+    topic.start()
+    while topic.statistics.repeated < 2:
+        topic.read(1.0)
+    counts = topic.statistics.counts()
+    assert counts["lost"] >= 3 and counts["expected"] == counts["delivered"] + counts["lost"]
+
+
+def gaps(begin_ns, steps):
+    """A clock that goes on by these numbers of frame periods in turn."""
+    now_ns = begin_ns
+    while True:
+        for step in steps:
+            now_ns += round(step * PERIOD_S * 1e9)
+            yield now_ns
+
+
+@pytest.mark.parametrize("kind", [Image, CompressedImage])
+@pytest.mark.parametrize("channels, ndim", [("mono", 2), ("colour", 3)])
+def test_both_types_come_in_the_channels_that_are_asked_for(source, scene, driver, kind, channels, ndim):
+    image = scene.empty(1)[0]
+    message = image_message(image, 0, "c") if kind is Image else preview_message(image, 0, "c")
+    driver(kind=kind).start([message])
+    topic = source(channels)
+    topic.connect()
+    assert topic.shape == (scene.height, scene.width, 3)[:ndim]
+    topic.start()
+    seen = read(topic).image
+    assert np.abs(seen.reshape(scene.height, scene.width, -1).mean(axis=2) - image).mean() < 3
+
+
+def test_lens_of_the_driver_replaces_the_rigs(bench, session, scene, driver):
+    lens = scene.camera()
+    info = camera_info_message(lens, 0, "usb_cam")
+    info.k[0] = info.p[0] = 140.0
+    driver(info=info).start(pictures(scene))
+    topic = {"source": "topic", "topic.name": TOPIC, "topic.camera_info": f"/driver{NAMESPACE}/camera_info"}
+    camera = bench(**{**session.parameters, **topic}).start()
+    camera.until(lambda: camera.masks)
+    assert camera.node.chain.camera.K[0, 0] == 140.0
+
+
+def test_absent_driver_is_awaited_and_named(bench, session, scene, driver):
+    camera = bench(**{**session.parameters, "source": "topic", "topic.name": TOPIC}).start()
+    camera.until_said("nobody publishes it")
+    driver().start(pictures(scene))
+    camera.until(lambda: camera.masks)
+
+
+def test_topic_must_be_named(source):
+    with pytest.raises(InputError, match=r"topic\.name: is empty"):
+        source(name="").connect()
+
+
+def test_driver_in_the_clients_own_namespace_is_refused_with_the_remedy(source, scene, driver):
+    driver(topic=f"{NAMESPACE}/image_raw").start(pictures(scene))
+    with pytest.raises(InputError, match=f"usb_cam publishes {NAMESPACE}/image_raw.*__ns:=/driver{NAMESPACE}"):
+        source(name="image_raw").connect()
+
+
+def test_topic_of_another_type_is_refused(source, driver):
+    driver(kind=CameraInfo).start([CameraInfo()])
+    with pytest.raises(InputError, match="carries sensor_msgs/msg/CameraInfo"):
+        source().connect()
+
+
+def test_driver_that_sends_nothing_is_unavailable(source, driver):
+    driver()
+    topic, said = source(), "nobody"
+    while "nobody" in said:  # until the driver is discovered
+        with pytest.raises(SourceUnavailable) as error:
+            topic.connect()
+        said = str(error.value)
+    assert f"nothing came on {TOPIC}" in said
+
+
+def test_stamps_by_another_clock_are_a_warning(source, scene, driver):
+    usb = driver()
+    usb.clock_ns = gaps(time.time_ns() - 90 * 10**9, steps=[1])
+    usb.start(pictures(scene))
+    topic = source()
+    topic.connect()
+    assert "90 s older" in topic.warnings[0]
