@@ -86,9 +86,10 @@ def main() -> None:
     for path in sorted(arguments.products.glob("avatar_*.pkl")):
         if arguments.names and not any(part in path.stem for part in arguments.names):
             continue
-        errors, words = errors_of(load(path), settings), path.stem.split("_")
+        errors, words = errors_of(load(path), settings), path.stem.removesuffix("_own").split("_")
         each.row(path.stem, *figures([errors]).values())
-        by_row[f"{words[1]}, {words[-1].strip('ringb')} cameras"].append(errors)
+        own = ", own silhouettes" if path.stem.endswith("_own") else ""
+        by_row[f"{words[1]}, {words[-1].strip('ringb')} cameras{own}"].append(errors)
         by_family[words[1]].append(errors)
     shown, table = Table(f"family:<26 | {columns}"), {}
     for name, several in by_row.items():

@@ -24,7 +24,6 @@ from sagoma_tools.evaluation.track import Track
 from stick_figure.skeleton import POINT_NAMES
 
 CHANGES: dict[str, dict[str, object]] = {
-    "ours without sticks inside the hull": {SOLVE + "volume.inside_weight": 0.0},
     "ours without the hull's surface": {SOLVE + "volume.weight": 0.0},
     "ours without contour rays": {SOLVE + "contour.weight": 0.0},
     "ours without the search for better poses": {"icp_tracker.recovery.search": False},
@@ -33,13 +32,7 @@ CHANGES: dict[str, dict[str, object]] = {
     "ours, a rigid trunk": {SOLVE + "contour.bend": 0.0, "ekf_tracker.filter.bend": 0.0},
     "ours, hands and feet stiff": {SOLVE + "contour.turn_sd": 0.0},
     "ours, joint centres of the figure": {SOLVE + "contour.joint_centres": False},
-    "ours, loose prior": {
-        SOLVE + "prior.position_sd_m": 1.0,
-        SOLVE + "prior.rotation_sd": 1.0,
-        SOLVE + "prior.ball_sd": 0.7,
-        SOLVE + "prior.hinge_sd": 0.7,
-    },
-    "ours, arms may cross the torso": {SOLVE + "volume.clearance_weight": 0.0},
+    "ours, loose prior": {SOLVE + "prior": 4.0},
     "ours, identity model": {"ekf_tracker.motion_model": "identity"},
     "ours, every error new in every set": {"ekf_tracker.filter.measurement_bias.share": 0.0},
     "ours, joints known for certain": {"ekf_tracker.filter.measurement_bias.joints": 0.0},

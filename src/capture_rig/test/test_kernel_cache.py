@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from numba.core import event
@@ -90,6 +91,13 @@ def test_moved_checkout_finds_its_cache_and_recompiles_what_calls_a_changed_kern
     (checkout / "play" / "play" / "caller.py").write_text("\n\n" + CALLER)
     assert run(checkout) == [30, -1, 0, 1]
     assert sorted(path.name for path in checkout.rglob("*.nb?")) == before  # nothing of the old ones is left
+
+
+def test_cache_that_names_a_class_which_is_gone_is_made_anew(checkout):
+    (index,) = checkout.rglob("caller.caller*.nbi")
+    index.write_bytes(pickle.dumps(numba.__version__) + b"cgone\nPlay\n.")
+    assert run(checkout) == [20, -1, 0, 1]
+    assert run(checkout) == [20, -1, 1, 1]
 
 
 def test_kernels_are_kept_in_a_temporary_folder_where_neither_checkout_nor_home_can_be_written(checkout, tmp_path):

@@ -5,10 +5,9 @@ hierarchical ICP of thesis 4.3, but the 24 tangent components of the pose are so
 limb is frozen before its descendants are fitted:
 
     minimise  sum_i rho(|x_i - c_i|) / sigma_i^2  +  sum_v rho(distance of voxel v from the body's surface) / sigma_v^2
-              +  sum_r rho(distance of contour ray r from the body's surface) / sigma_r^2
-              +  sum_s rho(distance of stick point s from the hull) / sigma_s^2  +  |pose (-) start|^2_Lambda
+              +  sum_r rho(distance of contour ray r from the body's surface) / sigma_r^2  +  |pose (-) start|^2_Lambda
 
-with c_i the foot point on the closest stick, rho Geman-McClure or X84, and Lambda a weak prior that holds what the
+with c_i the foot point on the closest stick, rho Geman-McClure, and Lambda a weak prior that holds what the
 data do not show. Ball joints move on SO(3): no gimbal lock. Elbows and knees may pass straight during the solve (a
 limit there is a saddle that traps arms) and are bent the right way again afterwards, with the same points. Weights are
 equivalent centerline points: a term of weight 900 counts as much as 900 points of the centerline.
@@ -17,7 +16,6 @@ equivalent centerline points: a term of weight 900 counts as much as 900 points 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -28,13 +26,11 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.joint_centres import with_joint_centres
 from stick_figure.least_squares import gauss_newton
-from stick_figure.least_squares.contour_factor import RayArrays
+from stick_figure.least_squares.contour_factor import RayArrays, RayMatch
 from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
-from stick_figure.least_squares.gauss_newton import Data, DataMatch, Scale, Stop, Weights
-from stick_figure.least_squares.hull_samples import HullSamples
+from stick_figure.least_squares.gauss_newton import Data, Scale, Stop, Weights
 from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure, State
-from stick_figure.least_squares.point_factor import GEMAN_MCCLURE, SIGMA_FLOOR_M, X84
 from stick_figure.pose import Pose
 
 # Thresholds: the former chosen with python bench/people.py --ablation SESSION, in steps of about a half, the last
@@ -45,17 +41,23 @@ HINGE_MARGIN = 0.15  # rad a hinge may stay on the wrong side of straight
 STEP_LIMIT = 0.5  # m, rad, largest component of one step
 VOXEL_GATE_M = 0.06  # distance at which a voxel's weight has fallen to 1/4
 TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight has fallen to a half
-INSIDE_SAMPLES = 1000  # voxels of surface and interior that stand for the hull
-INSIDE_SLACK_M = 0.045  # distance from them that still counts as inside: the spacing of the samples
-INSIDE_GATE_M = 0.2  # distance at which the weight of a point outside has fallen to 1/4
+HULL_SAMPLES = 1000  # voxels of surface and interior that stand for the hull
 CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
 CONTOUR_SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
+# of what is known without data; twice and three times as wide loses arms of stylised people (bench/families.py)
+POSITION_SD_M, ROTATION_SD, BALL_SD, HINGE_SD = 0.1, 0.2, 0.15, 0.2  # m, rad, about the start
+NECK_SD, NECK_PITCH = 0.25, 0.1  # rad, of the head about its rest, forward of the torso's axis; not in the covariance
+LIMIT_SD = 0.2  # rad, joint limits, as a soft cost beyond the range; not in the covariance
 # of its covariance and visibility; checked by bench/covariance_coverage.py of commit d6079d2
 UNSEEN_SD = 0.5  # m, rad, of what no row bears on: a forearm that nothing shows may be 15 cm off
 COVARIANCE_SHARE = 0.05  # of their weight with which voxels enter the covariance: their errors are common to many
 SUPPORT_POINTS = 3  # inliers that make a reference point visible
 SUPPORT_VOXELS = 5  # surface voxels on the body near a point's stick that make it visible without inliers
 UNKNOWN_SD_M = 10.0  # standard deviation of a point about which nothing is known
+PRIOR_SD = np.repeat([POSITION_SD_M, ROTATION_SD, BALL_SD], [3, 3, TANGENT - 6])
+PRIOR_SD[kernels.HINGE_SLOT] = HINGE_SD
+PRIOR = PRIOR_SD**-2
+GUESS = 3.0  # so many times as wide is the prior of a fit that starts from a guess
 UNSEEN = np.full(TANGENT, UNSEEN_SD**-2)
 # sticks that meet at each reference point, one or two: torso centre, head tip, neck, shoulders, hips, elbows, knees,
 # hands, feet
@@ -64,44 +66,13 @@ SECOND_SUPPORT = np.array([0, 1, 1, 2, 3, 4, 5, 6, 7, 8, 9, 6, 7, 8, 9])
 
 
 @dataclass(frozen=True)
-class PriorSettings:
-    """How far the pose may leave its start where no datum says otherwise: standard deviations of a Gaussian prior."""
-
-    position_sd_m: float = setting(0.1, "torso position", unit="m", low=1e-4, high=100.0)
-    rotation_sd: float = setting(0.2, "torso rotation", unit="rad", low=1e-4, high=100.0)
-    ball_sd: float = setting(0.15, "neck, shoulders and hips", unit="rad", low=1e-4, high=100.0)
-    hinge_sd: float = setting(0.2, "elbows and knees", unit="rad", low=1e-4, high=100.0)
-    neck_sd: float = setting(
-        0.25, "head about its rest direction; in the solve, not in the covariance (0: off)", unit="rad", low=0.0
-    )
-    neck_pitch: float = setting(0.1, "rest direction of the head, forward of the torso's axis", unit="rad")
-    limit_sd: float = setting(
-        0.2, "joint limits, as a soft cost beyond the range; not in the covariance (0: off)", unit="rad", low=0.0
-    )
-
-    @cached_property
-    def information(self) -> np.ndarray:
-        """The (24,) inverse variances of the tangent slots."""
-        sd = np.full(TANGENT, self.ball_sd)
-        sd[:3], sd[3:6] = self.position_sd_m, self.rotation_sd
-        sd[kernels.HINGE_SLOT] = self.hinge_sd
-        return 1.0 / sd**2
-
-
-@dataclass(frozen=True)
 class VolumeSettings:
-    """The voxels of the hull against the body's surface and sticks."""
+    """The voxels of the hull against the body's surface."""
 
     weight: float = setting(
         900.0, "all surface voxels together, in centerline points; 0 leaves the voxels out", low=0.0, high=1e6
     )
     samples: int = setting(1000, "surface voxels that are used", low=10, high=100000)
-    inside_weight: float = setting(
-        6.0, "one point of a stick outside the hull, in centerline points; 0: off", low=0.0, high=1e6
-    )
-    clearance_weight: float = setting(
-        10.0, "keeping an arm out of the torso, in centerline points; 0: off", low=0.0, high=1e6
-    )
 
 
 @dataclass(frozen=True)
@@ -133,11 +104,6 @@ class ContourSettings:
 class ArticulatedSettings:
     """Settings of the all-joints solve."""
 
-    robust: str = setting(
-        "geman_mcclure",
-        "weight of distant points: smooth (hulls) or X84 rejection per stick (clean points)",
-        choices=("geman_mcclure", "x84"),
-    )
     gate_m: float = setting(0.08, "distance at which a Geman-McClure weight has fallen to 1/4", unit="m", low=1e-3)
     model_sigma_m: float = setting(
         0.03, "distance of a perfect centerline point from its stick (a body is no stick figure)", unit="m", low=1e-4
@@ -145,11 +111,13 @@ class ArticulatedSettings:
     correlation: float = setting(
         4.0, "data that carry the information of one independent datum (neighbours share voxels)", low=1.0
     )
+    prior: float = setting(
+        1.0, "how far a pose may leave its start where no datum says otherwise, over 0.1 m, 0.15 to 0.2 rad", low=1e-3
+    )
     max_iterations: int = setting(8, "Gauss-Newton iterations at most", low=1, high=1000)
     tolerance_m: float = setting(
         0.002, "converged when an iteration moves no reference point farther than this", unit="m", low=0.0
     )
-    prior: PriorSettings = setting(PriorSettings, "prior about the start of the fit")
     volume: VolumeSettings = setting(VolumeSettings, "the hull's voxels")
     contour: ContourSettings = setting(ContourSettings, "the contour rays")
 
@@ -169,7 +137,7 @@ class FitResult:
     rms_m : root mean square distance (m) of the inliers to their sticks; stick_inliers : (10,) inliers a stick.
     reference_points_world : (15, 3) m; covariance : (15, 3, 3) m^2, from the solver's information.
     visible : (15,) bool, enough points support a stick that meets at the reference point.
-    matched : what the rays and voxels were matched to.
+    matched : what the rays were matched to.
     """
 
     pose: Pose
@@ -182,7 +150,7 @@ class FitResult:
     reference_points_world: np.ndarray
     covariance: np.ndarray
     visible: np.ndarray
-    matched: DataMatch
+    matched: RayMatch
 
 
 def fit_articulated(
@@ -257,7 +225,6 @@ def make_data(
     sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
     volume = settings.volume
     surface = (voxels if volume.weight > 0.0 else NO_VOXELS).surface_points(volume.samples)
-    hull = (voxels if volume.inside_weight > 0.0 else NO_VOXELS).hull_points(INSIDE_SAMPLES)
     contour_rays = contour_rays if settings.contour.weight > 0.0 else NO_CONTOUR_RAYS
     if visibility is not None:
         whole = visibility.near_unseen.rows_outside(points)
@@ -269,8 +236,9 @@ def make_data(
         1.0 / (settings.model_sigma_m**2 + sigma**2),
         gate2,
         surface,
-        HullSamples.of(hull, EVERYWHERE if visibility is None else visibility.unseen_cells),
+        np.ascontiguousarray(voxels.hull_points(HULL_SAMPLES), dtype=np.float64),
         _contour_rays(rays_in_use(contour_rays, settings, visibility), settings),
+        EVERYWHERE if visibility is None else visibility.unseen_cells,
     )
 
 
@@ -293,24 +261,17 @@ def _contour_rays(rays: ContourRays, settings: ArticulatedSettings) -> RayArrays
 
 def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
     """Turn the settings into information: what counts how much."""
-    prior, volume, one = settings.prior, settings.volume, 1.0 / settings.model_sigma_m**2
-    voxels = len(data.voxels)
+    volume, one, voxels = settings.volume, 1.0 / settings.model_sigma_m**2, len(data.voxels)
     return Weights(
-        prior=prior.information,
-        robust=X84 if settings.robust == "x84" else GEMAN_MCCLURE,
-        floor=SIGMA_FLOOR_M,
+        prior=PRIOR / settings.prior**2,
         voxel=volume.weight * one / voxels if voxels else 0.0,
         voxel_gate=VOXEL_GATE_M,
         voxel_tight=TIGHT_M,
         contour_gate=CONTOUR_GATE_M,
         contour_slack=CONTOUR_SLACK_M,
-        clearance=volume.clearance_weight * one if voxels else 0.0,
-        inside=volume.inside_weight * one if len(data.hull.points) else 0.0,
-        inside_slack=INSIDE_SLACK_M,
-        inside_gate=INSIDE_GATE_M,
-        neck=_information(prior.neck_sd),
-        neck_pitch=prior.neck_pitch,
-        limit=_information(prior.limit_sd),
+        neck=NECK_SD**-2,
+        neck_pitch=NECK_PITCH,
+        limit=LIMIT_SD**-2,
         ends=CORRELATED * _information(settings.contour.turn_sd),
     )
 

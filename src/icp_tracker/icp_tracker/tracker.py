@@ -168,7 +168,7 @@ class IcpTracker:
         self._pose = fit.pose
         judged = self._judged(seen.stamp_ns, started_from, fit, found)
         if found.better is None and found.quality.state == GOOD and self._body is not None:
-            self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays, fit.matched.rays)
+            self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays, fit.matched)
         return judged
 
     def _start(self, body: Body, own: Pose, stamp_ns: int, prediction: Prediction | None) -> tuple[Pose, str]:
@@ -276,13 +276,13 @@ class IcpTracker:
         settings, body = self._settings, found.body
         if body is None or settings.refinement.keyframes == 0 or not self.needs_contour_rays:
             return None
-        prior, contour = settings.articulated.prior, settings.articulated.contour
+        contour = settings.articulated.contour
         if found.estimate is None:
             if body.build.any():
                 return None
-            return BodyRefiner(known_sizes(body), settings.refinement, prior, body, contour.bend, contour.turn_sd)
+            return BodyRefiner(known_sizes(body), settings.refinement, body, contour.bend, contour.turn_sd)
         bend, turn_sd, build = contour.bend, contour.turn_sd, body.build
-        return BodyRefiner(found.estimate, settings.refinement, prior, bend=bend, turn_sd=turn_sd, build=build)
+        return BodyRefiner(found.estimate, settings.refinement, bend=bend, turn_sd=turn_sd, build=build)
 
 
 def make_tracker(settings: IcpNodeSettings, visibility: RigVisibility | None = None) -> IcpTracker:
@@ -321,9 +321,9 @@ def warm_up(settings: TrackerSettings) -> None:
         data = make_data(points, 0.01, voxels, settings.articulated, contour_rays)
         matched = assess(body, pose, data, 0, True, settings.articulated).matched
         for k in range(2):
-            trunk.look(k, body, pose, data.contour_rays, matched.rays)
+            trunk.look(k, body, pose, data.contour_rays, matched)
     if settings.refinement.keyframes > 0:
-        warm_up_refiner(settings.refinement, settings.articulated.prior)
+        warm_up_refiner(settings.refinement)
 
 
 def _solution(fit: FitResult) -> Solution:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from capture_rig.visibility import EVERYWHERE
 from stick_figure.body import Body
 from stick_figure.kinematics import sticks
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.least_squares.gauss_newton import Data, Weights
-from stick_figure.least_squares.hull_samples import HullSamples
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
@@ -91,15 +91,13 @@ def placed(body, pose):
 
 NO_POINTS = np.empty((0, 3))
 NO_RAYS = RayArrays(np.empty((13, 0)), np.empty(0))
-NO_DATA = Data(NO_POINTS, np.empty(0), np.empty(0), NO_POINTS, HullSamples.of(NO_POINTS), NO_RAYS)
+NO_DATA = Data(NO_POINTS, np.empty(0), np.empty(0), NO_POINTS, NO_POINTS, NO_RAYS, EVERYWHERE)
 WIDE_M = 1e6  # a gate this wide makes Geman-McClure plain least squares
-NO_WEIGHTS = Weights(np.zeros(24), 0, 0.005, 0.0, WIDE_M, WIDE_M, WIDE_M, 0.05, 0.0, 0.0, 0.0, WIDE_M, *[0.0] * 4)
+NO_WEIGHTS = Weights(np.zeros(24), 0.0, WIDE_M, WIDE_M, WIDE_M, 0.05, *[0.0] * 4)
 
 
 def data_alone(**data):
-    """Data of one kind and nothing else; ``hull`` as samples (m, 3)."""
-    if "hull" in data:
-        data["hull"] = HullSamples.of(data["hull"])
+    """Data of one kind and nothing else."""
     return NO_DATA._replace(**data)
 
 

@@ -19,7 +19,7 @@ from stick_figure.pose import Pose
 STEP = 1e-6
 CAMERAS = np.array([[3.0 * np.cos(a), 3.0 * np.sin(a), 1.6] for a in np.arange(6) * np.pi / 3])
 NO_CENTERLINE = np.empty((0, 3))
-RAYS_ALONE = ArticulatedSettings(volume=VolumeSettings(weight=0.0, inside_weight=0.0), max_iterations=30)
+RAYS_ALONE = ArticulatedSettings(volume=VolumeSettings(weight=0.0), max_iterations=30)
 
 
 def placed(body, pose):
@@ -136,8 +136,9 @@ def test_the_gradient_of_the_squared_distances_is_the_pull(scene, synthetic):
     body, pose, rays, rng = scene
     off = disturbed(pose, rng, 0.05, 0.02)
     match, radii = match_rays(as_arrays(rays), placed(body, off), 0.05), Figure.of(body).surface.radii
-    data, weights = synthetic.data(contour_rays=as_arrays(rays)), synthetic.weights(contour_slack=0.05)
-    _, g = synthetic.equations(add_contour, data, placed(body, off), weights, straight_ends(0.0))
+    _, g = synthetic.equations(
+        add_contour, as_arrays(rays), match, placed(body, off), synthetic.weights(), straight_ends(0.0)
+    )
 
     def cost(slot, step):
         """Half the squared distances with the axis points held to their capsules, as the linearisation does."""

@@ -14,7 +14,7 @@ from stick_figure.build import END_CAPSULES
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.free_ends import straight_ends, turn_ends
 
-FREE = ArticulatedSettings(volume=VolumeSettings(weight=0.0, inside_weight=0.0), max_iterations=20)
+FREE = ArticulatedSettings(volume=VolumeSettings(weight=0.0), max_iterations=20)
 STIFF = replace(FREE, contour=ContourSettings(turn_sd=0.0))
 HAND, FOOT = END_CAPSULES[0], END_CAPSULES[2]
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from icp_tracker.monitor.limb_filter import DOUBTFUL, MEMORY_S, PLACE_LOG_PRIOR, RAYS_PER_NAT, LimbBelief
-from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces
+from icp_tracker.monitor.limb_filter import CHANCE_SAMPLES, DOUBTFUL, MEMORY_S, PLACE_LOG_PRIOR, LimbBelief
+from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces, _distinct
 
 NEAR, FAR, SHOWN = 0.2, 0.6, 15.0  # m, m, samples of a limb in view
 
 
 def places(*rivals, samples=SHOWN):
-    """Other places of an arm, best first: margin (rays), how far off (m), and which of the known ones it is."""
+    """Other places of an arm, best first: margin (samples), how far off (m), and which of the known ones it is."""
     margins, apart, origins = np.array(sorted(rivals, reverse=True), float).reshape(-1, 3).T
     ends = np.zeros((len(margins), 2, 3))
     ends[:, :, 1] = apart[:, None]
@@ -33,7 +33,7 @@ def seconds_until_moved(margin, dt_s=1 / 60):
 
 
 def test_a_place_that_explains_more_moves_the_limb_the_sooner_the_more_it_explains():
-    times = [seconds_until_moved(margin) for margin in (3.0, 6.0, 15.0)]
+    times = [seconds_until_moved(margin) for margin in (1.5, 2.5, 8.0)]
     assert times == sorted(times, reverse=True) and times[0] > 3.0 * times[-1]
 
 
@@ -43,7 +43,7 @@ def test_it_takes_the_same_time_at_any_rate():
 
 
 def test_what_explains_no_more_than_its_prior_never_moves_the_limb_however_long_it_lasts():
-    assert after(*[places((-PLACE_LOG_PRIOR * RAYS_PER_NAT, FAR, 0))] * 1000).likeliest_place is None
+    assert after(*[places((-PLACE_LOG_PRIOR, FAR, 0))] * 1000).likeliest_place is None
 
 
 def test_one_torn_set_moves_nothing():
@@ -69,16 +69,23 @@ def test_what_was_seen_a_moment_ago_is_not_unseen_at_once_unless_it_reaches_beyo
     assert after(*[whole] * 30, *[gone] * round(3 * MEMORY_S * 60)).is_unseen
 
 
-def test_a_hidden_limb_is_moved_only_to_what_explains_more_than_nothing_would():
-    assert after(*[places((4.0, FAR, 0), samples=0.0)] * 60).likeliest_place == 0
-    assert after(*[places((4.0, FAR, 0), samples=0.0)] * 60, hidden=True).likeliest_place is None
+def test_a_limb_is_moved_only_to_what_explains_more_than_nothing_would():
+    assert after(*[places((CHANCE_SAMPLES + 3.0, FAR, 0), samples=0.0)] * 60).likeliest_place == 0
+    assert after(*[places((CHANCE_SAMPLES - 1.0, FAR, 0), samples=0.0)] * 60).likeliest_place is None
 
 
-def test_a_place_keeps_its_odds_when_it_is_found_anew_in_the_library_and_a_refuted_one_starts_anew():
+def test_a_place_that_is_followed_keeps_its_odds_and_a_refuted_or_new_one_starts_anew():
     known = after(*[places((6.0, NEAR, 0))] * 3)
-    anew = LimbBelief.after(known, places((6.0, NEAR + 0.05, -1), (2.0, FAR, -1)), 1 / 60, False)
-    assert anew.log_odds[0] > known.log_odds[0] > anew.log_odds[1]
+    later = LimbBelief.after(known, places((6.0, NEAR, 0), (2.0, FAR, -1), (1.0, FAR, 1)), 1 / 60, False)
+    assert later.log_odds[0] > known.log_odds[0] > later.log_odds[1:].max()
     assert known.without(0).log_odds[0] == PLACE_LOG_PRIOR
+
+
+def test_places_are_distinct_and_know_from_which_they_come():
+    ends = np.zeros((5, 2, 3))
+    ends[:, 1, 0] = [0.0, 0.5, 0.05, 1.0, 1.05]  # the first two are known; the third is where the first one is
+    kept, origins = _distinct(np.array([1.0, 5.0, 2.0, -np.inf, 0.5]), ends, 2)
+    assert kept.tolist() == [1, 2, 4] and origins.tolist() == [1, 0, -1]
 
 
 def test_probabilities_add_up_and_the_spread_reaches_the_other_place():

@@ -8,7 +8,6 @@ import refinement_rays as made
 
 from icp_tracker.acquisition.body_sizes import FOREARM, SIZES, THIGH, UPPER_ARM, BodyEstimate, prior_sizes
 from icp_tracker.acquisition.initial_pose import InitialPose
-from icp_tracker.articulated_fit import PriorSettings
 from icp_tracker.monitor.track_monitor import RecoverySettings
 from icp_tracker.refinement.body_refiner import BodyRefiner, RefinementSettings
 from icp_tracker.refinement.shape import BENT, BUILD, POSE, SIZE, ShapeModel, ShapePrior, body_of, contour_system
@@ -38,7 +37,7 @@ def wrong_start(rng):
 
 
 def refined_by(estimate, truth, poses, settings, rng, sd_m=0.0, rounds=4, each=16):
-    refiner, body = BodyRefiner(estimate, settings, PriorSettings()), body_of(truth)
+    refiner, body = BodyRefiner(estimate, settings), body_of(truth)
     surface, given, stamp = BodySurface.of(body), [], 0
     sets = [(pose, made.tangent_rays(body, surface, pose, rng, each, sd_m)) for pose in poses]
     for _ in range(rounds):
@@ -115,7 +114,7 @@ def test_pose_whose_arm_the_flesh_does_not_explain_has_no_say():
     contour_rays = made.tangent_rays(body, BodySurface.of(body), pose, rng)
     angles = pose.angles()
     angles[3] += 1.5  # the left arm is fitted elsewhere
-    refiner = BodyRefiner(estimate, RefinementSettings(), PriorSettings())
+    refiner = BodyRefiner(estimate, RefinementSettings())
     refiner.step(1, Pose.from_angles(pose.position_world, pose.R_world_torso, angles), contour_rays)
     assert refiner.refined.keyframes == 0
     np.testing.assert_allclose(refiner.refined.estimate.sizes, estimate.sizes, atol=1e-12)
@@ -238,7 +237,7 @@ def sum_of_squares(contour_rays, matches, P, Q, radii):
 
 def test_refinement_starts_from_the_sizes_that_a_t_pose_measured():
     estimate = BodyEstimate(prior_sizes(H).sizes * 1.01, prior_sizes(H).covariance)
-    refined = BodyRefiner(estimate, RefinementSettings(), PriorSettings()).refined
+    refined = BodyRefiner(estimate, RefinementSettings()).refined
     np.testing.assert_allclose(refined.estimate.sizes, estimate.sizes, rtol=1e-12)
     np.testing.assert_allclose(refined.estimate.covariance, estimate.covariance, rtol=1e-6, atol=1e-12)
     assert not refined.build.any()

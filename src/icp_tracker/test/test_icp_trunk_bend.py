@@ -15,7 +15,7 @@ from stick_figure.kinematics import forward
 from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.trunk_bend import LEFT_Z, PELVIS_YAW, RIGHT_X
 
-BENDS = ArticulatedSettings(volume=VolumeSettings(weight=0.0, inside_weight=0.0))
+BENDS = ArticulatedSettings(volume=VolumeSettings(weight=0.0))
 RIGID = replace(BENDS, contour=replace(BENDS.contour, bend=0.0))
 FRAME_NS = 16_666_667
 BEND = np.zeros(BEND_NUMBERS)
@@ -35,7 +35,7 @@ def followed():
         data = make_data(np.zeros((1, 3)), 0.0, NO_VOXELS, settings, rays)
         for k in range(60):
             found, _, _ = minimise(trunk.of(body), found, data, settings)
-            match = match_to(Figure.of(trunk.of(body)), State.of(found), data).rays
+            match = match_to(Figure.of(trunk.of(body)), State.of(found), data)
             trunk.look(k * FRAME_NS, body, found, data.contour_rays, match)
         errors.append(np.linalg.norm(forward(trunk.of(body), found) - forward(bent, pose), axis=1))
     return trunk, errors

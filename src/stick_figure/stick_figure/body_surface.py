@@ -15,8 +15,6 @@ from capture_rig.kernel import kernel
 from stick_figure.body import Body
 from stick_figure.build import capsule_numbers
 
-TORSO_CAPSULES = 3  # the first ones of the table: both sides and the spine
-
 
 class BodySurface(NamedTuple):
     """Capsules as arrays: stick (k,) each is fixed to, start and end (k, 3) m in that stick's frame from its start,

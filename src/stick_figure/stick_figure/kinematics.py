@@ -13,7 +13,7 @@ from capture_rig.rigid import rigid_transform
 from . import kernels
 from .body import Body
 from .pose import Pose
-from .rotations import Array, ball_rates, ball_rotation, euler_axes, excess_over_range, wrap_into_range
+from .rotations import Array, ball_rates, ball_rotation, excess_over_range, wrap_into_range
 from .skeleton import BALL_ANGLES, HINGE_ANGLES, POINT_NAMES, POINT_STICK, T_POSE_ANGLES, TORSO_POINTS
 
 STRAIGHT_SINE = 1e-7
@@ -152,32 +152,6 @@ def jacobian(body: Body, pose: Pose) -> Array:
     return _points_jacobian(A, B, pose.position_world, axes)
 
 
-def angle_jacobian(body: Body, pose: Pose, angles: Array | None = None) -> Array:
-    """Derivative (15, 3, 24) of the 15 points with respect to p1, the torso's rotation increment and the 18 angles.
-
-    Thesis Table 5.8, p1's row corrected: the column of theta_k is a_k x (p - o_k), a_k the joint's world axis and
-    o_k its pivot, for the points downstream. `angles` defaults to the pose's own.
-    """
-    angles = pose.angles() if angles is None else np.ascontiguousarray(angles, float)
-    _, axes, A, B = _placed(body, pose)
-    axes[HINGE_ANGLES] *= hinge_signs(pose.hinges, angles)[:, None]
-    axes_torso = np.empty((3, 3))
-    for ball, slots in enumerate(BALL_ANGLES):
-        euler_axes(ball, angles, axes_torso)
-        axes[slots[slots >= 0]] = (axes_torso @ pose.R_world_torso.T)[slots >= 0]
-    return _points_jacobian(A, B, pose.position_world, axes)
-
-
-def angle_rates(pose: Pose, tangent_velocity: Array, angles: Array | None = None) -> Array:
-    """Rates (18,) of the Euler angles, rad/s, of a pose that moves with a tangent velocity (24,) per second.
-
-    Near gimbal lock (where the exact rates grow without bound) a damped inverse is used. `angles` defaults to the
-    pose's own; give the published ones so that rates and angles describe the same cover.
-    """
-    angles = pose.angles() if angles is None else np.ascontiguousarray(angles, float)
-    return rates_of_angles(pose.hinges, np.ascontiguousarray(tangent_velocity, dtype=float), angles)
-
-
 @njit(cache=True)
 def _points_jacobian(A, B, t0, axes):
     """Return (15, 3, 24) derivative of the reference points for joints that turn about the world axes (18, 3)."""
@@ -198,7 +172,10 @@ def _placed(body: Body, pose: Pose) -> tuple[Array, Array, Array, Array]:
 
 @njit(cache=True)
 def rates_of_angles(hinges, velocity, angles):
-    """Return the rates (18,) rad/s of the angles (18,), for a tangent velocity (24,) and the pose's own hinges (4,)."""
+    """Return the rates (18,) rad/s of the angles (18,), for a tangent velocity (24,) and the pose's own hinges (4,).
+
+    Near gimbal lock, where the exact rates grow without bound, a damped inverse is used.
+    """
     rates, omega = np.zeros(18), np.empty(3)
     for ball in range(5):
         for k in range(3):

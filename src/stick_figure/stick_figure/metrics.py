@@ -21,7 +21,8 @@ LARGE_ERROR_M = 0.2
 class Summary:
     """Errors of a sequence; metres.
 
-    rmse_per_point (15,)     root mean square over the frames of each point's distance (thesis eq. 7.3, corrected)
+    rmse_per_point (15,)     root mean square over the frames of each point's distance (thesis eq. 7.3, corrected:
+                             it sums signed differences, so that +10 and -10 mm would cancel to 0)
     thesis_mean              mean of those 15, the figure of thesis Table 7.2's last line
     mean, median, p95        over all compared points of all frames
     share_over               share of frames with any point further off than the threshold
@@ -43,14 +44,6 @@ def point_errors(estimate: Array, truth: Array) -> Array:
     if estimate.shape != truth.shape:
         raise ValueError(f"estimate has shape {estimate.shape}, truth {truth.shape}")
     return np.linalg.norm(estimate - truth, axis=-1)
-
-
-def rmse_points(estimate: Array, truth: Array) -> Array:
-    """RMSE (15,) of each point over the frames, metres: sqrt(sum |x - xh|^2 / M).
-
-    Thesis eq. 7.3 (corrected: it sums signed differences, so that +10 and -10 mm would cancel to 0).
-    """
-    return _root_mean_square(point_errors(estimate, truth))
 
 
 def rotation_angle(R_a: Array, R_b: Array) -> Array:

@@ -132,7 +132,6 @@ T_POSE_ANGLES[3] = _PI
 TANGENT_NAMES = ("torso_x", "torso_y", "torso_z", "torso_rx", "torso_ry", "torso_rz", *ANGLE_NAMES)
 """The 24 tangent slots; a ball joint's slots are increments about the torso's x, y, z (not Euler angles)."""
 TORSO_POSITION = slice(0, 3)
-TORSO_ROTATION = slice(3, 6)
 JOINTS = slice(6, 24)
 
 BALL_NAMES = ("neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip")

@@ -1,9 +1,9 @@
-"""Foot points and X84 rejection against plain geometry and statistics."""
+"""Foot points against plain geometry."""
 
 import numpy as np
 import pytest
 
-from stick_figure.least_squares.point_factor import foot_points, x84_keep, x84_threshold
+from stick_figure.least_squares.point_factor import foot_points
 
 
 def nearest(points, A, B):
@@ -47,41 +47,3 @@ def test_stick_of_no_length_is_a_point():
     stick, _, feet, squared = nearest(np.zeros((1, 3)), A, B)
     assert stick[0] == 3 and squared[0] == 1.0
     assert np.array_equal(feet[0], A[3])
-
-
-def keep(distances, group, floor=0.005, groups=2):
-    kept = np.empty(len(distances), bool)
-    count = x84_keep(np.asarray(distances, float), np.asarray(group), groups, floor, kept)
-    assert count == kept.sum()
-    return kept
-
-
-def test_x84_rejects_nothing_of_a_perfect_set():
-    assert keep(np.zeros(50), np.zeros(50, int)).all()
-    nearly = np.r_[np.zeros(30), np.full(20, 1e-6)]  # MAD = 0: without the floor 40 % would go
-    assert keep(nearly, np.zeros(50, int)).all()
-    assert not keep(nearly, np.zeros(50, int), floor=0.0).all()
-
-
-def test_x84_is_one_sided():
-    distances = np.r_[np.full(40, 0.10) + 0.001 * np.arange(40), 0.0, 0.6]
-    kept = keep(distances, np.zeros(42, int))
-    assert kept[40] and not kept[41]
-    assert kept[:40].all()
-
-
-def test_x84_threshold_is_median_plus_three_and_a_half_sigma():
-    distances = np.abs(np.random.default_rng(2).normal(0.0, 0.03, 999))
-    centre = np.median(distances)
-    expected = centre + 3.5 * 1.4826 * np.median(np.abs(distances - centre))
-    assert x84_threshold(distances, 0.005) == pytest.approx(expected, rel=1e-12)
-    assert x84_threshold(np.zeros(0), 0.005) == np.inf
-
-
-def test_x84_judges_each_group_on_its_own_and_drops_points_of_no_group():
-    distances = np.r_[np.full(20, 0.01), np.full(20, 0.2), 0.2, 0.01]
-    group = np.r_[np.zeros(20, int), np.ones(20, int), 0, 7]
-    kept = keep(distances, group)
-    assert kept[:40].all()  # 0.2 m is normal in its own group
-    assert not kept[40]  # and an outlier in the other
-    assert not kept[41]

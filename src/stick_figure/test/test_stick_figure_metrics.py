@@ -24,14 +24,14 @@ def test_opposite_errors_do_not_cancel_in_the_rmse():
     truth = np.zeros((2, 15, 3))
     estimate = truth.copy()
     estimate[0, :, 0], estimate[1, :, 0] = 0.010, -0.010
-    np.testing.assert_allclose(metrics.rmse_points(estimate, truth), 0.010)
+    np.testing.assert_allclose(metrics.summary(estimate, truth).rmse_per_point, 0.010)
 
 
 def test_rmse_is_root_mean_square_of_distances():
     truth = np.zeros((2, 15, 3))
     estimate = truth.copy()
     estimate[0, 4] = [0.003, 0.004, 0.0]
-    rmse = metrics.rmse_points(estimate, truth)
+    rmse = metrics.summary(estimate, truth).rmse_per_point
     assert rmse[4] == pytest.approx(0.005 / np.sqrt(2))
     assert rmse[3] == 0.0
 

@@ -24,23 +24,28 @@ from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.pose import Pose
 
-from ..articulated_fit import ArticulatedSettings, PriorSettings, make_data, minimise, rays_in_use
+from ..articulated_fit import GUESS, ArticulatedSettings, make_data, minimise, rays_in_use
 from ..monitor.evidence import EXPLAINED_M, GATE_M, Evidence, evidence_of, ray_cost
-from ..monitor.pose_library import arms_exchanged, legs_exchanged, sides_exchanged, turned_around
+from ..monitor.pose_library import (
+    OF_NEWCOMERS,
+    arms_exchanged,
+    legs_exchanged,
+    natural_poses,
+    sides_exchanged,
+    turned_around,
+)
 from .body_parts import evidence_of_feet
 from .body_sizes import BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
 from .truncation import FEET, HEAD, Stance, advice_text, cut_parts
 from .upright import FEWEST_VOXELS, Upright, pitch_of, stance_of
-from .walking_poses import natural_poses
 
 NS_PER_S = 1e9
 NO_HULL = "no hull"
-FREE = PriorSettings(position_sd_m=0.3, rotation_sd=0.4, ball_sd=0.5, hinge_sd=0.5)
 # Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
 # right way explains); girths and their shares with walks of the studio's stout people (python bench/acquisition.py);
 # times: judgement.
-FREE_ITERATIONS, STARTS = 20, 12  # of the first fits, of which there are so many
+FIRST_ITERATIONS, STARTS = 20, 12  # of the first fits, of which there are so many
 HYPOTHESES = 5  # hypotheses that are followed
 SAME_M = 0.12  # poses whose points are so near to each other are one
 GAP_S = 1.0  # somebody of whom no set shows enough for so long is somebody new: people turn, and pass behind things
@@ -191,11 +196,10 @@ class MotionSource:
 
     def _look(self, body: Body, data: Data, stance: Stance) -> None:
         """Fit the best of the natural postures and follow those that differ from what is followed, and are no worse."""
-        figure, free = Figure.of(body), replace(self._fit_settings, prior=FREE, max_iterations=FREE_ITERATIONS)
+        figure, free = Figure.of(body), replace(self._fit_settings, prior=GUESS, max_iterations=FIRST_ITERATIONS)
         crown = stance.floor_world + body.stature
-        costs = [
-            (evidence_of(figure, pose, data).cost, pose) for pose in natural_poses(body, stance.place_world, crown)
-        ]
+        guesses = natural_poses(body, stance.place_world, crown, OF_NEWCOMERS)
+        costs = [(evidence_of(figure, pose, data).cost, pose) for pose in guesses]
         best = [pose for _, pose in sorted(costs, key=lambda pair: pair[0])[:STARTS]]
         fitted = [minimise(body, pose, data, free)[0] for pose in best]
         fitted.sort(key=lambda pose: evidence_of(figure, pose, data).cost)
@@ -271,7 +275,7 @@ class MotionSource:
         if self._visibility is not None:
             looks = self._visibility.seen_by(0.5 * (placed.A + placed.B))
         rays = np.zeros(looks.shape, np.int64)
-        sticks = placed.surface.stick[evidence.matched.rays.capsule]
+        sticks = placed.surface.stick[evidence.matched.capsule]
         np.add.at(rays, (sticks[explained], self._cameras[explained]), 1)
         return float(np.mean(rays[looks] >= SEEN_RAYS)) if looks.any() else 0.0
 

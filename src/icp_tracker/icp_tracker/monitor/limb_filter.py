@@ -1,11 +1,11 @@
 """One discrete Bayes filter for each limb: it is as tracked, at another place that the search found, or unseen.
 
-The evidence for a place is what it explains beyond the tracked one (contour rays, centerline, voxels). The evidence
-against "unseen" is the number of independent samples (cells of the limb's surface) whose rays the tracked place, and
-nothing else of the body, explains: a limb in the wrong place explains a few by chance, a right one a dozen, with three
-cameras as with eight. Chance margins last as long as the body holds still, so that sets close to each other in time are
-one observation: log odds forget exponentially (Raftery, Karny & Ettler, Online prediction under model uncertainty via
-dynamic model averaging, Technometrics 52, 2010), by stamps, the same at any rate.
+All evidence is counted in independent samples, cells of the limb's surface whose rays a place, and nothing else of the
+body, explains; each is worth a nat. A limb in the wrong place explains a few by chance, a right one a dozen, with three
+cameras as with eight. The evidence for another place is what it explains beyond the tracked one, the evidence against
+"unseen" what the tracked one explains. Chance lasts as long as the body holds still, so that sets close to each other
+in time are one observation: log odds forget exponentially (Raftery, Karny & Ettler, Online prediction under model
+uncertainty via dynamic model averaging, Technometrics 52, 2010), by stamps, the same at any rate.
 """
 
 from __future__ import annotations
@@ -15,16 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from capture_rig.kernel import njit
-
-from .limb_search import APART_M, LimbPlaces, farther_apart
+from .limb_search import LimbPlaces
 
 # Thresholds: chosen with python bench/doubt.py on clothed figures before three cameras.
 MEMORY_S = 0.1  # time in which a body moves by a limb's width: older evidence is forgotten, newer is the same again
-RAYS_PER_NAT = 2.0  # of a margin that lasts
 PLACE_LOG_PRIOR = -1.0  # of a place that the search found, against the tracked one: 1 to 3
 SET_NATS = 4.0  # one set in 50 is torn, so none says more than ln 50 for or against a place
-CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever the hull holds it; each is worth a nat
+CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever it is
 DOUBTFUL = 0.40  # probability of another place, or of none: at most 1 % of clear frames are called; bench/doubt.py
 UNSEEN = 0.95  # probability of "unseen" at which a hand or foot is not published
 ELSEWHERE_M = 0.25  # a place whose elbow or hand is so far off is another one: the track may then be 0.2 m wrong
@@ -33,29 +30,25 @@ UNSEEN_SD_M = 0.15  # of an unseen limb about its tracked place: half a forearm
 
 @dataclass(frozen=True, eq=False)
 class LimbBelief:
-    """What is believed of one limb: log odds against the tracked place, of the other ``places`` (k,), of ``unseen``.
-
-    hidden : the limb reaches beyond what the cameras show.
-    """
+    """What is believed of one limb: log odds against the tracked place, of the other ``places`` (k,), of ``unseen``."""
 
     places: LimbPlaces
     log_odds: np.ndarray
     unseen: float
-    hidden: bool
 
     @staticmethod
     def after(before: LimbBelief | None, places: LimbPlaces, dt_s: float, hidden: bool) -> LimbBelief:
         """Return the belief one set, ``dt_s`` later. ``hidden`` : the limb reaches beyond what the cameras show, where
         the absence of its rays is no surprise and is believed at once."""
         gain = 1.0 - math.exp(-dt_s / MEMORY_S)
-        seen = np.clip(places.margins / RAYS_PER_NAT + PLACE_LOG_PRIOR, -SET_NATS, SET_NATS)
-        prior = _inherited(before, places)
+        seen = np.clip(places.margins + PLACE_LOG_PRIOR, -SET_NATS, SET_NATS)
+        prior = _inherited(before, places.origins)
         prior = np.where(np.isnan(prior), np.minimum(seen, PLACE_LOG_PRIOR), prior)
         log_odds = prior + gain * (seen - prior)
         unseen = min(max(CHANCE_SAMPLES - places.samples, -SET_NATS), SET_NATS)
         if before is not None and not hidden:
             unseen = before.unseen + gain * (unseen - before.unseen)
-        return LimbBelief(places, log_odds, unseen, hidden)
+        return LimbBelief(places, log_odds, unseen)
 
     @property
     def probabilities(self) -> np.ndarray:
@@ -71,14 +64,11 @@ class LimbBelief:
 
     @property
     def likeliest_place(self) -> int | None:
-        """Number of the place that is more probable than the tracked one; None for no such place.
-
-        Of a hidden limb it must be more probable than "unseen", too: what is in sight belongs to something else.
-        """
-        least = max(0.0, self.unseen) if self.hidden else 0.0
-        if len(self.log_odds) == 0 or self.log_odds.max() <= least:
-            return None
-        return int(self.log_odds.argmax())
+        """Number of the place that is more probable than the tracked one, and than "unseen" in the last set: what
+        explains no more than chance belongs to something else. None for no such place."""
+        explains = self.places.samples + self.places.margins + PLACE_LOG_PRIOR
+        odds = np.where(explains > CHANCE_SAMPLES, self.log_odds, -np.inf)
+        return int(odds.argmax()) if len(odds) and odds.max() > 0.0 else None
 
     @property
     def is_unseen(self) -> bool:
@@ -98,26 +88,10 @@ class LimbBelief:
         """Return the belief with one place refuted: the whole set does not agree."""
         log_odds = self.log_odds.copy()
         log_odds[number] = PLACE_LOG_PRIOR
-        return LimbBelief(self.places, log_odds, self.unseen, self.hidden)
+        return LimbBelief(self.places, log_odds, self.unseen)
 
 
-def _inherited(before: LimbBelief | None, places: LimbPlaces) -> np.ndarray:
+def _inherited(before: LimbBelief | None, origins: np.ndarray) -> np.ndarray:
     """Return the log odds (k,) before this set of the places that are followed; NaN of new ones."""
-    if before is None or len(before.log_odds) == 0:
-        return np.full(len(places.margins), np.nan)
-    return np.asarray(_of_nearest(places.ends, places.origins, before.places.ends, before.log_odds))
-
-
-@njit(cache=True)
-def _of_nearest(ends, origins, ends_before, log_odds):
-    """Return the log odds of the place that each was refined from, else of the nearest one within APART_M."""
-    inherited, earlier = np.full(ends.shape[0], np.nan), origins.copy()
-    for k in range(ends.shape[0]):
-        nearest = APART_M
-        for m in range(ends_before.shape[0] if origins[k] < 0 else 0):
-            apart = farther_apart(ends[k], ends_before[m])
-            if apart < nearest and not (earlier == m).any():
-                nearest, earlier[k] = apart, m
-        if 0 <= earlier[k] < log_odds.shape[0]:
-            inherited[k] = log_odds[earlier[k]]
-    return inherited
+    known = np.append(np.empty(0) if before is None else before.log_odds, np.nan)
+    return np.asarray(known[np.where(origins < len(known), origins, -1)])

@@ -1,9 +1,11 @@
 """Other places for one limb: what the rest of the body leaves over of the set, and how much of it each place explains.
 
-The data are contour rays, centerline points and voxels of the hull's surface that the body without the
-limb does not explain. Places come from the limb's library, which is coarse: its best poses are refined by Gauss-Newton
-over the limb's own four angles, a few iterations each. Places that were good at earlier sets are refined along with
-them, so that they follow the limb as the tracked one does.
+The data are the contour rays that the body without the limb does not explain. Places come from the limb's library,
+which is coarse: its best poses are refined by Gauss-Newton over the limb's own four angles, a few iterations each.
+Places that were good at earlier sets are refined along with them, so that they follow the limb as the tracked one does.
+
+What a place explains is counted in independent samples: cells of the limb's surface that rays show. A hem or a bent
+hand has many rays, all at one place of the limb; an arm in view shows a dozen cells.
 """
 
 from __future__ import annotations
@@ -17,9 +19,8 @@ from capture_rig.kernel import njit
 from capture_rig.small_matrices import solve_positive
 from stick_figure import kernels
 from stick_figure.body_surface import place_capsules
-from stick_figure.least_squares.contour_factor import match_rays, sum_rays
-from stick_figure.least_squares.gauss_newton import Data, DataMatch
-from stick_figure.least_squares.hull_samples import is_in_hull, is_unseen
+from stick_figure.least_squares.contour_factor import RayMatch, match_rays, sum_rays
+from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.independent_rows import CELLS, cell_of_ray
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
@@ -31,10 +32,10 @@ from stick_figure.least_squares.normal_equations import (
     no_sums,
     pose_columns,
 )
-from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
+from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
 
-from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLACK_M, match_to, ray_cost, stick_distances
+from .evidence import GATE_M, SLACK_M, match_to, ray_cost
 from .pose_library import Limb, LimbPoses
 from .unexplained_data import COARSE_GATE_M, part_of, unexplained_data
 
@@ -42,9 +43,6 @@ from .unexplained_data import COARSE_GATE_M, part_of, unexplained_data
 APART_M = 0.12  # hands or feet (and elbows or knees) so near to each other are the same place
 REFINED = 6  # poses of the library that are refined
 KEPT = 3  # other places that are followed from set to set
-HELD_AT = (0.5, 1.0)  # where along upper and lower limb the hull is asked
-HELD_LEAST = 3  # of those four points, that must lie in the hull
-
 ITERATIONS = 4
 ANGLES = 4  # three of the ball joint, one of the hinge
 REFINE_GATE_M = 0.08
@@ -58,10 +56,11 @@ SAMPLE_RAYS = 2.0  # rays that show one cell of the surface for certain
 class LimbPlaces:
     """Where else a limb may be, best first: at most KEPT places apart from each other and from the tracked one.
 
-    poses : upper limb to torso and flexion, as in the library. margins (k,) : what each explains beyond the tracked
-    place, in rays. ends (k, 2, 3) : elbow and hand, or knee and foot, m, world; tracked (2, 3) : those of the tracked
-    place. samples : cells of the limb's surface (independent samples) whose rays the tracked place explains, and the
-    rest of the body does not. origins (k,) : the known place that each was refined from, -1 for one of the library.
+    poses : upper limb to torso and flexion, as in the library. samples : cells of the limb's surface (independent
+    samples) whose rays the tracked place explains, and the rest of the body does not; margins (k,) : how many more
+    each of these places explains. ends (k, 2, 3) : elbow and hand, or knee and foot, m, world; tracked (2, 3) : those
+    of the tracked place. origins (k,) : the known place that each was refined from, or that is the same place, -1 for a
+    new one.
     """
 
     poses: LimbPoses
@@ -88,11 +87,11 @@ def other_places(
     data: Data,
     library: LimbPoses,
     known: LimbPoses = NO_POSES,
-    matched: DataMatch | None = None,
+    matched: RayMatch | None = None,
 ) -> LimbPlaces:
     """Find where else one limb may be: among the library's poses, and those that are known from the set before.
 
-    ``matched`` : what rays and voxels are matched to in the pose, when that is known.
+    ``matched`` : what the rays are matched to in the pose, when that is known.
     """
     state = State.of(pose)
     found = _search(data, matched or match_to(figure, state, data), state, figure, limb, library, known)
@@ -111,18 +110,14 @@ def with_limb(pose: Pose, limb: Limb, R: np.ndarray, flexion: float) -> Pose:
 def _search(data, matched, state, figure, limb, library, known):
     """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; its samples;
     which of the known places each of them is."""
-    left = unexplained_data(data, matched, state, figure, limb)
-    placed, costs = place(state, part_of(figure, limb, True)), np.empty(left.fine.shape[0])
-    tracked = _ends(placed, limb)
-    explained = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
-    samples = _samples_of(costs, left.rays, placed, part_of(figure, limb, True).surface.stick == limb.lower)
-    explained += _volume_gained(left, placed, limb)
+    left, own = unexplained_data(data, matched, state, figure, limb), part_of(figure, limb, True)
+    placed, costs, lower = place(state, own), np.empty(left.fine.shape[0]), own.surface.stick == limb.lower
+    tracked, samples = _ends(placed, limb), _samples(left, placed, lower, costs)
     gains = np.zeros(library.flexion.shape[0])
     for h in range(gains.shape[0]):
         state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
         _place_limb(placed, figure, limb)
-        if _is_held(placed, limb, data.hull):
-            gains[h] = _rays_gained(left.rays, placed, left.coarse, COARSE_GATE_M, costs)
+        gains[h] = _rays_gained(left, placed, costs)
     chosen = np.argsort(-gains)[:REFINED]
     count = known.flexion.shape[0] + chosen.shape[0]
     R, flexion = np.empty((count, 3, 3)), np.empty(count)
@@ -137,28 +132,31 @@ def _search(data, matched, state, figure, limb, library, known):
             state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
         _refine_limb(left.rays, placed, figure, limb)
         R[m], flexion[m], ends[m] = state.RJ[limb.ball], state.hinges[limb.hinge], _ends(placed, limb)
-        if _is_held(placed, limb, data.hull) and farther_apart(ends[m], tracked) > APART_M:
-            gain = _rays_gained(left.rays, placed, left.fine, GATE_M, costs)
-            margins[m] = gain + _volume_gained(left, placed, limb) - explained
-    kept = _distinct(margins, ends)
-    origins = np.where(kept < known.flexion.shape[0], kept, -1)
+        if farther_apart(ends[m], tracked) > APART_M:
+            margins[m] = _samples(left, placed, lower, costs) - samples
+    kept, origins = _distinct(margins, ends, known.flexion.shape[0])
     return R[kept], flexion[kept], margins[kept], ends[kept], tracked, samples, origins
 
 
 @njit(cache=True)
-def _distinct(margins, ends):
-    """Return the indices of the best places, KEPT at most, none of which is the same place as a better one."""
-    kept, count = np.empty(KEPT, np.int64), 0
+def _distinct(margins, ends, known):
+    """Return the indices of the best places, KEPT at most, none of which is the same place as a better one; and of each
+    the known place that is the same, -1 for a new one. The first ``known`` places are known."""
+    kept, origins, count = np.empty(KEPT, np.int64), np.full(KEPT, -1), 0
     for m in np.argsort(-margins):
-        if count == KEPT or margins[m] == -np.inf:
+        if margins[m] == -np.inf:
             break
-        alone = True
-        for other in kept[:count]:
-            alone = alone and farther_apart(ends[m], ends[other]) > APART_M
-        if alone:
+        same = 0
+        while same < count and farther_apart(ends[m], ends[kept[same]]) > APART_M:
+            same += 1
+        if same == KEPT:
+            continue
+        if same == count:
             kept[count] = m
             count += 1
-    return kept[:count]
+        if m < known and origins[same] < 0:
+            origins[same] = m
+    return kept[:count], origins[:count]
 
 
 @njit(cache=True)
@@ -174,19 +172,6 @@ def _apart_from(ends, tracked):
     for k in range(apart.shape[0]):
         apart[k] = farther_apart(ends[k], tracked)
     return apart
-
-
-@njit(cache=True)
-def _volume_gained(left, placed, limb):
-    """Return the rays that centerline points and voxels are worth which the limb explains."""
-    gain = 0.0
-    beside = stick_distances(left.points, placed, np.array([limb.upper, limb.lower]))
-    for i in range(beside.shape[0]):
-        gain += max(left.point_costs[i] - RAYS_PER_POINT * ray_cost(beside[i], POINT_GATE_M), 0.0)
-    away = surface_distances(left.voxels, placed)[2]
-    for i in range(away.shape[0]):
-        gain += max(left.voxel_costs[i] - RAYS_PER_VOXEL * ray_cost(away[i], GATE_M), 0.0)
-    return gain
 
 
 @njit(cache=True)
@@ -234,30 +219,36 @@ def _add_limb_sums(sums, placed, limb, own, pull):
     mirror_upper(own)
 
 
-@njit(cache=True, error_model="numpy")  # a check for zero would keep it from being vectorised
-def _rays_gained(rays, placed, cost_without, gate, costs):
-    """Return the rays that the limb explains: what each (n,) costs without it, less what it costs with it.
-
-    costs (n,) : scratch.
-    """
-    separation = match_rays(rays, placed, SLACK_M).separation
-    for i in range(costs.shape[0]):
-        costs[i] = cost_without[i] - ray_cost(separation[i], gate)
+@njit(cache=True)
+def _rays_gained(left, placed, costs):
+    """Return the rays that the limb explains at a wide gate: what each (n,) costs without it, less what with it."""
+    _gains(match_rays(left.rays, placed, SLACK_M).separation, left.coarse, COARSE_GATE_M, costs)
     gain = 0.0
     for i in range(costs.shape[0]):
         gain += max(costs[i], 0.0)
     return gain
 
 
-@njit(cache=True)
-def _samples_of(gains, rays, placed, lower):
-    """Return how many cells of the limb's surface the rays show that it explains, by what each (n,) gains; twice those
-    of its ``lower`` (k,) bool capsules where they are the fewer: an elbow does not tell where the hand is."""
-    match, shown = match_rays(rays, placed, SLACK_M), np.zeros((placed.P.shape[0], CELLS))
+@njit(cache=True, error_model="numpy")  # a check for zero would keep it from being vectorised
+def _gains(separation, cost_without, gate, gains):
+    """gains (n,) <- what each ray costs without the limb, less what it costs with it."""
     for i in range(gains.shape[0]):
-        if gains[i] > 0.0:
-            cell = cell_of_ray(placed, match.capsule[i], match.along[i], rays.rows, i)
-            shown[cell // CELLS, cell % CELLS] += gains[i] / SAMPLE_RAYS
+        gains[i] = cost_without[i] - ray_cost(separation[i], gate)
+
+
+@njit(cache=True)
+def _samples(left, placed, lower, costs):
+    """Return how many cells of the limb's surface the rays show that it explains and the rest of the body does not;
+    twice those of its ``lower`` (k,) bool capsules where they are the fewer: an elbow does not tell where the hand is.
+
+    costs (n,) : scratch.
+    """
+    match, shown = match_rays(left.rays, placed, SLACK_M), np.zeros((placed.P.shape[0], CELLS))
+    _gains(match.separation, left.fine, GATE_M, costs)
+    for i in range(costs.shape[0]):
+        if costs[i] > 0.0:
+            cell = cell_of_ray(placed, match.capsule[i], match.along[i], left.rays.rows, i)
+            shown[cell // CELLS, cell % CELLS] += costs[i] / SAMPLE_RAYS
     shown = np.minimum(shown, 1.0)
     return min(shown.sum(), 2.0 * shown[lower].sum())
 
@@ -268,15 +259,3 @@ def _ends(placed, limb):
     ends = np.empty((2, 3))
     ends[0], ends[1] = placed.B[limb.upper], placed.B[limb.lower]
     return ends
-
-
-@njit(cache=True)
-def _is_held(placed, limb, hull):
-    """Return whether the hull holds the limb."""
-    held = 0
-    for stick in (limb.upper, limb.lower):
-        A, B = placed.A[stick], placed.B[stick]
-        for u in HELD_AT:
-            x, y, z = A[0] + u * (B[0] - A[0]), A[1] + u * (B[1] - A[1]), A[2] + u * (B[2] - A[2])
-            held += is_in_hull(hull, x, y, z) or is_unseen(hull.unseen, x, y, z)
-    return held >= HELD_LEAST

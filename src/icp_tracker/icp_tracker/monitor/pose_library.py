@@ -13,23 +13,32 @@ from mocap_packets.fit import PART_POINTS
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, mirror_angles
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, HEAD, mirror_angles
 
 from .evidence import LEFT_ARM, LEFT_LEG, RIGHT_ARM, RIGHT_LEG
 
-HEADINGS = 8
+HEADINGS = 8  # a fit finds a trunk that is turned by half of an eighth
 _WITH_SIDES = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]  # left and right of every reference point
 _WITH_ARMS = [0, 1, 2, 3, 4, 5, 6, 8, 7, 9, 10, 12, 11, 13, 14]  # elbows and hands exchanged
 _WITH_LEGS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 9, 11, 12, 14, 13]
-# what a person may be found doing, as angles of the left side (rad); the right side mirrors them
-STANCES: dict[str, dict[str, float]] = {
-    "arms down": {"shoulder_x": -1.35},
-    "T-pose": {},
-    "arms forward": {"shoulder_z": -1.35},
-    "hands up": {"shoulder_x": 1.2},
-    "arms bent": {"shoulder_x": -1.2, "elbow": -1.5},
-    "squat": {"shoulder_x": -1.2, "hip_y": -1.6, "knee": 1.8},
-}
+HANG = -1.35  # rad, of an arm below the horizontal
+# angles of each side (rad); what is not named is the T-pose's. A step has the other side's arm in front.
+_STANDING = {"shoulder_x": HANG}
+_FRONT_LEG = {"shoulder_x": HANG, "shoulder_z": 0.35, "hip_y": -0.45, "knee": 0.15}
+_BACK_LEG = {"shoulder_x": HANG, "shoulder_z": -0.35, "elbow": -0.4, "hip_y": 0.25, "knee": 0.5}
+_BENT_ARM = {"shoulder_x": HANG, "elbow": -1.5}
+POSTURES: tuple[tuple[dict[str, float], dict[str, float]], ...] = (
+    (_STANDING, _STANDING),
+    (_FRONT_LEG, _BACK_LEG),
+    (_BACK_LEG, _FRONT_LEG),
+    (_BENT_ARM, _BENT_ARM),
+    ({"shoulder_z": HANG}, {"shoulder_z": HANG}),
+    ({}, {}),
+    ({"shoulder_x": 1.2}, {"shoulder_x": 1.2}),
+    ({"shoulder_x": -1.2, "hip_y": -1.6, "knee": 1.8}, {"shoulder_x": -1.2, "hip_y": -1.6, "knee": 1.8}),
+)
+"""Left and right side: standing, both steps, arms bent, arms forward, T-pose, hands up, squat."""
+OF_NEWCOMERS = 6  # who comes in does one of the first
 
 
 def sides_exchanged(body: Body, pose: Pose) -> Pose:
@@ -58,31 +67,35 @@ def moved_to(pose: Pose, hull_world: np.ndarray) -> Pose:
     return replace(pose, position_world=np.array([x, y, pose.position_world[2]]))
 
 
-def stances(body: Body, hull_world: np.ndarray) -> list[Pose]:
-    """Return every stance at every heading, above the middle of the hull (m, 3), its head at the hull's crown."""
-    x, y = np.median(hull_world[:, :2], axis=0)
-    crown = float(np.percentile(hull_world[:, 2], 99.5))
-    height = crown - body.half_lengths[0] - body.lengths[1]
+def natural_poses(body: Body, place_world: np.ndarray, crown_world: float, postures: int) -> list[Pose]:
+    """Return the first ``postures`` at every heading, the trunk above a place (2,) m and the head at a height, m."""
+    height = crown_world - body.half_lengths[0] - body.lengths[HEAD]
     return [
-        Pose.from_angles(np.array([x, y, height]), rotation_matrix(np.array([0.0, 0.0, heading])), angles)
+        Pose.from_angles(np.r_[place_world, height], rotation_matrix(np.array([0.0, 0.0, heading])), angles)
         for heading in np.arange(HEADINGS) * 2.0 * np.pi / HEADINGS
-        for angles in STANCE_ANGLES
+        for angles in _ANGLES[:postures]
     ]
 
 
-def _angles(left: dict[str, float]) -> np.ndarray:
-    """Return both sides' angles (18,) of a stance."""
-    angles = T_POSE_ANGLES.copy()
-    for name, value in left.items():
-        angles[ANGLE_NAMES.index(f"left_{name}")] = value
-    mirrored = mirror_angles(angles)
-    for index, name in enumerate(ANGLE_NAMES):
-        if name.startswith("right"):
-            angles[index] = mirrored[index]
-    return angles
+def stances(body: Body, hull_world: np.ndarray) -> list[Pose]:
+    """Return every posture at every heading above the middle of the hull (m, 3), its head at the hull's crown."""
+    crown = float(np.percentile(hull_world[:, 2], 99.5))
+    return natural_poses(body, np.median(hull_world[:, :2], axis=0), crown, len(POSTURES))
 
 
-STANCE_ANGLES = tuple(_angles(left) for left in STANCES.values())
+def _both(left: dict[str, float], right: dict[str, float]) -> np.ndarray:
+    """Return the angles (18,) of a posture."""
+    sides = []
+    for side in (left, right):
+        angles = T_POSE_ANGLES.copy()
+        for name, value in side.items():
+            angles[ANGLE_NAMES.index(f"left_{name}")] = value
+        sides.append(angles)
+    is_right = np.array([name.startswith("right") for name in ANGLE_NAMES])
+    return np.where(is_right, mirror_angles(sides[1]), sides[0])
+
+
+_ANGLES = tuple(_both(left, right) for left, right in POSTURES)
 
 
 # --- limbs: directions of the upper limb times flexions of the hinge, within the joints' ranges

@@ -18,7 +18,8 @@ from capture_rig.settings import setting
 from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, UNKNOWN, TrackQuality, points_of_parts
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.gauss_newton import Data, DataMatch
+from stick_figure.least_squares.contour_factor import RayMatch
+from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import Pose
 
@@ -48,6 +49,7 @@ CHECKS = 8  # of them, two more than there are kinds, until a body that was lost
 STANCES_A_SET = 6
 LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
 MOST_M_S2, NEAR_M = 600.0, 0.1  # a boxer's fist stops with half of this (Walilko et al. 2005); what fits err by besides
+RAYS_PER_NAT = 2.0  # of what another pose of the whole body explains, while that lasts
 BODY_LOG_PRIOR = -3.0  # of another pose of the whole body, against the tracked one: a person seldom turns in a set
 LOST_SHARE, DOUBTFUL_SHARE = 0.35, 0.60  # of the contour rays explained: what wrong poses explain, what clothes leave
 LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains: cameras and shadows differ
@@ -106,6 +108,7 @@ class TrackMonitor:
     def reset(self) -> None:
         """Forget what is believed of the body."""
         self._beliefs: list[LimbBelief | None] = [None] * len(LIMBS)
+        self._hidden = np.zeros(len(LIMBS), bool)  # limbs that reach beyond what the cameras show
         self._hypothesis: Hypothesis | None = None
         self._usual_share: float | None = None
         self._last_good: Pose | None = None
@@ -125,7 +128,7 @@ class TrackMonitor:
         data: Data,
         settings: ArticulatedSettings,
         expected: Pose | None = None,
-        matched: DataMatch | None = None,
+        matched: RayMatch | None = None,
     ) -> TrackAssessment:
         """Judge a pose that was fitted to a set's data, and look for a better one.
 
@@ -134,7 +137,7 @@ class TrackMonitor:
         """
         last_ns, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
         dt_s = 0.0 if last_ns is None else min((stamp_ns - last_ns) / NS_PER_S, LONGEST_S)
-        if len(data.contour_rays.information) == 0 or len(data.hull.points) == 0:
+        if len(data.contour_rays.information) == 0 or len(data.hull) == 0:
             return TrackAssessment(UNKNOWN)
         seen, fitted = Observation(dt_s, body, data, settings), pose
         jumped: dict[int, LimbPoses] = {}
@@ -183,7 +186,7 @@ class TrackMonitor:
     ) -> TrackAssessment | None:
         """Follow the other pose of the whole body, or look for one; return the change-over to one that is more
         probable."""
-        if sum(belief is not None and belief.is_unseen for belief in self._beliefs) > 1:
+        if self._hidden.sum() > 1:
             self._hypothesis = None  # what is left of the body does not tell which way it faces
             return None
         other = self._hypothesis
@@ -197,7 +200,7 @@ class TrackMonitor:
                 self._hypothesis, self._beliefs = None, [None] * len(LIMBS)
                 return TrackAssessment(self._judge_body(found, 0.0), other.pose, other.why, ALL_PARTS)
             self._hypothesis = other
-        if other is None:
+        if other is None or self._unchecked:
             for turn in turns:
                 self._look_for_another(seen, pose, evidence, quality, turn)
         return None
@@ -212,7 +215,7 @@ class TrackMonitor:
             return
         else:
             guess = self._other_way_round(seen, pose)
-        fitted = seen.fitted(guess.pose, free=True)
+        fitted = seen.fitted(guess.pose, guess=True)
         margin = evidence.margin_of(seen.evidence_of(fitted))
         best = 0.0 if self._hypothesis is None else self._hypothesis.margin
         if margin > best and seen.apart_m(fitted, pose) > SAME_M:
@@ -231,11 +234,11 @@ class TrackMonitor:
             return Hypothesis(legs_exchanged(body, pose), "left and right leg exchanged")
         if kind == 4 or self._last_good is None:
             return Hypothesis(arms_exchanged(body, pose), "left and right arm exchanged")
-        return Hypothesis(moved_to(self._last_good, seen.data.hull.points), "the last good pose")
+        return Hypothesis(moved_to(self._last_good, seen.data.hull), "the last good pose")
 
     def _stance(self, seen: Observation, turn: int) -> Hypothesis:
         """Return the best of a few stances; others at the next set."""
-        every = stances(seen.body, seen.data.hull.points)
+        every = stances(seen.body, seen.data.hull)
         parts = len(every) // STANCES_A_SET
         best = min(every[turn % parts :: parts], key=lambda pose: seen.evidence_of(pose).cost)
         return Hypothesis(best, "the body found anew")
@@ -262,7 +265,7 @@ class TrackMonitor:
         self, seen: Observation, pose: Pose, evidence: Evidence, turns: range, jumped: dict[int, LimbPoses]
     ) -> None:
         """Rate other places of the limbs: those that are followed, and a part of the library of one limb a turn."""
-        hidden = seen.data.hull.unseen.at(forward(seen.body, pose))[LIMB_POINTS].any(axis=1)
+        self._hidden = seen.data.unseen.at(forward(seen.body, pose))[LIMB_POINTS].any(axis=1)
         searched = {self._limb_of(turn) for turn in turns}
         for number, limb in enumerate(LIMBS):
             before, library = self._beliefs[number], NO_POSES
@@ -273,7 +276,7 @@ class TrackMonitor:
             if number in jumped:
                 known = known.with_others(jumped[number])
             places = other_places(Figure.of(seen.body), pose, limb, seen.data, library, known, evidence.matched)
-            self._beliefs[number] = LimbBelief.after(before, places, seen.dt_s, bool(hidden[number]))
+            self._beliefs[number] = LimbBelief.after(before, places, seen.dt_s, bool(self._hidden[number]))
 
     def _limb_of(self, turn: int) -> int:
         """Return which limb is searched for: one after another, and every second time the least certain one."""
@@ -299,23 +302,21 @@ class TrackMonitor:
     def _changed_limb(self, seen: Observation, pose: Pose, evidence: Evidence) -> TrackAssessment | None:
         """Return the change-over of the limb that is most probably elsewhere, the whole figure fitted from there; None
         for no such limb, or if the whole set does not agree."""
-        rivals = {
-            number: float(belief.log_odds[place])
+        rivals = [
+            (float(belief.log_odds[place]), number, place, belief)
             for number, belief in enumerate(self._beliefs)
             if belief is not None and (place := belief.likeliest_place) is not None
-        }
+        ]
         if not rivals:
             return None
-        number = max(rivals, key=rivals.__getitem__)
-        limb, belief = LIMBS[number], self._beliefs[number]
-        assert belief is not None
-        place = int(belief.log_odds.argmax())
+        log_odds, number, place, belief = max(rivals, key=lambda rival: rival[0])
+        limb = LIMBS[number]
         better = seen.fitted(with_limb(pose, limb, *belief.places.poses.at(place)))
         found = seen.evidence_of(better)
         if seen.apart_m(better, pose) < SAME_M or evidence.margin_of(found) <= 0.0:
             self._beliefs[number] = belief.without(place)
             return None
-        self._beliefs[number] = self._belief_after_move(seen, better, number, pose, rivals[number])
+        self._beliefs[number] = self._belief_after_move(seen, better, number, pose, log_odds)
         quality, moved = self._judge_body(found, 0.0), tuple(part == limb.part for part in range(len(PART_NAMES)))
         return TrackAssessment(quality, better, f"{PART_NAMES[limb.part]} elsewhere", moved)
 
@@ -326,7 +327,7 @@ class TrackMonitor:
         limb = LIMBS[number]
         places = other_places(Figure.of(seen.body), better, limb, seen.data, NO_POSES, LimbPoses.of(left, limb))
         unseen = 0.0 if (before := self._beliefs[number]) is None else before.unseen - log_odds
-        return LimbBelief(places, np.full(len(places.margins), -log_odds), unseen, False)
+        return LimbBelief(places, np.full(len(places.margins), -log_odds), unseen)
 
     # --- what doubt means for the points ------------------------------------------------------------------------------
 
@@ -367,11 +368,10 @@ def _without_jumps(seen: Observation, pose: Pose, expected: Pose) -> tuple[Pose,
     offsets = forward(seen.body, pose) - forward(seen.body, on_trunk)
     innovations = np.linalg.norm(offsets, axis=1)[LIMB_POINTS].max(axis=1)
     jumped, fitted = dict[int, LimbPoses](), pose
-    least = limb_filter.PLACE_LOG_PRIOR * limb_filter.RAYS_PER_NAT  # with less, a jump is the more probable
     for number in np.flatnonzero(innovations > reach_m(seen.dt_s)).tolist():
         limb = LIMBS[number]
         there = other_places(Figure.of(seen.body), pose, limb, seen.data, NO_POSES, LimbPoses.of(expected, limb))
-        if len(there.margins) and there.margins[0] > least:
+        if len(there.margins) and there.margins[0] > limb_filter.PLACE_LOG_PRIOR:
             pose = with_limb(pose, limb, *there.poses.at(0))
             jumped[number] = LimbPoses.of(fitted, limb)
     return pose, jumped
@@ -381,7 +381,7 @@ def _updated(other: Hypothesis, margin: float, dt_s: float) -> Hypothesis:
     """Return the hypothesis after a set in which it explained so many rays (margin) more than the tracked pose."""
     gain = 1.0 - math.exp(-dt_s / limb_filter.MEMORY_S)
     most = 2.0 * limb_filter.SET_NATS  # of a whole body: a tear reaches one part of it
-    nats = min(max(margin / limb_filter.RAYS_PER_NAT, -most), most)
+    nats = min(max(margin / RAYS_PER_NAT, -most), most)
     return replace(other, log_odds=other.log_odds + gain * (BODY_LOG_PRIOR + nats - other.log_odds), margin=margin)
 
 
@@ -390,4 +390,4 @@ def _in_words(belief: LimbBelief) -> str:
     if len(belief.log_odds) == 0 or belief.unseen > belief.log_odds.max():
         return f"{places.samples:.0f} independent samples show it"
     k = int(belief.log_odds.argmax())
-    return f"a place {100 * places.apart_m[k]:.0f} cm away explains {places.margins[k]:+.0f} rays"
+    return f"a place {100 * places.apart_m[k]:.0f} cm away explains {places.margins[k]:+.0f} independent samples"

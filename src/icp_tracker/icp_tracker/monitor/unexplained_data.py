@@ -11,9 +11,9 @@ from capture_rig.kernel import njit
 from stick_figure.body_surface import BodySurface
 from stick_figure.least_squares.contour_factor import NORMAL, RayArrays, match_rays, rays_at
 from stick_figure.least_squares.contour_factor import TANGENT as ALONG
-from stick_figure.least_squares.placed_figure import Figure, place, surface_distances
+from stick_figure.least_squares.placed_figure import Figure, place
 
-from .evidence import GATE_M, POINT_GATE_M, RAYS_PER_POINT, RAYS_PER_VOXEL, SLACK_M, ray_cost, stick_distances
+from .evidence import GATE_M, SLACK_M, ray_cost
 
 # Thresholds: measured by python bench/recovery.py.
 COARSE_GATE_M = 0.12  # the library is coarse: an elbow may be 80 mm off
@@ -24,23 +24,18 @@ class UnexplainedData(NamedTuple):
     """What the rest of the body does not explain, within reach of a limb.
 
     rays, coarse, fine (n,) : contour rays, and what each costs without the limb at a wide gate and at the usual one.
-    points (p, 3), voxels (v, 3) : centerline and surface of the hull, m, with what each costs, in rays.
     """
 
     rays: RayArrays
     coarse: np.ndarray
     fine: np.ndarray
-    points: np.ndarray
-    point_costs: np.ndarray
-    voxels: np.ndarray
-    voxel_costs: np.ndarray
 
 
 @njit(cache=True)
 def unexplained_data(data, matched, state, figure, limb):
     """Return the data that the body without the limb does not explain."""
     rays, placed, own = data.contour_rays, place(state, part_of(figure, limb, False)), _is_of_limb(figure, limb)
-    without, root = _rays_without(rays, matched.rays, placed, own), placed.A[limb.upper].copy()
+    without, root = _rays_without(rays, matched, placed, own), placed.A[limb.upper].copy()
     reach = figure.lengths[limb.upper] + figure.lengths[limb.lower] + COARSE_GATE_M
     chosen, count = np.empty(without.shape[0], np.int64), 0
     for i in range(without.shape[0]):
@@ -48,19 +43,9 @@ def unexplained_data(data, matched, state, figure, limb):
             chosen[count] = i
             count += 1
     chosen = chosen[:count]
-    sticks = np.array([j for j in range(figure.lengths.shape[0]) if j != limb.upper and j != limb.lower])
-    points, beside = _within_reach(data.points, stick_distances(data.points, placed, sticks), root, reach)
-    away = np.abs(_voxels_without(data.voxels, matched.voxels, placed, own))
-    voxels, away = _within_reach(data.voxels, away, root, reach)
     left = without[chosen]
     return UnexplainedData(
-        RayArrays(rays_at(rays, chosen).rows, np.ones(count)),
-        ray_cost(left, COARSE_GATE_M),
-        ray_cost(left, GATE_M),
-        points,
-        RAYS_PER_POINT * ray_cost(beside, POINT_GATE_M),
-        voxels,
-        RAYS_PER_VOXEL * ray_cost(away, GATE_M),
+        RayArrays(rays_at(rays, chosen).rows, np.ones(count)), ray_cost(left, COARSE_GATE_M), ray_cost(left, GATE_M)
     )
 
 
@@ -71,25 +56,6 @@ def _rays_without(rays, match, placed, own):
     separation, again = match.separation.copy(), np.flatnonzero(own[match.capsule])
     separation[again] = match_rays(rays_at(rays, again), placed, SLACK_M).separation
     return separation
-
-
-@njit(cache=True)
-def _voxels_without(voxels, nearest, placed, own):
-    """Return the distances (m,) of the voxels from such a body's surface."""
-    capsule, _, distance = nearest
-    distance, again = distance.copy(), np.flatnonzero(own[capsule])
-    distance[again] = surface_distances(voxels[again], placed)[2]
-    return distance
-
-
-@njit(cache=True)
-def _within_reach(points, distances, root, reach):
-    """Return the points (n, 3) that the body passes at a distance (n,), and that lie within a limb's reach."""
-    chosen = np.empty(points.shape[0], np.bool_)
-    for i in range(points.shape[0]):
-        x, y, z = points[i, 0] - root[0], points[i, 1] - root[1], points[i, 2] - root[2]
-        chosen[i] = distances[i] > EXPLAINED_BY_BODY_M and x * x + y * y + z * z < reach * reach
-    return points[chosen], distances[chosen]
 
 
 @njit(cache=True)

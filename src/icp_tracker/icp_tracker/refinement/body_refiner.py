@@ -20,7 +20,7 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.trunk_bend import REST_SD
 
 from ..acquisition.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
-from ..articulated_fit import PriorSettings
+from ..articulated_fit import LIMIT_SD, NECK_PITCH, NECK_SD, PRIOR
 from .keyframes import Keyframes, PosePrior, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
 from .shape import BUILD, SIZE, ShapeModel, ShapePrior, body_of, figure_change
 
@@ -107,7 +107,6 @@ class BodyRefiner:
         self,
         estimate: BodyEstimate,
         settings: RefinementSettings,
-        pose_prior: PriorSettings,
         given: Body | None = None,
         bend: float = 1.0,
         turn_sd: float = TURN_SD,
@@ -118,15 +117,8 @@ class BodyRefiner:
         (BUILD_NUMBERS,) : to begin with, of a body that is not near the average."""
         self._sizes_from = given
         self._prior, self._settings = ShapePrior.of(estimate, settings.build_sd), settings
-        neck, limit = _information(pose_prior.neck_sd), _information(pose_prior.limit_sd)
-        self._pose_prior = PosePrior(
-            pose_prior.information,
-            (max(bend, STIFF) * REST_SD) ** -2,
-            neck,
-            pose_prior.neck_pitch,
-            limit,
-            max(turn_sd, STIFF) ** -2,
-        )
+        bends, ends = (max(bend, STIFF) * REST_SD) ** -2, max(turn_sd, STIFF) ** -2
+        self._pose_prior = PosePrior(PRIOR, bends, NECK_SD**-2, NECK_PITCH, LIMIT_SD**-2, ends)
         self._information = np.linalg.inv(self._prior.covariance)
         self._target = self._information @ self._prior.mean
         self._model, self._values = ShapeModel(self._prior.mean).arrays, self._prior.mean.copy()
@@ -230,13 +222,9 @@ def known_sizes(body: Body) -> BodyEstimate:
     return BodyEstimate(sizes_of_body(body), np.diag(np.full(len(SIZES), GIVEN_SD_M**2)))
 
 
-def warm_up_refiner(settings: RefinementSettings, pose_prior: PriorSettings) -> None:
+def warm_up_refiner(settings: RefinementSettings) -> None:
     """Run one step on a made-up ray, which counts, so that compiled code is loaded before it is needed."""
     pose = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
     x, y = np.eye(3)[:2, None]
     ray = RayArrays.of(x, y, x, np.ones(1), np.ones(1))
-    BodyRefiner(prior_sizes(1.7), replace(settings, explained=0.0), pose_prior).step(0, pose, ray)
-
-
-def _information(sd: float) -> float:
-    return sd**-2 if sd > 0.0 else 0.0
+    BodyRefiner(prior_sizes(1.7), replace(settings, explained=0.0)).step(0, pose, ray)

@@ -58,7 +58,7 @@ class Keyframes(NamedTuple):
 
 class PosePrior(NamedTuple):
     """What holds a keyframe's pose where its rays do not: information (24,) of the tangent and (7,) of the trunk's bend
-    about rest; of the neck's rest, at ``neck_pitch`` rad, and of the joints' limits (1/rad^2, 0: off); of the turns of
+    about rest; of the neck's rest, at ``neck_pitch`` rad, and of the joints' limits (1/rad^2); of the turns of
     hands and feet about straight."""
 
     information: np.ndarray
@@ -141,10 +141,8 @@ def _follow_shape(through, change, state, bend, turns):
 def _add_pose_prior(state, prior, own, pull):
     """Add to the pose's equations what is known without rays: scatter, the neck's rest, the joints' limits."""
     known = np.zeros((TANGENT, TANGENT))
-    if prior.neck > 0.0:
-        add_neck_rest(state.RJ[0], prior.neck_pitch, prior.neck, known, pull)
-    if prior.limit > 0.0:
-        add_joint_limits(state.RJ, state.hinges, np.inf, prior.limit, known, pull)
+    add_neck_rest(state.RJ[0], prior.neck_pitch, prior.neck, known, pull)
+    add_joint_limits(state.RJ, state.hinges, np.inf, prior.limit, known, pull)
     mirror_upper(known)
     own += known
     for i in range(TANGENT):

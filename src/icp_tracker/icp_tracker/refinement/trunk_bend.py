@@ -15,7 +15,7 @@ from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.pose import Pose
 from stick_figure.trunk_bend import RATE_SD, REST_SD
 
-from ..articulated_fit import CONTOUR_GATE_M, ArticulatedSettings
+from ..articulated_fit import CONTOUR_GATE_M, PRIOR, ArticulatedSettings
 
 NS = 1e-9
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
@@ -65,7 +65,7 @@ class TrunkBend:
             Figure.of(self.of(body)),
             BendDerivatives.of(body),
             CONTOUR_GATE_M,
-            self._settings.prior.information,
+            PRIOR,
             rest + walk,
             -rest * self._bend,
         )

@@ -3,14 +3,18 @@
 The torso first, then every limb from its root to its end: each stick is aligned by ICP to the points nearest to it,
 helped by the points of its descendants with a small weight (they fix the rotation about the stick's own axis), and
 carries its descendants along. Corrections to the text: model points are moved onto data points (not the reverse); a
-lone stick takes the smallest rotation (its Procrustes problem leaves the twist open); X84 is one-sided, per group; and
-a stick is done when its increment is small, since with noisy data the mean distance never falls below a threshold.
+lone stick takes the smallest rotation (its Procrustes problem leaves the twist open); and a stick is done when its
+increment is small, since with noisy data the mean distance never falls below a threshold.
+
+The X84 rejection rule (eq. 4.11) discards pairs with ``|e - med e| > 3.5 * 1.4826 MAD``, here group by group. Two
+corrections: a distance BELOW the median is never an outlier, so the rule is one-sided; and the median absolute
+deviation of a nearly perfect set is nearly zero and would discard half of it, so the scale never falls below a floor of
+a few millimetres.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,16 +24,21 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import inverse
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, columns
-from stick_figure.least_squares.point_factor import SIGMA_FLOOR_M, place_feet, prefer_stick, x84_keep
+from stick_figure.least_squares.point_factor import place_feet, prefer_stick
 from stick_figure.pose import Pose
 from stick_figure.skeleton import PARENT, PREORDER
 
 from .procrustes import weighted_extended_procrustes, weighted_procrustes_about, weighted_swing_about
 
 OWN, DESCENDANT, OTHER = 0, 1, 2
-# Thresholds: MIN_OWN_POINTS from Arun et al. 1987: three points fix a rotation; else judgement.
+# Thresholds: MIN_OWN_POINTS from Arun et al. 1987: three points fix a rotation; X84 from Hampel et al., "Robust
+# Statistics", 1986, and the normal distribution; else judgement.
+MAX_ITERATIONS = 30  # of a stick
 MIN_OWN_POINTS = 3  # a stick with fewer points of its own stays where it is
 ROTATION_TOLERANCE, SHIFT_TOLERANCE_M = 1e-3, 1e-4  # rad, m: a stick, the torso, is done below this increment
+CUT = 3.5  # standard deviations
+MAD_TO_SIGMA = 1.4826  # a Gaussian's standard deviation over its median absolute deviation
+SIGMA_FLOOR_M = 0.005
 
 
 def _descendants() -> np.ndarray:
@@ -45,7 +54,6 @@ def _descendants() -> np.ndarray:
 DESCENDANTS = _descendants()
 """(10, 10) bool: [j, k] is true when stick k hangs below stick j."""
 _ORDER = np.array(PREORDER)
-_PARENT = np.array(PARENT)
 _LEAF = np.array([not below.any() for below in DESCENDANTS])
 
 
@@ -53,17 +61,9 @@ _LEAF = np.array([not below.any() for below in DESCENDANTS])
 class HierarchicalSettings:
     """Settings of the hierarchical articulated ICP."""
 
-    weighting: str = setting(
-        "descendants",
-        "which points below a stick help to turn it: all 'descendants' with one weight (thesis), or 'proximal', the "
-        "direct children's with a weight (1-u)^2 that falls along the child (good on clean points, diverges on hulls)",
-        choices=("descendants", "proximal"),
-    )
     descendant_weight: float = setting(
         0.2, "weight of a descendant's point against one of the stick's own (the thesis's epsilon)", low=0.0, high=1.0
     )
-    max_iterations: int = setting(30, "ICP iterations a stick at most", low=1, high=1000)
-    sweeps: int = setting(1, "passes over the whole figure (1: the thesis's)", low=1, high=20)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +82,8 @@ def fit_hierarchical(
     settings = settings or HierarchicalSettings()
     state, figure = State.of(start), Figure.of(body)
     G, *_ = kernels.place_sticks(state, figure.lengths, figure.origins)
-    options = Options(
-        settings.weighting == "proximal", settings.descendant_weight, settings.max_iterations, settings.sweeps
-    )
     points = np.ascontiguousarray(points_world, dtype=np.float64)
-    iterations, converged = align_sticks(points, G, state.t0, figure, options)
+    iterations, converged = align_sticks(points, G, state.t0, figure, settings.descendant_weight)
     # every joint was free to turn in all directions; the nearest pose with hinges at elbows and knees has these points
     return HierarchicalFit(inverse(body, _reference_points(G, state.t0, figure), start), converged, iterations)
 
@@ -98,20 +95,12 @@ def _reference_points(G: np.ndarray, t0: np.ndarray, figure: Figure) -> np.ndarr
     return P
 
 
-class Options(NamedTuple):
-    """The settings for the kernel; epsilon is the descendants' weight."""
-
-    proximal: bool
-    epsilon: float
-    max_iterations: int
-    sweeps: int
-
-
 @njit(cache=True, nogil=True)
-def align_sticks(points, G, t0, figure, options):
+def align_sticks(points, G, t0, figure, epsilon):
     """Algorithm 2 on the sticks' world frames ``G`` (10, 3, 3) and the torso centre ``t0``, in place.
 
-    Returns the iterations spent and whether every stick that had points met the tolerance.
+    ``epsilon`` : weight of a descendant's point. Returns the iterations spent and whether every stick that had points
+    met the tolerance.
     """
     n = points.shape[0]
     xyz = columns(points)
@@ -120,25 +109,22 @@ def align_sticks(points, G, t0, figure, options):
     fixed = (np.empty(n, np.int64), np.empty(n), np.empty(n))
     keep, weight = np.empty(n, np.bool_), np.empty(n)
     spent, converged = 0, True
-    for _ in range(options.sweeps):
-        for j in _ORDER:  # step 1: preorder; step 2: the current stick
+    for j in _ORDER:  # step 1: preorder; step 2: the current stick
+        kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
+        match_fixed_sticks(j, xyz, A, B, fixed)
+        done = False
+        for _ in range(MAX_ITERATIONS):
+            spent += 1
+            match_moving_sticks(j, xyz, A, B, fixed, match)  # step 3
+            if weight_points(j, match, epsilon, keep, weight) < MIN_OWN_POINTS:  # steps 4 and 5
+                done = True
+                break
+            angle, shift = move_stick(j, points, match[2], weight, A, B, G, t0)  # steps 6 and 7
             kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
-            match_fixed_sticks(j, xyz, A, B, fixed)
-            done = False
-            for _ in range(options.max_iterations):
-                spent += 1
-                match_moving_sticks(j, xyz, A, B, fixed, match)  # step 3
-                if (
-                    weight_points(j, match, options.proximal, options.epsilon, keep, weight) < MIN_OWN_POINTS
-                ):  # steps 4 and 5
-                    done = True
-                    break
-                angle, shift = move_stick(j, points, match[2], weight, A, B, G, t0)  # steps 6 and 7
-                kernels.stick_ends(G, t0, figure.lengths, figure.origins, A, B)
-                if angle < ROTATION_TOLERANCE and shift < SHIFT_TOLERANCE_M:  # step 8
-                    done = True
-                    break
-            converged = converged and done
+            if angle < ROTATION_TOLERANCE and shift < SHIFT_TOLERANCE_M:  # step 8
+                done = True
+                break
+        converged = converged and done
     return spent, converged
 
 
@@ -181,12 +167,12 @@ def move_stick(j, points, feet, weight, A, B, G, t0):
 
 
 @njit(cache=True, nogil=True)
-def weight_points(j, match, proximal, epsilon, keep, weight):
+def weight_points(j, match, epsilon, keep, weight):
     """Weights (n,): own points 1, descendants' below, rejected (X84 in either group) and foreign points 0.
 
     Returns the number of stick j's own points before rejection.
     """
-    stick, along, _, squared = match
+    stick, _, _, squared = match
     n = stick.shape[0]
     distances, group = np.empty(n), np.empty(n, np.int64)
     own = 0
@@ -199,12 +185,7 @@ def weight_points(j, match, proximal, epsilon, keep, weight):
         weight[i] = 0.0
         if not keep[i]:
             continue
-        if group[i] == OWN:
-            weight[i] = 1.0
-        elif not proximal:
-            weight[i] = epsilon
-        elif _PARENT[stick[i]] == j:
-            weight[i] = (1.0 - along[i]) ** 2
+        weight[i] = 1.0 if group[i] == OWN else epsilon
     return own
 
 
@@ -227,3 +208,37 @@ def apply_motion(j, R, t, G, t0):
             for p in range(3):
                 G[k, p, q] = R[p, 0] * column[0] + R[p, 1] * column[1] + R[p, 2] * column[2]
     return np.sqrt(shift)
+
+
+@njit(cache=True)
+def x84_threshold(distances, floor=SIGMA_FLOOR_M):
+    """Return the largest distance (m) that is kept of ``distances`` (n,), m; infinite for an empty set."""
+    if distances.shape[0] == 0:
+        return np.inf
+    centre = np.median(distances)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(distances - centre))
+    return centre + CUT * max(sigma, floor)
+
+
+@njit(cache=True)
+def x84_keep(distances, group, groups, floor, keep):
+    """Apply the rule to each group on its own; groups outside 0..groups-1 are not kept.
+
+    ``distances`` (n,) m, ``group`` (n,) int, ``keep`` (n,) bool is written; returns the number kept.
+    """
+    n = distances.shape[0]
+    keep[:] = False
+    members = np.empty(n)
+    kept = 0
+    for g in range(groups):
+        count = 0
+        for i in range(n):
+            if group[i] == g:
+                members[count] = distances[i]
+                count += 1
+        limit = x84_threshold(members[:count], floor)
+        for i in range(n):
+            if group[i] == g and distances[i] <= limit:
+                keep[i] = True
+                kept += 1
+    return kept

@@ -108,7 +108,6 @@ class Part:
 
 PARTS = (
     Part("all joints at once", {"icp_tracker.method": "hierarchical"}),
-    Part("sticks inside the hull", {SOLVE + "volume.inside_weight": 0.0}),
     Part("the hull's surface on the body surface", {SOLVE + "volume.weight": 0.0}),
     Part("contour rays tangent to the body surface", {SOLVE + "contour.weight": 0.0}),
     Part("fits start from the filter's state", feedback=False),

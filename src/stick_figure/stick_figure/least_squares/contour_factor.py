@@ -106,15 +106,9 @@ def match_at(match, rows):
 
 
 @njit(cache=True)
-def add_contour(data, placed, weights, ends, H, g):
-    """Add every ray's distance from its capsule to upper H and g, Geman-McClure; hands and feet turn freely."""
-    match = match_rays(data.contour_rays, placed, weights.contour_slack)
-    add_matched(data.contour_rays, match, placed, weights, ends, H, g)
-
-
-@njit(cache=True)
-def add_matched(rays, match, placed, weights, ends, H, g):
-    """Add the distances of rays from the capsules that they were matched to."""
+def add_contour(rays, match, placed, weights, ends, H, g):
+    """Add every ray's distance from the capsule that it was matched to to upper H and g, Geman-McClure; hands and feet
+    turn freely."""
     if rays.information.shape[0] == 0:
         return
     sums = no_sums(placed.P.shape[0], ENDS)

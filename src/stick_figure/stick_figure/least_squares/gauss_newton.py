@@ -1,7 +1,7 @@
 """The compiled core of the all-joints fit: one robust Gauss-Newton over everything that speaks about the pose.
 
-Every term is a kernel ``add_<term>(data, placed, weights, H, g)`` in a room of its own; a new term is such a kernel,
-its data in :class:`Data`, its weight in :class:`Weights`, and a line in :func:`linearise` or :func:`regularise`.
+Every term is a kernel ``add_<term>(..., H, g)`` in a module of its own; a new term is such a kernel, its data in
+:class:`Data`, its weight in :class:`Weights`, and a line in :func:`linearise` or :func:`regularise`.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ import numpy as np
 
 from capture_rig.kernel import njit
 from capture_rig.small_matrices import solve_positive
+from capture_rig.visibility import UnseenCells
 
 from .. import kernels
 from ..joint_limits import add_joint_limits, add_neck_rest
 from .contour_factor import (
     RayArrays,
-    RayMatch,
-    add_matched,
+    add_contour,
     best_of_all,
     best_of_stiff,
     look_at_ends,
@@ -27,34 +27,26 @@ from .contour_factor import (
     ray_match,
 )
 from .free_ends import follow, straight_ends, turn_ends
-from .hull_samples import HullSamples
 from .independent_rows import add_independent_rows
 from .normal_equations import TANGENT, mirror_upper, point_covariances
 from .placed_figure import STICKS, place, reference_points, surface_distances
 from .point_factor import add_points, match_points, summarise
-from .surface_factor import add_arm_clearance, add_inside, add_nearest
+from .surface_factor import add_surface
 
 LOOKS_AT_ENDS = 3  # until hands and feet of a given pose have turned to where the rays want them
 
 
 class Data(NamedTuple):
     """What was measured: centerline points (n, 3) m with information (n,) 1/m^2 and squared gate (n,) m^2; voxels
-    (m, 3) m of the hull's surface, samples of the whole hull, and contour rays."""
+    (m, 3) m of the hull's surface, samples (k, 3) m of the whole hull, contour rays, and where no hull can be."""
 
     points: np.ndarray
     information: np.ndarray
     gate2: np.ndarray
     voxels: np.ndarray
-    hull: HullSamples
+    hull: np.ndarray
     contour_rays: RayArrays
-
-
-class DataMatch(NamedTuple):
-    """What contour rays and surface voxels are matched to by a pose with hands and feet straight: as `match_rays` and
-    `surface_distances` return it."""
-
-    rays: RayMatch
-    voxels: tuple[np.ndarray, np.ndarray, np.ndarray]
+    unseen: UnseenCells
 
 
 class Weights(NamedTuple):
@@ -66,17 +58,11 @@ class Weights(NamedTuple):
     """
 
     prior: np.ndarray
-    robust: int
-    floor: float
     voxel: float
     voxel_gate: float
     voxel_tight: float
     contour_gate: float
     contour_slack: float
-    clearance: float
-    inside: float
-    inside_slack: float
-    inside_gate: float
     neck: float
     neck_pitch: float
     limit: float
@@ -122,7 +108,7 @@ def assess(data, state, figure, weights, scale):
 
     Returns reference points (15, 3) m and their covariance (15, 3, 3) m^2, that of the independent rows where there are
     contour rays; inliers a stick (10,) and their root mean square distance (m); surface voxels near each stick's
-    surface (10,); what rays and voxels were matched to.
+    surface (10,); what rays were matched to.
     """
     placed, counts, near = place(state, figure), np.zeros(STICKS, np.int64), np.zeros(STICKS, np.int64)
     nearest = surface_distances(data.voxels, placed)
@@ -131,10 +117,10 @@ def assess(data, state, figure, weights, scale):
         if abs(distance[i]) < weights.voxel_gate:
             near[placed.surface.stick[capsule[i]]] += 1
     best = best_of_all(data.contour_rays, placed, weights.contour_slack)
-    matched = DataMatch(ray_match(best), nearest)
+    matched = ray_match(best)
     if data.contour_rays.information.shape[0] > 0:
         rays_match, placed = _with_ends_turned(data.contour_rays, best, state, figure, placed, weights)
-        match, independent = match_points(data, placed, weights), np.diag(scale.unseen)
+        match, independent = match_points(data, placed), np.diag(scale.unseen)
         total, _, _ = summarise(match, counts)
         add_independent_rows(data, placed, weights, rays_match, match, independent)
         mirror_upper(independent)
@@ -142,7 +128,7 @@ def assess(data, state, figure, weights, scale):
     else:  # larger by the reduced chi-square where the inliers lie farther off than their own sigma says
         H, g, ends = np.empty((TANGENT, TANGENT)), np.empty(TANGENT), straight_ends(weights.ends)
         voxel = scale.voxel_share * loose_hull_weight(weights, distance)
-        match = linearise(data, matched.rays, nearest, placed, reweighted(weights, voxel, 0.0), ends, H, g)
+        match = linearise(data, matched, nearest, placed, weights, voxel, ends, H, g)
         mirror_upper(H)
         total, chi2, freedom = summarise(match, counts)
         spread = scale.correlation * max(1.0, chi2 / max(freedom - TANGENT, 1.0))
@@ -177,30 +163,6 @@ def loose_hull_weight(weights, distance):
     return weights.voxel / (1.0 + (excess / weights.voxel_tight) ** 4.0)
 
 
-@njit(cache=True)
-def reweighted(weights, voxel, inside):
-    """Return the weights with others of the voxels and of the points inside the hull."""
-    w = weights
-    return Weights(
-        w.prior,
-        w.robust,
-        w.floor,
-        voxel,
-        w.voxel_gate,
-        w.voxel_tight,
-        w.contour_gate,
-        w.contour_slack,
-        w.clearance,
-        inside,
-        w.inside_slack,
-        w.inside_gate,
-        w.neck,
-        w.neck_pitch,
-        w.limit,
-        w.ends,
-    )
-
-
 @njit(cache=True, nogil=True)
 def gauss_newton(data, state, figure, weights, stop):
     """Minimise in place over the state, the surface voxels weighed by where it begins.
@@ -212,13 +174,13 @@ def gauss_newton(data, state, figure, weights, stop):
     H, g = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
     L, step = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
     placed, ends = place(state, figure), straight_ends(weights.ends)
-    after, moved = reference_points(placed), np.inf
+    after, moved, voxel = reference_points(placed), np.inf, 0.0
     for iteration in range(stop.iterations):
         nearest = surface_distances(data.voxels, placed)
         if iteration == 0:
-            weights = reweighted(weights, loose_hull_weight(weights, nearest[2]), weights.inside)
+            voxel = loose_hull_weight(weights, nearest[2])
         rays_match = match_rays(data.contour_rays, placed, weights.contour_slack)
-        linearise(data, rays_match, nearest, placed, weights, ends, H, g)
+        linearise(data, rays_match, nearest, placed, weights, voxel, ends, H, g)
         regularise(start, placed, weights, H, g)
         mirror_upper(H)
         solve_positive(H, g, L, step)
@@ -235,22 +197,21 @@ def gauss_newton(data, state, figure, weights, stop):
 
 
 @njit(cache=True, nogil=True)
-def linearise(data, rays_match, nearest, placed, weights, ends, H, g):
+def linearise(data, rays_match, nearest, placed, weights, voxel, ends, H, g):
     """Overwrite upper H and g with what the data say about the pose, rays and voxels (``nearest``) with what they were
-    matched to; returns the points' match."""
+    matched to; ``voxel`` : weight of a voxel, 1/m^2. Returns the points' match."""
     H[:] = 0.0
     g[:] = 0.0
-    match = add_points(data, placed, weights, H, g)
-    if weights.voxel != 0.0:
-        add_nearest(data.voxels, nearest, placed, weights, H, g)
-    add_matched(data.contour_rays, rays_match, placed, weights, ends, H, g)
-    add_inside(data, placed, weights, H, g)
+    match = add_points(data, placed, H, g)
+    if voxel != 0.0:
+        add_surface(data.voxels, nearest, placed, voxel, weights.voxel_gate, H, g)
+    add_contour(data.contour_rays, rays_match, placed, weights, ends, H, g)
     return match
 
 
 @njit(cache=True)
 def regularise(start, placed, weights, H, g):
-    """Add to upper H and g what is known without data: the start, the neck's rest, joint limits, room for the arms."""
+    """Add to upper H and g what is known without data: the start, the neck's rest, joint limits."""
     back = np.empty(TANGENT)
     t0, R0, RJ, hinges = start
     kernels.difference(t0, R0, RJ, hinges, placed.t0, placed.R0, placed.RJ, placed.hinges, back)
@@ -259,4 +220,3 @@ def regularise(start, placed, weights, H, g):
         g[k] += weights.prior[k] * back[k]
     add_neck_rest(placed.RJ[0], weights.neck_pitch, weights.neck, H, g)
     add_joint_limits(placed.RJ, placed.hinges, np.inf, weights.limit, H, g)
-    add_arm_clearance(placed, weights, H, g)

@@ -1,9 +1,9 @@
 """Normal equations of an articulated figure: how residuals become H (n, n) and g (n,) of the step H d = g.
 
-The first 24 unknowns are the pose's tangent. Terms fill the upper triangle of H. Three kinds of residual are known:
-displacements of points that are fixed to a stick (:mod:`.point_factor`), single numbers with a sparse derivative, and
-distances from capsules. A distance from the surface of a capsule, taken along the unit normal n at the place u of its
-axis, is linear in what a capsule consists of, its ends P and Q and its two radii:
+The first 24 unknowns are the pose's tangent. Terms fill the upper triangle of H. Two kinds of residual are known:
+displacements of points that are fixed to a stick (:mod:`.point_factor`), and distances from capsules. A distance from
+the surface of a capsule, taken along the unit normal n at the place u of its axis, is linear in what a capsule consists
+of, its ends P and Q and its two radii:
 
     e = n . (x - (1-u) P - u Q) - (1-u) r_P - u r_Q,    de = -(1-u) m . d(P, r_P) - u m . d(Q, r_Q),    m = (n, 1)
 
@@ -45,17 +45,6 @@ class CapsuleSums(NamedTuple):
 def no_sums(capsules, numbers):
     """Return zero sums over so many capsules; ``numbers`` is ENDS or WHOLE."""
     return CapsuleSums(np.zeros((capsules, 3, numbers * (numbers + 1) // 2)), np.zeros((capsules, 2, 4)))
-
-
-@kernel
-def add_scalar_residual(row, slots, n, residual, weight, H, g):
-    """Add one scalar residual with sparse derivative ``row`` (n,) at ``slots``."""
-    for m in range(n):
-        a = weight * row[m]
-        g[slots[m]] += a * residual
-        for q in range(m, n):
-            first, last = min(slots[m], slots[q]), max(slots[m], slots[q])
-            H[first, last] += a * row[q]
 
 
 @njit(cache=True)

@@ -6,10 +6,6 @@ five and contradicts Algorithm 2 and figure 4.4.) Every point pulls on its stick
 For a foot inside a stick the component along the stick is free (the foot slides); for a foot clamped to a stick's end
 all three components count. This is articulated ICP as in Demirdjian & Darrell, "3-D articulated pose tracking for
 untethered diectic reference", ICMI 2002, with hard joint constraints; the columns are the thesis's Table 5.8 corrected.
-
-The X84 rejection rule (thesis 4.3, eq. 4.11) discards pairs with ``|e - med e| > 3.5 * 1.4826 MAD``. Two corrections: a
-distance BELOW the median is never an outlier, so the rule is one-sided; and the median absolute deviation of a nearly
-perfect set is nearly zero and would discard half of it, so the scale never falls below a floor of a few millimetres.
 """
 
 from __future__ import annotations
@@ -23,12 +19,6 @@ from capture_rig.kernel import kernel, njit
 from .. import kernels
 from .normal_equations import CHAIN_COLUMNS
 from .placed_figure import STICKS, columns
-
-GEMAN_MCCLURE, X84 = 0, 1
-# Thresholds: from Hampel et al. 1986 and the normal distribution; the floor: judgement.
-CUT = 3.5  # standard deviations (Hampel et al., "Robust Statistics", 1986)
-MAD_TO_SIGMA = 1.4826  # a Gaussian's standard deviation over its median absolute deviation
-SIGMA_FLOOR_M = 0.005
 
 
 class PointMatch(NamedTuple):
@@ -44,33 +34,28 @@ class PointMatch(NamedTuple):
 
 
 @njit(cache=True)
-def add_points(data, placed, weights, H, g):
+def add_points(data, placed, H, g):
     """Add the points' residuals to upper H and g; returns their match."""
-    match = match_points(data, placed, weights)
+    match = match_points(data, placed)
     add_point_residuals(data.points, match, placed, H, g)
     return match
 
 
 @njit(cache=True)
-def match_points(data, placed, weights):
+def match_points(data, placed):
     """Find each point's stick, its foot there, and how much it counts."""
     n = data.points.shape[0]
     match = PointMatch(
         np.empty(n, np.int64), np.empty(n), np.empty((n, 3)), np.empty(n), np.empty(n), np.empty(n, np.bool_)
     )
     foot_points(data.points, placed.A, placed.B, match.stick, match.along, match.feet, match.squared)
-    robust_weights(data, weights, match)
+    robust_weights(data, match)
     return match
 
 
 @njit(cache=True, error_model="numpy")
-def robust_weights(data, weights, match):
-    """Fill in the weights, 1/m^2, and the inliers of a match."""
-    if weights.robust == X84:
-        x84_keep(np.sqrt(match.squared), match.stick, STICKS, weights.floor, match.inlier)
-        for i in range(match.squared.shape[0]):
-            match.weight[i] = data.information[i] if match.inlier[i] else 0.0
-        return
+def robust_weights(data, match):
+    """Fill in the Geman-McClure weights, 1/m^2, and the inliers of a match."""
     for i in range(match.squared.shape[0]):
         ratio = 1.0 + match.squared[i] / data.gate2[i]
         match.weight[i] = data.information[i] / (ratio * ratio)
@@ -224,40 +209,3 @@ def place_feet(A, B, stick, along, feet):
         j, u = stick[i], along[i]
         for k in range(3):
             feet[i, k] = A[j, k] + u * (B[j, k] - A[j, k])
-
-
-# --- X84
-
-
-@njit(cache=True)
-def x84_threshold(distances, floor=SIGMA_FLOOR_M):
-    """Return the largest distance (m) that is kept of ``distances`` (n,), m; infinite for an empty set."""
-    if distances.shape[0] == 0:
-        return np.inf
-    centre = np.median(distances)
-    sigma = MAD_TO_SIGMA * np.median(np.abs(distances - centre))
-    return centre + CUT * max(sigma, floor)
-
-
-@njit(cache=True)
-def x84_keep(distances, group, groups, floor, keep):
-    """Apply the rule to each group on its own; groups outside 0..groups-1 are not kept.
-
-    ``distances`` (n,) m, ``group`` (n,) int, ``keep`` (n,) bool is written; returns the number kept.
-    """
-    n = distances.shape[0]
-    keep[:] = False
-    members = np.empty(n)
-    kept = 0
-    for g in range(groups):
-        count = 0
-        for i in range(n):
-            if group[i] == g:
-                members[count] = distances[i]
-                count += 1
-        limit = x84_threshold(members[:count], floor)
-        for i in range(n):
-            if group[i] == g and distances[i] <= limit:
-                keep[i] = True
-                kept += 1
-    return kept
