@@ -30,11 +30,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from avatar_body import load_avatar
+from clips import session_clip
 from mesh_body import MeshBody, make_body
 from mesh_footage import Look
 from mesh_motions import Play, play
 from mesh_people import BODIES, RINGS, T_POSE, WALK, Made, keep
-from scenes import session_clip
 
 SECONDS, OWN_SECONDS = 4.0, 2.5  # of exact silhouettes, of footage
 FILMED = Look("middle", 0.5)

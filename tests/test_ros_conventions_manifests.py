@@ -32,6 +32,7 @@ FROM_PYPI = {"rosbags", "c3d", "pygltflib", "viser", "mcap"}
 """What has no key there: requirements.txt brings it."""
 WITH_ANOTHER = {"llvmlite", "msgspec"}  # own requirements of numba and viser
 OPTIONAL = {"hri_msgs"}  # of REP-155: looked for, and done without
+SCRIPTS = {"commands_page"}  # of this repository, for the tests of what it writes
 ROS = {
     *(
         "rclpy",
@@ -85,7 +86,7 @@ def key_of(module: str) -> str | None:
 
 
 def needed(package: str, names: set[str]) -> set[str]:
-    unknown = {n for n in names if key_of(n) is None} - FROM_PYPI - WITH_ANOTHER - OPTIONAL
+    unknown = {n for n in names if key_of(n) is None} - FROM_PYPI - WITH_ANOTHER - OPTIONAL - SCRIPTS
     assert not unknown, f"{package} imports {sorted(unknown)}: say in KEYS or FROM_PYPI where it comes from"
     return {key for n in names if (key := key_of(n)) is not None and key != package}
 

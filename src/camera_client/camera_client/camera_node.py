@@ -178,9 +178,9 @@ class CameraNode(SagomaNode):
 
     def _use_lens(self, info: CameraInfo) -> None:
         """Use the lens of a driver's camera_info instead of the rig's. Raises InputError."""
-        assert self.chain is not None
+        assert self.processor is not None
         where = self.settings.topic.camera_info
-        self.chain.use_camera(camera_from_message(info, self.chain.camera or self._blank(info), where))
+        self.processor.use_camera(camera_from_message(info, self.processor.camera or self._blank(info), where))
 
     def _accept(self, source: FrameSource) -> None:
         """Check a new connection before its first frame, and take the background that fits it."""

@@ -135,7 +135,7 @@ def plugin(settings: CameraClientSettings) -> Callable[[], FrameSource]:
         raise InputError(f"'{name}' cannot be imported: {error}", where=where, remedy=remedy) from None
     if not (isinstance(kind, type) and issubclass(kind, FrameSource)):
         raise InputError(f"'{name}' is no FrameSource", where=where, remedy="Derive it from FrameSource.")
-    options = dict(option.split("=", 1) if "=" in option else (option, "") for option in settings.plugin.options)
+    options = {name: value for name, _, value in (option.partition("=") for option in settings.plugin.options)}
     return lambda: kind(**options)
 
 

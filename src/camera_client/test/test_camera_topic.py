@@ -174,7 +174,7 @@ def test_lens_of_the_driver_replaces_the_rigs(bench, session, scene, driver):
     topic = {"source": "topic", "topic.name": TOPIC, "topic.camera_info": f"/driver{NAMESPACE}/camera_info"}
     camera = bench(**{**session.parameters, **topic}).start()
     camera.until(lambda: camera.masks)
-    assert camera.node.chain.camera.K[0, 0] == 140.0
+    assert camera.node.processor.camera.K[0, 0] == 140.0
 
 
 def test_absent_driver_is_awaited_and_named(bench, session, scene, driver):
