@@ -7,6 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
 from rclpy.context import Context
@@ -33,6 +34,7 @@ T = TypeVar("T")
 TYPES = {"sensor_msgs/msg/Image": ImageMessage, "sensor_msgs/msg/CompressedImage": CompressedImage}
 OURS = ("camera_info", "image_raw")  # what the client publishes in its own namespace
 CLOCK = "header of the topic"
+UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rclpy's name of a node of which only a publisher was discovered so far
 # Thresholds: judgement, no measurement.
 PATIENCE_S = 3.0  # for a publisher to be found, and for its first two images, which tell size and rate
 POLL_S = 0.05  # of discovery, which wakes nobody
@@ -132,13 +134,19 @@ class TopicSource(FrameSource):
         """Raises InputError when the driver publishes what the client itself publishes under the same name."""
         assert self._node is not None
         for topic in map(self._node.resolve_topic_name, OURS):
-            theirs = [i for i in self._node.get_publishers_info_by_topic(topic) if i.node_name != self._client]
+            theirs = self._spin_for(partial(self._other_publishers, topic), time.monotonic() + PATIENCE_S)
             if theirs:
                 raise InputError(
                     f"node {theirs[0].node_name} publishes {topic}, as the camera client does of its own images",
                     where=self.description,
                     remedy=f"Start the driver in another namespace: --ros-args -r __ns:=/driver{self._namespace}",
                 )
+
+    def _other_publishers(self, topic: str) -> list[TopicEndpointInfo] | None:
+        """Return who else publishes a topic; None while some publisher's node is not known yet."""
+        assert self._node is not None
+        found = self._node.get_publishers_info_by_topic(topic)
+        return None if any(i.node_name == UNKNOWN for i in found) else [i for i in found if i.node_name != self._client]
 
     def _spin_for(self, take: Callable[[], T | None], deadline_s: float) -> T | None:
         """Return what ``take`` gives once it gives something, or None after ``deadline_s``."""
