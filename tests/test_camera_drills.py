@@ -256,6 +256,7 @@ def test_lights_that_go_off_or_change_are_noticed(pc):
 
 
 def test_wrong_pixel_format_gives_no_silhouette_and_is_counted(pc):
+    pc.until_well()  # what the drill before left would be said first
     wrong = pc.until_number("wrong_format", -1)
     pc.camera.faults.wrong_format = True
     pc.until_number("wrong_format", wrong + FPS)
