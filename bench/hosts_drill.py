@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ JUMBO, NO_PROFILE = 9000, "none"
 SETTLE_S, LOOK_S = 1.5, 0.02
 
 
-class NetworkDrill:
+class NetworkDrill(ABC):
     """A world with a server and camera hosts in it; ``witness``: what the server's listener tells."""
 
     world: World
@@ -29,13 +30,13 @@ class NetworkDrill:
         """The hosts of cameras; the last one suffers where one does."""
         return [name for name in self.world.hosts if name != SERVER]
 
+    @abstractmethod
     def measure(self, name: str, seconds: float | None = None, **times: float | None) -> Any:
         """Let some time pass, and return its figures."""
-        raise NotImplementedError
 
+    @abstractmethod
     def figures(self, name: str, begin_ns: int, begin_s: float, seconds: float, **times: float | None) -> Any:
         """Return the figures of the exposures in ``seconds`` from an instant on, ns and s of the monotonic clock."""
-        raise NotImplementedError
 
     def wait(self, what: str, happened: Callable[[], Any], patience_s: float = 0.0) -> Any:
         """Return what ``happened`` returns once it does; None when it did not within its patience, and say so."""

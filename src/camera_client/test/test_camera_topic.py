@@ -143,6 +143,19 @@ def test_a_gap_of_stamps_counts_as_lost_frames_and_an_older_stamp_as_repeated(so
     assert counts["lost"] >= 3 and counts["expected"] == counts["delivered"] + counts["lost"]
 
 
+def test_a_damaged_image_costs_this_image_alone(source, scene, driver):
+    broken = image_message(scene.empty(1)[0], 0, "usb_cam")
+    broken.step += 1
+    usb = driver().start(pictures(scene))
+    topic = source()
+    topic.connect()
+    topic.start()
+    usb.messages = [*pictures(scene), broken]
+    while not topic.counters.get("damaged"):
+        topic.read(1.0)
+    assert read(topic).image.shape == topic.shape
+
+
 def gaps(begin_ns, steps):
     """A clock that goes on by these numbers of frame periods in turn."""
     now_ns = begin_ns
@@ -182,6 +195,7 @@ def test_absent_driver_is_awaited_and_named(bench, session, scene, driver):
     camera.until_said("nobody publishes it")
     driver().start(pictures(scene))
     camera.until(lambda: camera.masks)
+    assert int(camera.values()["failed_attempts"]) >= 1
 
 
 def test_topic_must_be_named(source):
@@ -217,4 +231,4 @@ def test_stamps_by_another_clock_are_a_warning(source, scene, driver):
     usb.start(pictures(scene))
     topic = source()
     topic.connect()
-    assert "90 s older" in topic.warnings[0]
+    assert "differ by 90 s" in topic.warnings[0]

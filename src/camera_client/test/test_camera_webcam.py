@@ -1,5 +1,6 @@
 """Webcams, played by an object with the interface of OpenCV's capture, and sources of the user's own."""
 
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -119,6 +120,26 @@ def test_skipped_pictures_count_as_lost_and_an_unplugged_webcam_is_lost():
             pass
         counts = source.statistics.counts()
     assert counts["lost"] >= 1 and counts["delivered"] + counts["lost"] == counts["expected"]
+
+
+def test_a_webcam_that_hangs_is_not_released_under_its_reader_and_not_started_again(monkeypatch):
+    monkeypatch.setattr(webcam_source, "JOIN_S", 0.01)
+    capture, hung, go_on = Capture(), threading.Event(), threading.Event()
+    source = webcam(capture)
+    source.connect()
+    read = capture.read
+    monkeypatch.setattr(capture, "read", lambda: (hung.set(), go_on.wait(), read())[-1])
+    source.start()
+    assert hung.wait(20)
+    source.stop()
+    with pytest.raises(SourceUnavailable, match="has not answered"):
+        source.start()
+    reader = source._thread
+    source.close()
+    assert not capture.released
+    go_on.set()
+    reader.join(20)
+    assert capture.released
 
 
 def test_source_of_the_users_own(monkeypatch):

@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
+from capture_rig.stamps import NS_PER_S
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.intra_process import LazyPublisher
@@ -39,7 +40,6 @@ from .state_ros import (
 )
 from .urdf import body_urdf, same_sizes
 
-NS_PER_S = 1_000_000_000
 CLOSED_AFTER_S = 10.0  # of the sets' time; long enough to walk round a room and come back
 LEFT = "has left"
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_rig.rig import Rig, load_rig
+from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
 from mocap_packets.fit import GOOD, LOST, PART_NAMES, UNKNOWN, Fit, Solution, TrackQuality
 from mocap_packets.hull import NO_CENTERLINE, NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
@@ -36,7 +37,6 @@ from .thesis.hierarchical_icp import fit_hierarchical
 
 ACQUIRING, TRACKING = "acquiring", "tracking"
 FROM_NOTHING, FROM_INITIAL, FROM_OWN = "nothing", "initial", "own"
-NS_PER_S = 1e9
 # Thresholds: measured by python bench/recovery.py.
 AGREES_M = 0.1  # the filter has followed a recovered pose when all points of its prediction are so near to it
 FOLLOW_S = 0.25  # that the fit starts from its own pose at most, until the filter has followed

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from capture_rig.errors import InputError
+from capture_rig.stamps import NS_PER_S
 from stick_figure.kinematics import stick_frames
 from stick_figure.pose import Pose
 from stick_figure.skeleton import T_POSE_ANGLES
@@ -18,7 +19,6 @@ R_ANIMATION_WORLD = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
 """From the axes of REP-103 to those of animation (BVH, glTF): y up, the rest pose looks along +z, its left is +x."""
 R_BIOMECHANICS_WORLD = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """To those of biomechanics (OpenSim; Wu & Cavanagh, J. Biomech. 28, 1995): x forward, y up, z right."""
-NS_PER_S = 1e9
 UNTRACKED = ""
 """The state of a frame in a gap."""
 SHORTEST_FRAMES = 2

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import KeyValue
 
-NS_PER_S = 1_000_000_000
+from capture_rig.stamps import NS_PER_S
 
 
 def to_ns(stamp: Time) -> int:

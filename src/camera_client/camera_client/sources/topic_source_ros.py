@@ -73,7 +73,7 @@ class TopicSource(FrameSource):
         self._running = False
         self._shape: tuple[int, ...] = ()
         self._rate_hz = 0.0
-        self._numbers = FrameNumbers()
+        self._numbers = FrameNumbers(self._statistics)
         self._camera_info: CameraInfo | None = None
 
     def connect(self) -> None:
@@ -116,7 +116,7 @@ class TopicSource(FrameSource):
         self._rate_hz = NS_PER_S / max(second.stamp_ns - first.stamp_ns, 1)
         if abs(age_s := (time.time_ns() - second.stamp_ns) / NS_PER_S) > 1.0:
             self.warnings = (
-                f"{self.description}: its stamps are {age_s:.0f} s older than this machine's clock; "
+                f"{self.description}: its stamps differ by {age_s:.0f} s from this machine's clock; "
                 "cameras agree only where all drivers stamp by one clock",
             )
 
@@ -168,7 +168,6 @@ class TopicSource(FrameSource):
         self._running = True
         self._waiting.clear()
         self._numbers.restart()
-        self._statistics.restart()
         self._spinner = threading.Thread(target=self._executor.spin, name="images", daemon=True)
         self._spinner.start()
 
@@ -177,14 +176,17 @@ class TopicSource(FrameSource):
             if not self._arrived.wait_for(lambda: self._waiting, timeout_s):
                 return None
             message, arrived_ns = self._waiting.popleft()
-        frame = self._frame(message, arrived_ns)
+        try:
+            frame = self._frame(message, arrived_ns)
+        except InputError:  # one damaged image; where none is sound the source falls silent and is connected anew
+            self.count("damaged")
+            return None
         if frame.image.shape != self._shape:
             raise SourceUnavailable(
                 f"images changed from {self._shape} to {frame.image.shape} (rows, columns)", where=self.description
             )
-        number, repeated = self._numbers.add(frame.stamp_ns), self._statistics.repeated
-        self._statistics.add(number)
-        return replace(frame, frame_id=number) if self._statistics.repeated == repeated else None
+        number = self._numbers.add(frame.stamp_ns)
+        return None if number is None else replace(frame, frame_id=number)
 
     def stop(self) -> None:
         if not self._running:

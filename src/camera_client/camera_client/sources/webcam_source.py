@@ -11,11 +11,12 @@ from typing import Any
 import cv2
 
 from capture_rig.errors import InputError
+from capture_rig.stamps import NS_PER_S
 
 from ..frame_source import Frame, FrameSource, SourceUnavailable
 from ..settings import WebcamSettings
 from .footage_reader import convert_channels
-from .frame_numbers import NS_PER_S, FrameNumbers
+from .frame_numbers import FrameNumbers
 
 # Thresholds: judgement, no measurement.
 DEPTH = 2  # pictures that may wait: older ones make room, and count as lost
@@ -45,7 +46,7 @@ class WebcamSource(FrameSource):
         self._stopping = threading.Event()
         self._taken: deque[tuple[Any, int, str]] = deque(maxlen=DEPTH)  # picture, stamp, clock
         self._changed = threading.Condition()
-        self._numbers = FrameNumbers()
+        self._numbers = FrameNumbers(self._statistics)
         self._shape: tuple[int, ...] = ()
         self._lost = False
 
@@ -84,20 +85,21 @@ class WebcamSource(FrameSource):
     def start(self) -> None:
         if self._capture is None:
             raise InputError("is not connected", where=self.description, remedy="Call connect() first.")
+        if self._thread is not None and self._stopping.is_set():
+            raise SourceUnavailable("has not answered since it was stopped", where=self.description)
         if self._thread is not None:
             return
         self._stopping.clear()
         self._taken.clear()
         self._numbers.restart()
-        self._statistics.restart()
-        self._thread = threading.Thread(target=self._take, name="webcam", daemon=True)
+        self._thread = threading.Thread(target=self._take, args=(self._capture,), name="webcam", daemon=True)
         self._thread.start()
 
-    def _take(self) -> None:
-        """Take pictures until stopped or unplugged, on a thread of its own."""
+    def _take(self, capture: Any) -> None:
+        """Take pictures until stopped or unplugged, on a thread of its own; give a device back that was closed."""
         while not self._stopping.is_set():
-            came, image = self._capture.read()
-            stamp_ns, clock = stamp_of(self._capture.get(cv2.CAP_PROP_POS_MSEC))
+            came, image = capture.read()
+            stamp_ns, clock = stamp_of(capture.get(cv2.CAP_PROP_POS_MSEC))
             with self._changed:
                 if came:
                     self._taken.append((image, stamp_ns, clock))
@@ -105,7 +107,9 @@ class WebcamSource(FrameSource):
                     self._lost = True
                 self._changed.notify()
             if not came:
-                return
+                break
+        if self._capture is not capture:
+            capture.release()
 
     def read(self, timeout_s: float) -> Frame | None:
         with self._changed:
@@ -114,9 +118,7 @@ class WebcamSource(FrameSource):
             image, stamp_ns, clock = self._taken.popleft()
         settings = self._settings
         number = self._numbers.add(stamp_ns)
-        repeated = self._statistics.repeated
-        self._statistics.add(number)
-        if self._statistics.repeated > repeated:
+        if number is None:
             return None
         stamp_ns += round(settings.stamp_offset_ms * 1e6)
         uncertainty_ns = round(settings.stamp_uncertainty_ms * 1e6)
@@ -126,13 +128,13 @@ class WebcamSource(FrameSource):
         self._stopping.set()
         if self._thread is not None:
             self._thread.join(JOIN_S)  # a dead device may hold it for seconds: it ends by itself
-            self._thread = None
+            self._thread = self._thread if self._thread.is_alive() else None
 
     def close(self) -> None:
         self.stop()
-        if self._capture is not None:
-            self._capture.release()
-            self._capture = None
+        capture, self._capture = self._capture, None
+        if capture is not None and self._thread is None:  # never under a thread that still reads from it
+            capture.release()
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -16,7 +16,8 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-NS_PER_S = 1_000_000_000
+from capture_rig.stamps import NS_PER_S
+
 # Thresholds: CLOCK_DRIFT: quartzes; the others chosen with the simulated graphs of test_hull_thinning_control.py.
 TARGET_S = 0.05  # a queue that stands longer than this, or than one set's period, is an overload
 SETS = 8  # that are judged: twice what a queue of four keeps of a burst

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_rig.settings import setting
+from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
@@ -40,7 +41,6 @@ from .initial_pose import InitialPose
 from .truncation import FEET, HEAD, Stance, advice_text, cut_parts
 from .upright import FEWEST_VOXELS, Upright, pitch_of, stance_of
 
-NS_PER_S = 1e9
 NO_HULL = "no hull"
 # Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
 # right way explains); girths and their shares with walks of the studio's stout people (python bench/acquisition.py);

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
+from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
@@ -22,7 +23,6 @@ HULL_SOURCES = (AUTO, T_POSE)
 """Sources that look at the hull, of as many persons as there are."""
 
 
-NS_PER_S = 1e9
 # Thresholds: shares chosen with walks of the test data, the studio and mesh_fit_ people (how much more who faces the
 # right way explains); girths and their shares with walks of the studio's stout people (python bench/acquisition.py);
 # times: judgement.

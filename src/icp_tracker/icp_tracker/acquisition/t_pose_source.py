@@ -6,6 +6,7 @@ from collections import deque
 
 import numpy as np
 
+from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
@@ -17,7 +18,6 @@ from .initial_pose import InitialPose
 from .t_pose_measures import LEVEL, TPose, TPoseSettings, measure_t_pose
 from .upright import SHINS, TRUNK, PoseRejected, reasons_of_bodies
 
-NS_PER_S = 1e9
 # Thresholds: measured by python bench/acquisition.py (how many are found).
 SAME_PLACE_M = 0.3  # a body that moves farther between two sets is another person
 JITTER_M = 0.03  # the middle of a hull's trunk jitters by so much though nobody moves

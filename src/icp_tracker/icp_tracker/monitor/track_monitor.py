@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_rig.settings import setting
+from capture_rig.stamps import NS_PER_S
 from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, UNKNOWN, TrackQuality, points_of_parts
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -54,7 +55,6 @@ BODY_LOG_PRIOR = -3.0  # of another pose of the whole body, against the tracked 
 LOST_SHARE, DOUBTFUL_SHARE = 0.35, 0.60  # of the contour rays explained: what wrong poses explain, what clothes leave
 LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains: cameras and shadows differ
 USUAL_S = 5.0  # over which the usual share is averaged
-NS_PER_S = 1e9
 NOTHING_MOVED, ALL_PARTS = (False,) * len(PART_NAMES), (True,) * len(PART_NAMES)
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from capture_rig.settings import setting
+from capture_rig.stamps import NS_PER_S
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.least_squares.free_ends import TURN_SD
@@ -67,7 +68,7 @@ class RefinementSettings:
     pause_s: float = setting(0.2, "and not more often than this", unit="s", low=0.0)
 
 
-# Thresholds: chosen with the bodies of its README; measured by python bench/people.py --ablation SESSION; PATIENT_S,
+# Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION; PATIENT_S,
 # LEAST_SHARE, BELOW_BEST with stout people who walk in (python bench/acquisition.py).
 # checked by the studio's bodies and rendered sessions of the package's README
 RAYS = 400  # of a kept pose that are used
@@ -81,7 +82,6 @@ def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> Ray
     return contour_rays.chosen(rows, information)
 
 
-NS_PER_S = 1e9
 AT_REST = np.zeros(BEND_NUMBERS)
 STIFF = 1e-3  # over how far a trunk bends, and rad of hands and feet: what does not
 GIVEN_SD_M = 0.001  # sizes that were given are kept
