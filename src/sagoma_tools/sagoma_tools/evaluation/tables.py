@@ -34,7 +34,7 @@ def print_scores(console: Console, scores: Scores) -> None:
     )
     ellipsoids = (
         f"{100 * coverage.inside_95:.0f} % of the errors inside their 95 % ellipsoid, "
-        f"{100 * scores.inside_95_without_offset:.0f} % without constant offsets"
+        f"{100 * scores.coverage_without_offset.inside_95:.0f} % without constant offsets"
     )
     console.print(
         f"covariance: {ellipsoids}; NEES "
@@ -140,7 +140,7 @@ def print_people(console: Console, people: PeopleScores) -> None:
         if scores is None:
             table.add_row(name, numbers, "no track")
             continue
-        called = _percent(scores.flagged_of_bad), _percent(scores.false_alarms)
+        called = _percent(scores.calls.flagged_of_bad), _percent(scores.calls.false_alarms)
         frames = f"{scores.tracked} of {scores.frames}"
         table.add_row(name, numbers, *_overall_cells(scores), *called, frames, str(person.switches))
     console.print(table)
