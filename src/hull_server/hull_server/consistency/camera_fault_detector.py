@@ -23,7 +23,7 @@ from .silhouette_residuals import CameraResiduals, ResidualEstimator, Residuals
 
 # Thresholds: chosen with python bench/camera_faults.py (figures of sound cameras); three voters: of two that
 # contradict each other either may be right.
-VOXEL_M = 0.04  # of the coarse grid
+VOXEL_M = 0.05  # of the coarse grid
 EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
 ENOUGH_VOTERS = 5  # each camera less makes the hull of the others looser: twice as much is allowed
 FEWEST_VOTERS = 3  # cameras that must remain: of two that contradict each other, either may be right
