@@ -159,10 +159,10 @@ class ExtrinsicError:
 def estimate_extrinsic_errors(tangents: Sequence[Tangents], cameras: int, step_s: float) -> list[ExtrinsicError]:
     """Estimate the error of each of the ``cameras`` of a rig, by the tangents of frame sets ``step_s`` apart."""
     first, second, y, one, other = (np.concatenate(parts) for parts in list(zip(*tangents, strict=True))[:5])
-    G = np.zeros((len(y), cameras, UNKNOWNS))  # differences y (m,) in pixels are G times the unknowns (4 n,)
-    rows = np.arange(len(y))
-    G[rows, first], G[rows, second] = one, other
-    G, share = G.reshape(len(y), -1), min(1.0, step_s / CORRELATION_S)
+    rows, share = np.arange(len(y)), min(1.0, step_s / CORRELATION_S)
+    parts_of_camera = np.zeros((len(y), cameras, UNKNOWNS))
+    parts_of_camera[rows, first], parts_of_camera[rows, second] = one, other
+    G: Array = parts_of_camera.reshape(len(y), -1)  # the differences y (m,) in pixels are G times the unknowns (4 n,)
     weight, noise_px = _robust_weights(G, y, cameras, share)
     A, c = (total * (share / noise_px**2) for total in _normal_equations(G, y, weight))
     no_error, _, _ = _evidence(A, c, _prior(cameras))
@@ -201,15 +201,16 @@ def _robust_weights(G: Array, y: Array, cameras: int, share: float) -> tuple[Arr
 
     The prior of a camera widens with the error found (Tipping, "Sparse Bayesian learning", JMLR 2001).
     """
-    x, prior = np.zeros(UNKNOWNS * cameras), _prior(cameras)
-    weight, noise_px = np.ones(len(y)), LEAST_NOISE_PX
+    x: Array = np.zeros(UNKNOWNS * cameras)
+    prior, weight, noise_px = _prior(cameras), np.ones(len(y)), LEAST_NOISE_PX
     for round_ in range(ROUNDS):
         residual = np.abs(y - G @ x)
         noise_px = float(np.clip(np.median(residual) / 0.6745, LEAST_NOISE_PX, MOST_NOISE_PX)) if len(y) else 1.0
         u = residual / (OUTLIER_SIGMAS * noise_px)
         weight = 1 / (1 + u) ** 2 if round_ < GENTLE_ROUNDS else 1 / (1 + u * u) ** 2
         A, c = _normal_equations(G, y, weight)
-        x = np.linalg.solve(A * share / noise_px**2 + np.diag(prior), c * share / noise_px**2)
+        solved = np.linalg.solve(A * share / noise_px**2 + np.diag(prior), c * share / noise_px**2)
+        x = np.asarray(solved, np.float64)
         squared = (x.reshape(cameras, UNKNOWNS)[:, :3] ** 2).sum(1)
         prior.reshape(cameras, UNKNOWNS)[:, :3] = (1 / (TYPICAL_RAD**2 + squared))[:, None]
     return weight, noise_px
