@@ -17,7 +17,11 @@ from .person_node import Array, Instant, PersonNode
 
 
 class ContinuousAngles:
-    """The angles of the ISB, each continuous from instant to instant."""
+    """The angles of the ISB, each continuous from instant to instant.
+
+    A shoulder's stay within half a turn of zero: whenever an arm swings through hanging, where it has no plane of
+    elevation, that angle leaps by about half a turn, and following the nearest one would wind it up.
+    """
 
     def __init__(self) -> None:
         self._last: Array = np.zeros(1)
@@ -26,7 +30,8 @@ class ContinuousAngles:
         """Return each angle of the sticks' frames (10, 3, 3) by name, degrees, the turn nearest to the last one's."""
         angles = angles_of_sticks(R_world_sticks[None])
         values = np.concatenate(list(angles.values()))
-        self._last = values - 360.0 * np.round((values - self._last) / 360.0)
+        near = self._last * ["shoulder" not in name for name in angles]
+        self._last = values - 360.0 * np.round((values - near) / 360.0)
         return dict(zip(angles, self._last.tolist(), strict=True))
 
 

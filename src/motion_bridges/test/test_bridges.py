@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState, MultiDOFJointState, PointCloud2
 
 from capture_rig.rigid import rotation_matrix
 from mocap_packets.fit import FIRST_PERSON, ReferencePoints
-from motion_bridges.isb_node import IsbAngles
+from motion_bridges.isb_node import ContinuousAngles, IsbAngles
 from motion_bridges.lsl_node import LslBridge
 from motion_bridges.vmc_node import BONES, RIGID, VmcBridge
 from motion_export.joint_tree import JOINTS
@@ -20,7 +20,7 @@ from sagoma_ros.packets import packet_cloud
 from sagoma_ros.qos import RESULT
 from stick_figure.body import Body
 from stick_figure.joint_motion import JointMotion
-from stick_figure.kinematics import forward
+from stick_figure.kinematics import forward, stick_frames
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
 
@@ -93,6 +93,16 @@ def test_a_person_who_turns_round_has_a_continuous_angle(open_probe):
     probe.until(lambda: len(heard) == len(turns))
     turned = [message.position[message.name.index("thorax_axial_rotation")] for message in heard]
     np.testing.assert_allclose(turned, turns, atol=1e-6)
+
+
+def test_arms_that_swing_through_hanging_do_not_wind_up():
+    angles, seen = ContinuousAngles(), []
+    for k in range(200):  # ten swings forward and back, and a little to either side
+        swing, side = 30.0 * np.sin(0.1 * np.pi * k), 8.0 * np.cos(0.1 * np.pi * k)
+        pose = pose_of(left_shoulder_x=-90.0 + side, left_shoulder_z=-swing, right_shoulder_x=270.0 - side)
+        seen.append(angles.update(stick_frames(pose)))
+    planes = [one["left_shoulder_plane_of_elevation"] for one in seen]
+    assert max(planes) - min(planes) > 90.0 and all(abs(v) <= 180.0 + 1e-9 for one in seen for v in one.values())
 
 
 def test_what_cannot_be_read_is_counted_and_a_pose_without_points_is_not_handed_on(open_probe):
