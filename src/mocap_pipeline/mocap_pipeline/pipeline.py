@@ -114,7 +114,7 @@ class MocapPipeline:
         """Carve one instant: the visual hull and what it shows of the bodies in it (hull_server/hull_pipeline.py)."""
         frame_set = FrameSet.of_instant(stamp_ns, dict(masks), missing)
         # leave out cameras that contradict the others, resolve what may be shadow, carve the voxels that all cameras
-        # see as foreground (3.1; consistency/, floor_shadows/, carving/ or opengl/)
+        # see as foreground (3.1; consistency/, floor_shadows.py, carving/ or opengl/)
         pending = self.hull.begin(frame_set)
         # tell each camera where the others see a body: things that moved are seen by none, and become background
         # (consistency/foreground_support.py; camera_client/background/moved_things/absorption.py)
