@@ -121,7 +121,7 @@ class Truth:
 def load_truth(path: str | Path) -> Truth:
     """Read ``truth.csv`` (rendered sessions) or ``reference*.csv`` (points of a 2D pose network), in metres."""
     path = Path(path)
-    header, rows = _read_csv(path)
+    header, rows = read_table(path)
     table, wrist_fraction = (RENDERED, 1.0) if "head_top_x" in header else (POSE_NETWORK, WRIST_FRACTION)
     column = {name: index for index, name in enumerate(header)}
     points = np.stack([_point(rows, column, parts, path) for parts in table], axis=1)
@@ -130,7 +130,11 @@ def load_truth(path: str | Path) -> Truth:
     return Truth(rows[:, 0].astype(int), points, angles, wrist_fraction, path)
 
 
-def _read_csv(path: Path) -> tuple[list[str], Array]:
+def read_table(path: Path) -> tuple[list[str], Array]:
+    """Return the columns' names, the first of which is ``frame``, and the rows of a CSV, NaN where a cell is empty.
+
+    Raises InputError for a file that is no such table.
+    """
     remedy = "The first row names the columns, every other row holds numbers."
     try:
         header, *lines = [row for row in csv.reader(io.StringIO(read_text(path, remedy), newline="")) if row]

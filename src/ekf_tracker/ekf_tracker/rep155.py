@@ -14,7 +14,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -22,8 +21,9 @@ from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON
 from stick_figure.body import Body
 from stick_figure.pose import Pose
+from stick_figure.rotations import HINGE_SLACK_RAD
 
-from .urdf import Vector, add_joint
+from .urdf import Segment, Vector, add_joint, add_link, new_robot, segments, text_of
 
 HRI_JOINT_NAMES = (
     "waist",
@@ -53,6 +53,18 @@ SINGULAR_SINE = 1e-6
 STEP_S = 1e-4  # of the difference that gives rates: 20 rad/s turn by 2 mrad, so the error is some 1e-3 of them
 SHOULDER_PITCH_LOW = -0.4
 """rad; lower limit of p_shoulder in the URDF."""
+
+_QUARTER = 0.5 * np.pi + 1e-6
+LIMITS = {
+    "waist": (0.0, 0.0),
+    "y_head": (-_QUARTER, _QUARTER),
+    "p_shoulder": (SHOULDER_PITCH_LOW, np.pi + 1e-6),
+    "p_hip": (-_QUARTER, _QUARTER),
+    "elbow": (-HINGE_SLACK_RAD, np.pi + HINGE_SLACK_RAD),
+    "knee": (-np.pi - HINGE_SLACK_RAD, HINGE_SLACK_RAD),
+}
+"""rad, by the end of the joint's name: the waist does not turn, the second of three angles has half a turn. All others
+turn for ever."""
 
 _ARM_TO_HANGING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Columns: the hanging arm's x, y, z in the stick figure's arm frame, where the arm points along +y."""
@@ -155,16 +167,29 @@ class UrdfJoint:
     axis: Vector | None = None
 
 
-def human_urdf(body: Body, body_id: str) -> str:
-    """The person's URDF; every link and joint name ends in ``_<body_id>``, the root link is ``body_<body_id>``."""
-    robot = ElementTree.Element("robot", name=f"human_{body_id}")
-    ElementTree.SubElement(robot, "link", name=f"body_{body_id}")
+def human_urdf(body: Body, body_id: str, mass_kg: float | None = None) -> str:
+    """The person's URDF; every link and joint name ends in ``_<body_id>``, the root link is ``body_<body_id>``;
+    ``mass_kg`` as of `body_urdf`."""
+    robot, parts = new_robot(f"human_{body_id}"), human_segments(body, mass_kg)
+    add_link(robot, f"body_{body_id}", None)
     for joint in human_joints(body):
-        ElementTree.SubElement(robot, "link", name=f"{joint.child}_{body_id}")
+        add_link(robot, f"{joint.child}_{body_id}", parts.get(joint.child))
         links = f"{joint.parent}_{body_id}", f"{joint.child}_{body_id}"
-        add_joint(robot, f"{joint.name}_{body_id}", links, joint.origin, joint.axis)
-    ElementTree.indent(robot)
-    return ElementTree.tostring(robot, encoding="unicode")
+        limits = next((limits for end, limits in LIMITS.items() if joint.name.endswith(end)), None)
+        add_joint(robot, f"{joint.name}_{body_id}", links, joint.origin, joint.axis, limits)
+    return text_of(robot)
+
+
+def human_segments(body: Body, mass_kg: float | None = None) -> dict[str, Segment]:
+    """Return what each link carries, in its frame."""
+    own, upright, moved = segments(body, mass_kg), np.eye(3), {}
+    moved["torso"] = own["torso"].moved(upright, np.array([0.0, 0.0, -body.half_lengths[0]]))
+    moved["p_head"] = own["head"]
+    for side, name in (("left", "l"), ("right", "r")):
+        for stick, link in (("upper_arm", "shoulder"), ("forearm", "elbow")):
+            moved[f"{name}_{link}"] = own[f"{side}_{stick}"].moved(_ARM_TO_HANGING.T, np.zeros(3))
+        moved[f"{name}_hip"], moved[f"{name}_knee"] = own[f"{side}_thigh"], own[f"{side}_calf"]
+    return moved
 
 
 def human_joints(body: Body) -> Iterator[UrdfJoint]:

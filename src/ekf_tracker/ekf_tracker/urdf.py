@@ -1,8 +1,8 @@
 """The stick figure as a URDF: its joints are those of mocap/joint_states, so robot_state_publisher and rviz show it.
 
 Every ball joint is a chain of revolute ones, in the order in which `stick_figure.skeleton` applies its angles; the
-links between them have no extent. The root link is the torso's frame, and the origin of one link each lies in every
-reference point. REP-155 has a URDF of its own (`rep155`), with other axes and another zero pose.
+links between them have no extent and no mass. The root link is the torso's frame, and the origin of one link each lies
+in every reference point. REP-155 has a URDF of its own (`rep155`), with other axes and another zero pose.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,7 +18,11 @@ import numpy as np
 from stick_figure.body import Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.joint_motion import HINGE_AXIS
+from stick_figure.rotations import BALL_SLACK_RAD, HINGE_SLACK_RAD, TURN
+from stick_figure.segment_inertia import SegmentInertia, segment_inertias
 from stick_figure.skeleton import (
+    ANGLE_HIGH,
+    ANGLE_LOW,
     ANGLE_NAMES,
     BALL_ANGLES,
     BALL_EULER_AXES,
@@ -33,6 +38,8 @@ from stick_figure.skeleton import (
 )
 
 SKIN_RGBA = "0.55 0.68 0.80 1"
+FASTEST_RAD_S = 150.0
+"""No joint of a person turns faster; a throw turns a shoulder by 130 (Fleisig et al. 1995)."""
 SAME_BODY_M = 2e-4
 """Sizes that differ by less leave the frames of the longest chain, four sizes, within a millimetre."""
 TIPS = {1: "head_top", 6: "left_hand", 7: "right_hand", 8: "left_foot", 9: "right_foot"}
@@ -82,38 +89,89 @@ def link_of_point(point: int) -> str:
     return {"head": "head_top"}.get(POINT_NAMES[point], POINT_NAMES[point])
 
 
-def body_urdf(body: Body, body_id: str) -> str:
-    """Return the URDF; the joints are named as in mocap/joint_states, links begin with ``body_id``."""
-    robot = ElementTree.Element("robot", name=f"sagoma_{body_id}")
-    material = ElementTree.SubElement(robot, "material", name="skin")
-    ElementTree.SubElement(material, "color", rgba=SKIN_RGBA)
-    visuals = _visuals(body)
+def body_urdf(body: Body, body_id: str, mass_kg: float | None = None) -> str:
+    """Return the URDF; the joints are named as in mocap/joint_states, links begin with ``body_id``.
+
+    ``mass_kg`` : of the person, else that of an average build.
+    """
+    robot, parts = new_robot(f"sagoma_{body_id}"), segments(body, mass_kg)
     joints = list(link_joints(body))
     for part in (STICK_NAMES[TORSO], *(joint.child for joint in joints)):
-        link = ElementTree.SubElement(robot, "link", name=link_name(body_id, part))
-        for shape, sizes, place, rpy in visuals.get(part, ()):
-            visual = ElementTree.SubElement(link, "visual")
-            ElementTree.SubElement(visual, "origin", xyz=_text(place), rpy=_text(rpy))
-            ElementTree.SubElement(ElementTree.SubElement(visual, "geometry"), shape, sizes)
-            ElementTree.SubElement(visual, "material", name="skin")
+        add_link(robot, link_name(body_id, part), parts.get(part))
     for joint in joints:
         axis = None if joint.axis is None else _vector(np.eye(3)[joint.axis])
         links = link_name(body_id, joint.parent), link_name(body_id, joint.child)
-        add_joint(robot, joint.name, links, joint.origin, axis)
+        add_joint(robot, joint.name, links, joint.origin, axis, JOINT_RANGES.get(joint.name))
+    return text_of(robot)
+
+
+def _joint_ranges() -> dict[str, tuple[float, float] | None]:
+    """Return the range of each joint, rad, with what its angles may exceed it by; None of a whole turn, which goes on
+    beyond that from set to set."""
+    slack = np.full(len(ANGLE_NAMES), BALL_SLACK_RAD)
+    slack[HINGE_ANGLES] = HINGE_SLACK_RAD
+    low, high = (ANGLE_LOW - slack).tolist(), (ANGLE_HIGH + slack).tolist()
+    whole = (ANGLE_HIGH - ANGLE_LOW >= TURN).tolist()
+    return {n: None if turns else (a, b) for n, turns, a, b in zip(ANGLE_NAMES, whole, low, high, strict=True)}
+
+
+JOINT_RANGES = _joint_ranges()
+
+
+def new_robot(name: str) -> ElementTree.Element:
+    """Return a robot without links."""
+    robot = ElementTree.Element("robot", name=name)
+    material = ElementTree.SubElement(robot, "material", name="skin")
+    ElementTree.SubElement(material, "color", rgba=SKIN_RGBA)
+    return robot
+
+
+def text_of(robot: ElementTree.Element) -> str:
+    """Return the document."""
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
+def add_link(robot: ElementTree.Element, name: str, segment: Segment | None) -> None:
+    """Add a link: what it looks like, what it collides with, its inertia; without a segment it has no extent."""
+    link = ElementTree.SubElement(robot, "link", name=name)
+    if segment is None:
+        return
+    for use in ("visual", "collision"):
+        for shape, sizes, place, rpy in segment.shapes():
+            element = ElementTree.SubElement(link, use)
+            ElementTree.SubElement(element, "origin", xyz=_text(place), rpy=_text(rpy))
+            ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), shape, sizes)
+            if use == "visual":
+                ElementTree.SubElement(element, "material", name="skin")
+    (mass, centre, inertia), axes = segment.inertia, "xyz"
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=_text(_vector(centre)), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=f"{mass:.9g}")
+    moments = {f"i{axes[i]}{axes[k]}": f"{inertia[i, k]:.9g}" for i in range(3) for k in range(i, 3)}
+    ElementTree.SubElement(inertial, "inertia", moments)
+
+
 def add_joint(
-    robot: ElementTree.Element, name: str, links: tuple[str, str], origin: Vector, axis: Vector | None
+    robot: ElementTree.Element,
+    name: str,
+    links: tuple[str, str],
+    origin: Vector,
+    axis: Vector | None,
+    limits: tuple[float, float] | None = None,
 ) -> None:
-    """Add a joint from the first of the ``links`` to the second, at ``origin`` (m) of the first; no axis: fixed."""
-    element = ElementTree.SubElement(robot, "joint", name=name, type="fixed" if axis is None else "continuous")
+    """Add a joint from the first of the ``links`` to the second, at ``origin`` (m) of the first; no axis: fixed; no
+    ``limits`` (rad): it turns for ever. Nothing drives a person's joints, so the effort is 0."""
+    turning = "continuous" if limits is None else "revolute"
+    element = ElementTree.SubElement(robot, "joint", name=name, type="fixed" if axis is None else turning)
     ElementTree.SubElement(element, "parent", link=links[0])
     ElementTree.SubElement(element, "child", link=links[1])
     ElementTree.SubElement(element, "origin", xyz=_text(origin), rpy="0 0 0")
     if axis is not None:
         ElementTree.SubElement(element, "axis", xyz=_text(axis))
+    if limits is not None:
+        low, high = (f"{limit:.6g}" for limit in limits)
+        ElementTree.SubElement(element, "limit", lower=low, upper=high, effort="0", velocity=f"{FASTEST_RAD_S:g}")
 
 
 def same_sizes(body: Body, other: Body | None) -> bool:
@@ -127,21 +185,39 @@ def same_sizes(body: Body, other: Body | None) -> bool:
 Shape = tuple[str, dict[str, str], Vector, Vector]
 
 
-def _visuals(body: Body) -> dict[str, list[Shape]]:
-    """Return the shapes of each stick's link: a cylinder and two balls for a capsule of the body's surface."""
-    surface, found = BodySurface.of(body), dict[str, list[Shape]]()
-    for stick, start, end, radii in zip(surface.stick, surface.start, surface.end, surface.radii, strict=True):
-        # the torso's link lies in its middle, those of the other sticks where they begin
+class Segment(NamedTuple):
+    """What a link is made of, in its frame: capsules (k, 2, 3) m from end to end, their radii (k, 2) m, inertia."""
+
+    capsules: np.ndarray
+    radii: np.ndarray
+    inertia: SegmentInertia
+
+    def moved(self, R: np.ndarray, t: np.ndarray) -> Segment:
+        """Return the same in another frame, in which this one is turned by R (3, 3) and lies at t (3,)."""
+        mass, centre, about = self.inertia
+        inertia = SegmentInertia(mass, R @ centre + t, R @ about @ R.T)
+        return Segment(self.capsules @ R.T + t, self.radii, inertia)
+
+    def shapes(self) -> Iterator[Shape]:
+        """Yield a cylinder and two balls for each capsule, which URDF has not."""
+        for (first, last), (r0, r1) in zip(self.capsules, self.radii.tolist(), strict=True):
+            x, y, z = (last - first).tolist()
+            length, level = math.sqrt(x * x + y * y + z * z), math.hypot(x, y)
+            sizes = {"radius": f"{0.5 * (r0 + r1):.4f}", "length": f"{length:.4f}"}
+            yield "cylinder", sizes, _vector(0.5 * (first + last)), (0.0, math.atan2(level, z), math.atan2(y, x))
+            for place, radius in ((first, r0), (last, r1)):
+                yield "sphere", {"radius": f"{radius:.4f}"}, _vector(place), (0.0, 0.0, 0.0)
+
+
+def segments(body: Body, mass_kg: float | None = None) -> dict[str, Segment]:
+    """Return what each stick carries, by its name, in its frame; the torso's lies in its middle, the others begin with
+    theirs."""
+    surface, found = BodySurface.of(body), dict[str, Segment]()
+    for stick, inertia in enumerate(segment_inertias(body, mass_kg)):
+        own = surface.stick == stick
+        capsules = np.stack([surface.start[own], surface.end[own]], axis=1)
         shift = body.stick_origins_torso[TORSO] if stick == TORSO else np.zeros(3)
-        first, last, (r0, r1) = start + shift, end + shift, radii.tolist()
-        x, y, z = (last - first).tolist()
-        length, level = math.sqrt(x * x + y * y + z * z), math.hypot(x, y)
-        turned = (0.0, math.atan2(level, z), math.atan2(y, x))
-        shapes = found.setdefault(STICK_NAMES[stick], [])
-        sizes = {"radius": f"{0.5 * (r0 + r1):.4f}", "length": f"{length:.4f}"}
-        shapes.append(("cylinder", sizes, _vector(0.5 * (first + last)), turned))
-        for place, radius in ((first, r0), (last, r1)):
-            shapes.append(("sphere", {"radius": f"{radius:.4f}"}, _vector(place), (0.0, 0.0, 0.0)))
+        found[STICK_NAMES[stick]] = Segment(capsules, surface.radii[own], inertia).moved(np.eye(3), shift)
     return found
 
 

@@ -5,12 +5,14 @@ hierarchical ICP of thesis 4.3, but the 24 tangent components of the pose are so
 limb is frozen before its descendants are fitted:
 
     minimise  sum_i rho(|x_i - c_i|) / sigma_i^2  +  sum_v rho(distance of voxel v from the body's surface) / sigma_v^2
-              +  sum_r rho(distance of contour ray r from the body's surface) / sigma_r^2  +  |pose (-) start|^2_Lambda
+              +  sum_r rho(distance of contour ray r from the body's surface) / sigma_r^2
+              +  sum_k rho(reprojection error of keypoint k)  +  |pose (-) start|^2_Lambda
 
 with c_i the foot point on the closest stick, rho Geman-McClure, and Lambda a weak prior that holds what the
 data do not show. Ball joints move on SO(3): no gimbal lock. Elbows and knees may pass straight during the solve (a
 limit there is a saddle that traps arms) and are bent the right way again afterwards, with the same points. Weights are
-equivalent centerline points: a term of weight 900 counts as much as 900 points of the centerline.
+equivalent centerline points: a term of weight 900 counts as much as 900 points of the centerline. Rays and voxels err
+alike, keypoints (of whoever has a detector) do not, so the weight of one is OVERCOUNTED times its information.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import RayArrays, RayMatch
 from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
 from stick_figure.least_squares.gauss_newton import Data, Scale, Stop, Weights
+from stick_figure.least_squares.keypoint_factor import GATE_SIGMAS, NO_KEYPOINTS, Keypoints
 from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.pose import Pose
@@ -36,13 +39,15 @@ from stick_figure.pose import Pose
 # Thresholds: the former chosen with python bench/people.py --ablation SESSION, in steps of about a half, the last
 # four with covariance_coverage.py among the benches of commit d6079d2.
 # of the fit; checked by bench/people.py --ablation on rendered and real sessions
-GATE_SIGMAS = 3.0  # the gate of a point is wider by so many of its own standard deviations
 HINGE_MARGIN = 0.15  # rad a hinge may stay on the wrong side of straight
 STEP_LIMIT = 0.5  # m, rad, largest component of one step
 VOXEL_GATE_M = 0.06  # distance at which a voxel's weight has fallen to 1/4
 TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight has fallen to a half
 HULL_SAMPLES = 1000  # voxels of surface and interior that stand for the hull
 CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
+# weight of 1200 rays of 9000 / m^2 over that of what they tell, 33 places of a centimetre (`independent_rows`); with 10
+# to 50 simulated detections (tests/support/simulated_detections.py) settle as many limbs
+OVERCOUNTED = 30.0
 CONTOUR_SLACK_M = 0.05  # the body may touch a ray this far from the stretch where the ray touches the hull
 # of what is known without data; twice and three times as wide loses arms of stylised people (bench/families.py)
 POSITION_SD_M, ROTATION_SD, BALL_SD, HINGE_SD = 0.1, 0.2, 0.15, 0.2  # m, rad, about the start
@@ -215,8 +220,10 @@ def make_data(
     settings: ArticulatedSettings,
     contour_rays: ContourRays = NO_CONTOUR_RAYS,
     visibility: RigVisibility | None = None,
+    keypoints: Keypoints = NO_KEYPOINTS,
 ) -> Data:
-    """Lay out the data. A point's variance is its own noise and the model's, added in quadrature.
+    """Lay out the data. A point's variance is its own noise and the model's, added in quadrature; its gate is wider by
+    GATE_SIGMAS of its own noise.
 
     Beyond the rig's ``visibility`` there is no hull: its cut ends are no surface, and slices that reach beyond are cut
     off their middle. Neither is used.
@@ -239,6 +246,7 @@ def make_data(
         np.ascontiguousarray(voxels.hull_points(HULL_SAMPLES), dtype=np.float64),
         _contour_rays(rays_in_use(contour_rays, settings, visibility), settings),
         EVERYWHERE if visibility is None else visibility.unseen_cells,
+        keypoints,
     )
 
 
@@ -273,6 +281,7 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
         neck_pitch=NECK_PITCH,
         limit=LIMIT_SD**-2,
         ends=CORRELATED * _information(settings.contour.turn_sd),
+        keypoint=OVERCOUNTED,
     )
 
 

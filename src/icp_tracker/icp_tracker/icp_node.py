@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -17,6 +18,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
+from capture_rig.rig import Rig, load_rig
 from mocap_packets.fit import FIRST_PERSON, PART_NAMES, Fit
 from mocap_packets.hull import HullProducts
 from mocap_packets.people import FittedPeople, PeoplePoints, Predictions, format_bodies
@@ -32,7 +34,7 @@ from sagoma_ros.worker import Worker
 from stick_figure.body import Body
 from stick_figure.body_file import format_body
 
-from .icp_ros import FilterFeedback, SaveBodyService, SavedBody
+from .icp_ros import FilterFeedback, KeypointInputs, SaveBodyService, SavedBody
 from .people.people_tracker import PeopleTracker, make_people_tracker
 from .settings import IcpNodeSettings
 from .tracker import ACQUIRING, TRACKING, warm_up
@@ -56,12 +58,15 @@ class IcpNode(SagomaNode):
         self._logged: dict[int, tuple[str, float]] = {}  # of each person, and when, by the steady clock
         self._published: dict[int, Body] = {}
         self._watchdog: InputWatchdog | None = None
+        self._rig: Rig | None = None
+        self._keypoints: KeypointInputs | None = None  # of the cameras of a rig that is known
 
     # --- lifecycle -----------------------------------------------------------------------------------------------
 
     def configure(self) -> None:
         settings: IcpNodeSettings = self.settings
         self._tracker = make_people_tracker(settings)
+        self._rig = load_rig(settings.initial_pose.rig_file) if settings.initial_pose.rig_file else None
         warm_up(settings)
         self._people_publisher = PacketPublisher(self, FITTED_PEOPLE)
         self._points_publisher = LazyPublisher(self, PointCloud2, "icp/reference_points")
@@ -78,6 +83,8 @@ class IcpNode(SagomaNode):
         settings: IcpNodeSettings = self.settings
         self._feedback = FilterFeedback(settings.prediction_wait_s)
         self._order.reset()
+        if self._rig is not None:
+            self._keypoints = KeypointInputs(self, self._rig, settings.keypoints_wait_s, settings.stale_after_s)
         self._watchdog = InputWatchdog(self, settings.stale_after_s, self._on_silence)
         self._worker = Worker(
             "icp",
@@ -97,6 +104,8 @@ class IcpNode(SagomaNode):
         self._subscriptions_held = []
         if self._watchdog is not None:
             self._watchdog.close()
+        if self._keypoints is not None:
+            self._keypoints.close()
         if self._worker is not None:
             self._feedback.close()
             self._worker.close()
@@ -134,6 +143,8 @@ class IcpNode(SagomaNode):
         """Begin anew with stamps that went back; the lock is held."""
         self._forget_people()
         self._feedback.forget()
+        if self._keypoints is not None:
+            self._keypoints.forget()
 
     def _forget_people(self) -> None:
         if self._tracker is not None:
@@ -156,6 +167,9 @@ class IcpNode(SagomaNode):
         with self._lock:
             if not self._order.admits(seen.stamp_ns):
                 return
+        if self._keypoints is not None:
+            seen = replace(seen, keypoints=self._keypoints.of_set(seen.stamp_ns))
+            self.health.set("keypoints", len(seen.keypoints.score))
         predictions = self._feedback.after_previous_set()
         with self._lock:
             if self._tracker is None:

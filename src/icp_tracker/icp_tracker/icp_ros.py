@@ -1,24 +1,39 @@
-"""What the node has besides the tracker: the service that saves the body, and the filter's awaited answer."""
+"""What the node has besides the tracker: the service that saves the body, what detectors of 2D poses found, and the
+filter's awaited answer."""
 
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder
+from capture_rig.rig import Rig
+from capture_rig.stamps import NS_PER_S
 from mocap_packets.fit import FIRST_PERSON
+from mocap_packets.keypoints import NUMBERS, Detections, keypoints_of
 from mocap_packets.people import Predictions
 from mocap_packets.state import Prediction
+from sagoma_ros.clouds import vectors_of_cloud
+from sagoma_ros.limits import oversize
+from sagoma_ros.messages import to_ns
+from sagoma_ros.node import SagomaNode
+from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from stick_figure.body import Body
 from stick_figure.body_file import save_body
+from stick_figure.least_squares.keypoint_factor import Keypoints
 
 from .settings import SaveBodySettings
+
+KEPT_IMAGES = 64  # of each camera: detections may be a second early, where the hull is late
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +81,73 @@ class SaveBodyService:
             response.success, response.message = True, ", ".join(written)
         self._node.get_logger().info(f"save_body: {response.message}")
         return response
+
+
+class KeypointInputs:
+    """Collects what the users' detectors publish on CAM/keypoints, and gives what was found in a frame set's images.
+
+    A message is a cloud of one point a skeleton and one field a joint, of `mocap_packets.keypoints.NUMBERS` each; its
+    stamp is that of the image.
+    """
+
+    def __init__(self, node: SagomaNode, rig: Rig, wait_s: float, recent_s: float) -> None:
+        """A set waits ``wait_s`` at most for cameras of which something came within ``recent_s`` before it."""
+        self._node, self._rig, self._wait_s, self._recent_ns = node, rig, wait_s, recent_s * NS_PER_S
+        self._found = {name: deque[Detections](maxlen=KEPT_IMAGES) for name in rig.names}
+        self._changed = threading.Condition()
+        self._last_ns: int | None = None  # the stamp of the set before
+        self._subscriptions = [
+            node.create_subscription(
+                PointCloud2, f"{name}/keypoints", partial(self._on_message, name), SILHOUETTE_SUBSCRIBER
+            )
+            for name in rig.names
+        ]
+
+    def of_set(self, stamp_ns: int) -> Keypoints:
+        """Return the joints that were found within half a period of a frame set."""
+        half_ns = 0 if self._last_ns is None else max(stamp_ns - self._last_ns, 0) // 2
+        self._last_ns = stamp_ns
+
+        def off_ns(one: Detections) -> int:
+            return abs(one.stamp_ns - stamp_ns)
+
+        with self._changed:
+            self._changed.wait_for(lambda: not self._is_awaited(stamp_ns - half_ns), self._wait_s)
+            images = [min(found, key=off_ns) for found in self._found.values() if found]
+        return keypoints_of(self._rig, (one for one in images if off_ns(one) <= half_ns))
+
+    def forget(self) -> None:
+        """Begin anew with stamps that went back; any thread."""
+        with self._changed:
+            self._last_ns = None
+            for found in self._found.values():
+                found.clear()
+
+    def close(self) -> None:
+        """Listen no longer, and end a wait."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self.forget()
+        with self._changed:
+            self._changed.notify_all()
+
+    def _is_awaited(self, stamp_ns: int) -> bool:
+        """Whether a camera's detector is behind the stamp, but not silent."""
+        return any(0 < stamp_ns - found[-1].stamp_ns < self._recent_ns for found in self._found.values() if found)
+
+    def _on_message(self, camera: str, message: PointCloud2) -> None:
+        where = f"{camera}/keypoints"
+        try:
+            if excess := oversize(message):
+                raise InputError(f"a message is refused: {excess}", where=where)
+            names, values = vectors_of_cloud(message, len(NUMBERS), where)
+        except InputError as error:
+            self._node.health.count("bad_keypoints")
+            self._node.get_logger().warning(str(error), throttle_duration_sec=5.0)
+            return
+        with self._changed:
+            self._found[camera].append(Detections(camera, to_ns(message.header.stamp), names, values))
+            self._changed.notify_all()
 
 
 class FilterFeedback:

@@ -62,6 +62,9 @@ class IcpNodeSettings(TrackerSettings):
     prediction_wait_s: float = setting(
         0.05, "a fit waits at most this long for the filter's state after the previous set", unit="s", low=0.0
     )
+    keypoints_wait_s: float = setting(
+        0.1, "a set waits at most this long for detectors that publish CAM/keypoints", unit="s", low=0.0
+    )
     queue_depth: int = setting(4, "frame sets that may wait; one more drops the oldest", low=1, high=1000)
     stale_after_s: float = setting(
         0.75, "without frame sets for so long, silence is reported; 0: never", unit="s", low=0.0, high=60.0

@@ -203,9 +203,8 @@ class IcpTracker:
         """Lay out what the fit uses."""
         voxels, contour_rays = (seen.voxels, seen.contour_rays) if self._all_joints else (NO_VOXELS, NO_CONTOUR_RAYS)
         line = seen.centerline
-        return make_data(
-            line.points_world, line.sigma, voxels, self._settings.articulated, contour_rays, self._visibility
-        )
+        settings, visibility = self._settings.articulated, self._visibility
+        return make_data(line.points_world, line.sigma, voxels, settings, contour_rays, visibility, seen.keypoints)
 
     def _solve(self, body: Body, start: Pose, data: Data, iterations: int | None = None) -> FitResult:
         """Fit the figure by the chosen method; ``iterations`` of the all-joints solve, else as the settings say."""

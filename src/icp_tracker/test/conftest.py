@@ -93,7 +93,7 @@ NO_POINTS = np.empty((0, 3))
 NO_RAYS = RayArrays(np.empty((13, 0)), np.empty(0))
 NO_DATA = Data(NO_POINTS, np.empty(0), np.empty(0), NO_POINTS, NO_POINTS, NO_RAYS, EVERYWHERE)
 WIDE_M = 1e6  # a gate this wide makes Geman-McClure plain least squares
-NO_WEIGHTS = Weights(np.zeros(24), 0.0, WIDE_M, WIDE_M, WIDE_M, 0.05, *[0.0] * 4)
+NO_WEIGHTS = Weights(np.zeros(24), 0.0, WIDE_M, WIDE_M, WIDE_M, 0.05, *[0.0] * 5)
 
 
 def data_alone(**data):

@@ -13,6 +13,8 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
+
 from .latency import NO_AGES, SetAges
 from .table import column, columns, fill, layout
 
@@ -203,7 +205,10 @@ NO_CONTOUR_RAYS = ContourRays(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 3
 
 @dataclass(frozen=True, eq=False)
 class HullProducts:
-    """What the hull server hands on of one frame set: everything in the volume, of all bodies; how old the set is."""
+    """What the hull server hands on of one frame set: everything in the volume, of all bodies; how old the set is.
+
+    keypoints : what detectors found in the set's images, where there are any. They come to the tracker on their own.
+    """
 
     LAYOUTS: ClassVar[dict[str, np.dtype]] = {
         **{name: kind.LAYOUT for name, kind in PARTS.items()},
@@ -215,6 +220,7 @@ class HullProducts:
     voxels: VoxelSamples = NO_VOXELS
     contour_rays: ContourRays = NO_CONTOUR_RAYS
     ages: SetAges = NO_AGES
+    keypoints: Keypoints = NO_KEYPOINTS
 
     @classmethod
     def of_points(
@@ -271,12 +277,14 @@ class HullProducts:
             _rows(self.centerline, line),
             _rows(self.voxels, voxels),
             _rows(self.contour_rays, contour_rays),
+            keypoints=self.keypoints,
         )
 
     def as_one_body(self) -> HullProducts:
         """Return the same rows, all numbered as those of body 0."""
         line, voxels, rays = self.centerline, self.voxels, self.contour_rays
-        return HullProducts(self.stamp_ns, _numbered_zero(line), _numbered_zero(voxels), _numbered_zero(rays))
+        rows = _numbered_zero(line), _numbered_zero(voxels), _numbered_zero(rays)
+        return HullProducts(self.stamp_ns, *rows, keypoints=self.keypoints)
 
     def of_body_at(self, reference_points_world: np.ndarray) -> HullProducts:
         """Return the rows of the body that is expected at the reference points (15, 3).

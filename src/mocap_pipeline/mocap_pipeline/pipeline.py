@@ -9,8 +9,8 @@ exactly, so this page and the graph give the same results, bit for bit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from icp_tracker.tracker import TRACKING
 from mocap_packets.fit import FIRST_PERSON, Fit
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
+from mocap_packets.keypoints import Detections, keypoints_of
 from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_packets.state import BodyState, NoState, Prediction
 from mocap_packets.support import ForegroundSupport
@@ -89,21 +90,25 @@ class MocapPipeline:
             name: make_segmenter(rig.camera(name), background, configuration.camera, rig.volume)
             for name, background in (backgrounds or {}).items()
         }
-        self.hull = HullPipeline(rig, configuration.hull)
+        self.rig, self.hull = rig, HullPipeline(rig, configuration.hull)
         self.body = TrackingStage.of(configuration, rig)
 
-    def step(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Step:
-        """Return the persons at one instant, from the cameras' images (H, W[, 3]) uint8."""
-        return self.step_masks(stamp_ns, self.segment(stamp_ns, images))
+    def step(self, stamp_ns: int, images: Mapping[str, np.ndarray], detections: Iterable[Detections] = ()) -> Step:
+        """Return the persons at one instant, from the cameras' images (H, W[, 3]) uint8; ``detections`` : what a
+        detector of 2D poses, if there is one, found in them."""
+        return self.step_masks(stamp_ns, self.segment(stamp_ns, images), detections=detections)
 
     def segment(self, stamp_ns: int, images: Mapping[str, np.ndarray]) -> Masks:
         """Segment: what differs from the background, without noise, and how dark (6.3; camera_client/silhouettes/)."""
         masks = {name: self.cameras[name].run(image, stamp_ns).mask for name, image in images.items()}
         return masks
 
-    def step_masks(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> Step:
+    def step_masks(
+        self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = (), detections: Iterable[Detections] = ()
+    ) -> Step:
         """Return the persons at one instant, from silhouettes; ``missing`` cameras delivered nothing."""
-        return self.body.step(self.carve(stamp_ns, masks, missing))
+        products = self.carve(stamp_ns, masks, missing)
+        return self.body.step(replace(products, keypoints=keypoints_of(self.rig, detections)))
 
     def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullProducts:
         """Carve one instant: the visual hull and what it shows of the bodies in it (hull_server/hull_pipeline.py)."""

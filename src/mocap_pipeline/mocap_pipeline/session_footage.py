@@ -1,4 +1,5 @@
-"""A session folder for the pipeline: images with their stamps, silhouettes, and a pipeline with the backgrounds."""
+"""A session folder for the pipeline: images with their stamps, silhouettes, and a pipeline with the backgrounds; and
+what a detector of 2D poses found in the images."""
 
 from __future__ import annotations
 
@@ -13,8 +14,10 @@ from camera_client.background.model import BackgroundModel, read_background
 from camera_client.settings import CameraClientSettings
 from camera_client.sources.footage_reader import VideoReader
 from capture_rig.errors import InputError
-from capture_rig.session import Session, footage_stamp_ns
+from capture_rig.rig import Rig
+from capture_rig.session import Session, footage_stamp_ns, read_table
 from capture_rig.video_findings import VideoFacts
+from mocap_packets.keypoints import NUMBERS, Detections
 
 from .configuration import Configuration
 from .pipeline import Masks, MocapPipeline
@@ -96,3 +99,28 @@ def images_of(videos: dict[str, Path], ended: FootageEnded = ignore_end) -> Iter
                 ended({name: reader.facts() for name, reader in opened.items()})
                 return
             yield found
+
+
+def load_detections(folder: str | Path, rig: Rig) -> dict[int, list[Detections]]:
+    """Read FOLDER/CAM.csv of the rig's cameras: a row a skeleton, the columns ``frame`` (of the video, from 0) and
+    ``JOINT_x``, ``JOINT_y``, ``JOINT_cov_xx``, ``..._cov_xy``, ``..._cov_yy``, ``..._score``, empty where not found.
+
+    Returns the images by frame, without stamps. Raises InputError for a folder without tables, and for other columns.
+    """
+    images: dict[int, list[Detections]] = {}
+    paths = {name: Path(folder) / f"{name}.csv" for name in rig.names}
+    found = {name: path for name, path in paths.items() if path.is_file()}
+    if not found:
+        remedy = f"Name the tables as cameras: {rig.names[0]}.csv."
+        raise InputError("has no table of a camera of the rig", where=str(folder), remedy=remedy)
+    for camera, path in found.items():
+        header, rows = read_table(path)
+        names = [column.removesuffix("_x") for column in header if column.endswith("_x") and "_cov_" not in column]
+        missing = [f"{name}_{number}" for name in names for number in NUMBERS if f"{name}_{number}" not in header]
+        if missing:
+            raise InputError(f"column '{missing[0]}' is missing", where=str(path), remedy=f"Each joint has {NUMBERS}.")
+        values = np.stack([rows[:, [header.index(f"{n}_{number}") for number in NUMBERS]] for n in names], axis=1)
+        frames = rows[:, 0].astype(int)
+        for frame in np.unique(frames).tolist():
+            images.setdefault(frame, []).append(Detections(camera, 0, names, values[frames == frame]))
+    return images

@@ -4,11 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated_detections import coco_joints, detect, hidden, write_detections
 
+from capture_rig.errors import InputError
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
+from mocap_pipeline.session_footage import load_detections
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
+from stick_figure.least_squares.placed_figure import Figure, State, place
 from virtual_studio.motions.catalogue import t_pose_only
 from virtual_studio.people import VolumetricBody
 from virtual_studio.rendering.camera import ExactSilhouettes
@@ -51,6 +55,32 @@ def test_pipeline_restarted_at_a_wrong_pose_believes_the_wrong_pose_and_starts_t
     unseen = pipeline.step_masks(stamp_ns + FRAME_NS, _no_masks(pipeline))
     assert unseen.fit.started_from == str(stamp_ns)
     np.testing.assert_allclose(unseen.fit.reference_points_world, forward(body, wrong), atol=0.02)
+
+
+def test_detections_of_a_folder_move_the_fit_and_are_refused_with_the_column_that_is_missing(
+    standing, t_pose, tmp_path
+):
+    (rig, masks, points), (pipeline, _, stamp_ns) = t_pose, standing
+    placed = place(State.of(t_pose_only(BODY, 0.1, 60.0).poses[0]), Figure.of(BODY))
+    joints, rng = coco_joints(points, 1.0), np.random.default_rng(1)
+    for camera in rig.cameras:
+        write_detections(tmp_path, {7: detect(joints, placed, camera, 0, rng)})
+    (images,) = load_detections(tmp_path, rig).values()
+    assert [image.camera for image in images] == list(rig.names)
+    found = np.isfinite([image.values[0, :, 0] for image in images])
+    assert (
+        found[~np.array([hidden(joints, placed, camera) for camera in rig.cameras])].mean() > 0.95 and not found.all()
+    )
+    before = pipeline.step_masks(stamp_ns, masks).fit
+    fit = pipeline.step_masks(stamp_ns + FRAME_NS, masks, detections=images).fit
+    moved = np.linalg.norm(fit.reference_points_world - before.reference_points_world, axis=1)
+    assert 1e-4 < moved.max() < 0.03 and np.trace(fit.covariance[11]) < np.trace(before.covariance[11])
+    table = tmp_path / f"{rig.names[0]}.csv"
+    table.write_text(table.read_text().replace("left_knee_cov_xy", "left_knee_cov"))
+    with pytest.raises(InputError, match="left_knee_cov_xy"):
+        load_detections(tmp_path, rig)
+    with pytest.raises(InputError, match="no table"):
+        load_detections(tmp_path / "empty", rig)
 
 
 def test_restarting_while_no_body_is_followed_is_refused(t_pose):

@@ -2,8 +2,7 @@
 
 The model is our stick figure: its coordinates are the torso's six and the eighteen joint angles, its markers the
 15 reference points, so that inverse dynamics, plots and the TRC of the same take go with it (Delp et al., IEEE TBME 54,
-2007). Bone lengths are the medians of the take. Masses are shares of the body's (Winter, Biomechanics and Motor Control
-of Human Movement, table 4.1), which for want of a scale is that of an average build unless given.
+2007). Bone lengths are the medians of the take. The mass for want of a scale is that of an average build unless given.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig.files import write_text
 from stick_figure.body import Body
+from stick_figure.segment_inertia import SegmentInertia, segment_inertias
 from stick_figure.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
@@ -34,14 +34,6 @@ from stick_figure.skeleton import (
 
 from .motion import R_BIOMECHANICS_WORLD, Motion, fill_linearly, fill_rotations, rotated
 
-AVERAGE_BMI = 22.0
-"""kg/m^2, the middle of the WHO's normal range."""
-MASS_SHARES = np.array([0.497, 0.081, 0.028, 0.028, 0.100, 0.100, 0.022, 0.022, 0.061, 0.061])
-"""(10,) of the sticks: trunk, head and neck, upper arms, thighs, forearms with hands, calves with feet."""
-CENTRE_SHARES = np.array([0.5, 0.5, 0.436, 0.436, 0.433, 0.433, 0.5, 0.5, 0.606, 0.606])
-"""(10,) of the length from the joint to the centre of mass (the same table; a hand-long forearm stick: its middle)."""
-GYRATION = 0.3
-"""Radius of gyration over the length (the same table: 0.28 to 0.33 for limbs), about all axes."""
 ROOT = ("torso_tilt", "torso_list", "torso_rotation", "torso_tx", "torso_ty", "torso_tz")
 ROOT_ORDER = "ZXY"
 """Of the torso's rotation, body-fixed, as OpenSim's own gait models turn the pelvis."""
@@ -75,13 +67,12 @@ _JOINTS = (
 def write_osim(motion: Motion, path: Path, mass_kg: float | None = None) -> None:
     """Write the model; ``mass_kg`` : of the person, else that of a BMI of 22."""
     body = Body.from_points(motion.points_world[motion.tracked])
-    mass = AVERAGE_BMI * body.stature**2 if mass_kg is None else mass_kg
     document = xml.Element("OpenSimDocument", Version="40000")
     model = xml.SubElement(document, "Model", name=motion.name)
     _text(model, "gravity", "0 -9.80665 0")
     bodies = xml.SubElement(xml.SubElement(model, "BodySet", name="bodyset"), "objects")
-    for stick in range(10):
-        _add_body(bodies, stick, body, mass)
+    for stick, inertia in enumerate(segment_inertias(body, mass_kg)):
+        _add_body(bodies, stick, body, inertia)
     joints = xml.SubElement(xml.SubElement(model, "JointSet", name="jointset"), "objects")
     _add_root(joints)
     for joint in _JOINTS:
@@ -110,17 +101,16 @@ def write_mot(motion: Motion, path: Path) -> None:
     write_text(path, "\n".join([*head, "\t".join(names), *lines]) + "\n")
 
 
-def _add_body(bodies: xml.Element, stick: int, body: Body, mass_kg: float) -> None:
+def _add_body(bodies: xml.Element, stick: int, body: Body, inertia: SegmentInertia) -> None:
     """Add a stick as a rigid body whose origin is its joint; the torso's is its centre."""
-    mass, length = MASS_SHARES[stick] * mass_kg, body.lengths[stick]
-    element = xml.SubElement(bodies, "Body", name=STICK_NAMES[stick])
-    _text(element, "mass", f"{mass:.6g}")
-    centre = np.zeros(3) if stick == TORSO else CENTRE_SHARES[stick] * _along(stick, length)
-    _text(element, "mass_center", _numbers(centre))
-    moment = mass * (GYRATION * length) ** 2
-    _text(element, "inertia", _numbers(np.array([moment, moment, moment, 0.0, 0.0, 0.0])))
-    geometry = xml.SubElement(element, "attached_geometry")
+    length, R = body.lengths[stick], R_BIOMECHANICS_WORLD
     start = -0.5 * _along(stick, length) if stick == TORSO else np.zeros(3)
+    element = xml.SubElement(bodies, "Body", name=STICK_NAMES[stick])
+    _text(element, "mass", f"{inertia.mass:.6g}")
+    _text(element, "mass_center", _numbers(start + R @ inertia.centre))
+    moments = R @ inertia.inertia @ R.T
+    _text(element, "inertia", _numbers(moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]))
+    geometry = xml.SubElement(element, "attached_geometry")
     line = xml.SubElement(geometry, "LineGeometry", name="bone")
     _text(line, "socket_frame", "..")
     _text(line, "start_point", _numbers(start))

@@ -71,12 +71,25 @@ def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
     return points
 
 
-def _wire_layout(cloud: PointCloud2, fields: list[PointField], where: str) -> np.dtype:
-    """Return the dtype of the given fields as they lie in the message."""
+def vectors_of_cloud(cloud: PointCloud2, size: int, where: str) -> tuple[list[str], np.ndarray]:
+    """Return the names of a cloud's fields, of ``size`` numbers each, and those of every point (n, fields, size).
+
+    Raises InputError when a field has another size, or none is there.
+    """
+    names = [field.name for field in cloud.fields]
+    if not names or len(set(names)) < len(names) or any(field.count != size for field in cloud.fields):
+        what, remedy = f"the cloud has not fields of {size} numbers each", "Give each field its name and count."
+        raise InputError(what, where=where, remedy=remedy)
+    wire = np.frombuffer(_rows(cloud, where), _wire_layout(cloud, list(cloud.fields), where, size))
+    return names, np.stack([wire[name].reshape(-1, size).astype(np.float64) for name in names], axis=1)
+
+
+def _wire_layout(cloud: PointCloud2, fields: list[PointField], where: str, size: int = 1) -> np.dtype:
+    """Return the dtype of the given fields, of ``size`` numbers each, as they lie in the message."""
     order = ">" if cloud.is_bigendian else "<"
     formats = [order + _NUMPY_TYPES.get(field.datatype, "") for field in fields]
     for field, format in zip(fields, formats, strict=True):
-        if format == order or field.offset + np.dtype(format).itemsize > cloud.point_step:
+        if format == order or field.offset + size * np.dtype(format).itemsize > cloud.point_step:
             raise InputError(
                 f"field '{field.name}' (datatype {field.datatype}, offset {field.offset}) does not fit points of "
                 f"{cloud.point_step} bytes",
@@ -86,7 +99,7 @@ def _wire_layout(cloud: PointCloud2, fields: list[PointField], where: str) -> np
     return np.dtype(
         {
             "names": [field.name for field in fields],
-            "formats": formats,
+            "formats": [(format, (size,)) if size > 1 else format for format in formats],
             "offsets": [field.offset for field in fields],
             "itemsize": cloud.point_step,
         }

@@ -3,7 +3,7 @@
 A contour ray touches the body somewhere. One that passes the surface of a pose at a distance says that something is
 elsewhere; the cost of a pose is how many such rays there are (Geman-McClure: a ray far off counts 1, one on the surface
 0), and joints beyond their ranges. It compares poses with each other far better than the number of explained rays
-alone: a body that faces backward explains most of the outline too.
+alone: a body that faces backward explains most of the outline too. Joints that a detector found count as well.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from stick_figure.joint_limits import joint_excess
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.contour_factor import RayMatch, match_rays
 from stick_figure.least_squares.gauss_newton import Data
+from stick_figure.least_squares.keypoint_factor import ALL_STICKS, keypoint_support
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
 
@@ -32,6 +33,7 @@ GATE_M = 0.06  # a ray this far off costs a half
 EXPLAINED_M = 0.04  # a ray this near to the surface is explained
 LOSS = 1.5  # a ray that another pose explains worse counts so much more than one that it explains better
 LIMIT_RAD = 0.5  # so far beyond a joint's range costs one ray, twice as far four
+RAYS_PER_NAT = 2.0  # of what another pose of the whole body explains, while that lasts
 SAME_M = 0.10  # poses whose 15 points are so near to each other are one
 GUESS_ITERATIONS = 12  # of a fit that starts from a guess
 
@@ -40,8 +42,8 @@ GUESS_ITERATIONS = 12  # of a fit that starts from a guess
 class Evidence:
     """What speaks for and against a pose.
 
-    costs (n,) : what each ray costs, 0 to 1; beyond : what joints beyond their ranges cost, in rays. explained : rays
-    that the pose explains. matched : what the rays were matched to.
+    costs (n,) : what each ray costs, 0 to 1; beyond : what joints beyond their ranges cost, in rays, less what detected
+    joints say for the pose. explained : rays that the pose explains. matched : what the rays were matched to.
     """
 
     costs: np.ndarray
@@ -75,7 +77,7 @@ class Evidence:
 
 
 def evidence_of(figure: Figure, pose: Pose, data: Data, matched: RayMatch | None = None) -> Evidence:
-    """Weigh a pose against the contour rays of a set, and its angles against their joints' ranges.
+    """Weigh a pose against the contour rays and keypoints of a set, and its angles against their joints' ranges.
 
     ``matched`` : what the rays are matched to, when that is known.
     """
@@ -83,6 +85,8 @@ def evidence_of(figure: Figure, pose: Pose, data: Data, matched: RayMatch | None
     matched = matched or match_to(figure, state, data)
     costs, explained, excess = _weigh(state, matched.separation)
     beyond = float(((excess / LIMIT_RAD) ** 2).sum())
+    if len(data.keypoints.score):
+        beyond -= RAYS_PER_NAT * keypoint_support(data.keypoints, place(state, figure), ALL_STICKS)
     return Evidence(costs, beyond, explained, matched)
 
 

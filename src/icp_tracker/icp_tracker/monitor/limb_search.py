@@ -5,7 +5,8 @@ which is coarse: its best poses are refined by Gauss-Newton over the limb's own 
 Places that were good at earlier sets are refined along with them, so that they follow the limb as the tracked one does.
 
 What a place explains is counted in independent samples: cells of the limb's surface that rays show. A hem or a bent
-hand has many rays, all at one place of the limb; an arm in view shows a dozen cells.
+hand has many rays, all at one place of the limb; an arm in view shows a dozen cells. A sample is worth a nat, so what
+detected elbows and hands say for a place is added.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from stick_figure.body_surface import place_capsules
 from stick_figure.least_squares.contour_factor import RayMatch, match_rays, sum_rays
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.independent_rows import CELLS, cell_of_ray
+from stick_figure.least_squares.keypoint_factor import keypoint_support
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
     ENDS,
@@ -32,7 +34,7 @@ from stick_figure.least_squares.normal_equations import (
     no_sums,
     pose_columns,
 )
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.pose import Pose
 
 from .evidence import GATE_M, SLACK_M, match_to, ray_cost
@@ -57,10 +59,10 @@ class LimbPlaces:
     """Where else a limb may be, best first: at most KEPT places apart from each other and from the tracked one.
 
     poses : upper limb to torso and flexion, as in the library. samples : cells of the limb's surface (independent
-    samples) whose rays the tracked place explains, and the rest of the body does not; margins (k,) : how many more
-    each of these places explains. ends (k, 2, 3) : elbow and hand, or knee and foot, m, world; tracked (2, 3) : those
-    of the tracked place. origins (k,) : the known place that each was refined from, or that is the same place, -1 for a
-    new one.
+    samples) whose rays the tracked place explains, and the rest of the body does not, and nats of detected joints;
+    margins (k,) : how many more each of these places explains. ends (k, 2, 3) : elbow and hand, or knee and foot, m,
+    world; tracked (2, 3) : those of the tracked place. origins (k,) : the known place that each was refined from, or
+    that is the same place, -1 for a new one.
     """
 
     poses: LimbPoses
@@ -112,12 +114,15 @@ def _search(data, matched, state, figure, limb, library, known):
     which of the known places each of them is."""
     left, own = unexplained_data(data, matched, state, figure, limb), part_of(figure, limb, True)
     placed, costs, lower = place(state, own), np.empty(left.fine.shape[0]), own.surface.stick == limb.lower
-    tracked, samples = _ends(placed, limb), _samples(left, placed, lower, costs)
+    keypoints, sticks = data.keypoints, np.zeros(STICKS, np.bool_)
+    sticks[limb.upper], sticks[limb.lower] = True, True
+    tracked = _ends(placed, limb)
+    samples = _samples(left, placed, lower, costs) + keypoint_support(keypoints, placed, sticks)
     gains = np.zeros(library.flexion.shape[0])
     for h in range(gains.shape[0]):
         state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
         _place_limb(placed, figure, limb)
-        gains[h] = _rays_gained(left, placed, costs)
+        gains[h] = _rays_gained(left, placed, costs) + SAMPLE_RAYS * keypoint_support(keypoints, placed, sticks)
     chosen = np.argsort(-gains)[:REFINED]
     count = known.flexion.shape[0] + chosen.shape[0]
     R, flexion = np.empty((count, 3, 3)), np.empty(count)
@@ -133,7 +138,8 @@ def _search(data, matched, state, figure, limb, library, known):
         _refine_limb(left.rays, placed, figure, limb)
         R[m], flexion[m], ends[m] = state.RJ[limb.ball], state.hinges[limb.hinge], _ends(placed, limb)
         if farther_apart(ends[m], tracked) > APART_M:
-            margins[m] = _samples(left, placed, lower, costs) - samples
+            found = _samples(left, placed, lower, costs) + keypoint_support(keypoints, placed, sticks)
+            margins[m] = found - samples
     kept, origins = _distinct(margins, ends, known.flexion.shape[0])
     return R[kept], flexion[kept], margins[kept], ends[kept], tracked, samples, origins
 

@@ -26,7 +26,7 @@ from stick_figure.pose import Pose
 
 from ..articulated_fit import ArticulatedSettings
 from . import limb_filter
-from .evidence import SAME_M, TRUNK, Evidence, Observation
+from .evidence import RAYS_PER_NAT, SAME_M, TRUNK, Evidence, Observation
 from .limb_filter import LimbBelief
 from .limb_search import NO_POSES, other_places, with_limb
 from .pose_library import (
@@ -50,7 +50,6 @@ CHECKS = 8  # of them, two more than there are kinds, until a body that was lost
 STANCES_A_SET = 6
 LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
 MOST_M_S2, NEAR_M = 600.0, 0.1  # a boxer's fist stops with half of this (Walilko et al. 2005); what fits err by besides
-RAYS_PER_NAT = 2.0  # of what another pose of the whole body explains, while that lasts
 BODY_LOG_PRIOR = -3.0  # of another pose of the whole body, against the tracked one: a person seldom turns in a set
 LOST_SHARE, DOUBTFUL_SHARE = 0.35, 0.60  # of the contour rays explained: what wrong poses explain, what clothes leave
 LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains: cameras and shadows differ

@@ -3,7 +3,8 @@
 A person's figure, placed where it is expected, explains the points inside it and near its surface, and the contour rays
 that graze it. A part of the hull belongs to everybody of whom it holds a good deal. Persons who touch share a part:
 each row of it (centerline point, surface voxel, contour ray) goes to those who explain it, to both where neither
-explains it clearly better, and so does what nobody explains: it may be the limb that somebody has lost.
+explains it clearly better, and so does what nobody explains: it may be the limb that somebody has lost. Of the
+skeletons that a detector found in an image each person has the nearest one, if any is near.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocap_packets.hull import ContourRays, HullProducts
+from mocap_packets.hull import REACH_M, ContourRays, HullProducts
 from stick_figure.body import Body
 from stick_figure.least_squares.contour_factor import RayArrays, match_rays
+from stick_figure.least_squares.keypoint_factor import Keypoints, offsets_m
 from stick_figure.least_squares.placed_figure import Figure, PlacedFigure, State, place, surface_distances
 from stick_figure.pose import Pose
 
@@ -122,6 +124,28 @@ def is_phantom(seen: HullProducts, part: int, expected: Sequence[Expected]) -> b
     for one in expected:
         grazed |= match_rays(arrays, one.placed, ANYWHERE_M).separation < GRAZED_M
     return bool(grazed.mean() >= PHANTOM_SHARE)
+
+
+def associate_skeletons(keypoints: Keypoints, expected: Sequence[Expected]) -> dict[int, Keypoints]:
+    """Return the detections of each person who has any: of each image at most one skeleton, which nobody else has.
+
+    A skeleton is as far from a person as the median of its joints is off: left and right may be exchanged, and some of
+    them wrong. One that is farther than REACH_M from everybody is nobody's.
+    """
+    near = list[tuple[float, int, int, int]]()
+    for one in expected:
+        offsets = offsets_m(keypoints, one.placed)
+        for skeleton in np.unique(keypoints.skeleton).tolist():
+            own = keypoints.skeleton == skeleton
+            apart = float(np.linalg.norm(np.median(offsets[own], axis=0)))
+            if apart < REACH_M:
+                near.append((apart, one.person, int(keypoints.camera[own][0]), skeleton))
+    skeletons: dict[tuple[int, int], int] = {}  # by person and camera
+    for _, person, camera, skeleton in sorted(near):
+        if skeleton not in skeletons.values():
+            skeletons.setdefault((person, camera), skeleton)
+    owned = {person: [s for (p, _), s in skeletons.items() if p == person] for person, _ in skeletons}
+    return {person: keypoints.chosen(np.isin(keypoints.skeleton, own)) for person, own in owned.items()}
 
 
 class _Rows(NamedTuple):

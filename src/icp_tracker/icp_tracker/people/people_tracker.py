@@ -19,12 +19,13 @@ from mocap_packets.fit import FIRST_PERSON, LOST, Fit
 from mocap_packets.hull import HullProducts
 from mocap_packets.state import Prediction
 from stick_figure.body import Body
+from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
 from ..acquisition.pose_source import HULL_SOURCES
 from ..acquisition.upright import reasons_of_bodies
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker, visibility_of
-from .association import Association, Expected, associate_parts, associate_rows, is_phantom
+from .association import Association, Expected, associate_parts, associate_rows, associate_skeletons, is_phantom
 from .identity import ALIKE, IdentityCheck, OcclusionEvents, Verdict, sizes_apart
 
 GONE_AFTER_S = 1.0  # a person other than the first who has not been seen for so long has left
@@ -73,6 +74,7 @@ class PeopleTracker:
         self._checks: list[IdentityCheck] = []
         self._newcomer_ns: dict[int, int] = {}  # when each was there last
         self._looked_ns, self._turn = 0, 0
+        self._keypoints: dict[int, Keypoints] = {}  # of the set that is fitted, by person
 
     @property
     def persons(self) -> tuple[int, ...]:
@@ -94,10 +96,14 @@ class PeopleTracker:
     def step(self, seen: HullProducts, predictions: Mapping[int, Prediction]) -> tuple[Fit, ...]:
         """Fit one frame set: one answer for each person that is there, in order, and always one for the first."""
         parts = seen.numbers()
-        if len(parts) <= 1 and len(self._persons) + len(self._newcomers) <= 1:
+        keypoints, seen = seen.keypoints, replace(seen, keypoints=NO_KEYPOINTS)
+        is_alone = len(parts) <= 1 and len(self._persons) + len(self._newcomers) <= 1
+        has_keypoints = len(keypoints.score) > 0
+        expected = [] if is_alone and not has_keypoints else self._expected(seen.stamp_ns, predictions)
+        self._keypoints = associate_skeletons(keypoints, expected) if has_keypoints else {}
+        if is_alone:
             return (self._step_alone(seen, predictions.get(FIRST_PERSON)),)
         seen, dropped = seen.finite()
-        expected = self._expected(seen.stamp_ns, predictions)
         association = associate_parts(seen, parts, expected)
         there = [one for one in expected if one.person in association.parts]
         free = [part for part in parts if part not in association.claimed and not is_phantom(seen, part, there)]
@@ -113,7 +119,7 @@ class PeopleTracker:
         """Fit the only person there is, or look for the first one."""
         if self._persons:
             person = self._persons[FIRST_PERSON]
-            fit = person.tracker.step(seen, prediction)
+            fit = person.tracker.step(self._with_keypoints(FIRST_PERSON, seen), prediction)
             person.seen_ns = person.seen_ns if fit.state == LOST else seen.stamp_ns
             return fit
         ((part, newcomer),) = self._newcomers.items()
@@ -131,6 +137,10 @@ class PeopleTracker:
             if pose is not None and body is not None and not person.away:
                 expected.append(Expected(number, body, pose))
         return expected
+
+    def _with_keypoints(self, person: int, seen: HullProducts) -> HullProducts:
+        """Return what is seen of a person with what detectors found of them."""
+        return replace(seen, keypoints=self._keypoints.get(person, NO_KEYPOINTS))
 
     def _reassign_lost_tracks(
         self, seen: HullProducts, association: Association, free: Sequence[int]
@@ -170,6 +180,7 @@ class PeopleTracker:
                 continue
             learn = not person.away and not any(check.concerns(number) for check in self._checks)
             shared = bool(association.sharers(number))
+            own = self._with_keypoints(number, own)
             fit = person.tracker.step(own, predictions.get(number), learn, shared)
             if number in rows:
                 person.seen_ns = seen.stamp_ns

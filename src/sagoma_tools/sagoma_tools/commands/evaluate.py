@@ -15,6 +15,7 @@ from capture_rig.verdict import REDO
 from capture_rig.video_findings import VideoFacts, ended_findings
 from capture_rig.visibility import RigVisibility
 from mocap_pipeline.configuration import Configuration
+from mocap_pipeline.session_footage import load_detections
 from sagoma_bringup.first_pose import start_settings
 
 from ..arguments import add_settings_argument, add_start_argument, parse_settings
@@ -39,6 +40,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("session", metavar="SESSION|BAG", help="folder of footage, or a bag that was recorded on one")
     option("--bag", help="evaluate this bag, recorded on the session, instead of tracking it here")
     option("--exact-masks", action="store_true", help="take the session's exact silhouettes")
+    help_keypoints = "joints that your detector found in the footage: FOLDER/CAM.csv, see the page on evaluation"
+    option("--keypoints", metavar="FOLDER", help=help_keypoints)
     help_ablation = "also one row a part of the tracker, from the thesis's method to ours"
     option("--ablation", action="store_true", help=help_ablation)
     option("--thesis", action="store_true", help="with a bag: also run the thesis's method on the session's footage")
@@ -120,10 +123,16 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[
         variants = {OURS: Configuration.of(settings)}
         variants |= {THESIS: thesis_configuration(settings)} if session.truth is not None else {}
     ours_first = dict(sorted(variants.items(), key=lambda row: row[0] != OURS))
+    detections = load_detections(args.keypoints, session.rig) if args.keypoints else {}
     came: dict[str, VideoFacts] = {}
     try:
         tracks = track_people(
-            session, ours_first, exact_masks=args.exact_masks, progress=doing("tracking frames"), ended=came.update
+            session,
+            ours_first,
+            exact_masks=args.exact_masks,
+            progress=doing("tracking frames"),
+            ended=came.update,
+            detections=detections,
         )
     except InputError as nobody:
         damaged = [finding for finding in ended_findings(came) if finding.grade == REDO] if came else []

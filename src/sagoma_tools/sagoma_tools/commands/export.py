@@ -24,6 +24,7 @@ from ..takes.measure import finish_take
 
 ALL = "all"
 STATURE_M = 1.75
+MASS = number("kg", 2, 500)
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -41,12 +42,7 @@ def _add_export(subparsers: argparse._SubParsersAction) -> None:
     option("--format", nargs="+", default=[ALL], choices=(*FORMATS, ALL), metavar="FORMAT", help=help_format)
     option("--output", metavar="FOLDER", help="where the files go (default: TAKE/export)")
     option("--rate", type=FRAME_RATE, metavar="HZ", help="frames a second of the files (default: the take's own)")
-    option(
-        "--mass",
-        type=number("kg", 2, 500),
-        metavar="KG",
-        help="of the person, for the OpenSim model (default: a BMI of 22)",
-    )
+    option("--mass", type=MASS, metavar="KG", help="of the person, for the OpenSim model (default: a BMI of 22)")
     option("--constant-bones", action="store_true", help="BVH without position channels below the root")
     option("--overwrite", action="store_true", help="replace files of earlier exports")
     add_takes_argument(parser)
@@ -89,6 +85,7 @@ def _add_urdf(subparsers: argparse._SubParsersAction) -> None:
     parser.add_argument("--stature", type=number("m", *STATURES_M), help=help_stature)
     help_id = f"what names of links begin with (default {FIRST_BODY_ID}, the first person's)"
     parser.add_argument("--id", default=FIRST_BODY_ID, help=help_id)
+    parser.add_argument("--mass", type=MASS, metavar="KG", help="of the person (default: a BMI of 22)")
     parser.add_argument("--rep155", action="store_true", help="the URDF of REP-155, for /humans/bodies/ID/joint_states")
     parser.add_argument("--output", help="file to write (default: print it)")
     parser.set_defaults(run=run_urdf)
@@ -100,7 +97,7 @@ def run_urdf(args: argparse.Namespace) -> int:
         raise InputError("--body has a stature of its own", where="arguments", remedy="Give --body or --stature.")
     body = load_body(args.body) if args.body else Body.from_stature(STATURE_M if args.stature is None else args.stature)
     body_id = body_id_of(args.id, FIRST_PERSON)
-    text = human_urdf(body, body_id) if args.rep155 else body_urdf(body, body_id)
+    text = (human_urdf if args.rep155 else body_urdf)(body, body_id, args.mass)
     if not args.output:
         sys.stdout.write(text)
         return 0

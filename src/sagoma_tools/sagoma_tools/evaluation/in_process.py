@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from capture_rig.session import Session, footage_stamp_ns
 from mocap_packets.fit import FIRST_PERSON
+from mocap_packets.keypoints import Detections, keypoints_of
 from mocap_packets.state import BodyState
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
@@ -35,13 +36,14 @@ def track_people(
     exact_masks: bool = False,
     progress: Callable[[int], None] = lambda frame: None,
     ended: FootageEnded = ignore_end,
+    detections: Mapping[int, Sequence[Detections]] | None = None,
 ) -> dict[str, dict[int, Track]]:
     """Track everybody with several configurations over the same hulls: every frame is segmented and carved once.
 
     Returns each configuration's tracks by the person's number; the first person's is always there. Cameras and hull
     are set as the first one says, from which the others may differ in fit and filter only; it is also the one that must
     find a body (InputError): another's tracks may be empty. ``ended`` : is told what came of the videos when the
-    shortest has ended.
+    shortest has ended. ``detections`` : joints that a detector found in the images of a frame.
     """
     first, *others = variants.values()
     if any((other.camera, other.hull) != (first.camera, first.hull) for other in others):
@@ -54,6 +56,7 @@ def track_people(
     for frame, frame_masks in enumerate(masks):
         progress(frame)
         products = pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), frame_masks)
+        products = replace(products, keypoints=keypoints_of(session.rig, (detections or {}).get(frame, ())))
         steps = [follower.step(products) for follower in followers]
         reasons.append(reasons_of_step(steps[0]))
         for step, states in zip(steps, rows, strict=True):

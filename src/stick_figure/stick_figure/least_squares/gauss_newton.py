@@ -28,6 +28,7 @@ from .contour_factor import (
 )
 from .free_ends import follow, straight_ends, turn_ends
 from .independent_rows import add_independent_rows
+from .keypoint_factor import NO_KEYPOINTS, Keypoints, add_keypoints
 from .normal_equations import TANGENT, mirror_upper, point_covariances
 from .placed_figure import STICKS, place, reference_points, surface_distances
 from .point_factor import add_points, match_points, summarise
@@ -38,7 +39,8 @@ LOOKS_AT_ENDS = 3  # until hands and feet of a given pose have turned to where t
 
 class Data(NamedTuple):
     """What was measured: centerline points (n, 3) m with information (n,) 1/m^2 and squared gate (n,) m^2; voxels
-    (m, 3) m of the hull's surface, samples (k, 3) m of the whole hull, contour rays, and where no hull can be."""
+    (m, 3) m of the hull's surface, samples (k, 3) m of the whole hull, contour rays, where no hull can be, and joints
+    that a detector found in the images."""
 
     points: np.ndarray
     information: np.ndarray
@@ -47,6 +49,7 @@ class Data(NamedTuple):
     hull: np.ndarray
     contour_rays: RayArrays
     unseen: UnseenCells
+    keypoints: Keypoints = NO_KEYPOINTS
 
 
 class Weights(NamedTuple):
@@ -54,7 +57,7 @@ class Weights(NamedTuple):
 
     prior (24,) : of the tangent slots about the start. voxel_tight : m, excess of the hull over the body at which the
     surface voxels count half. neck_pitch : rad, the head's rest forward of the torso's axis.
-    ends : of hands and feet about straight, 0 holds them there.
+    ends : of hands and feet about straight, 0 holds them there. keypoint : how often a detection's information counts.
     """
 
     prior: np.ndarray
@@ -67,6 +70,7 @@ class Weights(NamedTuple):
     neck_pitch: float
     limit: float
     ends: float
+    keypoint: float
 
 
 class Stop(NamedTuple):
@@ -123,6 +127,7 @@ def assess(data, state, figure, weights, scale):
         match, independent = match_points(data, placed), np.diag(scale.unseen)
         total, _, _ = summarise(match, counts)
         add_independent_rows(data, placed, weights, rays_match, match, independent)
+        add_keypoints(data.keypoints, placed, 1.0, independent, np.empty(TANGENT))
         mirror_upper(independent)
         covariance = point_covariances(independent, placed, 1.0)
     else:  # larger by the reduced chi-square where the inliers lie farther off than their own sigma says
@@ -206,6 +211,7 @@ def linearise(data, rays_match, nearest, placed, weights, voxel, ends, H, g):
     if voxel != 0.0:
         add_surface(data.voxels, nearest, placed, voxel, weights.voxel_gate, H, g)
     add_contour(data.contour_rays, rays_match, placed, weights, ends, H, g)
+    add_keypoints(data.keypoints, placed, weights.keypoint, H, g)
     return match
 
 
