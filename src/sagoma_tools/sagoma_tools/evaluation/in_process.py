@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from capture_rig.session import Session, footage_stamp_ns
+from capture_rig.session import Session
 from mocap_packets.fit import FIRST_PERSON
+from mocap_packets.frame_set import FrameSet
 from mocap_packets.state import BodyState
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
@@ -72,7 +73,8 @@ def track_people(
     reasons: list[tuple[str, ...]] = []
     for frame, frame_masks in enumerate(masks):
         progress(frame)
-        products = pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), frame_masks)
+        stamps_ns = session.stamps_ns(EPOCH_NS, frame)
+        products = pipeline.carve_set(FrameSet.of_stamps(stamps_ns, dict(frame_masks)))
         steps = [follower.step(products) for follower in followers]
         reasons.append(reasons_of_step(steps[0]))
         for step, states in zip(steps, rows, strict=True):
