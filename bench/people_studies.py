@@ -61,7 +61,7 @@ def ablation(sets: Iterable[Recorded]) -> dict[str, Any]:
         found = {name: column[row] for name, column in columns.items()}
         shown.row(row, *(_cell(scores) for scores in found.values()))
         table[row] = {
-            name: scores and {key: round(float(getattr(scores, key)), 4) for key in KEYS}
+            name: scores and {key: round(float(scores.overall[key]), 4) for key in KEYS}
             for name, scores in found.items()
         }
     return table

@@ -20,7 +20,7 @@ from sagoma_tools.recording.recorder import GraphRecorder
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import MOTIONS
-from virtual_studio.recording.footage import FootagePlan, camera_errors, read_truth_floor, write_calibration_footage
+from virtual_studio.recording.footage import FootagePlan, camera_errors, read_truth_floor, write_setup
 from virtual_studio.rig import ring
 
 CAMERAS = ("cam01", "cam02", "cam03")
@@ -30,7 +30,7 @@ COMMAND_TIMEOUT_S = 400.0
 @pytest.fixture(scope="module")
 def footage(tmp_path_factory) -> Path:
     plan = FootagePlan(stills=True, brief=True, fps=2.0, moving_s=10.0)
-    return write_calibration_footage(tmp_path_factory.mktemp("setup") / "footage", ring(2, ceiling=True), plan)
+    return write_setup(tmp_path_factory.mktemp("setup") / "footage", ring(2, ceiling=True), plan, motion=None)
 
 
 @pytest.mark.slow

@@ -69,12 +69,11 @@ def in_sds(runs: int, wrong_lenses: bool = False, delayed: bool = False, **optio
 @pytest.mark.parametrize(
     "case",
     [
-        {},
         {"delayed": True},
         {"wrong_lenses": True, "intrinsics_sd": dict.fromkeys(CAMERAS, LENS_SD)},
         {"wrong_lenses": True, "intrinsics_sd": dict.fromkeys(CAMERAS, LENS_SD), "refine_intrinsics": True},
     ],
-    ids=["noise", "delays", "wrong lenses", "refined lenses"],
+    ids=["delays", "wrong lenses", "refined lenses"],
 )
 def test_normalised_errors_have_unit_variance(case: dict):
     errors_sd = in_sds(30, **case)

@@ -46,39 +46,37 @@ def test_clean_footage_loses_nothing():
     assert solved(scene())[1] == set()
 
 
-def test_board_seen_upside_down_by_one_of_three_cameras_is_named():
-    detections = scene()
-    row = seen_by(detections, 3)[1]
-    detections[row] = replace(detections[row], ids=detections[row].ids[::-1].copy())
-    assert solved(detections)[1] == {named(detections[row], ODD_ONE)}
+def upside_down(detection: TargetDetection) -> TargetDetection:
+    return replace(detection, ids=detection.ids[::-1].copy())
 
 
-def test_floor_board_numbered_from_the_other_end_in_one_view_is_named():
+def shifted(detection: TargetDetection) -> TargetDetection:
+    return replace(detection, pixels=detection.pixels + SHIFT_PX)
+
+
+@pytest.mark.parametrize(
+    ("camera", "target", "spoilt"), [(1, "moving", upside_down), (2, "floor", upside_down), (0, "moving", shifted)]
+)
+def test_one_view_of_several_that_is_upside_down_or_moved_is_named(camera: int, target: str, spoilt):
     detections = scene()
-    row = next(i for i, s in enumerate(detections) if s.target == "floor" and s.camera == "cam03")
-    detections[row] = replace(detections[row], ids=detections[row].ids[::-1].copy())
+    on_floor = [i for i, s in enumerate(detections) if s.target == "floor"]
+    row = (on_floor if target == "floor" else seen_by(detections, 3))[camera]
+    detections[row] = spoilt(detections[row])
     assert solved(detections)[1] == {named(detections[row], ODD_ONE)}
 
 
 def test_board_seen_upside_down_by_one_of_two_cameras_does_no_harm():
     detections = scene()
     rows = seen_by(detections, 2)
-    detections[rows[0]] = replace(detections[rows[0]], ids=detections[rows[0]].ids[::-1].copy())
+    detections[rows[0]] = upside_down(detections[rows[0]])
     left_out = {place[:3] for place in solved(detections)[1]}  # at least one of them: what is left ties nothing
     assert left_out and left_out <= {named(detections[row], "")[:3] for row in rows}
-
-
-def test_board_that_moved_before_one_of_three_exposures_is_named():
-    detections = scene()
-    row = seen_by(detections, 3)[0]
-    detections[row] = replace(detections[row], pixels=detections[row].pixels + SHIFT_PX)
-    assert solved(detections)[1] == {named(detections[row], ODD_ONE)}
 
 
 def test_both_views_go_when_the_board_moved_between_two_exposures():
     detections = scene(frames=30)
     rows = [i for i, s in enumerate(detections) if (s.target, s.frame_index) == ("moving", 19)]
-    detections[rows[0]] = replace(detections[rows[0]], pixels=detections[rows[0]].pixels + SHIFT_PX)
+    detections[rows[0]] = shifted(detections[rows[0]])
     assert solved(detections)[1] == {named(detections[row], PAIR) for row in rows}
 
 

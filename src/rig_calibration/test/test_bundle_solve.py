@@ -13,7 +13,6 @@ from bundle_studio import (
     SIZE,
     T_WORLD_FLOOR,
     TARGETS,
-    camera_at,
     carried,
     carried_and_floor,
     detections_of,
@@ -95,36 +94,6 @@ def test_same_bytes_in_whatever_order_the_input_comes():
     for a, b in ((first.T_camera_reference, second.T_camera_reference), (first.covariance, second.covariance)):
         assert list(a) == list(b) == sorted(cameras)
         assert all(a[name].tobytes() == b[name].tobytes() for name in a)
-
-
-def test_two_cameras_agree_with_stereo_calibration_of_opencv():
-    cameras = {"cam01": camera_at("cam01", (2.5, -0.4, 1.4)), "cam02": camera_at("cam02", (2.5, 0.4, 1.4))}
-    rng = np.random.default_rng(3)
-    detections = detections_of(cameras, carried(rng, 40), "moving", rng)
-    frames = sorted(
-        {s.frame_index for s in detections if s.camera == "cam01"}
-        & {s.frame_index for s in detections if s.camera == "cam02"}
-    )
-    pixels = {(s.camera, s.frame_index): s.pixels.astype(np.float32) for s in detections}
-    board = BOARD.corners_board.astype(np.float32)
-    a, b = cameras.values()
-    result = cv2.stereoCalibrate(
-        [board] * len(frames),
-        [pixels["cam01", m] for m in frames],
-        [pixels["cam02", m] for m in frames],
-        a.K.copy(),
-        a.D.copy(),
-        b.K.copy(),
-        b.D.copy(),
-        SIZE,
-        flags=cv2.CALIB_FIX_INTRINSIC,
-        criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12),
-    )
-    both = [s for s in detections if s.frame_index in frames]
-    T = seen_from(solve_rig(cameras, both, {"moving": BOARD.corners_board}), "cam01")["cam02"]
-    assert len(frames) > 8
-    assert np.degrees(np.linalg.norm(cv2.Rodrigues(T[:3, :3] @ result[5].T)[0])) < 0.01
-    np.testing.assert_allclose(T[:3, 3], result[6].ravel(), atol=5e-4)
 
 
 def test_minimum_is_that_of_scipy_least_squares():

@@ -111,7 +111,7 @@ def test_groups_and_common_frames_are_counted():
     counted = common_frames(found)
     frames = {name: {s.frame_index for s in found if s.camera == name} for name in cameras}
     assert counted["cam01", "cam02"] == len(frames["cam01"] & frames["cam02"]) > 0
-    assert groups_of(cameras, found) == [tuple(sorted(cameras))]
+    assert groups_of(cameras, counted) == [tuple(sorted(cameras))]
 
 
 def test_cameras_without_common_view_are_named_by_group():

@@ -21,7 +21,6 @@ from extrinsics_room import (
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.rig import save_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
 from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, FloorTarget, RigCalibration, Target, calibrate_rig
@@ -90,13 +89,6 @@ def test_figures_are_those_of_the_true_rig(room: dict[str, CameraModel], whole: 
     assert sum(whole.figures.gaps_deg.values()) == pytest.approx(360.0)
 
 
-def test_same_detections_in_any_order_give_the_same_bytes(tmp_path, room: dict[str, CameraModel]) -> None:
-    detections = floor_detections(room) + carried_detections(room, 20)
-    for name, seen, cameras in (("a", detections, room), ("b", detections[::-1], dict(reversed(room.items())))):
-        save_rig(calibrate_rig(cameras, seen, TARGETS).placed.rig, tmp_path / f"{name}.yaml")
-    assert (tmp_path / "a.yaml").read_bytes() == (tmp_path / "b.yaml").read_bytes()
-
-
 def test_floor_board_alone_places_all_cameras_within_their_uncertainty(room: dict[str, CameraModel]) -> None:
     calibrated = calibrate_rig(room, floor_detections(room), FLOOR_ONLY)
     for camera in calibrated.placed.rig.cameras:
@@ -109,18 +101,6 @@ def test_camera_that_never_sees_the_floor_board_is_placed_by_the_carried_one(roo
     calibrated = calibrate_rig(room, without + carried_detections(room), TARGETS)
     assert pose_errors(calibrated.placed.rig.camera("cam02"), room["cam02"])[0] < 8.0
     assert calibrated.figures.camera("cam02").floor_angle_deg is None
-
-
-def test_camera_that_sees_nothing_at_all_is_named(room: dict[str, CameraModel]) -> None:
-    without = [detection for detection in floor_detections(room) if detection.camera != "cam02"]
-    with pytest.raises(InputError, match="cam02"):
-        calibrate_rig(room, without, FLOOR_ONLY)
-
-
-def test_groups_of_cameras_that_share_no_view_are_named(room: dict[str, CameraModel]) -> None:
-    apart = [s for s in carried_detections(room) if (s.camera in ("cam01", "cam02")) == (s.frame_index % 2 == 0)]
-    with pytest.raises(InputError, match=r"cam01, cam02 \| cam03, cam04"):
-        calibrate_rig(room, apart, {MOVING: TARGETS[MOVING]})
 
 
 def test_wrong_square_size_of_one_board_shows_as_a_ratio(room: dict[str, CameraModel]) -> None:

@@ -69,12 +69,11 @@ def compile_hull() -> None:
 
 
 def compile_cameras() -> None:
-    """Compile segmentation and PNG."""
+    """Compile segmentation of mono images, and PNG; the client of a colour camera compiles its own at its start."""
     from camera_client.silhouettes.warm_up import warm_up_silhouettes
     from sagoma_ros import mask_png
 
-    for colour in (False, True):
-        warm_up_silhouettes(colour)
+    warm_up_silhouettes(colour=False)
     mask_png.warm_up()
 
 

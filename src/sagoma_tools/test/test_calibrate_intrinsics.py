@@ -97,12 +97,6 @@ def test_another_board_than_the_one_that_was_filmed_is_named(shown, tmp_path, ca
     assert "cam01: 0 of 1 images show the board usably" in said and "9 x 6" in said
 
 
-def test_images_of_several_sizes_are_refused(shown, tmp_path, capsys):
-    write(tmp_path / "cam01", [shown[0], shown[1], cv2.resize(shown[2], (800, 600))])
-    assert main(["calibrate", "intrinsics", f"cam01={tmp_path / 'cam01'}", "--board", BOARD_TEXT]) == 2
-    assert "several sizes" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("sources", [[], ["somewhere", "--topic", "/cam01/image_raw"]])
 def test_footage_and_topic_exclude_each_other(sources, capsys):
     assert main(["calibrate", "intrinsics", *sources, "--board", BOARD_TEXT]) == 2

@@ -81,7 +81,7 @@ def test_score_refuses_a_track_of_other_frames(points_world):
 def test_share_inside_the_ellipsoid_is_near_95_percent_for_honest_noise(points_world):
     rng = np.random.default_rng(5)
     noise = rng.normal(0.0, 0.02, (40, *points_world.shape))
-    shares = [score(track_of(points_world + n, sd_m=0.02), truth_of(points_world)).inside_95 for n in noise]
+    shares = [score(track_of(points_world + n, sd_m=0.02), truth_of(points_world)).coverage.inside_95 for n in noise]
     assert np.mean(shares) == pytest.approx(0.95, abs=0.01)
 
 
@@ -95,7 +95,7 @@ def test_a_constant_offset_is_reported_and_is_no_lack_of_coverage(points_world):
     assert np.abs(scores.point_offset_mm[10]).max() < 8.0
     assert scores.coverage.point_inside_95[9] == 0.0
     assert scores.coverage_without_offset.point_inside_95[9] >= 0.9
-    assert scores.figures()["inside_95_without_offset"] > scores.inside_95
+    assert scores.figures()["inside_95_without_offset"] > scores.coverage.inside_95
 
 
 def test_score_reports_each_points_own_statistics(points_world):

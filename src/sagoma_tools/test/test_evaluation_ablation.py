@@ -18,8 +18,8 @@ from sagoma_tools.evaluation.in_process import (
     THESIS,
     ablation_rows,
     thesis_configuration,
+    track_people,
     track_session,
-    track_variants,
 )
 from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
@@ -69,7 +69,8 @@ def test_a_configuration_tracks_the_same_alone_and_beside_others_which_share_one
     carved = []
     carve = MocapPipeline.carve
     monkeypatch.setattr(MocapPipeline, "carve", lambda *args: carved.append(args[1]) or carve(*args))
-    beside = track_variants(session, {"a": started(session), "b": started(session, feedback=False)}, exact_masks=True)
+    both = {"a": started(session), "b": started(session, feedback=False)}
+    beside = {name: people[1] for name, people in track_people(session, both, exact_masks=True).items()}
     assert len(carved) == len(set(carved)) == 12
     assert alone.points_world.tobytes() == beside["a"].points_world.tobytes()
     assert not np.array_equal(beside["a"].points_world, beside["b"].points_world)
@@ -79,7 +80,7 @@ def test_variants_that_need_other_hulls_are_refused(session):
     other = started(session)
     other = replace(other, hull=replace(other.hull, voxel_size_m=0.03))
     with pytest.raises(ValueError, match="differ in the settings of cameras or hull"):
-        track_variants(session, {"a": started(session), "b": other}, exact_masks=True)
+        track_people(session, {"a": started(session), "b": other}, exact_masks=True)
 
 
 def test_without_feedback_every_fit_starts_from_the_fit_before(session):

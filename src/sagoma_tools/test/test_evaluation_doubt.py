@@ -57,8 +57,8 @@ def flagged_by_hand():
 def test_shares_are_those_of_flags_set_by_hand():
     scores = score(track(truth(), *flagged_by_hand()), truth())
     assert scores.calls.wrong.sum() == 5 and scores.calls.clear.tolist() == [False] * 5 + [True] * 5
-    assert scores.flagged_of_bad == pytest.approx(2 / 5)
-    assert scores.false_alarms == pytest.approx(1 / 5)
+    assert scores.calls.flagged_of_bad == pytest.approx(2 / 5)
+    assert scores.calls.false_alarms == pytest.approx(1 / 5)
     assert scores.figures()["flagged_of_bad"] == 0.4 and scores.figures()["false_alarms"] == 0.2
 
 

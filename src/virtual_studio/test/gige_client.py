@@ -43,13 +43,12 @@ def eventually(condition, what="the condition"):
 class AravisClient:
     """One camera opened through Aravis, never by discovery (which would broadcast on every interface)."""
 
-    def __init__(self, aravis, address, packet_size=9000):
+    def __init__(self, aravis, address):
         self.Aravis, Gio, self.GLib = aravis
         inet = Gio.InetAddress.new_from_string
         self.device = self.Aravis.GvDevice.new(inet(HOST), inet(address))
         self.camera = self.Aravis.Camera.new_with_device(self.device)
         self.stream = None
-        self._packet_size = packet_size
 
     def __enter__(self):
         return self
@@ -65,26 +64,24 @@ class AravisClient:
         self.stream = self.camera = self.device = None
         gc.collect()
 
-    def start(self, buffers=16, resend=True):
+    def start(self):
         """Open the stream and begin to receive."""
         Aravis, camera = self.Aravis, self.camera
         camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
-        if self._packet_size:
-            camera.gv_set_packet_size(self._packet_size)
+        camera.gv_set_packet_size(9000)
         self.stream = camera.create_stream(None, None)
         self.stream.set_property("socket-buffer", Aravis.GvStreamSocketBuffer.FIXED)
         self.stream.set_property("socket-buffer-size", RECEIVE_BUFFER_BYTES)
-        policy = Aravis.GvStreamPacketResend.ALWAYS if resend else Aravis.GvStreamPacketResend.NEVER
-        self.stream.set_property("packet-resend", policy)
+        self.stream.set_property("packet-resend", Aravis.GvStreamPacketResend.ALWAYS)
         self.stream.set_property("packet-timeout", 10_000)
         self.stream.set_property("frame-retention", 2_000_000)  # a busy machine may let a frame wait
         enlarge_receive_buffer(self.stream.get_port())
-        for _ in range(buffers):
+        for _ in range(16):
             self.stream.push_buffer(Aravis.Buffer.new_allocate(camera.get_payload()))
         camera.start_acquisition()
         return self
 
-    def buffer(self, whole=True):
+    def buffer(self):
         """The next buffer; incomplete ones are passed over. It goes back to the pool when the next one is asked for."""
         deadline = time.monotonic() + PATIENCE_S
         while True:
@@ -93,7 +90,7 @@ class AravisClient:
             if buffer is None:
                 continue
             self.stream.push_buffer(buffer)  # with a pool of many it is not filled again before it has been read
-            if not whole or buffer.get_status() == self.Aravis.BufferStatus.SUCCESS:
+            if buffer.get_status() == self.Aravis.BufferStatus.SUCCESS:
                 return buffer
 
     def buffers(self, count):
@@ -165,17 +162,11 @@ class GvcpClient:
         """The status of a register's write."""
         return self.ask(Command.WRITE_REGISTER, gvcp_payloads.encode_writes([(address, value)])).status
 
-    def write_memory(self, address, data):
-        return self.ask(Command.WRITE_MEMORY, gvcp_payloads.encode_memory(address, data)).status
-
     def read(self, address):
         """The value of a register."""
         answer = self.ask(Command.READ_REGISTER, gvcp_payloads.encode_words([address]))
         assert answer.status == 0, hex(answer.status)
         return gvcp_payloads.decode_words(answer.payload)[0]
-
-    def read_memory(self, address, count):
-        return self.ask(Command.READ_MEMORY, gvcp_payloads.encode_memory_read(address, count))
 
     def take_control(self):
         return self.write(CONTROL_PRIVILEGE, CONTROL)

@@ -4,18 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.video import Video
 from rig_calibration.boards.specification import board_text, read_board
 from virtual_studio.__main__ import main
-from virtual_studio.recording.footage import (
-    FLOOR_BOARD,
-    HAND_BOARD,
-    FootagePlan,
-    read_truth_floor,
-    write_calibration_footage,
-)
+from virtual_studio.recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, read_truth_floor, write_setup
 from virtual_studio.rig import ring
 from virtual_studio.scene.boards import PosedBoard, Wand, print_of
 from virtual_studio.scene.handling import carry, on_floor, swing, wave
@@ -107,7 +100,7 @@ def test_wand_goes_through_the_volume_in_all_directions():
 
 @pytest.fixture(scope="module")
 def footage(tmp_path_factory):
-    return write_calibration_footage(tmp_path_factory.mktemp("setup") / "a", ring(1, ceiling=False), SMALL)
+    return write_setup(tmp_path_factory.mktemp("setup") / "a", ring(1, ceiling=False), SMALL, motion=None)
 
 
 def test_folder_holds_footage_boards_and_the_truth_apart(footage):
@@ -141,35 +134,6 @@ def test_truth_says_where_the_middle_of_the_floor_board_lies(footage):
     row = corners[6] - corners[0]
     np.testing.assert_allclose(T[:3, 0], row / np.linalg.norm(row), atol=1e-9)
     np.testing.assert_allclose(T[:3, 2], [0, 0, 1], atol=1e-9)
-
-
-def test_the_same_plan_gives_the_same_bytes(footage, tmp_path):
-    again = write_calibration_footage(tmp_path / "b", ring(1, ceiling=False), SMALL)
-    for path in sorted(footage.rglob("*.*")):
-        if path.suffix == ".mp4":  # its container holds the time of writing
-            assert (frames_of(path) == frames_of(again / path.relative_to(footage))).all()
-        elif path.is_file():
-            assert path.read_bytes() == (again / path.relative_to(footage)).read_bytes()
-
-
-def frames_of(path):
-    with Video(path) as video:
-        return np.array(list(video))
-
-
-def test_stills_are_taken_while_the_board_rests(tmp_path):
-    plan = FootagePlan(stills=True, brief=True, fps=1.0, moving_s=1.0, noise=0.0, flicker=0.0)
-    folder = write_calibration_footage(tmp_path / "stills", ring(1, ceiling=False), plan)
-    stills = sorted((folder / "intrinsics" / "cam01").glob("*.png"))
-    sharp = [cv2.findChessboardCornersSB(cv2.imread(str(path), 0), (9, 6))[0] for path in stills]
-    assert len(stills) == 18 and sum(sharp) >= 15
-
-
-def test_folder_of_something_else_is_not_touched(tmp_path):
-    (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match="was not written by the virtual studio"):
-        write_calibration_footage(tmp_path, ring(1, ceiling=False), SMALL)
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
 def test_command_refuses_a_text_that_is_no_board(tmp_path, capsys):

@@ -1,18 +1,31 @@
 """Simulated cameras seen through Aravis, the library that real cameras are opened with."""
 
 import gc
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from gige_client import AravisClient, eventually
-from still_scene import Still, noise
 
-from gige_vision.pixel_formats import PixelFormat
-from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera
+from capture_rig.errors import InputError
+from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera
+from virtual_studio.gige.stream import kept_packets
 
-MS = 1_000_000
 TAI_MINUS_UTC_NS = 37_000_000_000
+
+
+class Still:
+    """A scene that never changes."""
+
+    def __init__(self, picture):
+        self.picture = picture
+        self.shape = picture.shape
+
+    def image(self, instant_ns):
+        return self.picture
+
+
+def noise(*shape):
+    return np.random.default_rng(3).integers(0, 256, shape).astype(np.uint8)
 
 
 def test_every_feature_can_be_read_through_aravis(aravis, address):
@@ -54,70 +67,6 @@ def test_frames_are_the_scene_s_pixels_with_ids_from_one_in_order(aravis, addres
         number, instant_ns = PatternScene.read(picture)
         assert number == block - 1
         np.testing.assert_array_equal(picture, scene.picture(number, instant_ns))
-
-
-@pytest.mark.parametrize("packet_size", [0, 1500, 9000, 16000])
-def test_largest_packet_is_negotiated_and_any_size_carries_whole_frames(aravis, address, packet_size):
-    with SimulatedCamera(address, Still(noise(480, 640))), AravisClient(aravis, address, packet_size) as client:
-        if not packet_size:
-            client.camera.gv_set_stream_options(client.Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
-            assert 15_990 <= client.camera.gv_auto_packet_size() <= 16_000
-        np.testing.assert_array_equal(client.start().bytes(), noise(480, 640).reshape(-1))
-
-
-def mono_bytes(grey, name):
-    """The format's bytes, pixel by pixel as the GigE Vision standard words them."""
-    flat = [int(value) for value in grey.reshape(-1)]
-    if name == "Mono8":
-        return bytes(flat)
-    depth = 10 if "10" in name else 12
-    deep = [(v << (depth - 8)) | (v >> (16 - depth)) for v in flat]
-    if "Packed" not in name:
-        return b"".join(v.to_bytes(2, "little") for v in deep)
-    low = depth - 8
-    mask = (1 << low) - 1
-    out = bytearray()
-    for a, b in zip(deep[0::2], deep[1::2], strict=True):
-        out += bytes([a >> low, (b & mask) << 4 | (a & mask), b >> low])
-    return bytes(out)
-
-
-@pytest.mark.parametrize("name", ["Mono8", "Mono10", "Mono10Packed", "Mono12", "Mono12Packed"])
-def test_mono_formats_arrive_bit_by_bit(aravis, address, name):
-    picture = noise(32, 48)
-    with SimulatedCamera(address, Still(picture)), AravisClient(aravis, address) as client:
-        client.camera.set_pixel_format_from_string(name)
-        buffer = client.start().buffer()
-        assert buffer.get_image_pixel_format() == PixelFormat[name]
-        assert bytes(buffer.get_data()) == mono_bytes(picture, name)
-
-
-def test_colour_formats_arrive_channel_by_channel(aravis, address):
-    picture = noise(32, 48, 3)
-    blue, green, red = (picture[..., i].astype(int) for i in range(3))
-    with SimulatedCamera(address, Still(picture)) as _, AravisClient(aravis, address) as client:
-        seen = {}
-        for name in ("BGR8", "RGB8", "BayerRG8", "YUV422_8"):
-            client.camera.set_pixel_format_from_string(name)
-            client.start()
-            seen[name] = client.bytes()
-            client.camera.stop_acquisition()
-            client.stream = None
-            gc.collect()
-    np.testing.assert_array_equal(seen["BGR8"].reshape(32, 48, 3), picture)
-    np.testing.assert_array_equal(seen["RGB8"].reshape(32, 48, 3), picture[..., ::-1])
-    bayer = seen["BayerRG8"].reshape(32, 48)
-    np.testing.assert_array_equal(bayer[0::2, 0::2], red[0::2, 0::2])
-    np.testing.assert_array_equal(bayer[0::2, 1::2], green[0::2, 1::2])
-    np.testing.assert_array_equal(bayer[1::2, 0::2], green[1::2, 0::2])
-    np.testing.assert_array_equal(bayer[1::2, 1::2], blue[1::2, 1::2])
-    yuyv = seen["YUV422_8"].reshape(32, 24, 4).astype(int)
-    luma = 0.299 * red + 0.587 * green + 0.114 * blue
-    assert np.abs(yuyv[..., [0, 2]].reshape(32, 48) - luma).max() <= 1
-    u = np.clip(128 + 0.564 * (blue - luma), 0, 255).reshape(32, 24, 2).mean(axis=2)
-    v = np.clip(128 + 0.713 * (red - luma), 0, 255).reshape(32, 24, 2).mean(axis=2)
-    assert np.abs(yuyv[..., 1] - u).max() <= 1.6
-    assert np.abs(yuyv[..., 3] - v).max() <= 1.6
 
 
 def test_region_and_binning_cut_and_average_the_sensor(aravis, address):
@@ -168,65 +117,12 @@ def test_auto_functions_own_what_they_control(aravis, address):
         assert client.camera.get_exposure_time() == 2000.0
 
 
-def test_frame_rate_spaces_the_stamps(aravis, address):
-    with SimulatedCamera(address, PatternScene(), CameraSettings(drift_ppm=0)), AravisClient(aravis, address) as client:
-        client.camera.set_frame_rate(125.0)
-        frames = client.start().buffers(10)
-    for (a, earlier, _), (b, later, _) in pairwise(frames):  # on a busy machine the camera leaves out whole periods
-        periods = round((later - earlier) / (8 * MS))
-        assert later - earlier == pytest.approx(8 * MS * periods, abs=2) and periods >= b - a >= 1
-
-
 def test_single_frame_mode_sends_one_frame(aravis, address):
     with SimulatedCamera(address, PatternScene()) as camera, AravisClient(aravis, address) as client:
         client.camera.set_string("AcquisitionMode", "SingleFrame")
         client.start().buffer()
         eventually(lambda: camera.status()["streaming"] is False)
     assert camera.counters["frames_sent"] == 1
-
-
-def test_lost_packets_are_sent_again_and_frames_are_whole(aravis, address):
-    scene, settings = PatternScene(), CameraSettings(frame_rate=50)
-    with SimulatedCamera(address, scene, settings) as camera, AravisClient(aravis, address) as client:
-        camera.faults.packet_loss = 0.01
-        for _, _, data in client.start().buffers(60):
-            picture = np.frombuffer(data, np.uint8).reshape(480, 640)
-            np.testing.assert_array_equal(picture, scene.picture(*PatternScene.read(picture)))
-    assert camera.counters["packets_dropped"] > 5
-    assert camera.counters["packets_resent"] > 5
-
-
-def test_without_resend_lost_packets_leave_frames_incomplete(aravis, address):
-    with SimulatedCamera(address, PatternScene()) as camera, AravisClient(aravis, address) as client:
-        camera.faults.no_resend, camera.faults.packet_loss = True, 0.2
-        client.start(resend=False)
-        client.stream.set_property("frame-retention", 20_000)
-        eventually(lambda: client.buffer(whole=False).get_status() != client.Aravis.BufferStatus.SUCCESS)
-    assert camera.counters["packets_resent"] == 0
-
-
-def test_packet_delay_spreads_a_frame_and_loses_nothing(aravis, address):
-    with SimulatedCamera(address, Still(noise(480, 640))), AravisClient(aravis, address) as client:
-        client.camera.set_integer("GevSCPD", 100_000)
-        for _ in range(3):
-            np.testing.assert_array_equal(
-                client.start().bytes() if client.stream is None else client.bytes(), noise(480, 640).reshape(-1)
-            )
-
-
-def test_chunks_follow_the_image_and_agree_with_the_leader(aravis, address):
-    picture = noise(480, 640)
-    with SimulatedCamera(address, Still(picture)), AravisClient(aravis, address) as client:
-        client.camera.set_exposure_time(5000.0)
-        client.camera.set_chunks("Timestamp,ExposureTime")
-        parser = client.camera.create_chunk_parser()
-        assert client.camera.get_payload() > picture.size
-        buffer = client.start().buffer()
-        assert buffer.has_chunks()
-        assert parser.get_integer_value(buffer, "ChunkTimestamp") == buffer.get_timestamp()
-        assert parser.get_float_value(buffer, "ChunkExposureTime") == 5000.0
-        lit = np.clip(np.rint(picture.reshape(-1) * 1.25), 0, 255)
-        np.testing.assert_array_equal(np.frombuffer(buffer.get_data(), np.uint8)[: picture.size], lit)
 
 
 def test_older_generation_is_opened_by_its_older_names(aravis, address):
@@ -272,3 +168,69 @@ def test_power_cycle_forgets_settings_but_not_the_user_s_name(aravis, address):
             assert client.camera.get_exposure_time() == 4000.0
             assert client.camera.get_string("DeviceUserID") == "right"
             assert client.start().buffer().get_frame_id() == 1
+
+
+# faults: the client's tests and drills show each of the others
+
+
+def picture(client):
+    return client.bytes().reshape(480, 640)
+
+
+def test_lens_cap_leaves_the_sensor_s_noise(aravis, address):
+    settings = CameraSettings(noise=4.0)
+    with SimulatedCamera(address, PatternScene(), settings) as camera, AravisClient(aravis, address) as client:
+        camera.faults.lens_cap = True
+        client.start()
+        eventually(lambda: picture(client).mean() < 5)
+        dark = picture(client)
+    assert dark.max() > 0
+    assert (dark == 0).mean() == pytest.approx(0.55, abs=0.08)  # the negative half of the noise is cut off
+
+
+def test_sensor_noise_has_the_deviation_that_was_set(aravis, address):
+    scene = Still(np.full((240, 320), 100, np.uint8))
+    with SimulatedCamera(address, scene, CameraSettings(noise=3.0)), AravisClient(aravis, address) as client:
+        client.start()
+        frames = np.array([client.bytes() for _ in range(8)], float)
+    deviation = np.sqrt(frames.var(axis=0, ddof=1).mean())  # in time, so that every frame has noise of its own
+    assert deviation == pytest.approx(3.0, rel=0.03)
+    assert frames.mean() == pytest.approx(100.0, abs=0.1)
+
+
+def test_faults_of_the_light_dim_the_picture_and_the_lens_cap_makes_it_black(aravis, address):
+    settings = CameraSettings(frame_rate=100.0)
+    with SimulatedCamera(address, PatternScene(), settings) as camera, AravisClient(aravis, address) as client:
+        client.start()
+        bright = picture(client)[20:].mean()
+        camera.faults.light = 0.5
+        eventually(lambda: picture(client)[20:].mean() == pytest.approx(0.5 * bright, rel=0.05))
+        camera.faults.light, camera.faults.lights_off = 1.0, True
+        eventually(lambda: 0 < picture(client)[20:].mean() < 0.1 * bright)
+        camera.faults.lens_cap = True
+        eventually(lambda: picture(client).max() == 0)
+
+
+def test_packet_loss_follows_the_seed():
+    def dropped(seed):
+        return kept_packets(1000, 0.3, np.random.default_rng(seed))
+
+    assert (dropped(1) == dropped(1)).all()
+    assert (dropped(1) != dropped(2)).any()
+    assert 1 - dropped(1).mean() == pytest.approx(0.3, abs=0.05)
+
+
+def test_unknown_fault_and_impossible_value_are_refused_and_change_nothing():
+    faults = Faults()
+    with pytest.raises(InputError, match=r"no fault 'packetloss'.*packet_loss"):
+        faults.update({"stall": True, "packetloss": 0.1})
+    impossible = [("packet_loss", 1.5), ("packet_loss", "much"), ("stall", 3), ("light", -1), ("stamp_jump_ns", True)]
+    impossible += [("stamp_jump_ns", float("inf")), ("slow_control_ms", 1e300)]
+    for name, value in impossible:
+        with pytest.raises(InputError, match=rf"{name} = "):
+            faults.update({name: value})
+    assert faults.active() == {}
+    faults.update({"stall": 1, "packet_loss": 0.5})
+    assert faults.active() == {"stall": True, "packet_loss": 0.5}
+    faults.clear()
+    assert faults.active() == {}

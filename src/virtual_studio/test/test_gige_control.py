@@ -39,30 +39,11 @@ def address_of(camera, key):
     return next(f.address for f in camera.features if f.key == key and f.has_register)
 
 
-def test_discovery_tells_who_the_camera_is(camera, client):
-    answer = client.ask(Command.DISCOVERY)
-    record = DeviceRecord.decode(answer.payload)
-    assert (answer.status, answer.acknowledge) == (0, 3)
-    assert (record.address, record.serial, record.user_id) == (camera.address, "SIM00001", "left")
-    assert (record.manufacturer, record.model, record.subnet_mask) == ("Sagoma", "Studio", "255.0.0.0")
-
-
 def test_nobody_writes_without_control(camera, client):
     assert client.write(bootstrap.HEARTBEAT_TIMEOUT_MS, 5000) == Status.ACCESS_DENIED
     assert client.take_control() == Status.SUCCESS
     assert client.write(bootstrap.HEARTBEAT_TIMEOUT_MS, 5000) == Status.SUCCESS
     assert client.read(bootstrap.HEARTBEAT_TIMEOUT_MS) == 5000
-
-
-def test_second_application_reads_but_cannot_take_control(camera, client):
-    client.take_control()
-    with GvcpClient(camera.address) as second:
-        assert second.take_control() == Status.ACCESS_DENIED
-        assert second.read(CONTROL_PRIVILEGE) == 2
-        assert second.write(bootstrap.HEARTBEAT_TIMEOUT_MS, 5000) == Status.ACCESS_DENIED
-        client.write(CONTROL_PRIVILEGE, 0)
-        assert second.take_control() == Status.SUCCESS
-    assert camera.counters["control_denied"] == 1
 
 
 def test_heartbeat_that_stops_frees_the_camera_and_ends_its_stream(camera, client):
@@ -179,36 +160,6 @@ def test_action_for_others_is_not_answered(camera, client):
     client.send_packet(Action(1, 2, 2).command(request_id=77))
     answer = client.receive()
     assert (answer.acknowledge, answer.status, answer.request_id) == (0x0101, 0, 77)
-
-
-def test_scheduled_action_needs_ptp_and_must_not_be_late(camera, client):
-    arm_action(camera, client)
-    client.send_packet(Action(1, 2, 6, time_ns=10).command())
-    assert client.receive().status == Status.NO_REFERENCE_TIME
-    client.write(address_of(camera, "PtpEnable"), 1)
-    client.send_packet(Action(1, 2, 6, time_ns=10).command())
-    assert client.receive().status == Status.ACTION_LATE
-    assert camera.counters["actions_late"] == 1
-
-
-def test_ptp_without_a_grandmaster_keeps_listening(camera, client):
-    client.take_control()
-    camera.faults.ptp_lost = True
-    client.write(address_of(camera, "PtpEnable"), 1)
-    assert client.read(address_of(camera, "PtpStatus")) == 4
-    camera.faults.ptp_lost = False
-    assert client.read(address_of(camera, "PtpStatus")) == 9
-
-
-def test_standard_timestamp_latch_works_by_register(camera, client):
-    def latched():
-        client.write(bootstrap.TIMESTAMP_CONTROL, bootstrap.TIMESTAMP_LATCH)
-        return client.read(bootstrap.TIMESTAMP_HIGH) << 32 | client.read(bootstrap.TIMESTAMP_LOW)
-
-    client.take_control()
-    first, second = latched(), latched()
-    assert 0 < first < second
-    assert client.read(bootstrap.TICK_FREQUENCY_LOW) == 1_000_000_000
 
 
 def test_user_set_load_brings_the_first_values_back_but_keeps_control(camera, client):

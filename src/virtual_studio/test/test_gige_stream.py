@@ -14,7 +14,7 @@ from virtual_studio.gige.camera import feature_table
 from virtual_studio.gige.device import CameraSettings, Device, Faults
 from virtual_studio.gige.loop import EventLoop
 from virtual_studio.gige.registers import Registers
-from virtual_studio.gige.stream import Block, Layout, StreamChannel, stretches
+from virtual_studio.gige.stream import Block, Layout, StreamChannel
 
 DATA = np.random.default_rng(1).integers(0, 256, 100_003).astype(np.uint8)
 LEADER, TRAILER = ImageLeader(5, 0x01080001, 100_003, 1), ImageTrailer(1)
@@ -182,9 +182,3 @@ def test_largest_sends_hold_whole_packets_only():
     sizes = [sum(len(part) for part in run) for run in runs]
     assert sum(sizes) == 300_000 + 8 * (block.packets - 2)
     assert all(size <= 65507 and size % 8972 == 0 for size in sizes[:-1])
-
-
-def test_stretches_are_the_runs_of_true_values():
-    assert stretches(np.array([True, True, False, True, False, False, True])) == [(0, 2), (3, 4), (6, 7)]
-    assert stretches(np.array([False, False])) == []
-    assert stretches(np.array([True, True])) == [(0, 2)]

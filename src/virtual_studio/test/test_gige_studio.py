@@ -199,22 +199,8 @@ def test_words_of_the_command_line_become_requests(words, request_):
 
 def test_program_serves_cameras_and_ends_cleanly_on_a_signal(tmp_path):
     path, first = tmp_path / "s.sock", first_of_free(2)
-    command = [
-        sys.executable,
-        "-m",
-        "virtual_studio.gige",
-        "--pattern",
-        "--cameras",
-        "2",
-        "--address",
-        first,
-        "--control",
-        str(path),
-        "--write",
-        str(tmp_path / "rig"),
-        "--fps",
-        "50",
-    ]
+    given = f"--pattern --cameras 2 --address {first} --control {path} --write {tmp_path / 'rig'} --fps 50"
+    command = [sys.executable, "-m", "virtual_studio.gige", *given.split()]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
     try:
         lines = []

@@ -69,7 +69,7 @@ def person(path: Path, turns: dict[str, str], frames: int = 3, prefix: str = "",
     return path
 
 
-CM = ReadingOptions(metres_per_unit=0.01)
+LEG_M = 0.85
 
 
 def at(points: np.ndarray, name: str) -> np.ndarray:
@@ -77,7 +77,7 @@ def at(points: np.ndarray, name: str) -> np.ndarray:
 
 
 def test_a_t_pose_stands_upright_facing_x_with_its_left_at_y(tmp_path: Path) -> None:
-    motion = read_stick_motion(person(tmp_path / "t.bvh", {}), options=CM)
+    motion = read_stick_motion(person(tmp_path / "t.bvh", {}), LEG_M)
     points = forward(motion.body, motion.poses[0])
     np.testing.assert_allclose(at(points, "neck"), [0, 0, 1.45], atol=1e-3)
     np.testing.assert_allclose(at(points, "head"), [0, 0, 1.70], atol=1e-3)
@@ -93,7 +93,7 @@ def test_a_t_pose_stands_upright_facing_x_with_its_left_at_y(tmp_path: Path) -> 
 
 def test_turned_joints_turn_the_figure(tmp_path: Path) -> None:
     turns = {"LeftArm": "-90 0 0", "LeftForeArm": "0 0 -90", "RightUpLeg": "0 -90 0", "RightLeg": "0 90 0"}
-    motion = read_stick_motion(person(tmp_path / "t.bvh", turns), options=CM)
+    motion = read_stick_motion(person(tmp_path / "t.bvh", turns), LEG_M)
     points = forward(motion.body, motion.poses[0])
     np.testing.assert_allclose(at(points, "left_elbow"), [0, 0.18, 1.40 - 0.292], atol=1e-3)  # the arm hangs
     forearm = at(points, "left_hand") - at(points, "left_elbow")
@@ -106,7 +106,7 @@ def test_turned_joints_turn_the_figure(tmp_path: Path) -> None:
 
 def test_another_rate_keeps_the_speed(tmp_path: Path) -> None:
     path = person(tmp_path / "t.bvh", {}, frames=11, step=2.0)  # 2 cm a frame at 100 Hz
-    motion = read_stick_motion(path, 40.0, CM)
+    motion = read_stick_motion(path, LEG_M, 40.0)
     assert motion.fps == 40.0
     assert len(motion.poses) == 5  # 0 to 0.1 s
     np.testing.assert_allclose(np.diff([pose.position_world[0] for pose in motion.poses]), 2.0 / 40.0, atol=1e-6)
@@ -114,7 +114,7 @@ def test_another_rate_keeps_the_speed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("prefix", ["mixamorig:", "mixamorig_", "Character1:", "MIXAMORIG9:"])
 def test_names_are_known_whatever_the_exporter_put_before_them(tmp_path: Path, prefix: str) -> None:
-    motion = read_stick_motion(person(tmp_path / "t.bvh", {}, prefix=prefix), options=CM)
+    motion = read_stick_motion(person(tmp_path / "t.bvh", {}, prefix=prefix), LEG_M)
     assert forward(motion.body, motion.poses[0])[2, 2] == pytest.approx(1.45, abs=1e-3)
 
 
@@ -128,32 +128,20 @@ def test_every_naming_is_written_plainly_and_mirrored() -> None:
         assert not set(left) & set(right)
 
 
-def test_without_a_unit_the_error_names_the_ones_that_make_a_person(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"0\.01 \(cm\) for a person of 1\.73 m") as caught:
-        read_stick_motion(person(tmp_path / "t.bvh", {}))
-    assert "(mm)" not in str(caught.value)
-
-
-def test_a_unit_that_makes_a_giant_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="m tall"):
-        read_stick_motion(person(tmp_path / "t.bvh", {}), options=ReadingOptions(metres_per_unit=1.0))
-
-
 def test_a_wrong_up_axis_is_refused_and_the_right_one_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="probably y"):
-        read_stick_motion(person(tmp_path / "t.bvh", {}), options=ReadingOptions(0.01, up="z"))
+        read_stick_motion(person(tmp_path / "t.bvh", {}), LEG_M, options=ReadingOptions(up="z"))
     with pytest.raises(InputError, match="x, y or z"):
-        read_stick_motion(person(tmp_path / "t.bvh", {}), options=ReadingOptions(0.01, up="w"))
+        read_stick_motion(person(tmp_path / "t.bvh", {}), LEG_M, options=ReadingOptions(up="w"))
 
 
 def test_a_head_without_an_end_gets_an_average_one(tmp_path: Path) -> None:
     path = person(tmp_path / "t.bvh", {})
     motion = read_joints(path)
-    whole = reference_points(motion, CM)
+    whole = reference_points(motion, LEG_M)
     path.write_text(path.read_text().replace("HeadTop_End", "Hat"))
-    headless = reference_points(read_joints(path), CM)
-    leg = 0.85
-    np.testing.assert_allclose(headless[0, 1] - headless[0, 2], [0, 0, leg * 0.130 / 0.491], atol=1e-6)
+    headless = reference_points(read_joints(path), LEG_M)
+    np.testing.assert_allclose(headless[0, 1] - headless[0, 2], [0, 0, LEG_M * 0.130 / 0.491], atol=1e-6)
     np.testing.assert_allclose(np.delete(headless, 1, axis=1), np.delete(whole, 1, axis=1), atol=1e-12)
 
 
@@ -169,9 +157,9 @@ def test_unknown_names_are_refused_and_a_table_of_names_helps(tmp_path: Path) ->
     path = person(tmp_path / "t.bvh", {})
     path.write_text(path.read_text().replace("JOINT Neck", "JOINT Kneck").replace("JOINT Head\n", "JOINT Kopf\n"))
     with pytest.raises(InputError, match="no known way"):
-        read_stick_motion(path, options=CM)
+        read_stick_motion(path, LEG_M)
     table = names_of_my_own(tmp_path / "names.yaml", neck="Kneck", head="Kopf")
-    motion = read_stick_motion(path, options=ReadingOptions(0.01, joints=table))
+    motion = read_stick_motion(path, LEG_M, options=ReadingOptions(joints=table))
     assert forward(motion.body, motion.poses[0])[2, 2] == pytest.approx(1.45, abs=1e-3)
 
 
@@ -182,19 +170,19 @@ def test_unknown_names_are_refused_and_a_table_of_names_helps(tmp_path: Path) ->
 def test_a_wrong_table_of_names_is_refused_with_what_there_is(tmp_path: Path, table: dict[str, str], word: str) -> None:
     path = person(tmp_path / "t.bvh", {})
     with pytest.raises(InputError, match=word):
-        read_stick_motion(path, options=ReadingOptions(0.01, joints=names_of_my_own(tmp_path / "n.yaml", **table)))
+        read_stick_motion(path, LEG_M, options=ReadingOptions(joints=names_of_my_own(tmp_path / "n.yaml", **table)))
 
 
 def test_a_table_that_lacks_a_joint_names_it(tmp_path: Path) -> None:
     (tmp_path / "names.yaml").write_text("neck: Neck\nhead: Head\n")
-    options = ReadingOptions(0.01, joints=tmp_path / "names.yaml")
+    options = ReadingOptions(joints=tmp_path / "names.yaml")
     with pytest.raises(InputError, match="left_shoulder"):
-        read_stick_motion(person(tmp_path / "t.bvh", {}), options=options)
+        read_stick_motion(person(tmp_path / "t.bvh", {}), LEG_M, options=options)
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\*\.bvh"):
-        read_stick_motion(tmp_path / "walk.fbx")
+        read_stick_motion(tmp_path / "walk.fbx", LEG_M)
 
 
 def test_a_recorded_motion_begins_in_the_t_pose_and_stands_on_the_floor_in_the_middle(tmp_path: Path) -> None:

@@ -7,11 +7,14 @@ each target in each frame, and for the way round it lies.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse.csgraph import connected_components
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -24,39 +27,30 @@ from .problem import LINE, PoseKey
 from .relative_poses import RelativePose, agreement_weight, line_pose, relative_pose, relative_pose_of_line
 
 
-def groups_of(cameras: Iterable[str], detections: Sequence[TargetDetection]) -> list[tuple[str, ...]]:
-    """Find the groups of cameras that are linked by common views, largest first, names in order within each."""
-    parent = {name: name for name in cameras}
-
-    def root(name: str) -> str:
-        while parent[name] != name:
-            name = parent[name]
-        return name
-
-    first: dict[PoseKey, str] = {}
-    for detection in detections:
-        other = first.setdefault((detection.target, detection.frame_index), detection.camera)
-        low, high = sorted((root(detection.camera), root(other)))
-        parent[high] = low
-    members: dict[str, list[str]] = {}
-    for name in sorted(parent):
-        members.setdefault(root(name), []).append(name)
-    return sorted((tuple(group) for group in members.values()), key=lambda group: (-len(group), group))
+def groups_of(cameras: Iterable[str], pairs: Iterable[tuple[str, str]]) -> list[tuple[str, ...]]:
+    """Find the groups of cameras that pairs link, largest first, names in order within each."""
+    names = sorted(cameras)
+    links = np.zeros((len(names), len(names)), bool)
+    for a, b in pairs:
+        links[names.index(a), names.index(b)] = True
+    count, group = connected_components(links, directed=False)
+    groups = [tuple(name for name, of in zip(names, group, strict=True) if of == k) for k in range(count)]
+    return sorted(groups, key=lambda group: (-len(group), group))
 
 
 def common_frames(detections: Sequence[TargetDetection]) -> dict[tuple[str, str], int]:
     """Count how many poses of targets each pair of cameras (in name order) shares; pairs that share none are left
     out."""
-    seen: dict[PoseKey, list[str]] = {}
-    for detection in detections:
-        seen.setdefault((detection.target, detection.frame_index), []).append(detection.camera)
-    counts: dict[tuple[str, str], int] = {}
-    for cameras in seen.values():
-        names = sorted(cameras)
-        for i, a in enumerate(names):
-            for b in names[i + 1 :]:
-                counts[a, b] = counts.get((a, b), 0) + 1
+    counts = Counter(pair for seen in cameras_by_pose(detections).values() for pair in combinations(sorted(seen), 2))
     return dict(sorted(counts.items()))
+
+
+def cameras_by_pose(detections: Iterable[TargetDetection]) -> dict[PoseKey, set[str]]:
+    """Find which cameras saw each pose of a target."""
+    seen: dict[PoseKey, set[str]] = {}
+    for detection in detections:
+        seen.setdefault((detection.target, detection.frame_index), set()).add(detection.camera)
+    return seen
 
 
 def require_connected(
@@ -74,7 +68,7 @@ def require_connected(
             f"{', '.join(blind)}: no picture that can be used shows a target.{why}",
             remedy="Show the board to it, or leave that camera out.",
         )
-    groups = groups_of(names, detections)
+    groups = groups_of(names, common_frames(detections))
     if len(groups) > 1:
         listed = " | ".join(", ".join(group) for group in groups)
         raise InputError(
@@ -99,7 +93,7 @@ def comparable_targets(
     known, changed = {base}, True
     cameras = sorted({detection.camera for detection in detections})
     while changed:
-        groups = groups_of(cameras, [detection for detection in detections if detection.target in known])
+        groups = groups_of(cameras, common_frames([seen for seen in detections if seen.target in known]))
         more = {name for name in targets if name not in known and _seen_within(name, detections, groups)}
         known, changed = known | more, bool(more)
     return np.array([name in known and name != base for name in targets])

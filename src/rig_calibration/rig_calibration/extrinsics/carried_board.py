@@ -20,7 +20,7 @@ from capture_rig.lens import Array
 from capture_rig.rigid import inverse
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.initial_poses import common_frames, groups_of
+from ..bundle.initial_poses import cameras_by_pose, common_frames, groups_of
 from ..bundle.problem import symmetry_order_of
 from ..bundle.solve import solve_rig
 from .floor import SAME_PLACE_PX
@@ -268,20 +268,14 @@ def motion_progress(cameras: Sequence[str], detections: Sequence[TargetDetection
     """Measure how far the detections of the carried board tie ``cameras`` together."""
     shared = common_frames(detections)
     strong = {pair for pair, count in shared.items() if count >= ENOUGH_SHARED}
-    links = [TargetDetection(name, index, *_NOTHING) for index, pair in enumerate(sorted(strong)) for name in pair]
-    seen_by: dict[int, set[str]] = {}
     cells: dict[str, set[tuple[int, int]]] = {name: set() for name in cameras}
     for detection in detections:
-        seen_by.setdefault(detection.frame_index, set()).add(detection.camera)
         column, row = (detection.pixels.mean(axis=0) / detection.image_size * PROGRESS_CELLS).astype(int).tolist()
         cells[detection.camera].add((column, row))
     return MotionProgress(
         cameras=tuple(sorted(cameras)),
-        shared_frames=sum(len(names) > 1 for names in seen_by.values()),
+        shared_frames=sum(len(names) > 1 for names in cameras_by_pose(detections).values()),
         shared=shared,
-        groups=tuple(groups_of(cameras, links)),
+        groups=tuple(groups_of(cameras, strong)),
         cells={name: len(found) for name, found in cells.items()},
     )
-
-
-_NOTHING = (np.empty(0, np.int64), np.empty((0, 2)), (0, 0))

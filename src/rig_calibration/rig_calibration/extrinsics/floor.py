@@ -130,9 +130,7 @@ class StillBoard:
     moved_frames: tuple[int, ...]
 
 
-def average_still_board(
-    detections: Sequence[TargetDetection], board: Board, *, target: str, frame_index: int = 0
-) -> StillBoard:
+def average_still_board(detections: Sequence[TargetDetection], board: Board, *, target: str) -> StillBoard:
     """Average one camera's ``detections`` of a board that lies still, as a detection of ``target``.
 
     The largest group of frames that show the board at the same place is taken, of equal ones the earliest; in it, a
@@ -146,7 +144,7 @@ def average_still_board(
     ids = np.flatnonzero(count >= max(1.0, MIN_SHARE * len(chosen)))
     single = float(np.median([ordered[index].sigma_px for index in np.flatnonzero(together)]))
     sigma = float(np.hypot(single / np.sqrt(np.median(count[ids])), LASTING_PX))
-    averaged = replace(ordered[0], frame_index=frame_index, target=target, ids=ids, pixels=mean[ids], sigma_px=sigma)
+    averaged = replace(ordered[0], frame_index=0, target=target, ids=ids, pixels=mean[ids], sigma_px=sigma)
     frames = np.array([detection.frame_index for detection in ordered])
     return StillBoard(averaged, tuple(frames[together].tolist()), tuple(frames[~together].tolist()))
 

@@ -15,6 +15,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.verdict import REDO, USABLE, Finding, Verdict, graded, judge
 
+from ..bundle.initial_poses import cameras_by_pose
 from ..bundle.solve import RigSolution
 from .figures import CameraFigures, RigFigures
 from .floor import FloorView
@@ -304,8 +305,5 @@ def footage_findings(solution: RigSolution) -> Iterator[Finding]:
 
 def common_pose_counts(solution: RigSolution) -> dict[str, int]:
     """Count by camera how many poses of targets it saw together with another camera."""
-    seen: dict[tuple[str, int], set[str]] = {}
-    for detection in solution.detections:
-        seen.setdefault((detection.target, detection.frame_index), set()).add(detection.camera)
-    shared = [cameras for cameras in seen.values() if len(cameras) > 1]
+    shared = [cameras for cameras in cameras_by_pose(solution.detections).values() if len(cameras) > 1]
     return {name: sum(name in cameras for cameras in shared) for name in solution.cameras}

@@ -258,7 +258,7 @@ def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = FIND_TIMEO
     )
 
 
-def grab(node: Node, topics: Mapping[str, str], count: int, timeout_s: float = SHOTS_TIMEOUT_S) -> dict[str, Shots]:
+def grab(node: Node, topics: Mapping[str, str], count: int) -> dict[str, Shots]:
     """Return the next ``count`` pictures of every camera. Raises InputError for a camera that sends none."""
     pictures: dict[str, list[np.ndarray]] = {name: [] for name in topics}
     changed = threading.Condition()
@@ -274,13 +274,13 @@ def grab(node: Node, topics: Mapping[str, str], count: int, timeout_s: float = S
         for name, topic in topics.items()
     ]
     with changed:
-        changed.wait_for(lambda: all(len(taken) == count for taken in pictures.values()), timeout_s)
+        changed.wait_for(lambda: all(len(taken) == count for taken in pictures.values()), SHOTS_TIMEOUT_S)
     for subscription in subscriptions:
         node.destroy_subscription(subscription)
     silent = [name for name, taken in pictures.items() if not taken]
     if silent:
         raise InputError(
-            f"no picture came from {', '.join(silent)} for {timeout_s:g} s",
+            f"no picture came from {', '.join(silent)} for {SHOTS_TIMEOUT_S:g} s",
             remedy="Check the camera client: sagoma doctor; or leave it out (--without).",
         )
     return {name: Shots(name, tuple(taken)) for name, taken in pictures.items()}

@@ -158,7 +158,7 @@ def next_step(others: float, rate: float | None, reasons: Sequence[Sequence[str]
 
 def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
     """Print everything that the run measured."""
-    print_nodes(console, live.usage, live.cpu_ms_per_set, live.diagnostics)
+    print_nodes(console, live.usage, live.cpu_ms_per_set, live.diagnostics, in_real_time=bool(live.ages_ms))
     print_latency(console, live.latency_ms)
     if live.ages_ms:
         print_ages(console, live.ages_ms, live.hz_held)

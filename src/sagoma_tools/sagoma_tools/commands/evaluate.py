@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
             console.print(f"picture: {path}")
     if rows:
         figures["ablation"] = {
-            name: scores and {key: round(float(getattr(scores, key)), 4) for key in IN_JSON}
+            name: scores and {key: round(float(scores.overall[key]), 4) for key in IN_JSON}
             for name, scores in rows.items()
         }
     print(json.dumps(figures))

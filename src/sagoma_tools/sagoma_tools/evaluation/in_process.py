@@ -19,33 +19,14 @@ from .reasons import nobody_tracked, reasons_of_step
 from .track import Track
 
 
-def track_session(
-    session: Session,
-    configuration: Configuration,
-    *,
-    exact_masks: bool = False,
-    progress: Callable[[int], None] = lambda frame: None,
-) -> Track:
+def track_session(session: Session, configuration: Configuration, *, exact_masks: bool = False) -> Track:
     """Footage in, track out: silhouettes, hull, ICP fit started from the EKF's state, EKF update, frame by frame.
 
-    exact_masks : take the session's exact silhouettes instead of segmenting its footage.
-    Raises InputError when no body was found in any frame.
+    Returns the track of the person that the first truth is of. exact_masks : take the session's exact silhouettes
+    instead of segmenting its footage. Raises InputError when no body was found in any frame.
     """
-    (track,) = track_variants(session, {"": configuration}, exact_masks=exact_masks, progress=progress).values()
-    return track
-
-
-def track_variants(
-    session: Session,
-    variants: Mapping[str, Configuration],
-    *,
-    exact_masks: bool = False,
-    progress: Callable[[int], None] = lambda frame: None,
-    ended: FootageEnded = ignore_end,
-) -> dict[str, Track]:
-    """Track as :func:`track_people`; of each configuration, the track of the person that the first truth is of."""
-    people = track_people(session, variants, exact_masks=exact_masks, progress=progress, ended=ended)
-    return {name: main_track(tracks, session.truths, session.fps) for name, tracks in people.items()}
+    (people,) = track_people(session, {"": configuration}, exact_masks=exact_masks).values()
+    return main_track(people, session.truths, session.fps)
 
 
 def track_people(

@@ -8,7 +8,7 @@ import tempfile
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -283,17 +283,19 @@ class StudioInput(LiveInput):
         return self.clock.speed == 1
 
 
-def free_first_address(count: int, candidates: Sequence[str] = FIRST_ADDRESSES) -> str:
+def free_first_address(count: int) -> str:
     """Return the first of ``count`` loopback addresses in a row on which no other studio serves.
 
     Studios that start at the same time do not see each other yet: their processes begin the search at different ones.
     """
-    begin = os.getpid() % len(candidates)
-    for first in (*candidates[begin:], *candidates[:begin]):
+    begin = os.getpid() % len(FIRST_ADDRESSES)
+    for first in (*FIRST_ADDRESSES[begin:], *FIRST_ADDRESSES[:begin]):
         if all(is_free(address) for address in consecutive_addresses(first, count)):
             return first
     raise InputError(
-        "other studios hold every address", where=f"{candidates[0]} to {candidates[-1]}", remedy="End one of them."
+        "other studios hold every address",
+        where=f"{FIRST_ADDRESSES[0]} to {FIRST_ADDRESSES[-1]}",
+        remedy="End one of them.",
     )
 
 
@@ -307,8 +309,8 @@ LONGEST_S = 12.0  # a machine whose load changes all the time never settles
 class HeldRate:
     """Keeps the rules of thinning that a running graph publishes; its node must be spun by another thread."""
 
-    def __init__(self, node: Node, now_s: Callable[[], float] = time.monotonic) -> None:
-        self._now_s, self._rules = now_s, list[tuple[float, FrameDecimation]]()
+    def __init__(self, node: Node) -> None:
+        self._now_s, self._rules = time.monotonic, list[tuple[float, FrameDecimation]]()
         self._subscription = node.create_subscription(DiagnosticArray, TOPIC, self._on_rule, LATCHED)
 
     @property

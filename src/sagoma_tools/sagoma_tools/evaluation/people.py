@@ -68,7 +68,7 @@ class PersonScores:
             "numbers": list(self.numbers),
             "frames": self.frames,
             "tracked": 0 if scores is None else scores.tracked,
-            **{name: None if scores is None else number(getattr(scores, name)) for name in OVERALL},
+            **{name: None if scores is None else number(scores.overall[name]) for name in OVERALL},
             "time_to_track_s": number(self.time_to_track_s, 3),
             "identity_switches": self.switches,
         }

@@ -125,34 +125,22 @@ class Scores:
     errors_mm: np.ndarray
 
     @property
-    def flagged_of_bad(self) -> float:
-        """Share of the parts of the body with a point over 200 mm that are called doubtful or lost."""
-        return self.calls.flagged_of_bad
-
-    @property
-    def false_alarms(self) -> float:
-        """Share of the frames with all points below 100 mm in which any part is called."""
-        return self.calls.false_alarms
-
-    @property
-    def inside_95(self) -> float:
-        """Share of all errors inside the track's own 95 % ellipsoids."""
-        return self.coverage.inside_95
-
-    @property
-    def inside_95_without_offset(self) -> float:
-        """Share of the errors inside the same ellipsoids after each point's constant offset is taken out."""
-        return self.coverage_without_offset.inside_95
-
-    @property
     def angle_rmse_deg(self) -> np.ndarray:
         """(18,) RMSE of each angle where the truth defines it."""
         return np.rad2deg(self.angles.rmse_rad)
 
+    @property
+    def overall(self) -> dict[str, float]:
+        """The figures of all points together, by their names in OVERALL."""
+        inside_95, centred = self.coverage.inside_95, self.coverage_without_offset.inside_95
+        of_parts = inside_95, centred, self.calls.flagged_of_bad, self.calls.false_alarms
+        values = (*(getattr(self, name) for name in OVERALL[: -len(of_parts)]), *of_parts)
+        return dict(zip(OVERALL, values, strict=True))
+
     def figures(self) -> dict[str, object]:
         """Name to number, for a line of JSON."""
         whole: dict[str, object] = {"frames": self.frames, "tracked": self.tracked}
-        whole.update({name: number(getattr(self, name)) for name in OVERALL})
+        whole.update({name: number(value) for name, value in self.overall.items()})
         whole["nees"] = number(self.coverage.nees)
         whole["point_mm"] = _named(POINT_NAMES, self.point_mm, 1)
         offsets = self.point_offset_mm.round(1).tolist()

@@ -34,7 +34,7 @@ def print_scores(console: Console, scores: Scores) -> None:
     )
     ellipsoids = (
         f"{100 * coverage.inside_95:.0f} % of the errors inside their 95 % ellipsoid, "
-        f"{100 * scores.inside_95_without_offset:.0f} % without constant offsets"
+        f"{100 * scores.coverage_without_offset.inside_95:.0f} % without constant offsets"
     )
     console.print(
         f"covariance: {ellipsoids}; NEES "
@@ -140,7 +140,7 @@ def print_people(console: Console, people: PeopleScores) -> None:
         if scores is None:
             table.add_row(name, numbers, "no track")
             continue
-        called = _percent(scores.flagged_of_bad), _percent(scores.false_alarms)
+        called = _percent(scores.calls.flagged_of_bad), _percent(scores.calls.false_alarms)
         frames = f"{scores.tracked} of {scores.frames}"
         table.add_row(name, numbers, *_overall_cells(scores), *called, frames, str(person.switches))
     console.print(table)
@@ -195,18 +195,20 @@ def print_nodes(
     usage: Mapping[str, Usage],
     cpu_ms_per_set: Mapping[str, float],
     diagnostics: Mapping[str, Mapping[str, str]],
+    in_real_time: bool,
 ) -> None:
-    """Print one row a process and a node: memory and its peak, processor time a frame set; results, latency."""
+    """Print one row a process and a node: memory and its peak, processor time a frame set; results, and the latency
+    where stamps are of this machine's time."""
     memory_columns = "resident MiB", "peak MiB"
-    table = _table("nodes", "node", *memory_columns, "cpu ms a set", "results", "latency p50 ms", "p95 ms")
+    latencies = {"latency p50 ms": "latency_p50_ms", "p95 ms": "latency_p95_ms"} if in_real_time else {}
+    table = _table("nodes", "node", *memory_columns, "cpu ms a set", "results", *latencies)
     values = {_label(name): report for name, report in diagnostics.items()}
     for label in dict.fromkeys([*usage, *values]):
         used = usage.get(label)  # None of a node that shares its process
         memory = (f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}") if used is not None else ("", "")
         cpu = f"{cpu_ms_per_set[label]:.1f}" if label in cpu_ms_per_set else ""
         report = values.get(label, {})
-        keys = ("results", "latency_p50_ms", "latency_p95_ms")
-        table.add_row(label, *memory, cpu, *(report.get(key, "") for key in keys))
+        table.add_row(label, *memory, cpu, *(report.get(key, "") for key in ("results", *latencies.values())))
     console.print(table)
 
 

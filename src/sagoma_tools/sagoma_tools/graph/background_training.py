@@ -132,13 +132,13 @@ def train_backgrounds(
     ]
 
 
-def learn_backgrounds(supervisor: Supervisor, timeout_s: float = START_TIMEOUT_S) -> dict[str, str]:
+def learn_backgrounds(supervisor: Supervisor) -> dict[str, str]:
     """Train all cameras of a supervised graph; the room must be empty. Returns each client's response.
 
     Raises InputError naming the cameras that refuse, and why, or that do not answer.
     """
     names = [spec.full_name for spec in supervisor.graph if spec.role is Role.CAMERA]
-    outcomes = train_backgrounds(supervisor.node, supervisor.diagnostics, names, timeout_s)
+    outcomes = train_backgrounds(supervisor.node, supervisor.diagnostics, names)
     failed = [outcome for outcome in outcomes if outcome.grade == REDO]
     if failed:
         what = "; ".join(f"{outcome.camera}: {outcome.message}" for outcome in failed)

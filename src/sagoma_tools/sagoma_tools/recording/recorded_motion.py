@@ -72,14 +72,15 @@ def read_person_rows(
 ) -> defaultdict[str, PersonRows]:
     """Return the rows of every person of a bag, by the body's id, FIRST for those under /mocap. Raises InputError."""
     rows: defaultdict[str, PersonRows] = defaultdict(PersonRows)
-    for message in read_messages(bag, lambda topic: _kind_of(topic) in kinds):
+    for message in read_messages(bag, lambda topic: kind_of(topic) in kinds):
         match = ROW_TOPIC.match(message.topic)
         assert match is not None
         rows[match["body_id"] or FIRST].update(match["kind"], message)
     return rows
 
 
-def _kind_of(topic: str) -> str | None:
+def kind_of(topic: str) -> str | None:
+    """Return what a topic says of a person, None of any other topic."""
     match = ROW_TOPIC.match(topic)
     return match["kind"] if match else None
 

@@ -121,12 +121,9 @@ class Recorder:
             event_callbacks=SubscriptionEventCallbacks(matched=self._on_match(topic)),
         )
 
-    def follow_graph(self, first_id: str = FIRST_BODY_ID) -> None:
-        """Look for cameras that publish silhouettes, and for persons, every DISCOVERY_S, and record them too.
-
-        first_id : of the person whose topics are those under /mocap.
-        """
-        self._discover(lambda: self._newcomers(first_id))
+    def follow_graph(self) -> None:
+        """Look for cameras that publish silhouettes, and for persons, every DISCOVERY_S, and record them too."""
+        self._discover(self._newcomers)
 
     def follow(self, asked: AskedTopics) -> None:
         """Record the topics that were asked for as they appear, looking every DISCOVERY_S."""
@@ -244,9 +241,9 @@ class Recorder:
     def _announce(self, topic: Topic) -> None:
         self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
 
-    def _newcomers(self, first_id: str) -> Iterator[Topic]:
+    def _newcomers(self) -> Iterator[Topic]:
         names = topics_of(self._node)
-        others = [body_id for body_id in persons_in(names) if body_id != first_id]
+        others = [body_id for body_id in persons_in(names) if body_id != FIRST_BODY_ID]
         for topics in (*map(camera_topics, cameras_in(names)), *map(person_topics, others)):
             yield from topics
 

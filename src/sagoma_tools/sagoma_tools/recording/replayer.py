@@ -173,10 +173,12 @@ class LockstepReport:
 class Answers:
     """The EKF's answers: it publishes one prediction for every frame set, stamped with the set's stamp."""
 
-    def __init__(self, node: Node, topic: str = PREDICTION_TOPIC) -> None:
+    def __init__(self, node: Node) -> None:
         self._arrived = threading.Condition()
         self._stamps: set[int] = set()
-        self._subscription = node.create_subscription(MultiDOFJointState, topic, self._on_answer, LOSSLESS, raw=True)
+        self._subscription = node.create_subscription(
+            MultiDOFJointState, PREDICTION_TOPIC, self._on_answer, LOSSLESS, raw=True
+        )
 
     def wait_for(self, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as the answer to the set with this stamp has come."""

@@ -15,7 +15,6 @@ import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from capture_rig.errors import InputError
@@ -24,15 +23,14 @@ from capture_rig.rig import load_rig
 from capture_rig.yaml_file import read_mapping
 from mocap_packets.fit import DOUBTFUL, LOST
 from motion_export.motion import point_deviations, usual_rate
-from sagoma_ros.packets import read_reference_points
 
 from ..graph.topics import CAMERA_TOPIC, DIAGNOSTICS_TOPIC, FIRST_BODY_ID, cameras_in
 from ..recording.reader import SIDECAR_RIG, BagMessage, open_bag, read_messages
+from ..recording.recorded_motion import POINTS, ROW_TOPIC, STATE, PersonRows, kind_of
 from ..recording.writer import own_version
 from .take import REMEDY, Background, CameraRecord, PersonRecord, Quality, Summary, Take, TakeState
 
 FRAME_SETS, FITS, BODY = "/hull/frame_set", "/icp/fit", "/icp/body"
-PERSON = re.compile(r"^/mocap/(?:bodies/(?P<body_id>[^/]+)/)?(?P<kind>reference_points|state)$")
 CAMERA_NODE = re.compile(r"^/(?:.+/)?(?P<camera>[^/]+)/camera_client$")
 DIGEST_BYTES = 1 << 20
 ROUNDED = 4
@@ -69,13 +67,7 @@ def digests(bag: Path) -> dict[str, dict[str, Any]]:
 
 def _is_wanted(topic: str) -> bool:
     known = (FRAME_SETS, FITS, BODY, DIAGNOSTICS_TOPIC)
-    return topic in known or PERSON.match(topic) is not None or CAMERA_TOPIC.match(topic) is not None
-
-
-@dataclass
-class _Person:
-    sigmas_m: dict[int, np.ndarray] = field(default_factory=dict)
-    states: dict[int, str] = field(default_factory=dict)
+    return topic in known or kind_of(topic) in (POINTS, STATE) or CAMERA_TOPIC.match(topic) is not None
 
 
 @dataclass
@@ -87,7 +79,7 @@ class _Scan:
     answered: set[int] = field(default_factory=set)
     silhouettes: dict[str, list[int]] = field(default_factory=lambda: defaultdict(list))
     reports: dict[str, list[Mapping[str, str]]] = field(default_factory=lambda: defaultdict(list))
-    people: dict[str, _Person] = field(default_factory=lambda: defaultdict(_Person))
+    people: dict[str, PersonRows] = field(default_factory=lambda: defaultdict(PersonRows))
     body: str = ""
 
     def update(self, message: BagMessage) -> None:
@@ -97,37 +89,24 @@ class _Scan:
             self.silhouettes[camera["camera"]].append(message.stamp_ns)
         elif topic == FRAME_SETS:
             self.set_stamps.append(message.stamp_ns)
-            self.incomplete += bool(_values(deserialize_message(message.data, DiagnosticArray).status[0])["missing"])
+            self.incomplete += bool(values_of(deserialize_message(message.data, DiagnosticArray).status[0])["missing"])
         elif topic == FITS:
             self.answered.add(message.stamp_ns)
         elif topic == BODY:
             self.body = deserialize_message(message.data, String).data
         elif topic == DIAGNOSTICS_TOPIC:
-            self._add_diagnostics(deserialize_message(message.data, DiagnosticArray))
-        elif person := PERSON.match(topic):
-            self._add_person(self.people[person["body_id"] or FIRST_BODY_ID], person["kind"], message)
-
-    def _add_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if node := CAMERA_NODE.match(status.name):
-                self.reports[node["camera"]].append(_values(status))
-
-    def _add_person(self, person: _Person, kind: str, message: BagMessage) -> None:
-        if kind == "state":
-            status = deserialize_message(message.data, DiagnosticStatus)
-            stamp = _values(status).get("stamp_ns", "")
-            if stamp.isdigit():
-                person.states[int(stamp)] = status.message
-            return
-        points = read_reference_points(deserialize_message(message.data, PointCloud2), message.topic)
-        person.sigmas_m[message.stamp_ns] = point_deviations(points.covariance)
+            for status in deserialize_message(message.data, DiagnosticArray).status:
+                if node := CAMERA_NODE.match(status.name):
+                    self.reports[node["camera"]].append(values_of(status))
+        elif person := ROW_TOPIC.match(topic):
+            self.people[person["body_id"] or FIRST_BODY_ID].update(person["kind"], message)
 
     # figures ----------------------------------------------------------------------------------------------------------
 
     def stamps(self) -> list[int]:
         """The frame sets' stamps as recorded; of a bag without the hull server's, the first camera's, or persons'."""
         of_cameras = [stamps for _, stamps in sorted(self.silhouettes.items())]
-        of_persons = [list(person.sigmas_m) for person in self.people.values()]
+        of_persons = [list(person.points) for person in self.people.values()]
         return next((stamps for stamps in (self.set_stamps, *of_cameras, *of_persons) if stamps), [])
 
     def quality(self, where: str) -> Quality:
@@ -165,18 +144,14 @@ class _Scan:
     def persons(self) -> dict[str, PersonRecord]:
         """Return the record of each person who was followed, by id."""
         stamps = np.unique(np.array(self.stamps(), np.int64))
-        return {
-            body_id: _person_record(person, stamps)
-            for body_id, person in sorted(self.people.items())
-            if person.sigmas_m
-        }
+        return {name: _person_record(person, stamps) for name, person in sorted(self.people.items()) if person.points}
 
 
-def _person_record(person: _Person, set_stamps: np.ndarray) -> PersonRecord:
-    rows = sorted(person.sigmas_m)
-    states = [person.states.get(stamp, "") for stamp in rows]
+def _person_record(person: PersonRows, set_stamps: np.ndarray) -> PersonRecord:
+    rows = sorted(person.points)
+    states = [person.states[stamp][0] for stamp in rows if stamp in person.states]
     here = int(((set_stamps >= rows[0]) & (set_stamps <= rows[-1])).sum())
-    sigmas_mm = 1e3 * np.stack(list(person.sigmas_m.values()))
+    sigmas_mm = 1e3 * np.stack([point_deviations(points.covariance) for points in person.points.values()])
     lost = states.count(LOST)
     middle, high = np.percentile(sigmas_mm, (50, 95))
     return PersonRecord(
@@ -208,7 +183,8 @@ def _increase(reports: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int 
     return int(np.where(steps >= 0, steps, totals[1:]).sum())
 
 
-def _values(status: DiagnosticStatus) -> dict[str, str]:
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    """Return the values of a status by their keys."""
     return {pair.key: pair.value for pair in status.values}
 
 

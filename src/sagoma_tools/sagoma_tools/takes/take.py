@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from capture_rig.errors import InputError
 
@@ -122,7 +124,7 @@ class Summary:
 
     def document(self) -> dict[str, Any]:
         """Return the summary as plain data, which :meth:`parse` reads."""
-        return {"format": FORMAT, **_plain(asdict(self))}
+        return {"format": FORMAT, **msgspec.to_builtins(self)}
 
     @classmethod
     def parse(cls, document: Mapping[str, Any], where: str) -> Summary:
@@ -130,18 +132,13 @@ class Summary:
         if document.get("format") != FORMAT:
             raise InputError(f"has format {document.get('format')!r}, not {FORMAT}", where=where, remedy=REMEDY)
         try:
-            cameras = {str(name): _camera(values) for name, values in document["cameras"].items()}
-            persons = {str(name): PersonRecord(**values) for name, values in document["persons"].items()}
-            quality, rest = Quality(**document["quality"]), (document["body"], document["files"])
-            return cls(quality, cameras, persons, *rest, document["measured_by"])
-        except (KeyError, TypeError, AttributeError) as error:
+            return msgspec.convert(document, cls)
+        except msgspec.ValidationError as error:
             raise InputError(f"is no summary of a take ({error})", where=where, remedy=REMEDY) from error
 
     def same_figures(self, other: Summary) -> bool:
         """Do both hold the same figures, whoever measured them?"""
-        return all(
-            _plain(asdict(self))[key] == _plain(asdict(other))[key] for key in ("quality", "cameras", "persons", "body")
-        )
+        return replace(self, files={}, measured_by="") == replace(other, files={}, measured_by="")
 
 
 @dataclass(frozen=True)
@@ -172,23 +169,8 @@ class Take:
 
     def document(self) -> dict[str, Any]:
         """Return everything as plain data."""
-        plain = {key: value for key, value in asdict(self).items() if key not in ("path", "summary")}
         summary = None if self.summary is None else self.summary.document()
-        return {"name": self.name, "path": str(self.path), **_plain(plain), "summary": summary}
-
-
-def _camera(values: Mapping[str, Any]) -> CameraRecord:
-    backgrounds = tuple(Background(**background) for background in values["backgrounds"])
-    return CameraRecord(**{**values, "backgrounds": backgrounds})
-
-
-def _plain(value: Any) -> Any:
-    """Return nested data with nothing in it but what YAML and JSON have."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(each) for key, each in value.items()}
-    if isinstance(value, tuple | list):
-        return [_plain(each) for each in value]
-    return str(value) if isinstance(value, TakeState) else value
+        return {"name": self.name, **msgspec.to_builtins(replace(self, summary=None), enc_hook=str), "summary": summary}
 
 
 # words and short figures, for the command and the page alike ----------------------------------------------------------

@@ -16,13 +16,13 @@ from capture_rig.errors import InputError
 
 from ..graph.topics import DIAGNOSTICS_TOPIC, OUTPUT_TOPICS, type_of
 from ..recording.reader import SIDECAR_RIG, BagMessage, open_bag, read_messages, read_provenance
+from ..recording.recorded_motion import STATE, kind_of
 from ..recording.recorder import has_header
 from ..recording.writer import BagWriter, own_version
 from .folder import TakesFolder, move_new, remove_folder
-from .measure import finish_take, measure
+from .measure import finish_take, measure, values_of
 from .take import Summary, Take, TakeState
 
-STATE = re.compile(r"^/mocap/(?:bodies/[^/]+/)?state$")
 OF_A_CAMERA = re.compile(r"^/[^/]+/(silhouette/compressed|camera_info|preview/compressed|image_raw)$")
 LATCHED = {topic.name for topic in OUTPUT_TOPICS if topic.latched} | {"/tf_static", "/robot_description"}
 
@@ -96,7 +96,7 @@ def _copy(bag: Path, writer: BagWriter, begins_ns: int, ends_ns: int, progress: 
 def _has_stamp(topic: str) -> bool:
     """Return whether a topic's messages name the frame set that they belong to: the graph's, but what is kept for later
     subscribers, and diagnostics."""
-    if STATE.match(topic) or OF_A_CAMERA.match(topic):
+    if kind_of(topic) == STATE or OF_A_CAMERA.match(topic):
         return True
     kind = type_of(topic)
     return kind is not None and topic not in LATCHED and topic != DIAGNOSTICS_TOPIC and has_header(kind)
@@ -104,11 +104,9 @@ def _has_stamp(topic: str) -> bool:
 
 def _stamp_ns(message: BagMessage) -> int | None:
     """The stamp of the frame set that a message belongs to, None where it names none."""
-    if STATE.match(message.topic):
-        status = deserialize_message(message.data, DiagnosticStatus)
-        return next(
-            (int(pair.value) for pair in status.values if pair.key == "stamp_ns" and pair.value.isdigit()), None
-        )
+    if kind_of(message.topic) == STATE:
+        stamp = values_of(deserialize_message(message.data, DiagnosticStatus)).get("stamp_ns", "")
+        return int(stamp) if stamp.isdigit() else None
     return message.stamp_ns if _has_stamp(message.topic) else None
 
 

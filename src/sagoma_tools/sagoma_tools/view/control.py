@@ -24,7 +24,7 @@ from ..takes.measure import finish_take
 from ..takes.take import MIB
 from ..takes.trim import trim
 from ..takes.video import VIDEO, write_video
-from .jobs import Deliver, Jobs, Tell, Work
+from .jobs import Deliver, Jobs, Tell, as_work
 
 RESET, RESET_TYPE = "reset", "std_srvs/srv/Trigger"
 
@@ -52,18 +52,15 @@ class Control:
 
     # what can be asked for --------------------------------------------------------------------------------------------
 
-    def bring(self, goal: State, cameras_first: bool) -> Work:
+    @as_work
+    def bring(self, tell: Tell, goal: State, cameras_first: bool) -> str:
         """Bring every node to a lifecycle state."""
-
-        def work(tell: Tell) -> str:
-            names = sorted(our_nodes(self._link.node))
-            if not names:
-                return "no nodes of ours are in the graph: start them with `sagoma up` or their launch file"
-            outcome = self._lifecycle.bring(groups_of(names, cameras_first), goal)
-            failures = "; ".join(map(str, outcome.failures))
-            return failures or f"{len(names)} nodes are {goal.value}"
-
-        return work
+        names = sorted(our_nodes(self._link.node))
+        if not names:
+            return "no nodes of ours are in the graph: start them with `sagoma up` or their launch file"
+        outcome = self._lifecycle.bring(groups_of(names, cameras_first), goal)
+        failures = "; ".join(map(str, outcome.failures))
+        return failures or f"{len(names)} nodes are {goal.value}"
 
     def reset(self, tell: Tell) -> str:
         """Forget all persons, and look for them anew."""
@@ -77,46 +74,40 @@ class Control:
             for service, reply in replies.items()
         )
 
-    def learn_background(self, countdown_s: int) -> Work:
+    @as_work
+    def learn_background(self, tell: Tell, countdown_s: int) -> str:
         """Count down while the person leaves the room, then train every camera."""
+        names = sorted(owners_of(self._link.node, SERVICE, SERVICE_TYPE))
+        if not names:
+            return "no camera client is in the graph"
+        for left in range(countdown_s, 0, -1):
+            tell(f"leave the room: {left}")
+            if self._jobs.cancelled.wait(1.0):
+                return "cancelled: the background is as it was"
 
-        def work(tell: Tell) -> str:
-            names = sorted(owners_of(self._link.node, SERVICE, SERVICE_TYPE))
-            if not names:
-                return "no camera client is in the graph"
-            for left in range(countdown_s, 0, -1):
-                tell(f"leave the room: {left}")
-                if self._jobs.cancelled.wait(1.0):
-                    return "cancelled: the background is as it was"
+        def progress() -> bool:
+            done = ", ".join(f"{camera_of(name)} {progress_of(self._diagnostics, name) or '...'}" for name in names)
+            tell(f"learning: {done}")
+            return not self._jobs.cancelled.is_set()
 
-            def progress() -> bool:
-                done = ", ".join(f"{camera_of(name)} {progress_of(self._diagnostics, name) or '...'}" for name in names)
-                tell(f"learning: {done}")
-                return not self._jobs.cancelled.is_set()
+        outcomes = train_backgrounds(self._link.node, self._diagnostics, names, wanted=progress)
+        failed = [outcome for outcome in outcomes if outcome.grade == REDO]
+        if failed:
+            return "; ".join(f"{outcome.camera}: {outcome.message}" for outcome in failed)
+        return f"{len(outcomes)} cameras have learned their background"
 
-            outcomes = train_backgrounds(self._link.node, self._diagnostics, names, wanted=progress)
-            failed = [outcome for outcome in outcomes if outcome.grade == REDO]
-            if failed:
-                return "; ".join(f"{outcome.camera}: {outcome.message}" for outcome in failed)
-            return f"{len(outcomes)} cameras have learned their background"
-
-        return work
-
-    def start_recording(self, name: str) -> Work:
+    @as_work
+    def start_recording(self, tell: Tell, name: str) -> str:
         """Record the graph's topics into a new take."""
-
-        def work(tell: Tell) -> str:
-            if self._recorder is not None:
-                return f"{self.recording} is being recorded already"
-            folder = self._takes.new_path(name)
-            self._recorder = Recorder(
-                self._link.node, folder, [*OUTPUT_TOPICS, DIAGNOSTICS], on_failure=self._report_failure
-            )
-            self._recorder.follow_graph()
-            self._recording_to = folder
-            return recording_text(folder.name)
-
-        return work
+        if self._recorder is not None:
+            return f"{self.recording} is being recorded already"
+        folder = self._takes.new_path(name)
+        self._recorder = Recorder(
+            self._link.node, folder, [*OUTPUT_TOPICS, DIAGNOSTICS], on_failure=self._report_failure
+        )
+        self._recorder.follow_graph()
+        self._recording_to = folder
+        return recording_text(folder.name)
 
     def stop_recording(self, tell: Tell) -> str:
         """Finish the take."""
@@ -152,72 +143,57 @@ class TakeActions:
         """``recording`` : says the name of the take that is being recorded, which is left alone."""
         self._takes, self._recording = takes, recording
 
-    def rename(self, name: str, new_name: str) -> Work:
+    @as_work
+    def rename(self, tell: Tell, name: str, new_name: str) -> str:
         """Give a take another name."""
+        self._check(name)
+        return f"{name} is now {self._takes.rename(name, new_name).name}"
 
-        def work(tell: Tell) -> str:
-            self._check(name)
-            return f"{name} is now {self._takes.rename(name, new_name).name}"
-
-        return work
-
-    def trim(self, name: str, new_name: str, from_s: float, to_s: float) -> Work:
+    @as_work
+    def trim(self, tell: Tell, name: str, new_name: str, from_s: float, to_s: float) -> str:
         """Make a new take of a part."""
+        self._check(name)
+        if not new_name.strip():
+            raise InputError("a part needs a name of its own", where="new name", remedy="Write one.")
+        path = trim(self._takes, name, new_name, from_s, to_s)
+        return f"made {path.name}: {from_s:.2f} s to {to_s:.2f} s of {name}"
 
-        def work(tell: Tell) -> str:
-            self._check(name)
-            if not new_name.strip():
-                raise InputError("a part needs a name of its own", where="new name", remedy="Write one.")
-            path = trim(self._takes, name, new_name, from_s, to_s)
-            return f"made {path.name}: {from_s:.2f} s to {to_s:.2f} s of {name}"
-
-        return work
-
-    def delete(self, name: str) -> Work:
+    @as_work
+    def delete(self, tell: Tell, name: str) -> str:
         """Move a take into the bin."""
-
-        def work(tell: Tell) -> str:
-            self._check(name)
-            return f"{self._takes.delete(name).name} is in the bin: 'restore' brings it back"
-
-        return work
+        self._check(name)
+        return f"{self._takes.delete(name).name} is in the bin: 'restore' brings it back"
 
     def restore(self, tell: Tell) -> str:
         """Bring back what was deleted last."""
         deleted = self._takes.deleted()
         return f"{self._takes.restore(deleted[0].path.name).name} is back" if deleted else "the bin is empty"
 
-    def export(self, name: str, kind: str, deliver: Deliver) -> Work:
+    @as_work
+    def export(self, tell: Tell, name: str, kind: str, deliver: Deliver) -> str:
         """Write files of other programs into the take's folder, and give them to who asked, several as one zip."""
+        self._check(name)
+        take = self._takes.find(name)
+        formats = list(FORMATS) if kind == ALL_FORMATS else [kind]
+        files = export_take(take.path, take.path / EXPORTS, formats, Options(overwrite=True), tell)
+        _deliver(files, f"{name}_{kind.replace(' ', '_')}.zip", deliver)
+        return f"exported {', '.join(file.name for file in files)} into {take.name}/{EXPORTS}"
 
-        def work(tell: Tell) -> str:
-            self._check(name)
-            take = self._takes.find(name)
-            formats = list(FORMATS) if kind == ALL_FORMATS else [kind]
-            files = export_take(take.path, take.path / EXPORTS, formats, Options(overwrite=True), tell)
-            _deliver(files, f"{name}_{kind.replace(' ', '_')}.zip", deliver)
-            return f"exported {', '.join(file.name for file in files)} into {take.name}/{EXPORTS}"
-
-        return work
-
-    def video(self, name: str, deliver: Deliver) -> Work:
+    @as_work
+    def video(self, tell: Tell, name: str, deliver: Deliver) -> str:
         """Draw the take's video, unless it has been drawn, and give it to who asked."""
+        self._check(name)
+        take = self._takes.find(name)
+        path = take.path / EXPORTS / VIDEO
 
-        def work(tell: Tell) -> str:
-            self._check(name)
-            take = self._takes.find(name)
-            path = take.path / EXPORTS / VIDEO
+        def progress(frame: int, frames: int) -> None:
+            if frame % SHOWN_EVERY == 0:
+                tell(f"drawing the video of {name}: {100 * frame / frames:.0f} %")
 
-            def progress(frame: int, frames: int) -> None:
-                if frame % SHOWN_EVERY == 0:
-                    tell(f"drawing the video of {name}: {100 * frame / frames:.0f} %")
-
-            if not path.exists():
-                write_video(take, path, progress=progress)
-            deliver(f"{name}.mp4", path.read_bytes())
-            return f"{name}/{EXPORTS}/{VIDEO}, {path.stat().st_size / MIB:.1f} MB"
-
-        return work
+        if not path.exists():
+            write_video(take, path, progress=progress)
+        deliver(f"{name}.mp4", path.read_bytes())
+        return f"{name}/{EXPORTS}/{VIDEO}, {path.stat().st_size / MIB:.1f} MB"
 
     def _check(self, name: str) -> None:
         if name and name == self._recording():

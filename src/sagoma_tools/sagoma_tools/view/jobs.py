@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from typing import Concatenate, ParamSpec, TypeVar
 
 import viser
 
@@ -14,6 +15,17 @@ Tell = Callable[[str], None]
 Work = Callable[[Tell], str]
 Deliver = Callable[[str, bytes], None]
 """Gives a file of this name to who asked for it."""
+Owner = TypeVar("Owner")
+Asked = ParamSpec("Asked")
+
+
+def as_work(method: Callable[Concatenate[Owner, Tell, Asked], str]) -> Callable[Concatenate[Owner, Asked], Work]:
+    """Turn a method that does some work into one that returns the work, to be done when its turn comes."""
+
+    def asked(owner: Owner, /, *args: Asked.args, **options: Asked.kwargs) -> Work:
+        return lambda tell: method(owner, tell, *args, **options)
+
+    return asked
 
 
 class Jobs:

@@ -24,12 +24,9 @@ from .timeline import T_POSE_S, Motion, ease, frame_count
 
 SUFFIX = ".bvh"
 HAND_OVER_FOREARM = 1.0 / WRIST_FRACTION - 1.0
-STATURE_OVER_LEG = 1.0 / (0.530 - ANKLE_HEIGHT)
-"""Stature over the leg from hip to ankle."""
-HEAD_OVER_LEG = 0.130 * STATURE_OVER_LEG
-"""Segments over each other, Drillis & Contini (1966), as in Winter, Biomechanics and Motor Control, fig. 4.1."""
-LIKELY_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "CMU's unit": 0.0254 / 0.45}
-LIKELY_STATURES = (1.2, 2.2)
+HEAD_OVER_LEG = 0.130 / (0.530 - ANKLE_HEIGHT)
+"""From the neck to the tip of the head, over the leg from hip to ankle: Drillis & Contini (1966), as in Winter,
+Biomechanics and Motor Control, fig. 4.1."""
 UPRIGHT = 0.5
 """Least cosine between the way from ankles to neck, on average, and up."""
 WORLD_FROM_UP = {
@@ -57,15 +54,12 @@ _LEGS = [L_THIGH, R_THIGH, L_CALF, R_CALF]
 class ReadingOptions:
     """What a motion file does not say.
 
-    metres_per_unit : metres in one of its units; None: refuse, with the likely ones. leg_m : instead of a unit, how
-    long the person's legs are to be, hip to ankle. up : the axis that points up. start_s : what to leave out at the
-    start (some files begin with a rest pose). joints : YAML, ``role: joint``.
+    up : the axis that points up. start_s : what to leave out at the start (some files begin with a rest pose).
+    joints : YAML, ``role: joint``.
     """
 
-    metres_per_unit: float | None = None
     up: str = "y"
     joints: Path | None = None
-    leg_m: float | None = None
     start_s: float = 0.0
 
 
@@ -79,14 +73,17 @@ class StickMotion:
     fit_error_m: float
 
 
-def read_stick_motion(path: str | Path, fps: float | None = None, options: ReadingOptions | None = None) -> StickMotion:
+def read_stick_motion(
+    path: str | Path, leg_m: float, fps: float | None = None, options: ReadingOptions | None = None
+) -> StickMotion:
     """Reads the stick figure's motion from a BVH file, at ``fps`` frames a second (None: the file's own).
 
+    leg_m : how long the person's legs are to be, hip to ankle; the file's unit does not matter.
     World frame: z up, metres; origin and heading are the file's. Raises InputError for anything that cannot be read.
     """
     options = options or ReadingOptions()
     motion = read_joints(path)
-    points = reference_points(motion, options)[_first_frame(motion, options.start_s) :]
+    points = reference_points(motion, leg_m, options)[_first_frame(motion, options.start_s) :]
     body = Body.from_points(points)
     points, rate = (points, motion.fps) if fps is None else (resampled(points, motion.fps, fps), fps)
     poses: list[Pose] = []
@@ -103,8 +100,8 @@ def read_joints(path: str | Path) -> JointMotion:
     return read_bvh(path)
 
 
-def reference_points(motion: JointMotion, options: ReadingOptions | None = None) -> Array:
-    """Computes the 15 reference points (F, 15, 3), m, z up.
+def reference_points(motion: JointMotion, leg_m: float, options: ReadingOptions | None = None) -> Array:
+    """Computes the 15 reference points (F, 15, 3), m, z up, of a person with legs of ``leg_m``.
 
     A motion file's wrist is a joint, the figure's forearm a stick to the finger tip: the hand is taken as stretched
     along the forearm, in its average proportion. The tip of the head is the end of the file's head, or, where the file
@@ -117,14 +114,13 @@ def reference_points(motion: JointMotion, options: ReadingOptions | None = None)
     R = WORLD_FROM_UP[options.up]
     joint = {role: motion.of(name) @ R.T for role, name in roles.items()}
     _check_upright(joint, motion, options.up)
-    scale = options.leg_m / _leg(joint) if options.leg_m else _metres_per_unit(joint, motion, options.metres_per_unit)
     points = np.empty((len(motion.positions), 15, 3))
     points[:, 2] = joint["neck"]
     points[:, 3:] = np.stack([joint[role] for role in ORDER], axis=1)
     points[:, 0] = 0.5 * (points[:, 2] + points[:, 5:7].mean(1))
     points[:, 11:13] += HAND_OVER_FOREARM * (points[:, 11:13] - points[:, 7:9])
     points[:, 1] = _head_tip(joint)
-    return scale * points
+    return leg_m / _leg(joint) * points
 
 
 def _first_frame(motion: JointMotion, start_s: float) -> int:
@@ -156,21 +152,6 @@ def _leg(joint: dict[str, Array]) -> float:
         for a, b in parts
     ]
     return 0.5 * float(sum(np.median(length) for length in lengths))
-
-
-def _metres_per_unit(joint: dict[str, Array], motion: JointMotion, given: float | None) -> float:
-    stature = STATURE_OVER_LEG * _leg(joint)
-    if given is None:
-        fits = [
-            f"{scale:.5g} ({name}) for a person of {scale * stature:.2f} m"
-            for name, scale in LIKELY_UNITS.items()
-            if LIKELY_STATURES[0] <= scale * stature <= LIKELY_STATURES[1]
-        ]
-        remedy = "Give the metres of one unit" + (f": {', '.join(fits)}." if fits else ".")
-        raise motion.error(f"a motion file has no unit; its person is {stature:.4g} units tall", remedy)
-    if not (np.isfinite(given) and 0.5 <= given * stature <= 2.6):
-        raise motion.error(f"with {given:g} m a unit its person is {given * stature:.3g} m tall", "Give another unit.")
-    return given
 
 
 def _check_upright(joint: dict[str, Array], motion: JointMotion, up: str) -> None:
@@ -224,8 +205,7 @@ class RecordedMotion:
         return Motion(tuple(poses), np.array(angles), fps)
 
     def _poses(self, body: Body, fps: float) -> tuple[Pose, ...]:
-        options = replace(self.options, metres_per_unit=None, leg_m=float(body.lengths[_LEGS].sum() / 2.0))
-        return read_stick_motion(self.path, fps, options).poses
+        return read_stick_motion(self.path, float(body.lengths[_LEGS].sum() / 2.0), fps, self.options).poses
 
     def __str__(self) -> str:
         return self.path.name

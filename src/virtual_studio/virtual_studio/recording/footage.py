@@ -26,7 +26,7 @@ from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
 from stick_figure.body import Body
 
 from ..people import VolumetricBody
-from ..rendering.board_camera import EXPOSURE_S, LENS_BLUR_PX, FilmingCamera, Optics
+from ..rendering.board_camera import FilmingCamera, Optics
 from ..rendering.camera import Image, Sensor
 from ..scene.boards import Array, BoardPrint, Wand, print_of
 from ..scene.handling import carry, hands, on_floor, person_with, swing, wave
@@ -44,6 +44,9 @@ HAND_BOARD = Checkerboard(9, 6, (0.04, 0.04))
 FLOOR_BOARD = Checkerboard(7, 4, (0.12, 0.12))
 """An A0 print: large enough for cameras 3 m away that see it at 70 degrees from its normal."""
 
+STATURE_M, SESSION_FPS = 1.75, 60.0
+"""Of who carries the board and moves in the session; of its footage."""
+
 Progress = Callable[[str], None]
 Shot = Callable[[FilmingCamera, int], Image]
 """Takes the picture of one instant with a camera; the number is the frame's as the sensor counts."""
@@ -54,24 +57,19 @@ class FootagePlan:
     """What is filmed, and how.
 
     hand_board : waved before each camera; floor_board : lies on the floor, and is carried. fps : of the videos.
-    brief : half the places in front of each camera. stills : there one picture at each place (camNN/*.png) instead of
-    a video. moving_s : how long the board is carried. wand : swung, too.
-    seed, noise, flicker : see `Sensor`; blur_px, exposure_s : see `Optics`. stature_m : of who carries.
+    brief : half the places in front of each camera. moving_s : how long the board is carried. wand : swung, too.
+    seed, noise, flicker : see `Sensor`.
     """
 
     hand_board: Board = HAND_BOARD
     floor_board: Board = FLOOR_BOARD
     fps: float = 10.0
     brief: bool = False
-    stills: bool = False
     moving_s: float = 24.0
     wand: Wand | None = None
     seed: int = 1
     noise: float = 3.0
     flicker: float = 0.005
-    blur_px: float = LENS_BLUR_PX
-    exposure_s: float = EXPOSURE_S
-    stature_m: float = 1.75
 
 
 def write_setup(
@@ -79,40 +77,33 @@ def write_setup(
     rig: Rig,
     plan: FootagePlan | None = None,
     *,
-    motion: str = "tour",
+    motion: str | None = "tour",
     seconds: float = 6.0,
-    fps: float = 60.0,
     progress: Progress = lambda what: None,
 ) -> Path:
     """Films the boards, the empty room and a person who does ``motion``, with every camera of a rig, into ``folder``.
 
-    Returns ``folder``. Raises InputError as `write_session` and `write_calibration_footage` do.
+    Without a motion the boards alone. The same plan gives the same pictures. ``progress`` is called with what was
+    filmed. An older folder of this function is replaced; returns ``folder``. Raises InputError for a folder that holds
+    anything else, and as `write_session` does.
     """
     folder, plan = Path(folder), plan or FootagePlan()
     with atomic_folder(folder, DESCRIPTION) as partial:
         _film_boards(partial, rig, plan, progress)
-        session, body = partial / SESSION, Body.from_stature(plan.stature_m)
-        settings = RenderSettings(seed=plan.seed, noise=plan.noise, flicker=plan.flicker)
-        write_session(session, rig, body, motion, fps, seconds, settings)
-        (session / "truth.csv").rename(partial / TRUTH)
-        for path in [session / "rig.yaml", session / "body.yaml", *session.glob("*_mask.*")]:
-            path.unlink()  # unknown before the calibration
-        progress(SESSION)
+        if motion is not None:
+            _film_session(partial, rig, plan, motion, seconds)
+            progress(SESSION)
     return folder
 
 
-def write_calibration_footage(
-    folder: str | Path, rig: Rig, plan: FootagePlan | None = None, progress: Progress = lambda what: None
-) -> Path:
-    """Films the boards with every camera of a rig, into ``folder``, which is returned.
-
-    The same plan gives the same pictures. ``progress`` is called with what was filmed. An older folder of this
-    function is replaced. Raises InputError for a folder that holds anything else.
-    """
-    folder = Path(folder)
-    with atomic_folder(folder, DESCRIPTION) as partial:
-        _film_boards(partial, rig, plan or FootagePlan(), progress)
-    return folder
+def _film_session(folder: Path, rig: Rig, plan: FootagePlan, motion: str, seconds: float) -> None:
+    """Films the empty room and the person; what is unknown before the calibration does not stay there."""
+    session, body = folder / SESSION, Body.from_stature(STATURE_M)
+    settings = RenderSettings(seed=plan.seed, noise=plan.noise, flicker=plan.flicker)
+    write_session(session, rig, body, motion, SESSION_FPS, seconds, settings)
+    (session / TRUTH).rename(folder / TRUTH)
+    for path in [session / "rig.yaml", session / "body.yaml", *session.glob("*_mask.*")]:
+        path.unlink()
 
 
 def save_truth(rig: Rig, hand_board: Board, floor_board: Board, folder: Path) -> None:
@@ -165,7 +156,7 @@ def _film_boards(folder: Path, rig: Rig, plan: FootagePlan, progress: Progress) 
     hand, floor = print_of(plan.hand_board), print_of(plan.floor_board)
     save_truth(rig, plan.hand_board, plan.floor_board, folder)
     _write_description(folder / DESCRIPTION, plan)
-    optics = Optics(Sensor(plan.noise, plan.flicker, plan.seed), plan.blur_px, plan.exposure_s)
+    optics = Optics(Sensor(plan.noise, plan.flicker, plan.seed))
     with ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)) as pool:
         cameras = list(pool.map(lambda job: FilmingCamera(job[1], job[0], optics), enumerate(rig.cameras)))
         for filmed in pool.map(lambda camera: _film_waved(folder, camera, hand, plan), cameras):
@@ -183,18 +174,10 @@ def _film_waved(folder: Path, camera: FilmingCamera, board: BoardPrint, plan: Fo
     name = camera.camera.name
     waved = wave(camera.camera, board, plan.seed + sum(name.encode()), plan.brief)
     frames = (np.arange(round(waved.duration_s * plan.fps)) + 0.5) / plan.fps
-    pictures = (
-        camera.take(FIRST_FRAME[INTRINSICS] + frame, board, waved.path, t, hands(board, waved.path(t)))
-        for frame, t in enumerate(waved.rests_s if plan.stills else frames)
-    )
-    if plan.stills:
-        (folder / INTRINSICS / name).mkdir(parents=True)
-        for number, picture in enumerate(pictures, start=1):
-            cv2.imwrite(str(folder / INTRINSICS / name / f"{number:03d}.png"), picture)
-    else:
-        with _videos(folder / INTRINSICS, [camera], plan.fps) as (video,):
-            for picture in pictures:
-                video.write(picture)
+    with _videos(folder / INTRINSICS, [camera], plan.fps) as (video,):
+        for frame, t in enumerate(frames):
+            holding = hands(board, waved.path(t))
+            video.write(camera.take(FIRST_FRAME[INTRINSICS] + frame, board, waved.path, t, holding))
     return f"{INTRINSICS}/{name}"
 
 
@@ -223,7 +206,7 @@ def _film_moving(
 
 
 def _carried(board: BoardPrint, plan: FootagePlan) -> Callable[[float], Shot]:
-    path, person = carry(board, plan.moving_s, plan.seed), VolumetricBody(Body.from_stature(plan.stature_m))
+    path, person = carry(board, plan.moving_s, plan.seed), VolumetricBody(Body.from_stature(STATURE_M))
 
     def at(t: float) -> Shot:
         holder = person_with(person, board, path(t))

@@ -69,11 +69,10 @@ MIRROR_Y = np.array([1.0, -1.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Waypoint:
-    """A pose ``T`` (4, 4) in which a board rests for ``rest_s``, after ``travel_s`` on the way there."""
+    """A pose ``T`` (4, 4) in which a board rests for REST_S, after ``travel_s`` on the way there."""
 
     T: Array
     travel_s: float
-    rest_s: float = REST_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +102,7 @@ def wave(camera: CameraModel, board: BoardPrint, seed: int, brief: bool = False)
     waypoints = [*waypoints[:-1], Waypoint(outside, TRAVEL_S), waypoints[-1], away]
     T_world_camera = np.linalg.inv(camera.T_camera_world)
     in_camera = with_tremor(along(waypoints), seed)
-    rest_ends = np.cumsum([w.rest_s + w.travel_s for w in waypoints]) - waypoints[0].travel_s
+    rest_ends = _rest_ends(waypoints)
     return Wave(lambda t: T_world_camera @ in_camera(t), float(rest_ends[-1]), (rest_ends - REST_S / 2)[1:-1])
 
 
@@ -151,12 +150,12 @@ def swing(seconds: float, seed: int) -> PosePath:
     return with_tremor(at, seed)
 
 
-def hands(board: BoardPrint, T_world_board: Array, over_m: float = GRIP_M) -> Capsules:
-    """Places two thumbs on a sheet's sides, ``over_m`` over its edge, and the forearms behind it."""
+def hands(board: BoardPrint, T_world_board: Array) -> Capsules:
+    """Places two thumbs on a sheet's sides, GRIP_M over its edge, and the forearms behind it."""
     left, right = _grips(board)
     starts, ends = [], []
     for place, out in ((left, -1.0), (right, 1.0)):
-        tip = out * (THUMB_RADIUS_M - over_m)
+        tip = out * (THUMB_RADIUS_M - GRIP_M)
         starts += [place + np.array([0, 0, THUMB_RADIUS_M]), place + np.array([out * 0.02, 0, -0.045])]
         ends += [place + np.array([tip, 0, THUMB_RADIUS_M]), place + np.array([out * 0.05, -0.12, -0.32])]
     R, t = T_world_board[:3, :3], T_world_board[:3, 3]
@@ -180,10 +179,13 @@ def person_with(body: VolumetricBody, board: BoardPrint, T_world_board: Array) -
     return body.place(Pose.from_angles(position, R, with_right(left_arm, right_arm, ARM)))
 
 
+def _rest_ends(waypoints: Sequence[Waypoint]) -> Array:
+    return np.cumsum([REST_S + w.travel_s for w in waypoints]) - waypoints[0].travel_s
+
+
 def along(waypoints: Sequence[Waypoint]) -> PosePath:
     """Makes a smooth path through waypoints; it stays at the first before and at the last after it."""
-    arrivals = np.cumsum([w.rest_s + w.travel_s for w in waypoints]) - waypoints[0].travel_s
-    arrivals -= [w.rest_s for w in waypoints]
+    arrivals = _rest_ends(waypoints) - REST_S
 
     def at(t: float) -> Array:
         after = int(np.searchsorted(arrivals, t))
