@@ -119,14 +119,17 @@ def test_cameras_that_no_topic_names_are_refused_until_they_are_given_theirs(tmp
     assert load_rig(tmp_path / "session" / "rig.yaml").names == ("cam01", "left")
 
 
-def test_frames_hold_the_nearest_images_however_the_cameras_drift():
+def test_frames_hold_images_that_belong_together_however_cameras_drift_and_jitter():
     first = 10**9 + np.arange(200) * 33_000_000
     second = 10**9 + np.arange(198) * 33_100_000 - 7_000_000  # 0.3 % slower: from 7 ms early to 13 ms late
     sets_ns, period_ns = frame_sets([first, second])
-    assert period_ns == 33_000_000 and np.abs(sets_ns[:, 0] - sets_ns[:, 1]).max() < 0.75 * period_ns
-    assert len(sets_ns) > 190 and (np.diff(sets_ns.mean(axis=1)) > 0).all()
-    half_apart, _ = frame_sets([first, first + 16_500_000 + np.arange(200) % 3])
-    assert len(half_apart) == 200
+    assert period_ns == 33_000_000 and sets_ns.tolist() == np.stack([first[:198], second], axis=1).tolist()
+    jitter_ns = np.random.default_rng(4).integers(-2_000_000, 2_000_000, (3, 200))
+    phases_ns = np.array([[0], [16_500_000], [30_000_000]])
+    stamps_ns = first + phases_ns + jitter_ns
+    sets_ns, _ = frame_sets(list(np.delete(one, lost) for one, lost in zip(stamps_ns, (50, 100, 150), strict=True)))
+    assert len(sets_ns) in (196, 197)  # 3 are lost, and the first or last image may have no partner
+    assert np.ptp(np.ptp(sets_ns, axis=1)) < 8_000_000 and np.ptp(sets_ns, axis=1).max() < 24_000_000
     with pytest.raises(InputError, match="no two cameras' images are of the same time"):
         frame_sets([first, second + 3600 * 10**9])
 

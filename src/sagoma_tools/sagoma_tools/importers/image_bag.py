@@ -35,9 +35,6 @@ from .formats import new_session_folder
 
 LENSES, VIDEO = "lenses", ".mkv"
 GREY_BITS = TopicSettings().bits
-LOST_PERIODS = (
-    0.75  # to the nearest image: at most a half where none is lost, nearly one where a camera in step lost one
-)
 Progress = Callable[[int], None]
 
 
@@ -116,20 +113,24 @@ def choose_topics(
 def frame_sets(stamps_ns: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
     """Return the stamps (F, C) of the images of each frame, ns, and the first camera's median period, ns.
 
-    stamps_ns : of each camera's images (n,), rising. An image of the first camera is left out where another camera lost
-    its own; one that is half a period away from two of them serves both. Raises InputError where no frame is left.
+    stamps_ns : of each camera's images (n,), rising. Frames begin in the widest gap that all images leave within the
+    first camera's period; those that a camera has no image of are left out. Raises InputError where none is left.
     """
     first = stamps_ns[0]
     if min(map(len, stamps_ns)) < 2:
         raise InputError("a camera has fewer than two images", remedy="Record for longer.")
     period_ns = float(np.median(np.diff(first)))
-    nearest = [first]
-    for other in stamps_ns[1:]:
-        after = np.searchsorted(other, first).clip(1, len(other) - 1)
-        before, later = other[after - 1], other[after]
-        nearest.append(np.where(first - before <= later - first, before, later))
-    sets_ns = np.stack(nearest, axis=1)
-    sets_ns = sets_ns[(np.abs(sets_ns - first[:, None]) < LOST_PERIODS * period_ns).all(axis=1)]
+    since_ns = [own - first[np.searchsorted(first, own, "right").clip(1) - 1] for own in stamps_ns]
+    phases = np.sort(np.concatenate(since_ns) / period_ns % 1.0)
+    gaps = np.diff(phases, append=1.0)  # the first camera's own phase is 0
+    begin = phases[gaps.argmax()] + 0.5 * gaps.max()
+    begins_ns = first - round((1.0 - begin) * period_ns)
+    sets_ns = np.zeros((len(first), len(stamps_ns)), np.int64)
+    for camera, own in enumerate(stamps_ns):
+        frame = np.searchsorted(begins_ns, own, "right") - 1
+        inside = (frame >= 0) & (own - begins_ns[frame] < period_ns)
+        sets_ns[frame[inside], camera] = own[inside]
+    sets_ns = sets_ns[(sets_ns > 0).all(axis=1)]
     if not len(sets_ns):
         raise InputError("no two cameras' images are of the same time", remedy="Set the clocks of their machines.")
     return sets_ns, period_ns
