@@ -12,6 +12,9 @@ from capture_rig.settings import Leaf, leaves
 from ekf_tracker.settings import EkfNodeSettings
 from hull_server.settings import NodeSettings as HullNodeSettings
 from icp_tracker.settings import IcpNodeSettings
+from motion_bridges.lsl_node import LslSettings
+from motion_bridges.person_node import PersonSettings
+from motion_bridges.vmc_node import VmcSettings
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "parameters.md"
 SETTINGS = {
@@ -19,6 +22,9 @@ SETTINGS = {
     "hull_server": HullNodeSettings,
     "icp_tracker": IcpNodeSettings,
     "ekf_tracker": EkfNodeSettings,
+    "isb_angles": PersonSettings,
+    "vmc_bridge": VmcSettings,
+    "lsl_bridge": LslSettings,
 }
 GENERATED = re.compile(r"(<!-- parameters -->\n).*(<!-- /parameters -->)", re.S)
 

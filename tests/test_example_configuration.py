@@ -1,8 +1,11 @@
 """The parameter files that we ship can be used as they are; graph and replay give a node what it declares."""
 
+import json
+import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 from camera_client.configuration import load_camera
 from camera_client.settings import CameraClientSettings
@@ -12,6 +15,7 @@ from hull_server.settings import NodeSettings as HullNodeSettings
 from icp_tracker.settings import IcpNodeSettings
 from sagoma_bringup.graph import LOSSLESS_SETTINGS, build_graph, camera_from_file
 from sagoma_tools.doctor.cameras import read_file
+from sagoma_tools.graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "config"
@@ -75,3 +79,26 @@ def test_session_of_real_footage(shared_data, rate):
     assert settings["hull_server"].tolerance_s == pytest.approx(0.5 / 60)
     assert settings["hull_server"].reliable == (rate == 0.0)
     assert settings["cam03"].footage.fps == pytest.approx(60.0)
+
+
+# --- viewers and the aggregator
+
+
+def test_layouts_show_topics_of_the_graph_in_a_panel_each():
+    known = {topic.name for topic in (*OUTPUT_TOPICS, DIAGNOSTICS)} | {"/mocap/skeletons"}
+    layout = json.loads((CONFIG / "foxglove/sagoma.json").read_text())
+    panels = layout["configById"]
+    shown = set(panels["3D!body"]["topics"]) | {panels["RawMessages!state"]["topicPath"]}
+    shown |= {path["value"].partition(".")[0] for path in panels["Plot!angles"]["paths"]}
+    shown.add(panels["DiagnosticSummary!nodes"]["topicToRender"])
+    rviz = set(re.findall(r"Value: (/\S+?)}", (CONFIG / "rviz/sagoma.rviz").read_text()))
+    assert len(rviz) > 3 and rviz | shown <= known
+    assert set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))) == set(panels)
+
+
+def test_aggregator_puts_every_node_s_status_into_one_group():
+    (node,) = yaml.safe_load((CONFIG / "diagnostics/aggregator.yaml").read_text()).values()
+    groups = [group["contains"] for group in node["ros__parameters"].values() if isinstance(group, dict)]
+    names = [node.full_name for node in build_graph(rig=RIG, cameras=CONFIG / "camera")]
+    for name in [*names, "/vmc_bridge", "/lsl_bridge", "/isb_angles"]:
+        assert sum(any(part in name for part in parts) for parts in groups) == 1, name

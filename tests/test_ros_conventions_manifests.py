@@ -7,51 +7,50 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+import yaml
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[1]
 SOURCES = ROOT / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
 KEYS = {
-    "cv2": "python3-opencv",
+    "c3d": "python3-c3d-pip",
+    "cv2": "python3-opencv-headless-pip",
     "gi": "python3-gi",
     "hypothesis": "python3-hypothesis",
     "matplotlib": "python3-matplotlib",
-    "numba": "python3-numba",
+    "mcap": "python3-mcap-pip",
+    "numba": "python3-numba-pip",
     "numpy": "python3-numpy",
     "OpenGL": "python3-opengl",
     "psutil": "python3-psutil",
+    "pygltflib": "python3-pygltflib-pip",
     "pytest": "python3-pytest",
+    "pythonosc": "python3-python-osc-pip",
     "rich": "python3-rich",
+    "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",
     "skimage": "python3-skimage",
+    "viser": "python3-viser-pip",
     "websockets": "python3-websockets",
     "yaml": "python3-yaml",
 }
-"""Python modules -> their keys in ros/rosdistro's rosdep/python.yaml, as of Jazzy."""
-FROM_PYPI = {"rosbags", "c3d", "pygltflib", "viser", "mcap"}
-"""What has no key there: requirements.txt brings it."""
-WITH_ANOTHER = {"llvmlite", "msgspec"}  # own requirements of numba and viser
-OPTIONAL = {"hri_msgs"}  # of REP-155: looked for, and done without
-SCRIPTS = {"commands_page"}  # of this repository, for the tests of what it writes
-ROS = {
-    *(
-        "rclpy",
-        "launch",
-        "launch_ros",
-        "launch_xml",
-        "launch_testing",
-        "ament_index_python",
-        "tf2_msgs",
-        "rosgraph_msgs",
-    ),
-    *("builtin_interfaces", "diagnostic_msgs", "geometry_msgs", "lifecycle_msgs", "rcl_interfaces", "sensor_msgs"),
-    *("std_msgs", "std_srvs", "visualization_msgs"),
+"""Python modules -> rosdep keys."""
+ROSDEP = yaml.safe_load((ROOT / "rosdep.yaml").read_text())
+"""Our own keys, with the rules of each system."""
+ROSDISTRO = {
+    line for line in (Path(__file__).parent / "support/rosdistro_keys.txt").read_text().splitlines() if line[:1] != "#"
 }
+WITH_ANOTHER = {"llvmlite", "msgspec"}  # own requirements of numba and viser
+OPTIONAL = {"hri_msgs", "pylsl"}  # of REP-155 and of the bridge to LSL: looked for, and done without
+SCRIPTS = {"commands_page"}  # of this repository, for the tests of what it writes
 RUN_ONLY = {
+    "camera_client": {"gir1.2-aravis-0.8"},
+    "hull_server": {"egl-mesa"},
     "sagoma_bringup": {"camera_client", "hull_server", "icp_tracker", "ekf_tracker", "mocap_pipeline", "launch_xml"},
     "sagoma_ros": {"lifecycle_msgs"},  # of rclpy's lifecycle nodes
 }
-"""Packages whose executables or file formats a package uses, without importing them."""
+"""What a package needs without importing it: executables, file formats, libraries behind its modules."""
 
 
 def declared(package: str, *tags: str) -> set[str]:
@@ -80,14 +79,12 @@ def helpers() -> frozenset[str]:
 
 
 def key_of(module: str) -> str | None:
-    if module in PACKAGES or module in ROS:
-        return module
-    return KEYS.get(module)
+    return module if module in PACKAGES or module in ROSDISTRO else KEYS.get(module)
 
 
 def needed(package: str, names: set[str]) -> set[str]:
-    unknown = {n for n in names if key_of(n) is None} - FROM_PYPI - WITH_ANOTHER - OPTIONAL - SCRIPTS
-    assert not unknown, f"{package} imports {sorted(unknown)}: say in KEYS or FROM_PYPI where it comes from"
+    unknown = {n for n in names if key_of(n) is None} - WITH_ANOTHER - OPTIONAL - SCRIPTS
+    assert not unknown, f"{package} imports {sorted(unknown)}: say in KEYS where it comes from"
     return {key for n in names if (key := key_of(n)) is not None and key != package}
 
 
@@ -116,13 +113,23 @@ def test_what_tests_import_is_declared(package):
     assert wanted - given - above == set(), "add test_depend"
 
 
-def test_keys_have_the_form_of_rosdep_and_the_rest_comes_from_pypi():
-    ours, ros, python = set(PACKAGES), ROS, set(KEYS.values())
-    for package in PACKAGES:
-        for tag in ("exec_depend", "depend", "test_depend", "build_depend"):
-            assert declared(package, tag) <= ours | ros | python, f"{package}: {tag}"
-    required = (ROOT / "requirements.txt").read_text()
-    assert all(f"\n{name}" in required for name in FROM_PYPI)
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_key_is_one_of_rosdistro_or_ours(package):
+    keys = declared(package, "exec_depend", "depend", "test_depend", "build_depend")
+    assert keys - set(PACKAGES) - ROSDISTRO - set(ROSDEP) == set()
+
+
+def test_our_keys_are_needed_and_ask_for_versions_that_the_requirements_allow():
+    used = set().union(*(declared(package, "exec_depend", "test_depend") for package in PACKAGES))
+    assert set(ROSDEP) <= used and not set(ROSDEP) & ROSDISTRO
+    lines = [line.partition("#")[0] for line in (ROOT / "requirements.txt").read_text().splitlines()]
+    required = {one.name: one.specifier for one in map(Requirement, filter(str.strip, lines))}
+    for rules in ROSDEP.values():
+        assert {"debian", "ubuntu"} == set(rules) and rules["debian"] == rules["ubuntu"]
+        if isinstance(rules["ubuntu"], dict):
+            (asked,) = map(Requirement, rules["ubuntu"]["pip"]["packages"])
+            assert {s for s in required[asked.name] if s.operator == ">="} <= set(asked.specifier)
+            assert any(s.operator == "<" for s in asked.specifier), "an upper bound, as our requirements have it"
 
 
 def test_no_package_needs_itself():

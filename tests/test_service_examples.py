@@ -1,6 +1,8 @@
 """The examples of units and containers: systemd accepts them, and what they start is there."""
 
 import importlib.util
+import json
+import os
 import re
 import shutil
 import subprocess
@@ -10,7 +12,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "docs" / "examples"
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "docs" / "examples"
 UNITS = sorted((EXAMPLES / "systemd").glob("*.service"))
 PYTHON = "/opt/sagoma/.venv/bin/python"
 
@@ -53,3 +56,22 @@ def test_containers_start_programs_of_ours_and_come_back_after_a_crash():
         assert importlib.util.find_spec(module) is not None
         assert service["restart"] == "on-failure:5" and service["stop_signal"] == "SIGINT"
         assert service["ipc"] == service["network_mode"] == "host"
+        assert (EXAMPLES / service["build"] / "Dockerfile").is_file()
+
+
+def test_image_is_set_up_where_the_services_look_for_it_and_without_this_checkout_s_builds():
+    said = (ROOT / "Dockerfile").read_text()
+    (folder,) = re.findall(r"^WORKDIR (\S+)", said, re.M)
+    assert f"{folder}/.venv/bin/python" == PYTHON and "COPY . .\n" in said
+    scripts = re.findall(r"&& (scripts/\S+)", said)
+    assert scripts and all(os.access(ROOT / script, os.X_OK) for script in scripts)
+    assert {".venv", ".git", "output"} <= set((ROOT / ".dockerignore").read_text().split())
+    container = json.loads((ROOT / ".devcontainer/devcontainer.json").read_text())
+    assert (ROOT / ".devcontainer" / container["build"]["dockerfile"]).resolve() == ROOT / "Dockerfile"
+
+
+def test_every_target_that_the_workflow_makes_is_there():
+    (job,) = yaml.safe_load((ROOT / ".github/workflows/jazzy.yaml").read_text())["jobs"].values()
+    made = re.findall(r"make (\S+)", "\n".join(step.get("run", "") for step in job["steps"]))
+    assert {"test", "colcon"} == set(made) and job["container"] in (ROOT / "Dockerfile").read_text()
+    assert all(f"\n{target}:" in (ROOT / "Makefile").read_text() for target in made)

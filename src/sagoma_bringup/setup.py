@@ -5,7 +5,7 @@ from setuptools import find_packages, setup
 package_name = "sagoma_bringup"
 share = f"share/{package_name}"
 # config is a link to the repository's config folder
-CONFIG_FOLDERS = ("rig", "camera", "camera/footage", "body", "dds", "rviz")
+CONFIG_FOLDERS = ("rig", "camera", "camera/footage", "body", "dds", "rviz", "foxglove", "diagnostics")
 
 setup(
     name=package_name,

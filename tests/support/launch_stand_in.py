@@ -7,6 +7,7 @@ and a shutdown when a process ends. A launch file that uses anything else fails 
 
 from __future__ import annotations
 
+import os
 import re
 import signal
 import subprocess
@@ -134,6 +135,7 @@ def stood_in() -> Iterator[None]:
         "launch.actions": {
             kind.__name__: kind for kind in (DeclareLaunchArgument, GroupAction, OpaqueFunction, Shutdown)
         },
+        "launch.logging": {"launch_config": types.SimpleNamespace(log_dir=os.environ.get("ROS_LOG_DIR"))},
         "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
         "launch_ros": {},
         "launch_ros.actions": {"Node": Node, "PushRosNamespace": PushRosNamespace},
@@ -144,8 +146,10 @@ def stood_in() -> Iterator[None]:
             module.__dict__.update(attributes)
             patch.setitem(sys.modules, name, module)
         patch.delitem(sys.modules, "sagoma_bringup.launch_nodes", raising=False)
-        yield
-        sys.modules.pop("sagoma_bringup.launch_nodes", None)
+        try:
+            yield
+        finally:
+            sys.modules.pop("sagoma_bringup.launch_nodes", None)
 
 
 # --- what a launch file starts

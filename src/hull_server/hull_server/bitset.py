@@ -13,7 +13,8 @@ from capture_rig.kernel import kernel, njit
 
 _U1 = np.uint64(1)
 HIGH_BITS = np.uint64(0x8080808080808080)  # of every byte: set in levels that are foreground, above 127
-_LOW_BITS, _FIRST_BITS = np.uint64(0x7F7F7F7F7F7F7F7F), np.uint64(0x0101010101010101)  # of every byte
+FIRST_BITS = np.uint64(0x0101010101010101)  # of every byte
+_LOW_BITS = np.uint64(0x7F7F7F7F7F7F7F7F)  # all others
 
 
 @intrinsic
@@ -44,6 +45,17 @@ def lowest_bit(word):  # type: ignore[no-untyped-def]
     return _count_trailing_zeros(word)  # type: ignore[call-arg]
 
 
+@kernel
+def highest_bit(word):  # type: ignore[no-untyped-def]
+    """Return the position of the highest set bit of a word that is not zero."""
+    position = 0
+    for half in (32, 16, 8, 4, 2, 1):
+        above = word >> np.uint64(half)
+        if above != 0:
+            position, word = position + half, above
+    return position
+
+
 @njit(cache=True, nogil=True)
 def select_bit(word, rank):  # type: ignore[no-untyped-def]
     """Return the position of the set bit with ``rank`` set bits below it."""
@@ -71,13 +83,13 @@ def transpose8(word):  # type: ignore[no-untyped-def]
 @kernel
 def nonzero_bytes(word):  # type: ignore[no-untyped-def]
     """Return a word with 1 in every byte of ``word`` that is not zero."""
-    return ((word & _LOW_BITS) + _LOW_BITS | word) >> np.uint64(7) & _FIRST_BITS
+    return ((word & _LOW_BITS) + _LOW_BITS | word) >> np.uint64(7) & FIRST_BITS
 
 
 @kernel
 def high_bytes(word):  # type: ignore[no-untyped-def]
     """Return a word with 1 in every byte of ``word`` that is above 127: foreground, as ``capture_rig.mask_levels``."""
-    return word >> np.uint64(7) & _FIRST_BITS
+    return word >> np.uint64(7) & FIRST_BITS
 
 
 @kernel

@@ -101,7 +101,7 @@ class HullPipeline:
         # who is faulty has no say, so without that test there is no report
         self._support = SupportReporter(rig, self.views, settings.min_seeing) if settings.camera_fault.enabled else None
         self._extrinsics = ExtrinsicMonitor(rig, self.views, settings.calibration)
-        self._shadows = ShadowResolver(self.views, rig.volume, settings.shadow)
+        self._shadows = ShadowResolver(self.views, rig.volume, self.grid)
         self._bodies = BodyTracker(settings.body)
         self._contour = ContourTracer(self.views, self.grid, settings.contour)
 
@@ -125,8 +125,8 @@ class HullPipeline:
         errors = self._extrinsics.update(frames, frame_set.stamp_ns)
         seeing = min_seeing(len(used), self.settings.min_seeing)
         watch.lap("consistency")
-        # decide whether dark pixels are the person or floor in shadow
-        masks = self._shadows.resolve(used, seeing)
+        # find the dark pixels that may be floor in shadow
+        masks = self._shadows.resolve(used)
         # tell the camera clients where their foreground has no support, so that moved things become background
         support = self._support.update(frames, masks, frame_set.stamp_ns) if self._support else ()
         watch.lap("shadows")
@@ -140,7 +140,8 @@ class HullPipeline:
     def finish(self, pending: PendingHull) -> HullResult:
         """Wait for the carve, then slice, filter, sample, and trace the contour rays."""
         frame_set, blob, watch = pending.frame_set, self.settings.blob, _StageWatch()
-        volume = self.backend.collect(pending.handle)
+        # ... and no voxel next to the floor that a camera shows as floor in shadow
+        volume = self._shadows.without_shadows(self.backend.collect(pending.handle), pending.masks)
         watch.lap("collect")
         # connected components of all slices along x, y and z (3.2)
         slices = slice_hull(volume, blob.erosion_voxels, blob.growth_step_m)

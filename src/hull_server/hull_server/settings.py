@@ -69,16 +69,6 @@ class CalibrationSettings:
 
 
 @dataclass(frozen=True)
-class ShadowSettings:
-    """How dark pixels that may be floor in shadow are resolved by all cameras."""
-
-    enabled: bool = setting(True, "resolve dark pixels by all cameras; else they count as their camera marked them")
-    min_height_m: float = setting(
-        0.08, "what the silhouettes agree on above this height is no shadow", unit="m", low=0.01, high=1.0
-    )
-
-
-@dataclass(frozen=True)
 class ContourSettings:
     """Which rays along the silhouettes' contours are published."""
 
@@ -103,7 +93,6 @@ class HullSettings:
     contour: ContourSettings = setting(ContourSettings, "rays along the silhouettes' contours")
     camera_fault: CameraFaultSettings = setting(CameraFaultSettings, "cameras that contradict the others")
     calibration: CalibrationSettings = setting(CalibrationSettings, "cameras that moved from their calibration")
-    shadow: ShadowSettings = setting(ShadowSettings, "dark pixels that may be floor in shadow")
 
 
 @dataclass(frozen=True)

@@ -1,28 +1,35 @@
 """Floor in shadow told from legs by all cameras: rendered scenes, and the rule pixel by pixel in float64."""
 
-from collections import Counter
-
 import cv2
 import numpy as np
 import pytest
 from hull_scenes import VOLUME, capsule_person, look_at, ring_rig, silhouettes
 
 from capture_rig import InputError, Rig
-from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, STEPS_OF_CANDIDATE, UNCERTAIN
-from hull_server.floor_shadows import ShadowResolver
-from hull_server.floor_shadows.labels import STRIDE, PixelLabels
-from hull_server.floor_shadows.rules import RAY_STEP_M, label_pixels
-from hull_server.floor_shadows.scene import floor_scene
-from hull_server.settings import ShadowSettings
-from hull_server.silhouette_batch import BLIND, binary_mask
+from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, SHADOW_CANDIDATE, STEPS_OF_CANDIDATE, UNCERTAIN
+from hull_server.carving.cpu_carver import CpuCarver
+from hull_server.floor_shadows import FLOOR_M, STRIDE, ShadowResolver, floor_scene, mark_shadows
+from hull_server.grid import VoxelGrid
+from hull_server.silhouette_batch import BLIND
 from hull_server.views import RigViews, min_seeing
 
 SHADOW = [(-0.15, -0.1), (0.75, -0.25), (0.95, 0.25), (0.6, 0.45), (-0.05, 0.3)]  # on the floor, under the feet too
-SETTINGS = ShadowSettings()
+GRID = VoxelGrid.covering(VOLUME, 0.02)
 
 
-def resolver(rig: Rig, settings: ShadowSettings = SETTINGS) -> ShadowResolver:
-    return ShadowResolver(RigViews.from_rig(rig), rig.volume, settings)
+def resolver(rig: Rig) -> ShadowResolver:
+    return ShadowResolver(RigViews.from_rig(rig), rig.volume, GRID)
+
+
+def hull(rig: Rig, levels: dict[str, np.ndarray]) -> np.ndarray:
+    """The voxels (nx, ny, nz) that are left when shadows have been told from the body."""
+    worker = resolver(rig)
+    masks = worker.resolve(levels)
+    carved = CpuCarver(RigViews.from_rig(rig), GRID).carve(masks, min_seeing(len(masks)))
+    return worker.without_shadows(carved, masks).to_dense()
+
+
+LOW = round((FLOOR_M - GRID.origin[2]) / GRID.voxel_size)  # the layers next to the floor
 
 
 def floor_patch(rig: Rig, outline=SHADOW) -> dict[str, np.ndarray]:
@@ -53,7 +60,7 @@ def share(masks: dict[str, np.ndarray], where: dict[str, np.ndarray]) -> float:
 def test_binary_masks_are_passed_on_as_they_are():
     rig = ring_rig(4)
     masks = silhouettes(rig, capsule_person())
-    resolved = resolver(rig).resolve(masks, 3)
+    resolved = resolver(rig).resolve(masks)
     assert all(resolved[name] is masks[name] for name in masks)
 
 
@@ -62,47 +69,49 @@ def test_mask_of_another_size_is_refused_by_name():
     levels, _, _ = body_and_shadow(rig)
     levels["cam02"] = levels["cam02"][:-1]
     with pytest.raises(InputError, match="cam02"):
-        resolver(rig).resolve(levels, 3)
+        resolver(rig).resolve(levels)
 
 
-@pytest.mark.parametrize("cameras, least", [(3, 0.5), (5, 0.55), (8, 0.58)])
-def test_shadow_at_the_feet_is_removed_and_the_person_stays(cameras, least):
+@pytest.mark.parametrize("cameras", [3, 5, 8])
+def test_shadow_at_the_feet_is_removed_and_the_person_stays(cameras):
     rig = ring_rig(cameras, seed=2)
     levels, body, shadow = body_and_shadow(rig)
     before = {name: mask.copy() for name, mask in levels.items()}
-    resolved = resolver(rig).resolve(levels, min_seeing(cameras))
-    assert share({n: binary_mask(m) for n, m in levels.items()}, shadow) == 1.0
-    assert share(resolved, shadow) < 1 - least  # the rest is seen through the legs' hull
-    assert share(resolved, body) == 1.0
+    resolved = resolver(rig).resolve(levels)
+    assert share(levels, shadow) == 1.0 and share(resolved, shadow) < 0.25 and share(resolved, body) == 1.0
     assert all(np.array_equal(levels[n], before[n]) for n in levels)
-    assert set(np.unique(np.concatenate([m.ravel() for m in resolved.values()]))) == {0, 255}
+    exact, found = hull(rig, {n: np.where(b, np.uint8(255), np.uint8(0)) for n, b in body.items()}), hull(rig, levels)
+    everything = hull(rig, {n: np.where(m > 0, np.uint8(255), np.uint8(0)) for n, m in levels.items()})
+    assert (found & exact).sum() > 0.98 * exact.sum()
+    extra, removed = (found & ~exact)[:, :, :LOW].sum(), (everything & ~found)[:, :, :LOW].sum()
+    assert removed > 500 and extra < 0.1 * removed
+    assert (found & ~exact)[:, :, LOW:].sum() < 0.1 * exact.sum()
 
 
-def test_candidates_deny_no_body_that_the_others_see():
+def test_candidates_deny_no_body_that_the_others_see_and_no_floor_is_left_of_them():
     above = look_at("cam06", np.array([0.4, 0.3, 4.0]), np.array([0.0, 0, 0]), 235.0, (320, 240))
     rig = Rig((*ring_rig(5, seed=2).cameras, above), VOLUME)
     levels, body, shadow = body_and_shadow(rig)
+    exact = hull(rig, {n: np.where(b, np.uint8(255), np.uint8(0)) for n, b in body.items()})
     levels["cam06"][body["cam06"] | shadow["cam06"]] = CANDIDATE_LEVELS[2]  # a person who looks like floor in shadow
-    mask = resolver(rig).resolve(levels, 4)["cam06"]
-    assert (mask[body["cam06"]] >= UNCERTAIN).mean() > 0.9  # soles that stand in the shadow may be floor
-    assert (mask[shadow["cam06"]] >= UNCERTAIN).mean() < 0.5  # ... and shadow is seen beside the others' hull
+    found = hull(rig, levels)
+    assert (found & exact)[:, :, LOW:].sum() > 0.99 * exact[:, :, LOW:].sum()
+    assert not found[:, :, :LOW].any()
 
 
 def test_clothes_exactly_as_dark_as_the_shadow_lose_at_most_the_soles():
     rig = ring_rig(6, seed=3)
     levels, body, shadow = body_and_shadow(rig, body_level=ATTENUATED_LEVELS[4])
-    masks = resolver(rig).resolve(levels, min_seeing(6))
-    assert share(masks, shadow) < 0.4
-    assert share(masks, body) > 0.97
-    above = silhouettes(rig, [(a, b, r) for a, b, r in capsule_person(0.4) if min(a[2], b[2]) > 0.3])
-    assert share(masks, {n: m > 0 for n, m in above.items()}) > 0.995
+    assert share(resolver(rig).resolve(levels), shadow) < 0.25
+    exact, found = hull(rig, {n: np.where(b, np.uint8(255), np.uint8(0)) for n, b in body.items()}), hull(rig, levels)
+    assert (found & exact)[:, :, LOW:].sum() > 0.98 * exact[:, :, LOW:].sum()
 
 
 def test_dark_clothes_on_a_bright_floor_are_the_person():
     rig = ring_rig(5, seed=4)
     body = silhouettes(rig, capsule_person(1.0))
     levels = {n: np.where(m > 0, ATTENUATED_LEVELS[k % 9], 0).astype(np.uint8) for k, (n, m) in enumerate(body.items())}
-    masks = resolver(rig).resolve(levels, min_seeing(5))
+    masks = resolver(rig).resolve(levels)
     assert share(masks, {n: m > 0 for n, m in body.items()}) > 0.999
 
 
@@ -112,7 +121,7 @@ def test_a_place_that_is_bright_for_most_cameras_is_not_in_shadow():
     for name in list(levels)[2:]:
         levels[name][shadow[name]] = 0
     first = list(levels)[:2]
-    masks = resolver(rig).resolve(levels, 3)
+    masks = resolver(rig).resolve(levels)
     assert share({n: masks[n] for n in first}, {n: shadow[n] for n in first}) > 0.85
 
 
@@ -121,7 +130,7 @@ def test_places_of_another_darkness_in_every_camera_are_no_shadow():
     levels, _, shadow = body_and_shadow(rig)
     for k, name in enumerate(levels):
         levels[name][shadow[name]] = ATTENUATED_LEVELS[2 * k]
-    assert share(resolver(rig).resolve(levels, 3), shadow) == 1.0
+    assert share(resolver(rig).resolve(levels), shadow) == 1.0
 
 
 def test_candidates_of_other_cameras_are_witnesses_and_their_own_pixels_background():
@@ -129,42 +138,33 @@ def test_candidates_of_other_cameras_are_witnesses_and_their_own_pixels_backgrou
     levels, body, shadow = body_and_shadow(rig)
     for name in list(levels)[1:]:
         levels[name][shadow[name]] = CANDIDATE_LEVELS[2]  # of the steps 4 and 5
-    masks = resolver(rig).resolve(levels, 3)
+    masks = resolver(rig).resolve(levels)
     assert share(masks, shadow) < 0.05 and share(masks, body) == 1.0
     for name in list(levels)[1:]:
         levels[name][shadow[name]] = CANDIDATE_LEVELS[0]  # of the steps 0 and 1: shadow, but of something else
     first = next(iter(levels))
-    masks = resolver(rig).resolve(levels, 3)
+    masks = resolver(rig).resolve(levels)
     assert share({first: masks[first]}, {first: shadow[first]}) == 1.0
-
-
-def test_disabled_it_takes_candidates_for_background_and_dark_pixels_for_the_person():
-    rig = ring_rig(3)
-    levels, body, shadow = body_and_shadow(rig)
-    levels["cam01"][shadow["cam01"]] = CANDIDATE_LEVELS[1]
-    masks = resolver(rig, ShadowSettings(enabled=False)).resolve(levels, 3)
-    assert np.array_equal(masks["cam01"] > 0, body["cam01"])
-    assert np.array_equal(masks["cam02"] > 0, body["cam02"] | shadow["cam02"])
 
 
 def test_a_camera_alone_or_one_under_the_floor_removes_nothing():
     rig = ring_rig(4, seed=2)
     levels, body, shadow = body_and_shadow(rig)
-    alone = resolver(rig).resolve({"cam02": levels["cam02"]}, 2)["cam02"]
+    alone = resolver(rig).resolve({"cam02": levels["cam02"]})["cam02"]
     assert np.array_equal(alone > 0, body["cam02"] | shadow["cam02"])
     low = look_at("cam05", np.array([3.0, 0.5, -0.3]), np.array([0.0, 0, 1]), 235.0, (320, 240))
     more = Rig((*rig.cameras, low), VOLUME)
     levels["cam05"] = np.full(low.undistorted_view().seen.shape, ATTENUATED_LEVELS[4], np.uint8)
-    assert resolver(more).resolve(levels, 3)["cam05"].all()
+    assert resolver(more).resolve(levels)["cam05"].all()
 
 
 def test_the_same_masks_give_the_same_bytes_whatever_came_between():
     rig = ring_rig(5, seed=2)
     levels, _, _ = body_and_shadow(rig)
     worker = resolver(rig)
-    first = worker.resolve(levels, 3)
-    worker.resolve({n: np.full_like(m, ATTENUATED_LEVELS[4]) for n, m in list(levels.items())[:3]}, 3)
-    again = worker.resolve(dict(reversed(levels.items())), 3)
+    first = worker.resolve(levels)
+    worker.resolve({n: np.full_like(m, ATTENUATED_LEVELS[4]) for n, m in list(levels.items())[:3]})
+    again = worker.resolve(dict(reversed(levels.items())))
     assert all(np.array_equal(first[n], again[n]) for n in levels)
 
 
@@ -184,27 +184,17 @@ def test_kernel_follows_the_rule_pixel_by_pixel(seed):
     for index, name in enumerate(rig.names):
         h, w = levels[name].shape
         stack[index, :h, :w] |= levels[name]
-    bodies = np.array([body_box(levels_of) for levels_of in stack])
-    compared = Counter({"shadow": 0, "body": 0, "": 0})
+    compared = {True: 0, False: 0}
     for index, name in enumerate(rig.names):
         h, w = levels[name].shape
-        found = PixelLabels.zeros((0, 0, w, h))
-        label_pixels(scene, stack, bodies, index, (0, 0, w, h), 3, 0.1, np.empty((4, 3)), found)
+        found = levels[name].copy()
+        mark_shadows(scene, stack, index, np.array([0, 0, w, h]), found)
         for v in range(0, h, STRIDE):
             for u in range(0, w, STRIDE):
-                at, expected = (v // STRIDE, u // STRIDE), true_label(rig, levels, name, u, v)
-                assert bool(found.foreground[at]) == (levels[name][v, u] > 127)
-                assert bool(found.candidate[at]) == (levels[name][v, u] in CANDIDATE_LEVELS)
-                assert bool(found.shadow[at]) == (expected == "shadow")
-                assert bool(found.body[at]) == (expected == "body")
+                expected = may_be_shadow(rig, levels, name, u, v)
+                assert found[v, u] == (SHADOW_CANDIDATE if expected else levels[name][v, u])
                 compared[expected] += 1
-    assert compared["shadow"] > 20 and compared["body"] > 0 and compared[""] > 20
-
-
-def body_box(levels: np.ndarray) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom of the pixels that may be the person."""
-    v, u = np.nonzero((levels > 127) | (levels == UNCERTAIN))
-    return (u.min(), v.min(), u.max() + 1, v.max() + 1)
+    assert min(compared.values()) > 20
 
 
 def attenuation(level: int) -> tuple[int, int]:
@@ -214,48 +204,23 @@ def attenuation(level: int) -> tuple[int, int]:
     return STEPS_OF_CANDIDATE[CANDIDATE_LEVELS.index(level)]
 
 
-def true_label(rig: Rig, levels: dict[str, np.ndarray], name: str, u: int, v: int) -> str:
+def may_be_shadow(rig: Rig, levels: dict[str, np.ndarray], name: str, u: int, v: int) -> bool:
     """The rule for one pixel, with the camera model's own rays and projection."""
     camera, own = rig.camera(name).undistorted_view().camera, int(levels[name][v, u])
-    if own in (0, UNCERTAIN, 255):
-        return ""
     centre, ray = camera.centre_world, camera.rays_world([[u, v]])[0]
-    if ray[2] >= 0:
-        return ""
+    if own not in ATTENUATED_LEVELS or ray[2] >= 0:
+        return False
     floor = centre - ray * centre[2] / ray[2]
     if (floor[:2] <= VOLUME.low[:2] - 0.5).any() or (floor[:2] >= VOLUME.high[:2] + 0.5).any():
-        return ""
-    others = [n for n in rig.names if n != name]
-    seen = [level_at(rig, levels, n, [floor[0], floor[1], 0.0]) for n in others]
-    seen = [level for level in seen if level is not None and level != 255]
+        return False
+    seen = [level_at(rig, levels, n, [floor[0], floor[1], 0.0]) for n in rig.names if n != name]
     gaps = [
         9 if s == 0 else max(attenuation(s)[0] - attenuation(own)[1], attenuation(own)[0] - attenuation(s)[1])
         for s in seen
+        if s is not None and s != 255
     ]
     agree = sum(gap <= 1 for gap in gaps)
-    contradict = len(gaps) - agree
-    if (
-        own in ATTENUATED_LEVELS
-        and agree
-        and agree >= contradict
-        and not meets_hull(rig, levels, others, floor, centre)
-    ):
-        return "shadow"
-    if own in CANDIDATE_LEVELS and contradict > agree and meets_hull(rig, levels, others, floor, centre):
-        return "body"
-    return ""
-
-
-def meets_hull(rig: Rig, levels: dict[str, np.ndarray], others: list[str], floor, centre) -> bool:
-    """Whether the others have foreground between a floor place and a camera, 0.1 m up or more, within the volume."""
-    along = centre - floor
-    entry_exit = np.sort([(VOLUME.low - floor) / along, (VOLUME.high - floor) / along], axis=0)
-    start, end = max(0.1 / centre[2], *entry_exit[0, :2]), min(1.0, *entry_exit[1])
-    for t in np.arange(start, end, RAY_STEP_M / np.linalg.norm(along)):
-        there = [level_at(rig, levels, n, floor + t * along) for n in others]
-        if all(s is None or s > 127 for s in there) and sum(s is not None for s in there) >= 2:
-            return True
-    return False
+    return agree > 0 and agree >= len(gaps) - agree
 
 
 def level_at(rig: Rig, levels: dict[str, np.ndarray], name: str, point_world) -> int | None:

@@ -37,7 +37,7 @@ from .people.people_tracker import PeopleTracker, make_people_tracker
 from .settings import IcpNodeSettings
 from .tracker import ACQUIRING, TRACKING, warm_up
 
-LOG_PERIOD_S = 1.0  # a reason why nobody is found yet: people read, and reasons may change with every set
+LOG_PERIOD_S = 1.0  # people read, and states and reasons may change with every set
 
 
 class IcpNode(SagomaNode):
@@ -196,19 +196,18 @@ class IcpNode(SagomaNode):
             self._log_state(fit)
 
     def _log_state(self, fit: Fit) -> None:
-        """Log how it stands with a person, whenever that has changed."""
+        """Log how it stands with a person when that has changed, once in LOG_PERIOD_S at most."""
         who = "" if fit.person == FIRST_PERSON else f"person {fit.person}: "
         # while looking for a first pose every new reason tells the person what to do; later ones hold changing figures
         state = _state_of(fit) if fit.state == ACQUIRING else fit.state
         now_s = time.monotonic()
         logged, logged_s = self._logged.get(fit.person, ("", now_s - LOG_PERIOD_S))
-        too_soon = fit.state == ACQUIRING and now_s - logged_s < LOG_PERIOD_S
-        if state != logged and not too_soon:
-            self._logged[fit.person] = state, now_s
-            self.get_logger().info(f"{who}{_state_of(fit)}")
         if fit.recovered:
             self.health.count("recoveries")
-            self.get_logger().info(f"{who}found again: {fit.recovered}")
+        if (state != logged or fit.recovered) and now_s - logged_s >= LOG_PERIOD_S:
+            self._logged[fit.person] = state, now_s
+            found = f"; found again: {fit.recovered}" if fit.recovered else ""
+            self.get_logger().info(f"{who}{_state_of(fit)}{found}")
 
     def _drop(self, counter: str, error: InputError) -> None:
         self.health.count(counter)

@@ -1,6 +1,7 @@
 """The ICP node among messages: one answer for every hull, whatever arrives."""
 
 import os
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -352,7 +353,7 @@ def test_node_publishes_exactly_what_the_tracker_returns(bench, walk):
         assert fit_message((expected,), "articulated") == node.fits[-1]
 
 
-def test_reason_of_an_acquisition_is_logged_when_it_changes_and_at_most_once_a_second(bench, monkeypatch, capfd):
+def test_state_or_reason_is_logged_when_it_changes_and_at_most_once_a_second(bench, monkeypatch, capfd):
     clock = SimpleNamespace(now_s=100.0)
     monkeypatch.setattr("icp_tracker.icp_node.time", SimpleNamespace(monotonic=lambda: clock.now_s))
     node = bench().node
@@ -367,3 +368,7 @@ def test_reason_of_an_acquisition_is_logged_when_it_changes_and_at_most_once_a_s
     node._log_state(fits_nothing(stamp(60), "stand still"))
     node._log_state(fits_nothing(stamp(61), "stand still"))
     assert capfd.readouterr().err.count("stand still") == 1
+    for k in range(50):  # two and a half seconds in which every set has another state
+        clock.now_s += 0.05
+        node._log_state(replace(fits_nothing(stamp(62 + k), ""), state=("tracking", "doubtful")[k % 2]))
+    assert len(capfd.readouterr().err.splitlines()) == 2

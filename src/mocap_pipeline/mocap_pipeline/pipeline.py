@@ -113,7 +113,7 @@ class MocapPipeline:
     def carve_set(self, frame_set: FrameSet[np.ndarray]) -> HullProducts:
         """Do the same with the silhouettes of cameras that are not in step, each of its own stamp."""
         # leave out cameras that contradict the others, resolve what may be shadow, carve the voxels that all cameras
-        # see as foreground (3.1; consistency/, floor_shadows/, carving/ or opengl/)
+        # see as foreground (3.1; consistency/, floor_shadows.py, carving/ or opengl/)
         pending = self.hull.begin(frame_set)
         # tell each camera where the others see a body: things that moved are seen by none, and become background
         # (consistency/foreground_support.py; camera_client/background/moved_things/absorption.py)

@@ -40,13 +40,19 @@ LEGS = {"right": (R_THIGH, R_CALF), "left": (L_THIGH, L_CALF)}
 
 
 def isb_angles(motion: Motion) -> dict[str, Array]:
-    """Return each angle (F,) by name, degrees, continuous over time; NaN in gaps.
+    """Return each angle (F,) of :func:`angles_of_sticks` by name, degrees, continuous over time; NaN in gaps."""
+    known = motion.tracked
+    return {name: _over_time(values, known) for name, values in angles_of_sticks(motion.R_world_sticks[known]).items()}
+
+
+def angles_of_sticks(R_world_sticks: Array) -> dict[str, Array]:
+    """Return each angle (F,) by name, degrees, of the sticks' frames (F, 10, 3, 3); each within a turn and a half of
+    zero, alone.
 
     Cardan sequence z, x, y for trunk, neck, hips and knees (Grood & Suntay 1983: flexion, adduction, axial rotation);
     y, x, y for the shoulders (plane of elevation, elevation, axial rotation; Wu et al. 2005, 2.4.7).
     """
-    known = motion.tracked
-    R = motion.R_world_sticks[known]
+    R = R_world_sticks
     trunk = R[:, TORSO] @ TRUNK_AXES
     angles: dict[str, Array] = {}
     upright = R_BIOMECHANICS_WORLD.T  # columns: x forward, y up, z right of the world
@@ -72,7 +78,7 @@ def isb_angles(motion: Motion) -> dict[str, Array]:
         angles |= {f"{side}_hip_flexion": flexion, f"{side}_hip_adduction": adduction}
         angles[f"{side}_hip_internal_rotation"] = axial
         angles[f"{side}_knee_flexion"] = -_cardan_of(_relative(thigh, calf, side))[0]
-    return {name: _over_time(values, known) for name, values in angles.items()}
+    return angles
 
 
 def _relative(R_proximal: Array, R_distal: Array, side: str) -> Array:

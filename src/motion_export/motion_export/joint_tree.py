@@ -67,6 +67,27 @@ JOINTS = (
 PARENTS = tuple(next((i for i, p in enumerate(JOINTS) if p.name == joint.parent), -1) for joint in JOINTS)
 
 
+def local_transforms(points_world: Array, R_world_sticks: Array) -> tuple[Array, Array]:
+    """Return the translations (F, J, 3) m and rotations (F, J, 3, 3) of the joints in their parents, animation axes.
+
+    points_world : (F, 15, 3) m; R_world_sticks : (F, 10, 3, 3). The root's are in the world; in the T-pose of a torso
+    along the world's axes all rotations are the identity.
+    """
+    number = {name: i for i, name in enumerate(POINT_NAMES)}
+    points = points_world @ R_ANIMATION_WORLD.T
+    middle = 0.5 * (points[:, number["left_hip"]] + points[:, number["right_hip"]])
+    places = np.stack([middle if j.point is None else points[:, number[j.point]] for j in JOINTS], axis=1)
+    turned = rotated(R_world_sticks @ T_POSE_STICKS.transpose(0, 2, 1), R_ANIMATION_WORLD)  # since the T-pose
+    world = np.stack([turned[:, joint.stick] for joint in JOINTS], axis=1)
+    translations, rotations = places.copy(), world.copy()
+    for j, parent in enumerate(PARENTS):
+        if parent >= 0:
+            R_parent_world = world[:, parent].transpose(0, 2, 1)
+            translations[:, j] = np.einsum("fij,fj->fi", R_parent_world, places[:, j] - places[:, parent])
+            rotations[:, j] = R_parent_world @ world[:, j]
+    return translations, rotations
+
+
 @dataclass(frozen=True, eq=False)
 class JointTree:
     """A motion as a tree of joints in animation axes (y up), metres.
@@ -85,21 +106,8 @@ class JointTree:
     @classmethod
     def of_motion(cls, motion: Motion) -> JointTree:
         """Build the tree of a motion."""
-        number = {name: i for i, name in enumerate(POINT_NAMES)}
         tracked = motion.tracked
-        points = motion.points_world[tracked] @ R_ANIMATION_WORLD.T
-        middle = 0.5 * (points[:, number["left_hip"]] + points[:, number["right_hip"]])
-        places = np.stack([middle if j.point is None else points[:, number[j.point]] for j in JOINTS], axis=1)
-        # rotations since the T-pose, in animation axes
-        turned = rotated(motion.R_world_sticks[tracked] @ T_POSE_STICKS.transpose(0, 2, 1), R_ANIMATION_WORLD)
-        world = np.stack([turned[:, joint.stick] for joint in JOINTS], axis=1)
-        translations, rotations = places.copy(), world.copy()
-        for j, parent in enumerate(PARENTS):
-            if parent >= 0:
-                R_parent_world = world[:, parent].transpose(0, 2, 1)
-                apart = places[:, j] - places[:, parent]
-                translations[:, j] = np.einsum("fij,fj->fi", R_parent_world, apart)
-                rotations[:, j] = R_parent_world @ world[:, j]
+        translations, rotations = local_transforms(motion.points_world[tracked], motion.R_world_sticks[tracked])
         offsets = np.median(translations, axis=0)
         offsets[0] = 0.0
         rigid = bool(np.abs(translations - offsets)[:, 1:].max() < RIGID_M)

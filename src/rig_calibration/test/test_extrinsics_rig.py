@@ -107,7 +107,7 @@ def test_wrong_square_size_of_one_board_shows_as_a_ratio(room: dict[str, CameraM
     wrong = Checkerboard(7, 4, (0.126, 0.126))  # stated 5 % too large
     targets = {FLOOR: FloorTarget.of_board(wrong, WorldChoice()), MOVING: TARGETS[MOVING]}
     calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room), targets)
-    ratio, sd = calibrated.evidence.scales[FLOOR]
+    ratio, sd = calibrated.scales[FLOOR]
     assert ratio == pytest.approx(1 / 1.05, abs=4 * sd) and sd < 0.005
     assert calibrated.verdict.grade == REDO
     assert "board 'floor' is 0.95" in findings(calibrated) and "Measure the fields" in findings(calibrated)
@@ -120,7 +120,7 @@ def test_tape_tells_that_all_sizes_are_wrong(room: dict[str, CameraModel]) -> No
     apart = float(np.linalg.norm(room["cam01"].centre_world - room["cam03"].centre_world))
     tape = [TapeMeasure("cam01", "cam03", apart), TapeMeasure("cam02", None, float(room["cam02"].centre_world[2]))]
     calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room), targets, tape=tape)
-    assert [check.ratio for check in calibrated.evidence.tape] == pytest.approx([1.04, 1.04], abs=0.004)
+    assert [check.ratio for check in calibrated.tape] == pytest.approx([1.04, 1.04], abs=0.004)
     assert calibrated.verdict.grade == REDO and "0.96" in findings(calibrated)
 
 

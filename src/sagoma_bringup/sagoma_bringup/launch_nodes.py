@@ -13,6 +13,7 @@ from typing import Any
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
 from launch.launch_description import LaunchDescription
+from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -92,9 +93,10 @@ def _process(process: ProcessSpec, request: LaunchRequest) -> Node:
 
 def _write_parameters(process: ProcessSpec) -> str:
     """Write the nodes' parameters into a file that holds in every namespace, values typed as they are (launch would
-    read the text "1" as a number); return its path."""
+    read the text "1" as a number), beside the launch's logs; return its path."""
     document = {f"/**/{node.name}": {"ros__parameters": dict(node.parameters)} for node in process.nodes}
-    with NamedTemporaryFile("w", prefix=f"{process.label}_", suffix=".yaml", delete=False) as file:
+    folder, prefix = launch_config.log_dir, f"{process.label}_"
+    with NamedTemporaryFile("w", dir=folder, prefix=prefix, suffix=".yaml", delete=False) as file:
         file.write(format_mapping(document))
     return file.name
 

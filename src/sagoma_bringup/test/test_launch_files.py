@@ -1,6 +1,9 @@
 """The launch files, run against a stand-in for launch and launch_ros: the graph that each starts, what it refuses."""
 
+import os
 import re
+import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -12,6 +15,7 @@ from capture_rig.errors import InputError
 from sagoma_bringup.graph import SERVER_NODES, build_graph
 from sagoma_bringup.launch_arguments import ARGUMENTS
 from sagoma_bringup.processes import THREE_PROCESSES, processes_of
+from sagoma_tools.graph.ros_link import RosLink, our_nodes, settled
 
 PACKAGE = Path(__file__).resolve().parents[1]
 LAUNCH = PACKAGE / "launch"
@@ -198,12 +202,69 @@ def test_executables_of_all_launched_packages_are_there():
         assert module_of(node.package, node.executable)
 
 
-def test_launch_files_load_in_a_full_ros_installation():
-    pytest.importorskip("launch_ros", reason="launch_ros comes with a ROS installation only")
+# --- the real launch: it is not on PyPI
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """The packages of this checkout as ament and launch_ros find installed ones."""
+    executables = {"camera_client": "camera_client", "mocap_pipeline": "mocap_server"}
+    executables |= {name: name for name in SERVER_NODES}
+    for package in ("sagoma_bringup", *executables):
+        share = tmp_path / "share" / package
+        share.parent.mkdir(exist_ok=True)
+        share.symlink_to(PACKAGE.parent / package)
+        index = tmp_path / "share/ament_index/resource_index/packages"
+        index.mkdir(parents=True, exist_ok=True)
+        (index / package).touch()
+    for package, executable in executables.items():
+        script = tmp_path / "lib" / package / executable
+        script.parent.mkdir(parents=True)
+        script.write_text(f"#!{sys.executable}\nfrom {module_of(package, executable)} import main\nmain()\n")
+        script.chmod(0o755)
+    before = [path for path in [os.environ.get("AMENT_PREFIX_PATH")] if path]
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join([str(tmp_path), *before]))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
+def test_the_real_launch_runs_what_the_stand_in_does_and_ends_it_in_order(path, installed, session):
+    pytest.importorskip("launch_ros", reason="launch and launch_ros come with a ROS installation only")
+    from launch.actions import IncludeLaunchDescription, RegisterEventHandler
+    from launch.event_handlers import OnProcessExit, OnProcessStart
     from launch.launch_description_sources import AnyLaunchDescriptionSource
 
-    from launch import LaunchContext
+    from launch import LaunchDescription, LaunchService
 
-    for path in FILES:
-        description = AnyLaunchDescriptionSource(str(path)).get_launch_description(LaunchContext())
-        assert description.get_launch_arguments()
+    role = path.name.partition(".")[0]
+    own = {"camera": {"camera": "cam01"}, "demo": {"session": session}}
+    given = {"autostart": "false", "namespace": "studio", **own.get(role, arguments_for(path))}
+    expected = [node.full_namespace for node in launched(path, **given)]
+    nodes = sum(len(parameters_of(node)) for node in launched(path, **given))
+    started, ended, found = [], [], []
+
+    service = LaunchService(noninteractive=True)
+    service.include_launch_description(
+        LaunchDescription(
+            [
+                RegisterEventHandler(OnProcessStart(on_start=lambda event, _: started.extend(event.cmd))),
+                RegisterEventHandler(OnProcessExit(on_exit=lambda event, _: ended.append(event.returncode))),
+                IncludeLaunchDescription(
+                    AnyLaunchDescriptionSource(str(path)),
+                    launch_arguments=[(name, str(value)) for name, value in given.items()],
+                ),
+            ]
+        )
+    )
+
+    def end_when_all_are_there():
+        with RosLink("listener", namespace="/studio") as link:
+            found.extend(settled(lambda: our_nodes(link.node), nodes, 30.0))
+        service.shutdown()
+
+    watcher = threading.Thread(target=end_when_all_are_there)
+    watcher.start()
+    status = service.run()
+    watcher.join()
+    assert len(found) == nodes and status == 0
+    namespaces = [word.removeprefix("__ns:=") for word in started if word.startswith("__ns:=")]
+    assert sorted(namespaces) == sorted(expected) and ended == [0] * len(expected)

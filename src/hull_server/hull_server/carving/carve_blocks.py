@@ -183,23 +183,29 @@ def count_votes(scene, low, octant, candidates, settled, mixed, partly_blind, wo
     for slot in range(scene.present.size):
         if mixed[slot] >> octant & 1:
             camera = scene.present[slot]
-            _find_pixels(scene, camera, low, work.pixels)
+            find_pixels(scene, scene.labels.shape[1] - 1, camera, low, work.pixels)
             foreground, blind = _look(scene.labels, camera, work.pixels, FOREGROUND), np.uint64(0)
             if partly_blind >> slot & 1 or scene.uncertain[camera]:
                 blind = _look(scene.labels, camera, work.pixels, BLIND)
             candidates &= foreground | blind
             if candidates == 0:
                 break
-            carry, ones = ones & foreground, ones ^ foreground
-            carry, twos = twos & carry, twos ^ carry
-            carry, fours = fours & carry, fours ^ carry
-            carry, eights = eights & carry, eights ^ carry
-            more |= carry
-    return candidates & _at_least(scene.min_seeing - settled, ones, twos, fours, eights, more)
+            ones, twos, fours, eights, more = count_up(foreground, ones, twos, fours, eights, more)
+    return candidates & at_least(scene.min_seeing - settled, ones, twos, fours, eights, more)
 
 
 @kernel
-def _at_least(wanted, ones, twos, fours, eights, more):  # type: ignore[no-untyped-def]
+def count_up(word, ones, twos, fours, eights, more):  # type: ignore[no-untyped-def]
+    """Add 1 to the binary counts of the voxels of a word."""
+    carry, ones = ones & word, ones ^ word
+    carry, twos = twos & carry, twos ^ carry
+    carry, fours = fours & carry, fours ^ carry
+    carry, eights = eights & carry, eights ^ carry
+    return ones, twos, fours, eights, more | carry
+
+
+@kernel
+def at_least(wanted, ones, twos, fours, eights, more):  # type: ignore[no-untyped-def]
     """Return the voxels whose binary count is at least ``wanted``."""
     above, equal = more, ALL_BITS
     if wanted <= 0:
@@ -215,15 +221,15 @@ def _at_least(wanted, ones, twos, fours, eights, more):  # type: ignore[no-untyp
 
 
 @kernel
-def _find_pixels(scene, camera, low, pixels):  # type: ignore[no-untyped-def]
-    """Write the flat pixel (64,) of each voxel of a block of 4^3; one beyond the canvas where there is none."""
+def find_pixels(scene, outside, camera, low, pixels):  # type: ignore[no-untyped-def]
+    """Write the flat pixel (64,) of each voxel of a block of 4^3; ``outside`` where it is beyond the canvas."""
     P, steps = scene.projections[camera], scene.voxel_steps[camera]
     x, y, z = float(low[0]), float(low[1]), float(low[2])
     u0 = P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]
     v0 = P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]
     w0 = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
     width, height = float(scene.sizes[camera, 0]), float(scene.sizes[camera, 1])
-    stride, outside = float(scene.stride), np.int32(scene.labels.shape[1] - 1)
+    stride, outside = float(scene.stride), np.int32(outside)
     for voxel in range(64):  # no branch inside: the compiler does several voxels at a time
         w = w0 + steps[2, voxel]
         inverse = 1.0 / w

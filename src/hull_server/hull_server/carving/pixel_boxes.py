@@ -128,6 +128,18 @@ def _classify_visibility(seen_tables, camera, u0, v0, u1, v1, inside):  # type: 
 
 
 @kernel
+def project(P, camera, x, y, z):  # type: ignore[no-untyped-def]
+    """Return the pixel coordinates of a voxel's centre by projections (N, 3, 4), and its depth; -1, -1 behind the
+    camera."""
+    w = P[camera, 2, 0] * x + P[camera, 2, 1] * y + P[camera, 2, 2] * z + P[camera, 2, 3]
+    if w <= 0:
+        return -1.0, -1.0, w
+    u = (P[camera, 0, 0] * x + P[camera, 0, 1] * y + P[camera, 0, 2] * z + P[camera, 0, 3]) / w
+    v = (P[camera, 1, 0] * x + P[camera, 1, 1] * y + P[camera, 1, 2] * z + P[camera, 1, 3]) / w
+    return u, v, w
+
+
+@kernel
 def count_in_box(tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
     """Count the pixels of a summed-area table in a pixel box."""
     if u1 <= u0 or v1 <= v0:

@@ -23,7 +23,7 @@ from .silhouette_residuals import CameraResiduals, ResidualEstimator, Residuals
 
 # Thresholds: chosen with python bench/camera_faults.py (figures of sound cameras); three voters: of two that
 # contradict each other either may be right.
-VOXEL_M = 0.04  # of the coarse grid
+VOXEL_M = 0.05  # of the coarse grid
 EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
 ENOUGH_VOTERS = 5  # each camera less makes the hull of the others looser: twice as much is allowed
 FEWEST_VOTERS = 3  # cameras that must remain: of two that contradict each other, either may be right
@@ -39,10 +39,7 @@ NEXT_WORST = 1.5  # a faulty camera's residual is at least this many times that 
 # how fast
 SATURATION = 0.1  # residual beyond the allowance at which the sum grows by one second a second
 DETECTION_S = 0.3  # sum at which a camera is faulty
-
-# contradictions without a culprit
-WARNING_CONFLICT = 0.15  # share of all foreground outside the common hull
-PAIR_CONFLICT = 0.6  # the same, from which two faulty cameras are looked for
+WARNING_CONFLICT = 0.15  # share of all foreground outside the common hull: contradictions without a culprit
 
 
 @dataclass(frozen=True)
@@ -82,7 +79,7 @@ class CameraFaultDetector:
         self._throttle = StampThrottle(settings.period_s, early_share=EARLY)
         self._fewest = max(FEWEST_VOTERS, min_seeing)
         self._records = [_CameraRecord() for _ in views.names]
-        self._conflict, self._pair_slot = 0.0, 0
+        self._conflict = 0.0
         self._faults = replace(self._summary((), {}), updated=False)
 
     def update(self, masks: Masks, stamp_ns: int) -> CameraFaults:
@@ -94,13 +91,18 @@ class CameraFaultDetector:
         step_s = self._throttle.step_s(stamp_ns) if self.settings.enabled else 0.0
         if step_s <= 0.0:
             return replace(self._faults, updated=False)
-        # flooded and excluded cameras are compared, but cannot veto
+        # blank, flooded and excluded cameras are compared, but cannot veto
         voters, others = self._choose_voters(masks)
         residuals = self._estimator.estimate(voters, others)
-        if residuals is not None:
-            self.occluders.learn(residuals, step_s)
-        if residuals is None or not self._accumulate(residuals, step_s):
+        if residuals is None:
             return replace(self._faults, updated=False)
+        self.occluders.learn(residuals, step_s)
+        shows_body = residuals.body_litres >= self.settings.min_body_litres
+        if not shows_body.any():  # there is no body to compare by
+            return replace(self._faults, updated=False)
+        for slot in np.flatnonzero(shows_body):
+            self._test_camera(residuals, int(slot), step_s)
+        self._conflict += _gain(step_s) * (residuals.unexplained - self._conflict)
         self._faults = self._decide([camera for camera, name in enumerate(self.names) if name in masks])
         return self._faults
 
@@ -111,18 +113,8 @@ class CameraFaultDetector:
             self._estimator.set_mask(camera, masks[self.names[camera]])
         coverage = {camera: self._estimator.coverage(camera) for camera in present}
         limit = max(FLOODED, FLOODED_TIMES * float(np.median(list(coverage.values()) or [0.0])))
-        voters = tuple(c for c in present if coverage[c] <= limit and not self._records[c].left_out)
+        voters = tuple(c for c in present if 0.0 < coverage[c] <= limit and not self._records[c].left_out)
         return voters, tuple(c for c in present if c not in voters)
-
-    def _accumulate(self, residuals: Residuals, step_s: float) -> bool:
-        """Add the residuals to the cameras' records; False when there is no body to compare by."""
-        shows_body = residuals.body_litres >= self.settings.min_body_litres
-        for slot in np.flatnonzero(shows_body):
-            self._test_camera(residuals, int(slot), step_s)
-        if shows_body.any():
-            self._conflict += _gain(step_s) * (residuals.unexplained - self._conflict)
-        unsolved = residuals.showing >= self._fewest and residuals.conflict.min() > PAIR_CONFLICT
-        return bool(unsolved and self._test_pair(residuals, step_s)) or bool(shows_body.any())
 
     def _test_camera(self, residuals: Residuals, slot: int, step_s: float) -> None:
         """Compare one camera's residuals with what is allowed, and with the next worst camera's."""
@@ -141,29 +133,6 @@ class CameraFaultDetector:
         agrees = mine.veto_fraction <= max(lenience * VETO_ALLOWANCE, next_veto) and mine.excess <= EXCESS_ALLOWANCE / 2
         if not agrees or residuals.explained_m2[slot] >= LEAST_EXPLAINED_M2:  # disagreement counts twice
             record.agreed_s = max(record.agreed_s + (step_s if agrees else -2 * step_s), 0.0)
-
-    def _test_pair(self, residuals: Residuals, step_s: float) -> bool:
-        """Test whether two cameras explain a conflict that no single one does: one voter, the next at every call, and
-        the worst of the others."""
-        voters = residuals.cameras[: residuals.voters]
-        if len(voters) - 2 < self._fewest:
-            return False
-        self._pair_slot = (self._pair_slot + 1) % len(voters)
-        first = voters[self._pair_slot]
-        remaining = tuple(camera for camera in voters if camera != first)
-        found = self._estimator.estimate(remaining, (first, *residuals.cameras[residuals.voters :]))
-        if found is None:
-            return False
-        second = int(np.argmax(found.veto_fraction[: found.voters]))
-        if found.body_litres[second] < self.settings.min_body_litres or found.veto_fraction[second] < SATURATION:
-            return False
-        if found.conflict[second] > PAIR_CONFLICT / 2:
-            return False
-        for slot in (second, found.voters):  # each pair is tested twice in a round of the voters
-            mine, record = found.of(slot), self._records[found.cameras[slot]]
-            record.update_means(mine, _gain(step_s))
-            record.add_fault(mine, (mine.veto_fraction - VETO_ALLOWANCE) / SATURATION, step_s * len(voters) / 2)
-        return True
 
     def _decide(self, present: list[int]) -> CameraFaults:
         """Reinstate cameras that agreed long enough; exclude faulty ones, the worst first, while enough remain."""

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import CameraModel, Rig
-from capture_rig.kernel import ARITHMETIC, njit
-from capture_rig.mask_levels import FOREGROUND
+from capture_rig.kernel import kernel
 
+from ..bitset import FIRST_BITS, highest_bit, lowest_bit, nonzero_bytes, nonzero_span
 from ..views import RigViews
 
 Array = npt.NDArray[np.float64]
@@ -134,15 +134,13 @@ class EpipolarTangentFinder:
 
 def _corners(mask: npt.NDArray[np.uint8]) -> list[npt.NDArray[np.int32]] | None:
     """Find corners (k, 2) u, v of the convex hulls of the sure foreground, and of all nonzero pixels; None if empty."""
-    left, top, width, height = cv2.boundingRect(mask)
-    part, found = mask[top : top + height, left : left + width], []
-    for least in (FOREGROUND, 1):
-        ends = np.empty((2 * height, 2), np.int32)
-        count = _row_ends(part, least, ends)
+    words, found = np.ascontiguousarray(mask).view(np.uint64), []
+    ends = np.empty((2 * len(words), 2), np.int32)
+    for certain in (True, False):
+        count = _row_ends(words, certain, ends)
         if count < 2 * LEAST_ROWS:
             return None
-        corners = cv2.convexHull(ends[:count]).reshape(-1, 2) + np.array([left, top])
-        found.append(corners.astype(np.int32))
+        found.append(np.asarray(cv2.convexHull(ends[:count]), np.int32).reshape(-1, 2))
     return found
 
 
@@ -164,20 +162,28 @@ def _away_from_cuts(seen: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
     return np.asarray(inner[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX] > 0)
 
 
-@njit(**ARITHMETIC, crops=True)
-def _row_ends(mask, least, points):  # type: ignore[no-untyped-def]
-    """Write the first and last pixel (u, v) of level ``least`` or more of each row to ``points``; return their
-    number."""
+@kernel
+def _row_ends(words, certain, points):  # type: ignore[no-untyped-def]
+    """Write the first and last nonzero pixel (u, v) of each row of a mask to ``points``; return their number.
+
+    words (h, w / 8) : of the mask, eight pixels a word. certain : only FOREGROUND counts.
+    """
     count = 0
-    for v in range(mask.shape[0]):
-        u = 0
-        while u < mask.shape[1] and mask[v, u] < least:
-            u += 1
-        if u < mask.shape[1]:
-            points[count, 0], points[count, 1] = u, v
-            u = mask.shape[1] - 1
-            while mask[v, u] < least:
-                u -= 1
-            points[count + 1, 0], points[count + 1, 1] = u, v
+    for v in range(words.shape[0]):
+        first, last = nonzero_span(words[v])
+        while first < last and _marks(words[v, first], certain) == 0:
+            first += 1
+        if first < last:
+            while _marks(words[v, last - 1], certain) == 0:
+                last -= 1
+            ones, others = _marks(words[v, first], certain), _marks(words[v, last - 1], certain)
+            points[count, 0], points[count, 1] = 8 * first + lowest_bit(ones) // 8, v
+            points[count + 1, 0], points[count + 1, 1] = 8 * last - 8 + highest_bit(others) // 8, v
             count += 2
     return count
+
+
+@kernel
+def _marks(word, certain):  # type: ignore[no-untyped-def]
+    """Return a word with 1 in every byte that is not zero or, where only ``certain`` counts, that is FOREGROUND."""
+    return nonzero_bytes(~word) ^ FIRST_BITS if certain else nonzero_bytes(word)

@@ -14,13 +14,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from capture_rig import Rig
-from capture_rig.kernel import njit
 from capture_rig.stamps import StampThrottle
 
 from ..settings import CalibrationSettings
@@ -159,21 +156,15 @@ class ExtrinsicError:
         return float(np.linalg.norm(self.rotation_rad))
 
 
-class _Differences(NamedTuple):
-    """All differences (m,) of the tangents: cameras first and second, values y in pixels, derivatives J (m, 8)."""
-
-    first: npt.NDArray[np.int64]
-    second: npt.NDArray[np.int64]
-    J: Array
-    y: Array
-
-
 def estimate_extrinsic_errors(tangents: Sequence[Tangents], cameras: int, step_s: float) -> list[ExtrinsicError]:
     """Estimate the error of each of the ``cameras`` of a rig, by the tangents of frame sets ``step_s`` apart."""
     first, second, y, one, other = (np.concatenate(parts) for parts in list(zip(*tangents, strict=True))[:5])
-    data, share = _Differences(first, second, np.hstack([one, other]), y), min(1.0, step_s / CORRELATION_S)
-    weight, noise_px = _robust_weights(data, cameras, share)
-    A, c = (total * (share / noise_px**2) for total in _normal_equations(data, weight, cameras))
+    rows, share = np.arange(len(y)), min(1.0, step_s / CORRELATION_S)
+    parts_of_camera = np.zeros((len(y), cameras, UNKNOWNS))
+    parts_of_camera[rows, first], parts_of_camera[rows, second] = one, other
+    G: Array = parts_of_camera.reshape(len(y), -1)  # the differences y (m,) in pixels are G times the unknowns (4 n,)
+    weight, noise_px = _robust_weights(G, y, cameras, share)
+    A, c = (total * (share / noise_px**2) for total in _normal_equations(G, y, weight))
     no_error, _, _ = _evidence(A, c, _prior(cameras))
     errors = []
     for camera in range(cameras):
@@ -181,8 +172,8 @@ def estimate_extrinsic_errors(tangents: Sequence[Tangents], cameras: int, step_s
         grown, _, _ = _evidence(A, c, _prior(cameras, large=camera))
         own = slice(UNKNOWNS * camera, UNKNOWNS * camera + 3)
         along = x[own] / max(float(np.linalg.norm(x[own])), 1e-12)
-        mine = _Differences(*(part[(first == camera) | (second == camera)] for part in data))
-        inliers = np.abs(_residuals(mine, x)) < OUTLIER_SIGMAS * noise_px
+        mine = (first == camera) | (second == camera)
+        inliers = np.abs(y[mine] - G[mine] @ x) < OUTLIER_SIGMAS * noise_px
         errors.append(
             ExtrinsicError(
                 rotation_rad=x[own],
@@ -205,20 +196,21 @@ def _certain_error_rad(errors: list[ExtrinsicError], camera: int, clearer: float
     return mine.angle_rad - SIGMAS * float(np.hypot(mine.sd_rad, SYSTEMATIC_RAD))
 
 
-def _robust_weights(data: _Differences, cameras: int, share: float) -> tuple[Array, float]:
+def _robust_weights(G: Array, y: Array, cameras: int, share: float) -> tuple[Array, float]:
     """Fit all cameras' unknowns; return the weight of each difference, and their noise in pixels.
 
     The prior of a camera widens with the error found (Tipping, "Sparse Bayesian learning", JMLR 2001).
     """
-    x, prior = np.zeros(UNKNOWNS * cameras), _prior(cameras)
-    weight, noise_px = np.ones(len(data.y)), LEAST_NOISE_PX
+    x: Array = np.zeros(UNKNOWNS * cameras)
+    prior, weight, noise_px = _prior(cameras), np.ones(len(y)), LEAST_NOISE_PX
     for round_ in range(ROUNDS):
-        residual = np.abs(_residuals(data, x))
-        noise_px = float(np.clip(np.median(residual) / 0.6745, LEAST_NOISE_PX, MOST_NOISE_PX)) if len(data.y) else 1.0
+        residual = np.abs(y - G @ x)
+        noise_px = float(np.clip(np.median(residual) / 0.6745, LEAST_NOISE_PX, MOST_NOISE_PX)) if len(y) else 1.0
         u = residual / (OUTLIER_SIGMAS * noise_px)
         weight = 1 / (1 + u) ** 2 if round_ < GENTLE_ROUNDS else 1 / (1 + u * u) ** 2
-        A, c = _normal_equations(data, weight, cameras)
-        x = np.linalg.solve(A * share / noise_px**2 + np.diag(prior), c * share / noise_px**2)
+        A, c = _normal_equations(G, y, weight)
+        solved = np.linalg.solve(A * share / noise_px**2 + np.diag(prior), c * share / noise_px**2)
+        x = np.asarray(solved, np.float64)
         squared = (x.reshape(cameras, UNKNOWNS)[:, :3] ** 2).sum(1)
         prior.reshape(cameras, UNKNOWNS)[:, :3] = (1 / (TYPICAL_RAD**2 + squared))[:, None]
     return weight, noise_px
@@ -242,30 +234,7 @@ def _evidence(A: Array, c: Array, prior: Array) -> tuple[float, Array, Array]:
     return float(c @ x - np.linalg.slogdet(precision)[1] + np.log(prior).sum()), x, covariance
 
 
-@njit(cache=True, nogil=True)
-def _normal_equations(data, weight, cameras):  # type: ignore[no-untyped-def]
-    """Sum J^T W J (4 n, 4 n) and J^T W y (4 n,)."""
-    A, c, place = (
-        np.zeros((UNKNOWNS * cameras, UNKNOWNS * cameras)),
-        np.zeros(UNKNOWNS * cameras),
-        np.empty(2 * UNKNOWNS, np.int64),
-    )
-    for row in range(data.y.size):
-        for k in range(UNKNOWNS):
-            place[k], place[UNKNOWNS + k] = UNKNOWNS * data.first[row] + k, UNKNOWNS * data.second[row] + k
-        for k in range(2 * UNKNOWNS):
-            c[place[k]] += weight[row] * data.J[row, k] * data.y[row]
-            for m in range(2 * UNKNOWNS):
-                A[place[k], place[m]] += weight[row] * data.J[row, k] * data.J[row, m]
-    return A, c
-
-
-@njit(cache=True, nogil=True)
-def _residuals(data, x):  # type: ignore[no-untyped-def]
-    """Return the differences (m,) less what the unknowns x explain."""
-    J, left = data.J, data.y.copy()
-    for row in range(left.size):
-        for k in range(UNKNOWNS):
-            one, other = UNKNOWNS * data.first[row] + k, UNKNOWNS * data.second[row] + k
-            left[row] -= J[row, k] * x[one] + J[row, UNKNOWNS + k] * x[other]
-    return left
+def _normal_equations(G: Array, y: Array, weight: Array) -> tuple[Array, Array]:
+    """Return G^T W G (4 n, 4 n) and G^T W y (4 n,)."""
+    weighted = weight[:, None] * G
+    return weighted.T @ G, weighted.T @ y

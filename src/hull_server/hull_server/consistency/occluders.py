@@ -8,10 +8,13 @@ Pollefeys, "3D occlusion inference from silhouette cues", CVPR 2007). Behind it 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.kernel import kernel
 from capture_rig.mask_levels import BACKGROUND, UNCERTAIN
 
 from ..views import Masks, RigViews
@@ -25,13 +28,20 @@ LEAST_CELLS = np.ones((5, 5), np.uint8)  # 0.1 m: along outlines, single voxels 
 LEAST_EXPLAINED = 0.5  # of a camera's foreground: less fits the others' hull where a camera was moved, or sees nobody
 
 
+class Hidden(NamedTuple):
+    """What an occluder hides from a camera: cells (H, W), nonzero where hidden, and the levels (h, w) of its pixels."""
+
+    cells: npt.NDArray[np.uint8]
+    levels: npt.NDArray[np.uint8]
+
+
 class OccluderMap:
     """What stands before each camera of a rig, in the cells of a :class:`ResidualEstimator`. One thread at a time."""
 
     def __init__(self, views: RigViews, estimator: ResidualEstimator) -> None:
         self._views, self._estimator = views, estimator
         self._hiding_s, self._showing_s = (np.zeros(estimator.labels.shape, np.float32) for _ in range(2))
-        self._hidden: dict[int, npt.NDArray[np.bool_]] = {}  # pixels (h, w) of the cameras that have any
+        self._hidden: dict[int, Hidden] = {}  # of the cameras that anything hides from
 
     def learn(self, residuals: Residuals, step_s: float) -> None:
         """Learn from the residuals of the estimator's last frame set."""
@@ -40,18 +50,18 @@ class OccluderMap:
             if explained[slot] < LEAST_EXPLAINED:
                 continue
             hiding, showing = self._hiding_s[camera], self._showing_s[camera]
-            showing += np.float32(step_s) * (self._estimator.labels[camera] > 0)
             denied = self._estimator.denied_cells(residuals, slot)
+            _add_time(np.float32(step_s), denied, hiding)
+            _add_time(np.float32(step_s), self._estimator.labels[camera], showing)
             if not denied.any() and camera not in self._hidden:
                 continue
-            hiding += np.float32(step_s) * denied
-            np.minimum(hiding, MOST_S, out=hiding)
-            np.minimum(showing, MOST_S, out=showing)
-            cells = (hiding >= LEARNED_S) & (hiding > TIMES_SHOWN * showing)
-            self._hidden.pop(camera, None)
-            cells = cv2.morphologyEx(cells.view(np.uint8), cv2.MORPH_OPEN, LEAST_CELLS) > 0
-            if cells.any():
-                self._hidden[camera] = self._pixels(camera, cells)
+            cells = ((hiding >= LEARNED_S) & (hiding > TIMES_SHOWN * showing)).view(np.uint8)
+            cells = np.asarray(cv2.morphologyEx(cells, cv2.MORPH_OPEN, LEAST_CELLS), np.uint8)
+            known = self._hidden.pop(camera, None)
+            if known is not None and np.array_equal(known.cells, cells):
+                self._hidden[camera] = known
+            elif cells.any():
+                self._hidden[camera] = Hidden(cells, self._levels(camera, cells))
 
     def applied(self, masks: Masks) -> dict[str, npt.NDArray[np.uint8]]:
         """Return the masks (h, w) of one instant, uncertain where an occluder hides the background."""
@@ -59,16 +69,23 @@ class OccluderMap:
         for camera, hidden in self._hidden.items():
             name = self._views.names[camera]
             if name in found:
-                mask = found[name].copy()
-                mask[hidden & (mask == BACKGROUND)] = UNCERTAIN
-                found[name] = mask
+                found[name] = np.maximum(found[name], hidden.levels)  # all but background is UNCERTAIN or higher
         return found
 
-    def _pixels(self, camera: int, cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-        """Return the pixels (h, w) of a camera's canvas that lie in cells, and see."""
+    def _levels(self, camera: int, cells: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Return UNCERTAIN for the pixels (h, w) of a camera's canvas that lie in cells, and see; else BACKGROUND."""
         (width, height), stride = self._views.sizes[camera], self._estimator.stride
-        full = cv2.resize(cells.view(np.uint8), None, fx=stride, fy=stride, interpolation=cv2.INTER_NEAREST)
-        pixels = np.zeros((height, width), np.uint8)
-        part = full[:height, :width]
-        pixels[: part.shape[0], : part.shape[1]] = part
-        return (pixels > 0) & (self._views.seen[camera, :height, :width] > 0)
+        levels = np.zeros((height, width), np.uint8)
+        part = cv2.resize(cells, None, fx=stride, fy=stride, interpolation=cv2.INTER_NEAREST)[:height, :width]
+        levels[: part.shape[0], : part.shape[1]] = UNCERTAIN * part
+        levels[self._views.seen[camera, :height, :width] == 0] = BACKGROUND
+        return levels
+
+
+@kernel
+def _add_time(step_s, where, time_s):  # type: ignore[no-untyped-def]
+    """Add a step to the times (H, W) of the cells that are positive in ``where``, up to MOST_S."""
+    for row in range(time_s.shape[0]):
+        times, cells = time_s[row], where[row]
+        for column in range(times.size):
+            times[column] = min(times[column] + step_s * np.float32(cells[column] > 0), np.float32(MOST_S))

@@ -15,8 +15,9 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import UNCERTAIN
 
-from ..bitset import popcount
-from ..carving.pixel_boxes import SEEN, UNSEEN, BlockBoxes, count_in_box
+from ..bitset import lowest_bit, popcount
+from ..carving.carve_blocks import ALL_BITS, at_least, count_up, find_pixels, inside_word
+from ..carving.pixel_boxes import SEEN, UNSEEN, BlockBoxes, count_in_box, project
 from ..carving.silhouette_tables import SURE, UNSURE
 
 UNSEEN_CELL, BACKGROUND_CELL = -1, 0  # labels of cells; foreground cells are numbered from 1
@@ -28,19 +29,29 @@ NEEDED_BY = 2  # cameras whose foreground stays unexplained without a voxel: one
 class CoarseViews(NamedTuple):
     """Tables of the calibration. Cells are the pixels of every ``stride``-th row and column.
 
-    projections (N, 3, 4) : voxel index to cell, such that the cell is floor(u / w), floor(v / w).
-    sizes (N, 2) : cells across and down. shape (3,) : the coarse grid. floor_layers : its layers next to the floor,
+    projections (N, 3, 4) : voxel index to cell, such that the cell is floor(u / w), floor(v / w). voxel_steps (N, 3,
+    64) : what each voxel of a block of 4^3 adds to the homogeneous cell of the first. sizes (N, 2) : cells across and
+    down. stride : cells in a row of the labels. shape (3,) : the coarse grid. floor_layers : its layers near the floor,
     where shadows lie. coarse, fine : the cells of blocks of 16^3 and 4^3 voxels. reach (N,) : half the size of a voxel
     in the image, in cells times depth.
     """
 
     projections: npt.NDArray[np.float64]
+    voxel_steps: npt.NDArray[np.float64]
     sizes: npt.NDArray[np.int64]
+    stride: int
     shape: npt.NDArray[np.int64]
     floor_layers: int
     coarse: BlockBoxes
     fine: BlockBoxes
     reach: npt.NDArray[np.float64]
+
+
+class Work(NamedTuple):
+    """Scratch memory of :func:`find_shared_voxels`: pixels (64,) of a block, and as bits those vetoed (N,)."""
+
+    pixels: npt.NDArray[np.int32]
+    vetoed: npt.NDArray[np.uint64]
 
 
 class VotingSet(NamedTuple):
@@ -104,10 +115,12 @@ def _copy(source, target):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def find_shared_voxels(views, labels, tables, voting, voxels, vetoes):  # type: ignore[no-untyped-def]
+def find_shared_voxels(views, labels, tables, voting, voxels, vetoes, work):  # type: ignore[no-untyped-def]
     """Write the shared voxels (M, 3) and the bits of who vetoes each (M,); return their number.
 
-    Returns TOO_MANY when ``voxels`` cannot hold them: much of the volume is foreground for nearly everyone.
+    labels (N, cells) : flat, the last one UNSEEN_CELL for all that is outside. work : pixels (64,) and vetoed (N,),
+    scratch memory. Returns TOO_MANY when ``voxels`` cannot hold them: much of the volume is foreground for nearly
+    everyone.
     """
     coarse, fine = _blocks(views.shape, COARSE_EDGE), _blocks(views.shape, FINE_EDGE)
     ratio, found = COARSE_EDGE // FINE_EDGE, 0
@@ -126,7 +139,7 @@ def find_shared_voxels(views, labels, tables, voting, voxels, vetoes):  # type: 
                     closer = _classify_block(views.fine, tables, voting, (z * fine[1] + y) * fine[0] + x, votes)
                     if _may_be_shared(voting, closer):
                         low = (x * FINE_EDGE, y * FINE_EDGE, z * FINE_EDGE)
-                        found = _append_voxels(views, labels, voting, low, closer, voxels, vetoes, found)
+                        found = _append_voxels(views, labels, voting, low, closer, voxels, vetoes, found, work)
                         if found == TOO_MANY:
                             return TOO_MANY
     return found
@@ -174,54 +187,53 @@ def _count_voters(voting, bits):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _append_voxels(views, labels, voting, low, votes, voxels, vetoes, found):  # type: ignore[no-untyped-def]
+def _append_voxels(views, labels, voting, low, votes, voxels, vetoes, found, work):  # type: ignore[no-untyped-def]
     """Append the shared voxels of the block of 4^3 at ``low``; return the number found so far, or TOO_MANY."""
-    for z in range(low[2], min(low[2] + FINE_EDGE, views.shape[2])):
-        for y in range(low[1], min(low[1] + FINE_EDGE, views.shape[1])):
-            for x in range(low[0], min(low[0] + FINE_EDGE, views.shape[0])):
-                shared, vetoed = _classify_voxel(views, labels, voting, votes, x, y, z)
-                if shared:
-                    if found == vetoes.size:
-                        return TOO_MANY
-                    voxels[found, 0], voxels[found, 1], voxels[found, 2] = x, y, z
-                    vetoes[found] = vetoed
-                    found += 1
+    left = _classify_voxels(views, labels, voting, low, votes, work) & inside_word(low, views.shape)
+    while left:
+        bit = lowest_bit(left)
+        left &= left - np.uint64(1)
+        if found == vetoes.size:
+            return TOO_MANY
+        voxels[found, 0], voxels[found, 1] = low[0] + (bit & 3), low[1] + (bit >> 2 & 3)
+        voxels[found, 2] = low[2] + (bit >> 4)
+        vetoes[found] = 0
+        for slot in range(voting.cameras.size if voxels[found, 2] >= views.floor_layers else 0):
+            vetoes[found] |= np.int64(work.vetoed[slot] >> np.uint64(bit) & np.uint64(1)) << slot
+        found += 1
     return found
 
 
 @kernel
-def _classify_voxel(views, labels, voting, votes, x, y, z):  # type: ignore[no-untyped-def]
-    """Return whether a voxel is shared, and the bits of the cameras that veto it (none next to the floor)."""
+def _classify_voxels(views, labels, voting, low, votes, work):  # type: ignore[no-untyped-def]
+    """Return the shared voxels of a block of 4^3 as bits; next to the floor, only those that no voter vetoes.
+
+    Writes those that each camera vetoes to work.vetoed (N,).
+    """
     undecided, filled, vetoed = votes
-    against = _count_voters(voting, vetoed)
+    once, twice = np.uint64(0), np.uint64(0)
+    ones, twos, fours, eights, more = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0)
     for slot in range(voting.cameras.size):
+        shown = ALL_BITS if filled >> slot & 1 else np.uint64(0)
+        work.vetoed[slot] = ALL_BITS if vetoed >> slot & 1 else np.uint64(0)
         if undecided >> slot & 1:
             camera = voting.cameras[slot]
-            u, v, _ = project(views.projections, camera, x, y, z)
-            if u >= 0 and v >= 0 and u < views.sizes[camera, 0] and v < views.sizes[camera, 1]:
-                label = labels[camera, int(v), int(u)]
-                if label > BACKGROUND_CELL:
-                    filled |= 1 << slot
-                elif label == BACKGROUND_CELL:
-                    vetoed |= 1 << slot
-                    against += slot < voting.voters
-                    if against > 1:
-                        return False, 0
-    seeing = _count_voters(voting, filled)
-    if z < views.floor_layers:
-        return against == 0 and seeing >= voting.needed, 0
-    return seeing >= (voting.needed if against == 0 else voting.needed_without), vetoed
-
-
-@kernel
-def project(P, camera, x, y, z):  # type: ignore[no-untyped-def]
-    """Return the cell coordinates of a voxel's centre and its depth; beyond any canvas if it is behind the camera."""
-    w = P[camera, 2, 0] * x + P[camera, 2, 1] * y + P[camera, 2, 2] * z + P[camera, 2, 3]
-    if w <= 0:
-        return -1.0, -1.0, w
-    u = (P[camera, 0, 0] * x + P[camera, 0, 1] * y + P[camera, 0, 2] * z + P[camera, 0, 3]) / w
-    v = (P[camera, 1, 0] * x + P[camera, 1, 1] * y + P[camera, 1, 2] * z + P[camera, 1, 3]) / w
-    return u, v, w
+            find_pixels(views, labels.shape[1] - 1, camera, low, work.pixels)
+            background = np.uint64(0)
+            for voxel in range(63, -1, -1):
+                label = labels[camera, np.uint32(work.pixels[voxel])]
+                shown += shown + np.uint64(label > BACKGROUND_CELL)
+                background += background + np.uint64(label == BACKGROUND_CELL)
+            work.vetoed[slot] = background
+        if slot < voting.voters:
+            twice |= once & work.vetoed[slot]
+            once |= work.vetoed[slot]
+            ones, twos, fours, eights, more = count_up(shown, ones, twos, fours, eights, more)
+    agreed = ~once & at_least(voting.needed, ones, twos, fours, eights, more)
+    alone = once & ~twice & at_least(voting.needed_without, ones, twos, fours, eights, more)
+    for z in range(max(min(views.floor_layers - low[2], 4), 0)):
+        alone &= ~(np.uint64(0xFFFF) << np.uint64(16 * z))
+    return agreed | alone
 
 
 @kernel

@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from capture_rig import Rig
 
+from ..carving.carve_blocks import voxel_steps
 from ..carving.pixel_boxes import block_boxes, pixel_projections, summed_area
 from ..grid import VoxelGrid
 from ..views import RigViews, min_seeing
@@ -29,6 +30,7 @@ from .residual_kernels import (
     UNSEEN_CELL,
     CoarseViews,
     VotingSet,
+    Work,
     count_explained,
     find_shared_voxels,
     mark_denied,
@@ -69,9 +71,7 @@ class Residuals:
     coverage : share of the camera's view that is foreground. explained_share : of it, what that hull explains.
     consistency : share of the camera's foreground that the hull without its veto explains (silhouette coherence; 1
         where it shows nothing), times the share of the body that it does not veto.
-    conflict : share of the voters' other foreground that stays unexplained without this camera's veto.
-    unexplained : share of the voters' foreground that their common hull leaves unexplained. showing : how many voters
-        show any foreground.
+    unexplained : share of the voters' foreground that their common hull leaves unexplained.
     """
 
     cameras: tuple[int, ...]
@@ -83,9 +83,7 @@ class Residuals:
     coverage: Floats
     explained_share: Floats
     consistency: Floats
-    conflict: Floats
     unexplained: float
-    showing: int
 
     def of(self, slot: int) -> CameraResiduals:
         """Return those of the camera ``cameras[slot]``."""
@@ -108,8 +106,10 @@ class ResidualEstimator:
         self._views = _coarse_views(cells, grid)
         self._cells_seen = np.maximum(np.count_nonzero(cells.seen, axis=(1, 2)), 1)
         n, height, width = cells.seen.shape
-        unshown = np.where(cells.seen > 0, BACKGROUND_CELL, UNSEEN_CELL).astype(np.int32)
+        unshown = np.full((n, height + 1, width), UNSEEN_CELL, np.int32)  # a row more, for all that is outside
+        unshown[:, :-1][cells.seen > 0] = BACKGROUND_CELL
         self.labels = unshown.copy()
+        self._work = Work(np.empty(64, np.int32), np.empty(n, np.uint64))
         self._tables = np.zeros((n, height + 1, width + 1), np.int32)
         self._boxes = np.zeros((n, 4), np.int64)
         self._cells = [
@@ -141,7 +141,9 @@ class ResidualEstimator:
         needed, without = (min_seeing(len(voters) - k, self._requested_seeing) for k in (0, 1))
         voting = VotingSet(cameras, len(voters), needed, without)
         # the voxels that at most one voter vetoes
-        found = find_shared_voxels(self._views, self.labels, self._tables, voting, self._voxels, self._vetoes)
+        labels = self.labels.reshape(len(self.labels), -1)
+        shared = self._voxels, self._vetoes
+        found = find_shared_voxels(self._views, labels, self._tables, voting, *shared, self._work)
         if found == TOO_MANY:
             return None
         self._found, voxels, vetoes = found, self._voxels[:found], self._vetoes[:found]
@@ -186,18 +188,19 @@ class ResidualEstimator:
             coverage=cells / self._cells_seen[cameras],
             explained_share=own / np.maximum(cells, 1),
             consistency=np.where(cells > 0, own / np.maximum(cells, 1), 1.0) * (1.0 - veto_fraction),
-            conflict=1.0 - theirs / np.maximum((cells[:, None] * compared).sum(0), 1),
             unexplained=1.0 - float((own - np.diagonal(vetoed))[:voters].sum() / max(int(cells[:voters].sum()), 1)),
-            showing=int(np.count_nonzero(cells[:voters])),
         )
 
 
 def _coarse_views(cells: RigViews, grid: VoxelGrid) -> CoarseViews:
     seen_table = summed_area(cells.seen)
     coarse, fine = (block_boxes(cells, grid, edge, seen_table) for edge in (COARSE_EDGE, FINE_EDGE))
+    projections = pixel_projections(cells, grid)
     return CoarseViews(
-        projections=pixel_projections(cells, grid),
+        projections=projections,
+        voxel_steps=voxel_steps(projections),
         sizes=cells.sizes,
+        stride=cells.seen.shape[2],
         shape=np.array(grid.shape, np.int64),
         floor_layers=max(0, int(np.ceil((FLOOR_M - grid.origin[2]) / grid.voxel_size))),
         coarse=coarse,

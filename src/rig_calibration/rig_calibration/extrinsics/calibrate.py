@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -11,19 +11,18 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.lens import Array
-from capture_rig.verdict import Verdict, judge
 
 from ..boards.board import Board, TargetDetection
 from ..boards.wand import WAND
 from ..bundle.problem import symmetry_order_of
 from ..bundle.solve import RigSolution, solve_rig
-from .figures import RigFigures, rig_figures
-from .floor import FloorView, floor_view
-from .verdict import RigEvidence, TapeCheck, TapeMeasure, footage_findings, rig_verdict
-from .world import PlacedRig, WorldChoice, board_in_world, place_rig, world_from_floor, world_of_level_camera
+from .figures import rig_figures
+from .floor import FLOOR, floor_view
+from .verdict import RigCalibration, TapeMeasure
+from .world import WorldChoice, board_in_world, place_rig, world_from_floor, world_of_level_camera
 
-FLOOR, MOVING = "floor", "moving"
-"""Names of the targets, beside WAND."""
+MOVING = "moving"
+"""Name of a target, beside FLOOR and WAND."""
 FLOOR_POSE = (FLOOR, 0)
 __all__ = ["FLOOR", "MOVING", "WAND", "FloorTarget", "RigCalibration", "Target", "calibrate_rig"]
 
@@ -54,22 +53,6 @@ class FloorTarget(Target):
         return cls(board.corners_board, symmetry_order_of(board), board_in_world(board.corners_board, choice))
 
 
-@dataclass(frozen=True, eq=False)
-class RigCalibration:
-    """The rig (``placed.rig``) and everything that is known about it.
-
-    floor : how each camera that shows the floor target sees it. floor_world (n, 3) : its points; None without a floor.
-    """
-
-    placed: PlacedRig
-    solution: RigSolution
-    floor: Mapping[str, FloorView]
-    floor_world: Array | None
-    figures: RigFigures
-    evidence: RigEvidence
-    verdict: Verdict
-
-
 def calibrate_rig(
     cameras: Mapping[str, CameraModel],
     detections: Sequence[TargetDetection],
@@ -85,8 +68,8 @@ def calibrate_rig(
 
     The target called FLOOR, a FloorTarget seen in frame 0, tells where the world is; without it the first camera is
     taken for level. Every detection names its target. ``intrinsics_sd``, ``refine_intrinsics`` : as
-    :func:`solve_rig` takes them. ``moved_frames``, ``floor_guess`` : as RigEvidence. Raises InputError naming cameras
-    that see nothing, or groups that share no view.
+    :func:`solve_rig` takes them. ``moved_frames``, ``floor_guess`` : as RigCalibration. Raises InputError naming
+    cameras that see nothing, or groups that share no view.
     """
     floor = _floor_target(targets)
     require_way_round(detections, targets)
@@ -107,17 +90,10 @@ def calibrate_rig(
         for seen in solution.detections  # numbered as the solver found right
         if floor is not None and seen.target == FLOOR
     }
-    # figures and verdict
-    figures = rig_figures(placed, solution, views)
-    checks = tuple(measure.check(placed.rig) for measure in tape)
-    evidence = replace(
-        _evidence(placed, solution, figures, views, checks),
-        floor_known=floor is not None,
-        floor_guess=floor_guess,
-        moved_frames=moved_frames or {},
-    )
     on_floor = None if floor is None else floor.points @ floor.T_world_floor[:3, :3].T + floor.T_world_floor[:3, 3]
-    return RigCalibration(placed, solution, views, on_floor, figures, evidence, _verdict(evidence, solution))
+    checks = tuple(measure.check(placed.rig) for measure in tape)
+    figures = rig_figures(placed, solution, views)
+    return RigCalibration(placed, solution, views, on_floor, figures, floor_guess, moved_frames or {}, checks)
 
 
 def require_way_round(detections: Iterable[TargetDetection], targets: Mapping[str, Target]) -> None:
@@ -136,13 +112,6 @@ def require_way_round(detections: Iterable[TargetDetection], targets: Mapping[st
     )
 
 
-def _verdict(evidence: RigEvidence, solution: RigSolution) -> Verdict:
-    """The rig's findings, and what its footage was like. (A floor board alone shares one view with every camera: there
-    is nothing in it that could contradict.)"""
-    shared = any(detection.target != FLOOR for detection in solution.detections)
-    return judge([*rig_verdict(evidence).findings, *(footage_findings(solution) if shared else ())])
-
-
 def _floor_target(targets: Mapping[str, Target]) -> FloorTarget | None:
     floor = targets.get(FLOOR)
     if floor is not None and not isinstance(floor, FloorTarget):
@@ -155,30 +124,3 @@ def _world(solution: RigSolution, floor: FloorTarget | None) -> Array:
     if floor is None:
         return world_of_level_camera(solution.T_camera_reference[min(solution.T_camera_reference)])
     return world_from_floor(solution.T_reference_target[FLOOR_POSE], floor.T_world_floor)
-
-
-def _evidence(
-    placed: PlacedRig,
-    solution: RigSolution,
-    figures: RigFigures,
-    views: Mapping[str, FloorView],
-    checks: tuple[TapeCheck, ...],
-) -> RigEvidence:
-    tied = {detection.camera for detection in solution.detections if detection.target != FLOOR}
-    left_out: dict[str, tuple[str, ...]] = {}
-    for left in solution.left_out:
-        left_out[left.detection.camera] = (*left_out.get(left.detection.camera, ()), left.reason)
-    return RigEvidence(
-        figures=figures,
-        widths_px={camera.name: camera.width for camera in placed.rig.cameras},
-        usable_volume=placed.common.usable,
-        floor=views,
-        by_floor_alone=frozenset(set(views) - tied),
-        undecided=solution.undecided,
-        left_out=left_out,
-        floor_left_out={
-            left.detection.camera: left.reason for left in solution.left_out if left.detection.target == FLOOR
-        },
-        scales={name: scale for name, scale in solution.scale_of.items() if name != solution.scale_base},
-        tape=checks,
-    )

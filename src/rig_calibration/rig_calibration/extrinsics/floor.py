@@ -21,6 +21,7 @@ from ..boards.board import Board, TargetDetection
 from ..bundle.detection_poses import MIN_CORNERS, detection_poses
 from ..bundle.problem import target_shape
 
+FLOOR = "floor"  # the name of the target
 RULED_OUT_SDS = 5  # standard deviations by which the second solution must explain the corners worse to be ruled out
 
 

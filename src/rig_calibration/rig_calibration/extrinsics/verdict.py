@@ -7,18 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import inf
 
 import numpy as np
 
 from capture_rig.errors import InputError
+from capture_rig.lens import Array
 from capture_rig.rig import Rig
 from capture_rig.verdict import REDO, USABLE, Finding, Verdict, graded, judge
 
 from ..bundle.initial_poses import cameras_by_pose
 from ..bundle.solve import RigSolution
 from .figures import CameraFigures, RigFigures
-from .floor import FloorView
+from .floor import FLOOR, FloorView
+from .world import PlacedRig
 
 MIN_M = 0.2  # a shorter length tells nothing: a tape at a lens errs by a centimetre
 
@@ -63,32 +66,37 @@ class TapeMeasure:
 
 
 @dataclass(frozen=True, eq=False)
-class RigEvidence:
-    """Everything that is known about a rig that was just calibrated.
+class RigCalibration:
+    """The rig (``placed.rig``) and everything that is known about it.
 
-    figures : its figures. widths_px : width of each camera's images. usable_volume : is there a place where enough
-    cameras see a standing person? floor : how each camera that sees the floor board sees it. by_floor_alone : cameras
-    that no carried board ties to the others. floor_known : False when z up is a guess. floor_guess : frames in
-    which the carried board was taken to lie on the floor because nothing was below it. undecided : cameras that may
-    stand on either side of the board. moved_frames : by camera, frames in which the floor board lay elsewhere, and all
-    its frames. left_out : by camera, why detections were left out. scales : by target, its size relative to the first
-    target's as the cameras see it, and that ratio's standard deviation. tape : what was measured by hand.
-    floor_left_out : by camera, why its detection of the floor board was left out.
+    floor : how each camera that shows the floor target sees it. floor_world (n, 3) : its points; None without a floor:
+    z up is then a guess. floor_guess : frames in which the carried board was taken to lie on the floor because nothing
+    was below it. moved_frames : by camera, frames in which the floor board lay elsewhere, and all its frames. tape :
+    what was measured by hand.
     """
 
+    placed: PlacedRig
+    solution: RigSolution
+    floor: Mapping[str, FloorView]
+    floor_world: Array | None
     figures: RigFigures
-    widths_px: Mapping[str, int]
-    usable_volume: bool = True
-    floor: Mapping[str, FloorView] = field(default_factory=dict)
-    by_floor_alone: frozenset[str] = frozenset()
-    floor_known: bool = True
     floor_guess: tuple[int, ...] = ()
-    undecided: tuple[str, ...] = ()
     moved_frames: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    left_out: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    floor_left_out: Mapping[str, str] = field(default_factory=dict)
-    scales: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     tape: tuple[TapeCheck, ...] = ()
+
+    @property
+    def scales(self) -> dict[str, tuple[float, float]]:
+        """By target, its size relative to the most seen one's as the cameras see it, and that ratio's deviation."""
+        return {name: scale for name, scale in self.solution.scale_of.items() if name != self.solution.scale_base}
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """GOOD, USABLE or REDO, with every finding and its remedy: the rig's, each camera's, and the footage's."""
+        findings = [*_of_floor(self), *_of_scale(self), *_of_layout(self)]
+        findings += [found for camera in self.figures.cameras for found in camera_findings(camera, self)]
+        # a floor board alone shares one view with every camera: there is nothing in it that could contradict
+        carried = any(detection.target != FLOOR for detection in self.solution.detections)
+        return judge([*findings, *(footage_findings(self.solution) if carried else ())])
 
 
 # Limits of USABLE and REDO; where only one grade is given the other is out of reach. GRAZING_DEG measured by python
@@ -109,37 +117,31 @@ CONTRADICTION = 4.0  # variance ratio: standard deviations are twice what the co
 FEW_TIES = 3
 
 
-def rig_verdict(evidence: RigEvidence) -> Verdict:
-    """Judge the rig GOOD, USABLE or REDO, with every finding and its remedy: the rig's first, then each camera's."""
-    findings = [*_of_floor(evidence), *_of_scale(evidence), *_of_layout(evidence)]
-    return judge([*findings, *(f for camera in evidence.figures.cameras for f in camera_findings(camera, evidence))])
-
-
-def _of_floor(evidence: RigEvidence) -> Iterator[Finding]:
-    if not evidence.floor_known:
+def _of_floor(rig: RigCalibration) -> Iterator[Finding]:
+    if rig.floor_world is None:
         yield Finding(
             USABLE,
             "no picture shows the board on the floor: heights and the vertical are guesses",
             "Add pictures of the board lying on the floor (--floor), or carry it there (--floor-at).",
         )
-    if 0 < len(evidence.floor_guess) < RESTING_FRAMES:
-        frames = ", ".join(map(str, evidence.floor_guess))
+    if 0 < len(rig.floor_guess) < RESTING_FRAMES:
+        frames = ", ".join(map(str, rig.floor_guess))
         yield Finding(
             USABLE,
             f"the floor was taken from frame {frames}, where the carried board was lowest, but it did not rest there",
             "Look at the floor's grid in the pictures; lay the board down for some seconds, or say when it lies on the "
             "floor (--floor-at).",
         )
-    if evidence.undecided:
+    if rig.solution.undecided:
         yield Finding(
             REDO,
-            f"nothing tells on which side of the board {', '.join(evidence.undecided)} stand(s)",
+            f"nothing tells on which side of the board {', '.join(rig.solution.undecided)} stand(s)",
             "Use a board with an odd and an even number of inner corners, or a ChArUco board.",
         )
 
 
-def _of_scale(evidence: RigEvidence) -> Iterator[Finding]:
-    for target, (ratio, sd) in sorted(evidence.scales.items()):
+def _of_scale(rig: RigCalibration) -> Iterator[Finding]:
+    for target, (ratio, sd) in sorted(rig.scales.items()):
         yield from graded(
             abs(ratio - 1.0),
             (max(RATIO[0], CLEAR_SDS * sd), RATIO[1]),
@@ -147,7 +149,7 @@ def _of_scale(evidence: RigEvidence) -> Iterator[Finding]:
             "Measure the fields of both prints over the whole length of a row, and state those (--board, "
             "--floor-board).",
         )
-    for check in evidence.tape:
+    for check in rig.tape:
         size = "smaller" if check.ratio > 1.0 else "larger"
         yield from graded(
             abs(check.ratio - 1.0),
@@ -158,15 +160,15 @@ def _of_scale(evidence: RigEvidence) -> Iterator[Finding]:
         )
 
 
-def _of_layout(evidence: RigEvidence) -> Iterator[Finding]:
-    figures, count = evidence.figures, len(evidence.figures.cameras)
+def _of_layout(rig: RigCalibration) -> Iterator[Finding]:
+    figures, count = rig.figures, len(rig.figures.cameras)
     if count == 1:
         remedy = "Give the pictures of all cameras (--cameras names them)."
         yield Finding(REDO, "one camera alone makes no hull", remedy)
     elif count < MIN_CAMERAS:
         what = f"{count} cameras: the hull will be much fatter than the body"
         yield Finding(USABLE, what, "Use three or more, around the person.")
-    if not evidence.usable_volume:
+    if not rig.placed.common.usable:
         what = "nowhere do enough cameras see a standing person from feet to head"
         yield Finding(USABLE, what, "Move the cameras back, or turn them towards one place.")
     for (one, other), angle in figures.facing_deg.items():
@@ -186,10 +188,10 @@ def _of_layout(evidence: RigEvidence) -> Iterator[Finding]:
             yield Finding(USABLE, what, "Spread the cameras around the volume.")
 
 
-def camera_findings(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
+def camera_findings(camera: CameraFigures, rig: RigCalibration) -> Iterator[Finding]:
     """Find all that is wrong with one camera, the worst causes first."""
-    yield from _of_view(camera, evidence)
-    widening = max(1.0, evidence.widths_px[camera.name] / RMS_WIDTH_PX)
+    yield from _of_view(camera, rig)
+    widening = max(1.0, rig.placed.rig.camera(camera.name).width / RMS_WIDTH_PX)
     yield from graded(
         camera.rms_px / widening,
         RMS_PX,
@@ -202,21 +204,22 @@ def camera_findings(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Fi
     yield from graded(camera.sd_centre_mm, SD_MM, what, nearer)
     what = f"the direction of {camera.name} is known to {camera.sd_rotation_deg:.2f} degrees only (sd)"
     yield from graded(camera.sd_rotation_deg, SD_DEG, what, nearer)
-    if evidence.floor_known and camera.height_m < LOWEST_M:
+    if rig.floor_world is not None and camera.height_m < LOWEST_M:
         yield Finding(
             REDO,
             f"{camera.name} comes to lie {-camera.height_m:.2f} m below the floor",
             "Lay the board on the floor, print upwards; where corners are given by hand, give them in reading order.",
         )
-    if evidence.floor_known and camera.height_m > HIGHEST_M:
+    if rig.floor_world is not None and camera.height_m > HIGHEST_M:
         what = f"{camera.name} comes to lie {camera.height_m:.1f} m above the floor"
         yield Finding(USABLE, what, "If it hangs lower, the board's size is wrong: measure a field of the print.")
-    yield from _of_detections(camera, evidence)
+    yield from _of_detections(camera, rig)
 
 
-def _of_view(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
-    view = evidence.floor.get(camera.name)
-    if view is None or camera.floor_angle_deg is None or camera.name not in evidence.by_floor_alone:
+def _of_view(camera: CameraFigures, rig: RigCalibration) -> Iterator[Finding]:
+    view, detections = rig.floor.get(camera.name), rig.solution.detections
+    tied = any(seen.camera == camera.name and seen.target != FLOOR for seen in detections)
+    if view is None or camera.floor_angle_deg is None or tied:
         return
     if view.other is not None:
         yield Finding(
@@ -232,24 +235,26 @@ def _of_view(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
     )
 
 
-def _of_detections(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Finding]:
-    if (reason := evidence.floor_left_out.get(camera.name)) is not None:
+def _of_detections(camera: CameraFigures, rig: RigCalibration) -> Iterator[Finding]:
+    left_out = [left for left in rig.solution.left_out if left.detection.camera == camera.name]
+    for left in left_out:
+        if left.detection.target != FLOOR:
+            continue
         yield Finding(
             REDO,
-            f"{camera.name} sees the floor board otherwise than the rest of the rig does: {reason}",
+            f"{camera.name} sees the floor board otherwise than the rest of the rig does: {left.reason}",
             "Was the board, or the camera, moved in between, or are its outer corners given the wrong way "
             "round? Take the pictures of the floor board again.",
         )
-    reasons = evidence.left_out.get(camera.name, ())
-    total = len(reasons) + camera.detections
-    if len(reasons) > WRONG_SHARE[0] * total:
+    total = len(left_out) + camera.detections
+    if len(left_out) > WRONG_SHARE[0] * total:
         yield Finding(
             USABLE,
-            f"{len(reasons)} of {total} detections of {camera.name} contradict the rest: {reasons[0]}",
+            f"{len(left_out)} of {total} detections of {camera.name} contradict the rest: {left_out[0].reason}",
             "Check that the cameras are synchronised, that the board was carried slowly, and that the camera "
             "was not touched.",
         )
-    moved_frames, frames = evidence.moved_frames.get(camera.name, (0, 0))
+    moved_frames, frames = rig.moved_frames.get(camera.name, (0, 0))
     if moved_frames > WRONG_SHARE[0] * frames:
         yield Finding(
             USABLE,
@@ -262,7 +267,7 @@ def _of_detections(camera: CameraFigures, evidence: RigEvidence) -> Iterator[Fin
 
 
 def footage_findings(solution: RigSolution) -> Iterator[Finding]:
-    """Find what is wrong with synchrony, lenses and ties; sizes and left-out views stand in the evidence."""
+    """Find what is wrong with synchrony, lenses and ties; sizes and left-out views are of the rig."""
     if solution.sync_error_m > SYNC_ERROR_M:
         yield Finding(
             USABLE,

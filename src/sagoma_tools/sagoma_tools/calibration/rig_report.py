@@ -91,14 +91,14 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
         f"m3, and a standing person on {figures.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: "
         f"{figures.floor_m2[-1]:.1f})"
     )
-    if (frames := calibrated.evidence.floor_guess) != ():
+    if (frames := calibrated.floor_guess) != ():
         console.print(f"floor: the carried board in frames {', '.join(map(str, frames))}, where nothing was below it")
     for left in calibrated.solution.left_out[:5]:
         detection = left.detection
         console.print(f"left out: {detection.camera}, {detection.target}, frame {detection.frame_index}: {left.reason}")
     if len(calibrated.solution.left_out) > 5:
         console.print(f"... and {len(calibrated.solution.left_out) - 5} more, in the report")
-    for check in calibrated.evidence.tape:
+    for check in calibrated.tape:
         console.print(str(check))
     verdict = calibrated.verdict
     console.print(f"verdict: {verdict.grade.upper()}", style=COLOURS[verdict.grade])
@@ -111,7 +111,7 @@ def tape_request(calibrated: RigCalibration) -> str:
     """Return what to measure with a tape: no picture shows whether the print has the stated size."""
     cameras = calibrated.placed.rig.cameras
     parts = []
-    if calibrated.evidence.floor_known:
+    if calibrated.floor_world is not None:
         parts.append(f"the lens of {cameras[0].name} is {cameras[0].centre_world[2]:.2f} m above the floor")
     if len(cameras) > 1:
         apart = np.linalg.norm(cameras[0].centre_world - cameras[1].centre_world)
@@ -158,9 +158,9 @@ def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
         "between_neighbours_deg": {f"{a} {b}": _rounded(gap) for (a, b), gap in figures.gaps_deg.items()},
         "scale": {
             name: {"ratio": _rounded(ratio), "sd": _rounded(sd)}
-            for name, (ratio, sd) in sorted(calibrated.evidence.scales.items())
+            for name, (ratio, sd) in sorted(calibrated.scales.items())
         },
-        "tape": [str(check) for check in calibrated.evidence.tape],
+        "tape": [str(check) for check in calibrated.tape],
     }
 
 

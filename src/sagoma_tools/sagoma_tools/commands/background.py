@@ -106,8 +106,7 @@ def run(args: argparse.Namespace) -> int:
             console.print("every background is fine")
             return 0
         warn_of_idle(console, diagnostics, names)
-        training = BackgroundTraining(console, link, diagnostics, stop, args.timeout)
-        outcomes = training.run(names, args.countdown, args.retries)
+        outcomes = train(console, link, diagnostics, names, stop, args)
     console.print(training_table(outcomes))
     if args.json:
         print(json.dumps(figures(outcomes)))
@@ -154,53 +153,48 @@ def sampled_frames(video: Path) -> list[np.ndarray]:
     return frames
 
 
-class BackgroundTraining:
-    """Counts down, trains the clients, and repeats both for those that failed."""
+def train(
+    console: Console,
+    link: RosLink,
+    diagnostics: DiagnosticsTable,
+    names: Sequence[str],
+    stop: threading.Event,
+    args: argparse.Namespace,
+) -> list[TrainingOutcome]:
+    """Count down and train the clients ``names``, again those that failed; return the last outcome of each."""
+    outcomes = {name: TrainingOutcome(camera_of(name), "cancelled") for name in names}
+    pending, prompt = list(names), "leave the room"
+    for attempt in range(1 + args.retries):
+        if not count_down(console, prompt, args.countdown, stop):
+            break
+        with _progress(console, diagnostics, pending):
+            trained = train_backgrounds(link.node, diagnostics, pending, args.timeout, lambda: not stop.is_set())
+        outcomes |= dict(zip(pending, trained, strict=True))
+        # where no training took place, an empty room would not help
+        pending = [n for n in pending if outcomes[n].report is not None and outcomes[n].grade == REDO]
+        if not pending:
+            break
+        prompt = f"leave the room for {', '.join(map(camera_of, pending))}"
+        if attempt < args.retries:
+            console.print(training_table([outcomes[name] for name in pending]))
+    console.bell()
+    return list(outcomes.values())
 
-    def __init__(
-        self, console: Console, link: RosLink, diagnostics: DiagnosticsTable, stop: threading.Event, timeout_s: float
-    ) -> None:
-        self._console, self._link, self._diagnostics = console, link, diagnostics
-        self._stop, self._timeout_s = stop, timeout_s
 
-    def run(self, names: Sequence[str], countdown_s: int, retries: int) -> list[TrainingOutcome]:
-        """Return the last outcome of each client ``names``; failed trainings are repeated up to ``retries`` times."""
-        outcomes = {name: TrainingOutcome(camera_of(name), "cancelled") for name in names}
-        pending, prompt = list(names), "leave the room"
-        for attempt in range(1 + retries):
-            if not count_down(self._console, prompt, countdown_s, self._stop):
-                break
-            outcomes |= dict(zip(pending, self._train(pending), strict=True))
-            # where no training took place, an empty room would not help
-            pending = [n for n in pending if outcomes[n].report is not None and outcomes[n].grade == REDO]
-            if not pending:
-                break
-            prompt = f"leave the room for {', '.join(map(camera_of, pending))}"
-            if attempt < retries:
-                self._console.print(training_table([outcomes[name] for name in pending]))
-        self._console.bell()
-        return list(outcomes.values())
+@contextlib.contextmanager
+def _progress(console: Console, diagnostics: DiagnosticsTable, names: Sequence[str]) -> Iterator[None]:
+    """Show the cameras' progress in one line; into a file, print the cameras' names once."""
 
-    def _train(self, names: Sequence[str]) -> list[TrainingOutcome]:
-        with self._progress(names):
-            return train_backgrounds(
-                self._link.node, self._diagnostics, names, self._timeout_s, lambda: not self._stop.is_set()
-            )
+    def line() -> Text:
+        progress = (f"{camera_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names)
+        return Text("   ".join(["learning", *progress]))
 
-    @contextlib.contextmanager
-    def _progress(self, names: Sequence[str]) -> Iterator[None]:
-        """Show the cameras' progress in one line; into a file, print the cameras' names once."""
-
-        def line() -> Text:
-            progress = (f"{camera_of(name)} {progress_of(self._diagnostics, name) or '...'}" for name in names)
-            return Text("   ".join(["learning", *progress]))
-
-        if not self._console.is_terminal:
-            self._console.print(f"learning: {', '.join(map(camera_of, names))}", highlight=False)
-            yield
-            return
-        with Live(console=self._console, get_renderable=line, refresh_per_second=4, transient=True):
-            yield
+    if not console.is_terminal:
+        console.print(f"learning: {', '.join(map(camera_of, names))}", highlight=False)
+        yield
+        return
+    with Live(console=console, get_renderable=line, refresh_per_second=4, transient=True):
+        yield
 
 
 def count_down(console: Console, prompt: str, seconds: int, stop: threading.Event) -> bool:

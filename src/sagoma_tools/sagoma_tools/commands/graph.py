@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -18,7 +18,9 @@ from rich.console import Console
 from rich.live import Live
 
 from capture_rig.errors import InputError
+from capture_rig.rig import load_rig
 from capture_rig.stop_signals import StopOnSignal
+from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 from virtual_studio.gige import command as studio
 
 from ..arguments import NODES, SECONDS, add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
@@ -56,6 +58,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     for verb, (goal, cameras_first, help_text) in VERBS.items():
         parser = subparsers.add_parser(verb, help=help_text)
         parser.add_argument("--expect", type=NODES, default=1, help="wait until so many sagoma nodes are found")
+        parser.add_argument("--rig", help="rig YAML: wait for the server and for the client of each of its cameras")
         parser.add_argument("--wait", type=SECONDS, default=5.0, help="... but no longer than this, in seconds")
         parser.add_argument("--timeout", type=SECONDS, help="seconds to wait for each answer")
         parser.set_defaults(run=change_state, goal=goal, cameras_first=cameras_first, verb=verb)
@@ -152,7 +155,7 @@ def change_state(args: argparse.Namespace) -> int:
     """Bring every sagoma node to the verb's state; 1 when one of them refused or did not answer."""
     with RosLink("sagoma_control") as link:
         doing("looking for nodes")
-        names = discover(link.node, args.expect, args.wait)
+        names = discover(link.node, args.expect, args.wait, nodes_of(args.rig) if args.rig else frozenset())
         doing(f"bringing {len(names)} nodes to {args.goal.value}")
         client = LifecycleClient(link.node)
         outcome = client.bring(groups_of(names, args.cameras_first), args.goal, args.timeout)
@@ -164,13 +167,22 @@ def change_state(args: argparse.Namespace) -> int:
     return 0 if outcome.ok else 1
 
 
-def discover(node: Node, expect: int, wait_s: float) -> list[str]:
-    """Full names of the sagoma nodes, once ``expect`` are found and no more have joined for a second.
+def nodes_of(rig: str) -> frozenset[str]:
+    """Full names of the nodes of a rig's graph: the server's, and a client a camera."""
+    cameras = [f"/{camera}/{CAMERA_NODE}" for camera in load_rig(rig).names]
+    return frozenset([*(f"/{name}" for name in SERVER_NODES), *cameras])
+
+
+def discover(node: Node, expect: int, wait_s: float, names: Set[str] = frozenset()) -> list[str]:
+    """Full names of the sagoma nodes, once ``names`` (or ``expect`` of any) are found and none has joined for a second.
 
     Raises InputError when fewer have announced themselves within ``wait_s``.
     """
-    found = settled(lambda: our_nodes(node), expect, wait_s)
-    if len(found) < expect:
+    count = len(names) or expect
+    found = settled(lambda: our_nodes(node) & names if names else our_nodes(node), count, wait_s)
+    if len(found) < count:
         remedy = "Start them; are they not heard? sagoma doctor --live --host ADDRESS."
-        raise InputError(f"found {len(found)} nodes of ours, expected {expect}", where="the ROS graph", remedy=remedy)
-    return found
+        absent = f": {', '.join(sorted(names - {*found}))} not there" if names else ""
+        what = f"found {len(found)} nodes of ours, expected {count}{absent}"
+        raise InputError(what, where="the ROS graph", remedy=remedy)
+    return sorted(our_nodes(node).union(found))

@@ -57,7 +57,8 @@ class FootagePlan:
     """What is filmed, and how.
 
     hand_board : waved before each camera; floor_board : lies on the floor, and is carried. fps : of the videos.
-    brief : half the places in front of each camera. moving_s : how long the board is carried. wand : swung, too.
+    brief : half the places in front of each camera. stills : there one picture at each place (camNN/*.png) instead of
+    a video. moving_s : how long the board is carried. wand : swung, too.
     seed, noise, flicker : see `Sensor`.
     """
 
@@ -65,6 +66,7 @@ class FootagePlan:
     floor_board: Board = FLOOR_BOARD
     fps: float = 10.0
     brief: bool = False
+    stills: bool = False
     moving_s: float = 24.0
     wand: Wand | None = None
     seed: int = 1
@@ -174,10 +176,18 @@ def _film_waved(folder: Path, camera: FilmingCamera, board: BoardPrint, plan: Fo
     name = camera.camera.name
     waved = wave(camera.camera, board, plan.seed + sum(name.encode()), plan.brief)
     frames = (np.arange(round(waved.duration_s * plan.fps)) + 0.5) / plan.fps
-    with _videos(folder / INTRINSICS, [camera], plan.fps) as (video,):
-        for frame, t in enumerate(frames):
-            holding = hands(board, waved.path(t))
-            video.write(camera.take(FIRST_FRAME[INTRINSICS] + frame, board, waved.path, t, holding))
+    pictures = (
+        camera.take(FIRST_FRAME[INTRINSICS] + frame, board, waved.path, t, hands(board, waved.path(t)))
+        for frame, t in enumerate(waved.rests_s if plan.stills else frames)
+    )
+    if plan.stills:
+        (folder / INTRINSICS / name).mkdir(parents=True)
+        for number, picture in enumerate(pictures, start=1):
+            cv2.imwrite(str(folder / INTRINSICS / name / f"{number:03d}.png"), picture)
+    else:
+        with _videos(folder / INTRINSICS, [camera], plan.fps) as (video,):
+            for picture in pictures:
+                video.write(picture)
     return f"{INTRINSICS}/{name}"
 
 

@@ -1,0 +1,200 @@
+"""Tells floor in shadow from the person, with all cameras together.
+
+A camera sends three kinds of foreground (``capture_rig.mask_levels``): sure pixels; candidates, whose texture says that
+they are shadow; and attenuated pixels, which are the person unless other cameras know better. A cast shadow lies on the
+floor z = 0, so all cameras that see a place of the floor see it equally attenuated. A leg stands above the floor: its
+pixels fall on other floor places in every camera, bright or differently attenuated ones (the planar homography between
+views of the floor is that of Khan and Shah, ECCV 2006, who find feet with it). So an attenuated pixel becomes a
+candidate when another camera sees its floor place equally attenuated, and no more cameras contradict (bright floor,
+another attenuation) than agree; cameras that see the person in front of it are not counted.
+
+A candidate is evidence of floor in shadow, and no evidence against a body above the floor: it denies the voxels next to
+the floor, and has no say about those higher up, where the other cameras decide.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig import Volume
+from capture_rig.kernel import kernel
+from capture_rig.mask_levels import (
+    ATTENUATED_LEVELS,
+    CANDIDATE_LEVELS,
+    FLOOR_REACH_M,
+    SHADOW_CANDIDATE,
+    STEPS_OF_CANDIDATE,
+    UNCERTAIN,
+)
+
+from .bitset import lowest_bit
+from .carving.pixel_boxes import pixel_projections, project
+from .grid import BRICK_EDGE, BrickVolume, VoxelGrid
+from .silhouette_batch import BLIND, SilhouetteBatch
+from .views import Box, Masks, RigViews
+
+# Thresholds: chosen with shadow_resolution.py among the benches of commit d6079d2.
+TOLERANCE = 1  # attenuation steps of a tenth by which two cameras may differ and agree
+STRIDE = 3  # every third row and column is tested
+LEAST_CENTRE_Z_M = 0.2  # a camera lower than this sees too little floor
+FLOOR_M = 0.08  # voxels lower than this may be floor in shadow: soles, and errors of floor and calibration
+
+UNSEEN, EMPTY, CANDIDATE, ATTENUATED, SURE = 0, 1, 2, 3, 4  # kinds of levels
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.uint8]
+
+
+class FloorScene(NamedTuple):
+    """Tables of the calibration.
+
+    P (N, 3, 4), metres to pixels; floor (N, 3, 3): pixels to (x, y, 1) on z = 0; low, high (2,): of the floor that may
+    lie in shadow, metres; kind (256,) of each level: UNSEEN, EMPTY, CANDIDATE, ATTENUATED or SURE; attenuation (256,
+    2): the least and greatest attenuation step that each level may stand for.
+    """
+
+    P: Array
+    floor: Array
+    low: Array
+    high: Array
+    kind: npt.NDArray[np.int8]
+    attenuation: npt.NDArray[np.int8]
+
+
+def floor_scene(views: RigViews, volume: Volume) -> FloorScene:
+    """Compute the tables of a rig's calibration; the floor of a camera that is too low to see it is NaN."""
+    centres = [-np.linalg.solve(P[:, :3], P[:, 3]) for P in views.P]
+    floor = [
+        np.linalg.inv(P[:, [0, 1, 3]]) if centre[2] > LEAST_CENTRE_Z_M else np.full((3, 3), np.nan)
+        for P, centre in zip(views.P, centres, strict=True)
+    ]
+    kind = np.full(256, SURE, np.int8)
+    kind[0], kind[BLIND], kind[UNCERTAIN] = EMPTY, UNSEEN, UNSEEN
+    kind[list(CANDIDATE_LEVELS)], kind[list(ATTENUATED_LEVELS)] = CANDIDATE, ATTENUATED
+    attenuation = np.zeros((256, 2), np.int8)
+    attenuation[list(ATTENUATED_LEVELS)] = np.arange(len(ATTENUATED_LEVELS))[:, None]
+    attenuation[list(CANDIDATE_LEVELS)] = STEPS_OF_CANDIDATE
+    low, high = volume.low[:2] - FLOOR_REACH_M, volume.high[:2] + FLOOR_REACH_M
+    return FloorScene(np.ascontiguousarray(views.P), np.stack(floor), low, high, kind, attenuation)
+
+
+class ShadowResolver:
+    """Finds which attenuated pixels may be shadow, and clears shadows' voxels. Each method on one thread at a time."""
+
+    def __init__(self, views: RigViews, volume: Volume, grid: VoxelGrid) -> None:
+        self._views = views
+        self._batch = SilhouetteBatch(views)
+        self._scene = floor_scene(views, volume)
+        self._projections = pixel_projections(views, grid)
+        self._layers = max(0, math.ceil((FLOOR_M - grid.origin[2]) / grid.voxel_size - 0.5))
+
+    def resolve(self, masks: Masks) -> dict[str, Mask]:
+        """Return masks of one instant, of the levels of ``capture_rig.mask_levels``, their attenuated pixels that may
+        be shadow as SHADOW_CANDIDATE.
+
+        The masks that come in are not written to. InputError for a camera that is not in the rig, and for a mask of the
+        wrong size.
+        """
+        self._views.present(masks)
+        resolved = dict(masks)
+        for name in self._batch.take(masks):
+            camera, box = self._views.number[name], np.array(self._batch.shown(name))
+            resolved[name] = masks[name].copy()
+            mark_shadows(self._scene, self._batch.levels, camera, box, resolved[name])
+        return resolved
+
+    def boxes(self, masks: Masks) -> dict[str, Box]:
+        """Return a box for each mask, of those resolved last, that holds all but background."""
+        return {name: self._batch.shown(name) for name in masks}
+
+    def without_shadows(self, volume: BrickVolume, masks: Masks) -> BrickVolume:
+        """Return a hull without the voxels next to the floor of which some camera has a candidate."""
+        index, leaves = volume.index, volume.leaves.copy()
+        shape = np.array(volume.grid.brick_shape, np.int64)
+        for name, mask in masks.items():
+            camera = self._views.number[name]
+            _clear_candidates(index, leaves, shape, self._layers, self._projections, camera, np.ascontiguousarray(mask))
+        filled = leaves.any(axis=1)
+        return BrickVolume(volume.grid, index[filled], leaves[filled])
+
+
+@kernel
+def mark_shadows(scene, levels, camera, box, mask):  # type: ignore[no-untyped-def]
+    """Write SHADOW_CANDIDATE to the attenuated pixels of one camera's ``mask`` (h, w) that may be floor in shadow.
+
+    levels (N, H, W) : of all cameras. box : left, top, right, bottom of the pixels to test.
+    """
+    floor, low, high = scene.floor[camera], scene.low, scene.high
+    for v in range(box[1], min(box[3], mask.shape[0]), STRIDE):
+        for u in range(box[0], min(box[2], mask.shape[1]), STRIDE):
+            if scene.kind[levels[camera, v, u]] == ATTENUATED:
+                # where the pixel's ray meets the floor
+                w = floor[2, 0] * u + floor[2, 1] * v + floor[2, 2]
+                x = (floor[0, 0] * u + floor[0, 1] * v + floor[0, 2]) / w
+                y = (floor[1, 0] * u + floor[1, 1] * v + floor[1, 2]) / w
+                on_floor = low[0] < x < high[0] and low[1] < y < high[1]
+                if on_floor and _is_shadow_for_others(scene, levels, camera, levels[camera, v, u], x, y):
+                    square = mask[v : v + STRIDE, u : u + STRIDE]
+                    for j in range(square.shape[0]):
+                        for i in range(square.shape[1]):
+                            if scene.kind[square[j, i]] == ATTENUATED:
+                                square[j, i] = SHADOW_CANDIDATE
+
+
+@kernel
+def _is_shadow_for_others(scene, levels, camera, own, x, y):  # type: ignore[no-untyped-def]
+    """Check whether another camera sees the floor place (x, y) as attenuated as level ``own``, and no more contradict
+    it."""
+    agree, contradict = 0, 0
+    for other in range(levels.shape[0]):
+        if other != camera:
+            P = scene.P[other]
+            depth = P[2, 0] * x + P[2, 1] * y + P[2, 3]
+            u, v = P[0, 0] * x + P[0, 1] * y + P[0, 3], P[1, 0] * x + P[1, 1] * y + P[1, 3]
+            level = _level_of(levels[other], u, v, depth)
+            kind = scene.kind[level]
+            if kind == EMPTY:
+                contradict += 1
+            elif kind in (CANDIDATE, ATTENUATED):
+                more = scene.attenuation[level, 0] - scene.attenuation[own, 1] > TOLERANCE
+                less = scene.attenuation[own, 0] - scene.attenuation[level, 1] > TOLERANCE
+                contradict += more or less
+                agree += not (more or less)
+    return agree > 0 and agree >= contradict
+
+
+@kernel
+def _level_of(levels, x, y, depth):  # type: ignore[no-untyped-def]
+    """Return the level (H, W) of a homogeneous pixel; BLIND behind the camera and outside its canvas."""
+    if depth <= 0.0:
+        return BLIND
+    u, v = math.floor(x / depth + 0.5), math.floor(y / depth + 0.5)
+    if not (0.0 <= u < levels.shape[1] and 0.0 <= v < levels.shape[0]):
+        return BLIND
+    return int(levels[np.uint64(v), np.uint64(u)])
+
+
+@kernel
+def _clear_candidates(index, leaves, bricks, layers, projections, camera, mask):  # type: ignore[no-untyped-def]
+    """Clear the voxels in the lowest ``layers`` whose pixel in one camera's mask (h, w) is a candidate.
+
+    index (k,), leaves (k, 8) : of a BrickVolume. bricks (3,) : of the grid. projections (N, 3, 4) : voxels to pixels.
+    """
+    height, width = mask.shape
+    for row in range(index.size):
+        brick = np.int64(index[row])
+        x0, y0 = brick % bricks[0] * BRICK_EDGE, brick // bricks[0] % bricks[1] * BRICK_EDGE
+        z0 = brick // (bricks[0] * bricks[1]) * BRICK_EDGE
+        for layer in range(min(layers - z0, BRICK_EDGE)):
+            left = leaves[row, layer]
+            while left:
+                bit = lowest_bit(left)
+                left &= left - np.uint64(1)
+                u, v, _ = project(projections, camera, x0 + (bit & 7), y0 + (bit >> 3), z0 + layer)
+                on_canvas = u >= 0 and v >= 0 and u < width and v < height
+                if on_canvas and UNCERTAIN < mask[int(v), int(u)] <= SHADOW_CANDIDATE:
+                    leaves[row, layer] &= ~(np.uint64(1) << np.uint64(bit))

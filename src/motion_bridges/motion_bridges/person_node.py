@@ -1,0 +1,115 @@
+"""What the bridges have in common: a node that hears one person's pose and points, set by set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from std_msgs.msg import Header
+
+from capture_rig.errors import InputError
+from capture_rig.settings import setting
+from mocap_packets.fit import FIRST_PERSON, ReferencePoints
+from sagoma_ros.joint_motion import read_motions
+from sagoma_ros.messages import to_ns
+from sagoma_ros.node import SagomaNode
+from sagoma_ros.packets import read_reference_points
+from sagoma_ros.qos import DEPTH, RESULT
+from stick_figure.joint_motion import JointMotion
+from stick_figure.kinematics import stick_frames
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True)
+class PersonSettings:
+    """Whose motion a bridge hands on."""
+
+    person: str = setting("mocap", "where the person's topics are: mocap, or mocap/bodies/b0002", is_name=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Instant:
+    """One person at one instant: stamp of the frame set; (15, 3) m; (10, 3, 3) frames of the sticks in the world."""
+
+    stamp_ns: int
+    frame_id: str
+    points_world: Array
+    R_world_sticks: Array
+
+
+class PersonNode(SagomaNode):
+    """Calls :meth:`send` with every frame set in which the person has a pose. It starts by itself."""
+
+    Settings: ClassVar[type] = PersonSettings
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        if "autostart" not in self._parameter_overrides:  # nothing that has to wait for a supervisor
+            self.set_parameters([Parameter("autostart", value=True)])
+        self._closing: list[Callable[[], object]] = []
+        self._half_heard: dict[int, dict[str, Any]] = {}  # by stamp: two topics have no common order
+        self._active = False
+
+    def send(self, instant: Instant) -> None:
+        """Hand an instant on; OSError and InputError are logged."""
+        raise NotImplementedError
+
+    def configure(self) -> None:
+        """Subscribe."""
+        for kind, topic, callback in (
+            (MultiDOFJointState, "joint_rotations", self._on_rotations),
+            (PointCloud2, "reference_points", self._on_points),
+        ):
+            name = f"{self.settings.person}/{topic}"
+            heard = self.create_subscription(kind, name, partial(self._attempt_reading, callback, name), RESULT)
+            self._closing.append(partial(self.destroy_subscription, heard))
+
+    def activate(self) -> None:
+        """Hand on from now on."""
+        self._active = True
+
+    def deactivate(self) -> None:
+        """Hand on nothing."""
+        self._active = False
+
+    def cleanup(self) -> None:
+        """Release what is open."""
+        for close in self._closing:
+            close()
+        self._closing.clear()
+        self._half_heard.clear()
+
+    def _attempt_reading(self, read: Callable[[Any, str], None], topic: str, message: Any) -> None:
+        if not self._active:
+            return
+        try:
+            read(message, topic)
+        except (InputError, OSError) as error:
+            self.health.count("failed")
+            self.get_logger().warning(str(error), throttle_duration_sec=5.0)
+
+    def _on_rotations(self, message: MultiDOFJointState, topic: str) -> None:
+        if FIRST_PERSON in (motions := read_motions(message, topic)):
+            self._add(message.header, motion=motions[FIRST_PERSON])
+
+    def _on_points(self, cloud: PointCloud2, topic: str) -> None:
+        self._add(cloud.header, points=read_reference_points(cloud, topic))
+
+    def _add(self, header: Header, **part: JointMotion | ReferencePoints) -> None:
+        """Take one message of a set; with the other one, hand the set on."""
+        stamp_ns = to_ns(header.stamp)
+        heard = self._half_heard.setdefault(stamp_ns, {})
+        heard |= part
+        if len(heard) == 2:
+            del self._half_heard[stamp_ns]
+            sticks = stick_frames(heard["motion"].pose)
+            self.send(Instant(stamp_ns, header.frame_id, heard["points"].points_world, sticks))
+            self.health.tick(stamp_ns)
+        elif len(self._half_heard) > DEPTH:
+            del self._half_heard[next(iter(self._half_heard))]
