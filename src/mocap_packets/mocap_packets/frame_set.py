@@ -248,8 +248,8 @@ class FrameSetCollector(Generic[T]):
         self.counters.missing += len(missing)
         self._count("incomplete" if missing else "complete")
         there = [name for name in self.names if name in closed.frames]
-        stamps_ns, frames = ({name: of[name] for name in there} for of in (closed.stamps_ns, closed.frames))
-        made = FrameSet.of_stamps(stamps_ns, frames, missing)
+        stamps_ns = {name: closed.stamps_ns[name] for name in there}
+        made = FrameSet.of_stamps(stamps_ns, {name: closed.frames[name] for name in there}, missing)
         # stamps rise, also where a camera's next frame came so soon that two sets overlap in time
         self._last_set_ns = max(made.stamp_ns, self._last_set_ns + 1)
         return replace(made, stamp_ns=self._last_set_ns)
