@@ -67,10 +67,20 @@ class Clients:
         for thread in self._threads:
             thread.join()
 
+    @property
+    def all_hear(self) -> bool:
+        """Whether every client has got something."""
+        return all(self.heard.values())
+
+    def forget(self) -> None:
+        """Count from now on."""
+        for heard in self.heard.values():
+            heard.clear()
+
     def ages_ms(self, name: str, first_ns: int) -> np.ndarray:
-        """Return the ages of what a client got."""
+        """Return the ages of what a client got. VMC's time counts from any instant: that of the first one is known."""
         came, of = np.array(self.heard[name]).reshape(-1, 2).T
-        return (came - of) * 1e-6 if name != "vmc_bridge" else (came - first_ns) * 1e-6 - of * 1e3
+        return (came - of) * 1e-6 if name != "vmc_bridge" else (came - first_ns) * 1e-6 - (of - of[0]) * 1e3
 
     def _hear_angles(self, message: JointState) -> None:
         self.heard["isb_angles"].append((time.time_ns(), to_ns(message.header.stamp)))
@@ -98,24 +108,27 @@ def start(node: str) -> subprocess.Popen:
     return subprocess.Popen([sys.executable, "-m", f"motion_bridges.{module}", "--ros-args", *port])
 
 
-def publish(link: RosLink, hz: float, seconds: float) -> tuple[int, int]:
-    """Publish a person who moves; returns the first stamp and how many were sent."""
-    rotations = link.node.create_publisher(MultiDOFJointState, "mocap/joint_rotations", RESULT)
-    points = link.node.create_publisher(PointCloud2, "mocap/reference_points", RESULT)
-    while min(one.get_subscription_count() for one in (rotations, points)) < len(NODES):
-        time.sleep(0.1)
-    body, covariance, first_ns = Body.from_stature(1.8), np.tile(1e-4 * np.eye(3), (15, 1, 1)), 0
-    begin_s, count = time.monotonic(), round(hz * seconds)
-    for k in range(count):
-        time.sleep(max(0.0, begin_s + k / hz - time.monotonic()))
-        pose = Pose.from_angles(np.array([0.0, 0.0, 1.1]), np.eye(3), T_POSE_ANGLES + 0.3 * np.sin(6.0 * k / hz))
-        here = ReferencePoints(forward(body, pose), covariance, np.ones(15, bool))
-        motions = {FIRST_PERSON: JointMotion.of(pose, np.zeros(24))}
-        stamp_ns = time.time_ns()
-        first_ns = first_ns or stamp_ns
-        rotations.publish(motion_message(motions, stamp_ns, "map"))
-        points.publish(packet_cloud(here, stamp_ns, "map"))
-    return first_ns, count
+class Player:
+    """Publishes a person who moves."""
+
+    def __init__(self, link: RosLink) -> None:
+        self._rotations = link.node.create_publisher(MultiDOFJointState, "mocap/joint_rotations", RESULT)
+        self._points = link.node.create_publisher(PointCloud2, "mocap/reference_points", RESULT)
+        self._body, self._covariance = Body.from_stature(1.8), np.tile(1e-4 * np.eye(3), (15, 1, 1))
+
+    def play(self, hz: float, count: int) -> int:
+        """Publish so many instants; returns the stamp of the first."""
+        begin_s, first_ns = time.monotonic(), 0
+        for k in range(count):
+            time.sleep(max(0.0, begin_s + k / hz - time.monotonic()))
+            pose = Pose.from_angles(np.array([0.0, 0.0, 1.1]), np.eye(3), T_POSE_ANGLES + 0.3 * np.sin(6.0 * k / hz))
+            here = ReferencePoints(forward(self._body, pose), self._covariance, np.ones(15, bool))
+            motions = {FIRST_PERSON: JointMotion.of(pose, np.zeros(24))}
+            stamp_ns = time.time_ns()
+            first_ns = first_ns or stamp_ns
+            self._rotations.publish(motion_message(motions, stamp_ns, "map"))
+            self._points.publish(packet_cloud(here, stamp_ns, "map"))
+        return first_ns
 
 
 def main() -> None:
@@ -132,8 +145,14 @@ def main() -> None:
             receiver.bind(("127.0.0.1", PORT))
             receiver.settimeout(0.2)
             with Clients(link, receiver) as clients:
+                player = Player(link)
+                while not clients.all_hear:  # whom discovery has brought together
+                    player.play(given.hz, round(given.hz))
+                time.sleep(1.0)
+                clients.forget()
                 before = {node: psutil.Process(one.pid).cpu_times() for node, one in processes.items()}
-                first_ns, sent = publish(link, given.hz, 5.0 if given.quick else 30.0)
+                sent = round(given.hz * (5.0 if given.quick else 30.0))
+                first_ns = player.play(given.hz, sent)
             after = {node: psutil.Process(one.pid).cpu_times() for node, one in processes.items()}
     finally:
         for one in processes.values():

@@ -26,3 +26,7 @@ def number(unit: str, low: float, high: float, *, whole: bool = False) -> Callab
         raise argparse.ArgumentTypeError(f"'{shortened(text, 40)}' cannot be used; give {allowed}")
 
     return read
+
+
+SECONDS, FRAME_RATE = number("s", 0, 1e7), number("Hz", 0.1, 1000)
+PLAYING_SPEED = number("times real time", 0, 100)  # of footage

@@ -54,53 +54,50 @@ def angles_of_sticks(R_world_sticks: Array) -> dict[str, Array]:
     """
     R = R_world_sticks
     trunk = R[:, TORSO] @ TRUNK_AXES
-    angles: dict[str, Array] = {}
     upright = R_BIOMECHANICS_WORLD.T  # columns: x forward, y up, z right of the world
-    tilt, lean, turn = _cardan(upright, trunk)
-    angles |= {"thorax_tilt": tilt, "thorax_lateral_flexion": lean, "thorax_axial_rotation": turn}
-    tilt, lean, _ = _cardan(trunk, R[:, HEAD] @ TRUNK_AXES)
-    angles |= {"neck_flexion": -tilt, "neck_lateral_flexion": lean}
+    joints = {"thorax": _relative(upright, trunk), "neck": _relative(trunk, R[:, HEAD] @ TRUNK_AXES)}
+    shoulders = {}
     for side, (upper, lower) in ARMS.items():
-        relative = _relative(trunk, R[:, upper] @ ARM_AXES, side)
-        plane, elevation, axial = _degrees(relative, "YXY")
-        raised = elevation > 0.0  # the same rotation with the elevation of Wu et al.'s sign: negative
-        plane, axial = plane + 180.0 * raised, axial - 180.0 * raised
-        angles |= {
-            f"{side}_shoulder_plane_of_elevation": plane,
-            f"{side}_shoulder_elevation": -np.abs(elevation),
-            f"{side}_shoulder_axial_rotation": axial,
-        }
-        flexion, _, _ = _cardan_of(_relative(R[:, upper] @ ARM_AXES, R[:, lower] @ ARM_AXES, side))
-        angles[f"{side}_elbow_flexion"] = flexion
+        shoulders[side] = _relative(trunk, R[:, upper] @ ARM_AXES, side)
+        joints[f"{side}_elbow"] = _relative(R[:, upper] @ ARM_AXES, R[:, lower] @ ARM_AXES, side)
     for side, (upper, lower) in LEGS.items():
         thigh, calf = R[:, upper] @ TRUNK_AXES, R[:, lower] @ TRUNK_AXES
-        flexion, adduction, axial = _cardan_of(_relative(trunk, thigh, side))
+        joints |= {f"{side}_hip": _relative(trunk, thigh, side), f"{side}_knee": _relative(thigh, calf, side)}
+    cardan, of_shoulder = _degrees(joints, "ZXY"), _degrees(shoulders, "YXY")
+    angles = dict(
+        zip(("thorax_tilt", "thorax_lateral_flexion", "thorax_axial_rotation"), cardan["thorax"], strict=True)
+    )
+    angles |= {"neck_flexion": -cardan["neck"][0], "neck_lateral_flexion": cardan["neck"][1]}
+    for side in ARMS:
+        plane, elevation, axial = of_shoulder[side]
+        raised = elevation > 0.0  # the same rotation with the elevation of Wu et al.'s sign: negative
+        angles |= {
+            f"{side}_shoulder_plane_of_elevation": plane + 180.0 * raised,
+            f"{side}_shoulder_elevation": -np.abs(elevation),
+            f"{side}_shoulder_axial_rotation": axial - 180.0 * raised,
+            f"{side}_elbow_flexion": cardan[f"{side}_elbow"][0],
+        }
+    for side in LEGS:
+        flexion, adduction, axial = cardan[f"{side}_hip"]
         angles |= {f"{side}_hip_flexion": flexion, f"{side}_hip_adduction": adduction}
-        angles[f"{side}_hip_internal_rotation"] = axial
-        angles[f"{side}_knee_flexion"] = -_cardan_of(_relative(thigh, calf, side))[0]
+        angles |= {f"{side}_hip_internal_rotation": axial, f"{side}_knee_flexion": -cardan[f"{side}_knee"][0]}
     return angles
 
 
-def _relative(R_proximal: Array, R_distal: Array, side: str) -> Array:
+def _relative(R_proximal: Array, R_distal: Array, side: str = "right") -> Array:
     """Rotations (F, 3, 3) of the distal frame in the proximal one; of a left limb mirrored to the right."""
     relative = np.swapaxes(R_proximal, -1, -2) @ R_distal
     return MIRROR @ relative @ MIRROR if side == "left" else relative
 
 
-def _cardan(R_proximal: Array, R_distal: Array) -> Array:
-    return _cardan_of(_relative(R_proximal, R_distal, "right"))
-
-
-def _cardan_of(relative: Array) -> Array:
-    """(3, F) degrees about z, x, y, body-fixed."""
-    return _degrees(relative, "ZXY")
-
-
-def _degrees(R: Array, sequence: str) -> Array:
-    """(3, F) angles of rotations (F, 3, 3); where two axes fall together all of their turn is given to the first."""
+def _degrees(R: dict[str, Array], sequence: str) -> dict[str, Array]:
+    """(3, F) body-fixed angles of each of several rotations (F, 3, 3); where two axes fall together all of their turn
+    is given to the first."""
+    stacked = np.concatenate(list(R.values()))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Gimbal lock", UserWarning)
-        return Rotation.from_matrix(R).as_euler(sequence, degrees=True).T
+        angles = Rotation.from_matrix(stacked).as_euler(sequence, degrees=True)
+    return {name: own.T for name, own in zip(R, np.split(angles, len(R)), strict=True)}
 
 
 def _over_time(values: Array, known: Array) -> Array:

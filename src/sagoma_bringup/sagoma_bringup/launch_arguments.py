@@ -6,12 +6,14 @@ One table says what each file takes; the files, `ros2 launch --show-args` and th
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from argparse import ArgumentTypeError
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
+from capture_rig.number import PLAYING_SPEED, SECONDS
 from capture_rig.session import load_session
 from capture_rig.yaml_file import read_mapping
 
@@ -118,7 +120,7 @@ def read_request(file: str, values: Mapping[str, str]) -> LaunchRequest:
     return LaunchRequest(
         processes=tuple(processes_of(graph, values.get("server", ONE_PROCESS))),
         namespace=values["namespace"].strip("/"),
-        respawn_delay_s=_seconds(values, "respawn_delay") if values["on_exit"] == RESTART else None,
+        respawn_delay_s=_number(values, "respawn_delay", SECONDS) if values["on_exit"] == RESTART else None,
         parameter_files=own,
         use_sim_time=_true(values, "use_sim_time"),
         rviz=_true(values, "rviz"),
@@ -133,7 +135,7 @@ def server_graph(values: Mapping[str, str]) -> list[NodeSpec]:
         settings["ekf_tracker.publish_humans"] = True
     if session is not None:
         settings |= PLAY_IN_STEP
-    rate = _number(values, "rate") if session is not None else 1.0
+    rate = _number(values, "rate", PLAYING_SPEED) if session is not None else 1.0
     return build_graph(
         session=values.get("session"),
         epoch_ns=time.time_ns() if rate == 0 else 0,  # at a rate, the cameras agree on one
@@ -170,15 +172,9 @@ def _true(values: Mapping[str, str], name: str) -> bool:
     return text == "true"
 
 
-def _number(values: Mapping[str, str], name: str) -> float:
+def _number(values: Mapping[str, str], name: str, read: Callable[[str], float]) -> float:
     try:
-        return float(values[name])
-    except ValueError:
-        raise InputError(f"'{values[name]}' is no number", where=f"argument {name}", remedy="Give one.") from None
-
-
-def _seconds(values: Mapping[str, str], name: str) -> float:
-    seconds = _number(values, name)
-    if not 0.0 <= seconds < float("inf"):
-        raise InputError(f"{seconds:g} is no time", where=f"argument {name}", remedy="Give seconds, from 0 on.")
-    return seconds
+        return read(values[name])
+    except ArgumentTypeError as error:
+        what, _, allowed = str(error).partition("; ")
+        raise InputError(what, where=f"argument {name}", remedy=f"{allowed.capitalize()}.") from None

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
-from capture_rig.number import number
+from capture_rig.number import PLAYING_SPEED, number
 from capture_rig.session import load_session
 from capture_rig.yaml_file import parse_value
 from sagoma_bringup.first_pose import AUTO_START, STARTS, start_settings
@@ -19,10 +19,7 @@ from sagoma_bringup.processes import ONE_PROCESS, SERVER_LAYOUTS
 
 from .takes.folder import TAKES, TakesFolder
 
-# types of numbers that several commands take
-SECONDS = number("s", 0, 1e7)
-FRAME_RATE = number("Hz", 0.1, 1000)
-PLAYING_SPEED = number("times real time", 0, 100)
+# of several commands
 NODES = number("nodes", 1, 1000, whole=True)
 
 

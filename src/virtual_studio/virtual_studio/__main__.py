@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from capture_rig.errors import InputError
-from capture_rig.number import number
+from capture_rig.number import FRAME_RATE, number
 from rig_calibration.boards.specification import board_text, read_board
 from stick_figure.body import STATURES_M
 
@@ -24,7 +24,7 @@ from .rig import ring
 from .scene.boards import Wand
 
 QUICK_FPS, QUICK_MOVING_S = 6.0, 16.0
-FRAME_RATE, PROPORTION = number("Hz", 0.1, 1000), number("times the average", 0.3, 3)
+PROPORTION = number("times the average", 0.3, 3)
 
 
 def main(arguments: list[str] | None = None) -> int:

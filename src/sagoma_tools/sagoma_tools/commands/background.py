@@ -27,12 +27,12 @@ from camera_client.background.verdict import find_regions, judge_background, tur
 from camera_client.sources.footage_reader import VideoReader
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder, write_bytes
-from capture_rig.number import number
+from capture_rig.number import SECONDS, number
 from capture_rig.session import load_session
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 
-from ..arguments import NODES, SECONDS
+from ..arguments import NODES
 from ..command_help import INTERRUPTED
 from ..console import command_console
 from ..graph.background_training import (

@@ -12,14 +12,13 @@ from rich.console import Console
 
 from capture_rig.errors import InputError
 from capture_rig.lens import COEFFICIENTS
-from capture_rig.number import number
+from capture_rig.number import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
 from rig_calibration.boards.drawing import PAPER_MM, print_size_m, save_for_print
 from rig_calibration.boards.specification import board_text, read_board
 from rig_calibration.intrinsics.calibrate import AUTO
 
-from ..arguments import SECONDS
 from ..calibration.intrinsics import calibrate_footage, figures, print_results
 from ..console import command_console
 

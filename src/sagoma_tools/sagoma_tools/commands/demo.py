@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from capture_rig.number import FRAME_RATE, PLAYING_SPEED
 from capture_rig.session import load_session
 from capture_rig.stop_signals import StopOnSignal
 from stick_figure.body import Body
@@ -21,7 +22,7 @@ from virtual_studio.gige.command import speed_argument
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
-from ..arguments import FRAME_RATE, PLAYING_SPEED, add_settings_argument, add_start_argument, next_steps, parse_settings
+from ..arguments import add_settings_argument, add_start_argument, next_steps, parse_settings
 from ..command_help import INTERRUPTED
 from ..console import command_console, doing
 from ..evaluation.live_inputs import FootageInput

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from capture_rig.errors import InputError
-from capture_rig.number import number
+from capture_rig.number import FRAME_RATE, number
 from ekf_tracker.rep155 import body_id_of, human_urdf
 from ekf_tracker.urdf import body_urdf
 from mocap_packets.fit import FIRST_PERSON
@@ -15,7 +15,7 @@ from mocap_pipeline.configuration import Configuration
 from stick_figure.body import STATURES_M, Body
 from stick_figure.body_file import load_body
 
-from ..arguments import FRAME_RATE, add_settings_argument, add_takes_argument, bag_of, parse_settings
+from ..arguments import add_settings_argument, add_takes_argument, bag_of, parse_settings
 from ..console import doing
 from ..graph.topics import FIRST_BODY_ID
 from ..recording.smoothing import smooth_bag

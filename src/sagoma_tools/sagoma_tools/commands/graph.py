@@ -18,12 +18,13 @@ from rich.console import Console
 from rich.live import Live
 
 from capture_rig.errors import InputError
+from capture_rig.number import SECONDS
 from capture_rig.rig import load_rig
 from capture_rig.stop_signals import StopOnSignal
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 from virtual_studio.gige import command as studio
 
-from ..arguments import NODES, SECONDS, add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
+from ..arguments import NODES, add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
 from ..console import REFRESH_S, command_console, doing, until_stopped
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit, ProcessSettings

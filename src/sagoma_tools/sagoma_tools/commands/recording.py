@@ -8,11 +8,11 @@ import threading
 from pathlib import Path
 
 from capture_rig.errors import InputError
-from capture_rig.number import number
+from capture_rig.number import SECONDS, number
 from capture_rig.rig import load_rig
 from capture_rig.stop_signals import StopOnSignal
 
-from ..arguments import SECONDS, add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings
+from ..arguments import add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings
 from ..command_help import INTERRUPTED
 from ..console import doing, until_stopped
 from ..graph.ros_link import PATIENCE_S, RosLink, add_namespace_argument, namespace_argument

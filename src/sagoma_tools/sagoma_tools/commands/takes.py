@@ -14,8 +14,9 @@ from rich.table import Table
 from rich.text import Text
 
 from capture_rig.errors import InputError
+from capture_rig.number import FRAME_RATE, SECONDS
 
-from ..arguments import FRAME_RATE, SECONDS, add_takes_argument, chosen_take
+from ..arguments import add_takes_argument, chosen_take
 from ..console import command_console, doing
 from ..takes.exporting import EXPORTS
 from ..takes.folder import TAKES, TakesFolder

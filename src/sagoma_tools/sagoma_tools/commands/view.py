@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from capture_rig.number import number
+from capture_rig.number import SECONDS, number
 from capture_rig.rig import Rig, load_rig
 from capture_rig.stop_signals import StopOnSignal
 
-from ..arguments import SECONDS, add_takes_argument, bag_of
+from ..arguments import add_takes_argument, bag_of
 from ..console import until_stopped
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument
