@@ -32,6 +32,8 @@ class CameraModel:
 
     ``K`` (3, 3) in pixels; ``D`` holds the coefficients of ``distortion_model`` in OpenCV's order (plumb_bob:
     k1 k2 p1 p2 k3; rational_polynomial: + k4 k5 k6); ``T_camera_world`` (4, 4) maps world to camera, metres.
+    ``line_time_s``: of a rolling shutter, from the exposure of one row to that of the next; an image's stamp is that of
+    its middle row.
     """
 
     name: str
@@ -41,6 +43,7 @@ class CameraModel:
     distortion_model: str
     D: Array
     T_camera_world: Array
+    line_time_s: float = 0.0
 
     @property
     def R_camera_world(self) -> Array:

@@ -32,6 +32,7 @@ ROTATION_TOLERANCE = 1e-4
 MAX_CAMERAS = 63  # of a set: they are bits of a signed 64-bit word
 MAX_SIDE_PX = 20000  # of a sensor
 FOCAL_WIDTHS = (0.05, 100.0)  # focal length over the width of an image: of 170 degrees, of a telescope
+MOST_LINE_TIME_S = 1e-3  # a tenth of it is usual: 15 to 30 ms for all rows
 FARTHEST_M = 100.0  # of a camera, or a corner of the volume, from the origin
 DEFAULT_HALF_WIDTH_M, DEFAULT_HEIGHT_M, FLOOR_MARGIN_M = 2.5, 2.4, 0.05
 
@@ -132,6 +133,7 @@ def camera_from_mapping(name: str, entry: Any, where: str) -> CameraModel:
         distortion_model=model,
         D=_distortion(entry, COEFFICIENTS[model], where),
         T_camera_world=T,
+        line_time_s=_line_time(entry, where),
     )
 
 
@@ -164,6 +166,14 @@ def _pixels(entry: Mapping[str, Any], key: str, where: str) -> int:
         what = f"{key} = {value!r} is not a whole number from 1 to {MAX_SIDE_PX}"
         raise InputError(what, where=where, remedy="Give the image size in pixels.")
     return value
+
+
+def _line_time(entry: Mapping[str, Any], where: str) -> float:
+    value = entry.get("line_time_s", 0.0)
+    if not isinstance(value, int | float) or isinstance(value, bool) or not 0.0 <= value <= MOST_LINE_TIME_S:
+        what = f"line_time_s = {value!r} is not a number from 0 to {MOST_LINE_TIME_S:g}"
+        raise InputError(what, where=where, remedy="Give the seconds between two rows; 0 of a global shutter.")
+    return float(value)
 
 
 def _camera_matrix(entry: Mapping[str, Any], width: int, where: str) -> Array:
@@ -230,4 +240,5 @@ def _camera_document(camera: CameraModel) -> dict[str, Any]:
         "R_camera_world": camera.R_camera_world.tolist(),
         "t_camera_world": camera.t_camera_world.tolist(),
         "centre_world": camera.centre_world.tolist(),
+        **({"line_time_s": camera.line_time_s} if camera.line_time_s else {}),
     }

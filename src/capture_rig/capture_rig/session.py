@@ -2,7 +2,8 @@
 
 Files: ``camNN.mp4``, ``camNN_background.mp4`` or ``.png``, ``rig.yaml``; optional ``camNN_mask.mp4`` (exact
 silhouettes), ``truth.csv`` or ``reference*.csv``, of further persons ``truth_2.csv``, ``truth_3.csv``, ...;
-``session.yaml`` (``fps``, ``units``, ``source``).
+``session.yaml`` (``fps``, ``units``, ``source``); ``stamps.csv`` of cameras that were not in step: seconds at which the
+images of each frame were taken, a column a camera.
 """
 
 from __future__ import annotations
@@ -172,6 +173,7 @@ def _point(rows: Array, column: dict[str, int], parts: tuple[str, ...], path: Pa
 
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".mpg", ".webm")  # in either case
+STAMPS = "stamps.csv"
 STILL_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif")
 
 
@@ -180,6 +182,7 @@ class Session:
     """Footage of one capture: every rig camera has a video; backgrounds, exact masks and truth are optional.
 
     other_truths : of the second person in view, the third, ...
+    stamps_s : (F, cameras in name order) when the images of each frame were taken; None: all at frame / fps.
     """
 
     folder: Path
@@ -190,6 +193,16 @@ class Session:
     masks: dict[str, Path]
     truth: Truth | None
     other_truths: tuple[Truth, ...] = ()
+    stamps_s: Array | None = None
+
+    def stamps_ns(self, epoch_ns: int, frame: int) -> dict[str, int]:
+        """Return the capture stamps of a video frame by camera; those beyond the file's last go on at ``fps``."""
+        if self.stamps_s is None:
+            return dict.fromkeys(self.rig.names, footage_stamp_ns(epoch_ns, frame, self.fps))
+        last = len(self.stamps_s) - 1
+        beyond_s = max(frame - last, 0) / self.fps
+        row = self.stamps_s[min(frame, last)] + beyond_s
+        return {n: epoch_ns + round(s * 1e9) for n, s in zip(self.rig.names, row.tolist(), strict=True)}
 
     @property
     def truths(self) -> tuple[Truth, ...]:
@@ -215,6 +228,7 @@ def load_session(folder: str | Path) -> Session:
         masks=_present(folder, rig, "_mask", VIDEO_SUFFIXES),
         truth=_truth(folder),
         other_truths=_other_truths(folder),
+        stamps_s=_stamps(folder / STAMPS, rig),
     )
 
 
@@ -290,6 +304,20 @@ def stated_rate(path: Path) -> float | None:
     if not isinstance(fps, int | float) or isinstance(fps, bool) or not 0 < fps < 10_000:
         raise InputError(f"fps = {fps!r} is not a frame rate", where=str(path), remedy="Give frames per second.")
     return float(fps)
+
+
+def _stamps(path: Path, rig: Rig) -> Array | None:
+    """Read the stamps (F, cameras), s. Raises InputError for a camera without any, and times that do not rise."""
+    if not path.is_file():
+        return None
+    header, rows = read_table(path)
+    missing = [name for name in rig.names if name not in header]
+    if missing:
+        raise InputError(f"column '{missing[0]}' is missing", where=str(path), remedy="Give every camera's stamps.")
+    stamps_s = rows[:, [header.index(name) for name in rig.names]]
+    if not (np.isfinite(stamps_s).all() and (np.diff(stamps_s.min(axis=1)) > 0).all()):
+        raise InputError("has stamps that do not rise", where=str(path), remedy="Give seconds, a row a frame.")
+    return stamps_s
 
 
 def _truth(folder: Path) -> Truth | None:

@@ -75,6 +75,7 @@ def test_saved_rig_reads_back_to_the_same_numbers_and_bytes(tmp_path: Path) -> N
     rational = document(
         R_camera_world=rotation.tolist(),
         t_camera_world=(np.random.default_rng(3).normal(size=3) / 3).tolist(),
+        line_time_s=3.1e-5,
         distortion_model="rational_polynomial",
         distortion=[1e-5, 0.1, 1 / 3, 0, 0, 7.0, 2e-17, -4.0],
     )
@@ -84,11 +85,12 @@ def test_saved_rig_reads_back_to_the_same_numbers_and_bytes(tmp_path: Path) -> N
     second = load_rig(tmp_path / "again.yaml")
     save_rig(second, tmp_path / "third.yaml")
     assert (tmp_path / "again.yaml").read_bytes() == (tmp_path / "third.yaml").read_bytes()
-    assert first.names == second.names
+    assert first.names == second.names and [camera.line_time_s for camera in first.cameras] == [0.0, 3.1e-5]
     assert np.array_equal(first.volume.low, second.volume.low)
     assert np.array_equal(first.volume.high, second.volume.high)
     for a, b in zip(first.cameras, second.cameras, strict=True):
         assert (a.name, a.width, a.height, a.distortion_model) == (b.name, b.width, b.height, b.distortion_model)
+        assert a.line_time_s == b.line_time_s
         for name in ("K", "D", "T_camera_world"):
             assert np.array_equal(getattr(a, name), getattr(b, name))
 
@@ -193,6 +195,7 @@ NO_ROTATION = "R_camera_world is not a rotation"
         ("t_camera_world", [0, 1], NOT_FINITE),
         ("t_camera_world", ["left", 0, 1], NOT_FINITE),
         ("t_camera_world", None, NOT_FINITE),
+        *(("line_time_s", value, f"= {value!r} is not a number from 0") for value in (-1e-5, 0.015, "fast", True)),
         *(
             ("image_height", size, f"= {size!r} is not a whole number from 1 to 20000")
             for size in (0, -640, 640.5, "640", True, None, 60000, 10**9)

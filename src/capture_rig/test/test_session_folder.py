@@ -165,3 +165,24 @@ def test_footage_stamps_are_whole_nanoseconds_that_do_not_drift() -> None:
     assert footage_stamp_ns(epoch, 0, 60.0) == epoch
     assert footage_stamp_ns(epoch, 1, 60.0) == epoch + 16_666_667
     assert footage_stamp_ns(epoch, 60 * 3600, 60.0) == epoch + 3600 * 1_000_000_000
+
+
+def test_stamps_of_cameras_that_are_not_in_step_are_those_of_the_file(folder: Path) -> None:
+    epoch = 1_000_000_000_000_000_000
+    assert load_session(folder).stamps_ns(epoch, 3) == dict.fromkeys(("cam01", "cam02"), epoch + 50_000_000)
+    (folder / "stamps.csv").write_text("frame,cam02,cam01\n0,0.004,0\n1,0.021,0.0166\n")
+    session = load_session(folder)
+    assert session.stamps_ns(epoch, 1) == {"cam01": epoch + 16_600_000, "cam02": epoch + 21_000_000}
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        ("frame,cam01\n0,0\n", "column 'cam02' is missing"),
+        ("frame,cam01,cam02\n0,0.1,0.2\n1,0,0.3\n", "do not rise"),
+        ("frame,cam01,cam02\n0,0,\n", "do not rise"),
+    ],
+)
+def test_stamps_that_are_incomplete_or_go_back_are_refused(folder: Path, content: str, problem: str) -> None:
+    (folder / "stamps.csv").write_text(content)
+    assert problem in refusal(folder)

@@ -15,8 +15,9 @@ import numpy.typing as npt
 
 from capture_rig import Rig
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
+from capture_rig.stamps import NS_PER_S
 from mocap_packets.frame_set import FrameSet
-from mocap_packets.hull import HullProducts
+from mocap_packets.hull import ContourRays, HullProducts
 from mocap_packets.support import ForegroundSupport
 
 from .carve_backends import make_backend
@@ -91,7 +92,7 @@ class HullPipeline:
 
     def __init__(self, rig: Rig, settings: HullSettings) -> None:
         """InputError for a rig or a setting that cannot be used."""
-        self.settings = settings
+        self.settings, self._rig = settings, rig
         self.views = RigViews.from_rig(rig)
         self.grid = VoxelGrid.covering(rig.volume, settings.voxel_size_m)
         choice = make_backend(settings.backend, self.views, self.grid)
@@ -153,7 +154,8 @@ class HullPipeline:
         voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels * max(len(bodies), 1), whose)
         watch.lap("sample")
         # rays along the silhouettes' contours: where the hull is wider than the body, they are still tangent to it
-        contour_rays = self._contour.trace(pending.masks, slices.runs, frame_set.frames, whose)
+        traced = self._contour.trace(pending.masks, slices.runs, frame_set.frames, whose)
+        contour_rays = self._timed(traced, frame_set)
         watch.lap("contour_rays")
         return HullResult(
             stamp_ns=frame_set.stamp_ns,
@@ -170,6 +172,17 @@ class HullPipeline:
             backend=self.backend.name,
             stage_ms=pending.stage_ms | watch.laps_ms,
         )
+
+    def _timed(self, rays: ContourRays, frame_set: FrameSet[Mask]) -> ContourRays:
+        """Return the rays with their times: those of their cameras, and of their rows where shutters roll."""
+        time_s = np.zeros(len(rays))
+        for index, camera in enumerate(self._rig.cameras):
+            later_s = (frame_set.stamps_ns.get(camera.name, frame_set.stamp_ns) - frame_set.stamp_ns) / NS_PER_S
+            if later_s or camera.line_time_s:
+                own = rays.camera == index
+                rows = camera.project(rays.points_world[own])[:, 1] - 0.5 * (camera.height - 1)
+                time_s[own] = later_s + camera.line_time_s * np.nan_to_num(rows)
+        return replace(rays, time_s=time_s)
 
     def warm_up(self) -> None:
         """Carve a small ball amid shadow once, so that the first real frame set does not wait for compilers."""

@@ -1,6 +1,8 @@
 """Contour rays against bodies whose surface is known: how near they pass to it, which way they face, what is left
 out."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -207,6 +209,22 @@ def test_an_empty_silhouette_and_an_empty_hull_have_no_rays(rig, person):
     assert set(rays.camera) == {1, 2, 3, 4, 5}
     empty = BrickVolume.empty(pipeline.grid)
     assert len(traced(pipeline, masks, empty)) == 0
+
+
+def test_rays_carry_the_time_of_their_camera_and_of_their_row(rig, person):
+    line_s, later_ns = 31e-6, {"cam02": 4_000_000, "cam05": 16_000_000}
+    cameras = [replace(each, line_time_s=line_s if each.name == "cam05" else 0.0) for each in rig.cameras]
+    stamps_ns = {name: STAMP_NS + later_ns.get(name, 0) for name in rig.names}
+    pipeline = HullPipeline(Rig(tuple(cameras), rig.volume), HullSettings(backend="cpu"))
+    rays = pipeline.run(FrameSet.of_stamps(stamps_ns, person[1])).products.contour_rays
+    rows = rig.cameras[4].project(rays.points_world)[:, 1] - 239.5  # an image's stamp is that of its middle
+    mean_s = sum(later_ns.values()) / 6 * 1e-9
+    for index, name in enumerate(rig.names):
+        own = rays.camera == index
+        expected_s = later_ns.get(name, 0) * 1e-9 - mean_s + (line_s * rows[own] if name == "cam05" else 0.0)
+        np.testing.assert_allclose(rays.time_s[own], expected_s, atol=1e-9)
+    assert np.ptp(rays.time_s[rays.camera == 4]) > 0.002  # a body is hundreds of rows high
+    assert not person[2].products.contour_rays.time_s.any()
 
 
 def test_rays_refuse_a_mask_of_another_size(rig, person):

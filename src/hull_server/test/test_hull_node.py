@@ -26,12 +26,12 @@ def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene
     _, rig, masks = scene
     bench.send(masks, 0, cam02=300_000, cam04=900_000)
     (values,) = bench.answers(1)
-    expected = HullPipeline(rig, HullSettings(voxel_size_m=0.04, backend="cpu")).run(
-        FrameSet.of_instant(stamp(0), masks)
-    )
+    later_ns = {"cam01": 0, "cam02": 300_000, "cam03": 0, "cam04": 900_000}
+    frame_set = FrameSet.of_stamps({name: stamp(0) + later_ns[name] for name in masks}, masks)
+    expected = HullPipeline(rig, HullSettings(voxel_size_m=0.04, backend="cpu")).run(frame_set)
     cloud = bench.heard["hull/centerline"][0]
     line = read_packet(cloud, Centerline, "test")
-    assert to_ns(cloud.header.stamp) == stamp(0) and cloud.header.frame_id == "map"
+    assert to_ns(cloud.header.stamp) == stamp(0) + 300_000 and cloud.header.frame_id == "map"
     found = expected.products.centerline
     np.testing.assert_allclose(line.points_world, found.points_world, atol=1e-6)
     np.testing.assert_allclose(line.sigma, found.sigma, atol=1e-7)
@@ -50,8 +50,10 @@ def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene
     for name in ("half_lengths", "sigma"):
         np.testing.assert_allclose(getattr(rays, name), getattr(found, name), rtol=1e-6)
     np.testing.assert_array_equal(rays.camera, found.camera)
+    np.testing.assert_allclose(rays.time_s, found.time_s, atol=1e-9)
+    assert {round(1e6 * time_s) for time_s in rays.time_s} == {-300, 0, 600}
     assert set(rays.body) == {0} and int(values["contour_rays"]) == len(rays)
-    assert to_ns(bench.heard["hull/frame_set"][0].header.stamp) == stamp(0)
+    assert bench.heard["hull/frame_set"][0].header.stamp == cloud.header.stamp
     assert values["cameras"] == "cam01,cam02,cam03,cam04" and values["missing"] == values["blank"] == ""
     assert float(values["spread_ms"]) == pytest.approx(0.9) and values["backend"] == "cpu"
     assert int(values["voxels"]) == expected.volume.count and 40 < float(values["litres"]) < 200

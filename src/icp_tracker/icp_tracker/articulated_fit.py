@@ -17,7 +17,7 @@ alike, keypoints (of whoever has a detector) do not, so the weight of one is OVE
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,12 +28,12 @@ from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.joint_centres import with_joint_centres
 from stick_figure.least_squares import gauss_newton
-from stick_figure.least_squares.contour_factor import RayArrays, RayMatch
+from stick_figure.least_squares.contour_factor import RayArrays, RayMatch, match_rays
 from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
 from stick_figure.least_squares.gauss_newton import Data, Scale, Stop, Weights
 from stick_figure.least_squares.keypoint_factor import GATE_SIGMAS, NO_KEYPOINTS, Keypoints
 from stick_figure.least_squares.normal_equations import TANGENT
-from stick_figure.least_squares.placed_figure import Figure, State
+from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
 
 # Thresholds: the former chosen with python bench/people.py --ablation SESSION, in steps of about a half, the last
@@ -260,10 +260,33 @@ def rays_in_use(
     return rays.thinned(settings.contour.rays)
 
 
+def rays_at_stamp(rays: ContourRays, body: Body, pose: Pose, velocity: np.ndarray) -> ContourRays:
+    """Return the rays as if all were exposed at the set's stamp: motion compensation, as lidars deskew a scan.
+
+    A ray of ``time_s`` touches a point of the surface that has moved by its velocity times that; the ray moved back by
+    as much touches the body as it was at the stamp. The point is the nearest of the body in the ``pose`` that is
+    expected at the stamp, with a ``velocity`` (24,) of its tangent, m/s and rad/s.
+    """
+    if not rays.time_s.any():
+        return rays
+    figure, span_s = Figure.of(body), np.abs(rays.time_s).max()
+    now, then = (place(State.of(each), figure) for each in (pose, pose.retract(velocity * span_s)))
+    arrays = ray_arrays(rays, np.ones(len(rays)))
+    match, share = match_rays(arrays, now, CONTOUR_SLACK_M), (rays.time_s / span_s)[:, None]
+    starts, ends = (then.P - now.P)[match.capsule], (then.Q - now.Q)[match.capsule]
+    moved = starts + match.along[:, None] * (ends - starts)
+    return replace(rays, points_world=rays.points_world - share * moved, time_s=np.zeros(len(rays)))
+
+
 def _contour_rays(rays: ContourRays, settings: ArticulatedSettings) -> RayArrays:
     """Lay out the rays with their share of the weight of all of them."""
     trust = settings.contour.surface_sd_m**2 / (settings.contour.surface_sd_m**2 + rays.sigma**2)
     information = trust * (settings.contour.weight / settings.model_sigma_m**2 / max(len(rays), 1))
+    return ray_arrays(rays, information)
+
+
+def ray_arrays(rays: ContourRays, information: np.ndarray) -> RayArrays:
+    """Lay out rays (n) with information (n,), 1/m^2."""
     return RayArrays.of(rays.points_world, rays.directions, rays.normals, rays.half_lengths, information)
 
 

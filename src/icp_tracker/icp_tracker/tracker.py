@@ -26,7 +26,7 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .acquisition.pose_source import make_pose_source
-from .articulated_fit import FitResult, assess, make_data, minimise, unknown_covariance
+from .articulated_fit import FitResult, assess, make_data, minimise, rays_at_stamp, unknown_covariance
 from .body_uncertainty import covariance_of_sizes, widen_hidden
 from .monitor.evidence import evidence_of
 from .monitor.track_monitor import TrackAssessment, TrackMonitor
@@ -153,6 +153,9 @@ class IcpTracker:
             self._monitor.mark_lost()
             return _not_seen(seen, LOST, started_from, f"nobody in the volume: {reason}", body, start)
 
+        if prediction is not None:  # cameras that are not in step see the body at several instants
+            rays = rays_at_stamp(seen.contour_rays, body, start, prediction.velocity)
+            seen = replace(seen, contour_rays=rays)
         data = self._data_fitted = self._data(seen)
         fit = self._solve(body, start, data)
         expected = None if started_from == FROM_OWN else start

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from icp_tracker.articulated_fit import ArticulatedSettings, ContourSettings, VolumeSettings, fit_articulated
+from icp_tracker.articulated_fit import (
+    ArticulatedSettings,
+    ContourSettings,
+    VolumeSettings,
+    fit_articulated,
+    rays_at_stamp,
+)
 from mocap_packets.hull import ContourRays
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
@@ -181,3 +187,17 @@ def test_thinned_rays_spread_over_all_of_them(scene):
     rows = [int(np.flatnonzero((rays.points_world == p).all(1))[0]) for p in thin.points_world]
     assert len(thin) == 50 and np.diff(rows).max() <= len(rays) // 50 + 1
     assert rays.thinned(10**6) is rays
+
+
+def test_rays_of_another_time_touch_the_moving_body_as_it_is_at_the_stamp(scene):
+    body, pose, rays, _ = scene
+    velocity, later_s = np.random.default_rng(8).normal(size=24), 0.02  # m/s, rad/s
+    at_stamp, late = pose.retract(-velocity * later_s), replace(rays, time_s=np.full(len(rays), later_s))
+
+    def off_m(rays):
+        return np.abs(match_rays(as_arrays(rays), placed(body, at_stamp), 0.05).distance)
+
+    back = rays_at_stamp(late, body, at_stamp, velocity)
+    assert np.median(off_m(late)) > 0.01 and np.median(off_m(back)) < 0.001
+    assert np.percentile(off_m(back), 90) < 0.005 and not back.time_s.any()
+    assert rays_at_stamp(rays, body, at_stamp, velocity) is rays  # of cameras in step

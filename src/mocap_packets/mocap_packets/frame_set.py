@@ -16,7 +16,7 @@ as most cameras still meet in sets.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
@@ -31,7 +31,7 @@ HELD_TOLERANCES = 4  # two frame periods: time for every live camera to be heard
 class FrameSet(Generic[T]):
     """The frames of one instant, cameras in name order.
 
-    stamp_ns : the earliest capture stamp in the set.
+    stamp_ns : the mean of the capture stamps in the set: what is made of all of them together is of that time.
     missing : expected cameras that delivered nothing in time.
     """
 
@@ -44,6 +44,11 @@ class FrameSet(Generic[T]):
     def of_instant(cls, stamp_ns: int, frames: dict[str, T], missing: tuple[str, ...] = ()) -> FrameSet[T]:
         """Frames that all have the same stamp."""
         return cls(stamp_ns, frames, dict.fromkeys(frames, stamp_ns), missing)
+
+    @classmethod
+    def of_stamps(cls, stamps_ns: dict[str, int], frames: dict[str, T], missing: tuple[str, ...] = ()) -> FrameSet[T]:
+        """Frames of cameras with a stamp each."""
+        return cls(sum(stamps_ns.values()) // len(stamps_ns), frames, stamps_ns, missing)
 
     @property
     def spread_ns(self) -> int:
@@ -127,6 +132,7 @@ class FrameSetCollector(Generic[T]):
         self._head_ns: int | None = None  # the latest stamp of the rig
         self._last_ns: dict[str, int] = {}  # the last stamp of each camera where the rig is
         self._last_closed_ns: int | None = None
+        self._last_set_ns = -1
         self._absent_ns: dict[str, int] = {}  # the latest instant of which each camera is known to have no frame
         self._missed_count = dict.fromkeys(self.names, 0)  # sets in a row that waited for each camera and lack it
 
@@ -241,12 +247,12 @@ class FrameSetCollector(Generic[T]):
         missing = tuple(name for name in self.names if name not in closed.frames)
         self.counters.missing += len(missing)
         self._count("incomplete" if missing else "complete")
-        return FrameSet(
-            stamp_ns=closed.stamp_ns,
-            frames={name: closed.frames[name] for name in self.names if name in closed.frames},
-            stamps_ns={name: closed.stamps_ns[name] for name in self.names if name in closed.stamps_ns},
-            missing=missing,
-        )
+        there = [name for name in self.names if name in closed.frames]
+        stamps_ns = {name: closed.stamps_ns[name] for name in there}
+        made = FrameSet.of_stamps(stamps_ns, {name: closed.frames[name] for name in there}, missing)
+        # stamps rise, also where a camera's next frame came so soon that two sets overlap in time
+        self._last_set_ns = max(made.stamp_ns, self._last_set_ns + 1)
+        return replace(made, stamp_ns=self._last_set_ns)
 
     # --- jumps in time
 

@@ -144,11 +144,12 @@ class ContourRays:
     stretch. directions (n, 3) : unit, away from the camera. normals (n, 3) : unit, across the ray and out of the
     silhouette: the normal of the plane through the camera and the contour's tangent, and so of the body's surface where
     the ray touches it. sigma (n,) : standard deviation of the ray along its normal, at that stretch. body (n,) int32.
-    camera (n,) int32 : the camera's place in the rig. Without ``body`` and ``camera``, all 0.
+    camera (n,) int32 : the camera's place in the rig. time_s (n,) : when the ray's pixel was exposed, after the set's
+    stamp. Without ``body``, ``camera`` and ``time_s``, all 0.
     """
 
     LAYOUT: ClassVar[np.dtype] = layout(
-        "x", "y", "z", "dx", "dy", "dz", "nx", "ny", "nz", "half", "sigma", "camera", "body"
+        "x", "y", "z", "dx", "dy", "dz", "nx", "ny", "nz", "half", "sigma", "camera", "body", "time"
     )
 
     points_world: np.ndarray
@@ -158,11 +159,13 @@ class ContourRays:
     sigma: np.ndarray
     body: np.ndarray = field(default_factory=lambda: _UNSET)
     camera: np.ndarray = field(default_factory=lambda: _UNSET)
+    time_s: np.ndarray = field(default_factory=lambda: _UNSET)
 
     def __post_init__(self) -> None:
         _number_one_body(self)
-        if len(self.camera) != len(self.sigma):
-            object.__setattr__(self, "camera", np.zeros(len(self.sigma), np.int32))
+        for name, kind in (("camera", np.int32), ("time_s", np.float64)):
+            if len(getattr(self, name)) != len(self.sigma):
+                object.__setattr__(self, name, np.zeros(len(self.sigma), kind))
 
     def __len__(self) -> int:
         return len(self.sigma)
@@ -180,7 +183,7 @@ class ContourRays:
     def to_table(self) -> np.ndarray:
         """Return the rows as the structured array LAYOUT."""
         vectors = (self.points_world, self.directions, self.normals)
-        return fill(self.LAYOUT, *vectors, self.half_lengths, self.sigma, self.camera, self.body)
+        return fill(self.LAYOUT, *vectors, self.half_lengths, self.sigma, self.camera, self.body, self.time_s)
 
     @classmethod
     def from_table(cls, table: np.ndarray) -> ContourRays:
@@ -193,6 +196,7 @@ class ContourRays:
             column(table, "sigma"),
             table["body"].astype(np.int32),
             table["camera"].astype(np.int32),
+            column(table, "time"),
         )
 
 

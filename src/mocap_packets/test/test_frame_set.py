@@ -55,7 +55,7 @@ def test_sets_never_mix_instants_nor_leave_out_of_order_whatever_arrives(
         assert list(each.frames) == sorted(each.frames)
         assert all(name == camera for name, (camera, _) in each.frames.items())
         assert each.stamps_ns == {name: given_stamps[frame] for name, frame in each.frames.items()}
-        assert each.stamp_ns == min(each.stamps_ns.values())
+        assert min(each.stamps_ns.values()) <= each.stamp_ns <= max(each.stamps_ns.values())
         assert each.spread_ns < TOLERANCE
         assert sorted([*each.frames, *each.missing]) == list(cameras)
     assert all(a.stamp_ns < b.stamp_ns for a, b in pairwise(sets))
@@ -87,7 +87,7 @@ def test_set_closes_with_its_last_frame_cameras_in_name_order() -> None:
     assert collector.add("cam01", EPOCH + 9, ("cam01", 0), 1) == []
     (closed,) = collector.add("cam02", EPOCH + 2, ("cam02", 0), 2)
     assert list(closed.frames) == list(closed.stamps_ns) == ["cam01", "cam02", "cam03"]
-    assert (closed.stamp_ns, closed.spread_ns, closed.missing) == (EPOCH + 2, 7, ())
+    assert (closed.stamp_ns, closed.spread_ns, closed.missing) == (EPOCH + 16 // 3, 7, ())  # the mean
     assert collector.counters.complete == 1
 
 

@@ -113,6 +113,10 @@ class MocapPipeline:
     def carve(self, stamp_ns: int, masks: Masks, missing: tuple[str, ...] = ()) -> HullProducts:
         """Carve one instant: the visual hull and what it shows of the bodies in it (hull_server/hull_pipeline.py)."""
         frame_set = FrameSet.of_instant(stamp_ns, dict(masks), missing)
+        return self.carve_set(frame_set)
+
+    def carve_set(self, frame_set: FrameSet[np.ndarray]) -> HullProducts:
+        """Do the same with the silhouettes of cameras that are not in step, each of its own stamp."""
         # leave out cameras that contradict the others, resolve what may be shadow, carve the voxels that all cameras
         # see as foreground (3.1; consistency/, floor_shadows.py, carving/ or opengl/)
         pending = self.hull.begin(frame_set)

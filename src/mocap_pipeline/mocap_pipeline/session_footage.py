@@ -17,6 +17,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.session import Session, footage_stamp_ns, read_table
 from capture_rig.video_findings import VideoFacts
+from mocap_packets.frame_set import FrameSet
 from mocap_packets.keypoints import NUMBERS, Detections
 
 from .configuration import Configuration
@@ -52,7 +53,8 @@ def frame_sets(session: Session, ended: FootageEnded = ignore_end) -> Iterator[t
     ended : is told what came of the videos.
     """
     for frame, images in enumerate(images_of(session.videos, ended)):
-        yield footage_stamp_ns(EPOCH_NS, frame, session.fps), images
+        stamps_ns = session.stamps_ns(EPOCH_NS, frame)
+        yield FrameSet.of_stamps(stamps_ns, images).stamp_ns, images
 
 
 def segmented(session: Session, pipeline: MocapPipeline, ended: FootageEnded = ignore_end) -> Iterator[Masks]:

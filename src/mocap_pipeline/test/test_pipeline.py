@@ -7,13 +7,19 @@ import pytest
 from simulated_detections import coco_joints, detect, hidden, write_detections
 
 from capture_rig.errors import InputError
+from capture_rig.rig import Rig
+from ekf_tracker.filter import PeopleFilter
+from icp_tracker.acquisition.initial_pose import KnownPose
+from icp_tracker.people.people_tracker import PeopleTracker
+from icp_tracker.tracker import IcpTracker
+from mocap_packets.frame_set import FrameSet
 from mocap_pipeline.configuration import Configuration
-from mocap_pipeline.pipeline import MocapPipeline
+from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import load_detections
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.placed_figure import Figure, State, place
-from virtual_studio.motions.catalogue import t_pose_only
+from virtual_studio.motions.catalogue import MOTIONS, t_pose_only
 from virtual_studio.people import VolumetricBody
 from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
@@ -95,6 +101,37 @@ def test_pipeline_goes_on_with_a_camera_missing(standing, t_pose):
     masks = {name: mask for name, mask in t_pose[1].items() if name != "cam03"}
     step = pipeline.step_masks(stamp_ns, masks, ("cam03",))
     assert np.linalg.norm(step.state.points_world - t_pose[2], axis=1).mean() < 0.04
+
+
+def test_a_runner_before_untriggered_cameras_is_where_the_rays_times_say():
+    hz, fine_hz, sets = 30.0, 480.0, 18
+    six, configuration = ring(5), Configuration.of({"hull_server.backend": "cpu"})
+    rolling = tuple(replace(camera, line_time_s=15e-3 / camera.height) for camera in six.cameras)
+    rig, person = Rig(rolling, six.volume), VolumetricBody(BODY)
+    later_s = {name: 0.5 / hz * (number % 2) for number, name in enumerate(rig.names)}
+    poses = MOTIONS["run"](BODY, 3.4, fine_hz).poses
+    eyes, hull = ExactSilhouettes(rig), MocapPipeline(rig, configuration).hull
+
+    def pose_at(time_s):
+        return poses[round(fine_hz * time_s)]
+
+    def follower():
+        known = KnownPose(pose_at(2.6 + 0.25 / hz), BODY)
+        tracker = PeopleTracker(lambda: IcpTracker(known, configuration.icp))
+        return TrackingStage(tracker, PeopleFilter(configuration.ekf))
+
+    errors_m, stages = {"timed": [], "as if in step": []}, [follower(), follower()]
+    for k in range(sets):
+        masks = eyes.expose(lambda time_s: person.place(pose_at(time_s)), 2.6 + k / hz, later_s)
+        stamps_ns = {name: round((k / hz + later_s[name]) * 1e9) for name in rig.names}
+        products = hull.run(FrameSet.of_stamps(stamps_ns, masks)).products
+        rays = products.contour_rays
+        truth = forward(BODY, pose_at(2.6 + products.stamp_ns * 1e-9))
+        untimed = replace(products, contour_rays=replace(rays, time_s=np.zeros(len(rays))))
+        for stage, seen, errors in zip(stages, (products, untimed), errors_m.values(), strict=True):
+            errors.append(np.linalg.norm(stage.step(seen).state.points_world - truth, axis=1))
+    timed, untimed = (np.mean(errors[sets // 3 :]) for errors in errors_m.values())
+    assert timed < 0.0115 and timed < 0.8 * untimed
 
 
 def _no_masks(pipeline):

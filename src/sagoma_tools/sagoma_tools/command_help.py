@@ -85,6 +85,7 @@ HELP: Mapping[str, CommandHelp] = {
     "view": CommandHelp(("view", f"view {TAKE}", "view --host 0.0.0.0"), {OK: ENDED}, endless=True),
     "evaluate": CommandHelp((f"evaluate {SESSION} --video", "evaluate output/demo/bag")),
     "export": CommandHelp((f"export {TAKE} --format bvh csv", "export walk1 --rate 60")),
+    "import bag": CommandHelp(("import bag studio_bag walk --rig rig.yaml --background empty_room_bag",)),
     "import humaneva": CommandHelp(("import humaneva HumanEva_I s2_walk --subject S2 --action Walking",)),
     "import biocv": CommandHelp(("import biocv P03/P03_WALK_01 p03_walk",)),
     "urdf": CommandHelp(("urdf --stature 1.82 --output body.urdf",)),

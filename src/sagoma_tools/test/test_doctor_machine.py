@@ -186,6 +186,7 @@ def test_domains_are_told_from_well_known_ports():
 
 
 def test_interfaces_of_this_machine_agree_with_the_system():
-    assert {each.name for each in interfaces()} <= set(os.listdir("/sys/class/net"))
+    if os.path.isdir("/sys/class/net"):  # not in a chroot without it
+        assert {each.name for each in interfaces()} <= set(os.listdir("/sys/class/net"))
     link = interface_to("127.0.0.1")
     assert link.loopback and link.up and link.mtu > 1500

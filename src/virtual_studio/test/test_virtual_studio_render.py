@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from capture_rig.rig import Rig
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import tour
@@ -282,3 +283,24 @@ def test_bare_silhouettes_equal_the_rendered_ones():
             expected = camera.undistorted_view().undistort_mask(rendered)
             assert expected.any()
             np.testing.assert_array_equal(masks[camera.name], expected)
+
+
+def test_rows_of_a_rolling_shutter_show_the_body_at_their_time_and_cameras_at_theirs():
+    rig = ring(1)
+    first, ceiling = rig.cameras
+    rolling = replace(first, line_time_s=15e-3 / first.height)
+    eyes = ExactSilhouettes(Rig((rolling, ceiling), rig.volume))
+    poses = tour(BODY, 6.0, 200.0).poses
+    asked_s = []
+
+    def capsules_at(time_s):
+        asked_s.append(time_s)
+        return PERSON.place(poses[round(200 * time_s)])
+
+    masks = eyes.expose(capsules_at, 4.0, {"cam01": 0.0, "cam02": 0.01})
+    assert asked_s[-1] == 4.01 and 3.9925 < min(asked_s) < 3.994 and 4.006 < max(asked_s[:-1]) < 4.0075
+    np.testing.assert_array_equal(masks["cam02"], eyes.render(capsules_at(4.01))["cam02"])
+    early, late = (eyes.render(capsules_at(time_s))["cam01"] for time_s in (asked_s[0], asked_s[-3]))
+    rows = len(masks["cam01"])
+    np.testing.assert_array_equal(masks["cam01"][: rows // 10], early[: rows // 10])
+    assert (masks["cam01"] != early).any() and (masks["cam01"] != late).any()

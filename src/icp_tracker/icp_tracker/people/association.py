@@ -15,12 +15,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mocap_packets.hull import REACH_M, ContourRays, HullProducts
+from mocap_packets.hull import REACH_M, HullProducts
 from stick_figure.body import Body
-from stick_figure.least_squares.contour_factor import RayArrays, match_rays
+from stick_figure.least_squares.contour_factor import match_rays
 from stick_figure.least_squares.keypoint_factor import Keypoints, offsets_m
 from stick_figure.least_squares.placed_figure import Figure, PlacedFigure, State, place, surface_distances
 from stick_figure.pose import Pose
+
+from ..articulated_fit import ray_arrays
 
 NEAR_M = 0.05  # a prediction errs by so much, and hulls of few cameras are wider than the body
 OWN_SHARE = 0.2  # of all that a person explains: a part of the hull that holds so much of it is the person's
@@ -120,7 +122,7 @@ def is_phantom(seen: HullProducts, part: int, expected: Sequence[Expected]) -> b
     rays = seen.of_body(part).contour_rays
     if not expected or len(rays) < PHANTOM_LEAST_RAYS:
         return False
-    arrays, grazed = _arrays(rays), np.zeros(len(rays), bool)
+    arrays, grazed = ray_arrays(rays, np.ones(len(rays))), np.zeros(len(rays), bool)
     for one in expected:
         grazed |= match_rays(arrays, one.placed, ANYWHERE_M).separation < GRAZED_M
     return bool(grazed.mean() >= PHANTOM_SHARE)
@@ -166,10 +168,11 @@ class _Distances(NamedTuple):
 
     @classmethod
     def of(cls, seen: HullProducts, placed: PlacedFigure) -> _Distances:
-        rays = match_rays(_arrays(seen.contour_rays), placed, SLACK_M).separation
+        rays = seen.contour_rays
+        separation = match_rays(ray_arrays(rays, np.ones(len(rays))), placed, SLACK_M).separation
         points = np.ascontiguousarray(seen.voxels.points_world)
         line = np.ascontiguousarray(seen.centerline.points_world)
-        return cls(surface_distances(line, placed)[2], surface_distances(points, placed)[2], rays)
+        return cls(surface_distances(line, placed)[2], surface_distances(points, placed)[2], separation)
 
     def of_rows(self, rows: _Rows) -> _Distances:
         return _Distances(self.line[rows.line], self.voxels[rows.voxels], self.rays[rows.rays])
@@ -204,7 +207,3 @@ def _is_others(own: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Which rows another person explains clearly better, or is much nearer to."""
     explained = (others < EXPLAINED_M) & (others + CLEARLY_M < own)
     return np.asarray(explained | (others + ELSEWHERE_M < own))
-
-
-def _arrays(rays: ContourRays) -> RayArrays:
-    return RayArrays.of(rays.points_world, rays.directions, rays.normals, rays.half_lengths, np.ones(len(rays)))

@@ -1,27 +1,47 @@
-"""``sagoma import``: recordings of public data sets as session folders. One function a data set adds its arguments."""
+"""``sagoma import``: recordings of others as session folders. One function a kind adds its arguments."""
 
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from capture_rig.errors import InputError
 from capture_rig.number import number
 
 from ..console import command_console
-from ..importers import biocv
+from ..importers import biocv, image_bag
 from ..importers.humaneva import CAMERAS, Request, Summary, Trial, import_trial
+
+_COPYING = (TextColumn("copying"), MofNCompleteColumn(), TextColumn("frames"), TimeElapsedColumn())
+
+
+def _show_done(progress: Progress, task: TaskID, done: int) -> None:
+    progress.update(task, completed=done)
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
-    """Add the subcommand, with a subcommand of its own for each data set."""
-    parser = subparsers.add_parser("import", help="make a session folder of a public data set's recording")
-    kinds = parser.add_subparsers(title="data sets", required=True, metavar="DATASET")
+    """Add the subcommand, with a subcommand of its own for each kind of recording."""
+    parser = subparsers.add_parser("import", help="make a session folder of a rosbag of images, or a public data set")
+    kinds = parser.add_subparsers(title="kinds", required=True, metavar="KIND")
+    add_bag(kinds)
     add_humaneva(kinds)
     add_biocv(kinds)
+
+
+def add_bag(kinds: argparse._SubParsersAction) -> None:
+    """Add the arguments of ``sagoma import bag``."""
+    parser = kinds.add_parser("bag", help="a rosbag of sensor_msgs Image or CompressedImage, of any driver and writer")
+    parser.add_argument("bag", type=Path, help="rosbag2 bag (mcap or sqlite3)")
+    parser.add_argument("output", type=Path, help="the session folder to write")
+    parser.add_argument("--rig", type=Path, help="rig YAML (default: write the lenses of the bag's camera_info)")
+    help_camera = "the topic of a camera whose name is no part of it; once a camera"
+    parser.add_argument("--camera", action="append", default=[], metavar="NAME=TOPIC", help=help_camera)
+    parser.add_argument("--background", type=Path, metavar="BAG", help="a bag of the empty room, on the same topics")
+    parser.set_defaults(run=import_bag)
 
 
 def add_humaneva(kinds: argparse._SubParsersAction) -> None:
@@ -72,6 +92,29 @@ def import_biocv(args: argparse.Namespace) -> int:
     return 0
 
 
+def import_bag(args: argparse.Namespace) -> int:
+    """Import the images, then print what was written and what to do next."""
+    console, topics = command_console(), dict(one.partition("=")[::2] for one in args.camera)
+    with Progress(*_COPYING, console=console, transient=True) as progress:
+        task = progress.add_task("", total=None)
+        done = partial(_show_done, progress, task)
+        summary = image_bag.import_bag(args.bag, args.output, args.rig, topics, args.background, done)
+    for name, topic in summary.topics.items():
+        console.print(f"{name}: {topic}", highlight=False)
+    apart = f"images of a frame up to {1e3 * summary.spread_s:.1f} ms apart"
+    left_out = f", {summary.incomplete} left out without an image of every camera" if summary.incomplete else ""
+    console.print(f"{summary.frames} frames at {summary.fps:.4g} Hz, {apart}{left_out}", highlight=False)
+    if args.rig is None:
+        lenses = f"--intrinsics {args.output / image_bag.LENSES}"
+        console.print(
+            f"next: sagoma calibrate extrinsics {lenses} --output {args.output}/rig.yaml ...", highlight=False
+        )
+    elif args.background is None:
+        console.print(f"next: sagoma background --from-footage {args.output}", highlight=False)
+    console.print(f"then: sagoma evaluate {args.output}", highlight=False)
+    return 0
+
+
 def import_humaneva(args: argparse.Namespace) -> int:
     """Import the trial, then print what was written and what to do next."""
     cameras, output = _cameras_and_output(args)
@@ -79,10 +122,9 @@ def import_humaneva(args: argparse.Namespace) -> int:
     trial = Trial(args.root, args.subject, args.action, args.trial)
     request = Request(trial, cameras, frames, not args.no_truth)
     console = command_console()
-    columns = TextColumn("copying"), MofNCompleteColumn(), TextColumn("frames"), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as progress:
+    with Progress(*_COPYING, console=console, transient=True) as progress:
         task = progress.add_task("", total=None if frames is None else frames[1] - frames[0] + 1)
-        summary = import_trial(request, output, lambda done: progress.update(task, completed=done))
+        summary = import_trial(request, output, partial(_show_done, progress, task))
     report(console, request, output, summary)
     return 0
 

@@ -17,12 +17,15 @@ from ..command_help import INTERRUPTED
 from ..console import doing, until_stopped
 from ..graph.ros_link import PATIENCE_S, RosLink, add_namespace_argument, namespace_argument
 from ..graph.topics import (
+    CAMERA_INFO,
     CLOCK_TOPIC,
     DIAGNOSTICS,
     OUTPUT_TOPICS,
     SILHOUETTE_SUFFIX,
     Topic,
     camera_topics,
+    cameras_in,
+    image_topics,
     topics_of_others,
 )
 from ..recording.asked_topics import AskedTopics, matches_any
@@ -141,17 +144,19 @@ def replay(args: argparse.Namespace) -> int:
 def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event) -> int:
     """Publish the wanted topics with the timing of the bag."""
     types = bag_topics(args.bag)
-    inputs = set(input_topics(args.bag))
+    images = () if cameras_in(types) else image_topics(types)  # for clients with `source: topic`
+    infos = {name for name, kind in types.items() if images and kind == CAMERA_INFO}
+    inputs = {*images, *infos} if images else set(input_topics(args.bag))
     wanted = {"inputs": inputs, "outputs": set(types) - inputs, "all": set(types)}[args.topics]
     simulated = None if args.clock is None else SimulatedClock(link.node, args.clock)
     if simulated is not None:
         wanted.discard(CLOCK_TOPIC)  # one clock is enough
     publishers = InputPublishers(link.node, {name: types[name] for name in sorted(wanted)})
-    silhouettes = [name for name in inputs & wanted if name.endswith(SILHOUETTE_SUFFIX)]
+    pictures = [name for name in inputs & wanted if name in images or name.endswith(SILHOUETTE_SUFFIX)]
     if args.topics == "inputs":
-        publishers.wait_for_subscribers(silhouettes, PATIENCE_S)
-    if silhouettes:
-        publishers.require_no_other(silhouettes)
+        publishers.wait_for_subscribers(pictures, PATIENCE_S)
+    if pictures:
+        publishers.require_no_other(pictures)
     count, times, clock = 0, 0, MonotonicClock(stop)
     doing("playing the bag")
     while not (stop.is_set() or (times and not args.loop)):

@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from capture_rig.session import Session, footage_stamp_ns
+from capture_rig.session import Session
 from mocap_packets.fit import FIRST_PERSON
+from mocap_packets.frame_set import FrameSet
 from mocap_packets.keypoints import Detections, keypoints_of
 from mocap_packets.state import BodyState
 from mocap_pipeline.configuration import Configuration
@@ -55,7 +56,8 @@ def track_people(
     reasons: list[tuple[str, ...]] = []
     for frame, frame_masks in enumerate(masks):
         progress(frame)
-        products = pipeline.carve(footage_stamp_ns(EPOCH_NS, frame, session.fps), frame_masks)
+        stamps_ns = session.stamps_ns(EPOCH_NS, frame)
+        products = pipeline.carve_set(FrameSet.of_stamps(stamps_ns, dict(frame_masks)))
         products = replace(products, keypoints=keypoints_of(session.rig, (detections or {}).get(frame, ())))
         steps = [follower.step(products) for follower in followers]
         reasons.append(reasons_of_step(steps[0]))

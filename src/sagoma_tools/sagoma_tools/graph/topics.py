@@ -19,6 +19,8 @@ CAMERA_INFO_SUFFIX = "/camera_info"
 PREDICTION_TOPIC = "/ekf/prediction"
 DIAGNOSTICS_TOPIC = "/diagnostics"
 CLOCK_TOPIC = "/clock"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 CAMERA_TOPIC = re.compile(r"^/(?P<camera>[^/]+)/silhouette/compressed$")
 PERSON_TOPIC = re.compile(r"^/mocap/bodies/(?P<body_id>[^/]+)/(?P<what>[a-z_]+)$")
 FIRST_BODY_ID = "b0001"  # where the graph sets no other
@@ -96,7 +98,7 @@ def offered_qos(name: str) -> QoSProfile:
 def camera_topics(camera: str) -> tuple[Topic, ...]:
     """Return the topics from one camera client to the hull server: camera_info, then silhouette."""
     return (
-        Topic(f"/{camera}{CAMERA_INFO_SUFFIX}", "sensor_msgs/msg/CameraInfo"),
+        Topic(f"/{camera}{CAMERA_INFO_SUFFIX}", CAMERA_INFO),
         Topic(f"/{camera}{SILHOUETTE_SUFFIX}", "sensor_msgs/msg/CompressedImage"),
     )
 
@@ -130,6 +132,11 @@ def cameras_in(topic_names: Iterable[str]) -> tuple[str, ...]:
     """Return the cameras that publish silhouettes among ``topic_names``, in name order."""
     matches = (CAMERA_TOPIC.match(name) for name in topic_names)
     return tuple(sorted({match["camera"] for match in matches if match}))
+
+
+def image_topics(types: Mapping[str, str]) -> tuple[str, ...]:
+    """Return the topics of images, silhouettes apart, among those of these ``types``, in name order."""
+    return tuple(sorted(t for t, kind in types.items() if kind in IMAGE_TYPES and not t.endswith(SILHOUETTE_SUFFIX)))
 
 
 def type_of(topic: str) -> str | None:

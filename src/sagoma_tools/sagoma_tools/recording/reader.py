@@ -214,7 +214,7 @@ def bag_cameras(bag: str | Path) -> tuple[str, ...]:
     """Return the cameras whose silhouettes a bag holds, in name order; InputError when it holds none."""
     cameras = cameras_in(bag_topics(bag))
     if not cameras:
-        remedy = "Record the cameras' topics too: `sagoma record` does."
+        remedy = "Record the cameras' topics too, as `sagoma record` does; images alone: `sagoma import bag`."
         raise InputError("holds no topic /CAMERA/silhouette/compressed", where=str(bag), remedy=remedy)
     return cameras
 

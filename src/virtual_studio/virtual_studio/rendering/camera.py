@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -24,6 +25,7 @@ Light = NDArray[np.float32]
 WHITE = 240.0
 """Grey level of a perfectly white surface in full light."""
 _NOISE_SAMPLES = 1 << 22
+BANDS = 8  # of rows that a rolling shutter exposes at once here: 2 ms apart, in which a running hand moves 1 cm
 
 
 class VirtualCamera:
@@ -98,6 +100,23 @@ class ExactSilhouettes:
             c.name: view.undistort_mask(draw_capsules(c, rays, capsules, _dark(c), self._depths[c.name])[1])
             for c, rays, view in self._cameras
         }
+
+    def expose(
+        self, capsules_at: Callable[[float], Capsules], time_s: float, later_s: Mapping[str, float]
+    ) -> dict[str, Image]:
+        """Returns each camera's undistorted mask of a moving body, where cameras expose one after another.
+
+        capsules_at : the body at a time, s. later_s : of each camera after ``time_s``. A rolling shutter's image
+        consists of BANDS bands of rows, each of the time of its middle row.
+        """
+        masks = {}
+        for camera, rays, view in self._cameras:
+            begin_s, image = time_s + later_s[camera.name], np.empty((camera.height, camera.width), np.uint8)
+            for rows in np.array_split(np.arange(camera.height), BANDS if camera.line_time_s else 1):
+                capsules = capsules_at(begin_s + camera.line_time_s * (float(rows.mean()) - 0.5 * (camera.height - 1)))
+                image[rows] = silhouette(camera, rays, capsules)[rows]
+            masks[camera.name] = view.undistort_mask(image)
+        return masks
 
 
 def _furnished(camera: CameraModel, view: View, standing: Capsules) -> tuple[View, NDArray[np.float32]]:
