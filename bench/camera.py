@@ -5,6 +5,8 @@
     python bench/camera.py --fps 60 80 100 120                # until the machine no longer keeps up
     python bench/camera.py --fps 60 --loss 0 0.0005 0.005     # with packets lost on the way
     python bench/camera.py --fps 60 --plain                   # clients that send binary masks: cheaper
+    python bench/camera.py --size 640x480 1920x1200 --colour  # silhouettes alone, in turns with OpenCV's MOG2
+    python bench/camera.py --lab                              # ... in an ordinary laboratory, 1288 x 728 in colour
 
 Every run is the real thing: one process serves the cameras (GigE Vision over loopback, 640 x 480 Mono8, a moving body
 in a room with noise and flicker and, with --shadow, strong shadows on the floor), each camera has a client process that
@@ -13,7 +15,8 @@ server would. Counts are the clients' own (expected = delivered + incomplete + l
 stamp (mid-exposure, PTP time of the simulated cameras, so the same clock) to the subscriber; `published` is the
 client's own, up to the publication. cpu_per_client is in shares of one core, client_ms_per_frame the processor time of
 everything in a client's process a frame delivered: Aravis's threads, silhouette, PNG, middleware, diagnostics. The last
-line is JSON: the first run's figures, and all runs under "runs".
+line is JSON: the first run's figures, and all runs under "runs". Of silhouettes alone it has a frame's processor time,
+ours and MOG2's on the same frames, and their ratio, for each kind of pictures; in one thread, after a warm-up.
 """
 
 from __future__ import annotations
@@ -25,21 +28,33 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from itertools import islice, product
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 from report import Table, execute, finish, machine_line, parser
 
+import cv2
 import numpy as np
 import psutil
+from room_clips import EPOCH_NS, LOOKS, SIDE_CAMERAS, RoomClip, studio_clip
+from room_methods import our_pipeline
+from scenes import SHARED
 from sensor_msgs.msg import CompressedImage
 
+from camera_client.silhouettes.pipeline import SilhouettePipeline
+from capture_rig import Rig
+from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.session import load_session
+from capture_rig.video import Video
+from mocap_pipeline.configuration import Configuration
+from mocap_pipeline.session_footage import pipeline_of
 from sagoma_bringup.graph import ALL_CAMERAS, build_graph, select
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
@@ -53,6 +68,9 @@ from virtual_studio.recording.session import RenderSettings, write_session
 from virtual_studio.rig import ring
 
 PLAY_S, PLAY_FPS = 4.0, 60.0
+WARM_UP_FRAMES, ROUNDS = 15, 5
+"""Of silhouettes alone: frames while compilers and caches warm up; times a clip is played there and back."""
+LAB_FRAMES, LAB_HZ, LABORATORY = 100, 10.0, SHARED / "lab_two_men"
 SETTLE_S = 3.0  # from the play's beginning until counting begins
 COUNTED = ("expected", "delivered", "incomplete", "lost", "resent_packets", "missing_packets", "underruns")
 
@@ -215,6 +233,67 @@ def print_runs(runs: list[Run]) -> None:
         table.row(*shown.values())
 
 
+# --- silhouettes alone
+
+
+def scaled(camera: CameraModel, width: int, height: int) -> CameraModel:
+    """The camera with more or fewer pixels across the same view, cut or widened at top and bottom."""
+    times = width / camera.width
+    K = camera.K * [[times], [times], [1.0]]
+    K[:2, 2] = times * (camera.K[:2, 2] + 0.5) - 0.5
+    K[1, 2] -= (times * camera.height - height) / 2
+    return replace(camera, width=width, height=height, K=K)
+
+
+def studio_pictures(size: str, colour: bool) -> tuple[RoomClip, SilhouettePipeline]:
+    """A clip of one of the studio's cameras with pictures of a size, "WIDTHxHEIGHT", and its silhouettes."""
+    whole = ring(SIDE_CAMERAS)
+    width, height = map(int, size.split("x"))
+    rig = Rig(tuple(scaled(camera, width, height) for camera in whole.cameras[:2]), whole.volume)  # a hull needs two
+    look = next(look for look in LOOKS if look.colour == colour)
+    clip = studio_clip(look, PLAY_S, rig)
+    return clip, our_pipeline(clip, {}).cameras[rig.names[0]]
+
+
+def in_turns(chain: SilhouettePipeline, frames: list[np.ndarray], empty: Iterable[np.ndarray], hz: float) -> np.ndarray:
+    """Milliseconds of processor time (2, n) of our silhouettes and of MOG2 on each frame but the first ones."""
+    rival, times = cv2.createBackgroundSubtractorMOG2(), []
+    for image in empty:
+        rival.apply(image)
+    for number, image in enumerate(frames):
+        begin = time.process_time()
+        chain.run(image, EPOCH_NS + round(number * 1e9 / hz))
+        between = time.process_time()
+        rival.apply(image)
+        times.append((between - begin, time.process_time() - between))
+    return 1e3 * np.array(times[WARM_UP_FRAMES:]).T
+
+
+def silhouettes(sizes: list[str], colour: bool, lab: bool, rounds: int) -> dict[str, Any]:
+    """Print and return milliseconds a frame of ours and of MOG2, and their ratio, by the kind of pictures."""
+    table = Table(
+        "pictures:<20 | ours ms:>8.2f | MOG2 ms:>8.2f | ratio:>6.2f", "silhouettes alone, one thread, in turns"
+    )
+    figures: dict[str, Any] = {}
+
+    def show(name: str, times: np.ndarray) -> None:
+        ours, rival = times.mean(axis=1)
+        table.row(name, ours, rival, ours / rival)
+        figures[name] = {"ours_ms": round(ours, 2), "mog2_ms": round(rival, 2), "ratio": round(ours / rival, 3)}
+
+    for size, coloured in product(sizes, (False, True) if colour else (False,)):
+        clip, chain = studio_pictures(size, coloured)
+        camera = clip.rig.names[0]
+        frames = [*clip.there_and_back().take[camera]] * rounds
+        show(f"{size} {'colour' if coloured else 'mono'}", in_turns(chain, frames, clip.empty[camera], PLAY_FPS))
+    if lab and LABORATORY.is_dir():
+        session = load_session(LABORATORY)
+        for name, chain in pipeline_of(session, Configuration.of({})).cameras.items():
+            with Video(session.videos[name]) as video:
+                show(f"laboratory {name}", in_turns(chain, [*islice(video, 0, LAB_FRAMES)], (), LAB_HZ))
+    return figures
+
+
 def main() -> None:
     """Run every combination of rate and packet loss; stops raising the rate where the machine no longer keeps up."""
     given = parser(__doc__, quick="one run of 15 s")
@@ -225,7 +304,15 @@ def main() -> None:
     given.add_argument("--shadow", action="store_true", help="strong shadows on the floor: the hardest scene")
     given.add_argument("--plain", action="store_true", help="masks of two levels, each camera judging for itself")
     given.add_argument("--session", help="what the cameras see (default: the built-in person, rendered now)")
+    given.add_argument(
+        "--size", nargs="+", metavar="WxH", default=[], help="silhouettes alone, pictures of these sizes"
+    )
+    given.add_argument("--colour", action="store_true", help="with --size: in colour, too")
+    given.add_argument("--lab", action="store_true", help="silhouettes alone, of the laboratory of the test data")
     args = given.parse_args()
+    if args.size or args.lab:
+        finish({"silhouettes": silhouettes(args.size, args.colour, args.lab, 1 if args.quick else ROUNDS)})
+        return
     seconds = 15.0 if args.quick else args.seconds
     runs = list[Run]()
     folder = Path(tempfile.mkdtemp(prefix="sagoma_bench_camera_"))

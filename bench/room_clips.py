@@ -169,10 +169,10 @@ LOOKS = tuple(
 
 
 class Studio:
-    """The studio's rig and its person, looked at in one way."""
+    """The studio's rig, or another one, and its person, looked at in one way."""
 
-    def __init__(self, look: Look) -> None:
-        self.look, self.rig = look, ring(SIDE_CAMERAS)
+    def __init__(self, look: Look, rig: Rig | None = None) -> None:
+        self.look, self.rig = look, rig or ring(SIDE_CAMERAS)
         self.cameras = {camera.name: VirtualCamera(camera) for camera in self.rig.cameras}
         self._person = VolumetricBody(Body.from_stature(STATURE_M))
 
@@ -199,9 +199,9 @@ class Studio:
         return np.array([SENSOR.expose(light, number, FIRST_BACKGROUND_FRAME + k) for k in range(frames)])
 
 
-def studio_clip(look: Look, seconds: float) -> RoomClip:
-    """Film the person walking for so long, from the T-pose on."""
-    studio, fps = Studio(look), STUDIO_FPS / STRIDE
+def studio_clip(look: Look, seconds: float, rig: Rig | None = None) -> RoomClip:
+    """Film the person walking for so long, from the T-pose on, with the studio's rig or another one."""
+    studio, fps = Studio(look, rig), STUDIO_FPS / STRIDE
     poses = MOTIONS["walk"](Body.from_stature(STATURE_M), seconds, fps).poses
     names = studio.rig.names
     films: dict[str, list[Any]] = {name: [] for name in names}

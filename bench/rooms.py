@@ -3,7 +3,6 @@
     python bench/rooms.py --quick                  # two minutes: one value of each disturbance
     python bench/rooms.py                          # everything
     python bench/rooms.py --rivals PYTHON          # also codecs, and rivals whose figures are not on record yet
-    python bench/rooms.py --cost                   # milliseconds a frame, in turns with MOG2 and KNN
     python bench/rooms.py --long | --jump          # drills: ten minutes, lamp, door, touched cameras; an empty room
     python bench/rooms.py --holes                  # a third of the person missing, a desk, a pillar; tracked
     python bench/rooms.py --lab                    # two men in an ordinary laboratory, against points clicked by hand
@@ -26,10 +25,7 @@ of every rival in every row).
 from __future__ import annotations
 
 import argparse
-import itertools
 import tempfile
-import time
-from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -38,14 +34,13 @@ from typing import Any
 
 from report import Table, execute, finish, parser
 
-import cv2
 import numpy as np
 import room_rivals
 from room_ablation import ablation
-from room_clips import LOOKS, RoomClip, of_session, open_clip, studio_clip
+from room_clips import LOOKS, of_session, open_clip, studio_clip
 from room_disturbances import Disturbance
 from room_drills import jumps, long_drills
-from room_methods import CV2_RIVALS, JUDGED, SENT, CanvasTruth, our_pipeline, our_scores, rival_scores, visible_share
+from room_methods import CV2_RIVALS, JUDGED, SENT, CanvasTruth, our_scores, rival_scores, visible_share
 from room_tracked import holes, laboratory
 from scenes import shared_sessions
 
@@ -55,8 +50,6 @@ QUICK_SESSIONS = SESSIONS[:3]
 MONO, COLOUR = SESSIONS[0], str(next(look for look in LOOKS if look.colour))
 STUDIO = {str(look): look for look in LOOKS}
 RIVALS = (*CV2_RIVALS, *room_rivals.METHODS)
-FRAME_NS, WARM_UP_FRAMES, COST_ROUNDS = 16_666_667, 15, 10
-"""Cost: stamps of a camera at 60 Hz; frames while compilers and caches warm up; times the clip is played."""
 LONG_S, QUICK_LONG_S = 600.0, 120.0
 STORED_NOISE = 2.0
 """Of the sensor before a codec, grey levels."""
@@ -157,55 +150,6 @@ def is_ahead(figures: dict[str, Any]) -> bool:
     return all(figures[SENT]["iou"] >= figures[rival]["iou"] for rival in RIVALS if rival in figures)
 
 
-# --- cost
-
-
-def cost(rounds: int) -> dict[str, Any]:
-    """Print and return milliseconds a frame of 640 x 480 of our whole chain, and of the rivals' subtraction alone."""
-    figures: dict[str, Any] = {}
-    table = Table("frames:<8 | method:<28 | mean ms:>8.2f | median ms:>9.2f | over ours:>9.2f", "one thread, in turns")
-    for kind, look in (("mono", LOOKS[0]), ("colour", STUDIO[COLOUR])):
-        clip = studio_clip(look, SECONDS)
-        times = in_turns(cost_works(clip), [*clip.there_and_back().take[clip.rig.names[0]]] * rounds)
-        ours = times[next(iter(times))].mean()
-        for name, ms in times.items():
-            table.row(kind, name, ms.mean(), np.median(ms), ms.mean() / ours)
-            figures[f"{kind}: {name}"] = {
-                "mean_ms": ms.mean(),
-                "median_ms": np.median(ms),
-                "over_ours": ms.mean() / ours,
-            }
-    return figures
-
-
-def cost_works(clip: RoomClip) -> dict[str, Callable[[np.ndarray], object]]:
-    """What is timed: an image of the clip's first camera to a mask, ours first."""
-    camera = clip.rig.names[0]
-    chain, stamps = our_pipeline(clip, {}).cameras[camera], itertools.count(clip.stamp_ns(0), FRAME_NS)
-    works: dict[str, Callable[[np.ndarray], object]] = {"ours, the whole chain": lambda i: chain.run(i, next(stamps))}
-    for name, make in CV2_RIVALS.items():
-        rival = make()
-        for image in clip.empty[camera]:
-            rival.apply(image)
-        works[f"{name}, subtraction alone"] = partial(_apply, rival)
-    return works
-
-
-def _apply(subtractor: cv2.BackgroundSubtractor, image: np.ndarray) -> object:
-    return subtractor.apply(image)
-
-
-def in_turns(works: dict[str, Callable[[np.ndarray], object]], frames: list[np.ndarray]) -> dict[str, np.ndarray]:
-    """Milliseconds of processor time of each work on each frame but the first ones; all have their turn on each."""
-    times: dict[str, list[float]] = {name: [] for name in works}
-    for image in frames:
-        for name, work in works.items():
-            begin = time.process_time()
-            work(image)
-            times[name].append(1e3 * (time.process_time() - begin))
-    return {name: np.array(ms[WARM_UP_FRAMES:]) for name, ms in times.items()}
-
-
 def main() -> None:
     given = parser(__doc__, quick="one value of each disturbance")
     given.add_argument("--only", default="", help="rows and drills whose clip or disturbance has this in its name")
@@ -214,7 +158,6 @@ def main() -> None:
         "--rivals", default="", metavar="PYTHON", help="interpreter of rivals and codecs (room_rivals.py)"
     )
     given.add_argument("--markdown", action="store_true", help="the table as Markdown")
-    given.add_argument("--cost", action="store_true", help="milliseconds a frame instead of the table")
     given.add_argument("--long", action="store_true", help="drills of minutes instead of the table")
     given.add_argument("--jump", action="store_true", help="a person who is gone from the room instead of the table")
     given.add_argument("--holes", action="store_true", help="a person with holes, tracked, instead of the table")
@@ -225,9 +168,7 @@ def main() -> None:
     arguments = given.parse_args()
     looks = [LOOKS[0]] if arguments.quick else [LOOKS[0], STUDIO[COLOUR]]
     looks = [look for look in looks if arguments.only in str(look)]
-    if arguments.cost:
-        finish(cost(1 if arguments.quick else COST_ROUNDS))
-    elif arguments.long:
+    if arguments.long:
         finish(long_drills(looks, QUICK_LONG_S if arguments.quick else LONG_S))
     elif arguments.jump:
         finish(jumps(looks))

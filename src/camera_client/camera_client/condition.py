@@ -106,7 +106,7 @@ class ConditionWatch:
     def __init__(self, pipeline: SilhouettePipeline, background: BackgroundModel) -> None:
         """``background`` : as it was learned."""
         self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S, longest_s=MAX_STEP_S)
-        self._static = StaticForeground(background)
+        self._static, self._shape = StaticForeground(background), background.shape[:2]
         self._last_ns = 0
         self._restart()
         self._things_known, self._places = (0, 0), ""
@@ -143,8 +143,8 @@ class ConditionWatch:
             light_switches_recent=self._recent_switches(stamp_ns, state.switches),
             noise_levels=state.noise.sigma(TYPICAL_LEVEL),
             noise_learned_levels=state.learned_noise.sigma(TYPICAL_LEVEL),
-            displacement_px=state.displacement.most_px(self._pipeline.background_pixels.shape),
-            displacement_left_px=state.left_px,
+            displacement_px=self._pipeline.scale * state.displacement.most_px(self._shape),
+            displacement_left_px=self._pipeline.scale * state.left_px,
             background_doubtful=state.doubtful,
             restless_foreground=lasts.restless,
             unexplained_foreground=lasts.unexplained,
@@ -177,7 +177,7 @@ class ConditionWatch:
         assert moved is not None
         if self._things_known != (moved.absorbed, moved.reverted):
             self._things_known, places = (moved.absorbed, moved.reverted), moved.places()
-            self._places = describe_things(places, self._pipeline.background_pixels.shape)
+            self._places = describe_things(places, self._shape)
             self._newest_ns = max((place.since_ns for place in places), default=0)
         return {
             "things_share": moved.share,

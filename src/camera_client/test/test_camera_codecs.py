@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_client.background.adaptation.adaptive import AdaptiveBackground
+from camera_client.background.adaptation.adaptive import AdaptiveBackground, samples_of
 from camera_client.background.model import BackgroundLearner
 from camera_client.background.noise import assumed_noise
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
@@ -43,7 +43,8 @@ def test_grain_tells_a_codec_from_a_sensor_and_from_a_camera_that_was_touched(co
     background = AdaptiveBackground(learner.model("room"), BackgroundSettings(), 8)
     for frame in range(40):
         image = exposed(np.roll(light, 30 * (frame >= 20), axis=1), rng)
-        background.follow(through_jpeg(image) if codec else image, round(frame * 1e9 / FPS))
+        image = through_jpeg(image) if codec else image
+        background.follow(image, samples_of(image), round(frame * 1e9 / FPS))
         if frame >= 8:
             correlation = background.noise.spatial_correlation
             assert (correlation > FINE_GRAIN) == codec, (frame, correlation)

@@ -24,6 +24,7 @@ from camera_client.silhouettes.pipeline import MIN_AREA, SilhouettePipeline
 from camera_client.silhouettes.shadows import Scene, make_shadow_test
 from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import SHADOW_CANDIDATE
+from capture_rig.rig import Volume
 
 THESIS = BackgroundSettings(rule="tail")
 
@@ -301,3 +302,20 @@ def test_spans_hold_the_dense_blocks_and_what_lies_between_them():
     assert columns[4].tolist() == [4, 12] and columns[13].tolist() == [20, 28] and columns[40].tolist() == [0, 0]
     wider = locator.spans((slice(4, 40), slice(12, 60)), 1)
     assert wider[0][4].tolist() == [0, 44] and wider[1][20].tolist() == [0, 36]
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_pictures_finer_than_the_hull_are_looked_at_in_half_of_the_size(scene, colour):
+    learner, camera = BackgroundLearner(), larger(scene.camera(), 3)
+    for image in scene.empty(40, colour=colour):
+        learner.add(cv2.resize(image, None, fx=3, fy=3))
+    near = Volume(camera.centre_world - 1, camera.centre_world + 1)
+    truth = cv2.resize(scene.person_mask(), None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST) > 0
+    image = cv2.resize(scene.with_person(scene.empty(1, seed=7, colour=colour)[0]), None, fx=3, fy=3)
+    pipeline = SilhouettePipeline(camera, learner.model("test"), SilhouetteSettings(), volume=near)
+    found = pipeline.run(image)
+    assert pipeline.scale == 2 and found.image_mask.shape == truth.shape == pipeline.background_pixels.shape
+    assert found.mask.shape == camera.undistorted_view().image_shape
+    person, around = (found.image_mask == 255).astype(np.uint8), np.ones((5, 5), np.uint8)
+    inner, outer = cv2.erode(truth.astype(np.uint8), around), cv2.dilate(truth.astype(np.uint8), around)
+    assert ((inner > person) | (person > outer)).sum() < 0.005 * truth.sum()  # two pixels beside the outline at most

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from camera_client.background.adaptation.adaptive import samples_of
+from camera_client.background.kernels import STEP_PX
 from camera_client.background.moved_things.absorption import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
 from camera_client.background.moved_things.support_history import APPLY_AFTER_S, CanvasCells
 from camera_client.background.moved_things.taken_away import is_calm_inside, was_taken_away
@@ -86,7 +88,8 @@ class Room:
         stamp_ns = self.frames * 10**9 // self.fps
         self.frames += 1
         image, foreground = self.shot(picture)
-        self.moved.update(image, foreground, self.expected, stamp_ns)
+        looked_at = np.ascontiguousarray(foreground[::STEP_PX, ::STEP_PX])
+        self.moved.update(image, samples_of(image), looked_at, self.look(foreground), stamp_ns)
         self.moved.clear_absorbed(image, foreground)
         if says is not None:
             cells = np.full((HEIGHT // CELL_PX, WIDTH // CELL_PX), says, np.uint8)
@@ -94,6 +97,11 @@ class Room:
         while self.waiting and self.waiting[0][0] <= stamp_ns - self.late_s * 1e9:
             self.moved.take_report(self.waiting.pop(0)[1])
         return foreground
+
+    def look(self, foreground):
+        """Tells the background and the foreground of any part."""
+        unabsorbed = foreground.copy()
+        return lambda _, box: tuple(each[box[0] : box[2], box[1] : box[3]] for each in (self.expected, unabsorbed))
 
     def watch(self, picture, seconds, says=None):
         """The same picture, or one a frame from a function of the time; returns the last frame's foreground."""

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from camera_client.background.adaptation.adaptive import samples_of
+from camera_client.background.kernels import STEP_PX
 from camera_client.background.model import BackgroundModel, Provenance
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.appearance import PeopleColours
@@ -74,10 +76,12 @@ def test_nothing_is_uncertain_before_people_were_seen_for_a_second(colour):
     colours, rng = PeopleColours(levels.shape), np.random.default_rng(0)
     image, person = frame_of(levels, shirt, 20, rng)
     out = np.zeros((H, W), np.uint8)
-    distance = np.full((H, W), 30, np.uint8)
+    distance = np.full((H // STEP_PX, W // STEP_PX), 30, np.uint8)
     for k in range(5):
         colours.learn(image, np.where(person, np.uint8(255), np.uint8(0)), Box.whole((H, W)), None, k * STEP_NS)
-    assert not colours.known and colours.mark_uncertain(image, distance, out, 3.0, 9.0).empty and not out.any()
+    assert (
+        not colours.known and colours.mark_uncertain(samples_of(image), distance, out, 3.0, 9.0).empty and not out.any()
+    )
 
 
 @pytest.mark.parametrize("colour", [False, True])
@@ -88,14 +92,14 @@ def test_colours_decide_by_the_mean_ratio_of_a_block(colour):
     for k in range(15):
         colours.learn(image, np.where(person, np.uint8(255), np.uint8(0)), Box.whole((H, W)), None, k * STEP_NS)
     out = np.zeros((H, W), np.uint8)
-    distance = np.zeros((H, W), np.uint8)
-    distance[person] = 16  # z^2 = 4: as background, a ratio of exp(least - 2) for it
-    box = colours.mark_uncertain(image, distance, out, 2.5, 9.0)
+    distance = np.zeros((H // STEP_PX, W // STEP_PX), np.uint8)
+    distance[person[::STEP_PX, ::STEP_PX]] = 16  # z^2 = 4: as background, a ratio of exp(least - 2) for it
+    box = colours.mark_uncertain(samples_of(image), distance, out, 2.5, 9.0)
     inner = np.zeros((H, W), bool)
     inner[40:96, 24:56] = True  # whole blocks of the person
     assert (out[inner] == UNCERTAIN).all() and not out[:, 64:80].any()  # the wall is none of the colours
     assert box.top % BLOCK_PX == 0 and box.top <= 40 and box.bottom >= 96
-    assert colours.mark_uncertain(image, distance, np.zeros((H, W), np.uint8), 60.0, 90.0).empty
+    assert colours.mark_uncertain(samples_of(image), distance, np.zeros((H, W), np.uint8), 60.0, 90.0).empty
 
 
 def test_colours_where_the_others_see_nobody_are_not_learned():

@@ -1,13 +1,14 @@
-"""Compiled passes over whole images and over the sampled pixels of the background (numba).
+"""Compiled passes over the picture, and over samples of it (numba); a colour image is (H, W, 3), a mono one (H, W, 1).
 
-All functions compute on the arrays that they are given. A colour image is (H, W, 3), a mono one (H, W, 1).
+The whole picture is looked at in samples, every STEP_PX-th row and column, that lie in planes (C, h, w).
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from capture_rig.kernel import njit
 from capture_rig.small_matrices import solve_positive
@@ -15,6 +16,8 @@ from capture_rig.small_matrices import solve_positive
 OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 SCALE = 4.0  # steps of the squared distance's uint8 image: a quarter of a variance, so that 255 is 8 sigmas
 HIGHEST = 255.0
+STEP_PX = 2  # the whole picture is looked at in every second row and column, all of it where somebody may be
+WHITE, BLACK = 1, 2  # kinds of a background that is clipped
 F32 = np.float32
 
 # Thresholds: measured by python bench/rooms.py.
@@ -26,74 +29,204 @@ LEVER_PX = 200.0  # how far from the middle a roll shows: about half of a pictur
 HALF_MEDIAN = 1.4826  # standard deviations of a normal distribution in a median absolute deviation
 
 
-@njit(**OPTIONS)
-def squared_distance(image, expected, inverse_sigma, gain, offset, out):  # type: ignore[no-untyped-def]
-    """Write min(255, SCALE z^2) of every pixel of a mono image, z = (image - gain expected - offset) inverse_sigma.
+class Learned(NamedTuple):
+    """What an empty room looks like in the light that it was learned in, float32, (H, W C) or samples (C, h, w).
 
-    What would be brighter than white is white, whatever the light.
-    image (n,) uint8; expected, inverse_sigma (n,) float32; gain, offset (1,) float32; out (n,) uint8.
+    mean : grey levels. excess : variance beyond the noise's. steepness2 : squared gradient, grey levels^2 / px^2.
     """
-    g, b = gain[0], offset[0]
+
+    mean: npt.NDArray[np.float32]
+    excess: npt.NDArray[np.float32]
+    steepness2: npt.NDArray[np.float32]
+
+
+class Today(NamedTuple):
+    """The light and the noise over a part of the picture, float32.
+
+    field (cells down, ...) : of the light, along the middle rows of its cells. down (h,) : where each row lies between
+    those, in cells. noise (4, ...) : read, slope, geometry and light: variance = read + slope level + geometry
+    steepness2 + light level^2 + excess. light (2, ...) : gain and offset.
+    """
+
+    field: npt.NDArray[np.float32]
+    down: npt.NDArray[np.float32]
+    noise: npt.NDArray[np.float32]
+    light: npt.NDArray[np.float32]
+
+
+class Bounds(NamedTuple):
+    """Clipped backgrounds are as expected from level ``white`` on, and up to ``black``. rho : correlation of any two
+    channels' noise, whose covariance has the inverse (1 - common) / (1 - rho), common = rho / (1 + 2 rho) in every
+    place of the matrix."""
+
+    white: float
+    black: float
+    rho: float
+
+
+@njit(**OPTIONS)
+def thin_out(image, out):  # type: ignore[no-untyped-def]
+    """Write every STEP_PX-th row and column of an image (H, W, C) into planes (C, h, w) uint8."""
+    for y in range(out.shape[1]):
+        row = image[STEP_PX * y]
+        for c in range(len(out)):
+            to = out[c, y]
+            for x in range(len(to)):
+                to[x] = row[STEP_PX * x, c]
+
+
+@njit(**OPTIONS)
+def refresh_samples(learned, today, first, end, expected, inverse_sigma):  # type: ignore[no-untyped-def]
+    """Write the level, without gain and offset, and 1 / sigma of samples, both (C, h, w): of the rows ``first`` to
+    ``end``. learned (C, h, w); today : field (C, cells down, w), noise (4, C)."""
+    last = today.field.shape[1] - 1
+    for c in range(len(expected)):
+        read, slope, geometry, light = today.noise[0, c], today.noise[1, c], today.noise[2, c], today.noise[3, c]
+        for y in range(first, end):
+            cell = min(int(today.down[y]), last)
+            share, above, below = today.down[y] - F32(cell), today.field[c, cell], today.field[c, min(cell + 1, last)]
+            row, more, steep = learned.mean[c, y], learned.excess[c, y], learned.steepness2[c, y]
+            to, sure = expected[c, y], inverse_sigma[c, y]
+            _lit(row, above, below, share, to)
+            for i in range(len(to)):
+                level = to[i]
+                sure[i] = F32(1) / np.sqrt(read + slope * level + light * level * level + geometry * steep[i] + more[i])
+
+
+@njit(**OPTIONS)
+def distance_of_samples(samples, expected, inverse_sigma, light, bounds, clipped, out):  # type: ignore[no-untyped-def]
+    """Write min(255, SCALE z^2) of every sample, z its distance from what is expected, of colours Mahalanobis's.
+
+    What would be brighter than white is white, whatever the light. samples (C, h, w) uint8; expected, inverse_sigma
+    (C, h, w) : of :func:`refresh_samples`; light (2, C); clipped (h, w) : WHITE, BLACK or 0; out (h, w) uint8.
+    """
+    gain, offset, (height, width) = light[0], light[1], out.shape
+    rest = np.empty((len(samples), width), np.float32)
+    for y in range(height):
+        for c in range(len(samples)):
+            _deviations(samples[c, y], expected[c, y], inverse_sigma[c, y], gain[c], offset[c], rest[c])
+        if len(samples) == 1:
+            _write_squares(rest[0], out[y])
+        else:
+            _write_squares_of_planes(rest[0], rest[1], rest[2], bounds.rho, out[y])
+        for x in range(width):
+            if clipped[y, x] != 0 and _is_clipped(samples[:, y, x], clipped[y, x], bounds):
+                out[y, x] = 0
+
+
+# Loops over rows that read and write few arrays each, so that the compiler does eight pixels at a time.
+
+
+@njit(**OPTIONS)
+def _lit(row, above, below, share, out):  # type: ignore[no-untyped-def]
     for i in range(len(out)):
-        rest = (F32(image[i]) - min(g * expected[i] + b, F32(HIGHEST))) * inverse_sigma[i]
-        out[i] = np.uint8(min(rest * rest * F32(SCALE), F32(HIGHEST)))
+        out[i] = row[i] * (above[i] + share * (below[i] - above[i]))
 
 
 @njit(**OPTIONS)
-def squared_distance_of_colours(image, expected, inverse_sigma, gain, offset, rho, out):  # type: ignore[no-untyped-def]
-    """Write min(255, SCALE z^2) of every pixel of a colour image, z the Mahalanobis distance.
+def _deviations(seen, expected, inverse_sigma, gain, offset, out):  # type: ignore[no-untyped-def]
+    for i in range(len(out)):
+        out[i] = (F32(seen[i]) - min(gain * expected[i] + offset, F32(HIGHEST))) * inverse_sigma[i]
 
-    What would be brighter than white is white, whatever the light.
-    image (3 n,) uint8; expected, inverse_sigma (3 n,) float32; gain, offset (3,) float32; rho : correlation of any two
-    channels' noise, whose covariance has the inverse (1 - common) / (1 - rho), with common = rho / (1 + 2 rho) in every
-    place of the matrix; out (n,) uint8.
-    """
+
+@njit(**OPTIONS)
+def _write_squares(rest, out):  # type: ignore[no-untyped-def]
+    for i in range(len(out)):
+        out[i] = np.uint8(min(rest[i] * rest[i] * F32(SCALE), F32(HIGHEST)))
+
+
+@njit(**OPTIONS)
+def _write_squares_of_planes(r0, r1, r2, rho, out):  # type: ignore[no-untyped-def]
     scale, common = F32(SCALE / (1.0 - rho)), F32(rho / (1.0 + 2.0 * rho))
-    g0, g1, g2, b0, b1, b2 = gain[0], gain[1], gain[2], offset[0], offset[1], offset[2]
     for i in range(len(out)):
-        k = 3 * i
-        r0 = (F32(image[k]) - min(g0 * expected[k] + b0, F32(HIGHEST))) * inverse_sigma[k]
-        r1 = (F32(image[k + 1]) - min(g1 * expected[k + 1] + b1, F32(HIGHEST))) * inverse_sigma[k + 1]
-        r2 = (F32(image[k + 2]) - min(g2 * expected[k + 2] + b2, F32(HIGHEST))) * inverse_sigma[k + 2]
-        whole = r0 + r1 + r2
-        total = r0 * r0 + r1 * r1 + r2 * r2 - common * whole * whole
+        whole = r0[i] + r1[i] + r2[i]
+        total = r0[i] * r0[i] + r1[i] * r1[i] + r2[i] * r2[i] - common * whole * whole
         out[i] = np.uint8(min(total * scale, F32(HIGHEST)))
 
 
 @njit(**OPTIONS)
-def refresh_rows(mean, excess, steepness2, field, down, noise, expected, inverse_sigma):  # type: ignore[no-untyped-def]
-    """Write the expected image and 1 / sigma of some rows; n is width times channels.
-
-    mean (rows, n) float32 : the background under the light that it was learned in. excess (rows, n) float32 : variance
-    of each pixel beyond the noise's. steepness2 (rows, n) float32 : squared gradient, grey levels^2 / px^2. field
-    (cells down, n) float32 : the light's field along the middle rows of its cells. down (rows,) float32 : where each
-    row lies between those, in cells. noise (4, n) float32 : read, slope, geometry and light of each channel: variance =
-    read + slope level + geometry steepness2 + light level^2 + excess. expected, inverse_sigma (rows, n) float32
-    : written.
-    """
-    rows, n = mean.shape
-    last = len(field) - 1
-    read, slope, geometry, light = noise[0], noise[1], noise[2], noise[3]
-    for y in range(rows):
-        top = min(int(down[y]), last)
-        below, share = min(top + 1, last), down[y] - F32(top)
-        above_row, below_row, row = field[top], field[below], mean[y]
-        more, steep, to, sure = excess[y], steepness2[y], expected[y], inverse_sigma[y]
-        for i in range(n):
-            level = row[i] * (above_row[i] + share * (below_row[i] - above_row[i]))
-            to[i] = level
-            sure[i] = F32(1) / np.sqrt(
-                read[i] + slope[i] * level + light[i] * level * level + geometry[i] * steep[i] + more[i]
-            )
+def _is_clipped(pixel, kind, bounds):  # type: ignore[no-untyped-def]
+    """Whether a pixel (C,) looks as a clipped background of a ``kind`` may."""
+    least = most = pixel[0]
+    for level in pixel[1:]:
+        least, most = min(least, level), max(most, level)
+    return least >= bounds.white if kind == WHITE else most <= bounds.black
 
 
 @njit(**OPTIONS)
-def current_levels(expected, gain, offset, out):  # type: ignore[no-untyped-def]
-    """Write gain expected + offset, between 0 and 255: expected, out (rows, n), gain, offset (n,) float32."""
-    for y in range(len(out)):
-        row, to = expected[y], out[y]
+def look_closely(image, learned, today, bounds, clipped, box, expected, distance):  # type: ignore[no-untyped-def]
+    """Write what is expected in a box of the picture, and how far the picture is from it: min(255, SCALE z^2).
+
+    image (H, W C) uint8, learned and today (.., W C), clipped (H, W) uint8 : of the whole picture. box : top, left,
+    bottom, right. expected (h, w C) float32 : written, grey levels; distance (H, W) uint8 : written within the box. See
+    :func:`distance_of_samples`.
+    """
+    top, left, bottom, right = box
+    channels, last = image.shape[1] // distance.shape[1], len(today.field) - 1
+    begin, end = left * channels, right * channels
+    read, slope = today.noise[0][begin:end], today.noise[1][begin:end]
+    geometry, unevenness = today.noise[2][begin:end], today.noise[3][begin:end]
+    gain, offset = today.light[0][begin:end], today.light[1][begin:end]
+    rest, variance = np.empty(end - begin, np.float32), np.empty(end - begin, np.float32)
+    planes = np.empty((3, right - left), np.float32)
+    for v in range(top, bottom):
+        cell = min(int(today.down[v]), last)
+        above, below = today.field[cell][begin:end], today.field[min(cell + 1, last)][begin:end]
+        steep, more = learned.steepness2[v][begin:end], learned.excess[v][begin:end]
+        seen, to, out = image[v][begin:end], expected[v - top], distance[v][left:right]
+        _lit(learned.mean[v][begin:end], above, below, today.down[v] - F32(cell), to)
         for i in range(len(to)):
-            to[i] = min(max(gain[i] * row[i] + offset[i], F32(0)), F32(255))
+            variance[i] = read[i] + slope[i] * to[i] + unevenness[i] * to[i] * to[i]
+        for i in range(len(to)):
+            variance[i] += geometry[i] * steep[i] + more[i]
+        for i in range(len(to)):
+            to[i] = min(max(gain[i] * to[i] + offset[i], F32(0)), F32(HIGHEST))
+        for i in range(len(to)):
+            rest[i] = (F32(seen[i]) - to[i]) / np.sqrt(variance[i])
+        if channels == 1:
+            _write_squares(rest, out)
+        else:
+            for x in range(len(out)):
+                planes[0, x], planes[1, x], planes[2, x] = rest[3 * x], rest[3 * x + 1], rest[3 * x + 2]
+            _write_squares_of_planes(planes[0], planes[1], planes[2], bounds.rho, out)
+        kind = clipped[v][left:right]
+        for x in range(len(out)):
+            if kind[x] != 0 and _is_clipped(seen[channels * x : channels * (x + 1)], kind[x], bounds):
+                out[x] = 0
+
+
+@njit(**OPTIONS)
+def follow_running(samples, running, limit, share, differs):  # type: ignore[no-untyped-def]
+    """Write 255 into ``differs`` (h, w), else 0, where samples (C, h, w) uint8 differ by more than ``limit`` (h, w)
+    from a running mean (C, h, w) float32; move that by a ``share`` towards them."""
+    for y in range(len(differs)):
+        to, most = differs[y], limit[y]
+        to[:] = 0
+        for c in range(len(samples)):
+            row, mean = samples[c, y], running[c, y]
+            for x in range(len(to)):
+                rest = F32(row[x]) - mean[x]
+                to[x] |= np.uint8(255) if abs(rest) > most[x] else np.uint8(0)
+                mean[x] += F32(share) * rest
+
+
+@njit(**OPTIONS)
+def clear_absorbed(image, mean, replaced, limit, brightness, step_px, box, values):  # type: ignore[no-untyped-def]
+    """Write 0 into ``values``, of every step_px-th row and column, where the image looks as it was absorbed.
+
+    image (H, W, C) uint8; mean (H, W, C) float32 : as it was absorbed, where ``replaced`` (H, W) is not 0. limit (H, W)
+    uint8 : grey levels by which a channel differs at most. box : top, left, bottom, right of what is looked at.
+    """
+    for y in range(-(-box[0] // step_px), -(-box[2] // step_px)):
+        for x in range(-(-box[1] // step_px), -(-box[3] // step_px)):
+            v, u = step_px * y, step_px * x
+            if replaced[v, u] == 0 or values[y, x] == 0:
+                continue
+            most = F32(0)
+            for c in range(image.shape[2]):
+                most = max(most, abs(F32(image[v, u, c]) - min(F32(brightness) * mean[v, u, c], F32(HIGHEST))))
+            if most <= limit[v, u]:
+                values[y, x] = 0
 
 
 @njit(**OPTIONS)
@@ -182,35 +315,35 @@ def robust_gain(seen, expected, precision, trust, start, prior, steps, reach, we
 
 
 @njit(**OPTIONS)
-def take_samples(picture, levels, inverse_sigma, at, doubted, out, trust):  # type: ignore[no-untyped-def]
-    """Collect what the light is fitted to, at some places of the picture.
+def take_samples(samples, expected, inverse_sigma, at, doubted, out, trust):  # type: ignore[no-untyped-def]
+    """Collect what the light is fitted to, at some of the picture's samples.
 
-    picture (H W, C) uint8, levels, inverse_sigma (H W, C) float32; at (2, n) : index of each sample, and of its block
-    in ``doubted`` (blocks,) uint8. out (3, C, n) float32 : written: seen, levels, inverse_sigma^2. trust (n,) float32
-    : written: DOUBTED where the block is doubted, else 1.
+    samples (C, m) uint8, expected, inverse_sigma (C, m) : of :func:`refresh_samples`; at (2, n) : index of each, and of
+    its block in ``doubted`` (blocks,) uint8. out (3, C, n) float32 : written: seen, expected, inverse_sigma^2. trust
+    (n,) float32 : written: DOUBTED where the block is doubted, else 1.
     """
     for i in range(at.shape[1]):
         k = at[0, i]
-        for c in range(picture.shape[1]):
-            out[0, c, i], out[1, c, i] = picture[k, c], levels[k, c]
-            out[2, c, i] = inverse_sigma[k, c] * inverse_sigma[k, c]
+        for c in range(len(samples)):
+            out[0, c, i], out[1, c, i] = samples[c, k], expected[c, k]
+            out[2, c, i] = inverse_sigma[c, k] * inverse_sigma[c, k]
         trust[i] = F32(DOUBTED) if doubted[at[1, i]] else F32(1)
 
 
 @njit(**OPTIONS)
-def take_residuals(picture, levels, excess, at, doubted, now, out, trust):  # type: ignore[no-untyped-def]
+def take_residuals(picture, mean, excess, field, at, doubted, now, out, trust):  # type: ignore[no-untyped-def]
     """Collect what the displacement is fitted to, at some places of the picture.
 
-    picture (H W, C) uint8, levels, excess (H W, C) float32; at (2, n) : index of each place, and of its block in
-    ``doubted`` (blocks,) uint8. now (4, C) : gain and offset of the light, read and slope of the noise. out (2, n, C)
-    float32 : written: picture - gain level - offset, and the variance of that. trust (n,) float32 : written: DOUBTED
-    where the block is doubted, 0 from the level CLIPPED on, else 1.
+    picture (H W, C) uint8, mean, excess (H W, C) float32; field (n, C) : of the light there; at (2, n) : index of each
+    place, and of its block in ``doubted`` (blocks,) uint8. now (4, C) : gain and offset of the light, read and slope of
+    the noise. out (2, n, C) float32 : written: picture - gain field mean - offset, and the variance of that. trust (n,)
+    float32 : written: DOUBTED where the block is doubted, 0 from the level CLIPPED on, else 1.
     """
     for i in range(at.shape[1]):
         k = at[0, i]
         trust[i] = F32(DOUBTED) if doubted[at[1, i]] else F32(1)
         for c in range(picture.shape[1]):
-            level = F32(now[0, c]) * levels[k, c]
+            level = F32(now[0, c]) * field[i, c] * mean[k, c]
             out[0, i, c] = picture[k, c] - level - F32(now[1, c])
             out[1, i, c] = now[2, c] + now[3, c] * level + excess[k, c]
             if picture[k, c] >= CLIPPED:

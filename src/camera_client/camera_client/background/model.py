@@ -30,6 +30,7 @@ MOVING_SIGMAS = 3.0  # a pixel moved when it varied by this many times the media
 MOVING_MIN_SIGMA = 3.0  # ... and by this many grey levels
 NOISE_MAX_SIGMA = 12.0  # no camera is as noisy as this: it moved, even when most other pixels did, too
 SQRT_2_PI = math.sqrt(2 * math.pi)
+WHOLE = (slice(None), slice(None))
 
 
 @dataclass(frozen=True)
@@ -122,9 +123,9 @@ class BackgroundLimits:
     lo: Image
     hi: Image
 
-    def subtract(self, image: Image) -> Image:
-        """(H, W) uint8: 255 where any channel leaves its limits, else 0."""
-        return cv2.bitwise_not(cv2.inRange(image, self.lo, self.hi))
+    def subtract(self, image: Image, at: tuple[slice, slice] = WHOLE) -> Image:
+        """(h, w) uint8: 255 where any channel of a part of the image leaves its limits, else 0."""
+        return cv2.bitwise_not(cv2.inRange(image[at], self.lo[at], self.hi[at]))
 
 
 class BackgroundLearner:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .kernels import HALF_MEDIAN
+from .kernels import HALF_MEDIAN, median
 from .model import BackgroundModel
 
 # Thresholds: QUANTISATION from rounding, 1/12; else measured by python bench/rooms.py.
@@ -108,12 +108,16 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
     scaled = rest / np.sqrt(noise.variance(level))
     tail = 1.0
     if foreground_known:
-        beyond = float(np.quantile(np.abs(scaled), TAIL_SHARE)) / TAIL_SIGMAS - TAIL_ALLOWED
+        size = np.abs(scaled).reshape(-1)
+        nearest = round(TAIL_SHARE * (len(size) - 1))
+        beyond = float(np.partition(size, nearest)[nearest]) / TAIL_SIGMAS - TAIL_ALLOWED
         tail = min(max(beyond, 1.0), MOST_TAIL)
     noise = Noise(noise.read * tail**2, noise.slope * tail**2)
     if channels == 1:
         return noise
-    together = (HALF_MEDIAN * float(np.median(np.abs(scaled.sum(axis=1))))) ** 2  # channels (1 + (channels - 1) rho)
+    together = (
+        HALF_MEDIAN * float(median(np.abs(scaled.sum(axis=1), dtype=np.float32)))
+    ) ** 2  # channels (1 + (channels - 1) rho)
     rho = (together / channels - 1) / (channels - 1)
     return noise._replace(correlation=float(np.clip(rho, 0.0, MOST_CORRELATION)))
 
@@ -122,7 +126,8 @@ def _fit(level: Floats, square: Floats, bins: int) -> tuple[float, float]:
     """Fit read and slope by the medians of the squares over pixels of similar level."""
     order = np.array_split(np.argsort(level, kind="stable"), bins)
     parts = [part for part in order if len(part) >= FEW_IN_BIN] or [np.arange(len(level))]
-    x, y = (np.array(each) for each in zip(*((level[p].mean(), np.median(square[p])) for p in parts), strict=True))
+    square = np.asarray(square, np.float32)
+    x, y = np.array([(level[p].mean(), median(square[p])) for p in parts], float).T
     weight = 1 / np.maximum(y, LEAST_VARIANCE)
     sw, sx, sy = (weight**2).sum(), (weight**2 * x).sum(), (weight**2 * y).sum()
     sxx, sxy = (weight**2 * x * x).sum(), (weight**2 * x * y).sum()

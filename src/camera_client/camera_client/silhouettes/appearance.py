@@ -19,18 +19,18 @@ from capture_rig.kernel import kernel, njit
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, UNCERTAIN
 from capture_rig.stamps import StampThrottle
 
-from ..background.kernels import OPTIONS, SCALE
+from ..background.adaptation.expected_image import Samples
+from ..background.kernels import OPTIONS, SCALE, STEP_PX
 from ..frame_source import Image, Mask
 from .masks import BLOCK_PX, Box
 
 BITS_MONO, BITS_COLOUR = 6, 5  # of each channel, in the histogram
 # Thresholds: DARK from a sensor's shot and read noise; else judgement.
 DARK = 16.0  # grey levels: noise has the variance a (level + DARK), about; bins are equally many sigmas wide
-PERIOD_S = 0.1  # colours are learned so often
+PERIOD_S = 0.25  # colours are learned so often
 MEMORY_S = 10.0  # time constant: people come and go, and clouds pass
 FIRST_S = 1.0  # until colours have been learned for so long, nothing is known
 UNKNOWN = 0.3  # share of a person's pixels whose colour may be any: another side, another person
-STEP_PX = 2  # every second row and column is looked at
 FEWEST = 8  # background pixels of a block that is judged by itself; its neighbours decide for one with fewer
 
 
@@ -78,16 +78,16 @@ class PeopleColours:
         smooth = _smoothed(self._counts.reshape((1 << self._bits,) * self._channels)).reshape(-1)
         self._ratio = np.log(UNKNOWN + (1 - UNKNOWN) * smooth / self._volume).astype(np.float32)
 
-    def mark_uncertain(self, image: Image, distance: Mask, levels: Mask, least: float, most: float) -> Box:
+    def mark_uncertain(self, samples: Samples, distance: Mask, levels: Mask, least: float, most: float) -> Box:
         """Write UNCERTAIN into the background of ``levels`` (H, W) where the people's colours explain it better.
 
-        distance (H, W) : SCALE z^2, the squared distance from the background. least : z^2 / 2 at which background and a
-        foreground of any colour are equally likely; most : what a pixel counts at most. Returns a box around the marks.
+        samples (C, h, w) : of the image; distance (h, w) : SCALE z^2, their squared distance from the background.
+        least : z^2 / 2 at which background and a foreground of any colour are equally likely; most : what a pixel
+        counts at most. Returns a box around the marks.
         """
         if not self.known:
             return Box(0, 0, 0, 0)
-        pixels = image.reshape(*image.shape[:2], self._channels)
-        judge_blocks(pixels, distance, levels, self._ratio, self._table, self._bits, (least, most), self._judged)
+        judge_blocks(samples, distance, levels, self._ratio, self._table, self._bits, (least, most), self._judged)
         top, left, bottom, right = mark_blocks(self._judged, levels)
         return Box(top, left, bottom, right)
 
@@ -139,26 +139,35 @@ def _bin(colour, table, bits):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def judge_blocks(pixels, distance, levels, ratio, table, bits, limits, judged):  # type: ignore[no-untyped-def]
+def judge_blocks(samples, distance, levels, ratio, table, bits, limits, judged):  # type: ignore[no-untyped-def]
     """Write into ``judged`` (blocks) 0 where the background of a block is background, 1 where there is too little of
     it to tell, 2 where it rather shows people: by the mean log-likelihood ratio of its background pixels.
 
-    pixels (H, W, C), distance, levels (H, W) uint8; ratio (bins,) : log of how much likelier people have a colour than
-    anything else; see :meth:`PeopleColours.mark_uncertain`.
+    samples (C, h, w), distance (h, w), levels (H, W) uint8; ratio (bins,) : log of how much likelier people have a
+    colour than anything else; see :meth:`PeopleColours.mark_uncertain`.
     """
-    height, width = levels.shape
+    (height, width), side = distance.shape, BLOCK_PX // STEP_PX
     least, most = limits
-    limit, scale = np.int64(2 * SCALE * most), 0.5 / SCALE
+    limit, scale, likeliest = np.int64(2 * SCALE * most), 0.5 / SCALE, ratio.max()
     for row in range(judged.shape[0]):
         for column in range(judged.shape[1]):
+            bottom, right = min((row + 1) * side, height), min((column + 1) * side, width)
             total, count = 0.0, 0
-            for y in range(row * BLOCK_PX, min((row + 1) * BLOCK_PX, height), STEP_PX):
-                for x in range(column * BLOCK_PX, min((column + 1) * BLOCK_PX, width), STEP_PX):
-                    if levels[y, x] == BACKGROUND:
-                        own = scale * min(np.int64(distance[y, x]), limit)
-                        total += own - least + ratio[_bin(pixels[y, x], table, bits)]
+            for y in range(row * side, bottom):
+                for x in range(column * side, right):
+                    if levels[STEP_PX * y, STEP_PX * x] == BACKGROUND:
+                        total += scale * min(np.int64(distance[y, x]), limit) - least + likeliest
                         count += 1
-            judged[row, column] = 1 if count < FEWEST else (2 if total > 0.0 else 0)
+            if count < FEWEST or total <= 0.0:  # whatever the colours are
+                judged[row, column] = 1 if count < FEWEST else 0
+                continue
+            total = 0.0
+            for y in range(row * side, bottom):
+                for x in range(column * side, right):
+                    if levels[STEP_PX * y, STEP_PX * x] == BACKGROUND:
+                        own = scale * min(np.int64(distance[y, x]), limit)
+                        total += own - least + ratio[_bin(samples[:, y, x], table, bits)]
+            judged[row, column] = 2 if total > 0.0 else 0
 
 
 @njit(**OPTIONS)

@@ -49,22 +49,14 @@ class AttenuationMarker:
             return levels
         inner = inner.grown(2 * ALIGNMENT_PX, person.shape, ALIGNMENT_PX)
         part = inner.slices
-        ratio, shape = _brightness(scene.part(inner)), levels[part].shape
+        ratio, shape = _brightness(scene.grey.part(inner)), levels[part].shape
         cv2.copyTo(enlarged(cv2.LUT(ratio, self._candidate), 2, shape), candidates[part], levels[part])
         levels = cv2.max(levels, person)
         cv2.copyTo(enlarged(cv2.LUT(ratio, self._attenuated), 2, shape), ambiguous[part], levels[part])
         return levels
 
 
-def _brightness(scene: Scene) -> np.ndarray:
+def _brightness(grey: Scene) -> np.ndarray:
     """Return the brightness of halved pixels (uint8): RATIO_SCALE times what it is when the room is empty."""
-    background = np.maximum(_halved_grey(scene.expected), np.float32(1.0))
-    return cv2.convertScaleAbs(cv2.divide(_halved_grey(scene.image), background, scale=RATIO_SCALE))
-
-
-def _halved_grey(image: np.ndarray) -> np.ndarray:
-    """Return (ceil(h / 2), ceil(w / 2)) float32: means of 2 x 2 pixels and of the channels."""
-    half = halve(image)
-    if half.ndim == 3:
-        half = cv2.transform(half, np.full((1, 3), 1 / 3, np.float32))
-    return half.astype(np.float32)
+    background = np.maximum(halve(grey.expected), np.float32(1.0))
+    return cv2.convertScaleAbs(cv2.divide(halve(grey.image).astype(np.float32), background, scale=RATIO_SCALE))

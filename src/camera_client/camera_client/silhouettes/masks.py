@@ -21,7 +21,6 @@ from ..frame_source import Image, Mask
 
 BLOCK_PX = 8
 MOST_IN_BLOCK_PX = 8
-_PIXEL_OF_BLOCK = 4  # what one pixel of 255 adds to the mean of its block, halved three times
 
 
 Spans = tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]
@@ -77,34 +76,39 @@ class Box(NamedTuple):
 class ForegroundLocator:
     """Finds, fast, a box that holds everything in an image that may be a part of a person.
 
-    Foreground is counted in blocks of 8 x 8 pixels by halving the image three times. Noise, at one pixel in a hundred,
-    fills no block, so that it does not widen the box as it would widen a bounding box.
+    Foreground is counted in blocks of 8 x 8 pixels by halving the image, or samples of it, until a block is one pixel.
+    Noise, at one pixel in a hundred, fills no block, so that it does not widen the box as it would widen a bounding
+    box.
     """
 
-    def __init__(self, shape: tuple[int, ...], min_area_px: float, least_in_block_px: int) -> None:
+    def __init__(self, shape: tuple[int, ...], min_area_px: float, least_in_block_px: int, step_px: int = 1) -> None:
         """Parts below ``min_area_px`` may be missed; a block counts from ``least_in_block_px`` (or a sixth of the
-        smallest part, if that is more, up to 8) pixels on."""
-        self._shape, self._min_area_px = shape[:2], min_area_px
+        smallest part, if that is more, up to 8) pixels on. Every ``step_px``-th row and column is looked at."""
+        self._shape, self._min_area_px, self._step_px = shape[:2], min_area_px, step_px
         least_px = max(least_in_block_px, min(int(min_area_px / 6), MOST_IN_BLOCK_PX))
-        self._sparse = 255 - _PIXEL_OF_BLOCK * least_px + 1
-        height, width = (-(-n // BLOCK_PX) * BLOCK_PX for n in shape[:2])
-        self._padded = np.full((height, width), 255, np.uint8)
-        self.dense = np.zeros((height // BLOCK_PX, width // BLOCK_PX), np.uint8)
+        side = BLOCK_PX // step_px
+        self._in_mean = 256 // side**2  # what one sample of 255 adds to the mean of its block, halved several times
+        self._sparse = 255 - self._in_mean * max(round(least_px / step_px**2), 1) + 1
+        down, across = (-(-n // BLOCK_PX) for n in shape[:2])
+        self._padded = np.full((down * side, across * side), 255, np.uint8)
+        self.dense = np.zeros((down, across), np.uint8)
         """Blocks (of the last call of :meth:`box`) that the box was made for are 1, the others 0."""
 
     @property
     def buffer(self) -> Mask:
-        """(H, W) to write the mask of the *background* into, 255 or 0, before :meth:`box`."""
-        return self._padded[: self._shape[0], : self._shape[1]]
+        """To write the samples (h, w) of the mask of the *background* into, 255 or 0, before :meth:`box`."""
+        height, width = (-(-n // self._step_px) for n in self._shape)
+        return self._padded[:height, :width]
 
     def box(self) -> Box:
         """Return a box of whole blocks around all neighbouring dense blocks that hold the smallest part, together."""
         blocks: np.ndarray = self._padded
-        for _ in range(3):
+        while blocks.shape[0] > len(self.dense):
             blocks = cv2.resize(blocks, (blocks.shape[1] // 2, blocks.shape[0] // 2), interpolation=cv2.INTER_AREA)
         dense = cv2.threshold(blocks, self._sparse, 255, cv2.THRESH_BINARY_INV)[1]
         count, labels = cv2.connectedComponents(dense, connectivity=8)
-        pixels = np.bincount(labels.reshape(-1), (255 - blocks).reshape(-1), count) / _PIXEL_OF_BLOCK
+        samples = np.bincount(labels.reshape(-1), (255 - blocks).reshape(-1), count) / self._in_mean
+        pixels = samples * self._step_px**2
         large = (pixels >= self._min_area_px).astype(np.uint8)
         large[0] = 0  # what is not dense
         self.dense = large[labels]
@@ -172,7 +176,7 @@ _DISC_PX = 7
 _DISC = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_DISC_PX, _DISC_PX)), np.uint8)
 
 
-def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: float) -> Mask:
+def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: float, times: int = 1) -> Mask:
     """Return ``person`` (h, w) without pixels of its outline that are mostly background.
 
     A pixel on the edge is a blend, and lens, codec and noise filter spread it over its neighbours; a background test
@@ -180,16 +184,24 @@ def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: flo
     that touches the background stays only if it differs from it by ``least_share`` of the largest difference around.
     Colour is measured at half the resolution (Bayer sensors, 4:2:0 video), which spreads it further: what is around
     reaches to where the colour is whole.
-    ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background.
+    ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background. times : how many times
+    finer the result is: there the share is interpolated, and the outline lies between the pixels.
     """
-    around, trimmed = _CROSS if image.ndim == 2 else _DISC, np.zeros_like(person)
+    around, trimmed = _CROSS if image.ndim == 2 else _DISC, np.zeros([times * n for n in person.shape], np.uint8)
     part = Box.around(person).grown(_DISC_PX, person.shape).slices
     person, image, mean = person[part], image[part], mean[part]
     if person.size == 0:
         return trimmed
     difference = cv2.bitwise_and(largest_difference(image, mean), person)
     inside = cv2.erode(person, _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
-    wanted = cv2.convertScaleAbs(cv2.dilate(difference, around), alpha=least_share)
+    most = cv2.dilate(difference, around)
+    if times > 1:
+        share = cv2.max(inside, cv2.min(person, cv2.divide(difference, most, scale=255)))
+        fine = cv2.resize(share, None, fx=times, fy=times, interpolation=cv2.INTER_LINEAR)
+        at = tuple(slice(times * side.start, times * side.stop) for side in part)
+        trimmed[at] = cv2.threshold(fine, 255 * least_share, 255, cv2.THRESH_BINARY)[1]
+        return trimmed
+    wanted = cv2.convertScaleAbs(most, alpha=least_share)
     trimmed[part] = cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
     return trimmed
 

@@ -8,9 +8,11 @@ background looks like the people, undistort.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -19,7 +21,9 @@ from capture_rig.rig import Volume
 from mocap_packets.silhouette import Silhouette
 from mocap_packets.support import ForegroundSupport
 
-from ..background.adaptation.adaptive import AdaptiveBackground, FixedBackground
+from ..background.adaptation.adaptive import AdaptiveBackground, FixedBackground, samples_of
+from ..background.adaptation.expected_image import Corners, Samples
+from ..background.kernels import STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things.absorption import MovedThings
 from ..frame_source import Image, Mask
@@ -33,7 +37,7 @@ from .codec_errors import codec_error_sigma
 from .components import PeopleRule, keep_people
 from .evidence import CLEAR, EvidenceFilter, least_evidence
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, majority, majority_count, trim_outline
-from .shadows import Scene, make_shadow_test
+from .shadows import HALVED_NOISE, Scene, enlarged, halve, make_shadow_test
 
 EMPTY, FULL = "empty", "full"
 # Thresholds: MIN_AREA from the size of a hand at 10 m, REACH_BLOCKS from the reach of the evidence; else judgement.
@@ -41,6 +45,7 @@ REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: th
 TYPICAL_LEVEL = 128.0  # grey level at which one number stands for the noise
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps
 MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
+MOST_PIXEL_M = 0.012  # two pixels to a voxel of the hull, nearly: finer ones add nothing inside of an outline
 EMPTY_BELOW, FULL_ABOVE = 2e-4, 0.6  # share of foreground at which a mask is flagged: no person looks like that
 
 
@@ -65,7 +70,13 @@ class SilhouettePipeline:
         with the background, where there is one already."""
         settings, background_settings = settings or SilhouetteSettings(), background_settings or BackgroundSettings()
         check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
-        self._camera, self._settings, self._shape = camera.name, settings, background.shape
+        self._camera, self._settings, self._image_shape = camera.name, settings, background.shape
+        self._undistorter, whole = BoxUndistorter(camera.undistorted_view()), camera
+        self.scale = 2 if is_finer_than_needed(camera, volume) else 1
+        """Pixels of the image, in each direction, to one that is looked at."""
+        if self.scale > 1:
+            camera, background, alignment = halved_camera(camera), halved_background(background), None
+        self._shape = background.shape
         self.background: AdaptiveBackground | FixedBackground
         if background_settings.rule == "adaptive":
             alignment = alignment or PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
@@ -74,7 +85,8 @@ class SilhouettePipeline:
             self.background = FixedBackground(background, background_settings)
         self.moved: MovedThings | None = None
         if background_settings.moved_things:
-            self.moved = MovedThings(camera, np.maximum(background.sigma, background_settings.sigma_floor))
+            sigma = np.maximum(background.sigma, background_settings.sigma_floor)
+            self.moved = MovedThings(whole, sigma, self.scale)
         channels = len(background.shape[2:]) * 3 or 1
         self._shadow = make_shadow_test(camera, channels, settings, volume)
         self._certainty = CertaintyMeter(camera.width * camera.height, channels, background_settings.rule == "adaptive")
@@ -83,9 +95,10 @@ class SilhouettePipeline:
         height = camera.height
         min_area_px = MIN_AREA * height**2
         self._people = PeopleRule(min_area_px, settings.near * height, settings.max_hole * height**2)
-        self._locator = ForegroundLocator(self._shape, min_area_px, majority_count(settings.median_px))
-        self._undistorter = BoxUndistorter(camera.undistorted_view())
+        least_px = majority_count(settings.median_px)
+        self._locator = ForegroundLocator(self._shape, min_area_px, least_px, self.background.step_px)
         self._distance, self._levels = np.zeros((2, *self._shape[:2]), np.uint8)
+        self._image_levels = np.zeros(self._image_shape[:2], np.uint8) if self.scale > 1 else self._levels
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
@@ -103,8 +116,8 @@ class SilhouettePipeline:
 
     @property
     def background_pixels(self) -> Mask:
-        """(H, W) 255 where the last frame showed the background, pixel by pixel, else 0."""
-        return self._locator.buffer
+        """(H, W) 255 where the last frame showed the background, as far as it was looked at, else 0."""
+        return enlarged(self._locator.buffer, self.background.step_px * self.scale, self._image_shape)
 
     @property
     def certainty(self) -> Certainty:
@@ -120,25 +133,28 @@ class SilhouettePipeline:
         self._check(image)
         self._untimed_ns += round(1e9 / UNTIMED_HZ)
         now_ns = self._untimed_ns if stamp_ns is None else stamp_ns
+        image = halve(image) if self.scale > 1 else image
+        samples = samples_of(image)
         shows_scene = self._dark_room or not is_black(grid_sample(image))
         if shows_scene:  # a covered lens says nothing of light and noise
-            self.background.follow(image, now_ns)
-        box = self._find_foreground(image, now_ns, shows_scene)
+            self.background.follow(image, samples, now_ns)
+        distance = self.background.distance(image, samples)
+        box = self._find_foreground(image, samples, distance, now_ns if shows_scene else None)
         if shows_scene:
             self.background.note_foreground(self._locator.dense)
         measured = self._certainty.is_due(now_ns)
         if box.empty:
             self._certainty.note_nothing()
             nothing = np.zeros((0, 0), np.uint8)
-            return self._silhouette(stamp_ns, nothing, box, self._canvas_levels(image, nothing, box))
-        expected = self.background.expected(box.slices)
+            canvas = self._canvas_levels(samples, distance, nothing, box, nothing)
+            return self._silhouette(stamp_ns, nothing, box, canvas)
+        expected = self._look(image, box)
         part, noise = image[box.slices], self.background.noise
         scene = Scene(part, expected, noise, box.slices, codec_error_sigma(part, expected, noise))
         raw = self._decide(scene)
         shadow = self._shadow.shadow(scene, raw)
-        kept = person = self._keep_person(cv2.subtract(raw, shadow), box)
-        if self._settings.outline_contrast > 0:
-            person = trim_outline(person, scene.image, expected, self._settings.outline_contrast)
+        kept = self._keep_person(cv2.subtract(raw, shadow), box)
+        person, cut = self._trim_outline(kept, scene)
         marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
         if measured:
             self._certainty.note(self._distance[box.slices], raw, kept, shadow, marked)
@@ -148,12 +164,14 @@ class SilhouettePipeline:
         levels = person
         if self._attenuation is not None:
             levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        return self._silhouette(stamp_ns, levels, box, self._canvas_levels(image, marked, box))
+        canvas = self._canvas_levels(samples, distance, marked, box, cut)
+        return self._silhouette(stamp_ns, self._of_image(levels, box, cut), self._in_image(box), canvas)
 
     def _check(self, image: Image) -> None:
-        if image.shape != self._shape or image.dtype != np.uint8:
+        if image.shape != self._image_shape or image.dtype != np.uint8:
+            expected = shape_text(self._image_shape)
             raise InputError(
-                f"an image of {shape_text(image.shape)} {image.dtype} came, expected {shape_text(self._shape)} uint8",
+                f"an image of {shape_text(image.shape)} {image.dtype} came, expected {expected} uint8",
                 remedy="The camera's region or pixel format has changed; configure again.",
             )
 
@@ -162,21 +180,35 @@ class SilhouettePipeline:
         if self.moved is not None:
             self.moved.take_report(report)
 
-    def _find_foreground(self, image: Image, stamp_ns: int, shows_scene: bool) -> Box:
-        """Measure every pixel's distance from the background; return a box around all that may be foreground."""
-        distance, limit = self.background.distance(image, self._distance), self.background.threshold
+    def _find_foreground(self, image: Image, samples: Samples, distance: Mask, stamp_ns: int | None) -> Box:
+        """Return a box around all that may be foreground by the samples' ``distance``, and write 0 into that where the
+        image looks as it was absorbed. stamp_ns : None of a frame that does not show the scene."""
+        limit, step_px = self.background.threshold, self.background.step_px
         if self.moved is not None:
-            light, everywhere = self.background.light.brightness, (slice(None), slice(None))
-            if shows_scene and self.moved.is_due(stamp_ns):
-                background, sigma = self.background.expected(everywhere), self.background.noise.sigma(TYPICAL_LEVEL)
-                foreground = np.asarray(cv2.threshold(distance, limit, 255, cv2.THRESH_BINARY)[1], np.uint8)
-                self.moved.update(image, foreground, background, stamp_ns, light, sigma)
-            self.moved.clear_absorbed(image, distance, light)
+            light = self.background.light.brightness
+            if stamp_ns is not None and self.moved.is_due(stamp_ns):
+                sigma, thinned = self.background.noise.sigma(TYPICAL_LEVEL), distance[:: STEP_PX // step_px]
+                foreground = cv2.threshold(thinned[:, :: STEP_PX // step_px], limit, 255, cv2.THRESH_BINARY)[1]
+                self.moved.update(image, samples, foreground, self._look_at, stamp_ns, light, sigma)
+            self.moved.clear_absorbed(image, distance, light, step_px)
         cv2.threshold(distance, limit, 255, cv2.THRESH_BINARY_INV, dst=self._locator.buffer)
         dense = self._locator.box()
         if dense.empty:
             return Box(0, 0, 0, 0)
         return dense.grown(BLOCK_PX + self._margin_px, self._shape, self._alignment_px)
+
+    def _look(self, image: Image, box: Box) -> npt.NDArray[np.float32]:
+        """Return what is expected in a box, and measure there how far every pixel is from it."""
+        expected = self.background.look(image, box, self._distance)
+        if self.moved is not None:
+            self.moved.clear_absorbed(image, self._distance, self.background.light.brightness, box=box)
+        return expected
+
+    def _look_at(self, image: Image, box: Corners) -> tuple[npt.NDArray[np.float32], Mask]:
+        """Return what is expected in a box, and the foreground of every pixel, that was absorbed as well."""
+        expected = self.background.look(image, box, self._distance)
+        distance = self._distance[Box(*box).slices]
+        return expected, np.asarray(cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1])
 
     def _decide(self, scene: Scene) -> Mask:
         """Return the foreground of a part, by its neighbourhood's evidence, or by the majority (the thesis's rules)."""
@@ -192,22 +224,52 @@ class SilhouettePipeline:
         things = None if self.moved is None or self.moved.likely is None else self.moved.likely[box.slices]
         return keep_people(mask, self._people, things)
 
-    def _canvas_levels(self, image: Image, marked: Mask, box: Box) -> Mask:
+    def _trim_outline(self, kept: Mask, scene: Scene) -> tuple[Mask, Mask]:
+        """Return the person, and which pixels of the image around them, where that is finer, are only background."""
+        least = self._settings.outline_contrast
+        if self.scale == 1:
+            person = trim_outline(kept, scene.image, scene.expected, least) if least > 0 else kept
+            return person, np.zeros((0, 0), np.uint8)
+        shape = self.scale * kept.shape[0], self.scale * kept.shape[1]
+        if least <= 0:
+            return kept, np.zeros(shape, np.uint8)
+        fine = trim_outline(kept, scene.image, scene.expected, least, self.scale)
+        return kept, cv2.subtract(enlarged(kept, self.scale, shape), fine)
+
+    def _in_image(self, box: Box) -> Box:
+        """Return a box of what is looked at in the image's own pixels."""
+        top, left, bottom, right = (self.scale * side for side in box)
+        return Box(top, left, min(bottom, self._image_shape[0]), min(right, self._image_shape[1]))
+
+    def _of_image(self, levels: Mask, box: Box, cut: Mask) -> Mask:
+        """Return the levels of a box in the image's own pixels; ``cut`` : 255 at those that are only background."""
+        if self.scale == 1 or box.empty:
+            return levels
+        (top, left, bottom, right) = self._in_image(box)
+        levels = enlarged(levels, self.scale, (bottom - top, right - left))
+        return cv2.subtract(levels, cut[: bottom - top, : right - left])
+
+    def _canvas_levels(self, samples: Samples, distance: Mask, marked: Mask, box: Box, cut: Mask) -> Mask:
         """Return the levels on the canvas: those ``marked`` in the box, and where the camera is uncertain."""
         levels, whole = self._levels, box
         levels[box.slices] = marked
         if self._colours is not None:
             noise = self.background.noise
             least = least_evidence(noise.sigma(TYPICAL_LEVEL), noise)
-            uncertain = self._colours.mark_uncertain(image, self._distance, levels, least, CLEAR * least)
+            uncertain = self._colours.mark_uncertain(samples, distance, levels, least, CLEAR * least)
             whole = box.joined(uncertain)
-        canvas = self._undistorter.undistort(levels, whole)
-        levels[whole.slices] = 0  # as it was
+        image_levels, whole_image = self._image_levels, self._in_image(whole)
+        if self.scale > 1:
+            shape = whole_image.bottom - whole_image.top, whole_image.right - whole_image.left
+            image_levels[whole_image.slices] = enlarged(levels[whole.slices], self.scale, shape) if shape[0] else 0
+            image_levels[self._in_image(box).slices] = self._of_image(levels[box.slices], box, cut)
+        canvas = self._undistorter.undistort(image_levels, whole_image)
+        image_levels[whole_image.slices], levels[whole.slices] = 0, 0  # as they were
         return canvas
 
     def _silhouette(self, stamp_ns: int | None, levels: Mask, box: Box, canvas: Mask) -> Silhouette:
         """Return the silhouette of the levels (h, w) in a box of the image, and on the canvas."""
-        image_mask = np.zeros(self._shape[:2], np.uint8)
+        image_mask = np.zeros(self._image_shape[:2], np.uint8)
         image_mask[box.slices] = levels
         anything, person = 0, 0
         if levels.size:
@@ -222,6 +284,32 @@ class SilhouettePipeline:
         if fraction < EMPTY_BELOW:
             return (EMPTY,)
         return (FULL,) if fraction > FULL_ABOVE else ()
+
+
+# --- pictures that are finer than the hull: looked at in half of the size, but for the outlines
+
+
+def is_finer_than_needed(camera: CameraModel, volume: Volume | None) -> bool:
+    """Whether pixels twice as wide are still small for the hull, in the middle of the volume."""
+    if volume is None:
+        return False
+    apart_m = np.linalg.norm(camera.centre_world - (np.asarray(volume.low) + np.asarray(volume.high)) / 2)
+    return bool(2 * apart_m / camera.K[0, 0] <= MOST_PIXEL_M)
+
+
+def halved_camera(camera: CameraModel) -> CameraModel:
+    """Return the camera of images at half the size."""
+    K = camera.K * [[0.5], [0.5], [1.0]]
+    K[:2, 2] -= 0.25  # pixels are counted from the middle of the first one
+    return replace(camera, width=-(-camera.width // 2), height=-(-camera.height // 2), K=K)
+
+
+def halved_background(model: BackgroundModel) -> BackgroundModel:
+    """Return the background of images at half the size."""
+    noise = math.sqrt(HALVED_NOISE)
+    sigma = np.float32(noise) * np.sqrt(halve(np.square(model.sigma)))
+    halved = BackgroundModel(halve(model.mean), sigma, model.provenance)
+    return halved.with_provenance(mean_noise=noise * model.provenance.mean_noise)
 
 
 # --- the picture to look at

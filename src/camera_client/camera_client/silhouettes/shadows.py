@@ -7,7 +7,9 @@ The thresholds were set with ``bench/silhouette.py`` of commit d6079d2 on its cl
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -22,7 +24,7 @@ from ..settings import FloorShadowSettings, SilhouetteSettings
 from .codec_errors import COLOUR_SHARE
 from .evidence import typical_level
 from .masks import Box
-from .shadow_kernels import DarkenedRule, find_darkened, find_rims, shadow_sums
+from .shadow_kernels import DarkenedRule, find_darkened, find_rims, mean_of_channels, shadow_sums
 
 # Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
 # with python bench/rooms.py.
@@ -47,7 +49,8 @@ LEAST_PATCH = 8e-4  # share of height^2, about a forearm: smaller patches are sh
 _THREE = np.ones((3, 3), np.uint8)
 
 
-class Scene(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Scene:
     """A part of a frame, and what the background looks like there now.
 
     image (h, w[, 3]) uint8; expected (h, w[, 3]) float32, grey levels; noise : of a pixel; at : rows and columns of the
@@ -68,12 +71,14 @@ class Scene(NamedTuple):
         codec_sigma = None if self.codec_sigma is None else self.codec_sigma[box.slices]
         return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, codec_sigma)
 
+    @cached_property
     def grey(self) -> Scene:
-        """Return the same of the mean of the channels."""
+        """The same of the mean of the channels."""
         if self.image.ndim == 2:
             return self
-        image = cv2.transform(self.image, np.full((1, 3), 1 / 3, np.float32))  # rounded
-        return self._replace(image=image, expected=_grey(self.expected), noise=self.noise.of_mean())
+        image, expected = np.empty(self.image.shape[:2], np.uint8), np.empty(self.image.shape[:2], np.float32)
+        mean_of_channels(self.image, self.expected, image, expected)
+        return replace(self, image=image, expected=expected, noise=self.noise.of_mean())
 
 
 class ShadowTest(Protocol):
@@ -138,7 +143,7 @@ class FloorShadow:
         if not inner.empty:
             inner = inner.grown(self._block, mask.shape, self._block)
             at = inner.slices
-            found[at] = self._patches(scene.part(inner).grey(), mask[at], looked_at[at])
+            found[at] = self._patches(scene.grey.part(inner), mask[at], looked_at[at])
         return found
 
     def _patches(self, scene: Scene, mask: Mask, looked_at: Mask) -> Mask:
@@ -279,8 +284,8 @@ class ColourShadow:
         part, both = box.slices, tuple(slice(2 * side.start, 2 * side.stop) for side in box.slices)
         window = (TEXTURE_WINDOW_PX, TEXTURE_WINDOW_PX)
         own = (found[part] > 0).astype(np.float32)
-        expected = halve(scene.expected[both])
-        x, mean = (cv2.multiply(_grey(each), own) for each in (halve(scene.image[both]), expected))
+        grey, expected = (halve(each[both]) for each in (scene.grey.image, scene.grey.expected))
+        x, mean = (cv2.multiply(each.astype(np.float32), own) for each in (grey, expected))
         count = np.maximum(cv2.blur(own, window), np.float32(1e-3))
         X, M = cv2.blur(x, window) / count, cv2.blur(mean, window) / count
         darker = X / np.maximum(M, 1)
@@ -320,8 +325,3 @@ def halve(image: np.ndarray) -> np.ndarray:
     if down or right:
         image = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
     return cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
-
-
-def _grey(image: np.ndarray) -> np.ndarray:
-    """Return the mean of three channels (h, w) float32."""
-    return cv2.transform(image.astype(np.float32), np.full((1, 3), 1 / 3, np.float32))

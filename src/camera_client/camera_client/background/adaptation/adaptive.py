@@ -21,10 +21,10 @@ from scipy.special import chdtri
 from ...frame_source import Image, Mask
 from ...movement.alignment import PictureAlignment
 from ...settings import BackgroundSettings
-from ..kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, take_residuals, take_samples
+from ..kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, STEP_PX, Bounds, Today, take_residuals, take_samples, thin_out
 from ..model import BackgroundModel
 from ..noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
-from .expected_image import At, ExpectedImage, Floats, SlowChanges
+from .expected_image import Corners, ExpectedImage, Floats, Samples, SlowChanges
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
 
@@ -37,6 +37,14 @@ SHIFT_S = 0.03  # the displacement is not measured more often: what is taken ove
 FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
 MOST_STEPS = 6  # of a displacement that is taken over at once, each damped
 WITHIN_SIGMAS = 4.0  # a pixel that is nearer shows the background, for its slow changes
+
+
+def samples_of(image: Image) -> Samples:
+    """Return every STEP_PX-th row and column of an image (H, W) or (H, W, C): (C, h, w)."""
+    pixels = image.reshape(*image.shape[:2], -1)
+    out = np.empty((pixels.shape[2], *(-(-n // STEP_PX) for n in image.shape[:2])), np.uint8)
+    thin_out(pixels, out)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +69,8 @@ class BackgroundState:
 class AdaptiveBackground:
     """Follows one camera's background. One thread at a time; equal frames give equal bytes."""
 
+    step_px = STEP_PX
+
     def __init__(
         self,
         model: BackgroundModel,
@@ -80,7 +90,7 @@ class AdaptiveBackground:
         height, width = model.shape[:2]
         step = max(1, math.isqrt(height * width // SAMPLES))
         rows, columns = np.meshgrid(
-            np.arange(step // 2, height, step), np.arange(step // 2, width, step), indexing="ij"
+            *(np.arange(step // 2, n, step) // STEP_PX * STEP_PX for n in (height, width)), indexing="ij"
         )
         self._row, self._column = rows.reshape(-1), columns.reshape(-1)
         cell = self._row * FIELD_DOWN // height * FIELD_ACROSS + self._column * FIELD_ACROSS // width
@@ -90,11 +100,14 @@ class AdaptiveBackground:
         self._slow, self._block_px = SlowChanges(self._image.shape, block_px), block_px
         self._blocks = -(-height // block_px), -(-width // block_px)
         self._sampled = self._indices(self._row, self._column)
+        self._sampled[0] = self._sample_indices(self._row, self._column)
         self._dense: Mask | None = None
         self._nowhere = np.zeros(math.prod(self._blocks), np.uint8)
         self._last_ns: int | None = None
-        self._next_row, self._sweep_s, self._last_sweep_s = 0, 0.0, 0.0
+        self._next_row, self._next_band, self._sweep_s, self._last_sweep_s = 0, 0, 0.0, 0.0
+        self._band_px = -(-height // (BANDS * block_px)) * block_px
         self._frames, self._since_noise_s, self._since_shift_s, self._since_renewal_s = 0, 0.0, 0.0, 0.0
+        self._today: Today | None = None
         self._place()
 
     # --- the frame's answer
@@ -124,13 +137,20 @@ class AdaptiveBackground:
             math.sqrt(self._light.flicker2),
         )
 
-    def distance(self, image: Image, out: Mask) -> Mask:
-        """Write into ``out`` (H, W) uint8 how far each pixel is from the background: min(255, SCALE z^2)."""
-        return self._image.distance(image, self.light, self._noise.correlation, out)
+    def distance(self, image: Image, samples: Samples) -> Mask:
+        """Return how far every ``step_px``-th pixel is from the background: min(255, SCALE z^2), (h, w) uint8."""
+        return self._image.distance(samples, self.light, self._bounds)
 
-    def expected(self, at: At) -> Floats:
-        """Return a part of the background as it looks now: (h, w) or (h, w, 3), grey levels."""
-        return self._image.levels(at, self.light)
+    def look(self, image: Image, box: Corners, distance: Mask) -> Floats:
+        """Return a part of the background as it looks now, (h, w) or (h, w, 3), grey levels; write into ``distance``
+        (H, W) uint8 how far the image is from it there."""
+        if self._today is None:
+            self._today = self._image.today(self.light, self._noise, self._shift.left_px)
+        return self._image.look(image, box, self._today, self._bounds, distance)
+
+    @property
+    def _bounds(self) -> Bounds:
+        return self._image.bounds(self.light, self._noise.correlation)
 
     # --- following
 
@@ -140,25 +160,26 @@ class AdaptiveBackground:
         if self._last_ns is not None:
             self._slow.note_foreground(dense, self._last_ns)
 
-    def follow(self, image: Image, stamp_ns: int) -> None:
-        """Take one frame (H, W) or (H, W, 3) of ``stamp_ns`` into account."""
+    def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
+        """Take one frame (H, W) or (H, W, 3) of ``stamp_ns``, and its samples, into account."""
+        self._samples, self._today = samples, None
         first = self._last_ns is None
         step_s = FIRST_STEP_S if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
         step_s, self._last_ns = min(max(step_s, 0.0), MOST_STEP_S), stamp_ns
         picture = image.reshape(self._image.shape)
-        rest = self._follow_light(picture, step_s)
+        rest = self._follow_light(step_s)
         self._since_shift_s += step_s
         measured = self._shift.measurable and (first or self._since_shift_s >= SHIFT_S)
         edges = self._edges(picture) if measured else None
         at_once = edges is not None and self._follow_sudden_shift(picture, edges, first)
         if at_once:
             self._light.rollback()
-            rest, edges = self._follow_light(picture, step_s), self._edges(picture)
-        self._follow_noise(picture, rest, step_s, first)
+            rest, edges = self._follow_light(step_s), self._edges(picture)
+        self._follow_noise(rest, step_s, first)
         steps, at_once = MOST_STEPS, at_once or first  # without a cause, one step at a time
         while edges is not None and self._follow_shift(picture, edges, at_once):
             if first:
-                self._follow_light(picture, step_s)
+                self._follow_light(step_s)
             steps -= 1
             edges = self._edges(picture) if steps else None
         if first or self.light.switched:
@@ -166,22 +187,22 @@ class AdaptiveBackground:
         self._renew_next(image, step_s)
         self._frames += 1
 
-    def _follow_light(self, picture: Image, step_s: float) -> Floats:
+    def _follow_light(self, step_s: float) -> Floats:
         """Return what is left of the samples (n, C), grey levels."""
-        shape, n = self._image.shape, len(self._row)
-        samples, trust = np.empty((3, shape[2], n), np.float32), np.empty(n, np.float32)
-        pixels, (levels, inverse_sigma, _) = picture.reshape(-1, shape[2]), self._image.flat()
-        take_samples(pixels, levels, inverse_sigma, self._sampled, self._doubted(), samples, trust)
+        channels, n = self._image.shape[2], len(self._row)
+        samples, trust = np.empty((3, channels, n), np.float32), np.empty(n, np.float32)
+        seen = self._samples.reshape(channels, -1)
+        take_samples(seen, *self._image.samples, self._sampled, self._doubted(), samples, trust)
         return self._light.update(samples, trust, step_s).T
 
-    def _follow_noise(self, picture: Image, rest: Floats, step_s: float, first: bool) -> None:
+    def _follow_noise(self, rest: Floats, step_s: float, first: bool) -> None:
         """Measure the noise on what shows the background; it is never less than when the room was empty."""
         self._since_noise_s += step_s
         if not first and (self._frames % NOISE_FRAMES or self._since_noise_s < NOISE_S):
             return
-        level = self._image.samples(self._row, self._column)[0] * self.light.gain
+        level = self._image.samples[0][:, self._sampled[0]].T * self.light.gain
         sure = (self._trust(self._row, self._column) >= 1) & (level + rest < CLIPPED).all(axis=1)
-        spatial = self._update_correlation(picture, sure)
+        spatial = self._update_correlation(sure)
         level = level[sure]
         found = measured_noise(level, rest[sure], foreground_known=self._dense is not None)
         if found is None:
@@ -191,10 +212,10 @@ class AdaptiveBackground:
         self._noise = self._noise.moved(found, share)._replace(spatial_correlation=spatial)
         self._since_noise_s = 0.0
 
-    def _update_correlation(self, picture: Image, sure: npt.NDArray[np.bool_]) -> float:
-        at = self._coarseness.row, self._coarseness.column
-        seen = picture[at].astype(np.float32)
-        rest = seen - self._image.samples(*at)[0] * self.light.gain - self.light.offset
+    def _update_correlation(self, sure: npt.NDArray[np.bool_]) -> float:
+        at = self._sample_indices(self._coarseness.row, self._coarseness.column)
+        seen = self._samples.reshape(len(self._samples), -1).T[at].astype(np.float32)
+        rest = seen - self._image.samples[0].T[at] * self.light.gain - self.light.offset
         return self._coarseness.update(seen, rest, sure, self._since_noise_s)
 
     def _follow_sudden_shift(self, picture: Image, edges: Edges, first: bool) -> bool:
@@ -237,15 +258,20 @@ class AdaptiveBackground:
         """Return what is left at the steep places under the light and noise of now."""
         at, channels = self._steep, self._image.shape[2]
         out, trust = np.empty((2, at.shape[1], channels), np.float32), np.empty(at.shape[1], np.float32)
-        pixels, (levels, _, excess) = picture.reshape(-1, channels), self._image.flat()
+        pixels, (mean, excess) = picture.reshape(-1, channels), self._image.flat()
         now = np.array([self.light.gain, self.light.offset, self._noise.read, self._noise.slope])
-        take_residuals(pixels, levels, excess, at, self._doubted(), now, out, trust)
+        field = self._cell_weights @ self.light.field.reshape(-1, channels)
+        take_residuals(pixels, mean, excess, field, at, self._doubted(), now, out, trust)
         return Edges(out[0], out[1], trust)
 
     def _indices(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
         """Return the index of each pixel in the picture, and of its block in the picture's blocks, (2, n)."""
         side = self._block_px
         return np.stack([row * self._image.shape[1] + column, row // side * self._blocks[1] + column // side])
+
+    def _sample_indices(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+        """Return the index of pixels in even rows and columns among the samples."""
+        return row // STEP_PX * -(-self._image.shape[1] // STEP_PX) + column // STEP_PX
 
     def _doubted(self) -> Mask:
         """Return the blocks (n,) near foreground of a frame ago, not 0."""
@@ -263,6 +289,8 @@ class AdaptiveBackground:
         """Move the background to where the camera looks now, and renew everything."""
         self._shift.place(*self._image.place(self._shift.total, self._slow.local))
         self._steep = self._indices(self._shift.row, self._shift.column)
+        self._cell_weights = self._image.cell_weights(self._shift.row, self._shift.column)
+        self._today = None
         self._renew(slice(0, self._image.shape[0]))
 
     def _renew(self, rows: slice) -> None:
@@ -275,15 +303,25 @@ class AdaptiveBackground:
             return
         height, step_s, self._since_renewal_s = self._image.shape[0], self._since_renewal_s, 0.0
         self._sweep_s += step_s
-        end = min(self._next_row + math.ceil(height * max(1 / BANDS, min(step_s / SWEEP_S, 1.0))), height)
-        rows = slice(self._next_row, end)
-        if self._slow.quiet_anywhere(rows, self._last_ns or 0):
-            rest, distance2 = self._image.rest(image, rows, self.light)
-            within = np.asarray((distance2 <= WITHIN_SIGMAS**2).all(axis=2))
-            self._image.change(rows, self._slow.follow(rows, rest, within, self._last_ns or 0, self._last_sweep_s))
-        self._renew(rows)
+        share = max(1 / BANDS, min(step_s / SWEEP_S, 1.0))
+        end = min(self._next_row + math.ceil(height * share / STEP_PX) * STEP_PX, height)
+        self._renew(slice(self._next_row, end))
         self._next_row = end % height
         if self._next_row == 0:
+            self._follow_slowly(image)
+
+    def _follow_slowly(self, image: Image) -> None:
+        """Follow the slow changes of the next band of rows."""
+        (height, width, _), band_px = self._image.shape, self._band_px
+        rows = slice(self._next_band, min(self._next_band + band_px, height))
+        if self._slow.quiet_anywhere(rows, self._last_ns or 0):
+            distance, box = np.empty((height, width), np.uint8), (rows.start, 0, rows.stop, width)
+            rest = image[rows] - self.look(image, box, distance)
+            within = distance[rows] <= SCALE * WITHIN_SIGMAS**2
+            step = rest.reshape(-1, *self._image.shape[1:])
+            self._image.change(rows, self._slow.follow(rows, step, within, self._last_ns or 0, self._last_sweep_s))
+        self._next_band = rows.stop % height
+        if self._next_band == 0:
             self._last_sweep_s, self._sweep_s = self._sweep_s, 0.0
 
 
@@ -293,7 +331,7 @@ FOREGROUND_DISTANCE = 255
 class FixedBackground:
     """Answers as :class:`AdaptiveBackground` does, and follows nothing: pixels are background or not."""
 
-    threshold = FOREGROUND_DISTANCE - 1
+    threshold, step_px = FOREGROUND_DISTANCE - 1, 1
 
     def __init__(self, model: BackgroundModel, settings: BackgroundSettings) -> None:
         self._limits, self._mean = model.limits(settings), model.mean
@@ -310,17 +348,20 @@ class FixedBackground:
     def noise(self) -> Noise:
         return self.state.noise
 
-    def follow(self, image: Image, stamp_ns: int) -> None:
+    def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
         """Follow nothing."""
 
     def note_foreground(self, dense: Mask) -> None:
         """Take no notice."""
 
-    def distance(self, image: Image, out: Mask) -> Mask:
-        """Write 0 into ``out`` (H, W) where the image keeps the limits of 6.3, else 255."""
-        cv2.inRange(image, self._limits.lo, self._limits.hi, dst=out)
-        return np.asarray(cv2.bitwise_not(out, dst=out))
+    def distance(self, image: Image, samples: Samples) -> Mask:
+        """Return 0 (H, W) where the image keeps the limits of 6.3, else 255."""
+        return self._limits.subtract(image)
 
-    def expected(self, at: tuple[slice, slice]) -> npt.NDArray[np.float32]:
-        """Return a part of the background: (h, w) or (h, w, 3), grey levels."""
+    def look(self, image: Image, box: Corners, distance: Mask) -> npt.NDArray[np.float32]:
+        """Return a part of the background, (h, w) or (h, w, 3), grey levels; write 0 into ``distance`` (H, W) there
+        where the image keeps the limits of 6.3, else 255."""
+        top, left, bottom, right = box
+        at = slice(top, bottom), slice(left, right)
+        distance[at] = self._limits.subtract(image, at)
         return self._mean[at]

@@ -7,29 +7,34 @@ was learned (a screen, a plant), the displacement that is left times the picture
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from ...frame_source import Image, Mask
-from ..kernels import current_levels, refresh_rows, squared_distance, squared_distance_of_colours
+from ..kernels import BLACK, STEP_PX, WHITE, Bounds, Learned, Today, distance_of_samples, look_closely, refresh_samples
 from ..model import BackgroundModel
 from ..noise import Noise
-from .light import FIELD_DOWN, Light
+from .light import FIELD_ACROSS, FIELD_DOWN, Light
 from .shift import Displacement, gradients, steepness2
 
 # Thresholds: measured by python bench/rooms.py.
 UNEVEN_LIGHT = 0.004  # relative standard deviation of what a smooth field of light does not hold
-WHITE, BLACK = 250.0, 3.0  # grey levels beyond which a background pixel tells one bound only
+WHITE_LEVEL, BLACK_LEVEL = 250.0, 3.0  # grey levels beyond which a background pixel tells one bound only
 
 Floats = npt.NDArray[np.float32]
-At = tuple[slice, slice]
+Samples = npt.NDArray[np.uint8]
+"""Every STEP_PX-th row and column of an image, (C, h, w)."""
+Corners = tuple[int, int, int, int]
+"""Of a part of the picture: top, left, bottom, right, the last two excluded."""
 
 
 class ExpectedImage:
-    """Level and 1 / sigma of every pixel.
+    """Level and variance of every pixel, of samples at once and of any part when it is asked for.
 
-    Changes of light and noise act on the rows that are renewed; gain and offset act at once.
+    Of samples, changes of light and noise act on the rows that are renewed; gain and offset act at once.
     """
 
     def __init__(self, model: BackgroundModel, learned_noise: Noise | None, sigma_floor: float) -> None:
@@ -42,52 +47,66 @@ class ExpectedImage:
             square = model.sigma.reshape(self.shape).astype(float) ** 2
             self._excess_learned += np.maximum(square - learned_noise.variance(self._learned), 0).astype(np.float32)
         self._least_variance = sigma_floor**2
-        self._levels, self._inverse_sigma = np.empty_like(self._learned), np.empty_like(self._learned)
+        down, across = -(-height // STEP_PX), -(-width // STEP_PX)
+        levels, inverse_sigma = np.empty((2, self.shape[2], down * across), np.float32)
+        self.samples: tuple[Floats, Floats] = levels, inverse_sigma
+        """Level / gain, without the offset, and 1 / sigma of every sample, both (C, n)."""
         self.place(Displacement(), None)
 
     @property
     def doubtful(self) -> float:
         """Share of the pixels that are white or black, and tell one bound only."""
-        return (len(self._white) + len(self._black)) / (self.shape[0] * self.shape[1])
+        return float(np.count_nonzero(self._clipped)) / self._clipped.size
+
+    def flat(self) -> tuple[Floats, Floats]:
+        """Return the background in the light that it was learned in, and variance beyond the noise's, (H W, C)."""
+        mean, excess = (each.reshape(-1, self.shape[2]) for each in self._whole[:2])
+        return mean, excess
 
     # --- what it looks like now
 
-    def samples(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> tuple[Floats, Floats]:
-        """Return level / gain, without the offset, and 1 / sigma of some pixels, both (n, C)."""
-        return self._levels[row, column], self._inverse_sigma[row, column]
+    def bounds(self, light: Light, rho: float) -> Bounds:
+        """Return what clipped pixels look like now: what was white may be brighter, what was black darker.
 
-    def flat(self) -> tuple[Floats, Floats, Floats]:
-        """Return level / gain without the offset, 1 / sigma, and variance beyond the noise's, (H W, C)."""
-        shape = -1, self.shape[2]
-        return self._levels.reshape(shape), self._inverse_sigma.reshape(shape), self._excess.reshape(shape)
+        rho : correlation of two channels' noise.
+        """
+        gain = light.brightness
+        white = WHITE_LEVEL * gain if gain < 1 else math.inf
+        return Bounds(white, BLACK_LEVEL * (1 + gain) + max(float(light.offset.max()), 0.0), rho)
 
-    def levels(self, at: At, light: Light) -> Floats:
-        """Return the grey levels of a part: (h, w), of colour images (h, w, 3)."""
-        part, channels = self._levels[at], self.shape[2]
-        height, width = part.shape[:2]
-        out = np.empty((height, width * channels), np.float32)
-        gain, offset = (np.tile(each, width) for each in (light.gain, light.offset))
-        current_levels(part.reshape(height, -1), gain, offset, out)
-        return out if channels == 1 else out.reshape(part.shape)
-
-    def distance(self, image: Image, light: Light, correlation: float, out: Mask) -> Mask:
-        """Write into ``out`` (H, W) uint8 how far each pixel is from the background: min(255, SCALE z^2)."""
-        flat = image.reshape(-1), self._levels.reshape(-1), self._inverse_sigma.reshape(-1), light.gain, light.offset
-        if self.shape[2] == 1:
-            squared_distance(*flat, out.reshape(-1))
-        else:
-            squared_distance_of_colours(*flat, correlation, out.reshape(-1))
-        self._clear_clipped(image, light, out.reshape(-1))
+    def distance(self, samples: Samples, light: Light, bounds: Bounds) -> Mask:
+        """Return how far each sample of (C, h, w) uint8 is from the background: min(255, SCALE z^2), (h, w) uint8."""
+        out, now = np.empty(samples.shape[1:], np.uint8), np.stack([light.gain, light.offset])
+        looks = (each.reshape(samples.shape) for each in self.samples)
+        distance_of_samples(samples, *looks, now, bounds, self._clipped_samples, out)
         return out
 
-    def _clear_clipped(self, image: Image, light: Light, out: Mask) -> None:
-        """Write 0 where the learned level was clipped: what was white may now be brighter, what was black darker."""
-        pixels, gain = image.reshape(-1, self.shape[2]), light.brightness
-        if len(self._white) and gain < 1:
-            out[self._white[pixels[self._white].min(axis=1) >= WHITE * gain]] = 0
-        if len(self._black):
-            most = BLACK * (1 + gain) + max(float(light.offset.max()), 0.0)
-            out[self._black[pixels[self._black].max(axis=1) <= most]] = 0
+    def today(self, light: Light, noise: Noise, left_px: float) -> Today:
+        """Return light and noise of every column and row; ``left_px`` : displacement that is left."""
+        height, width, _ = self.shape
+        field = _across(light, width).reshape(FIELD_DOWN, -1)
+        now = np.tile(self._noise(noise, left_px), width), np.tile(np.stack([light.gain, light.offset]), width)
+        return Today(field, _in_cells(np.arange(height), height, FIELD_DOWN), *now)
+
+    def look(self, image: Image, box: Corners, today: Today, bounds: Bounds, distance: Mask) -> Floats:
+        """Return the grey levels of a box: (h, w), of colour images (h, w, 3); write how far ``image`` is from them.
+
+        distance (H, W) uint8 : min(255, SCALE z^2), written within the box.
+        """
+        (top, left, bottom, right), (height, _, channels) = box, self.shape
+        out = np.empty((bottom - top, (right - left) * channels), np.float32)
+        flat = Learned(*(each.reshape(height, -1) for each in self._whole))
+        look_closely(image.reshape(height, -1), flat, today, bounds, self._clipped, box, out, distance)
+        return out if channels == 1 else out.reshape(bottom - top, right - left, channels)
+
+    def cell_weights(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
+        """Return the weight of each of the light's cells (n, cells) at some pixels."""
+        down, across = (
+            np.maximum(1 - np.abs(_in_cells(at, size, cells)[:, None] - np.arange(cells)), 0)
+            for at, size, cells in ((row, self.shape[0], FIELD_DOWN), (column, self.shape[1], FIELD_ACROSS))
+        )
+        weights = down[:, :, None] * across[:, None, :]
+        return weights.reshape(len(row), FIELD_DOWN * FIELD_ACROSS).astype(np.float32)
 
     # --- changes
 
@@ -96,47 +115,48 @@ class ExpectedImage:
 
         ``local`` (H, W, C) : departures from it, there. All rows have to be renewed then.
         """
-        self._mean, self._excess = (
-            np.maximum(displacement.moved(each), 0) for each in (self._learned, self._excess_learned)
-        )
-        self._white = np.flatnonzero((self._mean >= WHITE).any(axis=2).reshape(-1))
-        self._black = np.flatnonzero((self._mean <= BLACK).all(axis=2).reshape(-1))
+        mean, excess = (np.maximum(displacement.moved(each), 0) for each in (self._learned, self._excess_learned))
+        white, black = (mean >= WHITE_LEVEL).any(axis=2), (mean <= BLACK_LEVEL).all(axis=2)
+        self._clipped = np.where(white, np.uint8(WHITE), np.where(black, np.uint8(BLACK), np.uint8(0)))
+        self._clipped_samples = np.ascontiguousarray(self._clipped[::STEP_PX, ::STEP_PX])
         if local is not None:
-            self._mean += local
-        right, down = gradients(self._mean)
-        self._steepness2 = steepness2(self._mean)
-        return right, down
+            mean += local
+        self._whole = Learned(mean, excess, steepness2(mean))
+        thinned = (each[::STEP_PX, ::STEP_PX].transpose(2, 0, 1) for each in self._whole)
+        self._thinned = Learned(*map(np.ascontiguousarray, thinned))
+        return gradients(mean)
 
     def change(self, rows: slice, by: Floats) -> None:
-        """Add to the background's levels (h, W, C) of some rows, which have to be renewed then."""
-        self._mean[rows] += by
+        """Add to the background's levels (h, W, C) of some rows; the first is even."""
+        self._whole.mean[rows] += by
+        thinned = slice(rows.start // STEP_PX, -(-rows.stop // STEP_PX))
+        self._thinned.mean[:, thinned] = self._whole.mean[rows][::STEP_PX, ::STEP_PX].transpose(2, 0, 1)
 
     def renew(self, rows: slice, light: Light, noise: Noise, left_px: float) -> None:
-        """Renew some rows for the light and noise of now; ``left_px`` : displacement that is left."""
-        first, end, _ = rows.indices(self.shape[0])
-        height, width, channels = self.shape
-        parts = np.stack(
-            [
-                np.maximum(noise.read, self._least_variance),
-                noise.slope,
-                np.full(channels, left_px**2),
-                np.full(channels, UNEVEN_LIGHT**2),
-            ]
-        )
-        across = cv2.resize(light.field, (width, FIELD_DOWN), interpolation=cv2.INTER_LINEAR)
-        down = (np.arange(first, end) + 0.5) * FIELD_DOWN / height - 0.5
-        refresh_rows(
-            *(each[rows].reshape(end - first, -1) for each in (self._mean, self._excess, self._steepness2)),
-            across.reshape(FIELD_DOWN, -1),
-            down.clip(0, FIELD_DOWN - 1).astype(np.float32),
-            np.tile(parts.astype(np.float32), width),
-            *(each[rows].reshape(end - first, -1) for each in (self._levels, self._inverse_sigma)),
-        )
+        """Renew the samples in some rows for the light and noise of now; ``left_px`` : displacement that is left."""
+        shape = self._thinned.mean.shape
+        first, end = rows.start // STEP_PX, -(-rows.stop // STEP_PX)
+        planes = np.ascontiguousarray(_across(light, shape[2]).transpose(2, 0, 1))
+        down = _in_cells(np.arange(shape[1]), shape[1], FIELD_DOWN)
+        today = Today(planes, down, self._noise(noise, left_px), np.stack([light.gain, light.offset]))
+        refresh_samples(self._thinned, today, first, end, *(each.reshape(shape) for each in self.samples))
 
-    def rest(self, image: Image, rows: slice, light: Light) -> tuple[Floats, Floats]:
-        """Return image minus background of some rows, and its squared distance in each channel, (h, W, C)."""
-        rest = image.reshape(self.shape)[rows] - (self._levels[rows] * light.gain + light.offset)
-        return rest, np.square(rest * self._inverse_sigma[rows])
+    def _noise(self, noise: Noise, left_px: float) -> Floats:
+        """Return read, slope, geometry and light (4, C) of a pixel's variance; see :class:`..kernels.Today`."""
+        ones = np.ones(self.shape[2])
+        read = np.maximum(noise.read, self._least_variance)
+        return np.stack([read, noise.slope, left_px**2 * ones, UNEVEN_LIGHT**2 * ones]).astype(np.float32)
+
+
+def _across(light: Light, width: int) -> Floats:
+    """Return the light's field (FIELD_DOWN, width, C) in the middle rows of its cells."""
+    field = cv2.resize(light.field, (width, FIELD_DOWN), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(field, np.float32).reshape(FIELD_DOWN, width, -1)
+
+
+def _in_cells(at: npt.NDArray[np.intp], size: int, cells: int) -> Floats:
+    """Return where rows or columns of a picture of that ``size`` lie between the middles of the light's cells."""
+    return ((at + 0.5) * cells / size - 0.5).clip(0, cells - 1).astype(np.float32)
 
 
 # --- what changes slowly in single places: sun that creeps over a wall, dust, a lamp that warms up

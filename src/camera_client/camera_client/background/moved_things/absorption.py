@@ -10,6 +10,7 @@ Work is done on blocks of 8 x 8 pixels, a few times a second by the frames' stam
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -21,6 +22,7 @@ from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.support import ForegroundSupport
 
 from ...frame_source import Image, Mask
+from ..kernels import STEP_PX, clear_absorbed, follow_running
 from .support_history import Blocks, SupportHistory, counted
 from .taken_away import is_calm_inside, was_taken_away
 
@@ -29,7 +31,7 @@ from .taken_away import is_calm_inside, was_taken_away
 SAMPLE_S = 0.2  # blocks are looked at so often
 BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
-RESTLESS_SHARE = 24  # of 255: six pixels of a block that differ: an edge of a person moved by a fraction of a pixel
+RESTLESS_SHARE = 24  # of 255: two samples of a block that differ: an edge of a person moved by a fraction of a pixel
 NOISE_SIGMAS = 4.0  # a pixel changed, or differs from what was absorbed: 1 in 16000 by noise
 FOLLOW_S = 1.0  # time constant of the picture that blocks are compared with: slower than sway, faster than daylight
 STILL_S = 3.0  # nobody sees it, and it keeps still, for so long: it is a thing
@@ -45,7 +47,11 @@ MOST_ABSORBED = 0.5  # share of the picture; more is another room
 OVERFLOW_S = 5.0  # it is called so for so long
 COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
 
-Pictures = tuple[Image, Mask, Image]  # of a frame: the camera's, what differs from the background's, the background's
+Samples = npt.NDArray[np.uint8]
+Corners = tuple[int, int, int, int]
+Look = Callable[[Image, Corners], tuple[npt.NDArray[np.float32], Mask]]
+"""Gives of a part of an image (top, left, bottom, right; the last two excluded) the background's picture in today's
+light, and 255 where the image differs from it."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +75,15 @@ class MovedThings:
     not keep still.
     """
 
-    def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32]) -> None:
-        """``noise``: grey levels, standard deviation of a pixel: of each (H, W[, 3]), or of all."""
-        self._others = SupportHistory(camera, BLOCK_PX, COUNTED_S)
-        self._shape = (camera.height, camera.width)
+    def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32], scale: int = 1) -> None:
+        """``noise``: grey levels, standard deviation of a pixel: of each (H, W[, 3]), or of all. ``scale``: pixels of
+        the camera, in each direction, to one of the images."""
+        self._others, self._scale = SupportHistory(camera, scale * BLOCK_PX, COUNTED_S), scale
+        self._shape = (-(-camera.height // scale), -(-camera.width // scale))
         learned = np.asarray(noise, np.float32)
         self._learned = np.broadcast_to(learned if learned.ndim < 3 else learned.max(axis=2), self._shape).copy()
         self._limit = _noise_limit(self._learned)
+        self._limit_of_samples = np.ascontiguousarray(self._limit[::STEP_PX, ::STEP_PX])
         self._noise = self._learned_sigma = float(np.median(noise))
         self._brightness = 1.0
         self.replaced = np.zeros(self._shape, np.uint8)
@@ -93,7 +101,7 @@ class MovedThings:
         self._last_ns = 0
         self._still_s, self._shown_s = (np.zeros(blocks, np.float32) for _ in range(2))
         self._learned_s, self._denied_s = (np.zeros(blocks, np.float32) for _ in range(2))
-        self._since_ns = np.where(self._blocks_of(self.replaced) > 0, np.int64(1), np.int64(0))
+        self._since_ns = np.where(self._blocks_of(self.replaced[::STEP_PX, ::STEP_PX]) > 0, np.int64(1), np.int64(0))
         self._overflow_ns: int | None = None
         self.dynamic_share = 0.0
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
@@ -102,7 +110,7 @@ class MovedThings:
 
     def _note_change(self) -> None:
         x, y, width, height = cv2.boundingRect(self.replaced)
-        self._box = (slice(y, y + height), slice(x, x + width)) if width else None
+        self._box = (y, x, y + height, x + width) if width else None
         self._changed = True
 
     @property
@@ -127,8 +135,8 @@ class MovedThings:
         since = self._to_pixels(self._since_ns)
         found = [
             AbsorbedPlace(
-                (int(x), int(x + w)),
-                (int(y), int(y + h)),
+                (int(self._scale * x), int(self._scale * (x + w))),
+                (int(self._scale * y), int(self._scale * (y + h))),
                 int(since[y : y + h, x : x + w][labels[y : y + h, x : x + w] == label].max()),
                 float(area / self.replaced.size),
             )
@@ -145,14 +153,22 @@ class MovedThings:
         """Take what the others see, for frames some time after its stamp (:mod:`.support_history`). From any thread."""
         self._others.add(report)
 
-    def clear_absorbed(self, image: Image, values: Mask, brightness: float = 1.0) -> None:
-        """Write 0 into ``values`` (H, W) uint8 where the frame looks as it was absorbed.
+    def clear_absorbed(
+        self, image: Image, values: Mask, brightness: float = 1.0, step_px: int = 1, box: Corners | None = None
+    ) -> None:
+        """Write 0 into ``values``, of every ``step_px``-th row and column, where the frame looks as it was absorbed.
 
-        brightness : how many times brighter than when the background was learned the scene is now.
+        brightness : how many times brighter than when the background was learned the scene is now. box : top, left,
+        bottom, right of the part that matters; all without one.
         """
-        if self._box is not None:
-            part = self._box
-            cv2.bitwise_and(values[part], self._differs(image[part], part, brightness), dst=values[part])
+        if self._box is None:
+            return
+        top, left, bottom, right = self._box
+        if box is not None:
+            top, left, bottom, right = max(top, box[0]), max(left, box[1]), min(bottom, box[2]), min(right, box[3])
+        pixels, mean = (each.reshape(*self._shape, -1) for each in (image, self.mean))
+        part = (top, left, bottom, right)
+        clear_absorbed(pixels, mean, self.replaced, self._limit, brightness, step_px, part, values)
 
     def is_due(self, stamp_ns: int) -> bool:
         """Whether :meth:`update` would look at a frame of this stamp."""
@@ -161,23 +177,28 @@ class MovedThings:
     def update(
         self,
         image: Image,
+        samples: Samples,
         foreground: Mask,
-        background: Image,
+        look: Look,
         stamp_ns: int,
         brightness: float = 1.0,
         sigma: float = 0.0,
     ) -> None:
         """Take one frame (H, W[, 3]) of ``stamp_ns``.
 
-        foreground (H, W) : 255 where it differs from what was learned first, also where that was absorbed.
-        background : what was learned first, in today's light, shaped as the image, of any type. brightness : of that
-        light, against when it was learned. sigma : of the noise now, grey levels, where that is more than was learned.
+        samples (C, h, w) : every STEP_PX-th row and column of it. foreground (h, w) : of these, 255 where it differs
+        from what was learned first, also where that was absorbed. look : tells the same of any part. brightness : of
+        today's light, against when it was learned. sigma : of the noise now, grey levels, where that is more than was
+        learned.
         """
         self._brightness = brightness
+        if self.mean.shape != image.shape:
+            self.mean = np.zeros(image.shape, np.float32)
         sigma = max(sigma, self._learned_sigma)
         if abs(sigma - self._noise) > 0.2 * self._noise:
             self._noise = sigma
             self._limit = _noise_limit(np.maximum(self._learned, np.float32(sigma)))
+            self._limit_of_samples = np.ascontiguousarray(self._limit[::STEP_PX, ::STEP_PX])
         if stamp_ns < self._last_ns:
             self._others.forget_reports()
             self._restart()
@@ -188,42 +209,39 @@ class MovedThings:
         self._others.update(stamp_ns)
         # which blocks show anything, and for how long they kept still
         unexplained = foreground.copy()
-        self.clear_absorbed(image, unexplained, brightness)
+        self.clear_absorbed(image, unexplained, brightness, STEP_PX)
         shown = self._blocks_of(unexplained) >= BLOCK_SHARE
         self._shown_s = counted(self._shown_s, shown, step_s, COUNTED_S)
-        self._follow(image, step_s)
+        self._follow(samples, step_s)
         # what looks as it was learned is given back
         if self._box is not None:
-            self._revert(self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
+            self._revert(image, self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
         doubted = shown & (np.minimum(self._still_s, self._others.unseen_s) >= LIKELY_S)
         self.likely = np.where(self._to_pixels(doubted), np.uint8(255), np.uint8(0)) if doubted.any() else None
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
-        self._absorb(shown, (image, unexplained, background), stamp_ns)
+        self._absorb(shown, image, look, stamp_ns)
         nobody = (self._others.unseen_s >= STILL_S) & (self._others.outside_s <= 0) & (self._others.body_s <= 0)
         self.dynamic_share = float((shown & nobody & (self._shown_s >= TAKEN_AWAY_S)).mean())
 
     # --- what keeps still
 
-    def _follow(self, image: Image, step_s: float) -> None:
-        """Follow the picture by a running mean, and begin anew in blocks that changed by more than noise."""
+    def _follow(self, samples: Samples, step_s: float) -> None:
+        """Follow the samples by a running mean, and begin anew in blocks that changed by more than noise."""
         if self._running is None:
-            self._running = image.astype(np.float32)
-            self._resting = np.zeros(image.shape, np.uint8)
-            if self.mean.shape != image.shape:
-                self.mean = np.zeros(image.shape, np.float32)
-        cv2.convertScaleAbs(self._running, dst=self._resting)
-        differs = _largest(cv2.absdiff(image, self._resting))
-        restless = self._blocks_of(cv2.compare(differs, self._limit, cv2.CMP_GT)) >= RESTLESS_SHARE
-        cv2.accumulateWeighted(image, self._running, 1.0 - float(np.exp(-step_s / FOLLOW_S)))
+            self._running = samples.astype(np.float32)
+        share = 1.0 - float(np.exp(-step_s / FOLLOW_S))
+        differs = np.empty(samples.shape[1:], np.uint8)
+        follow_running(samples, self._running, self._limit_of_samples, share, differs)
+        restless = self._blocks_of(differs) >= RESTLESS_SHARE
         if restless.any():
-            pixels = self._to_pixels(restless)
-            self._running[pixels] = image[pixels]
+            pixels = self._to_pixels(restless, BLOCK_PX // STEP_PX)[: samples.shape[1], : samples.shape[2]]
+            np.copyto(self._running, samples, where=pixels)
         self._still_s = np.where(restless, np.float32(0), self._still_s + np.float32(step_s))
 
     # --- absorbing
 
-    def _absorb(self, shown: Blocks, pictures: Pictures, stamp_ns: int) -> None:
+    def _absorb(self, shown: Blocks, image: Image, look: Look, stamp_ns: int) -> None:
         """Absorb blobs of the blocks ``shown`` that a rule allows."""
         body, unseen, calm = shown & (self._others.body_s > 0), *self._is_unseen(shown)
         if unseen.any():
@@ -231,13 +249,13 @@ class MovedThings:
                 keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
                 nobody = (blob & unseen).sum() >= LEAST_UNSEEN * blob.sum()
                 if keeps_still and nobody and (blob & body).sum() <= MOST_BODY * blob.sum():
-                    self._take_over(blob & unseen, stamp_ns)
+                    self._take_over(image, blob & unseen, stamp_ns)
         rested = shown & (np.minimum(self._still_s, self._shown_s) >= TAKEN_AWAY_S)
         if self._samples % round(TAKEN_AWAY_S / SAMPLE_S) == 0 and rested.any():
             # a person beside the place hides a part of the outline; without her first, then bodies that may be none
             for blob in [*_blobs(shown & ~body, rested), *_blobs(shown, rested & body)]:
-                if (blob & rested).sum() >= WHOLE * blob.sum() and self._was_taken_away(blob, pictures):
-                    self._take_over(blob, stamp_ns)
+                if (blob & rested).sum() >= WHOLE * blob.sum() and self._was_taken_away(blob, image, look):
+                    self._take_over(image, blob, stamp_ns)
                     self._gone |= blob
 
     def _is_unseen(self, shown: Blocks) -> tuple[Blocks, Blocks]:
@@ -246,35 +264,42 @@ class MovedThings:
         calm = shown & (self._shown_s >= STILL_S) & (self._still_s >= rest_s)
         return calm & (self._others.unseen_s >= STILL_S), calm
 
-    def _was_taken_away(self, blob: Blocks, pictures: Pictures) -> bool:
+    def _was_taken_away(self, blob: Blocks, whole: Image, look: Look) -> bool:
         """Judge a blob by its outline and, unless the others say that nobody is there, by what is inside."""
         x, y, width, height = cv2.boundingRect(cv2.dilate(blob.astype(np.uint8), np.ones((5, 5), np.uint8)))
-        part = tuple(slice(start * BLOCK_PX, end * BLOCK_PX) for start, end in ((y, y + height), (x, x + width)))
+        top, left = y * BLOCK_PX, x * BLOCK_PX
+        bottom, right = (
+            min((k + n) * BLOCK_PX, most) for k, n, most in zip((y, x), (height, width), self._shape, strict=True)
+        )
+        part = slice(top, bottom), slice(left, right)
         near = self._to_pixels(cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[part]
-        image, foreground, background = (picture[part] for picture in pictures)
+        background, foreground = look(whole, (top, left, bottom, right))
+        image, unexplained = whole[part], np.zeros(self._shape, np.uint8)
+        unexplained[part] = foreground
+        self.clear_absorbed(whole, unexplained, self._brightness, box=(top, left, bottom, right))
+        foreground = unexplained[part]
         own = np.where(near, foreground, np.uint8(0))
         if not was_taken_away(own, foreground, image, background, self._noise):
             return False
         nobody = (self._others.unseen_s[blob] >= TAKEN_AWAY_S).mean() >= WHOLE
         return bool(nobody) or is_calm_inside(own, image, self._noise)
 
-    def _take_over(self, blob: Blocks, stamp_ns: int) -> None:
+    def _take_over(self, image: Image, blob: Blocks, stamp_ns: int) -> None:
         """Let a blob's blocks, and their neighbours that keep still, look as they do now."""
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         blocks = blob | (around & (self._still_s >= TAKEN_AWAY_S) & (self._others.body_s <= 0))
         if np.count_nonzero(blocks | (self._since_ns > 0)) > MOST_ABSORBED * blocks.size:
             self._overflow_ns = stamp_ns
             return
-        assert self._running is not None
         pixels = self._to_pixels(blocks)
-        self.mean[pixels], self.replaced[pixels] = self._running[pixels] / self._brightness, 255
+        self.mean[pixels], self.replaced[pixels] = image[pixels] / self._brightness, 255
         self._since_ns[blocks], self._learned_s[blocks] = stamp_ns, 0.0
         self.absorbed += 1
         self._note_change()
 
     # --- giving back
 
-    def _revert(self, unlike_learned: Blocks, unexplained: Blocks, step_s: float) -> None:
+    def _revert(self, image: Image, unlike_learned: Blocks, unexplained: Blocks, step_s: float) -> None:
         """Forget what was absorbed where the picture is as learned again, or where the others see a body in it.
 
         unlike_learned : blocks that differ from what was learned. unexplained : those that also differ from what was
@@ -295,29 +320,23 @@ class MovedThings:
             self._note_change()
         # light moves on
         follows = self._to_pixels(matched & ~back & (self._still_s >= FOLLOW_S))
-        assert self._running is not None
-        self.mean[follows] = self._running[follows] / self._brightness
+        if follows.any():
+            share = np.float32(1.0 - np.exp(-step_s / FOLLOW_S))
+            self.mean[follows] += share * (image[follows] / self._brightness - self.mean[follows])
 
     # --- pixels and blocks
 
-    def _differs(self, image: Image, part: tuple[slice, slice], brightness: float) -> Mask:
-        """Return 255 for the pixels of a part of the image that do not look as they were absorbed."""
-        differs = _largest(cv2.absdiff(image, cv2.convertScaleAbs(self.mean[part], alpha=brightness)))
-        other = cv2.compare(differs, self._limit[part], cv2.CMP_GT)
-        return cv2.bitwise_or(other, cv2.bitwise_not(self.replaced[part]))
-
     def _blocks_of(self, mask: Mask) -> npt.NDArray[np.uint8]:
-        """Return the mean (0 to 255) of each block of a mask (H, W)."""
-        height, width = (BLOCK_PX * n for n in self._others.blocks)
+        """Return the mean (0 to 255) of each block of a mask of samples (h, w)."""
+        side = BLOCK_PX // STEP_PX
+        height, width = (side * n for n in self._others.blocks)
         if mask.shape != (height, width):
             mask = cv2.copyMakeBorder(mask, 0, height - mask.shape[0], 0, width - mask.shape[1], cv2.BORDER_REPLICATE)
-        for _ in range(3):  # halves: several times faster than at once
-            mask = cv2.resize(mask, (mask.shape[1] // 2, mask.shape[0] // 2), interpolation=cv2.INTER_AREA)
-        return np.asarray(mask, np.uint8)
+        return np.asarray(cv2.resize(mask, (width // side, height // side), interpolation=cv2.INTER_AREA), np.uint8)
 
-    def _to_pixels(self, blocks: npt.NDArray) -> npt.NDArray:
-        """Spread one value a block to the pixels (H, W)."""
-        return blocks.repeat(BLOCK_PX, axis=0).repeat(BLOCK_PX, axis=1)[: self._shape[0], : self._shape[1]]
+    def _to_pixels(self, blocks: npt.NDArray, side_px: int = BLOCK_PX) -> npt.NDArray:
+        """Spread one value a block to the pixels (H, W), or to samples with other sides of the blocks."""
+        return blocks.repeat(side_px, axis=0).repeat(side_px, axis=1)[: self._shape[0], : self._shape[1]]
 
 
 def _blobs(blocks: Blocks, of_interest: Blocks) -> list[Blocks]:
@@ -331,8 +350,3 @@ def _blobs(blocks: Blocks, of_interest: Blocks) -> list[Blocks]:
 def _noise_limit(sigma: npt.NDArray[np.float32]) -> Mask:
     """Return by how many grey levels (H, W) uint8 noise of ``sigma`` makes a pixel differ at most."""
     return np.ceil(NOISE_SIGMAS * sigma + 1.0).clip(0, 255).astype(np.uint8)
-
-
-def _largest(difference: Image) -> Image:
-    """Return the largest channel (H, W)."""
-    return difference if difference.ndim == 2 else cv2.max(cv2.max(*cv2.split(difference)[:2]), difference[:, :, 2])
