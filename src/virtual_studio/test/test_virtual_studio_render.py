@@ -248,6 +248,13 @@ def test_room_looks_the_same_place_by_place_from_two_cameras():
         assert np.corrcoef(greys[a][both], greys[b][both])[0, 1] > 0.6
 
 
+def test_every_frame_of_a_large_colour_sensor_has_noise_of_its_own():
+    sensor, light = Sensor(noise=3.0, flicker=0.0, seed=7), np.full((1200, 1920, 3), 0.5, np.float32)
+    first, second = (sensor.expose(light, 2, frame).astype(np.float32) for frame in (5, 6))
+    assert first.std() == pytest.approx(3.0, rel=0.02)
+    assert (first - second).std() == pytest.approx(3.0 * np.sqrt(2.0), rel=0.02)
+
+
 def test_sensor_adds_the_stated_noise_and_flicker_and_repeats_itself():
     light = np.full((480, 640), 0.5, np.float32)
     sensor = Sensor(noise=3.0, flicker=0.0, seed=7)

@@ -149,8 +149,10 @@ class Sensor:
         """Returns the picture (h, w[, 3]) that a camera's sensor takes of light in one frame."""
         rng = np.random.Generator(np.random.SFC64([self.seed, camera, frame]))
         gain = WHITE * (1.0 + self.flicker * rng.standard_normal())
-        start = int(rng.integers(_NOISE_SAMPLES - light.size))
-        noise = self._normal_samples[start : start + light.size].reshape(light.shape)
+        samples, left = self._normal_samples, _NOISE_SAMPLES - light.size
+        start = int(rng.integers(left if left > 0 else _NOISE_SAMPLES))
+        noise = samples[start : start + light.size] if left > 0 else np.resize(np.roll(samples, -start), light.size)
+        noise = noise.reshape(light.shape)
         picture = np.maximum(cv2.addWeighted(light, gain, noise, self.noise, 0.0), 0.0)
         return np.asarray(cv2.convertScaleAbs(picture), np.uint8)
 
