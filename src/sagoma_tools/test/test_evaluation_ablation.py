@@ -67,8 +67,8 @@ def test_every_row_adds_exactly_one_part():
 def test_a_configuration_tracks_the_same_alone_and_beside_others_which_share_one_carving(session, monkeypatch):
     alone = track_session(session, started(session), exact_masks=True)
     carved = []
-    carve = MocapPipeline.carve
-    monkeypatch.setattr(MocapPipeline, "carve", lambda *args: carved.append(args[1]) or carve(*args))
+    carve = MocapPipeline.carve_set
+    monkeypatch.setattr(MocapPipeline, "carve_set", lambda *args: carved.append(args[1].stamp_ns) or carve(*args))
     both = {"a": started(session), "b": started(session, feedback=False)}
     beside = {name: people[1] for name, people in track_people(session, both, exact_masks=True).items()}
     assert len(carved) == len(set(carved)) == 12
