@@ -8,8 +8,8 @@ views of the floor is that of Khan and Shah, ECCV 2006, who find feet with it). 
 candidate when another camera sees its floor place equally attenuated, and no more cameras contradict (bright floor,
 another attenuation) than agree; cameras that see the person in front of it are not counted.
 
-A candidate is evidence of floor in shadow, and no evidence against a body above the floor: it denies the voxels next to
-the floor, and has no say about those higher up, where the other cameras decide.
+A candidate is evidence of floor in shadow, and weak evidence against a body: one camera's denies the voxels next to the
+floor and has no say about those higher up, where the other cameras decide; two cameras' deny a voxel at any height.
 """
 
 from __future__ import annotations
@@ -112,12 +112,14 @@ class ShadowResolver:
         return {name: self._batch.shown(name) for name in masks}
 
     def without_shadows(self, volume: BrickVolume, masks: Masks) -> BrickVolume:
-        """Return a hull without the voxels next to the floor of which some camera has a candidate."""
+        """Return a hull without the voxels of which two cameras have a candidate, or one next to the floor."""
         index, leaves = volume.index, volume.leaves.copy()
         shape = np.array(volume.grid.brick_shape, np.int64)
+        once, twice = np.zeros_like(leaves), np.zeros_like(leaves)
         for name, mask in masks.items():
             camera = self._views.number[name]
-            _clear_candidates(index, leaves, shape, self._layers, self._projections, camera, np.ascontiguousarray(mask))
+            _add_candidates(index, leaves, shape, self._projections, camera, np.ascontiguousarray(mask), once, twice)
+        _clear_candidates(index, leaves, shape, self._layers, once, twice)
         filled = leaves.any(axis=1)
         return BrickVolume(volume.grid, index[filled], leaves[filled])
 
@@ -179,22 +181,35 @@ def _level_of(levels, x, y, depth):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _clear_candidates(index, leaves, bricks, layers, projections, camera, mask):  # type: ignore[no-untyped-def]
-    """Clear the voxels in the lowest ``layers`` whose pixel in one camera's mask (h, w) is a candidate.
+def _add_candidates(index, leaves, bricks, projections, camera, mask, once, twice):  # type: ignore[no-untyped-def]
+    """Add the voxels whose pixel in one camera's mask (h, w) is a candidate to ``once``, from there to ``twice``.
 
-    index (k,), leaves (k, 8) : of a BrickVolume. bricks (3,) : of the grid. projections (N, 3, 4) : voxels to pixels.
+    index (k,), leaves, once, twice (k, 8) : of a BrickVolume. bricks (3,) : of the grid. projections (N, 3, 4) : voxels
+    to pixels.
     """
     height, width = mask.shape
     for row in range(index.size):
         brick = np.int64(index[row])
         x0, y0 = brick % bricks[0] * BRICK_EDGE, brick // bricks[0] % bricks[1] * BRICK_EDGE
         z0 = brick // (bricks[0] * bricks[1]) * BRICK_EDGE
-        for layer in range(min(layers - z0, BRICK_EDGE)):
-            left = leaves[row, layer]
+        for layer in range(BRICK_EDGE):
+            left, candidates = leaves[row, layer], np.uint64(0)
             while left:
                 bit = lowest_bit(left)
                 left &= left - np.uint64(1)
                 u, v, _ = project(projections, camera, x0 + (bit & 7), y0 + (bit >> 3), z0 + layer)
                 on_canvas = u >= 0 and v >= 0 and u < width and v < height
                 if on_canvas and UNCERTAIN < mask[int(v), int(u)] <= SHADOW_CANDIDATE:
-                    leaves[row, layer] &= ~(np.uint64(1) << np.uint64(bit))
+                    candidates |= np.uint64(1) << np.uint64(bit)
+            twice[row, layer] |= once[row, layer] & candidates
+            once[row, layer] |= candidates
+
+
+@kernel
+def _clear_candidates(index, leaves, bricks, layers, once, twice):  # type: ignore[no-untyped-def]
+    """Clear the voxels of ``twice``, and in the lowest ``layers`` those of ``once``."""
+    for row in range(index.size):
+        z0 = np.int64(index[row]) // (bricks[0] * bricks[1]) * BRICK_EDGE
+        for layer in range(BRICK_EDGE):
+            denied = once[row, layer] if z0 + layer < layers else twice[row, layer]
+            leaves[row, layer] &= ~denied

