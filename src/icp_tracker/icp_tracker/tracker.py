@@ -314,7 +314,8 @@ def warm_up(settings: TrackerSettings) -> None:
     points = forward(body, pose)
     voxels = VoxelSamples.checked(points, np.ones(len(points)))
     ahead, aside = np.tile([1.0, 0.0, 0.0], (15, 1)), np.tile([0.0, 1.0, 0.0], (15, 1))
-    contour_rays = ContourRays(points, ahead, aside, np.full(15, 0.1), np.full(15, 0.01))
+    late_s = np.full(15, 0.001)
+    contour_rays = ContourRays(points, ahead, aside, np.full(15, 0.1), np.full(15, 0.01), time_s=late_s)
     for k in range(3):  # acquisition, a fit, and a look for another pose
         predicted = Prediction.of(k, pose, np.zeros(TANGENT))
         tracker.step(HullProducts.of_points(k, points, 0.01, voxels, contour_rays=contour_rays), predicted)
