@@ -23,8 +23,8 @@ from capture_rig.session import footage_stamp_ns, load_session, load_truth
 from ekf_tracker.ekf_node import EkfNode
 from ekf_tracker.rep155 import HRI_JOINT_NAMES, hri_angles, hri_rates, human_urdf
 from ekf_tracker.urdf import body_urdf, link_name, link_of_point, same_sizes
-from hull_server.frames_ros import camera_frames
 from hull_server.hull_node import HullNode
+from hull_server.hull_ros import camera_frames
 from mocap_packets.fit import FIRST_PERSON, ReferencePoints
 from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_pipeline.configuration import Configuration

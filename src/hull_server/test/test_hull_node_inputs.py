@@ -13,7 +13,7 @@ from sensor_msgs.msg import CompressedImage
 
 from capture_rig import load_rig, save_rig
 from hull_server.hull_pipeline import HullPipeline
-from hull_server.overload.thinning_control import ThinningControl
+from hull_server.overload import ThinningControl
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_ros.images import absence_message, camera_info_message, silhouette_message
 from sagoma_ros.messages import to_ns
