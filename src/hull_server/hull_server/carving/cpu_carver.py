@@ -89,8 +89,12 @@ class CpuCarver(Immediate):
         present, known = self.views.present(masks), boxes or {}
         names = [self.views.names[camera] for camera in present]
         filled = [self._tabulator.tabulate(c, masks[n], known.get(n)) for c, n in zip(present, names, strict=True)]
-        smallest_first = present[np.argsort(filled, kind="stable")]  # cameras with little foreground empty most blocks
-        scene = self._scene._replace(present=smallest_first, min_seeing=min_seeing)
+        # cameras with little foreground empty most blocks
+        return self.carve_tabulated(present[np.argsort(filled, kind="stable")], min_seeing)
+
+    def carve_tabulated(self, cameras: npt.NDArray[np.int64], min_seeing: int) -> BrickVolume:
+        """Carve the silhouettes that were submitted last, of some of their cameras (n,), in this order."""
+        scene = self._scene._replace(present=cameras, min_seeing=min_seeing)
         found = carve(scene, self._coarse, self._bricks, self._index, self._leaves, self._work)
         return BrickVolume(self.grid, self._index[:found].copy(), self._leaves[:found].copy())
 
