@@ -81,13 +81,9 @@ def calibration_values(result: HullResult) -> dict[str, str]:
     """Report how far each camera is from its calibration, in degrees, and how well it agrees with the others."""
     calibration = result.extrinsic_errors
     texts = {"calibration_suspects": ",".join(calibration.suspects)}
-    angles = {
-        "rotation_error": calibration.rotation_error_rad,
-        "rotation_error_sd": calibration.sd_rad,
-        "roll": calibration.roll_rad,
-    }
-    for name, angle_rad in angles.items():
-        texts |= {f"calibration_{name}_deg_{camera}": f"{np.degrees(rad):.3f}" for camera, rad in angle_rad.items()}
+    for camera, error in calibration.of_camera.items():
+        angles = {"rotation_error": error.angle_rad, "rotation_error_sd": error.sd_rad, "roll": error.roll_rad}
+        texts |= {f"calibration_{name}_deg_{camera}": f"{np.degrees(rad):.3f}" for name, rad in angles.items()}
     for camera, share in result.camera_faults.consistency.items():
         texts[f"calibration_consistency_{camera}"] = f"{share:.3f}"
     return texts

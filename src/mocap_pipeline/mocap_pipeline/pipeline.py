@@ -124,7 +124,7 @@ class MocapPipeline:
         # (consistency/foreground_support.py; camera_client/background/moved_things/absorption.py)
         self.report_support(pending.support)
         # slice the hull along x, y and z and keep the centroids of the slices that look like a limb (3.2; slicing/);
-        # sample its voxels, and trace the rays that touch the body (slicing/voxel_samples.py, contour_rays/)
+        # sample its voxels, and trace the rays that touch the body (slicing/voxel_runs.py, contour_rays/)
         return self.hull.finish(pending).products
 
     def report_support(self, reports: tuple[ForegroundSupport, ...]) -> None:

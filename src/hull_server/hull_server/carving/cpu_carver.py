@@ -29,16 +29,7 @@ from .carve_blocks import (
     store_block,
     voxel_steps,
 )
-from .pixel_boxes import (
-    SEEN,
-    UNSEEN,
-    BlockBoxes,
-    block_boxes,
-    foreground_in,
-    pixel_projections,
-    rows_within_reach,
-    summed_area,
-)
+from .pixel_boxes import SEEN, UNSEEN, BlockBoxes, block_boxes, foreground_in, pixel_projections, summed_area
 from .silhouette_tables import SURE, Scene, Tabulator
 
 COARSE_EDGE, BRICK_EDGE = 32, 8
@@ -56,7 +47,7 @@ class CpuCarver(Immediate):
         projections, seen_table = pixel_projections(views, grid), summed_area(views.seen)
         self._coarse = block_boxes(views, grid, COARSE_EDGE, seen_table)
         self._bricks = block_boxes(views, grid, BRICK_EDGE, seen_table)
-        self._tabulator = Tabulator(views.seen, rows_within_reach(self._bricks, views.seen.shape))
+        self._tabulator = Tabulator(views.seen)
         self._scene = Scene(
             projections=projections,
             voxel_steps=voxel_steps(projections),
