@@ -116,6 +116,8 @@ def test_the_whole_graph_stands_below_a_namespace(argument, pushed, expected):
     nodes = launched(LAUNCH / "all_in_one.launch.py", pushed, rig=RIG, cameras=CAMERAS, namespace=argument)
     found = [(node.full_namespace or "/").rstrip("/") for node in nodes]
     assert found == [expected, *(f"{expected}/cam0{k}" for k in range(1, 5))]
+    prefixes = {each.get("tf_prefix", "") for node in nodes for each in parameters_of(node).values()}
+    assert prefixes == {argument and f"{argument}_"}
 
 
 # --- nodes that die
@@ -162,6 +164,7 @@ def test_rviz_shows_the_topics_of_the_namespace(monkeypatch):
     *_, rviz = launched(LAUNCH / "all_in_one.launch.py", rig=RIG, cameras=CAMERAS, rviz="true", namespace="studio")
     assert (rviz.package, rviz.full_namespace) == ("rviz2", "/studio")
     assert ("/mocap/skeletons", "mocap/skeletons") in rviz.remappings
+    assert rviz.arguments[-2:] == ["-f", "studio_map"]
     assert all(re.fullmatch(r"/[\w/]+", topic) for topic, _ in rviz.remappings)
 
 
