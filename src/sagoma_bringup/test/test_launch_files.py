@@ -15,6 +15,7 @@ from capture_rig.errors import InputError
 from sagoma_bringup.graph import SERVER_NODES, build_graph
 from sagoma_bringup.launch_arguments import ARGUMENTS
 from sagoma_bringup.processes import THREE_PROCESSES, processes_of
+from sagoma_tools.graph.processes import START_TIMEOUT_S
 from sagoma_tools.graph.ros_link import RosLink, our_nodes, settled
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -262,7 +263,7 @@ def test_the_real_launch_runs_what_the_stand_in_does_and_ends_it_in_order(path, 
 
     def end_when_all_are_there():
         with RosLink("listener", namespace="/studio") as link:
-            found.extend(settled(lambda: our_nodes(link.node), nodes, 30.0))
+            found.extend(settled(lambda: our_nodes(link.node), nodes, START_TIMEOUT_S))
         service.shutdown()
 
     watcher = threading.Thread(target=end_when_all_are_there)
