@@ -91,17 +91,16 @@ def test_a_namespace_that_is_none_is_refused_before_anything_starts(tmp_path, ca
     assert "--namespace" in capsys.readouterr().err and not (tmp_path / "bag").exists()
 
 
-@pytest.mark.parametrize(("namespace", "other"), [("/studio", ""), ("", "/studio")])
-def test_commands_drive_and_examine_the_nodes_of_their_namespace_and_no_others(namespace, other, capsys):
-    own, foreign = (RunningFilter(each) for each in (namespace, other))
-    with own, foreign:
+def test_commands_drive_and_examine_the_nodes_of_their_namespace_and_no_others(capsys):
+    with RunningFilter("/studio") as studio, RunningFilter("") as root:
         with RosLink("tool") as tool:
-            until(lambda: set(node_names(tool.node)) >= {f"{each}/ekf_tracker" for each in (namespace, other)})
-        assert main(["start", "--namespace", namespace, "--wait", "30"]) == 0
-        assert capsys.readouterr().out == f"{namespace}/ekf_tracker: active\n"
-        facts = collect_graph(0.1, namespace=namespace)
-        assert [(node.name, node.state) for node in facts.nodes] == [("/ekf_tracker", "active")]
-        assert (own.state, foreign.state) == ("active", "unconfigured")
+            until(lambda: {"/studio/ekf_tracker", "/ekf_tracker"} <= {*node_names(tool.node)})
+        for namespace, states in (("/studio", ["active", "unconfigured"]), ("", ["active", "active"])):
+            assert main(["start", "--namespace", namespace, "--wait", "30"]) == 0
+            assert capsys.readouterr().out == f"{namespace}/ekf_tracker: active\n"
+            assert [studio.state, root.state] == states
+            facts = collect_graph(0.1, namespace=namespace)
+            assert [(node.name, node.state) for node in facts.nodes] == [("/ekf_tracker", "active")]
 
 
 class RunningFilter:
