@@ -21,13 +21,13 @@ from capture_rig.rig import Volume
 from mocap_packets.silhouette import Silhouette
 from mocap_packets.support import ForegroundSupport
 
+from ..alignment import PictureAlignment
 from ..background.adaptation.adaptive import AdaptiveBackground, FixedBackground, samples_of
 from ..background.adaptation.expected_image import Corners, Samples
 from ..background.kernels import STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
-from ..background.moved_things.absorption import MovedThings
+from ..background.moved_things import MovedThings
 from ..frame_source import Image, Mask
-from ..movement.alignment import PictureAlignment
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
