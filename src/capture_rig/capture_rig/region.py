@@ -39,7 +39,8 @@ def pixel_width_m(camera: CameraModel, volume: Volume) -> float:
 
 def of_region(camera: CameraModel, region: Region) -> CameraModel:
     """Return the camera whose pictures are a region of the given one's."""
-    K = camera.K / [[region.binning], [region.binning], [1.0]]
+    K = camera.K.copy()
+    K[:2] /= region.binning
     K[:2, 2] += (1 / region.binning - 1) / 2  # pixels are counted from the middle of the first one
     K[:2, 2] -= [region.offset_x, region.offset_y]
     return replace(camera, width=region.width, height=region.height, K=K)
