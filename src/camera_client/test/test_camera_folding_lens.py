@@ -7,15 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
+from camera_client.alignment import PictureAlignment, choose_edge_points
 from camera_client.background.model import BackgroundLearner
-from camera_client.movement.alignment import PictureAlignment
-from camera_client.movement.edge_points import choose_edge_points
 from camera_client.silhouettes.masks import Box, BoxUndistorter
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import floor_pixels
 from virtual_studio.rendering.camera import Sensor
-from virtual_studio.rig import VOLUME, ring
-from virtual_studio.scene.room import view_room
+from virtual_studio.rig import VOLUME, ring, view_room
 
 NOISE = 3.0
 SENSOR = Sensor(NOISE, 0.005, 4)

@@ -131,14 +131,15 @@ def _row(values: np.ndarray, spec: str) -> str:
     return ",".join(format(value, spec) for value in values.tolist())
 
 
-def camera_frames(rig: Rig, frame_id: str, stamp_ns: int) -> Iterator[TransformStamped]:
+def camera_frames(rig: Rig, frame_id: str, stamp_ns: int, tf_prefix: str = "") -> Iterator[TransformStamped]:
     """Yield the two frames of every camera: map -> CAM (x forward, z up), CAM -> CAM_optical (z forward, y down)."""
     for camera in rig.cameras:
         R_world_optical = camera.T_camera_world[:3, :3].T
         turned = Rotation.from_matrix(R_world_optical @ OPTICAL_TO_BODY.T).as_quat().tolist()
-        yield frame(frame_id, camera.name, stamp_ns, camera.centre_world.tolist(), turned)
+        name = tf_prefix + camera.name
+        yield frame(frame_id, name, stamp_ns, camera.centre_world.tolist(), turned)
         optical = Rotation.from_matrix(OPTICAL_TO_BODY).as_quat().tolist()
-        yield frame(camera.name, f"{camera.name}_optical", stamp_ns, (0.0, 0.0, 0.0), optical)
+        yield frame(name, f"{name}_optical", stamp_ns, (0.0, 0.0, 0.0), optical)
 
 
 class OverloadControl:
