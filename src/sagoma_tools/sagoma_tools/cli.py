@@ -11,8 +11,7 @@ from importlib import import_module
 from capture_rig.errors import InputError, shortened
 from capture_rig.files import describe_os_error
 
-from .command_help import BAD_INPUT, FAILED, INTERRUPTED, NO_READER, CommandParser, describe
-from .console import ProgressLine
+from .console import BAD_INPUT, FAILED, INTERRUPTED, NO_READER, CommandParser, ProgressLine, describe
 from .graph import GraphError
 from .graph.network_settings import add_peers_argument, use_peers
 
@@ -20,12 +19,10 @@ COMMANDS = {
     "demo": ("demo",),
     "calibrate": ("calibrate",),
     "background": ("background",),
-    "graph": ("up", "start", "suspend", "stop", "studio"),
+    "graph": ("up", "start", "suspend", "stop", "view", "studio"),
     "recording": ("record", "replay", "compare", "recover"),
-    "takes": ("takes",),
-    "view": ("view",),
+    "takes": ("takes", "smooth", "export", "urdf"),
     "evaluate": ("evaluate",),
-    "export": ("smooth", "export", "urdf"),
     "import_session": ("import",),
     "doctor": ("doctor",),
 }

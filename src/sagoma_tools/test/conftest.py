@@ -36,7 +36,9 @@ def _graphs_settle_soon(monkeypatch):
 @pytest.fixture
 def somebody_is_found(monkeypatch):
     """Who looks for nodes of its own names before it starts looks until there is one, however busy the machine."""
-    monkeypatch.setattr("sagoma_tools.graph.running_nodes.settled", lambda look, expect, wait_s: settled(look, 1, 60.0))
+    monkeypatch.setattr(
+        "sagoma_tools.graph.lifecycle_client.settled", lambda look, expect, wait_s: settled(look, 1, 60.0)
+    )
 
 
 @pytest.fixture(autouse=True)

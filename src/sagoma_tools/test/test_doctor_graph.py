@@ -13,7 +13,7 @@ from sagoma_tools.doctor.findings import Severity
 from sagoma_tools.doctor.graph import graph_findings
 from sagoma_tools.doctor.graph_listener import Canvas, GraphFacts, NodeFacts, SilhouetteFacts
 from sagoma_tools.graph.diagnostics_table import NodeReport
-from sagoma_tools.graph.running_nodes import machine_of
+from sagoma_tools.graph.lifecycle_client import machine_of
 from virtual_studio.rig import ring
 
 RIG = ring(3, False)

@@ -10,10 +10,9 @@ import pytest
 from rich.console import Console
 
 from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_tools.graph.lifecycle_client import Verdict
+from sagoma_tools.graph.lifecycle_client import Verdict, places_of
 from sagoma_tools.graph.processes import Exit, ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink, settled
-from sagoma_tools.graph.running_nodes import places_of
 from sagoma_tools.graph.supervisor import GraphError, Supervisor, with_common_epoch
 
 REFUSES = "refuses_to_configure"
@@ -134,7 +133,7 @@ def test_only_camera_lost_is_an_error(supervise):
 def test_nodes_of_the_same_names_are_refused_before_a_second_graph_starts_and_before_one_is_configured(
     supervise, monkeypatch, tmp_path, request
 ):
-    monkeypatch.setattr("sagoma_tools.graph.running_nodes.ANSWER_S", 0.0)
+    monkeypatch.setattr("sagoma_tools.graph.lifecycle_client.ANSWER_S", 0.0)
     run = supervise(tiny("hull_server"), camera("cam01"))
     request.getfixturevalue("somebody_is_found")
     second = Supervisor([tiny("hull_server"), camera("cam02")], tmp_path / "second")

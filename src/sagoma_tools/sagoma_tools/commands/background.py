@@ -33,8 +33,7 @@ from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ..arguments import NODES
-from ..command_help import INTERRUPTED
-from ..console import command_console
+from ..console import INTERRUPTED, command_console
 from ..graph.background_training import (
     TrainingOutcome,
     camera_of,

@@ -29,9 +29,9 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
+from ..graph.lifecycle_client import own_machine, places_of
 from ..graph.network_settings import PEERS_VARIABLE
 from ..graph.ros_link import RosLink, call_all, node_names, owners_of, settled
-from ..graph.running_nodes import own_machine, places_of
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
 from .machine import domains_here
 

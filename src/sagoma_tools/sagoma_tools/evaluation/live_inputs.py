@@ -23,8 +23,8 @@ from capture_rig.session import Session, load_session
 from capture_rig.stamps import UTC, CaptureClock
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_bringup.graph import NodeSpec, build_graph
+from sagoma_ros.messages import THINNING_TOPIC, read_thinning
 from sagoma_ros.qos import LATCHED
-from sagoma_ros.thinning import TOPIC, read_thinning
 from virtual_studio.gige.addresses import consecutive_addresses, is_free
 from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
 from virtual_studio.gige.control import ask
@@ -311,7 +311,7 @@ class HeldRate:
 
     def __init__(self, node: Node) -> None:
         self._now_s, self._rules = time.monotonic, list[tuple[float, FrameDecimation]]()
-        self._subscription = node.create_subscription(DiagnosticArray, TOPIC, self._on_rule, LATCHED)
+        self._subscription = node.create_subscription(DiagnosticArray, THINNING_TOPIC, self._on_rule, LATCHED)
 
     @property
     def fraction(self) -> float:
@@ -335,7 +335,7 @@ class HeldRate:
         return now_s - max(falls, default=began_s) >= SETTLED_S or now_s - began_s >= LONGEST_S
 
     def _on_rule(self, message: DiagnosticArray) -> None:
-        self.add(read_thinning(message, TOPIC))
+        self.add(read_thinning(message, THINNING_TOPIC))
 
 
 class OtherPrograms:

@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from capture_rig.session import Session
 from mocap_packets.latency import POINTS
-from sagoma_bringup.first_pose import start_settings
+from sagoma_bringup.launch_arguments import start_settings
 
 from ..console import doing
 from ..graph.processes import ProcessSettings, Usage
@@ -25,10 +25,9 @@ from ..graph.topics import PREDICTION_TOPIC
 from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
 from .live_inputs import LiveInput, OtherPrograms, StudioInput, TooSlow
-from .people import main_track
 from .reasons import reasons_of_bag
 from .track import SessionClock, Track, clock_of_bag, silhouette_stamps, tracks_from_bag
-from .track_evaluation import TrackEvaluation, evaluate_track
+from .track_evaluation import TrackEvaluation, evaluate_track, main_track
 
 FRAME_SET_TOPIC = "/hull/frame_set"
 LEAST_HZ = 25.0  # frame sets a second that simulated cameras are to have, or they go slower

@@ -20,8 +20,7 @@ from pathlib import Path
 import psutil
 
 from capture_rig.yaml_file import save_mapping
-from sagoma_bringup.graph import NodeSpec
-from sagoma_bringup.processes import ONE_PROCESS, ProcessSpec, processes_of
+from sagoma_bringup.graph import ONE_PROCESS, NodeSpec, ProcessSpec, processes_of
 
 GRACE_S, REAP_S = 8.0, 5.0
 START_TIMEOUT_S = 300.0  # to a process's first answer: seconds of imports, times the machine's load

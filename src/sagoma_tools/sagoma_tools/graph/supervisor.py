@@ -14,12 +14,22 @@ from pathlib import Path
 from rclpy.node import Node
 
 from capture_rig.errors import InputError
-from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_bringup.processes import ProcessSpec
+from sagoma_bringup.graph import NodeSpec, ProcessSpec, Role
 
 from . import GraphError
 from .diagnostics_table import DiagnosticsTable
-from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
+from .lifecycle_client import (
+    REACHED,
+    LifecycleClient,
+    Outcome,
+    State,
+    Verdict,
+    foreign_nodes,
+    living_nodes,
+    own_machine,
+    places_of,
+    run_already,
+)
 from .processes import (
     START_TIMEOUT_S,
     Child,
@@ -31,7 +41,6 @@ from .processes import (
 )
 from .restarts import ProcessExited, ProcessRecovered, RestartPolicy, reads_file, restarted, with_kept_backgrounds
 from .ros_link import ANSWER_S, ASK_S, LOOK_S, RosLink
-from .running_nodes import foreign_nodes, living_nodes, own_machine, places_of, run_already
 
 FRESH, ACTIVE = State.UNCONFIGURED.value, State.ACTIVE.value
 

@@ -12,11 +12,15 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ament_index_python.packages import PackageNotFoundError, get_package_share_path
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import get_types_from_msg
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import TIME_JUMP_NS
@@ -36,8 +40,7 @@ from ..graph.topics import (
     persons_in,
     topics_of_others,
 )
-from .asked_topics import AskedTopics
-from .reader import canonical_bytes, header_stamp_ns
+from .reader import TYPES, canonical_bytes, header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
 DISCOVERY_S = 0.2
@@ -351,3 +354,66 @@ def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> di
 def _plain(value: Any) -> Any:
     found = parameter_value_to_python(value)
     return found if found is None or isinstance(found, bool | int | float | str) else list(found)
+
+
+# topics that a user asks for by name ----------------------------------------------------------------------------------
+
+
+def matches_any(names: Iterable[str]) -> Callable[[str], bool]:
+    """Return whether a topic is one of ``names``, or below one: ``/humans`` are all that begin with ``/humans/``."""
+    wanted = tuple("/" + name.strip("/") for name in names)
+    return lambda topic: any(topic == name or topic.startswith(f"{name}/") for name in wanted)
+
+
+class AskedTopics:
+    """Finds topics in the graph as they appear; ``on_unknown(topic, type)`` is called once for each that cannot be
+    recorded, because its type is not installed here."""
+
+    def __init__(self, node: Node, wanted: Callable[[str], bool], on_unknown: Callable[[str, str], None]) -> None:
+        self._node, self._wanted, self._on_unknown = node, wanted, on_unknown
+        self._seen: set[str] = set()
+
+    def new(self) -> list[Topic]:
+        """Return the topics that have appeared since the last call."""
+        found = []
+        for name, msgtype in topics_of(self._node).items():
+            if name in self._seen or not self._wanted(name):
+                continue
+            offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(in_graph(self._node, name))]
+            if not offered:  # nobody publishes it yet, so nobody says how
+                continue
+            self._seen.add(name)
+            if not is_known(msgtype):
+                self._on_unknown(name, msgtype)
+                continue
+            kept = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+            unreliable = any(qos.reliability == ReliabilityPolicy.BEST_EFFORT for qos in offered)
+            found.append(Topic(name, msgtype, repeatable=False, latched=kept, best_effort=unreliable))
+        return found
+
+
+def is_known(msgtype: str) -> bool:
+    """Return whether messages of a type can be received and written here; learns its definition where installed."""
+    try:
+        message_class(msgtype)
+        if msgtype not in TYPES.fielddefs:
+            _learn(msgtype)
+    except (ImportError, AttributeError, ValueError, PackageNotFoundError, OSError):
+        return False
+    return True
+
+
+def _learn(msgtype: str) -> None:
+    """Add a type's definition, and those that it holds, from the package where it is installed."""
+    package, folder, name = msgtype.split("/")
+    text = (get_package_share_path(package) / folder / f"{name}.msg").read_text()
+    types = get_types_from_msg(text, msgtype)
+    TYPES.register(types)
+    for _, fields in types.values():
+        for _, described in fields:
+            kind: Any = described
+            while kind[0] not in (Nodetype.BASE, Nodetype.NAME):  # of an array, what it is of
+                kind = kind[1][0]
+            node, inner = kind
+            if node is Nodetype.NAME and str(inner) not in TYPES.fielddefs:
+                _learn(str(inner))
