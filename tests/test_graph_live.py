@@ -116,12 +116,12 @@ def killed(three_cameras: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     with Supervisor(graph, folder / "logs", on_event=lambda event: died.set()) as supervisor:
         supervisor.configure()
         with GraphRecorder(graph, folder / "bag") as recorder:
-            recorder.wait_for_publishers()
+            recorder.wait_for_graph()
             supervisor.activate()
-            assert recorder.recorder.wait_for_count(PREDICTION_TOPIC, 20, 60.0)
+            assert recorder.wait_for_count(PREDICTION_TOPIC, 20, 60.0)
             os.kill(supervisor.processes.pids()["/cam02/camera_client"], signal.SIGKILL)
             assert died.wait(10.0)
-            assert recorder.recorder.wait_for_count(PREDICTION_TOPIC, frames, 120.0)
+            assert recorder.wait_for_count(PREDICTION_TOPIC, frames, 120.0)
         assert supervisor.states()["/cam02/camera_client"] == "dead"
         assert supervisor.states()["/hull_server"] == "active"
     return folder / "bag"

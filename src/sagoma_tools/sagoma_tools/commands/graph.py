@@ -119,7 +119,7 @@ def up(args: argparse.Namespace) -> int:
             console.print(f"recorded {sum(counts.values())} messages on {len(counts)} topics in {args.record}")
             console.print(next_steps(args.record))
         supervisor.stop()
-    incomplete = recorder is not None and recorder.recorder.failure is not None
+    incomplete = recorder is not None and recorder.failure is not None
     return print_exit_statuses(console, supervisor) or int(incomplete)
 
 
@@ -136,7 +136,7 @@ def bring_up(
         supervisor.configure()
         if bag:
             recorder = GraphRecorder(supervisor.graph, bag, on_failure=on_failure)
-            recorder.wait_for_publishers()
+            recorder.wait_for_graph()
         supervisor.activate()
     except GraphError:
         if not stop.is_set():

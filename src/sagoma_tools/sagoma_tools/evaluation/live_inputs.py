@@ -37,7 +37,6 @@ from ..graph.topics import PREDICTION_TOPIC
 from ..recording.recorder import GraphRecorder
 from .track import SessionClock, frame_count
 
-SILENCE_S = 20.0
 FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
 
 
@@ -173,9 +172,9 @@ class FootageInput(LiveInput):
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> None:
         expected, seen = frame_count(self.session), -1
         while seen < expected and not cancel.is_set():
-            if not recorder.recorder.wait_for_count(PREDICTION_TOPIC, seen + 1, SILENCE_S):
+            if not recorder.wait_for_count(PREDICTION_TOPIC, seen + 1, PATIENCE_S):
                 return
-            seen = recorder.recorder.counts.get(PREDICTION_TOPIC, 0)
+            seen = recorder.counts.get(PREDICTION_TOPIC, 0)
 
     @property
     def in_real_time(self) -> bool:
@@ -270,12 +269,12 @@ class StudioInput(LiveInput):
         return clock
 
     def _await_answers(self, recorder: GraphRecorder, last_ns: int, cancel: threading.Event) -> None:
-        """Wait for the answer to a stamp, or until nothing has been answered for SILENCE_S since the last exposure."""
-        counts, heard_s = recorder.recorder.counts, time.monotonic() + self.clock.wait_ns(last_ns) * 1e-9
-        while time.monotonic() < heard_s + SILENCE_S and not cancel.is_set():
-            if recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, LOOK_S):
+        """Wait for the answer to a stamp, or until nothing has been answered for PATIENCE_S since the last exposure."""
+        counts, heard_s = recorder.counts, time.monotonic() + self.clock.wait_ns(last_ns) * 1e-9
+        while time.monotonic() < heard_s + PATIENCE_S and not cancel.is_set():
+            if recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, LOOK_S):
                 return
-            if counts != (counts := recorder.recorder.counts):
+            if counts != (counts := recorder.counts):
                 heard_s = max(heard_s, time.monotonic())
 
     @property

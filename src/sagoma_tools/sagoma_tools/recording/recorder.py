@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_path
 from rcl_interfaces.srv import GetParameters, ListParameters
@@ -43,9 +43,8 @@ from ..graph.topics import (
 from .reader import TYPES, canonical_bytes, header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
-DISCOVERY_S = 0.2
 STAMPED_BYTES = 12  # lead-in and stamp of a message that begins with a header
-SETTLE_S = 0.3  # the publisher discovers this subscription a little later than this node discovers the publisher
+SETTLE_S = 0.3  # a publisher discovers a subscription a little later than the other way round; how often one looks
 
 
 class TimeJumpDetector:
@@ -125,11 +124,11 @@ class Recorder:
         )
 
     def follow_graph(self) -> None:
-        """Look for cameras that publish silhouettes, and for persons, every DISCOVERY_S, and record them too."""
+        """Look for cameras that publish silhouettes, and for persons, every SETTLE_S, and record them too."""
         self._discover(self._newcomers)
 
     def follow(self, asked: AskedTopics) -> None:
-        """Record the topics that were asked for as they appear, looking every DISCOVERY_S."""
+        """Record the topics that were asked for as they appear, looking every SETTLE_S."""
         self._discover(asked.new)
 
     def _discover(self, appeared: Callable[[], Iterable[Topic]]) -> None:
@@ -140,7 +139,7 @@ class Recorder:
         add_all()
         if self._discovery is None:
             steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._discovery = self._node.create_timer(DISCOVERY_S, add_all, clock=steady)
+            self._discovery = self._node.create_timer(SETTLE_S, add_all, clock=steady)
 
     def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
         """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""
@@ -173,7 +172,7 @@ class Recorder:
     def close_with_graph(self, rig: Path | None = None) -> dict[str, int]:
         """Close the bag with the parameters of the graph's nodes and their rig file, unless ``rig`` is another."""
         configuration = read_configuration(self._node, sorted(our_nodes(self._node)), ANSWER_S)
-        return self.close({"graph": configuration}, rig or rig_of_configuration(configuration))
+        return self.close({"graph": configuration}, rig or rig_of(configuration))
 
     def close(self, provenance: Mapping[str, Any] | None = None, rig: Path | None = None) -> dict[str, int]:
         """Stop listening and finish the bag; returns the messages written by topic. May be called twice."""
@@ -192,7 +191,7 @@ class Recorder:
                 self.failure = self.failure or self._writer.failure
         return dict(self._writer.counts)
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -257,8 +256,8 @@ def has_header(msgtype: str) -> bool:
     return next(iter(fields.values())) == "std_msgs/Header"
 
 
-class GraphRecorder:
-    """Subscribes to every topic of ``graph`` from a node of its own and writes them to ``bag`` until closed."""
+class GraphRecorder(Recorder):
+    """Records every topic of ``graph`` into ``bag``, from a node of its own, until it is closed."""
 
     def __init__(
         self,
@@ -268,42 +267,34 @@ class GraphRecorder:
         topics: Iterable[Topic] | None = None,
         domain_id: int | None = None,
         provenance: Mapping[str, Any] | None = None,
-        canonical: bool = False,
-        on_failure: Callable[[InputError], object] = lambda error: None,
+        **options: Any,
     ) -> None:
         """``topics`` by default all of the graph and /diagnostics; ``provenance`` is added to the bag's sagoma.yaml;
-        ``on_failure`` as of :class:`Recorder`."""
-        self._topics = tuple(graph_topics(graph) if topics is None else topics)
-        self._graph = tuple(graph)
+        ``options`` as of :class:`Recorder`."""
+        self._recorded = tuple(graph_topics(graph) if topics is None else topics)
+        self._configuration = {node.full_name: dict(node.parameters) for node in graph}
         self._provenance = dict(provenance or {})
         self._link = RosLink("sagoma_recorder", domain_id=domain_id)
         try:
-            self.recorder = Recorder(self._link.node, bag, self._topics, canonical=canonical, on_failure=on_failure)
+            super().__init__(self._link.node, bag, self._recorded, **options)
         except BaseException:
             self._link.close()
             raise
 
-    def wait_for_publishers(self, timeout_s: float = PATIENCE_S) -> tuple[str, ...]:
+    def wait_for_graph(self) -> tuple[str, ...]:
         """Return once every topic but latched ones and persons' has a publisher; returns those that have none in time.
 
         Nodes open their publishers when they are configured: call it between configure and activate. A publisher that
         is opened later finds this recorder listening, and its first message is recorded.
         """
-        awaited = [t.name for t in self._topics if not (t.latched or t.of_person)]
-        return self.recorder.wait_for_publishers(awaited, timeout_s)
+        return self.wait_for_publishers([t.name for t in self._recorded if not (t.latched or t.of_person)], PATIENCE_S)
 
-    def close(self, **provenance: Any) -> dict[str, int]:
-        """Finish the bag; returns the messages written by topic. May be called twice."""
-        description = {"graph": graph_document(self._graph), **self._provenance, **provenance}
-        counts = self.recorder.close(description, rig_file(self._graph))
+    def close(self, provenance: Mapping[str, Any] | None = None, rig: Path | None = None) -> dict[str, int]:
+        """Finish the bag, with the nodes' parameters and rig; returns the messages by topic. May be called twice."""
+        described = {"graph": self._configuration, **self._provenance, **(provenance or {})}
+        counts = super().close(described, rig or rig_of(self._configuration))
         self._link.close()
         return counts
-
-    def __enter__(self) -> GraphRecorder:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def graph_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
@@ -317,19 +308,8 @@ def server_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
     return [*OUTPUT_TOPICS, *topics_of_others(first_body_id(node.parameters for node in graph))]
 
 
-def graph_document(graph: Sequence[NodeSpec]) -> dict[str, Any]:
-    """Full node name -> its parameters, as plain data for YAML."""
-    return {node.full_name: dict(node.parameters) for node in graph}
-
-
-def rig_file(graph: Sequence[NodeSpec]) -> Path | None:
-    """Return the rig YAML that the nodes were given."""
-    named = (node.parameters.get("rig_file") for node in graph)
-    return next((Path(name) for name in named if name), None)
-
-
-def rig_of_configuration(configuration: Mapping[str, Mapping[str, Any]]) -> Path | None:
-    """Return the rig file that running nodes say they have (:func:`read_configuration`), if it is on this computer."""
+def rig_of(configuration: Mapping[str, Mapping[str, Any]]) -> Path | None:
+    """Return the rig file that nodes have by their parameters, if it is on this computer."""
     named = (parameters.get("rig_file") for parameters in configuration.values())
     return next((Path(name) for name in named if name and Path(name).is_file()), None)
 

@@ -29,7 +29,7 @@ from sagoma_ros.messages import to_stamp
 
 from ..console import doing
 from ..graph.processes import ProcessSettings
-from ..graph.ros_link import DISCOVERY_S, LOOK_S, PATIENCE_S, RosLink, settled
+from ..graph.ros_link import DISCOVERY_S, PATIENCE_S, RosLink, settled
 from ..graph.supervisor import Supervisor
 from ..graph.topics import (
     CLOCK_TOPIC,
@@ -253,8 +253,7 @@ def play_lockstep(
 # through a graph started for it ---------------------------------------------------------------------------------------
 
 
-QUIET_S, FLUSH_TIMEOUT_S = 0.5, 10.0
-
+QUIET_S = 0.5
 TOLERANCE = "hull_server.tolerance_s"
 # topics with exactly one message a frame set
 PER_SET = (
@@ -265,8 +264,8 @@ PER_SET = (
     "/icp/fit",
     PREDICTION_TOPIC,
 )
-# topic -> the nodes that must listen to it before the first set is sent, where each has a process of its own
-LISTENERS = {"/hull/products": {"icp_tracker"}, "/icp/people": {"ekf_tracker"}, PREDICTION_TOPIC: {"icp_tracker"}}
+# topic -> the node that must listen to it before the first set is sent, where each has a process of its own
+LISTENERS = {"/hull/products": "icp_tracker", "/icp/people": "ekf_tracker", PREDICTION_TOPIC: "icp_tracker"}
 
 
 def replay_through_graph(
@@ -301,16 +300,16 @@ def replay_through_graph(
             ) as recorder,
             RosLink("sagoma_replayer", domain_id=domain_id) as link,
         ):
-            recorder.wait_for_publishers()
+            recorder.wait_for_graph()
             supervisor.activate()
             if server == THREE_PROCESSES:  # else they hand over in memory
                 wait_for_listeners(link.node, PATIENCE_S)
             tolerance_ns = round(chosen[TOLERANCE] * 1e9)  # sets are formed here as the hull server forms them
             cameras = load_rig(rig_file).names
             report = lockstep_into(link.node, bag, cameras, tolerance_ns=tolerance_ns, cancel=cancel)
-            recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, report.last_stamp_ns, FLUSH_TIMEOUT_S)
-            recorder.recorder.wait_until_quiet(QUIET_S, FLUSH_TIMEOUT_S)
-            report.unrecorded = {t: n for t in PER_SET if (n := report.sets - recorder.recorder.counts[t]) != 0}
+            recorder.wait_for_stamp(PREDICTION_TOPIC, report.last_stamp_ns, DISCOVERY_S)
+            recorder.wait_until_quiet(QUIET_S, DISCOVERY_S)
+            report.unrecorded = {t: n for t in PER_SET if (n := report.sets - recorder.counts[t]) != 0}
     return report
 
 
@@ -340,12 +339,14 @@ def lockstep_into(
 
 def wait_for_listeners(node: Node, timeout_s: float) -> None:
     """Return once the server's nodes subscribe to each other. Raises InputError naming missing subscriptions."""
-    deadline_s = time.monotonic() + timeout_s
-    while missing := _missing_subscriptions(node):
-        if time.monotonic() > deadline_s:
-            what = f"not heard by {', '.join(sorted(set().union(*missing.values())))} within {timeout_s:g} s"
-            raise InputError(what, where=", ".join(missing), remedy="All three nodes of the server must be active.")
-        threading.Event().wait(LOOK_S)
+
+    def heard() -> set[str]:
+        infos = {topic: node.get_subscriptions_info_by_topic(topic) for topic in LISTENERS}
+        return {topic for topic, listener in LISTENERS.items() if listener in {one.node_name for one in infos[topic]}}
+
+    if missing := sorted(set(LISTENERS) - {*settled(heard, len(LISTENERS), timeout_s)}):
+        what = f"not heard by {', '.join(sorted({LISTENERS[topic] for topic in missing}))} within {timeout_s:g} s"
+        raise InputError(what, where=", ".join(missing), remedy="All three nodes of the server must be active.")
 
 
 def matching_rig(bag: str | Path, rig: str | Path | None) -> Path:
@@ -359,11 +360,3 @@ def matching_rig(bag: str | Path, rig: str | Path | None) -> Path:
         what = f"the bag has silhouettes of {', '.join(unknown)}, which the rig does not know"
         raise InputError(what, where=str(rig_file), remedy=f"Known cameras: {', '.join(known)}.")
     return rig_file
-
-
-def _missing_subscriptions(node: Node) -> dict[str, set[str]]:
-    missing = {
-        topic: wanted - {info.node_name for info in node.get_subscriptions_info_by_topic(topic)}
-        for topic, wanted in LISTENERS.items()
-    }
-    return {topic: names for topic, names in missing.items() if names}
