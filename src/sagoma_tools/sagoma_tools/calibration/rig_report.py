@@ -19,8 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from capture_rig.camera import CameraModel
-from capture_rig.errors import InputError
-from capture_rig.files import describe_os_error
+from capture_rig.files import make_folder
 from capture_rig.rig import Volume, save_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.yaml_file import save_mapping
@@ -50,13 +49,9 @@ def write_outputs(
     """Write the rig to ``path``, and beside it STEM.report.yaml, STEM.png and, for each camera that has a picture of
     the floor, STEM_CAMERA.png; returns all paths. The rig's bytes depend on the detections alone. Raises InputError."""
 
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        save_rig(calibrated.placed.rig, path)
-        written = [path, write_report(path.with_suffix(".report.yaml"), calibrated, asked)]
-    except OSError as error:
-        remedy = "Name a file in a folder that may be written (--output)."
-        raise InputError(f"cannot be written ({error.strerror})", where=str(path), remedy=remedy) from None
+    make_folder(path.parent)
+    save_rig(calibrated.placed.rig, path)
+    written = [path, write_report(path.with_suffix(".report.yaml"), calibrated, asked)]
     figures = {camera.name: camera for camera in calibrated.figures.cameras}
     written.append(
         draw_rig(path.with_suffix(".png"), calibrated.placed, calibrated.floor_world, figures, residuals_of(calibrated))
@@ -301,7 +296,7 @@ def draw_overlay(
     path: Path, picture: np.ndarray, camera: CameraModel, volume: Volume, board_world: np.ndarray, found_px: np.ndarray
 ) -> None:
     """Write the picture with the floor's grid, the world's axes (x red, y green, z blue), the volume's outline on the
-    floor, the corners found (n, 2) and those of the board (m, 3) as the calibration expects them. Raises InputError."""
+    floor, the corners found (n, 2) and those of the board (m, 3) as the calibration expects them."""
     height, width = picture.shape[:2]
     figure = Figure(figsize=((width + 0.01) / DPI, (height + 0.01) / DPI))
     axes = figure.add_axes((0, 0, 1, 1), xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
@@ -320,10 +315,7 @@ def draw_overlay(
     axes.plot(*found_px.T, "o", color=FOUND, markersize=6, fillstyle="none", label="found")
     names = {label: line for line, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     axes.legend(names.values(), names, loc="lower left", ncols=len(names), fontsize=7, title=camera.name)
-    try:
-        figure.savefig(path, dpi=DPI, metadata={"Software": None})
-    except OSError as error:
-        raise describe_os_error(error, "cannot be written", path) from None
+    figure.savefig(path, dpi=DPI, metadata={"Software": None})
 
 
 def _draw_floor_line(

@@ -104,9 +104,9 @@ def list_takes(args: argparse.Namespace) -> int:
     console.print(table)
     for take in takes:
         if take.problem:
-            console.print(f"{take.state}: {take.problem}", style=STATE_STYLE[take.state], markup=False, highlight=False)
+            console.print(f"{take.state}: {take.problem}", style=STATE_STYLE[take.state])
     if any(remark(take) == NOT_MEASURED for take in takes):
-        console.print("not measured: `sagoma takes measure TAKE` measures it", highlight=False)
+        console.print("not measured: `sagoma takes measure TAKE` measures it")
     deleted = len(folder.deleted())
     if deleted:
         console.print(f"{deleted} in the bin: `sagoma takes bin`")
@@ -122,13 +122,13 @@ def show(args: argparse.Namespace) -> int:
         return 0 if take.state is TakeState.WHOLE else 1
     console = command_console()
     console.print(f"{take.name}   {date(take)}   {take.seconds:.1f} s   {take.bytes / MIB:.1f} MB", style="bold")
-    console.print(f"  {take.path.resolve()}", highlight=False)
+    console.print(f"  {take.path.resolve()}")
     if take.state is not TakeState.WHOLE:
-        console.print(f"  {take.state}: {take.problem}", style=STATE_STYLE[take.state], markup=False, highlight=False)
+        console.print(f"  {take.state}: {take.problem}", style=STATE_STYLE[take.state])
         return 1
-    console.print(f"  recorded by sagoma {take.software or '(unknown version)'}", highlight=False)
+    console.print(f"  recorded by sagoma {take.software or '(unknown version)'}")
     if take.trimmed_from is not None:
-        console.print(f"  {origin(take)}", highlight=False)
+        console.print(f"  {origin(take)}")
     if take.summary is None:
         console.print(f"  no figures: its recorder was killed (`sagoma takes measure {take.name}` measures them)")
     else:
@@ -140,7 +140,7 @@ def show(args: argparse.Namespace) -> int:
 def print_summary(console: Console, summary: Summary) -> None:
     """Print a take's figures, moved in."""
     for line in summary_lines(summary):
-        console.print(f"  {line}", markup=False, highlight=False)
+        console.print(f"  {line}")
 
 
 def check(args: argparse.Namespace) -> int:
@@ -316,13 +316,7 @@ def run_urdf(args: argparse.Namespace) -> int:
     if not args.output:
         sys.stdout.write(text)
         return 0
-    try:
-        with open(args.output, "x") as file:
-            file.write(text)
-    except FileExistsError:
-        raise InputError("exists already", where=args.output, remedy="Give another name, or move it away.") from None
-    except OSError as error:
-        remedy = "Give a folder that exists and that you may write to."
-        raise InputError(f"cannot be written ({error.strerror})", where=args.output, remedy=remedy) from error
+    with open(args.output, "x") as file:
+        file.write(text)
     print(f"written: {args.output}")
     return 0

@@ -173,25 +173,18 @@ def describe(path: Path) -> Take:
 
 
 def move_new(source: Path, target: Path) -> None:
-    """Rename a take's folder. Raises InputError where something has the new name, or the system refuses."""
+    """Rename a take's folder. Raises InputError where something has the new name."""
     if os.path.lexists(target):
         raise InputError(f"there is a take '{target.name}' already", where=str(target.parent), remedy="Name it anew.")
-    try:
-        source.rename(target)
-    except OSError as error:
-        remedy = "See the rights of the folder, and whether its disk is full."
-        raise InputError(f"cannot be renamed ({error.strerror})", where=str(source), remedy=remedy) from error
+    source.rename(target)
 
 
 def remove_folder(path: Path) -> None:
     """Remove a folder with all in it; of a link, the link alone."""
-    try:
-        if path.is_symlink() or path.is_file():
-            path.unlink()
-        else:
-            shutil.rmtree(path)
-    except OSError as error:
-        raise InputError(f"cannot be removed ({error.strerror})", where=str(path), remedy="See its rights.") from error
+    if path.is_symlink() or path.is_file():
+        path.unlink()
+    else:
+        shutil.rmtree(path)
 
 
 def _is_bag(path: Path) -> bool:

@@ -13,6 +13,7 @@ import viser
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
+from capture_rig.files import describe_os_error
 from capture_rig.verdict import REDO
 
 from ..graph.background_training import SERVICE, SERVICE_TYPE, camera_of, progress_of, train_backgrounds
@@ -84,6 +85,8 @@ class Jobs:
             said = work(self.report)
         except InputError as error:
             said = str(error)
+        except OSError as error:
+            said = str(describe_os_error(error, "cannot be used"))
         except Exception as error:  # the page goes on, whatever a request met
             said = f"{what} failed: {error!r}"
         with self._lock:
