@@ -30,7 +30,6 @@ def _tiny_node_is_importable():
 def _graphs_settle_soon(monkeypatch):
     """Commands that look for nodes wait 0.2 s for more of them, not 1 s: tests say how many there are."""
     monkeypatch.setattr("sagoma_tools.graph.ros_link.SETTLED_S", 0.2)
-    monkeypatch.setattr("sagoma_tools.calibration.rig_live.SETTLE_S", 0.4)
 
 
 @pytest.fixture

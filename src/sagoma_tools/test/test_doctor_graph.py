@@ -89,7 +89,7 @@ C2 = CLIENTS["cam02"]
         (reporting(C2, level=b"\1", message="the mask is full"), "WARNING", "says.warning", "the mask is full"),
         (reporting(C2, lead_s=0.4997), "ERROR", "clock.off", "499.7 ms ahead"),
         (reporting(C2, lead_s=-0.5012), "ERROR", "clock.off", "500.4 ms behind"),
-        (reporting(C2, lead_s=0.009), "WARNING", "clock.imprecise", "9.0 ms ahead"),
+        (reporting(C2, lead_s=0.029), "WARNING", "clock.imprecise", "29.0 ms ahead"),
     ],
 )
 def test_ill_node_is_named(changed, severity, code, value):

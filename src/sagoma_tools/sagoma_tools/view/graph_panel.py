@@ -29,9 +29,8 @@ from .control import Control, Jobs, Work, on_click
 from .scene import Figure
 
 LOOK_S = 1.0
-"""How often the graph is asked who is there: names are cheap, but not free."""
-GONE_S = 1.0
-"""A person of whom nothing has come for so long is not drawn any more."""
+"""How often the graph is asked who is there: names are cheap, but not free. A person of whom nothing has come for so
+long is not drawn any more."""
 VOXELS = ("/hull/voxels", "sensor_msgs/msg/PointCloud2")
 PREVIEW = "/preview/compressed"
 PICTURE_TYPE = "sensor_msgs/msg/CompressedImage"
@@ -99,7 +98,7 @@ class LiveGraph:
             sigma = point_deviations(points.covariance)
             self._figures[body_id] = now_s, Figure(points.points_world, sigma, self._states.get(body_id, ""))
             changed = True
-        gone = [body_id for body_id, (seen_s, _) in self._figures.items() if now_s - seen_s > GONE_S]
+        gone = [body_id for body_id, (seen_s, _) in self._figures.items() if now_s - seen_s > LOOK_S]
         for body_id in gone:
             del self._figures[body_id]
         if not (changed or gone):
