@@ -81,15 +81,13 @@ def followed_rule(link: RosLink) -> Any:
     """The rule by which cameras thin out, kept up to date; older trees have none, and get no phases."""
     try:
         from mocap_packets.thinning import FrameSelector
-        from sagoma_ros.messages import THINNING_TOPIC, read_thinning
+        from sagoma_ros.messages import THINNING_TOPIC as TOPIC
+        from sagoma_ros.messages import read_thinning
     except ImportError:
         return None
     selector = FrameSelector()
     link.node.create_subscription(
-        DiagnosticArray,
-        THINNING_TOPIC,
-        lambda rule: selector.update(read_thinning(rule, THINNING_TOPIC), time.monotonic_ns()),
-        LATCHED,
+        DiagnosticArray, TOPIC, lambda rule: selector.update(read_thinning(rule, TOPIC), time.monotonic_ns()), LATCHED
     )
     return selector
 

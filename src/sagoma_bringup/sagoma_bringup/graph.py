@@ -6,6 +6,7 @@ the program that starts them drives their lifecycle (or sets ``autostart``).
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -134,6 +135,10 @@ def session_graph(
             where=str(session.folder),
             remedy=f"Add {without_background[0]}_background.mp4 or .png: the empty scene.",
         )
+    if (
+        rate == 0 and not epoch_ns
+    ):  # played by no clock, the cameras' stamps begin alike; at a rate, they agree themselves
+        epoch_ns = time.time_ns()
     footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": int(epoch_ns), "loop": loop}
     footage["wait_for_cameras"] = rate > 0
     cameras = [

@@ -5,7 +5,6 @@ One table says what each file takes; the files, `ros2 launch --show-args` and th
 
 from __future__ import annotations
 
-import time
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -148,7 +147,6 @@ def server_graph(values: Mapping[str, str]) -> list[NodeSpec]:
     rate = _number(values, "rate", PLAYING_SPEED) if session is not None else 1.0
     return build_graph(
         session=values.get("session"),
-        epoch_ns=time.time_ns() if rate == 0 else 0,  # at a rate, the cameras agree on one
         rig=values.get("rig"),
         cameras=values.get("cameras"),
         rate=rate,

@@ -13,7 +13,7 @@ from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_tools.graph.lifecycle_client import Verdict, places_of
 from sagoma_tools.graph.processes import Exit, ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink, settled
-from sagoma_tools.graph.supervisor import GraphError, Supervisor, with_common_epoch
+from sagoma_tools.graph.supervisor import GraphError, Supervisor
 
 REFUSES = "refuses_to_configure"
 
@@ -181,18 +181,3 @@ def rendered(table):
     console = Console(width=150, file=io.StringIO())
     console.print(table)
     return console.file.getvalue().splitlines()
-
-
-def footage_camera(name, **parameters):
-    package = "camera_client"
-    given = {"source": "footage", **parameters}
-    return NodeSpec(package, package, f"{package}.camera_node", package, f"/{name}", Role.CAMERA, given)
-
-
-def test_footage_played_as_fast_as_possible_is_stamped_from_one_epoch_or_the_one_that_was_given():
-    def epochs(*given):
-        graph = [footage_camera(f"cam0{k}", **{"footage.rate": r, "footage.epoch_ns": e}) for k, (r, e) in given]
-        return [spec.parameters["footage.epoch_ns"] for spec in with_common_epoch(graph, 7_000_000_123)]
-
-    assert epochs(*enumerate([(0.0, 0), (0.0, 0), (1.0, 0)])) == [7_000_000_123, 7_000_000_123, 0]
-    assert epochs(*enumerate([(0.0, 5_000_000_000)] * 2)) == [5_000_000_000] * 2

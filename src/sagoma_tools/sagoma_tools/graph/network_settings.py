@@ -6,7 +6,6 @@ They are environment variables, which a process reads when it first touches ROS,
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import ipaddress
 import os
 from collections.abc import MutableMapping
@@ -17,7 +16,6 @@ from sagoma_ros.memory import QOS_FROM_PROFILE
 
 PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PEERS_VARIABLE, RANGE_VARIABLE = "ROS_STATIC_PEERS", "ROS_AUTOMATIC_DISCOVERY_RANGE"
-PROFILE = Path("config") / "dds" / "fastdds.xml"
 ALONE = "LOCALHOST"  # with peers: they are asked by unicast, and nobody else
 
 
@@ -42,15 +40,10 @@ def use_peers(text: str, environment: MutableMapping[str, str] = os.environ) -> 
 
 
 def profile_file() -> Path:
-    """Return our Fast DDS profile, in the tree or in the share folder of an installed sagoma_bringup."""
-    spec = importlib.util.find_spec("sagoma_bringup")
-    assert spec is not None and spec.origin is not None
-    in_tree = Path(spec.origin).parents[1] / PROFILE
-    if in_tree.is_file():
-        return in_tree.resolve()
-    from ament_index_python.packages import get_package_share_directory
+    """Return our Fast DDS profile, in the share folder of an installed sagoma_bringup, or in the tree."""
+    from sagoma_ros.names import package_path  # loads ROS
 
-    return Path(get_package_share_directory("sagoma_bringup")) / PROFILE
+    return package_path("package://sagoma_bringup/config/dds/fastdds.xml").resolve()
 
 
 def _address(word: str) -> str:
