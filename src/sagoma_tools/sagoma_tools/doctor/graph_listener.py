@@ -26,11 +26,11 @@ from capture_rig.rig import Rig
 from sagoma_bringup.graph import CAMERA_NODE
 from sagoma_ros import mask_png
 from sagoma_ros.messages import to_ns
+from sagoma_ros.middleware import PEERS_VARIABLE
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.lifecycle_client import own_machine, places_of
-from ..graph.network_settings import PEERS_VARIABLE
 from ..graph.ros_link import RosLink, call_all, node_names, owners_of, settled
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
 from .machine import domains_here
