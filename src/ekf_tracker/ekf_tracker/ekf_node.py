@@ -52,7 +52,7 @@ class EkfNode(SagomaNode):
         settings: EkfNodeSettings = self.settings
         self._filters = PeopleFilter(settings.filter)
         warm_up()
-        self._topics = PeopleTopics(self, settings, self._forget)
+        self._topics = PeopleTopics(self, settings, self.tf_prefix, self._forget)
         self._closing.append(self._topics.close)
         self._humans = make_humans(self, settings.publish_humans, self._topics.id_of(FIRST_PERSON), settings.frame_id)
         self._frames = BodyFrames(self, settings.publish_tf, settings.frame_id)

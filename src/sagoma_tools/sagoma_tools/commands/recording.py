@@ -39,6 +39,7 @@ from ..recording.replayer import (
     lockstep_into,
     play_timed,
     replay_through_graph,
+    timed_by_exposures,
 )
 from ..recording.writer import require_new
 from ..takes.measure import finish_take
@@ -166,7 +167,7 @@ def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event)
     count, times, clock = 0, 0, MonotonicClock(stop)
     doing("playing the bag")
     while not (stop.is_set() or (times and not args.loop)):
-        messages = read_messages(args.bag, wanted.__contains__)
+        messages = timed_by_exposures(read_messages(args.bag, wanted.__contains__), pictures)
         count += play_timed(messages, publishers, clock, args.rate, simulated)
         times += 1
         if not count:

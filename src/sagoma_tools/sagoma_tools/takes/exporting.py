@@ -19,10 +19,9 @@ from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import load_rig
 from motion_export.bvh import write_bvh
 from motion_export.gltf import write_glb
-from motion_export.marker_files import write_c3d, write_trc
+from motion_export.marker_files import write_c3d, write_csv, write_trc
 from motion_export.motion import Motion
 from motion_export.opensim import write_mot, write_osim
-from motion_export.tables import write_csv
 from sagoma_ros.images import decode_image, decode_silhouette
 from stick_figure.skeleton import POINT_NAMES
 
