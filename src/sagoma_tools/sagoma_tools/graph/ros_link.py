@@ -25,7 +25,8 @@ from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 
 LOOK_S = 0.05  # rclpy has no event for a change of the graph, a service that appears, or a process's death
 SETTLED_S = 1.0
-ASK_S = 1.5  # within this a node that is not busy answers: then it is asked again
+RESEND_S = 1.0
+ASK_S = 1.5  # within this a node that is not busy answers
 ANSWER_S = 5.0  # ... and any that runs
 DISCOVERY_S = 10.0  # discovery settles sooner, or a domain has nodes without end
 PATIENCE_S = 30.0  # with the nodes of a busy machine, to find each other and to do what they are asked for
@@ -148,8 +149,8 @@ def call_all(
     another thread. A service for which ``alive`` turns false is waited for no longer.
 
     A server that has not yet discovered our side of the service drops its reply (the middleware says "failed to send
-    response"). So a ``repeatable`` request is sent again every ASK_S; for one that must not be, ``inferred`` is asked
-    as often which of the silent services are known, by other means, to have done their work, and their replies.
+    response"). So a ``repeatable`` request is sent again every second; for one that must not be, ``inferred`` is asked
+    every second which of the silent services are known, by other means, to have done their work, and their replies.
     """
     clients = {service: node.create_client(srv_type, service) for service in requests}
     answered, unsent = threading.Condition(), set(requests)
@@ -170,13 +171,13 @@ def call_all(
 
     try:
         waiting, began_s = set(requests), time.monotonic()
-        again_s = began_s + ASK_S
+        again_s = began_s + RESEND_S
         while waiting and time.monotonic() < began_s + timeout_s:
             if time.monotonic() > again_s:
                 unsent |= waiting if repeatable else set()
                 for service, reply in inferred(waiting - unsent).items() if waiting - unsent else ():
                     add(service, reply)
-                again_s = time.monotonic() + ASK_S
+                again_s = time.monotonic() + RESEND_S
             with answered:
                 send_ready(waiting)
                 answered.wait(LOOK_S)
