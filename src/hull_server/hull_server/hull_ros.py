@@ -14,8 +14,7 @@ from std_srvs.srv import Trigger
 
 from capture_rig import InputError
 from capture_rig.camera import CameraModel
-from sagoma_ros.health import HOST
-from sagoma_ros.messages import key_values, to_stamp
+from sagoma_ros.messages import HOST, key_values, to_stamp
 
 from .hull_pipeline import HullResult
 from .settings import MeshSettings

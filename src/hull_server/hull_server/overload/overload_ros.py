@@ -10,10 +10,10 @@ from rclpy.clock import Clock, ClockType
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.people import Predictions
 from sagoma_ros.intra_process import Delivery, PacketSubscription
+from sagoma_ros.messages import THINNING_TOPIC, thinning_message
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import PREDICTIONS
 from sagoma_ros.qos import LATCHED
-from sagoma_ros.thinning import TOPIC, thinning_message
 
 from .thinning_control import ThinningControl
 
@@ -51,7 +51,7 @@ class OverloadControl(NoOverloadControl):
 
     def __init__(self, node: SagomaNode) -> None:
         self._node, self._control = node, ThinningControl()
-        self._publisher = node.create_publisher(DiagnosticArray, TOPIC, LATCHED)
+        self._publisher = node.create_publisher(DiagnosticArray, THINNING_TOPIC, LATCHED)
         self._answers = PacketSubscription(node, PREDICTIONS, self._on_answer)
         self._timer = node.create_timer(UPDATE_S, self._update, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._answered_ns = 0
