@@ -28,10 +28,9 @@ Picture = npt.NDArray[np.float32]
 
 MOST_STEPS, LAST_STEPS, CONVERGED_RAD = 8, 3, 2e-5
 # Thresholds: in standard deviations of the pixels' noise, measured by python bench/camera_movement.py.
-ROBUST_SIGMAS = 3.0  # standard deviations of the noise, or of the typical residual ...
+SIGMAS = 3.0  # a residual is noise within so many standard deviations: those of a pixel, or of the typical one ...
 SCALE_QUANTILE, SCALE_QUANTILE_SIGMAS = 0.3, 0.385  # ... which is this quantile's: more than half may be hidden
 AGREES_PX = 0.5  # a place agrees when its edge lies within so much (of a pixel at the working size) of where it should
-AGREES_NOISE = 3.0  # ... or its brightness is so many standard deviations of the noise from what it should be
 FEW_POINTS, FEW_CELLS = 60, 12
 WELL_KNOWN = 0.5  # when so many agree there is no need to search
 BY_CHANCE = 0.5  # a place that agrees as often as this with turns that are wrong is not used
@@ -173,13 +172,13 @@ class PictureAlignment:
 
 
 def _agree(residual: Array, points: EdgePoints) -> npt.NDArray[np.bool_]:
-    return np.abs(residual) < np.maximum(AGREES_NOISE * points.noise, AGREES_PX * points.steepness)
+    return np.abs(residual) < np.maximum(SIGMAS * points.noise, AGREES_PX * points.steepness)
 
 
 def _weights(residual: Array, points: EdgePoints) -> Array:
     """Geman and McClure: quadratic within a few standard deviations, no influence of what lies far beyond."""
     typical = max(float(np.quantile(np.abs(residual), SCALE_QUANTILE)) / SCALE_QUANTILE_SIGMAS, points.noise)
-    x = residual / (ROBUST_SIGMAS * typical)
+    x = residual / (SIGMAS * typical)
     return 1 / (1 + x * x) ** 2
 
 

@@ -34,7 +34,7 @@ def setting(
     """Return a dataclass field with a default, one line of help, its unit and its allowed values.
 
     A settings class or a list as default becomes a default factory, so that instances never share it.
-    is_name : a text that ROS takes as a name, as of a frame.
+    is_name : a text that ROS takes as a name, as of a frame; the default, which may be empty, is one.
     """
     metadata = {"help": help, "unit": unit, "low": low, "high": high, "choices": choices, "is_name": is_name}
     if isinstance(default, type):
@@ -155,7 +155,7 @@ def _checked(leaf: Leaf, value: Any, where: str) -> Any:
             where=where,
             remedy=f"Allowed: {leaf.range_text}{unit}; the default is {leaf.default!r}.",
         )
-    if leaf.metadata.get("is_name") and not _NAME.fullmatch(value):
+    if leaf.metadata.get("is_name") and value != leaf.default and not _NAME.fullmatch(value):
         raise InputError(
             f"{leaf.key} = {value!r} is not a name",
             where=where,

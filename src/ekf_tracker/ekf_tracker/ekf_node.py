@@ -18,7 +18,7 @@ from mocap_packets.state import BodyState, Tracking
 from sagoma_ros.health import ERROR, OK, WARN
 from sagoma_ros.inputs import InputWatchdog, StampOrder
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
-from sagoma_ros.latency import LATENCY_TOPIC, latency_message
+from sagoma_ros.messages import LATENCY_TOPIC, latency_message
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import FITTED_PEOPLE, PREDICTIONS
 from sagoma_ros.process import run_node

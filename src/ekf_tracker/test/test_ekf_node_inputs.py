@@ -75,6 +75,8 @@ def test_stamps_that_go_back_far_begin_anew_at_once_and_are_logged_once(bench, p
         ({"filter__gate_chi2": -3.0}, "filter.gate_chi2 = -3.0"),
         ({"filter__gate": 3.0}, "unknown key 'filter.gate'"),
         ({"publish_humans": True, "body_id": "1"}, "'1' is no REP-155 id"),
+        ({"tf_prefix": "../.."}, "tf_prefix = '../..' is not a name"),
+        ({"tf_prefix": "lab/studio"}, "'lab/studiob0001' is no REP-155 id"),
     ],
 )
 def test_bad_parameter_fails_the_configuration_with_a_clear_error(bench, parameters, words):

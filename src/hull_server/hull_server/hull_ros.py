@@ -21,13 +21,11 @@ from capture_rig import InputError, Rig
 from capture_rig.camera import CameraModel
 from mocap_packets.people import Predictions
 from sagoma_ros.frames import frame
-from sagoma_ros.health import HOST
 from sagoma_ros.intra_process import Delivery, PacketSubscription
-from sagoma_ros.messages import key_values, to_stamp
+from sagoma_ros.messages import HOST, THINNING_TOPIC, key_values, thinning_message, to_stamp
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import PREDICTIONS
 from sagoma_ros.qos import LATCHED
-from sagoma_ros.thinning import TOPIC, thinning_message
 
 from .hull_pipeline import HullResult
 from .overload import ThinningControl
@@ -147,7 +145,7 @@ class OverloadControl:
 
     def __init__(self, node: SagomaNode, control: ThinningControl) -> None:
         self._node, self._control = node, control
-        self._publisher = node.create_publisher(DiagnosticArray, TOPIC, LATCHED)
+        self._publisher = node.create_publisher(DiagnosticArray, THINNING_TOPIC, LATCHED)
         self._answers = PacketSubscription(node, PREDICTIONS, self._on_answer)
         self._timer = node.create_timer(UPDATE_S, self._update, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._answered_ns, self._logged = 0, ""

@@ -39,7 +39,9 @@ class CommonSettings:
     """The parameters that every node has."""
 
     autostart: bool = setting(False, "configure and activate by itself, without a supervisor")
-    tf_prefix: str = setting("", "begins every frame and every REP-155 id: another one for each graph of a domain")
+    tf_prefix: str = setting(
+        "", "begins every frame and every REP-155 id: another one for each graph of a domain", is_name=True
+    )
 
 
 class SagomaNode(LifecycleNode):
@@ -81,7 +83,7 @@ class SagomaNode(LifecycleNode):
         def configure() -> None:
             self.settings = read_parameters(self, self.Settings)
             self.tf_prefix = read_declared(self, CommonSettings).tf_prefix
-            if hasattr(self.settings, "frame_id"):
+            if hasattr(self.settings, "frame_id"):  # of the world; those of cameras and bodies have other names
                 self.settings = replace(self.settings, frame_id=self.tf_prefix + self.settings.frame_id)
             self.configure()
 
