@@ -14,7 +14,7 @@ from camera_client.background.moved_things.absorption import BLOCK_PX, OUTSIDE_S
 from camera_client.background.moved_things.support_history import APPLY_AFTER_S, CanvasCells
 from camera_client.background.moved_things.taken_away import is_calm_inside, was_taken_away
 from capture_rig.camera import CameraModel
-from mocap_packets.support import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+from mocap_packets.silhouette import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
 WIDTH, HEIGHT, FPS = 320, 240, 5
 NOISE = 1.5

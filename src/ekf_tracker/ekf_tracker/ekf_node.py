@@ -24,8 +24,7 @@ from sagoma_ros.packets import FITTED_PEOPLE, PREDICTIONS
 from sagoma_ros.process import run_node
 
 from .filter import PeopleFilter, warm_up
-from .frames_ros import BodyFrames
-from .humans_ros import NoHumans, make_humans
+from .humans_ros import BodyFrames, NoHumans, make_humans
 from .people_ros import Answer, PeopleTopics, is_tracked
 from .settings import EkfNodeSettings
 

@@ -1,8 +1,12 @@
-"""The tracked persons for REP-155: joint states and URDF of each; the list of people and /tf where installed."""
+"""The tracked persons for other nodes: their frames on /tf, and for REP-155 joint states, URDF and list of people.
+
+On /tf shoulders, hips and neck are where the trunk's bend has them in this set; in the URDF, whose fixed joints cannot
+move, they are where they are at rest.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from geometry_msgs.msg import TransformStamped
@@ -12,14 +16,17 @@ from std_msgs.msg import String
 
 from capture_rig.rigid import quaternion_of
 from mocap_packets.state import BodyState
-from sagoma_ros.frames import FramePublisher, frame
+from sagoma_ros.frames import FramePublisher, about_axis, frame
 from sagoma_ros.intra_process import LazyPublisher
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.packets import joint_state_message
 from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
+from stick_figure.skeleton import ANGLE_NAMES, STICK_NAMES, TORSO
 
 from .rep155 import HRI_JOINT_NAMES, body_frame, hri_angles, hri_rates, human_urdf
+from .settings import LINK_FRAMES, NO_FRAMES
+from .urdf import link_joints, link_name
 
 try:  # not part of common_interfaces: REP-155 listeners have it, others do not need it
     from hri_msgs.msg import IdsList
@@ -125,3 +132,36 @@ def _ids_message(ids: list[str], stamp_ns: int) -> IdsList:
 def make_humans(node: Node, publish: bool, first_id: str, frame_id: str) -> NoHumans:
     """Return the publisher that the parameters ask for; ``first_id`` : the first person's."""
     return HumansPublisher(node, first_id, frame_id) if publish else NoHumans()
+
+
+UNTURNED = (0.0, 0.0, 0.0, 1.0)
+
+
+class BodyFrames:
+    """Publishes the frames of those who are tracked, once a frame set."""
+
+    def __init__(self, node: Node, which: str, frame_id: str) -> None:
+        """``which`` : of TF_CHOICES; with `TORSO_FRAME` a robot_state_publisher adds the links."""
+        self._frame_id, self._links = frame_id, which == LINK_FRAMES
+        self._publisher = None if which == NO_FRAMES else FramePublisher(node)
+
+    def update(self, tracked: Mapping[str, tuple[BodyState, Body]]) -> None:
+        """Publish the frames of these bodies, by their id."""
+        if self._publisher is not None and tracked:
+            self._publisher.publish(lambda: [one for i, body in tracked.items() for one in self._frames(i, *body)])
+
+    def close(self) -> None:
+        """Take the topic back."""
+        if self._publisher is not None:
+            self._publisher.close()
+
+    def _frames(self, body_id: str, state: BodyState, body: Body) -> Iterator[TransformStamped]:
+        torso, stamp_ns = link_name(body_id, STICK_NAMES[TORSO]), state.stamp_ns
+        place, turn = state.pose.position_world.tolist(), quaternion_of(state.pose.R_world_torso).tolist()
+        yield frame(self._frame_id, torso, stamp_ns, place, turn)
+        if self._links:
+            angles = dict(zip(ANGLE_NAMES, state.angles.tolist(), strict=True))
+            for joint in link_joints(body.bent(state.bend)):
+                turned = UNTURNED if joint.axis is None else about_axis(joint.axis, angles[joint.name])
+                parent, child = link_name(body_id, joint.parent), link_name(body_id, joint.child)
+                yield frame(parent, child, stamp_ns, joint.origin, turned)

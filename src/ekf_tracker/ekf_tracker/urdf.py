@@ -16,10 +16,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from stick_figure.body import Body
-from stick_figure.body_surface import BodySurface
-from stick_figure.joint_motion import HINGE_AXIS
+from stick_figure.body_surface import BodySurface, SegmentInertia, segment_inertias
+from stick_figure.pose import HINGE_AXIS
 from stick_figure.rotations import BALL_SLACK_RAD, HINGE_SLACK_RAD, TURN
-from stick_figure.segment_inertia import SegmentInertia, segment_inertias
 from stick_figure.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,

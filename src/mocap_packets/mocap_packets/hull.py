@@ -15,8 +15,7 @@ import numpy as np
 
 from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
-from .latency import NO_AGES, SetAges
-from .table import column, columns, fill, layout
+from .table import NO_AGES, SetAges, column, columns, fill, layout
 
 # Thresholds: judgement, no measurement.
 REACH_M = 0.35

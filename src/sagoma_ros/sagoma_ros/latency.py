@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from mocap_packets.latency import SetAges
+from mocap_packets.table import SetAges
 
 from .health import HOST
 from .messages import key_values, to_stamp

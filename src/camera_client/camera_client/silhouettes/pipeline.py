@@ -18,8 +18,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from capture_rig.rig import Volume
-from mocap_packets.silhouette import Silhouette
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
 from ..background.adaptation.adaptive import AdaptiveBackground, FixedBackground, samples_of
 from ..background.adaptation.expected_image import Corners, Samples

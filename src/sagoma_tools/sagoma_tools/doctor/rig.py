@@ -19,7 +19,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
 from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, stated_rate
 from capture_rig.verdict import GOOD, REDO, USABLE
-from capture_rig.video_findings import VideoFacts, examine_video, session_findings
+from capture_rig.video import VideoFacts, examine_video, session_findings
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.intrinsics.verdict import UNUSED_GOOD, UNUSED_USABLE
 

@@ -1,6 +1,6 @@
 """Lets things that moved become background: doors, a chair put elsewhere or taken away; never a person.
 
-Two rules, by physics. What the other cameras do not see (:mod:`mocap_packets.support`) and what keeps still, as a whole
+Two rules, by physics. What other cameras do not see (:mod:`mocap_packets.silhouette`) and what keeps still, as a whole
 and for seconds, is a thing. And where the background's picture has an outline that the camera's picture has no longer,
 nothing stands (:mod:`.taken_away`). What was learned first is kept: a pixel is background when it looks as it was
 learned or as it was absorbed, so that a door closed again is background at once.
@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS, StampThrottle
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import ForegroundSupport
 
 from ...frame_source import Image, Mask
 from ..kernels import STEP_PX, clear_absorbed, follow_running

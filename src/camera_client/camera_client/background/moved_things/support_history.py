@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS
-from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
 # Thresholds: APPLY_AFTER_S from the latency of the graph, NOISE_SIGMAS from the normal distribution; else chosen with
 # the rooms of test_camera_moved_things.py.
