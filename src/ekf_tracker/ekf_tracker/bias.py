@@ -2,7 +2,7 @@
 
 **Bend.** A person's shoulders and hips move against the torso (`stick_figure.trunk_bend`), and so do the measured
 points: with the torso's motion eliminated from them (Schur complement), their distances from it at rest measure the
-bend's seven numbers. These are an Ornstein-Uhlenbeck process, which fades to rest and keeps the spread that trunks have.
+bend's seven numbers. These are an Ornstein-Uhlenbeck process: it fades to rest and keeps the spread that trunks have.
 
 **Bias.** A figure fitted to a hull errs in the same way for many sets: the hull is fat on the side that no camera sees,
 a shoulder is no single point. With b the bias and v the noise that is new in every set,

@@ -33,7 +33,8 @@ from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot,
 POINT_SD_FLOOR_M = 0.001
 """Least standard deviation of a measured point: a fit to a perfect cloud would claim less."""
 JOINT_SD_CAP_RAD = 1.0
-"""Predicted standard deviation of a joint at most: beyond it the linearisation of an unobserved twist means nothing."""
+"""Predicted standard deviation of a joint at most: beyond it the linearisation of an unobserved twist means nothing.
+So much, and as many metres for the torso, is the prior before a first measurement."""
 MAX_ITERATIONS = 5
 """Relinearisations of one update at most."""
 GATE_CHI2 = 30.0
@@ -51,9 +52,6 @@ RELEASED_TORSO_SD_M = 0.5
 NEEDED_TORSO_POINTS = 4
 """Of centre, neck, shoulders and hips; fewer may lie on a line and leave the torso's rotation open."""
 ALL = np.ones(24, bool)
-TORSO_SD_M = 1.0
-TORSO_SD_RAD = 1.0
-"""What is known of the torso before its first measurement: it stands about where inverse kinematics puts it."""
 
 
 class Track:
@@ -75,7 +73,7 @@ class Track:
         self._stamp_ns, self._last_dt = stamp_ns, 0.0
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self.body = self._trunk.bent(body, stamp_ns, noise)
-        self._estimate = first_estimate(self.body, noise, self._motion, JOINT_SD_CAP_RAD, self._update_options)
+        self._estimate = first_estimate(self.body, noise, self._motion, self._update_options)
         self._F, self._prior = NO_TRANSITION, self._estimate
         self._add_measured(z, z.visible)
 
@@ -283,18 +281,16 @@ def enough_to_start(z: Measurement) -> bool:
     return int(np.count_nonzero(z.visible[TORSO_POINTS])) >= NEEDED_TORSO_POINTS
 
 
-def first_estimate(
-    body: Body, z: Measurement, motion: MotionModel, joint_sd: float, options: UpdateOptions
-) -> Estimate:
+def first_estimate(body: Body, z: Measurement, motion: MotionModel, options: UpdateOptions) -> Estimate:
     """Pose by inverse kinematics, then one update of a wide prior about it, so that the covariance is the points' own.
 
-    Joints that no visible point bears on keep the T-pose and the standard deviation ``joint_sd`` (rad); the velocity
-    is unknown. Needs :func:`enough_to_start`.
+    Joints that no visible point bears on keep the T-pose and the prior's standard deviation; the velocity is unknown.
+    Needs :func:`enough_to_start`.
     """
     resting = Pose.from_angles(*_torso_of(body, z), T_POSE_ANGLES)
     pose = pose_of_points(body, z, z.visible, resting)
     P = np.zeros((DIMENSION, DIMENSION))
-    P[POSE, POSE] = np.diag(per_slot(TORSO_SD_M, TORSO_SD_RAD, joint_sd, joint_sd) ** 2)
+    P[POSE, POSE] = JOINT_SD_CAP_RAD**2 * np.eye(24)
     P[VELOCITY, VELOCITY] = np.diag(motion.velocity_variance())
     return correct_estimate(body, Estimate(pose.arrays, np.zeros(24), P), z, z.visible, options)
 
