@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from rendered_boards import camera, looking_at_board, render, true_corners
 
+from rig_calibration.boards.board import read_board
 from rig_calibration.boards.detector import find_board
-from rig_calibration.boards.specification import read_board
 
 LENS = camera(D=(-0.2, 0.08, 0.001, -0.001, 0.0))
 TURNS_DEG, ROLLS_DEG = (0, 20, 45, 80), (0, 4, -6, 10)

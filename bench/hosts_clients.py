@@ -35,7 +35,7 @@ from capture_rig.rig import Rig, save_rig
 from capture_rig.session import Truth, load_session
 from capture_rig.yaml_file import save_mapping
 from stick_figure.body import Body
-from virtual_studio.gige.control import ask
+from virtual_studio.gige.loop import ask
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 

@@ -25,8 +25,7 @@ from capture_rig.video import Video
 from stick_figure.body import Body
 from stick_figure.pose import Pose
 from virtual_studio.motions.catalogue import MOTIONS
-from virtual_studio.outfits import OUTFITS
-from virtual_studio.people import Capsules, VolumetricBody
+from virtual_studio.people import OUTFITS, Capsules, VolumetricBody
 from virtual_studio.recording.session import BACKGROUND_S, FIRST_BACKGROUND_FRAME
 from virtual_studio.rendering.camera import Sensor, VirtualCamera
 from virtual_studio.rendering.capsules import floor_shadow

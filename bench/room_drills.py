@@ -25,7 +25,7 @@ from stick_figure.body import Body
 from stick_figure.pose import Pose
 from virtual_studio.motions.catalogue import MOTIONS
 from virtual_studio.rendering.camera import VirtualCamera
-from virtual_studio.scene.room import HALF_WIDTH_M, open_door, view_room
+from virtual_studio.rig import HALF_WIDTH_M, open_door, view_room
 
 LONG_HZ, DRILL_HZ = 5.0, 15.0
 DRIFT, WARMING = 0.12, 0.04

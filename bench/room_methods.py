@@ -177,7 +177,7 @@ def rival_scores(clip: RoomClip, truth: CanvasTruth) -> dict[str, Score]:
 def tidy(mask: np.ndarray) -> np.ndarray:
     """A rival's mask (H, W), 0 or 255, through our majority filter and component rules."""
     settings, height = SilhouetteSettings(), len(mask)
-    filtered, area = majority(mask, settings.median_px), height * height
+    filtered, area = majority(mask), height * height
     return keep_people(filtered, PeopleRule(MIN_AREA * area, settings.near * height, settings.max_hole * area))
 
 

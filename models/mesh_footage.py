@@ -22,8 +22,7 @@ from capture_rig import Rig
 from capture_rig.camera import CameraModel
 from capture_rig.kernel import njit
 from capture_rig.rig import save_rig
-from virtual_studio.outfits import OUTFITS, Outfit
-from virtual_studio.people import HAIR, SHIRT, SHOES, SKIN, SLEEVE, TROUSERS, Capsules, together
+from virtual_studio.people import HAIR, OUTFITS, SHIRT, SHOES, SKIN, SLEEVE, TROUSERS, Capsules, Outfit, together
 from virtual_studio.recording.session import BACKGROUND_S, FIRST_BACKGROUND_FRAME, FOOTAGE, LOSSLESS, VideoFile
 from virtual_studio.rendering.camera import Sensor, VirtualCamera
 from virtual_studio.rendering.capsules import floor_shadow, lambert

@@ -25,7 +25,7 @@ from capture_rig.rig import load_rig, save_rig
 from capture_rig.session import load_session, load_truth
 from capture_rig.yaml_file import save_mapping
 from icp_tracker.acquisition.initial_pose import load_initial_pose, save_initial_pose
-from rig_calibration.boards.specification import read_board
+from rig_calibration.boards.board import read_board
 from sagoma_bringup.graph import camera_from_file
 from sagoma_tools.calibration.outer_corners import read_corners
 from sagoma_tools.cli import main

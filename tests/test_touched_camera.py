@@ -9,8 +9,7 @@ from camera_client.silhouettes.pipeline import SilhouettePipeline
 from stick_figure.body import Body
 from stick_figure.pose import Pose
 from virtual_studio.motions.catalogue import MOTIONS
-from virtual_studio.outfits import OUTFITS
-from virtual_studio.people import VolumetricBody
+from virtual_studio.people import OUTFITS, VolumetricBody
 from virtual_studio.recording.session import FIRST_BACKGROUND_FRAME
 from virtual_studio.rendering.camera import Sensor, VirtualCamera
 from virtual_studio.rendering.capsules import floor_shadow

@@ -57,6 +57,8 @@ REPORT_PERIOD_S = 0.5
 TRAINING_GRACE_S = 10.0  # a training goes on when the camera comes back sooner
 SUPPORT_TOPIC = "silhouette/support"  # from the hull server; without it the client works as well
 PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details
+PACE_TOPIC = "ekf/prediction"  # its stamps acknowledge frames at rate 0
+CONSUMER_WAIT_S, CAMERAS_WAIT_S = 5.0, 300.0  # footage waits for somebody who listens; for cameras that are started yet
 SETTLE_S = 0.2  # from the first match until both ends of a new connection know each other
 PUBLISH_DEPTH = 4  # frames of a live camera that may wait to be published: more were stale when they are sent
 
@@ -119,7 +121,7 @@ class CameraNode(SagomaNode):
             )
             self._hold(self.destroy_subscription, rules)
         else:
-            topic = graph_topic(self, settings.footage.pace_topic)
+            topic = graph_topic(self, PACE_TOPIC)
             self._hold(
                 self.destroy_subscription,
                 self.create_subscription(MultiDOFJointState, topic, self._on_acknowledgement, RESULT),
@@ -144,7 +146,7 @@ class CameraNode(SagomaNode):
             self._on_frame,
             self._on_error,
             ready=lambda: live or self._consumer_listens(),
-            ready_timeout_s=0.0 if live else self.settings.footage.wait_for_consumer_s,
+            ready_timeout_s=0.0 if live else (CAMERAS_WAIT_S if self._awaited else CONSUMER_WAIT_S),
         )
         if live:
             self.source.start()  # so that a camera that refuses fails the transition
@@ -217,7 +219,7 @@ class CameraNode(SagomaNode):
 
     def _consumer_listens(self) -> bool:
         paced = self.settings.footage.rate == 0
-        acknowledged = not paced or self.count_publishers(graph_topic(self, self.settings.footage.pace_topic)) > 0
+        acknowledged = not paced or self.count_publishers(graph_topic(self, PACE_TOPIC)) > 0
         assert self._footage_clock is not None
         if not self._topics.has_listener or not acknowledged or self._footage_clock.cameras < self._awaited:
             return False

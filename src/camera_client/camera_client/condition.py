@@ -6,12 +6,9 @@ is said by :mod:`.background.causes`. No silhouette depends on either.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import Silhouette
@@ -19,22 +16,15 @@ from mocap_packets.silhouette import Silhouette
 from .background.model import BackgroundModel
 from .background.moved_things.absorption import AbsorbedPlace
 from .background.verdict import ImageRegion, describe_regions, find_regions
-from .frame_source import Image, Mask
 from .silhouettes.certainty import LEAST_PERSON
 from .silhouettes.pipeline import TYPICAL_LEVEL, SilhouettePipeline
-from .sources.frame_checks import grid_step
 
 PERIOD_S = 0.5  # the figures are collected so often
-MAX_STEP_S = 2.0  # a gap between frames counts as this
 CHANNELS = ("blue", "green", "red")
 # Thresholds: LASTING_S from the time in which a thing that keeps still is absorbed; else judgement
 # (test_camera_condition.py states cases).
 LASTING_S = 3.0  # what lasts so long is said: the time in which a thing that keeps still is absorbed
 RECENT_S = 30.0  # switches of the light within this count together
-STATIC_S, ALWAYS = 300.0, 0.9  # for so long, nine tenths of the time, a pixel was foreground of one grey level: static
-SAME_SIGMAS = 4.0  # within which the grey level of a pixel is the same
-FADE_TIME_S = 60.0  # that grey level may change with the light over about so long
-SMALLEST_STATIC_PLACE = 2e-3  # of the grid's pixels: four or five of them
 
 
 @dataclass(frozen=True)
@@ -63,7 +53,7 @@ class Condition:
     person_faint: float | None = None  # share of the person that differs by less than 4 sigmas from the background
     person_maybe_shadow: float | None = None  # share of the person that may be floor in shadow
     shadow_share: float | None = None  # share of the foreground that was taken for shadow
-    background_static_foreground: float | None = None  # share of the picture that has not moved for STATIC_S
+    background_static_foreground: float | None = None  # share that has not moved for minutes
     background_static_places: str = ""  # where
 
     def values(self) -> dict[str, object]:
@@ -105,8 +95,8 @@ class ConditionWatch:
 
     def __init__(self, pipeline: SilhouettePipeline, background: BackgroundModel) -> None:
         """``background`` : as it was learned."""
-        self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S, longest_s=MAX_STEP_S)
-        self._static, self._shape = StaticForeground(background), background.shape[:2]
+        self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S)
+        self._shape = background.shape[:2]
         self._last_ns = 0
         self._restart()
         self._things_known, self._places = (0, 0), ""
@@ -118,14 +108,12 @@ class ConditionWatch:
         self._lasting: deque[tuple[int, Shares]] = deque()
         self._switches: deque[tuple[int, int]] = deque()
 
-    def update(self, image: Image, stamp_ns: int, silhouette: Silhouette) -> None:
-        """Add the frame (H, W) or (H, W, 3) of ``stamp_ns``, the last one that the pipeline ran, if it is time to."""
+    def update(self, stamp_ns: int, silhouette: Silhouette) -> None:
+        """Add the frame of ``stamp_ns``, the last one that the pipeline ran, if it is time to."""
         if stamp_ns < self._last_ns:
             self._restart()
         self._last_ns = stamp_ns
-        step_s = self._throttle.step_s(stamp_ns)
-        if step_s > 0:
-            self._static.update(image, self._pipeline.background_pixels, step_s)
+        if self._throttle.step_s(stamp_ns) > 0:
             self.found = self._collected(stamp_ns, silhouette)
 
     def _collected(self, stamp_ns: int, silhouette: Silhouette) -> Condition:
@@ -151,8 +139,6 @@ class ConditionWatch:
             person_faint=None if certainty.faint is None else lasts.faint,
             person_maybe_shadow=certainty.maybe_shadow,
             shadow_share=silhouette.candidate_fraction / anything if anything >= LEAST_PERSON else None,
-            background_static_foreground=self._static.share,
-            background_static_places=self._static.places,
             **things,
         )
 
@@ -186,45 +172,9 @@ class ConditionWatch:
             "things_absorbed": moved.absorbed,
             "things_given_back": moved.reverted,
             "things_endless": moved.overflowed,
+            "background_static_foreground": float(moved.static.mean()),
+            "background_static_places": describe_regions(find_regions(moved.static, 0.0, moved.block_px), self._shape),
         }
-
-
-class StaticForeground:
-    """Finds foreground that keeps its grey level for minutes, on a sparse grid of pixels.
-
-    A pixel's share of the time in which it was foreground of one grey level is an exponential mean: a walking person
-    covers no pixel for long, and one who dances on the spot changes the pixels that they cover.
-    """
-
-    def __init__(self, background: BackgroundModel) -> None:
-        self._step, self._shape = grid_step(background.shape), background.shape
-        self._grid = (slice(self._step // 2, None, self._step),) * 2
-        self._near = SAME_SIGMAS * np.maximum(background.sigma[self._grid], np.float32(1))
-        self._level = background.mean[self._grid].copy()  # that a pixel has had for some time
-        self._always = np.zeros(self._level.shape[:2], np.float32)
-        self._time_s = STATIC_S / -math.log(1 - ALWAYS)
-
-    def update(self, image: Image, background: Mask, step_s: float) -> None:
-        """Add a frame that stands for ``step_s`` seconds; background (H, W) : 255 where it shows the background."""
-        change = image[self._grid] - self._level
-        other = np.abs(change) > self._near
-        self._level += np.where(other, 1.0, min(step_s / FADE_TIME_S, 1.0)).astype(np.float32) * change
-        changed = other if other.ndim == 2 else other.any(axis=2)
-        same = (background[self._grid] == 0) & ~changed
-        self._always += np.float32(-math.expm1(-step_s / self._time_s)) * (same - self._always)
-
-    @property
-    def share(self) -> float:
-        """Share of the pixels that are static."""
-        return float((self._always > ALWAYS).mean())
-
-    @property
-    def places(self) -> str:
-        """Where they are, in words; "" where there are none."""
-        static = self._always > ALWAYS
-        if not static.any():
-            return ""
-        return describe_regions(find_regions(static, SMALLEST_STATIC_PLACE, self._step), self._shape)
 
 
 def describe_things(places: list[AbsorbedPlace], shape: tuple[int, ...]) -> str:

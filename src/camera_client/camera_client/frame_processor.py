@@ -154,7 +154,7 @@ class FrameProcessor:
             silhouette, gain = tools.pipeline.run(frame.image, frame.stamp_ns), tools.pipeline.gain
         flags = tools.checks.check(frame.image, frame.stamp_ns, gain)
         if tools.condition is not None and silhouette is not None and not flags:
-            tools.condition.update(frame.image, frame.stamp_ns, silhouette)
+            tools.condition.update(frame.stamp_ns, silhouette)
         moved = tools.moved
         if moved is not None and not {*flags} & NO_PICTURE_FLAGS:
             moved.update(frame.image, frame.stamp_ns)

@@ -217,7 +217,7 @@ class FrameStatistics:
 # --- the connection to a live camera: its state, its outages, the pauses between attempts to connect again
 
 # Thresholds: judgement, no measurement.
-FIRST_RETRY_S = 0.25  # the pause after the first attempt that failed; it doubles
+FIRST_RETRY_S, LONGEST_RETRY_S = 0.25, 2.0  # the pauses after attempts that fail double from one to the other
 
 
 class ConnectionState(Enum):
@@ -299,15 +299,15 @@ class Downtime:
 
 
 class RetryPause:
-    """Doubles the pause after each attempt to connect that fails, from FIRST_RETRY_S up to ``longest_s``."""
+    """Doubles the pause after each attempt to connect that fails, from FIRST_RETRY_S up to LONGEST_RETRY_S."""
 
-    def __init__(self, longest_s: float) -> None:
-        self._longest_s, self._pause_s = longest_s, 0.0
+    def __init__(self) -> None:
+        self._pause_s = 0.0
 
     def next_s(self, slowest: bool = False) -> float:
         """Return the pause before the next attempt: twice the last one, or the longest from now on."""
         doubled_s = 2 * self._pause_s or FIRST_RETRY_S
-        self._pause_s = self._longest_s if slowest else min(doubled_s, self._longest_s)
+        self._pause_s = LONGEST_RETRY_S if slowest else min(doubled_s, LONGEST_RETRY_S)
         return self._pause_s
 
     def reset(self) -> None:

@@ -27,22 +27,8 @@ class FootageSettings:
         False, "Begin at epoch_ns even if that is past: frames whose time has passed are left out, also after a pause"
     )
     loop: bool = setting(False, "Begin again after the last frame; stamps go on counting")
-    window: int = setting(3, "At rate 0: frames under way before an acknowledgement is awaited", low=1, high=1000)
-    pace_topic: str = setting(
-        "ekf/prediction", "At rate 0: the MultiDOFJointState topic of the graph whose stamps acknowledge frames"
-    )
-    pace_timeout_s: float = setting(
-        2.0, "At rate 0: go on (and count it) when no acknowledgement came for so long", unit="s", low=0.01, high=600
-    )
-    wait_for_consumer_s: float = setting(
-        5.0,
-        "Hold the first frame until a consumer listens (at rate 0: and acknowledges), but no longer",
-        unit="s",
-        low=0,
-        high=600,
-    )
     wait_for_cameras: bool = setting(
-        False, "Hold it until every camera of the rig is active, too, so that none misses the beginning"
+        False, "Hold the first frame until every camera of the rig is active, so that none misses the beginning"
     )
 
 
@@ -183,55 +169,8 @@ class BackgroundSettings:
         1e-4, "A background pixel is called foreground this often (each channel)", low=1e-12, high=0.5
     )
     sigma_floor: float = setting(1.0, "Smallest standard deviation of a pixel", unit="grey levels", low=0.1, high=64)
-    still_sigma: float = setting(
-        4.0, "Standard deviation assumed for a background that is a single still", unit="grey levels", low=0.1, high=64
-    )
     moved_things: bool = setting(
         True, "Things that moved or were taken away become background: what no other camera sees, and keeps still"
-    )
-
-
-@dataclass(frozen=True)
-class ColourShadowSettings:
-    """Colour cameras: a coloured background, darker by one factor in all channels, is taken for shadow."""
-
-    darkest: float = setting(0.4, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
-    chromaticity: float = setting(
-        3.0, "A shadow's colour departs from the darkened background by at most this many sigma", low=0.1, high=100
-    )
-    tint: float = setting(
-        0.05,
-        "... on top of this share of the light that it lost: other lamps and walls have other colours",
-        low=0,
-        high=1,
-    )
-    min_contrast: float = setting(
-        20.0,
-        "Backgrounds less than so many sigma brighter than black look like dark clothes: colour tells no shadow there",
-        low=0,
-        high=1000,
-    )
-
-
-@dataclass(frozen=True)
-class FloorShadowSettings:
-    """Floor that is darkened by a locally constant factor, its texture unchanged, is in shadow."""
-
-    darkest: float = setting(0.45, "A shadow leaves at least this share of the brightness", low=0.05, high=1)
-    residual: float = setting(
-        3.0,
-        "In a shadow, image and darkened background differ by at most this many sigma (root mean square)",
-        low=0.1,
-        high=100,
-    )
-    persistence: float = setting(
-        0.3,
-        "In a shadow at least this share of the floor's texture is still seen; smooth clothes show none",
-        low=-2,
-        high=1,
-    )
-    min_area: float = setting(
-        0.0015, "Smaller patches are not taken for shadow", unit="share of height^2", low=0, high=1
     )
 
 
@@ -239,7 +178,6 @@ class FloorShadowSettings:
 class SilhouetteSettings:
     """How a frame becomes a clean silhouette. Lengths are shares of the image height, areas of its square."""
 
-    median_px: int = setting(5, "Side of the median filter", unit="px", choices=(1, 3, 5, 7))
     shadow: str = setting(
         "mark",
         "Shadows: mark them, and what might be one, for the hull server to resolve; remove them; or keep them",
@@ -269,8 +207,6 @@ class SilhouetteSettings:
         high=0.9,
     )
     max_hole: float = setting(1e-3, "Holes smaller than this are filled", unit="share of height^2", low=0, high=1)
-    colour_shadow: ColourShadowSettings = setting(ColourShadowSettings, "Shadow on coloured backgrounds, by its colour")
-    floor_shadow: FloorShadowSettings = setting(FloorShadowSettings, "Shadow on the floor, by the floor's texture")
 
 
 @dataclass(frozen=True)
@@ -282,13 +218,6 @@ class SupervisionSettings:
     )
     triggered_stall_timeout_s: float = setting(
         10.0, "The same while frames wait for an external trigger; 0: never", unit="s", low=0, high=86400
-    )
-    longest_retry_s: float = setting(
-        2.0,
-        "Longest pause between attempts to connect, which begin at a quarter of a second",
-        unit="s",
-        low=0.01,
-        high=3600,
     )
 
 

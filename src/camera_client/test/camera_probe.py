@@ -7,7 +7,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, MultiDOFJointState
 from sensor_msgs.srv import SetCameraInfo
 from std_srvs.srv import Trigger
 
-from camera_client.camera_node import CameraNode
+from camera_client.camera_node import PACE_TOPIC, CameraNode
 from sagoma_ros.messages import to_ns, to_stamp
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
 
@@ -15,7 +15,6 @@ DEADLINE_S = 20.0  # only ever reached by a failing test
 EPOCH_NS = 1_000_000_000_000_000_000
 FRAMES = 30
 NAMESPACE = f"/test_{os.getpid()}"  # a second run of these tests on this machine is not heard
-PACE_TOPIC = f"{NAMESPACE}/prediction"
 
 
 class CameraProbe(NodeProbe):
@@ -24,7 +23,7 @@ class CameraProbe(NodeProbe):
     def __init__(self, context, parameters):
         super().__init__(context, CameraNode, parameters, NAMESPACE)
         self.acknowledging = True
-        self.predictions = self.peer.create_publisher(MultiDOFJointState, PACE_TOPIC, RESULT)
+        self.predictions = self.peer.create_publisher(MultiDOFJointState, f"/{PACE_TOPIC}", RESULT)
         self.listen(CompressedImage, "silhouette/compressed", SILHOUETTE_RELIABLE_SUBSCRIBER)
         self.listen(CameraInfo, "camera_info", SILHOUETTE_RELIABLE_SUBSCRIBER)
         self.peer.create_subscription(

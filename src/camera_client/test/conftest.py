@@ -6,7 +6,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import pytest
-from camera_probe import DEADLINE_S, EPOCH_NS, FRAMES, PACE_TOPIC, CameraProbe
+from camera_probe import DEADLINE_S, EPOCH_NS, FRAMES, CameraProbe
 
 from camera_client.sources.aravis_source import import_aravis
 from capture_rig.camera import CameraModel
@@ -119,9 +119,19 @@ def gige_camera():
 
 @pytest.fixture
 def bench(open_probe, monkeypatch):
-    """``bench(**parameters)``: a probe of a camera node with these parameters, which judges its state often."""
+    """``bench(window, **parameters)``: a probe of a camera node with these parameters, which judges its state often.
+
+    ``window`` : frames under way before an acknowledgement is awaited.
+    """
     monkeypatch.setattr("camera_client.camera_node.REPORT_PERIOD_S", 0.05)
-    return lambda **parameters: open_probe(CameraProbe, parameters)
+    monkeypatch.setattr("camera_client.camera_node.CONSUMER_WAIT_S", DEADLINE_S)
+    monkeypatch.setattr("camera_client.sources.footage_source.PATIENCE_S", 600.0)
+
+    def open_bench(window=10, **parameters):
+        monkeypatch.setattr("camera_client.sources.footage_source.WINDOW", window)
+        return open_probe(CameraProbe, parameters)
+
+    return open_bench
 
 
 @pytest.fixture
@@ -135,9 +145,5 @@ def session(tmp_path, scene):
         "footage.path": scene.write_video(tmp_path / "cam01.avi", images),
         "footage.epoch_ns": EPOCH_NS,
         "footage.rate": 0.0,
-        "footage.window": 10,
-        "footage.pace_topic": PACE_TOPIC,
-        "footage.pace_timeout_s": 600.0,
-        "footage.wait_for_consumer_s": DEADLINE_S,
     }
     return types.SimpleNamespace(folder=tmp_path, images=images, parameters=parameters, truth=scene.person_mask())

@@ -191,7 +191,7 @@ def test_packet_delay_is_set(gige_camera):
 # --- formats -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["Mono8", "Mono10", "Mono12", "Mono10Packed", "Mono12Packed"])
+@pytest.mark.parametrize("name", ["Mono8", "Mono10", "Mono12", "Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed"])
 def test_mono_formats_give_the_same_picture(gige_camera, name):
     with source_of(gige_camera(), pixel_format=name) as source:
         source.start()
@@ -200,7 +200,10 @@ def test_mono_formats_give_the_same_picture(gige_camera, name):
     np.testing.assert_array_equal(frame.image, PatternScene(256, 192).picture(number, instant_ns))
 
 
-@pytest.mark.parametrize("name, most", [("BGR8", 0), ("RGB8", 0), ("YUV422_8", 3), ("BayerRG8", 3)])
+@pytest.mark.parametrize(
+    "name, most",
+    [("BGR8", 0), ("RGB8", 0), ("YUV422_8", 3), *((f"Bayer{row}8", 3) for row in ("RG", "GR", "GB", "BG"))],
+)
 def test_colour_formats_give_the_same_picture_in_bgr(gige_camera, name, most):
     with source_of(gige_camera(PatternScene(256, 192, colour=True)), pixel_format=name) as source:
         source.start()

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.stats import norm
 
 from camera_client.background.model import (
+    STILL_SIGMA,
     BackgroundLearner,
     BackgroundModel,
     Provenance,
@@ -233,15 +234,15 @@ def test_background_learned_from_a_video_equals_the_learner(tmp_path, scene):
     assert (model.provenance.source, model.provenance.frames) == (path, 12)
 
 
-def test_background_from_one_still_assumes_the_noise_of_the_settings(tmp_path, scene):
+def test_background_from_one_still_assumes_a_noise(tmp_path, scene):
     path = scene.write_video(tmp_path / "one.avi", scene.empty(1))
-    model = read_background(path, (scene.height, scene.width), BackgroundSettings(still_sigma=5.0))
+    model = read_background(path, (scene.height, scene.width), BackgroundSettings())
     assert np.array_equal(model.mean, scene.empty(1)[0])
-    assert (model.sigma == 5.0).all()
-    assert (model.provenance.frames, model.provenance.mean_noise) == (1, 5.0)
+    assert (model.sigma == STILL_SIGMA).all()
+    assert (model.provenance.frames, model.provenance.mean_noise) == (1, STILL_SIGMA)
 
 
-def test_still_sigma_widens_the_limits():
+def test_assumed_noise_widens_the_limits():
     model = background_from_still(np.full((2, 2), 100, np.uint8), 4.0, "still")
     limits = model.limits(BackgroundSettings(risk=1e-4))
     assert (limits.lo == 85).all() and (limits.hi == 115).all()  # 3.89 sigma

@@ -118,27 +118,11 @@ def test_somebody_who_stood_still_all_the_time_is_found_by_the_background_before
     assert place.share == pytest.approx((scene.person_mask() > 0).mean(), rel=0.2)
 
 
-@pytest.mark.parametrize(
-    "factor, code, text",
-    [
-        (0.7, "light.darker", "30 % darker"),
-        (1.0, "", ""),
-        (1.3, "light.brighter", "30 % brighter than in the background"),
-    ],
-)
-def test_empty_room_under_other_light_is_good_and_told(scene, factor, code, text):
+@pytest.mark.parametrize("factor", [0.7, 1.0, 1.3])
+def test_empty_room_under_other_light_is_good(scene, factor):
     _, before = learned(scene.empty(30))
     again = [np.clip(np.rint(image * factor), 0, 255).astype(np.uint8) for image in scene.empty(30, seed=4)]
-    verdict = verdict_on(again, before)
-    assert verdict.grade == GOOD and [finding.code for finding in verdict.findings] == [code] * bool(code)
-    assert text in str(verdict)
-
-
-def test_noise_that_grew_since_the_background_before_is_told(scene):
-    _, before = learned(scene.empty(30))
-    verdict = verdict_on(scene.empty(30, seed=4, noise=4.0), before)
-    assert verdict.grade == GOOD and [finding.code for finding in verdict.findings] == ["noise.higher"]
-    assert "2.6 times" in str(verdict)
+    assert str(verdict_on(again, before)) == "good"
 
 
 def test_every_finding_has_a_code(scene):

@@ -266,9 +266,10 @@ def test_findings_survive_their_journey(scene):
 
 
 @pytest.fixture
-def looping(session):
+def looping(bench, session, monkeypatch):
     """Parameters of a node whose footage comes at its own rate, for ever."""
-    return {**session.parameters, "footage.rate": 1.0, "footage.loop": True, "footage.wait_for_consumer_s": 0.1}
+    monkeypatch.setattr("camera_client.camera_node.CONSUMER_WAIT_S", 0.1)
+    return {**session.parameters, "footage.rate": 1.0, "footage.loop": True}
 
 
 def test_node_says_the_worst_cause_and_publishes_figures_and_findings(bench, session, scene, looping):

@@ -14,8 +14,7 @@ from camera_client.silhouettes.masks import Box, BoxUndistorter
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import floor_pixels
 from virtual_studio.rendering.camera import Sensor
-from virtual_studio.rig import VOLUME, ring
-from virtual_studio.scene.room import view_room
+from virtual_studio.rig import VOLUME, ring, view_room
 
 NOISE = 3.0
 SENSOR = Sensor(NOISE, 0.005, 4)

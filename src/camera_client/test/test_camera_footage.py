@@ -1,6 +1,7 @@
 """Footage as a camera: what comes, with which stamps, until when, and what is refused."""
 
 import threading
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -12,7 +13,7 @@ from footage_clips import scene as square_scene
 from camera_client.background.model import read_background
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import BackgroundSettings, FootageSettings
-from camera_client.sources.footage_pace import LEAD_NS, Pace, SharedClock, WallClockPace
+from camera_client.sources.footage_pace import LEAD_NS, AcknowledgedPace, Pace, SharedClock, WallClockPace
 from camera_client.sources.footage_reader import VideoReader, open_footage
 from camera_client.sources.footage_source import READ_AHEAD, FootageSource
 from capture_rig.errors import InputError
@@ -141,8 +142,9 @@ def test_start_after_the_end_without_an_epoch_takes_a_new_one(video):
 
 
 def test_rate_zero_waits_for_the_acknowledgement(video, scene):
-    settings = FootageSettings(path=video, epoch_ns=EPOCH_NS, rate=0.0, window=2, pace_timeout_s=600.0)
-    with FootageSource(settings, now_ns=lambda: EPOCH_NS) as source:
+    settings = FootageSettings(path=video, epoch_ns=EPOCH_NS, rate=0.0)
+    pace = partial(AcknowledgedPace, window=2, patience_s=600.0)
+    with FootageSource(settings, pace=pace, now_ns=lambda: EPOCH_NS) as source:
         source.start()
         frames = read(source, 2)
         assert source.read(0.05) is None
@@ -153,8 +155,9 @@ def test_rate_zero_waits_for_the_acknowledgement(video, scene):
 
 
 def test_rate_zero_goes_on_without_acknowledgement_and_counts_it(video):
-    settings = FootageSettings(path=video, epoch_ns=EPOCH_NS, rate=0.0, window=2, pace_timeout_s=0.01)
-    with FootageSource(settings, now_ns=lambda: EPOCH_NS) as source:
+    settings = FootageSettings(path=video, epoch_ns=EPOCH_NS, rate=0.0)
+    pace = partial(AcknowledgedPace, window=2, patience_s=0.01)
+    with FootageSource(settings, pace=pace, now_ns=lambda: EPOCH_NS) as source:
         source.start()
         assert len(read_all(source)) == 8
         assert source.counters["pace_timeouts"] == 6

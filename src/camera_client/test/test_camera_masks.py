@@ -86,7 +86,7 @@ def test_undistorting_a_box_equals_undistorting_the_image(scene, distortion):
 
 def whole_image(camera, background, image, settings):
     """The chain step by step on the whole image, by the thesis's rule: slow, and plain enough to be believed."""
-    raw = majority(background.limits(THESIS).subtract(image), settings.median_px)
+    raw = majority(background.limits(THESIS).subtract(image))
     scene = Scene(image, background.mean, FixedBackground(background, THESIS).noise, (slice(0, None), slice(0, None)))
     shadow = make_shadow_test(camera, 3 if image.ndim == 3 else 1, settings).shadow(scene, raw)
     height = len(image)

@@ -29,8 +29,7 @@ from camera_client.settings import CameraClientSettings, CameraMovedSettings
 from camera_client.sources.grab_loop import GrabState
 from capture_rig.video import Video
 from virtual_studio.rendering.camera import Sensor
-from virtual_studio.rig import ring
-from virtual_studio.scene.room import view_room
+from virtual_studio.rig import ring, view_room
 
 REAL = Path(__file__).resolve().parents[4] / "shared" / "data" / "real_4cam"
 NOISE, PERIOD_NS = 3.0, 500_000_000

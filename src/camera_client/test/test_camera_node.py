@@ -92,8 +92,7 @@ def test_camera_that_starts_late_plays_by_the_clock_of_the_others_and_tells_it(b
 
 
 def test_acknowledgements_let_frames_leave_and_suspension_holds_them(bench, session, scene):
-    parameters = {**session.parameters, "footage.window": 2}
-    camera = bench(**parameters)
+    camera = bench(window=2, **session.parameters)
     camera.acknowledging = False
     camera.start()
     camera.until(lambda: len(camera.masks) == 2 and camera.predictions.get_subscription_count() == 1)
@@ -184,7 +183,7 @@ def test_learning_without_frames_is_refused(bench, session):
 
 
 def test_learning_is_answered_when_the_footage_ends_first(bench, session):
-    camera = bench(**{**session.parameters, "background_frames": 1000, "footage.window": 1})
+    camera = bench(1, **{**session.parameters, "background_frames": 1000})
     camera.acknowledging = False
     camera.start()
     camera.until(lambda: camera.masks)
@@ -334,7 +333,7 @@ def test_intrinsics_of_the_camera_info_file_replace_those_of_the_rig(bench, sess
 
 def test_set_camera_info_is_used_from_the_next_frame_on_and_saved(bench, session, scene):
     path = session.folder / "info.yaml"
-    camera = bench(**{**session.parameters, "camera_info_file": str(path), "footage.window": 2})
+    camera = bench(2, **{**session.parameters, "camera_info_file": str(path)})
     camera.acknowledging = False
     camera.start()
     camera.until(lambda: len(camera.heard["camera_info"]) == 2)
@@ -375,7 +374,7 @@ def test_what_the_others_do_not_see_becomes_background(bench, session, scene):
     thing[24:64, 24:56] = 255
     images = [scene.with_person(image, thing) for image in scene.empty(30, seed=5)]
     path = scene.write_video(session.folder / "thing.avi", images)
-    camera = bench(**session.parameters | {"footage.path": path, "footage.fps": 5.0, "footage.window": 1})
+    camera = bench(1, **session.parameters | {"footage.path": path, "footage.fps": 5.0})
     reports, canvas = (
         camera.peer.create_publisher(Image, "silhouette/support", RESULT),
         scene.camera().undistorted_view(),

@@ -11,7 +11,7 @@ from numba.core.registry import CPUDispatcher as Dispatcher
 from camera_client.background import kernels as kernels_of_background
 from camera_client.background.model import BackgroundLearner, read_background
 from camera_client.background.noise import assumed_noise, learned_noise
-from camera_client.settings import BackgroundSettings, FloorShadowSettings, SilhouetteSettings
+from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes import evidence, shadow_kernels
 from camera_client.silhouettes.pipeline import CANDIDATE_BGR, EMPTY, FULL, PERSON_BGR, SilhouettePipeline, outline
 from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene, floor_pixels
@@ -110,7 +110,7 @@ def shadows(test, empty, image, mask=EVERYWHERE):
 
 
 def test_colour_darkened_by_one_factor_is_shadow_and_another_colour_is_not(scene):
-    test = ColourShadow(scene.camera(), SilhouetteSettings())
+    test = ColourShadow(scene.camera())
     image = coloured_scene(1, 1)[0]
     image[:, :80] = np.rint(image[:, :80] * 0.75)
     image[:40, :80] = (130, 60, 60)  # a person in blue
@@ -129,9 +129,7 @@ def test_faint_texture_of_a_whole_patch_tells_skin_from_shadow_of_its_colour(sce
     image[shadow] *= 0.75
     image[skin] = 0.75 * coloured_scene(1, 2)[0][skin]
     mask[shadow] = mask[skin] = 255
-    found = shadows(
-        ColourShadow(scene.camera(), SilhouetteSettings()), empty, image.clip(0, 255).astype(np.uint8), mask
-    )
+    found = shadows(ColourShadow(scene.camera()), empty, image.clip(0, 255).astype(np.uint8), mask)
     assert (found[shadow] > 0).mean() > 0.9
     assert (found[skin] > 0).mean() < 0.02
 
@@ -145,12 +143,12 @@ def test_small_patches_are_shadow_near_large_ones_only():
         image[patch] = np.rint(0.75 * expected[patch])
         mask[patch] = 255
     scene = Scene(image, expected, assumed_noise(2.0, 3), (slice(0, None), slice(0, None)))
-    found = ColourShadow(camera, SilhouetteSettings()).shadow(scene, mask)
+    found = ColourShadow(camera).shadow(scene, mask)
     assert found[large].all() and found[near].all() and not found[alone].any()
 
 
 def test_shadow_is_looked_for_only_within_the_mask(scene):
-    test = ColourShadow(scene.camera(), SilhouetteSettings())
+    test = ColourShadow(scene.camera())
     mask = np.zeros((120, 160), np.uint8)
     mask[:, :40] = 255
     found = shadows(test, coloured_scene(50, 0), np.rint(coloured_scene(1, 1)[0] * 0.75).astype(np.uint8), mask)
@@ -158,10 +156,7 @@ def test_shadow_is_looked_for_only_within_the_mask(scene):
 
 
 def test_black_clothes_before_a_black_background_are_no_shadow(scene):
-    test, image = (
-        ColourShadow(scene.camera(), SilhouetteSettings()),
-        np.rint(coloured_scene(1, 1, 15.0)[0] * 0.75).astype(np.uint8),
-    )
+    test, image = (ColourShadow(scene.camera()), np.rint(coloured_scene(1, 1, 15.0)[0] * 0.75).astype(np.uint8))
     assert not shadows(test, coloured_scene(50, 0, brightness=15.0), image).any()
 
 
@@ -176,14 +171,14 @@ def test_grey_clothes_before_a_grey_floor_are_no_shadow_unless_its_texture_shows
     image[trousers] = 78.0 + rng.normal(0, 2, image[trousers].shape)
     mask[shadow] = mask[trousers] = 255
     scene = Scene(np.rint(image.clip(0, 255)).astype(np.uint8), expected, noise, at)
-    found = ColourShadow(camera, SilhouetteSettings()).shadow(scene, mask) > 0
+    found = ColourShadow(camera).shadow(scene, mask) > 0
     assert found[shadow].mean() > 0.9 and not found[trousers].any()
 
 
 def test_odd_image_sizes_are_taken(scene):
     images = [image[:119, :159] for image in coloured_scene(10, 0)]
     camera = replace(scene.camera(), width=159, height=119)
-    test, image = ColourShadow(camera, SilhouetteSettings()), np.rint(images[0] * 0.75).astype(np.uint8)
+    test, image = ColourShadow(camera), np.rint(images[0] * 0.75).astype(np.uint8)
     found = shadows(test, images, image, EVERYWHERE[:119, :159])
     assert found.shape == (119, 159) and (found > 0).mean() > 0.9
 
@@ -215,13 +210,13 @@ def test_shadow_on_the_floor_is_marked_removed_or_kept_and_the_person_stays(scen
 
 
 def test_darkening_above_the_horizon_is_no_floor_shadow(scene):
-    test, frame = FloorShadow(scene.camera(), FloorShadowSettings()), scene.empty(1, seed=7)[0]
+    test, frame = FloorShadow(scene.camera()), scene.empty(1, seed=7)[0]
     frame[:60] = np.rint(frame[:60] * 0.65)
     assert not shadows(test, scene.empty(60), frame)[:60].any()
 
 
 def test_smooth_dark_clothes_over_a_textured_floor_are_no_shadow(scene):
-    test = FloorShadow(scene.camera(), FloorShadowSettings())
+    test = FloorShadow(scene.camera())
     frame = scene.empty(1, seed=7)[0]
     across = np.abs(np.arange(120) % 24 - 12) / 12  # limbs 24 px wide, shaded as round things are
     frame[80:118, 20:140] = np.rint(100 - 25 * across**2)
@@ -229,7 +224,7 @@ def test_smooth_dark_clothes_over_a_textured_floor_are_no_shadow(scene):
 
 
 def test_soft_rim_of_a_shadow_is_found_and_not_only_its_core(scene):
-    test = FloorShadow(scene.camera(), FloorShadowSettings())
+    test = FloorShadow(scene.camera())
     frame = scene.empty(1, seed=7)[0].astype(float)
     ramp = np.interp(np.arange(160), [30, 60, 100, 130], [1.0, 0.6, 0.6, 1.0])  # penumbras 30 px wide
     frame[84:116] *= ramp
@@ -239,7 +234,7 @@ def test_soft_rim_of_a_shadow_is_found_and_not_only_its_core(scene):
 
 
 def test_shadow_is_found_up_to_the_leg_that_stands_in_it_and_no_further(scene):
-    test = FloorShadow(scene.camera(), FloorShadowSettings())
+    test = FloorShadow(scene.camera())
     frame = scene.empty(1, seed=7)[0].astype(float)
     frame[84:118, 20:140] *= 0.65
     frame[80:118, 74:86] = 25
@@ -256,12 +251,12 @@ def test_dark_clothes_before_a_floor_without_texture_are_no_shadow(scene):
         image = np.full((120, 160), 140.0) * darker + rng.normal(0, 1.5, (120, 160))
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
-    test = FloorShadow(scene.camera(), FloorShadowSettings())
+    test = FloorShadow(scene.camera())
     assert not shadows(test, [plain(1.0) for _ in range(60)], plain(0.6)).any()
 
 
 def test_textured_clothes_as_dark_as_a_shadow_are_no_shadow(scene):
-    test = FloorShadow(scene.camera(), FloorShadowSettings())
+    test = FloorShadow(scene.camera())
     other = cv2.GaussianBlur(np.random.default_rng(5).uniform(55, 105, (120, 160)), (0, 0), 1.0)  # cloth of its own
     assert not shadows(test, scene.empty(60), np.rint(other).astype(np.uint8)).any()
 

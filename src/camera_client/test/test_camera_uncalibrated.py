@@ -23,11 +23,12 @@ from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER
 
 
 @pytest.fixture
-def unknown(session, scene):
+def unknown(bench, session, scene, monkeypatch):
     """Parameters of a camera of which nothing is known; its footage shows the empty room for ever."""
+    monkeypatch.setattr("camera_client.camera_node.CONSUMER_WAIT_S", 0.1)
     empty = scene.write_video(session.folder / "empty.avi", scene.empty(25, seed=3))
     changed = {"rig_file": "", "background": "", "footage.path": empty, "footage.rate": 1.0, "footage.loop": True}
-    return {**session.parameters, **changed, "footage.wait_for_consumer_s": 0.1, "background_frames": 20}
+    return {**session.parameters, **changed, "background_frames": 20}
 
 
 def lens(scene, name="cam01"):

@@ -59,6 +59,8 @@ def test_block_ids_of_16_bits_start_again_at_one():
         ("Mono8", 0x01080001, 24),
         ("Mono10Packed", 0x010C0004, 36),
         ("Mono12Packed", 0x010C0006, 36),
+        ("Mono10p", 0x010A0046, 30),
+        ("Mono12p", 0x010C0047, 36),
         ("Mono12", 0x01100005, 48),
         ("BayerRG8", 0x01080009, 24),
         ("RGB8", 0x02180014, 72),

@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation, Slerp
 from motion_export.bvh import write_bvh
 from motion_export.gltf import write_glb
 from motion_export.joint_tree import JOINTS, PARENTS
-from motion_export.marker_files import write_c3d, write_trc
+from motion_export.marker_files import write_c3d, write_csv, write_trc
 from motion_export.motion import R_ANIMATION_WORLD, R_BIOMECHANICS_WORLD, Motion
 from motion_export.opensim import write_mot, write_osim
-from motion_export.tables import write_csv
 from stick_figure.body import Body
 from stick_figure.skeleton import POINT_NAMES
 

@@ -3,8 +3,8 @@ import numpy as np
 import pytest
 from rendered_boards import camera, looking_at_board, render, true_corners
 
+from rig_calibration.boards.board import read_board
 from rig_calibration.boards.detector import diagnose_board, find_board
-from rig_calibration.boards.specification import read_board
 
 BOARD = read_board("checkerboard 9x6 25mm")
 CHARUCO = read_board("charuco 8x6 30mm 22mm DICT_5X5_100")

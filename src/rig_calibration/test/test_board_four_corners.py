@@ -3,8 +3,8 @@ import pytest
 from rendered_boards import camera, looking_at_board, render, true_corners
 
 from capture_rig.errors import InputError
+from rig_calibration.boards.board import read_board
 from rig_calibration.boards.four_corners import find_from_outer_corners
-from rig_calibration.boards.specification import read_board
 
 BOARD = read_board("checkerboard 6x5 100mm")
 LENS = camera(D=(-0.25, 0.1, 0.001, -0.001, 0.0))

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from capture_rig.errors import InputError
-from rig_calibration.boards.board import opencv_board
+from rig_calibration.boards.board import opencv_board, read_board
 from rig_calibration.boards.drawing import black_rectangles, draw_board, print_size_m, save_for_print
-from rig_calibration.boards.specification import read_board
 
 CHECKERBOARD = read_board("checkerboard 9x6 25mm")
 CHARUCO = read_board("charuco 5x7 30mm 21mm DICT_5X5_100")

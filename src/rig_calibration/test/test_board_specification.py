@@ -1,8 +1,7 @@
 import pytest
 
 from capture_rig.errors import InputError
-from rig_calibration.boards.board import CharucoBoard, Checkerboard
-from rig_calibration.boards.specification import board_text, read_board
+from rig_calibration.boards.board import CharucoBoard, Checkerboard, board_text, read_board
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,8 @@ from bundle_studio import BOARD, SIZE, TARGETS, camera_at, carried, detections_o
 from capture_rig.errors import InputError
 from capture_rig.rigid import inverse, transform
 from rig_calibration.boards.board import CharucoBoard, Checkerboard, TargetDetection
-from rig_calibration.bundle.detection_poses import detection_poses
 from rig_calibration.bundle.initial_poses import common_frames, groups_of, require_connected
-from rig_calibration.bundle.problem import symmetry_order_of, target_shape
+from rig_calibration.bundle.problem import detection_poses, symmetry_order_of, target_shape
 from rig_calibration.bundle.relative_poses import relative_pose
 
 

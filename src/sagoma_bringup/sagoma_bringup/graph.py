@@ -154,7 +154,7 @@ def session_graph(
     if rate != 1.0:
         waits["hull_server.thin_out"] = False  # stamps that run slower or faster than time look like a queue
     if rate == 0:
-        waits = {**LOSSLESS_SETTINGS, f"{ALL_CAMERAS}.footage.pace_timeout_s": 20.0}
+        waits = dict(LOSSLESS_SETTINGS)
     return apply_settings(graph, {"hull_server.tolerance_s": 0.5 / session.fps, **waits})
 
 

@@ -22,7 +22,7 @@ from .graph import ALL_CAMERAS, NodeSpec, apply_settings, build_graph, camera_fr
 from .processes import ONE_PROCESS, SERVER_LAYOUTS, ProcessSpec, processes_of
 
 # nobody drives the cameras of launched footage: they wait for each other
-PLAY_IN_STEP = {f"{ALL_CAMERAS}.footage.wait_for_cameras": True, f"{ALL_CAMERAS}.footage.wait_for_consumer_s": 300.0}
+PLAY_IN_STEP = {f"{ALL_CAMERAS}.footage.wait_for_cameras": True}
 RESTART, SHUTDOWN = "restart", "shutdown"
 RESTART_DELAY_S = 2.0  # long enough to read why a node died, short enough not to miss the next person
 

@@ -175,6 +175,6 @@ def in_step(graph: Sequence[NodeSpec], cameras: int, start_at_ns: int | None, ra
     if rate > 0:
         settings |= {"keep_up": True, "wait_for_cameras": False}
     else:
-        settings |= {"wait_for_cameras": True, "wait_for_consumer_s": 300.0}  # ... nobody begins before all are there
+        settings["wait_for_cameras"] = True  # nobody begins before all are there
     prefix = f"{ALL_CAMERAS}.footage."
     return apply_settings(graph, {f"{prefix}{key}": value for key, value in settings.items()} if here else {})

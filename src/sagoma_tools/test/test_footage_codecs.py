@@ -18,11 +18,11 @@ from capture_rig.video import Video
 from rig_calibration.boards.board import Checkerboard
 from sagoma_tools.cli import main
 from stick_figure.body import Body
+from virtual_studio.boards import print_of
 from virtual_studio.recording.session import write_session
 from virtual_studio.rendering.board_camera import BoardCamera, PosedBoard
 from virtual_studio.rendering.camera import Sensor
 from virtual_studio.rig import ring
-from virtual_studio.scene.boards import print_of
 
 FPS, FRAMES = 25.0, 14
 

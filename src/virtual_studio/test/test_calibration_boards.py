@@ -10,6 +10,7 @@ import pytest
 from capture_rig.rigid import transform
 from rig_calibration.boards.board import CharucoBoard, Checkerboard
 from stick_figure.body import Body
+from virtual_studio.boards import FACING, PosedBoard, Wand, carry, hands, on_floor, person_with, print_of
 from virtual_studio.people import VolumetricBody
 from virtual_studio.rendering.board_camera import (
     BoardCamera,
@@ -22,8 +23,6 @@ from virtual_studio.rendering.board_camera import (
 )
 from virtual_studio.rendering.camera import WHITE, Sensor
 from virtual_studio.rig import ring
-from virtual_studio.scene.boards import PosedBoard, Wand, print_of
-from virtual_studio.scene.handling import FACING, carry, hands, on_floor, person_with
 
 RIG = ring(2, ceiling=True)
 CAMERA = RIG.cameras[0]

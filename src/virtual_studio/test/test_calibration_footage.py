@@ -6,12 +6,11 @@ import pytest
 
 from capture_rig.rig import load_rig
 from capture_rig.video import Video
-from rig_calibration.boards.specification import board_text, read_board
+from rig_calibration.boards.board import board_text, read_board
 from virtual_studio.__main__ import main
+from virtual_studio.boards import PosedBoard, Wand, carry, on_floor, print_of, swing, wave
 from virtual_studio.recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, read_truth_floor, write_setup
 from virtual_studio.rig import ring
-from virtual_studio.scene.boards import PosedBoard, Wand, print_of
-from virtual_studio.scene.handling import carry, on_floor, swing, wave
 
 RIG = ring(5, ceiling=True)
 HAND, FLOOR = print_of(HAND_BOARD), print_of(FLOOR_BOARD)

@@ -10,8 +10,6 @@ from capture_rig.errors import InputError
 from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera
 from virtual_studio.gige.stream import kept_packets
 
-TAI_MINUS_UTC_NS = 37_000_000_000
-
 
 class Still:
     """A scene that never changes."""
@@ -125,36 +123,6 @@ def test_single_frame_mode_sends_one_frame(aravis, address):
     assert camera.counters["frames_sent"] == 1
 
 
-def test_older_generation_is_opened_by_its_older_names(aravis, address):
-    settings = CameraSettings(generation="old", ptp_settle_s=0.1)
-    scene = Still(np.full((64, 64), 50, np.uint8))
-    with SimulatedCamera(address, scene, settings), AravisClient(aravis, address) as client:
-        for name in ("ExposureTime", "AcquisitionFrameRate", "Gain", "PtpEnable", "TimestampLatch"):
-            assert not client.camera.is_feature_available(name)
-        client.camera.set_exposure_time(8000.0)
-        assert client.camera.get_float("ExposureTimeAbs") == 8000.0
-        client.camera.set_integer("GainRaw", 60)  # 6.0 dB
-        client.camera.set_frame_rate(50.0)
-        assert client.camera.get_float("AcquisitionFrameRateAbs") == 50.0
-        client.camera.set_boolean("GevIEEE1588", True)
-        eventually(lambda: client.camera.get_string("GevIEEE1588Status") == "Slave")
-        client.camera.execute_command("GevTimestampControlLatch")
-        assert client.camera.get_integer("GevTimestampValue") > TAI_MINUS_UTC_NS
-        assert client.start().bytes()[0] == round(100 * 10 ** (6 / 20))
-
-
-def test_second_controller_is_refused_and_may_look(aravis, address):
-    with SimulatedCamera(address, PatternScene()) as camera, AravisClient(aravis, address) as first:
-        second = AravisClient(aravis, address)
-        assert first.device.is_controller() and not second.device.is_controller()
-        assert second.camera.get_device_serial_number() == "SIM00001"
-        with pytest.raises(second.GLib.Error, match="access-denied"):
-            second.camera.set_exposure_time(1000.0)
-        second.close()
-        assert camera.counters["control_denied"] >= 1
-        first.start().buffer()  # the first one is not disturbed
-
-
 def test_power_cycle_forgets_settings_but_not_the_user_s_name(aravis, address):
     with SimulatedCamera(address, PatternScene(), CameraSettings(user_id="left")) as camera:
         with AravisClient(aravis, address) as client:
@@ -196,19 +164,6 @@ def test_sensor_noise_has_the_deviation_that_was_set(aravis, address):
     deviation = np.sqrt(frames.var(axis=0, ddof=1).mean())  # in time, so that every frame has noise of its own
     assert deviation == pytest.approx(3.0, rel=0.03)
     assert frames.mean() == pytest.approx(100.0, abs=0.1)
-
-
-def test_faults_of_the_light_dim_the_picture_and_the_lens_cap_makes_it_black(aravis, address):
-    settings = CameraSettings(frame_rate=100.0)
-    with SimulatedCamera(address, PatternScene(), settings) as camera, AravisClient(aravis, address) as client:
-        client.start()
-        bright = picture(client)[20:].mean()
-        camera.faults.light = 0.5
-        eventually(lambda: picture(client)[20:].mean() == pytest.approx(0.5 * bright, rel=0.05))
-        camera.faults.light, camera.faults.lights_off = 1.0, True
-        eventually(lambda: 0 < picture(client)[20:].mean() < 0.1 * bright)
-        camera.faults.lens_cap = True
-        eventually(lambda: picture(client).max() == 0)
 
 
 def test_packet_loss_follows_the_seed():

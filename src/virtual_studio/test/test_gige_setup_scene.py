@@ -8,14 +8,13 @@ import pytest
 import yaml
 
 from capture_rig.errors import InputError
+from virtual_studio.boards import PosedBoard, on_floor, print_of
 from virtual_studio.gige import Studio, StudioSettings, free_addresses
 from virtual_studio.gige.command import request_from, write_rig_files
 from virtual_studio.gige.rendered_scenes import PHASES, LiveScene, RenderedSet, SetupScene
 from virtual_studio.gige.scenes import Playback
 from virtual_studio.recording.footage import FLOOR_BOARD, HAND_BOARD
 from virtual_studio.rig import ring
-from virtual_studio.scene.boards import PosedBoard, print_of
-from virtual_studio.scene.handling import on_floor
 
 SECOND_NS = 1_000_000_000
 

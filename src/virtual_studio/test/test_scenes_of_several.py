@@ -7,8 +7,7 @@ from capture_rig.errors import InputError
 from capture_rig.session import load_session
 from stick_figure.kinematics import forward
 from virtual_studio.motions.together import OUTSIDE_M, TOGETHER
-from virtual_studio.outfits import OUTFITS
-from virtual_studio.people import VolumetricBody, people_of_sizes, person_of, together
+from virtual_studio.people import OUTFITS, VolumetricBody, people_of_sizes, person_of, together
 from virtual_studio.recording.session import write_scene
 from virtual_studio.rig import VOLUME, ring
 

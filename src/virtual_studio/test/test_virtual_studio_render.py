@@ -10,8 +10,7 @@ from capture_rig.rig import Rig
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import tour
-from virtual_studio.outfits import OUTFITS
-from virtual_studio.people import VolumetricBody
+from virtual_studio.people import OUTFITS, VolumetricBody
 from virtual_studio.rendering.camera import ExactSilhouettes, Sensor, VirtualCamera
 from virtual_studio.rendering.capsules import (
     CELL_M,
@@ -22,9 +21,8 @@ from virtual_studio.rendering.capsules import (
     floor_shadow,
     hit_capsule,
 )
-from virtual_studio.rig import ring
-from virtual_studio.scene.room import DOOR_HEIGHT_M, DOOR_Y_M, open_door, view_room
-from virtual_studio.scene.room import HALF_WIDTH_M as HALF_ROOM_M
+from virtual_studio.rig import DOOR_HEIGHT_M, DOOR_Y_M, open_door, ring, view_room
+from virtual_studio.rig import HALF_WIDTH_M as HALF_ROOM_M
 
 BODY = Body.from_stature(1.72)
 PERSON = VolumetricBody(BODY)

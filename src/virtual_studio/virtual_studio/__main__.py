@@ -10,18 +10,17 @@ from pathlib import Path
 
 from capture_rig.errors import InputError
 from capture_rig.number import FRAME_RATE, number
-from rig_calibration.boards.specification import board_text, read_board
+from rig_calibration.boards.board import board_text, read_board
 from stick_figure.body import STATURES_M
 
+from .boards import Wand
 from .motions.catalogue import MOTIONS, MotionFunction
 from .motions.recorded import ReadingOptions, RecordedMotion, is_motion_file
 from .motions.together import TOGETHER
-from .outfits import OUTFITS
-from .people import people_of_sizes, person_of
+from .people import OUTFITS, people_of_sizes, person_of
 from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
 from .recording.session import RenderSettings, write_scene, write_session
 from .rig import ring
-from .scene.boards import Wand
 
 QUICK_FPS, QUICK_MOVING_S = 6.0, 16.0
 PROPORTION = number("times the average", 0.3, 3)

@@ -111,27 +111,7 @@ CAUSES = (
         changed_share=(NEVER, 0),
     ),
     cause(
-        "light.brighter: the light is {brighter:.0%} brighter than in the background{since}",
-        "nothing is to be done",
-        brighter=(0.05,),
-    ),
-    cause(
-        "light.darker: the light is {darker:.0%} darker than in the background{since}",
-        "nothing is to be done",
-        darker=(0.05,),
-    ),
-    cause(
-        "noise.higher: the noise is {noise_growth:.1f} times that of the background{since}",
-        "less gain, more light, a higher bit rate of a codec",
-        noise_growth=(2.0,),
-    ),
-    cause(
-        "noise.high: the noise is high, {noise:.1f} grey levels on the median",
-        "lower the gain and add light; check that the camera stands firm",
-        noise=(NEVER, 6.0),
-    ),
-    cause(
-        "noise.low: the noise is suspiciously low, {noise:.2f} grey levels on the median",
+        "noise.low: the noise is suspiciously low, {noise_levels:.2f} grey levels on the median",
         "check that the camera sends new pictures and does not smooth them",
         noise_lacking=(NEVER, 0),
     ),
@@ -222,8 +202,8 @@ CAUSES = (
         noise_times=(2.0,),
     ),
     cause(
-        "noise.high: the noise is high, {noise_levels:.1f} grey levels",
-        "lower the gain and add light; a higher bit rate",
+        "noise.high: the noise is high, {noise_levels:.1f} grey levels on the median",
+        "lower the gain and add light; a higher bit rate; check that the camera stands firm",
         noise_levels=(NEVER, 6.0),
     ),
     cause(

@@ -29,6 +29,7 @@ FORMAT = "sagoma background 1"
 MOVING_SIGMAS = 3.0  # a pixel moved when it varied by this many times the median noise ...
 MOVING_MIN_SIGMA = 3.0  # ... and by this many grey levels
 NOISE_MAX_SIGMA = 12.0  # no camera is as noisy as this: it moved, even when most other pixels did, too
+STILL_SIGMA = 4.0  # grey levels, of a background that is a single still: its noise is not known
 SQRT_2_PI = math.sqrt(2 * math.pi)
 WHOLE = (slice(None), slice(None))
 
@@ -254,7 +255,7 @@ def read_background(path: str | Path, shape: tuple[int, ...], settings: Backgrou
     """Return the background at ``path`` for images of ``shape``. Raises InputError naming the file.
 
     A ``.npz`` is loaded; several images are learned from; a single one is taken as the mean, with the noise that
-    ``settings.still_sigma`` assumes.
+    STILL_SIGMA assumes.
     """
     path = Path(path)
     if path.suffix == ".npz":
@@ -282,5 +283,5 @@ def _learn(reader: FootageReader, settings: BackgroundSettings) -> BackgroundMod
         last = image
         learner.add(image)
     if last is not None and learner.frames == 1:
-        return background_from_still(last, settings.still_sigma, str(reader.path), software=SOFTWARE)
+        return background_from_still(last, STILL_SIGMA, str(reader.path), software=SOFTWARE)
     return learner.model(str(reader.path), software=SOFTWARE)

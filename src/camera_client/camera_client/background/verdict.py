@@ -16,15 +16,17 @@ import numpy.typing as npt
 
 from capture_rig.verdict import Finding, Verdict, judge
 
-from ..sources.frame_checks import MIN_LIT_LEVEL, WHITE_LEVEL
+from ..settings import BackgroundSettings
+from ..sources.frame_checks import WHITE_LEVEL
+from .adaptation.adaptive import AdaptiveBackground, samples_of
 from .causes import find_causes
+from .kernels import STEP_PX
 from .model import BackgroundModel, Provenance
+from .moved_things.absorption import BLOCK_PX
 
 # Thresholds: chosen with the rooms of test_camera_background_verdict.py.
 BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
 LOW_NOISE = 0.3  # grey levels, of the typical pixel
-ENOUGH_FRAMES = 25  # the noise of fewer is not compared
-CHANGE_LEVELS, CHANGE_SIGMAS = 10.0, 5.0  # a pixel shows something else when it differs by as much as both say
 THIN_OF_HEIGHT = 1 / 60  # narrower changes are edges that shifted a little
 SMALLEST_CHANGE = 2e-3  # of the pixels; a person who is far away covers more
 MOST_CHANGED = 0.3  # of the pixels; more is no person, but other lights or a camera that was moved
@@ -78,7 +80,11 @@ def _picture_figures(model: BackgroundModel) -> dict[str, Any]:
         "single": frames == 1,
     }
     if frames > 1:
-        figures |= {"noise_error": (2 * (frames - 1)) ** -0.5, "noise": noise, "noise_lacking": LOW_NOISE - noise}
+        figures |= {
+            "noise_error": (2 * (frames - 1)) ** -0.5,
+            "noise_levels": noise,
+            "noise_lacking": LOW_NOISE - noise,
+        }
     return figures
 
 
@@ -92,43 +98,30 @@ def _steadiness_figures(brightness: Sequence[float]) -> dict[str, Any]:
 
 
 def _changes(model: BackgroundModel, before: BackgroundModel) -> dict[str, Any]:
-    """Return what changed since the background ``before``: what stands there, light, noise."""
-    gain, created, changed = light_gain(model, before), before.provenance.created, changed_regions(model, before)
-    figures: dict[str, Any] = {
+    """Return what stands in the room that was not there in the background ``before``."""
+    created, changed = before.provenance.created, changed_regions(model, before)
+    return {
         "since": f" of {created}" if created else " before",
         "changed_share": sum(region.share for region in changed),
         "changed_places": describe_regions(changed, model.shape),
-        "brighter": gain - 1,
-        "darker": 1 - gain,
     }
-    if min(model.provenance.frames, before.provenance.frames) >= ENOUGH_FRAMES:
-        figures["noise_growth"] = float(np.median(model.sigma)) / max(float(np.median(before.sigma)), LOW_NOISE)
-    return figures
 
 
 def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[ImageRegion]:
     """Return where ``model`` shows something else than the background ``before``, the largest region first.
 
-    The light may be brighter or darker as a whole. None where most of the picture changed, or its size did.
+    It is what ``before`` calls foreground in a frame that shows ``model``, whose light it follows. None where most of
+    the picture changed, or its size did.
     """
     if model.shape != before.shape:
         return []
-    gain = light_gain(model, before)
-    if gain <= 0:
-        return []
-    change = np.abs(model.mean / gain - before.mean)
-    differs = change > np.maximum(CHANGE_LEVELS, CHANGE_SIGMAS * np.hypot(model.sigma / gain, before.sigma))
-    differs &= np.maximum(model.mean, gain * before.mean) < WHITE_LEVEL  # what was cut off cannot be compared
-    mask = (differs if differs.ndim == 2 else differs.any(axis=2)).astype(np.uint8)
-    side = max(2 * round(THIN_OF_HEIGHT * mask.shape[0] / 2) + 1, 3)
-    changed = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((side, side), np.uint8)) > 0
-    return [] if changed.mean() > MOST_CHANGED else find_regions(np.asarray(changed), SMALLEST_CHANGE)
-
-
-def light_gain(model: BackgroundModel, before: BackgroundModel) -> float:
-    """Return how many times brighter than ``before`` the scene is: the median of all lit pixels."""
-    lit = before.mean >= MIN_LIT_LEVEL
-    return float(np.median(model.mean[lit] / before.mean[lit])) if lit.any() else 1.0
+    frame = np.rint(model.mean).astype(np.uint8)
+    samples, background = samples_of(frame), AdaptiveBackground(before, BackgroundSettings(), BLOCK_PX)
+    background.follow(frame, samples, 0)
+    foreground = (background.distance(frame, samples) > background.threshold).astype(np.uint8)
+    side = max(2 * round(THIN_OF_HEIGHT * len(foreground) / 2) + 1, 3)
+    changed = cv2.morphologyEx(foreground, cv2.MORPH_OPEN, np.ones((side, side), np.uint8)) > 0
+    return [] if changed.mean() > MOST_CHANGED else find_regions(np.asarray(changed), SMALLEST_CHANGE, STEP_PX)
 
 
 # --- regions of the image: boxes around marked pixels, and words for them

@@ -46,24 +46,23 @@ def _packed(raw: Bytes, width: int, height: int) -> Image:
     return image.reshape(height, width)
 
 
-def _mono12p(raw: Bytes, width: int, height: int) -> Image:
-    """Return a row of bits, the lowest first: 12 of one pixel, 12 of the next, in three bytes."""
-    image = np.empty(width * height, np.uint8)
-    image[0::2] = raw[0::3] >> 4 | raw[1::3][: len(raw[0::3])] << 4
-    image[1::2] = raw[2::3]
-    return image.reshape(height, width)
+def _row_of_bits(bits: int, group: int) -> Callable[[Bytes, int, int], Image]:
+    """One long number, the first pixel in its lowest ``bits``; each ``group`` of pixels fills whole bytes."""
+    size = group * bits // 8
 
+    def convert(raw: Bytes, width: int, height: int) -> Image:
+        groups = -(-width * height // group)
+        lacking = groups * size - len(raw)
+        whole = np.pad(raw, (0, lacking)) if lacking else raw
+        image = np.empty(groups * group, np.uint8)
+        for pixel in range(group):
+            first = bits * (pixel + 1) - 8  # of its upper eight bits; they lie in two bytes at most
+            byte = (first - 1) // 8
+            words = np.ndarray(groups, "<u2", whole.data, byte, (size,))
+            np.right_shift(words, first - 8 * byte, out=image[pixel::group], dtype=words.dtype, casting="unsafe")
+        return image[: width * height].reshape(height, width)
 
-def _mono10p(raw: Bytes, width: int, height: int) -> Image:
-    """Return a row of bits, the lowest first: four pixels of 10 bits in five bytes."""
-    count = width * height
-    groups = np.zeros((-(-count // 4), 5), np.uint8)  # whole groups, also where the last one is cut
-    groups.reshape(-1)[: len(raw)] = raw
-    image = np.empty((len(groups), 4), np.uint8)
-    for pixel in range(4):  # bits 10 p + 2 to 10 p + 9
-        low = 2 * pixel + 2
-        image[:, pixel] = groups[:, pixel] >> low | groups[:, pixel + 1] << (8 - low) if low < 8 else groups[:, 4]
-    return image.reshape(-1)[:count].reshape(height, width)
+    return convert
 
 
 def _opencv(code: int | None, channels: int) -> Callable[[Bytes, int, int], Image]:
@@ -82,11 +81,9 @@ def _yuv422(luma: int, blue: int, red: int) -> Callable[[Bytes, int, int], Image
 
     def convert(raw: Bytes, width: int, height: int) -> Image:
         pairs = raw.reshape(height, width // 2, 4)
-        ycrcb = np.empty((height, width // 2, 2, 3), np.uint8)
-        ycrcb[..., 0] = pairs[..., luma::2]
-        ycrcb[..., 1] = pairs[..., red, None]
-        ycrcb[..., 2] = pairs[..., blue, None]
-        return cv2.cvtColor(ycrcb.reshape(height, width, 3), cv2.COLOR_YCrCb2BGR)
+        chroma = (cv2.resize(pairs[..., at], (width, height), interpolation=cv2.INTER_NEAREST) for at in (red, blue))
+        ycrcb = cv2.merge([raw[luma::2].reshape(height, width), *chroma])
+        return np.asarray(cv2.cvtColor(ycrcb, cv2.COLOR_YCrCb2BGR), np.uint8)
 
     return convert
 
@@ -103,8 +100,8 @@ LAYOUTS: dict[str, Layout] = {
     "BGR8": Layout(24, True, _opencv(None, 3)),
     "RGB8": Layout(24, True, _opencv(cv2.COLOR_RGB2BGR, 3)),
     "Mono8": Layout(8, False, _mono8),
-    "Mono10p": Layout(10, False, _mono10p),
-    "Mono12p": Layout(12, False, _mono12p),
+    "Mono10p": Layout(10, False, _row_of_bits(10, 4)),
+    "Mono12p": Layout(12, False, _row_of_bits(12, 2)),
     "Mono10Packed": Layout(12, False, _packed),
     "Mono12Packed": Layout(12, False, _packed),
     "Mono10": Layout(16, False, _upper_byte_of(10)),

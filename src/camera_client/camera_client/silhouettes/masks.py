@@ -152,7 +152,10 @@ def whole_spans(height: int, width: int) -> Spans:
 # --- filters: which parts of a raw mask belong to the person
 
 
-def majority(mask: Mask, side_px: int) -> Mask:
+MEDIAN_PX = 5  # side of the filter by which the thesis's rules decide with the neighbourhood
+
+
+def majority(mask: Mask, side_px: int = MEDIAN_PX) -> Mask:
     """The median filter of a mask of 0 and 255, as a box filter: several times faster, and equal for odd sides."""
     if side_px <= 1:
         return mask
@@ -160,7 +163,7 @@ def majority(mask: Mask, side_px: int) -> Mask:
     return cv2.threshold(mean, 127, 255, cv2.THRESH_BINARY)[1]
 
 
-def majority_count(side_px: int) -> int:
+def majority_count(side_px: int = MEDIAN_PX) -> int:
     """A pixel that survives the filter has so many pixels of foreground in one 8 x 8 block that its window meets.
 
     The window lies in four blocks at most, which leaves (side^2 + 1) / 8 for one of them; fewer at the image's border,

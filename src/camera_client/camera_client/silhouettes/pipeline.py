@@ -94,7 +94,7 @@ class SilhouettePipeline:
         height = camera.height
         min_area_px = MIN_AREA * height**2
         self._people = PeopleRule(min_area_px, settings.near * height, settings.max_hole * height**2)
-        least_px = majority_count(settings.median_px)
+        least_px = majority_count()
         self._locator = ForegroundLocator(self._shape, min_area_px, least_px, self.background.step_px)
         self._distance, self._levels = np.zeros((2, *self._shape[:2]), np.uint8)
         self._image_levels = np.zeros(self._image_shape[:2], np.uint8) if self.scale > 1 else self._levels
@@ -214,7 +214,7 @@ class SilhouettePipeline:
         distance = self._distance[scene.at]
         if self._evidence is None:
             mask = cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1]
-            return majority(mask, self._settings.median_px)
+            return majority(mask)
         spans = self._locator.spans(scene.at, REACH_BLOCKS)
         return self._evidence.decide(distance, scene.image, scene.expected, scene.noise, scene.codec_sigma, spans)
 

@@ -20,7 +20,7 @@ from capture_rig.rig import Volume
 
 from ..background.noise import Noise
 from ..frame_source import Image, Mask
-from ..settings import FloorShadowSettings, SilhouetteSettings
+from ..settings import SilhouetteSettings
 from .codec_errors import COLOUR_SHARE
 from .evidence import typical_level
 from .masks import Box
@@ -28,6 +28,12 @@ from .shadow_kernels import DarkenedRule, find_darkened, find_rims, mean_of_chan
 
 # Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
 # with python bench/rooms.py.
+FLOOR_DARKEST, COLOUR_DARKEST = 0.45, 0.4  # a shadow leaves at least this share of the brightness
+SHADOW_SIGMAS = 3.0  # in a shadow, image and darkened background differ by no more, on average (texture, colour)
+PERSISTENCE = 0.3  # in a shadow at least this share of the floor's texture is still seen; smooth clothes show none
+MIN_AREA = 0.0015  # share of height^2; smaller patches are not taken for shadow
+TINT = 0.05  # share of the light that it lost by which a shadow is tinted: other lamps and walls have other colours
+MIN_CONTRAST = 20.0  # sigmas; a background hardly brighter than black looks like dark clothes: colour tells nothing
 LIGHTEST = 0.97  # a shadow leaves at most this share of the brightness: less cannot be told from noise
 GRID_PX = 8  # the floor's outline in the image needs no finer grid
 MAX_FLOOR_DISTANCE_M = 20.0
@@ -98,8 +104,8 @@ def make_shadow_test(
     if settings.shadow == "keep":
         return NoShadow()
     if channels == 3:
-        return ColourShadow(camera, settings, volume)
-    return FloorShadow(camera, settings.floor_shadow, volume)
+        return ColourShadow(camera, volume)
+    return FloorShadow(camera, volume)
 
 
 class NoShadow:
@@ -127,14 +133,14 @@ class FloorShadow:
     as dark against the floor as it is there, where windows reach into the body.
     """
 
-    def __init__(self, camera: CameraModel, settings: FloorShadowSettings, volume: Volume | None = None) -> None:
+    def __init__(self, camera: CameraModel, volume: Volume | None = None) -> None:
         """``volume``: the capture volume; far from it rays meet walls before the floor."""
         side = max(2 * round((WINDOW_OF_HEIGHT * camera.height - 1) / 2) + 1, MIN_WINDOW_PX)
-        self._settings, self._window = settings, side
+        self._window = side
         self.alignment_px = self._block = max(2 * round(BLOCK_OF_HEIGHT * camera.height / 2), 2)
         self._border = np.ones((2 * side + 1, 2 * side + 1), np.uint8)
         self._floor = floor_pixels(camera, volume, SHADOW_REACH_M)
-        self._min_area_px = max(settings.min_area * camera.height**2, MIN_PATCH_WINDOWS * side**2)
+        self._min_area_px = max(MIN_AREA * camera.height**2, MIN_PATCH_WINDOWS * side**2)
 
     def shadow(self, scene: Scene, mask: Mask) -> Mask:
         """255 at pixels of ``mask`` (h, w) where the image, in grey, fits the shadowed floor, else 0."""
@@ -147,8 +153,9 @@ class FloorShadow:
         return found
 
     def _patches(self, scene: Scene, mask: Mask, looked_at: Mask) -> Mask:
-        s, sigma = self._settings, scene.noise.sigma(typical_level(scene.expected))
-        dark, sums = shadow_sums(scene.image, scene.expected, looked_at, self._window, self._block, s.darkest, LIGHTEST)
+        sigma = scene.noise.sigma(typical_level(scene.expected))
+        sides, limits = (self._window, self._block), (FLOOR_DARKEST, LIGHTEST)
+        dark, sums = shadow_sums(scene.image, scene.expected, looked_at, *sides, *limits)
         blocks = self._large_patches(sigma, *sums)
         if not blocks.any():
             return np.zeros_like(mask)
@@ -165,7 +172,7 @@ class FloorShadow:
         rims, at = np.zeros_like(patches), Box.around(patches).grown(reach, patches.shape).slices
         patch = patches[at]
         beside = cv2.bitwise_and(looked_at[at], cv2.subtract(cv2.dilate(patch, self._border), patch))
-        fits, limit = np.empty_like(patch), np.float32(self._settings.residual * sigma)
+        fits, limit = np.empty_like(patch), np.float32(SHADOW_SIGMAS * sigma)
         find_rims(scene.image[at], scene.expected[at], patch, beside, 2 * (reach // 2) + 1, limit, fits)
         fits = cv2.morphologyEx(cv2.bitwise_or(fits, patch), cv2.MORPH_OPEN, _THREE)
         rims[at] = cv2.bitwise_and(fits, looked_at[at])
@@ -175,9 +182,8 @@ class FloorShadow:
         self, sigma: float, count: np.ndarray, rest: np.ndarray, shared: np.ndarray, power: np.ndarray
     ) -> Mask:
         """255 at the blocks of patches that are large and, as a whole, keep the floor's texture beyond chance."""
-        s = self._settings
-        quiet = _near(rest) <= _near(count) * np.float32((s.residual * sigma) ** 2)
-        fits = quiet & (_around(shared) >= np.float32(s.persistence) * _around(power)) & (2 * count >= self._block**2)
+        quiet = _near(rest) <= _near(count) * np.float32((SHADOW_SIGMAS * sigma) ** 2)
+        fits = quiet & (_around(shared) >= np.float32(PERSISTENCE) * _around(power)) & (2 * count >= self._block**2)
         patches, labels = cv2.connectedComponents(fits.astype(np.uint8), connectivity=4)
         sums = (np.bincount(labels.reshape(-1), v.reshape(-1), patches) for v in (count, rest, shared, power))
         area_px, left, kept, there = sums
@@ -250,14 +256,14 @@ class ColourShadow:
     The test runs at half resolution, on means of 2 x 2 pixels: Bayer sensors and 4:2:0 video hold no finer colour.
     """
 
-    def __init__(self, camera: CameraModel, settings: SilhouetteSettings, volume: Volume | None = None) -> None:
+    def __init__(self, camera: CameraModel, volume: Volume | None = None) -> None:
         """``volume``: the capture volume; far from it rays meet walls before the floor."""
-        self._floor_shadow, colour = FloorShadow(camera, settings.floor_shadow, volume), settings.colour_shadow
+        self._floor_shadow = FloorShadow(camera, volume)
         self.alignment_px = self._floor_shadow.alignment_px
         self._near = np.ones((2 * TEXTURE_WINDOW_PX + 1,) * 2, np.uint8)
-        self._rule = DarkenedRule(colour.tint, colour.chromaticity**2, colour.min_contrast**2, LIGHTEST)
+        self._rule = DarkenedRule(TINT, SHADOW_SIGMAS**2, MIN_CONTRAST**2, LIGHTEST)
         on_floor = halve(floor_pixels(camera, volume, SHADOW_REACH_M)) > 127
-        self._darkest = np.where(on_floor, np.float32(colour.darkest), np.float32(max(colour.darkest, WALL_DARKEST)))
+        self._darkest = np.where(on_floor, np.float32(COLOUR_DARKEST), np.float32(WALL_DARKEST))
 
     def shadow(self, scene: Scene, mask: Mask) -> Mask:
         """255 at pixels of ``mask`` (h, w) where the colour image fits the shadowed background, else 0."""

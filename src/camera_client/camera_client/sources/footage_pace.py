@@ -13,6 +13,8 @@ from capture_rig.session import footage_stamp_ns
 
 LEAD_NS = 1_000_000_000  # from a camera's offer of a clock to its first frame: the other cameras hear of it meanwhile
 LATE_START_NS = 1_000_000_000
+WINDOW = 3  # at rate 0: frames under way before an acknowledgement is awaited
+PATIENCE_S = 20.0  # ... and for so long: a machine that starts a graph beside other work is as slow
 KEPT_UP_NS = 250_000_000  # a frame this late still joins its set: half of what the hull server waits for footage
 MAX_EPOCH_AHEAD_NS = 3600 * 1_000_000_000
 

@@ -15,6 +15,8 @@ from ..settings import FootageSettings
 from .footage_pace import (
     LATE_START_NS,
     LEAD_NS,
+    PATIENCE_S,
+    WINDOW,
     AcknowledgedPace,
     FootageClock,
     Pace,
@@ -195,7 +197,7 @@ class FootageSource(FrameSource):
         s = self._settings
         if s.rate > 0:
             return WallClockPace(fps, s.rate)
-        return AcknowledgedPace(fps, s.window, s.pace_timeout_s)
+        return AcknowledgedPace(fps, WINDOW, PATIENCE_S)
 
 
 class _Decoder:

@@ -47,7 +47,7 @@ class SupervisedSource(FrameSource):
 
     A connection that delivered and stopped is made anew at once. An attempt that fails with SourceUnavailable, and a
     connection that never delivered, are followed by another after a quarter of a second, then twice that, and so on to
-    ``longest_retry_s``; an attempt that fails with a plain InputError by one at this slowest pace. ``statistics`` and
+    LONGEST_RETRY_S; an attempt that fails with a plain InputError by one at this slowest pace. ``statistics`` and
     ``counters`` add up over all connections; the counters include reconnects, stalls, control_losses, failed_attempts.
     """
 
@@ -73,7 +73,7 @@ class SupervisedSource(FrameSource):
         self._running = False
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
         self._next_try_s = self._heard_s = self._attempted_s = self._silent_s = self._limit_s = 0.0
-        self._retry_pause, self._downtime = RetryPause(settings.longest_retry_s), Downtime()
+        self._retry_pause, self._downtime = RetryPause(), Downtime()
         self._arrived, self._delivering = 0, False
         self._ever_connected = False
         self._shape: tuple[int, ...] = ()

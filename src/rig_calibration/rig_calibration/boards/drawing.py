@@ -25,8 +25,7 @@ from capture_rig.errors import InputError
 from capture_rig.files import write_bytes
 from capture_rig.lens import Array
 
-from .board import Board, CharucoBoard, opencv_board
-from .specification import METRES, board_text
+from .board import METRES, Board, CharucoBoard, board_text, opencv_board
 
 Pair = tuple[float, float]
 Rectangle = tuple[float, float, float, float]  # left, top, width, height, metres, y down from the print's upper left

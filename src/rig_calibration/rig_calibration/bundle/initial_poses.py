@@ -22,8 +22,7 @@ from capture_rig.lens import Array
 from capture_rig.rigid import angles_between, inverse, transform
 
 from ..boards.board import TargetDetection
-from .detection_poses import View
-from .problem import LINE, PoseKey
+from .problem import LINE, PoseKey, View
 from .relative_poses import RelativePose, agreement_weight, line_pose, relative_pose, relative_pose_of_line
 
 

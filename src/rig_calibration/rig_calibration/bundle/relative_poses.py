@@ -20,7 +20,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.lens import Array
 from capture_rig.rigid import angles_between, transform
 
-from .detection_poses import DetectionPoses, View
+from .problem import DetectionPoses, View
 
 # Thresholds: judgement, no measurement.
 ANGLE_TOLERANCE = np.radians(5.0)  # of the rotation that one board tells

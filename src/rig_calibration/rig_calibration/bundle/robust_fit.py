@@ -1,7 +1,6 @@
 """Steps 4 and 5 together: adjust, leave out what contradicts the rest, adjust again, compare the targets' sizes.
 
-Between adjustments detections are reweighted: those whose corners scatter more than the others' count less, and where
-cameras contradict one another more than the corners' noise explains, each detection may be displaced
+Where cameras contradict one another more than the corners' noise explains, each detection may be displaced in the end
 (:mod:`.uncertainty`).
 """
 
@@ -26,15 +25,13 @@ from .adjustment import (
     StopCriterion,
     adjust,
     normal_equations,
-    normalised_lengths,
     robust_rows,
     step,
     with_prior,
 )
-from .detection_poses import View
 from .initial_poses import InitialPoses, comparable_targets, most_seen, with_symmetry
 from .outliers import ODD_ONE, RIG_LIMITS, Limits, RejectedDetection, bad_corners, contradictions, readmissible
-from .problem import LENS, LINE, Problem
+from .problem import LENS, LINE, Problem, View
 from .state import WARP, Bools, Ints, Layout, Linearised, Observations, State, lens_of, observe, residuals_px
 from .uncertainty import MIN_DOF, Covariance, covariance, first_tau, next_tau, pose_misfit, whitened
 
@@ -49,9 +46,9 @@ class Fit:
     """The state of the solver: all detections, which of them still take part (``rows``), and the adjusted state.
 
     ``seen`` holds the observations of all detections; ``free_scales`` (k,) which targets' sizes are unknown;
-    ``reweighting`` (s,) by what the weights of each detection's corners are multiplied; ``sync_error`` (s,), m, how far
-    (sd) the target may have been elsewhere for each detection; ``prior`` of the lenses and warps, where these are
-    adjusted; ``free_lenses`` (c, 12), ``free_warps`` (k, 2) which of them.
+    ``alone_px`` (s,) the rms distance of each detection's corners under the pose that fits it best alone;
+    ``sync_error`` (s,), m, how far (sd) the target may have been elsewhere for each detection; ``prior`` of the lenses
+    and warps, where these are adjusted; ``free_lenses`` (c, 12), ``free_warps`` (k, 2) which of them.
     """
 
     problem: Problem
@@ -64,7 +61,7 @@ class Fit:
     free_lenses: Bools
     free_warps: Bools
     left_out: tuple[RejectedDetection, ...]
-    reweighting: Array
+    alone_px: Array
     sync_error: Array
     scale_of: dict[str, tuple[float, float]]
     prior: Prior | None = None
@@ -76,7 +73,7 @@ class Fit:
 
     @property
     def used(self) -> Observations:
-        return self.seen.only(self.rows).weighted(self.reweighting[self.rows, None])
+        return self.seen.only(self.rows)
 
     @property
     def layout(self) -> Layout:
@@ -139,10 +136,17 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
         free_lenses=np.zeros((len(names), LENS), bool),
         free_warps=np.zeros((targets, WARP), bool),
         left_out=left_out,
-        reweighting=np.ones(len(detections)),
+        alone_px=np.array([_alone_px(view) for view in views]),
         sync_error=np.zeros(len(detections)),
         scale_of={},
     )
+
+
+def _alone_px(view: View) -> float:
+    """How far its corners are from the target's shape; infinite where they fit no pose, 0 where none would tell."""
+    if view.poses is None:
+        return 0.0 if view.shape.dimension == LINE else np.inf
+    return float(view.poses.rms_px.min())
 
 
 def fit_robustly(fit: Fit, refine_intrinsics: bool = False) -> Fit:
@@ -155,21 +159,19 @@ def fit_robustly(fit: Fit, refine_intrinsics: bool = False) -> Fit:
 
 
 def settled(fit: Fit, limits: Limits = RIG_LIMITS) -> Fit:
-    """Adjust with everything: contradictions left out, detections reweighted, what fits after all taken back."""
-    for _ in range(RETURNS):
-        fit = _estimate_sync_error(_reweighted(without_contradictions(fit, limits)))
-        back = _taken_back(fit)
-        if back is fit:
-            return fit
-        fit = back
-    return _estimate_sync_error(_reweighted(_narrowed(fit, limits)))
+    """Adjust, contradictions left out, targets allowed to have moved between the cameras' exposures."""
+    return _estimate_sync_error(without_contradictions(fit, limits))
 
 
 def without_contradictions(fit: Fit, limits: Limits = RIG_LIMITS) -> Fit:
-    """Adjust and leave out what contradicts the rest, before anything is reweighted."""
-    fit = _narrowed(replace(fit, reweighting=np.ones(len(fit.reweighting))), limits)
-    back = _taken_back(fit)
-    return fit if back is fit else _narrowed(back, limits)
+    """Adjust, leave out what contradicts the rest, and take back what fits after all."""
+    fit = _narrowed(fit, limits)
+    for _ in range(RETURNS):
+        back = _taken_back(fit, limits)
+        if back is fit:
+            break
+        fit = _narrowed(back, limits)
+    return fit
 
 
 def adjusted(fit: Fit, stop: StopCriterion = CONVERGED) -> Fit:
@@ -203,7 +205,7 @@ def _narrowed(fit: Fit, limits: Limits) -> Fit:
         fit = adjusted(fit, stop)
         used = fit.used
         wrong = bad_corners(fit.adjusted, used, limits)
-        out = contradictions(fit.adjusted, used, limits)
+        out = contradictions(fit.adjusted, used, fit.alone_px[fit.rows], limits)
         if out or wrong.any():
             fit = _leave_out(fit, wrong, out)
         elif stop is CONVERGED:
@@ -230,10 +232,10 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
     return replace(fit, seen=replace(fit.seen, weight=weight), rows=rows, left_out=(*fit.left_out, *named))
 
 
-def _taken_back(fit: Fit) -> Fit:
+def _taken_back(fit: Fit, limits: Limits) -> Fit:
     """Return the fit with those detections taken back that fit now; the same object when there are none."""
-    rows = readmissible(fit.adjusted, fit.seen, fit.rows)
-    if not rows:
+    rows = readmissible(fit.adjusted, fit.seen, fit.rows, limits)
+    if len(rows) == 0:
         return fit
     again = {id(fit.all_detections[row]) for row in rows}
     left_out = tuple(out for out in fit.left_out if not out.whole or id(out.detection) not in again)
@@ -241,17 +243,6 @@ def _taken_back(fit: Fit) -> Fit:
 
 
 # --- Detections that are believed less than their corners claim.
-
-
-def _reweighted(fit: Fit) -> Fit:
-    """Adjusted with less weight for those whose corners scatter clearly more than the others' (blurred)."""
-    used = fit.used
-    corners = np.maximum((used.weight > 0).sum(axis=1), 1)
-    variance = (normalised_lengths(fit.adjusted.state, used) ** 2).sum(axis=1) / (2 * corners)
-    weights = np.ones(len(fit.reweighting))
-    ratio = variance / np.median(variance)
-    weights[fit.rows] = np.where(ratio > 1 + HUBER / np.sqrt(corners), np.maximum(ratio, 1.0) ** -0.5, 1.0)
-    return adjusted(replace(fit, reweighting=weights)) if weights.min() < 1 else fit
 
 
 def _estimate_sync_error(fit: Fit) -> Fit:

@@ -15,10 +15,9 @@ from capture_rig.rigid import transform
 
 from ..boards.board import TargetDetection
 from .adjustment import FreeUnknowns, normal_equations, reduce, step
-from .detection_poses import all_undistorted, views_of
 from .initial_poses import initial_poses, most_seen, require_connected
 from .outliers import RejectedDetection
-from .problem import PoseKey, Problem, check_problem
+from .problem import PoseKey, Problem, all_undistorted, check_problem, views_of
 from .robust_fit import NO_POSE, Fit, fit_robustly, start_fit
 from .state import State, camera_with, residuals_px
 from .uncertainty import whitened

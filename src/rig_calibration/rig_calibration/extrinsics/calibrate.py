@@ -16,10 +16,9 @@ from ..boards.board import Board, TargetDetection
 from ..boards.wand import WAND
 from ..bundle.problem import symmetry_order_of
 from ..bundle.solve import RigSolution, solve_rig
-from .figures import rig_figures
 from .floor import FLOOR, floor_view
 from .verdict import RigCalibration, TapeMeasure
-from .world import WorldChoice, board_in_world, place_rig, world_from_floor, world_of_level_camera
+from .world import WorldChoice, board_in_world, place_rig, rig_figures, world_from_floor, world_of_level_camera
 
 MOVING = "moving"
 """Name of a target, beside FLOOR and WAND."""

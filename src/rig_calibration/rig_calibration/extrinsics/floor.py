@@ -18,8 +18,7 @@ from capture_rig.lens import Array
 from capture_rig.rigid import inverse, transform
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.detection_poses import MIN_CORNERS, detection_poses
-from ..bundle.problem import target_shape
+from ..bundle.problem import MIN_CORNERS, detection_poses, target_shape
 
 FLOOR = "floor"  # the name of the target
 RULED_OUT_SDS = 5  # standard deviations by which the second solution must explain the corners worse to be ruled out

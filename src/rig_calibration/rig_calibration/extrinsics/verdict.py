@@ -19,9 +19,8 @@ from capture_rig.verdict import REDO, USABLE, Finding, Verdict, graded, judge
 
 from ..bundle.initial_poses import cameras_by_pose
 from ..bundle.solve import RigSolution
-from .figures import CameraFigures, RigFigures
 from .floor import FLOOR, FloorView
-from .world import PlacedRig
+from .world import CameraFigures, PlacedRig, RigFigures
 
 MIN_M = 0.2  # a shorter length tells nothing: a tape at a lens errs by a centimetre
 

@@ -20,8 +20,7 @@ from ..bundle.state import residuals_px
 from .coverage import placement_of
 from .lens_fit import LensFit, diagonal_m, fit_lens, usable_detections, view_squares
 from .lens_model import RATIONAL, SIMPLE, LensModel, edge_sd_px
-from .result import Intrinsics, ModelChoice, ViewResult
-from .verdict import lens_findings
+from .result import Intrinsics, ModelChoice, ViewResult, lens_findings
 
 AUTO = "auto"
 # Thresholds: judgement, no measurement.

@@ -21,10 +21,9 @@ from capture_rig.rigid import transform
 
 from ..boards.board import Board, TargetDetection
 from ..bundle.adjustment import RAYLEIGH_MEDIAN, StopCriterion, information_of_each
-from ..bundle.detection_poses import THIN, detection_poses, views_of
 from ..bundle.initial_poses import initial_poses
 from ..bundle.outliers import LENS_LIMITS, RejectedDetection
-from ..bundle.problem import LENS, check_problem, shapes_of
+from ..bundle.problem import LENS, THIN, check_problem, detection_poses, shapes_of, views_of
 from ..bundle.robust_fit import NO_POSE, Fit, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
 from .lens_model import LAYOUT, RATIONAL, LensModel, nearest_member, rational_prior

@@ -15,8 +15,7 @@ from rich.console import Console
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder
 from capture_rig.rig import FARTHEST_M
-from rig_calibration.boards.board import Board
-from rig_calibration.boards.specification import read_board
+from rig_calibration.boards.board import Board, read_board
 from rig_calibration.extrinsics.calibrate import RigCalibration, calibrate_rig
 from rig_calibration.extrinsics.carried_board import FloorAt
 from rig_calibration.extrinsics.verdict import TapeMeasure

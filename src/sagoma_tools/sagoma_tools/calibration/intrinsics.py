@@ -17,8 +17,7 @@ from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
 from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.yaml_file import save_mapping
-from rig_calibration.boards.board import Board
-from rig_calibration.boards.specification import board_text
+from rig_calibration.boards.board import Board, board_text
 from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
 from rig_calibration.intrinsics.lens_fit import MIN_VIEWS
 from rig_calibration.intrinsics.result import Intrinsics, report_of

@@ -19,8 +19,7 @@ from matplotlib.patches import Rectangle
 from capture_rig.camera import CameraModel
 from capture_rig.files import describe_os_error
 from capture_rig.rig import Volume
-from rig_calibration.extrinsics.figures import CameraFigures
-from rig_calibration.extrinsics.world import PlacedRig
+from rig_calibration.extrinsics.world import CameraFigures, PlacedRig
 
 COLUMNS, DPI = 4, 90
 FRUSTUM_M = 0.8

@@ -18,7 +18,7 @@ from capture_rig.rig import save_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
-from rig_calibration.extrinsics.figures import CameraFigures, RigFigures
+from rig_calibration.extrinsics.world import CameraFigures, RigFigures
 
 from ..recording.writer import own_version
 

@@ -15,8 +15,8 @@ from capture_rig.lens import COEFFICIENTS
 from capture_rig.number import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
+from rig_calibration.boards.board import board_text, read_board
 from rig_calibration.boards.drawing import PAPER_MM, print_size_m, save_for_print
-from rig_calibration.boards.specification import board_text, read_board
 from rig_calibration.intrinsics.calibrate import AUTO
 
 from ..calibration.intrinsics import calibrate_footage, figures, print_results

@@ -21,7 +21,7 @@ from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, st
 from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video import VideoFacts, examine_video, session_findings
 from capture_rig.yaml_file import read_mapping
-from rig_calibration.intrinsics.verdict import UNUSED_GOOD, UNUSED_USABLE
+from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE
 
 from .findings import Finding, check, error, examine, graded, note, warning
 

@@ -25,9 +25,9 @@ from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_bringup.graph import NodeSpec, build_graph
 from sagoma_ros.qos import LATCHED
 from sagoma_ros.thinning import TOPIC, read_thinning
-from virtual_studio.gige.addresses import consecutive_addresses, is_free
 from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
-from virtual_studio.gige.control import ask
+from virtual_studio.gige.device import consecutive_addresses, is_free
+from virtual_studio.gige.loop import ask
 
 from ..graph.background_training import learn_backgrounds
 from ..graph.processes import START_TIMEOUT_S, Child, Usage, busy_machine, stop_children

@@ -11,10 +11,9 @@ from capture_rig.errors import InputError
 from capture_rig.files import make_folder
 from motion_export.bvh import write_bvh
 from motion_export.gltf import write_glb
-from motion_export.marker_files import write_c3d, write_trc
+from motion_export.marker_files import write_c3d, write_csv, write_trc
 from motion_export.motion import Motion
 from motion_export.opensim import write_mot, write_osim
-from motion_export.tables import write_csv
 
 from ..recording.recorded_motion import recorded_motions
 

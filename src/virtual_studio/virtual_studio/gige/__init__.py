@@ -1,8 +1,7 @@
 """A studio of simulated GigE Vision cameras on loopback: they speak the real protocol to any GenICam client."""
 
-from .addresses import free_addresses
 from .camera import SimulatedCamera
-from .device import CameraSettings, Faults
+from .device import CameraSettings, Faults, free_addresses
 from .loop import EventLoop
 from .scenes import CameraScene, PatternScene, Playback
 from .studio import Studio, StudioSettings

@@ -18,8 +18,8 @@ from capture_rig.stop_signals import StopOnSignal
 from capture_rig.yaml_file import parse_value, save_mapping
 
 from ..recording.footage import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE, save_truth
-from .control import Request, ask, default_path
 from .device import FAULT_NAMES
+from .loop import Request, ask, default_path
 from .rendered_scenes import PHASES
 from .studio import PERSON_SCENE, SETUP_SCENE, Studio, StudioSettings
 

@@ -17,8 +17,8 @@ MAX_BINNING = 4
 MAX_GAIN_DB = 24.0
 GAIN_RAW_STEP_DB = 0.1
 """What one step of the older generation's GainRaw means."""
-MONO_FORMATS = ("Mono8", "Mono10", "Mono10Packed", "Mono12", "Mono12Packed")
-COLOUR_FORMATS = ("BayerRG8", "RGB8", "BGR8", "YUV422_8")
+MONO_FORMATS = ("Mono8", "Mono10", "Mono10p", "Mono10Packed", "Mono12", "Mono12p", "Mono12Packed")
+COLOUR_FORMATS = ("BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8", "RGB8", "BGR8", "YUV422_8")
 OFF, ON = 0, 1
 TICKS_PER_SECOND = 1_000_000_000
 PTP_STATES = {

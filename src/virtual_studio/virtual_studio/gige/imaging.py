@@ -19,8 +19,8 @@ from .feature_table import AUTO, CHUNKS, GAIN_RAW_STEP_DB
 from .registers import RegisterError, Registers, Value
 
 Bytes = NDArray[np.uint8]
-_BAYER_RG = ((2, 1), (1, 0))
-"""Channel (of B, G, R) of the four pixels of the pattern's tile."""
+_SECOND_ROW = {"RG": "GB", "GR": "BG", "GB": "RG", "BG": "GR"}
+"""Of the tile of a Bayer pattern, by its first row, which names it."""
 _AXES = (
     ("SensorWidth", "BinningHorizontal", "WidthMax", "Width", "OffsetX"),
     ("SensorHeight", "BinningVertical", "HeightMax", "Height", "OffsetY"),
@@ -189,9 +189,13 @@ def pixel_bytes(image: Image, pixel_format: PixelFormat) -> Bytes:
         if pixel_format.depth == 8:
             return np.ascontiguousarray(grey).reshape(-1)
         deep = _deepened(grey, pixel_format.depth)
-        return _packed(deep, pixel_format.depth) if pixel_format.is_packed else deep.astype("<u2").view(np.uint8)
+        if pixel_format.is_packed:
+            return _packed(deep, pixel_format.depth)
+        if pixel_format.name.endswith("p"):
+            return _row_of_bits(deep, pixel_format.depth)[: pixel_format.image_bytes(grey.shape[1], grey.shape[0])]
+        return deep.astype("<u2").view(np.uint8)
     if pixel_format.is_bayer:
-        return _bayer(image).reshape(-1)
+        return _bayer(image, pixel_format.name[len("Bayer") : -1]).reshape(-1)
     colour = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
     if pixel_format is PixelFormat.BGR8:
         return np.ascontiguousarray(colour).reshape(-1)
@@ -219,13 +223,20 @@ def _packed(values: NDArray[np.uint16], depth: int) -> Bytes:
     return flat[:-1] if odd else flat
 
 
-def _bayer(image: Image) -> Image:
+def _row_of_bits(values: NDArray[np.uint16], depth: int) -> Bytes:
+    """One long number, the first pixel in its lowest bits: four pixels a time, which fill whole bytes."""
+    fours = np.append(values, np.zeros(-len(values) % 4, np.uint16)).reshape(-1, 4).astype("<u8")
+    number = np.bitwise_or.reduce(fours << (depth * np.arange(4, dtype=np.uint64)), axis=1)
+    return np.ascontiguousarray(number.view(np.uint8).reshape(-1, 8)[:, : depth // 2]).reshape(-1)
+
+
+def _bayer(image: Image, first_row: str) -> Image:
     if image.ndim == 2:
         return np.ascontiguousarray(image)
     mosaic = np.empty(image.shape[:2], np.uint8)
-    for y, row in enumerate(_BAYER_RG):
-        for x, channel in enumerate(row):
-            mosaic[y::2, x::2] = image[y::2, x::2, channel]
+    for y, row in enumerate((first_row, _SECOND_ROW[first_row])):
+        for x, colour in enumerate(row):
+            mosaic[y::2, x::2] = image[y::2, x::2, "BGR".index(colour)]
     return mosaic
 
 

@@ -21,14 +21,13 @@ from capture_rig.stamps import UTC, CaptureClock
 from rig_calibration.boards.board import Board
 from stick_figure.body import Body
 
+from ..boards import BoardPrint, PosedBoard, PosePath, carry, hands, on_floor, person_with, print_of, wave
 from ..motions.catalogue import MOTIONS
 from ..people import Capsules, VolumetricBody
 from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..rendering.board_camera import EXPOSURE_S, LENS_BLUR_PX, BoardCamera, exposure_poses
 from ..rendering.camera import WHITE, Image, Light, VirtualCamera
 from ..rendering.capsules import floor_shadow
-from ..scene.boards import BoardPrint, PosedBoard, PosePath, print_of
-from ..scene.handling import carry, hands, on_floor, person_with, wave
 from .scenes import SECOND_NS, SWITCH_AFTER_NS, Playback
 
 KEPT_SETS = 3

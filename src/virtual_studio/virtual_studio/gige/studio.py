@@ -14,16 +14,13 @@ from capture_rig.rig import Rig
 from capture_rig.session import load_session
 from capture_rig.settings import build_settings, setting
 from capture_rig.stamps import CaptureClock
-from rig_calibration.boards.board import Board
-from rig_calibration.boards.specification import board_text, read_board
+from rig_calibration.boards.board import Board, board_text, read_board
 
 from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..rig import ring
-from .addresses import consecutive_addresses
 from .camera import SimulatedCamera
-from .control import ControlServer, Request
-from .device import CameraSettings
-from .loop import EventLoop
+from .device import CameraSettings, consecutive_addresses
+from .loop import ControlServer, EventLoop, Request
 from .rendered_scenes import PERSON, LiveScene, RoomScene, SetupScene
 from .scenes import CameraScene, PatternScene, Playback, load_session_scene
 from .timing import TriggerWire

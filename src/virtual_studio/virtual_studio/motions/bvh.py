@@ -27,6 +27,7 @@ AXES = {"X": 0, "Y": 1, "Z": 2}
 CHANNELS = {f"{axis.lower()}{kind}": (kind, axis) for axis in AXES for kind in ("position", "rotation")}
 END = "_end"
 """An end site is called after its joint."""
+DAMAGED = "The file is damaged or no BVH: export it again."
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,7 @@ class JointMotion:
 class _Joint:
     name: str
     parent: int
+    line: int
     offset: Array | None = None
     channels: list[tuple[str, str]] = field(default_factory=list)
 
@@ -64,170 +66,110 @@ def read_bvh(path: str | Path) -> JointMotion:
     Raises InputError naming file and line for anything that is not BVH.
     """
     path = Path(path)
-    tokens = _Tokens(path, read_text(path, "Give the path of a BVH file.").splitlines())
-    joints = _hierarchy(tokens)
-    fps, rows = _motion(tokens, sum(len(joint.channels) for joint in joints))
+    lines = read_text(path, "Give the path of a BVH file.").splitlines()
+    end = next((n for n, line in enumerate(lines) if line.strip().upper() == "MOTION"), len(lines))
+    joints = _hierarchy(path, lines[:end])
+    fps, rows = _motion(path, lines, end, sum(len(joint.channels) for joint in joints))
     return JointMotion(tuple(joint.name for joint in joints), _positions(joints, rows), fps, path)
 
 
-class _Tokens:
-    """The words of a file with the lines they stand on."""
-
-    def __init__(self, path: Path, lines: list[str]) -> None:
-        self.path, self.lines = path, lines
-        self._words = [(word, n) for n, line in enumerate(lines, 1) for word in _split(line)]
-        self._next = 0
-
-    def where(self, line: int | None = None) -> str:
-        return f"{self.path}, line {line or self.line}"
-
-    @property
-    def line(self) -> int:
-        """Line of the next word, or the last line."""
-        return self._words[self._next][1] if self._next < len(self._words) else len(self.lines)
-
-    @property
-    def peek(self) -> str:
-        return self._words[self._next][0] if self._next < len(self._words) else ""
-
-    def take(self, wanted: str = "") -> str:
-        """Return the next word, which has to be ``wanted`` (any case) if that is given."""
-        word = self.peek
-        if not word or (wanted and word.upper() != wanted.upper()):
-            raise self.error(wanted or "more")
-        self._next += 1
-        return word
-
-    def rest_of_line(self) -> str:
-        """Return the words up to the end of the line or a brace: names may hold blanks."""
-        line, words = self.line, []
-        while self.peek not in ("", "{", "}") and self.line == line:
-            words.append(self.take())
-        return " ".join(words)
-
-    def numbers(self, count: int) -> Array:
-        """Return the next ``count`` numbers."""
-        values = []
-        for _ in range(count):
-            where = self.where()
-            values.append(_number(self.take(), where))
-        return np.array(values)
-
-    def error(self, wanted: str) -> InputError:
-        found = f"'{self.peek}'" if self.peek else "the end of the file"
-        remedy = "The file is damaged or no BVH: export it again."
-        return InputError(f"{found} where BVH has '{wanted}'", where=self.where(), remedy=remedy)
+def _error(path: Path, line: int, problem: str, remedy: str = DAMAGED) -> InputError:
+    return InputError(problem, where=f"{path}, line {line}", remedy=remedy)
 
 
-def _error(problem: str, remedy: str, where: str) -> InputError:
-    return InputError(problem, where=where, remedy=remedy)
+def _numbers(path: Path, line: int, words: list[str]) -> list[float]:
+    values = []
+    for word in words:
+        try:
+            values.append(float(word))
+        except ValueError:
+            values.append(np.nan)
+        if not np.isfinite(values[-1]):
+            raise _error(path, line, f"'{word}' is not a number")
+    return values
 
 
-def _number(text: str, where: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = np.nan
-    if not np.isfinite(value):
-        raise _error(f"'{text}' is not a number", "The file is damaged: export it again.", where)
-    return value
-
-
-def _split(line: str) -> list[str]:
-    return line.replace("{", " { ").replace("}", " } ").split()
-
-
-def _hierarchy(tokens: _Tokens) -> list[_Joint]:
-    tokens.take("HIERARCHY")
-    joints: list[_Joint] = []
-    while tokens.peek.upper() == "ROOT":
-        _joint(tokens, joints, -1)
-    if not joints:
-        raise tokens.error("ROOT")
+def _hierarchy(path: Path, lines: list[str]) -> list[_Joint]:
+    """The joints, parents first. A brace is a statement of its own, wherever it stands on its line."""
+    parts = ((n, part) for n, line in enumerate(lines, 1) for part in re.split("([{}])", line) if part.strip())
+    line, first = next(parts, (max(len(lines), 1), ""))
+    if first.strip().upper() != "HIERARCHY":
+        raise _error(path, line, f"'{first.strip()}' where BVH has 'HIERARCHY'")
+    joints, opened, named = list[_Joint](), list[int](), False
+    for line, part in parts:
+        kind, *words = part.split()
+        kind = kind.upper()
+        if named != (kind == "{"):
+            raise _error(path, line, f"'{part.strip()}' where BVH has {'{' if named else 'a joint or what it is'}")
+        named = kind in (("JOINT", "END") if opened else ("ROOT",))
+        if named:
+            joints.append(_Joint(_name(path, line, kind, words, joints, opened), opened[-1] if opened else -1, line))
+        elif kind == "{":
+            opened.append(len(joints) - 1)
+        elif kind == "OFFSET" and opened and len(words) == 3:
+            joints[opened[-1]].offset = np.array(_numbers(path, line, words))
+        elif kind == "CHANNELS" and opened:
+            joints[opened[-1]].channels = _channels(path, line, words)
+        elif kind == "}" and opened:
+            joint = joints[opened.pop()]
+            if joint.offset is None:
+                raise _error(path, joint.line, f"'{joint.name}' has no OFFSET", "Every joint needs one.")
+        else:
+            raise _error(path, line, f"'{part.strip()}' where BVH has a joint, its OFFSET, its CHANNELS or its end")
+    if opened or named or not joints:
+        raise _error(path, len(lines), "the joints end too soon")
     return joints
 
 
-def _joint(tokens: _Tokens, joints: list[_Joint], parent: int) -> None:
-    """Reads one joint and what hangs on it into ``joints``, parents first."""
-    line, kind = tokens.line, tokens.take().upper()
-    name = tokens.rest_of_line()
+def _name(path: Path, line: int, kind: str, words: list[str], joints: list[_Joint], opened: list[int]) -> str:
+    """The name (blanks may be in it) of the joint that begins here."""
+    name, names = " ".join(words), [joint.name for joint in joints]
     if kind == "END":
-        name = joints[parent].name + END
+        name = joints[opened[-1]].name + END
+        return name if name not in names else name + str(sum(joint.parent == opened[-1] for joint in joints))
     if not name:
-        raise _error("a joint has no name", "Name it after JOINT.", tokens.where(line))
-    if any(joint.name == name for joint in joints):
-        if kind != "END":
-            raise _error(f"there are two joints '{name}'", "Rename one.", tokens.where(line))
-        name += str(sum(joint.parent == parent for joint in joints))
-    me = _Joint(name, parent)
-    joints.append(me)
-    number_of_me = len(joints) - 1
-    tokens.take("{")
-    while tokens.peek != "}":
-        word = tokens.peek.upper()
-        if word == "OFFSET":
-            tokens.take()
-            me.offset = tokens.numbers(3)
-        elif word == "CHANNELS" and kind != "END":
-            me.channels = _channels(tokens)
-        elif word in ("JOINT", "END") and kind != "END":
-            _joint(tokens, joints, number_of_me)
-        else:
-            raise tokens.error("}")
-    tokens.take("}")
-    if me.offset is None:
-        raise _error(f"'{name}' has no OFFSET", "Every joint needs one.", tokens.where(line))
+        raise _error(path, line, "a joint has no name", f"Name it after {kind}.")
+    if name in names:
+        raise _error(path, line, f"there are two joints '{name}'", "Rename one.")
+    return name
 
 
-def _channels(tokens: _Tokens) -> list[tuple[str, str]]:
-    """Return (position or rotation, axis) of a joint's channels in the file's order."""
-    tokens.take("CHANNELS")
-    where, count = tokens.where(), tokens.take()
-    if not count.isdigit():
-        raise _error(f"'{count}' is no number of channels", "Give a whole number.", where)
-    found = []
-    for _ in range(int(count)):
-        where, word = tokens.where(), tokens.take()
-        if word.lower() not in CHANNELS:
-            raise _error(
-                f"there is no channel '{word}'",
-                "Channels are Xposition to Zposition and Xrotation to Zrotation.",
-                where,
-            )
-        found.append(CHANNELS[word.lower()])
-    return found
+def _channels(path: Path, line: int, words: list[str]) -> list[tuple[str, str]]:
+    """(position or rotation, axis) of a joint's channels in the file's order."""
+    count, *names = words or [""]
+    if not count.isdigit() or int(count) != len(names):
+        raise _error(path, line, f"'{count}' is no number of channels, or not of these", "Give a whole number.")
+    for name in names:
+        if name.lower() not in CHANNELS:
+            known = "Channels are Xposition to Zposition and Xrotation to Zrotation."
+            raise _error(path, line, f"there is no channel '{name}'", known)
+    return [CHANNELS[name.lower()] for name in names]
 
 
-def _motion(tokens: _Tokens, channels: int) -> tuple[float, Array]:
+def _motion(path: Path, lines: list[str], start: int, channels: int) -> tuple[float, Array]:
     """Frames a second and the channels' values (F, channels)."""
-    tokens.take("MOTION")
-    tokens.take("Frames:")
-    announced, word = tokens.where(), tokens.take()
-    frames = int(word) if word.isdigit() else 0
+    rows = [(n, line.split()) for n, line in enumerate(lines, 1) if n > start and line.strip()]
+    header = dict[str, tuple[int, str]]()
+    for key, (line, words) in zip(("MOTION", "Frames:", "Frame Time:"), rows, strict=False):
+        if not " ".join(words).upper().startswith(key.upper()):
+            raise _error(path, line, f"'{' '.join(words)}' where BVH has '{key}'")
+        header[key] = line, " ".join(words)[len(key) :].strip()
+    if len(header) < 3:
+        raise _error(path, len(lines), "the end of the file where BVH has MOTION, Frames: and Frame Time:")
+    (announced, count), (line, period), rows = header["Frames:"], header["Frame Time:"], rows[3:]
+    frames = int(count) if count.isdigit() else 0
     if frames < 1:
-        raise _error(f"the number of frames is '{word}'", "Give a whole number from 1.", announced)
-    tokens.take("Frame")
-    tokens.take("Time:")
-    where, period_s = tokens.where(), tokens.numbers(1)[0]
+        raise _error(path, announced, f"the number of frames is '{count}'", "Give a whole number from 1.")
+    (period_s,) = _numbers(path, line, [period])
     if period_s <= 0.0:
-        raise _error(f"the frame time is {period_s:g} s", "Give a positive time.", where)
-    first = tokens.line if tokens.peek else len(tokens.lines) + 1
-    rows = [(n, line) for n, line in enumerate(tokens.lines, 1) if n >= first and line.strip()]
-    for n, line in rows:
-        if len(line.split()) != channels:
-            raise _error(
-                f"a frame has {len(line.split())} numbers, its joints have {channels} channels",
-                "The file is damaged: export it again.",
-                tokens.where(n),
-            )
+        raise _error(path, line, f"the frame time is {period_s:g} s", "Give a positive time.")
+    for line, words in rows:
+        if len(words) != channels:
+            raise _error(path, line, f"a frame has {len(words)} numbers, its joints have {channels} channels")
     if len(rows) != frames:
-        raise _error(
-            f"{len(rows)} frames where {frames} are announced",
-            "The file is cut short or its header is wrong: export it again.",
-            announced,
-        )
-    values = [[_number(word, tokens.where(n)) for word in line.split()] for n, line in rows]
-    return 1.0 / period_s, np.array(values).reshape(frames, channels)
+        cut = "The file is cut short or its header is wrong: export it again."
+        raise _error(path, announced, f"{len(rows)} frames where {frames} are announced", cut)
+    return 1.0 / period_s, np.array([_numbers(path, line, words) for line, words in rows]).reshape(frames, channels)
 
 
 def _positions(joints: list[_Joint], rows: Array) -> Array:

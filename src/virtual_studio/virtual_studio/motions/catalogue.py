@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -18,7 +19,7 @@ from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
 from ..people import ANKLE_HEIGHT, VolumetricBody
-from . import everyday, hard_cases, with_things
+from . import everyday, hard_cases
 from .timeline import FADE_S, T_POSE_S, Array, BlendedActivity, Motion, Things, Timeline, frame_count
 
 CIRCLE_RADIUS_M = 0.30
@@ -38,21 +39,6 @@ SOFT_FLOOR_M = 0.01
 
 MotionFunction = Callable[..., Motion]
 """(body, seconds, fps) and optionally the build (`VolumetricBody`) to a motion."""
-
-
-def tour(body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
-    """Takes the T-pose, then walks in a circle, raises the arms, squats, turns the torso, and begins again."""
-    return motion_on_circle(body, seconds, fps, everyday.TOUR)
-
-
-def walk(body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
-    """Takes the T-pose, then walks in a circle to the end."""
-    return motion_on_circle(body, seconds, fps, everyday.WALK)
-
-
-def t_pose_only(body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
-    """Stands still in the T-pose."""
-    return motion_on_circle(body, seconds, fps, everyday.T_POSE_ONLY)
 
 
 @dataclass(frozen=True)
@@ -88,32 +74,7 @@ class HardCase:
         return T_POSE_S + sum(activity.duration_s for activity in activities) - self.cut_s
 
 
-HARD_CASES: Mapping[str, HardCase] = {
-    "arm_on_chest": HardCase(hard_cases.arm_on_chest),
-    "hands_clasped": HardCase(hard_cases.hands_clasped),
-    "hands_on_hips": HardCase(hard_cases.hands_on_hips),
-    "crossed_legs": HardCase(hard_cases.crossed_legs),
-    "squat": HardCase(hard_cases.squat),
-    "sitting": HardCase(hard_cases.sitting),
-    "bow": HardCase(hard_cases.bow),
-    "turn_on_spot": HardCase(everyday.turn_on_spot),
-    "leave_and_return": HardCase(everyday.leave_and_return),
-    "run": HardCase(everyday.run, start_xy=(0.0, -0.3)),
-    "jump": HardCase(hard_cases.jump),
-    "kick": HardCase(hard_cases.kick),
-    "punch": HardCase(hard_cases.punch),
-    "lie_down": HardCase(hard_cases.lie_down, start_xy=(0.4, 0.0)),
-    "kneeling": HardCase(with_things.kneeling),
-    "on_a_chair": HardCase(hard_cases.sitting, things=with_things.chair),
-    "carry_a_box": HardCase(
-        with_things.carry_a_box, start_xy=(-0.3, 0.0), things=with_things.box_on_a_stand, cut_s=FADE_S
-    ),
-}
-
-MOTIONS: Mapping[str, MotionFunction] = {"tour": tour, "walk": walk, "t_pose_only": t_pose_only, **HARD_CASES}
-
-
-def motion_on_circle(body: Body, seconds: float, fps: float, timeline: Timeline) -> Motion:
+def motion_on_circle(body: Body, seconds: float, fps: float, build: float = 1.0, *, timeline: Timeline) -> Motion:
     """Moves the hips along a small circle as far as the activities walk (feet slide a little)."""
     times = np.arange(frame_count(seconds, fps)) / fps
     turned = np.interp(times, *_turned_angle(times[-1], timeline))
@@ -197,3 +158,34 @@ def _integral(speeds: list[float], rate_hz: float) -> Array:
     """Integral of speeds sampled at a rate, from 0 (trapezium rule)."""
     values = np.array(speeds)
     return np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) / rate_hz)])
+
+
+tour = partial(motion_on_circle, timeline=everyday.TOUR)
+"""Takes the T-pose, then walks in a circle, raises the arms, squats, turns the torso, and begins again."""
+walk = partial(motion_on_circle, timeline=everyday.WALK)
+"""Takes the T-pose, then walks in a circle to the end."""
+t_pose_only = partial(motion_on_circle, timeline=everyday.T_POSE_ONLY)
+"""Stands still in the T-pose."""
+HARD_CASES: Mapping[str, HardCase] = {
+    "arm_on_chest": HardCase(hard_cases.arm_on_chest),
+    "hands_clasped": HardCase(hard_cases.hands_clasped),
+    "hands_on_hips": HardCase(hard_cases.hands_on_hips),
+    "crossed_legs": HardCase(hard_cases.crossed_legs),
+    "squat": HardCase(hard_cases.squat),
+    "sitting": HardCase(hard_cases.sitting),
+    "bow": HardCase(hard_cases.bow),
+    "turn_on_spot": HardCase(everyday.turn_on_spot),
+    "leave_and_return": HardCase(everyday.leave_and_return),
+    "run": HardCase(everyday.run, start_xy=(0.0, -0.3)),
+    "jump": HardCase(hard_cases.jump),
+    "kick": HardCase(hard_cases.kick),
+    "punch": HardCase(hard_cases.punch),
+    "lie_down": HardCase(hard_cases.lie_down, start_xy=(0.4, 0.0)),
+    "kneeling": HardCase(hard_cases.kneeling),
+    "on_a_chair": HardCase(hard_cases.sitting, things=hard_cases.chair),
+    "carry_a_box": HardCase(
+        hard_cases.carry_a_box, start_xy=(-0.3, 0.0), things=hard_cases.box_on_a_stand, cut_s=FADE_S
+    ),
+}
+
+MOTIONS: Mapping[str, MotionFunction] = {"tour": tour, "walk": walk, "t_pose_only": t_pose_only, **HARD_CASES}

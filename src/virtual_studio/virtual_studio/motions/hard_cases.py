@@ -1,4 +1,5 @@
-"""Motions that trackers are known to fail at: arms that touch the body, legs that hide each other, speed, lying down.
+"""Motions that trackers are known to fail at: arms that touch the body, legs that hide each other, speed, lying down,
+kneeling, a chair that hides legs, a box that is lifted and carried.
 
 Each is a function of the person, because reaching one's own chest or hips depends on the sizes.
 """
@@ -7,20 +8,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..people import VolumetricBody
-from .everyday import STANDING
+from stick_figure.kinematics import forward
+from stick_figure.skeleton import L_THIGH
+
+from ..people import Capsules, VolumetricBody
+from .everyday import STANDING, stepping, walking, walking_lean
 from .timeline import (
     ARM,
     STAND_S,
+    T_POSE_S,
     Activity,
     Array,
-    Key,
+    Motion,
+    Things,
     Timeline,
     both_sides,
     ease,
     hold,
     key_postures,
     legs,
+    posture,
     reaching,
     with_left,
     with_right,
@@ -52,25 +59,26 @@ def arm_on_chest(person: VolumetricBody) -> Timeline:
     beside = 0.05 + 0.25 * max(person.build - 1.0, 0.0)
     hang = with_right(STANDING, both_sides(shoulder_x=-np.pi / 2 + beside, elbow=-0.02, shoulder_z=0.02), ARM)
     up = (0.0, STANDING), (0.6, held), (2.6, held), (3.2, STANDING)
-    return _through(6.2, *up, (3.8, hang), (5.0, hang), (5.6, STANDING))
+    return through(6.2, *up, (3.8, hang), (5.0, hang), (5.6, STANDING))
 
 
 def hands_clasped(person: VolumetricBody) -> Timeline:
     """Clasps both hands before the belly, then before the face."""
     s, body = person.scale, person.body
-    belly = _with_arms(
-        reaching(body, ((BELLY_M * person.build + 0.14) * s, 0.032 * s, -0.08 * s), (0.0, 0.45 * s, -0.25 * s))
+    belly = posture(
+        STANDING,
+        reaching(body, ((BELLY_M * person.build + 0.14) * s, 0.032 * s, -0.08 * s), (0.0, 0.45 * s, -0.25 * s)),
     )
-    face = _with_arms(reaching(body, (0.30 * s, 0.044 * s, 0.32 * s), (0.25 * s, 0.35 * s, -0.20 * s)))
-    return _through(5.8, (0.0, STANDING), (0.7, belly), (2.7, belly), (3.4, face), (4.4, face), (5.2, STANDING))
+    face = posture(STANDING, reaching(body, (0.30 * s, 0.044 * s, 0.32 * s), (0.25 * s, 0.35 * s, -0.20 * s)))
+    return through(5.8, (0.0, STANDING), (0.7, belly), (2.7, belly), (3.4, face), (4.4, face), (5.2, STANDING))
 
 
 def hands_on_hips(person: VolumetricBody) -> Timeline:
     """Stands arms akimbo: the hands at the hips, elbows out; loops that a hull fills."""
     s, h = person.scale, person.body.half_lengths[0]
     side = (HIP_M * person.build + 0.030) * s
-    akimbo = _with_arms(reaching(person.body, (0.03 * s, side, -0.62 * h), (-0.12 * s, 0.60 * s, 0.05 * s)))
-    return _through(4.5, (0.0, STANDING), (0.7, akimbo), (3.2, akimbo), (3.9, STANDING))
+    akimbo = posture(STANDING, reaching(person.body, (0.03 * s, side, -0.62 * h), (-0.12 * s, 0.60 * s, 0.05 * s)))
+    return through(4.5, (0.0, STANDING), (0.7, akimbo), (3.2, akimbo), (3.9, STANDING))
 
 
 def crossed_legs(person: VolumetricBody) -> Timeline:
@@ -82,14 +90,14 @@ def crossed_legs(person: VolumetricBody) -> Timeline:
         crossed = behind(crossed, both_sides(hip_x=-0.12, hip_y=0.08, knee=0.04), LEG)
         keys += [(at_s, STANDING), (at_s + 0.5, lifted), (at_s + 1.0, crossed), (at_s + 2.4, crossed)]
         keys += [(at_s + 2.9, lifted)]
-    return _through(7.4, *keys, (6.8, STANDING))
+    return through(7.4, *keys, (6.8, STANDING))
 
 
 def squat(person: VolumetricBody) -> Timeline:
     """Squats deeply twice, arms forward, the second time faster."""
     down = posture(legs(1.45, 0.60, 0.55, apart=0.16), _arms(1.2, out=0.2, bend=-0.3))
     slow = (0.0, STANDING), (1.1, down, 0.55), (1.9, down, 0.55), (2.9, STANDING)
-    return _through(4.7, *slow, (3.5, down, 0.55), (4.1, STANDING))
+    return through(4.7, *slow, (3.5, down, 0.55), (4.1, STANDING))
 
 
 def sitting(person: VolumetricBody) -> Timeline:
@@ -98,13 +106,13 @@ def sitting(person: VolumetricBody) -> Timeline:
     seated = posture(legs(1.42, 0.05, 0.0, apart=0.10), _arms(0.75, out=0.2, bend=-0.55))
     leaning = posture(legs(1.42, 0.05, -0.25, apart=0.10), _arms(0.35, out=0.2, bend=-1.1))
     down = (0.0, STANDING), (0.7, half, 0.60), (1.5, seated, 0.0), (2.5, seated, 0.0)
-    return _through(6.0, *down, (3.1, leaning, -0.25), (3.9, leaning, -0.25), (4.6, half, 0.60), (5.4, STANDING))
+    return through(6.0, *down, (3.1, leaning, -0.25), (3.9, leaning, -0.25), (4.6, half, 0.60), (5.4, STANDING))
 
 
 def bow(person: VolumetricBody) -> Timeline:
     """Bows deeply, arms hanging."""
     down = posture(legs(-0.16, 0.22, 1.35, apart=0.06), _arms(1.35, out=0.2, bend=-0.15))
-    return _through(3.6, (0.0, STANDING), (1.0, down, 1.35), (2.0, down, 1.35), (3.0, STANDING))
+    return through(3.6, (0.0, STANDING), (1.0, down, 1.35), (2.0, down, 1.35), (3.0, STANDING))
 
 
 def lie_down(person: VolumetricBody) -> Timeline:
@@ -114,7 +122,7 @@ def lie_down(person: VolumetricBody) -> Timeline:
     half = posture(legs(2.00, -1.10, -1.0, apart=0.08), _arms(-0.1, out=0.5)), -1.0
     flat = posture(legs(1.535, -1.535, ON_THE_BACK, apart=0.08), _arms(0.0, out=0.55)), ON_THE_BACK
     down = (0.0, STANDING), (1.1, *squatting), (2.1, *seated), (2.8, *half), (3.5, *flat), (5.5, *flat)
-    return _through(10.0, *down, (6.4, *half), (7.2, *seated), (8.3, *squatting), (9.4, STANDING))
+    return through(10.0, *down, (6.4, *half), (7.2, *seated), (8.3, *squatting), (9.4, STANDING))
 
 
 def kick(person: VolumetricBody) -> Timeline:
@@ -126,7 +134,7 @@ def kick(person: VolumetricBody) -> Timeline:
         bent = side(ready, both_sides(hip_x=0.04, hip_y=-1.35, knee=1.7), leg), -0.12
         out = side(ready, both_sides(hip_x=0.04, hip_y=-1.45, knee=0.15), leg), -0.25
         keys += [(at_s, ready), (at_s + 0.30, *bent), (at_s + 0.50, *out), (at_s + 0.70, *bent), (at_s + 1.05, ready)]
-    return _through(3.8, *keys, (3.2, ready))
+    return through(3.8, *keys, (3.2, ready))
 
 
 def punch(person: VolumetricBody) -> Timeline:
@@ -139,7 +147,7 @@ def punch(person: VolumetricBody) -> Timeline:
     for number in range(4):
         side, at_s = (with_left, with_right)[number % 2], 0.6 + 0.55 * number
         keys += [(at_s, stance, 0.08), (at_s + 0.2, side(stance, out, ARM), 0.12), (at_s + 0.45, stance, 0.08)]
-    return _through(3.6, *keys)
+    return through(3.6, *keys)
 
 
 def jump(person: VolumetricBody) -> Timeline:
@@ -202,19 +210,148 @@ class _Jump:
         return 0.05 + 0.25 * knee
 
 
-def posture(of_legs: Array, of_arms: Array) -> Array:
-    """Combines the legs of one pose with the arms of another: angles (18,), neck straight."""
-    return with_right(with_left(of_legs, of_arms, ARM), of_arms, ARM)
-
-
-def _through(duration_s: float, *keys: tuple) -> Timeline:
-    """Stands, then goes through key postures: tuples of time, s, angles (18,) and, if not 0, the torso's lean, rad."""
-    return Timeline((hold(STAND_S, STANDING), key_postures([Key(*key) for key in keys], duration_s)))
+def through(duration_s: float, *keys: tuple) -> Timeline:
+    """Stands, then goes through `key_postures`."""
+    return Timeline((hold(STAND_S, STANDING), key_postures(duration_s, *keys)))
 
 
 def _arms(raised: float, out: float, bend: float = -0.25) -> Array:
     return both_sides(shoulder_x=-np.pi / 2 + out, shoulder_z=-raised, shoulder_y=0.2, elbow=bend)
 
 
-def _with_arms(arms: Array) -> Array:
-    return with_right(with_left(STANDING, arms, ARM), arms, ARM)
+# --- On the floor and with things.
+
+TOES_UNDER = 1.95
+"""How far a kneeling person's calves lie behind the knees, rad from the vertical: heels up, as toes are bent under."""
+
+WOOD, CARDBOARD = 0.30, 0.55
+"""Albedos: a dark chair, a light box."""
+BAR_M = 0.022
+"""Radius of the bars that panels are made of; they overlap by a quarter."""
+SEAT_DEPTH_M, SEAT_WIDTH_M, BACK_HEIGHT_M = 0.40, 0.44, 0.44
+BEHIND_HIPS_M = 0.17
+"""How far the back rest is behind the hips of somebody who leans on it."""
+BACK_TILT_RAD = 0.28
+KNEES_FREE_M = 0.08
+"""How far the seat ends before the hollow of the knees."""
+
+BOX_M = (0.30, 0.36, 0.28)
+"""Depth, width and height."""
+BENT_THIGHS, BENT_CALVES, BENT_RAD = 0.55, 0.30, 1.05
+"""How legs and trunk are bent at the box, rad."""
+PALM_M = 0.035
+"""From the stick of a hand to what the palm touches."""
+TIPS_AHEAD_M = 0.06
+"""How far finger tips reach past the middle of the box."""
+GRASP_S, LIFTED_S, PICKED_S = 1.3, 2.4, 3.0
+"""Into picking up: hands at the box, box before the belly, and ready to go."""
+APPROACH_S, TURN_S, CARRY_S = 1.1, 1.9, 1.2
+
+LEFT_HAND, RIGHT_HAND, LEFT_HIP, RIGHT_HIP, LEFT_KNEE, RIGHT_KNEE = 11, 12, 5, 6, 9, 10
+
+
+def kneeling(person: VolumetricBody) -> Timeline:
+    """Gets down on both knees, toes under, sits on the heels, works on the floor before it, and gets up again."""
+    s = person.scale
+    arms = reaching(person.body, (0.36 * s, 0.20 * s, -0.15 * s), (0.15 * s, 0.35 * s, -0.20 * s))
+    low = reaching(person.body, (0.55 * s, 0.16 * s, -0.28 * s), (0.30 * s, 0.38 * s, -0.15 * s))
+    crouched = posture(legs(1.05, 0.85, 0.55, apart=0.12), arms), 0.55
+    upright = posture(legs(0.10, TOES_UNDER, 0.05, apart=0.10), arms), 0.05
+    working = posture(legs(0.45, TOES_UNDER, 0.75, apart=0.12), low), 0.75
+    down = (0.0, STANDING), (1.0, *crouched), (1.9, *upright), (2.8, *upright), (3.6, *working), (4.8, *working)
+    return through(8.0, *down, (5.6, *upright), (6.5, *crouched), (7.4, STANDING))
+
+
+def chair(person: VolumetricBody, motion: Motion) -> Things:
+    """A closed chair, a box with a back, under somebody who sits down on it: where the thighs are when lowest."""
+    points = np.array([forward(person.body, pose) for pose in motion.poses])
+    hips = 0.5 * (points[:, LEFT_HIP] + points[:, RIGHT_HIP])
+    frame = int(np.argmin(hips[:, 2]))
+    seat = hips[frame] - [0.0, 0.0, _thigh_radius(person)]
+    knees = 0.5 * (points[frame, LEFT_KNEE] + points[frame, RIGHT_KNEE])
+    back, front = seat[0] - BEHIND_HIPS_M, min(knees[0] - KNEES_FREE_M, seat[0] - BEHIND_HIPS_M + SEAT_DEPTH_M)
+    top, half = seat[2] - BAR_M, 0.5 * SEAT_WIDTH_M
+    left, right = seat[1] + half, seat[1] - half
+    panels = [
+        _panel((back, left, top), (back, right, top), (front - back, 0.0, 0.0)),
+        _panel((back, left, BAR_M), (back, right, BAR_M), (0.0, 0.0, top - BAR_M)),
+        _panel((back, left, BAR_M), (front, left, BAR_M), (0.0, 0.0, top - BAR_M)),
+        _panel((back, right, BAR_M), (front, right, BAR_M), (0.0, 0.0, top - BAR_M)),
+    ]
+    lean = np.tan(BACK_TILT_RAD) * BACK_HEIGHT_M
+    panels.append(_panel((back, left, top), (back, right, top), (-lean, 0.0, BACK_HEIGHT_M)))
+    return Things(_joined(panels, WOOD))
+
+
+def carry_a_box(person: VolumetricBody) -> Timeline:
+    """Walks to a box on a low stand, lifts it, turns round with it, and carries it away."""
+    s, across = person.scale, 0.5 * BOX_M[1] + PALM_M
+    low = reaching(person.body, (0.58 * s, across, -0.02 * s), (0.25 * s, 0.36 * s, 0.05 * s))
+    held = reaching(person.body, (0.38 * s, across, -0.08 * s), (0.05 * s, 0.32 * s, -0.22 * s))
+    wide = reaching(person.body, (0.55 * s, across + 0.10, -0.02 * s), (0.25 * s, 0.40 * s, 0.05 * s))
+    down = legs(BENT_THIGHS, BENT_CALVES, BENT_RAD, apart=0.10)
+    upright = posture(STANDING, held)
+    grasped = (0.0, STANDING), (0.9, posture(down, wide), BENT_RAD), (GRASP_S, posture(down, low), BENT_RAD)
+    lifting = key_postures(PICKED_S, *grasped, (LIFTED_S, upright), (PICKED_S, upright))
+    turning = Activity(TURN_S, lambda t: posture(stepping(t), held), turning=np.pi / TURN_S)
+    away = Activity(CARRY_S, lambda t: posture(walking(t), held), lean=walking_lean)
+    there = Activity(APPROACH_S, walking, lean=walking_lean)
+    return Timeline((hold(STAND_S, STANDING), there, lifting, turning, away, hold(1.6, upright)))
+
+
+def box_on_a_stand(person: VolumetricBody, motion: Motion) -> Things:
+    """The box of `carry_a_box`, and the stand that it is on until the hands have it."""
+    taken = round((T_POSE_S + STAND_S + APPROACH_S + GRASP_S) * motion.fps)
+    places = [_between_the_hands(person, motion, frame) for frame in range(len(motion.poses))]
+    places[:taken] = [places[taken]] * taken
+    boxes = [_box(middle, heading) for middle, heading in places[taken:]]
+    middle, heading = places[taken]
+    under = middle[2] - 0.5 * BOX_M[2]
+    stand = _box(np.array([*middle[:2], 0.5 * under]), heading, (0.26, 0.32, under), WOOD)
+    return Things(stand, tuple([boxes[0]] * taken + boxes), taken)
+
+
+def _thigh_radius(person: VolumetricBody) -> float:
+    """Radius (m) of the upper end of a thigh."""
+    return float(person.radii_of(L_THIGH).max())
+
+
+def _between_the_hands(person: VolumetricBody, motion: Motion, frame: int) -> tuple[Array, float]:
+    """Middle (3,) m and heading (rad) of a box in both hands."""
+    pose = motion.poses[frame]
+    points = forward(person.body, pose)
+    heading = float(np.arctan2(pose.R_world_torso[1, 0], pose.R_world_torso[0, 0]))
+    ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
+    return 0.5 * (points[LEFT_HAND] + points[RIGHT_HAND]) - TIPS_AHEAD_M * ahead, heading
+
+
+def _box(
+    middle: Array, heading: float, size: tuple[float, float, float] = BOX_M, albedo: float = CARDBOARD
+) -> Capsules:
+    """A closed box, level, in the middle of the place given."""
+    c, s = np.cos(heading), np.sin(heading)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    x, y, z = np.maximum(0.5 * np.array(size) - BAR_M, 0.0)
+    up = (0.0, 0.0, 2.0 * z)
+    panels = [
+        _panel((-x, -y, -z), (-x, y, -z), up),
+        _panel((x, -y, -z), (x, y, -z), up),
+        _panel((-x, -y, -z), (x, -y, -z), up),
+        _panel((-x, y, -z), (x, y, -z), up),
+        _panel((-x, -y, z), (-x, y, z), (2.0 * x, 0.0, 0.0)),
+        _panel((-x, -y, -z), (-x, y, -z), (2.0 * x, 0.0, 0.0)),
+    ]
+    flat = _joined(panels, albedo)
+    return flat._replace(starts=middle + flat.starts @ R.T, ends=middle + flat.ends @ R.T)
+
+
+def _panel(start: tuple[float, ...], end: tuple[float, ...], across: tuple[float, ...]) -> tuple[Array, Array]:
+    """Bars side by side, from the one between start and end to that one moved by ``across``."""
+    count = max(int(np.ceil(np.linalg.norm(across) / (1.5 * BAR_M))), 1)
+    shifts = np.linspace(0.0, 1.0, count + 1)[:, None] * np.array(across)
+    return np.array(start) + shifts, np.array(end) + shifts
+
+
+def _joined(panels: list[tuple[Array, Array]], albedo: float) -> Capsules:
+    starts, ends = (np.concatenate(parts) for parts in zip(*panels, strict=True))
+    return Capsules(starts, ends, np.full((len(starts), 2), BAR_M), np.full(len(starts), albedo))

@@ -151,18 +151,13 @@ def frame_count(seconds: float, fps: float) -> int:
     return frames
 
 
-@dataclass(frozen=True, eq=False)
-class Key:
-    """A posture at a time (s since the activity began); angles (18,) rad, forward: lean of the torso, rad."""
+def key_postures(duration_s: float, *keys: tuple) -> Activity:
+    """Goes from key to key, smoothly and with a stop at each; holds the first before it and the last after it.
 
-    at_s: float
-    angles: Array
-    forward: float = 0.0
-
-
-def key_postures(keys: Sequence[Key], duration_s: float) -> Activity:
-    """Goes from key to key, smoothly and with a stop at each; holds the first before it and the last after it."""
-    times = np.array([key.at_s for key in keys])
+    keys: time (s since the activity began), angles (18,) rad and, if not 0, the torso's lean forward, rad.
+    """
+    times, angles = [key[0] for key in keys], [key[1] for key in keys]
+    leans = [np.array([0.0, key[2] if len(key) > 2 else 0.0, 0.0]) for key in keys]
 
     def between(values: list[Array], t: float) -> Array:
         after = int(np.searchsorted(times, t))
@@ -171,19 +166,15 @@ def key_postures(keys: Sequence[Key], duration_s: float) -> Activity:
         fraction = ease((t - times[after - 1]) / (times[after] - times[after - 1]))
         return (1.0 - fraction) * values[after - 1] + fraction * values[after]
 
-    angles, leans = [key.angles for key in keys], [np.array([0.0, key.forward, 0.0]) for key in keys]
     return Activity(duration_s, lambda t: between(angles, t), lean=lambda t: between(leans, t))
 
 
 def hold(duration_s: float, angles: Array) -> Activity:
     """Stays in a posture (18,)."""
-    return key_postures([Key(0.0, angles)], duration_s)
+    return key_postures(duration_s, (0.0, angles))
 
 
 # --- Joint angles for limbs: both sides from one, arms that reach a place, legs that stand under the body.
-
-Side = Callable[[Array, Array, tuple[str, ...]], Array]
-"""with_left or with_right."""
 
 L_SHOULDER_POINT, L_ELBOW_POINT, L_HAND_POINT = 3, 7, 11
 ARM = ("shoulder_x", "shoulder_z", "shoulder_y", "elbow")
@@ -209,20 +200,26 @@ def right(name: str) -> int:
     return ANGLE_NAMES.index(f"right_{name}")
 
 
-def with_left(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
-    """Copies angles (18,), with the named left joints of another pose."""
-    slots = [left(name) for name in names]
+def with_joints(angles: Array, other: Array, slots: Sequence[int]) -> Array:
+    """Copies angles (18,), with those in the slots of another pose."""
     mixed = angles.copy()
     mixed[slots] = other[slots]
     return mixed
+
+
+def with_left(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
+    """Copies angles (18,), with the named left joints of another pose."""
+    return with_joints(angles, other, [left(name) for name in names])
 
 
 def with_right(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
     """Copies angles (18,), with the named right joints of another pose."""
-    slots = [right(name) for name in names]
-    mixed = angles.copy()
-    mixed[slots] = other[slots]
-    return mixed
+    return with_joints(angles, other, [right(name) for name in names])
+
+
+def posture(angles: Array, arms: Array) -> Array:
+    """Combines a pose, angles (18,), with the arms of another."""
+    return with_right(with_left(angles, arms, ARM), arms, ARM)
 
 
 def reaching(body: Body, hand_torso: tuple[float, float, float], elbow_torso: tuple[float, float, float]) -> Array:

@@ -25,12 +25,12 @@ from .timeline import (
     T_POSE_S,
     Activity,
     Array,
-    Key,
     Motion,
     Timeline,
     hold,
     key_postures,
     legs,
+    posture,
     reaching,
     with_left,
     with_right,
@@ -186,13 +186,13 @@ def shaking_hands(person: VolumetricBody) -> Activity:
     """Holds out the right hand and shakes another one's."""
     s, height = person.scale, _torso_height(person)
     reach = 0.5 * HANDSHAKE_M + 0.03
-    keys = [Key(0.0, STANDING)]
+    keys: list[tuple] = [(0.0, STANDING)]
     for number in range(7):
         up = SHAKE_M if number % 2 else -SHAKE_M
         arm = reaching(person.body, (reach, 0.0, HAND_HEIGHT_M + up - height), (0.1 * s, 0.35 * s, -0.3 * s))
-        keys.append(Key(GREET_S + number / (2.0 * SHAKE_HZ), with_right(STANDING, arm, ARM)))
-    end_s = keys[-1].at_s
-    return key_postures([*keys, Key(end_s + GREET_S, STANDING)], end_s + GREET_S)
+        keys.append((GREET_S + number / (2.0 * SHAKE_HZ), with_right(STANDING, arm, ARM)))
+    end_s = keys[-1][0] + GREET_S
+    return key_postures(end_s, *keys, (end_s, STANDING))
 
 
 def hugging(person: VolumetricBody) -> Activity:
@@ -201,14 +201,8 @@ def hugging(person: VolumetricBody) -> Activity:
     high = reaching(person.body, (0.36 * s, -0.02 * s, 1.40 - height), (0.25 * s, 0.38 * s, 1.35 - height))
     low = reaching(person.body, (0.36 * s, -0.02 * s, 1.15 - height), (0.20 * s, 0.42 * s, 1.10 - height))
     arms = with_right(with_left(STANDING, low, ARM), high, ARM)
-    out = with_right(with_left(STANDING, _open(person), ARM), _open(person), ARM)
-    keys = (0.0, STANDING), (0.5, out), (1.0, arms), (2.2, arms), (2.7, out), (3.2, STANDING)
-    return key_postures([Key(*key) for key in keys], 3.2)
-
-
-def _open(person: VolumetricBody) -> Array:
-    s = person.scale
-    return reaching(person.body, (0.35 * s, 0.45 * s, 0.25 * s), (0.15 * s, 0.45 * s, 0.10 * s))
+    out = posture(STANDING, reaching(person.body, (0.35 * s, 0.45 * s, 0.25 * s), (0.15 * s, 0.45 * s, 0.10 * s)))
+    return key_postures(3.2, (0.0, STANDING), (0.5, out), (1.0, arms), (2.2, arms), (2.7, out), (3.2, STANDING))
 
 
 def _torso_height(person: VolumetricBody) -> float:

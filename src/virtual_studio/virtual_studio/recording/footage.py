@@ -25,11 +25,10 @@ from capture_rig.yaml_file import read_mapping, save_mapping
 from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
 from stick_figure.body import Body
 
+from ..boards import Array, BoardPrint, Wand, carry, hands, on_floor, person_with, print_of, swing, wave
 from ..people import VolumetricBody
 from ..rendering.board_camera import FilmingCamera, Optics
 from ..rendering.camera import Image, Sensor
-from ..scene.boards import Array, BoardPrint, Wand, print_of
-from ..scene.handling import carry, hands, on_floor, person_with, swing, wave
 from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, atomic_folder, write_session
 
 DESCRIPTION = "setup.yaml"

@@ -31,8 +31,7 @@ from stick_figure.skeleton import ANGLE_NAMES
 
 from ..motions.catalogue import MOTIONS, Motion, MotionFunction
 from ..motions.together import TOGETHER
-from ..outfits import Outfit
-from ..people import Capsules, VolumetricBody, together
+from ..people import Capsules, Outfit, VolumetricBody, together
 from ..rendering.camera import Light, Sensor, VirtualCamera
 from ..rendering.capsules import floor_shadow
 

@@ -15,9 +15,9 @@ from capture_rig.camera import CameraModel
 from capture_rig.kernel import njit
 from capture_rig.lens import Array
 
+from ..boards import BACK, BLACK, DIMMED, GLOW, WHITE, BoardPrint, PosedBoard, PosePath, Wand
 from ..people import Capsules
-from ..scene.boards import BACK, BLACK, DIMMED, GLOW, WHITE, BoardPrint, PosedBoard, PosePath, Wand
-from ..scene.room import view_room
+from ..rig import view_room
 from .camera import Image, Light, Sensor
 from .capsules import draw_capsules, lambert
 

@@ -14,7 +14,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig
 
 from ..people import Capsules
-from ..scene.room import View, pixel_rays, view_room
+from ..rig import View, pixel_rays, view_room
 from .capsules import draw_capsules, floor_shadow, shadow_lookup, silhouette
 
 Image = NDArray[np.uint8]

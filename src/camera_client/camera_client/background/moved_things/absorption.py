@@ -10,6 +10,7 @@ Work is done on blocks of 8 x 8 pixels, a few times a second by the frames' stam
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -45,6 +46,8 @@ REVERT_S = 2.0  # as it was learned for so long: what was absorbed is forgotten
 MOST_BLOBS = 8  # looked at a time: bounds the work
 MOST_ABSORBED = 0.5  # share of the picture; more is another room
 OVERFLOW_S = 5.0  # it is called so for so long
+STATIC_S, ALWAYS = 300.0, 0.9  # foreground that kept still for so long, in nine tenths of the time, is static
+STATIC_RATE = math.log(1 - ALWAYS) / STATIC_S  # 1 / s, of its running mean
 COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
 
 Samples = npt.NDArray[np.uint8]
@@ -71,6 +74,7 @@ class MovedThings:
     the light that the background was learned in.
     likely : (H, W) uint8, 255 where foreground is likely a thing and will be absorbed if it stays so; None: nowhere.
     absorbed, reverted : how many times things were. overflowed : more moved, just now, than may be absorbed.
+    static (h, w) : blocks, of ``block_px`` pixels of the camera, in which foreground has not moved for STATIC_S.
     dynamic_share : share of the picture that has been foreground for seconds where nobody else sees anybody, and does
     not keep still.
     """
@@ -78,7 +82,8 @@ class MovedThings:
     def __init__(self, camera: CameraModel, noise: float | npt.NDArray[np.float32], scale: int = 1) -> None:
         """``noise``: grey levels, standard deviation of a pixel: of each (H, W[, 3]), or of all. ``scale``: pixels of
         the camera, in each direction, to one of the images."""
-        self._others, self._scale = SupportHistory(camera, scale * BLOCK_PX, COUNTED_S), scale
+        self._scale, self.block_px = scale, scale * BLOCK_PX
+        self._others = SupportHistory(camera, self.block_px, COUNTED_S)
         self._shape = (-(-camera.height // scale), -(-camera.width // scale))
         learned = np.asarray(noise, np.float32)
         self._learned = np.broadcast_to(learned if learned.ndim < 3 else learned.max(axis=2), self._shape).copy()
@@ -104,6 +109,7 @@ class MovedThings:
         self._since_ns = np.where(self._blocks_of(self.replaced[::STEP_PX, ::STEP_PX]) > 0, np.int64(1), np.int64(0))
         self._overflow_ns: int | None = None
         self.dynamic_share = 0.0
+        self._static_share = np.zeros(blocks, np.float32)
         self._gone = np.zeros(blocks, bool)  # absorbed by their outline, so that nothing stands there for certain
         self._note_change()
         self._samples = 0
@@ -128,6 +134,10 @@ class MovedThings:
     def overflowed(self) -> bool:
         """Whether more moved in the last seconds than may be absorbed."""
         return self._overflow_ns is not None and self._last_ns - self._overflow_ns <= OVERFLOW_S / NS
+
+    @property
+    def static(self) -> Blocks:
+        return np.asarray(self._static_share > ALWAYS)
 
     def places(self) -> list[AbsorbedPlace]:
         """Return where things are absorbed, the largest first."""
@@ -213,6 +223,8 @@ class MovedThings:
         shown = self._blocks_of(unexplained) >= BLOCK_SHARE
         self._shown_s = counted(self._shown_s, shown, step_s, COUNTED_S)
         self._follow(samples, step_s)
+        static = shown & (self._still_s > 0)
+        self._static_share += np.float32(-np.expm1(step_s * STATIC_RATE)) * (static - self._static_share)
         # what looks as it was learned is given back
         if self._box is not None:
             self._revert(image, self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
