@@ -319,7 +319,8 @@ def follow(open_probe, tmp_path, body, fitted, **parameters) -> Published:
     probe.until(lambda: all(probe.node.count_subscribers(topic) for topic in probe.heard))
     for number, measured in enumerate(fitted):
         stamp_ns = START_NS + round(number * 1e9 / FPS)
-        sender.publish(tables_message(FittedPeople(stamp_ns, PeoplePoints({1: measured}), {1: body}), "map"))
+        people, frame_id = FittedPeople(stamp_ns, PeoplePoints({1: measured}), {1: body}), probe.node.settings.frame_id
+        sender.publish(tables_message(people, frame_id))
         probe.until(lambda: min(len(clouds), len(joints), len(markers)) > number and texts)  # noqa: B023
     points = [read_reference_points(cloud, "test").points_world for cloud in clouds]
     return Published(points, list(joints), list(markers), texts[0].data)
@@ -339,6 +340,26 @@ def test_cameras_are_on_tf_static_with_a_body_frame_and_an_optical_one(open_prob
         np.testing.assert_allclose(placed[camera.name][:3, 0], camera.T_camera_world[2, :3], atol=1e-9)  # x: forward
         assert placed[camera.name][2, 2] > 0.0 or camera.name == rig.names[-1]  # z: up, but of the one on the ceiling
     assert probe.node.trigger_cleanup() == SUCCESS and publisher.closed
+
+
+def test_two_graphs_in_one_domain_share_no_frame_and_no_id_of_a_person(open_probe, tmp_path, person, taken):
+    """Nor do messages: each names frames of its own graph."""
+    save_rig(ring(3), tmp_path / "rig.yaml")
+    named = []
+    for prefix in ("", "studio_"):
+        given = {"rig_file": str(tmp_path / "rig.yaml"), "backend": "cpu", "tf_prefix": prefix}
+        hull = open_probe(NodeProbe, HullNode, given)
+        assert hull.node.trigger_configure() == SUCCESS
+        described, humans = [], {"publish_humans": True, "tf_prefix": prefix}
+        track(open_probe, tmp_path, person, described=described, **humans)
+        frames_of = {t.header.frame_id for p in taken for m in p.messages for t in m.transforms}
+        frames_of |= {t.child_frame_id for p in taken for m in p.messages for t in m.transforms}
+        links = {link.get("name") for link in ElementTree.fromstring(described[0]).findall("link")}
+        named.append(frames_of | links)
+        assert links < frames_of and {f"{prefix}map", f"{prefix}cam01_optical", f"body_{prefix}b0001"} < frames_of
+        taken.clear()
+    assert not named[0] & named[1]
+    assert {name for name in named[1] if not name.startswith(("studio_", "body_studio_"))} == set()
 
 
 def test_no_camera_frames_without_the_parameter(open_probe, tmp_path, taken):

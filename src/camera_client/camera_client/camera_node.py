@@ -105,7 +105,9 @@ class CameraNode(SagomaNode):
         name = settings.camera_name or self.get_namespace().rsplit("/", 1)[-1]
         known = self._calibration = load_calibration(settings, name)
         self.processor = FrameProcessor(known.camera, settings, known.volume, known.placed)
-        self._topics = CameraTopics(self._publisher, f"{name}_optical", settings, to_calibrate=not known.placed)
+        self._topics = CameraTopics(
+            self._publisher, f"{self.tf_prefix}{name}_optical", settings, to_calibrate=not known.placed
+        )
         self._footage_clock = FootageClockTopic(self, name)
         self._awaited = len(load_rig(settings.rig_file).names) if settings.footage.wait_for_cameras else 0
         self.source = connect_source(settings, self._accept, self._footage_clock.shared, self._topic_source)

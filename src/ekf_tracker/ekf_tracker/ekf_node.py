@@ -51,7 +51,7 @@ class EkfNode(SagomaNode):
         settings: EkfNodeSettings = self.settings
         self._filters = PeopleFilter(settings.filter)
         warm_up()
-        self._topics = PeopleTopics(self, settings, self._forget)
+        self._topics = PeopleTopics(self, settings, self.tf_prefix, self._forget)
         self._closing.append(self._topics.close)
         if settings.publish_humans:
             self._bodies.append(HumansPublisher(self, self._topics.id_of(FIRST_PERSON), settings.frame_id))

@@ -167,9 +167,9 @@ class PersonTopics:
 class PeopleTopics:
     """Publishes everybody's answers to one frame set after another."""
 
-    def __init__(self, node: Node, settings: EkfNodeSettings, on_closed: Callable[[str], None]) -> None:
+    def __init__(self, node: Node, settings: EkfNodeSettings, tf_prefix: str, on_closed: Callable[[str], None]) -> None:
         """``on_closed(body_id)`` is called when a person has left for good. InputError for a body_id that is none."""
-        self._node, self._settings, self._on_closed = node, settings, on_closed
+        self._node, self._settings, self._prefix, self._on_closed = node, settings, tf_prefix, on_closed
         plain = SkeletonStyle(settings.frame_id, settings.skeleton_covariance)
         self._first = PersonTopics(node, "mocap", self.id_of(FIRST_PERSON), settings, plain)
         self._all_skeletons = LazyPublisher(node, MarkerArray, "mocap/skeletons")
@@ -178,8 +178,8 @@ class PeopleTopics:
         self._persons: dict[int, PersonTopics] = {}
 
     def id_of(self, person: int) -> str:
-        """Return the person's id in topics and frames."""
-        return body_id_of(self._settings.body_id, person)
+        """Return the person's id in frames, URDFs and /humans; topics of the graph have it without its prefix."""
+        return body_id_of(self._prefix + self._settings.body_id, person)
 
     def publish_bodies(self, answers: Mapping[int, Answer], bodies: Mapping[int, Body]) -> None:
         """Publish the bodies of one set's answers, in order; a person who appears gets topics."""
@@ -222,7 +222,8 @@ class PeopleTopics:
     def _topics_of(self, person: int) -> PersonTopics:
         body_id, settings = self.id_of(person), self._settings
         style = SkeletonStyle.of_person(person, body_id, settings.frame_id, settings.skeleton_covariance)
-        return PersonTopics(self._node, f"mocap/bodies/{body_id}", body_id, settings, style, (self._all_skeletons,))
+        topics = f"mocap/bodies/{body_id.removeprefix(self._prefix)}"
+        return PersonTopics(self._node, topics, body_id, settings, style, (self._all_skeletons,))
 
     def _away(self, person: int, topics: PersonTopics, stamp_ns: int) -> None:
         """Say once that a person has left; close the topics of one who has been away for long."""

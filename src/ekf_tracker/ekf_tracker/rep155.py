@@ -57,8 +57,10 @@ def body_id_of(first_id: str, person: int) -> str:
     Raises InputError when ``first_id`` is no REP-155 id: letters, digits and underscores, a letter first.
     """
     if not BODY_ID.fullmatch(first_id):
-        what, remedy = f"body_id = {first_id!r} is no REP-155 id", "as in b0001."
-        raise InputError(what, where="body_id", remedy=f"Use letters, digits and underscores, a letter first, {remedy}")
+        what, remedy = f"{first_id!r} is no REP-155 id", "as in b0001."
+        raise InputError(
+            what, where="tf_prefix, body_id", remedy=f"Use letters, digits and underscores, a letter first, {remedy}"
+        )
     name, digits = re.fullmatch(r"(.*?)(\d*)", first_id).groups()  # type: ignore[union-attr]
     if not digits:
         return first_id if person == FIRST_PERSON else f"{first_id}_{person}"

@@ -74,7 +74,7 @@ def test_stamps_that_go_back_far_begin_anew_at_once_and_are_logged_once(bench, p
     [
         ({"filter__lost_after_s": -3.0}, "filter.lost_after_s = -3.0"),
         ({"filter__gate": 3.0}, "unknown key 'filter.gate'"),
-        ({"publish_humans": True, "body_id": "1"}, "body_id = '1' is no REP-155 id"),
+        ({"publish_humans": True, "body_id": "1"}, "'1' is no REP-155 id"),
     ],
 )
 def test_bad_parameter_fails_the_configuration_with_a_clear_error(bench, parameters, words):

@@ -92,7 +92,7 @@ class HullNode(SagomaNode):
         """Say where the cameras are, for whoever listens, now and later."""
         frames = FramePublisher(self, static=True)
         now_ns = self.get_clock().now().nanoseconds
-        frames.publish(lambda: list(camera_frames(rig, self.settings.frame_id, now_ns)))
+        frames.publish(lambda: list(camera_frames(rig, self.settings.frame_id, now_ns, self.tf_prefix)))
         self._closing.append(frames.close)
 
     def _load_rig(self) -> Rig:
@@ -175,7 +175,7 @@ class HullNode(SagomaNode):
         self._mesh.keep(result)
         # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
         for report in result.support:
-            self._supports[report.camera].publish(support_message, report)
+            self._supports[report.camera].publish(support_message, report, self.tf_prefix)
         products = result.products
         self._overload.hand_over(products.stamp_ns)
         handed_over_ns = self.get_clock().now().nanoseconds

@@ -44,7 +44,12 @@ def switch(name: str, description: str, default: str = "false") -> Argument:
 
 RIG = Argument("rig", "rig YAML: the calibrated cameras and the capture volume; a path, or package://PACKAGE/FILE")
 OF_ANY_NODE = (
-    Argument("namespace", "put the whole graph below this namespace, as in /studio/mocap/joint_states", ""),
+    Argument(
+        "namespace",
+        "put the whole graph below this namespace, as in /studio/mocap/joint_states; its frames and ids begin with it, "
+        "as studio_map, unless a parameter file sets tf_prefix",
+        "",
+    ),
     switch("use_sim_time", "every node takes the time from /clock, as of a bag that is played"),
     switch("autostart", "configure and activate at start; false: `sagoma start` does, from any machine", "true"),
     Argument("on_exit", "when a node dies: start it again, or end the whole launch", RESTART, (RESTART, SHUTDOWN)),
@@ -100,6 +105,7 @@ class LaunchRequest:
 
     processes: tuple[ProcessSpec, ...]
     namespace: str
+    tf_prefix: str
     respawn_delay_s: float | None
     parameter_files: tuple[str, ...]
     use_sim_time: bool
@@ -115,11 +121,14 @@ def read_request(file: str, values: Mapping[str, str]) -> LaunchRequest:
     common: dict[str, Any] = {"autostart": _true(values, "autostart")}
     if _true(values, "use_sim_time"):
         common["use_sim_time"] = True
-    graph = [node.with_parameters(common) for node in graph]
+    namespace = values["namespace"].strip("/")
+    prefix = {"tf_prefix": f"{namespace.replace('/', '_')}_"} if namespace else {}
+    graph = [node.with_parameters({**prefix, **node.parameters, **common}) for node in graph]
     own = () if file == "camera" else _parameter_files(values["params"])
     return LaunchRequest(
         processes=tuple(processes_of(graph, values.get("server", ONE_PROCESS))),
-        namespace=values["namespace"].strip("/"),
+        namespace=namespace,
+        tf_prefix=prefix.get("tf_prefix", ""),
         respawn_delay_s=_number(values, "respawn_delay", SECONDS) if values["on_exit"] == RESTART else None,
         parameter_files=own,
         use_sim_time=_true(values, "use_sim_time"),

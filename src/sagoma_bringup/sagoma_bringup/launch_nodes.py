@@ -57,7 +57,7 @@ def rviz(request: LaunchRequest) -> Node:
         package="rviz2",
         executable="rviz2",
         namespace=request.namespace or None,
-        arguments=["-d", str(configuration)],
+        arguments=["-d", str(configuration), "-f", f"{request.tf_prefix}map"],
         # the file names them as they are without a namespace
         remappings=[(topic, topic.removeprefix("/")) for topic in topics],
         parameters=[{"use_sim_time": request.use_sim_time}],

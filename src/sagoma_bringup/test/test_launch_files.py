@@ -15,6 +15,7 @@ from capture_rig.errors import InputError
 from sagoma_bringup.graph import SERVER_NODES, build_graph
 from sagoma_bringup.launch_arguments import ARGUMENTS
 from sagoma_bringup.processes import THREE_PROCESSES, processes_of
+from sagoma_tools.graph.processes import START_TIMEOUT_S
 from sagoma_tools.graph.ros_link import RosLink, our_nodes, settled
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -116,6 +117,8 @@ def test_the_whole_graph_stands_below_a_namespace(argument, pushed, expected):
     nodes = launched(LAUNCH / "all_in_one.launch.py", pushed, rig=RIG, cameras=CAMERAS, namespace=argument)
     found = [(node.full_namespace or "/").rstrip("/") for node in nodes]
     assert found == [expected, *(f"{expected}/cam0{k}" for k in range(1, 5))]
+    prefixes = {each.get("tf_prefix", "") for node in nodes for each in parameters_of(node).values()}
+    assert prefixes == {argument and f"{argument}_"}
 
 
 # --- nodes that die
@@ -162,6 +165,7 @@ def test_rviz_shows_the_topics_of_the_namespace(monkeypatch):
     *_, rviz = launched(LAUNCH / "all_in_one.launch.py", rig=RIG, cameras=CAMERAS, rviz="true", namespace="studio")
     assert (rviz.package, rviz.full_namespace) == ("rviz2", "/studio")
     assert ("/mocap/skeletons", "mocap/skeletons") in rviz.remappings
+    assert rviz.arguments[-2:] == ["-f", "studio_map"]
     assert all(re.fullmatch(r"/[\w/]+", topic) for topic, _ in rviz.remappings)
 
 
@@ -259,7 +263,7 @@ def test_the_real_launch_runs_what_the_stand_in_does_and_ends_it_in_order(path, 
 
     def end_when_all_are_there():
         with RosLink("listener", namespace="/studio") as link:
-            found.extend(settled(lambda: our_nodes(link.node), nodes, 30.0))
+            found.extend(settled(lambda: our_nodes(link.node), nodes, START_TIMEOUT_S))
         service.shutdown()
 
     watcher = threading.Thread(target=end_when_all_are_there)

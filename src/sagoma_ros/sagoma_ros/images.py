@@ -205,9 +205,9 @@ def _decode_compressed(message: CompressedImage, where: str) -> np.ndarray:
     return image
 
 
-def support_message(report: ForegroundSupport) -> Image:
+def support_message(report: ForegroundSupport, tf_prefix: str = "") -> Image:
     """Return a report as a mono8 image of one pixel a cell."""
-    return image_message(report.cells, report.stamp_ns, f"{report.camera}_optical")
+    return image_message(report.cells, report.stamp_ns, f"{tf_prefix}{report.camera}_optical")
 
 
 def read_support(message: Image, camera: str, canvas_width: int, where: str) -> ForegroundSupport:

@@ -10,7 +10,7 @@ import inspect
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, TypeVar
 
@@ -35,10 +35,11 @@ FOREIGN_PREFIXES = ("qos_overrides.",)  # declared by rclpy when a topic is made
 
 
 @dataclass(frozen=True)
-class AutostartSettings:
-    """The parameter that every node has."""
+class CommonSettings:
+    """The parameters that every node has."""
 
     autostart: bool = setting(False, "configure and activate by itself, without a supervisor")
+    tf_prefix: str = setting("", "begins every frame and every REP-155 id: another one for each graph of a domain")
 
 
 class SagomaNode(LifecycleNode):
@@ -56,8 +57,9 @@ class SagomaNode(LifecycleNode):
         self._in_use = False  # configured with the settings
         super().__init__(name, **options)
         declare_parameters(self, self.Settings)
-        declare_parameters(self, AutostartSettings)
+        declare_parameters(self, CommonSettings)
         self.settings: Any = None
+        self.tf_prefix = ""
         self.health = NodeHealth(self)
         self.health.status(OK, "unconfigured")
         self.on_active: Callable[[], None] = _do_nothing
@@ -78,6 +80,9 @@ class SagomaNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         def configure() -> None:
             self.settings = read_parameters(self, self.Settings)
+            self.tf_prefix = read_declared(self, CommonSettings).tf_prefix
+            if hasattr(self.settings, "frame_id"):
+                self.settings = replace(self.settings, frame_id=self.tf_prefix + self.settings.frame_id)
             self.configure()
 
         result = self._attempt(configure, "configured, inactive")
@@ -115,12 +120,12 @@ class SagomaNode(LifecycleNode):
     @property
     def starts_itself(self) -> bool:
         """The parameter ``autostart``."""
-        return read_declared(self, AutostartSettings).autostart
+        return read_declared(self, CommonSettings).autostart
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters as every node does; while it is configured, the result says when a change takes effect."""
         result = super().set_parameters_atomically(parameter_list)
-        settings = {leaf.key for leaf in leaves(self.Settings)}
+        settings = {leaf.key for leaf in (*leaves(self.Settings), *leaves(CommonSettings))}
         changed = ", ".join(parameter.name for parameter in parameter_list if parameter.name in settings)
         if result.successful and changed and self._in_use:
             result.reason = TAKES_EFFECT

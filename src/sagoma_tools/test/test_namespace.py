@@ -3,16 +3,21 @@
 import threading
 
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
+from ekf_tracker.ekf_node import EkfNode
 from sagoma_tools.cli import main
 from sagoma_tools.commands.background import select_clients
+from sagoma_tools.doctor.graph_listener import collect_graph
 from sagoma_tools.graph.background_training import SERVICE, find_clients
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
-from sagoma_tools.graph.ros_link import RosLink, in_graph, our_nodes, topics_of
+from sagoma_tools.graph.ros_link import RosLink, in_graph, node_names, our_nodes, topics_of
 from sagoma_tools.recording.reader import bag_topics, read_messages
 from sagoma_tools.view.live import Feed, LiveGraph
 
@@ -54,8 +59,9 @@ def test_nodes_services_and_topics_are_those_of_the_namespace(graphs):
         assert select_clients([client], ["cam01"], "/studio") == [client]
         with pytest.raises(InputError, match="no client of cam02"):
             select_clients([client], ["cam02"], "/studio")
-    with RosLink("tool") as tool:  # without one, as ever: the nodes of all
-        until(lambda: len(our_nodes(tool.node)) == 2)
+    with RosLink("tool") as tool:
+        until(lambda: {"/studio/cam01/camera_client"} < {*node_names(tool.node)})
+        assert find_clients(tool.node, 1, PATIENCE_S) == ["/cam01/camera_client"] == [*our_nodes(tool.node)]
 
 
 def test_the_recorder_names_topics_as_they_are_without_a_namespace(graphs, tmp_path):
@@ -83,3 +89,42 @@ def test_the_page_looks_at_the_graph_of_its_namespace(graphs):
 def test_a_namespace_that_is_none_is_refused_before_anything_starts(tmp_path, capsys):
     assert main(["record", str(tmp_path / "bag"), "--namespace", "my studio"]) == 2
     assert "--namespace" in capsys.readouterr().err and not (tmp_path / "bag").exists()
+
+
+def test_commands_drive_and_examine_the_nodes_of_their_namespace_and_no_others(capsys):
+    with RunningFilter("/studio") as studio, RunningFilter("") as root:
+        with RosLink("tool") as tool:
+            until(lambda: {"/studio/ekf_tracker", "/ekf_tracker"} <= {*node_names(tool.node)})
+        for namespace, states in (("/studio", ["active", "unconfigured"]), ("", ["active", "active"])):
+            assert main(["start", "--namespace", namespace, "--wait", "30"]) == 0
+            assert capsys.readouterr().out == f"{namespace}/ekf_tracker: active\n"
+            assert [studio.state, root.state] == states
+            facts = collect_graph(0.1, namespace=namespace)
+            assert [(node.name, node.state) for node in facts.nodes] == [("/ekf_tracker", "active")]
+
+
+class RunningFilter:
+    """An EKF tracker in a namespace, spun by a thread of its own."""
+
+    def __init__(self, namespace):
+        self._context = Context()
+        rclpy.init(context=self._context)
+        self._node = EkfNode(context=self._context, namespace=namespace or "/")
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._executor.spin)
+
+    @property
+    def state(self):
+        return self._node._state_machine.current_state[1]
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error):
+        self._executor.shutdown()
+        self._thread.join()
+        self._node.close()
+        self._node.destroy_node()
+        self._context.try_shutdown()

@@ -3,6 +3,7 @@
 import re
 import threading
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -16,7 +17,7 @@ from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, Topic, camera_topics
 from sagoma_tools.recording.reader import BagMessage, read_messages
 from sagoma_tools.recording.recorder import Recorder, has_header
-from sagoma_tools.recording.replayer import Answers, InputPublishers, play_lockstep, play_timed
+from sagoma_tools.recording.replayer import Answers, InputPublishers, play_lockstep, play_timed, timed_by_exposures
 
 CAMERAS = ("cam01", "cam02")
 SILHOUETTE = "sensor_msgs/msg/CompressedImage"
@@ -93,6 +94,19 @@ def test_timed_replay_waits_for_recorded_intervals_divided_by_the_rate(rate):
     assert play_timed(messages, publishers, clock, rate) == 5
     assert clock.waited == pytest.approx([1000.0 + ms / 1000 / rate for ms in log_ms])
     assert publishers.published == messages
+
+
+def test_timed_replay_keeps_step_with_the_stamps_of_footage_that_was_played_as_fast_as_it_was_answered():
+    """Recorded at a quarter of the stamps' speed, twice; a body's sizes between."""
+    recorded = [replace(silhouette("cam01", 100 + k), log_ns=EPOCH_NS + 4 * k * PERIOD_NS) for k in range(4)]
+    began_anew = [replace(silhouette("cam01", k), log_ns=EPOCH_NS + (20 + 4 * k) * PERIOD_NS) for k in range(2)]
+    body = BagMessage("/icp/body", "std_msgs/msg/String", EPOCH_NS + 6 * PERIOD_NS, b"")
+    messages = [*recorded[:2], body, *recorded[2:], *began_anew]
+    timed = list(timed_by_exposures(messages, {recorded[0].topic}))
+    assert [message.data for message in timed] == [message.data for message in messages]
+    due = [round((message.log_ns - EPOCH_NS) / PERIOD_NS) for message in timed]
+    assert due == [0, 1, 1, 2, 3, 11, 12]  # a beginning comes when it was recorded after what was before
+    assert [m.log_ns for m in timed_by_exposures(messages, ())] == [m.log_ns for m in messages]
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.5])

@@ -18,6 +18,7 @@ from ..doctor.graph import LIVE_S, examine_graph
 from ..doctor.hosts import PORT, examine_hosts, serve
 from ..doctor.machine import examine_machine
 from ..doctor.rig import examine_rig
+from ..graph.ros_link import add_namespace_argument, namespace_argument
 
 DESCRIPTION = (
     "Examine this machine; with --rig also a rig and its calibration, with --live also the running graph, with "
@@ -44,6 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--intrinsics", metavar="FOLDER", type=Path, help=help_lenses)
     option("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
     option("--live", action="store_true", help="listen to the running graph")
+    add_namespace_argument(parser)
     option("--seconds", type=number("s", 0.1, 3600), default=LIVE_S, help="how long to listen (default: %(default)g)")
     help_host = "another machine of the graph: does it answer, which packets get there?"
     option("--host", action="append", default=[], metavar="ADDRESS", help=help_host)
@@ -100,4 +102,4 @@ def examined(args: argparse.Namespace) -> Iterator[Finding]:
     if args.session is not None or args.rig is not None:
         yield from examine_rig(args.rig, args.session, args.intrinsics)
     if args.live:
-        yield from examine_graph(args.seconds, args.rig)
+        yield from examine_graph(args.seconds, args.rig, namespace=namespace_argument(args))

@@ -29,7 +29,7 @@ from ..console import REFRESH_S, command_console, doing, until_stopped
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit, ProcessSettings
 from ..graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
-from ..graph.ros_link import RosLink, our_nodes, settled
+from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument, our_nodes, settled
 from ..graph.supervisor import GraphError, Supervisor
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
@@ -62,6 +62,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         parser.add_argument("--rig", help="rig YAML: wait for the server and for the client of each of its cameras")
         parser.add_argument("--wait", type=SECONDS, default=5.0, help="... but no longer than this, in seconds")
         parser.add_argument("--timeout", type=SECONDS, help="seconds to wait for each answer")
+        add_namespace_argument(parser)
         parser.set_defaults(run=change_state, goal=goal, cameras_first=cameras_first, verb=verb)
     parser = subparsers.add_parser("studio", help="serve simulated GigE Vision cameras, or talk to those that run")
     studio.add_arguments(parser)
@@ -154,9 +155,11 @@ def print_exit_statuses(console: Console, supervisor: Supervisor) -> int:
 
 def change_state(args: argparse.Namespace) -> int:
     """Bring every sagoma node to the verb's state; 1 when one of them refused or did not answer."""
-    with RosLink("sagoma_control") as link:
+    namespace = namespace_argument(args)
+    with RosLink("sagoma_control", namespace=namespace) as link:
         doing("looking for nodes")
-        names = discover(link.node, args.expect, args.wait, nodes_of(args.rig) if args.rig else frozenset())
+        awaited = nodes_of(args.rig, namespace) if args.rig else frozenset()
+        names = discover(link.node, args.expect, args.wait, awaited)
         doing(f"bringing {len(names)} nodes to {args.goal.value}")
         client = LifecycleClient(link.node)
         outcome = client.bring(groups_of(names, args.cameras_first), args.goal, args.timeout)
@@ -168,10 +171,10 @@ def change_state(args: argparse.Namespace) -> int:
     return 0 if outcome.ok else 1
 
 
-def nodes_of(rig: str) -> frozenset[str]:
+def nodes_of(rig: str, namespace: str) -> frozenset[str]:
     """Full names of the nodes of a rig's graph: the server's, and a client a camera."""
-    cameras = [f"/{camera}/{CAMERA_NODE}" for camera in load_rig(rig).names]
-    return frozenset([*(f"/{name}" for name in SERVER_NODES), *cameras])
+    cameras = [f"{camera}/{CAMERA_NODE}" for camera in load_rig(rig).names]
+    return frozenset(f"{namespace}/{name}" for name in (*SERVER_NODES, *cameras))
 
 
 def discover(node: Node, expect: int, wait_s: float, names: Set[str] = frozenset()) -> list[str]:

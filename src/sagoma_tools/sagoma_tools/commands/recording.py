@@ -33,7 +33,15 @@ from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
 from ..recording.recorder import Recorder
 from ..recording.recovery import recover_bag
-from ..recording.replayer import CLOCK_HZ, InputPublishers, LockstepReport, MonotonicClock, SimulatedClock, play_timed
+from ..recording.replayer import (
+    CLOCK_HZ,
+    InputPublishers,
+    LockstepReport,
+    MonotonicClock,
+    SimulatedClock,
+    play_timed,
+    timed_by_exposures,
+)
 from ..recording.writer import require_new
 from ..takes.measure import finish_take
 
@@ -160,7 +168,7 @@ def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event)
     count, times, clock = 0, 0, MonotonicClock(stop)
     doing("playing the bag")
     while not (stop.is_set() or (times and not args.loop)):
-        messages = read_messages(args.bag, wanted.__contains__)
+        messages = timed_by_exposures(read_messages(args.bag, wanted.__contains__), pictures)
         count += play_timed(messages, publishers, clock, args.rate, simulated)
         times += 1
         if not count:

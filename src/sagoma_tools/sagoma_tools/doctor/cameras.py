@@ -32,7 +32,7 @@ from sagoma_ros.names import resolve_packages
 from .findings import Finding, check, error, examine, graded, note, ok, warning
 from .machine import SUBJECT, Interface, check_buffer, interface_to
 
-NODE_PARAMETERS = ("autostart",)  # of every node, not of the camera client's settings
+NODE_PARAMETERS = ("autostart", "tf_prefix")  # of every node, not of the camera client's settings
 OLD_S = 12 * 3600.0  # daylight and lamps change from one day to the next
 EXPOSURE_TOLERANCE = 0.02
 JUMBO_MTU, GIGABIT = 9000, 1000

@@ -30,7 +30,7 @@ from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.network_settings import PEERS_VARIABLE
-from ..graph.ros_link import RosLink, call_all, node_names, owners_of, settled
+from ..graph.ros_link import RosLink, call_all, is_in_graph, node_names, owners_of, settled, topics_of
 from ..graph.running_nodes import own_machine, places_of
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
 from .machine import domains_here
@@ -182,16 +182,21 @@ Heard = deque[tuple[Any, Mapping[str, int]]]
 """Messages of a topic and their times; one thread appends, another copies."""
 
 
-def collect_graph(seconds: float, expected: Sequence[str] = (), domain_id: int | None = None) -> GraphFacts:
-    """Listen for ``seconds``; also to ``expected`` cameras for which no publisher is found."""
-    with RosLink(OWN_NAME, domain_id=domain_id) as link:
+def collect_graph(
+    seconds: float, expected: Sequence[str] = (), domain_id: int | None = None, namespace: str = ""
+) -> GraphFacts:
+    """Listen for ``seconds`` to the graph of a namespace; also to ``expected`` cameras for which no publisher is found.
+
+    Nodes are named as in a graph without a namespace.
+    """
+    with RosLink(OWN_NAME, namespace=namespace, domain_id=domain_id) as link:
         node = link.node
-        reports, sets = DiagnosticsTable(node), _listen(node, DiagnosticArray, FRAME_SET_TOPIC, RESULT)
-        settled(lambda: set(node_names(node)) - {f"/{OWN_NAME}"}, 1, DISCOVERY_S)
-        cameras = sorted({*expected, *cameras_in(name for name, _ in node.get_topic_names_and_types())})
-        qos = SILHOUETTE_SUBSCRIBER
-        masks = [_listen(node, CompressedImage, f"/{name}{SILHOUETTE_SUFFIX}", qos) for name in cameras]
-        infos = [_listen(node, CameraInfo, f"/{name}{CAMERA_INFO_SUFFIX}", qos) for name in cameras]
+        reports, sets = DiagnosticsTable(node), _listen(node, DiagnosticArray, f"{namespace}{FRAME_SET_TOPIC}", RESULT)
+        settled(lambda: set(node_names(node)) - {f"{namespace}/{OWN_NAME}"}, 1, DISCOVERY_S)
+        cameras = sorted({*expected, *cameras_in(topics_of(node))})
+        qos, sent = SILHOUETTE_SUBSCRIBER, [f"{namespace}/{name}{SILHOUETTE_SUFFIX}" for name in cameras]
+        masks = [_listen(node, CompressedImage, topic, qos) for topic in sent]
+        infos = [_listen(node, CameraInfo, f"{namespace}/{name}{CAMERA_INFO_SUFFIX}", qos) for name in cameras]
         ends_s = time.monotonic() + seconds
         lifecycle = owners_of(node, "get_state", "lifecycle_msgs/srv/GetState")
         states, trips = ask_states(node, sorted(lifecycle))
@@ -199,7 +204,7 @@ def collect_graph(seconds: float, expected: Sequence[str] = (), domain_id: int |
         threading.Event().wait(max(ends_s - time.monotonic(), 0.0))
         machines = {name: tuple(place.machine for place in places) for name, places in places_of(node).items()}
         copies = Counter(node_names(node))
-        names = sorted({*lifecycle, *(name for name in reports.names() if name.startswith("/"))})
+        names = sorted({*lifecycle, *(name for name in reports.names() if is_in_graph(node, name))})
         heard = sets.copy()
         span_s = 1e-9 * (heard[-1][1]["received_timestamp"] - heard[0][1]["received_timestamp"]) if heard else 0.0
         return GraphFacts(
@@ -207,17 +212,17 @@ def collect_graph(seconds: float, expected: Sequence[str] = (), domain_id: int |
             os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", ""),
             own_machine(node),
             tuple(
-                NodeFacts(n, states.get(n), copies[n], machines.get(n, ()), reports.report(n), trips.get(n, 0.0))
-                for n in names
+                NodeFacts(local, states.get(n), copies[n], machines.get(n, ()), reports.report(n), trips.get(n, 0.0))
+                for n, local in zip(names, (n.removeprefix(namespace) for n in names), strict=True)
             ),
             tuple(
-                silhouette_facts(name, node.count_publishers(f"/{name}{SILHOUETTE_SUFFIX}"), mask.copy(), info.copy())
-                for name, mask, info in zip(cameras, masks, infos, strict=True)
+                silhouette_facts(name, node.count_publishers(topic), mask.copy(), info.copy())
+                for name, topic, mask, info in zip(cameras, sent, masks, infos, strict=True)
             ),
             tuple({pair.key: pair.value for status in each.status for pair in status.values} for each, _ in heard),
             (len(heard) - 1) / span_s if span_s > 0 else 0.0,
             node.count_publishers("/clock") > 0,
-            rig_files,
+            {name.removeprefix(namespace): path for name, path in rig_files.items()},
             domains_here(),
             tuple(filter(None, os.environ.get(PEERS_VARIABLE, "").split(";"))),
         )
@@ -292,7 +297,7 @@ def ask_states(node: Node, names: Iterable[str]) -> tuple[dict[str, str], dict[s
 def _ask_rig_files(node: Node, names: Sequence[str]) -> dict[str, str]:
     """Return the rig file parameter of each node."""
     files = {}
-    parameters = {name + GET_PARAMETERS: ICP_RIG_PARAMETER if name == ICP else RIG_PARAMETER for name in names}
+    parameters = {name + GET_PARAMETERS: ICP_RIG_PARAMETER if name.endswith(ICP) else RIG_PARAMETER for name in names}
     requests = {service: GetParameters.Request(names=[parameter]) for service, parameter in parameters.items()}
     for service, reply in call_all(node, GetParameters, requests, ANSWER_S, repeatable=True).items():
         if reply is not None and reply.values and reply.values[0].string_value:

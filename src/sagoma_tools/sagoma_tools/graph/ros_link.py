@@ -119,15 +119,16 @@ def node_names(node: Node) -> list[str]:
 def our_nodes(node: Node) -> set[str]:
     """Fully qualified names of the camera clients and of the server's nodes in the graph, of the node's namespace."""
     ours = (CAMERA_NODE, *SERVER_NODES)
-    return {name for name in node_names(node) if name.rpartition("/")[2] in ours and below(node, name)}
+    return {name for name in node_names(node) if name.rpartition("/")[2] in ours and is_in_graph(node, name)}
 
 
 def owners_of(node: Node, service: str, kind: str) -> set[str]:
     """Full names of the nodes of the node's namespace that offer ``~/SERVICE`` of type ``kind``
     ("std_srvs/srv/Trigger")."""
     suffix = f"/{service}"
-    offered = [name for name, kinds in node.get_service_names_and_types() if kind in kinds and below(node, name)]
-    return {name.removesuffix(suffix) for name in offered if name.endswith(suffix)}
+    offered = [name for name, kinds in node.get_service_names_and_types() if kind in kinds]
+    owners = {name.removesuffix(suffix) for name in offered if name.endswith(suffix)}
+    return {name for name in owners if is_in_graph(node, name)}
 
 
 # service calls -------------------------------------------------------------------------------------------------------
@@ -220,7 +221,7 @@ SHARED = ("/diagnostics", "/tf", "/tf_static", "/clock", "/rosout", "/parameter_
 
 def add_namespace_argument(parser: argparse.ArgumentParser) -> None:
     """--namespace: of the graph; :func:`namespace_argument` reads it."""
-    text = "of the graph, as it was launched with (namespace:=studio); default: that of a graph without one"
+    text = "of the graph, as it was launched with (namespace:=studio); default: the graph without one"
     parser.add_argument("--namespace", default="", metavar="NAME", help=text)
 
 
@@ -243,6 +244,12 @@ def namespace_of(node: Node) -> str:
 def below(node: Node, full_name: str) -> bool:
     """Is this full name of a node or topic in the node's namespace, or below it?"""
     return full_name.startswith(f"{namespace_of(node)}/")
+
+
+def is_in_graph(node: Node, node_name: str) -> bool:
+    """Whether this full name of a node is of the graph of ``node``'s namespace: camera clients are one level below."""
+    depth = node_name.removeprefix(f"{namespace_of(node)}/").count("/")
+    return below(node, node_name) and depth == (1 if node_name.endswith(f"/{CAMERA_NODE}") else 0)
 
 
 def in_graph(node: Node, name: str) -> str:

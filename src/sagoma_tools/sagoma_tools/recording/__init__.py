@@ -1,1 +1,1 @@
-"""Bags: recording, reading, recovery, and replay with recorded timing or in lockstep."""
+"""Bags: recording, reading, recovery, and replay with the timing of exposures or in lockstep."""

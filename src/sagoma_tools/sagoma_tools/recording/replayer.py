@@ -1,4 +1,4 @@
-"""Plays a bag's messages into the live graph: with their recorded timing, or set by set (lockstep).
+"""Plays a bag's messages into the live graph: with the timing of the exposures, or set by set (lockstep).
 
 In lockstep the next frame set is published when the EKF has answered the one before, so nothing is dropped and
 nothing depends on how fast anything runs: the same bag gives the same bytes.
@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks
@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import MultiDOFJointState
 
 from capture_rig.errors import InputError
-from mocap_packets.frame_set import FrameSet
+from mocap_packets.frame_set import TIME_JUMP_NS, FrameSet
 from sagoma_ros.images import absence_message
 from sagoma_ros.messages import to_stamp
 
@@ -126,6 +126,23 @@ class InputPublishers:
                 self._matched.notify_all()
 
         return update
+
+
+def timed_by_exposures(messages: Iterable[BagMessage], pictures: Collection[str]) -> Iterator[BagMessage]:
+    """Yield the messages with log times as of a recording during which the stamps of ``pictures`` kept step with time.
+
+    They do not in a take of footage at rate 0 or of cameras in slow motion; played by its log times, its stamps would
+    fall behind time, which a server takes for a queue. What is no picture goes with the picture before it.
+    """
+    time_ns = newest_ns = last_log_ns = 0
+    for message in messages:
+        stamp_ns = message.stamp_ns if message.topic in pictures else 0
+        if stamp_ns and newest_ns and stamp_ns > newest_ns - TIME_JUMP_NS:
+            time_ns, newest_ns = time_ns + max(stamp_ns - newest_ns, 0), max(stamp_ns, newest_ns)
+        elif stamp_ns or not newest_ns:  # a beginning, or no picture has come yet: as recorded
+            time_ns, newest_ns = time_ns + message.log_ns - last_log_ns, stamp_ns
+        last_log_ns = message.log_ns
+        yield replace(message, log_ns=time_ns)
 
 
 def play_timed(

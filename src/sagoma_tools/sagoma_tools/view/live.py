@@ -20,7 +20,7 @@ from motion_export.motion import point_deviations
 from sagoma_ros.packets import read_packet, read_reference_points
 
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
-from ..graph.ros_link import RosLink, below, in_graph, namespace_of, our_nodes, topics_of
+from ..graph.ros_link import RosLink, in_graph, is_in_graph, namespace_of, our_nodes, topics_of
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class, persons_in
 from .scene import Figure
 
@@ -109,7 +109,7 @@ class LiveGraph:
 
     def reports(self) -> dict[str, NodeReport | None]:
         """Return the last report of every node that is in the graph or was heard, by its name in the namespace."""
-        heard = {name for name in self._diagnostics.names() if below(self._node, name)}
+        heard = {name for name in self._diagnostics.names() if is_in_graph(self._node, name)}
         namespace = namespace_of(self._node)
         names = sorted(our_nodes(self._node) | heard)
         return {name.removeprefix(namespace): self._diagnostics.report(name) for name in names}
