@@ -14,7 +14,7 @@ from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import Silhouette
 
 from .background.model import BackgroundModel
-from .background.moved_things.absorption import AbsorbedPlace
+from .background.moved_things import AbsorbedPlace
 from .background.verdict import ImageRegion, describe_regions, find_regions
 from .silhouettes.certainty import LEAST_PERSON
 from .silhouettes.pipeline import TYPICAL_LEVEL, SilhouettePipeline

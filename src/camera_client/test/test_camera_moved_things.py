@@ -10,9 +10,8 @@ import pytest
 
 from camera_client.background.adaptation.adaptive import samples_of
 from camera_client.background.kernels import STEP_PX
-from camera_client.background.moved_things.absorption import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
-from camera_client.background.moved_things.support_history import APPLY_AFTER_S, CanvasCells
-from camera_client.background.moved_things.taken_away import is_calm_inside, was_taken_away
+from camera_client.background.moved_evidence import APPLY_AFTER_S, CanvasCells, is_calm_inside, was_taken_away
+from camera_client.background.moved_things import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
 from capture_rig.camera import CameraModel
 from mocap_packets.silhouette import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 

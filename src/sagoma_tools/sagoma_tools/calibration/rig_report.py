@@ -20,6 +20,7 @@ from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
 from rig_calibration.extrinsics.world import CameraFigures, RigFigures
 
+from ..doctor.rig import carried
 from ..recording.writer import own_version
 
 COLOURS = {GOOD: "green", USABLE: "yellow", REDO: "red"}
@@ -91,6 +92,7 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
         f"m3, and a standing person on {figures.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: "
         f"{figures.floor_m2[-1]:.1f})"
     )
+    console.print(carried(calibrated.placed.rig))
     if (frames := calibrated.floor_guess) != ():
         console.print(f"floor: the carried board in frames {', '.join(map(str, frames))}, where nothing was below it")
     for left in calibrated.solution.left_out[:5]:

@@ -21,8 +21,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from camera_client.background.from_footage import background_of_footage
 from camera_client.background.model import BackgroundModel, load_background, shape_text
+from camera_client.background.training import background_of_footage
 from camera_client.background.verdict import find_regions, judge_background, turn_findings
 from camera_client.sources.footage_reader import VideoReader
 from capture_rig.errors import InputError

@@ -18,10 +18,10 @@ from capture_rig.camera import CameraModel
 from capture_rig.rigid import rotation_matrix, rotation_vector
 from capture_rig.stamps import StampThrottle
 
-from ..background.model import BackgroundModel, Provenance
-from ..frame_source import Image
-from ..settings import CameraMovedSettings
 from .alignment import Alignment, Array, PictureAlignment
+from .background.model import BackgroundModel, Provenance
+from .frame_source import Image
+from .settings import CameraMovedSettings
 
 # Thresholds: chosen with python bench/camera_movement.py.
 SAMPLES = 3  # whose median counts: something that springs back, or one bad picture, is no movement

@@ -1,9 +1,9 @@
 """Lets things that moved become background: doors, a chair put elsewhere or taken away; never a person.
 
-Two rules, by physics. What other cameras do not see (:mod:`mocap_packets.silhouette`) and what keeps still, as a whole
-and for seconds, is a thing. And where the background's picture has an outline that the camera's picture has no longer,
-nothing stands (:mod:`.taken_away`). What was learned first is kept: a pixel is background when it looks as it was
-learned or as it was absorbed, so that a door closed again is background at once.
+Two rules, by physics (:mod:`.moved_evidence`). What the other cameras do not see and what keeps still, as a whole and
+for seconds, is a thing. And where the background's picture has an outline that the camera's picture has no longer,
+nothing stands. What was learned first is kept: a pixel is background when it looks as it was learned or as it was
+absorbed, so that a door closed again is background at once.
 
 Work is done on blocks of 8 x 8 pixels, a few times a second by the frames' stamps.
 """
@@ -22,10 +22,9 @@ from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import ForegroundSupport
 
-from ...frame_source import Image, Mask
-from ..kernels import STEP_PX, clear_absorbed, follow_running
-from .support_history import Blocks, SupportHistory, counted
-from .taken_away import is_calm_inside, was_taken_away
+from ..frame_source import Image, Mask
+from .kernels import STEP_PX, clear_absorbed, follow_running
+from .moved_evidence import Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
 # Thresholds: APPLY_AFTER_S from the latency of the graph, NOISE_SIGMAS from the normal distribution; else chosen with
 # the rooms of test_camera_moved_things.py.
@@ -160,7 +159,7 @@ class MovedThings:
         return self._others.unseen_s > 0
 
     def take_report(self, report: ForegroundSupport) -> None:
-        """Take what the others see, for frames some time after its stamp (:mod:`.support_history`). From any thread."""
+        """Take what the others see, for frames some time after its stamp. From any thread."""
         self._others.add(report)
 
     def clear_absorbed(
