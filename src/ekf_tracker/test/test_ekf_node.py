@@ -65,7 +65,7 @@ def test_prediction_is_published_after_everything_else(bench, person, monkeypatc
     b = bench(publish_humans=True).start()
     joints = "/humans/bodies/b0001/joint_states"
     b.listen(JointState, joints)
-    b.until(lambda: b.node.count_subscribers(joints) == 1 and b.node._humans._bodies["b0001"]._joints.is_wanted)
+    b.until(lambda: b.node.count_subscribers(joints) == 1 and b.node._bodies[0]._bodies["b0001"]._joints.is_wanted)
     order, publish = [], Publisher.publish
 
     def recorded(publisher, message):
