@@ -34,12 +34,10 @@ from sagoma_ros.packets import FITTED_PEOPLE, read_reference_points, tables_mess
 from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_tools.cli import main
 from sagoma_tools.evaluation.in_process import exact_silhouettes
-from stick_figure.body import Body
-from stick_figure.body_file import save_body
-from stick_figure.body_surface import BodySurface
+from stick_figure.body import Body, save_body
+from stick_figure.body_surface import BodySurface, segment_inertias
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.segment_inertia import segment_inertias
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, L_THIGH, POINT_NAMES, STICK_NAMES
 from virtual_studio.rig import ring
 

@@ -16,8 +16,7 @@ from sagoma_ros.images import silhouette_message
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.recording.writer import OFFERED_LATCHED, BagWriter
-from stick_figure.body import Body
-from stick_figure.body_file import format_body
+from stick_figure.body import Body, format_body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_NAMES

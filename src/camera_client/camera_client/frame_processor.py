@@ -9,8 +9,7 @@ from pathlib import Path
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Volume
 from capture_rig.verdict import Finding
-from mocap_packets.silhouette import Silhouette
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
 from .background.causes import unfit
 from .background.model import BackgroundModel, load_background, read_background

@@ -14,7 +14,7 @@ from camera_client.background.moved_evidence import APPLY_AFTER_S, CanvasCells, 
 from camera_client.background.moved_things import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
 from camera_client.background.verdict import find_regions
 from capture_rig.camera import CameraModel
-from mocap_packets.support import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+from mocap_packets.silhouette import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
 WIDTH, HEIGHT, FPS = 320, 240, 5
 NOISE = 1.5

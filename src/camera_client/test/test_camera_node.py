@@ -17,7 +17,7 @@ from camera_client.background.model import load_background
 from camera_client.sources.footage_source import FootageSource
 from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from capture_rig.session import footage_stamp_ns
-from mocap_packets.support import NOBODY, ForegroundSupport
+from mocap_packets.silhouette import NOBODY, ForegroundSupport
 from mocap_packets.thinning import FrameDecimation
 from sagoma_ros.images import camera_info_message, decode_silhouette, support_message
 from sagoma_ros.messages import thinning_message, to_ns, to_stamp

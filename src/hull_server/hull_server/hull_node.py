@@ -13,7 +13,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from capture_rig import CameraModel, InputError, Rig, load_rig
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import PARTS
-from mocap_packets.latency import SetAges
+from mocap_packets.table import SetAges
 from sagoma_ros import mask_png
 from sagoma_ros.frames import FramePublisher
 from sagoma_ros.health import WARN

@@ -18,7 +18,7 @@ from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from capture_rig.stamps import NS_PER_S
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import ContourRays, HullProducts
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import ForegroundSupport
 
 from .carving import make_backend
 from .consistency.camera_fault_detector import CameraFaultDetector, CameraFaults

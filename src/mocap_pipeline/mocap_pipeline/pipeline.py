@@ -28,8 +28,8 @@ from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from mocap_packets.keypoints import Detections, keypoints_of
 from mocap_packets.people import FittedPeople, PeoplePoints
+from mocap_packets.silhouette import ForegroundSupport
 from mocap_packets.state import BodyState, NoState, Prediction
-from mocap_packets.support import ForegroundSupport
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 

@@ -12,7 +12,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from capture_rig.errors import InputError
 from capture_rig.stamps import NS_PER_S
-from mocap_packets.latency import SetAges
+from mocap_packets.table import SetAges
 from mocap_packets.thinning import FrameDecimation
 
 HOST = socket.gethostname()

@@ -1,7 +1,7 @@
 """Evidence that foreground is a thing and no person: nobody else sees it, or only the background has its outline.
 
 :class:`SupportHistory` follows, block by block of a camera's image, for how long the other cameras have seen a body
-there, or nobody (:mod:`mocap_packets.support`). :func:`was_taken_away` reads one camera's own pictures: foreground that
+there, or nobody (`mocap_packets.silhouette`). :func:`was_taken_away` reads one camera's own pictures: foreground that
 a thing left that was taken away has the thing's outline in the background's picture and none in the camera's, since
 what was behind the thing continues across it. A person, or a thing put down, has it the other way round.
 """
@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS
-from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
 from ..frame_source import Image, Mask
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS, StampThrottle
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import ForegroundSupport
 
 from ..frame_source import Image, Mask
 from .adaptation.expected_image import Corners, Samples

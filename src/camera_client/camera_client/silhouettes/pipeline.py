@@ -18,8 +18,7 @@ from capture_rig.errors import InputError
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from capture_rig.region import MOST_PIXEL_M, Region, of_region, pixel_width_m
 from capture_rig.rig import Volume
-from mocap_packets.silhouette import Silhouette
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
 from ..alignment import PictureAlignment
 from ..background.adaptation.adaptive import AdaptiveBackground, FixedBackground, samples_of

@@ -54,7 +54,8 @@ SYSTEMATIC_RAD = np.radians(0.08)  # of every angle: lenses, and silhouettes tha
 # when a camera is named
 FEWEST_CAMERAS = 3
 FEWEST = 12  # differences of a camera; fewer are not enough
-CONFIRMATIONS = 4  # tests in a row before a camera is named
+CONFIRMATIONS = 4  # tests in a row before a camera is named; one is enough ...
+GROSS = 4.0  # ... when the error is so many times what is allowed
 ENOUGH_CAMERAS = 5  # each camera less doubles what is allowed: faults are harder to attribute
 CLEARER = 3.0  # evidence by which it must exceed every other explanation
 
@@ -148,7 +149,7 @@ class ExtrinsicMonitor:
             if name in errors:
                 excess_rad = _certain_error_rad(recent, camera, CLEARER * lenience)
                 self._in_a_row[camera] = self._in_a_row[camera] + 1 if excess_rad > allowed_rad else 0
-                if self._in_a_row[camera] >= CONFIRMATIONS:
+                if self._in_a_row[camera] >= CONFIRMATIONS or excess_rad > GROSS * allowed_rad:
                     suspects[name] = self._reason(name, errors[name])
         return ExtrinsicErrors(errors, suspects)
 

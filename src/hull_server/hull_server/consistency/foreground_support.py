@@ -19,7 +19,7 @@ import numpy.typing as npt
 from capture_rig import Rig, Volume
 from capture_rig.kernel import kernel
 from capture_rig.stamps import StampThrottle
-from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
 from ..bitset import HIGH_BITS, nonzero_bytes, popcount
 from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summed_area

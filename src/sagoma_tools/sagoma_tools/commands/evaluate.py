@@ -12,7 +12,7 @@ from typing import Any
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 from capture_rig.verdict import REDO
-from capture_rig.video_findings import VideoFacts, ended_findings
+from capture_rig.video import VideoFacts, ended_findings
 from capture_rig.visibility import RigVisibility
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.session_footage import load_detections

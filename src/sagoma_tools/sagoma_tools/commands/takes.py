@@ -19,8 +19,7 @@ from ekf_tracker.rep155 import body_id_of, human_urdf
 from ekf_tracker.urdf import body_urdf
 from mocap_packets.fit import FIRST_PERSON
 from mocap_pipeline.configuration import Configuration
-from stick_figure.body import STATURES_M, Body
-from stick_figure.body_file import load_body
+from stick_figure.body import STATURES_M, Body, load_body
 
 from ..arguments import add_settings_argument, add_takes_argument, bag_of, chosen_take, parse_settings
 from ..console import command_console, doing

@@ -15,7 +15,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 
 from capture_rig.session import Session
-from mocap_packets.latency import POINTS
+from mocap_packets.table import AGE_POINTS
 from sagoma_bringup.launch_arguments import start_settings
 
 from ..console import doing
@@ -203,7 +203,7 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
     sets = [_values(m) for m in read_messages(bag, FRAME_SET_TOPIC.__eq__) if m.stamp_ns in clock]
     measured = {key for values in sets for key in values if key.endswith("_ms")} - {"spread_ms"}
     ages = [_values(m) for m in read_messages(bag, LATENCY_TOPIC.__eq__) if m.stamp_ns in clock]
-    points = [f"{point}_ms" for point in POINTS] if ages and live_input.in_real_time else []
+    points = [f"{point}_ms" for point in AGE_POINTS] if ages and live_input.in_real_time else []
     stages = sorted(measured if live_input.in_real_time else measured - AGES)
     tracks = tracks_from_bag(bag, clock.frame_of, may_be_empty=True)
     return LiveRun(
