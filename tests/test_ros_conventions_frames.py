@@ -323,7 +323,9 @@ def follow(open_probe, tmp_path, body, fitted, **parameters) -> Published:
         sender.publish(tables_message(people, frame_id))
         probe.until(lambda: min(len(clouds), len(joints), len(markers)) > number and texts)  # noqa: B023
     points = [read_reference_points(cloud, "test").points_world for cloud in clouds]
-    return Published(points, list(joints), list(markers), texts[0].data)
+    published = Published(points, list(joints), list(markers), texts[0].data)
+    assert probe.node.trigger_deactivate() == probe.node.trigger_cleanup() == SUCCESS  # a second filter is alone
+    return published
 
 
 def test_cameras_are_on_tf_static_with_a_body_frame_and_an_optical_one(open_probe, tmp_path, taken):
@@ -408,5 +410,5 @@ def test_urdf_command_prints_the_body_of_a_file_and_replaces_nothing(tmp_path, c
     assert main(["urdf", "--stature", "1.9", "--output", str(out)]) == 0
     assert out.read_text() == body_urdf(Body.from_stature(1.9), BODY_ID)
     assert main(["urdf", "--output", str(out)]) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "A file has that name: choose another" in capsys.readouterr().err
     assert main(["urdf", "--body", "b.yaml", "--stature", "1.9"]) == 2
