@@ -34,9 +34,8 @@ from sagoma_ros.packets import packet_cloud
 from sagoma_ros.qos import RESULT
 from sagoma_tools.graph.ros_link import RosLink
 from stick_figure.body import Body
-from stick_figure.joint_motion import JointMotion
 from stick_figure.kinematics import forward
-from stick_figure.pose import Pose
+from stick_figure.pose import JointMotion, Pose
 from stick_figure.skeleton import T_POSE_ANGLES
 
 DOMAIN, PORT = 89, 39541

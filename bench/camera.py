@@ -21,7 +21,6 @@ ours and MOG2's on the same frames, and their ratio, for each kind of pictures; 
 
 from __future__ import annotations
 
-import argparse
 import os
 import shutil
 import sys
@@ -131,10 +130,11 @@ class SilhouetteProbe:
 PLAIN_MASKS = {f"{ALL_CAMERAS}.silhouette.shadow": "remove", f"{ALL_CAMERAS}.silhouette.outline_contrast": 0.0}
 
 
-def built_in_session(folder: Path, args: argparse.Namespace) -> Path:
+def built_in_session(folder: Path, cameras: int, shadow: bool = False, size: str = "640x480") -> Path:
     """The studio's person in its room, a T-pose and some movement, with sensor noise and flicker."""
-    rig, body = ring(args.cameras - 1, True), Body.from_stature(1.75)
-    return write_session(folder, rig, body, fps=PLAY_FPS, seconds=PLAY_S, settings=RenderSettings(shadow=args.shadow))
+    whole, body = ring(cameras - 1, True), Body.from_stature(1.75)
+    rig = Rig(tuple(scaled(camera, *sides(size)) for camera in whole.cameras), whole.volume)
+    return write_session(folder, rig, body, fps=PLAY_FPS, seconds=PLAY_S, settings=RenderSettings(shadow=shadow))
 
 
 def measure(session: Path, folder: Path, fps: float, loss: float, seconds: float, plain: bool = False) -> Run:
@@ -245,11 +245,16 @@ def scaled(camera: CameraModel, width: int, height: int) -> CameraModel:
     return replace(camera, width=width, height=height, K=K)
 
 
+def sides(size: str) -> tuple[int, int]:
+    """Return width and height of "WIDTHxHEIGHT", pixels."""
+    width, height = map(int, size.split("x"))
+    return width, height
+
+
 def studio_pictures(size: str, colour: bool) -> tuple[RoomClip, SilhouettePipeline]:
     """A clip of one of the studio's cameras with pictures of a size, "WIDTHxHEIGHT", and its silhouettes."""
     whole = ring(SIDE_CAMERAS)
-    width, height = map(int, size.split("x"))
-    rig = Rig(tuple(scaled(camera, width, height) for camera in whole.cameras[:2]), whole.volume)  # a hull needs two
+    rig = Rig(tuple(scaled(camera, *sides(size)) for camera in whole.cameras[:2]), whole.volume)  # a hull needs two
     look = next(look for look in LOOKS if look.colour == colour)
     clip = studio_clip(look, PLAY_S, rig)
     return clip, our_pipeline(clip, {}).cameras[rig.names[0]]
@@ -317,7 +322,9 @@ def main() -> None:
     runs = list[Run]()
     folder = Path(tempfile.mkdtemp(prefix="sagoma_bench_camera_"))
     try:
-        session = Path(args.session) if args.session else built_in_session(folder / "session", args)
+        session = (
+            Path(args.session) if args.session else built_in_session(folder / "session", args.cameras, args.shadow)
+        )
         for fps in args.fps:
             for loss in args.loss:
                 runs.append(measure(session, folder / f"{fps:g}_{loss:g}", fps, loss, seconds, args.plain))

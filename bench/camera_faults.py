@@ -31,7 +31,7 @@ import numpy as np
 from clips import Clip, canvas_masks
 from scenes import STATURE_M, STUDIO_FPS, shared_sessions, studio_masks
 
-from hull_server.carve_backends import CarveBackend, make_backend
+from hull_server.carving import CarveBackend, make_backend
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
 from hull_server.grid import VoxelGrid
 from hull_server.settings import CameraFaultSettings

@@ -44,7 +44,7 @@ from clips import Clip
 from scenes import shared_sessions
 
 from camera_client.background.model import read_background
-from camera_client.movement.detector import CameraMovedDetector, MovementState
+from camera_client.movement import CameraMovedDetector, MovementState
 from camera_client.settings import BackgroundSettings
 from capture_rig import Rig
 from capture_rig.video import Video

@@ -33,7 +33,7 @@ import numpy as np
 from hull_baselines import BASELINES, VOLUME, Masks, PlainNumpy, scene
 
 from capture_rig import InputError
-from hull_server.carve_backends import CarveBackend, make_backend
+from hull_server.carving import CarveBackend, make_backend
 from hull_server.grid import VoxelGrid
 from hull_server.settings import BlobSettings
 from hull_server.slicing.skeletonisation import find_centerline, slice_hull

@@ -4,6 +4,7 @@
     python bench/live.py --seconds 60                # the whole minute
     python bench/live.py --hz 100 --cameras 5        # faster
     python bench/live.py --processes three           # a process a node
+    python bench/live.py --size 1280x1024            # clients alone: two simulated cameras of that size at 60 Hz
     python bench/live.py --overload                  # twice what it holds, then half: answered, how late, how soon over
 
 A player sends every camera's silhouette and camera_info over loopback, all of an instant at once and stamped then; the
@@ -188,12 +189,11 @@ def print_overload(figures: OverloadFigures) -> None:
 # --- camera clients, and the command
 
 
-def client_ms_per_frame(folder: Path, domain: int) -> float:
-    """Processor time of a camera client for one frame, as bench/camera.py measures it on simulated GigE cameras."""
+def clients(folder: Path, domain: int, size: str, hz: float, seconds: float) -> camera.Run:
+    """Camera clients on simulated GigE cameras, as bench/camera.py measures them."""
     os.environ["ROS_DOMAIN_ID"] = str(domain)
-    seen = argparse.Namespace(cameras=CLIENTS, shadow=False)
-    session = camera.built_in_session(folder / "session", seen)
-    return camera.measure(session, folder / "clients", CLIENT_FPS, 0.0, CLIENT_S).client_ms_per_frame
+    session = camera.built_in_session(folder / "session", CLIENTS, size=size)
+    return camera.measure(session, folder / "clients", hz, 0.0, seconds)
 
 
 def arguments() -> argparse.ArgumentParser:
@@ -205,6 +205,9 @@ def arguments() -> argparse.ArgumentParser:
     given.add_argument("--turns", type=int, default=QUICK_TURNS)
     given.add_argument("--processes", choices=PROCESSES, default=next(iter(PROCESSES)), help="of this tree's server")
     given.add_argument("--overload", action="store_true", help="twice the rate that is held, instead of --hz")
+    given.add_argument(
+        "--size", metavar="WxH", help=f"camera clients alone, {CLIENTS} of pictures of that size, at --hz"
+    )
     given.add_argument("--before", default=BEFORE, metavar="COMMIT", help=f"older commit ({BEFORE}); '': none")
     given.add_argument("--session", type=Path, default=SHARED / "sessions" / SESSION, help="what the cameras see")
     given.add_argument(
@@ -217,8 +220,15 @@ def arguments() -> argparse.ArgumentParser:
 def main() -> None:
     """Measure, print a row a server, and the JSON line."""
     args = arguments().parse_args()
-    clip = clip_of(args.session, args.cameras)
     settings, seconds = parse_settings(args.settings), QUICK_S if args.quick else args.seconds
+    if args.size:
+        with tempfile.TemporaryDirectory(prefix="sagoma_bench_live_") as own:
+            run = clients(Path(own), args.domain, args.size, args.hz, seconds)
+        camera.print_runs([run])
+        print(machine_line())
+        finish(asdict(run))
+        return
+    clip = clip_of(args.session, args.cameras)
     if args.overload:
         with tempfile.TemporaryDirectory(prefix="sagoma_bench_live_") as held:
             figures = measure_overload(clip, args.processes, Path(held), args.domain, settings)
@@ -234,7 +244,7 @@ def main() -> None:
             for k, (name, tree, processes, own) in enumerate(trees)
         ]
         figures = measure(servers, args.hz, seconds, args.turns)
-    client_ms = client_ms_per_frame(folder, args.domain)
+    client_ms = clients(folder, args.domain, "640x480", CLIENT_FPS, CLIENT_S).client_ms_per_frame
     shutil.rmtree(folder, ignore_errors=True)
     table = Table(
         "server:<9 | processes:>9 | ms/set:>7.2f | Hz sent:>8.1f | Hz answered:>11.1f | latency p50 ms:>14.1f"

@@ -81,7 +81,8 @@ def followed_rule(link: RosLink) -> Any:
     """The rule by which cameras thin out, kept up to date; older trees have none, and get no phases."""
     try:
         from mocap_packets.thinning import FrameSelector
-        from sagoma_ros.thinning import TOPIC, read_thinning
+        from sagoma_ros.messages import THINNING_TOPIC as TOPIC
+        from sagoma_ros.messages import read_thinning
     except ImportError:
         return None
     selector = FrameSelector()

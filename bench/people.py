@@ -40,9 +40,9 @@ from scenes import inside_volume
 
 from capture_rig.session import Truth
 from sagoma_tools.arguments import parse_settings
-from sagoma_tools.evaluation.people import score_people
 from sagoma_tools.evaluation.scores import covariance_coverage
 from sagoma_tools.evaluation.track import Track
+from sagoma_tools.evaluation.track_evaluation import score_people
 from sagoma_tools.overlays import Window, montage, overlay
 from stick_figure import metrics
 from stick_figure.skeleton import POINT_NAMES

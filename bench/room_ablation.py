@@ -31,7 +31,7 @@ from capture_rig.session import Session
 from capture_rig.video import Video
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
-from sagoma_bringup.first_pose import start_settings
+from sagoma_bringup.launch_arguments import start_settings
 from sagoma_tools.evaluation.in_process import track_session
 from sagoma_tools.evaluation.scores import score
 

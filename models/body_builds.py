@@ -25,7 +25,7 @@ from clips import load
 from numpy.typing import NDArray
 
 from icp_tracker.acquisition.body_sizes import SD_OVER_STATURE, sizes_of_body
-from stick_figure import build as table
+from stick_figure import body_surface as table
 from stick_figure.body import BUILD_NUMBERS, Body
 from stick_figure.body_surface import BodySurface
 from stick_figure.skeleton import HEAD
@@ -213,7 +213,7 @@ def hand_at_the_wrist(people: list[Subject], found: Gaussian) -> tuple[Array, Ar
 
 
 def write(path: Path, mean_lengths: Array, columns: list[Array]) -> None:
-    """Writes the table as `stick_figure.build` reads it; columns (N, ...): of length, of stature, slopes, modes."""
+    """Writes the table as `stick_figure.body_surface` reads it; columns (N, ...): of length, stature, slopes, modes."""
     header = ["part", "number", "of_length", "of_stature", *(f"per_{name}" for name in table.LENGTHS)]
     header += [f"build_{k + 1}" for k in range(BUILD_NUMBERS)]
     names = [(part, number) for part in table.PARTS for number in table.NUMBERS]

@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from stick_figure import kernels
 from stick_figure.body import Body
-from stick_figure.body_surface import BodySurface
-from stick_figure.build import END_CAPSULES
+from stick_figure.body_surface import END_CAPSULES, BodySurface
 from stick_figure.kinematics import inverse
 from stick_figure.least_squares.contour_factor import RayArrays, RayMatch, match_rays
 from stick_figure.least_squares.placed_figure import Figure, State, place

@@ -22,7 +22,7 @@ from mocap_packets.hull import Centerline, ContourRays, HullProducts, VoxelSampl
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import Masks, MocapPipeline
 from mocap_pipeline.session_footage import EPOCH_NS, exact_silhouettes, silhouettes
-from sagoma_bringup.first_pose import start_settings
+from sagoma_bringup.launch_arguments import start_settings
 
 KINDS = {"centerline": Centerline, "voxels": VoxelSamples, "contour_rays": ContourRays}
 

@@ -4,7 +4,7 @@
     python models/joint_centres.py output/random_people [--prove FOLDER] [--write]
 
 Tracks all sets of the folder (hull products of one person each), the reference points left where the figure has them,
-and regresses how far the true points lie off on the pose (`stick_figure/joint_centres.py` says on what): ridge
+and regresses how far the true points lie off on the pose (`stick_figure/trunk_bend.py` says on what): ridge
 regression over both sides of everybody, every set with the same weight; what is constant stays out, as it differs with
 the definition of a point. Prints the mean error of the points before and after, of the folder's sets and of those that
 --prove names; --write replaces the table in the tree. That one was learnt from 42 random people and the `mesh_fit_`
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from mocap_packets.fit import FIRST_PERSON
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import TrackingStage
-from stick_figure import joint_centres as table
+from stick_figure import trunk_bend as table
 from stick_figure.body import Body
 from stick_figure.pose import Pose
 from stick_figure.skeleton import POINT_NAMES
@@ -122,7 +122,7 @@ def regressed(sets: list[Tracked]) -> table.JointCentres:
 
 
 def write(path: Path, centres: table.JointCentres) -> None:
-    """Writes the table as `stick_figure.joint_centres` reads it."""
+    """Writes the table as `stick_figure.trunk_bend` reads it."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["centre", "axis", *table.FEATURES])

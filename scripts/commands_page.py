@@ -7,12 +7,12 @@ import sys
 from textwrap import fill
 
 from sagoma_tools.cli import build_parser
-from sagoma_tools.command_help import HELP, STATUSES, commands_of
+from sagoma_tools.console import HELP, STATUSES, commands_of
 
 PAGE = """# Commands
 
 Every command with the exit statuses of its own, and what all of them keep to. `sagoma COMMAND --help` has the arguments
-and examples. This page is printed from `sagoma_tools/command_help.py` by `python scripts/commands_page.py`.
+and examples. This page is printed from `sagoma_tools/console.py` by `python scripts/commands_page.py`.
 
 | status | meaning, where the command's own line says nothing else |
 |---|---|

@@ -32,8 +32,7 @@ from sagoma_tools.cli import main
 from sagoma_tools.recording.reader import read_messages, read_provenance
 from sagoma_tools.recording.writer import BagWriter
 from sagoma_tools.takes.folder import TakesFolder
-from stick_figure.body import Body
-from stick_figure.body_file import load_body, save_body
+from stick_figure.body import Body, load_body, save_body
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from virtual_studio.motions.bvh import read_bvh
 from virtual_studio.rig import ring

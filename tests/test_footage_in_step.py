@@ -8,8 +8,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from heard import Heard
 
-from sagoma_bringup.graph import Role, build_graph
-from sagoma_bringup.processes import THREE_PROCESSES
+from sagoma_bringup.graph import THREE_PROCESSES, Role, build_graph
 from sagoma_tools.graph.lifecycle_client import State
 from sagoma_tools.graph.processes import ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink

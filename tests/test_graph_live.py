@@ -14,15 +14,14 @@ from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.session import load_session
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
-from sagoma_bringup.first_pose import start_settings
 from sagoma_bringup.graph import build_graph
+from sagoma_bringup.launch_arguments import start_settings
 from sagoma_ros.images import decode_silhouette
 from sagoma_tools.evaluation.live_inputs import FootageInput
 from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live
 from sagoma_tools.evaluation.track import frame_count
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, SILHOUETTE_SUFFIX
-from sagoma_tools.recording.lockstep import replay_through_graph
 from sagoma_tools.recording.reader import (
     bag_digest,
     first_difference,
@@ -31,6 +30,7 @@ from sagoma_tools.recording.reader import (
     read_messages,
 )
 from sagoma_tools.recording.recorder import GraphRecorder
+from sagoma_tools.recording.replayer import replay_through_graph
 
 T_POSE = {"icp_tracker.initial_pose.source": "t_pose"}
 FRAME_SET_TOPIC = "/hull/frame_set"
@@ -116,12 +116,12 @@ def killed(three_cameras: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     with Supervisor(graph, folder / "logs", on_event=lambda event: died.set()) as supervisor:
         supervisor.configure()
         with GraphRecorder(graph, folder / "bag") as recorder:
-            recorder.wait_for_publishers()
+            recorder.wait_for_graph()
             supervisor.activate()
-            assert recorder.recorder.wait_for_count(PREDICTION_TOPIC, 20, 60.0)
+            assert recorder.wait_for_count(PREDICTION_TOPIC, 20, 60.0)
             os.kill(supervisor.processes.pids()["/cam02/camera_client"], signal.SIGKILL)
             assert died.wait(10.0)
-            assert recorder.recorder.wait_for_count(PREDICTION_TOPIC, frames, 120.0)
+            assert recorder.wait_for_count(PREDICTION_TOPIC, frames, 120.0)
         assert supervisor.states()["/cam02/camera_client"] == "dead"
         assert supervisor.states()["/hull_server"] == "active"
     return folder / "bag"

@@ -12,10 +12,10 @@ from silhouette_bag import EPOCH_NS, write_silhouette_bag
 
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
-from sagoma_bringup.processes import SERVER_LAYOUTS
+from sagoma_bringup.graph import SERVER_LAYOUTS
 from sagoma_tools.evaluation.track import tracks_from_bag
-from sagoma_tools.recording.lockstep import replay_through_graph
 from sagoma_tools.recording.reader import bag_digest, bag_topics, read_messages
+from sagoma_tools.recording.replayer import replay_through_graph
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.together import TOGETHER

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from sagoma_bringup.first_pose import start_settings
+from sagoma_bringup.launch_arguments import start_settings
 from sagoma_tools.evaluation.live_inputs import FootageInput
 from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live
-from sagoma_tools.recording.lockstep import replay_through_graph
 from sagoma_tools.recording.reader import bag_digest, first_difference
+from sagoma_tools.recording.replayer import replay_through_graph
 
 pytestmark = pytest.mark.slow
 

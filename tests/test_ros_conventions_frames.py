@@ -23,8 +23,8 @@ from capture_rig.session import footage_stamp_ns, load_session, load_truth
 from ekf_tracker.ekf_node import EkfNode
 from ekf_tracker.rep155 import HRI_JOINT_NAMES, hri_angles, hri_rates, human_urdf
 from ekf_tracker.urdf import body_urdf, link_name, link_of_point, same_sizes
-from hull_server.frames_ros import camera_frames
 from hull_server.hull_node import HullNode
+from hull_server.hull_ros import camera_frames
 from mocap_packets.fit import FIRST_PERSON, ReferencePoints
 from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_pipeline.configuration import Configuration
@@ -34,12 +34,10 @@ from sagoma_ros.packets import FITTED_PEOPLE, read_reference_points, tables_mess
 from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_tools.cli import main
 from sagoma_tools.evaluation.in_process import exact_silhouettes
-from stick_figure.body import Body
-from stick_figure.body_file import save_body
-from stick_figure.body_surface import BodySurface
+from stick_figure.body import Body, save_body
+from stick_figure.body_surface import BodySurface, segment_inertias
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.segment_inertia import segment_inertias
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, L_THIGH, POINT_NAMES, STICK_NAMES
 from virtual_studio.rig import ring
 

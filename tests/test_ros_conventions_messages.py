@@ -21,9 +21,8 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import FITTED_PEOPLE, tables_message
 from sagoma_ros.qos import RESULT
 from stick_figure.body import Body
-from stick_figure.joint_motion import JOINT_NAMES
 from stick_figure.kinematics import stick_frames
-from stick_figure.pose import Pose
+from stick_figure.pose import JOINT_NAMES, Pose
 from stick_figure.skeleton import ANGLE_NAMES, PARENT, TANGENT_NAMES
 
 EPOCH_NS, PERIOD_NS = 5_000_000_000, 16_666_667

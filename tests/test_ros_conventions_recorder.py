@@ -15,10 +15,9 @@ from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_tools.cli import main
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import LOSSLESS, Topic
-from sagoma_tools.recording import asked_topics
-from sagoma_tools.recording.asked_topics import AskedTopics, is_known, matches_any
+from sagoma_tools.recording import recorder as recorder_module
 from sagoma_tools.recording.reader import TYPES, bag_topics, read_messages, read_provenance
-from sagoma_tools.recording.recorder import Recorder, TimeJumpDetector
+from sagoma_tools.recording.recorder import AskedTopics, Recorder, TimeJumpDetector, is_known, matches_any
 
 PATIENCE_S = 30.0
 BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -75,7 +74,7 @@ def asked_again(link):
 
 def test_topic_whose_type_is_not_installed_is_named_once_and_left_out(link, others, monkeypatch):
     others.node.create_publisher(String, "/tf", RESULT)
-    monkeypatch.setattr(asked_topics, "is_known", lambda msgtype: False)
+    monkeypatch.setattr(recorder_module, "is_known", lambda msgtype: False)
     left_out = []
     asked = AskedTopics(link.node, matches_any(["/tf"]), lambda *what: left_out.append(what))
     while not left_out:

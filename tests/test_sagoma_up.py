@@ -12,7 +12,7 @@ from heard import Heard
 from sensor_msgs.msg import JointState
 
 from capture_rig.rig import save_rig
-from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
+from sagoma_bringup.graph import ONE_PROCESS, THREE_PROCESSES
 from sagoma_tools.graph.lifecycle_client import LifecycleClient, State
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, camera_topics

@@ -94,11 +94,11 @@ def person_live(studio: StudioProcess, rig: Path, folder: Path) -> np.ndarray:
     with Supervisor(graph, folder / "logs") as supervisor:
         supervisor.configure(tolerate_cameras=False)
         with GraphRecorder(graph, folder / "bag", provenance={}) as recorder:
-            recorder.wait_for_publishers()
+            recorder.wait_for_graph()
             supervisor.activate(tolerate_cameras=False)
             studio.ask("play")
             studio.ask("hold")
-            assert recorder.recorder.wait_for_count("/mocap/reference_points", 30, 120.0), "nobody was tracked"
+            assert recorder.wait_for_count("/mocap/reference_points", 30, 120.0), "nobody was tracked"
             supervisor.suspend()
             recorder.close()
     track = tracks_from_bag(folder / "bag", lambda stamp_ns: stamp_ns)[1]

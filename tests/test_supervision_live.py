@@ -12,7 +12,7 @@ import pytest
 from heard import Heard
 from sensor_msgs.msg import JointState
 
-from sagoma_bringup.processes import ONE_PROCESS, THREE_PROCESSES
+from sagoma_bringup.graph import ONE_PROCESS, THREE_PROCESSES
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
 from sagoma_tools.graph.processes import ProcessSettings

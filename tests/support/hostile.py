@@ -22,8 +22,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
-from sagoma_bringup.graph import build_graph
-from sagoma_bringup.processes import THREE_PROCESSES
+from sagoma_bringup.graph import THREE_PROCESSES, build_graph
 from sagoma_tools.graph.processes import ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink, call_all
 from sagoma_tools.graph.supervisor import Supervisor

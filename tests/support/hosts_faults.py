@@ -14,7 +14,7 @@ from doctor_fake_nodes import RIG
 from namespaces import Condition, World
 
 from capture_rig import save_rig
-from sagoma_tools.graph.network_settings import PROFILE_VARIABLE, profile_file
+from sagoma_ros.middleware import PROFILE_VARIABLE, profile_file
 
 NODES = str(Path(__file__).resolve().parents[2] / "src/sagoma_tools/test/doctor_fake_nodes.py")
 SERVER, HOSTS, AWAY = "server", ("cam01", "cam02"), "cam02"

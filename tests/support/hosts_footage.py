@@ -14,7 +14,7 @@ from pathlib import Path
 
 from namespaces import World
 
-from sagoma_tools.graph.network_settings import PROFILE_VARIABLE, profile_file
+from sagoma_ros.middleware import PROFILE_VARIABLE, profile_file
 from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring

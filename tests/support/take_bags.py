@@ -1,6 +1,6 @@
 """Small bags as the graph records them, for tests of what is done with takes."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +16,7 @@ from sagoma_ros.images import silhouette_message
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.recording.writer import OFFERED_LATCHED, BagWriter
-from stick_figure.body import Body
-from stick_figure.body_file import format_body
+from stick_figure.body import Body, format_body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_NAMES
@@ -42,16 +41,19 @@ def write_take(
     lost: range = range(0),
     missing: range = range(0),
     masks: Mapping[str, np.ndarray] | None = None,
+    prefixes: Sequence[str] = ("/mocap",),
 ) -> Path:
     """A take of a person in the T-pose who moves along y by 1 cm a frame, at 50 Hz, seen by two cameras.
 
     doubtful, lost : frames in these states. missing : frames that cam02 lacks and the tracker does not answer.
-    masks : each camera's silhouette, else bytes that are none.
+    masks : each camera's silhouette, else bytes that are none. prefixes : of each person's topics, who stands a metre
+    before the last.
     """
     body = Body.from_stature(1.7)
     with BagWriter(folder) as bag:
-        for kind, msgtype in TYPES.items():
-            bag.add_topic(f"/mocap/{kind}", msgtype)
+        for prefix in prefixes:
+            for kind, msgtype in TYPES.items():
+                bag.add_topic(f"{prefix}/{kind}", msgtype)
         for camera in CAMERAS:
             bag.add_topic(f"/{camera}/silhouette/compressed", "sensor_msgs/msg/CompressedImage")
         for topic in ("/hull/frame_set", "/icp/fit", "/diagnostics"):
@@ -73,8 +75,9 @@ def write_take(
                 continue
             write("/icp/fit", stamp, report(stamp, "icp"))
             state = "doubtful" if frame in doubtful else "lost" if frame in lost else "tracking"
-            for kind, message in zip(TYPES, person(body, frame, stamp, state), strict=True):
-                write(f"/mocap/{kind}", stamp, message)
+            for ahead, prefix in enumerate(prefixes):
+                for kind, message in zip(TYPES, person(body, [ahead, 0.01 * frame, 1.1], stamp, state), strict=True):
+                    write(f"{prefix}/{kind}", stamp, message)
         bag.describe({"graph": {}})
     return folder
 
@@ -89,9 +92,9 @@ class Writer:
         self._bag.write(topic, stamp_ns + LATENCY_NS, serialize_message(message))
 
 
-def person(body, frame: int, stamp: int, state: str) -> tuple:
+def person(body: Body, place_world: Sequence[float], stamp: int, state: str) -> tuple:
     """Points, angles, torso and state."""
-    pose = Pose.from_angles(np.array([0.0, 0.01 * frame, 1.1]), np.eye(3), T_POSE_ANGLES)
+    pose = Pose.from_angles(np.array(place_world), np.eye(3), T_POSE_ANGLES)
     points = ReferencePoints(forward(body, pose), np.tile(SIGMA_M**2 * np.eye(3), (15, 1, 1)), np.ones(15, bool))
     torso = PoseWithCovarianceStamped()
     torso.header.stamp = to_stamp(stamp)

@@ -14,16 +14,13 @@ from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import Silhouette
 
 from .background.model import BackgroundModel
-from .background.moved_things.absorption import AbsorbedPlace
-from .background.verdict import ImageRegion, describe_regions, find_regions
-from .silhouettes.certainty import LEAST_PERSON
+from .background.moved_things import STILL_S
+from .background.verdict import describe_regions, find_regions
+from .silhouettes.certainty import LEAST_PERSON, PERIOD_S
 from .silhouettes.pipeline import TYPICAL_LEVEL, SilhouettePipeline
 
-PERIOD_S = 0.5  # the figures are collected so often
 CHANNELS = ("blue", "green", "red")
-# Thresholds: LASTING_S from the time in which a thing that keeps still is absorbed; else judgement
-# (test_camera_condition.py states cases).
-LASTING_S = 3.0  # what lasts so long is said: the time in which a thing that keeps still is absorbed
+# Threshold: judgement (test_camera_condition.py states cases); what lasts for STILL_S counts.
 RECENT_S = 30.0  # switches of the light within this count together
 
 
@@ -100,7 +97,6 @@ class ConditionWatch:
         self._last_ns = 0
         self._restart()
         self._things_known, self._places = (0, 0), ""
-        self._newest_ns = 0
         self.found = Condition()
 
     def _restart(self) -> None:
@@ -143,11 +139,11 @@ class ConditionWatch:
         )
 
     def _lasts(self, stamp_ns: int, now: Shares) -> Shares:
-        """Return the least of each share in the last LASTING_S; 0 while that is not over."""
+        """Return the least of each share in the last STILL_S; 0 while that is not over."""
         self._lasting.append((stamp_ns, now))
-        while len(self._lasting) > 1 and (stamp_ns - self._lasting[1][0]) * NS >= LASTING_S:
+        while len(self._lasting) > 1 and (stamp_ns - self._lasting[1][0]) * NS >= STILL_S:
             self._lasting.popleft()
-        if (stamp_ns - self._lasting[0][0]) * NS < LASTING_S:
+        if (stamp_ns - self._lasting[0][0]) * NS < STILL_S:
             return Shares()
         return Shares(*map(min, zip(*(shares for _, shares in self._lasting), strict=True)))
 
@@ -162,24 +158,15 @@ class ConditionWatch:
         moved = self._pipeline.moved
         assert moved is not None
         if self._things_known != (moved.absorbed, moved.reverted):
-            self._things_known, places = (moved.absorbed, moved.reverted), moved.places()
-            self._places = describe_things(places, self._shape)
-            self._newest_ns = max((place.since_ns for place in places), default=0)
+            self._things_known = (moved.absorbed, moved.reverted)
+            self._places = describe_regions(find_regions(moved.replaced > 0, 0.0, self._pipeline.scale), self._shape)
         return {
             "things_share": moved.share,
             "things_places": self._places,
-            "things_since_s": max(stamp_ns - self._newest_ns, 0) * NS if self._places else None,
+            "things_since_s": max(stamp_ns - moved.newest_ns, 0) * NS if self._places else None,
             "things_absorbed": moved.absorbed,
             "things_given_back": moved.reverted,
             "things_endless": moved.overflowed,
             "background_static_foreground": float(moved.static.mean()),
             "background_static_places": describe_regions(find_regions(moved.static, 0.0, moved.block_px), self._shape),
         }
-
-
-def describe_things(places: list[AbsorbedPlace], shape: tuple[int, ...]) -> str:
-    """Return "lower left at 5..43, 70..109: 8.1 %" for the largest places in an image of that shape."""
-    if not places:
-        return ""
-    boxes = [ImageRegion(p.columns[0], p.columns[1] - 1, p.rows[0], p.rows[1] - 1, p.share) for p in places]
-    return describe_regions(boxes, shape)

@@ -9,14 +9,13 @@ from pathlib import Path
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Volume
 from capture_rig.verdict import Finding
-from mocap_packets.silhouette import Silhouette
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
 from .background.causes import unfit
 from .background.model import BackgroundModel, load_background, read_background
 from .condition import Condition, ConditionWatch
 from .frame_source import Frame
-from .movement.detector import CameraMovedDetector, Movement, carry_turn_over, turn_when_learned
+from .movement import CameraMovedDetector, Movement, carry_turn_over, turn_when_learned
 from .settings import CameraClientSettings
 from .silhouettes.pipeline import SilhouettePipeline
 from .sources.footage_reader import open_footage

@@ -6,8 +6,10 @@ A :class:`FrameSource` gives :class:`Frame` after :class:`Frame`, and says what 
 
 from __future__ import annotations
 
+import statistics
 import threading
 from abc import ABC, abstractmethod
+from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum
 from types import TracebackType
@@ -15,6 +17,7 @@ from types import TracebackType
 import numpy as np
 
 from capture_rig.errors import InputError
+from capture_rig.stamps import NS_PER_S
 
 Image = np.ndarray  # (H, W) or (H, W, 3) uint8, BGR
 Mask = np.ndarray  # (H, W) uint8, 0 or 255
@@ -214,10 +217,51 @@ class FrameStatistics:
         return step - WRAP_16_BIT if step > WRAP_16_BIT // 2 else step  # a repetition from before the wrap
 
 
-# --- the connection to a live camera: its state, its outages, the pauses between attempts to connect again
+PERIODS = 31  # the frame period is the median of so many steps
 
-# Thresholds: judgement, no measurement.
-FIRST_RETRY_S, LONGEST_RETRY_S = 0.25, 2.0  # the pauses after attempts that fail double from one to the other
+
+class FrameNumbers:
+    """Numbers the frames of sources that do not: by stamps, ns, a step of n frame periods skips n - 1 ids.
+
+    ``counts`` takes those for lost frames. One thread uses it.
+    """
+
+    def __init__(self, counts: FrameStatistics) -> None:
+        self._counts = counts
+        self._steps_ns: deque[int] = deque(maxlen=PERIODS)
+        self._last_ns = self._number = 0
+
+    def restart(self) -> None:
+        """Begin a new run: what passed since the last frame is no loss."""
+        self._last_ns = 0
+        self._counts.restart()
+
+    def add(self, stamp_ns: int) -> int | None:
+        """Count the frame taken at ``stamp_ns`` and return its id; None, and counted as repeated, where time did not go
+        on since the frame before."""
+        step_ns = stamp_ns - self._last_ns
+        if self._last_ns and step_ns <= 0:
+            self._counts.add(self._number)
+            return None
+        if self._last_ns:
+            period_ns = statistics.median(self._steps_ns) if self._steps_ns else step_ns
+            self._steps_ns.append(step_ns)
+            self._number += max(1, round(step_ns / period_ns))
+        else:
+            self._number += 1
+        self._last_ns = stamp_ns
+        self._counts.add(self._number)
+        return self._number
+
+    def details(self) -> dict[str, str]:
+        """Return rate, Hz, and jitter, ms (standard deviation of the period), as texts; nothing before two frames."""
+        if not self._steps_ns:
+            return {}
+        rate_hz, jitter_ms = NS_PER_S / statistics.median(self._steps_ns), statistics.pstdev(self._steps_ns) / 1e6
+        return {"frame_rate": f"{rate_hz:.2f}", "jitter_ms": f"{jitter_ms:.2f}"}
+
+
+# --- the connection to a live camera: its state and its outages
 
 
 class ConnectionState(Enum):
@@ -296,20 +340,3 @@ class Downtime:
     def sum_s(self, now_s: float) -> float:
         """Return the whole downtime, the present outage included."""
         return self._sum_s + self.present_s(now_s)
-
-
-class RetryPause:
-    """Doubles the pause after each attempt to connect that fails, from FIRST_RETRY_S up to LONGEST_RETRY_S."""
-
-    def __init__(self) -> None:
-        self._pause_s = 0.0
-
-    def next_s(self, slowest: bool = False) -> float:
-        """Return the pause before the next attempt: twice the last one, or the longest from now on."""
-        doubled_s = 2 * self._pause_s or FIRST_RETRY_S
-        self._pause_s = LONGEST_RETRY_S if slowest else min(doubled_s, LONGEST_RETRY_S)
-        return self._pause_s
-
-    def reset(self) -> None:
-        """Begin with the shortest pause again: the device delivers."""
-        self._pause_s = 0.0

@@ -39,34 +39,6 @@ def foreground_of_every_grey_level(model, settings):
     return np.stack([limits.subtract(image).reshape(-1) > 0 for image in images], axis=1)
 
 
-@pytest.fixture
-def pixels():
-    """Means and sigmas of 2000 pixels, some of them near black or white, some very noisy."""
-    rng = np.random.default_rng(0)
-    mean = np.concatenate([rng.uniform(0, 255, 1900), rng.uniform(0, 3, 50), rng.uniform(252, 255, 50)])
-    sigma = np.concatenate([rng.uniform(0.2, 12, 1900), rng.uniform(0.2, 80, 100)])
-    return model_of(mean.reshape(40, 50), sigma.reshape(40, 50))
-
-
-@pytest.mark.parametrize("risk", [1e-6, 1e-4, 0.05])
-def test_limits_agree_with_the_tail_probability_at_every_grey_level(pixels, risk):
-    settings = BackgroundSettings(rule="tail", risk=risk, sigma_floor=1.0)
-    sigma = np.maximum(pixels.sigma.astype(float), 1.0).reshape(-1, 1)
-    tail = 2 * norm.sf(np.abs(GREY_LEVELS - pixels.mean.astype(float).reshape(-1, 1)) / sigma)
-    assert np.array_equal(foreground_of_every_grey_level(pixels, settings), tail < risk)
-
-
-@pytest.mark.parametrize("risk", [1e-6, 1e-4, 0.02])
-def test_limits_agree_with_the_density_at_every_grey_level(pixels, risk):
-    settings = BackgroundSettings(rule="pdf", risk=risk, sigma_floor=1.0)
-    sigma = np.maximum(pixels.sigma.astype(float), 1.0).reshape(-1, 1)
-    density = norm.pdf(GREY_LEVELS, pixels.mean.astype(float).reshape(-1, 1), sigma)
-    expected = density < risk
-    assert np.array_equal(foreground_of_every_grey_level(pixels, settings), expected)
-    if risk == 0.02:  # sigma above 1 / (risk sqrt(2 pi)) = 19.9 grey levels: nothing is ever probable enough
-        assert expected.all(axis=1).any()
-
-
 def probability(rule, grey, mean, sigma):
     """Thesis eq. 6.3: the density, or the two-sided tail, in float64."""
     return norm.pdf(grey, mean, sigma) if rule == "pdf" else 2 * norm.sf(np.abs(grey - mean) / sigma)
@@ -107,13 +79,6 @@ def test_background_frame_is_background_but_for_the_risk(scene):
     limits = learner.model("test").limits(BackgroundSettings(risk=0.01))
     shares = [(limits.subtract(image) > 0).mean() for image in scene.empty(20, seed=2, noise=3.0)]
     assert 0.002 < np.mean(shares) < 0.02  # the sentence of thesis 6.3 as printed would make it 0.99
-
-
-def test_colour_pixel_is_foreground_when_one_channel_leaves_its_limits():
-    model = model_of(np.full((1, 4, 3), 100.0), np.full((1, 4, 3), 2.0))
-    image = np.full((1, 4, 3), 100, np.uint8)
-    image[0, 1, 0], image[0, 2, 1], image[0, 3, 2] = 150, 50, 120
-    assert model.limits(BackgroundSettings()).subtract(image).tolist() == [[0, 255, 255, 255]]
 
 
 @pytest.mark.parametrize("mean", [10, 120, 250])

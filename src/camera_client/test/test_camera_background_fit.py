@@ -10,7 +10,7 @@ from camera_client.background.adaptation.adaptive import samples_of
 from camera_client.background.causes import age_h, find_causes, other_setting, unfit
 from camera_client.background.kernels import STEP_PX
 from camera_client.background.model import BackgroundLearner, Provenance, read_background
-from camera_client.background.moved_things.absorption import MovedThings
+from camera_client.background.moved_things import MovedThings
 from camera_client.background.verdict import describe_regions, find_regions
 from camera_client.condition import Condition
 from camera_client.diagnostics import background_findings

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camera_client.background.from_footage import FEWEST_FRAMES, background_of_footage
+from camera_client.background.training import FEWEST_FRAMES, background_of_footage
 from capture_rig.errors import InputError
 
 H, W, NOISE = 100, 150, 2.0

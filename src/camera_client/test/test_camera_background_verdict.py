@@ -63,12 +63,6 @@ def test_few_frames_are_usable_only(scene, frames, grade):
     assert verdict_on(scene.empty(frames)).grade == grade
 
 
-def test_lens_cap_is_refused():
-    rng = np.random.default_rng(0)
-    verdict = verdict_on([rng.integers(0, 5, (120, 160), dtype=np.uint8) for _ in range(30)])
-    assert verdict.grade == REDO and "lens cap" in str(verdict)
-
-
 @pytest.mark.parametrize("rows, grade", [(1, GOOD), (12, USABLE), (60, REDO)])
 def test_white_parts_are_weighed_by_their_size(scene, rows, grade):
     images = scene.empty(30)
@@ -77,27 +71,30 @@ def test_white_parts_are_weighed_by_their_size(scene, rows, grade):
     assert verdict_on(images).grade == grade
 
 
-def test_dim_scene_is_usable_with_a_remedy(scene):
-    verdict = verdict_on(scaled(scene.empty(30), [0.2] * 30))
-    assert verdict.grade == USABLE
-    assert "dim, 26 grey levels" in str(verdict) and "exposure" in str(verdict)
+def cap(scene):
+    rng = np.random.default_rng(0)
+    return [rng.integers(0, 5, (120, 160), dtype=np.uint8) for _ in range(30)]
 
 
-def test_high_and_absent_noise_are_noticed(scene):
-    assert "noise is high, 8.9" in str(verdict_on(scene.empty(40, noise=9.0)))
-    assert "suspiciously low, 0.00" in str(verdict_on([scene.empty(1)[0]] * 30))
+FLICKER = 1 + 0.04 * np.sin(np.arange(60) * 1.9)  # standard deviation 2.8 %
 
 
-def test_flicker_of_the_mains_is_measured(scene):
-    beat = 1 + 0.04 * np.sin(np.arange(60) * 1.9)  # standard deviation 2.8 %
-    verdict = verdict_on(scaled(scene.empty(60), beat))
-    assert verdict.grade == USABLE
-    assert "flickers by 2.8 %" in str(verdict) and "10 ms at 50 Hz" in str(verdict)
-
-
-def test_lamps_that_warm_up_are_noticed(scene):
-    verdict = verdict_on(scaled(scene.empty(60), np.linspace(1, 1.06, 60)))
-    assert "changed by +5." in str(verdict) and "flickers" not in str(verdict)
+@pytest.mark.parametrize(
+    "images, grade, texts",
+    [
+        (cap, REDO, ["lens cap"]),
+        (lambda scene: scaled(scene.empty(30), [0.2] * 30), USABLE, ["dim, 26 grey levels", "exposure"]),
+        (lambda scene: scene.empty(40, noise=9.0), USABLE, ["noise is high, 8.9"]),
+        (lambda scene: [scene.empty(1)[0]] * 30, USABLE, ["suspiciously low, 0.00"]),
+        (lambda scene: scaled(scene.empty(60), FLICKER), USABLE, ["flickers by 2.8 %", "10 ms at 50 Hz"]),
+        (lambda scene: scaled(scene.empty(60), np.linspace(1, 1.06, 60)), USABLE, ["changed by +5."]),
+    ],
+    ids=["lens cap", "dim", "noisy", "no noise", "mains", "lamps that warm up"],
+)
+def test_light_and_noise_are_judged_with_a_remedy(scene, images, grade, texts):
+    verdict = verdict_on(images(scene))
+    assert verdict.grade == grade and all(text in str(verdict) for text in texts)
+    assert ("flickers" in str(verdict)) == ("flickers by 2.8 %" in texts)
 
 
 # --- Was the room empty? The background that is to be replaced tells.

@@ -19,7 +19,7 @@ from camera_client.sources.footage_reader import open_footage
 from camera_client.sources.footage_source import FootageSource
 from capture_rig.rig import load_rig
 from capture_rig.verdict import GOOD, USABLE
-from mocap_packets.support import BODY, NOBODY, ForegroundSupport
+from mocap_packets.silhouette import BODY, NOBODY, ForegroundSupport
 
 
 def learned(images, **about):

@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
+from camera_client.alignment import PictureAlignment, choose_edge_points
 from camera_client.background.model import BackgroundLearner
-from camera_client.movement.alignment import PictureAlignment
-from camera_client.movement.edge_points import choose_edge_points
 from camera_client.silhouettes.masks import Box, BoxUndistorter
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import floor_pixels

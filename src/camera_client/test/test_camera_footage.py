@@ -1,8 +1,6 @@
 """Footage as a camera: what comes, with which stamps, until when, and what is refused."""
 
 import threading
-from functools import partial
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,7 +11,7 @@ from footage_clips import scene as square_scene
 from camera_client.background.model import read_background
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import BackgroundSettings, FootageSettings
-from camera_client.sources.footage_pace import LEAD_NS, AcknowledgedPace, Pace, SharedClock, WallClockPace
+from camera_client.sources.footage_pace import LEAD_NS, Pace, SharedClock, WallClockPace
 from camera_client.sources.footage_reader import VideoReader, open_footage
 from camera_client.sources.footage_source import READ_AHEAD, FootageSource
 from capture_rig.errors import InputError
@@ -21,6 +19,7 @@ from capture_rig.session import footage_stamp_ns
 
 EPOCH_NS = 1_800_000_000_000_000_000
 PATIENCE_S = 20.0  # only ever used up by a failing test
+PNG = cv2.imencode(".png", np.zeros((4, 4), np.uint8))[1].tobytes()
 
 
 class Ready(Pace):
@@ -141,28 +140,6 @@ def test_start_after_the_end_without_an_epoch_takes_a_new_one(video):
     assert again[0].frame_id == 0
 
 
-def test_rate_zero_waits_for_the_acknowledgement(video, scene):
-    settings = FootageSettings(path=video, epoch_ns=EPOCH_NS, rate=0.0)
-    pace = partial(AcknowledgedPace, window=2, patience_s=600.0)
-    with FootageSource(settings, pace=pace, now_ns=lambda: EPOCH_NS) as source:
-        source.start()
-        frames = read(source, 2)
-        assert source.read(0.05) is None
-        source.acknowledge(frames[0].stamp_ns)
-        assert read(source, 1)[0].stamp_ns == footage_stamp_ns(EPOCH_NS, 2, scene.fps)
-        assert source.read(0.05) is None
-        assert source.counters["pace_timeouts"] == 0
-
-
-def test_rate_zero_goes_on_without_acknowledgement_and_counts_it(video):
-    settings = FootageSettings(path=video, epoch_ns=EPOCH_NS, rate=0.0)
-    pace = partial(AcknowledgedPace, window=2, patience_s=0.01)
-    with FootageSource(settings, pace=pace, now_ns=lambda: EPOCH_NS) as source:
-        source.start()
-        assert len(read_all(source)) == 8
-        assert source.counters["pace_timeouts"] == 6
-
-
 def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene, monkeypatch):
     path = scene.write_video(tmp_path / "long.avi", scene.empty(60))
     with source_of(path) as source:
@@ -177,14 +154,6 @@ def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene, monkeypatch):
         for delivered in range(1, 21):
             read(source, 1)
             assert len(decoded) <= delivered + READ_AHEAD + 1  # the stored ones, and the one in the decoder's hands
-
-
-def test_mono_video_is_delivered_in_one_channel(tmp_path, scene):
-    images = scene.empty(3)
-    with source_of(scene.write_video(tmp_path / "mono.avi", images)) as source:
-        assert source.shape == (scene.height, scene.width)
-        source.start()
-        assert np.array_equal(read(source, 1)[0].image, images[0])
 
 
 @pytest.mark.parametrize("channels, shape", [("mono", (120, 160)), ("colour", (120, 160, 3))])
@@ -220,26 +189,20 @@ def test_still_that_cannot_be_decoded_is_dropped_and_counted(tmp_path, images):
     assert frames[1].stamp_ns == EPOCH_NS + 200_000_000
 
 
-def test_stills_without_a_frame_rate_are_refused(tmp_path, images):
-    cv2.imwrite(str(tmp_path / "f.png"), images[0])
-    with pytest.raises(InputError, match=r"no frame rate.*footage\.fps"):
-        source_of(tmp_path).connect()
-
-
-def test_missing_video_is_refused_naming_it(tmp_path):
-    with pytest.raises(InputError, match=r"none\.mp4: does not exist"):
-        source_of(tmp_path / "none.mp4").connect()
-
-
-def test_unreadable_video_is_refused_naming_it(tmp_path):
-    (tmp_path / "broken.mp4").write_bytes(b"this is no video" * 100)
-    with pytest.raises(InputError, match=r"broken\.mp4: cannot be opened as a video"):
-        source_of(tmp_path / "broken.mp4").connect()
-
-
-def test_folder_without_images_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no still image"):
-        source_of(tmp_path, fps=10.0).connect()
+@pytest.mark.parametrize(
+    "name, content, text",
+    [
+        ("none.mp4", None, r"none\.mp4: does not exist"),
+        ("broken.mp4", b"this is no video" * 100, r"broken\.mp4: cannot be opened as a video"),
+        ("", None, "no still image"),
+        ("", PNG, r"no frame rate.*footage\.fps"),
+    ],
+)
+def test_footage_that_cannot_be_played_is_refused_with_the_reason(tmp_path, name, content, text):
+    if content is not None:
+        (tmp_path / (name or "still.png")).write_bytes(content)
+    with pytest.raises(InputError, match=text):
+        source_of(tmp_path / name).connect()
 
 
 def test_start_before_connect_is_refused(video):
@@ -254,16 +217,6 @@ def test_close_while_the_decoder_waits_ends_its_thread(video):
     read(source, 1)
     source.close()
     assert not [t for t in threading.enumerate() if t.name == "footage decoder"]
-
-
-def test_truncated_video_plays_what_is_there(tmp_path, video, images):
-    data = Path(video).read_bytes()
-    (tmp_path / "cut.avi").write_bytes(data[: len(data) // 2])
-    with source_of(tmp_path / "cut.avi") as source:
-        source.start()
-        frames = read_all(source)
-    assert 1 <= len(frames) < len(images)
-    assert np.array_equal(frames[0].image, images[0])
 
 
 def test_single_still_is_read_as_footage_of_one_frame(tmp_path, images):
@@ -309,7 +262,7 @@ def test_footage_that_was_cut_off_ends_after_its_last_whole_frame(tmp_path):
     with source_of(path) as source:
         source.start()
         frames = read_all(source)
-    assert 6 < len(frames) < 20
+    assert 6 < len(frames) < 20 and frames[0].image.ndim == 2  # of a grey camera
     assert [frame.frame_id for frame in frames] == list(range(len(frames)))
 
 

@@ -72,13 +72,6 @@ def test_ids_skipped_before_a_frame_are_told_when_it_comes():
     assert counts(statistics) == (9, 7, 0, 2, 0)
 
 
-def test_first_frames_are_known_to_be_lost_when_the_device_says_where_it_begins():
-    statistics = FrameStatistics()
-    statistics.restart(first_id=1)
-    assert statistics.add(4) == 3
-    assert counts(statistics) == (4, 1, 0, 3, 0)
-
-
 def test_frame_repeated_from_before_the_wrap_is_no_loss():
     statistics = FrameStatistics()
     for frame_id in (65535, 1, 65535, 2):

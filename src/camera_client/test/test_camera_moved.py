@@ -12,19 +12,13 @@ import cv2
 import numpy as np
 import pytest
 
+from camera_client.alignment import PictureAlignment
 from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance, load_background
 from camera_client.background.verdict import turn_findings
 from camera_client.diagnostics import CameraState, Level, assess, frame_values
 from camera_client.frame_processor import FrameProcessor, FrameResult
 from camera_client.frame_source import Frame
-from camera_client.movement.alignment import PictureAlignment
-from camera_client.movement.detector import (
-    CameraMovedDetector,
-    Movement,
-    MovementState,
-    carry_turn_over,
-    turn_when_learned,
-)
+from camera_client.movement import CameraMovedDetector, Movement, MovementState, carry_turn_over, turn_when_learned
 from camera_client.settings import CameraClientSettings, CameraMovedSettings
 from camera_client.sources.grab_loop import GrabState
 from capture_rig.video import Video

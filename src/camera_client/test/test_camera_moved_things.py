@@ -10,11 +10,11 @@ import pytest
 
 from camera_client.background.adaptation.adaptive import samples_of
 from camera_client.background.kernels import STEP_PX
-from camera_client.background.moved_things.absorption import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
-from camera_client.background.moved_things.support_history import APPLY_AFTER_S, CanvasCells
-from camera_client.background.moved_things.taken_away import is_calm_inside, was_taken_away
+from camera_client.background.moved_evidence import APPLY_AFTER_S, CanvasCells, is_calm_inside, was_taken_away
+from camera_client.background.moved_things import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings
+from camera_client.background.verdict import find_regions
 from capture_rig.camera import CameraModel
-from mocap_packets.support import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+from mocap_packets.silhouette import BODY, LEVELS, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
 WIDTH, HEIGHT, FPS = 320, 240, 5
 NOISE = 1.5
@@ -132,9 +132,9 @@ def test_thing_that_nobody_else_sees_is_absorbed_after_three_seconds(colour):
     picture = with_thing(room.background, THING)
     assert share(room.watch(picture, STILL_S - 0.2, NOBODY), THING) > 0.95
     assert share(room.watch(picture, APPLY_AFTER_S + 1.0, NOBODY), THING) < 0.01
-    (place,) = room.moved.places()
-    assert place.columns[0] <= 40 < 80 <= place.columns[1] and place.rows[0] <= 60 < 110 <= place.rows[1]
-    assert 0 < place.share < 0.06 and room.moved.absorbed == 1 and room.moved.changed and not room.moved.changed
+    (place,) = find_regions(room.moved.replaced > 0)
+    assert place.left <= 40 < 79 <= place.right and place.top <= 60 < 109 <= place.bottom
+    assert 0 < place.share < 0.06 and room.moved.absorbed == 1 and room.moved.newest_ns > 0
 
 
 def test_thing_is_likely_one_before_it_is_absorbed_and_a_person_never():

@@ -17,12 +17,11 @@ from camera_client.background.model import load_background
 from camera_client.sources.footage_source import FootageSource
 from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from capture_rig.session import footage_stamp_ns
-from mocap_packets.support import NOBODY, ForegroundSupport
+from mocap_packets.silhouette import NOBODY, ForegroundSupport
 from mocap_packets.thinning import FrameDecimation
 from sagoma_ros.images import camera_info_message, decode_silhouette, support_message
-from sagoma_ros.messages import to_ns, to_stamp
+from sagoma_ros.messages import thinning_message, to_ns, to_stamp
 from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
-from sagoma_ros.thinning import thinning_message
 
 
 def test_every_frame_gives_a_mask_and_camera_info_with_its_capture_stamp(bench, session, scene):

@@ -46,14 +46,6 @@ def departures_ms(pace, clock, frames, first=0):
     return times
 
 
-@pytest.mark.parametrize("rate", [0.25, 1.0, 2.0])
-def test_frames_leave_at_the_footage_rate_times_the_factor(rate):
-    clock = Clock(EPOCH_NS - 300 * MS)
-    pace = WallClockPace(50.0, rate, clock.now_ns, clock.sleep)
-    pace.begin(CLOCK, 0)
-    assert departures_ms(pace, clock, 10) == pytest.approx([20.0 * k / rate for k in range(10)], abs=1e-3)
-
-
 def test_slow_consumer_gets_late_frames_at_once_until_it_has_caught_up():
     clock = Clock()
     pace = WallClockPace(50.0, 1.0, clock.now_ns, clock.sleep)

@@ -374,26 +374,19 @@ def test_accounts_and_counters_add_up_over_reconnections(runs):
         assert source.counters["stalls"] == len(runs)
 
 
-def test_connection_that_is_made_after_the_source_was_stopped_is_closed_again(world):
+@pytest.mark.parametrize("made", ["after the stop", "before it, and not used yet"])
+def test_connection_that_a_stopped_source_does_not_use_is_closed_again(world, made):
     world.answering.clear()
-    world.fault = None
     source = world.supervised()
     source.start()
     source.read(0.01)  # an attempt is under way
-    source.stop()
-    assert world.made[0].calls == ["connect"]
-    world.answering.set()
-    source.close()
-    assert world.made[0].calls == ["connect", "close", "closed"]
-
-
-def test_connection_that_was_made_when_the_source_is_stopped_but_not_used_yet_is_closed(world):
-    world.answering.clear()
-    source = world.supervised()
-    source.start()
-    source.read(0.01)
-    world.answering.set()
-    world.made[0].connected.wait(PATIENCE_S)
+    if made == "after the stop":
+        source.stop()
+        assert world.made[0].calls == ["connect"]
+        world.answering.set()
+    else:
+        world.answering.set()
+        world.made[0].connected.wait(PATIENCE_S)
     source.close()
     assert world.made[0].calls == ["connect", "close", "closed"]
 

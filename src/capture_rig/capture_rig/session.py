@@ -37,41 +37,13 @@ LEFT_HAND, RIGHT_HAND, LEFT_ELBOW, RIGHT_ELBOW = 11, 12, 7, 8
 # (Drillis & Contini 1966, as tabulated by Winter, Biomechanics and Motor Control of Human Movement)
 WRIST_FRACTION = 0.146 / (0.146 + 0.108)
 
-# the columns that give each of the 15 points; two names stand for their midpoint
-RENDERED = (
-    ("neck", "l_hip", "r_hip"),
-    ("head_top",),
-    ("neck",),
-    ("l_shoulder",),
-    ("r_shoulder",),
-    ("l_hip",),
-    ("r_hip",),
-    ("l_elbow",),
-    ("r_elbow",),
-    ("l_knee",),
-    ("r_knee",),
-    ("l_hand_tip",),
-    ("r_hand_tip",),
-    ("l_ankle",),
-    ("r_ankle",),
+_RENDERED = "neck+l_hip+r_hip head_top neck l_shoulder r_shoulder l_hip r_hip l_elbow r_elbow l_knee r_knee l_hand_tip "
+_RENDERED += "r_hand_tip l_ankle r_ankle"
+_POSE_NETWORK = (
+    "Neck+LHip+RHip Head Neck LShoulder RShoulder LHip RHip LElbow RElbow LKnee RKnee LWrist RWrist LAnkle RAnkle"
 )
-POSE_NETWORK = (
-    ("Neck", "LHip", "RHip"),
-    ("Head",),
-    ("Neck",),
-    ("LShoulder",),
-    ("RShoulder",),
-    ("LHip",),
-    ("RHip",),
-    ("LElbow",),
-    ("RElbow",),
-    ("LKnee",),
-    ("RKnee",),
-    ("LWrist",),
-    ("RWrist",),
-    ("LAnkle",),
-    ("RAnkle",),
-)
+RENDERED, POSE_NETWORK = ([tuple(name.split("+")) for name in names.split()] for names in (_RENDERED, _POSE_NETWORK))
+"""The columns that give each of the 15 points, in their order; the torso's centre lies between three."""
 
 
 @dataclass(frozen=True, eq=False)

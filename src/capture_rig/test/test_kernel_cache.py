@@ -13,7 +13,7 @@ import pytest
 from numba.core import event
 
 import capture_rig
-from capture_rig import kernel_cache
+from capture_rig import kernel as kernel_module
 from capture_rig.kernel import _KernelDispatcher, _PartDispatcher, kernel, njit
 
 LEAF = """
@@ -117,8 +117,8 @@ def test_kernels_are_kept_in_a_temporary_folder_where_neither_checkout_nor_home_
 
 @pytest.mark.parametrize("fault", ["open to others", "link", "of somebody else"])
 def test_temporary_folder_that_others_could_fill_is_refused(fault, tmp_path, monkeypatch):
-    monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(tmp_path))
-    folder = Path(kernel_cache.temporary_folder())
+    monkeypatch.setattr(kernel_module.tempfile, "gettempdir", lambda: str(tmp_path))
+    folder = Path(kernel_module.temporary_folder())
     if fault == "link":
         (tmp_path / "theirs").mkdir(mode=0o700)
         folder.symlink_to(tmp_path / "theirs")
@@ -126,16 +126,16 @@ def test_temporary_folder_that_others_could_fill_is_refused(fault, tmp_path, mon
         folder.mkdir(mode=0o755 if fault == "open to others" else 0o700)
     if fault == "of somebody else":
         uid = os.getuid()
-        monkeypatch.setattr(kernel_cache, "temporary_folder", lambda: str(folder))
-        monkeypatch.setattr(kernel_cache.os, "getuid", lambda: uid + 1)
-    assert kernel_cache._TemporaryFolder.from_function(run, __file__) is None
+        monkeypatch.setattr(kernel_module, "temporary_folder", lambda: str(folder))
+        monkeypatch.setattr(kernel_module.os, "getuid", lambda: uid + 1)
+    assert kernel_module._TemporaryFolder.from_function(run, __file__) is None
 
 
 def test_imports_in_brackets_and_of_modules_count_and_those_of_other_projects_do_not():
-    fit = kernel_cache.PACKAGES / "stick_figure/stick_figure/least_squares/gauss_newton.py"
-    found = {path.name for path in kernel_cache.imported(fit)}
+    fit = kernel_module.PACKAGES / "stick_figure/stick_figure/least_squares/gauss_newton.py"
+    found = {path.name for path in kernel_module.imported(fit)}
     assert {"kernels.py", "contour_factor.py", "joint_limits.py", "small_matrices.py"} <= found
-    assert all(path.is_relative_to(kernel_cache.PACKAGES) for path in kernel_cache.imported(fit))
+    assert all(path.is_relative_to(kernel_module.PACKAGES) for path in kernel_module.imported(fit))
 
 
 @njit(cache=False)

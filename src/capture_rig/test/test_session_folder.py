@@ -95,8 +95,9 @@ def test_rate_that_no_camera_has_is_refused_with_file_value_and_remedy(folder: P
     assert "'fps' in session.yaml" in text
 
 
-def test_stated_rate_serves_where_the_headers_have_none(folder: Path) -> None:
-    write_video(folder / "cam02.mp4", 1000.0)
+@pytest.mark.parametrize("header_fps", [1000.0, 25.0])
+def test_stated_rate_serves_where_the_headers_have_none_or_differ(folder: Path, header_fps: float) -> None:
+    write_video(folder / "cam02.mp4", header_fps)
     (folder / "session.yaml").write_text("fps: 50\n")
     assert load_session(folder).fps == 50
 
@@ -105,28 +106,20 @@ def test_folder_that_does_not_exist_is_named(tmp_path: Path) -> None:
     assert "is not a folder" in refusal(tmp_path / "nowhere")
 
 
-def test_folder_without_a_rig_is_refused(folder: Path) -> None:
-    (folder / "rig.yaml").unlink()
-    assert "rig.yaml: cannot be read" in refusal(folder)
-
-
-def test_rig_with_more_cameras_than_videos_names_the_missing_one(folder: Path) -> None:
-    (folder / "cam02.mp4").unlink()
-    text = refusal(folder)
-    assert "the rig has 2 cameras, but there is no video for cam02" in text
-    assert "Add cam02.mp4" in text
-
-
-def test_more_videos_than_rig_cameras_names_the_stranger(folder: Path) -> None:
-    write_video(folder / "cam03.mp4")
-    text = refusal(folder)
-    assert "a video for cam03, which rig.yaml does not list" in text
-    assert "Calibrate cam03" in text
-
-
-def test_video_that_cannot_be_opened_is_named(folder: Path) -> None:
-    (folder / "cam02.mp4").write_bytes(b"this is no video")
-    assert "cam02.mp4: cannot be opened as a video" in refusal(folder)
+@pytest.mark.parametrize(
+    ("damage", "says"),
+    [
+        (lambda folder: (folder / "rig.yaml").unlink(), "rig.yaml: cannot be read"),
+        (lambda folder: (folder / "cam02.mp4").unlink(), "there is no video for cam02"),
+        (lambda folder: write_video(folder / "cam03.mp4"), "a video for cam03, which rig.yaml does not list"),
+        (lambda folder: (folder / "cam02.mp4").write_bytes(b"no video"), "cam02.mp4: cannot be opened as a video"),
+    ],
+)
+def test_file_that_is_missing_damaged_or_a_stranger_is_named(
+    folder: Path, damage: Callable[[Path], object], says: str
+) -> None:
+    damage(folder)
+    assert says in refusal(folder)
 
 
 def test_videos_of_different_rates_are_refused_with_the_rates(folder: Path) -> None:
@@ -134,12 +127,6 @@ def test_videos_of_different_rates_are_refused_with_the_rates(folder: Path) -> N
     text = refusal(folder)
     assert "different frame rates" in text and "'cam01': 60.0" in text and "'cam02': 25.0" in text
     assert "'fps' in session.yaml" in text
-
-
-def test_stated_rate_settles_different_rates(folder: Path) -> None:
-    write_video(folder / "cam02.mp4", fps=25)
-    (folder / "session.yaml").write_text("fps: 50\nunits: metres\n")
-    assert load_session(folder).fps == 50
 
 
 @pytest.mark.parametrize("content", ["", "source: test\n"])

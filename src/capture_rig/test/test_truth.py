@@ -83,13 +83,6 @@ def test_stick_figure_of_a_wrist_reference_ends_at_the_finger_tips(tmp_path: Pat
     assert truth.comparable(stick_figure) == pytest.approx(reference)
 
 
-def test_rendered_hand_tips_need_no_conversion(tmp_path: Path) -> None:
-    columns = columns_of(RENDERED)
-    truth = load_truth(write(tmp_path / "truth.csv", columns, [numbers(columns)]))
-    assert truth.stick_figure_points() == pytest.approx(truth.points_world)
-    assert truth.comparable(truth.points_world) == pytest.approx(truth.points_world)
-
-
 def test_shared_reference_is_a_person_of_plausible_size(shared_data: Callable[..., Path]) -> None:
     truth = load_truth(shared_data("real_4cam", "reference_first50.csv"))
     points = truth.stick_figure_points()

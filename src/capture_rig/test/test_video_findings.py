@@ -8,8 +8,16 @@ from footage_clips import CODECS, cut_off, place_of_square, scene, with_late_fra
 
 from capture_rig.errors import InputError
 from capture_rig.verdict import REDO, USABLE
-from capture_rig.video import PassedFrames, Video, is_grey
-from capture_rig.video_findings import VideoFacts, ended_findings, examine_video, session_findings, video_findings
+from capture_rig.video import (
+    PassedFrames,
+    Video,
+    VideoFacts,
+    ended_findings,
+    examine_video,
+    is_grey,
+    session_findings,
+    video_findings,
+)
 
 
 def facts(path: str = "cam01.avi", frames: int = 100, header: int = 100, **passed: float) -> VideoFacts:

@@ -1,7 +1,11 @@
-"""Time-correlated bias of the measured points: covariances that a filter's averaging may not shrink.
+"""What the rigid figure of the filter lacks: a trunk that bends, and measured points whose errors last.
 
-A figure fitted to a hull errs in the same way for many sets: the hull is fat on the side that no camera sees, a
-shoulder is no single point. With b the bias and v the noise that is new in every set,
+**Bend.** A person's shoulders and hips move against the torso (`stick_figure.trunk_bend`), and so do the measured
+points: with the torso's motion eliminated from them (Schur complement), their distances from it at rest measure the
+bend's seven numbers. These are an Ornstein-Uhlenbeck process: it fades to rest and keeps the spread that trunks have.
+
+**Bias.** A figure fitted to a hull errs in the same way for many sets: the hull is fat on the side that no camera sees,
+a shoulder is no single point. With b the bias and v the noise that is new in every set,
 
     z_k = h(x_k) + b_k + v_k,     cov b = share R,     cov v = (1 - share) R,
 
@@ -12,41 +16,41 @@ is the filter's own P plus the response to b:
 
     covariance of a point = H P H' + B,     of the pose = P + c (L + 1/cap^2)^-1 L (L + 1/cap^2)^-1,     L = H' B^-1 H.
 
-Its second term is what 15 points with errors B say about 24 slots, and nothing about a slot that they do
-not see. They come from one fitted figure and are not independent: c = (numbers measured) / (slots determined) undoes
-that they count as if they were.
+Its second term is what 15 points with errors B say about 24 slots, and nothing about a slot that they do not see. They
+come from one fitted figure and are not independent: c = (numbers measured) / (slots determined) undoes that they count
+as if they were.
 
-What lasts is B = share R + the distance of the figure's joint from the person's, of which no fit can know.
-
-A figure whose surface lies exactly on a person's still does not know where in the flesh that person's joint is, nor
-what another source means by its name: a marker set, a neural network and a radiograph place a hip centimetres apart.
-The deviations are round numbers from what is known of landmarks that are located from the outside:
+What lasts is B = share R + the distance of the figure's joint from the person's, of which no fit can know: a marker
+set, a neural network and a radiograph place a hip centimetres apart. Round numbers from what is known of landmarks that
+are located from the outside:
 
 - hip: centres regressed from the pelvis are 20 to 30 mm off (Bell, Pedersen & Brand 1990; Leardini et al., J. Biomech.
   32, 1999), those of pose networks 30 to 50 mm (Needham et al., Sci. Rep. 11, 2021), mostly forward and up.
 - neck: anything from the seventh vertebra to the notch of the breastbone, 10 cm in front of it: evenly spread, 29 mm.
   The torso's centre is half way between neck and hips and has half of both.
-- shoulder, knee, ankle: palpated landmarks differ by 10 to 20 mm between examiners, bony ones at the ankle least (Della
-  Croce et al., Gait & Posture 21, 2005), and a joint's centre is the mean of two or more; networks put the knee as far
-  off as the hip.
-- head: the crown under hair, and a head that no other stick holds upright.
-- hand: a fist is up to 85 mm shorter than the stretched hand that ends the stick: evenly spread, 25 mm along it. It
-  turns about the wrist, which the forearm's stick does not have.
-- elbow: as the shoulder, and a fist pushes the forearm's stick back.
+- shoulder, elbow, knee, ankle: palpated landmarks differ by 10 to 20 mm between examiners, bony ones at the ankle least
+  (Della Croce et al., Gait & Posture 21, 2005); networks put the knee as far off as the hip.
+- head: the crown under hair. Hand: a fist is up to 85 mm shorter than the stretched hand: evenly spread, 25 mm along.
 
-They were rounded while looking at their coverage on the studio's and the three rendered sessions, the
-real one with four cameras and the first of the mesh people: none of these is a proof of them. For rendered people,
-whose joints are those of the surfaces that the figure's was learnt from, they are too large; for the real one not.
+They were rounded while looking at their coverage on the studio's and the three rendered sessions, the real one with
+four cameras and the first of the mesh people. For rendered people, whose joints are those of the surfaces that the
+figure's was learnt from, they are too large; for the real one not.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from capture_rig.kernel import njit
-from capture_rig.small_matrices import inverse3, inverse_positive, symmetrise
+from capture_rig.rigid import rigid_transform
+from capture_rig.small_matrices import inverse3, inverse_positive, solve_positive_columns, symmetrise
+from capture_rig.stamps import NS
 from stick_figure import kernels
-from stick_figure.skeleton import POINT_STICK
+from stick_figure.body import BEND_NUMBERS, Body
+from stick_figure.skeleton import POINT_STICK, TORSO_POINTS
+from stick_figure.trunk_bend import RATE_SD, REST_SD, bend_columns
 
 from .measurement import Measurement, add_information
 from .settings import MeasurementBiasSettings
@@ -71,6 +75,13 @@ JOINT_SD_M = np.array(
     ]
 )
 """(15, 3) standard deviations, m, in the order of `stick_figure.skeleton.POINT_NAMES`."""
+# Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
+# best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation
+# SESSION.
+FEWEST_POINTS = 4  # of neck, shoulders and hips: three leave only what a rigid torso does
+FADES_S = 2.0 * (REST_SD / RATE_SD) ** 2
+RIGID = 6
+_POINTS = TORSO_POINTS[1:]
 
 
 class MeasurementBias:
@@ -130,3 +141,63 @@ def add_measurement_bias(at, pose, lasting, joints, least_information, points, s
     for i in range(N):
         for j in range(N):
             state[i, j] += response[i, j]
+
+
+class TorsoBend:
+    """Estimate (7,) of the bend and its covariance, rest and what people bend by at first."""
+
+    def __init__(self, scale: float) -> None:
+        """``scale`` : how far trunks bend, over what is usual; 0 for a rigid torso."""
+        self._is_rigid, self._rest_variance, self._stamp_ns = scale == 0.0, (scale * REST_SD) ** 2, -1
+        self.bend, self.covariance = np.zeros(BEND_NUMBERS), np.diag(self._rest_variance)
+
+    def bent(self, body: Body, stamp_ns: int, z: Measurement) -> Body:
+        """Return the body as its trunk is bent in a set of measured points, their covariance what is new in it."""
+        if self._is_rigid:
+            return body
+        passed_s = 0.0 if self._stamp_ns < 0 else (stamp_ns - self._stamp_ns) * NS
+        self._stamp_ns, rest = stamp_ns, body.straight
+        self.bend, self.covariance = fade(self.bend, self.covariance, passed_s, self._rest_variance)
+        if np.count_nonzero(z.visible[_POINTS]) >= FEWEST_POINTS:
+            self.bend, self.covariance = correct(
+                self.bend, self.covariance, rest.torso_points[1:], bend_columns(rest), z
+            )
+        return body.bent(self.bend)
+
+
+@njit(cache=True, nogil=True)
+def fade(bend, covariance, passed_s, rest_variance):
+    """Bend and covariance after seconds in which nothing was measured: an Ornstein-Uhlenbeck process (7,)."""
+    kept = np.exp(-passed_s / FADES_S)
+    faded = covariance * np.outer(kept, kept)
+    for k in range(BEND_NUMBERS):
+        faded[k, k] += (1.0 - kept[k] ** 2) * rest_variance[k]
+    return kept * bend, faded
+
+
+@njit(cache=True, nogil=True)
+def correct(bend, covariance, rest, columns, z):
+    """Bend and covariance corrected with the visible ones of neck, shoulders and hips (a Kalman update).
+
+    rest (5, 3) m : these points of the body at rest, torso frame; columns (5, 3, 13) : `bend_columns` of it.
+    """
+    seen = np.flatnonzero(z.visible[_POINTS])
+    points_world, own = z.points_world[_POINTS[seen]], rest[seen]
+    R, t = rigid_transform(own, points_world)
+    off = np.dot(points_world - t, R) - own
+    rows = np.empty((len(seen), 3, RIGID + BEND_NUMBERS + 1))  # derivatives, then residuals, each over its deviation
+    for k, point in enumerate(seen):
+        C = z.covariance[_POINTS[point]]
+        sd = math.sqrt((C[0, 0] + C[1, 1] + C[2, 2]) / 3.0)
+        rows[k, :, :-1] = columns[point] / sd
+        rows[k, :, -1] = off[k] / sd
+    A = rows.reshape(3 * len(seen), -1)
+    M = np.dot(A.T, A)
+    across, factor = M[:RIGID, RIGID:].copy(), np.empty((RIGID, RIGID))
+    eliminated = across.copy()
+    solve_positive_columns(M[:RIGID, :RIGID], factor, eliminated)
+    M_bend = M[RIGID:, RIGID:] - np.dot(across.T, eliminated)  # Schur complement: any rigid motion suits as well
+    information, pull = M_bend[:-1, :-1], M_bend[:-1, -1]
+    before = inverse_positive(covariance)
+    after = inverse_positive(before + information)
+    return np.dot(after, np.dot(before, bend) + pull), after

@@ -18,16 +18,15 @@ from mocap_packets.state import BodyState, Tracking
 from sagoma_ros.health import ERROR, OK, WARN
 from sagoma_ros.inputs import InputWatchdog, StampOrder
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
-from sagoma_ros.latency import LATENCY_TOPIC, latency_message
+from sagoma_ros.messages import LATENCY_TOPIC, latency_message
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import FITTED_PEOPLE, PREDICTIONS
 from sagoma_ros.process import run_node
 
 from .filter import PeopleFilter, warm_up
-from .frames_ros import BodyFrames
-from .humans_ros import NoHumans, make_humans
+from .humans_ros import BodyFrames, HumansPublisher, Tracked
 from .people_ros import Answer, PeopleTopics, is_tracked
-from .settings import EkfNodeSettings
+from .settings import LINK_FRAMES, NO_FRAMES, EkfNodeSettings
 
 HEALTH = {Tracking.ACQUIRING: WARN, Tracking.TRACKING: OK, Tracking.DOUBTFUL: WARN, Tracking.LOST: ERROR}
 
@@ -41,7 +40,7 @@ class EkfNode(SagomaNode):
         super().__init__("ekf_tracker", **options)
         self._closing: list[Callable[[], object]] = []  # releases what configure has opened
         self._answering = threading.RLock()  # fits may come on the tracker's thread, requests on ours
-        self._humans = NoHumans()
+        self._bodies: list[BodyFrames | HumansPublisher] = []
         self._filters = PeopleFilter()
         self._order = StampOrder(self, self._forget_states)
         self._watchdog: InputWatchdog | None = None
@@ -54,11 +53,13 @@ class EkfNode(SagomaNode):
         warm_up()
         self._topics = PeopleTopics(self, settings, self.tf_prefix, self._forget)
         self._closing.append(self._topics.close)
-        self._humans = make_humans(self, settings.publish_humans, self._topics.id_of(FIRST_PERSON), settings.frame_id)
-        self._frames = BodyFrames(self, settings.publish_tf, settings.frame_id)
+        if settings.publish_humans:
+            self._bodies.append(HumansPublisher(self, self._topics.id_of(FIRST_PERSON), settings.frame_id))
+        if settings.publish_tf != NO_FRAMES:
+            self._bodies.append(BodyFrames(self, settings.publish_tf == LINK_FRAMES, settings.frame_id))
         self._prediction = PacketPublisher(self, PREDICTIONS)
         self._latency = LazyPublisher(self, DiagnosticArray, LATENCY_TOPIC)
-        self._closing += [self._frames.close, self._prediction.close, self._latency.close]
+        self._closing += [self._prediction.close, self._latency.close]
         service = self.create_service(Trigger, "~/reset", self._on_reset)
         self._closing.append(partial(self.destroy_service, service))
         self._closing.append(PacketSubscription(self, FITTED_PEOPLE, self._on_people).close)
@@ -82,8 +83,9 @@ class EkfNode(SagomaNode):
             close()
         self._closing.clear()
         with self._answering:
-            self._humans.close()
-            self._humans, self._filters = NoHumans(), PeopleFilter()
+            for bodies in self._bodies:
+                bodies.close()
+            self._bodies, self._filters = [], PeopleFilter()
             self._order.reset()
 
     def _on_people(self, delivery: Delivery[FittedPeople]) -> None:
@@ -124,8 +126,7 @@ class EkfNode(SagomaNode):
         self._topics.publish_bodies(answers, bodies)
         tracked = {p: (a, bodies[p]) for p, a in answers.items() if isinstance(a, BodyState) and is_tracked(a)}
         by_id = {self._topics.id_of(p): body for p, body in tracked.items()}
-        self._frames.update(by_id)
-        self._humans.update(by_id, stamp_ns)
+        self._update_bodies(by_id, stamp_ns)
         self._topics.publish_states(answers, stamp_ns)
 
     def _filtered(self, people: FittedPeople) -> dict[int, Answer]:
@@ -143,7 +144,7 @@ class EkfNode(SagomaNode):
                 return
             reason = f"no frame sets for {silent_s:.0f} s"
             state = self._topics.publish_stale(reason)
-            self._humans.update({}, self.get_clock().now().nanoseconds)
+            self._update_bodies({}, self.get_clock().now().nanoseconds)
             self.health.status(HEALTH[state], f"{state}: {reason}")
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -157,8 +158,13 @@ class EkfNode(SagomaNode):
         self._filters.reset()
         self._topics.clear()
 
+    def _update_bodies(self, tracked: Tracked, stamp_ns: int) -> None:
+        for bodies in self._bodies:
+            bodies.update(tracked, stamp_ns)
+
     def _forget(self, body_id: str) -> None:
-        self._humans.forget(body_id)
+        for bodies in self._bodies:
+            bodies.forget(body_id)
 
     def _drop(self, error: InputError) -> None:
         self.health.count("bad_points")

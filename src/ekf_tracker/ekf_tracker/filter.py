@@ -25,7 +25,6 @@ NO_BODY = "waiting for the body"
 # Thresholds: judgement, no measurement.
 SAME_PERSON_M = 0.06
 """Statures of one person, measured twice, differ by less."""
-STATURE_M = 1.75
 FRAME_NS = 10_000_000
 NONE = np.zeros(15, bool)
 
@@ -175,7 +174,7 @@ class PeopleFilter:
 
 def warm_up() -> None:
     """Run a filter of its own over some sets, so that compiling does not hold up the first real one."""
-    body = Body.from_stature(STATURE_M)
+    body = Body.from_stature(1.75)
     points = forward(body, Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES))
     covariance = np.tile(np.eye(3) * 1e-4, (15, 1, 1))
     ekf = ArticulatedEkf(body)

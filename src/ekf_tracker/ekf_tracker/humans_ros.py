@@ -1,8 +1,12 @@
-"""The tracked persons for REP-155: joint states and URDF of each; the list of people and /tf where installed."""
+"""The tracked persons for other nodes: their frames on /tf, and for REP-155 joint states, URDF and list of people.
+
+On /tf shoulders, hips and neck are where the trunk's bend has them in this set; in the URDF, whose fixed joints cannot
+move, they are where they are at rest.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from geometry_msgs.msg import TransformStamped
@@ -12,14 +16,16 @@ from std_msgs.msg import String
 
 from capture_rig.rigid import quaternion_of
 from mocap_packets.state import BodyState
-from sagoma_ros.frames import FramePublisher, frame
+from sagoma_ros.frames import FramePublisher, about_axis, frame
 from sagoma_ros.intra_process import LazyPublisher
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.packets import joint_state_message
 from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
+from stick_figure.skeleton import ANGLE_NAMES, STICK_NAMES, TORSO
 
 from .rep155 import HRI_JOINT_NAMES, body_frame, hri_angles, hri_rates, human_urdf
+from .urdf import link_joints, link_name
 
 try:  # not part of common_interfaces: REP-155 listeners have it, others do not need it
     from hri_msgs.msg import IdsList
@@ -30,20 +36,40 @@ Tracked = Mapping[str, tuple[BodyState, Body]]
 """The bodies that are tracked, by REP-155 id."""
 
 
-class NoHumans:
-    """Publishes nothing of what REP-155 says of tracked bodies."""
+UNTURNED = (0.0, 0.0, 0.0, 1.0)
+
+
+class BodyFrames:
+    """Publishes the frames of those who are tracked, once a frame set: of the torso, and of the ``links``."""
+
+    def __init__(self, node: Node, links: bool, frame_id: str) -> None:
+        self._frame_id, self._links, self._publisher = frame_id, links, FramePublisher(node)
 
     def update(self, tracked: Tracked, stamp_ns: int) -> None:
-        """These bodies are tracked, and no others."""
+        """Publish the frames of these bodies, by their id."""
+        if tracked:
+            self._publisher.publish(lambda: [one for i, body in tracked.items() for one in self._frames(i, *body)])
 
     def forget(self, body_id: str) -> None:
-        """Take back the topics of a body that has left."""
+        """A body has left: nothing of it is kept."""
 
     def close(self) -> None:
-        """Destroy the publishers."""
+        """Take the topic back."""
+        self._publisher.close()
+
+    def _frames(self, body_id: str, state: BodyState, body: Body) -> Iterator[TransformStamped]:
+        torso, stamp_ns = link_name(body_id, STICK_NAMES[TORSO]), state.stamp_ns
+        place, turn = state.pose.position_world.tolist(), quaternion_of(state.pose.R_world_torso).tolist()
+        yield frame(self._frame_id, torso, stamp_ns, place, turn)
+        if self._links:
+            angles = dict(zip(ANGLE_NAMES, state.angles.tolist(), strict=True))
+            for joint in link_joints(body.bent(state.bend)):
+                turned = UNTURNED if joint.axis is None else about_axis(joint.axis, angles[joint.name])
+                parent, child = link_name(body_id, joint.parent), link_name(body_id, joint.child)
+                yield frame(parent, child, stamp_ns, joint.origin, turned)
 
 
-class HumansPublisher(NoHumans):
+class HumansPublisher:
     """/humans/bodies/ID/joint_states and urdf; with hri_msgs /humans/bodies/tracked; with tf2_msgs body_ID on /tf.
 
     The topics of ``first_id`` are there from the start, those of others from when they are tracked first.
@@ -120,8 +146,3 @@ def _ids_message(ids: list[str], stamp_ns: int) -> IdsList:
     message = IdsList(ids=ids)
     message.header.stamp = to_stamp(stamp_ns)
     return message
-
-
-def make_humans(node: Node, publish: bool, first_id: str, frame_id: str) -> NoHumans:
-    """Return the publisher that the parameters ask for; ``first_id`` : the first person's."""
-    return HumansPublisher(node, first_id, frame_id) if publish else NoHumans()

@@ -28,7 +28,6 @@ from stick_figure.kinematics import rates_of_angles
 from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 
 from .bias import add_measurement_bias
-from .covariance import N, cap_joints, joseph, negate
 from .measurement import (
     Measurement,
     Sizes,
@@ -40,6 +39,7 @@ from .measurement import (
     squared_distances,
 )
 from .motion_model import Transition
+from .state import N, cap_joints, joseph, negate
 
 # Thresholds: rounding from arithmetic; STEP_LIMIT, LINEAR_M judgement.
 STEP_LIMIT = 0.5

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,31 +22,13 @@ from stick_figure.body import Body
 from stick_figure.pose import Pose
 from stick_figure.rotations import HINGE_SLACK_RAD
 
-from .urdf import Segment, Vector, add_joint, add_link, new_robot, segments, text_of
+from .urdf import LinkJoint, Range, Segment, robot_urdf, segments
 
 HRI_JOINT_NAMES = (
-    "waist",
-    "r_head",
-    "y_head",
-    "p_head",
-    "l_y_shoulder",
-    "l_p_shoulder",
-    "l_r_shoulder",
-    "l_elbow",
-    "r_y_shoulder",
-    "r_p_shoulder",
-    "r_r_shoulder",
-    "r_elbow",
-    "l_y_hip",
-    "l_p_hip",
-    "l_r_hip",
-    "l_knee",
-    "r_y_hip",
-    "r_p_hip",
-    "r_r_hip",
-    "r_knee",
+    *("waist", "r_head", "y_head", "p_head"),
+    *(f"{side}_{name}" for side in "lr" for name in ("y_shoulder", "p_shoulder", "r_shoulder", "elbow")),
+    *(f"{side}_{name}" for side in "lr" for name in ("y_hip", "p_hip", "r_hip", "knee")),
 )
-
 BODY_ID = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 SINGULAR_SINE = 1e-6
 STEP_S = 1e-4  # of the difference that gives rates: 20 rad/s turn by 2 mrad, so the error is some 1e-3 of them
@@ -158,28 +139,15 @@ def _wrapped(angle: np.ndarray) -> np.ndarray:
 # --- The URDF of a tracked person for REP-155: names as in ROS4HRI's `human_description`, measured sizes.
 
 
-@dataclass(frozen=True)
-class UrdfJoint:
-    """One joint: its child link hangs at ``origin`` (m, parent's frame), unturned in the zero pose; no axis: fixed."""
-
-    name: str
-    parent: str
-    child: str
-    origin: Vector = (0.0, 0.0, 0.0)
-    axis: Vector | None = None
-
-
 def human_urdf(body: Body, body_id: str, mass_kg: float | None = None) -> str:
     """The person's URDF; every link and joint name ends in ``_<body_id>``, the root link is ``body_<body_id>``;
     ``mass_kg`` as of `body_urdf`."""
-    robot, parts = new_robot(f"human_{body_id}"), human_segments(body, mass_kg)
-    add_link(robot, f"body_{body_id}", None)
-    for joint in human_joints(body):
-        add_link(robot, f"{joint.child}_{body_id}", parts.get(joint.child))
-        links = f"{joint.parent}_{body_id}", f"{joint.child}_{body_id}"
-        limits = next((limits for end, limits in LIMITS.items() if joint.name.endswith(end)), None)
-        add_joint(robot, f"{joint.name}_{body_id}", links, joint.origin, joint.axis, limits)
-    return text_of(robot)
+
+    def range_of(joint: str) -> Range | None:
+        return next((limits for end, limits in LIMITS.items() if joint.endswith(end)), None)
+
+    joints, parts = list(human_joints(body)), human_segments(body, mass_kg)
+    return robot_urdf(f"human_{body_id}", joints, parts, range_of, suffix=f"_{body_id}")
 
 
 def human_segments(body: Body, mass_kg: float | None = None) -> dict[str, Segment]:
@@ -194,26 +162,26 @@ def human_segments(body: Body, mass_kg: float | None = None) -> dict[str, Segmen
     return moved
 
 
-def human_joints(body: Body) -> Iterator[UrdfJoint]:
+def human_joints(body: Body) -> Iterator[LinkJoint]:
     """Yield all joints, parents before children; sizes from the stick figure (the wrist stands for its hand tip)."""
     h, w = body.half_lengths[0], body.half_shoulder_width
-    yield UrdfJoint("waist", "body", "waist", axis=(0, 1, 0))
-    yield UrdfJoint("torso", "waist", "torso", (0.0, 0.0, 2 * h))
-    yield UrdfJoint("r_head", "torso", "r_head", axis=(1, 0, 0))
-    yield UrdfJoint("y_head", "r_head", "y_head", axis=(0, 0, 1))
-    yield UrdfJoint("p_head", "y_head", "p_head", axis=(0, -1, 0))
-    yield UrdfJoint("head", "p_head", "head", (0.0, 0.0, body.lengths[1]))
+    yield LinkJoint("waist", "body", "waist", axis=(0, 1, 0))
+    yield LinkJoint("torso", "waist", "torso", (0.0, 0.0, 2 * h))
+    yield LinkJoint("r_head", "torso", "r_head", axis=(1, 0, 0))
+    yield LinkJoint("y_head", "r_head", "y_head", axis=(0, 0, 1))
+    yield LinkJoint("p_head", "y_head", "p_head", axis=(0, -1, 0))
+    yield LinkJoint("head", "p_head", "head", (0.0, 0.0, body.lengths[1]))
     for side, (s, name) in enumerate(((1, "l"), (-1, "r"))):
         upper_arm, forearm, thigh, calf = body.lengths[[2 + side, 6 + side, 4 + side, 8 + side]]
         shoulder = (0.0, s * w, (body.shoulder_height_ratio - 1.0) * h)
-        yield UrdfJoint(f"{name}_y_shoulder", "torso", f"{name}_y_shoulder", shoulder, (0, 0, -s))
-        yield UrdfJoint(f"{name}_p_shoulder", f"{name}_y_shoulder", f"{name}_p_shoulder", axis=(s, 0, 0))
-        yield UrdfJoint(f"{name}_r_shoulder", f"{name}_p_shoulder", f"{name}_shoulder", axis=(0, 0, s))
-        yield UrdfJoint(f"{name}_elbow", f"{name}_shoulder", f"{name}_elbow", (0.0, 0.0, -upper_arm), (0, -1, 0))
-        yield UrdfJoint(f"{name}_wrist", f"{name}_elbow", f"{name}_wrist", (0.0, 0.0, -forearm))
+        yield LinkJoint(f"{name}_y_shoulder", "torso", f"{name}_y_shoulder", shoulder, (0, 0, -s))
+        yield LinkJoint(f"{name}_p_shoulder", f"{name}_y_shoulder", f"{name}_p_shoulder", axis=(s, 0, 0))
+        yield LinkJoint(f"{name}_r_shoulder", f"{name}_p_shoulder", f"{name}_shoulder", axis=(0, 0, s))
+        yield LinkJoint(f"{name}_elbow", f"{name}_shoulder", f"{name}_elbow", (0.0, 0.0, -upper_arm), (0, -1, 0))
+        yield LinkJoint(f"{name}_wrist", f"{name}_elbow", f"{name}_wrist", (0.0, 0.0, -forearm))
         hip = (0.0, s * body.hip_width_ratio * w, 0.0)
-        yield UrdfJoint(f"{name}_y_hip", "body", f"{name}_y_hip", hip, (0, 0, -1))
-        yield UrdfJoint(f"{name}_p_hip", f"{name}_y_hip", f"{name}_p_hip", axis=(s, 0, 0))
-        yield UrdfJoint(f"{name}_r_hip", f"{name}_p_hip", f"{name}_hip", axis=(0, -1, 0))
-        yield UrdfJoint(f"{name}_knee", f"{name}_hip", f"{name}_knee", (0.0, 0.0, -thigh), (0, -1, 0))
-        yield UrdfJoint(f"{name}_ankle", f"{name}_knee", f"{name}_ankle", (0.0, 0.0, -calf))
+        yield LinkJoint(f"{name}_y_hip", "body", f"{name}_y_hip", hip, (0, 0, -1))
+        yield LinkJoint(f"{name}_p_hip", f"{name}_y_hip", f"{name}_p_hip", axis=(s, 0, 0))
+        yield LinkJoint(f"{name}_r_hip", f"{name}_p_hip", f"{name}_hip", axis=(0, -1, 0))
+        yield LinkJoint(f"{name}_knee", f"{name}_hip", f"{name}_knee", (0.0, 0.0, -thigh), (0, -1, 0))
+        yield LinkJoint(f"{name}_ankle", f"{name}_knee", f"{name}_ankle", (0.0, 0.0, -calf))

@@ -12,20 +12,6 @@ NO_FRAMES, TORSO_FRAME, LINK_FRAMES = TF_CHOICES = ("none", "torso", "links")
 
 
 @dataclass(frozen=True)
-class DampedVelocitySettings:
-    """Model `constant_velocity`: a velocity that fades, driven by white acceleration.
-
-    The accelerations are those of quiet movement; where a limb strikes they are raised (`motion_model`).
-    """
-
-    torso_m_s2: float = setting(8.0, "acceleration of the torso's position", unit="m/s^2", low=0.01)
-    torso_rad_s2: float = setting(30.0, "acceleration of the torso's rotation", unit="rad/s^2", low=0.01)
-    ball_joints_rad_s2: float = setting(60.0, "acceleration of neck, shoulders and hips", unit="rad/s^2", low=0.01)
-    hinges_rad_s2: float = setting(80.0, "acceleration of elbows and knees", unit="rad/s^2", low=0.01)
-    kept: float = setting(0.9, "share of the velocity that is left after 25 ms", low=0.01, high=0.999)
-
-
-@dataclass(frozen=True)
 class MeasurementBiasSettings:
     """Time-correlated bias of the measured points; see `bias`."""
 
@@ -47,13 +33,9 @@ class EkfSettings:
     motion_model: str = setting(
         "constant_velocity", "how the body moves between two sets", choices=("constant_velocity", "identity")
     )
-    constant_velocity: DampedVelocitySettings = field(default_factory=DampedVelocitySettings)
     measurement_bias: MeasurementBiasSettings = field(default_factory=MeasurementBiasSettings)
     bend: float = setting(
         1.0, "how far the trunk bends, over what is usual in daily movement (0: a rigid torso)", low=0.0, high=10.0
-    )
-    gate_chi2: float = setting(
-        30.0, "squared Mahalanobis distance from which on a point is left out (chi-square, 3 degrees)", low=1.0
     )
     limit_sd_rad: float = setting(
         0.2,
@@ -61,9 +43,6 @@ class EkfSettings:
         unit="rad",
         low=0.0,
         high=10.0,
-    )
-    coast_s: float = setting(
-        0.1, "without measurements for longer than this, the body's velocity counts as unknown", unit="s", low=0.0
     )
     lost_after_s: float = setting(
         1.0,
@@ -106,8 +85,4 @@ def limit_weight(settings: EkfSettings) -> float:
 
 def motion_model(settings: EkfSettings) -> MotionModel:
     """Return the motion model that the settings choose."""
-    s = settings.constant_velocity
-    if settings.motion_model == "identity":
-        return Identity()
-    accelerations = (s.torso_m_s2, s.torso_rad_s2, s.ball_joints_rad_s2, s.hinges_rad_s2)
-    return DampedVelocity(accelerations, s.kept)
+    return Identity() if settings.motion_model == "identity" else DampedVelocity()

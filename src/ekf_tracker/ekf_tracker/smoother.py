@@ -26,12 +26,11 @@ from mocap_packets.state import BodyState, NoState
 from stick_figure.body import Body
 from stick_figure.pose import Pose
 
-from .covariance import positive_definite
 from .filter import ArticulatedEkf
 from .kernels import Estimate, report
 from .measurement import Sizes
 from .settings import EkfSettings
-from .state import POSE, VELOCITY
+from .state import POSE, VELOCITY, positive_definite
 from .track import JOINT_SD_CAP_RAD, Track
 
 # Thresholds: judgement, no measurement.

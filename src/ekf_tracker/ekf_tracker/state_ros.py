@@ -19,8 +19,8 @@ from mocap_packets.state import BodyState, NoState, Tracking
 from sagoma_ros.joint_motion import motion_message
 from sagoma_ros.messages import key_values, to_stamp
 from stick_figure.body import Body
-from stick_figure.joint_motion import JointMotion
 from stick_figure.kinematics import sticks
+from stick_figure.pose import JointMotion
 
 LEVELS = {
     Tracking.ACQUIRING: DiagnosticStatus.WARN,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from capture_rig.rigid import rigid_transform
+from capture_rig.stamps import NS
 from mocap_packets.state import BodyState
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import TORSO_POINTS
 
-from .bias import MeasurementBias
-from .covariance import positive_definite, reset_slots
+from .bias import MeasurementBias, TorsoBend
 from .kernels import Estimate, UpdateOptions, correct_estimate, innovation_distances, predict_estimate, report
 from .measurement import Measurement, Sizes, linearised
 from .motion_model import (
@@ -27,17 +27,20 @@ from .motion_model import (
     worst_of_limbs,
 )
 from .settings import EkfSettings, limit_weight, motion_model
-from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot
-from .torso_bend import TorsoBend
+from .state import DIMENSION, POSE, VELOCITY, assess, doubtful_points, per_slot, positive_definite, reset_slots
 
-NS = 1e-9
 # Thresholds: NEEDED_TORSO_POINTS from geometry: three may lie on a line; else judgement.
 POINT_SD_FLOOR_M = 0.001
 """Least standard deviation of a measured point: a fit to a perfect cloud would claim less."""
 JOINT_SD_CAP_RAD = 1.0
-"""Predicted standard deviation of a joint at most: beyond it the linearisation of an unobserved twist means nothing."""
+"""Predicted standard deviation of a joint at most: beyond it the linearisation of an unobserved twist means nothing.
+So much, and as many metres for the torso, is the prior before a first measurement."""
 MAX_ITERATIONS = 5
 """Relinearisations of one update at most."""
+GATE_CHI2 = 30.0
+"""Squared distance of an innovation from which on a point is left out: chi-square of 3 degrees, one in a million."""
+COAST_S = 0.1
+"""Without measurements for longer than this a limb has more likely turned back than gone on."""
 ELSEWHERE_M = 0.1
 """A point that is left out farther away than this makes its limb doubtful; nearer, both say about the same."""
 REJECTED_POINT_PRIOR = 0.5
@@ -49,9 +52,6 @@ RELEASED_TORSO_SD_M = 0.5
 NEEDED_TORSO_POINTS = 4
 """Of centre, neck, shoulders and hips; fewer may lie on a line and leave the torso's rotation open."""
 ALL = np.ones(24, bool)
-TORSO_SD_M = 1.0
-TORSO_SD_RAD = 1.0
-"""What is known of the torso before its first measurement: it stands about where inverse kinematics puts it."""
 
 
 class Track:
@@ -73,7 +73,7 @@ class Track:
         self._stamp_ns, self._last_dt = stamp_ns, 0.0
         noise = self._bias.noise_of(z, POINT_SD_FLOOR_M)
         self.body = self._trunk.bent(body, stamp_ns, noise)
-        self._estimate = first_estimate(self.body, noise, self._motion, JOINT_SD_CAP_RAD, self._update_options)
+        self._estimate = first_estimate(self.body, noise, self._motion, self._update_options)
         self._F, self._prior = NO_TRANSITION, self._estimate
         self._add_measured(z, z.visible)
 
@@ -103,11 +103,11 @@ class Track:
     def predict(self, stamp_ns: int) -> None:
         """Move the estimate to a later stamp (thesis Table 5.5).
 
-        A body that has not been measured for ``coast_s`` is no longer extrapolated: its velocity counts as unknown
+        A body that has not been measured for COAST_S is no longer extrapolated: its velocity counts as unknown
         from that moment on, because a limb that swung out of sight has more likely turned back than gone on.
         """
         self._F = NO_TRANSITION
-        coast_end_ns = self._measured_ns + round(self.settings.coast_s / NS)
+        coast_end_ns = self._measured_ns + round(COAST_S / NS)
         if self._coasting and coast_end_ns < stamp_ns:
             self._advance(coast_end_ns)
             self._forget_velocity()
@@ -124,7 +124,7 @@ class Track:
         self.body = self._trunk.bent(self.body, self._stamp_ns, noise)
         distances, manoeuvre = self._explain_manoeuvres(noise)
         self._prior = self._estimate
-        outlying = z.visible & ~moved & (distances > self.settings.gate_chi2)
+        outlying = z.visible & ~moved & (distances > GATE_CHI2)
         readmitted = outlying & self._left_out  # still there in the next set: it is the prediction that is wrong
         left_out, anew = outlying & ~readmitted, readmitted | (moved & z.visible)
         self._left_out = np.where(z.visible, left_out, self._left_out)
@@ -156,7 +156,7 @@ class Track:
                 return distances, True
         away = np.linalg.norm(z.points_world - forward(self.body, quiet.pose), axis=1)
         distances = np.where(away < MOST_M_S * self._last_dt, 0.0, distances)
-        out_of_reach = worst_of_limbs(distances) > self.settings.gate_chi2
+        out_of_reach = worst_of_limbs(distances) > GATE_CHI2
         if out_of_reach.any():
             factors[out_of_reach] = 1.0
             self._estimate, _ = self._raised(quiet, factors, z)
@@ -281,18 +281,16 @@ def enough_to_start(z: Measurement) -> bool:
     return int(np.count_nonzero(z.visible[TORSO_POINTS])) >= NEEDED_TORSO_POINTS
 
 
-def first_estimate(
-    body: Body, z: Measurement, motion: MotionModel, joint_sd: float, options: UpdateOptions
-) -> Estimate:
+def first_estimate(body: Body, z: Measurement, motion: MotionModel, options: UpdateOptions) -> Estimate:
     """Pose by inverse kinematics, then one update of a wide prior about it, so that the covariance is the points' own.
 
-    Joints that no visible point bears on keep the T-pose and the standard deviation ``joint_sd`` (rad); the velocity
-    is unknown. Needs :func:`enough_to_start`.
+    Joints that no visible point bears on keep the T-pose and the prior's standard deviation; the velocity is unknown.
+    Needs :func:`enough_to_start`.
     """
     resting = Pose.from_angles(*_torso_of(body, z), T_POSE_ANGLES)
     pose = pose_of_points(body, z, z.visible, resting)
     P = np.zeros((DIMENSION, DIMENSION))
-    P[POSE, POSE] = np.diag(per_slot(TORSO_SD_M, TORSO_SD_RAD, joint_sd, joint_sd) ** 2)
+    P[POSE, POSE] = JOINT_SD_CAP_RAD**2 * np.eye(24)
     P[VELOCITY, VELOCITY] = np.diag(motion.velocity_variance())
     return correct_estimate(body, Estimate(pose.arrays, np.zeros(24), P), z, z.visible, options)
 

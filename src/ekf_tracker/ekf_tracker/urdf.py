@@ -8,7 +8,7 @@ in every reference point. REP-155 has a URDF of its own (`rep155`), with other a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -16,10 +16,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from stick_figure.body import Body
-from stick_figure.body_surface import BodySurface
-from stick_figure.joint_motion import HINGE_AXIS
+from stick_figure.body_surface import BodySurface, SegmentInertia, segment_inertias
+from stick_figure.pose import HINGE_AXIS
 from stick_figure.rotations import BALL_SLACK_RAD, HINGE_SLACK_RAD, TURN
-from stick_figure.segment_inertia import SegmentInertia, segment_inertias
 from stick_figure.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
@@ -45,17 +44,19 @@ SAME_BODY_M = 2e-4
 TIPS = {1: "head_top", 6: "left_hand", 7: "right_hand", 8: "left_foot", 9: "right_foot"}
 """Stick that ends a limb -> the link at its end."""
 Vector = tuple[float, float, float]
+Range = tuple[float, float]
+_AXES: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
 class LinkJoint:
-    """A joint and the link that it carries, at ``origin`` (m) of its parent's; ``axis``: 0 x, 1 y, 2 z, None fixed."""
+    """A joint and the link that it carries, at ``origin`` (m) of its parent's, turning about ``axis``; None: fixed."""
 
     name: str
     parent: str
     child: str
-    origin: Vector
-    axis: int | None = None
+    origin: Vector = (0.0, 0.0, 0.0)
+    axis: Vector | None = None
 
 
 def link_joints(body: Body) -> Iterator[LinkJoint]:
@@ -66,15 +67,13 @@ def link_joints(body: Body) -> Iterator[LinkJoint]:
         used = [(slot, axis) for slot, axis in zip(BALL_ANGLES[ball], BALL_EULER_AXES[ball], strict=True) if slot >= 0]
         for slot, axis in used:
             child = STICK_NAMES[ball + 1] if slot == used[-1][0] else f"{ANGLE_NAMES[slot]}_axis"
-            yield LinkJoint(ANGLE_NAMES[slot], parent, child, (0.0, 0.0, 0.0), int(axis))
+            yield LinkJoint(ANGLE_NAMES[slot], parent, child, axis=_AXES[axis])
             parent = child
     for hinge, name in enumerate(HINGE_NAMES):
         stick = 6 + hinge
         upper = int(PARENT[stick])
         yield LinkJoint(f"{name}_place", STICK_NAMES[upper], name, _end(body, upper))
-        yield LinkJoint(
-            ANGLE_NAMES[HINGE_ANGLES[hinge]], name, STICK_NAMES[stick], (0.0, 0.0, 0.0), int(HINGE_AXIS[hinge])
-        )
+        yield LinkJoint(ANGLE_NAMES[HINGE_ANGLES[hinge]], name, STICK_NAMES[stick], axis=_AXES[HINGE_AXIS[hinge]])
     for stick, tip in TIPS.items():
         yield LinkJoint(f"{tip}_place", STICK_NAMES[stick], tip, _end(body, stick))
 
@@ -94,18 +93,11 @@ def body_urdf(body: Body, body_id: str, mass_kg: float | None = None) -> str:
 
     ``mass_kg`` : of the person, else that of an average build.
     """
-    robot, parts = new_robot(f"sagoma_{body_id}"), segments(body, mass_kg)
-    joints = list(link_joints(body))
-    for part in (STICK_NAMES[TORSO], *(joint.child for joint in joints)):
-        add_link(robot, link_name(body_id, part), parts.get(part))
-    for joint in joints:
-        axis = None if joint.axis is None else _vector(np.eye(3)[joint.axis])
-        links = link_name(body_id, joint.parent), link_name(body_id, joint.child)
-        add_joint(robot, joint.name, links, joint.origin, axis, JOINT_RANGES.get(joint.name))
-    return text_of(robot)
+    joints, parts = list(link_joints(body)), segments(body, mass_kg)
+    return robot_urdf(f"sagoma_{body_id}", joints, parts, JOINT_RANGES.get, prefix=f"{body_id}_")
 
 
-def _joint_ranges() -> dict[str, tuple[float, float] | None]:
+def _joint_ranges() -> dict[str, Range | None]:
     """Return the range of each joint, rad, with what its angles may exceed it by; None of a whole turn, which goes on
     beyond that from set to set."""
     slack = np.full(len(ANGLE_NAMES), BALL_SLACK_RAD)
@@ -118,21 +110,41 @@ def _joint_ranges() -> dict[str, tuple[float, float] | None]:
 JOINT_RANGES = _joint_ranges()
 
 
-def new_robot(name: str) -> ElementTree.Element:
-    """Return a robot without links."""
+def robot_urdf(
+    name: str,
+    joints: Sequence[LinkJoint],
+    parts: Mapping[str, Segment],
+    range_of: Callable[[str], Range | None],
+    prefix: str = "",
+    suffix: str = "",
+) -> str:
+    """Return a robot of these joints, the first one's parent the root; ``parts`` : what links carry, by link.
+
+    ``range_of`` a joint's name : rad, None where it turns for ever. The names of links stand between prefix and suffix,
+    those of joints have the suffix alone. Nothing drives a person's joints, so their effort is 0.
+    """
     robot = ElementTree.Element("robot", name=name)
     material = ElementTree.SubElement(robot, "material", name="skin")
     ElementTree.SubElement(material, "color", rgba=SKIN_RGBA)
-    return robot
-
-
-def text_of(robot: ElementTree.Element) -> str:
-    """Return the document."""
+    for part in (joints[0].parent, *(joint.child for joint in joints)):
+        _add_link(robot, f"{prefix}{part}{suffix}", parts.get(part))
+    for joint in joints:
+        limits = None if joint.axis is None else range_of(joint.name)
+        kind = "fixed" if joint.axis is None else "continuous" if limits is None else "revolute"
+        element = ElementTree.SubElement(robot, "joint", name=f"{joint.name}{suffix}", type=kind)
+        ElementTree.SubElement(element, "parent", link=f"{prefix}{joint.parent}{suffix}")
+        ElementTree.SubElement(element, "child", link=f"{prefix}{joint.child}{suffix}")
+        ElementTree.SubElement(element, "origin", xyz=_text(joint.origin), rpy="0 0 0")
+        if joint.axis is not None:
+            ElementTree.SubElement(element, "axis", xyz=_text(joint.axis))
+        if limits is not None:
+            low, high = (f"{limit:.6g}" for limit in limits)
+            ElementTree.SubElement(element, "limit", lower=low, upper=high, effort="0", velocity=f"{FASTEST_RAD_S:g}")
     ElementTree.indent(robot)
     return ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def add_link(robot: ElementTree.Element, name: str, segment: Segment | None) -> None:
+def _add_link(robot: ElementTree.Element, name: str, segment: Segment | None) -> None:
     """Add a link: what it looks like, what it collides with, its inertia; without a segment it has no extent."""
     link = ElementTree.SubElement(robot, "link", name=name)
     if segment is None:
@@ -150,28 +162,6 @@ def add_link(robot: ElementTree.Element, name: str, segment: Segment | None) -> 
     ElementTree.SubElement(inertial, "mass", value=f"{mass:.9g}")
     moments = {f"i{axes[i]}{axes[k]}": f"{inertia[i, k]:.9g}" for i in range(3) for k in range(i, 3)}
     ElementTree.SubElement(inertial, "inertia", moments)
-
-
-def add_joint(
-    robot: ElementTree.Element,
-    name: str,
-    links: tuple[str, str],
-    origin: Vector,
-    axis: Vector | None,
-    limits: tuple[float, float] | None = None,
-) -> None:
-    """Add a joint from the first of the ``links`` to the second, at ``origin`` (m) of the first; no axis: fixed; no
-    ``limits`` (rad): it turns for ever. Nothing drives a person's joints, so the effort is 0."""
-    turning = "continuous" if limits is None else "revolute"
-    element = ElementTree.SubElement(robot, "joint", name=name, type="fixed" if axis is None else turning)
-    ElementTree.SubElement(element, "parent", link=links[0])
-    ElementTree.SubElement(element, "child", link=links[1])
-    ElementTree.SubElement(element, "origin", xyz=_text(origin), rpy="0 0 0")
-    if axis is not None:
-        ElementTree.SubElement(element, "axis", xyz=_text(axis))
-    if limits is not None:
-        low, high = (f"{limit:.6g}" for limit in limits)
-        ElementTree.SubElement(element, "limit", lower=low, upper=high, effort="0", velocity=f"{FASTEST_RAD_S:g}")
 
 
 def same_sizes(body: Body, other: Body | None) -> bool:

@@ -10,8 +10,8 @@ from visualization_msgs.msg import MarkerArray
 
 from ekf_tracker.ekf_node import EkfNode
 from mocap_packets.fit import ReferencePoints
-from mocap_packets.latency import NO_AGES
 from mocap_packets.people import FittedPeople, PeoplePoints
+from mocap_packets.table import NO_AGES
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import FITTED_PEOPLE, tables_message
 from sagoma_ros.qos import RESULT

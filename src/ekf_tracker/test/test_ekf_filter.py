@@ -22,9 +22,9 @@ from ekf_person import (
 from scipy.stats import chi2
 
 from capture_rig.errors import InputError
+from ekf_tracker import track
 from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.motion_model import DampedVelocity
-from ekf_tracker.settings import DampedVelocitySettings
 from ekf_tracker.state import POSE, VELOCITY
 from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES
 from mocap_packets.state import BodyState, NoState, Tracking
@@ -69,11 +69,12 @@ def test_true_points_lie_inside_the_95_percent_ellipsoids_as_often_as_claimed(bo
     assert 0.85 < np.mean(inside) < 0.99
 
 
-def test_errors_of_a_person_that_moves_as_the_model_says_fit_the_covariance(body):
+def test_errors_of_a_person_that_moves_as_the_model_says_fit_the_covariance(body, monkeypatch):
     """NEES over all 48 slots and NIS of the points, on motion drawn from the motion model itself."""
-    gentle = DampedVelocitySettings(torso_rad_s2=15.0, ball_joints_rad_s2=15.0, hinges_rad_s2=8.0)
-    settings = replace(IDEAL, constant_velocity=gentle, gate_chi2=1e6, limit_sd_rad=0.0)
-    F, Q = dense_matrices(DampedVelocity((8.0, 15.0, 15.0, 8.0)).transition(1 / 60))
+    gentle, settings = DampedVelocity((8.0, 15.0, 15.0, 8.0)), replace(IDEAL, limit_sd_rad=0.0)
+    monkeypatch.setattr(track, "motion_model", lambda settings: gentle)
+    monkeypatch.setattr(track, "GATE_CHI2", 1e6)
+    F, Q = dense_matrices(gentle.transition(1 / 60))
     Q_half = np.linalg.cholesky(Q)
     nees, nis = [], []
     for seed in range(6):
@@ -120,21 +121,6 @@ def test_identity_model_does_not_drift_but_reports_how_fast_the_body_moved(body,
     measured = np.array([s.velocity[:3] for s in states[SETTLED:]])
     true = np.gradient(truth[:, 0], 1 / 60.0, axis=0)[SETTLED:]
     assert np.abs(measured - true).mean() < 0.15 * np.abs(true).max()
-
-
-def test_two_runs_give_the_same_bytes(body, person):
-    def digest():
-        rng = np.random.default_rng(5)
-        visible = np.random.default_rng(6).random((120, 15)) < 0.8
-        states, _ = run(ArticulatedEkf(body, IDEAL), person, 120, rng=rng, visible=lambda k: visible[k])
-        return [
-            b"".join(np.asarray(value).tobytes() for value in dataclasses.astuple(s) if isinstance(value, np.ndarray))
-            + b"".join(array.tobytes() for array in s.pose.arrays)
-            for s in states
-            if isinstance(s, BodyState)
-        ]
-
-    assert digest() == digest()
 
 
 # --- points that are missing or wrong -----------------------------------------------------------------------------
@@ -229,8 +215,7 @@ def test_gap_is_the_same_whether_sets_are_missing_or_empty(body, person):
 
 
 def test_body_out_of_sight_stops_being_extrapolated(body, person):
-    settings = replace(IDEAL, coast_s=0.1)
-    states, _ = run(ArticulatedEkf(body, settings), person, 80, visible=lambda k: ALL if k < 40 else NONE)
+    states, _ = run(ArticulatedEkf(body, IDEAL), person, 80, visible=lambda k: ALL if k < 40 else NONE)
     points = np.array([s.points_world for s in states])
     moved_mm = 1e3 * np.linalg.norm(np.diff(points, axis=0), axis=2).mean(axis=1)
     assert moved_mm[39:45].min() > 1.0
@@ -239,22 +224,11 @@ def test_body_out_of_sight_stops_being_extrapolated(body, person):
     assert all(np.diff(spread[39:60]) > 0.0)
 
 
-def test_true_points_stay_inside_the_ellipsoids_through_a_gap(body):
-    """Ten sets without points: errors grow to decimetres, and the covariance with them."""
-    inside = []
-    for seed in range(5):
-        person = Person(body, seed)
-        states, truth = run(ArticulatedEkf(body, IDEAL), person, 70, visible=lambda k: ALL if k < 60 else NONE)
-        last = states[-1]
-        inside.append(ellipsoid_distances(last.points_world - truth[-1], last.point_covariance) < chi2.ppf(0.95, 3))
-    assert np.mean(inside) > 0.85
-
-
 def test_state_goes_from_tracking_through_doubtful_and_lost_back_to_tracking(body, person):
     def visible(k):
         return NONE if 30 <= k < 110 else ALL
 
-    states, truth = run(ArticulatedEkf(body, replace(IDEAL, lost_after_s=1.0)), person, 130, visible=visible)
+    states, truth = run(ArticulatedEkf(body, IDEAL), person, 130, visible=visible)
     assert states[29].tracking == Tracking.TRACKING
     assert states[30].tracking == Tracking.DOUBTFUL and "no visible point" in states[30].reason
     assert states[88].tracking == Tracking.DOUBTFUL

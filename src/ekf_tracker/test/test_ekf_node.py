@@ -16,10 +16,9 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker
 
 from ekf_tracker.filter import ArticulatedEkf
-from mocap_packets.latency import POINTS, SetAges
+from mocap_packets.table import AGE_POINTS, SetAges
 from sagoma_ros.joint_motion import read_motions, read_predictions
-from sagoma_ros.latency import LATENCY_TOPIC
-from sagoma_ros.messages import to_ns
+from sagoma_ros.messages import LATENCY_TOPIC, to_ns
 from sagoma_ros.packets import read_reference_points
 from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
@@ -65,7 +64,7 @@ def test_prediction_is_published_after_everything_else(bench, person, monkeypatc
     b = bench(publish_humans=True).start()
     joints = "/humans/bodies/b0001/joint_states"
     b.listen(JointState, joints)
-    b.until(lambda: b.node.count_subscribers(joints) == 1 and b.node._humans._bodies["b0001"]._joints.is_wanted)
+    b.until(lambda: b.node.count_subscribers(joints) == 1 and b.node._bodies[0]._bodies["b0001"]._joints.is_wanted)
     order, publish = [], Publisher.publish
 
     def recorded(publisher, message):
@@ -236,7 +235,7 @@ def test_latency_of_every_set_is_published_while_somebody_listens(bench, person)
     assert [to_ns(message.header.stamp) for message in heard] == [stamp(k) for k in range(3)]
     for message in heard:
         ages = {pair.key: float(pair.value) for pair in message.status[0].values}
-        assert list(ages) == [f"{point}_ms" for point in POINTS]
+        assert list(ages) == [f"{point}_ms" for point in AGE_POINTS]
         assert ages["received_ms"] == 9.0 and ages["hull_ms"] == 15.5 and ages["fitted_ms"] <= ages["published_ms"]
 
 

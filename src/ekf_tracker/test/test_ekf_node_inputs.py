@@ -72,7 +72,7 @@ def test_stamps_that_go_back_far_begin_anew_at_once_and_are_logged_once(bench, p
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
-        ({"filter__gate_chi2": -3.0}, "filter.gate_chi2 = -3.0"),
+        ({"filter__lost_after_s": -3.0}, "filter.lost_after_s = -3.0"),
         ({"filter__gate": 3.0}, "unknown key 'filter.gate'"),
         ({"publish_humans": True, "body_id": "1"}, "'1' is no REP-155 id"),
         ({"tf_prefix": "../.."}, "tf_prefix = '../..' is not a name"),

@@ -126,7 +126,7 @@ def test_everybody_tracked_is_listed_with_hri_msgs_and_nobody_once_sets_stop(cou
     pair.bench.listen(JointState, "/humans/bodies/b0002/joint_states")
     pair.bench.until(lambda: pair.bench.node.count_subscribers("/humans/bodies/tracked") == 1)
     pair.bench.until(lambda: pair.bench.node.count_subscribers("/humans/bodies/b0002/joint_states") == 1)
-    pair.bench.until(lambda: pair.bench.node._humans._tracked.is_wanted)
+    pair.bench.until(lambda: pair.bench.node._bodies[0]._tracked.is_wanted)
 
     def tracked():
         return [list(m.name) for t, m in pair.bench.arrived if t == "/humans/bodies/tracked"]

@@ -9,14 +9,14 @@ import numpy as np
 from ekf_person import Person, isotropic, stamp
 
 from capture_rig import small_matrices
-from ekf_tracker import bias, measurement, torso_bend
+from ekf_tracker import bias, measurement
 from ekf_tracker import kernels as ekf_kernels
 from ekf_tracker.filter import ArticulatedEkf, warm_up
 from stick_figure import joint_limits, kernels
 from stick_figure.body import Body
 
 PATIENCE_S = 60.0
-MODULES = (small_matrices, bias, ekf_kernels, joint_limits, measurement, torso_bend, kernels)
+MODULES = (small_matrices, bias, ekf_kernels, joint_limits, measurement, kernels)
 
 
 def compilations():

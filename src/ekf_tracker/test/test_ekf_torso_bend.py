@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from capture_rig.rigid import rotation_matrix
+from ekf_tracker.bias import TorsoBend
 from ekf_tracker.measurement import Measurement
-from ekf_tracker.torso_bend import TorsoBend
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose

@@ -6,7 +6,6 @@ from ekf_person import ALL, NONE, Person, dense_matrices, isotropic
 from scipy.optimize import least_squares
 
 from capture_rig.errors import InputError
-from ekf_tracker.covariance import cap_joints, joseph, positive_definite
 from ekf_tracker.kernels import (
     Estimate,
     UpdateOptions,
@@ -17,7 +16,7 @@ from ekf_tracker.kernels import (
 )
 from ekf_tracker.measurement import Measurement, Sizes, linearised, point_covariance
 from ekf_tracker.motion_model import DampedVelocity, Identity
-from ekf_tracker.state import POSE, VELOCITY
+from ekf_tracker.state import POSE, VELOCITY, cap_joints, joseph, positive_definite
 from stick_figure.joint_limits import BALL_RATES
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from stick_figure.kinematics import forward

@@ -13,7 +13,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from capture_rig import CameraModel, InputError, Rig, load_rig
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import PARTS
-from mocap_packets.latency import SetAges
+from mocap_packets.table import SetAges
 from sagoma_ros import mask_png
 from sagoma_ros.frames import FramePublisher
 from sagoma_ros.health import WARN
@@ -24,10 +24,9 @@ from sagoma_ros.packets import HULL_PRODUCTS, packet_cloud
 from sagoma_ros.process import run_node
 from sagoma_ros.worker import Worker
 
-from .frames_ros import camera_frames
 from .hull_pipeline import HullPipeline, HullResult, Mask, PendingHull
-from .hull_ros import SaveMeshService, camera_values, frame_set_message, summarise
-from .overload.overload_ros import NoOverloadControl, OverloadControl
+from .hull_ros import OverloadControl, SaveMeshService, camera_frames, camera_values, frame_set_message, summarise
+from .overload import ThinningControl
 from .settings import NodeSettings
 from .silhouette_input_ros import SilhouetteInput
 
@@ -68,7 +67,8 @@ class HullNode(SagomaNode):
         self.health.describe(self._describe)
         self._left_out: tuple[str, ...] = ()
         self._moved: set[str] = set()
-        self._overload = NoOverloadControl()
+        self._thinning = ThinningControl()  # keeps every frame unless an overload control updates it
+        self._overload: OverloadControl | None = None
         self._closing: list[Callable[[], object]] = []  # releases what configure has opened
 
     def configure(self) -> None:
@@ -84,9 +84,11 @@ class HullNode(SagomaNode):
         if settings.publish_tf:
             self._publish_frames(rig)
         self._mesh = SaveMeshService(self, self.settings.mesh)
+        self._thinning = ThinningControl()
         if settings.thin_out and not settings.reliable:
-            self._overload = OverloadControl(self)
-        self.silhouettes = SilhouetteInput(self, self._canvases, self._overload, self._take)
+            self._overload = OverloadControl(self, self._thinning)
+            self._closing.append(self._overload.close)
+        self.silhouettes = SilhouetteInput(self, self._canvases, self._thinning, self._take)
 
     def _publish_frames(self, rig: Rig) -> None:
         """Say where the cameras are, for whoever listens, now and later."""
@@ -132,8 +134,7 @@ class HullNode(SagomaNode):
         for close in self._closing:
             close()
         self._closing = []
-        self._overload.close()
-        self._overload = NoOverloadControl()
+        self._overload = None
         if self._mesh is not None:
             self._mesh.close()
             self._mesh = None
@@ -155,8 +156,8 @@ class HullNode(SagomaNode):
     def _take(self, frame_set: FrameSet[Mask]) -> None:
         """Hand a frame set to the carver's thread."""
         if self._carver is not None:
-            closed_ns = self.get_clock().now().nanoseconds
-            self._overload.closed(frame_set, closed_ns - frame_set.stamp_ns)
+            closed_ns, stamp_ns = self.get_clock().now().nanoseconds, frame_set.stamp_ns
+            self._thinning.add_closed(stamp_ns, frame_set.frames, closed_ns - stamp_ns, monotonic_ns())
             self._carver.put(ClosedSet(frame_set, closed_ns))
 
     def _begin(self, closed: ClosedSet) -> None:
@@ -177,7 +178,7 @@ class HullNode(SagomaNode):
         for report in result.support:
             self._supports[report.camera].publish(support_message, report, self.tf_prefix)
         products = result.products
-        self._overload.hand_over(products.stamp_ns)
+        self._thinning.add_handed_over(products.stamp_ns, monotonic_ns())
         handed_over_ns = self.get_clock().now().nanoseconds
         ages = SetAges(carved.closed.closed_ns - products.stamp_ns, handed_over_ns - products.stamp_ns)
         self._products.publish(replace(products, ages=ages), frame_id)
@@ -194,7 +195,9 @@ class HullNode(SagomaNode):
         self._frame_set.publish(frame_set_message, result, times_ms)
         self._report(result)
         self.health.tick(frame_set.stamp_ns)
-        self._overload.finished(frame_set.stamp_ns, carved.carved_ns - carved.begun_ns, monotonic_ns() - taken_ns)
+        if self._overload is not None:
+            carver_ns, slicer_ns = carved.carved_ns - carved.begun_ns, monotonic_ns() - taken_ns
+            self._overload.add_finished(frame_set.stamp_ns, carver_ns, slicer_ns)
 
     def _describe(self) -> dict[str, object]:
         """The counters, and what the newest set says of the cameras, for the diagnostics."""
@@ -216,7 +219,7 @@ class HullNode(SagomaNode):
         self._moved = {*result.extrinsic_errors.suspects}
         if self.silhouettes is None or not self.silhouettes.refused:
             level, text = summarise(result)
-            thinned = self._overload.summary
+            thinned = self._thinning.summary
             self.health.status(max(level, WARN), f"{thinned}; {text}") if thinned else self.health.status(level, text)
 
 

@@ -18,9 +18,9 @@ from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from capture_rig.stamps import NS_PER_S
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import ContourRays, HullProducts
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import ForegroundSupport
 
-from .carve_backends import make_backend
+from .carving import make_backend
 from .consistency.camera_fault_detector import CameraFaultDetector, CameraFaults
 from .consistency.extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
 from .consistency.foreground_support import SupportReporter
@@ -30,8 +30,8 @@ from .grid import BrickVolume, VoxelGrid
 from .settings import HullSettings
 from .slicing.bodies import Bodies, BodyTracker
 from .slicing.skeletonisation import find_centerline, slice_hull
-from .slicing.voxel_samples import sample_runs
-from .views import Box, RigViews, min_seeing
+from .slicing.voxel_runs import sample_runs
+from .views import RigViews, min_seeing
 
 Mask = npt.NDArray[np.uint8]
 
@@ -134,7 +134,7 @@ class HullPipeline:
         boxes = self._shadows.boxes(masks)
         handle = self.backend.submit(masks, seeing, boxes)
         watch.lap("carve")
-        blank = tuple(name for name, mask in masks.items() if not cv2.hasNonZero(_part(mask, boxes[name])))
+        blank = tuple(name for name, (left, _, right, _) in boxes.items() if left == right)
         return PendingHull(frame_set, masks, blank, faults, errors, support, seeing, handle, watch.laps_ms)
 
     def finish(self, pending: PendingHull) -> HullResult:
@@ -144,7 +144,7 @@ class HullPipeline:
         volume = self._shadows.without_shadows(self.backend.collect(pending.handle), pending.masks)
         watch.lap("collect")
         # connected components of all slices along x, y and z (3.2)
-        slices = slice_hull(volume, blob.erosion_voxels, blob.growth_step_m)
+        slices = slice_hull(volume, blob.growth_step_m)
         watch.lap("slice")
         bodies = self._bodies.step(frame_set.stamp_ns, slices.runs, self.grid)
         whose = bodies.number_of_part
@@ -201,11 +201,6 @@ class HullPipeline:
     def close(self) -> None:
         """Release the backend."""
         self.backend.close()
-
-
-def _part(mask: Mask, box: Box) -> Mask:
-    left, top, right, bottom = box
-    return mask[top:bottom, left:right]
 
 
 class _StageWatch:

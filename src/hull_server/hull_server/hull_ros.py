@@ -1,27 +1,42 @@
-"""The hull node's messages about one frame set, its check of camera_info, and its service that saves a mesh."""
+"""What the hull node says beside its products: a set's state, the cameras' frames, what is thinned out, a mesh."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
+from time import monotonic_ns
 
 import numpy as np
 import rclpy.task
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import TransformStamped
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from std_srvs.srv import Trigger
 
-from capture_rig import InputError
+from capture_rig import InputError, Rig
 from capture_rig.camera import CameraModel
-from sagoma_ros.health import HOST
-from sagoma_ros.messages import key_values, to_stamp
+from mocap_packets.people import Predictions
+from sagoma_ros.frames import frame
+from sagoma_ros.intra_process import Delivery, PacketSubscription
+from sagoma_ros.messages import HOST, THINNING_TOPIC, key_values, thinning_message, to_stamp
+from sagoma_ros.node import SagomaNode
+from sagoma_ros.packets import PREDICTIONS
+from sagoma_ros.qos import LATCHED
 
 from .hull_pipeline import HullResult
+from .overload import ThinningControl
 from .settings import MeshSettings
 
 # Thresholds: judgement, no measurement.
 INTRINSICS_TOLERANCE_PX = 1e-3
+NO_TRACKER_NS = 1_000_000_000  # without an answer: the hull's products are the end of the graph
+UPDATE_S = 0.1  # of the overload control
+OPTICAL_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Columns: the optical frame's x (right), y (down), z (forward) in the camera's x forward, y left, z up (REP-103)."""
 
 
 def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> DiagnosticArray:
@@ -64,13 +79,9 @@ def calibration_values(result: HullResult) -> dict[str, str]:
     """Report how far each camera is from its calibration, in degrees, and how well it agrees with the others."""
     calibration = result.extrinsic_errors
     texts = {"calibration_suspects": ",".join(calibration.suspects)}
-    angles = {
-        "rotation_error": calibration.rotation_error_rad,
-        "rotation_error_sd": calibration.sd_rad,
-        "roll": calibration.roll_rad,
-    }
-    for name, angle_rad in angles.items():
-        texts |= {f"calibration_{name}_deg_{camera}": f"{np.degrees(rad):.3f}" for camera, rad in angle_rad.items()}
+    for camera, error in calibration.of_camera.items():
+        angles = {"rotation_error": error.angle_rad, "rotation_error_sd": error.sd_rad, "roll": error.roll_rad}
+        texts |= {f"calibration_{name}_deg_{camera}": f"{np.degrees(rad):.3f}" for name, rad in angles.items()}
     for camera, share in result.camera_faults.consistency.items():
         texts[f"calibration_consistency_{camera}"] = f"{share:.3f}"
     return texts
@@ -116,6 +127,56 @@ def calibration_mismatch(info: CameraInfo, canvas: CameraModel) -> str:
 
 def _row(values: np.ndarray, spec: str) -> str:
     return ",".join(format(value, spec) for value in values.tolist())
+
+
+def camera_frames(rig: Rig, frame_id: str, stamp_ns: int, tf_prefix: str = "") -> Iterator[TransformStamped]:
+    """Yield the two frames of every camera: map -> CAM (x forward, z up), CAM -> CAM_optical (z forward, y down)."""
+    for camera in rig.cameras:
+        R_world_optical = camera.T_camera_world[:3, :3].T
+        turned = Rotation.from_matrix(R_world_optical @ OPTICAL_TO_BODY.T).as_quat().tolist()
+        name = tf_prefix + camera.name
+        yield frame(frame_id, name, stamp_ns, camera.centre_world.tolist(), turned)
+        optical = Rotation.from_matrix(OPTICAL_TO_BODY).as_quat().tolist()
+        yield frame(name, f"{name}_optical", stamp_ns, (0.0, 0.0, 0.0), optical)
+
+
+class OverloadControl:
+    """The thinning control among messages: answers of the tracker in, hull/thinning out."""
+
+    def __init__(self, node: SagomaNode, control: ThinningControl) -> None:
+        self._node, self._control = node, control
+        self._publisher = node.create_publisher(DiagnosticArray, THINNING_TOPIC, LATCHED)
+        self._answers = PacketSubscription(node, PREDICTIONS, self._on_answer)
+        self._timer = node.create_timer(UPDATE_S, self._update, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._answered_ns, self._logged = 0, ""
+
+    def close(self) -> None:
+        """Release timer and topics."""
+        self._answers.close()
+        self._node.destroy_timer(self._timer)
+        self._node.destroy_publisher(self._publisher)
+
+    def add_finished(self, stamp_ns: int, carver_ns: int, slicer_ns: int) -> None:
+        """Add what carver and slicer took for a set; any thread."""
+        now_ns = monotonic_ns()
+        self._control.add_work(0, carver_ns, now_ns)
+        self._control.add_work(1, slicer_ns, now_ns)
+        if now_ns - self._answered_ns > NO_TRACKER_NS:
+            self._control.add_answer(stamp_ns, now_ns)
+
+    def _on_answer(self, answer: Delivery[Predictions]) -> None:
+        self._answered_ns = monotonic_ns()
+        self._control.add_answer(answer.stamp_ns, self._answered_ns)
+
+    def _update(self) -> None:
+        rule, summary = self._control.update(monotonic_ns()), self._control.summary
+        self._node.health.set("thinning", summary)
+        if rule is not None:
+            self._publisher.publish(thinning_message(rule, summary))
+        kind = summary.partition(":")[0]
+        if kind != self._logged:
+            self._logged = kind
+            self._node.get_logger().info(summary or "every frame is processed again")
 
 
 class SaveMeshService:

@@ -18,9 +18,6 @@ class BlobSettings:
     min_fill: float = setting(
         0.9, "smallest ratio of a blob's area to its ellipse's: less is two limbs merged", low=0.0, high=1.5
     )
-    erosion_voxels: int = setting(
-        0, "times each slice is eroded before its blobs are found; costs thin limbs", unit="voxels", low=0, high=3
-    )
     max_growth: float = setting(
         3.0, "largest ratio of the areas a step to either side to the blob's, as a limb continues; 0: any", low=0.0
     )

@@ -22,7 +22,7 @@ from sagoma_ros.raw import read_compressed_image, read_message, same_but_for_sta
 
 from .hull_pipeline import Mask
 from .hull_ros import calibration_mismatch
-from .overload.overload_ros import NoOverloadControl
+from .overload import ThinningControl
 from .settings import NodeSettings
 
 POLL_S = 0.05  # of the counters; a frame set's deadline is met to the millisecond
@@ -45,11 +45,11 @@ class SilhouetteInput:
         self,
         node: SagomaNode,
         canvases: Mapping[str, CameraModel],
-        overload: NoOverloadControl,
+        thinning: ThinningControl,
         on_closed: Callable[[FrameSet[Mask]], None],
     ) -> None:
         """``canvases`` : of each camera; ``on_closed`` takes every frame set, on the executor's thread."""
-        self._node, self._canvases, self._overload, self._on_closed = node, canvases, overload, on_closed
+        self._node, self._canvases, self._thinning, self._on_closed = node, canvases, thinning, on_closed
         self._settings: NodeSettings = node.settings
         self.refused: dict[str, str] = {}  # camera: why
         self._collector: FrameSetCollector[Mask] | None = None  # None unless started
@@ -115,7 +115,8 @@ class SilhouetteInput:
         if self._settings.reliable and image.format == ABSENT:
             self._dispatch(self._collector.add_absence(camera, image.stamp_ns, now_ns))
             return
-        if not self._overload.admits(camera, image.stamp_ns, now_ns):
+        if not self._thinning.admits(camera, image.stamp_ns, now_ns):
+            self._node.health.count("frames_thinned")
             return
         try:
             check_mask_bytes(len(message), topic)
@@ -165,7 +166,7 @@ class SilhouetteInput:
         if self._collector is None:
             return
         now_ns = monotonic_ns()
-        self._collector.wait(self._overload.deadline_ns(round(self._settings.deadline_s * 1e9)))
+        self._collector.wait(self._thinning.deadline_ns(round(self._settings.deadline_s * 1e9)))
         self._dispatch(self._collector.poll(now_ns))
         silent = [camera for camera, heard in self._heard_ns.items() if now_ns - heard > SILENT_AFTER_NS]
         self._node.health.set("silent", ",".join(silent))

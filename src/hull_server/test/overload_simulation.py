@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import count
 
-from hull_server.overload.thinning_control import ThinningControl
+from hull_server.overload import ThinningControl
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from mocap_packets.thinning import FrameDecimation, FrameSelector
 

@@ -5,12 +5,12 @@ import pytest
 from hull_scenes import capsule_person, ring_rig, silhouettes
 
 from capture_rig import Volume
-from hull_server.carve_backends import make_backend
+from hull_server.carving import make_backend
 from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.settings import BlobSettings, BodySettings
 from hull_server.slicing.bodies import NOBODY, BodyTracker, measure_parts
 from hull_server.slicing.skeletonisation import find_centerline, slice_hull
-from hull_server.slicing.voxel_samples import sample_runs
+from hull_server.slicing.voxel_runs import sample_runs
 from hull_server.views import RigViews
 
 VOXEL = 0.04

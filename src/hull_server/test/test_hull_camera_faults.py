@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, rotated_mask, silhouettes, walking_person
 
-from capture_rig import InputError, Rig
+from capture_rig import Rig
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
 from hull_server.consistency.silhouette_residuals import ResidualEstimator
 from hull_server.settings import CameraFaultSettings
@@ -248,20 +248,6 @@ def test_frame_sets_are_compared_once_a_period_and_after_stamps_have_gone_back()
 
 def test_detector_that_is_switched_off_leaves_nobody_out():
     assert not Session(rig_of(5), walking(5), enabled=False).show(10, blank("cam02")).left_out
-
-
-def test_faults_are_the_same_when_the_session_is_run_again():
-    def run():
-        session = Session(rig_of(6), walking(6))
-        return [session.show(1, rotated(rig_of(6), "cam02", (0, 1.5, 0))) for _ in range(20)]
-
-    assert run() == run()
-
-
-def test_mask_of_the_wrong_size_is_refused():
-    masks = walking(4)[0]
-    with pytest.raises(InputError, match="cam02"):
-        detector_of(rig_of(4)).update(masks | {"cam02": np.zeros((7, 9), np.uint8)}, 0)
 
 
 @pytest.mark.parametrize("cameras", [3, 6])

@@ -10,7 +10,7 @@ import pytest
 from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, silhouettes
 
 from capture_rig import InputError, Rig
-from hull_server.carve_backends import make_backend
+from hull_server.carving import make_backend
 from hull_server.carving.cpu_carver import CpuCarver
 from hull_server.grid import VoxelGrid
 from hull_server.opengl.egl import GlContext, NoGraphics

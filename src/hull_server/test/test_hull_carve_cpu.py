@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from capture_rig import Rig, Volume
 from hull_server.carving.cpu_carver import CpuCarver
-from hull_server.carving.pixel_boxes import block_boxes, rows_within_reach, summed_area
 from hull_server.carving.silhouette_tables import BACKGROUND, BLIND, FOREGROUND, SURE, UNSURE, Tabulator
 from hull_server.grid import VoxelGrid
 from hull_server.views import RigViews
@@ -88,8 +87,7 @@ def test_tabulator_labels_and_sums_the_last_silhouette_of_each_camera():
     height, width = 40, 96
     seen = np.where(rng.random((2, height, width)) < 0.8, 255, 0).astype(np.uint8)
     seen[1, :, 64:] = 0  # a smaller canvas, padded
-    reach = np.tile(np.array([2, 11]), (2, height, 1))  # voxels lie on columns 16 to 87
-    tabulator = Tabulator(seen, reach)
+    tabulator = Tabulator(seen)
     for _ in range(4):
         for camera, columns in ((0, 96), (1, 64)):
             mask = random_mask(rng, (height, columns))
@@ -100,31 +98,15 @@ def test_tabulator_labels_and_sums_the_last_silhouette_of_each_camera():
 
 
 def assert_tabulated(tabulator, camera, evidence, seen, filled):
-    """Labels and sums agree with plain NumPy on the columns 16 to 87."""
+    """Labels and sums agree with plain NumPy."""
     labels = tabulator.labels[camera, :-8].reshape(seen.shape)
     certain = np.where(evidence > 127, FOREGROUND, np.where(evidence > 0, BLIND, BACKGROUND))
-    assert np.array_equal(labels[:, 16:88], np.where(seen, certain, BLIND)[:, 16:88])
+    assert np.array_equal(labels, np.where(seen, certain, BLIND))
     u0, v0, u1, v1 = tabulator.box[camera]
     counts = np.where(evidence > 127, SURE, np.where(evidence > 0, UNSURE, 0))
     inside = counts[v0:v1, u0:u1]
-    assert inside[:, : max(0, 88 - u0)].sum() == counts[:, 16:88].sum() and filled == inside.sum()
+    assert filled == inside.sum() == counts.sum()
     assert tabulator.uncertain[camera] == (inside == UNSURE).any()
     table = tabulator.table[camera, : (v1 - v0 + 1) * (u1 - u0 + 1)].reshape(v1 - v0 + 1, u1 - u0 + 1)
     assert np.array_equal(table[1:, 1:], inside.cumsum(axis=0).cumsum(axis=1))
     assert not table[0].any() and not table[:, 0].any()
-
-
-def test_no_voxel_lies_outside_the_rows_within_reach():
-    rig = ring_rig(3, size=(192, 150), focal_px=130.0, seed=6)
-    views, grid = RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.05)
-    reach = rows_within_reach(block_boxes(views, grid, 8, summed_area(views.seen)), views.seen.shape)
-    voxels = np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), axis=-1).reshape(-1, 3)
-    centres = np.column_stack([grid.centres_world(voxels), np.ones(len(voxels))])
-    for camera, (width, height) in enumerate(views.sizes):
-        u, v, w = views.P[camera] @ centres.T
-        u, v = np.floor(u / w + 0.5), np.floor(v / w + 0.5)
-        hit = (w > 0) & (u >= 0) & (v >= 0) & (u < width) & (v < height)
-        row, word = v[hit].astype(int), u[hit].astype(int) // 8
-        assert hit.sum() > 1000
-        assert np.all((reach[camera, row, 0] <= word) & (word < reach[camera, row, 1]))
-        assert (reach[camera, :, 1] - reach[camera, :, 0]).sum() * 8 < 0.95 * width * height  # it spares something

@@ -5,7 +5,7 @@ import pytest
 from hull_scenes import ring_rig, silhouettes
 
 from capture_rig import Volume
-from hull_server.carve_backends import make_backend
+from hull_server.carving import make_backend
 from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.settings import BlobSettings
 from hull_server.slicing.skeletonisation import BlobTable, find_centerline, point_sigma, slice_hull

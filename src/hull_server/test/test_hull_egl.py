@@ -18,9 +18,9 @@ class FakeEgl:
     offers : what each display draws with. surfaceless : whether a context may be current without a surface.
     """
 
-    def __init__(self, offers, *, surfaceless=True, broken=(), pbuffers=True):
-        self.offers, self.surfaceless, self.broken, self.pbuffers = offers, surfaceless, broken, pbuffers
-        self.alive, self.last, self.drawing = set(), None, None
+    def __init__(self, offers, *, surfaceless=True, broken=()):
+        self.offers, self.surfaceless, self.broken = offers, surfaceless, broken
+        self.alive, self.drawing = set(), None
 
     def displays(self):
         return list(self.offers)
@@ -31,26 +31,18 @@ class FakeEgl:
     def choose_opengl(self):
         return True
 
-    def pbuffer_config(self, display):
-        return 7 if self.pbuffers else None
-
-    def create_pbuffer(self, display, config):
-        self.alive.add("surface")
-        return 70
-
-    def create_context(self, display, config):
+    def create_context(self, display):
         if self.offers[display] is None:
             return None
         self.alive.add("context")
         return 700
 
-    def make_current(self, display, surface, context):
+    def make_current(self, display, context):
         self.drawing = self.offers[display] if context else None
-        self.last = (surface, context) if context else self.last
-        return context is None or surface is not None or self.surfaceless
+        return context is None or self.surfaceless
 
-    def destroy(self, display, surface, context):
-        self.alive -= {name for name, handle in (("surface", surface), ("context", context)) if handle}
+    def destroy(self, display, context):
+        self.alive.remove("context")
 
     def error(self):
         return "EGL_BAD_MATCH"
@@ -109,14 +101,6 @@ def test_context_takes_the_next_display_when_one_cannot_be_initialised(open_on, 
     assert open_on(FakeEgl(offers, broken=broken)).renderer == (LLVMPIPE if len(broken) == 1 else "AMD Radeon")
 
 
-def test_context_that_needs_a_surface_is_given_a_small_one_and_takes_it_along_when_closed(open_on):
-    egl = FakeEgl({Display(1, "EGL device 0"): NVIDIA}, surfaceless=False)
-    context = open_on(egl)
-    assert context.renderer == NVIDIA and egl.last == (70, 700) and egl.alive == {"surface", "context"}
-    context.close()
-    assert egl.alive == set()
-
-
 def test_context_that_cannot_be_had_leaves_nothing_behind_and_names_what_was_tried_and_the_remedy(open_on):
     displays = [
         Display(1, "EGL device 0"),
@@ -137,9 +121,10 @@ def test_context_that_cannot_be_had_leaves_nothing_behind_and_names_what_was_tri
 def test_context_without_any_display_or_surface_says_so(open_on):
     with pytest.raises(NoGraphics, match="EGL knows no device"):
         open_on(FakeEgl({}))
-    stubborn = FakeEgl({Display(1, "EGL device 0"): NVIDIA}, surfaceless=False, pbuffers=False)
+    stubborn = FakeEgl({Display(1, "EGL device 0"): NVIDIA}, surfaceless=False)
     with pytest.raises(NoGraphics, match=r"EGL device 0: its context cannot be made current \(EGL_BAD_MATCH\)"):
         open_on(stubborn)
+    assert stubborn.alive == set()
 
 
 def test_context_under_another_pyopengl_platform_says_what_to_unset(monkeypatch):
@@ -160,17 +145,6 @@ def test_context_without_libegl_says_what_to_install(monkeypatch):
 @pytest.mark.parametrize("way", ["EGL device", "surfaceless EGL", "default EGL display"])
 def test_context_on_one_way_alone_works_where_the_driver_offers_it(monkeypatch, way):
     monkeypatch.setattr(hull_server.opengl.egl, "Egl", hidden(lambda display: display.description.startswith(way)))
-    context = open_or_skip()
-    assert_draws(context)
-    context.close()
-
-
-def test_context_with_a_small_surface_works_where_none_is_not_allowed(monkeypatch):
-    class NeedsSurface(Egl):
-        def make_current(self, display, surface, context):
-            return (context is None or surface is not None) and super().make_current(display, surface, context)
-
-    monkeypatch.setattr(hull_server.opengl.egl, "Egl", NeedsSurface)
     context = open_or_skip()
     assert_draws(context)
     context.close()

@@ -7,7 +7,7 @@ import pytest
 from hull_scenes import capsule_person, carve_brute_force, ring_rig, silhouettes
 
 from capture_rig import Rig
-from hull_server.carve_backends import make_backend
+from hull_server.carving import make_backend
 from hull_server.grid import VoxelGrid
 from hull_server.views import RigViews
 

@@ -10,7 +10,7 @@ from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import CameraFaultSettings, HullSettings
 from hull_server.views import RigViews
 from mocap_packets.frame_set import FrameSet
-from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED
+from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED
 
 STEP_NS = round(PERIOD_S * 1e9)
 WIDE = (640, 480)

@@ -71,7 +71,7 @@ def test_gl_cpu_and_sweep_give_the_same_bytes_on_random_rigs_poses_noise_and_cut
     focal_px = data.draw(st.sampled_from([110.0, 170.0, 330.0]))  # the longest sees only part of the body
     up = np.array([0.0, 0.0, 1.0])
     volume = Volume(rng.uniform(-1.0, -0.6, 3) + 0.9 * up, rng.uniform(0.5, 0.9, 3) + 1.1 * up)
-    rig = ring_rig(cameras, size=(192, 150), focal_px=focal_px, seed=seed, volume=volume)
+    rig = ring_rig(cameras, size=(200, 150), focal_px=focal_px, seed=seed, volume=volume)
     if data.draw(st.booleans()):  # one camera inside the volume
         centre = rng.uniform(-0.4, 0.4, 3) + up
         inside = look_at("inside", centre, np.array([0.1, -0.5, 0.8]), 120.0, (192, 150))

@@ -13,12 +13,11 @@ from sensor_msgs.msg import CompressedImage
 
 from capture_rig import load_rig, save_rig
 from hull_server.hull_pipeline import HullPipeline
-from hull_server.overload.thinning_control import ThinningControl
+from hull_server.overload import ThinningControl
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_ros.images import absence_message, camera_info_message, silhouette_message
-from sagoma_ros.messages import to_ns
+from sagoma_ros.messages import read_thinning, to_ns
 from sagoma_ros.qos import LATCHED
-from sagoma_ros.thinning import read_thinning
 
 
 def test_node_answers_an_incomplete_set_at_its_deadline_and_names_the_missing_camera(make_bench, scene):

@@ -10,7 +10,7 @@ from scipy import ndimage
 from hull_server.bitset import lowest_bit, popcount, select_bit, transpose8
 from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.slicing.skeletonisation import BlobTable, shape_of, slice_hull
-from hull_server.slicing.voxel_samples import sample_runs
+from hull_server.slicing.voxel_runs import sample_runs
 
 
 def sample_voxels(volume, max_voxels):
@@ -57,19 +57,6 @@ def test_blobs_equal_opencv_components_and_moments_on_random_volumes(shape, shar
     np.testing.assert_allclose(in_order(rows), in_order(oracle_blobs(dense)), atol=1e-9)
 
 
-def test_blobs_of_smooth_bodies_equal_scipy_components():
-    """Random shapes a body might have, across word and brick borders: scipy's labels as a second oracle."""
-    noise = np.random.default_rng(3).random((150, 70, 40))
-    dense = ndimage.gaussian_filter(noise, 4) > 0.505
-    blobs = slice_hull(volume_of(dense)).blobs
-    eight = np.ones((3, 3))
-    for axis in range(3):
-        expected = [ndimage.label(dense.take(n, axis=axis), eight)[1] for n in range(dense.shape[axis])]
-        slices = blobs.centroid[blobs.axis == axis][:, axis].astype(int)
-        assert np.array_equal(np.bincount(slices, minlength=dense.shape[axis]), expected)
-        assert blobs.area[blobs.axis == axis].sum() == dense.sum()
-
-
 def test_blobs_connect_diagonally():
     dense = np.zeros((4, 4, 1), bool)
     dense[0, 0, 0] = dense[1, 1, 0] = dense[3, 3, 0] = True
@@ -84,20 +71,6 @@ def test_blobs_are_ordered_and_repeatable():
     slices = first.centroid[np.arange(len(first)), first.axis]
     assert (np.diff(first.axis.astype(int)) >= 0).all()
     assert all((np.diff(slices[first.axis == axis]) >= 0).all() for axis in range(3))
-
-
-@pytest.mark.parametrize("times", [1, 2])
-def test_erosion_equals_scipy_erosion_of_each_slice(times):
-    noise = np.random.default_rng(5).random((80, 24, 24))
-    dense = ndimage.gaussian_filter(noise, 2) > 0.49
-    found = as_rows(slice_hull(volume_of(dense), times).blobs)
-    cross = ndimage.generate_binary_structure(2, 1)
-    expected = []
-    for axis in range(3):
-        slices = [ndimage.binary_erosion(dense.take(n, axis=axis), cross, times) for n in range(dense.shape[axis])]
-        rows = oracle_blobs(np.stack(slices, axis=axis))
-        expected.append(rows[rows[:, 0] == axis])
-    np.testing.assert_allclose(in_order(found), in_order(np.concatenate(expected)), atol=1e-9)
 
 
 def test_blobs_of_an_empty_volume_are_none():

@@ -26,7 +26,6 @@ from capture_rig.visibility import EVERYWHERE, RigVisibility
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
-from stick_figure.joint_centres import with_joint_centres
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import RayArrays, RayMatch, match_rays
 from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
@@ -35,6 +34,7 @@ from stick_figure.least_squares.keypoint_factor import GATE_SIGMAS, NO_KEYPOINTS
 from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
+from stick_figure.trunk_bend import with_joint_centres
 
 # Thresholds: the former chosen with python bench/people.py --ablation SESSION, in steps of about a half, the last
 # four with covariance_coverage.py among the benches of commit d6079d2.

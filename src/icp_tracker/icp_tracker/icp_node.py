@@ -31,8 +31,7 @@ from sagoma_ros.packets import FITTED_PEOPLE, HULL_PRODUCTS, PREDICTIONS, people
 from sagoma_ros.process import run_node
 from sagoma_ros.qos import LATCHED
 from sagoma_ros.worker import Worker
-from stick_figure.body import Body
-from stick_figure.body_file import format_body
+from stick_figure.body import Body, format_body
 
 from .icp_ros import FilterFeedback, KeypointInputs, SaveBodyService, SavedBody
 from .people.people_tracker import PeopleTracker, make_people_tracker

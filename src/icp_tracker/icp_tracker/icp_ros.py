@@ -27,8 +27,7 @@ from sagoma_ros.limits import oversize
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
-from stick_figure.body import Body
-from stick_figure.body_file import save_body
+from stick_figure.body import Body, save_body
 from stick_figure.least_squares.keypoint_factor import Keypoints
 
 from .settings import SaveBodySettings

@@ -9,8 +9,7 @@ import refinement_rays as made
 from capture_rig.rigid import rotation_matrix
 from icp_tracker.articulated_fit import ArticulatedSettings, ContourSettings, VolumeSettings, fit_articulated
 from stick_figure.body import Body
-from stick_figure.body_surface import BodySurface
-from stick_figure.build import END_CAPSULES
+from stick_figure.body_surface import END_CAPSULES, BodySurface
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.free_ends import straight_ends, turn_ends
 

@@ -13,7 +13,7 @@ from icp_tracker.acquisition.pose_source import CombinedPoseSource
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
-from stick_figure.build import build_of_girth
+from stick_figure.body_surface import build_of_girth
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from virtual_studio.motions.catalogue import MOTIONS

@@ -14,8 +14,7 @@ from icp_tracker.refinement.shape import BENT, BUILD, POSE, SIZE, ShapeModel, Sh
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import HullProducts
 from stick_figure.body import BEND_NUMBERS
-from stick_figure.body_surface import BodySurface
-from stick_figure.build import build_of_girth
+from stick_figure.body_surface import BodySurface, build_of_girth
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.free_ends import ANGLES, COUNT, straight_ends, turn_ends
 from stick_figure.least_squares.placed_figure import Figure, State, place

@@ -10,8 +10,7 @@ from node_probe import Spinner
 from std_srvs.srv import Trigger
 
 from icp_tracker.icp_ros import SaveBodyService, SaveBodySettings, SavedBody
-from stick_figure.body import BUILD_NUMBERS, Body
-from stick_figure.body_file import load_body
+from stick_figure.body import BUILD_NUMBERS, Body, load_body
 
 NAMESPACE = f"/test_body_desk_{os.getpid()}"
 

@@ -11,8 +11,7 @@ from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pos
 from icp_tracker.acquisition.t_pose_source import TPoseSource, find_t_pose, pose_of
 from icp_tracker.acquisition.upright import PoseRejected
 from mocap_packets.hull import HullProducts, VoxelSamples
-from stick_figure.body import Body
-from stick_figure.body_file import save_body
+from stick_figure.body import Body, save_body
 from stick_figure.kinematics import forward
 
 BODY = Body.from_stature(1.75)

@@ -12,7 +12,7 @@ from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward, sticks
 from stick_figure.least_squares.gauss_newton import loose_hull_weight
 from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
-from stick_figure.least_squares.surface_factor import add_surface
+from stick_figure.least_squares.point_factor import add_surface
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES
 

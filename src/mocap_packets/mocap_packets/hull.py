@@ -15,8 +15,7 @@ import numpy as np
 
 from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
-from .latency import NO_AGES, SetAges
-from .table import column, columns, fill, layout
+from .table import NO_AGES, Columns, SetAges
 
 # Thresholds: judgement, no measurement.
 REACH_M = 0.35
@@ -32,7 +31,7 @@ def _number_one_body(packet: VoxelSamples | ContourRays) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Centerline:
+class Centerline(Columns):
     """Centerline points (n) of one hull: centroids of the slices that look like a limb cut across (thesis 3.2).
 
     points_world : (n, 3). sigma : (n,) standard deviation of the point from the limb's axis, in each direction across
@@ -40,7 +39,8 @@ class Centerline:
     of the slice. body : (n,) int32.
     """
 
-    LAYOUT: ClassVar[np.dtype] = layout("x", "y", "z", "sigma", "axis", "area", "elongation", "fill", "body")
+    COLUMNS = "points_world: x y z; sigma; axis; area_m2: area; elongation; fill; body"
+    KINDS: ClassVar = {"axis": np.uint8, "body": np.int32}
 
     points_world: np.ndarray
     sigma: np.ndarray
@@ -49,9 +49,6 @@ class Centerline:
     elongation: np.ndarray
     fill: np.ndarray
     body: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.sigma)
 
     def near(self, reference_points_world: np.ndarray) -> np.ndarray:
         """Return (n,) bool: what may belong to a person whose reference points (15, 3) are there."""
@@ -70,33 +67,16 @@ class Centerline:
         body = np.zeros(n, np.int32) if body is None else np.asarray(body)
         return cls(points, sigma, np.zeros(n, np.uint8), np.zeros(n), np.ones(n), np.ones(n), body)
 
-    def to_table(self) -> np.ndarray:
-        """Return the rows as the structured array LAYOUT."""
-        shape = (self.axis, self.area_m2, self.elongation, self.fill)
-        return fill(self.LAYOUT, self.points_world, self.sigma, *shape, self.body)
-
-    @classmethod
-    def from_table(cls, table: np.ndarray) -> Centerline:
-        """Return the inverse of :meth:`to_table`."""
-        return cls(
-            columns(table, "x", "y", "z"),
-            column(table, "sigma"),
-            table["axis"].astype(np.uint8),
-            column(table, "area"),
-            column(table, "elongation"),
-            column(table, "fill"),
-            table["body"].astype(np.int32),
-        )
-
 
 @dataclass(frozen=True, eq=False)
-class VoxelSamples:
+class VoxelSamples(Columns):
     """Voxels (m) of the hull: centres (m, 3); surface (m,) bool, True where a neighbour is empty; body (m,) int32.
 
     Without ``body``, all of one body, number 0.
     """
 
-    LAYOUT: ClassVar[np.dtype] = layout("x", "y", "z", "surface", "body")
+    COLUMNS = "points_world: x y z; surface; body"
+    KINDS: ClassVar = {"surface": np.bool_, "body": np.int32}
 
     points_world: np.ndarray
     surface: np.ndarray
@@ -104,9 +84,6 @@ class VoxelSamples:
 
     def __post_init__(self) -> None:
         _number_one_body(self)
-
-    def __len__(self) -> int:
-        return len(self.surface)
 
     @classmethod
     def checked(cls, points_world: np.ndarray, surface: np.ndarray) -> VoxelSamples:
@@ -123,18 +100,9 @@ class VoxelSamples:
         """Return at most ``count`` samples (m, 3) of surface and interior, evenly spread over the rows."""
         return _thinned(self.points_world, count)
 
-    def to_table(self) -> np.ndarray:
-        """Return the rows as the structured array LAYOUT."""
-        return fill(self.LAYOUT, self.points_world, self.surface, self.body)
-
-    @classmethod
-    def from_table(cls, table: np.ndarray) -> VoxelSamples:
-        """Return the inverse of :meth:`to_table`."""
-        return cls(columns(table, "x", "y", "z"), table["surface"] > 0.5, table["body"].astype(np.int32))
-
 
 @dataclass(frozen=True, eq=False)
-class ContourRays:
+class ContourRays(Columns):
     """Rays (n) through the silhouettes' contours, by camera, then along each outline.
 
     A point on a silhouette's contour is the view of a ray that touches the body's surface somewhere without entering
@@ -148,9 +116,9 @@ class ContourRays:
     stamp. Without ``body``, ``camera`` and ``time_s``, all 0.
     """
 
-    LAYOUT: ClassVar[np.dtype] = layout(
-        "x", "y", "z", "dx", "dy", "dz", "nx", "ny", "nz", "half", "sigma", "camera", "body", "time"
-    )
+    COLUMNS = "points_world: x y z; directions: dx dy dz; normals: nx ny nz; half_lengths: half;"
+    COLUMNS += " sigma; camera; body; time_s: time"
+    KINDS: ClassVar = {"camera": np.int32, "body": np.int32}
 
     points_world: np.ndarray
     directions: np.ndarray
@@ -167,9 +135,6 @@ class ContourRays:
             if len(getattr(self, name)) != len(self.sigma):
                 object.__setattr__(self, name, np.zeros(len(self.sigma), kind))
 
-    def __len__(self) -> int:
-        return len(self.sigma)
-
     def thinned(self, count: int) -> ContourRays:
         """Return at most ``count`` rays, evenly spread over the rows, which follow the outlines; always the same."""
         if len(self) <= count:
@@ -179,25 +144,6 @@ class ContourRays:
     def chosen(self, rows: np.ndarray) -> ContourRays:
         """Return some rows, by number or mask."""
         return _rows(self, rows)
-
-    def to_table(self) -> np.ndarray:
-        """Return the rows as the structured array LAYOUT."""
-        vectors = (self.points_world, self.directions, self.normals)
-        return fill(self.LAYOUT, *vectors, self.half_lengths, self.sigma, self.camera, self.body, self.time_s)
-
-    @classmethod
-    def from_table(cls, table: np.ndarray) -> ContourRays:
-        """Return the inverse of :meth:`to_table`."""
-        return cls(
-            columns(table, "x", "y", "z"),
-            columns(table, "dx", "dy", "dz"),
-            columns(table, "nx", "ny", "nz"),
-            column(table, "half"),
-            column(table, "sigma"),
-            table["body"].astype(np.int32),
-            table["camera"].astype(np.int32),
-            column(table, "time"),
-        )
 
 
 PARTS: dict[str, Any] = {"centerline": Centerline, "voxels": VoxelSamples, "contour_rays": ContourRays}

@@ -13,14 +13,12 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from capture_rig.yaml_file import format_mapping, parse_mapping
-from stick_figure.body import BUILD_NUMBERS, Body
-from stick_figure.body_file import format_body, parse_body
+from stick_figure.body import BUILD_NUMBERS, Body, format_body, parse_body
 from stick_figure.skeleton import STICK_NAMES
 
 from .fit import FIRST_PERSON, Fit, ReferencePoints
-from .latency import NO_AGES, SetAges
 from .state import Prediction
-from .table import fill, layout
+from .table import NO_AGES, SetAges, fill, layout
 
 POINTS = 15
 MOST_BODIES_BYTES = 256 << 10  # of some 250 persons

@@ -1,4 +1,4 @@
-"""What a camera client hands to the hull server: the silhouette of one image."""
+"""What camera client and hull server hand each other: the silhouette of one image, and what the others see of it."""
 
 from __future__ import annotations
 
@@ -36,3 +36,35 @@ class Silhouette:
     def person(self) -> Mask:
         """The binary mask, 0 or 255: candidates are taken for shadow."""
         return np.where(self.mask > SHADOW_CANDIDATE, np.uint8(FOREGROUND), np.uint8(BACKGROUND))
+
+
+Cells = npt.NDArray[np.uint8]
+
+UNJUDGED, BODY, OUTSIDE, NOBODY = 0, 85, 170, 255
+"""Levels of a cell: too few others look there; they see a body there, or next to it; no body in the capture volume, but
+maybe something outside it; nobody."""
+LEVELS = (UNJUDGED, BODY, OUTSIDE, NOBODY)
+
+
+@dataclass(frozen=True, eq=False)
+class ForegroundSupport:
+    """What the other cameras say of one camera's view, at the capture stamp of a frame set.
+
+    cells (h, w) uint8 : :data:`LEVELS` of squares of ``cell_px`` pixels of the undistorted canvas, from its first pixel
+    on. They follow from the other cameras' silhouettes alone, whatever this camera shows.
+    """
+
+    stamp_ns: int
+    camera: str
+    cell_px: int
+    cells: Cells
+
+    @classmethod
+    def of_canvas(
+        cls, stamp_ns: int, camera: str, cells: npt.NDArray[np.uint8], canvas_width: int
+    ) -> ForegroundSupport:
+        """Return the packet whose cells (h, w) cover a canvas of that width. ValueError where they do not."""
+        cell_px, rest = divmod(canvas_width, cells.shape[1]) if cells.ndim == 2 and cells.size else (0, 1)
+        if rest or cell_px < 1:
+            raise ValueError(f"cells of shape {cells.shape} do not cover a canvas {canvas_width} pixels wide")
+        return cls(stamp_ns, camera, cell_px, cells)

@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stick_figure.joint_motion import JointMotion
-from stick_figure.pose import Pose
+from stick_figure.pose import JointMotion, Pose
 
 from .fit import DOUBTFUL, GOOD, LOST, PART_POINTS, ReferencePoints
 

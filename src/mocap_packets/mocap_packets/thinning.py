@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-# Thresholds: chosen with the simulated graphs of test_hull_thinning_control.py, test_hull_frame_clock.py.
+# Thresholds: chosen with the simulated graphs of test_hull_overload.py.
 LARGEST_OF = 20  # neighbouring fractions near a half then differ by 5 % at most; a pattern takes a third of a second
 LAPSE_NS = 3_000_000_000  # three refreshes: nobody thins for a hull server that is gone
 

@@ -7,8 +7,8 @@ import pytest
 
 from mocap_packets.fit import Fit
 from mocap_packets.hull import Centerline, ContourRays, HullProducts, VoxelSamples
-from mocap_packets.latency import SetAges
 from mocap_packets.state import NoState, Prediction
+from mocap_packets.table import SetAges
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
 ROWS = 12

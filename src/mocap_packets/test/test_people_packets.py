@@ -5,8 +5,8 @@ import pytest
 
 from capture_rig.errors import InputError
 from mocap_packets.fit import ReferencePoints
-from mocap_packets.latency import SetAges
 from mocap_packets.people import FittedPeople, PeoplePoints, body_numbers, format_bodies, parse_bodies
+from mocap_packets.table import SetAges
 from stick_figure.body import Body
 
 

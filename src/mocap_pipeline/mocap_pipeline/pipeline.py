@@ -28,8 +28,8 @@ from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from mocap_packets.keypoints import Detections, keypoints_of
 from mocap_packets.people import FittedPeople, PeoplePoints
+from mocap_packets.silhouette import ForegroundSupport
 from mocap_packets.state import BodyState, NoState, Prediction
-from mocap_packets.support import ForegroundSupport
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
@@ -124,7 +124,7 @@ class MocapPipeline:
         # (consistency/foreground_support.py; camera_client/background/moved_things/absorption.py)
         self.report_support(pending.support)
         # slice the hull along x, y and z and keep the centroids of the slices that look like a limb (3.2; slicing/);
-        # sample its voxels, and trace the rays that touch the body (slicing/voxel_samples.py, contour_rays/)
+        # sample its voxels, and trace the rays that touch the body (slicing/voxel_runs.py, contour_rays/)
         return self.hull.finish(pending).products
 
     def report_support(self, reports: tuple[ForegroundSupport, ...]) -> None:

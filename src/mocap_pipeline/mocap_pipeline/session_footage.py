@@ -16,7 +16,7 @@ from camera_client.sources.footage_reader import VideoReader
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.session import Session, footage_stamp_ns, read_table
-from capture_rig.video_findings import VideoFacts
+from capture_rig.video import VideoFacts
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.keypoints import NUMBERS, Detections
 

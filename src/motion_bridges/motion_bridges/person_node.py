@@ -20,8 +20,8 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import read_reference_points
 from sagoma_ros.qos import DEPTH, RESULT
-from stick_figure.joint_motion import JointMotion
 from stick_figure.kinematics import stick_frames
+from stick_figure.pose import JointMotion
 
 Array = np.ndarray
 

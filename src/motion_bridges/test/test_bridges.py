@@ -19,9 +19,8 @@ from sagoma_ros.messages import to_ns, to_stamp
 from sagoma_ros.packets import packet_cloud
 from sagoma_ros.qos import RESULT
 from stick_figure.body import Body
-from stick_figure.joint_motion import JointMotion
 from stick_figure.kinematics import forward, stick_frames
-from stick_figure.pose import Pose
+from stick_figure.pose import JointMotion, Pose
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
 
 BODY = Body.from_stature(1.8)

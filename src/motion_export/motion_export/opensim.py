@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig.files import write_text
 from stick_figure.body import Body
-from stick_figure.segment_inertia import SegmentInertia, segment_inertias
+from stick_figure.body_surface import SegmentInertia, segment_inertias
 from stick_figure.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,

@@ -5,7 +5,6 @@ One table says what each file takes; the files, `ros2 launch --show-args` and th
 
 from __future__ import annotations
 
-import time
 from argparse import ArgumentTypeError
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,13 +13,23 @@ from typing import Any
 
 from capture_rig.errors import InputError
 from capture_rig.number import PLAYING_SPEED, SECONDS
-from capture_rig.session import load_session
+from capture_rig.session import Session, load_session
 from capture_rig.yaml_file import read_mapping
 
-from .first_pose import AUTO_START, STARTS, start_settings
-from .graph import ALL_CAMERAS, NodeSpec, apply_settings, build_graph, camera_from_file
-from .processes import ONE_PROCESS, SERVER_LAYOUTS, ProcessSpec, processes_of
+from .graph import (
+    ALL_CAMERAS,
+    ONE_PROCESS,
+    SERVER_LAYOUTS,
+    NodeSpec,
+    ProcessSpec,
+    apply_settings,
+    build_graph,
+    camera_from_file,
+    processes_of,
+)
 
+AUTO_START, T_POSE_START, REFERENCE_START = "auto", "t_pose", "session"
+STARTS = (AUTO_START, T_POSE_START, REFERENCE_START)
 # nobody drives the cameras of launched footage: they wait for each other
 PLAY_IN_STEP = {f"{ALL_CAMERAS}.footage.wait_for_cameras": True}
 RESTART, SHUTDOWN = "restart", "shutdown"
@@ -147,7 +156,6 @@ def server_graph(values: Mapping[str, str]) -> list[NodeSpec]:
     rate = _number(values, "rate", PLAYING_SPEED) if session is not None else 1.0
     return build_graph(
         session=values.get("session"),
-        epoch_ns=time.time_ns() if rate == 0 else 0,  # at a rate, the cameras agree on one
         rig=values.get("rig"),
         cameras=values.get("cameras"),
         rate=rate,
@@ -165,6 +173,29 @@ def camera_graph(values: Mapping[str, str]) -> list[NodeSpec]:
         remedy = f"Give camera:={node.label}, or the parameter file of {camera}."
         raise InputError(f"describes {node.label}, not {camera}", where=path, remedy=remedy)
     return apply_settings([node], {f"{ALL_CAMERAS}.rig_file": values["rig"]} if values["rig"] else {})
+
+
+def start_settings(session: Session | None, start: str = AUTO_START) -> dict[str, Any]:
+    """Return the ICP tracker's settings for the source of its first pose.
+
+    start : "t_pose", "session" (its reference), or "auto": the reference where the session has one that was made from
+    its footage (``reference*.csv``), else a T-pose or whoever walks in, as for live cameras.
+
+    Raises InputError without a reference to start from.
+    """
+    truth = None if session is None else session.truth
+    if start == AUTO_START and truth is not None and truth.source.name.startswith("reference"):
+        start = REFERENCE_START
+    if start != REFERENCE_START:
+        return {"icp_tracker.initial_pose.source": start}
+    if session is None or truth is None:
+        where = "live cameras" if session is None else str(session.folder)
+        raise InputError("has no reference to start from", where=where, remedy="Start from a T-pose.")
+    return {
+        "icp_tracker.initial_pose.source": REFERENCE_START,
+        "icp_tracker.initial_pose.session": str(session.folder.resolve()),
+        "icp_tracker.initial_pose.frame": int(truth.frames[0]),
+    }
 
 
 def _parameter_files(path: str) -> tuple[str, ...]:

@@ -21,8 +21,8 @@ from capture_rig.errors import InputError
 from capture_rig.yaml_file import format_mapping, read_mapping
 from sagoma_ros.names import SCHEME, package_path, resolve_packages
 
+from .graph import ProcessSpec
 from .launch_arguments import ARGUMENTS, Argument, LaunchRequest, read_request
-from .processes import ProcessSpec
 
 PACKAGE = "sagoma_bringup"
 

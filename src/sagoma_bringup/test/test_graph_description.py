@@ -33,6 +33,14 @@ def test_session_gives_the_server_and_one_camera_node_a_video(session):
         assert given["footage.wait_for_cameras"] is True
 
 
+def test_footage_played_by_no_clock_is_stamped_from_one_epoch_or_the_one_that_was_given(session):
+    def epochs(**given):
+        return {node.parameters["footage.epoch_ns"] for node in build_graph(session=session, **given)[3:]}
+
+    assert len(epochs(rate=0)) == 1 and min(epochs(rate=0)) > 0
+    assert epochs(rate=0, epoch_ns=7) == {7} and epochs(rate=1) == {0}
+
+
 def test_session_without_a_video_of_a_rig_camera_is_an_error(session):
     (session / "cam02.mp4").unlink()
     with pytest.raises(InputError, match=r"the rig has 2 cameras, but there is no video for cam02"):

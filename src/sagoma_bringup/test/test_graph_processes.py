@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sagoma_bringup.graph import SERVER_NODES, build_graph, select
-from sagoma_bringup.processes import THREE_PROCESSES, processes_of
+from sagoma_bringup.graph import SERVER_NODES, THREE_PROCESSES, build_graph, processes_of, select
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 

@@ -12,9 +12,8 @@ from ament_index_python.packages import PackageNotFoundError
 from launch_stand_in import LaunchRun, launched, module_of
 
 from capture_rig.errors import InputError
-from sagoma_bringup.graph import SERVER_NODES, build_graph
+from sagoma_bringup.graph import SERVER_NODES, THREE_PROCESSES, build_graph, processes_of
 from sagoma_bringup.launch_arguments import ARGUMENTS
-from sagoma_bringup.processes import THREE_PROCESSES, processes_of
 from sagoma_tools.graph.processes import START_TIMEOUT_S
 from sagoma_tools.graph.ros_link import RosLink, our_nodes, settled
 

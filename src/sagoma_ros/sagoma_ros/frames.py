@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-import numpy as np
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from rclpy.node import Node
 
@@ -52,9 +51,7 @@ def frame(
     return message
 
 
-def about_axis(axis: int, angle: float) -> tuple[float, float, float, float]:
-    """Return the quaternion x y z w of a turn about x, y or z (0, 1, 2) by an angle, rad."""
-    quaternion = np.zeros(4)
-    quaternion[axis], quaternion[3] = math.sin(0.5 * angle), math.cos(0.5 * angle)
-    x, y, z, w = quaternion.tolist()
-    return x, y, z, w
+def about_axis(axis: Sequence[float], angle: float) -> tuple[float, float, float, float]:
+    """Return the quaternion x y z w of a turn about a unit axis (3,) by an angle, rad."""
+    (x, y, z), sine = axis, math.sin(0.5 * angle)
+    return sine * x, sine * y, sine * z, math.cos(0.5 * angle)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import threading
 import time
 from collections import Counter, deque
@@ -13,12 +12,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType, ROSClock
 from rclpy.node import Node
 
-from .messages import key_values
+from .messages import HOST, key_values
 from .qos import RESULT
 
 PERIOD_S = 1.0
 LATENCY_SAMPLES = 1000
-HOST = socket.gethostname()
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

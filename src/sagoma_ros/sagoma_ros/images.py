@@ -13,8 +13,8 @@ from std_msgs.msg import Header
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
-from mocap_packets import support
-from mocap_packets.support import ForegroundSupport
+from mocap_packets import silhouette
+from mocap_packets.silhouette import ForegroundSupport
 
 from . import mask_png
 from .limits import check_pixels, compressed_size
@@ -214,7 +214,7 @@ def read_support(message: Image, camera: str, canvas_width: int, where: str) -> 
     """Return the inverse of :func:`support_message`; InputError when it is not of this camera's canvas."""
     cells, stamp_ns = decode_image(message, where), to_ns(message.header.stamp)
     remedy = "Give camera client and hull server the same rig file."
-    if cells.ndim != 2 or not np.isin(cells, support.LEVELS).all():
+    if cells.ndim != 2 or not np.isin(cells, silhouette.LEVELS).all():
         raise InputError("holds other levels than those of a report", where=where, remedy="Check its publisher.")
     try:
         return ForegroundSupport.of_canvas(stamp_ns, camera, cells, canvas_width)

@@ -9,10 +9,10 @@ from rclpy.clock import Clock, ClockType
 
 from mocap_packets.frame_set import TIME_JUMP_NS
 
+from .health import PERIOD_S
 from .node import SagomaNode
 
 CHECK_S = 0.2  # with the default of `stale_after_s` silence is reported within a second
-REPEAT_S = 1.0
 
 
 class InputWatchdog:
@@ -43,7 +43,7 @@ class InputWatchdog:
     def _check(self) -> None:
         now_s = time.monotonic()
         if now_s >= self._due_s:
-            self._due_s = now_s + REPEAT_S
+            self._due_s = now_s + PERIOD_S
             self._on_silence(now_s - self._heard_s)
 
 

@@ -10,7 +10,7 @@ from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.people import Predictions
 from mocap_packets.state import Prediction
-from stick_figure.joint_motion import JOINT_NAMES, JointMotion
+from stick_figure.pose import JOINT_NAMES, JointMotion
 
 from .messages import to_ns, to_stamp
 
@@ -18,7 +18,7 @@ NORM_TOLERANCE = 1e-3  # of a quaternion's length from 1; ours are exact to 1e-1
 
 
 def motion_message(motions: dict[int, JointMotion], stamp_ns: int, frame_id: str) -> MultiDOFJointState:
-    """Return the joints of every person, of `stick_figure.joint_motion.JOINT_NAMES`; of others than the first one with
+    """Return the joints of every person, of `stick_figure.pose.JOINT_NAMES`; of others than the first one with
     ``person_N/`` before each name.
 
     transforms : the torso's in ``frame_id``; of the other joints the rotation of the stick in the frame of its carrier,

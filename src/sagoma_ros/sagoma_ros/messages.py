@@ -1,13 +1,21 @@
-"""Pieces that many messages hold: stamps as whole nanoseconds (equal means the same instant), and named values."""
+"""Stamps as whole nanoseconds (equal means the same instant) and named values of messages; latencies and thinning."""
 
 from __future__ import annotations
 
+import math
+import socket
 from collections.abc import Mapping
+from dataclasses import asdict
 
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from capture_rig.errors import InputError
 from capture_rig.stamps import NS_PER_S
+from mocap_packets.table import SetAges
+from mocap_packets.thinning import FrameDecimation
+
+HOST = socket.gethostname()
 
 
 def to_ns(stamp: Time) -> int:
@@ -24,3 +32,59 @@ def to_stamp(ns: int) -> Time:
 def key_values(values: Mapping[str, object]) -> list[KeyValue]:
     """Values by name, as text, for a DiagnosticStatus."""
     return [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+
+
+# mocap/latency --------------------------------------------------------------------------------------------------------
+
+
+LATENCY_TOPIC = "mocap/latency"
+"""Of where the time of a frame set went, from exposure to joint state."""
+
+
+def latency_message(stamp_ns: int, ages: SetAges) -> DiagnosticArray:
+    """Return a set's age at each point, in milliseconds since its exposure, under its capture stamp."""
+    values = key_values({f"{point}_ms": f"{age_ns / 1e6:.3f}" for point, age_ns in asdict(ages).items()})
+    message = DiagnosticArray(
+        status=[DiagnosticStatus(level=DiagnosticStatus.OK, name="mocap: latency", hardware_id=HOST, values=values)]
+    )
+    message.header.stamp = to_stamp(stamp_ns)
+    return message
+
+
+# the rule of thinning -------------------------------------------------------------------------------------------------
+
+
+THINNING_TOPIC = "hull/thinning"
+"""Of the rule by which all clients thin out (`mocap_packets.thinning`), in a message that people can read."""
+_INTEGERS = ("resume_ns", "phase_ns", "keep", "of")
+
+
+def thinning_message(rule: FrameDecimation, text: str = "") -> DiagnosticArray:
+    """Return a rule as one status, stamped with the first capture stamp that it holds for; ``text`` says why."""
+    thins = rule.keep < rule.of
+    status = DiagnosticStatus(
+        level=DiagnosticStatus.WARN if thins else DiagnosticStatus.OK,
+        name="hull_server: thinning",
+        hardware_id=HOST,
+        message=text or ("thinned" if thins else "every frame"),
+        values=key_values({name: getattr(rule, name) for name in _INTEGERS} | {"period_ns": f"{rule.period_ns:.3f}"}),
+    )
+    message = DiagnosticArray(status=[status])
+    message.header.stamp = to_stamp(rule.from_ns)
+    return message
+
+
+def read_thinning(message: DiagnosticArray, where: str) -> FrameDecimation:
+    """Return the inverse of :func:`thinning_message`. Raises InputError for a message that holds no rule."""
+    values = {pair.key: pair.value for status in message.status[:1] for pair in status.values}
+    try:
+        numbers = {name: int(values[name]) for name in _INTEGERS}
+        rule = FrameDecimation(from_ns=to_ns(message.header.stamp), period_ns=float(values["period_ns"]), **numbers)
+    except (KeyError, ValueError) as error:
+        remedy = "Run the same version on camera PCs and server."
+        raise InputError(f"is no rule of thinning: {error!r}", where=where, remedy=remedy) from error
+    if not (0 < rule.keep <= rule.of and 0.0 < rule.period_ns < math.inf):
+        raise InputError(
+            f"keeps {rule.keep} of {rule.of} every {rule.period_ns} ns", where=where, remedy="Restart the hull server."
+        )
+    return rule

@@ -17,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from capture_rig.errors import InputError
 
-from .memory import bound_memory
+from .middleware import bound_memory
 from .node import SagomaNode
 
 try:  # is told what has come, where the other asks every entity of every node for each message

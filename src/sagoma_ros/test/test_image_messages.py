@@ -14,8 +14,8 @@ from sensor_msgs.msg import CompressedImage
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
-from mocap_packets.support import LEVELS as SUPPORT_LEVELS
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import LEVELS as SUPPORT_LEVELS
+from mocap_packets.silhouette import ForegroundSupport
 from sagoma_ros.images import (
     camera_info_message,
     decode_silhouette,

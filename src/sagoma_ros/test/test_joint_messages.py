@@ -14,9 +14,8 @@ from mocap_packets.state import Prediction
 from sagoma_ros.joint_motion import predictions_message, read_predictions
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import covariance_cloud, joint_state_message
-from stick_figure.joint_motion import JOINT_NAMES
 from stick_figure.kinematics import stick_frames
-from stick_figure.pose import Pose
+from stick_figure.pose import JOINT_NAMES, Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, PARENT, TANGENT_NAMES
 
 STAMP = 1_700_000_000_123_456_789

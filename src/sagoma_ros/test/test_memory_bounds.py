@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from sagoma_ros.memory import MALLOC_VARIABLES, PROFILE, PROFILE_VARIABLES, QOS_FROM_PROFILE, bound_memory
+from sagoma_ros.middleware import MALLOC_VARIABLES, PROFILE, PROFILE_VARIABLES, QOS_FROM_PROFILE, bound_memory
 
 MIB = 1 << 20
 LARGE, BURST = 8, 12  # MiB of a message, and messages that wait at once
@@ -18,7 +18,7 @@ import ctypes, gc, sys, time
 import rclpy
 from rclpy.qos import QoSProfile
 from std_msgs.msg import ByteMultiArray
-from sagoma_ros.memory import bound_memory
+from sagoma_ros.middleware import bound_memory
 
 if sys.argv[1] == "bounded":
     bound_memory()

@@ -5,7 +5,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from capture_rig.errors import InputError
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
-from sagoma_ros.thinning import read_thinning, thinning_message
+from sagoma_ros.messages import read_thinning, thinning_message
 
 RULE = FrameDecimation(
     1_790_000_000_123_456_789, 1_790_000_000_200_000_000, 1_789_999_999_000_000_001, 16_666_666.667, 9, 20

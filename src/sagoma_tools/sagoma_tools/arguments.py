@@ -13,9 +13,8 @@ from capture_rig.errors import InputError
 from capture_rig.number import PLAYING_SPEED, number
 from capture_rig.session import load_session
 from capture_rig.yaml_file import parse_value
-from sagoma_bringup.first_pose import AUTO_START, STARTS, start_settings
-from sagoma_bringup.graph import ALL_CAMERAS, NodeSpec, Role, apply_settings, build_graph
-from sagoma_bringup.processes import ONE_PROCESS, SERVER_LAYOUTS
+from sagoma_bringup.graph import ALL_CAMERAS, ONE_PROCESS, SERVER_LAYOUTS, NodeSpec, Role, apply_settings, build_graph
+from sagoma_bringup.launch_arguments import AUTO_START, STARTS, start_settings
 
 from .takes.folder import TAKES, TakesFolder
 

@@ -10,22 +10,19 @@ from importlib import import_module
 
 from capture_rig.errors import InputError, shortened
 from capture_rig.files import describe_os_error
+from sagoma_ros.middleware import use_peers
 
-from .command_help import BAD_INPUT, FAILED, INTERRUPTED, NO_READER, CommandParser, describe
-from .console import ProgressLine
+from .console import BAD_INPUT, FAILED, INTERRUPTED, NO_READER, CommandParser, ProgressLine, describe
 from .graph import GraphError
-from .graph.network_settings import add_peers_argument, use_peers
 
 COMMANDS = {
     "demo": ("demo",),
     "calibrate": ("calibrate",),
     "background": ("background",),
-    "graph": ("up", "start", "suspend", "stop", "studio"),
+    "graph": ("up", "start", "suspend", "stop", "view", "studio"),
     "recording": ("record", "replay", "compare", "recover"),
-    "takes": ("takes",),
-    "view": ("view",),
+    "takes": ("takes", "smooth", "export", "urdf"),
     "evaluate": ("evaluate",),
-    "export": ("smooth", "export", "urdf"),
     "import_session": ("import",),
     "doctor": ("doctor",),
 }
@@ -76,7 +73,8 @@ def build_parser(modules: Sequence[str] = tuple(COMMANDS)) -> argparse.ArgumentP
     for name in modules:
         import_module(f".commands.{name}", __package__).add_parser(subparsers)
     for name in ON_A_GRAPH & subparsers.choices.keys():
-        add_peers_argument(subparsers.choices[name])
+        text = "the other machines of the graph: found by unicast alone, with our Fast DDS profile (docs/hosts.md)"
+        subparsers.choices[name].add_argument("--peers", metavar="ADDRESS,...", help=text)
     describe(parser)
     return parser
 

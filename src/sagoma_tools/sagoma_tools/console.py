@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import os
+import shutil
 import sys
+import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NoReturn
 
 from rich.console import Console, Group, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -152,3 +156,138 @@ def _log(progress: Progress, ended: threading.Event) -> None:
         (task,) = progress.tasks
         passed_s = time.monotonic() - began_s
         print(f"{task.description}{task.fields['done']}, {passed_s:.0f} s", file=sys.stderr, flush=True)
+
+
+# help -----------------------------------------------------------------------------------------------------------------
+
+
+OK, FAILED, BAD_INPUT, INTERRUPTED, NO_READER = 0, 1, 2, 130, 141
+STATUSES = {
+    OK: "done",
+    FAILED: "the graph failed, or what was asked for was not reached",
+    BAD_INPUT: "input or arguments cannot be used; the message says what, where and the remedy",
+    INTERRUPTED: "interrupted by Ctrl-C (128 + SIGINT)",
+    NO_READER: "whoever read the output went away, as `head` does (128 + SIGPIPE)",
+}
+ENDED = "ended by Ctrl-C, SIGTERM or --seconds, in order"
+
+
+@dataclass(frozen=True)
+class CommandHelp:
+    """Help of one command.
+
+    statuses : exit statuses that mean something of their own here.
+    endless : it runs until Ctrl-C, which is its ordinary end.
+    """
+
+    examples: tuple[str, ...]
+    statuses: Mapping[int, str] = field(default_factory=dict)
+    endless: bool = False
+
+
+SESSION, RIG, TAKE, BOARD = "my_session", "rig.yaml", "output/takes/walk1", "'checkerboard 9x6 25mm'"
+HELP: Mapping[str, CommandHelp] = {
+    "demo": CommandHelp(
+        ("demo", f"demo --session {SESSION}", "demo --rate 0"),
+        {FAILED: "the capture is not sound: too few frame sets answered, or nobody tracked; the last lines say why"},
+    ),
+    "calibrate board": CommandHelp((f"calibrate board {BOARD} --output board.pdf",)),
+    "calibrate intrinsics": CommandHelp(
+        (f"calibrate intrinsics footage/ --board {BOARD}",), {FAILED: "a camera has to be done again"}
+    ),
+    "calibrate extrinsics": CommandHelp(
+        (f"calibrate extrinsics --intrinsics output/intrinsics --floor floor/ --moving moving/ --board {BOARD}",),
+        {FAILED: "the verdict is redo"},
+    ),
+    "background": CommandHelp(
+        ("background", "background --cameras cam01 cam03 --countdown 20"),
+        {FAILED: "a camera is only usable", BAD_INPUT: "a camera has to be done again, or did not answer"},
+    ),
+    "background show": CommandHelp(("background show cam01_background.npz",)),
+    "up": CommandHelp(
+        (f"up {SESSION}", f"up --rig {RIG} --cameras config/camera --view", f"up {SESSION} --rate 0 --record {TAKE}"),
+        {OK: ENDED, FAILED: "the graph did not start, or a node did not end in order"},
+        endless=True,
+    ),
+    "start": CommandHelp(("start --expect 8",), {FAILED: "a node refused, or did not answer"}),
+    "suspend": CommandHelp(("suspend",), {FAILED: "a node refused, or did not answer"}),
+    "stop": CommandHelp(("stop",), {FAILED: "a node refused, or did not answer"}),
+    "studio": CommandHelp(("studio --write output/studio", "studio status"), {OK: ENDED}, endless=True),
+    "record": CommandHelp(
+        (f"record {TAKE} --rig {RIG}",), {OK: ENDED, FAILED: "the recording could not be kept whole"}, endless=True
+    ),
+    "replay": CommandHelp(
+        (f"replay {TAKE} --rate 0.5", f"replay {TAKE} --graph --lockstep --output output/again"),
+        {FAILED: "in lockstep: a frame set was not answered"},
+    ),
+    "compare": CommandHelp((f"compare {TAKE} output/again",), {FAILED: "the bags differ"}),
+    "recover": CommandHelp((f"recover {TAKE}",)),
+    "takes list": CommandHelp(("takes list",)),
+    "takes show": CommandHelp(("takes show walk1",), {FAILED: "the take cannot be read"}),
+    "takes verify": CommandHelp(("takes verify walk1",), {FAILED: "a check found an error"}),
+    "takes rename": CommandHelp(("takes rename walk1 anna_walk",)),
+    "takes trim": CommandHelp(("takes trim walk1 walk1_middle --from 2 --to 8",)),
+    "takes video": CommandHelp(("takes video walk1 --output walk1.mp4",)),
+    "takes delete": CommandHelp(("takes delete walk1",)),
+    "takes restore": CommandHelp(("takes restore walk1",)),
+    "takes bin": CommandHelp(("takes bin",)),
+    "takes empty": CommandHelp(("takes empty",)),
+    "takes measure": CommandHelp(("takes measure walk1",)),
+    "smooth": CommandHelp((f"smooth {TAKE}",)),
+    "view": CommandHelp(("view", f"view {TAKE}", "view --host 0.0.0.0"), {OK: ENDED}, endless=True),
+    "evaluate": CommandHelp((f"evaluate {SESSION} --video", "evaluate output/demo/bag")),
+    "export": CommandHelp((f"export {TAKE} --format bvh csv", "export walk1 --rate 60")),
+    "import bag": CommandHelp(("import bag studio_bag walk --rig rig.yaml --background empty_room_bag",)),
+    "import humaneva": CommandHelp(("import humaneva HumanEva_I s2_walk --subject S2 --action Walking",)),
+    "import biocv": CommandHelp(("import biocv P03/P03_WALK_01 p03_walk",)),
+    "urdf": CommandHelp(("urdf --stature 1.82 --output body.urdf",)),
+    "doctor": CommandHelp(
+        ("doctor", f"doctor --rig {RIG} --live", "doctor camera cam01.yaml --open", "doctor --host 192.168.1.11"),
+        {OK: "all is well, or notes only", FAILED: "warnings", BAD_INPUT: "errors, or arguments that cannot be used"},
+    ),
+}
+
+
+class CommandParser(argparse.ArgumentParser):
+    """A parser whose errors say where the options are listed."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print what is wrong and where to look, and exit."""
+        self.exit(BAD_INPUT, f"sagoma: {message} (arguments of `{self.prog}`). See `{self.prog} --help`.\n")
+
+
+def describe(parser: argparse.ArgumentParser) -> None:
+    """Give every command below ``parser`` its description, examples and exit statuses."""
+    width = max(shutil.get_terminal_size().columns - 2, 20)
+    for name, leaf, text in commands_of(parser):
+        known, first = HELP.get(name), leaf.description or text
+        sentence = first[:1].upper() + first[1:].rstrip(".") + ("" if first.endswith("?") else ".")
+        leaf.description = textwrap.fill(sentence, width)
+        leaf.set_defaults(command=name, leaf=leaf)
+        leaf.formatter_class = argparse.RawDescriptionHelpFormatter
+        if known is None:
+            continue
+        examples = "\n".join(f"  sagoma {example}" for example in known.examples)
+        statuses = "; ".join(f"{status} {meaning}" for status, meaning in own_statuses(known).items())
+        notes = [textwrap.fill(leaf.epilog, width)] if leaf.epilog else []
+        leaf.epilog = "\n\n".join([*notes, f"examples:\n{examples}", textwrap.fill(f"exit status: {statuses}", width)])
+
+
+def commands_of(parser: argparse.ArgumentParser, above: str = "") -> Iterator[tuple[str, argparse.ArgumentParser, str]]:
+    """Yield every command that runs by itself: its name ("takes list"), its parser, and what the list says of it."""
+    for action in parser._actions:
+        if not isinstance(action, argparse._SubParsersAction):
+            continue
+        texts = {choice.dest: choice.help or "" for choice in action._choices_actions}
+        for name, child in action.choices.items():
+            full = f"{above} {name}".strip()
+            if child.get_default("run") is not None:
+                yield full, child, texts.get(name, "")
+            yield from commands_of(child, full)
+
+
+def own_statuses(known: CommandHelp) -> dict[int, str]:
+    """Return the command's exit statuses without those that are the same for all."""
+    common = {OK: STATUSES[OK], BAD_INPUT: "input cannot be used"}
+    statuses = dict(sorted({**common, **known.statuses}.items()))
+    return statuses if known.endless else {**statuses, INTERRUPTED: "interrupted"}

@@ -30,13 +30,14 @@ def _tiny_node_is_importable():
 def _graphs_settle_soon(monkeypatch):
     """Commands that look for nodes wait 0.2 s for more of them, not 1 s: tests say how many there are."""
     monkeypatch.setattr("sagoma_tools.graph.ros_link.SETTLED_S", 0.2)
-    monkeypatch.setattr("sagoma_tools.calibration.rig_live.SETTLE_S", 0.4)
 
 
 @pytest.fixture
 def somebody_is_found(monkeypatch):
     """Who looks for nodes of its own names before it starts looks until there is one, however busy the machine."""
-    monkeypatch.setattr("sagoma_tools.graph.running_nodes.settled", lambda look, expect, wait_s: settled(look, 1, 60.0))
+    monkeypatch.setattr(
+        "sagoma_tools.graph.lifecycle_client.settled", lambda look, expect, wait_s: settled(look, 1, 60.0)
+    )
 
 
 @pytest.fixture(autouse=True)

@@ -11,7 +11,7 @@ import pytest
 
 from sagoma_tools import cli
 from sagoma_tools.cli import COMMANDS, build_parser, main
-from sagoma_tools.command_help import BAD_INPUT, HELP, INTERRUPTED, NO_READER, commands_of
+from sagoma_tools.console import BAD_INPUT, HELP, INTERRUPTED, NO_READER, commands_of
 
 ROOT = Path(__file__).resolve().parents[3]
 EVERY = sorted(HELP)

@@ -13,7 +13,7 @@ from sagoma_tools.doctor.findings import Severity
 from sagoma_tools.doctor.graph import graph_findings
 from sagoma_tools.doctor.graph_listener import Canvas, GraphFacts, NodeFacts, SilhouetteFacts
 from sagoma_tools.graph.diagnostics_table import NodeReport
-from sagoma_tools.graph.running_nodes import machine_of
+from sagoma_tools.graph.lifecycle_client import machine_of
 from virtual_studio.rig import ring
 
 RIG = ring(3, False)
@@ -89,7 +89,7 @@ C2 = CLIENTS["cam02"]
         (reporting(C2, level=b"\1", message="the mask is full"), "WARNING", "says.warning", "the mask is full"),
         (reporting(C2, lead_s=0.4997), "ERROR", "clock.off", "499.7 ms ahead"),
         (reporting(C2, lead_s=-0.5012), "ERROR", "clock.off", "500.4 ms behind"),
-        (reporting(C2, lead_s=0.009), "WARNING", "clock.imprecise", "9.0 ms ahead"),
+        (reporting(C2, lead_s=0.029), "WARNING", "clock.imprecise", "29.0 ms ahead"),
     ],
 )
 def test_ill_node_is_named(changed, severity, code, value):

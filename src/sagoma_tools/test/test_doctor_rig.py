@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from capture_rig.camera_info_file import save_camera_info
-from capture_rig.rig import Rig, save_rig
+from capture_rig.rig import Rig, Volume, load_rig, save_rig
 from sagoma_tools.cli import main
 from sagoma_tools.doctor.rig import RigView, across_deg, check_place, check_report
 from virtual_studio.rig import ring
@@ -62,6 +62,21 @@ def test_rig_of_the_studio_is_well(examined):
 
 
 C1 = GOOD.cameras[0]
+
+
+def test_pictures_larger_than_the_volume_are_told_and_their_parts_written(examined, tmp_path):
+    low, high = GOOD.volume.low, GOOD.volume.high
+    slim = Rig(GOOD.cameras, Volume(low * [0.3, 0.3, 1.0], high * [0.3, 0.3, 1.0]))
+    _, found = examined(slim, "--regions", tmp_path / "parts.yaml")
+    text = next(what for _, code, what in found["rig"] if code == "regions.smaller")
+    # five pictures of 640 x 480 bytes in packets of 9000, 70 % of a Gigabit: 0.7 * 125e6 / (5 * 309.9e3)
+    assert "carries all cameras at 56 Hz" in text
+    parts = load_rig(tmp_path / "parts.yaml")
+    for whole, part in zip(GOOD.cameras, parts.cameras, strict=True):
+        assert part.width < 0.8 * whole.width and f"width {part.width}, height {part.height}" in text
+        points = slim.volume.low + np.random.default_rng(0).random((500, 3)) * (slim.volume.high - slim.volume.low)
+        moved_px = whole.project(points) - part.project(points)  # as the offset, in whole pixels
+        np.testing.assert_allclose(moved_px, np.rint(moved_px[0]) + np.zeros((500, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from capture_rig.session import Session, load_session
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import exact_silhouettes
-from sagoma_bringup.first_pose import start_settings
+from sagoma_bringup.launch_arguments import start_settings
 from sagoma_tools.evaluation.in_process import (
     OURS,
     PARTS,

@@ -13,13 +13,12 @@ from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES
 from mocap_packets.state import BodyState, NoState
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import TrackingStage
-from sagoma_bringup.first_pose import start_settings
+from sagoma_bringup.launch_arguments import start_settings
 from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.evaluation.in_process import EPOCH_NS, OURS, track_people
-from sagoma_tools.evaluation.people import identify, score_people
 from sagoma_tools.evaluation.scores import PartCalls, score
 from sagoma_tools.evaluation.track import Track, tracks_from_bag
-from sagoma_tools.evaluation.track_evaluation import evaluate_track
+from sagoma_tools.evaluation.track_evaluation import evaluate_track, identify, score_people
 from sagoma_tools.recording.writer import BagWriter
 from stick_figure.body import Body
 from stick_figure.skeleton import ANGLE_NAMES

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig.session import Truth
 from mocap_packets.fit import GOOD
-from sagoma_tools.evaluation.angles import STRAIGHT_RAD, angle_truth, defined, score_angles
-from sagoma_tools.evaluation.scores import covariance_coverage
+from sagoma_tools.evaluation.scores import STRAIGHT_RAD, angle_truth, covariance_coverage, defined, score_angles
 from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import jitter, time_to_track_s
 from stick_figure.body import Body

@@ -7,8 +7,8 @@ import pytest
 
 from capture_rig.session import Truth
 from mocap_packets.fit import GOOD
-from sagoma_tools.evaluation.people import changes, main_track, score_people
 from sagoma_tools.evaluation.track import Track
+from sagoma_tools.evaluation.track_evaluation import changes, main_track, score_people
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose

@@ -9,8 +9,7 @@ import pytest
 from capture_rig.session import Session, load_session
 from capture_rig.video import Video
 from mocap_packets.fit import GOOD
-from sagoma_tools.evaluation.pictures import caption, draw_stills, sheets, write_overlay
-from sagoma_tools.evaluation.plots import draw_plots, unbridged
+from sagoma_tools.evaluation.pictures import caption, draw_plots, draw_stills, sheets, unbridged, write_overlay
 from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import TrackEvaluation, evaluate_track
 from sagoma_tools.overlays import LEFT_BGR, TRUTH_BGR, Window, draw_skeleton, overlay

@@ -2,63 +2,16 @@
 
 import csv
 
-import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from rclpy.serialization import serialize_message
-from scipy.spatial.transform import Rotation
+from take_bags import TYPES, write_take
 
-from mocap_packets.fit import ReferencePoints
-from sagoma_ros.messages import to_stamp
-from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.cli import main
 from sagoma_tools.recording.recorded_motion import recorded_motions
 from sagoma_tools.recording.writer import BagWriter
-from stick_figure.body import Body
-from stick_figure.kinematics import forward
-from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.skeleton import ANGLE_NAMES
-
-EPOCH_NS, FRAMES = 1_000_000_000_000_000_000, 20
-TYPES = {
-    "reference_points": "sensor_msgs/msg/PointCloud2",
-    "joint_states": "sensor_msgs/msg/JointState",
-    "torso": "geometry_msgs/msg/PoseWithCovarianceStamped",
-}
-
-
-def write_take(folder, prefixes=("/mocap",), left_out=()):
-    """A bag of a person in the T-pose who moves along y by 1 cm a frame (the second one stands a metre ahead)."""
-    body = Body.from_stature(1.7)
-    with BagWriter(folder) as bag:
-        for kind, msgtype in TYPES.items():
-            for prefix in prefixes:
-                bag.add_topic(f"{prefix}/{kind}", msgtype)
-        for frame in range(FRAMES):
-            stamp = EPOCH_NS + frame * 20_000_000
-            for ahead, prefix in enumerate(prefixes):
-                if frame in left_out:
-                    continue
-                pose = Pose.from_angles(np.array([ahead, 0.01 * frame, 1.1]), np.eye(3), T_POSE_ANGLES)
-                points = ReferencePoints(forward(body, pose), np.tile(1e-4 * np.eye(3), (15, 1, 1)), np.ones(15, bool))
-                cloud = packet_cloud(points, stamp, "map")
-                angles = joint_state_message(ANGLE_NAMES, T_POSE_ANGLES, np.zeros(18), stamp)
-                for kind, message in zip(TYPES, (cloud, angles, torso(pose, stamp)), strict=True):
-                    bag.write(f"{prefix}/{kind}", stamp, serialize_message(message))
-    return folder
-
-
-def torso(pose, stamp_ns):
-    message = PoseWithCovarianceStamped()
-    message.header.stamp = to_stamp(stamp_ns)
-    place, turn = message.pose.pose.position, message.pose.pose.orientation
-    place.x, place.y, place.z = pose.position_world
-    turn.x, turn.y, turn.z, turn.w = Rotation.from_matrix(pose.R_world_torso).as_quat()
-    return message
 
 
 def test_every_format_is_written_beside_the_take(tmp_path, capsys):
-    take = write_take(tmp_path / "first")
+    take = write_take(tmp_path / "first", 20)
     assert main(["export", str(take)]) == 0
     names = {path.name for path in (take / "export").iterdir()}
     assert names == {f"first.{kind}" for kind in ("bvh", "glb", "c3d", "trc", "osim", "mot", "csv")}
@@ -66,7 +19,7 @@ def test_every_format_is_written_beside_the_take(tmp_path, capsys):
 
 
 def test_numbers_of_the_bag_arrive(tmp_path):
-    take = write_take(tmp_path / "first", left_out=(7, 8))
+    take = write_take(tmp_path / "first", 20, missing=range(7, 9))
     assert main(["export", str(take), "--format", "csv", "--output", str(tmp_path / "out")]) == 0
     with (tmp_path / "out" / "first.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -75,7 +28,7 @@ def test_numbers_of_the_bag_arrive(tmp_path):
 
 
 def test_several_persons_get_a_file_each(tmp_path):
-    take = write_take(tmp_path / "two", prefixes=("/mocap", "/mocap/bodies/b0002"))
+    take = write_take(tmp_path / "two", 20, prefixes=("/mocap", "/mocap/bodies/b0002"))
     motions = recorded_motions(take)
     assert sorted(motions) == ["b0001", "b0002"]
     assert motions["b0002"].points_world[0, 0, 0] - motions["b0001"].points_world[0, 0, 0] == pytest.approx(1.0)
@@ -84,7 +37,7 @@ def test_several_persons_get_a_file_each(tmp_path):
 
 
 def test_files_that_exist_are_not_overwritten(tmp_path, capsys):
-    take = write_take(tmp_path / "first")
+    take = write_take(tmp_path / "first", 20)
     arguments = ["export", str(take), "--format", "trc", "bvh"]
     assert main(arguments) == 0
     (take / "export" / "first.trc").write_text("mine")

@@ -13,7 +13,7 @@ from capture_rig.session import load_session
 from capture_rig.video import Video
 from icp_tracker.acquisition.pose_source import make_pose_source
 from mocap_pipeline.configuration import Configuration
-from sagoma_bringup.first_pose import start_settings
+from sagoma_bringup.launch_arguments import start_settings
 from sagoma_tools.cli import main
 from sagoma_tools.importers.humaneva import Request, Trial, import_trial
 from stick_figure.kinematics import forward

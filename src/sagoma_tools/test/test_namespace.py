@@ -19,7 +19,7 @@ from sagoma_tools.graph.background_training import SERVICE, find_clients
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
 from sagoma_tools.graph.ros_link import RosLink, in_graph, node_names, our_nodes, topics_of
 from sagoma_tools.recording.reader import bag_topics, read_messages
-from sagoma_tools.view.live import Feed, LiveGraph
+from sagoma_tools.view.graph_panel import Feed, LiveGraph
 
 PATIENCE_S = 30.0
 KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -7,8 +7,7 @@ import sys
 import pytest
 
 from capture_rig.errors import InputError
-from sagoma_ros.memory import QOS_FROM_PROFILE
-from sagoma_tools.graph.network_settings import PROFILE_VARIABLE, profile_file, use_peers
+from sagoma_ros.middleware import PROFILE_VARIABLE, QOS_FROM_PROFILE, profile_file, use_peers
 
 LOAD = "from sagoma_tools.graph.ros_link import RosLink\nwith RosLink('loader'): print('loaded')"
 

@@ -8,7 +8,7 @@ import pytest
 import virtual_studio.__main__ as rendering
 from capture_rig.number import number
 from sagoma_tools.cli import build_parser
-from sagoma_tools.command_help import BAD_INPUT, commands_of
+from sagoma_tools.console import BAD_INPUT, commands_of
 
 ABSURD = ("nan", "inf", "-1e300", "1e300", "twelve", "")
 TEXTS = (None, str, Path)

@@ -1,4 +1,4 @@
-"""Which command starts a node, and what a child process leaves behind when it is killed."""
+"""What a child process leaves behind when it is killed."""
 
 import fcntl
 import os
@@ -9,24 +9,7 @@ import psutil
 import pytest
 from test_supervisor_graph import segments_of
 
-from sagoma_tools.graph.processes import Child, Exit, busy_machine, node_command, remove_abandoned_memory, stop_children
-
-
-def test_installed_executable_is_preferred_to_the_module(tmp_path, monkeypatch):
-    first, second = tmp_path / "overlay", tmp_path / "underlay"
-    for prefix in (first, second):
-        executable = prefix / "lib" / "hull_server" / "hull_server"
-        executable.parent.mkdir(parents=True)
-        executable.write_text("#!/bin/sh\n")
-        executable.chmod(0o755)
-    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join(map(str, (first, second))))
-    assert node_command("hull_server", "hull_server", "hull_server.hull_node") == [
-        str(first / "lib" / "hull_server" / "hull_server")
-    ]
-    (first / "lib" / "hull_server" / "hull_server").chmod(0o644)  # cannot be run: the next prefix
-    assert node_command("hull_server", "hull_server", "hull_server.hull_node")[0].startswith(str(second))
-    monkeypatch.delenv("AMENT_PREFIX_PATH")
-    assert node_command("hull_server", "hull_server", "m") == [sys.executable, "-m", "m"]
+from sagoma_tools.graph.processes import Child, Exit, busy_machine, remove_abandoned_memory, stop_children
 
 
 def start(tmp_path, name, script, on_exit=lambda child: None):

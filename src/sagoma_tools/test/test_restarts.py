@@ -7,7 +7,7 @@ import signal
 import pytest
 from test_supervisor_graph import camera, segments_of, tiny
 
-from sagoma_bringup.processes import processes_of
+from sagoma_bringup.graph import processes_of
 from sagoma_tools.graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy, restarted, with_kept_backgrounds
 from sagoma_tools.graph.supervisor import Supervisor
 

@@ -5,9 +5,9 @@ import threading
 
 import pytest
 
-from sagoma_tools.graph import running_nodes as looks
+from sagoma_tools.graph import lifecycle_client as looks
+from sagoma_tools.graph.lifecycle_client import Place, foreign_nodes, living_nodes, own_machine, places_of, run_already
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.running_nodes import Place, foreign_nodes, living_nodes, own_machine, places_of, run_already
 
 HULL, CAMERA = "/hull_server", "/cam01/camera_client"
 PIDS = {HULL: 7, CAMERA: 0x10009}

@@ -13,8 +13,7 @@ from sagoma_tools.evaluation.track import tracks_from_bag
 from sagoma_tools.recording.reader import bag_topics, read_messages
 from sagoma_tools.recording.smoothing import SMOOTHED
 from sagoma_tools.recording.writer import BagWriter
-from stick_figure.body import Body
-from stick_figure.body_file import format_body
+from stick_figure.body import Body, format_body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 

@@ -10,11 +10,10 @@ import pytest
 from rich.console import Console
 
 from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_tools.graph.lifecycle_client import Verdict
+from sagoma_tools.graph.lifecycle_client import Verdict, places_of
 from sagoma_tools.graph.processes import Exit, ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink, settled
-from sagoma_tools.graph.running_nodes import places_of
-from sagoma_tools.graph.supervisor import GraphError, Supervisor, with_common_epoch
+from sagoma_tools.graph.supervisor import GraphError, Supervisor
 
 REFUSES = "refuses_to_configure"
 
@@ -134,7 +133,7 @@ def test_only_camera_lost_is_an_error(supervise):
 def test_nodes_of_the_same_names_are_refused_before_a_second_graph_starts_and_before_one_is_configured(
     supervise, monkeypatch, tmp_path, request
 ):
-    monkeypatch.setattr("sagoma_tools.graph.running_nodes.ANSWER_S", 0.0)
+    monkeypatch.setattr("sagoma_tools.graph.lifecycle_client.ANSWER_S", 0.0)
     run = supervise(tiny("hull_server"), camera("cam01"))
     request.getfixturevalue("somebody_is_found")
     second = Supervisor([tiny("hull_server"), camera("cam02")], tmp_path / "second")
@@ -182,18 +181,3 @@ def rendered(table):
     console = Console(width=150, file=io.StringIO())
     console.print(table)
     return console.file.getvalue().splitlines()
-
-
-def footage_camera(name, **parameters):
-    package = "camera_client"
-    given = {"source": "footage", **parameters}
-    return NodeSpec(package, package, f"{package}.camera_node", package, f"/{name}", Role.CAMERA, given)
-
-
-def test_footage_played_as_fast_as_possible_is_stamped_from_one_epoch_or_the_one_that_was_given():
-    def epochs(*given):
-        graph = [footage_camera(f"cam0{k}", **{"footage.rate": r, "footage.epoch_ns": e}) for k, (r, e) in given]
-        return [spec.parameters["footage.epoch_ns"] for spec in with_common_epoch(graph, 7_000_000_123)]
-
-    assert epochs(*enumerate([(0.0, 0), (0.0, 0), (1.0, 0)])) == [7_000_000_123, 7_000_000_123, 0]
-    assert epochs(*enumerate([(0.0, 5_000_000_000)] * 2)) == [5_000_000_000] * 2

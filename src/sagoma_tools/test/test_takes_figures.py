@@ -7,10 +7,9 @@ from take_bags import EPOCH_NS, PERIOD_NS
 from capture_rig.errors import InputError
 from sagoma_tools.recording.reader import bag_topics, read_messages, read_provenance
 from sagoma_tools.recording.recorded_motion import recorded_motions
-from sagoma_tools.takes.folder import TakesFolder
+from sagoma_tools.takes.folder import TakesFolder, trim
 from sagoma_tools.takes.measure import ERROR, OK, WARNING, finish_take, measure, read_summary, verify
 from sagoma_tools.takes.take import Background, Summary
-from sagoma_tools.takes.trim import trim
 
 
 @pytest.fixture()

@@ -9,9 +9,9 @@ from capture_rig.errors import InputError
 from capture_rig.rig import save_rig
 from capture_rig.video import Video
 from sagoma_tools.overlays import LEFT_BGR
+from sagoma_tools.takes.exporting import BODY_GREY, ROOM_GREY, write_video
 from sagoma_tools.takes.folder import TakesFolder
 from sagoma_tools.takes.measure import finish_take
-from sagoma_tools.takes.video import BODY_GREY, ROOM_GREY, write_video
 from virtual_studio.rig import ring
 
 FRAMES = 8

@@ -8,18 +8,9 @@ import pytest
 
 from capture_rig.camera import looking_at
 from sagoma_tools.view.scene import Figure
-from sagoma_tools.view.viewpoint import (
-    ASPECT,
-    FOV_RAD,
-    LEFT_ALONE_S,
-    Viewpoint,
-    clear_direction,
-    corners_of,
-    moved_window,
-)
+from sagoma_tools.view.viewpoint import ASPECT, FOV_RAD, LEFT_ALONE_S, Viewpoint, corners_of, moved_window
 from virtual_studio.rig import ring
 
-MIDDLE = np.array([0.0, 0.0, 1.0])
 STANDING = np.random.default_rng(5).uniform([-0.4, -0.4, 0.0], [0.4, 0.4, 1.8], (15, 3))
 STANDING[:2, 2] = 0.0, 1.8
 
@@ -117,18 +108,6 @@ def test_nobody_and_who_is_lost_leave_the_view_as_it_is():
     viewpoint.follow({})
     viewpoint.follow({"b0001": Figure(at(3.0, 0.0), np.full(15, 0.3), "lost")})
     assert views.initial_camera.look_at is before
-
-
-@pytest.mark.parametrize(
-    ("azimuths_deg", "least_deg"), [((20, 110, -137, -47), 29.9), (range(0, 360, 45), 19.9), ((), 0)]
-)
-def test_no_camera_stands_between_the_view_and_the_room(azimuths_deg, least_deg):
-    azimuths = np.deg2rad(list(azimuths_deg))
-    ring_of = np.column_stack([3.0 * np.cos(azimuths), 3.0 * np.sin(azimuths), np.full(len(azimuths), 2.0)])
-    overhead = np.array([[0.2, -0.2, 3.5]])
-    x, y, z = clear_direction(np.concatenate([ring_of, overhead]), MIDDLE)
-    apart = np.abs(np.angle(np.exp(1j * (np.arctan2(y, x) - azimuths))))
-    assert np.rad2deg(apart).min(initial=180.0) >= least_deg and 0.0 < z < np.hypot(x, y)
 
 
 def test_a_window_is_moved_as_little_as_may_be_and_grows_about_two_who_part():

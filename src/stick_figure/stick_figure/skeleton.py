@@ -10,16 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 STICK_NAMES = (
-    "torso",
-    "head",
-    "left_upper_arm",
-    "right_upper_arm",
-    "left_thigh",
-    "right_thigh",
-    "left_forearm",
-    "right_forearm",
-    "left_calf",
-    "right_calf",
+    *("torso", "head", "left_upper_arm", "right_upper_arm", "left_thigh", "right_thigh"),
+    *("left_forearm", "right_forearm", "left_calf", "right_calf"),
 )
 TORSO, HEAD, L_UPPER_ARM, R_UPPER_ARM, L_THIGH, R_THIGH, L_FOREARM, R_FOREARM, L_CALF, R_CALF = range(10)
 
@@ -33,98 +25,40 @@ STICK_SIGN = np.array([1.0, 1.0, 1.0, 1.0, -1.0, -1.0, 1.0, 1.0, -1.0, -1.0])
 """(10,) direction along that axis: legs point down; both arms point along +y of their own frame."""
 
 POINT_NAMES = (
-    "torso",
-    "head",
-    "neck",
-    "left_shoulder",
-    "right_shoulder",
-    "left_hip",
-    "right_hip",
-    "left_elbow",
-    "right_elbow",
-    "left_knee",
-    "right_knee",
-    "left_hand",
-    "right_hand",
-    "left_foot",
-    "right_foot",
+    *("torso", "head", "neck", "left_shoulder", "right_shoulder", "left_hip", "right_hip"),
+    *("left_elbow", "right_elbow", "left_knee", "right_knee", "left_hand", "right_hand", "left_foot", "right_foot"),
 )
 POINT_STICK = np.array([0, 1, 0, 0, 0, 0, 0, 2, 3, 4, 5, 6, 7, 8, 9])
 """(15,) stick to which each reference point is fixed."""
 TORSO_POINTS = np.array([0, 2, 3, 4, 5, 6])
 """Reference points that are rigid with the torso: centre, neck, shoulders, hips."""
 
-ANGLE_NAMES = (
-    "neck_x",
-    "neck_y",
-    "left_shoulder_x",
-    "right_shoulder_x",
-    "left_shoulder_z",
-    "right_shoulder_z",
-    "left_shoulder_y",
-    "right_shoulder_y",
-    "left_elbow",
-    "right_elbow",
-    "left_hip_x",
-    "right_hip_x",
-    "left_hip_y",
-    "right_hip_y",
-    "left_knee",
-    "right_knee",
-    "left_hip_z",
-    "right_hip_z",
-)
-"""theta1 to theta16 in the thesis's order, then the third angle of the left and right hip."""
-
 _PI = np.pi
-# Thresholds: ANGLE_LOW, ANGLE_HIGH from thesis Table 5.1, shoulders cut so that a direction has one description;
-# rates from kicks and throws in the literature, hips checked by the spinning kicks of python bench/people.py (35
-# rad/s lets some feet jump, 15 to 25 none); else judgement.
-ANGLE_LOW = np.array(
-    [
-        -_PI / 2,
-        -_PI / 2,
-        -_PI,
-        0.0,
-        -_PI / 2,
-        -_PI / 2,
-        -_PI / 2,
-        -3 * _PI / 4,
-        -_PI,
-        -_PI,
-        -_PI / 3,
-        -_PI / 2,
-        -_PI,
-        -_PI,
-        0.0,
-        0.0,
-        -_PI / 3,
-        -_PI / 3,
-    ]
-)
-"""(18,) rad. Thesis Table 5.1, with the shoulders' z angle cut to +-pi/2 so that each direction has one triple."""
-ANGLE_HIGH = np.array(
-    [
-        _PI / 2,
-        _PI / 2,
-        _PI,
-        2 * _PI,
-        _PI / 2,
-        _PI / 2,
-        3 * _PI / 4,
-        _PI / 2,
-        0.0,
-        0.0,
-        _PI / 2,
-        _PI / 3,
-        _PI / 2,
-        _PI / 2,
-        _PI,
-        _PI,
-        _PI / 3,
-        _PI / 3,
-    ]
-)
+# Thresholds: from thesis Table 5.1, the shoulders' z cut to +-pi/2 so that a direction has one description.
+_RANGES = {
+    "neck_x": (-_PI / 2, _PI / 2),
+    "neck_y": (-_PI / 2, _PI / 2),
+    "left_shoulder_x": (-_PI, _PI),
+    "right_shoulder_x": (0.0, 2 * _PI),
+    "left_shoulder_z": (-_PI / 2, _PI / 2),
+    "right_shoulder_z": (-_PI / 2, _PI / 2),
+    "left_shoulder_y": (-_PI / 2, 3 * _PI / 4),
+    "right_shoulder_y": (-3 * _PI / 4, _PI / 2),
+    "left_elbow": (-_PI, 0.0),
+    "right_elbow": (-_PI, 0.0),
+    "left_hip_x": (-_PI / 3, _PI / 2),
+    "right_hip_x": (-_PI / 2, _PI / 3),
+    "left_hip_y": (-_PI, _PI / 2),
+    "right_hip_y": (-_PI, _PI / 2),
+    "left_knee": (0.0, _PI),
+    "right_knee": (0.0, _PI),
+    "left_hip_z": (-_PI / 3, _PI / 3),
+    "right_hip_z": (-_PI / 3, _PI / 3),
+}
+ANGLE_NAMES = tuple(_RANGES)
+"""theta1 to theta16 in the thesis's order, then the third angle of the left and right hip."""
+ANGLE_LOW, ANGLE_HIGH = (np.array(ends) for ends in zip(*_RANGES.values(), strict=True))
+"""(18,) rad, the ends of each angle's range."""
 T_POSE_ANGLES = np.zeros(18)
 """(18,) rad. Arms stretched sideways; the right arm points along +y of its own frame, hence theta4 = pi."""
 T_POSE_ANGLES[3] = _PI

@@ -5,8 +5,7 @@ import pytest
 import yaml
 
 from capture_rig.errors import InputError
-from stick_figure.body import Body
-from stick_figure.body_file import load_body, save_body
+from stick_figure.body import Body, load_body, save_body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, STICK_NAMES, T_POSE_ANGLES

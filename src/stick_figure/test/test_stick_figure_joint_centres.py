@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from capture_rig.rigid import rotation_matrix
-from stick_figure import joint_centres
+from stick_figure import trunk_bend
 from stick_figure.body import Body
-from stick_figure.joint_centres import with_joint_centres
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import POINT_NAMES, mirror_angles
+from stick_figure.trunk_bend import with_joint_centres
 
 BODY = Body.from_stature(1.75)
 MIRRORED_POINTS = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]
@@ -67,12 +67,12 @@ def test_centres_turn_with_the_body_and_grow_with_it() -> None:
 
 def test_a_table_of_other_columns_is_refused(tmp_path, monkeypatch) -> None:
     other = tmp_path / "joint_centres.csv"
-    other.write_text(joint_centres.TABLE.read_text().replace("pelvis_yaw", "pelvis_tilt"))
-    monkeypatch.setattr(joint_centres, "TABLE", other)
-    joint_centres.joint_centres.cache_clear()
+    other.write_text(trunk_bend.TABLE.read_text().replace("pelvis_yaw", "pelvis_tilt"))
+    monkeypatch.setattr(trunk_bend, "TABLE", other)
+    trunk_bend.joint_centres.cache_clear()
     with pytest.raises(ValueError, match="columns"):
-        joint_centres.joint_centres()
-    joint_centres.joint_centres.cache_clear()
+        trunk_bend.joint_centres()
+    trunk_bend.joint_centres.cache_clear()
 
 
 def _raised(angle: float) -> np.ndarray:

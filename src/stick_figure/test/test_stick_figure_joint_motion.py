@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from capture_rig.rigid import quaternion_of
-from stick_figure.joint_motion import JointMotion
-from stick_figure.pose import Pose
+from stick_figure.pose import JointMotion, Pose
 from stick_figure.skeleton import T_POSE_ANGLES
 
 

@@ -8,8 +8,7 @@ from capture_rig.errors import InputError
 from capture_rig.rigid import rotation_matrix
 from capture_rig.session import load_session
 from capture_rig.video import Video
-from stick_figure.body import Body
-from stick_figure.body_file import load_body
+from stick_figure.body import Body, load_body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 from virtual_studio.__main__ import main

@@ -91,8 +91,6 @@ def _camera(index: int, position: Array, look_at: Array, focal: float, distortio
 # --- The empty room: floor, four walls and a ceiling with textures, as a camera's own lens sees it.
 
 
-Array = NDArray[np.float64]
-
 HALF_WIDTH_M, HEIGHT_M = 4.6, 3.8
 FLOOR, CEILING = 4, 5
 WALL_GREYS = (0.64, 0.59, 0.67, 0.62)

@@ -40,7 +40,7 @@ class Provenance:
 
     ``mean_noise`` is the mean standard deviation, grey levels; ``verdict`` the one given when it was learned.
     ``created`` is the time in ISO 8601. ``calibration`` is a checksum of the camera's calibrated pose, and
-    ``camera_turn_rad`` how far the camera had turned since then (see movement.detector). What is unknown is "".
+    ``camera_turn_rad`` how far the camera had turned since then (see camera_client.movement). What is unknown is "".
     """
 
     source: str

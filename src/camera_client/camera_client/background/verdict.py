@@ -22,7 +22,7 @@ from .adaptation.adaptive import AdaptiveBackground, samples_of
 from .causes import find_causes
 from .kernels import STEP_PX
 from .model import BackgroundModel, Provenance
-from .moved_things.absorption import BLOCK_PX
+from .moved_things import BLOCK_PX
 
 # Thresholds: chosen with the rooms of test_camera_background_verdict.py.
 BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel

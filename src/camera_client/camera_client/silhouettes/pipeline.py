@@ -8,7 +8,6 @@ background looks like the people, undistort.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -17,17 +16,17 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
+from capture_rig.region import MOST_PIXEL_M, Region, of_region, pixel_width_m
 from capture_rig.rig import Volume
-from mocap_packets.silhouette import Silhouette
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
+from ..alignment import PictureAlignment
 from ..background.adaptation.adaptive import AdaptiveBackground, FixedBackground, samples_of
 from ..background.adaptation.expected_image import Corners, Samples
 from ..background.kernels import STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
-from ..background.moved_things.absorption import MovedThings
+from ..background.moved_things import MovedThings
 from ..frame_source import Image, Mask
-from ..movement.alignment import PictureAlignment
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
@@ -45,7 +44,6 @@ REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: th
 TYPICAL_LEVEL = 128.0  # grey level at which one number stands for the noise
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps
 MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
-MOST_PIXEL_M = 0.012  # two pixels to a voxel of the hull, nearly: finer ones add nothing inside of an outline
 EMPTY_BELOW, FULL_ABOVE = 2e-4, 0.6  # share of foreground at which a mask is flagged: no person looks like that
 
 
@@ -72,10 +70,11 @@ class SilhouettePipeline:
         check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
         self._camera, self._settings, self._image_shape = camera.name, settings, background.shape
         self._undistorter, whole = BoxUndistorter(camera.undistorted_view()), camera
-        self.scale = 2 if is_finer_than_needed(camera, volume) else 1
+        self.scale = 2 if volume is not None and 2 * pixel_width_m(camera, volume) <= MOST_PIXEL_M else 1
         """Pixels of the image, in each direction, to one that is looked at."""
         if self.scale > 1:
-            camera, background, alignment = halved_camera(camera), halved_background(background), None
+            half = Region(2, 0, 0, -(-camera.width // 2), -(-camera.height // 2))
+            camera, background, alignment = of_region(camera, half), halved_background(background), None
         self._shape = background.shape
         self.background: AdaptiveBackground | FixedBackground
         if background_settings.rule == "adaptive":
@@ -287,21 +286,6 @@ class SilhouettePipeline:
 
 
 # --- pictures that are finer than the hull: looked at in half of the size, but for the outlines
-
-
-def is_finer_than_needed(camera: CameraModel, volume: Volume | None) -> bool:
-    """Whether pixels twice as wide are still small for the hull, in the middle of the volume."""
-    if volume is None:
-        return False
-    apart_m = np.linalg.norm(camera.centre_world - (np.asarray(volume.low) + np.asarray(volume.high)) / 2)
-    return bool(2 * apart_m / camera.K[0, 0] <= MOST_PIXEL_M)
-
-
-def halved_camera(camera: CameraModel) -> CameraModel:
-    """Return the camera of images at half the size."""
-    K = camera.K * [[0.5], [0.5], [1.0]]
-    K[:2, 2] -= 0.25  # pixels are counted from the middle of the first one
-    return replace(camera, width=-(-camera.width // 2), height=-(-camera.height // 2), K=K)
 
 
 def halved_background(model: BackgroundModel) -> BackgroundModel:

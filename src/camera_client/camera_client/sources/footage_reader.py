@@ -11,8 +11,7 @@ import numpy as np
 from capture_rig.errors import InputError
 from capture_rig.session import STILL_SUFFIXES
 from capture_rig.video import MONO_TOLERANCE as MONO_TOLERANCE
-from capture_rig.video import Video, is_grey
-from capture_rig.video_findings import VideoFacts
+from capture_rig.video import Video, VideoFacts, is_grey
 
 from ..frame_source import Image, UndecodableFrame
 

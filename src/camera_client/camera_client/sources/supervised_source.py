@@ -15,16 +15,7 @@ from typing import TypeVar
 
 from capture_rig.errors import InputError
 
-from ..frame_source import (
-    Connection,
-    ConnectionState,
-    Downtime,
-    Frame,
-    FrameSource,
-    FrameStatistics,
-    RetryPause,
-    SourceUnavailable,
-)
+from ..frame_source import Connection, ConnectionState, Downtime, Frame, FrameSource, FrameStatistics, SourceUnavailable
 from ..settings import SupervisionSettings
 
 # Thresholds: judgement, no measurement.
@@ -32,6 +23,7 @@ CONNECT_WAIT_S = 5.0  # at configure: a camera that is there is set up within th
 START_S = 2.0  # a living camera starts within this
 STOP_S = 0.5  # ... stops within this
 RELEASE_S = 1.0  # ... and gives its resources back within this
+FIRST_RETRY_S, LONGEST_RETRY_S = 0.25, 2.0  # the pauses after attempts that fail double from one to the other
 ROUNDING_S = 1e-3
 
 T = TypeVar("T")
@@ -73,7 +65,7 @@ class SupervisedSource(FrameSource):
         self._running = False
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
         self._next_try_s = self._heard_s = self._attempted_s = self._silent_s = self._limit_s = 0.0
-        self._retry_pause, self._downtime = RetryPause(), Downtime()
+        self._retry_pause_s, self._downtime = 0.0, Downtime()
         self._arrived, self._delivering = 0, False
         self._ever_connected = False
         self._shape: tuple[int, ...] = ()
@@ -140,7 +132,7 @@ class SupervisedSource(FrameSource):
         self.stop()
         self._release()
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
-        self._retry_pause.reset()
+        self._retry_pause_s = 0.0
         wait(self._closing, RELEASE_S)
         self._closing = [call for call in self._closing if not call.done()]
 
@@ -200,7 +192,7 @@ class SupervisedSource(FrameSource):
         now_s, arrived = self._clock(), source.statistics.arrived
         if arrived != self._arrived or frame is not None:  # an incomplete frame is a sign of life too
             self._arrived, self._heard_s, self._delivering, self._silent_s = arrived, now_s, True, 0.0
-            self._retry_pause.reset()
+            self._retry_pause_s = 0.0
         else:  # time in which this process did not get to run is no silence of the camera
             self._silent_s += min(now_s - began_s, wait_s)
         if frame is not None:
@@ -219,7 +211,7 @@ class SupervisedSource(FrameSource):
         now_s = self._clock()
         self._downtime.begin(self._heard_s, now_s)
         self._state, self._reason, self._refused = state, reason, False
-        self._next_try_s = now_s + (0.0 if self._delivering else self._retry_pause.next_s())
+        self._next_try_s = now_s + (0.0 if self._delivering else self._next_pause_s())
 
     def _release(self, after: Future | None = None) -> None:
         """Close the present connection on a thread of its own (once ``after`` is over) and keep its counts."""
@@ -313,12 +305,18 @@ class SupervisedSource(FrameSource):
             self._silent_s = 0.0
             self._state = ConnectionState.STREAMING
 
+    def _next_pause_s(self, slowest: bool = False) -> float:
+        """Return the pause before the next attempt: twice the last one, or the longest from now on."""
+        doubled_s = 2 * self._retry_pause_s or FIRST_RETRY_S
+        self._retry_pause_s = LONGEST_RETRY_S if slowest else min(doubled_s, LONGEST_RETRY_S)
+        return self._retry_pause_s
+
     def _back_off(self, reason: str, refused: bool = False) -> None:
         self.count("failed_attempts")
         now_s = self._clock()
         if self._running:
             self._downtime.begin(self._heard_s, now_s)
-        self._next_try_s = now_s + self._retry_pause.next_s(slowest=refused)
+        self._next_try_s = now_s + self._next_pause_s(slowest=refused)
         self._state, self._reason, self._refused = ConnectionState.WAITING, reason, refused
 
 

@@ -24,10 +24,9 @@ from sagoma_ros.images import decode_image
 from sagoma_ros.messages import NS_PER_S, to_ns
 from sagoma_ros.raw import read_message
 
-from ..frame_source import Frame, FrameSource, SourceUnavailable
+from ..frame_source import Frame, FrameNumbers, FrameSource, SourceUnavailable
 from ..settings import TopicSettings
 from .footage_reader import convert_channels
-from .frame_numbers import FrameNumbers
 
 T = TypeVar("T")
 

@@ -13,10 +13,9 @@ import cv2
 from capture_rig.errors import InputError
 from capture_rig.stamps import NS_PER_S
 
-from ..frame_source import Frame, FrameSource, SourceUnavailable
+from ..frame_source import Frame, FrameNumbers, FrameSource, SourceUnavailable
 from ..settings import WebcamSettings
 from .footage_reader import convert_channels
-from .frame_numbers import FrameNumbers
 
 # Thresholds: judgement, no measurement.
 DEPTH = 2  # pictures that may wait: older ones make room, and count as lost

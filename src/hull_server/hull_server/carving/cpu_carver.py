@@ -29,16 +29,7 @@ from .carve_blocks import (
     store_block,
     voxel_steps,
 )
-from .pixel_boxes import (
-    SEEN,
-    UNSEEN,
-    BlockBoxes,
-    block_boxes,
-    foreground_in,
-    pixel_projections,
-    rows_within_reach,
-    summed_area,
-)
+from .pixel_boxes import SEEN, UNSEEN, BlockBoxes, block_boxes, foreground_in, pixel_projections, summed_area
 from .silhouette_tables import SURE, Scene, Tabulator
 
 COARSE_EDGE, BRICK_EDGE = 32, 8
@@ -56,7 +47,7 @@ class CpuCarver(Immediate):
         projections, seen_table = pixel_projections(views, grid), summed_area(views.seen)
         self._coarse = block_boxes(views, grid, COARSE_EDGE, seen_table)
         self._bricks = block_boxes(views, grid, BRICK_EDGE, seen_table)
-        self._tabulator = Tabulator(views.seen, rows_within_reach(self._bricks, views.seen.shape))
+        self._tabulator = Tabulator(views.seen)
         self._scene = Scene(
             projections=projections,
             voxel_steps=voxel_steps(projections),
@@ -89,8 +80,12 @@ class CpuCarver(Immediate):
         present, known = self.views.present(masks), boxes or {}
         names = [self.views.names[camera] for camera in present]
         filled = [self._tabulator.tabulate(c, masks[n], known.get(n)) for c, n in zip(present, names, strict=True)]
-        smallest_first = present[np.argsort(filled, kind="stable")]  # cameras with little foreground empty most blocks
-        scene = self._scene._replace(present=smallest_first, min_seeing=min_seeing)
+        # cameras with little foreground empty most blocks
+        return self.carve_tabulated(present[np.argsort(filled, kind="stable")], min_seeing)
+
+    def carve_tabulated(self, cameras: npt.NDArray[np.int64], min_seeing: int) -> BrickVolume:
+        """Carve the silhouettes that were submitted last, of some of their cameras (n,), in this order."""
+        scene = self._scene._replace(present=cameras, min_seeing=min_seeing)
         found = carve(scene, self._coarse, self._bricks, self._index, self._leaves, self._work)
         return BrickVolume(self.grid, self._index[:found].copy(), self._leaves[:found].copy())
 

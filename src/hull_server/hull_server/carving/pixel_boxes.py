@@ -54,27 +54,6 @@ def block_boxes(views: RigViews, grid: VoxelGrid, edge: int, seen_table: npt.NDA
     return BlockBoxes(pixels, visibility)
 
 
-def rows_within_reach(boxes: BlockBoxes, shape: tuple[int, int, int]) -> npt.NDArray[np.int64]:
-    """Find the part of each row of the canvases (N, H, W) on which voxels can lie: (N, H, 2) from and to, in 8
-    pixels."""
-    reach = np.zeros((shape[0], shape[1], 2), np.int64)
-    reach[:, :, 0] = shape[2] // 8
-    _fill_reach(boxes.pixels, reach)
-    reach[reach[:, :, 1] == 0] = 0
-    return reach
-
-
-@kernel
-def _fill_reach(pixels, reach):  # type: ignore[no-untyped-def]
-    for camera in range(pixels.shape[0]):
-        for block in range(pixels.shape[1]):
-            first, last = pixels[camera, block, 0] // 8, (pixels[camera, block, 2] + 7) // 8
-            if last > first:
-                for v in range(pixels[camera, block, 1], pixels[camera, block, 3]):
-                    reach[camera, v, 0] = min(reach[camera, v, 0], first)
-                    reach[camera, v, 1] = max(reach[camera, v, 1], last)
-
-
 @kernel
 def _fill_boxes(projections, sizes, seen_tables, shape, edge, pixels, visibility):  # type: ignore[no-untyped-def]
     nx, ny, nz = (shape[0] + edge - 1) // edge, (shape[1] + edge - 1) // edge, (shape[2] + edge - 1) // edge

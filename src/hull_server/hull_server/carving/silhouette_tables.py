@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from capture_rig.kernel import kernel
 
-from ..bitset import high_bytes, nonzero_bytes, nonzero_span
+from ..bitset import high_bytes, nonzero_bytes
 from ..views import Box
 
 BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # labels of pixels; blind are those that are uncertain, too
@@ -50,12 +51,11 @@ class Scene(NamedTuple):
 class Tabulator:
     """Tabulates labels and summed areas of silhouettes, one frame set after another.
 
-    seen (N, H, W) uint8, nonzero where a camera sees; reach (N, H, 2): words of each row on which voxels can lie:
-    foreground elsewhere does not matter. labels, box, table, uncertain : see Scene; of the last silhouette of each
-    camera.
+    seen (N, H, W) uint8, nonzero where a camera sees. labels, box, table, uncertain : see Scene; of the last silhouette
+    of each camera.
     """
 
-    def __init__(self, seen: npt.NDArray[np.uint8], reach: npt.NDArray[np.int64]) -> None:
+    def __init__(self, seen: npt.NDArray[np.uint8]) -> None:
         cameras, height, width = seen.shape
         seen_words = np.minimum(seen, 1).view(np.uint64)  # 1 in every byte that is seen
         self.labels = np.full((cameras, height * width + 8), BLIND, np.uint8)  # a word more, for all that is outside
@@ -66,9 +66,7 @@ class Tabulator:
         self.uncertain = np.zeros(cameras, np.uint8)
         counts, sums = np.empty(width // 8, np.uint64), np.empty(width, np.int32)
         scratch = counts, counts.view(np.uint8), sums
-        self._of_camera = [
-            (reach[c], seen_words[c], label_words[c], self.table[c], self.box[c], scratch) for c in range(cameras)
-        ]
+        self._of_camera = [(seen_words[c], label_words[c], self.table[c], self.box[c], scratch) for c in range(cameras)]
 
     def tabulate(self, camera: int, mask: npt.NDArray[np.uint8], within: Box | None = None) -> int:
         """Tabulate a camera's silhouette (h, w); return the sum of its table.
@@ -76,14 +74,16 @@ class Tabulator:
         within : left, top, right, bottom of a box that holds all of them, where one is known; the rest is not read.
         """
         words = np.ascontiguousarray(mask).view(np.uint64)
-        left, top, right, bottom = within or (0, 0, 8 * words.shape[1], words.shape[0])
-        part = left // 8, top, -(-right // 8), bottom
+        if within is None:
+            left, top, width, height = cv2.boundingRect(mask)
+            within = left, top, left + width, top + height
+        part = within[0] // 8, within[1], -(-within[2] // 8), within[3]
         total, self.uncertain[camera] = _tabulate(words, part, *self._of_camera[camera])
         return int(total)
 
 
 @kernel
-def _tabulate(mask_words, part, reach, seen_words, label_words, table, box, scratch):  # type: ignore[no-untyped-def]
+def _tabulate(mask_words, part, seen_words, label_words, table, box, scratch):  # type: ignore[no-untyped-def]
     """Tabulate one silhouette, touching only a box that holds its foreground.
 
     mask_words (h, w / 8), seen_words and label_words (H, W / 8): images of bytes, eight pixels to a word. label_words
@@ -93,7 +93,7 @@ def _tabulate(mask_words, part, reach, seen_words, label_words, table, box, scra
     """
     counts, count_bytes, sums = scratch
     uncertain = np.uint64(0)
-    left, top, right, bottom = _foreground_bounds(mask_words, part, reach)
+    left, top, right, bottom = part
     _forget(label_words, seen_words, box, left, top, right, bottom)
     box[0], box[1], box[2], box[3] = 8 * left, top, 8 * right, bottom
     width = 8 * (right - left)
@@ -158,19 +158,3 @@ def _clear(label_words, seen_words):  # type: ignore[no-untyped-def]
 def _label(seen):  # type: ignore[no-untyped-def]
     """Return BACKGROUND (0) in every byte that is seen, BLIND in the others."""
     return (~seen & ONE_BYTES) << np.uint64(BLIND - 1)
-
-
-@kernel
-def _foreground_bounds(words, part, reach):  # type: ignore[no-untyped-def]
-    """Bound all that is nonzero within part and reach: left, top, right, bottom, in words and rows."""
-    left, top, right, bottom = words.shape[1], words.shape[0], 0, 0
-    for v in range(part[1], part[3]):
-        begin, end = max(reach[v, 0], part[0]), min(reach[v, 1], part[2])
-        if begin >= end:
-            continue
-        row = words[v, begin:end]
-        first, last = nonzero_span(row)
-        if last:
-            top, bottom = min(top, v), v + 1
-            left, right = min(left, begin + first), max(right, begin + last)
-    return (left, top, right, bottom) if bottom else (0, 0, 0, 0)

@@ -1,1 +1,3 @@
-"""Which cameras to use: faults that contradict the other cameras, and errors of the extrinsic calibration."""
+"""How the silhouettes of one instant agree: faulty and moved cameras, occluders, support for each foreground."""
+
+EARLY = 0.1  # share of a period by which a frame set may come early: stamps jitter

@@ -18,13 +18,13 @@ from capture_rig.stamps import StampThrottle
 
 from ..settings import CameraFaultSettings
 from ..views import Masks, RigViews
+from . import EARLY
 from .occluders import OccluderMap
 from .silhouette_residuals import CameraResiduals, ResidualEstimator, Residuals
 
 # Thresholds: chosen with python bench/camera_faults.py (figures of sound cameras); three voters: of two that
 # contradict each other either may be right.
 VOXEL_M = 0.05  # of the coarse grid
-EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
 ENOUGH_VOTERS = 5  # each camera less makes the hull of the others looser: twice as much is allowed
 FEWEST_VOTERS = 3  # cameras that must remain: of two that contradict each other, either may be right
 FLOODED, FLOODED_TIMES = 0.25, 4.0  # coverage, and times the median coverage, beyond which foreground is no silhouette
@@ -33,13 +33,12 @@ MEMORY_S = 2.0  # length of the published running means
 
 # what is allowed, as shares: 0 to 1
 VETO_ALLOWANCE = 0.025  # of the body, as the others show it
-EXCESS_ALLOWANCE = 0.15  # of a camera's view that is foreground in no other camera
+EXCESS_ALLOWANCE = 0.15  # of a camera's view, and of all foreground, that no other camera, or no hull, confirms
 NEXT_WORST = 1.5  # a faulty camera's residual is at least this many times that of the next worst
 
 # how fast
 SATURATION = 0.1  # residual beyond the allowance at which the sum grows by one second a second
 DETECTION_S = 0.3  # sum at which a camera is faulty
-WARNING_CONFLICT = 0.15  # share of all foreground outside the common hull: contradictions without a culprit
 
 
 @dataclass(frozen=True)
@@ -157,7 +156,7 @@ class CameraFaultDetector:
     def _summary(self, suspects: tuple[str, ...], reasons: Mapping[str, str]) -> CameraFaults:
         records = dict(zip(self.names, self._records, strict=True))
         used, warning = [name for name, record in records.items() if not record.left_out], ""
-        if not suspects and self._conflict > WARNING_CONFLICT:
+        if not suspects and self._conflict > EXCESS_ALLOWANCE:
             warning = (
                 f"{', '.join(used)} contradict each other: {self._conflict:.0%} of what they show fits no common "
                 "hull, and it cannot be told which of them is wrong. Were they moved since they were calibrated? Then "

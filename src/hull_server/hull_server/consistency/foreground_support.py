@@ -19,28 +19,24 @@ import numpy.typing as npt
 from capture_rig import Rig, Volume
 from capture_rig.kernel import kernel
 from capture_rig.stamps import StampThrottle
-from mocap_packets.support import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
+from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
 from ..bitset import HIGH_BITS, nonzero_bytes, popcount
 from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summed_area
 from ..grid import VoxelGrid
 from ..views import Masks, RigViews, min_seeing
+from . import EARLY
+from .camera_fault_detector import FLOODED
 
-# Thresholds: REACH_M, NEAR_M from the length of an arm; else chosen with the rooms of
-# test_hull_foreground_support.py.
+# Thresholds: ARM_M from the length of an arm; else chosen with the rooms of test_hull_foreground_support.py.
 PERIOD_S = 0.25  # things are judged for seconds
-EARLY = 0.1  # share of the period by which a frame set may come early: stamps jitter
-CELL_PX = (
-    8  # a word of pixels; a divisor of every canvas's width; the blocks in which camera clients look for foreground
-)
+CELL_PX = 8  # a word of pixels, a divisor of every canvas's width; where camera clients look for foreground
 LEAST_PX = 4  # foreground pixels of a cell that count: noise leaves fewer
 ALL_BITS = np.uint64(0xFFFFFFFFFFFFFFFF)  # of a word: whatever is sent
 BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
 SURROUNDINGS_M = 1.5  # beside the volume, where people wait
-REACH_M = 0.5  # an arm: bodies in the volume reach out of it by so much
+ARM_M = 0.5  # bodies in the volume reach out of it by so much; parts of a body so near to certain ones are hers
 MARGIN_M = 0.15  # around what others see as a body: blocks, contact shadows
-NEAR_M = 0.5  # an arm, or a leg from the knee down: parts of a body of which the rest is certain
-MOST_COVERED = 0.25  # share of a camera's view beyond which its foreground is no silhouette: it supports anything
 POORLY_SEEN = 0.02  # share of a ray's blocks in the volume that too few others may look at: rounding at its faces
 _EDGE, _COARSE_EDGE = 2, 8  # voxels along a block, and along those that are looked at first
 
@@ -59,7 +55,7 @@ class SupportReporter:
         seen_table = summed_area(self._cells.seen)
         self._boxes, self._coarse = (block_boxes(self._cells, grid, e, seen_table) for e in (_EDGE, _COARSE_EDGE))
         self._space = _Space.of(grid, rig.volume)
-        self._reaches = [tuple(_reach_cells(P, rig.volume, reach) for reach in (MARGIN_M, NEAR_M)) for P in views.P]
+        self._reaches = [tuple(_reach_cells(P, rig.volume, reach) for reach in (MARGIN_M, ARM_M)) for P in views.P]
         self._throttle = StampThrottle(PERIOD_S, early_share=EARLY)
         self._trusted = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
         self._judged: tuple[int, Cells] = (0, np.zeros(self._cells.seen.shape, np.uint8))
@@ -80,7 +76,7 @@ class SupportReporter:
             if names[camera] in resolved:
                 _pool(np.ascontiguousarray(resolved[names[camera]]).view(np.uint64), HIGH_BITS, shown[camera])
         covered = shown.mean(axis=(1, 2)) / 255
-        voting = [c for c in present if covered[c] <= MOST_COVERED and names[c] in resolved]
+        voting = [c for c in present if covered[c] <= FLOODED and names[c] in resolved]
         levels = self._levels(shown, summed_area(sent), sum(1 << int(camera) for camera in voting))
         return tuple(self._report(int(camera), levels[camera], stamp_ns) for camera in present)
 
@@ -135,7 +131,7 @@ class _Space(NamedTuple):
 
     @classmethod
     def of(cls, grid: VoxelGrid, volume: Volume) -> _Space:
-        shape, reach = np.array(grid.shape, np.int64), round(REACH_M / BLOCK_M)
+        shape, reach = np.array(grid.shape, np.int64), round(ARM_M / BLOCK_M)
         inner = np.rint((np.array([volume.low, volume.high]) - grid.origin) / BLOCK_M).astype(np.int64)
         blocks = -(-shape // _EDGE)
         return cls(blocks, -(-shape // _COARSE_EDGE), inner, np.clip(inner + np.array([[-reach], [reach]]), 0, blocks))
@@ -248,7 +244,7 @@ def count_witnesses(boxes, witnesses, space, passed, poorly):  # type: ignore[no
 
 def _surroundings(volume: Volume) -> Volume:
     """Return the volume with whole blocks beside and above it."""
-    beside, above = (np.ceil(reach / BLOCK_M) * BLOCK_M for reach in (SURROUNDINGS_M, REACH_M))
+    beside, above = (np.ceil(reach / BLOCK_M) * BLOCK_M for reach in (SURROUNDINGS_M, ARM_M))
     aside, up = beside * np.array([1.0, 1.0, 0.0]), above * np.array([0.0, 0.0, 1.0])
     return Volume(volume.low - aside, volume.high + aside + up)
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig.kernel import kernel
-from capture_rig.mask_levels import BACKGROUND, UNCERTAIN
+from capture_rig.mask_levels import BACKGROUND, FOREGROUND, UNCERTAIN
 
 from ..views import Masks, RigViews
 from .silhouette_residuals import ResidualEstimator, Residuals
@@ -40,7 +40,7 @@ class OccluderMap:
 
     def __init__(self, views: RigViews, estimator: ResidualEstimator) -> None:
         self._views, self._estimator = views, estimator
-        self._hiding_s, self._showing_s = (np.zeros(estimator.labels.shape, np.float32) for _ in range(2))
+        self._hiding_s, self._showing_s = (np.zeros(estimator.cells.shape, np.float32) for _ in range(2))
         self._hidden: dict[int, Hidden] = {}  # of the cameras that anything hides from
 
     def learn(self, residuals: Residuals, step_s: float) -> None:
@@ -52,7 +52,7 @@ class OccluderMap:
             hiding, showing = self._hiding_s[camera], self._showing_s[camera]
             denied = self._estimator.denied_cells(residuals, slot)
             _add_time(np.float32(step_s), denied, hiding)
-            _add_time(np.float32(step_s), self._estimator.labels[camera], showing)
+            _add_time(np.float32(step_s), self._estimator.cells[camera] == FOREGROUND, showing)
             if not denied.any() and camera not in self._hidden:
                 continue
             cells = ((hiding >= LEARNED_S) & (hiding > TIMES_SHOWN * showing)).view(np.uint8)

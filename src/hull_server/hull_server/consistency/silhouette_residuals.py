@@ -6,6 +6,10 @@ motion", PAMI 2007). A faulty camera removes parts of the body from the hull, an
 again as soon as its veto is ignored. A sound camera removes nothing but phantom volume, which hides behind and in front
 of the body in the other images. So the volume that one camera alone vetoes says little (three sound cameras veto half
 and more of each other's hulls), but the images show the difference.
+
+The voters' hull and those without each of them are carved on every ``stride``-th pixel (the *cells*) of the silhouettes
+and projected back into every image: which foreground do they explain with a camera's veto, and which only without it?
+In words of bits, bit s is the camera ``cameras[s]``; the voters come first.
 """
 
 from __future__ import annotations
@@ -17,30 +21,19 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import Rig
+from capture_rig.kernel import kernel
+from capture_rig.mask_levels import BACKGROUND, FOREGROUND, UNCERTAIN
 
-from ..carving.carve_blocks import voxel_steps
-from ..carving.pixel_boxes import block_boxes, pixel_projections, summed_area
-from ..grid import VoxelGrid
+from ..carving.cpu_carver import CpuCarver
+from ..carving.pixel_boxes import pixel_projections, project
+from ..grid import BrickVolume, VoxelGrid
 from ..views import RigViews, min_seeing
-from .residual_kernels import (
-    BACKGROUND_CELL,
-    COARSE_EDGE,
-    FINE_EDGE,
-    TOO_MANY,
-    UNSEEN_CELL,
-    CoarseViews,
-    VotingSet,
-    Work,
-    count_explained,
-    find_shared_voxels,
-    mark_denied,
-    mark_explained,
-    number_cells,
-)
 
 # Thresholds: measured by python bench/camera_faults.py.
 MAX_SHARED_VOXELS = 1 << 15  # two cubic metres of 40 mm voxels: more is not a body
 FLOOR_M = 0.15  # floor shadows make hulls up to this height, so vetoes below are ignored
+NEEDED_BY = 2  # cameras whose foreground stays unexplained without a voxel: one may show a thing, or noise
+SKIPPED = -1  # instead of the bits of who vetoes a voxel: it is in no hull
 
 Floats = npt.NDArray[np.float64]
 
@@ -91,42 +84,43 @@ class Residuals:
         return CameraResiduals(*(float(share[slot]) for share in shares))
 
 
+class CellViews(NamedTuple):
+    """projections (N, 3, 4) : voxel index to cell, such that the cell is floor(u / w), floor(v / w). reach (N,) : half
+    the size of a voxel in the image, in cells times depth. floor_layers : of the grid, where shadows lie."""
+
+    projections: Floats
+    reach: Floats
+    floor_layers: int
+
+
 class ResidualEstimator:
-    """Estimates the residuals of frame sets; tables of the calibration are computed once. One thread at a time."""
+    """Estimates the residuals of frame sets; tables of the calibration are computed once. One thread at a time.
+
+    cells (N, H, W) : of the last frame set, FOREGROUND, BACKGROUND, or UNCERTAIN, also where a camera does not see.
+    """
 
     def __init__(self, rig: Rig, views: RigViews, voxel_size_m: float, requested_seeing: int = 0) -> None:
         self._requested_seeing = requested_seeing
-        grid = VoxelGrid.covering(rig.volume, voxel_size_m)
-        self._voxel_litres = grid.voxel_volume_m3 * 1e3
+        self._grid = grid = VoxelGrid.covering(rig.volume, voxel_size_m)
         px_per_m = _focal_px(views) / _depth_of_middle(views, grid)
         # a cell is about half as large as a voxel in the image
         self.stride = max(1, round(float(np.median(px_per_m)) * voxel_size_m / 2))
         self._cell_m2 = (self.stride / px_per_m) ** 2
         cells = _decimated(views, self.stride)
-        self._views = _coarse_views(cells, grid)
+        self._unseen = cells.seen == 0
         self._cells_seen = np.maximum(np.count_nonzero(cells.seen, axis=(1, 2)), 1)
-        n, height, width = cells.seen.shape
-        unshown = np.full((n, height + 1, width), UNSEEN_CELL, np.int32)  # a row more, for all that is outside
-        unshown[:, :-1][cells.seen > 0] = BACKGROUND_CELL
-        self.labels = unshown.copy()
-        self._work = Work(np.empty(64, np.int32), np.empty(n, np.uint64))
-        self._tables = np.zeros((n, height + 1, width + 1), np.int32)
-        self._boxes = np.zeros((n, 4), np.int64)
-        self._cells = [
-            (cells.seen[c, :h, :w], unshown[c, :h, :w], self.labels[c, :h, :w], self._tables[c, : h + 1, : w + 1])
-            for c, (w, h) in enumerate(cells.sizes.tolist())
-        ]
-        self._voxels = np.empty((MAX_SHARED_VOXELS, 3), np.int16)
-        self._vetoes = np.empty(MAX_SHARED_VOXELS, np.int64)
-        self._with_veto, self._without_veto = (np.zeros((n, height * width), np.int64) for _ in range(2))
-        self._counts = np.zeros(n, np.int64)
-        self._found = 0
+        floor_layers = max(0, int(np.ceil((FLOOR_M - grid.origin[2]) / grid.voxel_size)))
+        self._views = CellViews(pixel_projections(cells, grid), _focal_px(cells) * grid.voxel_size / 2, floor_layers)
+        self._carver, self._names = CpuCarver(cells, grid), views.names
+        self.cells = np.full_like(cells.seen, UNCERTAIN)
+        self._counts = np.zeros(len(views.names), np.int64)
+        self._with_veto, self._without_veto = (np.zeros(self.cells.shape, np.int64) for _ in range(2))
+        self._pixels = np.zeros((len(views.names), 6), np.int64)
+        self._voxels, self._vetoes = np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
 
     def set_mask(self, camera: int, mask: npt.NDArray[np.uint8]) -> None:
         """Set one camera's mask (h, w)."""
-        mask = np.ascontiguousarray(mask)
-        words, cells, box = mask.view(np.uint64), self._cells[camera], self._boxes[camera]
-        self._counts[camera] = number_cells(mask, words, self.stride, cells, box)
+        self._counts[camera] = sample(mask, self._unseen[camera], self.stride, self.cells[camera])
 
     def coverage(self, camera: int) -> float:
         """Return the share of the camera's view that is foreground."""
@@ -137,25 +131,30 @@ class ResidualEstimator:
 
         None when too much is foreground: more than two cubic metres.
         """
-        cameras = np.array(voters + others, np.int64)
-        needed, without = (min_seeing(len(voters) - k, self._requested_seeing) for k in (0, 1))
-        voting = VotingSet(cameras, len(voters), needed, without)
+        cameras, n, needed = np.array(voters + others, np.int64), len(voters + others), self._needed(len(voters))
         # the voxels that at most one voter vetoes
-        labels = self.labels.reshape(len(self.labels), -1)
-        shared = self._voxels, self._vetoes
-        found = find_shared_voxels(self._views, labels, self._tables, voting, *shared, self._work)
-        if found == TOO_MANY:
+        shared = np.zeros((self._grid.brick_count, 8), np.uint64)
+        hull = self._carver.carve({self._names[c]: self.cells[c] for c in voters}, needed)
+        without = [self._carver.carve_tabulated(v, self._needed(len(v))) for v in _all_but_one(cameras[: len(voters)])]
+        for volume in (hull, *without):
+            shared[volume.index] |= volume.leaves
+        bricks = np.flatnonzero(shared.any(axis=1))
+        volume = BrickVolume(self._grid, bricks.astype(np.uint32), shared[bricks])
+        if volume.count > MAX_SHARED_VOXELS:
             return None
-        self._found, voxels, vetoes = found, self._voxels[:found], self._vetoes[:found]
+        self._voxels = volume.voxels()
         # the foreground that they explain in each image, with and without each camera's veto
-        cells, n = self._counts[cameras], len(cameras)
-        for slot, filled in enumerate(cells):
-            self._with_veto[slot, :filled] = 0
-            self._without_veto[slot, :filled] = 0
-        mark_explained(self._views, self.labels, voting, voxels, vetoes, self._with_veto, self._without_veto)
+        self._with_veto[:n] = self._without_veto[:n] = 0
+        marks = self._with_veto, self._without_veto
+        self._vetoes, voting = np.empty(len(self._voxels), np.int64), (len(voters), needed)
+        found = self._voxels, self._vetoes
+        mark_explained(self._views, self.cells, cameras, voting, *found, *marks, self._pixels)
         explained, vetoed = np.zeros((n, n), np.int64), np.zeros((n, n), np.int64)
-        count_explained(cells, self._with_veto, self._without_veto, explained, vetoed)
-        return self._shares(voting, vetoes, cells, explained, vetoed)
+        count_explained(*marks, explained, vetoed)
+        return self._shares(cameras, len(voters), explained, vetoed)
+
+    def _needed(self, voters: int) -> int:
+        return min_seeing(voters, self._requested_seeing)
 
     def denied_cells(self, residuals: Residuals, slot: int) -> npt.NDArray[np.bool_]:
         """Return the cells (H, W) in which ``residuals.cameras[slot]`` alone denies what two others need.
@@ -163,18 +162,17 @@ class ResidualEstimator:
         Need: the volume there explains foreground of theirs that nothing else explains. The hull is that of the last
         call of :meth:`estimate`.
         """
-        voting = VotingSet(np.array(residuals.cameras, np.int64), residuals.voters, 0, 0)
-        denied = np.zeros(self.labels.shape[1:], np.bool_)
-        found = self._voxels[: self._found], self._vetoes[: self._found]
-        mark_denied(self._views, self.labels, voting, slot, *found, self._with_veto, denied)
+        cameras, denied = np.array(residuals.cameras, np.int64), np.zeros(self.cells.shape[1:], np.bool_)
+        alone = self._vetoes & ((1 << residuals.voters) - 1 | 1 << slot) == 1 << slot
+        mark_denied(self._views, self.cells, cameras, slot, self._voxels[alone], self._with_veto, denied, self._pixels)
         return denied
 
-    def _shares(self, voting: VotingSet, vetoes, cells, explained, vetoed) -> Residuals:  # type: ignore[no-untyped-def]
+    def _shares(self, cameras, voters, explained, vetoed) -> Residuals:  # type: ignore[no-untyped-def]
         """Convert counts to shares. A camera is compared with the images of the voters other than itself."""
-        n, voters, cameras = len(cells), voting.voters, voting.cameras
+        n, cells = len(cameras), self._counts[cameras]
         compared = (np.arange(n)[:, None] < voters) & ~np.eye(n, dtype=bool)
         theirs, own = (explained * compared).sum(0), np.diagonal(explained)
-        by_voters = vetoes & (1 << voters) - 1
+        by_voters = self._vetoes[self._vetoes != SKIPPED] & (1 << voters) - 1
         agreed = int(np.count_nonzero(by_voters == 0))
         alone = np.array([np.count_nonzero(by_voters == 1 << slot) if slot < voters else 0 for slot in range(n)])
         veto_fraction = (vetoed * compared).sum(0) / np.maximum(theirs, 1)
@@ -182,7 +180,7 @@ class ResidualEstimator:
             cameras=tuple(cameras.tolist()),
             voters=voters,
             veto_fraction=veto_fraction,
-            body_litres=(agreed + alone) * self._voxel_litres,
+            body_litres=(agreed + alone) * self._grid.voxel_volume_m3 * 1e3,
             explained_m2=own * self._cell_m2[cameras],
             excess=(cells - own) / self._cells_seen[cameras],
             coverage=cells / self._cells_seen[cameras],
@@ -192,21 +190,9 @@ class ResidualEstimator:
         )
 
 
-def _coarse_views(cells: RigViews, grid: VoxelGrid) -> CoarseViews:
-    seen_table = summed_area(cells.seen)
-    coarse, fine = (block_boxes(cells, grid, edge, seen_table) for edge in (COARSE_EDGE, FINE_EDGE))
-    projections = pixel_projections(cells, grid)
-    return CoarseViews(
-        projections=projections,
-        voxel_steps=voxel_steps(projections),
-        sizes=cells.sizes,
-        stride=cells.seen.shape[2],
-        shape=np.array(grid.shape, np.int64),
-        floor_layers=max(0, int(np.ceil((FLOOR_M - grid.origin[2]) / grid.voxel_size))),
-        coarse=coarse,
-        fine=fine,
-        reach=_focal_px(cells) * grid.voxel_size / 2,
-    )
+def _all_but_one(cameras: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
+    """Return the cameras (n,) without each of them."""
+    return [np.delete(cameras, slot) for slot in range(len(cameras))]
 
 
 def _focal_px(views: RigViews) -> Floats:
@@ -223,10 +209,121 @@ def _depth_of_middle(views: RigViews, grid: VoxelGrid) -> Floats:
 
 
 def _decimated(views: RigViews, stride: int) -> RigViews:
-    """Keep every ``stride``-th pixel of the views, from pixel stride // 2 on."""
+    """Keep every ``stride``-th pixel of the views, from pixel stride // 2 on; all canvases become as large as the
+    largest."""
     first = stride // 2
     P = views.P.copy()
     P[:, :2] -= first * P[:, 2:]
     P[:, :2] /= stride
-    sizes = (views.sizes - first + stride - 1) // stride
-    return RigViews(views.names, P, sizes, np.ascontiguousarray(views.seen[:, first::stride, first::stride]))
+    kept = views.seen[:, first::stride, first::stride]
+    n, height, width = kept.shape
+    seen = np.zeros((n, height, -(-width // 32) * 32), np.uint8)
+    seen[:, :, :width] = kept
+    return RigViews(views.names, P, np.tile([seen.shape[2], height], (n, 1)), seen)
+
+
+@kernel
+def sample(mask, unseen, stride, cells):  # type: ignore[no-untyped-def]
+    """Write the cells (H, W) of a mask (h, w); return how many are foreground."""
+    found = 0
+    for row in range((mask.shape[0] - stride // 2 + stride - 1) // stride):
+        for column in range((mask.shape[1] - stride // 2 + stride - 1) // stride):
+            level = mask[stride // 2 + row * stride, stride // 2 + column * stride]
+            if unseen[row, column] or level == UNCERTAIN:
+                cells[row, column] = UNCERTAIN
+            else:
+                cells[row, column] = FOREGROUND if level else BACKGROUND
+                found += level > 0
+    return found
+
+
+@kernel
+def _project(views, cells, cameras, voxel, pixels):  # type: ignore[no-untyped-def]
+    """Write to pixels (n, 6) the cells that a voxel (3,) covers in each image, and that of its centre.
+
+    These are the first and last (exclusive) row and column, and the centre's row and column; all 0 behind the camera,
+    and the centre's -1 outside.
+    """
+    _, height, width = cells.shape
+    for slot in range(cameras.size):
+        own = pixels[slot]
+        u, v, w = project(views.projections, cameras[slot], voxel[0], voxel[1], voxel[2])
+        reach = views.reach[cameras[slot]] / w
+        own[0], own[1] = int(max(v - reach, 0.0)), int(min(v + reach + 1.0, height)) if w > 0 else 0
+        own[2], own[3] = int(max(u - reach, 0.0)), int(min(u + reach + 1.0, width))
+        inside = u >= 0 and v >= 0 and u < width and v < height
+        own[4], own[5] = int(v) if inside else -1, int(u)
+
+
+@kernel
+def _centre_level(cells, camera, own):  # type: ignore[no-untyped-def]
+    """Return the cell of a camera at a voxel's centre."""
+    return cells[camera, own[4], own[5]] if own[4] >= 0 else np.uint8(UNCERTAIN)
+
+
+@kernel
+def mark_explained(views, cells, cameras, voting, voxels, vetoes, with_veto, without_veto, pixels):  # type: ignore[no-untyped-def]
+    """Mark in every camera's foreground cells which hulls lie behind them.
+
+    voting : how many of the cameras vote, and must show a voxel. voxels (M, 3) : those of the hulls of all voters, and
+    of all but one. vetoes (M,) : the bits of who vetoes each of them; SKIPPED where that is next to the floor.
+    with_veto, without_veto (n, H, W) : bit s of a cell is set for the voters' hull with and without the veto of camera
+    s. pixels (n, 6) : scratch memory.
+    """
+    (voters, needed), everyone = voting, (1 << cameras.size) - 1
+    by_voters = (1 << voters) - 1
+    for found in range(voxels.shape[0]):
+        _project(views, cells, cameras, voxels[found], pixels)
+        vetoes[found], vetoed, showing = SKIPPED, 0, 0
+        for slot in range(cameras.size):
+            level = _centre_level(cells, cameras[slot], pixels[slot])
+            vetoed |= (level == BACKGROUND) << slot
+            showing += level == FOREGROUND and slot < voters
+        against = vetoed & by_voters
+        next_to_floor = voxels[found, 2] < views.floor_layers
+        if against & (against - 1) or (showing < needed if against == 0 else next_to_floor):
+            continue
+        vetoes[found] = 0 if next_to_floor else vetoed
+        kept = everyone & ~vetoes[found] if against == 0 else 0
+        reached = everyone if against == 0 else against
+        for slot in range(cameras.size):
+            own = pixels[slot]
+            for row in range(own[0], own[1]):
+                for column in range(own[2], own[3]):
+                    if cells[cameras[slot], row, column] == FOREGROUND:
+                        with_veto[slot, row, column] |= kept
+                        without_veto[slot, row, column] |= reached
+
+
+@kernel
+def mark_denied(views, cells, cameras, slot, voxels, with_veto, denied, pixels):  # type: ignore[no-untyped-def]
+    """Mark a camera's background cells (H, W) of the voxels that it alone vetoes and two others' foreground needs."""
+    for found in range(voxels.shape[0]):
+        _project(views, cells, cameras, voxels[found], pixels)
+        needed_by = 0
+        for other in range(cameras.size):
+            own = pixels[other]
+            if other != slot and _centre_level(cells, cameras[other], own) == FOREGROUND:
+                needed_by += with_veto[other, own[4], own[5]] >> slot & 1 == 0
+        if needed_by >= NEEDED_BY:
+            own = pixels[slot]
+            for row in range(own[0], own[1]):
+                for column in range(own[2], own[3]):
+                    denied[row, column] |= cells[cameras[slot], row, column] == BACKGROUND
+
+
+@kernel
+def count_explained(with_veto, without_veto, explained, vetoed):  # type: ignore[no-untyped-def]
+    """Count foreground cells (n, n) [image, camera whose veto is ignored].
+
+    explained : by the hull without that camera's veto. vetoed : of these, those that the hull with its veto leaves.
+    """
+    for image in range(explained.shape[0]):
+        for row in range(with_veto.shape[1]):
+            for column in range(with_veto.shape[2]):
+                reached = without_veto[image, row, column]
+                if reached:
+                    lost = reached & ~with_veto[image, row, column]
+                    for slot in range(explained.shape[1]):
+                        explained[image, slot] += reached >> slot & 1
+                        vetoed[image, slot] += lost >> slot & 1

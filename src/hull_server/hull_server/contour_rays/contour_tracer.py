@@ -20,7 +20,7 @@ from mocap_packets.hull import NO_CONTOUR_RAYS, ContourRays
 
 from ..grid import VoxelGrid
 from ..settings import ContourSettings
-from ..slicing.skeletonisation import HullRuns
+from ..slicing.voxel_runs import HullRuns
 from ..views import Masks, RigViews
 from .outlines import RADIUS_PX, find_edge, pick_contour_pixels, shadow_share, weights
 from .ray_hull import Hull, part_near, ray_hull_interval

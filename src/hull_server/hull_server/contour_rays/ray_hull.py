@@ -13,8 +13,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel, njit
 
 from ..grid import VoxelGrid
-from ..slicing.skeletonisation import HullRuns
-from ..slicing.voxel_runs import run_at
+from ..slicing.voxel_runs import HullRuns, run_at
 
 PAD = 2  # empty voxels around the box, so that its neighbours have room
 FRACTION = 32  # bits of a voxel's fraction while marching: whole numbers are faster, and err by 1e-7 voxels at the end
@@ -156,7 +155,7 @@ def _occupied(wide, first, step, n):  # type: ignore[no-untyped-def]
 def part_near(runs, place):  # type: ignore[no-untyped-def]
     """Return the part of the hull that a voxel near a place belongs to: the first found in growing cubes around it.
 
-    runs : starts, ends, first, part and the shape of words of :class:`hull_server.slicing.skeletonisation.HullRuns`;
+    runs : starts, ends, first, part and the shape of words of :class:`hull_server.slicing.voxel_runs.HullRuns`;
     place (3,) in voxels from the corner of the widened box.
     """
     starts, ends, first, part, (layers, rows, _) = runs

@@ -24,13 +24,10 @@ REMEDY = (
 
 GL_VERSIONS = ((4, 5), (4, 3))  # compute shaders and storage buffers came with 4.3
 MAX_DEVICES = 32
-PBUFFER_PX = 16
 
 _EXTENSIONS, _OPENGL_API, _NONE = 0x3055, 0x30A2, 0x3038
 _PLATFORM_DEVICE, _PLATFORM_SURFACELESS = 0x313F, 0x31DD
 _MAJOR, _MINOR, _PROFILE_MASK, _CORE_PROFILE = 0x3098, 0x30FB, 0x30FD, 1
-_SURFACE_TYPE, _PBUFFER_BIT, _RENDERABLE_TYPE, _OPENGL_BIT = 0x3033, 1, 0x3040, 8
-_WIDTH, _HEIGHT = 0x3057, 0x3056
 _ERRORS = {
     0x3001: "EGL_NOT_INITIALIZED",
     0x3002: "EGL_BAD_ACCESS",
@@ -49,9 +46,6 @@ _SIGNATURES: tuple[tuple[str, Any, list], ...] = (
     ("eglGetDisplay", _pointer, [_pointer]),
     ("eglInitialize", _uint, [_pointer, _pointer, _pointer]),
     ("eglBindAPI", _uint, [_uint]),
-    ("eglChooseConfig", _uint, [_pointer, _pointer, _pointer, _int, _pointer]),
-    ("eglCreatePbufferSurface", _pointer, [_pointer, _pointer, _pointer]),
-    ("eglDestroySurface", _uint, [_pointer, _pointer]),
     ("eglCreateContext", _pointer, [_pointer, _pointer, _pointer, _pointer]),
     ("eglMakeCurrent", _uint, [_pointer, _pointer, _pointer, _pointer]),
     ("eglDestroyContext", _uint, [_pointer, _pointer]),
@@ -67,8 +61,7 @@ class GlContext:
     """A headless OpenGL context. It may be used by any thread, but by one at a time: enter :meth:`current` to use it.
 
     Tried in this order, until one gives a context of the wanted kind: every EGL device, hardware before software; the
-    surfaceless platform; the default display. On each, a context that needs no surface is tried before one that is
-    given a small off-screen surface.
+    surfaceless platform; the default display. The context has no surface (EGL_KHR_surfaceless_context).
 
     hardware : True for hardware only, False for software only, None for whatever there is, hardware first.
     renderer, is_hardware : what was found.
@@ -100,29 +93,18 @@ class GlContext:
             return "is a software renderer"
         if not self._egl.initialize(display):
             return f"cannot be initialised ({self._egl.error()})"
-        self._display = display
-        problem = self._open(None)
-        config = self._egl.pbuffer_config(display) if problem else None
-        if config is not None:
-            problem = self._open(config)
-        if problem is None and hardware is not None and self.is_hardware != hardware:
-            problem = f"{self.renderer} is {'hardware' if self.is_hardware else 'software'}"
-            self.close()
-        return problem
-
-    def _open(self, config: int | None) -> str | None:
-        """Make the context, without a surface when there is no ``config``; otherwise say why that cannot be done."""
-        self._surface = None if config is None else self._egl.create_pbuffer(self._display, config)
-        self._context = self._egl.create_context(self._display, config)
+        self._display, self._context = display, self._egl.create_context(display)
         try:
             if self._context is None:
                 raise NoGraphics(f"has no OpenGL 4.3 ({self._egl.error()})")
             with self.current():
                 self.renderer = renderer_name()
+            self.is_hardware = not any(name in self.renderer.lower() for name in SOFTWARE_RENDERERS)
+            if hardware is not None and self.is_hardware != hardware:
+                raise NoGraphics(f"{self.renderer} is {'hardware' if self.is_hardware else 'software'}")
         except NoGraphics as error:
             self.close()
             return str(error)
-        self.is_hardware = not any(name in self.renderer.lower() for name in SOFTWARE_RENDERERS)
         return None
 
     @contextmanager
@@ -137,20 +119,21 @@ class GlContext:
             finally:
                 self._depth -= 1
                 if self._depth == 0:
-                    self._egl.make_current(self._display, None, None)
+                    self._egl.make_current(self._display, None)
 
     def _take(self) -> None:
         if self._context is None:
             raise NoGraphics("the OpenGL context is closed")
         self._egl.choose_opengl()
-        if not self._egl.make_current(self._display, self._surface, self._context):
+        if not self._egl.make_current(self._display, self._context):
             raise NoGraphics(f"its context cannot be made current ({self._egl.error()})")
 
     def close(self) -> None:
         """Destroy the context; it cannot be used afterwards. Closing twice is harmless."""
         with self._lock:
-            self._egl.destroy(self._display, self._surface, self._context)
-            self._surface = self._context = None
+            if self._context is not None:
+                self._egl.destroy(self._display, self._context)
+            self._context = None
 
 
 def renderer_name() -> str:
@@ -203,35 +186,22 @@ class Egl:
         """Make this thread's EGL calls mean OpenGL, not OpenGL ES; every thread has to say so itself."""
         return bool(self._library.eglBindAPI(_OPENGL_API))
 
-    def pbuffer_config(self, display: Display) -> int | None:
-        """Return a configuration that has OpenGL and small off-screen surfaces."""
-        config, count = _pointer(), _int()
-        wanted = _attributes(_SURFACE_TYPE, _PBUFFER_BIT, _RENDERABLE_TYPE, _OPENGL_BIT)
-        self._library.eglChooseConfig(display.handle, wanted, ctypes.byref(config), 1, ctypes.byref(count))
-        return config.value if count.value else None
-
-    def create_pbuffer(self, display: Display, config: int) -> int | None:
-        size = _attributes(_WIDTH, PBUFFER_PX, _HEIGHT, PBUFFER_PX)
-        return self._library.eglCreatePbufferSurface(display.handle, config, size)
-
-    def create_context(self, display: Display, config: int | None) -> int | None:
+    def create_context(self, display: Display) -> int | None:
         """Return a core context of the newest version to be had."""
         for major, minor in GL_VERSIONS:
-            attributes = _attributes(_MAJOR, major, _MINOR, minor, _PROFILE_MASK, _CORE_PROFILE)
-            context = self._library.eglCreateContext(display.handle, config, None, attributes)
+            pairs = (_MAJOR, major, _MINOR, minor, _PROFILE_MASK, _CORE_PROFILE, _NONE)
+            attributes = (_int * len(pairs))(*pairs)
+            context = self._library.eglCreateContext(display.handle, None, None, attributes)
             if context:
                 return context
         return None
 
-    def make_current(self, display: Display, surface: int | None, context: int | None) -> bool:
-        """Make a context current on this thread; surface and context None to release."""
-        return bool(self._library.eglMakeCurrent(display.handle, surface, surface, context))
+    def make_current(self, display: Display, context: int | None) -> bool:
+        """Make a context current on this thread, without a surface; None to release it."""
+        return bool(self._library.eglMakeCurrent(display.handle, None, None, context))
 
-    def destroy(self, display: Display, surface: int | None, context: int | None) -> None:
-        if context:
-            self._library.eglDestroyContext(display.handle, context)
-        if surface:
-            self._library.eglDestroySurface(display.handle, surface)
+    def destroy(self, display: Display, context: int) -> None:
+        self._library.eglDestroyContext(display.handle, context)
 
     def error(self) -> str:
         """Return the name of this thread's last error."""
@@ -255,7 +225,3 @@ class Egl:
     def _extension(self, name: str, result: Any, *arguments: Any) -> Any:
         address = self._library.eglGetProcAddress(name.encode())
         return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
-
-
-def _attributes(*pairs: int) -> ctypes.Array:
-    return (_int * (len(pairs) + 1))(*pairs, _NONE)

@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from capture_rig.kernel import njit
+from capture_rig.mask_levels import SHADOW_CANDIDATE
 
-from ..bitset import high_bytes, nonzero_bytes
 from ..grid import BRICK_EDGE
 from ..views import Masks, RigViews
 from .egl import NoGraphics  # imported first: it tells PyOpenGL to use EGL
@@ -136,13 +135,20 @@ class FrameUpload:
 
     def _fill_camera(self, camera: int, mask: npt.NDArray[np.uint8], start: int) -> int:
         """Fill in labels, foreground box and summed areas, these from word ``start``; return where they end."""
-        words = np.ascontiguousarray(mask).view(np.uint64)
-        u0, v0, u1, v1 = label_foreground(words, self._blind[camera], self._labels[camera], self._rows[camera])
+        labels, (first, last) = self._labels[camera], self._rows[camera]
+        labels[first:last] = self._blind[camera, first:last]
+        left, v0, width, height = cv2.boundingRect(mask)
+        u0, u1 = (edge // PIXELS_PER_WORD * PIXELS_PER_WORD for edge in (left, left + width + PIXELS_PER_WORD - 1))
+        v1 = v0 + height
+        self._rows[camera] = v0, v1
         self._boxes[camera] = u0, v0, u1, v1
         self._area_starts[camera] = start
-        if u1 == 0:
+        if width == 0:
             return start
-        part = mask[v0:v1, u0:u1]
+        part, seen = np.zeros((height, u1 - u0), np.uint8), self._countable[camera, v0:v1, u0:u1] > 0
+        part[:, : mask.shape[1] - u0] = mask[v0:v1, u0:u1]  # a canvas need not end with a word
+        sure, uncertain = _packed((part > SHADOW_CANDIDATE) & seen), _packed((part > 0) & (part <= SHADOW_CANDIDATE))
+        labels[v0:v1, u0 // PIXELS_PER_WORD : u1 // PIXELS_PER_WORD] |= sure | uncertain << 16
         counts = np.minimum(part, 1) + (part >> 7)  # SURE and UNSURE of carving.silhouette_tables
         counts = cv2.multiply(counts, self._countable[camera, v0:v1, u0:u1])
         end = start + (v1 - v0 + 1) * (u1 - u0 + 1)
@@ -150,42 +156,9 @@ class FrameUpload:
         return end
 
 
-@njit(cache=True, nogil=True)
-def label_foreground(words, blind, labels, rows):  # type: ignore[no-untyped-def]
-    """Write a mask's evidence into its labels; return a box (u, v from and to) around it, u in steps of 16.
-
-    words (h, w / 8) uint64: the mask, eight pixels a word. labels (H, W / 16) uint32: bit p is set where the camera
-    sees foreground, bit 16 + p where it is uncertain or blind; blind : the same where it always is. rows (2,): the
-    rows that hold evidence, from and to; on entry those of the frame set before.
-    """
-    for row in range(rows[0], rows[1]):
-        for group in range(labels.shape[1]):
-            labels[row, group] = blind[row, group]
-    groups = words.shape[1] // 2
-    left, right, top, bottom = groups, 0, words.shape[0], 0
-    for row in range(words.shape[0]):
-        any_word = np.uint64(0)
-        for column in range(words.shape[1]):
-            any_word |= words[row, column]
-        if any_word == 0:
-            continue
-        top, bottom = min(top, row), row + 1
-        for group in range(groups):
-            low, high = words[row, 2 * group], words[row, 2 * group + 1]
-            if low | high != 0:
-                left, right = min(left, group), max(right, group + 1)
-                sure = _packed(high_bytes(low)) | _packed(high_bytes(high)) << np.uint64(8)
-                unsure = (_packed(nonzero_bytes(low)) | _packed(nonzero_bytes(high)) << np.uint64(8)) ^ sure
-                seen = ~(blind[row, group] >> np.uint32(16))
-                labels[row, group] |= (np.uint32(sure) & seen) | np.uint32(unsure) << np.uint32(16)
-    rows[0], rows[1] = min(top, bottom), bottom
-    return (16 * left, top, 16 * right, bottom) if bottom > 0 else (0, 0, 0, 0)
-
-
-@njit(cache=True, nogil=True)
-def _packed(ones):  # type: ignore[no-untyped-def]
-    """Return a byte whose bit b is byte b of a word, each 0 or 1."""
-    return ones * np.uint64(0x0102040810204080) >> np.uint64(56)
+def _packed(flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint32]:
+    """Pack flags (h, 16 n) into the low halves of words (h, n): bit p of a word is pixel p."""
+    return np.packbits(flags, axis=1, bitorder="little").view("<u2").astype(np.uint32)
 
 
 class BufferSet:

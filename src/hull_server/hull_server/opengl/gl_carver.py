@@ -28,7 +28,7 @@ from .egl import GlContext, NoGraphics
 from .gl_buffers import GL, LIST_BYTES, MAX_GL_CAMERAS, BufferSet, FrameUpload, StorageBuffer, make_program
 
 # Thresholds: from the rounding of single precision; python bench/hull.py --quick counts differences from float64.
-UNIT = 2.0**-24  # relative rounding of one operation
+UNIT = float(np.finfo(np.float32).eps) / 2  # relative rounding of one operation
 IN_SUMS = 8  # roundings on the way to a row's value: the entry's own, a product, three sums, three steps in a block
 IN_QUOTIENT = 8  # and from there: a reciprocal that may be five units off, a product, canvas's centre and margin added
 

@@ -18,7 +18,7 @@ from capture_rig.kernel import njit
 
 from ..grid import Array, VoxelGrid
 from ..settings import BodySettings
-from .skeletonisation import HullRuns
+from .voxel_runs import HullRuns
 
 NOBODY = -1
 ABOVE_M = 0.5  # a person's parts, one above the other, have their middles no farther apart across the floor: a step

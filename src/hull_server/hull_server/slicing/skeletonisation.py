@@ -19,12 +19,10 @@ from mocap_packets.hull import Centerline
 
 from ..grid import Array, BrickVolume, VoxelGrid
 from ..settings import BlobSettings
-from .voxel_runs import brick_box, erode, find_runs, join_in_slices, join_in_space, pack_rows, run_at
+from .voxel_runs import HullRuns, brick_box, find_runs, join_in_slices, join_in_space, pack_rows, run_at
 
-GROWTH_STEP_M = 0.02
 # Thresholds: fitted by maximum likelihood: chosen with centerline.py among the benches of commit d6079d2 (its column
-# "ratio"); VOXEL_VARIANCE from the uniform distribution.
-VOXEL_VARIANCE = 1.0 / 12.0  # of a unit interval: what a blob of a single voxel has along each side
+# "ratio").
 
 # noise model of a centerline point, fitted to the built-in body's hulls by maximum likelihood (bench/centerline.py of
 # commit d6079d2)
@@ -61,24 +59,6 @@ class BlobTable:
 
 
 @dataclass(frozen=True, eq=False)
-class HullRuns:
-    """The occupied voxels as m runs along x, in rows ordered by z, then y, counted from the box's low voxel.
-
-    words : (layers, rows, words) uint64, bit b of word w is the voxel 64 w + b along x.
-    low : (3,) voxel (i, j, k) at the box's corner.
-    starts, ends : (m,) int32 along x, ends exclusive. first : (layers * rows + 1,) int32, the first run of each row.
-    part : (m,) int32, the part of the hull that a run belongs to; parts are numbered by their first voxel.
-    """
-
-    words: npt.NDArray[np.uint64]
-    low: npt.NDArray[np.int64]
-    starts: npt.NDArray[np.int32]
-    ends: npt.NDArray[np.int32]
-    first: npt.NDArray[np.int32]
-    part: npt.NDArray[np.int32]
-
-
-@dataclass(frozen=True, eq=False)
 class Slices:
     """A hull as the blobs of its slices, and as runs of voxels."""
 
@@ -86,16 +66,15 @@ class Slices:
     runs: HullRuns
 
 
-def slice_hull(volume: BrickVolume, erosion_voxels: int = 0, step_m: float = GROWTH_STEP_M) -> Slices:
+def slice_hull(volume: BrickVolume, step_m: float = BlobSettings.growth_step_m) -> Slices:
     """Find all blobs of all slices across x, y and z, and the parts of the hull that they belong to.
 
-    erosion_voxels : times each slice is eroded (4 neighbours) before its blobs are found; parts are not eroded.
     step_m : least distance of the slices that ``growth`` compares; at least a voxel.
     """
     step_voxels = max(1, math.ceil(step_m / volume.grid.voxel_size - 1e-6))
     bricks_x, bricks_y, _ = volume.grid.brick_shape
     index, leaves = np.ascontiguousarray(volume.index), np.ascontiguousarray(volume.leaves)
-    columns, runs = _slice(index, leaves, bricks_x, bricks_y, erosion_voxels, step_voxels)
+    columns, runs = _slice(index, leaves, bricks_x, bricks_y, step_voxels)
     return Slices(BlobTable(*columns), HullRuns(*runs))
 
 
@@ -124,23 +103,19 @@ def find_centerline(
 
 
 @njit(cache=True, nogil=True)
-def _slice(index, leaves, bricks_x, bricks_y, erosions, step):  # type: ignore[no-untyped-def]
+def _slice(index, leaves, bricks_x, bricks_y, step):  # type: ignore[no-untyped-def]
     """Compute the columns of the blob table, and of the runs."""
     box = brick_box(index, bricks_x, bricks_y)
     low = 8 * np.array([box[0], box[1], box[2]])
     along_x, along_y = pack_rows(index, leaves, bricks_x, bricks_y, box)
     layers, rows, columns = along_x.shape[0], along_x.shape[1], along_y.shape[1]
-    runs = find_runs(along_x)
+    runs, runs_y = find_runs(along_x), find_runs(along_y)
     starts, ends, first, _ = runs
     joined_z, joined_y = join_in_slices(runs, rows, False), join_in_slices(runs, rows, True)
     part = join_in_space(joined_z, joined_y)
-    eroded, joined = _eroded(along_x, runs, joined_z, erosions, False)
-    across_z = sum_blobs(eroded, joined, layers, rows, False, step)
-    eroded, joined = _eroded(along_x, runs, joined_y, erosions, True)
-    across_y = sum_blobs(eroded, joined, layers, rows, True, step)
-    runs_y = find_runs(along_y)
-    eroded, joined = _eroded(along_y, runs_y, join_in_slices(runs_y, columns, True), erosions, True)
-    across_x = sum_blobs(eroded, joined, layers, columns, True, step)
+    across_z = sum_blobs(runs, joined_z, layers, rows, False, step)
+    across_y = sum_blobs(runs, joined_y, layers, rows, True, step)
+    across_x = sum_blobs(runs_y, join_in_slices(runs_y, columns, True), layers, columns, True, step)
 
     axis, area, centroid, covariance, growth, voxel = join_tables(across_x, across_y, across_z)
     part_of_blob = np.empty(axis.size, np.int32)
@@ -150,17 +125,6 @@ def _slice(index, leaves, bricks_x, bricks_y, erosions, step):  # type: ignore[n
         for k in range(3):
             centroid[blob, k] += low[k]
     return (axis, area, centroid, covariance, growth, part_of_blob), (along_x, low, starts, ends, first, part)
-
-
-@njit(cache=True, nogil=True)
-def _eroded(words, runs, joined, erosions, across_layers):  # type: ignore[no-untyped-def]
-    """Erode the rows; return their runs and joined labels, or those given if there is nothing to erode."""
-    if erosions == 0:
-        return runs, joined
-    for _ in range(erosions):
-        words = erode(words, across_layers)
-    runs = find_runs(words)
-    return runs, join_in_slices(runs, words.shape[1], across_layers)
 
 
 @njit(cache=True, nogil=True)
@@ -287,9 +251,10 @@ def shape_of(area, uu, vv, uv):  # type: ignore[no-untyped-def]
     ellipse with the same second moments: 1 for an ellipse, 0.95 for a rectangle, less for a blob that is not convex or
     that merges two, whose centroid may lie outside of it (thesis 3.2).
     """
-    middle = (uu + vv) / 2 + VOXEL_VARIANCE
+    of_voxel = 1.0 / 12.0  # variance of a unit interval: what a blob of a single voxel has along each side
+    middle = (uu + vv) / 2 + of_voxel
     radius = np.sqrt(((uu - vv) / 2) ** 2 + uv**2)
-    larger, smaller = middle + radius, max(middle - radius, VOXEL_VARIANCE / 2)
+    larger, smaller = middle + radius, max(middle - radius, of_voxel / 2)
     return np.sqrt(larger / smaller), area / (4 * np.pi * np.sqrt(larger * smaller))
 
 

@@ -13,8 +13,7 @@ from capture_rig.errors import InputError
 from capture_rig.rigid import rotation_matrix, rotation_vector
 from capture_rig.yaml_file import read_mapping, save_mapping
 from mocap_packets.hull import HullProducts
-from stick_figure.body import Body
-from stick_figure.body_file import load_body, save_body
+from stick_figure.body import Body, load_body, save_body
 from stick_figure.kinematics import inverse
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES

@@ -19,7 +19,7 @@ from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
-from stick_figure.build import build_of_girth
+from stick_figure.body_surface import build_of_girth
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place

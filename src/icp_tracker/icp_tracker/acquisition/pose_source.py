@@ -9,8 +9,7 @@ from capture_rig.settings import setting
 from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
-from stick_figure.body import Body
-from stick_figure.body_file import load_body
+from stick_figure.body import Body, load_body
 
 from .initial_pose import InitialPose, KnownPose, PoseSource, load_initial_pose, pose_from_reference
 from .motion_source import NO_HULL, MotionSettings, MotionSource

@@ -18,7 +18,7 @@ ARMPIT = (-0.10, -0.06)  # over the stature, from the arms' height: here the tru
 TRUNK_REACH = 0.16  # over the stature: farther from the spine is no trunk
 # Thresholds: measured by python bench/acquisition.py (how many are found).
 LARGEST_SWEEP = 0.45  # rad, of both arms ahead or behind: elbows that are bent a little swing their forearms ahead
-SPAN, ASYMMETRY = (0.88, 1.25), 0.10  # over the stature: of both arms, least and largest; of their reach
+SPAN, ASYMMETRY = (0.80, 1.25), 0.10  # over the stature: of both arms, least and largest; of their reach
 NO_WIDTH = float("nan")
 
 

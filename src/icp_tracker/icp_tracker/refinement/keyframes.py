@@ -15,7 +15,7 @@ from capture_rig.small_matrices import solve_positive, solve_positive_columns
 from stick_figure import kernels
 from stick_figure.body import BEND_NUMBERS
 from stick_figure.joint_limits import add_joint_limits, add_neck_rest
-from stick_figure.least_squares.bend_factor import bent_figure
+from stick_figure.least_squares.contour_factor import bent_figure
 from stick_figure.least_squares.free_ends import ANGLES, COUNT, LARGEST_TURN, straight_ends, turn_ends
 from stick_figure.least_squares.normal_equations import TANGENT, mirror_upper
 from stick_figure.least_squares.placed_figure import State, place

@@ -11,8 +11,7 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 from stick_figure.body import BEND_NUMBERS, BUILD_NUMBERS, Body
 from stick_figure.body_surface import BodySurface
-from stick_figure.least_squares.bend_factor import BendDerivatives, bend_columns
-from stick_figure.least_squares.contour_factor import match_rays, sum_rays
+from stick_figure.least_squares.contour_factor import BendDerivatives, bend_columns, match_rays, sum_rays
 from stick_figure.least_squares.free_ends import ANGLES, COUNT, end_of_capsule, turn_columns, turned_frame
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,

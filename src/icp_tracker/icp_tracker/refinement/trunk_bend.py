@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from stick_figure.body import BEND_NUMBERS, Body
-from stick_figure.least_squares.bend_factor import BendDerivatives, bend_step
-from stick_figure.least_squares.contour_factor import RayArrays, RayMatch
+from stick_figure.least_squares.contour_factor import BendDerivatives, RayArrays, RayMatch, bend_step
 from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.pose import Pose
 from stick_figure.trunk_bend import RATE_SD, REST_SD

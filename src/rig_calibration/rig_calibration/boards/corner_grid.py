@@ -19,8 +19,6 @@ from .x_corner import XCorners, fit_x_corners
 # --- Arithmetic on grids.
 
 CHI_SQUARE_MEDIAN = NormalDist().inv_cdf(0.75) ** 2  # of one degree of freedom
-# Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
-MAX_BEND = 0.4  # of a field
 
 
 def steps(pixels: Array) -> tuple[Array, Array]:
@@ -49,36 +47,21 @@ def mean_of_known(arrays: list[Array]) -> Array:
         return np.nanmean(np.stack(arrays), axis=0)
 
 
-def trimmed(pixels: Array, fewest: float) -> Array:
-    """Cut off outer lines on which less than the share ``fewest`` of the corners, or only one, is known."""
-    known = np.isfinite(pixels[:, :, 0])
-    while known.size and known.any():
-        lines = [known[0], known[-1], known[:, 0], known[:, -1]]
-        if all(line.sum() >= max(2, fewest * line.size) for line in lines):
+def trimmed(values: Array) -> Array:
+    """Cut off outer lines on which no more than one corner is known."""
+    while values.size:
+        known = np.isfinite(values[:, :, 0])
+        counts = [known[0].sum(), known[-1].sum(), known[:, 0].sum(), known[:, -1].sum()]
+        poorest = int(np.argmin(counts))
+        if counts[poorest] > 1:
             break
-        worst = int(np.argmin([line.sum() / line.size if line.sum() > 1 else line.sum() * 1e-3 for line in lines]))
-        cut = (np.s_[1:], np.s_[:-1], np.s_[:, 1:], np.s_[:, :-1])[worst]
-        pixels, known = pixels[cut], known[cut]
-    return pixels
+        values = values[(np.s_[1:], np.s_[:-1], np.s_[:, 1:], np.s_[:, :-1])[poorest]]
+    return values
 
 
 def parity(shape: tuple[int, ...]) -> Array:
     """Return (rows, columns): 1 and -1 by turns, as the colours change from corner to corner."""
     return 1.0 - 2.0 * (np.indices(shape[:2]).sum(axis=0) % 2)
-
-
-def discontinuities(pixels: Array) -> npt.NDArray[np.bool_]:
-    """Mark (rows, columns) corners at which a row or column bends by more than ``MAX_BEND`` of a field, or changes its
-    step by as much: neither lens nor perspective do that, but a line that slipped to the next one does."""
-    along, down = steps(pixels)
-    area = along[:, :, 0] * down[:, :, 1] - along[:, :, 1] * down[:, :, 0]
-    bent = np.zeros(pixels.shape[:2], bool)
-    for axis in (0, 1):
-        bend = _shifted(pixels, 1, axis) - 2 * pixels + _shifted(pixels, -1, axis)
-        u = (bend[:, :, 0] * down[:, :, 1] - bend[:, :, 1] * down[:, :, 0]) / area
-        v = (bend[:, :, 1] * along[:, :, 0] - bend[:, :, 0] * along[:, :, 1]) / area
-        bent |= np.maximum(np.abs(u), np.abs(v)) > MAX_BEND
-    return bent
 
 
 def _step(pixels: Array, axis: int) -> Array:
@@ -115,12 +98,12 @@ def scatter_px(pixels: Array) -> float:
     return float(np.sqrt(np.median(squares) / (70 * CHI_SQUARE_MEDIAN))) if len(squares) else 0.0
 
 
+# Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
 MIN_FIT = 0.7  # share of a window's variance that the model of a corner must explain
 MIN_QUADRANT_SIMILARITY = 0.4  # of opposite quadrants
 MIN_CONTRAST = 0.25  # of the board's median
 MAX_MOVE = 0.35  # of the shorter side of a field, from where a corner was expected
 MAX_SD = 0.12  # of the shorter side of a field
-MIN_OF_OUTER_LINE = 0.3
 MAX_OF_EXTRA_LINE = 0.67  # a line of which more is found is the board's own: then it is a larger board
 
 
@@ -185,12 +168,7 @@ def fitted(image: npt.NDArray[np.uint8], expected: Array, known: CornerGrid, mar
 def grown(image: npt.NDArray[np.uint8], grid: CornerGrid, marker_margin: float = 1.0) -> CornerGrid:
     """Grow the grid by one more line on each side where the image shows one, and fill its holes."""
     wider = CornerGrid(np.pad(grid.values, [(1, 1), (1, 1), (0, 0)], constant_values=np.nan))
-    return without_ragged_rim(fitted(image, predict(wider.pixels), wider, marker_margin))
-
-
-def without_ragged_rim(grid: CornerGrid) -> CornerGrid:
-    """Cut off outer lines of which little was found: chance finds."""
-    return CornerGrid(trimmed(grid.values, MIN_OF_OUTER_LINE))
+    return CornerGrid(trimmed(fitted(image, predict(wider.pixels), wider, marker_margin).values))
 
 
 def cut_to(grid: CornerGrid, rows: int, columns: int) -> CornerGrid | None:

@@ -16,19 +16,7 @@ import numpy.typing as npt
 from capture_rig.lens import Array
 
 from .board import Board, CharucoBoard, Checkerboard, TargetDetection, opencv_board
-from .corner_grid import (
-    CornerGrid,
-    cut_to,
-    discontinuities,
-    empty_grid,
-    fitted,
-    grown,
-    is_black_first,
-    predict,
-    steps,
-    turned,
-    without_ragged_rim,
-)
+from .corner_grid import CornerGrid, cut_to, empty_grid, fitted, grown, is_black_first, predict, steps, trimmed, turned
 from .lattice import Variant, find_lattices, variants_for
 
 # --- Checkerboards.
@@ -71,8 +59,8 @@ def complete(
 
     None when little of it is a checkerboard.
     """
-    pixels = np.where(discontinuities(pixels)[:, :, None], np.nan, pixels)
-    grid = without_ragged_rim(fitted(image, pixels, empty_grid(*pixels.shape[:2]), marker_margin))
+    found = fitted(image, pixels, empty_grid(*pixels.shape[:2]), marker_margin)
+    grid = CornerGrid(trimmed(found.values))
     for _ in range(GROWTH_ROUNDS):
         before = grid.count
         if before < 4 or min(grid.pixels.shape[:2]) > limit:
@@ -80,7 +68,7 @@ def complete(
         grid = grown(image, grid, marker_margin)
         if grid.count <= before:
             break
-    return grid if grid.count >= MIN_CORNERS and not discontinuities(grid.pixels).any() else None
+    return grid if grid.count >= MIN_CORNERS else None
 
 
 def in_board_order(grid: CornerGrid, board: Checkerboard) -> CornerGrid | None:

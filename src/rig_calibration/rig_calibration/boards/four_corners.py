@@ -15,7 +15,7 @@ from capture_rig.errors import InputError
 from capture_rig.lens import Array
 
 from .board import Board, CharucoBoard, TargetDetection
-from .corner_grid import CornerGrid, discontinuities, empty_grid, fitted, is_black_first, predict, steps, turned
+from .corner_grid import CornerGrid, empty_grid, fitted, is_black_first, predict, steps, turned
 from .detector import as_grey, complete, detection_of, marker_margin, possible_orders
 from .lattice import Variant, find_saddles
 
@@ -164,8 +164,7 @@ def _followed(grey: npt.NDArray[np.uint8], view: _View, outer: Array, margin: fl
         expected = np.where(np.isfinite(near), near, flat)
         if grid.count <= before:
             break
-    smooth = np.where(discontinuities(grid.pixels)[:, :, None], np.nan, grid.pixels)
-    return fitted(grey, smooth, empty_grid(*view.shape), margin)
+    return grid
 
 
 def _whole(grey: npt.NDArray[np.uint8], grid: CornerGrid, board: Board) -> CornerGrid:

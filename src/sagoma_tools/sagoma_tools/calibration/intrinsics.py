@@ -15,6 +15,7 @@ from rich.table import Table
 
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
+from capture_rig.files import make_folder
 from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.boards.board import Board, board_text
@@ -68,8 +69,7 @@ def _calibrate_one(footage: CameraFootage, board: Board, model: str, console: Co
     until_stopped()
     console.print(
         f"{footage.name}: {watcher.examined} images, board found in {watcher.found}, "
-        f"{len(watcher.collector)} views kept",
-        highlight=False,
+        f"{len(watcher.collector)} views kept"
     )
     return calibrate_intrinsics(watcher.collector.best(), board, name=footage.name, model=model)
 
@@ -139,21 +139,17 @@ def _require_views(watcher: BoardImageProcessor, missed: list[np.ndarray]) -> No
 
 
 def save_results(folder: Path, result: Intrinsics, board: Board, source: str) -> list[Path]:
-    """Write NAME.yaml (camera_info), NAME.report.yaml and NAME.png into ``folder``. Raises InputError if it cannot."""
+    """Write NAME.yaml (camera_info), NAME.report.yaml and NAME.png into ``folder``."""
     name = result.camera.name
     info, report, picture = (folder / f"{name}{suffix}" for suffix in (".yaml", ".report.yaml", ".png"))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        save_camera_info(info, result.camera)
-        about = {"source": source, "board": board_text(board), "date": time.strftime("%Y-%m-%dT%H:%M:%S%z")}
-        about |= {"opencv": cv2.__version__, "numpy": np.__version__}
-        save_mapping(report, report_of(result, about), width=120)
-        from rig_calibration.intrinsics.picture import draw  # matplotlib takes a second to load
+    from rig_calibration.intrinsics.picture import draw  # matplotlib takes a second to load
 
-        draw(result).savefig(picture, dpi=PICTURE_DPI)
-    except OSError as error:
-        remedy = "Name a folder that may be written (--output)."
-        raise InputError(f"cannot be written ({error.strerror})", where=str(folder), remedy=remedy) from None
+    make_folder(folder)
+    save_camera_info(info, result.camera)
+    about = {"source": source, "board": board_text(board), "date": time.strftime("%Y-%m-%dT%H:%M:%S%z")}
+    about |= {"opencv": cv2.__version__, "numpy": np.__version__}
+    save_mapping(report, report_of(result, about), width=120)
+    draw(result).savefig(picture, dpi=PICTURE_DPI)
     return [info, report, picture]
 
 
@@ -169,7 +165,7 @@ def print_results(console: Console, results: Sequence[Intrinsics]) -> None:
     console.print(table)
     for result in results:
         for line in remarks(result):
-            console.print(f"{result.camera.name}: {line}", markup=False, highlight=False, soft_wrap=True)
+            console.print(f"{result.camera.name}: {line}")
 
 
 def remarks(result: Intrinsics) -> Iterable[str]:

@@ -36,7 +36,7 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from ..console import REFRESH_S
+from ..console import LOG_EVERY_S, REFRESH_S
 from ..graph.ros_link import DISCOVERY_S, RosLink, call_all
 from .intrinsics import save_results
 
@@ -56,12 +56,12 @@ def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> 
                 _collect(camera, link.node, stop, args, console)
             finally:
                 camera.close()
-        console.print(f"{name}: calibrating from {len(collector)} views", highlight=False)
+        console.print(f"{name}: calibrating from {len(collector)} views")
         result = calibrate_intrinsics(collector.best(), board, name=name, model=args.model)
         save_results(Path(args.output), result, board, args.topic)
         console.print(f"results in {args.output}")
         if args.offer:
-            console.print(f"{name}: {offer(link.node, namespace_of(args.topic), result)}", highlight=False)
+            console.print(f"{name}: {offer(link.node, namespace_of(args.topic), result)}")
     return result
 
 
@@ -196,14 +196,13 @@ def camera_name_of(topic: str) -> str:
 
 
 BAR_WIDTH = 24
-LINE_EVERY_S = 2.0
 
 
 class LiveReport:
-    """Shows a panel on a terminal; elsewhere prints a line when there is news, at most every LINE_EVERY_S."""
+    """Shows a panel on a terminal; elsewhere prints a line when there is news, at most every LOG_EVERY_S."""
 
     def __init__(self, console: Console) -> None:
-        self._console, self._printed_s = console, -LINE_EVERY_S
+        self._console, self._printed_s = console, -LOG_EVERY_S
         self._news: Hashable = None
         self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
 
@@ -221,9 +220,9 @@ class LiveReport:
         now_s = time.monotonic()
         if self._live is not None:
             self._live.update(panel, refresh=True)
-        elif news != self._news and (last or now_s - self._printed_s >= LINE_EVERY_S):
+        elif news != self._news and (last or now_s - self._printed_s >= LOG_EVERY_S):
             self._news, self._printed_s = news, now_s
-            self._console.print(line, highlight=False, soft_wrap=True)
+            self._console.print(line)
 
 
 def panel(watcher: BoardImageProcessor, last: str) -> Panel:

@@ -15,7 +15,7 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.files import describe_os_error, write_text
+from capture_rig.files import write_text
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.four_corners import find_from_outer_corners
@@ -104,10 +104,7 @@ def write_corner_help(folder: Path, name: str, image: np.ndarray) -> Path:
     axes.tick_params(labelsize=7, labelrotation=45)
     axes.grid(color="#ffff00", linewidth=0.5)
     path = folder / f"{name}_click.png"
-    try:
-        figure.savefig(path, dpi=100)
-    except OSError as error:
-        raise describe_os_error(error, "cannot be written", path) from None
+    figure.savefig(path, dpi=100)
     return path
 
 

@@ -31,18 +31,16 @@ from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
 from ..console import REFRESH_S
-from ..graph.ros_link import LOOK_S
+from ..graph.ros_link import DISCOVERY_S, PATIENCE_S, settled
 from .live_lens import LiveReport
 from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, RigSources, find_floor
 
 TOLERANCE_NS = 10_000_000
 """Exposures further apart are not one frame set: a board carried at 0.5 m/s moves 5 mm meanwhile."""
 DEADLINE_NS = 2_000_000_000
-SILENCE_S = 15.0
 TOPIC = "image_raw"
 IMAGE_TYPE = "sensor_msgs/msg/Image"
-FIND_TIMEOUT_S, SETTLE_S = 15.0, 3.0
-FLOOR_SHOTS, SHOTS_TIMEOUT_S = 5, 15.0
+FLOOR_SHOTS = 5
 
 Ask = Callable[[str], None]
 """Tells the person what to do and waits until it is done."""
@@ -144,7 +142,7 @@ def watch_recorder(recorder: MotionRecorder, console: Console, stop: threading.E
             if recorder.error is not None:
                 raise recorder.error
             progress = recorder.progress()
-            if recorder.examined == 0 and time.monotonic() - begun_s > SILENCE_S:
+            if recorder.examined == 0 and time.monotonic() - begun_s > PATIENCE_S:
                 raise InputError(_silence(recorder), remedy="Synchronise the cameras (docs/camera_pcs.md).")
             line = f"{progress.shared_frames} shared frames; {progress.advice or 'enough'}"
             report.update(progress_panel(progress, recorder.examined), line, line, last=not progress.advice)
@@ -237,24 +235,17 @@ class Shots:
         return iter(enumerate(self.pictures))
 
 
-def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = FIND_TIMEOUT_S) -> dict[str, str]:
+def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = DISCOVERY_S) -> dict[str, str]:
     """Return the topics /NAME/image_raw of the ``wanted`` cameras, or of all. Raises InputError for absent ones."""
-    seen: dict[str, str] = {}
-    deadline_s, since_s = time.monotonic() + timeout_s, time.monotonic()
-    while time.monotonic() < deadline_s:
-        found = _image_topics(node)
-        if wanted and set(wanted) <= set(found):
-            return {name: found[name] for name in wanted}
-        if found != seen:
-            seen, since_s = found, time.monotonic()
-        elif seen and not wanted and time.monotonic() - since_s > SETTLE_S:
-            return seen
-        time.sleep(LOOK_S)  # the graph offers no event to wait for
-    missing = ", ".join(sorted(set(wanted) - set(seen)))
+    settled(lambda: {*_image_topics(node)}.intersection(wanted or _image_topics(node)), len(wanted) or 1, timeout_s)
+    found = _image_topics(node)
+    missing = ", ".join(sorted(set(wanted) - set(found)))
+    if found and not missing:
+        return {name: found[name] for name in wanted or found}
     raise InputError(
         f"no node publishes /{missing or 'NAME'}/{TOPIC}",
         remedy="Start the camera clients with publish_raw (or without a rig), check ROS_DOMAIN_ID. "
-        f"Published: {', '.join(sorted(seen)) or 'none'}.",
+        f"Published: {', '.join(sorted(found)) or 'none'}.",
     )
 
 
@@ -274,13 +265,13 @@ def grab(node: Node, topics: Mapping[str, str], count: int) -> dict[str, Shots]:
         for name, topic in topics.items()
     ]
     with changed:
-        changed.wait_for(lambda: all(len(taken) == count for taken in pictures.values()), SHOTS_TIMEOUT_S)
+        changed.wait_for(lambda: all(len(taken) == count for taken in pictures.values()), PATIENCE_S)
     for subscription in subscriptions:
         node.destroy_subscription(subscription)
     silent = [name for name, taken in pictures.items() if not taken]
     if silent:
         raise InputError(
-            f"no picture came from {', '.join(silent)} for {SHOTS_TIMEOUT_S:g} s",
+            f"no picture came from {', '.join(silent)} for {PATIENCE_S:g} s",
             remedy="Check the camera client: sagoma doctor; or leave it out (--without).",
         )
     return {name: Shots(name, tuple(taken)) for name, taken in pictures.items()}

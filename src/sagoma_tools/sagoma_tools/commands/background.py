@@ -21,8 +21,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from camera_client.background.from_footage import background_of_footage
 from camera_client.background.model import BackgroundModel, load_background, shape_text
+from camera_client.background.training import background_of_footage
 from camera_client.background.verdict import find_regions, judge_background, turn_findings
 from camera_client.sources.footage_reader import VideoReader
 from capture_rig.errors import InputError
@@ -33,8 +33,7 @@ from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ..arguments import NODES
-from ..command_help import INTERRUPTED
-from ..console import command_console
+from ..console import INTERRUPTED, command_console
 from ..graph.background_training import (
     TrainingOutcome,
     camera_of,
@@ -121,11 +120,11 @@ def run_from_footage(console: Console, sources: Sequence[str]) -> int:
         path = video.with_name(f"{video.stem}_background.npz")
         model.save(path)
         share = float(uncertain.mean())
-        console.print(f"{path}: of {model.provenance.frames} frames, {100 * share:.1f} % uncertain", highlight=False)
+        console.print(f"{path}: of {model.provenance.frames} frames, {100 * share:.1f} % uncertain")
         for region in find_regions(uncertain)[:MOST_REGIONS]:
             columns, rows = f"{region.left} to {region.right}", f"{region.top} to {region.bottom}"
             text = f"  columns {columns}, rows {rows}: something stood there for a third of the time, or never rested"
-            console.print(text, highlight=False)
+            console.print(text)
         worst = max(worst, int(share > MUCH_UNCERTAIN))
     return worst
 
@@ -190,7 +189,7 @@ def _progress(console: Console, diagnostics: DiagnosticsTable, names: Sequence[s
         return Text("   ".join(["learning", *progress]))
 
     if not console.is_terminal:
-        console.print(f"learning: {', '.join(map(camera_of, names))}", highlight=False)
+        console.print(f"learning: {', '.join(map(camera_of, names))}")
         yield
         return
     with Live(console=console, get_renderable=line, refresh_per_second=4, transient=True):
@@ -208,7 +207,7 @@ def count_down(console: Console, prompt: str, seconds: int, stop: threading.Even
             if live is not None:
                 live.update(Text(f"{prompt}: {left}", style="bold yellow"), refresh=True)
             elif left == seconds or left <= LAST_SECONDS:
-                console.print(f"{prompt}: {left} s", highlight=False)
+                console.print(f"{prompt}: {left} s")
             if stop.wait(1.0):
                 return False
     if live is not None:
@@ -236,9 +235,9 @@ def warn_of_idle(console: Console, diagnostics: DiagnosticsTable, names: Sequenc
     for name in names:
         status = diagnostics.report(name)
         if status is None:
-            console.print(f"{camera_of(name)} is silent: its node sends no diagnostics", style="yellow", markup=False)
+            console.print(f"{camera_of(name)} is silent: its node sends no diagnostics", style="yellow")
         elif status.level == ERROR or status.message in IDLE:
-            console.print(f"{camera_of(name)} says: {status.message}", style="yellow", markup=False)
+            console.print(f"{camera_of(name)} says: {status.message}", style="yellow")
 
 
 def exit_status(outcomes: Sequence[TrainingOutcome]) -> int:

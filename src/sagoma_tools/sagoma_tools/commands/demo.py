@@ -23,11 +23,9 @@ from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
 from ..arguments import add_settings_argument, add_start_argument, next_steps, parse_settings
-from ..command_help import INTERRUPTED
-from ..console import command_console, doing
+from ..console import INTERRUPTED, command_console, doing
 from ..evaluation.live_inputs import FootageInput
 from ..evaluation.live_run import KEPT_UP, LiveRun, evaluate_run, run_live, run_studio
-from ..evaluation.pictures import draw
 from ..evaluation.reasons import explain
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
@@ -77,6 +75,8 @@ def run(args: argparse.Namespace) -> int:
     finish_take(live.bag)
     if stop.is_set():
         return INTERRUPTED
+    from ..evaluation.pictures import draw
+
     doing("evaluating and drawing")
     outcome = evaluate_run(live) if len(live.track) else None
     scores = outcome.scores if outcome else None

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from capture_rig.errors import InputError
 from capture_rig.number import number
+from capture_rig.rig import load_rig, save_rig
 from capture_rig.stop_signals import StopOnSignal
 
 from ..console import command_console, doing, until_stopped
@@ -17,7 +18,7 @@ from ..doctor.findings import Finding, exit_status, show, summary
 from ..doctor.graph import LIVE_S, examine_graph
 from ..doctor.hosts import PORT, examine_hosts, serve
 from ..doctor.machine import examine_machine
-from ..doctor.rig import examine_rig
+from ..doctor.rig import examine_rig, needed_parts
 from ..graph.ros_link import add_namespace_argument, namespace_argument
 
 DESCRIPTION = (
@@ -41,6 +42,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--camera", action="append", default=[], metavar="PARAMS.yaml", type=Path, help=help_camera)
     option("--open", action="store_true", help="take control of those cameras for a moment, as their clients would")
     option("--rig", metavar="RIG.yaml", type=Path, help="the rig file")
+    help_regions = "write the rig file of the parts of the pictures that the volume needs, which the report lists"
+    option("--regions", metavar="FILE.yaml", type=Path, help=help_regions)
     help_lenses = "the cameras' own calibrations (default: where the rig's report says, or beside it)"
     option("--intrinsics", metavar="FOLDER", type=Path, help=help_lenses)
     option("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
@@ -69,6 +72,10 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("no parameter file is given", where="doctor camera", remedy="Write: sagoma doctor camera FILE")
     if args.answer:
         return answer()
+    if args.regions is not None:
+        if args.rig is None:
+            raise InputError("no rig is given", where="doctor --regions", remedy="Add --rig RIG.yaml.")
+        save_rig(needed_parts(load_rig(args.rig)), args.regions)
     doing("examining")
     findings = list(examined(args))
     until_stopped()

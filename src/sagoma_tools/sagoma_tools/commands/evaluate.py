@@ -12,21 +12,19 @@ from typing import Any
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 from capture_rig.verdict import REDO
-from capture_rig.video_findings import VideoFacts, ended_findings
+from capture_rig.video import VideoFacts, ended_findings
 from capture_rig.visibility import RigVisibility
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.session_footage import load_detections
-from sagoma_bringup.first_pose import start_settings
+from sagoma_bringup.launch_arguments import start_settings
 
 from ..arguments import add_settings_argument, add_start_argument, parse_settings
 from ..console import command_console, doing
 from ..evaluation.in_process import OURS, ROWS, THESIS, ablation_rows, thesis_configuration, track_people
-from ..evaluation.people import PeopleScores, identify, main_track, score_people
-from ..evaluation.pictures import draw, write_overlay
 from ..evaluation.scores import Scores, score
 from ..evaluation.tables import print_ablation, print_evaluation, print_people
 from ..evaluation.track import Track, clock_of_bag, is_bag, session_of_bag, tracks_from_bag
-from ..evaluation.track_evaluation import evaluate_track
+from ..evaluation.track_evaluation import PeopleScores, evaluate_track, identify, main_track, score_people
 
 IN_JSON = ("mean_mm", "over_200mm", "inside_95")
 """Of each row of an ablation."""
@@ -72,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
         if rows:
             print_ablation(console, rows)
     if args.plots or args.video or not args.json:
+        from ..evaluation.pictures import draw, write_overlay
+
         folder = Path(args.plots) if args.plots else Path("output/evaluate") / session.folder.name
         paths, progress = draw(folder, evaluated), doing("drawing frames", evaluated.frames)
         if args.video and session.videos:

@@ -1,4 +1,4 @@
-"""``sagoma up | start | suspend | stop | studio``: the node graph, and simulated cameras to run it on.
+"""``sagoma up | start | suspend | stop | view | studio``: the node graph, its page, and simulated cameras to run it on.
 
 ``up`` starts the nodes as processes of its own. ``start``, ``suspend`` and ``stop`` change the lifecycle state of nodes
 that run already, on this machine or another.
@@ -9,8 +9,8 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Callable, Set
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Set
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 from rclpy.node import Node
@@ -18,14 +18,24 @@ from rich.console import Console
 from rich.live import Live
 
 from capture_rig.errors import InputError
-from capture_rig.number import SECONDS
-from capture_rig.rig import load_rig
+from capture_rig.number import SECONDS, number
+from capture_rig.rig import Rig, load_rig
 from capture_rig.stop_signals import StopOnSignal
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 from virtual_studio.gige import command as studio
 
-from ..arguments import NODES, add_graph_arguments, add_server_argument, graph_from, new_run_folder, next_steps
+from ..arguments import (
+    NODES,
+    add_graph_arguments,
+    add_server_argument,
+    add_takes_argument,
+    bag_of,
+    graph_from,
+    new_run_folder,
+    next_steps,
+)
 from ..console import REFRESH_S, command_console, doing, until_stopped
+from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit, ProcessSettings
 from ..graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
@@ -33,9 +43,15 @@ from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument
 from ..graph.supervisor import GraphError, Supervisor
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
+from ..takes.folder import TakesFolder
 from ..takes.measure import finish_take
-from .view import add_page_arguments, page_of
+from ..view.control import Control, Jobs
+from ..view.graph_panel import LiveGraph
+from ..view.guard import ANY_HOST, Guard
+from ..view.page import Page
+from ..view.server import PORT
 
+HOST = "127.0.0.1"
 # verb -> (the state it leads to, whether the cameras go first, help)
 VERBS = {
     "start": (State.ACTIVE, False, "configure and activate every node of the running graph"),
@@ -45,7 +61,7 @@ VERBS = {
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
-    """Add the five subcommands."""
+    """Add the six subcommands."""
     parser = subparsers.add_parser("up", help="run the graph on a session of footage or on a rig of cameras")
     add_graph_arguments(parser)
     add_server_argument(parser)
@@ -64,6 +80,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         parser.add_argument("--timeout", type=SECONDS, help="seconds to wait for each answer")
         add_namespace_argument(parser)
         parser.set_defaults(run=change_state, goal=goal, cameras_first=cameras_first, verb=verb)
+    _add_view(subparsers)
     parser = subparsers.add_parser("studio", help="serve simulated GigE Vision cameras, or talk to those that run")
     studio.add_arguments(parser)
     parser.set_defaults(run=studio.run)
@@ -103,7 +120,7 @@ def up(args: argparse.Namespace) -> int:
             console.print(f"recorded {sum(counts.values())} messages on {len(counts)} topics in {args.record}")
             console.print(next_steps(args.record))
         supervisor.stop()
-    incomplete = recorder is not None and recorder.recorder.failure is not None
+    incomplete = recorder is not None and recorder.failure is not None
     return print_exit_statuses(console, supervisor) or int(incomplete)
 
 
@@ -120,7 +137,7 @@ def bring_up(
         supervisor.configure()
         if bag:
             recorder = GraphRecorder(supervisor.graph, bag, on_failure=on_failure)
-            recorder.wait_for_publishers()
+            recorder.wait_for_graph()
         supervisor.activate()
     except GraphError:
         if not stop.is_set():
@@ -190,3 +207,82 @@ def discover(node: Node, expect: int, wait_s: float, names: Set[str] = frozenset
         what = f"found {len(found)} nodes of ours, expected {count}{absent}"
         raise InputError(what, where="the ROS graph", remedy=remedy)
     return sorted(our_nodes(node).union(found))
+
+
+# the page -------------------------------------------------------------------------------------------------------------
+
+
+def _add_view(subparsers: argparse._SubParsersAction) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser("view", help="a page to see and run the graph by, or to look at a take")
+    parser.add_argument("take", nargs="?", help="bag to play on the page (default: the live graph)")
+    parser.add_argument("--rig", help="rig YAML, whose cameras are drawn")
+    add_page_arguments(parser)
+    add_namespace_argument(parser)
+    parser.add_argument("--seconds", type=SECONDS, help="close after so long (default: run until Ctrl-C)")
+    parser.set_defaults(run=view)
+
+
+def add_page_arguments(parser: argparse.ArgumentParser, switch: str = "") -> None:
+    """The arguments of a page; :func:`page_of` reads them."""
+    if switch:
+        parser.add_argument(switch, action="store_true", help="serve the live page, too (docs/takes.md)")
+    help_host = "address to listen on; others than this machine then need the token that is printed (default: this one)"
+    parser.add_argument("--host", default=HOST, help=help_host)
+    port = number("", 0, 65535, whole=True)
+    parser.add_argument("--port", type=port, help=f"0: any free one (default: {PORT}, or the next free one)")
+    parser.add_argument("--token", help="token of the page, with --host (default: a new one each time)")
+    add_takes_argument(parser)
+
+
+def view(args: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C."""
+    with StopOnSignal() as stop, page_of(args):
+        until_stopped()
+        stop.wait(args.seconds)
+    return 0
+
+
+@contextmanager
+def page_of(args: argparse.Namespace) -> Iterator[Page]:
+    """Serve the page that the arguments describe: of a take alone, or of the graph."""
+    take = getattr(args, "take", None)
+    rig = _rig(args)
+    guard = Guard.of(args.host, args.token)
+    if take is not None:
+        folder = bag_of(take, args.takes).resolve()
+        page = Page(guard, args.port, TakesFolder(folder.parent))
+        try:
+            page.show_take(folder)
+            announce(guard, page.port)
+            yield page
+        finally:
+            page.close()
+        return
+    with RosLink("sagoma_view", namespace=namespace_argument(args)) as link:
+        diagnostics = DiagnosticsTable(link.node)
+        takes = TakesFolder(Path(args.takes))
+        jobs = Jobs()
+        control = Control(link, diagnostics, takes, jobs)
+        page = Page(guard, args.port, takes, LiveGraph(link, diagnostics), control, jobs, rig)
+        try:
+            announce(guard, page.port)
+            yield page
+        finally:
+            page.close()
+            control.close()
+
+
+def _rig(args: argparse.Namespace) -> Rig | None:
+    """The rig that was named, or that of the session that `sagoma up` plays."""
+    session = getattr(args, "session", None)
+    if args.rig:
+        return load_rig(args.rig)
+    return load_rig(Path(session) / "rig.yaml") if session else None
+
+
+def announce(guard: Guard, port: int) -> None:
+    """Print the address to open."""
+    host = "MACHINE" if guard.host in ANY_HOST else guard.host
+    host = f"[{host}]" if ":" in host else host
+    print(f"the page: http://{host}:{port}/" + (f"?token={guard.token}" if guard.token else ""), flush=True)

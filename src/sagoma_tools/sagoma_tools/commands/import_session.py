@@ -82,13 +82,13 @@ def import_biocv(args: argparse.Namespace) -> int:
     """Import the trial, then print what was written and what to do next."""
     console = command_console()
     summary = biocv.import_trial(args.trial, args.output, args.calibration, args.markers, args.mocap_delay)
-    console.print(f"{args.trial.name}: {summary.frames} frames of {', '.join(summary.cameras)}", highlight=False)
+    console.print(f"{args.trial.name}: {summary.frames} frames of {', '.join(summary.cameras)}")
     for point, markers in summary.markers.items():
-        console.print(f"{point}: {', '.join(markers)}", highlight=False)
+        console.print(f"{point}: {', '.join(markers)}")
     share = summary.frames_with_truth / summary.frames
     console.print(f"all markers are there in {summary.frames_with_truth} frames ({share:.0%})")
-    console.print(f"next: sagoma background --from-footage {args.output}", highlight=False)
-    console.print(f"then: sagoma evaluate {args.output} --start session --json", highlight=False)
+    console.print(f"next: sagoma background --from-footage {args.output}")
+    console.print(f"then: sagoma evaluate {args.output} --start session --json")
     return 0
 
 
@@ -100,18 +100,16 @@ def import_bag(args: argparse.Namespace) -> int:
         done = partial(_show_done, progress, task)
         summary = image_bag.import_bag(args.bag, args.output, args.rig, topics, args.background, done)
     for name, topic in summary.topics.items():
-        console.print(f"{name}: {topic}", highlight=False)
+        console.print(f"{name}: {topic}")
     apart = f"images of a frame up to {1e3 * summary.spread_s:.1f} ms apart"
     left_out = f", {summary.incomplete} left out without an image of every camera" if summary.incomplete else ""
-    console.print(f"{summary.frames} frames at {summary.fps:.4g} Hz, {apart}{left_out}", highlight=False)
+    console.print(f"{summary.frames} frames at {summary.fps:.4g} Hz, {apart}{left_out}")
     if args.rig is None:
         lenses = f"--intrinsics {args.output / image_bag.LENSES}"
-        console.print(
-            f"next: sagoma calibrate extrinsics {lenses} --output {args.output}/rig.yaml ...", highlight=False
-        )
+        console.print(f"next: sagoma calibrate extrinsics {lenses} --output {args.output}/rig.yaml ...")
     elif args.background is None:
-        console.print(f"next: sagoma background --from-footage {args.output}", highlight=False)
-    console.print(f"then: sagoma evaluate {args.output}", highlight=False)
+        console.print(f"next: sagoma background --from-footage {args.output}")
+    console.print(f"then: sagoma evaluate {args.output}")
     return 0
 
 
@@ -132,15 +130,15 @@ def import_humaneva(args: argparse.Namespace) -> int:
 def report(console: Console, request: Request, output: Path, summary: Summary) -> None:
     """Print what was written, and the next command."""
     footage = summary.footage
-    console.print(f"{request.trial}: {footage.frames} frames of {', '.join(request.cameras)}", highlight=False)
+    console.print(f"{request.trial}: {footage.frames} frames of {', '.join(request.cameras)}")
     for camera, room in footage.empty_rooms.items():
-        console.print(f"empty room of {camera}: {room}", highlight=False)
+        console.print(f"empty room of {camera}: {room}")
     if request.with_truth:
         share = summary.frames_with_truth / footage.frames
         console.print(f"motion capture is complete in {summary.frames_with_truth} of them ({share:.0%})")
-        console.print(f"next: sagoma evaluate {output} --start session", highlight=False)
+        console.print(f"next: sagoma evaluate {output} --start session")
     else:
-        console.print(f"next: sagoma up {output}", highlight=False)
+        console.print(f"next: sagoma up {output}")
 
 
 def _cameras_and_output(args: argparse.Namespace) -> tuple[tuple[str, ...], Path]:

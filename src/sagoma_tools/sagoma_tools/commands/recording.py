@@ -13,8 +13,7 @@ from capture_rig.rig import load_rig
 from capture_rig.stop_signals import StopOnSignal
 
 from ..arguments import add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings
-from ..command_help import INTERRUPTED
-from ..console import doing, until_stopped
+from ..console import INTERRUPTED, doing, until_stopped
 from ..graph.ros_link import PATIENCE_S, RosLink, add_namespace_argument, namespace_argument
 from ..graph.topics import (
     CAMERA_INFO,
@@ -28,10 +27,8 @@ from ..graph.topics import (
     image_topics,
     topics_of_others,
 )
-from ..recording.asked_topics import AskedTopics, matches_any
-from ..recording.lockstep import lockstep_into, replay_through_graph
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
-from ..recording.recorder import Recorder
+from ..recording.recorder import AskedTopics, Recorder, matches_any
 from ..recording.recovery import recover_bag
 from ..recording.replayer import (
     CLOCK_HZ,
@@ -39,7 +36,9 @@ from ..recording.replayer import (
     LockstepReport,
     MonotonicClock,
     SimulatedClock,
+    lockstep_into,
     play_timed,
+    replay_through_graph,
     timed_by_exposures,
 )
 from ..recording.writer import require_new

@@ -1,4 +1,4 @@
-"""``sagoma takes``: list, show, rename, trim and delete recorded takes, check them, and measure them anew."""
+"""``sagoma takes | smooth | export | urdf``: recorded takes, their motion for other programs, and the body."""
 
 from __future__ import annotations
 
@@ -14,23 +14,35 @@ from rich.table import Table
 from rich.text import Text
 
 from capture_rig.errors import InputError
-from capture_rig.number import FRAME_RATE, SECONDS
+from capture_rig.number import FRAME_RATE, SECONDS, number
+from ekf_tracker.rep155 import body_id_of, human_urdf
+from ekf_tracker.urdf import body_urdf
+from mocap_packets.fit import FIRST_PERSON
+from mocap_pipeline.configuration import Configuration
+from stick_figure.body import STATURES_M, Body, load_body
 
-from ..arguments import add_takes_argument, chosen_take
+from ..arguments import add_settings_argument, add_takes_argument, bag_of, chosen_take, parse_settings
 from ..console import command_console, doing
-from ..takes.exporting import EXPORTS
-from ..takes.folder import TAKES, TakesFolder
+from ..graph.topics import FIRST_BODY_ID
+from ..recording.smoothing import smooth_bag
+from ..takes.exporting import EXPORTS, FORMATS, VIDEO, Options, export_take, write_video
+from ..takes.folder import TAKES, TakesFolder, trim
 from ..takes.measure import ERROR, OK, WARNING, Check, digests, finish_take, verify
 from ..takes.take import FIGURES, MIB, NOT_MEASURED, Summary, TakeState, date, figures, origin, remark, summary_lines
-from ..takes.trim import trim
-from ..takes.video import VIDEO, write_video
 
 STATE_STYLE = {TakeState.WHOLE: "", TakeState.UNFINISHED: "yellow", TakeState.DAMAGED: "red"}
 CHECK_STYLE = {OK: "green", WARNING: "yellow", ERROR: "red"}
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
-    """Add the subcommand with its verbs."""
+    """Add the subcommands."""
+    _add_takes(subparsers)
+    _add_smooth(subparsers)
+    _add_export(subparsers)
+    _add_urdf(subparsers)
+
+
+def _add_takes(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("takes", help="list, show, rename, trim, delete and check recorded takes")
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
 
@@ -91,9 +103,9 @@ def list_takes(args: argparse.Namespace) -> int:
     console.print(table)
     for take in takes:
         if take.problem:
-            console.print(f"{take.state}: {take.problem}", style=STATE_STYLE[take.state], markup=False, highlight=False)
+            console.print(f"{take.state}: {take.problem}", style=STATE_STYLE[take.state])
     if any(remark(take) == NOT_MEASURED for take in takes):
-        console.print("not measured: `sagoma takes measure TAKE` measures it", highlight=False)
+        console.print("not measured: `sagoma takes measure TAKE` measures it")
     deleted = len(folder.deleted())
     if deleted:
         console.print(f"{deleted} in the bin: `sagoma takes bin`")
@@ -109,13 +121,13 @@ def show(args: argparse.Namespace) -> int:
         return 0 if take.state is TakeState.WHOLE else 1
     console = command_console()
     console.print(f"{take.name}   {date(take)}   {take.seconds:.1f} s   {take.bytes / MIB:.1f} MB", style="bold")
-    console.print(f"  {take.path.resolve()}", highlight=False)
+    console.print(f"  {take.path.resolve()}")
     if take.state is not TakeState.WHOLE:
-        console.print(f"  {take.state}: {take.problem}", style=STATE_STYLE[take.state], markup=False, highlight=False)
+        console.print(f"  {take.state}: {take.problem}", style=STATE_STYLE[take.state])
         return 1
-    console.print(f"  recorded by sagoma {take.software or '(unknown version)'}", highlight=False)
+    console.print(f"  recorded by sagoma {take.software or '(unknown version)'}")
     if take.trimmed_from is not None:
-        console.print(f"  {origin(take)}", highlight=False)
+        console.print(f"  {origin(take)}")
     if take.summary is None:
         console.print(f"  no figures: its recorder was killed (`sagoma takes measure {take.name}` measures them)")
     else:
@@ -127,7 +139,7 @@ def show(args: argparse.Namespace) -> int:
 def print_summary(console: Console, summary: Summary) -> None:
     """Print a take's figures, moved in."""
     for line in summary_lines(summary):
-        console.print(f"  {line}", markup=False, highlight=False)
+        console.print(f"  {line}")
 
 
 def check(args: argparse.Namespace) -> int:
@@ -225,4 +237,85 @@ def measure_anew(args: argparse.Namespace) -> int:
     if summary is None:
         raise InputError("cannot be measured", where=str(take.path), remedy=f"See `sagoma takes verify {name}`.")
     print_summary(command_console(), summary)
+    return 0
+
+
+# motion for other programs --------------------------------------------------------------------------------------------
+
+
+ALL = "all"
+STATURE_M = 1.75
+MASS = number("kg", 2, 500)
+
+
+def _add_export(subparsers: argparse._SubParsersAction) -> None:
+    parser = subparsers.add_parser("export", help="write a take as BVH, glTF, C3D, TRC, OpenSim or CSV")
+    option = parser.add_argument
+    option("take", help="bag that `sagoma record`, `demo` or `smooth` wrote, or a take's name")
+    help_format = "one or several of bvh, glb, c3d, trc, opensim (.osim and .mot), csv; or all"
+    option("--format", nargs="+", default=[ALL], choices=(*FORMATS, ALL), metavar="FORMAT", help=help_format)
+    option("--output", metavar="FOLDER", help="where the files go (default: TAKE/export)")
+    option("--rate", type=FRAME_RATE, metavar="HZ", help="frames a second of the files (default: the take's own)")
+    option("--mass", type=MASS, metavar="KG", help="of the person, for the OpenSim model (default: a BMI of 22)")
+    option("--constant-bones", action="store_true", help="BVH without position channels below the root")
+    option("--overwrite", action="store_true", help="replace files of earlier exports")
+    add_takes_argument(parser)
+    parser.set_defaults(run=run_export)
+
+
+def run_export(args: argparse.Namespace) -> int:
+    """Write every person of the take in every format wanted, and print what was written and what a format lost."""
+    formats = list(FORMATS) if ALL in args.format else args.format
+    take = bag_of(args.take, args.takes)
+    folder = Path(args.output) if args.output else take / EXPORTS
+    export_take(take, folder, formats, Options(args.rate, args.mass, args.constant_bones, args.overwrite), tell=print)
+    return 0
+
+
+def _add_smooth(subparsers: argparse._SubParsersAction) -> None:
+    parser = subparsers.add_parser("smooth", help="smooth a recorded take offline, in both directions of time")
+    parser.add_argument("bag", help="bag that `sagoma record` or `demo` wrote")
+    parser.add_argument("target", nargs="?", help="bag to make (default: BAG_smoothed)")
+    add_settings_argument(parser)
+    parser.set_defaults(run=run_smooth)
+
+
+def run_smooth(args: argparse.Namespace) -> int:
+    """Smooth the take and print how much of it has a state."""
+    target = args.target or args.bag.rstrip("/") + "_smoothed"
+    doing(f"smoothing {args.bag}")
+    take = smooth_bag(args.bag, target, Configuration.of(parse_settings(args.settings)).ekf)
+    finish_take(Path(target))
+    others = [f"{sets} of person {person}" for person, sets in sorted(take.states.items()) if person != FIRST_PERSON]
+    print(f"smoothed {', '.join([f'{take.states[FIRST_PERSON]} of {take.sets} frame sets', *others])} into {target}")
+    print(f"compare: sagoma evaluate {args.bag}; sagoma evaluate {target}")
+    return 0
+
+
+def _add_urdf(subparsers: argparse._SubParsersAction) -> None:
+    parser = subparsers.add_parser("urdf", help="print the body as a URDF with the joints of /mocap/joint_states")
+    parser.add_argument("--body", help="body YAML, as ~/save_body of icp_tracker writes it")
+    help_stature = f"an average body of this height in metres (default {STATURE_M})"
+    parser.add_argument("--stature", type=number("m", *STATURES_M), help=help_stature)
+    help_id = f"what names of links begin with (default {FIRST_BODY_ID}, the first person's)"
+    parser.add_argument("--id", default=FIRST_BODY_ID, help=help_id)
+    parser.add_argument("--mass", type=MASS, metavar="KG", help="of the person (default: a BMI of 22)")
+    parser.add_argument("--rep155", action="store_true", help="the URDF of REP-155, for /humans/bodies/ID/joint_states")
+    parser.add_argument("--output", help="file to write (default: print it)")
+    parser.set_defaults(run=run_urdf)
+
+
+def run_urdf(args: argparse.Namespace) -> int:
+    """Print or write the URDF."""
+    if args.body and args.stature is not None:
+        raise InputError("--body has a stature of its own", where="arguments", remedy="Give --body or --stature.")
+    body = load_body(args.body) if args.body else Body.from_stature(STATURE_M if args.stature is None else args.stature)
+    body_id = body_id_of(args.id, FIRST_PERSON)
+    text = (human_urdf if args.rep155 else body_urdf)(body, body_id, args.mass)
+    if not args.output:
+        sys.stdout.write(text)
+        return 0
+    with open(args.output, "x") as file:
+        file.write(text)
+    print(f"written: {args.output}")
     return 0

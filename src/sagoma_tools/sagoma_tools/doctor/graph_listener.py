@@ -26,12 +26,12 @@ from capture_rig.rig import Rig
 from sagoma_bringup.graph import CAMERA_NODE
 from sagoma_ros import mask_png
 from sagoma_ros.messages import to_ns
+from sagoma_ros.middleware import PEERS_VARIABLE
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
-from ..graph.network_settings import PEERS_VARIABLE
+from ..graph.lifecycle_client import own_machine, places_of
 from ..graph.ros_link import RosLink, call_all, is_in_graph, node_names, owners_of, settled, topics_of
-from ..graph.running_nodes import own_machine, places_of
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
 from .machine import domains_here
 

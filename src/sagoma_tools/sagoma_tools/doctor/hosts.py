@@ -22,7 +22,8 @@ from typing import Any
 
 import psutil
 
-from ..graph.network_settings import PEERS_VARIABLE, PROFILE_VARIABLE, RANGE_VARIABLE
+from sagoma_ros.middleware import PEERS_VARIABLE, PROFILE_VARIABLE, RANGE_VARIABLE
+
 from .findings import Finding, check, error, examine, note, ok, warning
 from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, domains_here, interface_to
 

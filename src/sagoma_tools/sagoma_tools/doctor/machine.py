@@ -16,8 +16,8 @@ from rclpy.utilities import get_rmw_implementation_identifier
 import hull_server
 from camera_client.sources.aravis_source import import_aravis
 from capture_rig.errors import InputError
+from sagoma_ros.middleware import PROFILE_VARIABLE
 
-from ..graph.network_settings import PROFILE_VARIABLE
 from .findings import Finding, check, error, examine, graded, note, ok, warning
 
 SUBJECT = "this machine"

@@ -6,7 +6,7 @@ import datetime
 import itertools
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +16,15 @@ from camera_client.sources.footage_reader import open_footage
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info
 from capture_rig.errors import InputError
+from capture_rig.region import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
 from capture_rig.rig import Rig, load_rig
 from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, stated_rate
 from capture_rig.verdict import GOOD, REDO, USABLE
-from capture_rig.video_findings import VideoFacts, examine_video, session_findings
+from capture_rig.video import VideoFacts, examine_video, session_findings
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE
 
+from .cameras import BUSY, GIGABIT, JUMBO_MTU, Stream, stream_bytes_per_s
 from .findings import Finding, check, error, examine, graded, note, warning
 
 Array = npt.NDArray[np.float64]
@@ -39,7 +41,6 @@ NARROW_DEG, WIDE_DEG = 15.0, 130.0
 HIGH_M, LOW_M = 6.0, 0.3
 SAME_PLACE_M, SAME_LENS_PX = 0.05, 0.5
 SAME_OUTLINE_DEG = 15.0
-COARSE_MM_PER_PX = 12.0
 ENOUGH_CAMERAS = 3
 POOR_SHARE, LITTLE_SHARE = 0.05, 0.5
 SEES_NOTHING = 0.01
@@ -169,6 +170,40 @@ def check_common_view(view: RigView) -> Finding:
 
 
 @check("rig")
+def check_regions(view: RigView) -> Finding:
+    """What of the pictures the volume needs, and how fast one link carries that."""
+    whole, parts = view.rig, needed_parts(view.rig)
+    smaller = any((a.width, a.height) != (b.width, b.height) for a, b in zip(whole.cameras, parts.cameras, strict=True))
+    remedy = "Where the rate matters: those aravis settings, the rig file of --regions, and backgrounds anew."
+    return graded("regions", carried(whole), (smaller, note, "smaller", remedy))
+
+
+def needed_parts(rig: Rig) -> Rig:
+    """Return the rig of the regions that its volume needs."""
+    return Rig(tuple(of_region(each, needed_region(each, rig.volume)) for each in rig.cameras), rig.volume)
+
+
+def carried(rig: Rig) -> str:
+    """Say how fast a link carries all pictures of the cameras, and what the volume needs of them: which that is."""
+    named = (f"{each.name} {region_text(needed_region(each, rig.volume))}" for each in rig.cameras)
+    return (
+        f"a link of {GIGABIT} Mbit/s carries all cameras at {most_hz(rig):.0f} Hz, at {most_hz(needed_parts(rig)):.0f} "
+        f"Hz what the volume needs ({'; '.join(named)})"
+    )
+
+
+def region_text(region: Region) -> str:
+    """Return a region in the words of the client's settings."""
+    return ", ".join(f"{name} {value}" for name, value in asdict(region).items())
+
+
+def most_hz(rig: Rig) -> float:
+    """Return the rate that a Gigabit link carries with some room, of pictures of 8 bits a pixel in large packets."""
+    streams = (Stream(each.name, each.width * each.height, 1.0) for each in rig.cameras)
+    return BUSY * GIGABIT * 1e6 / 8 / sum(stream_bytes_per_s(stream, JUMBO_MTU) for stream in streams)
+
+
+@check("rig")
 def check_pairs(view: RigView) -> Iterator[Finding]:
     """Pairs of cameras that show one outline."""
     for one, other in itertools.combinations(view.rig.cameras, 2):
@@ -239,7 +274,8 @@ def check_lens(view: RigView, camera: CameraModel) -> Iterator[Finding]:
 def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
     """Where the camera stands, and what it sees of the volume."""
     height, distance = float(camera.centre_world[2]), float(np.linalg.norm(camera.centre_world - view.middle))
-    share, mm_per_px = float(view.sees[view.rig.names.index(camera.name)].mean()), 1e3 * distance / camera.K[0, 0]
+    share = float(view.sees[view.rig.names.index(camera.name)].mean())
+    mm_per_px = 1e3 * pixel_width_m(camera, view.rig.volume)
     again = f"{CALIBRATE}; the board upside down or a wrong field size does this. Check with a tape."
     yield graded(
         "place",
@@ -253,7 +289,7 @@ def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
         f"{distance:.1f} m from the volume's centre, {mm_per_px:.1f} mm a pixel, sees a person from soles to head in "
         f"{100 * share:.0f} % of the places",
         (share < SEES_NOTHING, error, "empty", f"Turn it, move it back, or {CALIBRATE}: a rig file of another set-up?"),
-        (mm_per_px > COARSE_MM_PER_PX, warning, "coarse", "Use a longer lens, more pixels, or move it nearer."),
+        (mm_per_px > 1e3 * MOST_PIXEL_M, warning, "coarse", "Use a longer lens, more pixels, or move it nearer."),
     )
 
 

@@ -15,9 +15,9 @@ from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import EPOCH_NS, FootageEnded, exact_silhouettes, ignore_end, pipeline_of, segmented
 
-from .people import main_track
 from .reasons import nobody_tracked, reasons_of_step
 from .track import Track
+from .track_evaluation import main_track
 
 
 def track_session(session: Session, configuration: Configuration, *, exact_masks: bool = False) -> Track:

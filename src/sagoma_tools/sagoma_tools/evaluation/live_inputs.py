@@ -23,8 +23,8 @@ from capture_rig.session import Session, load_session
 from capture_rig.stamps import UTC, CaptureClock
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_bringup.graph import NodeSpec, build_graph
+from sagoma_ros.messages import THINNING_TOPIC, read_thinning
 from sagoma_ros.qos import LATCHED
-from sagoma_ros.thinning import TOPIC, read_thinning
 from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
 from virtual_studio.gige.device import consecutive_addresses, is_free
 from virtual_studio.gige.loop import ask
@@ -37,7 +37,6 @@ from ..graph.topics import PREDICTION_TOPIC
 from ..recording.recorder import GraphRecorder
 from .track import SessionClock, frame_count
 
-SILENCE_S = 20.0
 FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
 
 
@@ -173,9 +172,9 @@ class FootageInput(LiveInput):
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> None:
         expected, seen = frame_count(self.session), -1
         while seen < expected and not cancel.is_set():
-            if not recorder.recorder.wait_for_count(PREDICTION_TOPIC, seen + 1, SILENCE_S):
+            if not recorder.wait_for_count(PREDICTION_TOPIC, seen + 1, PATIENCE_S):
                 return
-            seen = recorder.recorder.counts.get(PREDICTION_TOPIC, 0)
+            seen = recorder.counts.get(PREDICTION_TOPIC, 0)
 
     @property
     def in_real_time(self) -> bool:
@@ -270,12 +269,12 @@ class StudioInput(LiveInput):
         return clock
 
     def _await_answers(self, recorder: GraphRecorder, last_ns: int, cancel: threading.Event) -> None:
-        """Wait for the answer to a stamp, or until nothing has been answered for SILENCE_S since the last exposure."""
-        counts, heard_s = recorder.recorder.counts, time.monotonic() + self.clock.wait_ns(last_ns) * 1e-9
-        while time.monotonic() < heard_s + SILENCE_S and not cancel.is_set():
-            if recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, LOOK_S):
+        """Wait for the answer to a stamp, or until nothing has been answered for PATIENCE_S since the last exposure."""
+        counts, heard_s = recorder.counts, time.monotonic() + self.clock.wait_ns(last_ns) * 1e-9
+        while time.monotonic() < heard_s + PATIENCE_S and not cancel.is_set():
+            if recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, LOOK_S):
                 return
-            if counts != (counts := recorder.recorder.counts):
+            if counts != (counts := recorder.counts):
                 heard_s = max(heard_s, time.monotonic())
 
     @property
@@ -311,7 +310,7 @@ class HeldRate:
 
     def __init__(self, node: Node) -> None:
         self._now_s, self._rules = time.monotonic, list[tuple[float, FrameDecimation]]()
-        self._subscription = node.create_subscription(DiagnosticArray, TOPIC, self._on_rule, LATCHED)
+        self._subscription = node.create_subscription(DiagnosticArray, THINNING_TOPIC, self._on_rule, LATCHED)
 
     @property
     def fraction(self) -> float:
@@ -335,7 +334,7 @@ class HeldRate:
         return now_s - max(falls, default=began_s) >= SETTLED_S or now_s - began_s >= LONGEST_S
 
     def _on_rule(self, message: DiagnosticArray) -> None:
-        self.add(read_thinning(message, TOPIC))
+        self.add(read_thinning(message, THINNING_TOPIC))
 
 
 class OtherPrograms:

@@ -15,8 +15,8 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 
 from capture_rig.session import Session
-from mocap_packets.latency import POINTS
-from sagoma_bringup.first_pose import start_settings
+from mocap_packets.table import AGE_POINTS
+from sagoma_bringup.launch_arguments import start_settings
 
 from ..console import doing
 from ..graph.processes import ProcessSettings, Usage
@@ -25,17 +25,15 @@ from ..graph.topics import PREDICTION_TOPIC
 from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
 from .live_inputs import LiveInput, OtherPrograms, StudioInput, TooSlow
-from .people import main_track
 from .reasons import reasons_of_bag
 from .track import SessionClock, Track, clock_of_bag, silhouette_stamps, tracks_from_bag
-from .track_evaluation import TrackEvaluation, evaluate_track
+from .track_evaluation import TrackEvaluation, evaluate_track, main_track
 
 FRAME_SET_TOPIC = "/hull/frame_set"
 LEAST_HZ = 25.0  # frame sets a second that simulated cameras are to have, or they go slower
 SLOWEST = 1 / 32
 SPARED = 1.25  # times the rate that a graph holds: in slow motion it takes no pictures that it leaves out
-KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture
-WHOLE = 0.95  # ... and have all cameras, in a run of simulated ones
+KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture, and have all cameras if simulated
 LATENCY_TOPIC = "/mocap/latency"
 AGES = {"received_ms", "published_ms"}  # time since capture, meaningless when footage is not played at its own rate
 
@@ -85,7 +83,7 @@ class LiveRun:
     @property
     def is_whole(self) -> bool:
         """Whether nearly all frame sets have all cameras, and were answered."""
-        return self.answered >= KEPT_UP * self.sets and self.incomplete <= (1 - WHOLE) * self.sets
+        return self.answered >= KEPT_UP * self.sets and self.incomplete <= (1 - KEPT_UP) * self.sets
 
     @property
     def hz_held(self) -> float:
@@ -117,7 +115,7 @@ def run_live(
             supervisor.configure(tolerate_cameras=False)
             provenance = {"session": str(live_input.session.folder)}
             with GraphRecorder(graph, bag, domain_id=domain_id, provenance=provenance) as recorder:
-                recorder.wait_for_publishers()
+                recorder.wait_for_graph()
                 supervisor.activate(tolerate_cameras=False)
                 doing("waiting until cameras and graph are in step")
                 live_input.prepare(supervisor, cancel)
@@ -128,7 +126,7 @@ def run_live(
                 meter.stop()
                 doing("stopping the nodes")
                 supervisor.suspend()
-                recorder.close(**({} if clock is None else clock.provenance()))
+                recorder.close(None if clock is None else clock.provenance())
     doing("reading the bag")
     return _read_back(live_input, bag, meter)
 
@@ -205,7 +203,7 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
     sets = [_values(m) for m in read_messages(bag, FRAME_SET_TOPIC.__eq__) if m.stamp_ns in clock]
     measured = {key for values in sets for key in values if key.endswith("_ms")} - {"spread_ms"}
     ages = [_values(m) for m in read_messages(bag, LATENCY_TOPIC.__eq__) if m.stamp_ns in clock]
-    points = [f"{point}_ms" for point in POINTS] if ages and live_input.in_real_time else []
+    points = [f"{point}_ms" for point in AGE_POINTS] if ages and live_input.in_real_time else []
     stages = sorted(measured if live_input.in_real_time else measured - AGES)
     tracks = tracks_from_bag(bag, clock.frame_of, may_be_empty=True)
     return LiveRun(

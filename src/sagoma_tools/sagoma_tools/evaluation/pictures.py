@@ -1,19 +1,27 @@
-"""Draws a track over its footage: single frames as pictures, all frames as a video."""
+"""Draws a track over its footage, frames as pictures and all as a video; plots angles and errors of points.
+
+To be imported where it is used: matplotlib takes a second to load.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import cv2
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from capture_rig.session import Truth
 from capture_rig.video import Video
-from stick_figure.skeleton import POINT_NAMES
+from stick_figure import metrics
+from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from ..overlays import MAX_WIDTH_PX, VideoFile, Window, captioned, montage, overlay, tiling
+from .scores import Scores, angle_truth, defined
 from .track_evaluation import TRACKING, TrackEvaluation
 
 STILLS = 3
@@ -41,8 +49,6 @@ def truth_at(truth: Truth | None, frames: Sequence[int]) -> list[np.ndarray | No
 
 def draw(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     """Write plots, and stills where there is footage, into the folder; returns the paths."""
-    from .plots import draw_plots  # matplotlib takes a second to load
-
     paths = draw_plots(folder, evaluated)
     return [*paths, *draw_stills(folder, evaluated)] if evaluated.session.videos else paths
 
@@ -133,3 +139,151 @@ def _errors_at(evaluated: TrackEvaluation, frame: int) -> np.ndarray | None:
         return None
     row = np.flatnonzero(evaluated.session.truth.frames == frame)
     return evaluated.scores.errors_mm[row[0]] if len(row) else None
+
+
+# plots ----------------------------------------------------------------------------------------------------------------
+
+
+OURS, TRUTH, THESIS, UNSURE, LIMIT = "#1769aa", "0.55", "#d9772b", "#f2c744", "#b22222"
+ANGLE_PAGES: Mapping[str, tuple[str, ...]] = {
+    "neck_elbows": ("neck_x", "neck_y", "left_elbow", "right_elbow"),
+    "shoulders": tuple(f"{side}_shoulder_{axis}" for axis in "xzy" for side in ("left", "right")),
+    "hips": tuple(f"{side}_hip_{axis}" for axis in "xyz" for side in ("left", "right")),
+    "knees": ("left_knee", "right_knee"),
+}
+POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
+"""The points as plots list them, three a row: the trunk, then limb by limb from the body outwards."""
+
+
+def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
+    """Write all plots into the folder; returns their paths. Without a truth, the angles alone."""
+    folder.mkdir(parents=True, exist_ok=True)
+    figures = angle_figures(evaluated)
+    if evaluated.scores is not None and evaluated.session.truth is not None:
+        figures["point_errors"] = _point_errors(evaluated, evaluated.scores)
+        figures["errors"] = _distribution(evaluated, evaluated.scores)
+    paths = []
+    for name, figure in figures.items():
+        paths.append(folder / f"{name}.png")
+        figure.savefig(paths[-1], dpi=100)
+    return paths
+
+
+def angle_figures(evaluated: TrackEvaluation) -> dict[str, Figure]:
+    """Pages of angles over time against the truth (as thesis fig. 7.4 to 7.7), by file name."""
+    session, track = evaluated.session, evaluated.track
+    curves = [("ours", OURS, 1.3, track.frames, track.angles)]
+    if session.truth is not None:
+        curves.insert(0, ("truth", TRUTH, 3.5, session.truth.frames, angle_truth(session.truth).angles))
+    return {f"angles_{page}": _angle_page(evaluated, curves, page, names) for page, names in ANGLE_PAGES.items()}
+
+
+Curve = tuple[str, str, float, np.ndarray, np.ndarray]
+"""Label, colour, width of the line, frames (F,) and angles (F, 18) rad."""
+
+
+def _angle_page(evaluated: TrackEvaluation, curves: Sequence[Curve], page: str, names: Sequence[str]) -> Figure:
+    rows = -(-len(names) // 2)
+    figure = Figure(figsize=(12, 1.2 + 2.3 * rows), layout="constrained")
+    for axis, name in zip(np.ravel(figure.subplots(rows, 2, sharex=True)), names, strict=True):
+        slot, title = ANGLE_NAMES.index(name), name.replace("_", " ")
+        for label, colour, width, frames, angles in curves:
+            seconds, degrees = frames / evaluated.session.fps, unbridged(frames, np.rad2deg(angles[:, slot]))
+            axis.plot(seconds, degrees, ":", color=colour, linewidth=0.4 * width + 0.5)
+            sure = np.where(defined(angles)[:, slot], degrees, np.nan)
+            axis.plot(seconds, sure, color=colour, linewidth=width, label=label)
+        if evaluated.scores is not None:
+            title += f": RMSE {evaluated.scores.angle_rmse_deg[slot]:.1f} deg"
+        axis.set_title(title, fontsize=10)
+    _finish(figure, evaluated, page.replace("_", ", "), "angle [deg], dotted where the pose does not determine it")
+    return figure
+
+
+def unbridged(frames: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+    """Return the angles (F,), NaN behind missing frames and full turns, so that no line bridges them."""
+    usual = np.median(np.diff(frames)) if len(frames) > 1 else 1.0
+    steps = np.diff(frames, prepend=frames[:1]) > 3 * usual, np.abs(np.diff(degrees, prepend=degrees[:1])) > 180.0
+    return np.where(steps[0] | steps[1], np.nan, degrees)
+
+
+def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
+    """Error of each point over time (as thesis fig. 7.9 to 7.13), ours over the thesis's method."""
+    figure = Figure(figsize=(13, 12), layout="constrained")
+    axes = figure.subplots(5, 3, sharex=True, sharey=True)
+    assert evaluated.session.truth is not None
+    seconds = evaluated.session.truth.frames / evaluated.session.fps
+    for axis, point in zip(axes.flat, POINT_ORDER, strict=True):
+        if evaluated.thesis is not None:
+            label = "thesis's method"
+            axis.plot(
+                seconds, evaluated.thesis.errors_mm[:, point], color=THESIS, linewidth=0.8, alpha=0.7, label=label
+            )
+        axis.plot(seconds, scores.errors_mm[:, point], color=OURS, linewidth=1.3, label="ours")
+        axis.axhline(1e3 * metrics.LARGE_ERROR_M, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
+        _shade_unsure(axis, evaluated)
+        axis.set_title(f"{_name(point)}: mean {scores.point_mm[point]:.0f} mm", fontsize=10)
+    top = np.nanpercentile(scores.errors_mm, 99.5)
+    axes.flat[0].set_ylim(0.0, max(220.0, 1.1 * top))
+    _finish(figure, evaluated, "point errors", "error [mm]")
+    return figure
+
+
+def _shade_unsure(axis: Axes, evaluated: TrackEvaluation) -> None:
+    """Shade the frames in which the tracker does not report that it tracks."""
+    track, fps = evaluated.track, evaluated.session.fps
+    unsure = track.frames[track.states != TRACKING]
+    runs = np.split(unsure, np.flatnonzero(np.diff(unsure) > 1) + 1) if len(unsure) else []
+    for index, run in enumerate(runs):
+        label = "not tracking" if index == 0 else None
+        axis.axvspan(run[0] / fps, (run[-1] + 1) / fps, color=UNSURE, alpha=0.3, linewidth=0, label=label)
+
+
+def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
+    """Left: the share of errors below any bound; right: each point's mean, median and 95th percentile."""
+    figure = Figure(figsize=(13, 5.5), layout="constrained")
+    curve, bars = figure.subplots(1, 2)
+    methods = [("ours", scores, OURS)]
+    methods += [("thesis's method", evaluated.thesis, THESIS)] if evaluated.thesis is not None else []
+    for label, found, colour in methods:
+        errors = np.sort(found.errors_mm[np.isfinite(found.errors_mm)])
+        share = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
+        curve.plot(errors, share, color=colour, linewidth=2, label=f"{label}: median {found.median_mm:.0f} mm")
+    curve.axvline(1e3 * metrics.LARGE_ERROR_M, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
+    widest = max(np.nanpercentile(found.errors_mm, 98) for _, found, _ in methods)
+    curve.set(xlim=(0.0, max(220.0, widest)), ylim=(0, 100), xlabel="error [mm]", ylabel="errors below [%]")
+    places = np.arange(len(POINT_ORDER))[::-1]
+    order = list(POINT_ORDER)
+    bars.barh(places, scores.point_mm[order], color=OURS, label="ours: mean")
+    bars.plot(scores.point_p95_mm[order], places, "|", color=OURS, markersize=11, label="ours: 95 %")
+    if evaluated.thesis is not None:
+        bars.plot(
+            evaluated.thesis.point_mm[order], places, "D", color=THESIS, markersize=5, label="thesis's method: mean"
+        )
+    bars.set_yticks(places, [_name(point) for point in order])
+    bars.set_xlabel("error [mm]")
+    for axis in (curve, bars):
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=9, loc="lower right")
+    figure.suptitle(_title(evaluated, "errors"))
+    return figure
+
+
+def _finish(figure: Figure, evaluated: TrackEvaluation, what: str, unit: str) -> None:
+    """Title, units, grid and one legend for all panels."""
+    entries: dict[str, Artist] = {}
+    for axis in figure.axes:
+        axis.grid(alpha=0.3)
+        entries |= {label: handle for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)}
+    figure.suptitle(_title(evaluated, what), x=0.01, ha="left")
+    figure.supxlabel("time [s]", fontsize=10)
+    figure.supylabel(unit, fontsize=10)
+    figure.legend(list(entries.values()), list(entries), loc="outside upper right", ncols=len(entries), fontsize=9)
+
+
+def _title(evaluated: TrackEvaluation, what: str) -> str:
+    mean = "" if evaluated.scores is None else f" (mean error {evaluated.scores.mean_mm:.1f} mm)"
+    return f"{evaluated.session.folder.name}: {what}{mean}"
+
+
+def _name(point: int) -> str:
+    return POINT_NAMES[point].replace("_", " ")

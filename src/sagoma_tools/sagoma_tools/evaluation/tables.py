@@ -12,10 +12,8 @@ from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from ..graph.diagnostics_table import BUDGET_PERIODS
 from ..graph.processes import Usage
-from .angles import AngleScores
-from .people import PeopleScores
-from .scores import Scores
-from .track_evaluation import TrackEvaluation
+from .scores import AngleScores, Scores
+from .track_evaluation import PeopleScores, TrackEvaluation
 
 PAIRED_ANGLES = (2, 4, 6, 8, 10, 12, 16, 14)
 """Slots of the left angles, each followed by its right one: shoulders, elbow, hips, knee."""

@@ -13,8 +13,7 @@ import numpy as np
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.session import Session, load_session
-from capture_rig.video import Video
-from capture_rig.video_findings import examine_video
+from capture_rig.video import Video, examine_video
 from mocap_packets.fit import FIRST_PERSON, PART_NAMES
 from mocap_packets.state import BodyState
 from stick_figure.skeleton import ANGLE_NAMES

@@ -1,15 +1,23 @@
-"""Evaluates one track: scores against the truth, states, time to track, jitter at rest."""
+"""Evaluates one track (scores against the truth, states, time to track, jitter at rest), and those of several persons.
+
+A track belongs to the truth that it is nearest to in its first second. From then on it should stay nearest to it: every
+change counts as an identity switch, and so does every further number that a person is given.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from capture_rig.session import Session, Truth
+from capture_rig.visibility import RigVisibility
+from mocap_packets.state import Tracking
 
-from .scores import Scores, number, score
+from .scores import OVERALL, Scores, mean_of_known, number, score
 from .track import Track
 
 WINDOW_S = 0.5
@@ -129,3 +137,191 @@ def time_to_track_s(track: Track, fps: float) -> float:
     """Seconds from frame 0 to the first frame in state "tracking"; NaN when there is none."""
     tracked = track.frames[track.states == TRACKING]
     return float(np.min(tracked)) / fps if len(tracked) else float("nan")
+
+
+# several persons ------------------------------------------------------------------------------------------------------
+
+
+LOST, SURE = str(Tracking.LOST), str(Tracking.TRACKING)
+FIRST_S = 1.0
+GHOST_M = 0.5  # a track that is farther from every truth, mean of its points, follows nobody
+SWITCHED_FOR_S = 0.1  # so long another truth is nearer before it counts: in a hug two persons share a place
+
+
+@dataclass(frozen=True, eq=False)
+class Identities:
+    """Which tracks follow which truth.
+
+    numbers : of each truth, the persons as the tracker numbers them whose tracks belong to it, the first one first.
+    switches : of each truth, how often a track of it went to another truth; and one for each further number. ghosts :
+    persons of the tracker that belong to nobody. ghost_frames : frames in which some track that is not doubtful is with
+    nobody.
+    """
+
+    numbers: tuple[tuple[int, ...], ...]
+    switches: tuple[int, ...]
+    ghosts: tuple[int, ...]
+    ghost_frames: int
+
+    def switches_of(self, truth: int) -> int | None:
+        """Identity switches of one truth's person; None of somebody whom no track follows."""
+        return self.switches[truth] if self.numbers[truth] else None
+
+
+@dataclass(frozen=True, eq=False)
+class PersonScores:
+    """One truth and the tracks that follow it.
+
+    truth : its place among the session's truths, of so many frames. numbers, switches : as in :class:`Identities`.
+    time_to_track_s : of the first track, NaN without one. scores : of the first track, None without one.
+    """
+
+    truth: int
+    frames: int
+    numbers: tuple[int, ...]
+    switches: int | None
+    time_to_track_s: float
+    scores: Scores | None
+
+    def figures(self) -> dict[str, Any]:
+        """Name to number, for a line of JSON; None where nothing is known."""
+        scores = self.scores
+        return {
+            "numbers": list(self.numbers),
+            "frames": self.frames,
+            "tracked": 0 if scores is None else scores.tracked,
+            **{name: None if scores is None else number(scores.overall[name]) for name in OVERALL},
+            "time_to_track_s": number(self.time_to_track_s, 3),
+            "identity_switches": self.switches,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class PeopleScores:
+    """Every person's scores, in the order of the truths; ghosts, ghost_frames : as in :class:`Identities`."""
+
+    persons: tuple[PersonScores, ...]
+    ghosts: tuple[int, ...]
+    ghost_frames: int
+
+    @property
+    def switches(self) -> int:
+        """Identity switches of all persons."""
+        return sum(person.switches or 0 for person in self.persons)
+
+    def figures(self, thesis: PeopleScores | None = None) -> dict[str, Any]:
+        """Name to number, for a line of JSON: one record a person, and the mean of each figure over those who have it.
+
+        ``thesis`` : the scores of the thesis's method on the same hulls.
+        """
+        records = [person.figures() for person in self.persons]
+        if thesis is not None:
+            for record, other in zip(records, thesis.persons, strict=True):
+                record["thesis_mean_mm"] = other.figures()["mean_mm"]
+        whole = {name: _mean([record[name] for record in records]) for name in records[0] if name != "numbers"}
+        return {**whole, "persons": records, "ghosts": list(self.ghosts), "ghost_frames": self.ghost_frames}
+
+
+def score_people(
+    tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float, visibility: RigVisibility | None = None
+) -> PeopleScores:
+    """Score the tracks of persons 1, 2, ... against the truths of a session of ``fps`` frames a second.
+
+    Where a track says that it has lost its person it is not looked at: that person may have left. With ``visibility``
+    errors count of those points alone that the rig shows.
+    """
+    who, persons = identify(tracks, truths, fps), []
+    for place, (truth, numbers) in enumerate(zip(truths, who.numbers, strict=True)):
+        first = _believed(tracks[numbers[0]]) if numbers else Track.of_states([])
+        scores, seconds = _scores(first, truth, visibility), time_to_track_s(first, fps)
+        persons.append(PersonScores(place, len(truth.frames), numbers, who.switches_of(place), seconds, scores))
+    return PeopleScores(tuple(persons), who.ghosts, who.ghost_frames)
+
+
+def identify(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -> Identities:
+    """Find whose tracks the persons 1, 2, ... are, and how often they change; as :func:`score_people`."""
+    tracks = {person: _believed(track) for person, track in sorted(tracks.items())}
+    distances = {person: distances_m(track, truths) for person, track in tracks.items() if len(track)}
+    owners = assign(distances, fps)
+    patience = max(round(SWITCHED_FOR_S * fps), 1)
+    numbers = [tuple(person for person, owner in owners.items() if owner == place) for place in range(len(truths))]
+    astray = {
+        int(frame)
+        for person, rows in distances.items()
+        for frame, state, row in zip(tracks[person].frames, tracks[person].states, rows, strict=True)
+        if state == SURE and np.isfinite(row).any() and np.nanmin(row) > GHOST_M
+    }
+    return Identities(
+        tuple(numbers),
+        tuple(max(len(own) - 1, 0) + sum(changes(distances[person], patience) for person in own) for own in numbers),
+        tuple(person for person, owner in owners.items() if owner is None),
+        len(astray),
+    )
+
+
+def _believed(track: Track) -> Track:
+    return track.chosen(track.states != LOST)
+
+
+def shown(truth: Truth, visibility: RigVisibility) -> Truth:
+    """Return the truth without the points that lie where hulls show nothing."""
+    points = truth.points_world.copy()
+    flat = points.reshape(-1, 3)
+    known = np.flatnonzero(np.isfinite(flat).all(axis=1))
+    flat[known[~visibility.shows(flat[known])]] = np.nan
+    return replace(truth, points_world=points)
+
+
+def distances_m(track: Track, truths: Sequence[Truth]) -> np.ndarray:
+    """Return (F, truths) the mean distance of a track's points from each truth's, m; NaN where unknown."""
+    columns = []
+    for truth in truths:
+        apart = np.linalg.norm(truth.comparable(track.points_world) - truth.points_at(track.frames), axis=2)
+        columns.append(mean_of_known(apart, 1))
+    return np.array(columns).T.reshape(-1, len(truths))
+
+
+def assign(distances: Mapping[int, np.ndarray], fps: float) -> dict[int, int | None]:
+    """Return the truth that each person's track belongs to by its first second; None for one that is with nobody."""
+    owners: dict[int, int | None] = {}
+    for person, rows in distances.items():
+        mean = np.nan_to_num(mean_of_known(rows[: max(round(FIRST_S * fps), 1)], 0), nan=np.inf)
+        nearest = int(np.argmin(mean))
+        owners[person] = nearest if mean[nearest] < GHOST_M else None
+    return owners
+
+
+def changes(rows: np.ndarray, patience: int) -> int:
+    """Count how often the nearest truth of a track's rows (F, truths) changes, and stays so for some frames."""
+    known = rows[np.isfinite(rows).any(axis=1)]
+    if len(known) == 0:
+        return 0
+    nearest, current, since, count = np.nanargmin(known, axis=1), -1, 0, 0
+    for truth in nearest:
+        if current < 0 or truth == current:
+            current, since = int(truth), 0
+            continue
+        since += 1
+        if since >= patience:
+            current, since, count = int(truth), 0, count + 1
+    return count
+
+
+def main_track(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -> Track:
+    """Return the track of the person that the first truth is of; the first person's without several truths."""
+    first = tracks[min(tracks)]
+    if len(truths) < 2:
+        return first
+    of_first = identify(tracks, truths, fps).numbers[0]
+    return tracks[of_first[0]] if of_first else first
+
+
+def _scores(track: Track, truth: Truth, visibility: RigVisibility | None) -> Scores | None:
+    truth = truth if visibility is None else shown(truth, visibility)
+    return score(track, truth) if np.isin(truth.frames, track.frames).any() else None
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """Over those that are known; None of none."""
+    known = [value for value in values if value is not None]
+    return number(float(np.mean(known))) if known else None

@@ -19,11 +19,10 @@ from sagoma_bringup.graph import Role
 
 from .diagnostics_table import DiagnosticsTable
 from .processes import START_TIMEOUT_S
-from .ros_link import call_all, owners_of, settled
+from .ros_link import ASK_S, call_all, owners_of, settled
 from .supervisor import Supervisor
 
 SERVICE, SERVICE_TYPE = "learn_background", "std_srvs/srv/Trigger"
-REPORT_S = 1.5  # diagnostics come once a second, and at once when a training ends
 NEEDS_ONE = "sagoma background"  # part of a client's message when its background should be trained anew
 
 
@@ -122,7 +121,7 @@ def train_backgrounds(
         return report if report is not None and report.text == answers[name].message else None
 
     answered = [name for name in names if answers[name] is not None]
-    diagnostics.wait_until(lambda: all(report_of_answer(name) is not None for name in answered), REPORT_S)
+    diagnostics.wait_until(lambda: all(report_of_answer(name) is not None for name in answered), ASK_S)
     silence = "did not answer" + ("" if wanted() else " before it was cancelled")
     return [
         TrainingOutcome(camera_of(name), silence)

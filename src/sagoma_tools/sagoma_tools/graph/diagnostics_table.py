@@ -67,8 +67,7 @@ class DiagnosticsTable:
     def wait_for(self, names: Iterable[str], timeout_s: float) -> bool:
         """True as soon as every one of these nodes has been heard, False after ``timeout_s``."""
         wanted = set(names)
-        with self._heard:
-            return self._heard.wait_for(lambda: wanted <= self._reports.keys(), timeout_s)
+        return self.wait_until(lambda: wanted <= self._reports.keys(), timeout_s)
 
     def wait_until(self, done: Callable[[], bool], timeout_s: float) -> bool:
         """True as soon as ``done``, which is asked at every report, False after ``timeout_s``."""

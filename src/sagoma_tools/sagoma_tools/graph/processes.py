@@ -20,8 +20,7 @@ from pathlib import Path
 import psutil
 
 from capture_rig.yaml_file import save_mapping
-from sagoma_bringup.graph import NodeSpec
-from sagoma_bringup.processes import ONE_PROCESS, ProcessSpec, processes_of
+from sagoma_bringup.graph import ONE_PROCESS, NodeSpec, ProcessSpec, processes_of
 
 GRACE_S, REAP_S = 8.0, 5.0
 START_TIMEOUT_S = 300.0  # to a process's first answer: seconds of imports, times the machine's load
@@ -173,15 +172,6 @@ def busy_machine() -> str:
     return busy if load > processors else ""
 
 
-def node_command(package: str, executable: str, module: str) -> list[str]:
-    """The installed executable when a sourced workspace has it (as ``ros2 run`` would find it), else the module."""
-    for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
-        installed = Path(prefix) / "lib" / package / executable
-        if os.access(installed, os.X_OK) and installed.is_file():
-            return [str(installed)]
-    return [sys.executable, "-m", module]
-
-
 def remove_abandoned_memory() -> None:
     """Delete Fast DDS's segments in /dev/shm whose owner has died: megabytes with each crash.
 
@@ -240,7 +230,7 @@ class ProcessGroup:
     def start(self, spec: ProcessSpec) -> Child:
         """Start one process."""
         save_mapping(self._path(spec, "yaml"), spec.parameter_document())
-        command = [*node_command(spec.package, spec.executable, spec.module), "--ros-args", *spec.name_arguments]
+        command = [sys.executable, "-m", spec.module, "--ros-args", *spec.name_arguments]
         command += ["--params-file", str(self._path(spec, "yaml"))]
         env = {**THREADS_ENV, **os.environ, **self._settings.env, **LOG_ENV}
         env["ROS_LOG_DIR"] = str(self._run_folder / "ros_log")

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_bringup.processes import ProcessSpec
+from sagoma_bringup.graph import NodeSpec, ProcessSpec, Role
 
 TRACKER = "icp_tracker"
 LIKELY = {

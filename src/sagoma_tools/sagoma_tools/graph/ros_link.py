@@ -13,7 +13,6 @@ from typing import Any
 
 import rclpy
 from rclpy._rclpy_pybind11 import InvalidHandle
-from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -154,62 +153,39 @@ def call_all(
     every second which of the silent services are known, by other means, to have done their work, and their replies.
     """
     clients = {service: node.create_client(srv_type, service) for service in requests}
-    call = _CallRound(clients, requests, alive, repeatable, inferred)
+    answered, unsent = threading.Condition(), set(requests)
+    replies: dict[str, Any] = dict.fromkeys(requests)
+
+    def add(service: str, reply: Any) -> None:
+        with answered:
+            if replies[service] is None:
+                replies[service] = reply
+            answered.notify()
+
+    def send_ready(waiting: set[str]) -> None:
+        for service in sorted(unsent & waiting):
+            if clients[service].service_is_ready():
+                unsent.discard(service)
+                future = clients[service].call_async(requests[service])
+                future.add_done_callback(lambda done, service=service: add(service, done.result()))
+
     try:
-        call.run(time.monotonic() + timeout_s)
+        waiting, began_s = set(requests), time.monotonic()
+        again_s = began_s + RESEND_S
+        while waiting and time.monotonic() < began_s + timeout_s:
+            if time.monotonic() > again_s:
+                unsent |= waiting if repeatable else set()
+                for service, reply in inferred(waiting - unsent).items() if waiting - unsent else ():
+                    add(service, reply)
+                again_s = time.monotonic() + RESEND_S
+            with answered:
+                send_ready(waiting)
+                answered.wait(LOOK_S)
+                waiting = {name for name in waiting if replies[name] is None and alive(name)}
     finally:
         for client in clients.values():
             node.destroy_client(client)
-    return call.replies
-
-
-class _CallRound:
-    """One concurrent round of service calls."""
-
-    def __init__(
-        self,
-        clients: Mapping[str, Client],
-        requests: Mapping[str, Any],
-        alive: Callable[[str], bool],
-        repeatable: bool,
-        inferred: Callable[[set[str]], Mapping[str, Any]],
-    ) -> None:
-        self._clients, self._requests, self._alive = clients, requests, alive
-        self._repeatable, self._inferred = repeatable, inferred
-        self._answered = threading.Condition()
-        self._unsent = set(requests)
-        self.replies: dict[str, Any] = dict.fromkeys(requests)
-
-    def run(self, deadline_s: float) -> None:
-        waiting, again_s = set(self._requests), time.monotonic() + RESEND_S
-        while waiting and time.monotonic() < deadline_s:
-            if time.monotonic() > again_s:
-                self._resend(waiting)
-                again_s = time.monotonic() + RESEND_S
-            with self._answered:
-                self._send_ready(waiting)
-                self._answered.wait(LOOK_S)
-                waiting = {name for name in waiting if self.replies[name] is None and self._alive(name)}
-
-    def _resend(self, waiting: set[str]) -> None:
-        if self._repeatable:
-            self._unsent |= waiting
-        sent = waiting - self._unsent
-        for service, reply in (self._inferred(sent) if sent else {}).items():
-            self._add_answer(service, reply)
-
-    def _send_ready(self, waiting: set[str]) -> None:
-        for service in sorted(self._unsent & waiting):
-            if self._clients[service].service_is_ready():
-                self._unsent.discard(service)
-                future = self._clients[service].call_async(self._requests[service])
-                future.add_done_callback(lambda done, service=service: self._add_answer(service, done.result()))
-
-    def _add_answer(self, service: str, reply: Any) -> None:
-        with self._answered:
-            if self.replies[service] is None:
-                self.replies[service] = reply
-            self._answered.notify()
+    return replies
 
 
 # namespace of the graph -----------------------------------------------------------------------------------------------

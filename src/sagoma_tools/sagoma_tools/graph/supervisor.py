@@ -14,12 +14,22 @@ from pathlib import Path
 from rclpy.node import Node
 
 from capture_rig.errors import InputError
-from sagoma_bringup.graph import NodeSpec, Role
-from sagoma_bringup.processes import ProcessSpec
+from sagoma_bringup.graph import NodeSpec, ProcessSpec, Role
 
 from . import GraphError
 from .diagnostics_table import DiagnosticsTable
-from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict
+from .lifecycle_client import (
+    REACHED,
+    LifecycleClient,
+    Outcome,
+    State,
+    Verdict,
+    foreign_nodes,
+    living_nodes,
+    own_machine,
+    places_of,
+    run_already,
+)
 from .processes import (
     START_TIMEOUT_S,
     Child,
@@ -31,7 +41,6 @@ from .processes import (
 )
 from .restarts import ProcessExited, ProcessRecovered, RestartPolicy, reads_file, restarted, with_kept_backgrounds
 from .ros_link import ANSWER_S, ASK_S, LOOK_S, RosLink
-from .running_nodes import foreign_nodes, living_nodes, own_machine, places_of, run_already
 
 FRESH, ACTIVE = State.UNCONFIGURED.value, State.ACTIVE.value
 
@@ -64,7 +73,7 @@ class Supervisor:
             but for cameras that read files: their place in the footage is lost. None: what has died stays dead.
         """
         self.run_folder, settings = Path(run_folder), settings or ProcessSettings()
-        self.graph = with_common_epoch(graph, time.time_ns())
+        self.graph = tuple(graph)
         if restart is not None:
             self.graph = with_kept_backgrounds(self.graph, self.run_folder)
         self.processes = ProcessGroup(self.graph, self.run_folder, settings, self._on_exit)
@@ -282,14 +291,3 @@ class Supervisor:
             answers.append(busy)
         tail = child.log_tail().replace("\n", "\n    ") or "(empty)"
         return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {child.log.name}:\n    {tail}"
-
-
-def with_common_epoch(graph: Sequence[NodeSpec], epoch_ns: int) -> tuple[NodeSpec, ...]:
-    """Return the graph, its footage that is not played by the clock (rate 0) stamped from one epoch; any will do."""
-
-    def unstamped(spec: NodeSpec) -> bool:
-        given = spec.parameters
-        return given.get("source") == "footage" and given.get("footage.rate") == 0 and not given.get("footage.epoch_ns")
-
-    epoch = {"footage.epoch_ns": epoch_ns}
-    return tuple(spec.with_parameters(epoch) if unstamped(spec) else spec for spec in graph)

@@ -22,15 +22,15 @@ from capture_rig.rig import Rig, default_volume, save_rig
 from capture_rig.rigid import nearest_rotation
 from capture_rig.session import VIDEO_SUFFIXES
 from capture_rig.video import Video
-from capture_rig.yaml_file import read_mapping, save_mapping
+from capture_rig.yaml_file import read_mapping
 
-from ..recording.writer import own_version
 from .formats import (
     ROTATION_TOLERANCE,
     Mocap,
     new_session_folder,
     read_c3d,
     read_numbers,
+    save_description,
     volume_around,
     write_truth_file,
 )
@@ -91,15 +91,10 @@ def import_trial(
         seen = seen[np.isfinite(seen).all(axis=1)]
         save_rig(Rig(cameras, volume_around(seen) if len(seen) else default_volume(cameras)), partial / "rig.yaml")
         write_truth_file(partial / "reference.csv", np.arange(frames), points)
-        document = {
-            "fps": fps,
-            "units": "metres, pixels",
-            "source": f"BioCV, {trial.resolve().parent.name} {trial.name}",
-            "made_by": f"sagoma import biocv, {own_version()}",
-            "cameras": {name: video.name for video, name in names.items()},
-            "markers": {name: list(labels) for name, labels in chosen.items()},
-        }
-        save_mapping(partial / "session.yaml", document)
+        of_cameras = {name: video.name for video, name in names.items()}
+        of_points = {name: list(labels) for name, labels in chosen.items()}
+        source = f"BioCV, {trial.resolve().parent.name} {trial.name}"
+        save_description(partial, fps, source, "biocv", cameras=of_cameras, markers=of_points)
     return Summary(tuple(names.values()), frames, int(known.sum()), chosen)
 
 

@@ -19,14 +19,19 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import c3d
 import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.files import read_text
 from capture_rig.rig import FLOOR_MARGIN_M, Volume
 from capture_rig.rigid import nearest_rotation
+from capture_rig.yaml_file import save_mapping
+
+from ..recording.writer import own_version
 
 SIDE_MARGIN_M, TOP_MARGIN_M = 0.4, 0.3
 """From the outermost markers to the sides of the capture volume: body surface and hands lie beyond them."""
@@ -76,6 +81,13 @@ def write_truth_file(path: Path, frames: np.ndarray, points_world: Mapping[str, 
             writer.writerow([int(frame), *(f"{value:.6f}" if np.isfinite(value) else "" for value in row)])
 
 
+def save_description(folder: Path, fps: float, source: str, kind: str, **more: Any) -> None:
+    """Write session.yaml; ``kind`` of import, ``more`` : what the kind adds."""
+    made_by = f"sagoma import {kind}, {own_version()}"
+    about = {"fps": float(fps), "units": "metres, pixels", "source": source, "made_by": made_by}
+    save_mapping(folder / "session.yaml", {**about, **more})
+
+
 COPY_AGAIN = "Copy it again from the data set."
 CAL_NUMBERS = "fc(2) cc(2) alpha_c kc(5) R(9, row by row) T(3, mm)"
 ROTATION_TOLERANCE = 1e-3
@@ -89,11 +101,9 @@ FIRST_USABLE_FRAME = 6
 def read_numbers(path: Path, count: int, meaning: str) -> np.ndarray:
     """Return the first ``count`` numbers (count,) of a text file. Raises InputError naming the file."""
     remedy = f"It reads {meaning}: copy it again from the data set."
+    words = read_text(path, remedy).split()
     try:
-        words = path.read_text(encoding="ascii").split()
         numbers = np.array([float(word) for word in words[:count]])
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
     except ValueError as error:
         raise InputError(f"holds something else than numbers ({error})", where=str(path), remedy=remedy) from None
     if len(numbers) < count or not np.isfinite(numbers).all():

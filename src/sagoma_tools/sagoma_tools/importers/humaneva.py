@@ -12,9 +12,7 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, Volume, default_volume, save_rig
-from capture_rig.yaml_file import save_mapping
 
-from ..recording.writer import own_version
 from .formats import (
     FIRST_USABLE_FRAME,
     CommonTime,
@@ -24,6 +22,7 @@ from .formats import (
     read_c3d,
     read_cal,
     read_ofs,
+    save_description,
     volume_around,
     write_truth_file,
 )
@@ -149,7 +148,15 @@ def import_trial(request: Request, folder: Path, progress: Callable[[int], None]
         if mocap is not None and sizes is not None:
             with_truth = _write_truth(partial / "truth.csv", joints(mocap, time.mocap(frames), sizes), trial)
         save_rig(Rig(cameras, _volume(cameras, mocap, time.mocap(frames))), partial / "rig.yaml")
-        _describe(partial / "session.yaml", trial, sources, footage, time, frames, fps)
+        of_cameras = {
+            source.name: {"name": camera, "first_image": source.first_image, "background": footage.empty_rooms[camera]}
+            for camera, source in sources.items()
+        }
+        more = {
+            "common_frames": [int(frames[0]), int(frames[-1])],
+            "first_mocap_frame": round(float(time.mocap(frames[:1])[0]), 4),
+        }
+        save_description(partial, fps, f"HumanEva-I, {trial}", "humaneva", cameras=of_cameras, **more)
     return Summary(footage, with_truth)
 
 
@@ -196,28 +203,3 @@ def _volume(cameras: tuple[CameraModel, ...], mocap: Mocap | None, positions: np
     rows = slice(max(int(positions[0]) - 1, 0), int(positions[-1]) + 1)
     points = np.concatenate([track[rows] for track in markers_mm(mocap)]) / 1000.0
     return volume_around(points[(points != 0).any(axis=1)])
-
-
-def _describe(
-    path: Path,
-    trial: Trial,
-    sources: Mapping[str, Source],
-    footage: Footage,
-    time: CommonTime,
-    frames: np.ndarray,
-    fps: float,
-) -> None:
-    cameras = {
-        source.name: {"name": camera, "first_image": source.first_image, "background": footage.empty_rooms[camera]}
-        for camera, source in sources.items()
-    }
-    document = {
-        "fps": fps,
-        "units": "metres, pixels",
-        "source": f"HumanEva-I, {trial}",
-        "made_by": f"sagoma import humaneva, {own_version()}",
-        "cameras": cameras,
-        "common_frames": [int(frames[0]), int(frames[-1])],
-        "first_mocap_frame": round(float(time.mocap(frames[:1])[0]), 4),
-    }
-    save_mapping(path, document)

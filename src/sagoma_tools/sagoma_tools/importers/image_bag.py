@@ -24,14 +24,12 @@ from capture_rig.errors import InputError
 from capture_rig.rig import CAMERA_NAME, load_rig, save_rig
 from capture_rig.session import STAMPS
 from capture_rig.stamps import NS_PER_S
-from capture_rig.yaml_file import save_mapping
 from sagoma_ros.images import decode_image
 
 from ..graph.topics import IMAGE_TYPES, image_topics
 from ..overlays import VideoFile
 from ..recording.reader import BagMessage, bag_topics, read_messages
-from ..recording.writer import own_version
-from .formats import new_session_folder
+from .formats import new_session_folder, save_description
 
 LENSES, VIDEO = "lenses", ".mkv"
 GREY_BITS = TopicSettings().bits
@@ -79,14 +77,7 @@ def import_bag(
             save_rig(rig, partial / "rig.yaml")
         else:
             _save_lenses(bag, found, partial / LENSES)
-        document = {
-            "fps": float(fps),
-            "units": "metres, pixels",
-            "source": f"images of {bag.resolve().name}",
-            "made_by": f"sagoma import bag, {own_version()}",
-            "cameras": dict(found),
-        }
-        save_mapping(partial / "session.yaml", document)
+        save_description(partial, fps, f"images of {bag.resolve().name}", "bag", cameras=dict(found))
     spread_s = float(np.ptp(sets_ns, axis=1).max()) / NS_PER_S
     incomplete = len(next(iter(stamps_ns.values()))) - len(sets_ns)
     return Summary(found, len(sets_ns), fps, spread_s, incomplete)

@@ -10,13 +10,17 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
+from ament_index_python.packages import PackageNotFoundError, get_package_share_path
 from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import get_types_from_msg
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import TIME_JUMP_NS
@@ -36,13 +40,11 @@ from ..graph.topics import (
     persons_in,
     topics_of_others,
 )
-from .asked_topics import AskedTopics
-from .reader import canonical_bytes, header_stamp_ns
+from .reader import TYPES, canonical_bytes, header_stamp_ns
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
-DISCOVERY_S = 0.2
 STAMPED_BYTES = 12  # lead-in and stamp of a message that begins with a header
-SETTLE_S = 0.3  # the publisher discovers this subscription a little later than this node discovers the publisher
+SETTLE_S = 0.3  # a publisher discovers a subscription a little later than the other way round; how often one looks
 
 
 class TimeJumpDetector:
@@ -122,11 +124,11 @@ class Recorder:
         )
 
     def follow_graph(self) -> None:
-        """Look for cameras that publish silhouettes, and for persons, every DISCOVERY_S, and record them too."""
+        """Look for cameras that publish silhouettes, and for persons, every SETTLE_S, and record them too."""
         self._discover(self._newcomers)
 
     def follow(self, asked: AskedTopics) -> None:
-        """Record the topics that were asked for as they appear, looking every DISCOVERY_S."""
+        """Record the topics that were asked for as they appear, looking every SETTLE_S."""
         self._discover(asked.new)
 
     def _discover(self, appeared: Callable[[], Iterable[Topic]]) -> None:
@@ -137,7 +139,7 @@ class Recorder:
         add_all()
         if self._discovery is None:
             steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._discovery = self._node.create_timer(DISCOVERY_S, add_all, clock=steady)
+            self._discovery = self._node.create_timer(SETTLE_S, add_all, clock=steady)
 
     def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
         """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""
@@ -170,7 +172,7 @@ class Recorder:
     def close_with_graph(self, rig: Path | None = None) -> dict[str, int]:
         """Close the bag with the parameters of the graph's nodes and their rig file, unless ``rig`` is another."""
         configuration = read_configuration(self._node, sorted(our_nodes(self._node)), ANSWER_S)
-        return self.close({"graph": configuration}, rig or rig_of_configuration(configuration))
+        return self.close({"graph": configuration}, rig or rig_of(configuration))
 
     def close(self, provenance: Mapping[str, Any] | None = None, rig: Path | None = None) -> dict[str, int]:
         """Stop listening and finish the bag; returns the messages written by topic. May be called twice."""
@@ -189,7 +191,7 @@ class Recorder:
                 self.failure = self.failure or self._writer.failure
         return dict(self._writer.counts)
 
-    def __enter__(self) -> Recorder:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -254,8 +256,8 @@ def has_header(msgtype: str) -> bool:
     return next(iter(fields.values())) == "std_msgs/Header"
 
 
-class GraphRecorder:
-    """Subscribes to every topic of ``graph`` from a node of its own and writes them to ``bag`` until closed."""
+class GraphRecorder(Recorder):
+    """Records every topic of ``graph`` into ``bag``, from a node of its own, until it is closed."""
 
     def __init__(
         self,
@@ -265,42 +267,34 @@ class GraphRecorder:
         topics: Iterable[Topic] | None = None,
         domain_id: int | None = None,
         provenance: Mapping[str, Any] | None = None,
-        canonical: bool = False,
-        on_failure: Callable[[InputError], object] = lambda error: None,
+        **options: Any,
     ) -> None:
         """``topics`` by default all of the graph and /diagnostics; ``provenance`` is added to the bag's sagoma.yaml;
-        ``on_failure`` as of :class:`Recorder`."""
-        self._topics = tuple(graph_topics(graph) if topics is None else topics)
-        self._graph = tuple(graph)
+        ``options`` as of :class:`Recorder`."""
+        self._recorded = tuple(graph_topics(graph) if topics is None else topics)
+        self._configuration = {node.full_name: dict(node.parameters) for node in graph}
         self._provenance = dict(provenance or {})
         self._link = RosLink("sagoma_recorder", domain_id=domain_id)
         try:
-            self.recorder = Recorder(self._link.node, bag, self._topics, canonical=canonical, on_failure=on_failure)
+            super().__init__(self._link.node, bag, self._recorded, **options)
         except BaseException:
             self._link.close()
             raise
 
-    def wait_for_publishers(self, timeout_s: float = PATIENCE_S) -> tuple[str, ...]:
+    def wait_for_graph(self) -> tuple[str, ...]:
         """Return once every topic but latched ones and persons' has a publisher; returns those that have none in time.
 
         Nodes open their publishers when they are configured: call it between configure and activate. A publisher that
         is opened later finds this recorder listening, and its first message is recorded.
         """
-        awaited = [t.name for t in self._topics if not (t.latched or t.of_person)]
-        return self.recorder.wait_for_publishers(awaited, timeout_s)
+        return self.wait_for_publishers([t.name for t in self._recorded if not (t.latched or t.of_person)], PATIENCE_S)
 
-    def close(self, **provenance: Any) -> dict[str, int]:
-        """Finish the bag; returns the messages written by topic. May be called twice."""
-        description = {"graph": graph_document(self._graph), **self._provenance, **provenance}
-        counts = self.recorder.close(description, rig_file(self._graph))
+    def close(self, provenance: Mapping[str, Any] | None = None, rig: Path | None = None) -> dict[str, int]:
+        """Finish the bag, with the nodes' parameters and rig; returns the messages by topic. May be called twice."""
+        described = {"graph": self._configuration, **self._provenance, **(provenance or {})}
+        counts = super().close(described, rig or rig_of(self._configuration))
         self._link.close()
         return counts
-
-    def __enter__(self) -> GraphRecorder:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def graph_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
@@ -314,19 +308,8 @@ def server_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
     return [*OUTPUT_TOPICS, *topics_of_others(first_body_id(node.parameters for node in graph))]
 
 
-def graph_document(graph: Sequence[NodeSpec]) -> dict[str, Any]:
-    """Full node name -> its parameters, as plain data for YAML."""
-    return {node.full_name: dict(node.parameters) for node in graph}
-
-
-def rig_file(graph: Sequence[NodeSpec]) -> Path | None:
-    """Return the rig YAML that the nodes were given."""
-    named = (node.parameters.get("rig_file") for node in graph)
-    return next((Path(name) for name in named if name), None)
-
-
-def rig_of_configuration(configuration: Mapping[str, Mapping[str, Any]]) -> Path | None:
-    """Return the rig file that running nodes say they have (:func:`read_configuration`), if it is on this computer."""
+def rig_of(configuration: Mapping[str, Mapping[str, Any]]) -> Path | None:
+    """Return the rig file that nodes have by their parameters, if it is on this computer."""
     named = (parameters.get("rig_file") for parameters in configuration.values())
     return next((Path(name) for name in named if name and Path(name).is_file()), None)
 
@@ -351,3 +334,66 @@ def read_configuration(node: Node, names: Sequence[str], timeout_s: float) -> di
 def _plain(value: Any) -> Any:
     found = parameter_value_to_python(value)
     return found if found is None or isinstance(found, bool | int | float | str) else list(found)
+
+
+# topics that a user asks for by name ----------------------------------------------------------------------------------
+
+
+def matches_any(names: Iterable[str]) -> Callable[[str], bool]:
+    """Return whether a topic is one of ``names``, or below one: ``/humans`` are all that begin with ``/humans/``."""
+    wanted = tuple("/" + name.strip("/") for name in names)
+    return lambda topic: any(topic == name or topic.startswith(f"{name}/") for name in wanted)
+
+
+class AskedTopics:
+    """Finds topics in the graph as they appear; ``on_unknown(topic, type)`` is called once for each that cannot be
+    recorded, because its type is not installed here."""
+
+    def __init__(self, node: Node, wanted: Callable[[str], bool], on_unknown: Callable[[str, str], None]) -> None:
+        self._node, self._wanted, self._on_unknown = node, wanted, on_unknown
+        self._seen: set[str] = set()
+
+    def new(self) -> list[Topic]:
+        """Return the topics that have appeared since the last call."""
+        found = []
+        for name, msgtype in topics_of(self._node).items():
+            if name in self._seen or not self._wanted(name):
+                continue
+            offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(in_graph(self._node, name))]
+            if not offered:  # nobody publishes it yet, so nobody says how
+                continue
+            self._seen.add(name)
+            if not is_known(msgtype):
+                self._on_unknown(name, msgtype)
+                continue
+            kept = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+            unreliable = any(qos.reliability == ReliabilityPolicy.BEST_EFFORT for qos in offered)
+            found.append(Topic(name, msgtype, repeatable=False, latched=kept, best_effort=unreliable))
+        return found
+
+
+def is_known(msgtype: str) -> bool:
+    """Return whether messages of a type can be received and written here; learns its definition where installed."""
+    try:
+        message_class(msgtype)
+        if msgtype not in TYPES.fielddefs:
+            _learn(msgtype)
+    except (ImportError, AttributeError, ValueError, PackageNotFoundError, OSError):
+        return False
+    return True
+
+
+def _learn(msgtype: str) -> None:
+    """Add a type's definition, and those that it holds, from the package where it is installed."""
+    package, folder, name = msgtype.split("/")
+    text = (get_package_share_path(package) / folder / f"{name}.msg").read_text()
+    types = get_types_from_msg(text, msgtype)
+    TYPES.register(types)
+    for _, fields in types.values():
+        for _, described in fields:
+            kind: Any = described
+            while kind[0] not in (Nodetype.BASE, Nodetype.NAME):  # of an array, what it is of
+                kind = kind[1][0]
+            node, inner = kind
+            if node is Nodetype.NAME and str(inner) not in TYPES.fielddefs:
+                _learn(str(inner))

@@ -1,15 +1,17 @@
 """Plays a bag's messages into the live graph: with the timing of the exposures, or set by set (lockstep).
 
 In lockstep the next frame set is published when the EKF has answered the one before, so nothing is dropped and
-nothing depends on how fast anything runs: the same bag gives the same bytes.
+nothing depends on how fast anything runs: the same bag gives the same bytes. The graph is one that runs, or one that is
+started for the replay.
 """
 
 from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from rclpy.event_handler import PublisherEventCallbacks
@@ -19,21 +21,37 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import MultiDOFJointState
 
 from capture_rig.errors import InputError
+from capture_rig.rig import load_rig
 from mocap_packets.frame_set import TIME_JUMP_NS, FrameSet
+from sagoma_bringup.graph import LOSSLESS_SETTINGS, ONE_PROCESS, THREE_PROCESSES, build_graph
 from sagoma_ros.images import absence_message
 from sagoma_ros.messages import to_stamp
 
-from ..graph.ros_link import DISCOVERY_S, settled
+from ..console import doing
+from ..graph.processes import ProcessSettings
+from ..graph.ros_link import DISCOVERY_S, PATIENCE_S, RosLink, settled
+from ..graph.supervisor import Supervisor
 from ..graph.topics import (
     CLOCK_TOPIC,
     LOSSLESS,
     PREDICTION_TOPIC,
     SILHOUETTE_SUFFIX,
+    camera_topics,
     cameras_in,
     message_class,
     offered_qos,
 )
-from .reader import BagMessage, header_stamp_ns
+from .reader import (
+    SIDECAR_RIG,
+    BagMessage,
+    bag_cameras,
+    bag_topics,
+    frame_tolerance_ns,
+    header_stamp_ns,
+    input_topics,
+    read_frame_sets,
+)
+from .recorder import GraphRecorder, server_topics
 
 SERVER_ALONE = "`sagoma up --rig RIG --only server`"
 CLOCK_HZ = 100.0  # latencies by a clock of steps are that coarse: 10 ms, a set at 100 Hz
@@ -247,3 +265,115 @@ def play_lockstep(
                 raise InputError(what, where=PREDICTION_TOPIC, remedy=remedy)
     report.stray_answers = answers.stray_count(sent)
     return report
+
+
+# through a graph started for it ---------------------------------------------------------------------------------------
+
+
+QUIET_S = 0.5
+TOLERANCE = "hull_server.tolerance_s"
+# topics with exactly one message a frame set
+PER_SET = (
+    "/hull/contour_rays",
+    "/hull/centerline",
+    "/hull/voxels",
+    "/icp/reference_points",
+    "/icp/fit",
+    PREDICTION_TOPIC,
+)
+# topic -> the node that must listen to it before the first set is sent, where each has a process of its own
+LISTENERS = {"/hull/products": "icp_tracker", "/icp/people": "ekf_tracker", PREDICTION_TOPIC: "icp_tracker"}
+
+
+def replay_through_graph(
+    bag: str | Path,
+    output: str | Path,
+    run_folder: str | Path,
+    *,
+    rig: str | Path | None = None,
+    body: str | Path | None = None,
+    settings: Mapping[str, Any] | None = None,
+    domain_id: int | None = None,
+    cancel: threading.Event | None = None,
+    server: str = ONE_PROCESS,
+) -> LockstepReport:
+    """Start hull server, ICP and EKF, replay the bag's frame sets in lockstep, record their output into ``output``.
+
+    rig : by default the one that lies in the bag's folder.
+    server : ONE_PROCESS or THREE_PROCESSES; the bytes are the same.
+    settings : parameters as for :func:`sagoma_bringup.graph.build_graph`; they win over the lossless ones.
+    """
+    rig_file = matching_rig(bag, rig)
+    measured = {TOLERANCE: frame_tolerance_ns(bag) / 1e9}
+    chosen = {**LOSSLESS_SETTINGS, **measured, **(settings or {})}
+    graph = build_graph(rig=rig_file, body=body, settings=chosen)
+    made_from = {"replayed_from": str(Path(bag).resolve()), "mode": "lockstep"}
+    with Supervisor(graph, run_folder, ProcessSettings(server, domain_id), cancel=cancel) as supervisor:
+        doing(f"starting {len(graph)} nodes")
+        supervisor.configure()
+        with (
+            GraphRecorder(
+                graph, output, topics=server_topics(graph), domain_id=domain_id, provenance=made_from, canonical=True
+            ) as recorder,
+            RosLink("sagoma_replayer", domain_id=domain_id) as link,
+        ):
+            recorder.wait_for_graph()
+            supervisor.activate()
+            if server == THREE_PROCESSES:  # else they hand over in memory
+                wait_for_listeners(link.node, PATIENCE_S)
+            tolerance_ns = round(chosen[TOLERANCE] * 1e9)  # sets are formed here as the hull server forms them
+            cameras = load_rig(rig_file).names
+            report = lockstep_into(link.node, bag, cameras, tolerance_ns=tolerance_ns, cancel=cancel)
+            recorder.wait_for_stamp(PREDICTION_TOPIC, report.last_stamp_ns, DISCOVERY_S)
+            recorder.wait_until_quiet(QUIET_S, DISCOVERY_S)
+            report.unrecorded = {t: n for t in PER_SET if (n := report.sets - recorder.counts[t]) != 0}
+    return report
+
+
+def lockstep_into(
+    node: Node,
+    bag: str | Path,
+    cameras: Sequence[str] = (),
+    *,
+    tolerance_ns: int | None = None,
+    cancel: threading.Event | None = None,
+) -> LockstepReport:
+    """Replay a bag in lockstep into a running graph; ``node`` must be spun by another thread.
+
+    cameras : those of the graph, where they are known: it waits for none that the bag does not have.
+    """
+    types = bag_topics(bag)
+    answers = Answers(node)
+    topics = {topic.name: topic.msgtype for camera in cameras for topic in camera_topics(camera)}
+    publishers = InputPublishers(node, topics | {name: types[name] for name in input_topics(bag)})
+    silhouettes = [f"/{camera}{SILHOUETTE_SUFFIX}" for camera in {*cameras, *bag_cameras(bag)}]
+    publishers.wait_for_subscribers(silhouettes, PATIENCE_S)
+    publishers.require_no_other(silhouettes)
+    frame_sets = read_frame_sets(bag, frame_tolerance_ns(bag) if tolerance_ns is None else tolerance_ns)
+    done = doing("replaying frame sets")
+    return play_lockstep(frame_sets, publishers, answers, timeout_s=PATIENCE_S, cancel=cancel, progress=done)
+
+
+def wait_for_listeners(node: Node, timeout_s: float) -> None:
+    """Return once the server's nodes subscribe to each other. Raises InputError naming missing subscriptions."""
+
+    def heard() -> set[str]:
+        infos = {topic: node.get_subscriptions_info_by_topic(topic) for topic in LISTENERS}
+        return {topic for topic, listener in LISTENERS.items() if listener in {one.node_name for one in infos[topic]}}
+
+    if missing := sorted(set(LISTENERS) - {*settled(heard, len(LISTENERS), timeout_s)}):
+        what = f"not heard by {', '.join(sorted({LISTENERS[topic] for topic in missing}))} within {timeout_s:g} s"
+        raise InputError(what, where=", ".join(missing), remedy="All three nodes of the server must be active.")
+
+
+def matching_rig(bag: str | Path, rig: str | Path | None) -> Path:
+    """The rig file to replay a bag with; InputError when there is none, or when its cameras are not the bag's."""
+    rig_file = Path(rig) if rig is not None else Path(bag) / SIDECAR_RIG
+    if not rig_file.is_file():
+        raise InputError("there is no rig file", where=str(rig_file), remedy="Give one with --rig.")
+    known, recorded = load_rig(rig_file).names, bag_cameras(bag)
+    unknown = [name for name in recorded if name not in known]
+    if unknown:
+        what = f"the bag has silhouettes of {', '.join(unknown)}, which the rig does not know"
+        raise InputError(what, where=str(rig_file), remedy=f"Known cameras: {', '.join(known)}.")
+    return rig_file

@@ -22,8 +22,7 @@ from mocap_packets.fit import FIRST_PERSON, ReferencePoints
 from mocap_packets.people import parse_bodies
 from mocap_packets.state import BodyState
 from sagoma_ros.packets import covariance_cloud, joint_state_message, packet_cloud, read_people_points
-from stick_figure.body import Body
-from stick_figure.body_file import parse_body
+from stick_figure.body import Body, parse_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
 
 from ..graph.topics import OF_A_PERSON, OUTPUT_TOPICS

@@ -1,21 +1,36 @@
-"""The motion of a take as files of other programs: which formats there are, which files they make, who writes them."""
+"""A take as files of other programs, everybody's motion, and as a video over each camera's silhouettes or pictures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import cv2
+import numpy as np
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import CompressedImage, Image
+
+from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder
+from capture_rig.mask_levels import SHADOW_CANDIDATE
+from capture_rig.rig import load_rig
 from motion_export.bvh import write_bvh
 from motion_export.gltf import write_glb
 from motion_export.marker_files import write_c3d, write_csv, write_trc
 from motion_export.motion import Motion
 from motion_export.opensim import write_mot, write_osim
+from sagoma_ros.images import decode_image, decode_silhouette
+from stick_figure.skeleton import POINT_NAMES
 
-from ..recording.recorded_motion import recorded_motions
+from ..graph.topics import SILHOUETTE_SUFFIX, cameras_in
+from ..overlays import MAX_WIDTH_PX, VideoFile, Window, captioned, draw_skeleton, montage, tiling, write_name
+from ..recording.reader import SIDECAR_RIG, BagMessage, read_messages
+from ..recording.recorded_motion import TRUSTED, recorded_motions
+from .measure import measure
+from .take import Quality, Take
 
 Writer = Callable[[Motion, Path], None]
 FORMATS: Mapping[str, Mapping[str, Writer]] = {
@@ -100,3 +115,149 @@ def _writers(kind: str, options: Options) -> Mapping[str, Writer]:
     if kind == "opensim":
         return {"osim": partial(write_osim, mass_kg=options.mass_kg), "mot": write_mot}
     return FORMATS[kind]
+
+
+# as a video -----------------------------------------------------------------------------------------------------------
+
+
+VIDEO = "overlay.mp4"
+PICTURE_SUFFIXES = ("/image_raw", "/preview/compressed")
+"""Topics of a camera's pictures, the better first."""
+ROOM_GREY, BODY_GREY, SHADOW_GREY = 38, 150, 75
+HEAD = POINT_NAMES.index("head")
+HOLD_S = 0.5
+"""For so long a camera's last picture is shown: previews come five times a second."""
+
+
+def write_video(
+    take: Take,
+    path: Path,
+    cameras: Sequence[str] = (),
+    fps: float | None = None,
+    progress: Callable[[int, int], None] = lambda frame, frames: None,
+) -> int:
+    """Write a take's video in real time; returns its frames. ``cameras`` : only these; ``fps`` : else the take's rate.
+
+    Raises InputError for a take without a rig or silhouettes, an unknown camera, and a path that exists.
+    """
+    if path.exists():
+        raise InputError("exists already", where=str(path), remedy="Give another --output, or move it away.")
+    quality = (take.summary or measure(take.path)).quality
+    views = _views(take, cameras)
+    try:
+        motions = recorded_motions(take.path)
+    except InputError:
+        motions = {}  # of a take without a person, the silhouettes
+    rate_hz = fps if fps is not None else min(quality.rate_hz, 60.0)
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
+        raise InputError(f"{rate_hz:g} frames a second are none", where="--fps", remedy="Give a number above 0.")
+    frames = round(quality.seconds * rate_hz) + 1
+    with VideoFile(path, rate_hz) as video:
+        for frame, sheet in enumerate(sheets(take.name, views, motions, quality, rate_hz, frames)):
+            progress(frame, frames)
+            video.write(sheet)
+    return frames
+
+
+@dataclass
+class View:
+    """One camera's pictures and the camera that took them: that of the image, or of its undistorted canvas."""
+
+    camera: CameraModel
+    messages: Iterator[BagMessage]
+    is_silhouette: bool
+    _now: BagMessage | None = None
+    _next: BagMessage | None = None
+
+    def picture_at(self, stamp_ns: int) -> np.ndarray | None:
+        """Return the newest picture (H, W, 3) at a stamp, None where there is none within HOLD_S; stamps must grow."""
+        while self._next is None or self._next.stamp_ns <= stamp_ns:
+            self._now = self._next or self._now
+            self._next = next(self.messages, None)
+            if self._next is None:
+                break
+        if self._now is None or stamp_ns - self._now.stamp_ns > HOLD_S * 1e9:
+            return None
+        return self._silhouette(self._now) if self.is_silhouette else _picture(self._now)
+
+    def _silhouette(self, message: BagMessage) -> np.ndarray:
+        image = deserialize_message(message.data, CompressedImage)
+        mask = decode_silhouette(image, self.camera.width, self.camera.height, message.topic)
+        grey = np.full(mask.shape, ROOM_GREY, np.uint8)
+        grey[mask > 0] = SHADOW_GREY
+        grey[mask > SHADOW_CANDIDATE] = BODY_GREY
+        return cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+
+
+def sheets(
+    name: str, views: Sequence[View], motions: Mapping[str, Motion], quality: Quality, rate_hz: float, frames: int
+) -> Iterator[np.ndarray]:
+    """Yield the video's pictures, BGR, all of one even size."""
+    columns, scale = tiling([view.camera.width for view in views], [view.camera.height for view in views])
+    for frame in range(frames):
+        seconds = frame / rate_hz
+        stamp_ns = quality.begins_ns + round(seconds * 1e9)
+        there = {
+            body_id: (motion, row)
+            for body_id, motion in motions.items()
+            if (row := motion.frame_at(stamp_ns)) is not None
+        }
+        slack_ns = round(0.5e9 / rate_hz)
+        cells = [_cell(view, view.picture_at(stamp_ns + slack_ns), there, scale) for view in views]
+        sheet = montage(cells, columns, MAX_WIDTH_PX)
+        states = {body_id: str(motion.states[row]) for body_id, (motion, row) in there.items()}
+        said = ", ".join(f"{body_id} {state}" for body_id, state in states.items()) or "nobody"
+        sure = all(state == TRUSTED for state in states.values()) if states else None
+        yield captioned(sheet, f"{name}   {seconds:6.2f} s   {said}", sure)
+
+
+def _cell(view: View, picture: np.ndarray | None, there: Mapping[str, tuple[Motion, int]], scale: float) -> np.ndarray:
+    camera = view.camera
+    window = Window.whole(camera, scale)
+    width, height = window.size_px
+    if picture is None:
+        cell: np.ndarray = np.zeros((height, width, 3), np.uint8)
+        write_name(cell, "no picture", (8, height // 2))
+    else:
+        cell = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+    for body_id, (motion, row) in there.items():
+        points = motion.points_world[row]
+        draw_skeleton(cell, camera, points, window=window)
+        if len(there) > 1:
+            _write_id(cell, camera, points, body_id, scale)
+    return write_name(cell, camera.name)
+
+
+def _write_id(cell: np.ndarray, camera: CameraModel, points: np.ndarray, body_id: str, scale: float) -> None:
+    (head,) = camera.project(points[[HEAD]]) * scale
+    if np.isfinite(head).all() and 0 <= head[0] < cell.shape[1] and 0 <= head[1] < cell.shape[0]:
+        write_name(cell, body_id, (round(head[0]) - 24, max(18, round(head[1]) - 12)))
+
+
+def _views(take: Take, wanted: Sequence[str]) -> list[View]:
+    if not (take.path / SIDECAR_RIG).is_file():
+        remedy = "Record with --rig, or copy the rig file there."
+        raise InputError(
+            f"has no {SIDECAR_RIG}: where the cameras stood is not known", where=str(take.path), remedy=remedy
+        )
+    rig, recorded = load_rig(take.path / SIDECAR_RIG), cameras_in(take.topics)
+    unknown = [name for name in wanted if name not in recorded]
+    if unknown or not recorded:
+        what = f"holds no silhouettes of {', '.join(unknown) or 'any camera'}"
+        raise InputError(what, where=str(take.path), remedy=f"It has: {', '.join(recorded) or 'none'}.")
+    return [_view(take, rig.camera(name)) for name in (wanted or recorded)]
+
+
+def _view(take: Take, camera: CameraModel) -> View:
+    for suffix in PICTURE_SUFFIXES:
+        topic = f"/{camera.name}{suffix}"
+        if take.topics.get(topic):
+            return View(camera, read_messages(take.path, topic.__eq__), False)
+    topic = f"/{camera.name}{SILHOUETTE_SUFFIX}"
+    return View(camera.undistorted_view().camera, read_messages(take.path, topic.__eq__), True)
+
+
+def _picture(message: BagMessage) -> np.ndarray:
+    kind = CompressedImage if message.topic.endswith("compressed") else Image
+    image = decode_image(deserialize_message(message.data, kind), message.topic)
+    return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image

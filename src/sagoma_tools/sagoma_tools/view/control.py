@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import io
+import threading
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
 
+import viser
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
+from capture_rig.files import describe_os_error
 from capture_rig.verdict import REDO
 
 from ..graph.background_training import SERVICE, SERVICE_TYPE, camera_of, progress_of, train_backgrounds
@@ -18,13 +22,101 @@ from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.ros_link import ANSWER_S, RosLink, call_all, our_nodes, owners_of
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 from ..recording.recorder import Recorder
-from ..takes.exporting import EXPORTS, FORMATS, Options, export_take
-from ..takes.folder import TakesFolder
+from ..takes.exporting import EXPORTS, FORMATS, VIDEO, Options, export_take, write_video
+from ..takes.folder import TakesFolder, trim
 from ..takes.measure import finish_take
 from ..takes.take import MIB
-from ..takes.trim import trim
-from ..takes.video import VIDEO, write_video
-from .jobs import Deliver, Jobs, Tell, as_work
+
+BUSY = "still busy with: {}"
+Tell = Callable[[str], None]
+Work = Callable[[Tell], str]
+Deliver = Callable[[str, bytes], None]
+"""Gives a file of this name to who asked for it."""
+Owner = TypeVar("Owner")
+Asked = ParamSpec("Asked")
+
+
+def as_work(method: Callable[Concatenate[Owner, Tell, Asked], str]) -> Callable[Concatenate[Owner, Asked], Work]:
+    """Turn a method that does some work into one that returns the work, to be done when its turn comes."""
+
+    def asked(owner: Owner, /, *args: Asked.args, **options: Asked.kwargs) -> Work:
+        return lambda tell: method(owner, tell, *args, **options)
+
+    return asked
+
+
+class Jobs:
+    """Runs requests one after the other's end, and says what came of each; a request while one runs is refused."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running = ""
+        self._said = ""
+        self.cancelled = threading.Event()
+
+    @property
+    def said(self) -> str:
+        """What the last request said last."""
+        with self._lock:
+            return self._said
+
+    def request(self, what: str, work: Work) -> bool:
+        """Begin some work unless other work is under way; its last word is shown. Returns whether it began."""
+        with self._lock:
+            if self._running:
+                self._said = BUSY.format(self._running)
+                return False
+            self._running, self._said = what, f"{what} ..."
+        self.cancelled.clear()
+        threading.Thread(target=self._run, args=(what, work), name=f"page: {what}", daemon=True).start()
+        return True
+
+    def cancel(self) -> None:
+        """End a countdown."""
+        self.cancelled.set()
+
+    def report(self, text: str) -> None:
+        """Show this until something else is said."""
+        with self._lock:
+            self._said = text
+
+    def _run(self, what: str, work: Work) -> None:
+        try:
+            said = work(self.report)
+        except InputError as error:
+            said = str(error)
+        except OSError as error:
+            said = str(describe_os_error(error, "cannot be used"))
+        except Exception as error:  # the page goes on, whatever a request met
+            said = f"{what} failed: {error!r}"
+        with self._lock:
+            self._said, self._running = said, ""
+
+
+Button = viser.GuiButtonHandle | viser.GuiButtonGroupHandle
+
+
+def on_click(button: Button, act: Callable[[], object]) -> None:
+    """Do this when somebody presses the button."""
+
+    def clicked(event: viser.GuiEvent) -> None:
+        act()
+
+    button.on_click(clicked)
+
+
+def on_click_deliver(button: Button, act: Callable[[Deliver], object]) -> None:
+    """Do this when somebody presses the button; it is given a function that sends a file to that browser."""
+
+    def clicked(event: viser.GuiEvent) -> None:
+        if event.client is not None:
+            act(event.client.send_file_download)
+
+    button.on_click(clicked)
+
+
+# what the buttons ask for ---------------------------------------------------------------------------------------------
+
 
 RESET, RESET_TYPE = "reset", "std_srvs/srv/Trigger"
 

@@ -12,11 +12,9 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 
 from ..takes.folder import TakesFolder, describe
-from .control import Control, TakeActions, recording_text
-from .graph_panel import GraphPanel
+from .control import Control, Jobs, TakeActions, recording_text
+from .graph_panel import GraphPanel, LiveGraph
 from .guard import Guard
-from .jobs import Jobs
-from .live import LiveGraph
 from .playback import Playback
 from .scene import Figure, RoomScene
 from .server import guarded_server

@@ -13,8 +13,7 @@ import viser
 from ..graph.topics import FIRST_BODY_ID
 from ..takes.exporting import FORMATS
 from ..takes.take import FIGURES, Take, date, figures, remark, summary_lines
-from .control import ALL_FORMATS, TakeActions
-from .jobs import Deliver, Jobs, Tell, Work, on_click, on_click_deliver
+from .control import ALL_FORMATS, Deliver, Jobs, TakeActions, Tell, Work, on_click, on_click_deliver
 from .playback import SIDES, Playback
 
 NO_TAKES = "(none yet)"

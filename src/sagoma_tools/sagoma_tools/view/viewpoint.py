@@ -24,12 +24,10 @@ ASPECT = 4.0 / 3.0
 """Width by height of the scene beside its panel, or less than that."""
 MARGIN = 1.05
 """The screen by what is shown on it: names stand beside the cameras."""
-AZIMUTH_RAD, ELEVATION_RAD = np.deg2rad(-45.0), np.deg2rad(15.0)
-"""Whence a view looks: from the front (x), to the right of who stands there, and from above."""
-CLEAR_RAD, STEP_RAD = np.deg2rad(30.0), np.deg2rad(5.0)
-"""A view keeps so far from the azimuths of the cameras, that none of them stands before a person."""
-OVERHEAD_M = 1.0
-"""A camera so near to the middle hangs above it, in nobody's way."""
+AZIMUTH_RAD, ELEVATION_RAD = np.deg2rad(-22.5), np.deg2rad(15.0)
+LEVEL = np.cos(ELEVATION_RAD)
+BACKWARD = np.array([LEVEL * np.cos(AZIMUTH_RAD), LEVEL * np.sin(AZIMUTH_RAD), np.sin(ELEVATION_RAD)])
+"""Whence a view looks: from above, and from the front to the right, between the cameras of a ring of four or eight."""
 ROOM = np.array([[-1.4, -1.4, 0.0], [1.4, 1.4, 2.2]])
 """Corners of the room that is shown while no rig is known, m."""
 PERSON_M, STANDING_M = 2.2, 2.0
@@ -57,7 +55,6 @@ class Viewpoint:
         room = corners_of(rig.volume.low, rig.volume.high) if rig is not None else corners_of(*ROOM)
         with self._lock:
             self._about: Array | None = None
-            self._backward = clear_direction(centres, room.mean(0))
             self._show(np.concatenate([room, centres]))
 
     def follow(self, figures: Mapping[str, Figure]) -> None:
@@ -91,30 +88,17 @@ class Viewpoint:
     def _show(self, points_world: Array) -> None:
         """Show these points (n, 3) in all views that nobody has moved, and in those to come."""
         look_at = 0.5 * (points_world.min(0) + points_world.max(0))
-        position = look_at + distance_to(points_world - look_at, self._backward) * self._backward
+        position = look_at + distance_to(points_world - look_at) * BACKWARD
         self._given.append(np.stack([position, look_at]))
         self._server.initial_camera.position, self._server.initial_camera.look_at = position, look_at
 
 
-def clear_direction(centres_world: Array, middle_world: Array) -> Array:
-    """Return the unit vector (3,) from a room's middle towards a view that has no camera (n, 3) m before it."""
-    across = (centres_world - middle_world)[:, :2]
-    across = across[np.linalg.norm(across, axis=1) > OVERHEAD_M]
-    azimuths = np.arctan2(across[:, 1], across[:, 0])
-    steps = np.arange(np.pi / STEP_RAD)
-    tried = AZIMUTH_RAD + STEP_RAD * np.stack([steps, -steps], 1).ravel()  # the nearest first
-    apart = np.abs(np.angle(np.exp(1j * (tried[:, None] - azimuths)))).min(1, initial=np.pi)
-    azimuth = tried[np.argmax(np.minimum(apart, CLEAR_RAD))]
-    level = np.cos(ELEVATION_RAD)
-    return np.array([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(ELEVATION_RAD)])
-
-
-def distance_to(points: Array, backward: Array) -> float:
-    """Return from how far away points (n, 3) fill a view along the unit vector ``-backward`` through the origin."""
-    right = np.array([-backward[1], backward[0], 0.0]) / np.hypot(*backward[:2])
-    up = np.cross(backward, right)
+def distance_to(points: Array) -> float:
+    """Return from how far away points (n, 3) fill a view along ``-BACKWARD`` through the origin."""
+    right = np.array([-BACKWARD[1], BACKWARD[0], 0.0]) / np.hypot(*BACKWARD[:2])
+    up = np.cross(BACKWARD, right)
     wide, high = np.abs(points @ right) / ASPECT, np.abs(points @ up)
-    return float((MARGIN * np.maximum(wide, high) / np.tan(0.5 * FOV_RAD) + points @ backward).max())
+    return float((MARGIN * np.maximum(wide, high) / np.tan(0.5 * FOV_RAD) + points @ BACKWARD).max())
 
 
 def corners_of(low: Array, high: Array) -> Array:

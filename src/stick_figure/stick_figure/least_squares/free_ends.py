@@ -16,7 +16,7 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 from capture_rig.rigid import rotation_exp
 
-from ..build import CAPSULES, END_CAPSULES, END_STICKS
+from ..body_surface import CAPSULES, END_CAPSULES, END_STICKS
 from .normal_equations import CHAIN_COLUMNS, ENDS, add_capsule, fill_moments, pose_columns
 
 COUNT, ANGLES = 4, 2  # left and right hand, left and right foot; angles of each

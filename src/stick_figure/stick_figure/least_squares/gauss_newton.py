@@ -31,8 +31,7 @@ from .independent_rows import add_independent_rows
 from .keypoint_factor import NO_KEYPOINTS, Keypoints, add_keypoints
 from .normal_equations import TANGENT, mirror_upper, point_covariances
 from .placed_figure import STICKS, place, reference_points, surface_distances
-from .point_factor import add_points, match_points, summarise
-from .surface_factor import add_surface
+from .point_factor import add_points, add_surface, match_points, summarise
 
 LOOKS_AT_ENDS = 3  # until hands and feet of a given pose have turned to where the rays want them
 

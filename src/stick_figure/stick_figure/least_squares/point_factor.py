@@ -1,4 +1,6 @@
-"""Centerline points against the sticks: matched to their foot points, weighted robustly, summed into H and g.
+"""Points against the figure: centerline points against the sticks, voxels of the hull's surface against the body's.
+
+Centerline points are matched to their foot points, weighted robustly, summed into H and g.
 
 Matching is step 3 of the thesis's Algorithm 2: the foot point is the nearest point of the nearest stick. (The text of
 its section 4.3 looks for the closest LINE first and falls back on end points; that picks another stick for one point in
@@ -6,6 +8,10 @@ five and contradicts Algorithm 2 and figure 4.4.) Every point pulls on its stick
 For a foot inside a stick the component along the stick is free (the foot slides); for a foot clamped to a stick's end
 all three components count. This is articulated ICP as in Demirdjian & Darrell, "3-D articulated pose tracking for
 untethered diectic reference", ICMI 2002, with hard joint constraints; the columns are the thesis's Table 5.8 corrected.
+
+The centerline cannot see which way a torso faces, nor an arm that hangs against it: there the slices of trunk and arm
+merge. The hull's surface can. A small Geman-McClure gate ignores phantom volumes, whose surface is far from the body
+(their interior would not be: it stays out).
 """
 
 from __future__ import annotations
@@ -17,7 +23,7 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 
 from .. import kernels
-from .normal_equations import CHAIN_COLUMNS
+from .normal_equations import CHAIN_COLUMNS, ENDS, add_pose_sums, add_to_sums, no_sums
 from .placed_figure import STICKS, columns
 
 
@@ -209,3 +215,38 @@ def place_feet(A, B, stick, along, feet):
         j, u = stick[i], along[i]
         for k in range(3):
             feet[i, k] = A[j, k] + u * (B[j, k] - A[j, k])
+
+
+@njit(cache=True)
+def add_surface(voxels, nearest, placed, information, gate, H, g):
+    """Add the distances of surface voxels (m, 3) m from the body's surface to upper H and g, Geman-McClure.
+
+    ``nearest`` : their capsules, as of `surface_distances`. information : 1/m^2 of each; gate : m.
+    """
+    sums = no_sums(placed.P.shape[0], ENDS)
+    _sum_voxels(voxels, nearest, placed, information, gate, sums)
+    add_pose_sums(sums, placed, H, g)
+
+
+@njit(cache=True, error_model="numpy")
+def _sum_voxels(voxels, nearest, placed, information, gate, sums):
+    """Add the voxels' distances to the sums of their nearest capsules."""
+    capsule, along, distance = nearest
+    normals, weight = np.empty((3, voxels.shape[0])), np.empty(voxels.shape[0])
+    for i in range(voxels.shape[0]):
+        c, u = capsule[i], along[i]
+        for q in range(3):
+            normals[q, i] = voxels[i, q] - (placed.P[c, q] + u * (placed.Q[c, q] - placed.P[c, q]))
+    _weigh_voxels(distance, information, gate, normals, weight)
+    add_to_sums(sums, capsule, along, normals, weight, distance)
+
+
+@kernel
+def _weigh_voxels(distance, information, gate, normals, weight):
+    """normals (3, n) <- of unit length; weight (n,) <- Geman-McClure, 0 on a capsule's axis, where there is none."""
+    for i in range(weight.shape[0]):
+        x, y, z, e = normals[0, i], normals[1, i], normals[2, i], distance[i]
+        length, ratio = np.sqrt(x * x + y * y + z * z), 1.0 + e * e / (gate * gate)
+        weight[i] = information / (ratio * ratio) if length > 0.0 else 0.0
+        length = length if length > 0.0 else 1.0
+        normals[0, i], normals[1, i], normals[2, i] = x / length, y / length, z / length

@@ -25,8 +25,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig, save_rig
 from capture_rig.rigid import rotation_vector
 from capture_rig.yaml_file import read_mapping, save_mapping
-from stick_figure.body import Body
-from stick_figure.body_file import save_body
+from stick_figure.body import Body, save_body
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import ANGLE_NAMES
 

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
+from ...alignment import PictureAlignment
 from ...frame_source import Image, Mask
-from ...movement.alignment import PictureAlignment
 from ...settings import BackgroundSettings
 from ..kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, STEP_PX, Bounds, Today, take_residuals, take_samples, thin_out
 from ..model import BackgroundModel

@@ -2,7 +2,7 @@
 
 A tripod that was touched, a wall that warms, a mount that hums: every edge of the room would become foreground. The
 displacement is fitted to the steepest places of the picture, in every frame, robustly against what stands before them:
-one Gauss-Newton step, within half a pixel. Larger ones begin from :class:`camera_client.movement.alignment`.
+one Gauss-Newton step, within half a pixel. Larger ones begin from :class:`camera_client.alignment`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...movement.edge_points import strongest
+from ...alignment import strongest
 from ..kernels import BIN_SIGMAS, HALF_MEDIAN, median_of, robust_shift
 
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture

@@ -18,19 +18,18 @@ from capture_rig.camera import CameraModel
 from capture_rig.rigid import rotation_matrix, rotation_vector
 from capture_rig.stamps import StampThrottle
 
-from ..background.model import BackgroundModel, Provenance
-from ..frame_source import Image
-from ..settings import CameraMovedSettings
 from .alignment import Alignment, Array, PictureAlignment
+from .background.model import BackgroundModel, Provenance
+from .frame_source import Image
+from .settings import CameraMovedSettings
 
 # Thresholds: chosen with python bench/camera_movement.py.
 SAMPLES = 3  # whose median counts: something that springs back, or one bad picture, is no movement
 MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on a turn
 MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved
 LOST = 0.1  # when fewer agree on anything, the picture is another one ...
-LOST_S = 3.0  # ... for so long
+SEARCH_S = 3.0  # ... for so long; a search, which costs as much as ten comparisons, is not made more often
 PERIOD_S = 0.5  # a frame is compared with the background so often
-SEARCH_S = 3.0  # a search costs as much as ten comparisons
 SIGMAS = 4.0
 SEVERE_FACTOR = 2.5  # limits from which it is an error, and not only a warning
 
@@ -142,7 +141,7 @@ class CameraMovedDetector:
         if search:
             self._searched_ns = stamp_ns
         self._unlike_s = self._unlike_s + step_s if found is None or found.agreeing < LOST else 0.0
-        if self._unlike_s >= LOST_S:
+        if self._unlike_s >= SEARCH_S:
             self._samples.clear()
             self.movement = Movement(MovementState.LOST, severe=True)
         return self.movement

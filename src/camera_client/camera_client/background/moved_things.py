@@ -1,9 +1,9 @@
 """Lets things that moved become background: doors, a chair put elsewhere or taken away; never a person.
 
-Two rules, by physics. What the other cameras do not see (:mod:`mocap_packets.support`) and what keeps still, as a whole
-and for seconds, is a thing. And where the background's picture has an outline that the camera's picture has no longer,
-nothing stands (:mod:`.taken_away`). What was learned first is kept: a pixel is background when it looks as it was
-learned or as it was absorbed, so that a door closed again is background at once.
+Two rules, by physics (:mod:`.moved_evidence`). What the other cameras do not see and what keeps still, as a whole and
+for seconds, is a thing. And where the background's picture has an outline that the camera's picture has no longer,
+nothing stands. What was learned first is kept: a pixel is background when it looks as it was learned or as it was
+absorbed, so that a door closed again is background at once.
 
 Work is done on blocks of 8 x 8 pixels, a few times a second by the frames' stamps.
 """
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -20,15 +19,14 @@ import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS, StampThrottle
-from mocap_packets.support import ForegroundSupport
+from mocap_packets.silhouette import ForegroundSupport
 
-from ...frame_source import Image, Mask
-from ..kernels import STEP_PX, clear_absorbed, follow_running
-from .support_history import Blocks, SupportHistory, counted
-from .taken_away import is_calm_inside, was_taken_away
+from ..frame_source import Image, Mask
+from .adaptation.expected_image import Corners, Samples
+from .kernels import STEP_PX, clear_absorbed, follow_running
+from .moved_evidence import Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
-# Thresholds: APPLY_AFTER_S from the latency of the graph, NOISE_SIGMAS from the normal distribution; else chosen with
-# the rooms of test_camera_moved_things.py.
+# Thresholds: NOISE_SIGMAS from the normal distribution; else chosen with the rooms of test_camera_moved_things.py.
 SAMPLE_S = 0.2  # blocks are looked at so often
 BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
@@ -37,8 +35,7 @@ NOISE_SIGMAS = 4.0  # a pixel changed, or differs from what was absorbed: 1 in 1
 FOLLOW_S = 1.0  # time constant of the picture that blocks are compared with: slower than sway, faster than daylight
 STILL_S = 3.0  # nobody sees it, and it keeps still, for so long: it is a thing
 OUTSIDE_STILL_S = 12.0  # the same of what may be a person beside the volume: nobody holds each limb still for so long
-LIKELY_S = 1.0  # the same for so long: a thing rather than the person, when one of both must be chosen
-TAKEN_AWAY_S = 1.0  # the outlines say enough; the picture must have come to rest
+REST_S = 1.0  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen
 WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands move while a trunk does not
 LEAST_UNSEEN = 0.5  # ... that nobody else sees, so that those may be absorbed
 MOST_BODY = 0.2  # share of a blob where others see something: rays of other things that cross, not a person
@@ -50,21 +47,9 @@ STATIC_S, ALWAYS = 300.0, 0.9  # foreground that kept still for so long, in nine
 STATIC_RATE = math.log(1 - ALWAYS) / STATIC_S  # 1 / s, of its running mean
 COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
 
-Samples = npt.NDArray[np.uint8]
-Corners = tuple[int, int, int, int]
 Look = Callable[[Image, Corners], tuple[npt.NDArray[np.float32], Mask]]
 """Gives of a part of an image (top, left, bottom, right; the last two excluded) the background's picture in today's
 light, and 255 where the image differs from it."""
-
-
-@dataclass(frozen=True)
-class AbsorbedPlace:
-    """Where a thing was absorbed: columns and rows from and to, pixels; since when; its share of the picture."""
-
-    columns: tuple[int, int]
-    rows: tuple[int, int]
-    since_ns: int
-    share: float
 
 
 class MovedThings:
@@ -74,7 +59,6 @@ class MovedThings:
     the light that the background was learned in.
     likely : (H, W) uint8, 255 where foreground is likely a thing and will be absorbed if it stays so; None: nowhere.
     absorbed, reverted : how many times things were. overflowed : more moved, just now, than may be absorbed.
-    static (h, w) : blocks, of ``block_px`` pixels of the camera, in which foreground has not moved for STATIC_S.
     dynamic_share : share of the picture that has been foreground for seconds where nobody else sees anybody, and does
     not keep still.
     """
@@ -117,13 +101,6 @@ class MovedThings:
     def _note_change(self) -> None:
         x, y, width, height = cv2.boundingRect(self.replaced)
         self._box = (y, x, y + height, x + width) if width else None
-        self._changed = True
-
-    @property
-    def changed(self) -> bool:
-        """Whether ``replaced`` or ``mean`` changed since this was last asked."""
-        changed, self._changed = self._changed, False
-        return changed
 
     @property
     def share(self) -> float:
@@ -137,22 +114,13 @@ class MovedThings:
 
     @property
     def static(self) -> Blocks:
+        """Blocks (h, w), of ``block_px`` pixels of the camera, in which foreground has not moved for STATIC_S."""
         return np.asarray(self._static_share > ALWAYS)
 
-    def places(self) -> list[AbsorbedPlace]:
-        """Return where things are absorbed, the largest first."""
-        count, labels, stats, _ = cv2.connectedComponentsWithStats(self.replaced, connectivity=8)
-        since = self._to_pixels(self._since_ns)
-        found = [
-            AbsorbedPlace(
-                (int(self._scale * x), int(self._scale * (x + w))),
-                (int(self._scale * y), int(self._scale * (y + h))),
-                int(since[y : y + h, x : x + w][labels[y : y + h, x : x + w] == label].max()),
-                float(area / self.replaced.size),
-            )
-            for label, (x, y, w, h, area) in list(enumerate(stats))[1:count]
-        ]
-        return sorted(found, key=lambda place: -place.share)
+    @property
+    def newest_ns(self) -> int:
+        """Stamp at which the newest thing was absorbed; 0 without one."""
+        return int(self._since_ns.max())
 
     @property
     def seen_by_nobody(self) -> npt.NDArray[np.bool_]:
@@ -160,7 +128,7 @@ class MovedThings:
         return self._others.unseen_s > 0
 
     def take_report(self, report: ForegroundSupport) -> None:
-        """Take what the others see, for frames some time after its stamp (:mod:`.support_history`). From any thread."""
+        """Take what the others see, for frames some time after its stamp. From any thread."""
         self._others.add(report)
 
     def clear_absorbed(
@@ -228,13 +196,13 @@ class MovedThings:
         # what looks as it was learned is given back
         if self._box is not None:
             self._revert(image, self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
-        doubted = shown & (np.minimum(self._still_s, self._others.unseen_s) >= LIKELY_S)
+        doubted = shown & (np.minimum(self._still_s, self._others.unseen_s) >= REST_S)
         self.likely = np.where(self._to_pixels(doubted), np.uint8(255), np.uint8(0)) if doubted.any() else None
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
         self._absorb(shown, image, look, stamp_ns)
         nobody = (self._others.unseen_s >= STILL_S) & (self._others.outside_s <= 0) & (self._others.body_s <= 0)
-        self.dynamic_share = float((shown & nobody & (self._shown_s >= TAKEN_AWAY_S)).mean())
+        self.dynamic_share = float((shown & nobody & (self._shown_s >= REST_S)).mean())
 
     # --- what keeps still
 
@@ -262,8 +230,8 @@ class MovedThings:
                 nobody = (blob & unseen).sum() >= LEAST_UNSEEN * blob.sum()
                 if keeps_still and nobody and (blob & body).sum() <= MOST_BODY * blob.sum():
                     self._take_over(image, blob & unseen, stamp_ns)
-        rested = shown & (np.minimum(self._still_s, self._shown_s) >= TAKEN_AWAY_S)
-        if self._samples % round(TAKEN_AWAY_S / SAMPLE_S) == 0 and rested.any():
+        rested = shown & (np.minimum(self._still_s, self._shown_s) >= REST_S)
+        if self._samples % round(REST_S / SAMPLE_S) == 0 and rested.any():
             # a person beside the place hides a part of the outline; without her first, then bodies that may be none
             for blob in [*_blobs(shown & ~body, rested), *_blobs(shown, rested & body)]:
                 if (blob & rested).sum() >= WHOLE * blob.sum() and self._was_taken_away(blob, image, look):
@@ -293,13 +261,13 @@ class MovedThings:
         own = np.where(near, foreground, np.uint8(0))
         if not was_taken_away(own, foreground, image, background, self._noise):
             return False
-        nobody = (self._others.unseen_s[blob] >= TAKEN_AWAY_S).mean() >= WHOLE
+        nobody = (self._others.unseen_s[blob] >= REST_S).mean() >= WHOLE
         return bool(nobody) or is_calm_inside(own, image, self._noise)
 
     def _take_over(self, image: Image, blob: Blocks, stamp_ns: int) -> None:
         """Let a blob's blocks, and their neighbours that keep still, look as they do now."""
         around = cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        blocks = blob | (around & (self._still_s >= TAKEN_AWAY_S) & (self._others.body_s <= 0))
+        blocks = blob | (around & (self._still_s >= REST_S) & (self._others.body_s <= 0))
         if np.count_nonzero(blocks | (self._since_ns > 0)) > MOST_ABSORBED * blocks.size:
             self._overflow_ns = stamp_ns
             return

@@ -1,1 +1,0 @@
-"""Moved things: what was put down, moved or taken away becomes background, a person never."""

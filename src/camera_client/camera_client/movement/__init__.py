@@ -1,1 +1,0 @@
-"""Detection that a camera was moved since its calibration, by aligning its picture with the background's."""

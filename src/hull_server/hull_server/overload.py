@@ -1,0 +1,331 @@
+"""Decides which exposures all camera clients keep: as many frame sets a second as the graph answers in time.
+
+Congestion control of a queue, by its delay. The delay of a set is its time from exposure to answer. A queue stands
+when every one of the last sets came later than sets do while nothing queues (Nichols & Jacobson 2012: a burst leaves
+the minimum as it is); a full queue drops sets. Then the rate falls to a share of what was answered (multiplicative
+decrease, Chiu & Jain 1989; to the measured throughput: Mascolo et al. 2001) and nothing is kept until the queues are
+empty, so that the delay without a queue is measured anew (Cardwell et al. 2016). From there the rate grows slowly up to
+what was answered and quickly beyond (Ha, Rhee & Xu 2008), but not beyond what the busiest stage can do (utilisation
+law). Torn sets alone lower nothing: frames that a network loses are lost at any rate.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from capture_rig.stamps import NS_PER_S
+from mocap_packets.thinning import EVERY_FRAME, FrameDecimation, FrameSelector, nearest_fraction
+
+# Thresholds: CLOCK_DRIFT: quartzes; the others chosen with the simulated graphs of test_hull_overload.py.
+TARGET_S = 0.05  # a queue that stands longer than this, or than one set's period, is an overload
+SETS = 8  # that are judged: twice what a queue of four keeps of a burst, which may overflow by one set
+WINDOW_SETS = 32  # periods of kept sets: of fewer than SETS sets in it (slower, or starved, cameras) none is judged
+MOST_SETS = 512  # that are remembered: three seconds of the fastest cameras
+DECREASE = 0.9  # of the rate that was answered
+GROWTH = 0.005  # of the cameras' rate a second cubed: half of it is won back within five seconds
+FULL = 0.95  # of its time, the most that a stage is given to do; a smaller rise is not worth another pattern
+CLOCK_DRIFT = 1e-4  # between two machines' quartzes, at worst: the delay without a queue may grow so fast
+DELAYED, DROPS = "sets wait", "sets are dropped"
+
+LEAD_NS = 30_000_000  # from the newest stamp to a rule's first: it has reached every client by then
+LONGEST_PAUSE_NS = 500_000_000  # in which nothing is kept while the queues run empty, when the rate falls
+LONGEST_SILENCE_NS = 2 * NS_PER_S  # without a set: no exposure of the cameras may be one that is kept
+LONGEST_WAIT_NS = 100_000_000  # for the last cameras of a set while the clients' machines are busy
+LONGEST_GAP_NS = 10 * NS_PER_S  # after a longer one, as when footage begins again, the exposures are found anew
+STAMPS_KEPT = 40  # of each camera: the period of 60 Hz to 3e-4 where stamps jitter by a millisecond
+LEAST_STEPS = 8  # between neighbouring stamps, until a period is told
+LOW_PERCENTILE = 10.0  # of the steps: cameras that lose frames or have half the rate make longer ones
+LONGEST_STEP = 8  # periods: a longer gap tells nothing
+OFF_GRID = 0.24  # of a period: stamps farther from the grid (rms; random ones: 0.29) do not lie on it
+
+
+@dataclass
+class SetRecord:
+    """A closed frame set: when it closed, went to the tracker, was answered (monotonic ns); its age when it closed."""
+
+    stamp_ns: int
+    closed_ns: int
+    age_ns: int
+    cameras: frozenset[str]
+    handed_over_ns: int | None = None
+    answered_ns: int | None = None
+    dropped: bool = False
+
+    def delay_ns(self, now_ns: int) -> int:
+        """Return its time from exposure to answer; so far, while there is none."""
+        return self.age_ns + (self.answered_ns or now_ns) - self.closed_ns
+
+
+class ThinningControl:
+    """Keeps the frame sets of one rig within what the graph answers in time; safe to call from any thread.
+
+    Times called ``now_ns`` are monotonic. :meth:`update` is called about ten times a second; where it is never called,
+    every frame is kept.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._clock, self._selector = FrameClock(), FrameSelector(lapse_ns=None)
+        self._offered_hz: float | None = None  # sets that the cameras take a second
+        self._limit_hz, self._cause = math.inf, ""  # the most sets a second, and the sign of the last overload
+        self._answered_hz = 0.0  # the throughput then
+        self._published_ns: int | None = None
+        self._changed_ns = self._fell_ns = 0
+        self._sets: deque[SetRecord] = deque(maxlen=MOST_SETS)
+        self._work: deque[tuple[int, int, int]] = deque(maxlen=MOST_SETS)  # of stages: when, which, for how long
+        self._last_answer_ns = 0
+        self._base_ns: float | None = None  # the delay without a queue, and when it was measured
+        self._based_ns = 0
+        self._settled_ns = 0  # sets of later stamps are processed at the present rate
+
+    @property
+    def rule(self) -> FrameDecimation:
+        """The rule published last."""
+        return self._selector.newest
+
+    @property
+    def summary(self) -> str:
+        """What is thinned out, in words; empty while nothing is."""
+        rule, offered_hz = self.rule, self._offered_hz
+        if rule.keep == rule.of or offered_hz is None:
+            return ""
+        held = f"the graph holds {rule.fraction * offered_hz:.0f} Hz of {offered_hz:.0f}"
+        return f"thinned to {rule.keep} of {rule.of}: {held} ({self._cause})"
+
+    def deadline_ns(self, usual_ns: int) -> int:
+        """Return how long a set waits for its last cameras: while sets are left out, until the next one is due."""
+        rule = self.rule
+        if rule.keep == rule.of:
+            return usual_ns
+        return max(usual_ns, min(round(rule.period_ns / rule.fraction), LONGEST_WAIT_NS))
+
+    # --- what happens to frame sets ------------------------------------------------------------------------------
+
+    def admits(self, camera: str, stamp_ns: int, now_ns: int) -> bool:
+        """Add a frame; False when its exposure is thinned out, so that it belongs to no set."""
+        with self._lock:
+            if not self._selector.keeps(stamp_ns, now_ns):
+                return False
+            self._clock.add(camera, stamp_ns)
+            return True
+
+    def add_closed(self, stamp_ns: int, frames: Iterable[str], age_ns: int, now_ns: int) -> None:
+        """Add a frame set that has closed; ``age_ns`` since its exposure, on a clock that may be off."""
+        with self._lock:
+            if self._sets and not 0 < stamp_ns - self._sets[-1].stamp_ns < LONGEST_GAP_NS:
+                self._restart(stamp_ns, now_ns)
+            self._sets.append(SetRecord(stamp_ns, now_ns, age_ns, frozenset(frames)))
+
+    def add_work(self, stage: int, took_ns: int, now_ns: int) -> None:
+        """Add the time that a stage (0: carver, 1: slicer, -1: tracker) worked on a set."""
+        with self._lock:
+            self._work.append((now_ns, stage, took_ns))
+
+    def add_handed_over(self, stamp_ns: int, now_ns: int) -> None:
+        """Add a set that the tracker has from now on."""
+        with self._lock:
+            for each in self._sets:
+                if each.stamp_ns == stamp_ns:
+                    each.handed_over_ns = now_ns
+
+    def add_answer(self, stamp_ns: int, now_ns: int) -> None:
+        """Add the answer to a set, of the tracker or, without one, of the publisher: older sets will have none.
+
+        The tracker was at work since it had the set and had answered the one before.
+        """
+        with self._lock:
+            for each in self._sets:
+                if each.answered_ns is None and each.stamp_ns < stamp_ns:
+                    each.dropped = True
+                elif each.answered_ns is None and each.stamp_ns == stamp_ns:
+                    each.answered_ns = now_ns
+                    self._update_base(each, now_ns)
+                    if each.handed_over_ns is not None:
+                        self._work.append((now_ns, -1, now_ns - max(each.handed_over_ns, self._last_answer_ns)))
+            self._last_answer_ns = now_ns
+
+    def _update_base(self, answered: SetRecord, now_ns: int) -> None:
+        if answered.stamp_ns >= self._settled_ns:
+            drifted_ns = math.inf if self._base_ns is None else self._base_ns + CLOCK_DRIFT * (now_ns - self._based_ns)
+            self._base_ns, self._based_ns = min(answered.delay_ns(now_ns), drifted_ns), now_ns
+
+    def _restart(self, stamp_ns: int, now_ns: int) -> None:
+        """Start a new run of stamps, of other ages: until its exposures are known, every frame is kept."""
+        self._clock.forget()
+        self._sets.clear()
+        self._published_ns = self._base_ns = None
+        self._settled_ns, self._changed_ns = stamp_ns, now_ns
+        self._selector.update(replace(EVERY_FRAME, from_ns=stamp_ns), now_ns)
+
+    # --- the rule ------------------------------------------------------------------------------------------------
+
+    def update(self, now_ns: int) -> FrameDecimation | None:
+        """Return the rule to publish: a new one, or the present one again; None when there is nothing to publish."""
+        with self._lock:
+            rule = self.rule
+            if self._published_ns is None:
+                return self._publish(rule, now_ns)
+            grid, thins = self._clock.estimate(rule), rule.keep < rule.of
+            newest = self._sets[-1] if self._sets else None
+            if thins and (self._clock.off_grid or newest is None or now_ns - newest.closed_ns > LONGEST_SILENCE_NS):
+                self._clock.forget()  # the cameras' rate has changed, or they rest
+                return self._publish(replace(EVERY_FRAME, from_ns=newest.stamp_ns if newest else 0), now_ns)
+            due = thins and now_ns - self._published_ns >= NS_PER_S
+            if grid is None or newest is None:
+                return self._publish(rule, now_ns) if due else None
+            self._offered_hz, limit_hz = grid.hz, self._limit_hz
+            standing_ns = self._update_limit(grid.hz, now_ns)
+            keep_of = nearest_fraction(self._limit_hz / grid.hz)
+            if standing_ns or ((self._limit_hz != limit_hz or not thins) and keep_of != (rule.keep, rule.of)):
+                return self._decimate(grid, keep_of, standing_ns, now_ns)
+            if not due:
+                return None
+            # the same exposures, at the phase that the last stamps give: clocks drift
+            patterns = rule.exposure_of(newest.stamp_ns) // rule.of
+            phase_ns = grid.phase_ns + round(patterns * rule.of * grid.period_ns)
+            return self._publish(replace(rule, phase_ns=phase_ns, period_ns=grid.period_ns), now_ns)
+
+    def _decimate(self, grid: Exposures, keep_of: tuple[int, int], standing_ns: int, now_ns: int) -> FrameDecimation:
+        """Make a rule; when a queue stands, nothing is kept until it is empty, and its delay is measured anew."""
+        newest_ns = self._sets[-1].stamp_ns
+        from_ns = resume_ns = newest_ns + LEAD_NS
+        if standing_ns:
+            from_ns, resume_ns = newest_ns, resume_ns + min(standing_ns, LONGEST_PAUSE_NS)
+            self._base_ns = None
+        self._settled_ns, self._changed_ns = resume_ns, now_ns
+        # a camera of half the rate delivers at every second exposure: keep those that all deliver at
+        whole = max(self._sets, key=lambda each: (len(each.cameras), each.stamp_ns))
+        phase_ns = grid.phase_ns + round(round((whole.stamp_ns - grid.phase_ns) / grid.period_ns) * grid.period_ns)
+        return self._publish(FrameDecimation(from_ns, resume_ns, phase_ns, grid.period_ns, *keep_of), now_ns)
+
+    def _publish(self, rule: FrameDecimation, now_ns: int) -> FrameDecimation:
+        self._selector.update(rule, now_ns)
+        self._published_ns = now_ns
+        return rule
+
+    # --- the rate ------------------------------------------------------------------------------------------------
+
+    def _update_limit(self, offered_hz: float, now_ns: int) -> int:
+        """Judge the last sets and update the limit; return how long sets wait when a queue stands, otherwise 0."""
+        rate_hz = self.rule.fraction * offered_hz
+        span_ns = max(NS_PER_S, round(WINDOW_SETS / rate_hz * NS_PER_S))
+        while len(self._sets) > 1 and now_ns - self._sets[0].closed_ns > span_ns:
+            self._sets.popleft()
+        while self._work and now_ns - self._work[0][0] > NS_PER_S:
+            self._work.popleft()
+        base_ns = self._base_ns
+        late_ns = (base_ns or 0.0) + max(TARGET_S, 1.0 / rate_hz) * NS_PER_S
+        recent = [each for each in self._sets if each.stamp_ns >= self._settled_ns]
+        late = [each.dropped or each.delay_ns(now_ns) > late_ns for each in recent]
+        judged = [(each, is_late) for each, is_late in zip(recent, late, strict=True) if is_late or each.answered_ns]
+        judged = judged[-SETS:]
+        if len(judged) < SETS or base_ns is None:
+            return 0
+        drops = sum(each.dropped for each, _ in judged) > 1
+        if drops or all(is_late for _, is_late in judged):
+            self._cause = DROPS if drops else DELAYED
+            since_ns = next(each.closed_ns for each, is_late in judged if is_late)
+            # too few answers of a burst tell no throughput: half of what was kept
+            self._answered_hz, self._fell_ns = throughput_hz(self._sets, since_ns) or 0.5 * rate_hz, now_ns
+            self._limit_hz = DECREASE * self._answered_hz
+            delays_ns = [each.delay_ns(now_ns) for each, _ in judged if not each.dropped]
+            return max(round(max(delays_ns, default=0) - base_ns), 1)
+        if self._limit_hz < math.inf and now_ns - self._changed_ns >= NS_PER_S:
+            grown_hz = min(self._grown_hz(offered_hz, now_ns), FULL * rate_hz / self._utilisation(), 2 * rate_hz)
+            if grown_hz >= offered_hz:
+                self._limit_hz = math.inf
+            elif FULL * grown_hz > self._limit_hz:
+                self._limit_hz = grown_hz
+        return 0
+
+    def _grown_hz(self, offered_hz: float, now_ns: int) -> float:
+        """Return the rate on the cubic that begins at the last fall and is level at what was answered then."""
+        growth = GROWTH * offered_hz
+        level_s = math.cbrt((1.0 - DECREASE) * self._answered_hz / growth)
+        return self._answered_hz + growth * ((now_ns - self._fell_ns) / NS_PER_S - level_s) ** 3
+
+    def _utilisation(self) -> float:
+        """Return the share of the last second that the busiest stage worked; more than 0."""
+        busy_ns = dict.fromkeys((stage for _, stage, _ in self._work), 1)
+        for _, stage, took_ns in self._work:
+            busy_ns[stage] += took_ns
+        return max(busy_ns.values(), default=1) / NS_PER_S
+
+
+def throughput_hz(sets: Iterable[SetRecord], since_ns: int) -> float:
+    """Return how many whole sets a second the answers since then make: the frames of all but the first of them."""
+    answers = sorted((s.answered_ns, s.cameras) for s in sets if s.answered_ns and s.answered_ns >= since_ns)
+    if len(answers) < 2:
+        return 0.0
+    heard = frozenset[str]().union(*(cameras for _, cameras in answers))
+    return sum(len(c) for _, c in answers[1:]) / len(heard) * NS_PER_S / max(answers[-1][0] - answers[0][0], 1)
+
+
+# --- when the rig exposes: period and phase of its exposures, from the capture stamps that arrive
+
+
+@dataclass(frozen=True)
+class Exposures:
+    """A grid of exposures: one at ``phase_ns``, and every ``period_ns``."""
+
+    phase_ns: int
+    period_ns: float
+
+    @property
+    def hz(self) -> float:
+        return NS_PER_S / self.period_ns
+
+
+class FrameClock:
+    """Estimates the exposures' grid from the stamps of all cameras, thinned or not."""
+
+    def __init__(self) -> None:
+        self.off_grid = False  # at the last estimate, there were stamps enough, and they lay on no grid
+        self._stamps: dict[str, deque[int]] = {}
+
+    def add(self, camera: str, stamp_ns: int) -> None:
+        """Add the stamp of a frame."""
+        stamps = self._stamps.setdefault(camera, deque(maxlen=STAMPS_KEPT))
+        if stamps and not 0 < stamp_ns - stamps[-1] < NS_PER_S:
+            stamps.clear()
+        stamps.append(stamp_ns)
+
+    def forget(self) -> None:
+        """Forget all stamps: the cameras' rate may have changed."""
+        self._stamps.clear()
+
+    def estimate(self, rule: FrameDecimation = EVERY_FRAME) -> Exposures | None:
+        """Return the grid that the stamps lie on; None while there are too few of them, or they lie on none.
+
+        rule : under which they were kept; its grid is refined. Without one the period is that of the fastest camera.
+        """
+        self.off_grid = False
+        steps_ns = np.array([step for stamps in self._stamps.values() for step in np.diff(stamps)], float)
+        if len(steps_ns) < LEAST_STEPS:
+            return None
+        phase_ns, period_ns = rule.phase_ns, rule.period_ns
+        if rule.keep == rule.of:
+            phase_ns = max(stamps[-1] for stamps in self._stamps.values())
+            period_ns = float(np.percentile(steps_ns, LOW_PERCENTILE))
+            counts = np.rint(steps_ns / period_ns)
+            told = counts <= LONGEST_STEP
+            period_ns = float(steps_ns[told].sum() / counts[told].sum())
+        offsets_ns = np.array([stamp - phase_ns for stamps in self._stamps.values() for stamp in stamps], float)
+        # cameras that run freely expose up to half a period apart: centre the grid between them (circular mean)
+        turns = np.exp(2j * np.pi * (offsets_ns / period_ns))
+        shift_ns = float(np.angle(turns.mean()) / (2 * np.pi) * period_ns)
+        numbers = np.rint((offsets_ns - shift_ns) / period_ns)
+        # the line of stamps over exposure numbers (least squares)
+        middle = numbers.mean()
+        slope_ns, at_mean_ns = np.polyfit(numbers - middle, offsets_ns - numbers * period_ns, 1)
+        left_ns = offsets_ns - numbers * period_ns - at_mean_ns - slope_ns * (numbers - middle)
+        self.off_grid = bool(np.sqrt(np.mean(left_ns**2)) > OFF_GRID * period_ns)
+        if self.off_grid:
+            return None
+        return Exposures(phase_ns + round(float(at_mean_ns - slope_ns * middle)), period_ns + float(slope_ns))

@@ -1,1 +1,0 @@
-"""What the hull server does when the graph cannot process every frame set: all clients thin out by one rule."""

@@ -1,0 +1,89 @@
+"""Settings of the middleware: bounds of what a node's process keeps, and whom a graph on several machines hears.
+
+Environment variables are read when a process first touches ROS, and its children inherit them. Without the bounds, one
+message of 16 MiB on each topic costs a process hundreds of megabytes until it ends (docs/faults.md): ROS has Fast DDS
+keep for each topic as many buffers as were ever in use at once, each as large as the largest message that it ever held,
+and glibc learns from large blocks that are freed to keep such blocks.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import ipaddress
+import os
+from collections.abc import MutableMapping
+from pathlib import Path
+
+from capture_rig.errors import InputError
+
+PROFILE = Path(__file__).with_name("fastdds_memory.xml")
+PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+QOS_FROM_PROFILE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
+MALLOC_VARIABLES = ("MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_")  # glibc's own: a user's word goes before ours
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of malloc.h
+_LARGE_BYTES = 1 << 20  # no message, mask or product of a frame set is as large; images are, and hostile messages
+_SPARE_BYTES = 16 << 20  # a server's heap rises and falls by so much within a frame set: to trim that would cost time
+
+
+def bound_memory(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Bound what this process keeps; to be called before it touches ROS, and before it has threads.
+
+    A profile of Fast DDS or a malloc setting that the environment names is left as it is.
+    """
+    if not any(environment.get(name) for name in (*PROFILE_VARIABLES, QOS_FROM_PROFILE)):
+        environment[PROFILE_VARIABLES[0]] = str(PROFILE)
+        environment[QOS_FROM_PROFILE] = "1"
+    if not any(environment.get(name) for name in MALLOC_VARIABLES):
+        _call("mallopt", _M_MMAP_THRESHOLD, _LARGE_BYTES)
+        _call("mallopt", _M_TRIM_THRESHOLD, _SPARE_BYTES)
+
+
+def release_free_memory() -> None:
+    """Ask the C library for what freed arrays left in its heap.
+
+    Building maps and models takes tens of megabytes for a moment, and glibc keeps them as its own otherwise.
+    """
+    _call("malloc_trim", 0)
+
+
+def _call(name: str, *arguments: int) -> None:
+    function = getattr(ctypes.CDLL(None), name, None)
+    if function is not None:  # glibc; elsewhere nothing happens
+        function(*arguments)
+
+
+# a graph on several machines ------------------------------------------------------------------------------------------
+
+
+PROFILE_VARIABLE = PROFILE_VARIABLES[0]
+PEERS_VARIABLE, RANGE_VARIABLE = "ROS_STATIC_PEERS", "ROS_AUTOMATIC_DISCOVERY_RANGE"
+ALONE = "LOCALHOST"  # with peers: they are asked by unicast, and nobody else
+
+
+def use_peers(text: str, environment: MutableMapping[str, str] = os.environ) -> None:
+    """Let this process and its children find these machines by unicast, ``ADDRESS,ADDRESS,...``, and no others.
+
+    The profile of :func:`profile_file` is used, unless the environment names another one. Every machine names at least
+    the server; the server, all of them. Raises InputError for what is no address.
+    """
+    addresses = [_address(word.strip()) for word in text.split(",")]
+    environment[PEERS_VARIABLE] = ";".join(addresses)
+    environment[RANGE_VARIABLE] = ALONE
+    if not environment.get(PROFILE_VARIABLE):
+        environment[PROFILE_VARIABLE] = str(profile_file())
+        environment[QOS_FROM_PROFILE] = "1"  # its memory policies are taken with this alone
+
+
+def profile_file() -> Path:
+    """Return our Fast DDS profile, in the share folder of an installed sagoma_bringup, or in the tree."""
+    from .names import package_path  # loads ROS
+
+    return package_path("package://sagoma_bringup/config/dds/fastdds.xml").resolve()
+
+
+def _address(word: str) -> str:
+    try:
+        return str(ipaddress.IPv4Address(word))
+    except ValueError:
+        remedy = "Write --peers ADDRESS,ADDRESS with the machines' IPv4 addresses, as 192.168.1.7."
+        raise InputError(f"'{word}' is no IPv4 address", where="--peers", remedy=remedy) from None
