@@ -408,5 +408,5 @@ def test_urdf_command_prints_the_body_of_a_file_and_replaces_nothing(tmp_path, c
     assert main(["urdf", "--stature", "1.9", "--output", str(out)]) == 0
     assert out.read_text() == body_urdf(Body.from_stature(1.9), BODY_ID)
     assert main(["urdf", "--output", str(out)]) == 2
-    assert "exists already" in capsys.readouterr().err
+    assert "A file has that name" in capsys.readouterr().err
     assert main(["urdf", "--body", "b.yaml", "--stature", "1.9"]) == 2
