@@ -28,13 +28,13 @@ import numpy as np
 from capture_rig.stamps import CaptureClock
 from capture_rig.yaml_file import save_mapping
 from sagoma_bringup.graph import LOSSLESS_SETTINGS, NodeSpec, build_graph, camera_node
-from sagoma_tools.evaluation.live_inputs import SILENCE_S, LiveInput
+from sagoma_tools.evaluation.live_inputs import LiveInput
 from sagoma_tools.evaluation.live_run import LiveRun, evaluate_run, run_live, run_studio
 from sagoma_tools.evaluation.track import SessionClock, frame_count
 from sagoma_tools.graph.topics import PREDICTION_TOPIC
 from sagoma_tools.recording.recorder import GraphRecorder
 
-DOMAIN = 88
+DOMAIN, SETTLE_S = 88, 5.0  # of the graph; what it may still have to answer after the last image
 DRIVER = Path(__file__).parent / "driver_stand_in.py"
 
 
@@ -68,10 +68,11 @@ class DriverInput(LiveInput):
 
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock:
         assert self._driver.stdin is not None and self._driver.stdout is not None
+        recorder.wait_for_count(PREDICTION_TOPIC, round(self._hz), 60.0)  # of the first picture
         self._driver.stdin.write("play\n")
         begin_ns, frames = int(self._driver.stdout.readline()), frame_count(self.session)
         self._driver.wait()
-        recorder.recorder.wait_for_stamp(PREDICTION_TOPIC, begin_ns + round(1e9 * frames / self._hz), SILENCE_S / 4)
+        recorder.wait_for_stamp(PREDICTION_TOPIC, begin_ns + round(1e9 * frames / self._hz), SETTLE_S)
         return SessionClock(begin_ns + round(0.5e9 * self._apart / self.session.fps), frames, self.session.fps)
 
     @property
@@ -85,7 +86,7 @@ def between_frames(run: LiveRun) -> LiveRun:
     assert truth is not None
     points = truth.points_world
     between = replace(truth, points_world=0.5 * (points + np.concatenate([points[1:], points[-1:]])))
-    return replace(run, session=replace(run.session, truth=between))
+    return replace(run, session=replace(run.session, truth=between), seen=np.arange(run.clock.frames))
 
 
 def main() -> None:
