@@ -315,15 +315,20 @@ def follow(open_probe, tmp_path, body, fitted, **parameters) -> Published:
     markers = probe.listen(MarkerArray, "mocap/skeleton")
     texts = probe.listen(String, "mocap/robot_description", LATCHED)
     probe.start()
+    link = f'"{probe.node.tf_prefix}{probe.node.settings.body_id}_'
+
+    def own() -> list[str]:  # latched texts of a filter before this one may be heard, too
+        return [text.data for text in texts if link in text.data]
+
     probe.until(sender.get_subscription_count)
     probe.until(lambda: all(probe.node.count_subscribers(topic) for topic in probe.heard))
     for number, measured in enumerate(fitted):
         stamp_ns = START_NS + round(number * 1e9 / FPS)
         people, frame_id = FittedPeople(stamp_ns, PeoplePoints({1: measured}), {1: body}), probe.node.settings.frame_id
         sender.publish(tables_message(people, frame_id))
-        probe.until(lambda: min(len(clouds), len(joints), len(markers)) > number and texts)  # noqa: B023
+        probe.until(lambda: min(len(clouds), len(joints), len(markers)) > number and own())  # noqa: B023
     points = [read_reference_points(cloud, "test").points_world for cloud in clouds]
-    published = Published(points, list(joints), list(markers), texts[0].data)
+    published = Published(points, list(joints), list(markers), own()[0])
     assert probe.node.trigger_deactivate() == probe.node.trigger_cleanup() == SUCCESS  # a second filter is alone
     return published
 
