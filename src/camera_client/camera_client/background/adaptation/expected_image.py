@@ -96,7 +96,8 @@ class ExpectedImage:
         (top, left, bottom, right), (height, _, channels) = box, self.shape
         out = np.empty((bottom - top, (right - left) * channels), np.float32)
         flat = Learned(*(each.reshape(height, -1) for each in self._whole))
-        look_closely(image.reshape(height, -1), flat, today, bounds, self._clipped, box, out, distance)
+        part = top, left, bottom, right  # plain, whatever kind of tuple came: each kind would be compiled
+        look_closely(image.reshape(height, -1), flat, today, bounds, self._clipped, part, out, distance)
         return out if channels == 1 else out.reshape(bottom - top, right - left, channels)
 
     def cell_weights(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
