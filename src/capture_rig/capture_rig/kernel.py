@@ -36,6 +36,8 @@ from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.target_extension import jit_registry, target_registry
 from numba.core.typed_passes import NativeLowering
+from numba.extending import overload
+from numba.np import arrayobj
 
 PACKAGES = Path(__file__).resolve().parents[2]  # of this repository: PACKAGES/NAME/NAME/*.py
 IMPORT = re.compile(r"^(?:from +([.\w]+) +)?import +(\([^)]*\)|[^\n]*)", re.MULTILINE)
@@ -158,6 +160,21 @@ def _part_of_numpy(**options: Any) -> Callable[[Callable[..., Any]], _PartDispat
 
 
 jit_registry.update({target_registry["cpu"]: _part_of_numpy})  # what numba wrote in Python of numpy: parts as well
+
+
+def _raise_of_shapes(source: Any, target: Any) -> None:
+    """Raise of an assignment between arrays of two shapes. (numba's own writes both out: a sixth of all time.)"""
+
+
+@overload(_raise_of_shapes)
+def _compile_raise_of_shapes(source: Any, target: Any) -> Callable[[Any, Any], None]:
+    def raise_of_shapes(source: Any, target: Any) -> None:
+        raise ValueError("cannot assign an array of another shape")
+
+    return raise_of_shapes
+
+
+arrayobj.raise_with_shape_context = _raise_of_shapes
 
 # numba compares the flags of a function thousands of times, and looked each of them up: a tenth of all time
 _DEFAULT_FLAGS = {name: option.default for name, option in Flags.options.items()}

@@ -306,11 +306,11 @@ def visibility_of(settings: IcpNodeSettings, rig: Rig | None = None, min_seeing:
     return None if rig is None else RigVisibility(rig, min_seeing)
 
 
-def warm_up(settings: TrackerSettings) -> None:
+def warm_up(settings: TrackerSettings, visibility: RigVisibility | None = None) -> None:
     """Run some fits on made-up data, so that compiled code is loaded before the first frame set arrives."""
     body = Body.from_stature(1.7)
     pose = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
-    tracker = IcpTracker(KnownPose(pose, body), replace(settings, acquire_inliers=0.0))
+    tracker = IcpTracker(KnownPose(pose, body), replace(settings, acquire_inliers=0.0), visibility)
     points = forward(body, pose)
     voxels = VoxelSamples.checked(points, np.ones(len(points)))
     ahead, aside = np.tile([1.0, 0.0, 0.0], (15, 1)), np.tile([0.0, 1.0, 0.0], (15, 1))
@@ -321,7 +321,7 @@ def warm_up(settings: TrackerSettings) -> None:
         tracker.step(HullProducts.of_points(k, points, 0.01, voxels, contour_rays=contour_rays), predicted)
     if settings.method == "articulated":
         trunk = TrunkBend(settings.articulated)
-        data = make_data(points, 0.01, voxels, settings.articulated, contour_rays)
+        data = make_data(points, 0.01, voxels, settings.articulated, contour_rays, visibility)
         matched = assess(body, pose, data, 0, True, settings.articulated).matched
         for k in range(2):
             trunk.look(k, body, pose, data.contour_rays, matched)

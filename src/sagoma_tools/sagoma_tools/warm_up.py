@@ -15,6 +15,8 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from mocap_pipeline.configuration import Configuration
 
@@ -22,19 +24,17 @@ FPS, S = 10.0, 0.8
 
 
 def main() -> int:
-    """Compile the parts, which share few kernels, in as many processes as there are cores; the longest comes first."""
+    """Compile the parts in as many processes as there are cores: the longest first, what shares its kernels last."""
     os.environ["NUMBA_OPT"] = "2"  # the kernels are no slower than with 3, and compile in four fifths of the time
-    parts = (compile_fit, compile_filter, compile_hull, compile_cameras)
+    parts = (compile_fit, compile_hull, compile_cameras, compile_filter)
     processes = min(len(parts), len(os.sched_getaffinity(0)))
     # without the collector, which looks through all that the compiler holds, again and again: a fifth of the time
     with (
         tempfile.TemporaryDirectory(prefix="sagoma_warm_up_") as folder,
         ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), gc.disable) as pool,
     ):
-        compiled = [*map(pool.submit, parts), pool.submit(write_short_session, Path(folder) / "session")]
-        for part in compiled:
+        for part in [*map(pool.submit, parts), pool.submit(write_short_session, Path(folder) / "session")]:
             part.result()
-        pool.submit(track, Path(folder) / "session").result()
     return 0
 
 
@@ -46,16 +46,20 @@ def settings() -> Configuration:
 
 def compile_fit() -> None:
     """Compile the fit, its search for other poses, and the refinement of the body."""
+    from capture_rig.visibility import RigVisibility
     from icp_tracker.tracker import warm_up
+    from virtual_studio.rig import ring
 
-    warm_up(settings().icp)
+    warm_up(settings().icp, RigVisibility(ring(4, True)))
 
 
 def compile_filter() -> None:
     """Compile the filter."""
+    from capture_rig.rigid import quaternion_of
     from ekf_tracker.filter import warm_up
 
     warm_up()
+    quaternion_of(np.eye(3))
 
 
 def compile_hull() -> None:
@@ -84,15 +88,6 @@ def write_short_session(folder: Path) -> None:
     from virtual_studio.rig import ring
 
     write_session(folder, ring(4, True), Body.from_stature(1.75), "t_pose_only", FPS, S)
-
-
-def track(session: Path) -> None:
-    """Track the person of a session: compiles what no stage alone runs."""
-    from capture_rig.session import load_session
-
-    from .evaluation.in_process import track_session
-
-    track_session(load_session(session), settings())
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 
+from ..background.kernels import clear_absorbed
 from ..background.model import BackgroundModel, Provenance
 from .pipeline import SilhouettePipeline
 
@@ -23,7 +24,7 @@ def warm_up_silhouettes(colour: bool) -> None:
     K = np.array([[WIDTH, 0.0, WIDTH / 2], [0.0, WIDTH, HEIGHT / 2], [0.0, 0.0, 1.0]])
     T_camera_world = np.eye(4)  # level, 1.5 m above the floor
     T_camera_world[:3, :3], T_camera_world[:3, 3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]], [0.0, 1.5, 3.0]
-    mean = rng.uniform(80, 170, shape).astype(np.float32)
+    mean = rng.uniform(120, 160, shape).astype(np.float32)
     background = BackgroundModel(mean, np.full_like(mean, NOISE_LEVELS), Provenance("warm-up", 20, NOISE_LEVELS))
     camera = CameraModel("warm_up", WIDTH, HEIGHT, K, "plumb_bob", np.zeros(5), T_camera_world)
     pipeline = SilhouettePipeline(camera, background)
@@ -31,4 +32,7 @@ def warm_up_silhouettes(colour: bool) -> None:
         picture = mean + rng.normal(0.0, NOISE_LEVELS, shape)
         picture[80:110, 40:140] *= SHADOW
         picture[20:100, 60:100] = 20.0
-        pipeline.run(np.rint(picture).clip(0, 255).astype(np.uint8), frame * STEP_NS)
+        image = np.rint(picture).clip(0, 255).astype(np.uint8)
+        pipeline.run(image, frame * STEP_NS)
+    pixels, mask = image.reshape(HEIGHT, WIDTH, -1), np.zeros((HEIGHT, WIDTH), np.uint8)
+    clear_absorbed(pixels, mean.reshape(pixels.shape), mask, mask, 1.0, 1, (0, 0, HEIGHT, WIDTH), mask)
