@@ -65,10 +65,10 @@ def test_the_tracked_body_follows_the_truth(live):
 
 
 def test_every_process_stays_within_its_memory(live):
-    limits = {"mocap_server": 600.0}
+    limits = {"mocap_server": 320.0}
     assert set(live.usage) == {*limits, *live.session.rig.names}
     for process, used in live.usage.items():
-        assert used.resident_mib <= limits.get(process, 360.0), f"{process} takes {used.resident_mib:.0f} MiB"
+        assert used.own_mib <= limits.get(process, 230.0), f"{process} takes {used.own_mib:.0f} MiB"
 
 
 def test_the_page_gives_the_same_numbers_as_the_graph(live):

@@ -53,10 +53,15 @@ class ExitStatus:
 
 @dataclass(frozen=True)
 class Usage:
-    """Resources of a process: memory resident now and at its peak, MiB, processor time since its start, seconds."""
+    """Resources of a process: memory resident now and at its peak, MiB, processor time since its start, seconds.
+
+    own_mib : of what is resident, all that is not a page of a file. How many of a library's pages are counted as
+    resident is the kernel's choice, and processes share them.
+    """
 
     resident_mib: float
     peak_mib: float
+    own_mib: float
     cpu_s: float
 
 
@@ -121,8 +126,11 @@ class Child:
             cpu = psutil.Process(self.pid).cpu_times()
         except (OSError, psutil.Error):
             return None
-        kib = {line.split(":")[0]: int(line.split()[1]) for line in status.splitlines() if line.startswith("Vm")}
-        return Usage(kib["VmRSS"] / 1024, kib["VmHWM"] / 1024, cpu.user + cpu.system) if "VmRSS" in kib else None
+        kib = {line.split(":")[0]: int(line.split()[1]) for line in status.splitlines() if " kB" in line}
+        if "VmRSS" not in kib:
+            return None
+        own = kib["VmRSS"] - kib["RssFile"]
+        return Usage(kib["VmRSS"] / 1024, kib["VmHWM"] / 1024, own / 1024, cpu.user + cpu.system)
 
     def interrupt(self) -> None:
         """Ask it to stop (SIGINT)."""
