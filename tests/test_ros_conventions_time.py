@@ -129,6 +129,7 @@ def arguments(bag: Path, **given: object) -> argparse.Namespace:
     return argparse.Namespace(bag=str(bag), output=None, **(usual | given))
 
 
+@pytest.mark.slow
 def test_bag_played_twice_and_looped_in_simulated_time_is_tracked_each_time(bag, ros_context, capfd):
     server = Server(ros_context, bag.with_suffix(".rig.yaml"))
     try:

@@ -111,6 +111,7 @@ def test_chair_that_was_left_in_the_room_is_told_after_five_minutes_with_its_pla
     assert see(60) == ()  # taken away again
 
 
+@pytest.mark.slow
 def test_rendered_dance_on_the_spot_for_ten_minutes_is_no_furniture(shared_data):
     folder = shared_data("sessions", "charleston_ring5top")
     video = open_footage(folder / "cam01.mp4")

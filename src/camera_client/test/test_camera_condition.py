@@ -324,6 +324,7 @@ def test_background_of_another_camera_is_refused_and_that_of_another_exposure_co
     assert room.processor.refused is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("session, name", [("walk_ring5top", "cam03"), ("charleston2_ring5top_drift", "cam02")])
 def test_rendered_sessions_give_no_finding_that_costs_silhouettes(shared_data, session, name):
     folder = shared_data("sessions", session)

@@ -137,6 +137,7 @@ def test_what_turns_white_in_brighter_light_stays_background(scene, colour):
         assert iou(pipeline.run(frame, k * SECOND_NS).image_mask, person) > 0.95
 
 
+@pytest.mark.slow
 def test_person_who_stands_still_for_ten_minutes_stays_whole_and_leaves_no_ghost_also_when_the_light_dims(scene):
     room, person = Room(scene), scene.person_mask()
     for _ in range(50):

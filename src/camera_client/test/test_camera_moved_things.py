@@ -158,6 +158,7 @@ def test_what_may_be_a_person_beside_the_volume_has_to_keep_still_for_longer():
     assert share(room.watch(picture, 3, OUTSIDE), THING) < 0.01
 
 
+@pytest.mark.slow
 def test_visitor_whom_nobody_else_sees_sways_and_is_no_thing():
     """Who stands upright sways by some millimetres several times in three seconds: here by 0.6 px to each side."""
     room = Room()

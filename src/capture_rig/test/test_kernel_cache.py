@@ -93,6 +93,7 @@ def test_moved_checkout_finds_its_cache_and_recompiles_what_calls_a_changed_kern
     assert sorted(path.name for path in checkout.rglob("*.nb?")) == before  # nothing of the old ones is left
 
 
+@pytest.mark.slow
 def test_cache_that_names_a_class_which_is_gone_is_made_anew(checkout):
     (index,) = checkout.rglob("caller.caller*.nbi")
     index.write_bytes(pickle.dumps(numba.__version__) + b"cgone\nPlay\n.")
@@ -100,6 +101,7 @@ def test_cache_that_names_a_class_which_is_gone_is_made_anew(checkout):
     assert run(checkout) == [20, -1, 1, 1]
 
 
+@pytest.mark.slow
 def test_kernels_are_kept_in_a_temporary_folder_where_neither_checkout_nor_home_can_be_written(checkout, tmp_path):
     temporary = tmp_path / "temporary"
     temporary.mkdir()

@@ -107,6 +107,7 @@ def test_agreement_asks_for_outlines_and_for_the_body():
     assert PoseHypothesis(STILL).agreement == 0.0
 
 
+@pytest.mark.slow
 def test_post_that_explains_itself_is_nobody():
     _, _, visibility = walk()
     room = Studio(visibility.rig)

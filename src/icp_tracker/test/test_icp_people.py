@@ -107,6 +107,7 @@ def test_two_persons_in_a_t_pose_are_found_and_numbered_one_and_two(hulls):
     assert play.tracker.acquiring == ()
 
 
+@pytest.mark.slow
 def test_newcomer_whose_part_of_the_hull_is_missing_now_and_then_is_found(hulls):
     play = Play(hulls)
     play("tall", 15)

@@ -252,6 +252,7 @@ class FixedSource:
         return self._found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("was_measured", [True, False])
 def test_tracker_takes_over_better_sizes_of_a_measured_body_and_the_build_alone_of_a_given_one(was_measured):
     rng = np.random.default_rng(12)

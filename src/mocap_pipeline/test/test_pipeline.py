@@ -103,6 +103,7 @@ def test_pipeline_goes_on_with_a_camera_missing(standing, t_pose):
     assert np.linalg.norm(step.state.points_world - t_pose[2], axis=1).mean() < 0.04
 
 
+@pytest.mark.slow
 def test_a_runner_before_untriggered_cameras_is_where_the_rays_times_say():
     hz, fine_hz, sets = 30.0, 480.0, 18
     six, configuration = ring(5), Configuration.of({"hull_server.backend": "cpu"})

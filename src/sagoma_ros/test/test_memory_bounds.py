@@ -78,6 +78,7 @@ def bytes_kept(how: str) -> int:
     return kept
 
 
+@pytest.mark.slow
 def test_what_large_messages_took_is_given_back() -> None:
     assert bytes_kept("as ROS has it") > BURST // 2 * LARGE * MIB  # the test can fail
     assert bytes_kept("bounded") < 2 * LARGE * MIB

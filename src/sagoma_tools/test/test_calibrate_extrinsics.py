@@ -96,6 +96,7 @@ def test_floor_pictures_give_rig_report_and_pictures_and_the_same_bytes_twice(ro
     assert (room / "rig.yaml").read_bytes() == once
 
 
+@pytest.mark.slow
 def test_lenses_are_refined_as_far_as_their_reports_leave_them_uncertain(room, cameras, held_pictures, capsys):
     wrong = {name: replace(camera, K=camera.K @ np.diag([1.008, 1.008, 1.0])) for name, camera in cameras.items()}
     write_intrinsics(room / "intrinsics", wrong)
@@ -116,6 +117,7 @@ def test_lenses_are_refined_as_far_as_their_reports_leave_them_uncertain(room, c
     assert off[0] == pytest.approx(0.008, abs=1e-6) and off[1] < 0.003
 
 
+@pytest.mark.slow
 def test_lenses_may_come_from_a_rig_file(room, cameras):
     assert calibrate(room) == 0
     rig = load_rig(room / "rig.yaml")

@@ -79,6 +79,7 @@ def test_stills_give_the_lens_and_files_that_read_back(stills, tmp_path, capsys)
     assert cv2.imread(str(tmp_path / "cam01.png")).shape[0] > 500
 
 
+@pytest.mark.slow
 def test_camera_that_cannot_be_calibrated_is_named_and_changes_no_byte_of_another_s_lens(shown, tmp_path, capsys):
     write(tmp_path / "in/cam01", shown[:5])
     calibrated(capsys, tmp_path / "in", "--board", BOARD_TEXT, "--output", tmp_path / "alone")

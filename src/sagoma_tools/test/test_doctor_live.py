@@ -71,6 +71,7 @@ def test_blank_and_absent_cameras_are_named(found):
     assert "silhouettes.ok" in codes(found["camera cam01"]) and "node.missing" in codes(found["camera cam03"])
 
 
+@pytest.mark.slow
 def test_another_domain_is_empty_and_the_command_says_where_nodes_are(heard, tmp_path, capsys, monkeypatch):
     save_rig(RIG, tmp_path / "rig.yaml")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(ELSEWHERE))

@@ -121,6 +121,7 @@ def publish(bag, state):
         bag.write(topic, state.stamp_ns, serialize_message(message))
 
 
+@pytest.mark.slow
 def test_bag_and_session_evaluate_alike(tmp_path, monkeypatch):
     """A person an arm of whom is doubtful for a while, in process and read back from what the graph publishes."""
     folder = write_session(tmp_path / "tour", ring(4, True), Body.from_stature(1.75), "tour", fps=20.0, seconds=1.0)

@@ -48,6 +48,7 @@ def doctor(capsys, session):
     return [(f["severity"], f["code"], f["what"]) for f in found if f["severity"] != "ok"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", ["XVID", "avc1"])
 def test_session_in_another_codec_is_tracked_as_well(session, tmp_path, capsys, codec):
     copied = transcoded(session, tmp_path / "copied", codec, FPS)

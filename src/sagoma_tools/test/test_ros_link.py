@@ -4,6 +4,7 @@ import gc
 import threading
 import tracemalloc
 
+import pytest
 from std_msgs.msg import Int64
 
 from sagoma_tools.graph.ros_link import RosLink
@@ -12,6 +13,7 @@ WARM, COUNTED = 1000, 1000
 PATIENCE_S = 60.0
 
 
+@pytest.mark.slow
 def test_messages_leave_no_memory_behind():
     """A recorder hears thousands of messages a second for hours: 100 bytes of each would be gigabytes."""
     with RosLink("listener") as link:

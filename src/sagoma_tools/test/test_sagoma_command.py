@@ -42,6 +42,7 @@ def test_start_suspend_and_stop_drive_every_node_and_report_its_state(running_gr
     assert {name: parameters["behaviour"] for name, parameters in found.items()} == dict.fromkeys(names, "good")
 
 
+@pytest.mark.slow
 def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_others(running_graph, capsys):
     running_graph("refuses_to_configure", "never_answers")
     assert main(["start", "--expect", "3", "--wait", "30", "--timeout", "2"]) == 1

@@ -87,6 +87,7 @@ def test_hard_case_is_a_movement_of_which_people_are_capable(name):
         assert slide.mean() < 0.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HARD_CASES)
 @pytest.mark.parametrize("who", ANYBODY)
 def test_body_neither_sinks_into_the_floor_nor_passes_through_itself(name, who):
