@@ -99,8 +99,11 @@ def test_commands_drive_and_examine_the_nodes_of_their_namespace_and_no_others(c
             assert main(["start", "--namespace", namespace, "--wait", "30"]) == 0
             assert capsys.readouterr().out == f"{namespace}/ekf_tracker: active\n"
             assert [studio.state, root.state] == states
-            facts = collect_graph(0.1, namespace=namespace)
-            assert [(node.name, node.state) for node in facts.nodes] == [("/ekf_tracker", "active")]
+            until(lambda namespace=namespace: states_in(namespace) == [("/ekf_tracker", "active")])
+
+
+def states_in(namespace):
+    return [(node.name, node.state) for node in collect_graph(0.1, namespace=namespace).nodes]
 
 
 class RunningFilter:
