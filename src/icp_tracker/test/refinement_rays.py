@@ -1,9 +1,12 @@
 """Rays that touch a body's surface, made by hand: tangents from cameras around it to its capsules."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data
 from mocap_packets.hull import NO_VOXELS, ContourRays
+from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import sticks
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES
@@ -46,6 +49,13 @@ def rays_on(body, surface, pose, rng, each=24, sd_m=0.0):
     rows = np.array(rows)[rng.permutation(len(rows))]
     n = len(rows)
     return ContourRays(rows[:, :3], rows[:, 3:6], rows[:, 6:], np.full(n, 0.02), np.full(n, 0.005), np.zeros(n))
+
+
+def grazing_rays(body, pose, rng, each=24):
+    """Rays on the body of average build in a pose, with stretches and noise as the hull server gives them."""
+    rays = rays_on(body, BodySurface.of(body), pose, rng, each)
+    n = len(rays)
+    return replace(rays, half_lengths=np.full(n, 0.1), sigma=np.full(n, 0.003))
 
 
 def _touching(p, q, radii, rng):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import synthetic_people as synthetic
 
 from icp_tracker import articulated_fit
 from icp_tracker.articulated_fit import ArticulatedSettings, fit_articulated
@@ -13,7 +14,7 @@ from stick_figure.skeleton import ANGLE_NAMES, HEAD
 
 SIGMA = 0.034  # a sixth of the hips' distance, the noise of the article's synthetic experiment
 CHI2_95 = 7.815  # 95 % point of chi-square with three degrees of freedom
-NECK_X, NECK_Y, KNEE = 6, 7, 6 + ANGLE_NAMES.index("left_knee")
+NECK_X, NECK_Y = 6, 7
 STEP = 1e-6
 
 
@@ -31,7 +32,7 @@ def nearest_on_sticks(ends, points):
     return stick, u[rows, stick], feet[rows, stick]
 
 
-def normal_equations(body, pose, points, weight, synthetic):
+def normal_equations(body, pose, points, weight):
     """H and g of points that all count by their information: the gate is wide."""
     data = synthetic.data(points=points, information=weight, gate2=np.full(len(points), 1e12))
     return synthetic.equations(add_points, data, synthetic.placed(body, pose))
@@ -44,30 +45,18 @@ def no_rest(monkeypatch):
 
 
 @pytest.fixture
-def scene(body, synthetic):
+def scene(body):
     rng = np.random.default_rng(8)
     pose = synthetic.smooth_motion(5, seed=3)[4]
     points = synthetic.stick_cloud(body, pose.retract(0.05 * rng.normal(size=24)), rng, 120)
     return pose, points, rng.uniform(0.5, 2.0, len(points))
 
 
-def test_gradient_equals_the_slope_of_the_squared_distances(body, scene, synthetic):
+def test_normal_equations_are_those_of_finite_difference_jacobians(body, scene):
     pose, points, weight = scene
-    _, g = normal_equations(body, pose, points, weight, synthetic)
-
-    def cost(x):
-        _, _, feet = nearest_on_sticks(sticks(body, pose.retract(x)), points)
-        return 0.5 * (weight * ((points - feet) ** 2).sum(1)).sum()
-
-    slope = [(cost(STEP * e) - cost(-STEP * e)) / (2 * STEP) for e in np.eye(24)]
-    assert np.abs(-g - slope).max() < 1e-7 * np.abs(g).max()
-
-
-def test_hessian_is_the_sum_of_finite_difference_jacobians(body, scene, synthetic):
-    pose, points, weight = scene
-    H, _ = normal_equations(body, pose, points, weight, synthetic)
+    H, g = normal_equations(body, pose, points, weight)
     ends = sticks(body, pose)
-    stick, u, _ = nearest_on_sticks(ends, points)
+    stick, u, foot = nearest_on_sticks(ends, points)
     assert {0.0, 1.0} < set(u.tolist())  # both clamped and sliding feet are there
 
     def feet(x):
@@ -81,9 +70,11 @@ def test_hessian_is_the_sum_of_finite_difference_jacobians(body, scene, syntheti
     J[slides] -= np.einsum("ni,nj,njk->nik", direction[slides], direction[slides], J[slides])
     expected = np.einsum("n,nik,nil->kl", weight, J, J)
     assert np.abs(H - expected).max() < 1e-7 * np.abs(expected).max()
+    downhill = np.einsum("n,nik,ni->k", weight, J, points - foot)
+    assert np.abs(g - downhill).max() < 1e-7 * np.abs(g).max()
 
 
-def test_pose_is_recovered_exactly_from_noiseless_sticks(body, synthetic):
+def test_pose_is_recovered_exactly_from_noiseless_sticks(body):
     rng = np.random.default_rng(10)
     truth = synthetic.smooth_motion(30, seed=1)[20]
     points = synthetic.stick_cloud(body, truth, rng, 400, sigma=0.0)
@@ -94,25 +85,7 @@ def test_pose_is_recovered_exactly_from_noiseless_sticks(body, synthetic):
     assert mean_error_mm(body, fit.pose, truth) < 1.0  # what is left: points near a joint prefer the other stick
 
 
-def test_noisy_sticks_are_followed_at_about_the_statistical_bound(body, synthetic):
-    """300 points, sigma 34 mm: 14-15 mm, where the bound of a single frame is about 14 and the thesis's ICP has 33."""
-    settings = ArticulatedSettings(model_sigma_m=SIGMA)
-    errors, bounds = [], []
-    for seed in (0, 1):
-        rng = np.random.default_rng(100 + seed)
-        poses = synthetic.smooth_motion(80, seed)
-        pose = poses[0]
-        for truth in poses:
-            fit = fit_articulated(body, pose, synthetic.stick_cloud(body, truth, rng, 300, SIGMA), settings=settings)
-            pose = fit.pose
-            errors.append(mean_error_mm(body, pose, truth))
-            bounds.append(1e3 * np.sqrt(np.trace(fit.covariance / settings.correlation, axis1=1, axis2=2)).mean())
-    assert np.mean(errors) < 16.0
-    assert max(errors) < 40.0
-    assert np.mean(errors) < 1.15 * np.mean(bounds)
-
-
-def test_point_noise_weighs_the_points(body, synthetic):
+def test_point_noise_weighs_the_points(body):
     """A third of the points is off by a constant shift; saying so in their sigma takes the shift out of the fit."""
     rng = np.random.default_rng(11)
     truth = synthetic.smooth_motion(5, seed=2)[3]
@@ -125,7 +98,7 @@ def test_point_noise_weighs_the_points(body, synthetic):
 
 
 @pytest.mark.parametrize("hinge", ["left_elbow", "right_knee"])
-def test_hinge_passes_straight_and_is_described_the_right_way_round(body, synthetic, hinge):
+def test_hinge_passes_straight_and_is_described_the_right_way_round(body, hinge):
     """The limb really bends to the other side of where the fit starts: clipped at straight it would never arrive."""
     slot = ANGLE_NAMES.index(hinge)
     angles = synthetic.t_pose().angles()
@@ -139,7 +112,7 @@ def test_hinge_passes_straight_and_is_described_the_right_way_round(body, synthe
     assert np.abs(fit.pose.hinges).max() == pytest.approx(0.4, abs=0.05)
 
 
-def test_head_returns_to_rest_only_with_the_neck_prior(body, synthetic, monkeypatch):
+def test_head_returns_to_rest_only_with_the_neck_prior(body, monkeypatch):
     truth = synthetic.t_pose()
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(13), 300, 0.01)
     neck = forward(body, truth)[2]
@@ -157,7 +130,7 @@ def test_head_returns_to_rest_only_with_the_neck_prior(body, synthetic, monkeypa
     assert pitch() > 1.0
 
 
-def test_neck_rest_is_a_gauss_newton_residual(body, synthetic):
+def test_neck_rest_is_a_gauss_newton_residual(body):
     pose = synthetic.smooth_motion(5, seed=4)[2]
     H, g = np.zeros((24, 24)), np.zeros(24)
     add_neck_rest(pose.R_joints[0], 0.1, 2.0, H, g)
@@ -172,7 +145,7 @@ def test_neck_rest_is_a_gauss_newton_residual(body, synthetic):
     assert H[NECK_X, NECK_X] == H[NECK_Y, NECK_Y] == 2.0
 
 
-def test_covariance_of_independent_points_holds_what_it_says(body, synthetic, monkeypatch):
+def test_covariance_of_independent_points_holds_what_it_says(body, monkeypatch):
     """Independent noise of known size, correlation factor 1: 95 % ellipsoids hold the truth 85 to 99 % of the time."""
     no_rest(monkeypatch)
     settings = ArticulatedSettings(model_sigma_m=SIGMA, correlation=1.0, prior=5.0)
@@ -188,7 +161,7 @@ def test_covariance_of_independent_points_holds_what_it_says(body, synthetic, mo
     assert share.max() <= 0.99
 
 
-def test_covariance_grows_where_the_points_do_not_fit(body, synthetic):
+def test_covariance_grows_where_the_points_do_not_fit(body):
     truth = synthetic.t_pose()
     settings = ArticulatedSettings(model_sigma_m=0.01, gate_m=0.3)
     small, large = (
@@ -201,7 +174,7 @@ def test_covariance_grows_where_the_points_do_not_fit(body, synthetic):
     assert sd[1] > 3.5 * sd[0]
 
 
-def test_limb_without_points_is_invisible_and_uncertain(body, synthetic):
+def test_limb_without_points_is_invisible_and_uncertain(body):
     truth = synthetic.t_pose()
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(15), 300, 0.01)
     stick, _, _ = nearest_on_sticks(sticks(body, truth), points)
@@ -215,18 +188,10 @@ def test_limb_without_points_is_invisible_and_uncertain(body, synthetic):
     assert (np.linalg.eigvalsh(fit.covariance) > 0).all()
 
 
-def test_no_points_leave_the_pose_at_its_start(body, synthetic, monkeypatch):
+def test_no_points_leave_the_pose_at_its_start(body, monkeypatch):
     no_rest(monkeypatch)
     start = synthetic.smooth_motion(2, seed=6)[1]
     fit = fit_articulated(body, start, np.empty((0, 3)))
     assert np.abs(fit.pose.minus(start)).max() < 1e-12
     assert fit.inliers == 0 and fit.rms_m == 0.0
     assert not fit.visible.any()
-
-
-def test_same_points_give_the_same_bytes(body, synthetic):
-    truth = synthetic.smooth_motion(9, seed=7)[8]
-    points = synthetic.stick_cloud(body, truth, np.random.default_rng(16))
-    first, second = (fit_articulated(body, synthetic.t_pose(), points) for _ in range(2))
-    for name in ("reference_points_world", "covariance"):
-        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()

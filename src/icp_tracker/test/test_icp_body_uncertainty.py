@@ -21,13 +21,10 @@ SEEN = np.ones(15, bool)
 
 
 def visibility_without(axis, low):
-    """A rig whose volume begins only at ``low`` along an axis, for y: ends at -low on the other side."""
-    corner, far = VOLUME.low.copy(), VOLUME.high.copy()
-    if axis == 2:
-        far[2] = low
-    else:
-        far[axis] = low
-    return RigVisibility(Rig(ring(4).cameras, Volume(corner, far)))
+    """A rig whose volume ends at ``low`` along an axis."""
+    far = VOLUME.high.copy()
+    far[axis] = low
+    return RigVisibility(Rig(ring(4).cameras, Volume(VOLUME.low.copy(), far)))
 
 
 def test_without_a_rig_or_with_all_in_view_nothing_changes():

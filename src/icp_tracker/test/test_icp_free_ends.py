@@ -11,7 +11,6 @@ from icp_tracker.articulated_fit import ArticulatedSettings, ContourSettings, Vo
 from stick_figure.body import Body
 from stick_figure.body_surface import END_CAPSULES, BodySurface
 from stick_figure.kinematics import forward
-from stick_figure.least_squares.free_ends import straight_ends, turn_ends
 
 FREE = ArticulatedSettings(volume=VolumeSettings(weight=0.0), max_iterations=20)
 STIFF = replace(FREE, contour=ContourSettings(turn_sd=0.0))
@@ -60,10 +59,3 @@ def test_reference_points_of_an_ideal_figure_are_those_of_its_pose(bent):
         fit = fit_articulated(body, pose, np.zeros((1, 3)), settings=settings, contour_rays=rays)
         off = np.linalg.norm(fit.reference_points_world - forward(body, fit.pose), axis=1)
         assert (off.max() < 1e-9) == rigid
-
-
-def test_ends_without_rays_stay_straight(synthetic):
-    body, pose = Body.from_stature(1.75), made.moving_pose(np.random.default_rng(4))
-    placed, before = synthetic.placed(body, pose), synthetic.placed(body, pose)
-    turn_ends(straight_ends(1.0), placed)
-    assert np.array_equal(placed.Q, before.Q) and np.array_equal(placed.B, before.B)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import synthetic_people as synthetic
 import yaml
 
 from capture_rig.errors import InputError
@@ -12,7 +13,7 @@ from stick_figure.skeleton import ANGLE_NAMES, T_POSE_ANGLES
 # --- file ------------------------------------------------------------------------------------------------------------
 
 
-def test_saved_pose_and_body_are_read_back(tmp_path, body, synthetic):
+def test_saved_pose_and_body_are_read_back(tmp_path, body):
     pose = synthetic.smooth_motion(3, seed=1)[2]
     save_initial_pose(pose, tmp_path / "start.yaml", body)
     loaded, loaded_body = load_initial_pose(tmp_path / "start.yaml")
@@ -65,7 +66,7 @@ def test_missing_pose_file_is_named(tmp_path):
 
 
 @pytest.fixture
-def reference(body, synthetic):
+def reference(body):
     poses = synthetic.smooth_motion(40, seed=2)
     return np.arange(100, 140), np.array([forward(body, pose) for pose in poses]), poses
 

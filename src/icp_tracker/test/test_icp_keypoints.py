@@ -5,9 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic_people as synthetic
 from node_probe import NodeProbe
+from refinement_rays import grazing_rays
 from sensor_msgs.msg import PointCloud2, PointField
-from test_icp_track_monitor import FOLDED, NOISE_M, STANCE, inside_of, posed, stamp, walked
+from test_icp_track_monitor import FOLDED, NOISE_M, STANCE, posed, stamp, walked
 
 from capture_rig.rig import save_rig
 from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
@@ -115,14 +117,12 @@ def test_each_person_has_the_nearest_skeleton_of_an_image_whatever_its_sides_and
 @pytest.fixture(scope="module")
 def hidden_arm(body):
     """Somebody whose left arm no contour shows: pose, rays of the rest of the body, samples of the inside."""
-    from test_icp_contour_rays import grazing_rays
-
     pose = posed(STANCE)
-    rays = grazing_rays(body, pose, np.random.default_rng(8), 50)
+    rays = grazing_rays(body, pose, np.random.default_rng(8))
     arrays = RayArrays.of(rays.points_world, rays.directions, rays.normals, rays.half_lengths, np.ones(len(rays)))
     placed = place(State.of(pose), Figure.of(body))
     stick = placed.surface.stick[match_rays(arrays, placed, 0.05).capsule]
-    return pose, rays.chosen((stick != LIMBS[0].upper) & (stick != LIMBS[0].lower)), inside_of(body, pose)
+    return pose, rays.chosen((stick != LIMBS[0].upper) & (stick != LIMBS[0].lower)), synthetic.voxels(body, pose)
 
 
 def followed(body, hidden_arm, found):

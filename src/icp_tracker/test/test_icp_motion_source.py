@@ -8,7 +8,7 @@ import pytest
 from t_pose_studio import SET_NS, Studio, both_sides, box, person, standing
 
 from icp_tracker.acquisition.body_sizes import sizes_of_body
-from icp_tracker.acquisition.motion_source import LEAST_AGREEMENT, MotionSettings, MotionSource, PoseHypothesis
+from icp_tracker.acquisition.motion_source import MotionSettings, MotionSource
 from icp_tracker.acquisition.pose_source import CombinedPoseSource
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
@@ -20,7 +20,6 @@ from virtual_studio.motions.catalogue import MOTIONS
 from virtual_studio.people import person_of
 from virtual_studio.rig import ring, tilted, with_camera
 
-STILL = Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)
 EVERY = 4  # of a walk at 60 Hz: fifteen sets a second
 BODY = person_of(1.70, 0.97, 1.03)
 
@@ -98,13 +97,6 @@ def test_cart_and_nobody_are_not_followed():
     assert number is None and answer.reason
     empty = sets[0].of_body(7)
     assert source.find_pose(empty).reason == "no hull"
-
-
-def test_agreement_asks_for_outlines_and_for_the_body():
-    """A thing that a limb explains leaves the rest of the body unseen; a body among things leaves outlines over."""
-    assert PoseHypothesis(STILL, share=0.9, seen=0.3, sets=1).agreement < LEAST_AGREEMENT
-    assert PoseHypothesis(STILL, share=0.9, seen=1.4, sets=2).agreement > LEAST_AGREEMENT
-    assert PoseHypothesis(STILL).agreement == 0.0
 
 
 @pytest.mark.slow

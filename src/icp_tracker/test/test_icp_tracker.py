@@ -4,10 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import synthetic_people as synthetic
 
 from icp_tracker.acquisition.initial_pose import InitialPose, KnownPose
-from icp_tracker.acquisition.t_pose_measures import TPoseSettings
-from icp_tracker.acquisition.t_pose_source import TPoseSource
 from icp_tracker.articulated_fit import ArticulatedSettings, minimise
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import Centerline, HullProducts, VoxelSamples
@@ -26,19 +25,23 @@ def error_mm(body, result, truth):
 
 
 @pytest.fixture
-def motion(body, synthetic):
+def motion(body):
     rng = np.random.default_rng(1)
     poses = synthetic.smooth_motion(120, seed=1, fps=FPS)
     return poses, [synthetic.stick_cloud(body, pose, rng, 300, SIGMA) for pose in poses]
 
 
-@pytest.mark.parametrize(("method", "bound_mm"), [("articulated", 16.0), ("hierarchical", 45.0)])
-def test_motion_is_followed(body, motion, method, bound_mm):
+@pytest.mark.parametrize(
+    ("method", "mean_mm", "worst_mm"), [("articulated", 16.0, 40.0), ("hierarchical", 45.0, 150.0)]
+)
+def test_motion_is_followed(body, motion, method, mean_mm, worst_mm):
+    """300 points, sigma 34 mm, 40 Hz: the bound of a single set is about 14 mm."""
     poses, clouds = motion
     settings = TrackerSettings(method=method, articulated=SETTINGS.articulated)
     tracker = IcpTracker(KnownPose(poses[0], body), settings)
     results = [tracker.step(HullProducts.of_points(stamp(k), cloud)) for k, cloud in enumerate(clouds)]
-    assert np.mean([error_mm(body, r, p) for r, p in zip(results, poses, strict=True)]) < bound_mm
+    errors_mm = [error_mm(body, r, p) for r, p in zip(results, poses, strict=True)]
+    assert np.mean(errors_mm) < mean_mm and max(errors_mm) < worst_mm
     assert {r.state for r in results} == {"tracking"}
     assert results[0].started_from == "initial"
     assert {r.started_from for r in results[1:]} == {"own"}
@@ -135,45 +138,6 @@ def test_first_pose_that_explains_nothing_is_not_believed(body, motion):
     assert result.state == "acquiring"
     assert "explains only" in result.reason
     assert tracker.step(HullProducts.of_points(stamp(1), clouds[1])).state == "tracking"
-
-
-def test_t_pose_starts_the_tracker_and_the_body_is_followed(body, synthetic):
-    rng = np.random.default_rng(3)
-    standing = synthetic.t_pose((0.2, 0.1, 0.53 * 1.75 + body.half_lengths[0]), heading=0.7)
-    tracker = IcpTracker(TPoseSource(TPoseSettings(hold_sets=2)), SETTINGS)
-    on_body = synthetic.voxels(body, standing)
-    voxels = VoxelSamples.checked(on_body, np.ones(len(on_body), bool))
-    cloud = [synthetic.stick_cloud(body, standing, rng, 300, 0.01) for _ in range(20)]
-    assert tracker.step(HullProducts.of_points(stamp(0), cloud[0], 0.0, voxels)).state == "acquiring"
-    result = tracker.step(HullProducts.of_points(stamp(1), cloud[1], 0.0, voxels))
-    assert result.state == "tracking"
-    assert error_mm(body, result, standing) < 40
-    lowering = np.zeros(24)
-    lowering[[8, 9]] = [-1.0, 1.0]  # both arms sink sideways
-    for k in range(2, 20):
-        pose = standing.retract(lowering * 0.05 * (k - 1))
-        result = tracker.step(HullProducts.of_points(stamp(k), synthetic.stick_cloud(body, pose, rng, 300, 0.01)))
-    assert error_mm(body, result, pose) < 50
-
-
-def test_reset_looks_for_a_first_pose_again(body, motion):
-    poses, clouds = motion
-    tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
-    tracker.step(HullProducts.of_points(stamp(0), clouds[0]))
-    tracker.reset()
-    assert tracker.body is None
-    assert tracker.step(HullProducts.of_points(stamp(1), clouds[1])).started_from == "initial"
-
-
-def test_two_runs_give_the_same_bytes(body, motion):
-    poses, clouds = motion
-
-    def run():
-        tracker = IcpTracker(KnownPose(poses[0], body), SETTINGS)
-        results = [tracker.step(HullProducts.of_points(stamp(k), cloud)) for k, cloud in enumerate(clouds[:30])]
-        return b"".join(r.reference_points_world.tobytes() + r.covariance.tobytes() for r in results)
-
-    assert run() == run()
 
 
 def test_second_person_does_not_draw_the_figure_off_even_when_the_numbers_change_hands(body, motion):
