@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from capture_rig.errors import InputError
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse, jacobian, rates_of_angles, sticks
+from stick_figure.least_squares.point_factor import foot_points
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, POINT_NAMES, mirror_angles
 
@@ -150,16 +151,6 @@ def test_angle_rates_stay_bounded_at_gimbal_lock():
     assert np.abs(rates).max() < 40.0
 
 
-def test_t_pose_stretches_arms_sideways_and_legs_down():
-    points = dict(zip(POINT_NAMES, forward(BODY, Pose.from_angles(np.zeros(3), np.eye(3), T_POSE_ANGLES)), strict=True))
-    assert points["left_hand"][1] == pytest.approx(0.18 + 2 * (0.15 + 0.22))
-    assert points["right_hand"][1] == pytest.approx(-0.18 - 2 * (0.16 + 0.23))
-    for side in ("left", "right"):
-        np.testing.assert_allclose(points[f"{side}_hand"][[0, 2]], [0.0, 0.7 * 0.27], atol=1e-14)
-        np.testing.assert_allclose(points[f"{side}_foot"][:2], points[f"{side}_hip"][:2], atol=1e-14)
-    np.testing.assert_allclose(points["head"], [0, 0, 0.27 + 0.24], atol=1e-14)
-
-
 def test_mirror_map_reflects_the_points():
     body = Body.from_stature(1.7)
     swap = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]
@@ -171,3 +162,39 @@ def test_mirror_map_reflects_the_points():
         np.testing.assert_allclose(mirrored[swap] * [1, -1, 1], points, atol=1e-14)
         assert (mirror_angles(angles) >= ANGLE_LOW - 1e-12).all()
         assert (mirror_angles(angles) <= ANGLE_HIGH + 1e-12).all()
+
+
+# --- foot points ------------------------------------------------------------------------------------------------------
+
+
+def nearest(points, A, B):
+    n = len(points)
+    stick, along, feet, squared = np.empty(n, int), np.empty(n), np.empty((n, 3)), np.empty(n)
+    foot_points(points, A, B, stick, along, feet, squared)
+    return stick, along, feet, squared
+
+
+def test_foot_points_are_the_nearest_points_of_all_sticks():
+    rng = np.random.default_rng(1)
+    A, B, points = rng.normal(size=(10, 3)), rng.normal(size=(10, 3)), 2 * rng.normal(size=(200, 3))
+    stick, along, feet, squared = nearest(points, A, B)
+    u = np.linspace(0, 1, 2001)
+    dense = A[:, None] + u[None, :, None] * (B - A)[:, None]  # (10, 2001, 3)
+    for i, point in enumerate(points):
+        distances = np.linalg.norm(dense - point, axis=2)
+        spacing = np.linalg.norm(B - A, axis=1).max() / 2000
+        assert np.sqrt(squared[i]) <= distances.min() + 1e-12
+        assert np.sqrt(squared[i]) >= distances.min() - spacing
+        assert distances[stick[i]].min() == pytest.approx(distances.min(), abs=spacing)
+    assert np.allclose(feet, A[stick] + along[:, None] * (B - A)[stick])
+    assert np.allclose(squared, ((points - feet) ** 2).sum(1))
+    assert along.min() == 0.0 and along.max() == 1.0  # both ends clamp
+
+
+def test_stick_of_no_length_is_a_point():
+    A = np.full((10, 3), 9.0)
+    B = A.copy()
+    A[3] = B[3] = [1.0, 0.0, 0.0]
+    stick, _, feet, squared = nearest(np.zeros((1, 3)), A, B)
+    assert stick[0] == 3 and squared[0] == 1.0
+    assert np.array_equal(feet[0], A[3])

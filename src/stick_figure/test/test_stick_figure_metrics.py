@@ -20,13 +20,6 @@ def turning_truth(frames=40):
     ), Rotation.from_rotvec(np.outer(turns, [0, 0, 1])).as_matrix()
 
 
-def test_opposite_errors_do_not_cancel_in_the_rmse():
-    truth = np.zeros((2, 15, 3))
-    estimate = truth.copy()
-    estimate[0, :, 0], estimate[1, :, 0] = 0.010, -0.010
-    np.testing.assert_allclose(metrics.summary(estimate, truth).rmse_per_point, 0.010)
-
-
 def test_rmse_is_root_mean_square_of_distances():
     truth = np.zeros((2, 15, 3))
     estimate = truth.copy()

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from capture_rig.rigid import rotation_matrix, rotation_vector
+from capture_rig.rigid import quaternion_of
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, sticks
-from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.pose import T_POSE_ANGLES, JointMotion, Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, POINT_STICK, TANGENT_NAMES
 
 BODY = Body.from_stature(1.75)
@@ -66,17 +66,6 @@ def test_rotations_stay_orthogonal_after_100000_small_steps():
     for R in (arrays[1], *arrays[2]):
         np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-14)
         assert np.linalg.det(R) == pytest.approx(1.0)
-
-
-def test_rotation_vector_inverts_rotation_matrix_up_to_half_a_turn():
-    rng = np.random.default_rng(6)
-    for angle in [0.0, 1e-12, 1e-7, 0.1, 2.0, np.pi - 1e-7, np.pi - 1e-12, np.pi]:
-        axis = rng.normal(size=3)
-        vector = angle * axis / np.linalg.norm(axis)
-        R = rotation_matrix(vector)
-        np.testing.assert_allclose(R, Rotation.from_rotvec(vector).as_matrix(), atol=1e-15)
-        np.testing.assert_allclose(rotation_matrix(rotation_vector(R)), R, atol=1e-14)
-        assert np.linalg.norm(rotation_vector(R)) == pytest.approx(angle, abs=1e-12)
 
 
 @pytest.mark.parametrize("limits", ["low", "high"])
@@ -141,24 +130,6 @@ def test_canonical_leaves_hinges_within_the_margin():
     np.testing.assert_allclose(wrong.canonical(margin=0.0).hinges, -wrong.hinges)
 
 
-def test_point_jacobian_of_inner_points_matches_differences():
-    """Points between the ends of every stick, as the solvers use them."""
-    rng = np.random.default_rng(11)
-    pose = random_pose(rng)
-    _, axes, A, B = kernels.place_sticks(pose.arrays, BODY.lengths, BODY.stick_origins_torso)
-    J, slots, u = np.empty((3, 11)), np.empty(11, np.int64), 0.3
-    for stick in range(10):
-        n = kernels.point_jacobian(stick, A[stick] + u * (B[stick] - A[stick]), pose.position_world, A, axes, J, slots)
-        dense = np.zeros((3, 24))
-        dense[:, slots[:n]] = J[:, :n]
-        for k in range(24):
-            d = np.zeros(24)
-            d[k] = 1e-5
-            ends = [sticks(BODY, pose.retract(s * d))[stick] for s in (1, -1)]
-            inner = [(1 - u) * a + u * b for a, b in ends]
-            np.testing.assert_allclose(dense[:, k], (inner[0] - inner[1]) / 2e-5, atol=1e-8)
-
-
 def test_stick_of_each_point_carries_it():
     """A reference point moves with its stick: its distances to the stick's ends never change."""
     rng = np.random.default_rng(12)
@@ -204,3 +175,32 @@ def test_straight_elbow_keeps_its_twist_where_noise_bends_it_the_other_way(strai
     np.testing.assert_allclose(found[[2, 4, 6, 8]], angles[[2, 4, 6, 8]], atol=1e-9)
     again = Pose.from_angles(np.zeros(3), np.eye(3), found).canonical()
     np.testing.assert_allclose(again.R_joints, pose.R_joints, atol=1e-9)
+
+
+# --- joint motion: quaternions ----------------------------------------------------------------------------------------
+
+
+def pose_turned_by(rng, turned_rad):
+    angles = T_POSE_ANGLES + turned_rad * rng.uniform(-1.0, 1.0, 18)
+    return Pose.from_angles(rng.normal(size=3), Rotation.random(random_state=rng).as_matrix(), angles)
+
+
+@pytest.mark.parametrize("turned_rad", [0.0, 1e-9, 0.5])
+def test_quaternions_are_scipy_s_and_pose_and_velocity_come_back(turned_rad):
+    rng = np.random.default_rng(6)
+    pose, velocity = pose_turned_by(rng, turned_rad), rng.normal(size=24)
+    motion = JointMotion.of(pose, velocity)
+    rotations = np.concatenate([pose.R_world_torso[None], pose.R_joints])
+    expected = Rotation.from_matrix(rotations).as_quat()
+    same = np.abs((motion.quaternions[:6] * expected).sum(axis=1))  # q and -q are one rotation
+    np.testing.assert_allclose(same, 1.0, atol=1e-14)
+    assert (motion.quaternions[:, 3] >= 0.0).all()
+    for array, back in zip(pose.arrays, motion.pose.arrays, strict=True):
+        np.testing.assert_allclose(back, array, atol=1e-14)
+    np.testing.assert_array_equal(motion.velocity, velocity)
+
+
+def test_quaternion_of_no_turn_and_of_half_a_turn():
+    np.testing.assert_array_equal(quaternion_of(np.eye(3)), [0.0, 0.0, 0.0, 1.0])
+    x, y, z, w = quaternion_of(np.diag([-1.0, -1.0, 1.0]))
+    np.testing.assert_allclose((x, y, abs(z), w), (0.0, 0.0, 1.0, 0.0), atol=1e-15)
