@@ -32,7 +32,7 @@ class EkfProbe(NodeProbe):
     """An EkfNode; its peer plays the ICP tracker and keeps what the node publishes in order of arrival."""
 
     def __init__(self, context, body, **parameters):
-        super().__init__(context, EkfNode, parameters)
+        super().__init__(context, EkfNode, {"stale_after_s": 0.0} | parameters)  # a busy machine is no silence
         self.body, self.arrived, self.listened = body, [], []
         self.people = self.peer.create_publisher(Float64MultiArray, FITTED_PEOPLE.name, RESULT)
         for topic, kind in OUTPUTS.items():

@@ -8,7 +8,6 @@ import pytest
 from ekf_person import (
     ALL,
     BENT_ANGLES,
-    EPOCH_NS,
     IDEAL,
     NONE,
     Person,
@@ -27,7 +26,7 @@ from ekf_tracker.filter import ArticulatedEkf
 from ekf_tracker.motion_model import DampedVelocity
 from ekf_tracker.state import POSE, VELOCITY
 from mocap_packets.fit import DOUBTFUL, GOOD, PART_NAMES
-from mocap_packets.state import BodyState, NoState, Tracking
+from mocap_packets.state import NoState, Tracking
 from stick_figure.body import Body
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from stick_figure.kinematics import forward
@@ -42,19 +41,14 @@ LEFT_ARM = [HAND, ELBOW]
 BENT_POSE = Pose.from_angles(np.array([0.0, 0.0, 1.1]), np.eye(3), BENT_ANGLES)
 
 
-def test_filtered_points_are_half_as_wrong_as_the_measured_ones(body, person):
-    states, truth = run(ArticulatedEkf(body, IDEAL), person, 600)
-    raw_mm = 20.0 * np.sqrt(8 / np.pi)  # mean length of a 3D Gaussian of 20 mm an axis
-    assert errors_mm(states, truth)[SETTLED:].mean() < 0.5 * raw_mm
-
-
-@pytest.mark.parametrize(("speed", "margin"), [(1.0, 0.95), (2.0, 0.9)])
-def test_constant_velocity_beats_the_identity_model_on_smooth_motion(body, speed, margin):
+@pytest.mark.parametrize(("speed", "margin", "most_mm"), [(1.0, 0.95, 16.0), (2.0, 0.9, 20.0)])
+def test_points_are_filtered_to_half_their_error_and_constant_velocity_beats_identity(body, speed, margin, most_mm):
+    """Measured points err by 32 mm in the mean: the length of a 3D Gaussian of 20 mm an axis."""
     person = Person(body, speed=speed)
     damped, truth = run(ArticulatedEkf(body, IDEAL), person, 300)
     identity, _ = run(ArticulatedEkf(body, IDENTITY), person, 300)
     damped_mm, identity_mm = (errors_mm(s, truth)[SETTLED:].mean() for s in (damped, identity))
-    assert damped_mm < margin * identity_mm < 30.0
+    assert damped_mm < margin * identity_mm < 30.0 and damped_mm < most_mm
 
 
 @pytest.mark.parametrize("model", ["constant_velocity", "identity"])
@@ -94,15 +88,6 @@ def test_errors_of_a_person_that_moves_as_the_model_says_fit_the_covariance(body
     assert np.mean(nees) / 48 == pytest.approx(1.0, abs=0.1)
     # 360 sets of 45 degrees: the innovations are white, so four standard deviations of the mean
     assert np.mean(nis) == pytest.approx(1.0, abs=4 * np.sqrt(2 / (360 * 45)))
-
-
-def test_rates_are_the_derivatives_of_the_true_angles(body, person):
-    states, _ = run(ArticulatedEkf(body, IDEAL), person, 120, noise=1e-5)
-    times, step = np.arange(120) / 60.0, 1e-4
-    ahead, behind = (np.array([person.pose(t + s).angles() for t in times]) for s in (step, -step))
-    true = (ahead - behind) / (2 * step)
-    error = np.array([s.rates for s in states])[SETTLED:] - true[SETTLED:]
-    assert (np.sqrt((error**2).mean(0)) < 0.12 * np.sqrt((true**2).mean(0))).all()
 
 
 def test_drift_leads_to_the_next_prediction(body, person):
@@ -145,30 +130,6 @@ def test_outlier_changes_nothing(body, person):
     assert gated[60].tracking == Tracking.TRACKING and "left out: left_hand" in gated[60].reason
     for a, b in zip(gated, unseen, strict=True):
         np.testing.assert_array_equal(a.points_world, b.points_world)
-
-
-def test_arm_that_really_jumped_is_found_again(body, person):
-    """The left arm is suddenly elsewhere, for good: the gate yields, and the covariance says so meanwhile."""
-    far = Person(body, seed=11)
-
-    def spoil(k, points):
-        if k >= 60:  # the other person's arm, carried over to this torso
-            here, there = person.pose(k / 60), far.pose(k / 60)
-            swapped = dataclasses.replace(
-                here,
-                R_joints=np.array([*here.R_joints[:1], there.R_joints[1] @ turn, *here.R_joints[2:]]),
-                hinges=np.array([there.hinges[0], *here.hinges[1:]]),
-            )
-            truth[k] = forward(body, swapped)
-            points[LEFT_ARM] = truth[k][LEFT_ARM]
-
-    turn = np.diag([1.0, -1.0, -1.0])  # points to the other side
-    truth = {}
-    states, _ = run(ArticulatedEkf(body, IDEAL), person, 90, spoil=spoil)
-    error_mm = [1e3 * np.linalg.norm(states[k].points_world[HAND] - truth[k][HAND]) for k in range(60, 90)]
-    assert error_mm[0] > 300.0
-    assert max(error_mm[12:]) < 60.0
-    assert states[-1].tracking == Tracking.TRACKING
 
 
 def test_limb_whose_points_are_left_out_is_doubtful_and_no_other(body, person):
@@ -328,7 +289,7 @@ def test_arms_pointing_forward_in_gimbal_lock_are_tracked_like_any_other(body):
 # --- stamps and other input -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("late_ns", [0, 1, 1_000_000_000])
+@pytest.mark.parametrize("late_ns", [0, 1_000_000_000])
 def test_stamp_that_does_not_advance_is_refused_and_leaves_the_state_alone(body, person, late_ns):
     ekf = ArticulatedEkf(body, IDEAL)
     run(ekf, person, 20)
@@ -338,25 +299,6 @@ def test_stamp_that_does_not_advance_is_refused_and_leaves_the_state_alone(body,
     undisturbed, _ = run(ArticulatedEkf(body, IDEAL), person, 20)
     assert after.stamp_ns == stamp(20)
     assert np.linalg.norm(after.points_world - undisturbed[-1].points_world, axis=1).max() < 0.1
-
-
-def test_bad_points_are_refused_before_the_filter_moves(body, person):
-    ekf = ArticulatedEkf(body, IDEAL)
-    run(ekf, person, 10)
-    points = person.points(10 / 60)
-    points[2] = np.nan
-    with pytest.raises(InputError, match="point 'neck' is not finite"):
-        ekf.step(stamp(10), points, isotropic(0.02), ALL)
-    good = ekf.step(stamp(10), person.points(10 / 60), isotropic(0.02), ALL)
-    assert good.tracking == Tracking.TRACKING
-
-
-def test_reset_forgets_body_and_time(body, person):
-    ekf = ArticulatedEkf(body, IDEAL)
-    run(ekf, person, 10)
-    ekf.reset()
-    state = ekf.step(EPOCH_NS - 10**12, person.points(2.0), isotropic(0.001), ALL)
-    assert 1e3 * np.linalg.norm(state.points_world - person.points(2.0), axis=1).max() < 5.0
 
 
 def test_filter_goes_on_with_better_known_sizes_of_the_same_body(body, person):
@@ -370,11 +312,3 @@ def test_filter_goes_on_with_better_known_sizes_of_the_same_body(body, person):
     assert np.abs(after[0].velocity - before[-1].velocity).max() < 2.0
     assert np.trace(after[0].covariance) < 4.0 * np.trace(before[-1].covariance)
     assert errors_mm(after, truth).mean() < 25.0
-
-
-def test_filter_starts_anew_when_the_body_is_somebody_elses(body, person):
-    ekf = ArticulatedEkf(body, IDEAL)
-    run(ekf, person, 5)
-    ekf.set_body(Body.from_stature(body.stature + 0.1))
-    again = ekf.step(stamp(0), person.points(0.0), isotropic(0.02), ALL)  # it has forgotten the stamps before, too
-    assert isinstance(again, BodyState)

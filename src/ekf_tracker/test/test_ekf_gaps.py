@@ -9,7 +9,7 @@ from ekf_tracker.filter import ArticulatedEkf
 from mocap_packets.state import BodyState, Tracking
 from stick_figure.skeleton import POINT_NAMES
 
-GAP_AT, FPS = 60, 60.0
+GAP_AT = 60
 ARMS = [[POINT_NAMES.index(f"{side}_{part}") for part in ("elbow", "hand")] for side in ("left", "right")]
 LEGS = [[POINT_NAMES.index(f"{side}_{part}") for part in ("knee", "foot")] for side in ("left", "right")]
 
@@ -26,7 +26,7 @@ def through_gap(body, seed, missing, sets_arrive, settings=None):
 
 
 @pytest.mark.parametrize("sets_arrive", [True, False])
-@pytest.mark.parametrize("missing", [1, 10, 60, 300])
+@pytest.mark.parametrize("missing", [1, 60, 300])
 def test_body_is_tracked_again_with_the_first_set_after_a_gap(body, missing, sets_arrive):
     first, later = [], []
     for seed in range(3):
@@ -66,15 +66,13 @@ def swap(limbs, frames):
 
 @pytest.mark.parametrize("limbs", [ARMS, LEGS])
 def test_limbs_that_change_places_for_a_set_are_left_out_and_taken_back_at_once(body, person, limbs):
-    sets, points = 1, [*limbs[0], *limbs[1]]
-    spoilt = range(60, 60 + sets)
-    states, truth = run(ArticulatedEkf(body, IDEAL), person, 90, spoil=swap(limbs, spoilt))
-    for k in spoilt:
-        assert states[k].gated[points].all() and states[k].gated.sum() == len(points)
-    assert states[60 + sets].accepted.all()
+    points = [*limbs[0], *limbs[1]]
+    states, truth = run(ArticulatedEkf(body, IDEAL), person, 90, spoil=swap(limbs, [60]))
+    assert states[60].gated[points].all() and states[60].gated.sum() == len(points)
+    assert states[61].accepted.all()
     errors = errors_mm(states, truth)[:, points]
-    assert errors[61 + sets :].mean() < 1.1 * errors[30:60].mean()
-    assert errors[60 : 60 + sets].max() < 200.0
+    assert errors[62:].mean() < 1.1 * errors[30:60].mean()
+    assert errors[60].max() < 200.0
 
 
 def test_legs_that_changed_places_for_good_are_believed_after_the_stated_number_of_sets(body, person):

@@ -20,13 +20,6 @@ TIGHT = replace(IDEAL, limit_sd_rad=0.05)
 PLACE = (np.array([0.0, 0.0, 1.1]), np.eye(3))
 
 
-def limits_of(pose):
-    """Number of angles out of range, and the residuals' information and gradient for unit weight."""
-    information, gradient = np.zeros((24, 24)), np.zeros(24)
-    count = add_joint_limits(pose.R_joints, pose.hinges, MARGIN, 1.0, information, gradient)
-    return count, information, gradient
-
-
 def pose_with(**angles):
     values = BENT_ANGLES.copy()
     for name, value in angles.items():
@@ -36,7 +29,8 @@ def pose_with(**angles):
 
 def excess_rad(pose):
     """Length of the residual at a pose: by how much it is out of range."""
-    _, information, gradient = limits_of(pose)
+    information, gradient = np.zeros((24, 24)), np.zeros(24)
+    add_joint_limits(pose.R_joints, pose.hinges, MARGIN, 1.0, information, gradient)
     return float(np.sqrt(gradient @ np.linalg.pinv(information) @ gradient))
 
 

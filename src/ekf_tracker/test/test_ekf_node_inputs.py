@@ -74,6 +74,7 @@ def test_stamps_that_go_back_far_begin_anew_at_once_and_are_logged_once(bench, p
     [
         ({"filter__lost_after_s": -3.0}, "filter.lost_after_s = -3.0"),
         ({"filter__gate": 3.0}, "unknown key 'filter.gate'"),
+        ({"filter__motion_model": "magic"}, "filter.motion_model = 'magic' is not one of"),
         ({"publish_humans": True, "body_id": "1"}, "'1' is no REP-155 id"),
         ({"tf_prefix": "../.."}, "tf_prefix = '../..' is not a name"),
         ({"tf_prefix": "lab/studio"}, "'lab/studiob0001' is no REP-155 id"),

@@ -74,16 +74,6 @@ def test_two_persons_have_topics_each_and_one_answer_a_set(couple, body, person)
     pair.bench.until_said("2 persons: 1 tracking, 2 tracking")
 
 
-def test_the_first_persons_messages_are_the_same_with_another_person_and_alone(couple, bench, person):
-    pair = couple()
-    together = [dict(pair.fit(k)) for k in range(3)]
-    pair.bench.close()
-    b = bench(skeleton_rate_hz=0.0).start()
-    alone = [dict(b.fit(stamp(k), person.points(k / 60))) for k in range(3)]
-    for topic in set(OUTPUTS) - {"ekf/prediction"}:
-        assert [got[topic] for got in together] == [got[topic] for got in alone]
-
-
 def test_markers_of_each_person_have_a_namespace_and_a_colour_of_their_own(couple):
     pair = couple()
     pair.fit(0)

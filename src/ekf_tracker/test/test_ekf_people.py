@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from capture_rig.errors import InputError
-from ekf_tracker.filter import ArticulatedEkf, PeopleFilter
+from ekf_tracker.filter import PeopleFilter
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.people import FittedPeople, PeoplePoints
-from mocap_packets.state import BodyState, NoState
+from mocap_packets.state import BodyState
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -29,15 +29,6 @@ def fitted(k, people, bodies=BODIES):
     return FittedPeople(k * FRAME_NS, PeoplePoints(people), {p: bodies[p] for p in people if p in bodies})
 
 
-def test_every_person_is_filtered_as_alone():
-    people, alone = PeopleFilter(), ArticulatedEkf(BODIES[2])
-    for k in range(1, 6):
-        both = people.step(fitted(k, {1: measured(1), 2: measured(2, 0.01 * k)}))
-        one = alone.step(k * FRAME_NS, *measured(2, 0.01 * k))
-        np.testing.assert_array_equal(both[2].points_world, one.points_world)
-    assert isinstance(both[1], BodyState)
-
-
 def test_person_who_is_not_measured_goes_and_begins_anew_when_measured_again():
     people = PeopleFilter()
     people.step(fitted(1, {1: measured(1), 2: measured(2)}))
@@ -51,7 +42,3 @@ def test_points_of_one_that_cannot_be_used_move_nobodys_filter():
     with pytest.raises(InputError):
         people.step(fitted(1, {1: measured(1), 2: spoilt}))
     assert isinstance(people.step(fitted(1, {1: measured(1), 2: measured(2)}))[1], BodyState)
-
-
-def test_first_person_is_answered_for_without_a_body():
-    assert isinstance(PeopleFilter().step(fitted(1, {1: measured(1)}, {}))[1], NoState)
