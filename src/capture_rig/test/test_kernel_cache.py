@@ -133,13 +133,6 @@ def test_temporary_folder_that_others_could_fill_is_refused(fault, tmp_path, mon
     assert kernel_module._TemporaryFolder.from_function(run, __file__) is None
 
 
-def test_imports_in_brackets_and_of_modules_count_and_those_of_other_projects_do_not():
-    fit = kernel_module.PACKAGES / "stick_figure/stick_figure/least_squares/gauss_newton.py"
-    found = {path.name for path in kernel_module.imported(fit)}
-    assert {"kernels.py", "contour_factor.py", "joint_limits.py", "small_matrices.py"} <= found
-    assert all(path.is_relative_to(kernel_module.PACKAGES) for path in kernel_module.imported(fit))
-
-
 @njit(cache=False)
 def refuses(x):
     if x < 0:

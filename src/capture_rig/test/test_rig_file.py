@@ -140,19 +140,9 @@ def test_unknown_camera_name_lists_the_known_ones(tmp_path: Path) -> None:
         rig.camera("cam09")
 
 
-def test_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file") as caught:
-        load_rig(tmp_path / "nowhere.yaml")
-    assert str(caught.value).startswith(str(tmp_path / "nowhere.yaml"))
-    assert "rig file" in caught.value.remedy
-
-
 @pytest.mark.parametrize("content", ["", "units: metres\n", "cameras: {}\n", "cameras: 3\n"])
 def test_rig_without_cameras_is_refused(tmp_path: Path, content: str) -> None:
     assert "'cameras' is missing or empty" in refusal(tmp_path, content)
-
-
-def test_camera_that_is_no_mapping_is_refused(tmp_path: Path) -> None:
     assert "cameras.cam01: is not a mapping" in refusal(tmp_path, "cameras: {cam01: 3}\n")
 
 

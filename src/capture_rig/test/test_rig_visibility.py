@@ -74,6 +74,13 @@ def test_narrow_lens_sees_less():
     assert narrow.seen_by(places)[:, 0].sum() < 0.7 * RigVisibility(RING).seen_by(places)[:, 0].sum()
 
 
-@pytest.mark.parametrize(("cameras", "needed"), [(2, 2), (3, 3), (4, 3), (6, 4), (8, 5)])
+@pytest.mark.parametrize(
+    ("cameras", "needed"), [(1, 2), (2, 2), (3, 3), (4, 3), (5, 3), (6, 4), (7, 5), (8, 5), (10, 6), (16, 10)]
+)
 def test_seeing_cameras_that_a_hull_needs(cameras, needed):
     assert min_seeing(cameras) == needed
+
+
+def test_requested_seeing_cameras_are_lowered_to_those_present_but_never_below_two():
+    assert [min_seeing(n, 4) for n in (6, 4, 3, 2, 1)] == [4, 4, 3, 2, 2]
+    assert min_seeing(6, 1) == 2

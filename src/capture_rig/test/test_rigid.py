@@ -1,15 +1,19 @@
 """Rotations and rigid fits against SciPy, which finds them another way."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from capture_rig.rigid import nearest_rotation, rigid_transform, rotation_matrix, rotation_vector
 
 
-def test_rotation_vectors_and_matrices_are_inverse_and_scipy_s():
-    for rotation in Rotation.random(20, np.random.default_rng(2)):
-        np.testing.assert_allclose(rotation_matrix(rotation.as_rotvec()), rotation.as_matrix(), atol=1e-12)
-        np.testing.assert_allclose(rotation_vector(rotation.as_matrix()), rotation.as_rotvec(), atol=1e-9)
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-7, 0.1, 2.0, np.pi - 1e-7, np.pi - 1e-12, np.pi])
+def test_rotation_vectors_and_matrices_are_scipy_s_and_inverse_up_to_half_a_turn(angle):
+    for axis in Rotation.random(5, np.random.default_rng(2)).as_matrix()[:, 0]:
+        R = rotation_matrix(angle * axis)
+        np.testing.assert_allclose(R, Rotation.from_rotvec(angle * axis).as_matrix(), atol=1e-15)
+        np.testing.assert_allclose(rotation_matrix(rotation_vector(R)), R, atol=1e-14)
+        assert np.linalg.norm(rotation_vector(R)) == pytest.approx(angle, abs=1e-12)
 
 
 def test_nearest_rotation_is_never_a_reflection():

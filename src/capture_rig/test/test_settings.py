@@ -52,12 +52,10 @@ def test_nested_settings_are_written_dotted_or_as_a_mapping(values: dict[str, An
     assert settings.blob == Blob(min_area_m2=0.01, max_elongation=2.0)
 
 
-def test_settings_are_frozen_and_share_no_list() -> None:
+def test_settings_share_no_list() -> None:
     one, two = build_settings(Example, {}, ""), build_settings(Example, {}, "")
     one.axes.append("z")
     assert two.axes == ["x", "y"] and Example().axes == ["x", "y"]
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        one.cameras = 5  # type: ignore[misc]
 
 
 @pytest.mark.parametrize(

@@ -106,11 +106,6 @@ def test_missing_column_is_named(tmp_path: Path, axis: str) -> None:
         load_truth(write(tmp_path / "truth.csv", columns, [numbers(columns)]))
 
 
-def test_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere\.csv: cannot be read"):
-        load_truth(tmp_path / "nowhere.csv")
-
-
 @pytest.mark.parametrize("text", ["", "frame,a\n0,high\n", "frame,a\n0,1\n1\n", "frame,a\n", "a,b\n1,2\n", "\x00\xff"])
 def test_text_that_is_no_table_of_numbers_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "truth.csv").write_text(text, encoding="latin-1")
