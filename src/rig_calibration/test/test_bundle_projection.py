@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from bundle_studio import rotation
 
-from rig_calibration.bundle.adjustment import FreeUnknowns, information_of_each, normal_equations, reduce, step
+from rig_calibration.bundle.adjustment import FreeUnknowns, information_of_each, normal_equations, reduce
 from rig_calibration.bundle.state import Layout, Observations, State, linearise, residuals_px
 
 RATIONAL = np.array([-0.25, 0.08, 1e-3, -2e-3, 0.01, 0.05, -0.02, 0.004])
@@ -83,27 +82,6 @@ def test_derivatives_match_central_differences():
             poses[pose, axis] = 1e-6
             analytic = np.where((seen.pose == pose)[:, None], linear.by_pose[:, :, axis], 0)
             np.testing.assert_allclose(analytic, difference(np.zeros(layout.size), poses), atol=2e-4, rtol=1e-6)
-
-
-@pytest.mark.parametrize("damping", [0.0, 0.1])
-def test_step_equals_that_of_the_full_normal_equations(damping: float):
-    state, seen = state_and_observations(np.random.default_rng(2))
-    layout = Layout(2, 2)
-    free = FreeUnknowns(np.ones(layout.size, bool), np.array([True, True, False]))
-    free.shared[:6], free.shared[-2] = False, False
-    linear = linearise(state, seen)
-    J = np.zeros((4, 14, layout.size + 18))
-    for row, columns in enumerate(layout.columns(seen.camera, seen.target)):
-        J[row][:, columns] = linear.by_shared[row]
-        start = layout.size + 6 * seen.pose[row]
-        J[row][:, start : start + 6] = linear.by_pose[row]
-    moving = np.concatenate([free.shared, np.repeat(free.poses, 6)])
-    A = J.reshape(-1, J.shape[2])[:, moving]
-    H = A.T @ A
-    expected = np.zeros(len(moving))
-    expected[moving] = np.linalg.solve(H + damping * np.diag(np.diag(H)), A.T @ linear.residual.ravel())
-    shared, poses = step(normal_equations(linear, seen, layout, 3), free, damping)
-    np.testing.assert_allclose(np.concatenate([shared, poses.ravel()]), expected, rtol=1e-5, atol=1e-8)
 
 
 def test_information_of_each_detection_adds_up_where_no_pose_is_seen_twice():
