@@ -204,3 +204,11 @@ def test_quaternion_of_no_turn_and_of_half_a_turn():
     np.testing.assert_array_equal(quaternion_of(np.eye(3)), [0.0, 0.0, 0.0, 1.0])
     x, y, z, w = quaternion_of(np.diag([-1.0, -1.0, 1.0]))
     np.testing.assert_allclose((x, y, abs(z), w), (0.0, 0.0, 1.0, 0.0), atol=1e-15)
+
+
+def test_a_quaternion_of_any_length_is_a_rotation():
+    rng = np.random.default_rng(7)
+    pose = pose_turned_by(rng, 0.5)
+    motion = JointMotion.of(pose, np.zeros(24))
+    longer = JointMotion(motion.position_world, -3.0 * motion.quaternions, motion.linear_world, motion.angular)
+    np.testing.assert_allclose(longer.pose.R_joints, pose.R_joints, atol=1e-14)
