@@ -2,16 +2,12 @@
 
 import numpy as np
 import pytest
-from hull_scenes import capsule_person, ring_rig, silhouettes
 
-from capture_rig import Volume
-from hull_server.carving import make_backend
 from hull_server.grid import BrickVolume, VoxelGrid
-from hull_server.settings import BlobSettings, BodySettings
-from hull_server.slicing.bodies import NOBODY, BodyTracker, measure_parts
-from hull_server.slicing.skeletonisation import find_centerline, slice_hull
+from hull_server.settings import BodySettings
+from hull_server.slicing.bodies import NOBODY, BodyTracker
+from hull_server.slicing.skeletonisation import slice_hull
 from hull_server.slicing.voxel_runs import sample_runs
-from hull_server.views import RigViews
 
 VOXEL = 0.04
 MS = 1_000_000
@@ -125,23 +121,3 @@ def test_tracker_starts_afresh_after_reset_and_when_time_runs_backwards():
     step(tracker, two, 500)
     tracker.reset()
     assert step(tracker, one, 600).number.tolist() == [0]
-
-
-def test_two_carved_people_are_two_bodies_with_points_and_voxels_of_their_own():
-    room = Volume(np.array([-1.6, -1.6, -0.05]), np.array([1.6, 1.6, 2.1]))
-    rig = ring_rig(8, size=(480, 360), focal_px=260.0, volume=room)
-    pair = capsule_person(0.3, -0.75, 0.1) + capsule_person(2.0, 0.8, -0.1)
-    grid = VoxelGrid.covering(room, 0.025)
-    carver = make_backend("cpu", RigViews.from_rig(rig), grid).backend
-    volume = carver.carve(silhouettes(rig, pair), 5)
-    slices = slice_hull(volume)
-    bodies = BodyTracker(BodySettings()).step(0, slices.runs, grid)
-    assert len(bodies) == 2 and (np.abs(bodies.centroid_world[:, 0]) > 0.5).all()
-    left = bodies.number[np.argmin(bodies.centroid_world[:, 0])]
-    line = find_centerline(slices.blobs, grid, BlobSettings(), bodies.number_of_part)
-    samples = sample_runs(slices.runs, grid, 2000, bodies.number_of_part)
-    for cloud in (line, samples):
-        by_place = np.where(cloud.points_world[:, 0] < 0, left, 1 - left)
-        assert (cloud.body == by_place).mean() > 0.97
-    litres = measure_parts(slices.runs, grid).litres
-    assert litres.sum() == pytest.approx(volume.litres) and bodies.litres.sum() > 0.98 * volume.litres

@@ -3,14 +3,12 @@
 from dataclasses import replace
 from functools import cache
 
-import cv2
 import numpy as np
 import pytest
 from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, rotated_mask, silhouettes, walking_person
 
 from capture_rig import Rig
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
-from hull_server.consistency.silhouette_residuals import ResidualEstimator
 from hull_server.settings import CameraFaultSettings
 from hull_server.views import RigViews, min_seeing
 
@@ -66,6 +64,10 @@ def blank(*names):
     return lambda masks: {name: np.zeros_like(masks[name]) for name in names}
 
 
+def flooded(*names):
+    return lambda masks: {name: np.full_like(masks[name], 255) for name in names}
+
+
 def without_legs(name):
     def fault(masks):
         cut = masks[name].copy()
@@ -89,7 +91,7 @@ def test_sound_cameras_are_all_used_and_veto_next_to_nothing(cameras):
     assert faults.conflict < 0.05 and faults.warning == ""
 
 
-@pytest.mark.parametrize("faulty", rig_of(5).names)
+@pytest.mark.parametrize("faulty", ["cam01", "cam04"])
 @pytest.mark.parametrize(("fault", "words"), [(blank, "is empty"), (without_legs, "vetoes")])
 def test_camera_that_is_covered_is_named_and_left_out_within_half_a_second(fault, words, faulty):
     session = Session(rig_of(5), walking(5))
@@ -126,7 +128,7 @@ def test_camera_that_is_frozen_is_left_out_while_the_person_walks_on():
 
 def test_camera_whose_view_is_all_foreground_is_left_out_although_it_vetoes_nothing():
     session = Session(rig_of(5), walking(5))
-    faults = session.show(5, lambda masks: {"cam01": np.full_like(masks["cam01"], 255)})
+    faults = session.show(5, flooded("cam01"))
     assert faults.left_out == ("cam01",) and faults.veto_fraction["cam01"] == 0.0
     assert "has the light changed" in faults.reasons["cam01"]
 
@@ -179,25 +181,17 @@ def test_as_many_cameras_remain_as_must_see_a_place():
     assert faults.left_out == ()
 
 
-def test_empty_room_changes_nothing():
-    session = Session(rig_of(5), walking(5))
+@pytest.mark.parametrize(
+    "shown",
+    [blank(*rig_of(5).names), lambda masks: blank(*masks)(masks) | flooded("cam01")(masks), flooded(*rig_of(5).names)],
+    ids=["empty", "lights for one camera", "all foreground"],
+)
+def test_room_in_which_nobody_is_seen_tells_nothing_and_reinstates_nobody(shown):
+    session = Session(rig_of(5), walking(5), reinstate_s=1.0)
     session.show(6, blank("cam02"))
-    empty = {name: np.zeros_like(mask) for name, mask in walking(5)[0].items()}
-    for _ in range(60):
-        faults = session.show(1, lambda masks: empty)
+    for _ in range(20):
+        faults = session.show(1, shown)
         assert not faults.updated and faults.left_out == ("cam02",) and faults.warning == ""
-
-
-def test_lights_that_one_camera_alone_sees_in_an_empty_room_tell_nothing():
-    session = Session(rig_of(5), [{name: np.zeros_like(mask) for name, mask in walking(5)[0].items()}])
-    faults = session.show(20, lambda masks: {"cam01": np.full_like(masks["cam01"], 255)})
-    assert not faults.updated and faults.left_out == () and faults.suspects == ()
-
-
-def test_room_that_is_all_foreground_for_everyone_tells_nothing():
-    session = Session(rig_of(5), [{name: np.full_like(mask, 255) for name, mask in walking(5)[0].items()}])
-    faults = session.show(5)
-    assert not faults.updated and faults.left_out == ()
 
 
 def test_camera_that_cannot_see_the_person_is_not_blamed_for_its_empty_silhouette():
@@ -248,45 +242,3 @@ def test_frame_sets_are_compared_once_a_period_and_after_stamps_have_gone_back()
 
 def test_detector_that_is_switched_off_leaves_nobody_out():
     assert not Session(rig_of(5), walking(5), enabled=False).show(10, blank("cam02")).left_out
-
-
-@pytest.mark.parametrize("cameras", [3, 6])
-def test_hull_without_a_camera_has_the_volume_of_the_brute_force_hull_of_the_others(cameras):
-    rig, masks = rig_of(cameras), walking(cameras)[3]
-    estimator = ResidualEstimator(rig, RigViews.from_rig(rig), 0.04)
-    for camera, name in enumerate(rig.names):
-        estimator.set_mask(camera, masks[name])
-    residuals = estimator.estimate(tuple(range(cameras)), ())
-    for camera, name in enumerate(rig.names):
-        others = {other: mask for other, mask in masks.items() if other != name}
-        dense = carve_brute_force(rig, others, 0.04, min_seeing(cameras - 1))
-        litres = dense[:, :, round((0.15 + 0.05) / 0.04) :].sum() * 0.04**3 * 1e3  # the floor's layers aside
-        assert residuals.body_litres[camera] == pytest.approx(litres, rel=0.15)
-
-
-def test_veto_fraction_is_the_share_of_the_others_silhouettes_that_a_cut_takes_away():
-    """Brute force: the dense hulls with and without the veto, drawn voxel by voxel into the other pictures."""
-    rig, masks = rig_of(6), walking(6)[7]
-    masks = masks | without_legs("cam05")(masks)
-    estimator = ResidualEstimator(rig, RigViews.from_rig(rig), 0.04)
-    for camera, name in enumerate(rig.names):
-        estimator.set_mask(camera, masks[name])
-    vetoed = estimator.estimate(tuple(range(6)), ()).veto_fraction[rig.names.index("cam05")]
-    others = {name: mask for name, mask in masks.items() if name != "cam05"}
-    hulls = [carve_brute_force(rig, m, 0.02, 4) for m in (masks, others)]
-    covered = [[_drawn(rig.camera(name), rig.volume, hull, masks[name]) for name in others] for hull in hulls]
-    expected = 1 - np.sum(covered[0]) / np.sum(covered[1])
-    assert 0.2 < expected < 0.6 and vetoed == pytest.approx(expected, abs=0.08)
-
-
-def _drawn(camera, volume, hull, mask):
-    """Pixels of the mask that the hull's voxels of 20 mm cover."""
-    points = volume.low + (np.argwhere(hull) + 0.5) * 0.02
-    view = camera.undistorted_view()
-    in_camera = points @ camera.R_camera_world.T + camera.t_camera_world
-    pixels = in_camera @ view.camera.K.T
-    u, v = np.round(pixels[:, :2] / pixels[:, 2:]).astype(int).T
-    image = np.zeros_like(mask)
-    inside = (u >= 0) & (v >= 0) & (u < mask.shape[1]) & (v < mask.shape[0])
-    image[v[inside], u[inside]] = 1
-    return int((cv2.dilate(image, np.ones((3, 3), np.uint8)) & (mask > 0)).sum())

@@ -8,7 +8,7 @@ from capture_rig import Volume
 from hull_server.carving import make_backend
 from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.settings import BlobSettings
-from hull_server.slicing.skeletonisation import BlobTable, find_centerline, point_sigma, slice_hull
+from hull_server.slicing.skeletonisation import BlobTable, find_centerline, slice_hull
 from hull_server.views import RigViews
 
 EVERYTHING = BlobSettings(min_area_m2=0.0, max_elongation=1e9, min_fill=0.0, max_growth=0.0)
@@ -53,11 +53,6 @@ def test_centerline_filters_drop_small_long_and_concave_blobs():
     assert len(find_centerline(flat, volume.grid, EVERYTHING)) == 5
 
 
-def test_centerline_of_an_empty_hull_has_no_points():
-    volume = volume_of(np.zeros((9, 9, 9), bool))
-    assert len(find_centerline(slice_hull(volume).blobs, volume.grid, EVERYTHING)) == 0
-
-
 @pytest.mark.parametrize("voxel", [0.02, 0.01])
 def test_slices_off_a_ball_are_dropped_by_growth_and_not_by_shape(voxel):
     """A head: slices near its sides are round, convex and large enough, and lie far from its middle."""
@@ -80,23 +75,6 @@ def test_growth_drops_a_stump_on_a_wide_block_and_the_end_of_a_limb():
     kept = find_centerline(across(slice_hull(volume).blobs, 2), volume.grid, BlobSettings())
     layers = np.round((kept.points_world[:, 2] - 0.5) / 0.02 - 0.5).astype(int)
     assert layers.tolist() == [*range(1, 10), *range(11, 29)]
-
-
-def test_growth_compares_slices_a_step_in_metres_apart():
-    volume = volume_of(upright_cylinder(), voxel=0.01)
-    ends = {
-        step: np.isinf(across(slice_hull(volume, step_m=step).blobs, 2).growth).sum() for step in (0.001, 0.02, 0.05)
-    }
-    assert ends == {0.001: 2, 0.02: 4, 0.05: 10}
-
-
-def test_point_sigma_grows_with_radius_missing_fill_and_change_of_girth():
-    area = np.pi * 0.1**2
-    assert 1e3 * point_sigma(area, 1.0, 0.9) == pytest.approx(6.0)
-    assert 1e3 * point_sigma(4 * area, 1.0, 0.9) == pytest.approx(11.0)
-    assert 1e3 * point_sigma(area, 0.87, 0.9) == pytest.approx(11.0)
-    assert 1e3 * point_sigma(area, 1.0, 2.0) == pytest.approx(11.0)
-    assert np.isfinite(point_sigma(area, 1.0, np.inf))
 
 
 @pytest.mark.parametrize("voxel", [0.02, pytest.param(0.012, marks=pytest.mark.slow)])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from capture_rig import InputError, Volume
 from hull_server.grid import BrickVolume, VoxelGrid
-from hull_server.views import RigViews, min_seeing
+from hull_server.views import RigViews
 
 
 def test_grid_covers_the_volume_and_centres_lie_half_a_voxel_inside():
@@ -20,15 +20,6 @@ def test_grid_covers_the_volume_and_centres_lie_half_a_voxel_inside():
 def test_grid_refuses_a_voxel_size_that_gives_too_many_voxels():
     with pytest.raises(InputError, match=r"voxel_size_m = 0.001 .* Use larger voxels"):
         VoxelGrid.covering(VOLUME, 0.001)
-
-
-def test_projection_of_voxel_indices_equals_projection_of_their_centres():
-    rig = ring_rig(2)
-    grid, P = VoxelGrid.covering(rig.volume, 0.03), rig.cameras[1].P
-    voxels = np.array([[0, 0, 0], [5, 17, 40], [30, 2, 9]])
-    expected = np.column_stack([grid.centres_world(voxels), np.ones(3)]) @ P.T
-    found = np.column_stack([voxels, np.ones(3)]) @ grid.projection_from_voxels(P).T
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
@@ -52,27 +43,6 @@ def test_bricks_voxel_centres_are_those_of_the_occupied_cells():
     expected = grid.origin + (np.argwhere(dense) + 0.5) * 0.1
     np.testing.assert_allclose(np.sort(centres, axis=0), np.sort(expected, axis=0))
     assert BrickVolume.from_dense(grid, dense).litres == pytest.approx(3.0)
-
-
-def test_brick_words_are_layers_and_bits_are_eight_y_plus_x():
-    grid = VoxelGrid(np.zeros(3), 0.1, (16, 8, 8))
-    dense = np.zeros(grid.shape, bool)
-    dense[8 + 3, 5, 6] = True  # second brick along x, layer 6, row 5, column 3
-    volume = BrickVolume.from_dense(grid, dense)
-    assert volume.index.tolist() == [1] and volume.index.dtype == np.uint32
-    assert volume.leaves.tolist() == [[0, 0, 0, 0, 0, 0, 1 << (8 * 5 + 3), 0]]
-
-
-@pytest.mark.parametrize(
-    ("cameras", "needed"), [(1, 2), (2, 2), (3, 3), (4, 3), (5, 3), (6, 4), (7, 5), (8, 5), (10, 6), (16, 10)]
-)
-def test_min_seeing_by_the_rig_follows_the_number_of_cameras(cameras, needed):
-    assert min_seeing(cameras) == needed
-
-
-def test_min_seeing_when_requested_is_lowered_to_the_cameras_present_but_never_below_two():
-    assert [min_seeing(n, 4) for n in (6, 4, 3, 2, 1)] == [4, 4, 3, 2, 2]
-    assert min_seeing(6, 1) == 2
 
 
 def test_views_refuse_a_rig_with_one_camera_and_masks_that_do_not_fit():

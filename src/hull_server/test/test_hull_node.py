@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from hull_probe import stamp
-from hull_scenes import capsule_person, ring_rig, silhouettes
 from node_probe import FAILURE, SUCCESS
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from capture_rig import load_rig, save_rig
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
-from mocap_packets.hull import PARTS, Centerline, ContourRays, VoxelSamples
+from mocap_packets.hull import PARTS, Centerline
 from sagoma_ros.images import read_support
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import HULL_PRODUCTS, read_packet
@@ -30,56 +28,24 @@ def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene
     frame_set = FrameSet.of_stamps({name: stamp(0) + later_ns[name] for name in masks}, masks)
     expected = HullPipeline(rig, HullSettings(voxel_size_m=0.04, backend="cpu")).run(frame_set)
     cloud = bench.heard["hull/centerline"][0]
-    line = read_packet(cloud, Centerline, "test")
     assert to_ns(cloud.header.stamp) == stamp(0) + 300_000 and cloud.header.frame_id == "map"
-    found = expected.products.centerline
-    np.testing.assert_allclose(line.points_world, found.points_world, atol=1e-6)
-    np.testing.assert_allclose(line.sigma, found.sigma, atol=1e-7)
-    np.testing.assert_array_equal(line.axis, found.axis)
-    for name in ("area_m2", "elongation", "fill"):
-        np.testing.assert_allclose(getattr(line, name), getattr(found, name), rtol=1e-6)
-    voxels = read_packet(bench.heard["hull/voxels"][0], VoxelSamples, "test")
-    np.testing.assert_allclose(voxels.points_world, expected.products.voxels.points_world, atol=1e-6)
-    np.testing.assert_array_equal(voxels.surface, expected.products.voxels.surface)
-    rays = read_packet(bench.heard["hull/contour_rays"][0], ContourRays, "test")
-    assert bench.heard["hull/contour_rays"][0].header == cloud.header and len(rays) > 100
-    found = expected.products.contour_rays
-    np.testing.assert_allclose(rays.points_world, found.points_world, atol=1e-6)
-    for name in ("directions", "normals"):
-        np.testing.assert_allclose(getattr(rays, name), getattr(found, name), atol=1e-7)
-    for name in ("half_lengths", "sigma"):
-        np.testing.assert_allclose(getattr(rays, name), getattr(found, name), rtol=1e-6)
-    np.testing.assert_array_equal(rays.camera, found.camera)
-    np.testing.assert_allclose(rays.time_s, found.time_s, atol=1e-9)
+    for name, kind in PARTS.items():
+        message, found = bench.heard[f"hull/{name}"][0], getattr(expected.products, name)
+        assert message.header == cloud.header and len(found) > 60
+        for field, heard in vars(read_packet(message, kind, "test")).items():
+            np.testing.assert_allclose(heard, getattr(found, field), rtol=1e-6, atol=1e-6, err_msg=f"{name}.{field}")
+    rays = expected.products.contour_rays
     assert {round(1e6 * time_s) for time_s in rays.time_s} == {-300, 0, 600}
     assert set(rays.body) == {0} and int(values["contour_rays"]) == len(rays)
     assert bench.heard["hull/frame_set"][0].header.stamp == cloud.header.stamp
     assert values["cameras"] == "cam01,cam02,cam03,cam04" and values["missing"] == values["blank"] == ""
     assert float(values["spread_ms"]) == pytest.approx(0.9) and values["backend"] == "cpu"
     assert int(values["voxels"]) == expected.volume.count and 40 < float(values["litres"]) < 200
-    assert {
-        "carve_ms",
-        "slice_ms",
-        "filter_ms",
-        "sample_ms",
-        "contour_rays_ms",
-        "hull_ms",
-        "queued_ms",
-    } <= values.keys()
-
-
-def test_node_gives_the_same_bytes_for_the_same_silhouettes(make_bench, scene):
-    _, rig, masks = scene
-    sent = []
-    for _ in range(2):
-        bench = make_bench().start(rig)
-        bench.send(masks, 0)
-        bench.answers(1)
-        sent.append(
-            [bytes(bench.heard[topic][0].data) for topic in ("hull/contour_rays", "hull/centerline", "hull/voxels")]
-        )
-        bench.close()
-    assert sent[0] == sent[1]
+    stages = ("carve", "slice", "filter", "sample", "contour_rays", "hull", "queued")
+    assert {f"{stage}_ms" for stage in stages} <= values.keys()
+    assert values["bodies"] == "1" and values["bodies_numbers"] == "0"
+    (place,) = expected.bodies.centroid_world
+    assert [float(v) for v in values["bodies_at"].split(",")] == pytest.approx(place, abs=0.01)
 
 
 def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, scene):
@@ -91,32 +57,6 @@ def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, 
     assert bench.heard["hull/contour_rays"][0].width == 0
     assert "the hull is empty" in bench.heard["hull/frame_set"][0].status[0].message
     bench.until_values(sets_empty="1")
-
-
-def test_node_counts_people_and_says_whose_each_point_is(make_bench, scene):
-    rig, rig_file = ring_rig(7), scene[0].with_name("seven.yaml")
-    save_rig(rig, rig_file)
-    places = ((-0.45, -0.4), (0.5, 0.45))
-    people = [capsule_person(0.3, *place) for place in places]
-    bench = make_bench(rig_file=str(rig_file), voxel_size_m=0.03).start(load_rig(rig_file))
-    bench.send(silhouettes(rig, [limb for person in people for limb in person]), 0)
-    (values,) = bench.answers(1)
-    assert values["bodies"] == "2" and sorted(values["bodies_numbers"].split(",")) == ["0", "1"]
-    centres = {
-        number: [float(v) for v in place.split(",")]
-        for number, place in zip(values["bodies_numbers"].split(","), values["bodies_at"].split("; "), strict=True)
-    }
-    for topic, kind in (
-        ("hull/contour_rays", ContourRays),
-        ("hull/centerline", Centerline),
-        ("hull/voxels", VoxelSamples),
-    ):
-        packet = read_packet(bench.heard[topic][0], kind, "test")
-        for number, (x, y, _) in centres.items():
-            mine = packet.points_world[packet.body == int(number)]
-            nearest = min(places, key=lambda place: np.hypot(place[0] - x, place[1] - y))
-            assert len(mine) > 20 and np.hypot(*(mine[:, :2].mean(axis=0) - nearest)) < 0.25
-    assert len({min(places, key=lambda p: np.hypot(p[0] - x, p[1] - y)) for x, y, _ in centres.values()}) == 2
 
 
 def test_node_ignores_silhouettes_while_suspended_and_resumes(bench, scene):

@@ -1,21 +1,12 @@
 """Silhouettes' edges to a fraction of a pixel, against shapes whose edges are known in closed form."""
 
-from statistics import NormalDist
-
 import cv2
 import numpy as np
 import pytest
-from numba import njit
 
+from capture_rig.kernel import njit
 from hull_server.contour_rays.contour_tracer import Scratch
-from hull_server.contour_rays.outlines import (
-    RADIUS_PX,
-    find_edge,
-    normal_quantile,
-    pick_contour_pixels,
-    shadow_share,
-    weights,
-)
+from hull_server.contour_rays.outlines import RADIUS_PX, find_edge, pick_contour_pixels, weights
 
 SIDE = 128
 V, U = np.mgrid[:SIDE, :SIDE].astype(float)
@@ -34,13 +25,13 @@ def scratch():
     )
 
 
-@njit
+@njit(cache=True)
 def _pick(mask, box, rules, most, scratch):
     pixels = np.empty((most, 2), np.int32)
     return pixels[: pick_contour_pixels(mask, box, scratch, rules, pixels)]
 
 
-@njit
+@njit(cache=True)
 def _edges(mask, pixels, weights):
     rows, n = np.empty((pixels.shape[0], 4)), 0
     for u, v in pixels:
@@ -50,16 +41,6 @@ def _edges(mask, pixels, weights):
                 rows[n, k] = edge[k]
             n += 1
     return rows[:n]
-
-
-@njit
-def _quantile(share):
-    return normal_quantile(share)
-
-
-@njit
-def _shadow_share(levels, u, v):
-    return shadow_share(levels, u, v)
 
 
 def pick(inside, *, shortest_px=4.0, spacing_px=1.0, most=2000, box=(0, 0, SIDE, SIDE)):
@@ -97,54 +78,11 @@ def test_edge_of_a_circle_is_found_without_bias_in_any_direction(radius):
     assert np.median(turns) < 2.5 and np.percentile(turns, 95) < 8
 
 
-@pytest.mark.parametrize("degrees", [0, 7, 22.5, 45, 71, 90, 135, 203, 270, 301])
-def test_edge_of_a_half_plane_lies_on_it_and_faces_outward(degrees):
-    angle = np.radians(degrees)
-    outward = np.array([np.cos(angle), np.sin(angle)])
-    offsets, turns = [], []
-    for shift in np.linspace(-0.45, 0.45, 10):
-        signed = (U - 64) * outward[0] + (V - 64) * outward[1] - shift
-        points, normals = edges((signed <= 0) & (np.hypot(U - 64, V - 64) < 50))
-        near = np.hypot(*(points - 64).T) < 35
-        offsets.append((points[near] - 64) @ outward - shift)
-        turns.append(degrees_between(normals[near], np.tile(outward, (near.sum(), 1))))
-    offsets = np.concatenate(offsets)
-    assert abs(offsets.mean()) < 0.06 and np.abs(offsets).max() < 0.6  # along a row of pixels nothing finer is known
-    assert np.median(np.concatenate(turns)) < 5.0  # where stairs are as long as the window is wide; else 1 or 2
-
-
-@pytest.mark.parametrize("width", [5.0, 8.0])
-def test_edges_of_a_thin_limb_are_both_found(width):
-    across = (U - 64) * np.cos(0.4) + (V - 64) * np.sin(0.4)
-    points, normals = edges((np.abs(across) <= width / 2) & (np.hypot(U - 64, V - 64) < 50))
-    near = np.hypot(*(points - 64).T) < 40
-    signed = (points[near] - 64) @ [np.cos(0.4), np.sin(0.4)]
-    assert np.abs(np.abs(signed) - width / 2).mean() < 0.3
-    assert (np.sign(signed) == np.sign(normals[near] @ [np.cos(0.4), np.sin(0.4)])).all()
-    assert 0.4 < (signed > 0).mean() < 0.6
-
-
 def test_edge_in_the_corner_of_a_wedge_is_left_out():
     """The tip of a sharp wedge is no edge with a direction."""
     wedge = (U > 40) & (np.abs(V - 64) < 0.15 * (U - 40)) & (U < 110)
     points, _ = edges(wedge)
     assert len(points) > 80 and np.hypot(points[:, 0] - 40, points[:, 1] - 64).min() > 5
-
-
-def test_contour_pixels_lie_evenly_along_an_outline():
-    inside = np.hypot(U - 64, V - 64) <= 50.3
-    pixels = pick(inside, spacing_px=6.0).astype(float)
-    length = 2 * np.pi * 50.3
-    assert len(pixels) == pytest.approx(length / 6, rel=0.08)
-    gaps = np.linalg.norm(np.diff(pixels, axis=0), axis=1)
-    assert gaps.min() > 4.0 and gaps.max() < 8.0
-
-
-def test_contour_pixels_are_at_most_so_many_and_then_evenly_fewer():
-    inside = (np.hypot(U - 40, V - 64) <= 20) | (np.hypot(U - 95, V - 64) <= 10)
-    pixels = pick(inside, most=60)
-    left = (pixels[:, 0] < 70).sum()
-    assert 55 <= len(pixels) <= 60 and left == pytest.approx(2 * (len(pixels) - left), abs=2)
 
 
 def test_contour_pixels_follow_every_boundary_pixel_that_opencv_finds():
@@ -184,24 +122,3 @@ def test_contour_pixels_outside_the_box_are_not_looked_for():
     inside = (np.hypot(U - 30, V - 64) <= 20) | (np.hypot(U - 100, V - 64) <= 20)
     pixels = pick(inside, box=(72, 20, 128, 100))
     assert len(pixels) > 100 and pixels[:, 0].min() >= 80
-
-
-def test_contour_pixels_of_an_empty_and_of_a_full_mask():
-    assert len(pick(np.zeros((SIDE, SIDE), bool))) == 0
-    full = pick(np.ones((SIDE, SIDE), bool), spacing_px=4.0)  # its outline is the image's border
-    assert len(full) > 100 and ((full == 0) | (full == SIDE - 1)).any(axis=1).all()
-
-
-def test_normal_quantile_is_the_normal_distributions():
-    for share in np.linspace(0.06, 0.94, 23):
-        assert _quantile(share) == pytest.approx(NormalDist().inv_cdf(share), abs=0.02)
-
-
-def test_shadow_share_is_the_share_of_levels_between_background_and_foreground():
-    levels = np.zeros((SIDE, SIDE), np.uint8)
-    levels[:, 64:] = 255
-    assert _shadow_share(levels, 64, 64) == 0.0
-    levels[:, 64:] = 135
-    assert _shadow_share(levels, 64, 64) == pytest.approx(15 / 25)
-    levels[:, :64] = 47
-    assert _shadow_share(levels, 64, 64) == 1.0

@@ -35,39 +35,23 @@ def test_graph_that_keeps_up_is_left_alone() -> None:
     assert len(answers) > 1190 and all(each.whole for each in answers)
 
 
-@pytest.mark.parametrize("stage", ["hull_ms", "tracker_ms"])
-def test_twice_the_rate_of_a_stage_is_thinned_to_what_it_holds(stage: str) -> None:
+@pytest.mark.parametrize(("stage", "whole"), [("hull_ms", 0.98), ("tracker_ms", 0.98), ("client_ms", 0.95)])
+def test_twice_the_rate_of_a_stage_is_thinned_to_what_it_holds(stage: str, whole: float) -> None:
     graph = Simulation(**{stage: 1000 / 30})
-    answers = graph.run(20)
-    assert rate_hz(answers, 20) > 0.85 * 30
-    assert whole_share(answers) > 0.98 and p95_ms(answers) < 150
-
-
-def test_twice_the_rate_of_the_clients_is_thinned_until_their_sets_are_whole() -> None:
-    graph = Simulation(client_ms=1000 / 30)
     answers = graph.run(30)
-    assert whole_share(answers) > 0.95
-    assert rate_hz(answers, 30) > 0.85 * 30 and p95_ms(answers) < 150
+    assert rate_hz(answers, 30) > 0.85 * 30
+    assert whole_share(answers) > whole and p95_ms(answers) < 150
 
 
-@pytest.mark.parametrize("lighter_ms", [5.0, 12.0])
-def test_two_seconds_after_the_load_falls_every_frame_is_processed(lighter_ms: float) -> None:
+@pytest.mark.parametrize("lighter", [{"hull_ms": 5.0}, {"hull_ms": 12.0}, {"hz": 15.0}], ids=str)
+def test_two_seconds_after_the_load_falls_every_frame_is_processed(lighter: dict[str, float]) -> None:
     graph = Simulation(hull_ms=30.0)
     graph.run(15)
     assert graph.fraction < 0.6
-    graph.hull_ms = lighter_ms
+    vars(graph).update(lighter)
     graph.run(2)
     assert graph.fraction == 1.0
-    assert rate_hz(graph.run(5), 5) > 59
-
-
-def test_two_seconds_after_the_cameras_slow_down_every_frame_is_processed() -> None:
-    graph = Simulation(hull_ms=30.0)
-    graph.run(15)
-    graph.hz = 15.0
-    graph.run(2)
-    assert graph.fraction == 1.0
-    assert rate_hz(graph.run(4), 4) > 14.5
+    assert rate_hz(graph.run(5), 5) > 0.97 * graph.hz
 
 
 def test_starved_clients_are_not_given_every_frame_again() -> None:
@@ -128,12 +112,12 @@ def test_rate_does_not_oscillate_where_the_load_stays() -> None:
     assert rate_hz(answers, 60) > 0.85 * 1000 / 26 and p95_ms(answers) < 150
 
 
-@pytest.mark.parametrize(("lost", "answered"), [(0.1, 0.75), (0.16, 0.75)])
-def test_network_that_loses_every_tenth_frame_or_more_is_learned_and_no_overload(lost: float, answered: float) -> None:
+@pytest.mark.parametrize("lost", [0.1, 0.16])
+def test_network_that_loses_every_tenth_frame_or_more_is_learned_and_no_overload(lost: float) -> None:
     """Half the sets of five cameras lack one: as if clients were too slow, until fewer sets change nothing."""
     graph = Simulation(loss=dict.fromkeys(["cam01", "cam02", "cam03", "cam04", "cam05"], lost))
     graph.run(30)
-    assert len(graph.run(30)) > answered * 30 * 60
+    assert len(graph.run(30)) > 0.75 * 30 * 60
 
 
 @pytest.mark.parametrize(
@@ -151,7 +135,7 @@ def test_network_that_loses_every_tenth_frame_or_more_is_learned_and_no_overload
 )
 def test_trouble_with_cameras_is_no_overload(trouble: dict) -> None:
     graph = Simulation(**trouble)
-    graph.run(20)
+    graph.run(12)
     assert graph.fraction == 1.0
 
 
@@ -251,12 +235,6 @@ def test_cameras_that_run_freely_have_the_grid_in_their_middle() -> None:
     assert distance_to_grid(grid.phase_ns, grid.period_ns, (k[-1] + 0.2) * PERIOD_NS) < 0.01
 
 
-def test_fastest_camera_gives_the_period() -> None:
-    k = np.arange(STAMPS_KEPT)
-    grid = clock_of({"a": k * PERIOD_NS, "b": 2 * k[: STAMPS_KEPT // 2] * PERIOD_NS}).estimate()
-    assert grid is not None and grid.period_ns == pytest.approx(PERIOD_NS, rel=1e-6)
-
-
 def test_thinned_stamps_refine_the_grid_of_their_rule() -> None:
     true_ns = PERIOD_NS * (1 + 2e-4)
     rule = FrameDecimation(0, 0, EPOCH_NS, PERIOD_NS, 9, 20)
@@ -272,11 +250,3 @@ RANDOM_NS = np.cumsum(np.random.default_rng(1).uniform(1e6, 5e7, 40))
 @pytest.mark.parametrize("stamps", [np.arange(3) * PERIOD_NS, RANDOM_NS])
 def test_too_few_stamps_or_stamps_on_no_grid_give_none(stamps: np.ndarray) -> None:
     assert clock_of({"a": stamps}).estimate() is None
-
-
-def test_stamps_before_a_jump_are_forgotten() -> None:
-    clock = clock_of({"a": np.arange(40) * PERIOD_NS})
-    for k in range(20):
-        clock.add("a", EPOCH_NS - 10**12 + round(2 * k * PERIOD_NS))
-    grid = clock.estimate()
-    assert grid is not None and grid.period_ns == pytest.approx(2 * PERIOD_NS, rel=1e-6)

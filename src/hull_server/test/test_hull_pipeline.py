@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from hull_scenes import capsule_person, ring_rig, silhouettes
 
-from capture_rig import InputError
-from capture_rig.settings import build_settings
 from hull_server.hull_pipeline import HullPipeline
-from hull_server.settings import HullSettings, NodeSettings
+from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
 
 CPU = HullSettings(backend="cpu")
@@ -77,24 +75,11 @@ def test_pipeline_goes_on_with_fewer_cameras_and_says_so(scene):
     assert result.volume.count > whole.volume.count  # fewer silhouettes carve less away
 
 
-def test_pipeline_of_one_camera_is_empty_and_needs_two(scene):
-    rig, _, masks = scene
-    result = HullPipeline(rig, CPU).run(frame_set({"cam01": masks["cam01"]}, missing=rig.names[1:]))
-    assert result.empty and result.min_seeing == 2
-    assert len(result.products.centerline) == len(result.products.voxels) == 0
-
-
 def test_pipeline_names_the_camera_whose_silhouette_is_empty(scene):
     rig, _, masks = scene
     result = HullPipeline(rig, CPU).run(frame_set(masks | {"cam04": np.zeros_like(masks["cam04"])}))
     assert result.blank == ("cam04",)
     assert result.volume.litres < 1.0  # it sees nearly everything, and vetoes it
-
-
-def test_pipeline_refuses_a_mask_of_another_size(scene):
-    rig, _, masks = scene
-    with pytest.raises(InputError, match=r"cam02: the mask is \(10, 10\) uint8"):
-        HullPipeline(rig, CPU).run(frame_set(masks | {"cam02": np.zeros((10, 10), np.uint8)}))
 
 
 def test_pipeline_gives_the_same_bytes_twice(scene):
@@ -110,13 +95,16 @@ def test_pipeline_gives_the_same_bytes_twice(scene):
         assert a.tobytes() == b.tobytes()
 
 
-def test_pipeline_results_stay_as_they_are_while_the_next_set_is_carved(scene):
-    rig, _, masks = scene
-    pipeline = HullPipeline(rig, CPU)
-    first = pipeline.run(frame_set(masks))
-    before = first.volume.leaves.copy()
-    pipeline.run(frame_set(silhouettes(rig, capsule_person(2.0, -0.3, 0.3))))
-    assert np.array_equal(first.volume.leaves, before)
+def test_two_people_are_two_bodies_with_points_voxels_and_rays_of_their_own():
+    rig = ring_rig(7)
+    pair = capsule_person(0.3, -0.45, -0.4) + capsule_person(0.3, 0.5, 0.45)
+    result = HullPipeline(rig, HullSettings(backend="cpu", voxel_size_m=0.03)).run(frame_set(silhouettes(rig, pair)))
+    assert sorted(result.bodies.number) == [0, 1] and result.bodies.litres.sum() > 0.98 * result.volume.litres
+    left = result.bodies.number[np.argmin(result.bodies.centroid_world[:, 0])]
+    for cloud in (result.products.centerline, result.products.voxels, result.products.contour_rays):
+        assert min(np.bincount(cloud.body)) > 20
+        x, y, _ = cloud.points_world.T
+        assert np.mean(cloud.body == np.where(x + y < 0.05, left, 1 - left)) > 0.97
 
 
 def test_warm_up_carves_a_body_and_leaves_no_trace(scene):
@@ -124,15 +112,3 @@ def test_warm_up_carves_a_body_and_leaves_no_trace(scene):
     cold, warm = HullPipeline(rig, CPU), HullPipeline(rig, CPU)
     warm.warm_up()
     assert np.array_equal(cold.run(frame_set(masks)).volume.leaves, warm.run(frame_set(masks)).volume.leaves)
-
-
-def test_settings_defaults_and_errors_name_key_value_and_remedy():
-    settings = build_settings(NodeSettings, {"blob.min_fill": 0.8, "voxel_size_m": 0.01}, "test")
-    assert settings.blob.min_fill == 0.8 and settings.blob.min_area_m2 == 0.002 and settings.max_voxels == 3000
-    for values, text in (
-        ({"voxel_size_m": -1.0}, r"test: voxel_size_m = -1.0 m is out of range"),
-        ({"backend": "cuda"}, r"backend = 'cuda' is not one of 'auto', 'gl', 'sweep', 'cpu'"),
-        ({"blob.min_fil": 1.0}, r"unknown key 'blob.min_fil'. Did you mean 'blob.min_fill'"),
-    ):
-        with pytest.raises(InputError, match=text):
-            build_settings(NodeSettings, values, "test")

@@ -6,11 +6,10 @@ import pytest
 from hull_scenes import VOLUME, capsule_person, look_at, ring_rig, silhouettes
 
 from capture_rig import Rig
-from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, SHADOW_CANDIDATE, STEPS_OF_CANDIDATE, UNCERTAIN
+from capture_rig.mask_levels import ATTENUATED_LEVELS, CANDIDATE_LEVELS, SHADOW_CANDIDATE
 from hull_server.carving.cpu_carver import CpuCarver
-from hull_server.floor_shadows import FLOOR_M, STRIDE, ShadowResolver, floor_scene, mark_shadows
+from hull_server.floor_shadows import FLOOR_M, ShadowResolver
 from hull_server.grid import VoxelGrid
-from hull_server.silhouette_batch import BLIND
 from hull_server.views import RigViews, min_seeing
 
 SHADOW = [(-0.15, -0.1), (0.75, -0.25), (0.95, 0.25), (0.6, 0.45), (-0.05, 0.3)]  # on the floor, under the feet too
@@ -169,72 +168,3 @@ def test_the_same_masks_give_the_same_bytes_whatever_came_between():
     worker.resolve({n: np.full_like(m, ATTENUATED_LEVELS[4]) for n, m in list(levels.items())[:3]})
     again = worker.resolve(dict(reversed(levels.items())))
     assert all(np.array_equal(first[n], again[n]) for n in levels)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_kernel_follows_the_rule_pixel_by_pixel(seed):
-    rig = ring_rig(4, size=(96, 72), focal_px=70.0, seed=seed)
-    rng = np.random.default_rng(seed)
-    levels, _, _ = body_and_shadow(rig)
-    for name, mask in levels.items():  # every kind of level, in patches
-        small = rng.choice(np.array([0, UNCERTAIN, *CANDIDATE_LEVELS, *ATTENUATED_LEVELS, 255], np.uint8), (9, 12))
-        patches = cv2.resize(small, mask.shape[::-1], interpolation=cv2.INTER_NEAREST)
-        if rng.random() < 0.5:
-            mask[mask == 0] = patches[mask == 0]
-        mask[~rig.camera(name).undistorted_view().seen] = 0
-    views = RigViews.from_rig(rig)
-    scene, stack = floor_scene(views, rig.volume), np.where(views.seen > 0, np.uint8(0), np.uint8(BLIND))
-    for index, name in enumerate(rig.names):
-        h, w = levels[name].shape
-        stack[index, :h, :w] |= levels[name]
-    compared = {True: 0, False: 0}
-    for index, name in enumerate(rig.names):
-        h, w = levels[name].shape
-        found = levels[name].copy()
-        mark_shadows(scene, stack, index, np.array([0, 0, w, h]), found)
-        for v in range(0, h, STRIDE):
-            for u in range(0, w, STRIDE):
-                expected = may_be_shadow(rig, levels, name, u, v)
-                assert found[v, u] == (SHADOW_CANDIDATE if expected else levels[name][v, u])
-                compared[expected] += 1
-    assert min(compared.values()) > 20
-
-
-def attenuation(level: int) -> tuple[int, int]:
-    """Least and greatest attenuation step that a level stands for."""
-    if level in ATTENUATED_LEVELS:
-        return (ATTENUATED_LEVELS.index(level),) * 2
-    return STEPS_OF_CANDIDATE[CANDIDATE_LEVELS.index(level)]
-
-
-def may_be_shadow(rig: Rig, levels: dict[str, np.ndarray], name: str, u: int, v: int) -> bool:
-    """The rule for one pixel, with the camera model's own rays and projection."""
-    camera, own = rig.camera(name).undistorted_view().camera, int(levels[name][v, u])
-    centre, ray = camera.centre_world, camera.rays_world([[u, v]])[0]
-    if own not in ATTENUATED_LEVELS or ray[2] >= 0:
-        return False
-    floor = centre - ray * centre[2] / ray[2]
-    if (floor[:2] <= VOLUME.low[:2] - 0.5).any() or (floor[:2] >= VOLUME.high[:2] + 0.5).any():
-        return False
-    seen = [level_at(rig, levels, n, [floor[0], floor[1], 0.0]) for n in rig.names if n != name]
-    gaps = [
-        9 if s == 0 else max(attenuation(s)[0] - attenuation(own)[1], attenuation(own)[0] - attenuation(s)[1])
-        for s in seen
-        if s is not None and s != 255
-    ]
-    agree = sum(gap <= 1 for gap in gaps)
-    return agree > 0 and agree >= len(gaps) - agree
-
-
-def level_at(rig: Rig, levels: dict[str, np.ndarray], name: str, point_world) -> int | None:
-    """The level where a camera has a point; None where it does not see it, or is uncertain."""
-    view = rig.camera(name).undistorted_view()
-    pixel = view.camera.project(np.asarray(point_world))
-    if not np.isfinite(pixel).all():
-        return None
-    u, v = np.floor(pixel + 0.5).astype(int)
-    h, w = view.seen.shape
-    if not (0 <= u < w and 0 <= v < h and view.seen[v, u]):
-        return None
-    level = int(levels[name][v, u])
-    return None if level == UNCERTAIN else level

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from hull_server.bitset import lowest_bit, popcount, select_bit, transpose8
 from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.slicing.skeletonisation import BlobTable, shape_of, slice_hull
 from hull_server.slicing.voxel_runs import sample_runs
@@ -55,13 +54,6 @@ def test_blobs_equal_opencv_components_and_moments_on_random_volumes(shape, shar
     dense = np.random.default_rng(seed).random(shape[::-1] if turned else shape) < share
     rows = as_rows(slice_hull(volume_of(dense)).blobs)
     np.testing.assert_allclose(in_order(rows), in_order(oracle_blobs(dense)), atol=1e-9)
-
-
-def test_blobs_connect_diagonally():
-    dense = np.zeros((4, 4, 1), bool)
-    dense[0, 0, 0] = dense[1, 1, 0] = dense[3, 3, 0] = True
-    blobs = slice_hull(volume_of(dense)).blobs
-    assert blobs.area[blobs.axis == 2].tolist() == [2, 1]
 
 
 def test_blobs_are_ordered_and_repeatable():
@@ -150,16 +142,6 @@ def test_elongation_and_fill_of_an_ellipse(a, b, turn):
     assert blobs.centroid[index] == pytest.approx([60.3, 59.6, 0], abs=0.1)
 
 
-def test_fill_of_a_square_is_that_of_theory_and_of_an_l_shape_much_less():
-    square, l_shape = np.zeros((40, 40, 1), bool), np.zeros((40, 40, 1), bool)
-    square[5:25, 5:25] = True
-    l_shape[:40, :6] = l_shape[:6, :40] = True
-    tables = [slice_hull(volume_of(dense)).blobs for dense in (square, l_shape)]
-    fills = [shape_of(blobs.area[-1], *blobs.covariance[-1])[1] for blobs in tables]
-    assert fills[0] == pytest.approx(3 / np.pi, abs=1e-9)
-    assert fills[1] < 0.6
-
-
 def ball(radius: float = 11.0) -> np.ndarray:
     i, j, k = np.indices((30, 30, 30))
     return (i - 15) ** 2 + (j - 14) ** 2 + (k - 13) ** 2 <= radius**2
@@ -202,14 +184,3 @@ def test_samples_of_a_thin_body_are_all_surface():
     samples = sample_voxels(volume_of(dense), 60)
     assert len(samples) == 60 and samples.surface.all()
     assert len(sample_voxels(volume_of(dense), 0)) == len(sample_voxels(volume_of(dense & False), 60)) == 0
-
-
-@settings(max_examples=50, deadline=None, derandomize=True)
-@given(word=st.integers(1, 2**64 - 1))
-def test_word_tricks_equal_their_definitions(word):
-    bits = np.unpackbits(np.array([word], "<u8").view(np.uint8), bitorder="little")
-    assert popcount(np.uint64(word)) == bits.sum()
-    assert lowest_bit(np.uint64(word)) == np.flatnonzero(bits)[0]
-    assert [select_bit(np.uint64(word), n) for n in range(bits.sum())] == np.flatnonzero(bits).tolist()
-    transposed = np.packbits(bits.reshape(8, 8).T, bitorder="little").view("<u8")[0]
-    assert transpose8(np.uint64(word)) == transposed
