@@ -1,4 +1,4 @@
-"""A trunk that bends: shoulders that rise, hips that turn, followed from set to set."""
+"""What the pose says nothing of: a trunk that bends, hands and feet that turn."""
 
 from dataclasses import replace
 
@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 import refinement_rays as made
 
-from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, make_data, minimise
+from capture_rig.rigid import rotation_matrix
+from icp_tracker.articulated_fit import (
+    ArticulatedSettings,
+    ContourSettings,
+    VolumeSettings,
+    fit_articulated,
+    make_data,
+    minimise,
+)
 from icp_tracker.monitor.evidence import match_to
 from icp_tracker.refinement.trunk_bend import TrunkBend
 from mocap_packets.hull import NO_VOXELS
 from stick_figure.body import BEND_NUMBERS, Body
+from stick_figure.body_surface import END_CAPSULES, BodySurface
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.trunk_bend import LEFT_Z, PELVIS_YAW, RIGHT_X
@@ -54,11 +63,52 @@ def test_rigid_torso_stays_at_rest(followed):
     assert trunk.of(body) is body and not trunk.bend.any()
 
 
-def test_body_bent_twice_is_bent_once_and_keeps_its_rest():
-    body = Body.from_stature(1.75)
-    twice = body.bent(BEND).bent(0.5 * BEND)
-    assert twice.straight is body and np.array_equal(twice.bend, 0.5 * BEND)
-    origins = body.bent(BEND).stick_origins_torso - body.stick_origins_torso
-    assert origins[2, 2] == pytest.approx(0.04) and origins[4, 0] == pytest.approx(
-        -0.12 * body.stick_origins_torso[4, 1]
-    )
+# --- hands that bend at the wrist and feet that turn at the ankle -----------------------------------------------------
+
+FREE = ArticulatedSettings(volume=VolumeSettings(weight=0.0), max_iterations=20)
+STIFF = replace(FREE, contour=ContourSettings(turn_sd=0.0))
+HAND, FOOT = END_CAPSULES[0], END_CAPSULES[2]
+
+
+@pytest.fixture(scope="module")
+def bent_ends():
+    """A body whose left hand is bent at the wrist and left foot at the ankle, the rays of it, and its pose."""
+    rng, body = np.random.default_rng(3), Body.from_stature(1.75)
+    pose, surface = made.moving_pose(rng), BodySurface.of(body)
+    start, end = surface.start.copy(), surface.end.copy()
+    end[HAND] = start[HAND] + rotation_matrix(np.array([0.5, 0.0, 0.3])) @ (end[HAND] - start[HAND])
+    ankle, R = np.array([0.0, 0.0, -body.lengths[8]]), rotation_matrix(np.array([0.0, 0.5, 0.0]))
+    start[FOOT], end[FOOT] = ankle + R @ (start[FOOT] - ankle), ankle + R @ (end[FOOT] - ankle)
+    rays = made.rays_on(body, surface._replace(start=start, end=end), pose, rng, each=24)
+    return body, pose, rays
+
+
+def fitted(bent_ends, settings):
+    body, pose, rays = bent_ends
+    points = np.zeros((1, 3))  # far from everything
+    return fit_articulated(body, pose, points, settings=settings, contour_rays=rays).reference_points_world
+
+
+def test_bent_hand_and_foot_leave_elbow_and_ankle_where_they_are(bent_ends):
+    body, pose, _ = bent_ends
+    truth = forward(body, pose)
+    free, stiff = (np.linalg.norm(fitted(bent_ends, s) - truth, axis=1) for s in (FREE, STIFF))
+    assert free[[7, 9, 13]].max() < 0.015  # left elbow, knee, ankle
+    assert free[[7, 9, 13]].mean() < 0.85 * stiff[[7, 9, 13]].mean()
+
+
+def test_hand_tip_follows_the_hand(bent_ends):
+    body, pose, _ = bent_ends
+    surface, truth = BodySurface.of(body), forward(body, pose)
+    wrist, tip = surface.start[HAND], np.array([0.0, body.lengths[6], 0.0])
+    shift = rotation_matrix(np.array([0.5, 0.0, 0.3])) @ (tip - wrist) - (tip - wrist)
+    moved = np.linalg.norm(fitted(bent_ends, FREE)[11] - truth[11])
+    assert moved == pytest.approx(np.linalg.norm(shift), rel=0.35)
+
+
+def test_reference_points_of_an_ideal_figure_are_those_of_its_pose(bent_ends):
+    body, pose, rays = bent_ends
+    for settings, rigid in ((ArticulatedSettings.of_ideal_figure(), True), (ArticulatedSettings(), False)):
+        fit = fit_articulated(body, pose, np.zeros((1, 3)), settings=settings, contour_rays=rays)
+        off = np.linalg.norm(fit.reference_points_world - forward(body, fit.pose), axis=1)
+        assert (off.max() < 1e-9) == rigid

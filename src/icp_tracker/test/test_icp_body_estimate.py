@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 from t_pose_studio import both_sides, person, standing, studio
 
-from icp_tracker.acquisition.body_sizes import (
-    MEAN_OVER_STATURE,
-    SIZES,
-    body_of_sizes,
-    estimate_body,
-    prior_sizes,
-    sizes_of_body,
-)
+from icp_tracker.acquisition.body_sizes import MEAN_OVER_STATURE, SIZES, body_of_sizes, estimate_body, prior_sizes
 from icp_tracker.acquisition.t_pose_measures import measure_t_pose
 from stick_figure.body import Body
 from virtual_studio.people import VolumetricBody
@@ -22,17 +15,6 @@ SIX, THREE = (5, True), (3, False)
 def measured(rig, body, build=1.0, heading=0.4, **angles):
     parts = person(body, standing(body, both_sides(hip_x=0.1, **angles), heading), build)
     return measure_t_pose(studio(*rig).render(parts).voxels.points_world)
-
-
-def test_sizes_and_body_are_each_others_reverse():
-    body = Body.from_stature(1.8)
-    sizes = sizes_of_body(body)
-    again = body_of_sizes(sizes)
-    assert np.allclose(again.lengths, body.lengths)
-    assert again.shoulder_height_ratio == pytest.approx(body.shoulder_height_ratio)
-    assert again.hip_width_ratio == pytest.approx(body.hip_width_ratio)
-    stature = sizes[[SIZES.index(name) for name in ("head", "torso", "thigh", "calf", "ankle_height")]].sum()
-    assert stature == pytest.approx(1.8, abs=0.002)
 
 
 @pytest.mark.parametrize("rig", [SIX, pytest.param(THREE, marks=pytest.mark.slow)])

@@ -7,13 +7,7 @@ import pytest
 import synthetic_people as synthetic
 from refinement_rays import grazing_rays
 
-from icp_tracker.articulated_fit import (
-    ArticulatedSettings,
-    ContourSettings,
-    VolumeSettings,
-    fit_articulated,
-    rays_at_stamp,
-)
+from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, fit_articulated, rays_at_stamp
 from mocap_packets.hull import ContourRays
 from stick_figure.body_surface import BodySurface
 from stick_figure.kinematics import forward
@@ -97,17 +91,6 @@ def test_contour_rays_alone_bring_a_disturbed_pose_back(scene, seed):
     assert before > 0.04
     # the head's twist and the pull towards its rest leave a few millimetres at the crown
     assert error.mean() < 0.008 and error.max() < 0.035
-
-
-def test_contour_rays_without_weight_change_nothing(scene):
-    body, pose, rays = scene
-    rng = np.random.default_rng(6)
-    off = ContourSettings(weight=0.0)
-    start, points = disturbed(pose, rng, 0.05, 0.02), forward(body, pose)
-    settings = replace(RAYS_ALONE, contour=off)
-    alone = fit_articulated(body, start, points, settings=settings)
-    beside = fit_articulated(body, start, points, settings=settings, contour_rays=rays)
-    assert np.array_equal(alone.reference_points_world, beside.reference_points_world)
 
 
 def test_thinned_rays_spread_over_all_of_them(scene):

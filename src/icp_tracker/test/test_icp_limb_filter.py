@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from icp_tracker.monitor.limb_filter import CHANCE_SAMPLES, DOUBTFUL, MEMORY_S, PLACE_LOG_PRIOR, LimbBelief
-from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces, _distinct
+from icp_tracker.monitor.limb_search import NO_POSES, LimbPlaces
 
 NEAR, FAR, SHOWN = 0.2, 0.6, 15.0  # m, m, samples of a limb in view
 
@@ -57,11 +57,6 @@ def test_a_place_about_as_good_makes_doubtful_only_when_it_is_elsewhere():
     assert after(*[places((-10.0, FAR, 0))] * 30).not_as_tracked < 0.05
 
 
-@pytest.mark.parametrize(("samples", "doubtful"), [(1.0, True), (4.0, True), (8.0, False), (15.0, False)])
-def test_few_independent_samples_make_a_limb_doubtful_without_another_place(samples, doubtful):
-    assert (after(*[places(samples=samples)] * 10).not_as_tracked > DOUBTFUL) is doubtful
-
-
 def test_what_was_seen_a_moment_ago_is_not_unseen_at_once_unless_it_reaches_beyond_the_cameras():
     whole, gone = places(samples=SHOWN), places(samples=0.0)
     assert after(*[whole] * 30, gone).not_as_tracked < DOUBTFUL
@@ -79,19 +74,6 @@ def test_a_place_that_is_followed_keeps_its_odds_and_a_refuted_or_new_one_starts
     later = LimbBelief.after(known, places((6.0, NEAR, 0), (2.0, FAR, -1), (1.0, FAR, 1)), 1 / 60, False)
     assert later.log_odds[0] > known.log_odds[0] > later.log_odds[1:].max()
     assert known.without(0).log_odds[0] == PLACE_LOG_PRIOR
-
-
-def test_places_are_distinct_and_know_from_which_they_come():
-    ends = np.zeros((5, 2, 3))
-    ends[:, 1, 0] = [0.0, 0.5, 0.05, 1.0, 1.05]  # the first two are known; the third is where the first one is
-    kept, origins = _distinct(np.array([1.0, 5.0, 2.0, -np.inf, 0.5]), ends, 2)
-    assert kept.tolist() == [1, 2, 4] and origins.tolist() == [1, 0, -1]
-
-
-def test_probabilities_add_up_and_the_spread_reaches_the_other_place():
-    belief = after(*[places((2.0, FAR, 0))] * 30)
-    assert belief.probabilities.sum() == pytest.approx(1.0)
-    assert belief.spread[1, 1, 1] == pytest.approx(belief.probabilities[1] * FAR**2)
 
 
 def test_an_unseen_hand_may_be_anywhere_about_its_elbow():

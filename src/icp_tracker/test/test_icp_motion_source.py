@@ -15,7 +15,6 @@ from icp_tracker.acquisition.t_pose_source import TPoseSource
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from stick_figure.body_surface import build_of_girth
 from stick_figure.kinematics import forward
-from stick_figure.pose import T_POSE_ANGLES, Pose
 from virtual_studio.motions.catalogue import MOTIONS
 from virtual_studio.people import person_of
 from virtual_studio.rig import ring, tilted, with_camera
@@ -25,7 +24,7 @@ BODY = person_of(1.70, 0.97, 1.03)
 
 
 @lru_cache
-def walk(cameras=3, tilt=0.0, build=1.0, seconds=0.9):
+def walk(cameras=3, tilt=0.0, build=1.0, seconds=0.7):
     """Somebody who walks, of such a build, and four sets more: sets, poses, and the rig's visibility."""
     rig = ring(cameras, ceiling=False)
     room = Studio(with_camera(rig, cameras - 1, tilted(rig.cameras[cameras - 1], tilt)))
@@ -58,7 +57,7 @@ def test_who_walks_in_is_found_the_right_way_round(walker):
 
 
 def test_stout_person_is_found_when_a_body_of_average_girth_explains_too_little():
-    sets, poses, visibility = walk(build=1.5, seconds=0.9)
+    sets, poses, visibility = walk(build=1.5)
     source, answers = MotionSource(MotionSettings(watch_s=0.5), visibility), []
     for seen in sets:
         answers.append(source.find_pose(seen))
@@ -111,7 +110,7 @@ def test_post_that_explains_itself_is_nobody():
 
 
 def test_feet_that_are_not_seen_are_told_first_and_not_measured():
-    sets, _, visibility = walk(tilt=0.30)
+    sets, _, visibility = walk(tilt=0.30, seconds=0.0)
     answer = MotionSource(MotionSettings(watch_s=0.0), visibility).find_pose(sets[0])
     assert answer.pose is None and answer.reason.startswith("cam03 does not see your feet")
 

@@ -25,7 +25,7 @@ from virtual_studio.rig import ring
 FRAME_NS = 16_666_667
 TALL, SHORT = VolumetricBody(person_of(1.80)), VolumetricBody(person_of(1.62), 0.95)
 SETTINGS = IcpNodeSettings()
-FOUND_SETS = 40
+FOUND_SETS = 25
 """Sets after which two persons in a T-pose have been found."""
 
 

@@ -35,7 +35,7 @@ def wrong_start(rng):
     return estimate, truth
 
 
-def refined_by(estimate, truth, poses, settings, rng, sd_m=0.0, rounds=4, each=16):
+def refined_by(estimate, truth, poses, settings, rng, sd_m=0.0, rounds=4, each=12):
     refiner, body = BodyRefiner(estimate, settings), body_of(truth)
     surface, given, stamp = BodySurface.of(body), [], 0
     sets = [(pose, made.tangent_rays(body, surface, pose, rng, each, sd_m)) for pose in poses]
@@ -154,16 +154,6 @@ def test_refinement_is_done_and_costs_nothing_once_all_kept_poses_have_settled()
     refiner, given = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], EXACT, rng, rounds=7)
     assert refiner.done
     assert given[-1] is None
-
-
-def test_equal_sets_give_equal_bytes():
-    results = []
-    for _ in range(2):
-        rng = np.random.default_rng(9)
-        estimate, truth = wrong_start(rng)
-        refiner, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(4)], EXACT, rng, rounds=2)
-        results.append(refiner.refined.estimate.sizes.tobytes() + refiner.refined.estimate.covariance.tobytes())
-    assert results[0] == results[1]
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3])

@@ -11,14 +11,13 @@ from capture_rig import load_session
 from capture_rig.video import Video
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
-from icp_tracker.acquisition.pose_source import CombinedPoseSource, InitialPoseSettings, make_pose_source
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pose
 from icp_tracker.acquisition.t_pose_source import TPoseSource, find_t_pose, pose_of
 from icp_tracker.acquisition.upright import PoseRejected
 from icp_tracker.tracker import IcpTracker
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts, VoxelSamples
-from stick_figure.body import Body, save_body
+from stick_figure.body import Body
 from stick_figure.kinematics import forward
 
 BODY = Body.from_stature(1.75)
@@ -41,7 +40,7 @@ def find_pose(rig, *people):
 @pytest.mark.parametrize("rig", [SIX, THREE])
 def test_t_pose_of_anybody_anywhere_is_found_and_never_taken_back_to_front(rig):
     rng = np.random.default_rng(rig[0])
-    for _ in range(8):
+    for _ in range(4):
         body = Body.from_stature(rng.uniform(1.4, 2.0))
         angles = both_sides(
             shoulder_x=np.radians(rng.uniform(-15, 15)),
@@ -58,13 +57,6 @@ def test_t_pose_of_anybody_anywhere_is_found_and_never_taken_back_to_front(rig):
         error = np.linalg.norm(forward(body, found) - forward(body, pose), axis=1)
         assert error[[0, 2, 3, 4, 5, 6]].max() < 0.07  # the trunk
         assert error.max() < 0.20
-
-
-def test_stature_is_measured_to_two_voxels():
-    for stature in (1.45, 1.7, 1.95):
-        body = Body.from_stature(stature)
-        measured, _ = find_pose(SIX, person(body, standing(body, LEVEL, 0.5)))
-        assert measured.stature == pytest.approx(stature, abs=0.04)
 
 
 def test_floor_shadow_on_one_side_makes_the_heading_unsure_rather_than_wrong():
@@ -219,13 +211,6 @@ def test_known_body_keeps_its_sizes_in_a_t_pose(t_pose):
     assert error_m.mean() < 0.05
 
 
-def test_settings_choose_the_source(tmp_path):
-    save_body(BODY, tmp_path / "body.yaml")
-    alone = make_pose_source(InitialPoseSettings(source="t_pose"), str(tmp_path / "body.yaml"))
-    assert isinstance(alone, TPoseSource)
-    assert isinstance(make_pose_source(InitialPoseSettings()), CombinedPoseSource)
-
-
 def test_walking_with_arms_stretched_out_is_refused_until_it_ends(t_pose):
     source = TPoseSource(TPoseSettings())
     at = [np.array([0.8 * min(k, 11) / 60, 0.0, 0.0]) for k in range(20)]  # 0.8 m/s, and stops
@@ -257,7 +242,7 @@ def test_person_without_feet_cannot_tell_front_from_back(t_pose):
 HELD_SETS = 6  # of the T-pose with which every session begins
 
 
-@pytest.mark.parametrize("name", ["walk_ring5top", "charleston_ring5top", "zombie_he3"])
+@pytest.mark.parametrize("name", ["walk_ring5top", "zombie_he3"])
 def test_t_pose_of_a_rendered_person_is_found_and_fitted(shared_data, name):
     session = load_session(shared_data("sessions", name))
     truth = session.truth.stick_figure_points()

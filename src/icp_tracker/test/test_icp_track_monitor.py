@@ -20,7 +20,6 @@ from icp_tracker.monitor.pose_library import (
     LIMBS,
     LimbPoses,
     arms_exchanged,
-    even_directions,
     limb_poses,
     sides_exchanged,
     turned_around,
@@ -83,29 +82,30 @@ def moved(pose, R, t):
 
 
 def seen(person, k, rng, R=None, t=None):
-    """Centerline (the inside's samples near the sticks, thinned), voxels and rays of set k."""
+    """What the hull shows at set k: centerline (the inside's samples, thinned), voxels and rays."""
     if R is None:
         R, t = walked(person, k)
     rays = person.rays
     points = rays.points_world @ R.T + t + NOISE_M * rng.normal(size=(len(rays), 1)) * (rays.normals @ R.T)
     rays = replace(rays, points_world=points, directions=rays.directions @ R.T, normals=rays.normals @ R.T)
     inside = person.inside @ R.T + t
-    return inside[::9], VoxelSamples.checked(inside, np.zeros(len(inside), bool)), rays
+    voxels = VoxelSamples.checked(inside, np.zeros(len(inside), bool))
+    return HullProducts.of_points(stamp(k), inside[::9], 0.03, voxels, contour_rays=rays)
 
 
-def follow(person, sets, start=None, wrong_at=None, wrong=None, settings=None, every=1):
-    """Results and truths of a tracker that starts right and is given the pose ``wrong`` at a set; of every n-th set."""
-    tracker = IcpTracker(KnownPose(start or person.pose, person.body), settings or TrackerSettings(acquire_inliers=0.0))
-    rng, results, truths = np.random.default_rng(3), [], []
-    for k in range(0, sets, every):
-        truth = moved(person.pose, *walked(person, k))
-        line, voxels, rays = seen(person, k, rng)
-        prediction = None
+def tracker_of(person, settings=None):
+    """A tracker that starts right."""
+    return IcpTracker(KnownPose(person.pose, person.body), settings or TrackerSettings(acquire_inliers=0.0))
+
+
+def follow(person, sets, wrong_at=None, wrong=None, settings=None):
+    """Results and truths of a tracker that starts right and is given the pose ``wrong`` at a set."""
+    tracker, rng, results, truths = tracker_of(person, settings), np.random.default_rng(3), [], []
+    for k in range(sets):
+        truth, prediction = moved(person.pose, *walked(person, k)), None
         if k == wrong_at:
             prediction = SimpleNamespace(stamp_ns=stamp(k), pose=wrong(truth), velocity=np.zeros(24))
-        results.append(
-            tracker.step(HullProducts.of_points(stamp(k), line, 0.03, voxels, contour_rays=rays), prediction)
-        )
+        results.append(tracker.step(seen(person, k, rng), prediction))
         truths.append(forward(person.body, truth))
     return results, truths
 
@@ -119,8 +119,11 @@ def worst_m(result, truth):
 
 
 def data_of(person):
-    line, voxels, rays = seen(person, 0, np.random.default_rng(1), np.eye(3), np.zeros(3))
-    return make_data(line, 0.03, voxels, ArticulatedSettings(), rays)
+    return data_in(seen(person, 0, np.random.default_rng(1), np.eye(3), np.zeros(3)))
+
+
+def data_in(hull):
+    return make_data(hull.centerline.points_world, 0.03, hull.voxels, ArticulatedSettings(), hull.contour_rays)
 
 
 # --- the criterion ------------------------------------------------------------------------------------------------
@@ -134,15 +137,6 @@ def test_the_true_pose_explains_the_outlines_and_no_joint_is_beyond_its_range(pe
     leg = LimbPoses.of(person.pose, LIMBS[2])
     through = with_limb(person.pose, LIMBS[2], leg.R[0], 3.6)  # the calf in the thigh
     assert evidence_of(Figure.of(person.body), through, data_of(person)).beyond > 3.0
-
-
-def test_the_lead_of_a_pose_over_another_has_the_sign_of_the_truth(person):
-    data, figure = data_of(person), Figure.of(person.body)
-    right = evidence_of(figure, person.pose, data)
-    wrong = evidence_of(figure, posed(FOLDED, person.pose), data)
-    assert wrong.margin_of(right) > 10.0
-    assert right.margin_of(wrong) < -10.0
-    assert right.margin_of(right) == 0.0
 
 
 # --- where limbs can be -------------------------------------------------------------------------------------------
@@ -159,19 +153,6 @@ def test_the_library_holds_possible_limbs_only(limb):
         checked = BALL_ANGLES[limb.ball][: 3 if abs(flexion) > 0.3 else 2]  # the twist of a straight limb means nothing
         assert (angles[checked] >= ANGLE_LOW[checked] - 0.21).all()
         assert (angles[checked] <= ANGLE_HIGH[checked] + 0.21).all()
-
-
-def test_the_parts_of_a_library_are_the_whole():
-    library = limb_poses(LIMBS[0])
-    parts = [library.part(k, 4) for k in range(4)]
-    assert sum(len(part.flexion) for part in parts) == len(library.flexion)
-    assert np.array_equal(np.sort(np.concatenate([p.R[:, 0, 1] for p in parts])), np.sort(library.R[:, 0, 1]))
-
-
-def test_directions_cover_the_sphere():
-    nearest = (even_directions(72) @ np.random.default_rng(0).normal(size=(3, 500))).max(0)
-    lengths = np.linalg.norm(np.random.default_rng(0).normal(size=(3, 500)), axis=0)
-    assert np.degrees(np.arccos(nearest / lengths)).max() < 18.0
 
 
 @pytest.mark.parametrize("limb", LIMBS[:2], ids=lambda limb: PART_NAMES[limb.part])
@@ -242,11 +223,10 @@ def test_a_right_pose_is_good_and_a_body_elsewhere_is_lost(person):
 
 def test_a_body_that_explains_the_outlines_badly_as_a_whole_is_doubtful_in_every_part_though_it_is_usual(person):
     """Half of the outlines are those of somebody 0.3 m beside: clothes, a bag, another body than ours."""
-    data, rays = data_of(person), person.rays
+    rays, hull = person.rays, seen(person, 0, np.random.default_rng(1), np.eye(3), np.zeros(3))
     half = np.arange(len(rays)) % 2 == 0
     beside = rays.points_world + 0.3 * half[:, None] * rays.normals
-    line, voxels, _ = seen(person, 0, np.random.default_rng(1), np.eye(3), np.zeros(3))
-    data = make_data(line, 0.03, voxels, ArticulatedSettings(), replace(rays, points_world=beside))
+    data = data_in(replace(hull, contour_rays=replace(rays, points_world=beside)))
     found = assessed(person, [person.pose] * 3, [data] * 3)
     assert 0.4 < found[-1].quality.explained < 0.6
     assert found[-1].quality.parts == (DOUBTFUL,) * 5 and "of the outlines" in found[-1].quality.reason
@@ -317,25 +297,14 @@ def test_a_limb_that_jumped_away_from_its_rays_is_kept_where_it_was_expected(per
     off = np.linalg.norm(forward(person.body, found.kept) - forward(person.body, person.pose), axis=1)
     assert off[LEFT_HAND] < 0.06
     assert assessed(person, [person.pose, jumped], [data, data])[-1].kept is None  # nothing was expected
-
-
-def test_a_limb_that_jumped_to_its_own_rays_is_let_go(person):
-    data, astray = data_of(person), posed(FOLDED, person.pose)
-    assert assessed(person, [astray, person.pose], [data, data], astray)[-1].kept is None
-
-
-def test_the_pose_of_a_limb_is_the_one_that_it_has_in_the_body():
-    pose, limb = posed(STANCE), LIMBS[1]
-    R, flexion = LimbPoses.of(pose, limb).at(0)
-    again = with_limb(posed({}), limb, R, flexion)
-    assert np.allclose(again.R_joints[limb.ball], pose.R_joints[limb.ball]) and again.hinges[limb.hinge] == flexion
+    assert assessed(person, [jumped, person.pose], [data, data], jumped)[-1].kept is None  # it jumped to its own rays
 
 
 # --- set after set ------------------------------------------------------------------------------------------------
 
 
 def test_a_good_track_is_left_alone(person):
-    results, truths = follow(person, 90)
+    results, truths = follow(person, 60)
     assert {result.state for result in results} == {"tracking"}
     assert not any(result.recovered for result in results)
     assert max(worst_m(r, t) for r, t in zip(results, truths, strict=True)) < 0.06
@@ -353,19 +322,9 @@ def test_a_good_track_is_left_alone(person):
     ids=["arm folded", "sides exchanged", "about face", "arms exchanged", "0.4 m beside"],
 )
 def test_a_wrong_pose_is_replaced_within_a_second(person, wrong):
-    results, truths = follow(person, 65, wrong_at=5, wrong=wrong)
+    results, truths = follow(person, 55, wrong_at=5, wrong=wrong)
     assert max(worst_m(r, t) for r, t in zip(results[-3:], truths[-3:], strict=True)) < 0.06
     assert results[-1].state == "tracking"
-
-
-def test_a_folded_arm_is_found_in_the_same_time_at_a_quarter_of_the_rate(person):
-    found_s = {}
-    for every in (1, 4):
-        results, truths = follow(person, 65, wrong_at=4, wrong=lambda pose: posed(FOLDED, pose), every=every)
-        bad = [k for k, (r, t) in enumerate(zip(results, truths, strict=True)) if worst_m(r, t) > 0.06]
-        found_s[every] = (bad[-1] + 1) * every / FPS if bad else 0.0
-    assert found_s[1] < 0.7
-    assert found_s[4] < found_s[1] + 0.2  # three sets at 15 Hz: fewer show no margin
 
 
 def test_without_the_search_a_body_turned_round_stays_so(person):
@@ -375,18 +334,15 @@ def test_without_the_search_a_body_turned_round_stays_so(person):
 
 
 def test_who_left_is_lost_and_found_again_elsewhere(person):
-    tracker = IcpTracker(KnownPose(person.pose, person.body), TrackerSettings(acquire_inliers=0.0))
-    rng = np.random.default_rng(2)
-    line, voxels, rays = seen(person, 0, rng)
-    tracker.step(HullProducts.of_points(stamp(0), line, 0.03, voxels, contour_rays=rays))
+    tracker, rng = tracker_of(person), np.random.default_rng(2)
+    tracker.step(seen(person, 0, rng))
     empty = tracker.step(HullProducts.of_points(stamp(1), np.empty((0, 3))))
     assert empty.state == LOST and empty.reason.startswith("nobody in the volume") and not empty.visible.any()
     assert set(empty.quality.parts) == {LOST} and empty.reference_points.doubtful.all()
     R, t = Rotation.from_rotvec([0.0, 0.0, 2.2]).as_matrix(), np.array([-1.1, 0.7, 0.0])
     truth, found = forward(person.body, moved(person.pose, R, t)), []
     for k in range(60, 120):
-        line, voxels, rays = seen(person, k, rng, R, t)
-        result = tracker.step(HullProducts.of_points(stamp(k), line, 0.03, voxels, contour_rays=rays))
+        result = tracker.step(seen(person, k, rng, R, t))
         found.append(worst_m(result, truth) < 0.06)
         assert result.state != LOST or not result.visible.any()
     assert all(found[30:])  # half a second, also where the first guess has front and back the wrong way round
@@ -395,16 +351,12 @@ def test_who_left_is_lost_and_found_again_elsewhere(person):
 
 def test_a_stale_prediction_does_not_undo_a_recovery(person):
     """The filter takes some sets to follow; until then its state, arm still folded, must not be the start again."""
-    tracker = IcpTracker(KnownPose(person.pose, person.body), TrackerSettings(acquire_inliers=0.0))
-    rng, found = np.random.default_rng(4), None
+    tracker, rng, found = tracker_of(person), np.random.default_rng(4), None
     for k in range(60):
         truth = moved(person.pose, *walked(person, k))
-        line, voxels, rays = seen(person, k, rng)
         pose = posed(FOLDED, truth) if found is None or k < found + 6 else truth
         prediction = SimpleNamespace(stamp_ns=stamp(k), pose=pose, velocity=np.zeros(24))
-        result = tracker.step(
-            HullProducts.of_points(stamp(k), line, 0.03, voxels, contour_rays=rays), prediction if k else None
-        )
+        result = tracker.step(seen(person, k, rng), prediction if k else None)
         good = k > 0 and worst_m(result, forward(person.body, truth)) < 0.06
         assert good or found is None
         found = k if good and found is None else found

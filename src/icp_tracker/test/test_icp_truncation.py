@@ -56,10 +56,6 @@ def test_legs_without_shins_are_refused():
         find_legs(body)
 
 
-def test_whole_body_is_measured():
-    assert answer(room(), (0.0, 0.0)) == ""
-
-
 @pytest.mark.parametrize(
     ("up", "place", "heading", "starts"),
     [

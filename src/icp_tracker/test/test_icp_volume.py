@@ -67,16 +67,6 @@ def test_flesh_of_an_adult_weighs_what_an_adult_does(body):
     assert 50 < litres < 90
 
 
-def test_nearest_flesh_is_the_least_signed_distance(body):
-    posed = synthetic.placed(body, synthetic.smooth_motion(5, seed=1)[4])
-    P, Q, radii = capsules(posed)
-    points = np.random.default_rng(2).uniform(P.min(0) - 0.3, P.max(0) + 0.3, (300, 3))
-    capsule, _, distance = surface_distances(points, posed)
-    expected = signed_distances(points, P, Q, radii)
-    assert np.abs(distance - expected.min(1)).max() < 1e-12
-    assert np.array_equal(capsule, expected.argmin(1))
-
-
 def test_normal_equations_of_voxels_are_those_of_finite_difference_derivatives(body):
     rng = np.random.default_rng(4)
     pose = synthetic.smooth_motion(5, seed=3)[4]
