@@ -139,7 +139,6 @@ def plain_view():
     [
         ("checkerboard 8x5 25mm", "9 x 6 inner corners was seen instead of 8 x 5"),
         ("checkerboard 10x7 25mm", "number of fields"),
-        ("checkerboard 11x9 25mm", "9 x 6"),
         ("charuco 8x6 30mm 22mm DICT_5X5_100", "no markers"),
     ],
 )

@@ -44,7 +44,7 @@ def floor_detections(cameras: dict[str, CameraModel], board: Checkerboard = FLOO
     ]
 
 
-def carried_detections(cameras: dict[str, CameraModel], count: int = 60) -> list[TargetDetection]:
+def carried_detections(cameras: dict[str, CameraModel], count: int = 40) -> list[TargetDetection]:
     return see_all(cameras, CARRIED_BOARD, carried_poses(count), MOVING)
 
 
@@ -59,7 +59,10 @@ def room() -> dict[str, CameraModel]:
 
 @pytest.fixture(scope="module")
 def whole(room: dict[str, CameraModel]) -> RigCalibration:
-    return calibrate_rig(room, floor_detections(room) + carried_detections(room), TARGETS)
+    """Both boards, and a tape measure that agrees."""
+    apart = float(np.linalg.norm(room["cam01"].centre_world - room["cam03"].centre_world))
+    tape = [TapeMeasure("cam01", "cam03", apart + 0.01)]
+    return calibrate_rig(room, floor_detections(room) + carried_detections(room), TARGETS, tape=tape)
 
 
 def test_cameras_are_placed_within_5_mm_and_a_tenth_of_a_degree(
@@ -122,13 +125,6 @@ def test_tape_tells_that_all_sizes_are_wrong(room: dict[str, CameraModel]) -> No
     calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room), targets, tape=tape)
     assert [check.ratio for check in calibrated.tape] == pytest.approx([1.04, 1.04], abs=0.004)
     assert calibrated.verdict.grade == REDO and "0.96" in findings(calibrated)
-
-
-def test_tape_that_agrees_says_nothing(room: dict[str, CameraModel]) -> None:
-    apart = float(np.linalg.norm(room["cam01"].centre_world - room["cam03"].centre_world))
-    tape = [TapeMeasure("cam01", "cam03", apart + 0.01)]
-    calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room, 30), TARGETS, tape=tape)
-    assert calibrated.verdict.grade == GOOD, findings(calibrated)
 
 
 def test_symmetric_floor_board_alone_is_refused_for_several_cameras(room: dict[str, CameraModel]) -> None:

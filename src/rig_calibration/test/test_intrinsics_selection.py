@@ -62,7 +62,7 @@ def test_image_of_another_size_is_refused():
 
 
 def test_collecting_ends_when_lens_is_known_and_everything_covered():
-    camera, collector = lens(), ViewCollector(BOARD, goals=LensAccuracy(focal_sd=0.003, centre_sd_px=1.5))
+    camera, collector = lens(), ViewCollector(BOARD, goals=LensAccuracy(focal_sd=0.004, centre_sd_px=2.0))
     for view in shown(camera, 120, 0.1, seed=3):
         assert not collector.enough and collector.advice()
         collector.try_add(replace(view, blur_px=0.5))
@@ -70,14 +70,14 @@ def test_collecting_ends_when_lens_is_known_and_everything_covered():
             break
     assert collector.enough and collector.advice() == "" and 12 <= len(collector) < 80
     expected, result = collector.expected, calibrate_intrinsics(collector.best(), BOARD, name="cam01")
-    assert expected.focal_sd <= 0.003 and expected.centre_sd_px <= 1.5
+    assert expected.focal_sd <= 0.004 and expected.centre_sd_px <= 2.0
     assert result.sd["fx"] / result.values["fx"] == pytest.approx(expected.focal_sd, rel=0.35)
     assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.006)
 
 
 def test_untilted_boards_are_never_enough_and_the_advice_is_to_tilt():
     collector = ViewCollector(BOARD)
-    for view in shown(lens(), 16, 0.1, seed=4, tilt_deg=3.0, sizes=(0.2, 0.8)):
+    for view in shown(lens(), 10, 0.1, seed=4, tilt_deg=3.0, sizes=(0.2, 0.8)):
         collector.try_add(view)
     assert not collector.enough
     assert "tilt the board by 30 to 45 degrees, its" in collector.advice()
