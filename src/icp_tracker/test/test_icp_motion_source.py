@@ -24,12 +24,19 @@ BODY = person_of(1.70, 0.97, 1.03)
 
 
 @lru_cache
-def walk(cameras=3, tilt=0.0, build=1.0, seconds=0.7):
+def room(tilt=0.0):
+    """Three cameras, the last of them tilted up (rad)."""
+    rig = ring(3, ceiling=False)
+    return Studio(with_camera(rig, 2, tilted(rig.cameras[2], tilt)))
+
+
+@lru_cache
+def walk(tilt=0.0, build=1.0, seconds=0.7):
     """Somebody who walks, of such a build, and four sets more: sets, poses, and the rig's visibility."""
-    rig = ring(cameras, ceiling=False)
-    room = Studio(with_camera(rig, cameras - 1, tilted(rig.cameras[cameras - 1], tilt)))
+    studio = room(tilt)
     poses = MOTIONS["walk"](BODY, 3.0 + seconds, 60.0).poses[120::EVERY][: round(seconds * 60 / EVERY) + 4]
-    return [room.render(person(BODY, pose, build), apart_ns=EVERY * SET_NS) for pose in poses], poses, room.visibility
+    sets = [studio.render(person(BODY, pose, build), apart_ns=EVERY * SET_NS) for pose in poses]
+    return sets, poses, studio.visibility
 
 
 def found_in(source, sets):
@@ -89,8 +96,7 @@ def test_known_body_keeps_its_sizes():
 
 def test_cart_and_nobody_are_not_followed():
     sets, _, visibility = walk()
-    room = Studio(visibility.rig)
-    cart = [room.render(box((-0.3, -0.25, 0.0), (0.3, 0.25, 1.6)), apart_ns=EVERY * SET_NS)]
+    cart = [room().render(box((-0.3, -0.25, 0.0), (0.3, 0.25, 1.6)), apart_ns=EVERY * SET_NS)]
     source = MotionSource(MotionSettings(watch_s=0.0), visibility)
     answer, number = found_in(source, cart)
     assert number is None and answer.reason
@@ -100,10 +106,8 @@ def test_cart_and_nobody_are_not_followed():
 
 @pytest.mark.slow
 def test_post_that_explains_itself_is_nobody():
-    _, _, visibility = walk()
-    room = Studio(visibility.rig)
-    post = room.render(box((-0.09, -0.08, 0.0), (0.09, 0.08, 1.7)), apart_ns=EVERY * SET_NS)
-    source = MotionSource(MotionSettings(), visibility)
+    post = room().render(box((-0.09, -0.08, 0.0), (0.09, 0.08, 1.7)), apart_ns=EVERY * SET_NS)
+    source = MotionSource(MotionSettings(), room().visibility)
     posts = [replace(post, stamp_ns=post.stamp_ns + k * EVERY * SET_NS) for k in range(30)]
     answer, number = found_in(source, posts)
     assert number is None, answer
@@ -122,8 +126,7 @@ def test_who_walks_in_is_told_so_and_not_to_raise_the_arms():
 
 
 def test_t_pose_that_is_held_decides_alone():
-    room = Studio(ring(3, ceiling=False))
-    seen = room.render(person(BODY, standing(BODY, both_sides())), apart_ns=SET_NS)
+    seen = room().render(person(BODY, standing(BODY, both_sides())), apart_ns=SET_NS)
     source = CombinedPoseSource(TPoseSource(TPoseSettings(hold_sets=2)), MotionSource(MotionSettings(watch_s=0.0)))
     first, second = source.find_pose(seen), source.find_pose(seen)
     assert first.reason.startswith("T-pose seen, hold it")
