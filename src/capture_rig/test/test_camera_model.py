@@ -1,7 +1,5 @@
 """The camera against OpenCV and a plain pinhole formula, and its undistorted canvas against the camera."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

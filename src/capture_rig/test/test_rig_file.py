@@ -1,7 +1,5 @@
 """The rig file: exact round trip, and an error that names file, key, value and remedy for everything wrong."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from pathlib import Path

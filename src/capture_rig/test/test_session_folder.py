@@ -1,7 +1,5 @@
 """Session folders: what a good one gives, and what each defect says."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Typed settings: what is accepted, converted and refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 from dataclasses import dataclass

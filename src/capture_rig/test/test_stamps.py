@@ -1,7 +1,5 @@
 """Frames are picked by their stamps alone; the clock of the stamps may run slower than UTC."""
 
-from __future__ import annotations
-
 import pytest
 
 from capture_rig.stamps import SLOW_ORIGIN_NS, UTC, CaptureClock, StampThrottle

@@ -1,7 +1,5 @@
 """Reference data: both file forms, midpoints, wrists against hand tips, and damaged tables."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Video files: what is in them, in order, and what is said of a file that is none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,23 +1,12 @@
 """Scenes for the hull server's tests: capsule bodies, camera rings, exact silhouettes, and the float64 oracle."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2
 import numpy as np
-import pytest
 
 from capture_rig import CameraModel, Rig, Volume
 from capture_rig.camera import looking_at
-from hull_server.opengl.egl import GlContext, NoGraphics
-
-try:
-    GlContext().close()
-    NO_GL = ""
-except NoGraphics as error:
-    NO_GL = str(error)
-needs_gl = pytest.mark.skipif(bool(NO_GL), reason=f"no OpenGL here: {NO_GL}")
 
 VOLUME = Volume(np.array([-1.0, -1.0, -0.05]), np.array([1.0, 1.0, 2.1]))
 

@@ -6,7 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hull_scenes import capsule_person, carve_brute_force, look_at, needs_gl, ring_rig, silhouettes
+from hull_graphics import needs_gl
+from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, silhouettes
 
 from capture_rig import InputError, Rig
 from hull_server.carving import make_backend

@@ -5,7 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hull_scenes import NO_GL, capsule_person, carve_brute_force, look_at, needs_gl, ring_rig, silhouettes
+from hull_graphics import NO_GL, needs_gl
+from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, silhouettes
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 

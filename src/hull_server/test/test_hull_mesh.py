@@ -1,7 +1,5 @@
 """The hull's mesh, against shapes whose volume is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

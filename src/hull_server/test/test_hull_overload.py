@@ -3,8 +3,6 @@
 And the exposures' period and phase, from stamps that jitter, drift, lack frames.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

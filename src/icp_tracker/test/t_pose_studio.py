@@ -1,7 +1,5 @@
 """People with volume, carved from their exact silhouettes, for the tests of the first pose."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

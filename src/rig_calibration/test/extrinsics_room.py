@@ -1,7 +1,5 @@
 """A room for tests: cameras on a circle, a board on the floor, a board carried about; OpenCV projects the corners."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Views of a board by a known lens, projected by the camera model, which OpenCV's own projection checks elsewhere."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

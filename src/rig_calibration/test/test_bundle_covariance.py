@@ -1,7 +1,5 @@
 """Are errors as large as their covariance says? Many rigs, errors in standard deviations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

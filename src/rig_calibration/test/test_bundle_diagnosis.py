@@ -1,7 +1,5 @@
 """What a solution says about the footage: delays, a wrong lens, weak ties."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Detections that contradict the rest are left out by name, and the rig is the same as without them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

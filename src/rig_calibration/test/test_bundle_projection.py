@@ -1,7 +1,5 @@
 """The solver's projection against OpenCV's, and its derivatives against differences."""
 
-from __future__ import annotations
-
 import numpy as np
 from bundle_studio import rotation
 

@@ -1,7 +1,5 @@
 """Sizes of targets compared with one another, and targets whose turns a picture does not show."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rig that the solver finds, against the one that was projected, OpenCV's stereo calibration and scipy's solver."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

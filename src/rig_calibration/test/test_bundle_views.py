@@ -1,7 +1,5 @@
 """One picture's poses, hidden turns, and how cameras hang together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

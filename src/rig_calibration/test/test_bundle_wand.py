@@ -1,7 +1,5 @@
 """A wand of bright markers: found in images, numbered, and a rig calibrated with nothing else."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """A camera's pose from a board on the floor, against poses that OpenCV's projection was given."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """From detections to the rig: places against those the corners were projected from, and every verdict's cause."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Where the world lies on the board, what cameras see in common, when a carried board lies on the floor, and what
 its carrier is told."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Wide lenses as opticians design them, which no polynomial describes exactly."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
