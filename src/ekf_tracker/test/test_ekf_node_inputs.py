@@ -10,26 +10,23 @@ from mocap_packets.people import FittedPeople, PeoplePoints
 from sagoma_ros.packets import tables_message
 
 
-def fit_message(k, person):
-    people = PeoplePoints({1: ReferencePoints(person.points(k / 60), isotropic(0.01), ALL)})
-    return tables_message(FittedPeople(stamp(k), people, {1: person.body}), "map")
-
-
-@pytest.mark.parametrize("case", ["nan", "label", "count", "frame", "size"])
-def test_message_that_cannot_be_read_is_counted_and_the_next_set_is_tracked(bench, person, case):
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda message: message.data.__setitem__(40, np.nan),
+        lambda message: setattr(message.layout.dim[1], "label", "points: x y z"),
+        lambda message: setattr(message.layout.dim[1], "size", 14),
+        lambda message: setattr(message.layout.dim[0], "label", "odom"),
+        lambda message: setattr(message, "data", message.data[:-3]),
+    ],
+    ids=["nan", "label", "count", "frame", "size"],
+)
+def test_message_that_cannot_be_read_is_counted_and_the_next_set_is_tracked(bench, person, spoil):
     b = bench().start()
     b.fit(stamp(0), person.points(0.0))
-    message = fit_message(1, person)
-    if case == "nan":
-        message.data[40] = np.nan
-    if case == "label":
-        message.layout.dim[1].label = "points: x y z"
-    if case == "count":
-        message.layout.dim[1].size = 14
-    if case == "frame":
-        message.layout.dim[0].label = "odom"
-    if case == "size":
-        message.data = message.data[:-3]
+    people = PeoplePoints({1: ReferencePoints(person.points(1 / 60), isotropic(0.01), ALL)})
+    message = tables_message(FittedPeople(stamp(1), people, {1: person.body}), "map")
+    spoil(message)
     b.people.publish(message)
     b.until(lambda: b.node.health.counter("bad_points") == 1)
     assert not b.answers(stamp(1))

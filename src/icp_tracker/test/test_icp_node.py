@@ -150,10 +150,15 @@ def test_filter_that_never_answers_is_waited_for_once(bench, walk):
     assert node.answer(hull(walk.clouds[-1], 12)).started_from == str(stamp(11))
 
 
-def test_filter_without_a_state_leaves_the_start_to_the_tracker(bench, walk):
-    node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S}).start()
+@pytest.mark.parametrize("readable", [True, False], ids=["no state", "damaged"])
+def test_prediction_without_a_state_or_that_cannot_be_read_leaves_the_start_to_the_tracker(bench, walk, readable):
+    node = bench(**{**walk.parameters, "prediction_wait_s": NEVER_S if readable else 0.0}).start()
     node.answer(hull(walk.clouds[0], 0))
-    node.predictions.publish(prediction_message(stamp(0)))
+    message = prediction_message(stamp(0), None if readable else walk.poses[0])
+    if not readable:
+        message.joint_names[3] = "nonsense"
+    node.predictions.publish(message)
+    node.until(lambda: readable or node.node.health.counter("bad_predictions") == 1)
     assert node.answer(hull(walk.clouds[1], 1)).started_from == "own"
 
 
@@ -200,16 +205,6 @@ def test_silence_of_the_hull_server_is_reported_within_a_second_and_its_return_t
     node.until(lambda: not node.diagnostics[-1].status[0].message.startswith("no frame sets"))
     node.until_said("no frame sets for")
     assert node.diagnostics[-1].status[0].level == DiagnosticStatus.WARN
-
-
-def test_bad_prediction_is_counted_and_not_used(bench, walk):
-    node = bench(**walk.parameters).start()
-    node.answer(hull(walk.clouds[0], 0))
-    message = prediction_message(stamp(0), walk.poses[0])
-    message.joint_names[3] = "nonsense"
-    node.predictions.publish(message)
-    node.until(lambda: node.node.health.counter("bad_predictions") == 1)
-    assert node.answer(hull(walk.clouds[1], 1)).started_from == "own"
 
 
 def in_a_t_pose(body, *places):

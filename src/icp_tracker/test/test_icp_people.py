@@ -171,18 +171,12 @@ def expected_close():
     return [Expected(1, TALL.body, CLOSE[0]), Expected(2, SHORT.body, CLOSE[1])]
 
 
-def test_part_of_two_persons_who_touch_belongs_to_both(hulls):
+def test_part_of_two_persons_who_touch_belongs_to_both_and_its_rows_to_who_explains_them(hulls):
     seen = hulls["close"]
-    (part,) = seen.numbers()
-    association = associate_parts(seen, [part], expected_close())
-    assert association.shared == {part: (1, 2)}
-    assert association.sharers(1) == (2,)
-
-
-def test_rows_of_persons_who_touch_are_shared_out_by_who_explains_them(hulls):
-    seen = hulls["close"]
-    expected = expected_close()
-    rows = associate_rows(seen, associate_parts(seen, seen.numbers(), expected), expected)
+    (part,), expected = seen.numbers(), expected_close()
+    association = associate_parts(seen, [part], expected)
+    assert association.shared == {part: (1, 2)} and association.sharers(1) == (2,)
+    rows = associate_rows(seen, association, expected)
     for person, side in ((1, -1.0), (2, 1.0)):  # they stand on either side of x = 0, 0.36 m apart
         own = rows[person]
         assert len(own.contour_rays) > 0.3 * len(seen.contour_rays)
