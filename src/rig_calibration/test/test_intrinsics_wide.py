@@ -83,7 +83,7 @@ def test_lens_that_folds_far_inside_the_image_must_be_done_again():
     assert said(result, "% of the image is not used")[0].grade == "redo"
 
 
-@pytest.mark.parametrize("k", [-1.0, 1.2])
+@pytest.mark.parametrize("k", [-1.0, 0.0, 1.2])
 def test_member_of_the_family_is_found_from_the_inner_part_of_its_own_lens(k):
     inner = DesignedLens(lambda angle: family_radius(np.minimum(angle, 1.2), k), 70.0)
     fitted = calibrate_intrinsics(
