@@ -4,6 +4,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_tools.cli import main
@@ -12,6 +13,7 @@ from sagoma_tools.commands.demo import next_step, rate_line, speed_line, unsound
 from sagoma_tools.evaluation import live_run
 from sagoma_tools.evaluation.live_inputs import LONGEST_S, SETTLED_S, HeldRate, TooSlow
 from sagoma_tools.evaluation.live_run import slow_motion
+from sagoma_tools.graph.diagnostics_table import NodeReport, latency_line
 
 
 def thinned(keep, of):
@@ -139,3 +141,25 @@ def test_a_demo_that_tracked_nobody_says_why_and_fails(rate, hz_held, told, tmp_
     assert f"tracked in none of 58 frame sets; {told}" in said
     assert "holds no tracked body" not in said
     assert ("Film where all cameras see the whole person" in said) == (hz_held > 8.0)
+
+
+def report(**values):
+    return NodeReport(DiagnosticStatus.OK, "", values)
+
+
+def test_line_says_ages_and_whether_they_keep_the_budget():
+    reports = {
+        "/hull_server": report(latency_p50_ms="15.10"),
+        "/icp_tracker": report(latency_p50_ms="20.30"),
+        "/ekf_tracker": report(latency_p50_ms="21.00", latency_p95_ms="24.00", rate_hz="60.0"),
+    }
+    line = latency_line(reports)
+    assert "hull 15.10 ms, fit 20.30 ms, joint state 21.00 ms" in line
+    assert "24 ms: 1.4 periods, within" in line
+    reports["/ekf_tracker"] = report(latency_p50_ms="21.00", latency_p95_ms="40.00", rate_hz="60.0")
+    assert "2.4 periods, over" in latency_line(reports)
+
+
+def test_line_is_empty_while_nothing_is_answered():
+    assert latency_line({"/hull_server": report(latency_p50_ms="15.10"), "/ekf_tracker": report(rate_hz="0.0")}) == ""
+    assert latency_line({}) == ""

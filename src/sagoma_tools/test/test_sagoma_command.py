@@ -76,30 +76,33 @@ def joint_states(bag, angles):
     return str(bag)
 
 
-def test_compare_tells_equal_from_different_bags(tmp_path, capsys):
+def test_compare_tells_equal_from_different_bags_and_refuses_those_without_outputs(tmp_path, capsys):
     a, b = joint_states(tmp_path / "a", [0.1, 0.2]), joint_states(tmp_path / "b", [0.1, 0.2])
     c = joint_states(tmp_path / "c", [0.1, 0.3])
     assert main(["compare", a, b]) == 0
     assert "identical       2 messages" in capsys.readouterr().out
     assert main(["compare", a, c]) == 1
     assert f"{TOPIC}: message 1 (of 2 and 2 messages) differs first" in capsys.readouterr().out
-
-
-def test_compare_of_bags_without_outputs_and_recover_of_a_complete_bag_are_input_errors(tmp_path, capsys):
-    with BagWriter(tmp_path / "a") as writer:
+    with BagWriter(tmp_path / "inputs") as writer:
         writer.add_topic("/cam01/camera_info", "sensor_msgs/msg/CameraInfo")
-    for command, said in ((["compare", str(tmp_path / "a")], "neither bag holds"), (["recover"], "is complete")):
-        assert main([*command, str(tmp_path / "a")]) == 2
-        assert said in capsys.readouterr().err
+    assert main(["compare", str(tmp_path / "inputs"), str(tmp_path / "inputs")]) == 2
+    assert "neither bag holds" in capsys.readouterr().err
 
 
-def test_recover_says_what_is_there_instead_of_a_bag(tmp_path, capsys):
+def test_recover_says_what_is_there_instead_of_a_damaged_bag(tmp_path, capsys):
+    joint_states(tmp_path / "complete", [])
     (tmp_path / "empty").mkdir()
     (tmp_path / "file.mcap").write_bytes(b"")
-    for name, said in (("missing", "there is no such"), ("file.mcap", "there is no such"), ("empty", "holds no .mcap")):
+    folder = "Give the folder that holds one .mcap file"
+    for name, said, remedy in (
+        ("complete", "is complete", ""),
+        ("missing", "there is no such", folder),
+        ("file.mcap", "there is no such", folder),
+        ("empty", "holds no .mcap", folder),
+    ):
         assert main(["recover", str(tmp_path / name)]) == 2
         error = capsys.readouterr().err
-        assert f"{tmp_path / name}: {said}" in error and "Give the folder that holds one .mcap file" in error
+        assert f"{tmp_path / name}: {said}" in error and remedy in error
 
 
 @pytest.mark.parametrize(

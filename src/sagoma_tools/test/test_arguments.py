@@ -1,12 +1,67 @@
-"""--start-at: which instant is meant, what is refused, and what the cameras of several machines are given."""
+"""Arguments of command lines: numbers of every option of every parser, settings, and the instant of --start-at."""
 
+import argparse
 import datetime
+from pathlib import Path
 
 import pytest
 
+import virtual_studio.__main__ as rendering
 from capture_rig.errors import InputError
+from capture_rig.number import number
 from sagoma_bringup.graph import Role, camera_node
 from sagoma_tools.arguments import in_step, start_instant_ns
+from sagoma_tools.cli import build_parser
+from sagoma_tools.console import BAD_INPUT, commands_of
+
+ABSURD = ("nan", "inf", "-1e300", "1e300", "twelve", "")
+TEXTS = (None, str, Path)
+
+
+def parsers():
+    """Every command line of ours: its name and its parser."""
+    yield from ((name, leaf) for name, leaf, _ in commands_of(build_parser()))
+    yield "rendering", rendering._session_parser()
+    yield "rendering setup", rendering._setup_parser()
+
+
+OPTIONS = [
+    pytest.param(parser, action, id=f"{name} {(action.option_strings or [action.dest])[0]}")
+    for name, parser in parsers()
+    for action in parser._actions
+    if action.type not in TEXTS
+]
+
+
+def test_numbers_of_many_commands_are_found():
+    assert len({each.id.rpartition(" ")[0] for each in OPTIONS}) > 12 and len(OPTIONS) > 35
+
+
+@pytest.mark.parametrize(("parser", "action"), OPTIONS)
+def test_absurd_number_ends_with_status_2_and_one_line(parser, action, capsys):
+    option, many = (action.option_strings or [""])[-1], isinstance(action.nargs, int)
+    for text in ABSURD:
+        with pytest.raises(SystemExit) as ended:
+            parser.parse_args([option] + [text] * action.nargs if many else [f"{option}={text}" if option else text])
+        *_, last = capsys.readouterr().err.splitlines()
+        assert ended.value.code == BAD_INPUT and option in last
+        assert f"'{text}' cannot be used; give a " in last or (many and text.startswith("-"))  # taken for an option
+
+
+def test_number_is_read_with_its_bounds_and_its_unit_is_named():
+    read = number("kg", 2, 500)
+    assert (read("2"), read("72.5"), read("500")) == (2.0, 72.5, 500.0)
+    with pytest.raises(argparse.ArgumentTypeError, match=r"^'1\.9' cannot be used; give a number from 2 to 500 kg$"):
+        read("1.9")
+
+
+def test_whole_number_stays_one_and_takes_no_decimals():
+    read = number("nodes", 1, 1000, whole=True)
+    assert read("7") == 7 and isinstance(read("7"), int)
+    for text in ("7.0", "0", "1001", "9" * 5000):
+        with pytest.raises(argparse.ArgumentTypeError, match="give a whole number from 1 to 1000 nodes"):
+            read(text)
+
 
 NOON = datetime.datetime(2026, 3, 1, 12, 0, 0, tzinfo=datetime.UTC)
 NOON_NS = round(NOON.timestamp() * 1e9)
