@@ -1,4 +1,4 @@
-"""Nodes of the same names that other processes run: found before anything is asked of them."""
+"""The link of a tool to a graph: its end, its memory, its middleware, and nodes of our names that others run."""
 
 import gc
 import os
@@ -143,3 +143,24 @@ def test_the_middleware_reads_the_profile_without_a_word_and_complains_of_a_spoi
     done = subprocess.run([sys.executable, "-c", LOAD], capture_output=True, text=True, env=environment, check=True)
     assert "loaded" in done.stdout
     assert ("XMLPARSER" in done.stdout + done.stderr) == spoilt
+
+
+def test_link_close_is_idempotent_and_ends_its_thread():
+    link = RosLink("short_lived")
+    link.close()
+    link.close()
+    assert "short_lived spin" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_link_hands_a_callbacks_exception_to_its_owner_at_close():
+    link = RosLink("unlucky")
+    raised = threading.Event()
+
+    def fail():
+        raised.set()
+        raise OSError("no space left on device")
+
+    link.node.create_timer(0.01, fail)
+    assert raised.wait(10)
+    with pytest.raises(OSError, match="no space left"):
+        link.close()
