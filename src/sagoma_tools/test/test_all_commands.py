@@ -85,6 +85,7 @@ OF_NOTHING_OR_BROKEN = [
     "calibrate intrinsics FILE --board 'checkerboard 9x6 25mm'",
     "calibrate extrinsics --intrinsics FILE --floor FILE --board 'checkerboard 9x6 25mm'",
     "background show FILE",
+    "background --from-footage FILE",
     "up FOLDER",
     "up --rig FILE",
     "up --rig RIG --cameras FILE",

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from humaneva_files import SHOULDER_WIDTH_MM, joints_of, marker_points, model_points, write_c3d, write_cal, write_mp
+from humaneva_files import SHOULDER_WIDTH_MM, joints_of, marker_points, model_points, write_c3d, write_mp
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -13,7 +13,6 @@ from sagoma_tools.importers.humaneva_joints import Instants, Measures, joints, m
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import walk
-from virtual_studio.rig import ring
 
 CAL = "700 710\n320 240\n0\n-0.2 0.1 0.001 -0.002 0.03\n1 0 0\n0 0 -1\n0 1 0\n100 1200 3400\n"
 
@@ -35,14 +34,6 @@ def test_cal_numbers_become_a_camera_in_metres(tmp_path):
     y = 0.6 * (1 - 0.2 * r2 + 0.1 * r2**2 + 0.03 * r2**3) + 0.001 * (3 * r2)
     x = -0.002 * r2
     assert camera.project([-0.1, 0.6, -1.2]) == pytest.approx([320 + 700 * x, 240 + 710 * y])
-
-
-def test_cal_written_with_few_digits_projects_within_a_hundredth_of_a_pixel(tmp_path):
-    for known in ring(3).cameras:
-        read = read_cal(write_cal(tmp_path / "C.cal", known), "cam01", known.width, known.height)
-        points = np.random.default_rng(3).uniform([-0.5, -0.5, 0.0], [0.5, 0.5, 1.8], (50, 3))
-        assert np.abs(read.project(points) - known.project(points)).max() < 0.01
-        assert read.R_camera_world @ read.R_camera_world.T == pytest.approx(np.eye(3), abs=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -97,18 +88,14 @@ def test_c3d_points_are_found_by_label_in_floats_and_in_integers(tmp_path, step,
         assert np.abs(mocap.track_mm(label) - track).max() < max(step, 1e-3)
 
 
-def test_c3d_in_metres_is_read_as_millimetres_and_unseen_points_stay_zero(tmp_path):
+def test_c3d_in_metres_is_read_as_millimetres_unseen_points_stay_zero_and_missing_ones_are_named(tmp_path):
     written = tracks()
     written["C7"][2] = 0.0
     path = write_c3d(tmp_path / "x.c3d", {label: track / 1000 for label, track in written.items()}, unit="m")
     mocap = read_c3d(path)
     assert mocap.track_mm("PELO") == pytest.approx(written["PELO"], abs=1e-3)
     assert (mocap.track_mm("C7")[2] == 0).all()
-
-
-def test_either_of_two_names_finds_a_point_and_a_missing_one_is_named(tmp_path):
-    mocap = read_c3d(write_c3d(tmp_path / "x.c3d", tracks()))
-    assert mocap.track_mm("NONE", "C7") is not None
+    assert mocap.track_mm("NONE", "C7") is not None  # either of two names
     with pytest.raises(InputError, match=r"x\.c3d: has no point labelled LFRM or LFRA"):
         mocap.track_mm("LFRM", "LFRA")
 
@@ -197,35 +184,15 @@ def test_joints_between_mocap_frames_are_the_persons_within_a_millimetre(person)
     assert speed_mm.max() > 15.0  # a mocap frame off would show
 
 
-def test_sixteen_bit_points_move_the_joints_by_less_than_a_millimetre(person, tmp_path):
-    points, R_torso = (a[::50] for a in person)
-    tracks = {**marker_points(points), **model_points(points, R_torso)}
-    found = joints(read_c3d(write_c3d(tmp_path / "x.c3d", tracks, step=0.1)), np.arange(1.0, 11.0), SIZES)
-    assert found.valid.all()
-    for name, expected in joints_of(points, R_torso).items():
-        assert np.abs(found.points_mm[name] - 1e3 * expected).max() < 1.0, name
-
-
 def test_torso_leans_back_and_upper_arms_turn_back(person):
     points, R_torso = (a[:1] for a in person)
     mocap = mocap_of(points, R_torso)
-    for label, at in (
-        ("PELO", [0, 0, 0]),
-        ("PELA", [100, 0, 0]),
-        ("PELL", [0, 100, 0]),
-        ("PELP", [0, 0, 100]),
-        ("TRXO", [0, 0, 400]),
-        ("LCLO", [0, 200, 400]),
-        ("LHUO", [0, 200, 100]),
-        ("LHUA", [90, 200, 100]),
-        ("LHUL", [0, 290, 100]),
-        ("LHUP", [0, 200, 190]),
-        ("LRAO", [0, 200, -150]),
-        ("LRAA", [90, 200, -150]),
-        ("LRAL", [0, 290, -150]),
-        ("LRAP", [0, 200, -60]),
-    ):
-        mocap.points_mm[0, mocap.column[label]] = [1000.0 + at[0], at[1], at[2]]  # a body that faces +x; mm
+    placed = {"TRXO": [0, 0, 400], "LCLO": [0, 200, 400]}
+    for segment_name, origin, arm in (("PEL", [0, 0, 0], 100), ("LHU", [0, 200, 100], 90), ("LRA", [0, 200, -150], 90)):
+        placed[f"{segment_name}O"] = origin
+        placed |= {f"{segment_name}{end}": origin + arm * np.eye(3)[k] for k, end in enumerate("ALP")}
+    for label, at in placed.items():
+        mocap.points_mm[0, mocap.column[label]] = np.array([1000.0, 0.0, 0.0]) + at  # a body that faces +x; mm
     found = joints(mocap, np.array([1.0]), Measures(160.0, {"L": 60.0, "R": 60.0})).points_mm
     # the torso, 400 long, leans back by atan(80 / 400) from 50 behind the pelvis; the neck is half way to the thorax
     lean = np.arctan2(80.0, 400.0)
@@ -263,7 +230,7 @@ def test_frames_beside_a_lost_point_are_invalid_and_no_others(person, label):
     assert found.valid.tolist() == [True, True, False, False, False, False, True, True]
 
 
-def test_points_that_are_no_frame_make_the_frame_invalid(person):
+def test_points_that_are_no_frame_and_instants_beyond_the_motion_capture_are_invalid(person):
     points, R_torso = (a[::20] for a in person)
     mocap = mocap_of(points, R_torso)
     column = mocap.column
@@ -271,12 +238,8 @@ def test_points_that_are_no_frame_make_the_frame_invalid(person):
     mocap.points_mm[6, [column["LFEA"], column["LFEL"]]] = mocap.points_mm[6, [column["LFEL"], column["LFEA"]]]
     found = joints(mocap, np.arange(1.0, 9.0), SIZES)
     assert found.valid.tolist() == [True] * 4 + [False, True, False, True]
-
-
-def test_frames_beyond_the_motion_capture_are_invalid(person):
-    points, R_torso = (a[::50] for a in person)
-    found = joints(mocap_of(points, R_torso), np.array([0.5, 1.0, 10.0, 10.2, 30.0]), SIZES)
-    assert found.valid.tolist() == [False, True, True, False, False]
+    beyond = joints(mocap_of(points, R_torso), np.array([0.5, 1.0, 25.0, 25.2, 60.0]), SIZES)
+    assert beyond.valid.tolist() == [False, True, True, False, False]
 
 
 def test_chest_radius_leaves_out_frames_in_which_a_shoulder_was_not_seen(tmp_path):
