@@ -1,4 +1,4 @@
-"""What a child process leaves behind when it is killed."""
+"""Processes that end: how they are ended, what they leave behind, and which are started again."""
 
 import fcntl
 import os
@@ -23,8 +23,7 @@ def start(tmp_path, name, script, on_exit=lambda child: None):
 
 def test_children_end_on_sigint_even_when_they_inherit_it_ignored(tmp_path):
     """Background jobs of a shell script ignore SIGINT, and hand that on to what they start."""
-    script = "import time; print('ready', flush=True); time.sleep(600)"
-    child = start(tmp_path, "sleeper", script)
+    child = start(tmp_path, "sleeper", "import time; print('ready', flush=True); time.sleep(600)")
     wait_for_text(child, "ready")
     (ended,) = stop_children([child], grace_s=30.0)
     assert ended.exit is Exit.CLEAN and not psutil.pid_exists(child.pid)
