@@ -14,18 +14,8 @@ from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import jitter, time_to_track_s
 
 FPS = 60.0
-BENT = {
-    "left_elbow": -1.2,
-    "right_elbow": -0.9,
-    "left_knee": 0.8,
-    "right_knee": 1.1,
-    "left_shoulder_y": 0.3,
-    "right_shoulder_y": -0.4,
-    "left_hip_z": 0.2,
-    "right_hip_z": -0.25,
-    "neck_x": 0.2,
-    "left_hip_y": -0.5,
-}
+BENT = {"left_elbow": -1.2, "right_elbow": -0.9, "left_knee": 0.8, "right_knee": 1.1, "neck_x": 0.2, "left_hip_y": -0.5}
+BENT |= {"left_shoulder_y": 0.3, "right_shoulder_y": -0.4, "left_hip_z": 0.2, "right_hip_z": -0.25}
 POINTS, ANGLES = walker(**BENT)
 TEN = POINTS[:10]
 STILL = POINTS[:1]
