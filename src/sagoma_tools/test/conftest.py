@@ -55,9 +55,9 @@ def _commands_take_no_time(monkeypatch):
 
 @pytest.fixture(scope="session")
 def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A session of twelve frames at 20 Hz: somebody in the T-pose and at the first steps, seen by five cameras."""
+    """A session of twelve frames at 20 Hz: somebody in the T-pose and at the first steps, seen by four cameras."""
     folder = tmp_path_factory.mktemp("studio") / "tour"
-    return write_session(folder, ring(4, True), Body.from_stature(1.75), "tour", fps=20.0, seconds=0.6)
+    return write_session(folder, ring(3, True), Body.from_stature(1.75), "tour", fps=20.0, seconds=0.6)
 
 
 @pytest.fixture(scope="session")

@@ -71,12 +71,6 @@ def test_a_log_gets_a_plain_line_now_and_then_until_the_step_is_over(monkeypatch
     assert said.startswith("tracking frames: 100 of 400 (25 %), 0 s\n") and ESCAPE not in said and "\r" not in said
 
 
-def test_steps_outside_a_command_say_nothing(capsys):
-    doing("tracking", 3)(1)
-    until_stopped()
-    assert capsys.readouterr() == ("", "")
-
-
 @pytest.mark.parametrize("width", [40, 80, 200])
 def test_no_word_of_a_table_or_text_is_broken(width):
     table = Table("point", "RMSE mm", "mean", "median", "95 %", ">200 mm", "no offset", "in 95 %", "NEES")

@@ -12,7 +12,6 @@ from sagoma_tools.commands import demo
 from sagoma_tools.commands.demo import next_step, rate_line, speed_line, unsound
 from sagoma_tools.evaluation import live_run
 from sagoma_tools.evaluation.live_inputs import LONGEST_S, SETTLED_S, HeldRate, TooSlow
-from sagoma_tools.evaluation.live_run import slow_motion
 from sagoma_tools.graph.diagnostics_table import NodeReport, latency_line
 
 
@@ -73,23 +72,33 @@ def test_line_says_what_was_done_and_what_else_the_machine_did():
 
 
 @pytest.mark.parametrize(
-    ("held_hz", "speed"), [(24.0, 1 / 2), (12.0, 1 / 4), (9.0, 1 / 8), (60.0, 1 / 2), (3.0, 1 / 16), (0.0, 1 / 32)]
-)
-def test_slow_motion_is_the_power_of_two_that_the_graph_holds(held_hz, speed):
-    assert slow_motion(60.0, held_hz) == speed
-
-
-@pytest.mark.parametrize(
     ("asked", "outcomes", "speeds"),
     [
         (None, ["whole"], [1.0]),
         (None, [TooSlow(9.0), "whole"], [1.0, 1 / 8]),
+        (None, [TooSlow(60.0), "whole"], [1.0, 1 / 2]),
+        (None, [TooSlow(24.0), "whole"], [1.0, 1 / 2]),
+        (None, [TooSlow(12.0), "whole"], [1.0, 1 / 4]),
+        (None, [TooSlow(3.0), "whole"], [1.0, 1 / 16]),
+        (None, [TooSlow(0.0), "whole"], [1.0, 1 / 32]),
         (None, [TooSlow(20.0), "torn", "whole"], [1.0, 1 / 4, 1 / 8]),
         (None, ["torn", "whole"], [1.0, 1 / 2]),
         (None, [TooSlow(1.0), "torn", "torn"], [1.0, 1 / 32]),
         (1 / 4, ["torn"], [1 / 4]),
     ],
-    ids=["held", "too slow", "slower again", "torn at full speed", "slowest", "as asked for"],
+    ids=[
+        "held",
+        "9 Hz",
+        "60 Hz",
+        "24 Hz",
+        "12 Hz",
+        "3 Hz",
+        "none",
+        "slower again",
+        "torn at full speed",
+        "slowest",
+        "as asked for",
+    ],
 )
 def test_cameras_go_slower_until_the_machine_answers_whole_sets(tmp_path, monkeypatch, asked, outcomes, speeds):
     tried = []

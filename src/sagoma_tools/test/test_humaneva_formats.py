@@ -22,20 +22,6 @@ def tracks(frames=5, seed=1):
     return {name: rng.uniform(-900, 900, (frames, 3)) for name in ("RASI", "C7", "PELO", "LFEP")}
 
 
-def test_cal_numbers_become_a_camera_in_metres(tmp_path):
-    (tmp_path / "C1.cal").write_text(CAL)
-    camera = read_cal(tmp_path / "C1.cal", "cam01", 640, 480)
-    # by hand: X = (-100, 600, -1200) mm -> R X + T = (0, 2400, 4000) mm, without its lens (0, 0.6)
-    assert camera.R_camera_world @ [-0.1, 0.6, -1.2] + camera.t_camera_world == pytest.approx([0.0, 2.4, 4.0])
-    assert camera.K.tolist() == [[700, 0, 320], [0, 710, 240], [0, 0, 1]]
-    assert camera.D.tolist() == [-0.2, 0.1, 0.001, -0.002, 0.03]
-    # ... and with it, by the formula of Bouguet's toolbox: y (1 + k1 r2 + k2 r2^2 + k3 r2^3) + p1 (r2 + 2 y^2)
-    r2 = 0.36
-    y = 0.6 * (1 - 0.2 * r2 + 0.1 * r2**2 + 0.03 * r2**3) + 0.001 * (3 * r2)
-    x = -0.002 * r2
-    assert camera.project([-0.1, 0.6, -1.2]) == pytest.approx([320 + 700 * x, 240 + 710 * y])
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -53,12 +39,6 @@ def test_damaged_cal_is_refused_by_name(tmp_path, text, message):
     with pytest.raises(InputError, match=message) as caught:
         read_cal(tmp_path / "C1.cal", "cam01", 640, 480)
     assert caught.value.remedy
-
-
-def test_ofs_holds_image_mocap_and_their_rate(tmp_path):
-    (tmp_path / "x.ofs").write_text("82.5 \n 34\n1.999871\n")
-    offset = read_ofs(tmp_path / "x.ofs")
-    assert (offset.image, offset.mocap, offset.mocap_per_image) == (82.5, 34.0, 1.999871)
 
 
 @pytest.mark.parametrize("text", ["1 2", "1 2 0", "1 2 -2", "1 2 two", ""])

@@ -48,7 +48,7 @@ def get_with_exactly(port, *headers, path="/"):
         return b"".join(iter(lambda: link.recv(1 << 16), b""))
 
 
-def test_the_server_asks_the_guard_before_it_serves_the_page(port):
+def test_the_server_asks_the_guard_before_it_serves_the_page_which_is_never_in_a_frame(port):
     assert get(port, "/").status == 403
     assert get(port, "/../guard.py", **OPENED).status == 404
     assert get(port, "/" + "a" * 5000, **OPENED).status == 400  # too long for a file
@@ -59,6 +59,10 @@ def test_the_server_asks_the_guard_before_it_serves_the_page(port):
     body = page.read()
     assert len(body) == int(page.getheader("Content-Length")) and page.getheader("Content-Encoding") == "identity"
     assert body.index(b"<head>" + SCRIPT.encode()) < body.index(b"<title>")
+    bare = get_with_exactly(port, f"Host: 127.0.0.1:{port}", f"Cookie: {COOKIE}=secret")  # without Accept-Encoding
+    assert bare.startswith(b"HTTP/1.1 200 ") and SCRIPT.encode() in bare
+    for path in ("/", "/index.html"):
+        assert get(port, path, **OPENED).getheader(FRAMING[0]) == FRAMING[1] == "frame-ancestors 'none'"
 
 
 def test_the_server_refuses_connections_of_other_origins(port):
@@ -66,14 +70,6 @@ def test_the_server_refuses_connections_of_other_origins(port):
         connect(f"ws://127.0.0.1:{port}/", origin="http://evil.example", additional_headers=OPENED)
     with pytest.raises(InvalidStatus, match="403"):
         connect(f"ws://127.0.0.1:{port}/", origin=f"http://127.0.0.1:{port}")
-
-
-def test_the_page_is_served_without_accept_encoding_and_never_in_a_frame(port):
-    ours = f"Host: 127.0.0.1:{port}", f"Cookie: {COOKIE}=secret"
-    answer = get_with_exactly(port, *ours)
-    assert answer.startswith(b"HTTP/1.1 200 ") and SCRIPT.encode() in answer
-    for path in ("/", "/index.html"):
-        assert get(port, path, **OPENED).getheader(FRAMING[0]) == FRAMING[1] == "frame-ancestors 'none'"
 
 
 @pytest.mark.parametrize(
