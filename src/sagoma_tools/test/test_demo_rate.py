@@ -86,19 +86,6 @@ def test_line_says_what_was_done_and_what_else_the_machine_did():
         (None, [TooSlow(1.0), "torn", "torn"], [1.0, 1 / 32]),
         (1 / 4, ["torn"], [1 / 4]),
     ],
-    ids=[
-        "held",
-        "9 Hz",
-        "60 Hz",
-        "24 Hz",
-        "12 Hz",
-        "3 Hz",
-        "none",
-        "slower again",
-        "torn at full speed",
-        "slowest",
-        "as asked for",
-    ],
 )
 def test_cameras_go_slower_until_the_machine_answers_whole_sets(tmp_path, monkeypatch, asked, outcomes, speeds):
     tried = []

@@ -238,12 +238,9 @@ def test_bandwidth_without_a_frame_rate_is_unknown_and_names_the_camera():
     assert finding.code == "bandwidth.rate_unknown" and "cam02" in finding.what
 
 
-def test_exposure_longer_than_a_frame_is_an_error():
+def test_exposure_longer_than_a_frame_is_an_error_and_features_left_to_the_camera_are_noted():
     finding = worst(check_timing(replace(SETTINGS, exposure_us=20_000.0)))
     assert finding.code == "exposure.longer_than_frame" and "16667 us" in finding.what
-
-
-def test_features_left_to_the_camera_are_noted():
     (exposure, left) = check_timing(replace(SETTINGS, gain=-1.0))
     assert exposure.code == "exposure.ok"
     assert left.code == "settings.left_to_camera" and "aravis.gain" in left.what

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from sagoma_tools.console import CommandConsole
-from sagoma_tools.doctor.findings import Severity, error, exit_status, note, ok, show, summary, warning
+from sagoma_tools.doctor.findings import error, exit_status, note, ok, show, summary, warning
 
 
 def on(subject, findings):
@@ -57,9 +57,3 @@ def test_what_is_well_is_one_line_a_group_unless_all_is_asked_for_and_the_last_o
 )
 def test_exit_status_of_strict_and_lenient_users(findings, strict, status):
     assert exit_status(findings, strict) == status
-
-
-def test_code_names_what_a_finding_is_about_and_its_condition():
-    (clock,) = [finding.as_dict() for finding in FINDINGS if finding.severity is Severity.WARNING]
-    assert (clock["about"], clock["code"], clock["severity"]) == ("clock", "clock.off", "warning")
-    assert ok("disk", "is large").code == "disk.ok"
