@@ -1,4 +1,4 @@
-"""``sagoma calibrate extrinsics`` from pictures to files, and what it says about input it cannot use."""
+"""``sagoma calibrate extrinsics`` from pictures to files, outer corners, and what it says of input it cannot use."""
 
 from dataclasses import replace
 
@@ -219,6 +219,8 @@ def test_corners_of_nobody_are_refused(room, capsys):
     (room / "corners.yaml").write_text("cam07: [[10, 10], [90, 12], [95, 60], [12, 66]]\n")
     assert "there is no camera 'cam07'" in complaint(capsys, room, "--corners", room / "corners.yaml")
 
+
+# --- outer corners
 
 CAMERA = three_cameras()["cam01"]
 OUTER = outer_pixels(CAMERA, BOARD, on_floor(BOARD, TURN), 7)

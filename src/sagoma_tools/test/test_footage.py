@@ -1,4 +1,4 @@
-"""Sessions and calibration films in the codecs that people have: tracked, calibrated, and what is said of bad files."""
+"""Footage: which files are which camera's, the codecs that people have, and what is said of bad files."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""HumanEva-I's file formats one by one, and what is said when a file is damaged."""
+"""HumanEva-I's file formats one by one, damaged ones too, and the joints that follow from the body model's points."""
 
 import numpy as np
 import pytest
@@ -127,6 +127,8 @@ def test_every_image_is_within_half_a_frame_of_the_common_instant(pairs, rate, f
         taken_at = offset.mocap + (time.image(name, frame) - offset.image) * rate  # what the .ofs file says
         assert abs(taken_at - instant) <= 0.5 * rate + 1e-6
 
+
+# --- joints
 
 SIZES = Measures(SHOULDER_WIDTH_MM / 2 - 7.0, {"L": 46.0, "R": 52.0})
 GRID_HZ = 600

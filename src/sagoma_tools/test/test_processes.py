@@ -101,6 +101,8 @@ def test_a_busy_machine_is_named_as_the_cause(monkeypatch, load, said):
     assert (said in busy_machine()) and bool(busy_machine()) == bool(said)
 
 
+# --- restarts
+
 SOON = RestartPolicy(first_s=0.1, longest_s=0.1, most=2)
 PATIENCE_S = 60.0
 

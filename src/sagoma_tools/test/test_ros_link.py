@@ -106,6 +106,8 @@ def test_messages_leave_no_memory_behind():
     assert (after - before) / COUNTED < 50.0
 
 
+# --- the middleware's settings for several machines
+
 LOAD = "from sagoma_tools.graph.ros_link import RosLink\nwith RosLink('loader'): print('loaded')"
 
 

@@ -1,4 +1,4 @@
-"""Where browsers' views stand: what is on the screen, whom they follow, and that one somebody moved is left alone."""
+"""What the page draws of people, and where browsers' views of it stand: whom they follow, whose is left alone."""
 
 from contextlib import nullcontext
 from types import SimpleNamespace
@@ -122,6 +122,8 @@ def test_a_window_is_moved_as_little_as_may_be_and_grows_about_two_who_part():
     wide = moved_window(window, np.array([-3.0, -0.5]), np.array([2.0, 0.5]))
     assert wide[0, 0] == -3.0 and wide[1, 0] == 2.0
 
+
+# --- balls and spindles
 
 POINTS = np.random.default_rng(3).uniform(-1.0, 2.0, (15, 3))
 

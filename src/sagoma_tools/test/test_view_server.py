@@ -160,6 +160,8 @@ def test_a_taken_port_is_refused_when_it_was_asked_for_and_else_passed_over(caps
         assert "Give another one" in capsys.readouterr().err
 
 
+# --- the guard, by the headers of a request
+
 OURS = Guard.of("127.0.0.1")
 OPEN = Guard.of("0.0.0.0", "secret")
 SOCKET = {"Host": "127.0.0.1:8080", "Upgrade": "websocket"}
