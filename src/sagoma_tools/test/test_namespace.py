@@ -1,7 +1,6 @@
 """Tools with --namespace see the graph below it, named as without one, and no other graph."""
 
 import threading
-import time
 
 import pytest
 import rclpy
@@ -10,6 +9,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from waiting import until
 
 from capture_rig.errors import InputError
 from ekf_tracker.ekf_node import EkfNode
@@ -37,13 +37,6 @@ def graphs():
             publisher.publish(String(data=f"of {name or 'the root'}"))
             link.node.create_publisher(String, f"{name}/cam01/silhouette/compressed", KEPT)
         yield
-
-
-def until(met):
-    """Wait for discovery, which rclpy tells nobody of."""
-    end_s, ended = time.monotonic() + PATIENCE_S, threading.Event()
-    while not met():
-        assert not ended.wait(0.05) and time.monotonic() < end_s
 
 
 def test_nodes_services_and_topics_are_those_of_the_namespace(graphs):

@@ -10,6 +10,7 @@ import threading
 import psutil
 import pytest
 from test_supervisor_graph import camera, segments_of, tiny
+from waiting import until
 
 from sagoma_bringup.graph import processes_of
 from sagoma_tools.graph.processes import Child, Exit, busy_machine, remove_abandoned_memory, stop_children
@@ -86,12 +87,8 @@ def test_segments_of_a_living_node_stay(link):
 
 def wait_for_text(child, text):
     """The child's log, once it holds ``text``."""
-    for _ in range(600):
-        log = child.log.read_text()
-        if text in log:
-            return log
-        threading.Event().wait(0.05)
-    raise AssertionError(f"{child.name} never said {text!r}")
+    until(lambda: text in child.log.read_text())
+    return child.log.read_text()
 
 
 @pytest.mark.parametrize(("load", "said"), [(0.5, ""), (12.0, "load 12.0 on 2 processors")])

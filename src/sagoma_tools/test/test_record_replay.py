@@ -1,8 +1,6 @@
 """Recording and replaying over real ROS topics, with a fake EKF at the far end."""
 
 import re
-import threading
-import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,6 +8,7 @@ import pytest
 import yaml
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, MultiDOFJointState
+from waiting import until
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
@@ -127,14 +126,6 @@ def connected_publishers(link):
     publishers = InputPublishers(link.node, {silhouette_topic(camera): SILHOUETTE for camera in CAMERAS})
     publishers.wait_for_subscribers(map(silhouette_topic, CAMERAS), timeout_s=20)
     return publishers
-
-
-def until(come):
-    """Wait for what rclpy has no event for: a change of the graph."""
-    end_s = time.monotonic() + 60
-    while not come() and time.monotonic() < end_s:
-        threading.Event().wait(0.05)
-    assert come()
 
 
 def test_lockstep_sends_no_set_before_the_one_before_is_answered(link, far_link):

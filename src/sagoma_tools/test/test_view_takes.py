@@ -10,6 +10,7 @@ import pytest
 import take_bags
 from diagnostic_msgs.msg import DiagnosticStatus
 from take_bags import EPOCH_NS, PERIOD_NS
+from waiting import until
 
 from capture_rig.errors import InputError
 from motion_export.motion import UNTRACKED
@@ -82,20 +83,13 @@ def test_one_job_runs_at_a_time_and_a_failure_is_said():
     assert jobs.request("waiting", lambda tell: begun.append(1) or str(jobs.cancelled.wait(30.0)))
     assert not jobs.request("second", lambda tell: "never") and "busy with: waiting" in jobs.said
     jobs.cancel()
-    wait_for(lambda: jobs.said == "True")
+    until(lambda: jobs.said == "True")
 
     def fails(tell):
         raise InputError("no such thing", remedy="Give another.")
 
     assert jobs.request("failing", fails)
-    wait_for(lambda: "no such thing" in jobs.said)
-
-
-def wait_for(done):
-    deadline_s = time.monotonic() + 30.0
-    while not done():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)  # Jobs has no event for its end: only the page asks
+    until(lambda: "no such thing" in jobs.said)
 
 
 def test_a_take_is_played_by_its_own_seconds_and_stands_still_when_paused(takes):
