@@ -16,6 +16,7 @@ from calibration_room import (
     write_intrinsics,
     write_pictures,
 )
+from footage_clips import write_clip
 
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig, save_rig
@@ -159,6 +160,15 @@ def test_lenses_that_are_missing_or_of_another_camera_or_image_size_are_refused(
     lens.unlink()
     said = complaint(capsys, room)
     assert "camera 'cam02'" in said and "sagoma calibrate intrinsics" in said
+
+
+def test_films_of_a_carried_board_at_different_rates_are_refused_with_the_rates(room, floor_pictures, capsys):
+    (room / "films").mkdir()
+    for name, fps in (("cam01", 25.0), ("cam02", 50.0)):
+        write_clip(room / "films" / f"{name}.avi", [floor_pictures[name]] * 4, fps, "XVID")
+    said = complaint(capsys, room, "--moving", room / "films", floor=False)
+    assert "different frame rates (cam01 25, cam02 50 fps): frame k of each is not of the same instant" in said
+    assert "ffmpeg -i IN -r RATE" in said
 
 
 @pytest.mark.parametrize(

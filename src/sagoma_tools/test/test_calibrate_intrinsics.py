@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from calibration_room import at_the_origin, before, picture
+from footage_clips import write_clip
 from sensor_msgs.msg import CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
 
@@ -77,6 +78,15 @@ def test_stills_give_the_lens_and_files_that_read_back(stills, tmp_path, capsys)
     report = yaml.safe_load((tmp_path / "cam01.report.yaml").read_text())
     assert report["verdict"] == camera["verdict"] and report["board"] == BOARD_TEXT
     assert cv2.imread(str(tmp_path / "cam01.png")).shape[0] > 500
+
+
+def test_film_gives_the_lens_too(shown, tmp_path, capsys):
+    film = write_clip(tmp_path / "cam01.AVI", [image for image in shown for _ in range(2)], 25.0, "XVID")
+    status, figures, _ = calibrated(capsys, film, "--board", BOARD_TEXT, "--output", tmp_path / "lens")
+    found = read_camera_info(tmp_path / "lens" / "cam01.yaml")
+    assert status == 0 and [camera["camera"] for camera in figures["cameras"]] == ["cam01"]
+    assert np.abs(found.K.diagonal()[:2] / CAMERA.K.diagonal()[:2] - 1).max() < 2e-3
+    assert np.abs(found.K[:2, 2] - CAMERA.K[:2, 2]).max() < 1.0
 
 
 @pytest.mark.slow

@@ -3,27 +3,19 @@
 import json
 import re
 import shutil
-from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from footage_clips import cut_off, transcoded, with_late_frames, write_clip
-from intrinsics_views import lens, shown
 
-from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from capture_rig.errors import InputError
-from capture_rig.rigid import transform
 from capture_rig.session import load_session
 from capture_rig.video import Video
-from rig_calibration.boards.board import Checkerboard
 from sagoma_tools.calibration.footage import open_footage_of_cameras
 from sagoma_tools.cli import main
 from stick_figure.body import Body
-from virtual_studio.boards import print_of
 from virtual_studio.recording.session import write_session
-from virtual_studio.rendering.board_camera import BoardCamera, PosedBoard
-from virtual_studio.rendering.camera import Sensor
 from virtual_studio.rig import ring
 
 FPS, FRAMES = 25.0, 10
@@ -144,16 +136,6 @@ def doctor(capsys, session):
     return [(f["severity"], f["code"], f["what"]) for f in found if f["severity"] != "ok"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("codec", ["XVID", "avc1"])
-def test_session_in_another_codec_is_tracked_as_well(session, tmp_path, capsys, codec):
-    copied = transcoded(session, tmp_path / "copied", codec, FPS)
-    figures, said = evaluated(capsys, copied)
-    assert figures["frames"] == FRAMES and figures["mean_mm"] < 45.0
-    assert said == ""
-    assert not [code for severity, code, _ in doctor(capsys, copied) if code.startswith("footage")]
-
-
 def test_video_that_was_cut_off_ends_the_tracking_there_and_is_named(session, tmp_path, capsys):
     copied = transcoded(session, tmp_path / "copied", "MJPG", FPS)
     cut_off(copied / "cam03.avi", 0.6)
@@ -198,57 +180,3 @@ def test_rate_that_no_camera_has_is_an_error_until_the_true_one_is_stated(sessio
     (copied / "session.yaml").write_text(f"fps: {FPS}\n")
     assert load_session(copied).fps == FPS
     assert "footage.rate" not in [code for _, code, _ in doctor(capsys, copied)]
-
-
-BOARD, BOARD_TEXT = Checkerboard(9, 6, (0.025, 0.025)), "checkerboard 9x6 25mm"
-
-
-@pytest.fixture(scope="module")
-def film():
-    """A lens, and pictures (h, w) of a board through it: 14 poses, each at rest for two frames."""
-    camera, sensor = lens(), Sensor(3.0, 0.0, 1)
-    renderer, board, images = BoardCamera(camera), print_of(BOARD), []
-    for number, view in enumerate(shown(camera, 14, 0.0, seed=31)):
-        posed = PosedBoard(board, board_pose(view, board)[None])
-        light = renderer.render([posed], None, 0.7)
-        images += [sensor.expose(light, 0, 2 * number + k) for k in range(2)]
-    return camera, images
-
-
-def board_pose(view, board):
-    """T_camera_board (4, 4) from the exact corners."""
-    ideal = lens().ideal_points(view.pixels)
-    _, turn, t = cv2.solvePnP(BOARD.corners_board, ideal, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
-    return transform(cv2.Rodrigues(turn)[0], t.reshape(3))
-
-
-@pytest.mark.parametrize(
-    ("codec", "name"),
-    [
-        ("XVID", "cam01.AVI"),
-        pytest.param("mp4v", "cam01.mp4", marks=pytest.mark.slow),  # the studio's own
-        pytest.param("MJPG", "cam01.avi", marks=pytest.mark.slow),
-    ],
-)
-def test_lens_is_calibrated_from_a_film_in_that_codec(film, tmp_path, codec, name):
-    camera, images = film
-    write_clip(tmp_path / name, images, 25.0, codec)
-    output = tmp_path / "lens"
-    given = [str(tmp_path / name), "--board", BOARD_TEXT, "--output", str(output)]
-    assert main(["calibrate", "intrinsics", *given]) == 0
-    found = load_camera_info(output / "cam01.yaml", camera)
-    assert np.abs(found.K.diagonal()[:2] / camera.K.diagonal()[:2] - 1).max() < 2e-3
-    assert np.abs(found.K[:2, 2] - camera.K[:2, 2]).max() < 1.0
-
-
-def test_films_of_a_carried_board_at_different_rates_are_refused_with_the_rates(film, tmp_path, capsys):
-    camera, images = film
-    (tmp_path / "lenses").mkdir()
-    for number, fps in ((1, 25.0), (2, 50.0)):
-        write_clip(tmp_path / f"cam0{number}.avi", images[:4], fps, "XVID")
-        save_camera_info(tmp_path / "lenses" / f"cam0{number}.yaml", replace(camera, name=f"cam0{number}"))
-    given = ["--intrinsics", str(tmp_path / "lenses"), "--moving", str(tmp_path), "--board", BOARD_TEXT]
-    assert main(["calibrate", "extrinsics", *given, "--output", str(tmp_path / "rig.yaml")]) == 2
-    said = capsys.readouterr().err
-    assert "different frame rates (cam01 25, cam02 50 fps): frame k of each is not of the same instant" in said
-    assert "ffmpeg -i IN -r RATE" in said
