@@ -3,23 +3,23 @@
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import CompressedImage
+from take_bags import EPOCH_NS as FIRST_NS
+from take_bags import PERIOD_NS, write_take
 
 from capture_rig.errors import InputError
 from capture_rig.session import load_session
 from ekf_tracker.state_ros import state_message
-from mocap_packets.fit import DOUBTFUL, PART_NAMES, ReferencePoints
+from mocap_packets.fit import DOUBTFUL, PART_NAMES
 from mocap_packets.state import BodyState
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import TrackingStage
 from sagoma_bringup.launch_arguments import start_settings
-from sagoma_ros.messages import to_stamp
 from sagoma_ros.packets import joint_state_message, packet_cloud
 from sagoma_tools.cli import main
 from sagoma_tools.commands.evaluate import find
@@ -27,9 +27,6 @@ from sagoma_tools.evaluation.in_process import EPOCH_NS, OURS, ROWS, THESIS, tra
 from sagoma_tools.evaluation.track import tracks_from_bag
 from sagoma_tools.evaluation.track_evaluation import evaluate_track
 from sagoma_tools.recording.writer import BagWriter
-from stick_figure.body import Body
-from stick_figure.kinematics import forward
-from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_NAMES
 
 FRAMES = 12
@@ -88,28 +85,39 @@ def test_a_bag_is_judged_on_the_session_that_it_names_and_one_of_unknown_origin_
     assert (found.folder, path) == (tour, asked.session)
 
 
-def test_a_bag_of_live_cameras_is_judged_by_what_can_be_said(tour, tmp_path, capsys):
-    bag = write_live_bag(tmp_path / "bag", tour / "rig.yaml")
+@pytest.fixture
+def live(tour, tmp_path):
+    """``live(ids)``: a bag of 40 frame sets of live cameras at 50 Hz, the first four of which nobody answers, and two
+    of which are doubtful; ``ids`` of further bodies."""
+
+    def write(*ids):
+        prefixes = ("/mocap", *(f"/mocap/bodies/{body_id}" for body_id in ids))
+        bag = write_take(tmp_path / "live", 40, missing=range(4), doubtful=range(4, 6), prefixes=prefixes)
+        return Path(shutil.copy(tour / "rig.yaml", bag)).parent
+
+    return write
+
+
+def test_a_bag_of_live_cameras_is_judged_by_what_can_be_said(live, capsys):
+    bag = live()
     figures = evaluated(capsys, bag, "--json")
-    assert figures.pop("states") == {"doubtful": 2, "tracking": 24}
+    assert figures.pop("states") == {"doubtful": 2, "tracking": 34}
     assert {key: figures.pop(key) for key in DOUBT} == dict.fromkeys(DOUBT)  # there is no truth
-    assert figures == {"frames": 30, "tracked": 26, "time_to_track_s": 0.3, "jitter_mm": 0.0}
+    assert figures == {"frames": 40, "tracked": 36, "time_to_track_s": 0.12, "jitter_mm": None}  # nothing rests
     for option, said in (("--thesis", "Leave out --thesis"), ("--ablation", "one track and no variants")):
         assert main(["evaluate", str(bag), option]) == 2
         assert said in capsys.readouterr().err
 
 
-def test_a_bag_holds_a_track_of_each_person(tour, tmp_path, capsys):
-    bag = write_live_bag(tmp_path / "bag", tour / "rig.yaml", others={"b0003": 8, "anna": 25})
-    first_ns = 1_700_000_000_000_000_000
-    tracks = tracks_from_bag(bag, lambda stamp_ns: (stamp_ns - first_ns) // 50_000_000)
-    assert [(person, int(track.frames[0]), len(track)) for person, track in tracks.items()] == [
-        (1, 4, 26),
-        (3, 8, 22),  # the third of b0001, b0002, ...
-        (5, 25, 5),  # of no number of ours
-    ]
+def test_a_bag_holds_a_track_of_each_person(live, capsys):
+    bag = live("b0003", "anna")
+    tracks = tracks_from_bag(bag, lambda stamp_ns: (stamp_ns - FIRST_NS) // PERIOD_NS)
+    found = [(person, int(track.frames[0]), len(track)) for person, track in tracks.items()]
+    assert found == [(1, 4, 36), (3, 4, 36), (5, 4, 36)]  # anna is of no number of ours
+    places = [track.points_world[0, 0, 0] for track in tracks.values()]
+    assert places == pytest.approx([places[0], places[0] + 1.0, places[0] + 2.0])
     figures = evaluated(capsys, bag, "--json")
-    assert figures["tracked"] == 26 and "persons" not in figures  # there is no truth of several persons
+    assert figures["tracked"] == 36 and "persons" not in figures  # there is no truth of several persons
 
 
 def publish(bag, state):
@@ -156,40 +164,3 @@ def test_bag_and_session_evaluate_alike(tour, tmp_path, monkeypatch):
     for key in (*DOUBT, "tracked", "states"):
         assert figures[1][key] == figures[0][key]
     assert figures[1]["mean_mm"] == pytest.approx(figures[0]["mean_mm"], abs=1e-3)
-
-
-def write_live_bag(folder, rig, others=()):
-    """30 silhouettes at 20 Hz; from the fifth on somebody who stands still, for two frames doubtful; ``others`` : id
-    and first frame of further bodies."""
-    of_person = {
-        "reference_points": "sensor_msgs/msg/PointCloud2",
-        "joint_states": "sensor_msgs/msg/JointState",
-        "state": "diagnostic_msgs/msg/DiagnosticStatus",
-    }
-    prefixes = {"/mocap": 4} | {f"/mocap/bodies/{body_id}": frame for body_id, frame in dict(others).items()}
-    topics = {"/cam01/silhouette/compressed": "sensor_msgs/msg/CompressedImage"}
-    topics |= {f"{prefix}/{what}": kind for prefix in prefixes for what, kind in of_person.items()}
-    body = Body.from_stature(1.75)
-    points = forward(body, Pose.from_angles([0.0, 0.0, 1.0], np.eye(3), T_POSE_ANGLES))
-    measured = ReferencePoints(points, np.broadcast_to(np.eye(3) * 1e-4, (15, 3, 3)), np.ones(15, bool))
-    with BagWriter(folder) as bag:
-        for topic, msgtype in topics.items():
-            bag.add_topic(topic, msgtype)
-        for frame in range(30):
-            stamp_ns = 1_700_000_000_000_000_000 + 50_000_000 * frame
-            silhouette = CompressedImage()
-            silhouette.header.stamp = to_stamp(stamp_ns)
-            messages = {"/cam01/silhouette/compressed": silhouette}
-            for prefix in [prefix for prefix, begins in prefixes.items() if frame >= begins]:
-                state = "tracking" if frame >= 6 else "doubtful"
-                angles = joint_state_message(ANGLE_NAMES, T_POSE_ANGLES, np.zeros(18), stamp_ns, "map")
-                said = DiagnosticStatus(message=state, values=[KeyValue(key="stamp_ns", value=str(stamp_ns))])
-                messages |= {
-                    f"{prefix}/reference_points": packet_cloud(measured, stamp_ns, "map"),
-                    f"{prefix}/joint_states": angles,
-                    f"{prefix}/state": said,
-                }
-            for topic, message in messages.items():
-                bag.write(topic, stamp_ns, serialize_message(message))
-    bag.describe({}, rig)
-    return folder
