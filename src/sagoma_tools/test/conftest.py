@@ -9,7 +9,9 @@ import pytest
 import take_bags
 from graph_timeouts import graphs_start_within
 
+from sagoma_bringup.graph import NodeSpec
 from sagoma_tools.graph.ros_link import RosLink, settled
+from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.takes.measure import finish_take
 from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
@@ -73,6 +75,22 @@ def take_at(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         return shutil.copytree(made[key], path)
 
     return place
+
+
+@pytest.fixture()
+def supervise(tmp_path):
+    """``supervise(node, ...)``: a supervisor that has started the processes of these nodes; stopped at the end."""
+    running = []
+
+    def start(*graph: NodeSpec, **options) -> Supervisor:
+        supervisor = Supervisor(graph, tmp_path / "run", **options)
+        running.append(supervisor)
+        supervisor.start()
+        return supervisor
+
+    yield start
+    for supervisor in running:
+        supervisor.stop()
 
 
 @pytest.fixture()

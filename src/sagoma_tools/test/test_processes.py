@@ -15,7 +15,6 @@ from waiting import until
 from sagoma_bringup.graph import processes_of
 from sagoma_tools.graph.processes import Child, Exit, busy_machine, remove_abandoned_memory, stop_children
 from sagoma_tools.graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy, restarted, with_kept_backgrounds
-from sagoma_tools.graph.supervisor import Supervisor
 
 
 def start(tmp_path, name, script, on_exit=lambda child: None):
@@ -149,22 +148,17 @@ def test_a_restarted_tracker_finds_the_person_in_any_pose_and_every_node_becomes
 
 
 @pytest.fixture()
-def watched(tmp_path):
+def watched(supervise):
     """Start a graph with restarts; returns the supervisor, active, and the queue of what it tells."""
-    running = []
 
     def start(*graph, policy=SOON):
         told = queue.Queue()
-        supervisor = Supervisor(graph, tmp_path / "run", on_event=told.put, restart=policy)
-        running.append(supervisor)
-        supervisor.start()
+        supervisor = supervise(*graph, on_event=told.put, restart=policy)
         supervisor.configure()
         supervisor.activate()
         return supervisor, told
 
-    yield start
-    for supervisor in running:
-        supervisor.stop()
+    return start
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.slow)])

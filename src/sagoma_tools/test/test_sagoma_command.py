@@ -10,30 +10,14 @@ from test_supervisor_graph import camera, tiny
 from capture_rig.errors import InputError
 from sagoma_tools.arguments import parse_settings
 from sagoma_tools.cli import main
-from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.recording.recorder import read_configuration
 from sagoma_tools.recording.writer import BagWriter
 
 TOPIC = "/mocap/joint_states"
 
 
-@pytest.fixture()
-def running_graph(tmp_path):
-    """Starts a server node and cameras that behave so, unconfigured, as some launch file may have started them."""
-
-    def start(*cameras):
-        graph = [tiny("hull_server"), *(camera(f"cam0{k}", behaviour) for k, behaviour in enumerate(cameras, start=1))]
-        supervisors.append(Supervisor(graph, tmp_path / "run"))
-        supervisors[-1].start()
-
-    supervisors = []
-    yield start
-    for supervisor in supervisors:
-        supervisor.stop()
-
-
-def test_start_suspend_and_stop_drive_every_node_and_report_its_state(running_graph, capsys, link):
-    running_graph("good")
+def test_start_suspend_and_stop_drive_every_node_and_report_its_state(supervise, capsys, link):
+    supervise(tiny("hull_server"), camera("cam01"))  # unconfigured, as some launch file may start them
     for verb, state in (("start", "active"), ("suspend", "inactive"), ("start", "active"), ("stop", "unconfigured")):
         assert main([verb, "--expect", "2", "--wait", "30"]) == 0
         assert capsys.readouterr().out == f"/cam01/camera_client: {state}\n/hull_server: {state}\n"
@@ -43,8 +27,8 @@ def test_start_suspend_and_stop_drive_every_node_and_report_its_state(running_gr
 
 
 @pytest.mark.slow
-def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_others(running_graph, capsys):
-    running_graph("refuses_to_configure", "never_answers")
+def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_others(supervise, capsys):
+    supervise(tiny("hull_server"), camera("cam01", "refuses_to_configure"), camera("cam02", "never_answers"))
     assert main(["start", "--expect", "3", "--wait", "30", "--timeout", "2"]) == 1
     said = capsys.readouterr().out
     assert "/hull_server: active" in said
@@ -52,8 +36,8 @@ def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_other
     assert "failed: /cam02/camera_client: configure did not answer" in said
 
 
-def test_start_with_a_rig_waits_for_its_nodes_and_starts_nothing_of_half_a_graph(running_graph, capsys):
-    running_graph("good", "good")
+def test_start_with_a_rig_waits_for_its_nodes_and_starts_nothing_of_half_a_graph(supervise, capsys):
+    supervise(tiny("hull_server"), camera("cam01"), camera("cam02"))
     rig = Path(__file__).resolve().parents[3] / "config" / "rig" / "ring4.yaml"
     assert main(["start", "--rig", str(rig), "--wait", "3"]) == 2
     said = capsys.readouterr()

@@ -34,21 +34,6 @@ def segments_of(pid: int) -> list[Path]:
     return [Path(lock.removesuffix("_el")) for lock in locks if "fastrtps_port" not in lock]
 
 
-@pytest.fixture()
-def supervise(tmp_path):
-    running = []
-
-    def start(*graph: NodeSpec, **options) -> Supervisor:
-        supervisor = Supervisor(graph, tmp_path / "run", **options)
-        running.append(supervisor)
-        supervisor.start()
-        return supervisor
-
-    yield start
-    for supervisor in running:
-        supervisor.stop()
-
-
 def test_whole_graph_reaches_active_tells_of_itself_and_ends_cleanly(supervise):
     run = supervise(tiny("hull_server"), camera("cam01"), camera("cam02"))
     configured = run.configure()
