@@ -122,7 +122,7 @@ def test_controlled_camera_is_reported_and_not_disturbed(file, camera, capsys):
         assert status == 2 and found["opened"][0]["code"] == "opened.failed"
 
 
-def test_opened_camera_is_set_up_and_says_what_it_is_and_those_of_a_folder_share_the_link(file, camera, tmp_path, capsys):
+def test_opened_camera_says_what_it_is_and_those_of_a_folder_share_the_link(file, camera, tmp_path, capsys):
     file("cam02", **{"aravis.frame_rate": 30.0})
     (tmp_path / "rig.yaml").write_text("cameras: {}\n")  # is no camera's
     _, found = examined(file(**{"aravis.pixel_format": "Mono8"}), capsys, "--open")
