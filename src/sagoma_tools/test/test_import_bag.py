@@ -6,7 +6,7 @@ import pytest
 from rclpy.qos import qos_profile_sensor_data
 from rosbags.rosbag2 import StoragePlugin, Writer
 from sensor_msgs.msg import CompressedImage, Image
-from waiting import until
+from tools_waiting import until
 
 from capture_rig.camera_info_file import read_camera_info
 from capture_rig.errors import InputError

@@ -9,7 +9,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from waiting import until
+from tools_waiting import until
 
 from capture_rig.errors import InputError
 from ekf_tracker.ekf_node import EkfNode

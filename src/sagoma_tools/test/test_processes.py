@@ -10,7 +10,7 @@ import threading
 import psutil
 import pytest
 from test_supervisor_graph import camera, segments_of, tiny
-from waiting import until
+from tools_waiting import until
 
 from sagoma_bringup.graph import processes_of
 from sagoma_tools.graph.processes import Child, Exit, busy_machine, remove_abandoned_memory, stop_children

@@ -8,7 +8,7 @@ import pytest
 import yaml
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CompressedImage, MultiDOFJointState
-from waiting import until
+from tools_waiting import until
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet

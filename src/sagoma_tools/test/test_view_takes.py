@@ -10,7 +10,7 @@ import pytest
 import take_bags
 from diagnostic_msgs.msg import DiagnosticStatus
 from take_bags import EPOCH_NS, PERIOD_NS
-from waiting import until
+from tools_waiting import until
 
 from capture_rig.errors import InputError
 from motion_export.motion import UNTRACKED
