@@ -1,6 +1,7 @@
 """Tools with --namespace see the graph below it, named as without one, and no other graph."""
 
 import threading
+from contextlib import contextmanager
 
 import pytest
 import rclpy
@@ -81,13 +82,13 @@ def test_a_namespace_that_is_none_is_refused_before_anything_starts(tmp_path, ca
 
 
 def test_commands_drive_and_examine_the_nodes_of_their_namespace_and_no_others(capsys):
-    with RunningFilter("/studio") as studio, RunningFilter("") as root:
+    with running_filter("/studio") as studio_state, running_filter("") as root_state:
         with RosLink("tool") as tool:
             until(lambda: {"/studio/ekf_tracker", "/ekf_tracker"} <= {*node_names(tool.node)})
         for namespace, states in (("/studio", ["active", "unconfigured"]), ("", ["active", "active"])):
             assert main(["start", "--namespace", namespace, "--wait", "30"]) == 0
             assert capsys.readouterr().out == f"{namespace}/ekf_tracker: active\n"
-            assert [studio.state, root.state] == states
+            assert [studio_state(), root_state()] == states
             until(lambda namespace=namespace: states_in(namespace) == [("/ekf_tracker", "active")])
 
 
@@ -95,28 +96,20 @@ def states_in(namespace):
     return [(node.name, node.state) for node in collect_graph(0.1, namespace=namespace).nodes]
 
 
-class RunningFilter:
-    """An EKF tracker in a namespace, spun by a thread of its own."""
-
-    def __init__(self, namespace):
-        self._context = Context()
-        rclpy.init(context=self._context)
-        self._node = EkfNode(context=self._context, namespace=namespace or "/")
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._executor.spin)
-
-    @property
-    def state(self):
-        return self._node._state_machine.current_state[1]
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *error):
-        self._executor.shutdown()
-        self._thread.join()
-        self._node.close()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+@contextmanager
+def running_filter(namespace):
+    """An EKF tracker in a namespace, spun by a thread of its own; yields who tells its state."""
+    context = Context()
+    rclpy.init(context=context)
+    node, executor = EkfNode(context=context, namespace=namespace or "/"), SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    try:
+        yield lambda: node._state_machine.current_state[1]
+    finally:
+        executor.shutdown()
+        thread.join()
+        node.close()
+        node.destroy_node()
+        context.try_shutdown()
