@@ -24,10 +24,6 @@ def products():
     return HullProducts(5, line, VoxelSamples(points[1], RNG.random(ROWS) < 0.5, BODY), rays)
 
 
-def columns(packet):
-    return {name: np.asarray(values) for name, values in vars(packet).items()}
-
-
 def parts(hull):
     return hull.centerline, hull.voxels, hull.contour_rays
 
@@ -37,7 +33,7 @@ def test_tables_give_back_every_byte():
     back = HullProducts.from_tables(5, made.to_tables())
     assert (back.stamp_ns, back.ages) == (made.stamp_ns, made.ages)
     for packet, again in zip(parts(made), parts(back), strict=True):
-        for name, values in columns(packet).items():
+        for name, values in vars(packet).items():
             mine = getattr(again, name)
             assert mine.dtype == values.dtype and mine.tobytes() == values.tobytes(), name
 
@@ -82,14 +78,11 @@ def test_covariances_of_a_fit_leave_it_exactly_symmetric_as_six_numbers_are():
         assert mine.dtype == again.dtype and mine.tobytes() == again.tobytes()
 
 
-def test_prediction_is_the_same_pose_and_velocity():
+def test_prediction_is_the_same_pose_and_velocity_and_without_a_state_there_is_none():
     pose = Pose.from_angles(np.array([0.1, 0.2, 1.0]), np.eye(3), T_POSE_ANGLES + 0.1)
     prediction = Prediction.of(7, pose, np.arange(24.0))
     assert np.abs(prediction.pose.minus(pose)).max() < 1e-12
     np.testing.assert_array_equal(prediction.velocity, np.arange(24.0))
-
-
-def test_without_a_state_there_is_a_prediction_without_a_pose():
     prediction = NoState(9, "waiting").prediction
     assert prediction.stamp_ns == 9 and prediction.pose is None and not prediction.velocity.any()
 

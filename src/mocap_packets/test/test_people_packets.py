@@ -18,16 +18,6 @@ def points(seed):
     return ReferencePoints(rng.normal(size=(15, 3)), covariance, rng.random(15) < 0.7)
 
 
-def with_person(table, person=1.0):
-    """The table as it is read from a cloud: rows without a person are the first one's."""
-    rows = np.zeros(len(table), PeoplePoints.LAYOUT)
-    for name in table.dtype.names:
-        rows[name] = table[name]
-    if "person" not in table.dtype.names:
-        rows["person"] = person
-    return rows
-
-
 @pytest.mark.parametrize("persons", [(1,), (1, 2), (1, 3, 4)])
 def test_everybody_comes_back_from_tables_without_any_loss(persons):
     body = Body(0.1 + np.random.default_rng(4).random(10), 0.2, 0.81, 0.71, np.arange(14) / 7)
@@ -49,7 +39,7 @@ def test_the_first_person_alone_is_the_table_of_one_body():
 
 @pytest.mark.parametrize("rows", [slice(0), slice(14), slice(15, 30), slice(29)])
 def test_points_that_are_not_fifteen_of_each_person_are_refused(rows):
-    table = with_person(PeoplePoints({1: points(1), 2: points(2)}).to_table())
+    table = PeoplePoints({1: points(1), 2: points(2)}).to_table()
     with pytest.raises(InputError, match="15 points of each person"):
         PeoplePoints.from_table(table[rows])
 

@@ -67,11 +67,22 @@ class BridgeProbe(NodeProbe):
 # --- joint angles of the ISB
 
 
-def test_isb_angles_have_the_set_s_stamp_and_are_those_of_the_posture(open_probe):
-    probe = open_probe(BridgeProbe, IsbAngles)
-    heard = probe.listen(JointState, "mocap/isb_angles")
-    probe.start()
-    probe.until(lambda: probe.node.count_subscribers("mocap/isb_angles"))
+@pytest.fixture
+def isb_angles(open_probe):
+    """``isb_angles(topics)``: a bridge of a person's joint angles, and the list of its messages."""
+
+    def start(topics="mocap"):
+        probe = open_probe(BridgeProbe, IsbAngles, topics)
+        heard = probe.listen(JointState, f"{topics}/isb_angles")
+        probe.start()
+        probe.until(lambda: probe.node.count_subscribers(f"{topics}/isb_angles"))
+        return probe, heard
+
+    return start
+
+
+def test_isb_angles_have_the_set_s_stamp_and_are_those_of_the_posture(isb_angles):
+    probe, heard = isb_angles()
     stamp_ns = probe.publish(pose_of(left_elbow=-70.0, right_knee=50.0, left_hip_y=-40.0))
     probe.until(lambda: heard)
     (message,) = heard
@@ -81,11 +92,8 @@ def test_isb_angles_have_the_set_s_stamp_and_are_those_of_the_posture(open_probe
     assert angles["left_hip_flexion"] == pytest.approx(40.0) and angles["thorax_tilt"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_person_who_turns_round_has_a_continuous_angle(open_probe):
-    probe = open_probe(BridgeProbe, IsbAngles, "mocap/bodies/b0002")
-    heard = probe.listen(JointState, "mocap/bodies/b0002/isb_angles")
-    probe.start()
-    probe.until(lambda: probe.node.count_subscribers("mocap/bodies/b0002/isb_angles"))
+def test_a_person_who_turns_round_has_a_continuous_angle(isb_angles):
+    probe, heard = isb_angles("mocap/bodies/b0002")
     turns = np.deg2rad(np.arange(0.0, 420.0, 30.0))
     for turn in turns:
         probe.publish(pose_of((0.0, 0.0, turn)))
@@ -104,11 +112,8 @@ def test_arms_that_swing_through_hanging_do_not_wind_up():
     assert max(planes) - min(planes) > 90.0 and all(abs(v) <= 180.0 + 1e-9 for one in seen for v in one.values())
 
 
-def test_what_cannot_be_read_is_counted_and_a_pose_without_points_is_not_handed_on(open_probe):
-    probe = open_probe(BridgeProbe, IsbAngles)
-    heard = probe.listen(JointState, "mocap/isb_angles")
-    probe.start()
-    probe.until(lambda: probe.node.count_subscribers("mocap/isb_angles"))
+def test_what_cannot_be_read_is_counted_and_a_pose_without_points_is_not_handed_on(isb_angles):
+    probe, heard = isb_angles()
     probe.publish(pose_of(), with_points=False)
     broken = PointCloud2()
     broken.header.stamp = to_stamp(1)
@@ -154,18 +159,9 @@ def in_unity(point_world):
     return np.array([-y, z, x])
 
 
-@pytest.fixture
-def receiver():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        one.settimeout(20.0)
-        yield one
-
-
-@pytest.mark.parametrize("absent", [set(), set(RIGID)], ids=["with all bones", "with the bones it must have"])
-def test_an_avatar_takes_the_person_s_posture_and_place(open_probe, receiver, absent):
-    probe = open_probe(BridgeProbe, VmcBridge, port=receiver.getsockname()[1]).start()
-    received = []
+def test_an_avatar_takes_the_person_s_posture_and_place_with_all_bones_or_those_it_must_have(open_probe):
+    receiver, received = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), []
+    receiver.bind(("127.0.0.1", 0))
     receiver.setblocking(False)
 
     def arrived():
@@ -175,16 +171,24 @@ def test_an_avatar_takes_the_person_s_posture_and_place(open_probe, receiver, ab
             return False
         return True
 
-    for pose in (pose_of(), BENT):
-        probe.publish(pose)
-        probe.until(arrived, "a bundle")
+    with receiver:
+        probe = open_probe(BridgeProbe, VmcBridge, port=receiver.getsockname()[1]).start()
+        for pose in (pose_of(), BENT):
+            probe.publish(pose)
+            probe.until(arrived, "a bundle")
     at_rest, bent = map(osc_messages, received)
     assert [address for address, _ in bent].count("/VMC/Ext/Bone/Pos") == len(BONES) + len(RIGID)
     assert ("/VMC/Ext/OK", [1]) in bent
     rest = {values[0]: values[1:] for address, values in at_rest if address.endswith("/Pos")}
     assert all(np.allclose(np.abs(values[3:]), [0, 0, 0, 1], atol=1e-6) for values in rest.values())  # of a T-pose
-    bones = {v[0]: v[1:] for address, v in bent if address.endswith("/Pos") and v[0] not in absent}
-    points = dict(zip(POINT_NAMES, forward(BODY, BENT), strict=True))
+    bones = {values[0]: values[1:] for address, values in bent if address.endswith("/Pos")}
+    assert bones["root"][1] == 0.0 and bones["root"][3:] == [0.0, 0.0, 0.0, 1.0]
+    for avatars in (bones, {name: place for name, place in bones.items() if name not in RIGID}):
+        assert_posture(avatars, dict(zip(POINT_NAMES, forward(BODY, BENT), strict=True)))
+
+
+def assert_posture(bones, points):
+    """The avatar's joints, hands and feet are where the person's are."""
     for joint in JOINTS:
         if joint.name in BONES and joint.point is not None:
             place = in_avatar(bones, BONES[joint.name], np.zeros(3))
@@ -196,7 +200,6 @@ def test_an_avatar_takes_the_person_s_posture_and_place(open_probe, receiver, ab
         foot = in_avatar(bones, f"{side.title()}LowerLeg", [0.0, -calf, 0.0])
         np.testing.assert_allclose(hand, in_unity(points[f"{side}_hand"]), atol=1e-5)
         np.testing.assert_allclose(foot, in_unity(points[f"{side}_foot"]), atol=1e-5)
-    assert bones["root"][1] == 0.0 and bones["root"][3:] == [0.0, 0.0, 0.0, 1.0]
 
 
 def test_a_machine_that_is_none_fails_the_configuration_with_a_remedy(open_probe):

@@ -5,7 +5,7 @@ import pytest
 from export_motions import RATE_HZ, START_NS, swinging, swinging_samples, without
 
 from capture_rig.errors import InputError
-from motion_export.motion import Motion, Samples, fill_linearly, fill_rotations, usual_rate
+from motion_export.motion import Motion, fill_linearly, fill_rotations, usual_rate
 
 
 def test_frames_lie_on_the_rate_of_the_stamps_and_a_gap_is_nan() -> None:
@@ -38,8 +38,7 @@ def test_filled_gaps_lie_between_their_ends() -> None:
 
 
 def test_too_short_a_take_and_a_rate_that_is_none_are_refused() -> None:
-    samples = without(swinging_samples(), 1, 90)
     with pytest.raises(InputError, match="1 tracked frames"):
-        Motion.of_samples(samples, "take")
+        Motion.of_samples(without(swinging_samples(), 1, 90), "take")
     with pytest.raises(InputError, match="rate"):
-        Motion.of_samples(Samples(*vars(swinging_samples()).values()), "take", -5.0)
+        Motion.of_samples(swinging_samples(), "take", -5.0)

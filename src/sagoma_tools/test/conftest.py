@@ -1,12 +1,21 @@
 import os
+import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import take_bags
 from graph_timeouts import graphs_start_within
 
+from sagoma_bringup.graph import NodeSpec
 from sagoma_tools.graph.ros_link import RosLink, settled
+from sagoma_tools.graph.supervisor import Supervisor
+from sagoma_tools.takes.measure import finish_take
+from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
+from virtual_studio.rig import ring
 
 START_TIMEOUT_S = 60.0
 
@@ -44,6 +53,44 @@ def somebody_is_found(monkeypatch):
 def _commands_take_no_time(monkeypatch):
     """No command logs its progress, however busy the machine: what stands on stderr is what was wrong."""
     monkeypatch.setattr("sagoma_tools.console.LOG_EVERY_S", threading.TIMEOUT_MAX)
+
+
+@pytest.fixture(scope="session")
+def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session of twelve frames at 20 Hz: somebody in the T-pose and at the first steps, seen by four cameras."""
+    folder = tmp_path_factory.mktemp("studio") / "tour"
+    return write_session(folder, ring(3, True), Body.from_stature(1.75), "tour", fps=20.0, seconds=0.6)
+
+
+@pytest.fixture(scope="session")
+def take_at(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """``take_at(path, frames, ...)``: a take as take_bags.write_take makes it, measured; made once and copied."""
+    made: dict[str, Path] = {}
+
+    def place(path: Path, frames: int = 50, **options: Any) -> Path:
+        key = f"{path.name} {frames} {options}"
+        if key not in made:
+            made[key] = take_bags.write_take(tmp_path_factory.mktemp("take") / path.name, frames, **options)
+            finish_take(made[key])
+        return shutil.copytree(made[key], path)
+
+    return place
+
+
+@pytest.fixture()
+def supervise(tmp_path):
+    """``supervise(node, ...)``: a supervisor that has started the processes of these nodes; stopped at the end."""
+    running = []
+
+    def start(*graph: NodeSpec, **options) -> Supervisor:
+        supervisor = Supervisor(graph, tmp_path / "run", **options)
+        running.append(supervisor)
+        supervisor.start()
+        return supervisor
+
+    yield start
+    for supervisor in running:
+        supervisor.stop()
 
 
 @pytest.fixture()

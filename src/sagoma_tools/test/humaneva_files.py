@@ -30,33 +30,15 @@ JOINTS = {"Shoulder": (3, 4), "Hip": (5, 6), "Elbow": (7, 8), "Knee": (9, 10), "
 SHOULDER_WIDTH_MM = 354.0
 SHOULDER_OFFSET_MM = {"L": 46.0, "R": 52.0}
 HEAD_MM, PELVIS_MM, MARKER_RADIUS_MM = 316.103, 50.0, 7.0
-MARKER_NEAR = {  # the 39 markers: each near one of the fifteen points
-    0: ("T10", "RBAK", "STRN"),
-    1: ("LFHD", "RFHD", "LBHD", "RBHD"),
-    2: ("C7", "CLAV"),
-    3: ("LSHO",),
-    4: ("RSHO",),
-    5: ("LASI", "LPSI", "LTHI"),
-    6: ("RASI", "RPSI", "RTHI"),
-    7: ("LELB", "LUPA"),
-    8: ("RELB", "RUPA"),
-    9: ("LKNE", "LTIB"),
-    10: ("RKNE", "RTIB"),
-    11: ("LWRA", "LWRB", "LFIN", "LFRM"),
-    12: ("RWRA", "RWRB", "RFIN", "RFRA"),
-    13: ("LANK", "LHEE", "LTOE"),
-    14: ("RANK", "RHEE", "RTOE"),
-}
+MARKERS_NEAR = (
+    "T10 RBAK STRN", "LFHD RFHD LBHD RBHD", "C7 CLAV", "LSHO", "RSHO", "LASI LPSI LTHI", "RASI RPSI RTHI", "LELB LUPA",
+    "RELB RUPA", "LKNE LTIB", "RKNE RTIB", "LWRA LWRB LFIN LFRM", "RWRA RWRB RFIN RFRA", "LANK LHEE LTOE",
+    "RANK RHEE RTOE",
+)  # fmt: skip
+"""The 39 markers: those near each of the fifteen points."""
 
 
-def write_c3d(
-    path: Path,
-    tracks_mm: dict[str, Array],
-    rate_hz: float = 120.0,
-    unit: str = "mm",
-    step: float = 0.0,
-    prefix: str = "",
-) -> Path:
+def write_c3d(path: Path, tracks_mm: dict, rate_hz=120.0, unit="mm", step=0.0, prefix="") -> Path:
     """A C3D file of tracks (F, 3) by label; ``step`` > 0: 16-bit integers of so many units each, else 32-bit floats."""
     points = np.stack(list(tracks_mm.values()), axis=1)
     frames, count = points.shape[:2]
@@ -72,16 +54,10 @@ def write_c3d(
         return entry(name, 1, struct.pack("<bB", kind, len(shape)) + bytes(shape) + data)
 
     text = "".join(label.ljust(width) for label in labels).encode()
-    body = entry("POINT", -1, b"") + b"".join(
-        [
-            parameter("USED", 2, [], struct.pack("<H", count)),
-            parameter("SCALE", 4, [], struct.pack("<f", scale)),
-            parameter("RATE", 4, [], struct.pack("<f", rate_hz)),
-            parameter("FRAMES", 2, [], struct.pack("<H", frames)),
-            parameter("UNITS", -1, [len(unit)], unit.encode()),
-            parameter("LABELS", -1, [width, count], text),
-        ]
-    )
+    body = entry("POINT", -1, b"")
+    body += parameter("USED", 2, [], struct.pack("<H", count)) + parameter("SCALE", 4, [], struct.pack("<f", scale))
+    body += parameter("RATE", 4, [], struct.pack("<f", rate_hz)) + parameter("FRAMES", 2, [], struct.pack("<H", frames))
+    body += parameter("UNITS", -1, [len(unit)], unit.encode()) + parameter("LABELS", -1, [width, count], text)
     blocks = -(-(len(body) + 6) // 512)
     header = struct.pack("<BBHHHHHfHHf", 2, 0x50, count, 0, 1, frames, 0, scale, 2 + blocks, 0, rate_hz)
     words = np.zeros((frames, count, 4), "<i2" if step > 0 else "<f4")
@@ -100,14 +76,8 @@ def write_cal(path: Path, camera: CameraModel) -> Path:
 
 
 def write_mp(path: Path) -> Path:
-    measures = {
-        "MarkerDiameter": 14,
-        "LKneeWidth": 110,
-        "RKneeWidth": 108,
-        "LShoulderOffset": SHOULDER_OFFSET_MM["L"],
-        "RShoulderOffset": SHOULDER_OFFSET_MM["R"],
-        "HeadOffset": 12.5,
-    }
+    measures = {"MarkerDiameter": 14, "LKneeWidth": 110, "RKneeWidth": 108, "HeadOffset": 12.5}
+    measures |= {f"{side}ShoulderOffset": offset for side, offset in SHOULDER_OFFSET_MM.items()}
     path.write_text("".join(f"${name} = {value}\r\n" for name, value in measures.items()))
     return path
 
@@ -154,7 +124,7 @@ def model_points(points: Array, R_torso: Array) -> dict[str, Array]:
 def marker_points(points: Array) -> dict[str, Array]:
     """The 39 markers (F, 3) in mm: a few centimetres from the stick figure's points."""
     rng = np.random.default_rng(7)
-    near = [(label, index) for index, labels in MARKER_NEAR.items() for label in labels]
+    near = [(label, index) for index, labels in enumerate(MARKERS_NEAR) for label in labels.split()]
     return {label: 1e3 * points[:, index] + rng.uniform(-30, 30, 3) for label, index in near}
 
 

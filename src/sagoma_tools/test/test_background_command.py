@@ -17,8 +17,8 @@ from camera_client.background.model import BackgroundLearner, BackgroundModel, P
 from camera_client.background.training import KEY, TrainingReport
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
 from sagoma_tools.cli import main
-from sagoma_tools.commands.background import count_down, exit_status, figures
-from sagoma_tools.graph.background_training import TrainingOutcome, camera_of
+from sagoma_tools.commands.background import count_down, exit_status, sigma_picture
+from sagoma_tools.graph.background_training import camera_of
 from sagoma_tools.graph.ros_link import RosLink
 
 MOVED = Finding(REDO, "something moved: lower left", "clear the scene")
@@ -136,13 +136,7 @@ def test_repeat_asks_only_those_that_need_it(clients, capsys):
 def test_graph_without_camera_clients_is_an_input_error(capsys):
     assert main(["background", "--wait", "0.3"]) == 2
     assert "found 0 camera clients" in capsys.readouterr().err
-
-
-def test_worst_of_no_lesson_at_all_and_of_silence():
-    assert exit_status([]) == 0
-    silent = TrainingOutcome("cam01", "did not answer")
-    assert exit_status([silent]) == 2
-    assert figures([silent]) == {"cam01": {"said": "did not answer", "grade": REDO}}
+    assert exit_status([]) == 0  # no lesson at all is none that failed
     assert camera_of("/lab/cam01/camera_client") == "lab/cam01"
 
 
@@ -154,12 +148,16 @@ def test_countdown_in_a_log_says_the_last_seconds_and_stops_when_told():
     assert count_down(Console(file=log), "leave the room", 0, stop)
 
 
+def noise(grey, sigma, seed):
+    rng = np.random.default_rng(seed)
+    return [np.clip(np.rint(rng.normal(grey, sigma, (60, 80))), 0, 255).astype(np.uint8) for _ in range(40)]
+
+
 @pytest.fixture
 def saved(tmp_path):
     """A saved background: noise of 2 grey levels, and a lamp that blinked in columns 50..59 of rows 10..19."""
-    rng, learner = np.random.default_rng(0), BackgroundLearner()
-    for k in range(40):
-        image = np.clip(np.rint(rng.normal(100, 2, (60, 80))), 0, 255).astype(np.uint8)
+    learner = BackgroundLearner()
+    for k, image in enumerate(noise(100, 2, seed=0)):
         image[10:20, 50:60] = 250 * (k % 2)
         learner.add(image)
     about = {"camera_serial": "S1", "exposure_us": "5000", "gain": "0", "verdict": "usable: a lamp blinks"}
@@ -178,14 +176,15 @@ def test_show_prints_where_a_background_comes_from_and_draws_it(saved, tmp_path,
     brightness = sigma[12:18, 52:58].mean(), sigma[40:, :40].mean()
     assert sigma.shape == (60, 80, 3) and brightness[0] > 1.5 * brightness[1]
     assert sigma[10, 50].tolist() == [0, 0, 255]
+    assert main(["background", "show", str(saved), "--output", str(saved)]) == 2
+    assert "A file has that name: choose another" in capsys.readouterr().err
 
 
 def test_show_names_what_speaks_against_a_background_and_what_changed_since_another(saved, tmp_path, capsys):
-    rng, learner = np.random.default_rng(1), BackgroundLearner()
-    for _ in range(40):
-        picture = np.clip(np.rint(rng.normal(112, 5, (60, 80))), 0, 255).astype(np.uint8)
-        picture[20:50, 20:32] = 190
-        learner.add(picture)
+    learner = BackgroundLearner()
+    for image in noise(112, 5, seed=1):
+        image[20:50, 20:32] = 190
+        learner.add(image)
     learner.model("later").save(tmp_path / "later.npz")
     assert main(["background", "show", str(saved)]) == 0
     said = capsys.readouterr().out
@@ -197,21 +196,7 @@ def test_show_names_what_speaks_against_a_background_and_what_changed_since_anot
     assert "usable: something else than in the background of 2026-03-01T08:00:00+00:00: left at 20..3" in said
 
 
-def test_show_refuses_what_is_no_background(tmp_path, capsys):
-    (tmp_path / "cam01.npz").write_bytes(b"no")
-    assert main(["background", "show", str(tmp_path / "cam01.npz")]) == 2
-    assert "is not a background model" in capsys.readouterr().err
-
-
-def test_pictures_that_cannot_be_written_are_an_input_error(saved, tmp_path, capsys):
-    (tmp_path / "file").write_text("")
-    assert main(["background", "show", str(saved), "--output", str(tmp_path / "file")]) == 2
-    assert "A file has that name: choose another" in capsys.readouterr().err
-
-
 def test_noise_of_a_colour_background_is_that_of_its_noisiest_channel():
-    from sagoma_tools.commands.background import sigma_picture
-
     sigma = np.ones((4, 6, 3), np.float32)
     sigma[1, 2, 1] = 10.0
     picture = sigma_picture(BackgroundModel(np.full((4, 6, 3), 99, np.float32), sigma, Provenance("test", 9, 1.0)))
@@ -234,8 +219,3 @@ def test_footage_with_people_gives_a_background_and_says_where_it_is_uncertain(t
     assert model.shape[:2] == (120, 160) and abs(float(np.median(model.mean)) - 120) < 4
     assert model.sigma[10:40, 104:136].mean() > 20 > 5 > model.sigma[70:110].mean()
     assert "uncertain" in said and "rows 0 to" in said
-
-
-def test_footage_that_is_not_there_is_named(tmp_path, capsys):
-    assert main(["background", "--from-footage", str(tmp_path / "none.mp4")]) == 2
-    assert "none.mp4" in capsys.readouterr().err

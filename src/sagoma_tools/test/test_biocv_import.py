@@ -13,7 +13,7 @@ from stick_figure.body import Body
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 
-FPS, MOCAP_HZ, FRAMES = 20.0, 100.0, 30
+FPS, MOCAP_HZ, FRAMES = 20.0, 100.0, 12
 NAMES = ("cam01", "cam02", "cam03", "cam04")
 MIDDLE_OF = {7: "ELB", 9: "KNE", 13: "ANK"}  # left points, and the stems of the markers on both sides of the joint
 CENTRES = {3: "SJC", 5: "HJC"}
@@ -105,9 +105,8 @@ def test_markers_by_other_names_are_listed_and_can_be_given(known, trial, tmp_pa
     with pytest.raises(InputError, match=r"no markers for LShoulder, RShoulder .* L_glen"):
         import_trial(trial, tmp_path / "session")
     (tmp_path / "markers.yaml").write_text("LShoulder: [L_glen]\nRShoulder: [R_glen]\n")
-    assert import_trial(trial, tmp_path / "session", markers=tmp_path / "markers.yaml").markers["LShoulder"] == (
-        "L_glen",
-    )
+    summary = import_trial(trial, tmp_path / "session", markers=tmp_path / "markers.yaml")
+    assert summary.markers["LShoulder"] == ("L_glen",)
 
 
 @pytest.mark.parametrize(
@@ -122,9 +121,9 @@ def test_markers_by_other_names_are_listed_and_can_be_given(known, trial, tmp_pa
 def test_a_broken_calibration_is_named(trial, tmp_path, damage, message):
     path = trial.parent / "calib_02" / "01.mp4.calib"
     path.write_text(damage(path.read_text()))
-    with pytest.raises(InputError, match=message) as error:
+    with pytest.raises(InputError, match=rf"01\.mp4\.calib.*{message}"):
         import_trial(trial, tmp_path / "session")
-    assert "01.mp4.calib" in str(error.value) and not (tmp_path / "session").exists()
+    assert not (tmp_path / "session").exists()
 
 
 def test_a_calibration_that_is_missing_and_a_folder_that_is_no_trial_are_named(trial, tmp_path):

@@ -1,4 +1,4 @@
-"""``sagoma calibrate extrinsics`` from pictures to files, and what it says about input it cannot use."""
+"""``sagoma calibrate extrinsics`` from pictures to files, outer corners, and what it says of input it cannot use."""
 
 from dataclasses import replace
 
@@ -16,9 +16,12 @@ from calibration_room import (
     write_intrinsics,
     write_pictures,
 )
+from footage_clips import write_clip
 
+from capture_rig.errors import InputError
 from capture_rig.rig import load_rig, save_rig
 from rig_calibration.boards.board import Checkerboard
+from sagoma_tools.calibration.outer_corners import find_from_corners, read_corners
 from sagoma_tools.cli import main
 
 BOARD = Checkerboard(7, 4, (0.12, 0.12))
@@ -104,9 +107,7 @@ def test_lenses_are_refined_as_far_as_their_reports_leave_them_uncertain(room, c
     write_pictures(room / "few", {name: images[:2] for name, images in held_pictures.items()})
     said = complaint(capsys, room, "--moving", room / "few", "--refine-intrinsics")
     assert "intrinsics of cam01, cam02, cam03 are to be refined" in said and "sagoma calibrate intrinsics" in said
-    sd = {
-        "parameters": {name: {"sd": value} for name, value in zip(("fx", "fy", "cx", "cy"), (4, 4, 2, 2), strict=True)}
-    }
+    sd = {"parameters": {name: {"sd": value} for name, value in {"fx": 4, "fy": 4, "cx": 2, "cy": 2}.items()}}
     for name in cameras:
         (room / "intrinsics" / f"{name}.report.yaml").write_text(yaml.safe_dump(sd))
     off = {}
@@ -135,8 +136,14 @@ def test_wrong_size_that_a_tape_reveals_is_redo(room, cameras, capsys):
     assert "verdict: REDO" in printed and "+5." in printed and "measure the print" in printed
 
 
-def test_camera_without_a_board_is_named_and_may_be_left_out(room, cameras, capsys):
+def test_camera_without_a_board_is_named_and_may_be_left_out_or_its_corners_clicked(room, capsys):
     cv2.imwrite(str(room / "floor" / "cam03.png"), np.full((480, 640), 90, np.uint8))
+    said = complaint(capsys, room, "--click")
+    assert "corners are wanted of cam03" in said and "cam03_click.png" in said and "--corners" in said
+    assert cv2.imread(str(room / "cam03_click.png")).shape == (1200, 1600, 3)
+    assert list(yaml.safe_load((room / "rig.corners.yaml").read_text())) == ["cam03"]
+    (room / "corners.yaml").write_text("cam03: [[10, 10], [90, 12], [95, 60], [12, 66]]\n")  # of something else
+    assert "cam03" in complaint(capsys, room, "--corners", room / "corners.yaml")
     said = complaint(capsys, room)
     assert "no board was found for cam03" in said and "--corners" in said and "--without cam03" in said
     assert calibrate(room, "--without", "cam03") == 0
@@ -153,6 +160,15 @@ def test_lenses_that_are_missing_or_of_another_camera_or_image_size_are_refused(
     lens.unlink()
     said = complaint(capsys, room)
     assert "camera 'cam02'" in said and "sagoma calibrate intrinsics" in said
+
+
+def test_films_of_a_carried_board_at_different_rates_are_refused_with_the_rates(room, floor_pictures, capsys):
+    (room / "films").mkdir()
+    for name, fps in (("cam01", 25.0), ("cam02", 50.0)):
+        write_clip(room / "films" / f"{name}.avi", [floor_pictures[name]] * 4, fps, "XVID")
+    said = complaint(capsys, room, "--moving", room / "films", floor=False)
+    assert "different frame rates (cam01 25, cam02 50 fps): frame k of each is not of the same instant" in said
+    assert "ffmpeg -i IN -r RATE" in said
 
 
 @pytest.mark.parametrize(
@@ -209,16 +225,44 @@ def test_outer_corners_from_a_file_serve_where_the_board_is_not_found(room, came
     assert place_errors_mm(room / "rig.yaml", cameras)["cam03"] < 25.0
 
 
-@pytest.mark.parametrize(("name", "words"), [("cam03", "cam03"), ("cam07", "there is no camera 'cam07'")])
-def test_corners_of_something_else_or_of_nobody_are_refused_naming_the_camera(room, capsys, name, words):
-    path = room / "corners.yaml"
-    path.write_text(f"{name}: [[10, 10], [90, 12], [95, 60], [12, 66]]\n")
-    assert words in complaint(capsys, room, "--corners", path)
+def test_corners_of_nobody_are_refused(room, capsys):
+    (room / "corners.yaml").write_text("cam07: [[10, 10], [90, 12], [95, 60], [12, 66]]\n")
+    assert "there is no camera 'cam07'" in complaint(capsys, room, "--corners", room / "corners.yaml")
 
 
-def test_click_writes_pictures_and_a_file_to_fill_in(room, capsys):
-    cv2.imwrite(str(room / "floor" / "cam03.png"), np.full((480, 640), 90, np.uint8))
-    said = complaint(capsys, room, "--click")
-    assert "corners are wanted of cam03" in said and "cam03_click.png" in said and "--corners" in said
-    assert cv2.imread(str(room / "cam03_click.png")).shape == (1200, 1600, 3)
-    assert list(yaml.safe_load((room / "rig.corners.yaml").read_text())) == ["cam03"]
+# --- outer corners
+
+CAMERA = three_cameras()["cam01"]
+OUTER = outer_pixels(CAMERA, BOARD, on_floor(BOARD, TURN), 7)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 3, 0, 1), (3, 2, 1, 0), (1, 3, 0, 2)])
+def test_corners_given_in_any_order_are_numbered_by_the_boards_colours(floor_pictures, order):
+    outer = OUTER[list(order)] + [2.0, -1.5]
+    detection = find_from_corners(floor_pictures["cam01"], BOARD, outer, model=CAMERA, frame_index=0, target="floor")
+    expected = corner_pixels(CAMERA, BOARD, on_floor(BOARD, TURN))[detection.ids]
+    assert len(detection) > 20 and np.abs(detection.pixels - expected).max() < 0.5
+
+
+def test_corners_file_gives_corners_with_or_without_a_frame(tmp_path):
+    path = tmp_path / "corners.yaml"
+    path.write_text(f"cam01: {OUTER.tolist()}\ncam02: {{corners: {OUTER.tolist()}, frame: 7}}\n")
+    read = read_corners(path)
+    assert read["cam02"].frame == 7 and read["cam01"].frame is None
+    assert read["cam01"].pixels == pytest.approx(OUTER)
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("cam01: [[1, 2], [3, 4], [5, 6]]", "is not four"),
+        ("cam01: [[1, 2], [3, 4], [5, 6], [7, left]]", "is not four"),
+        ("cam01: {corners: [[1, 2], [3, 4], [5, 6], [7, 8]], frame: -1}", "frame = -1"),
+        ("cam01: {pixels: [[1, 2], [3, 4], [5, 6], [7, 8]]}", "has the keys"),
+    ],
+)
+def test_corners_file_that_cannot_be_used_is_refused_naming_the_camera(tmp_path, text, words):
+    path = tmp_path / "corners.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=f"corners.yaml: cam01: .*{words}"):
+        read_corners(path)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from calibration_room import at_the_origin, before, picture
+from footage_clips import write_clip
 from sensor_msgs.msg import CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
 
@@ -77,6 +78,15 @@ def test_stills_give_the_lens_and_files_that_read_back(stills, tmp_path, capsys)
     report = yaml.safe_load((tmp_path / "cam01.report.yaml").read_text())
     assert report["verdict"] == camera["verdict"] and report["board"] == BOARD_TEXT
     assert cv2.imread(str(tmp_path / "cam01.png")).shape[0] > 500
+
+
+def test_film_gives_the_lens_too(shown, tmp_path, capsys):
+    film = write_clip(tmp_path / "cam01.AVI", [image for image in shown for _ in range(2)], 25.0, "XVID")
+    status, figures, _ = calibrated(capsys, film, "--board", BOARD_TEXT, "--output", tmp_path / "lens")
+    found = read_camera_info(tmp_path / "lens" / "cam01.yaml")
+    assert status == 0 and [camera["camera"] for camera in figures["cameras"]] == ["cam01"]
+    assert np.abs(found.K.diagonal()[:2] / CAMERA.K.diagonal()[:2] - 1).max() < 2e-3
+    assert np.abs(found.K[:2, 2] - CAMERA.K[:2, 2]).max() < 1.0
 
 
 @pytest.mark.slow
@@ -177,35 +187,34 @@ def test_panel_and_line_show_progress_advice_and_the_last_reason(shown):
 
 
 COLOURS = np.random.default_rng(0).integers(0, 255, (8, 12, 3), np.uint8)  # BGR
+GREY = COLOURS[:, :, 0]
+
+
+def image(encoding, pixels):
+    """A message of 12 x 8 pixels, whose rows may be longer."""
+    data = np.ascontiguousarray(pixels).tobytes()
+    return Image(height=8, width=12, encoding=encoding, step=len(data) // 8, data=data)
 
 
 @pytest.mark.parametrize(
-    "encoding, data, step",
+    ("encoding", "pixels", "expected"),
     [
-        ("bgr8", COLOURS, 36),
-        ("rgb8", COLOURS[:, :, ::-1], 36),
-        ("bgra8", np.dstack([COLOURS, np.full((8, 12), 255, np.uint8)]), 48),
+        ("bgr8", COLOURS, COLOURS),
+        ("rgb8", COLOURS[:, :, ::-1], COLOURS),
+        ("bgra8", np.dstack([COLOURS, np.full((8, 12), 255, np.uint8)]), COLOURS),
+        ("mono8", np.pad(GREY, ((0, 0), (0, 4))), GREY),  # padded rows
+        ("mono16", GREY.astype("<u2") * 16, GREY * (255.0 / GREY.max())),
     ],
 )
-def test_colour_encodings_are_read_as_bgr(encoding, data, step):
-    message = Image(height=8, width=12, encoding=encoding, step=step, data=np.ascontiguousarray(data).tobytes())
-    assert np.array_equal(decode_image(message, "/t"), COLOURS)
-
-
-def test_rows_with_padding_and_sixteen_bits_are_read():
-    grey = COLOURS[:, :, 0]
-    padded = np.pad(grey, ((0, 0), (0, 4)))
-    wide = Image(height=8, width=12, encoding="mono8", step=16, data=padded.tobytes())
-    assert np.array_equal(decode_image(wide, "/t"), grey)
-    deep = grey.astype("<u2") * 16
-    read = decode_image(Image(height=8, width=12, encoding="mono16", step=24, data=deep.tobytes()), "/t")
-    assert np.abs(read.astype(float) - grey * 255.0 / grey.max()).max() <= 1.0
+def test_encodings_are_read_as_bgr_or_grey(encoding, pixels, expected):
+    tolerance = 1.0 if encoding == "mono16" else 0.0
+    assert np.abs(decode_image(image(encoding, pixels), "/t").astype(float) - expected).max() <= tolerance
 
 
 def test_red_pixels_of_a_bayer_sensor_stay_red():
     mosaic = np.zeros((8, 12), np.uint8)
     mosaic[::2, ::2] = 200  # RGGB: red at even rows and columns
-    colours = decode_image(Image(height=8, width=12, encoding="bayer_rggb8", step=12, data=mosaic.tobytes()), "/t")
+    colours = decode_image(image("bayer_rggb8", mosaic), "/t")
     assert colours[3:5, 3:5, 2].min() > 90 and colours[:, :, 0].max() == 0
 
 

@@ -71,23 +71,13 @@ def test_a_log_gets_a_plain_line_now_and_then_until_the_step_is_over(monkeypatch
     assert said.startswith("tracking frames: 100 of 400 (25 %), 0 s\n") and ESCAPE not in said and "\r" not in said
 
 
-def test_steps_outside_a_command_say_nothing(capsys):
-    doing("tracking", 3)(1)
-    until_stopped()
-    assert capsys.readouterr() == ("", "")
-
-
-def wide_table() -> Table:
+@pytest.mark.parametrize("width", [40, 80, 200])
+def test_no_word_of_a_table_or_text_is_broken(width):
     table = Table("point", "RMSE mm", "mean", "median", "95 %", ">200 mm", "no offset", "in 95 %", "NEES")
     for name in ("left shoulder", "right shoulder"):
         table.add_row(name, "12.3", "11.2", "10.1", "22.2", "0.0 %", "9.9", "96 %", "2.2")
-    return table
-
-
-@pytest.mark.parametrize("width", [40, 80, 200])
-def test_no_word_of_a_table_or_text_is_broken(width):
     console = CommandConsole(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
-    console.print(wide_table())
+    console.print(table)
     console.print(f"picture: {PATH} [shown] at [{width}] columns, after which some more words follow")
     said = console.file.getvalue()
     words = {word.strip("│┃:") for word in said.split()}
@@ -106,11 +96,3 @@ def test_tables_in_a_file_are_as_wide_as_columns_says(monkeypatch, columns, expe
     monkeypatch.setenv("COLUMNS", columns)
     monkeypatch.setattr(sys, "stdout", io.StringIO())
     assert command_console().width == expected
-
-
-def test_no_color_is_honoured_on_a_terminal(monkeypatch):
-    monkeypatch.setenv("NO_COLOR", "1")
-    monkeypatch.setenv("TERM", "xterm-256color")
-    monkeypatch.setattr(sys, "stdout", Screen())
-    command_console().print("trouble", style="red")
-    assert "31m" not in sys.stdout.getvalue() and "trouble" in sys.stdout.getvalue()

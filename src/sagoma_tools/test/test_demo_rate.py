@@ -4,6 +4,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 
 from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_tools.cli import main
@@ -11,7 +12,7 @@ from sagoma_tools.commands import demo
 from sagoma_tools.commands.demo import next_step, rate_line, speed_line, unsound
 from sagoma_tools.evaluation import live_run
 from sagoma_tools.evaluation.live_inputs import LONGEST_S, SETTLED_S, HeldRate, TooSlow
-from sagoma_tools.evaluation.live_run import slow_motion
+from sagoma_tools.graph.diagnostics_table import NodeReport, latency_line
 
 
 def thinned(keep, of):
@@ -71,23 +72,20 @@ def test_line_says_what_was_done_and_what_else_the_machine_did():
 
 
 @pytest.mark.parametrize(
-    ("held_hz", "speed"), [(24.0, 1 / 2), (12.0, 1 / 4), (9.0, 1 / 8), (60.0, 1 / 2), (3.0, 1 / 16), (0.0, 1 / 32)]
-)
-def test_slow_motion_is_the_power_of_two_that_the_graph_holds(held_hz, speed):
-    assert slow_motion(60.0, held_hz) == speed
-
-
-@pytest.mark.parametrize(
     ("asked", "outcomes", "speeds"),
     [
         (None, ["whole"], [1.0]),
         (None, [TooSlow(9.0), "whole"], [1.0, 1 / 8]),
+        (None, [TooSlow(60.0), "whole"], [1.0, 1 / 2]),
+        (None, [TooSlow(24.0), "whole"], [1.0, 1 / 2]),
+        (None, [TooSlow(12.0), "whole"], [1.0, 1 / 4]),
+        (None, [TooSlow(3.0), "whole"], [1.0, 1 / 16]),
+        (None, [TooSlow(0.0), "whole"], [1.0, 1 / 32]),
         (None, [TooSlow(20.0), "torn", "whole"], [1.0, 1 / 4, 1 / 8]),
         (None, ["torn", "whole"], [1.0, 1 / 2]),
         (None, [TooSlow(1.0), "torn", "torn"], [1.0, 1 / 32]),
         (1 / 4, ["torn"], [1 / 4]),
     ],
-    ids=["held", "too slow", "slower again", "torn at full speed", "slowest", "as asked for"],
 )
 def test_cameras_go_slower_until_the_machine_answers_whole_sets(tmp_path, monkeypatch, asked, outcomes, speeds):
     tried = []
@@ -139,3 +137,20 @@ def test_a_demo_that_tracked_nobody_says_why_and_fails(rate, hz_held, told, tmp_
     assert f"tracked in none of 58 frame sets; {told}" in said
     assert "holds no tracked body" not in said
     assert ("Film where all cameras see the whole person" in said) == (hz_held > 8.0)
+
+
+def report(**values):
+    return NodeReport(DiagnosticStatus.OK, "", values)
+
+
+def test_latency_line_says_ages_and_whether_they_keep_the_budget():
+    reports = {"/hull_server": report(latency_p50_ms="15.10"), "/icp_tracker": report(latency_p50_ms="20.30")}
+    for p95_ms, said in (("24.00", "24 ms: 1.4 periods, within"), ("40.00", "2.4 periods, over")):
+        reports["/ekf_tracker"] = report(latency_p50_ms="21.00", latency_p95_ms=p95_ms, rate_hz="60.0")
+        line = latency_line(reports)
+        assert "hull 15.10 ms, fit 20.30 ms, joint state 21.00 ms" in line and said in line
+
+
+def test_latency_line_is_empty_while_nothing_is_answered():
+    assert latency_line({"/hull_server": report(latency_p50_ms="15.10"), "/ekf_tracker": report(rate_hz="0.0")}) == ""
+    assert latency_line({}) == ""

@@ -13,7 +13,7 @@ from camera_client.background.model import BackgroundLearner
 from camera_client.settings import AravisSettings
 from camera_client.sources.aravis_source import AravisSource, import_aravis
 from capture_rig.errors import InputError
-from capture_rig.rig import Rig, save_rig
+from capture_rig.rig import save_rig
 from gige_vision.gvcp import DeviceRecord
 from sagoma_tools.cli import main
 from sagoma_tools.doctor.cameras import (
@@ -45,20 +45,26 @@ def camera():
         yield camera
 
 
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory):
+    """A folder with a rig and a fresh background."""
+    folder = tmp_path_factory.mktemp("ready")
+    save_rig(ring(4, False), folder / "rig.yaml")
+    save_background(folder / "bg.npz", (HEIGHT, WIDTH))
+    return folder
+
+
 @pytest.fixture
-def file(tmp_path, camera):
-    """Writes a parameter file of cam01 and returns its path; the rig and a fresh background are there."""
-    rig = ring(4, False)
-    save_rig(Rig(tuple(rig.cameras), rig.volume), tmp_path / "rig.yaml")
-    save_background(tmp_path / "bg.npz", (HEIGHT, WIDTH))
+def file(tmp_path, camera, ready):
+    """Writes a parameter file of cam01 and returns its path."""
 
     def write(name="cam01", **changes):
         parameters = {
             "autostart": True,
-            "rig_file": str(tmp_path / "rig.yaml"),
+            "rig_file": str(ready / "rig.yaml"),
             "camera_name": name,
             "source": "aravis",
-            "background": str(tmp_path / "bg.npz"),
+            "background": str(ready / "bg.npz"),
             "aravis.address": camera.address,
             "aravis.exposure_us": 4000.0,
             "aravis.frame_rate": 60.0,
@@ -103,12 +109,6 @@ def test_camera_pc_that_is_ready_has_no_errors(file, capsys):
     assert "19 MB/s of cam01" in found["bandwidth"][0]["what"]  # 60 x 307 200 bytes, and headers of 37 packets
 
 
-def test_cameras_of_the_same_folder_share_the_link(file, capsys):
-    file("cam02", **{"aravis.frame_rate": 30.0})
-    _, found = examined(file(), capsys)
-    assert "28 MB/s of 2 cameras" in found["bandwidth"][0]["what"]  # 90 frames a second
-
-
 def test_controlled_camera_is_reported_and_not_disturbed(file, camera, capsys):
     try:
         import_aravis()
@@ -122,77 +122,50 @@ def test_controlled_camera_is_reported_and_not_disturbed(file, camera, capsys):
         assert status == 2 and found["opened"][0]["code"] == "opened.failed"
 
 
-def test_opened_camera_is_set_up_and_says_what_it_is(file, camera, capsys):
+def test_opened_camera_says_what_it_is_and_those_of_a_folder_share_the_link(file, camera, tmp_path, capsys):
+    file("cam02", **{"aravis.frame_rate": 30.0})
+    (tmp_path / "rig.yaml").write_text("cameras: {}\n")  # is no camera's
     _, found = examined(file(**{"aravis.pixel_format": "Mono8"}), capsys, "--open")
     opened = found["opened"][-1]
     assert opened["code"] == "opened.ok" and "640 x 480" in opened["what"] and "exposure_us 4000" in opened["what"]
     assert ask_camera(camera.address).controlled is False  # given back
-
-
-@pytest.mark.parametrize(
-    "changes, code, value",
-    [
-        ({"aravis.adress": "1.2.3.4"}, "file.invalid", "'aravis.address'"),
-        ({"aravis.exposure_us": "long"}, "file.invalid", "aravis.exposure_us = 'long'"),
-        ({"camera_name": "cam09"}, "rig.invalid", "'cam09'"),
-        ({"rig_file": "/nowhere/rig.yaml"}, "rig.invalid", "/nowhere/rig.yaml"),
-        ({"background": "/nowhere/bg.npz"}, "background.unusable", "/nowhere/bg.npz"),
-        ({"aravis.serial": "X9"}, "serial.differs", "'D1'"),
-        ({"aravis.address": "127.0.0.78"}, "camera.silent", "127.0.0.78"),
-    ],
-)
-def test_what_cannot_work_is_an_error_with_a_remedy(file, capsys, changes, code, value):
-    status, found = examined(file(**changes), capsys)
-    assert status == 2
-    (wrong,) = [finding for finding in found[code.partition(".")[0]] if finding["code"] == code]
-    assert wrong["severity"] == "error" and wrong["remedy"] and value in wrong["what"] + wrong["remedy"]
-
-
-def test_old_background_is_a_warning(file, tmp_path, capsys):
-    path = file()
-    yesterday = time.time() - 30 * 3600
-    os.utime(tmp_path / "bg.npz", (yesterday, yesterday))
-    status, found = examined(path, capsys)
-    assert status == 1 and found["background"][0]["code"] == "background.old"
-    assert "30 h" in found["background"][0]["what"]
-    assert "sagoma background --cameras cam01" in found["background"][0]["remedy"]
+    assert "28 MB/s of 2 cameras" in found["bandwidth"][0]["what"]  # 90 frames a second
 
 
 @pytest.mark.parametrize(
     "changes, severity, code, value",
     [
+        ({"aravis.adress": "1.2.3.4"}, "error", "file.invalid", "'aravis.address'"),
+        ({"aravis.exposure_us": "long"}, "error", "file.invalid", "aravis.exposure_us = 'long'"),
+        ({"camera_name": "cam09"}, "error", "rig.invalid", "'cam09'"),
+        ({"rig_file": "/nowhere/rig.yaml"}, "error", "rig.invalid", "/nowhere/rig.yaml"),
+        ({"rig_file": ""}, "note", "rig.uncalibrated", ""),  # not yet
+        ({"background": "/nowhere/bg.npz"}, "error", "background.unusable", "/nowhere/bg.npz"),
         ({"background": ""}, "note", "background.none_named", ""),
         ({"background": "SMALL"}, "error", "background.size_differs", "320 x 240"),
+        ({"background": "OLD"}, "warning", "background.old", "30 h"),
         ({"aravis.exposure_us": 8000.0}, "warning", "background.exposure_differs", "4000 us"),
         ({"aravis.exposure_us": 4001.0}, "ok", "background.ok", ""),
+        ({"aravis.serial": "X9"}, "error", "serial.differs", "'D1'"),
+        ({"aravis.address": "127.0.0.78"}, "error", "camera.silent", "127.0.0.78"),
     ],
 )
-def test_background_that_does_not_serve_is_found(file, tmp_path, capsys, changes, severity, code, value):
+def test_what_does_not_serve_is_found_with_a_remedy(file, tmp_path, capsys, changes, severity, code, value):
     if changes.get("background") == "SMALL":
         changes = {"background": save_background(tmp_path / "small.npz", (240, 320))}
-    _, found = examined(file(**changes), capsys)
-    last = found["background"][-1]
-    assert (last["severity"], last["code"]) == (severity, code) and value in last["what"]
-
-
-def test_camera_that_is_not_calibrated_yet_is_a_note(file, capsys):
-    status, found = examined(file(rig_file=""), capsys)
-    assert status < 2 and found["rig"][0]["code"] == "rig.uncalibrated"
-
-
-def test_missing_file_is_told_in_words_too(tmp_path, capsys):
-    assert main(["doctor", "camera", str(tmp_path / "none.yaml")]) == 2
-    assert "none.yaml: cannot be read" in capsys.readouterr().out
+    elif changes.get("background") == "OLD":
+        changes = {"background": save_background(tmp_path / "old.npz", (HEIGHT, WIDTH))}
+        os.utime(changes["background"], (time.time() - 30 * 3600,) * 2)
+    status, found = examined(file(**changes), capsys)
+    (finding,) = [one for one in found[code.partition(".")[0]] if one["code"] == code]
+    assert finding["severity"] == severity and value in finding["what"] + finding["remedy"]
+    assert finding["remedy"] or severity in ("note", "ok")
+    assert status in {"error": (2,), "warning": (1,)}.get(severity, (0, 1))  # of this machine there may be warnings
 
 
 def test_footage_needs_no_network(file, capsys):
     _, found = examined(file(source="footage"), capsys)
     assert found["file"][0]["code"] == "file.ok" and "interface" not in found and "camera" not in found
-
-
-def test_absent_camera_is_asked_by_unicast_only_and_told_with_the_reason():
-    device = ask_camera("127.0.0.78")
-    assert "no GigE Vision camera answers at 127.0.0.78" in device.record and device.controlled is None
 
 
 LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=9000, speed_mbit=1000)
@@ -266,12 +239,9 @@ def test_bandwidth_without_a_frame_rate_is_unknown_and_names_the_camera():
     assert finding.code == "bandwidth.rate_unknown" and "cam02" in finding.what
 
 
-def test_exposure_longer_than_a_frame_is_an_error():
+def test_exposure_longer_than_a_frame_is_an_error_and_features_left_to_the_camera_are_noted():
     finding = worst(check_timing(replace(SETTINGS, exposure_us=20_000.0)))
     assert finding.code == "exposure.longer_than_frame" and "16667 us" in finding.what
-
-
-def test_features_left_to_the_camera_are_noted():
     (exposure, left) = check_timing(replace(SETTINGS, gain=-1.0))
     assert exposure.code == "exposure.ok"
     assert left.code == "settings.left_to_camera" and "aravis.gain" in left.what

@@ -43,10 +43,10 @@ SET = {"spread_ms": "2.0", "published_ms": "40.0", "points": "30"}
 SETS = (SET,) * 60
 
 
-def graph(nodes=(), cameras=(), **changes):
-    """The healthy graph with some nodes and cameras replaced."""
-    all_nodes = {n.name: n for n in (HULL, ICP, EKF, *CLIENTS.values(), *nodes)}
-    all_cameras = {**SENT, **{c.camera: c for c in cameras}}
+def graph(changed=(), sent=(), **changes):
+    """The healthy graph with some nodes and cameras, or parts of the facts, replaced."""
+    all_nodes = {n.name: n for n in (HULL, ICP, EKF, *CLIENTS.values(), *changed)}
+    all_cameras = {**SENT, **{c.camera: c for c in sent}}
     facts = GraphFacts(
         46, "SUBNET", "78fd", tuple(all_nodes.values()), tuple(all_cameras.values()), SETS, 10.0, rig=RIG
     )
@@ -124,22 +124,15 @@ def test_implausible_silhouettes_are_named(changes, severity, code, value):
     assert found[:3] == (severity, "camera cam02", code) and value in found[3]
 
 
-def test_uncalibrated_camera_says_so_itself_and_misses_no_silhouettes():
-    says = reporting(C2, level=b"\1", message="uncalibrated: no silhouettes; run sagoma calibrate")
-    facts = graph([says], [silhouettes("cam02", masks=0, shares=(), canvas=Canvas(640, 480, 0, 0, 0, 0))])
-    assert [(code, what) for _, _, code, what in troubles(facts)] == [("says.warning", says.message)]
-
-
-def test_cameras_alone_that_are_not_calibrated_miss_no_server():
+def test_uncalibrated_cameras_say_so_themselves_and_miss_no_silhouettes_and_alone_no_server():
     text = "uncalibrated: no silhouettes; run sagoma calibrate"
     clients = tuple(reporting(node, level=b"\1", message=text) for node in CLIENTS.values())
-    facts = graph(nodes=(), sets=(), rig=None)
-    facts = replace(facts, nodes=clients, cameras=())
-    assert {code for _, _, code, _ in troubles(facts)} == {"says.warning"}
-    assert any(
-        code == "nodes.server_missing"
-        for _, _, code, _ in troubles(replace(facts, nodes=(*clients[:2], CLIENTS["cam03"])))
-    )
+    facts = graph([clients[1]], [silhouettes("cam02", masks=0, shares=(), canvas=Canvas(640, 480, 0, 0, 0, 0))])
+    assert [(code, what) for _, _, code, what in troubles(facts)] == [("says.warning", text)]
+    alone = graph(sets=(), rig=None, nodes=clients, cameras=())
+    assert {code for _, _, code, _ in troubles(alone)} == {"says.warning"}
+    with_one_that_is = replace(alone, nodes=(*clients[:2], CLIENTS["cam03"]))
+    assert "nodes.server_missing" in {code for _, _, code, _ in troubles(with_one_that_is)}
 
 
 def test_node_that_sends_and_is_not_heard_tells_of_the_network():
@@ -148,19 +141,16 @@ def test_node_that_sends_and_is_not_heard_tells_of_the_network():
     assert found[:3] == ("ERROR", "camera cam02", "silhouettes.not_arriving") and "10.0 a second" in found[3]
 
 
-def test_absent_client_and_stranger_are_named():
+def without(node, facts):
+    return replace(facts, nodes=tuple(one for one in facts.nodes if one is not node))
+
+
+def test_absent_client_stranger_and_tracker_are_named():
     stranger = SilhouetteFacts("cam77", 1, 5, Canvas(640, 480, 1, 1, 1, 1), 5, shares=(0.05,) * 5)
-    facts = graph([], [SilhouetteFacts("cam02"), stranger])
-    facts = replace(facts, nodes=tuple(n for n in facts.nodes if n is not C2))
-    stray, absent = troubles(facts)
+    stray, absent = troubles(without(C2, graph([], [SilhouetteFacts("cam02"), stranger])))
     assert stray[:3] == ("WARNING", "graph", "cameras.not_in_rig") and "cam77" in stray[3]
     assert absent[:3] == ("ERROR", "camera cam02", "node.missing")
-
-
-def test_absent_trackers_are_named():
-    facts = graph()
-    facts = replace(facts, nodes=tuple(n for n in facts.nodes if n is not ICP))
-    (found,) = troubles(facts)
+    (found,) = troubles(without(ICP, graph()))
     assert found[:3] == ("ERROR", "graph", "nodes.server_missing") and "/icp_tracker" in found[3] and "46" in found[3]
 
 
@@ -235,14 +225,14 @@ def test_cause_that_a_client_names_is_a_finding_with_its_code_and_remedy(conditi
 def test_background_of_another_camera_is_an_error_and_an_old_one_is_told_once():
     learned = Provenance("camera", 100, 1.5, camera_serial="S1")
     refused = unfit(learned, {"camera_serial": "S2"})
-    (trouble,) = troubles(
-        graph([reporting(C2, level=b"\1", message=refused.line, values={"findings": findings_text([refused])})])
-    )
-    assert trouble[0] == "ERROR" and trouble[2] == "background.other_camera" and "S2" in trouble[3]
     old = Finding("usable", "the background is 30 h old", "learn again", "background.old")
-    values = {"findings": findings_text([old])}
-    (trouble,) = troubles(graph([reporting(C2, level=b"\1", message=old.line, values=values)]))
-    assert trouble[2] == "background.old"
+    for told, severity, code, value in (
+        (refused, "ERROR", "background.other_camera", "S2"),
+        (old, "WARNING", "background.old", "30 h"),
+    ):
+        client = reporting(C2, level=b"\1", message=told.line, values={"findings": findings_text([told])})
+        ((*found, what),) = troubles(graph([client]))
+        assert found == [severity, "camera cam02", code] and value in what
 
 
 def test_machines_are_told_apart_by_the_middlewares_number():

@@ -84,13 +84,10 @@ def far_end(monkeypatch):
     thread.join()
 
 
-def test_settings_of_the_nodes_there_are_asked_for_each_once(far_end):
+def test_settings_of_the_nodes_there_are_asked_for_each_once_and_multicast_is_heard(far_end):
     peer = ask_peer("127.0.0.1", far_end)
     assert [node.domain for node in peer.nodes] == [7, 8]
     assert (peer.here, peer.there, peer.port_open) == ("127.0.0.1", "127.0.0.1", True)
-
-
-def test_multicast_of_the_other_machine_is_heard(far_end):
     assert hears_multicast("127.0.0.1", "127.0.0.1", 7400 + 250 * 97, far_end)
 
 
@@ -103,14 +100,11 @@ def test_an_answer_is_never_larger_than_its_question(far_end, monkeypatch):
     assert ask_peer("127.0.0.1", far_end) is None  # cut, it is no answer
 
 
-def test_packets_of_others_are_ignored(far_end):
+def test_packets_of_others_are_ignored_and_nobody_who_answers_is_no_peer(far_end):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         for packet in (b"", b"sagoma", b"x" * 40, b"sagoma?", b"sagoma?\xff", b"sagoma?\0\1"):
             other.sendto(packet, ("127.0.0.1", far_end))
     assert ask_peer("127.0.0.1", far_end) is not None
-
-
-def test_nobody_who_answers_is_no_peer():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
         assert ask_peer("127.0.0.1", silent.getsockname()[1]) is None

@@ -21,16 +21,11 @@ from sagoma_tools.evaluation.in_process import (
     track_people,
     track_session,
 )
-from stick_figure.body import Body
-from virtual_studio.recording.session import write_session
-from virtual_studio.rig import ring
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory) -> Session:
-    """Half a second of T-pose and the first steps, seen by five cameras."""
-    folder = tmp_path_factory.mktemp("studio") / "session"
-    return load_session(write_session(folder, ring(4, True), Body.from_stature(1.75), "tour", fps=20.0, seconds=0.6))
+def session(tour) -> Session:
+    return load_session(tour)
 
 
 def started(session: Session, **changes) -> Configuration:

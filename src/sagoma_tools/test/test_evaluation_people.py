@@ -1,44 +1,25 @@
-"""Tracks of several persons against several truths."""
-
-from pathlib import Path
+"""Tracks of several persons against several truths; wrong parts that are called, clear frames in which one is."""
 
 import numpy as np
 import pytest
+from evaluation_tracks import track_of, truth_of, walker
 
-from capture_rig.session import Truth
-from mocap_packets.fit import GOOD
+from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES
+from sagoma_tools.evaluation.scores import PartCalls, score
 from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import changes, main_track, score_people
-from stick_figure.body import Body
-from stick_figure.kinematics import forward
-from stick_figure.pose import T_POSE_ANGLES, Pose
 
 FRAMES, FPS = 120, 60.0
+ASIDE_M = np.array([0.0, 1.0, 0.0])
+FIRST, SECOND = walker(FRAMES)[0], walker(FRAMES, aside_m=2.0)[0]
+TRUTHS = truth_of(FIRST), truth_of(SECOND)
 
 
-def points(y):
-    """(F, 15, 3) of somebody who walks along y."""
-    body = Body.from_stature(1.7)
-    places = np.column_stack([np.linspace(0.0, 1.0, FRAMES), np.full(FRAMES, y), np.full(FRAMES, 1.2)])
-    return np.array([forward(body, Pose.from_angles(place, np.eye(3), T_POSE_ANGLES)) for place in places])
-
-
-def truth(y):
-    return Truth(np.arange(FRAMES), points(y), None, 1.0, Path("truth.csv"))
-
-
-def track(points_world, frames=None, state="tracking"):
-    frames = np.arange(len(points_world)) if frames is None else frames
-    covariance = np.tile(1e-4 * np.eye(3), (len(frames), 15, 1, 1))
-    angles, parts = np.zeros((len(frames), 18)), np.full((len(frames), 5), GOOD)
-    return Track(frames, points_world, covariance, angles, np.full(len(frames), state), parts)
-
-
-TRUTHS = truth(0.0), truth(2.0)
+# --- whose track is whose
 
 
 def test_each_track_belongs_to_the_truth_that_it_is_nearest_to_in_its_first_second():
-    people = score_people({1: track(points(2.0) + 0.01), 2: track(points(0.0))}, TRUTHS, FPS)
+    people = score_people({1: track_of(SECOND + 0.01), 2: track_of(FIRST)}, TRUTHS, FPS)
     assert [person.numbers for person in people.persons] == [(2,), (1,)]
     assert people.switches == 0
     assert people.persons[0].scores.mean_mm == pytest.approx(0.0, abs=1e-9)
@@ -46,34 +27,31 @@ def test_each_track_belongs_to_the_truth_that_it_is_nearest_to_in_its_first_seco
 
 
 def test_two_persons_taken_for_each_other_are_two_switches():
-    first, second = points(0.0), points(2.0)
     half = FRAMES // 2 + 10
     tracks = {
-        1: track(np.concatenate([first[:half], second[half:]])),
-        2: track(np.concatenate([second[:half], first[half:]])),
+        1: track_of(np.concatenate([FIRST[:half], SECOND[half:]])),
+        2: track_of(np.concatenate([SECOND[:half], FIRST[half:]])),
     }
     assert score_people(tracks, TRUTHS, FPS).switches == 2
 
 
 def test_new_number_of_a_person_counts_as_a_switch():
-    first = points(0.0)
-    tracks = {1: track(first[:60]), 3: track(first[60:], np.arange(60, FRAMES)), 2: track(points(2.0))}
+    tracks = {1: track_of(FIRST[:60]), 3: track_of(FIRST[60:], first=60), 2: track_of(SECOND)}
     people = score_people(tracks, TRUTHS, FPS)
     assert people.persons[0].numbers == (1, 3)
     assert people.persons[0].switches == 1
 
 
 def test_track_of_nobody_is_a_ghost():
-    people = score_people({1: track(points(0.0)), 2: track(points(5.0))}, TRUTHS, FPS)
+    people = score_people({1: track_of(FIRST), 2: track_of(FIRST + 5.0 * ASIDE_M)}, TRUTHS, FPS)
     assert people.ghosts == (2,)
     assert people.ghost_frames == FRAMES
     assert people.persons[1].scores is None
 
 
 def test_what_a_track_calls_lost_is_not_looked_at():
-    lost = track(points(9.0)[60:], np.arange(60, FRAMES), "lost")
-    whole = Track(*(np.concatenate(pair) for pair in zip(track(points(0.0)[:60])._columns, lost._columns, strict=True)))
-    people = score_people({1: whole}, TRUTHS[:1], FPS)
+    away = np.concatenate([FIRST[:60], FIRST[60:] + 9.0 * ASIDE_M])
+    people = score_people({1: track_of(away, np.repeat(["tracking", "lost"], 60))}, TRUTHS[:1], FPS)
     assert people.ghost_frames == 0
     assert people.persons[0].scores.tracked == 60
 
@@ -85,6 +63,77 @@ def test_truth_that_is_nearer_for_a_moment_is_no_switch():
 
 
 def test_main_track_is_that_of_the_first_truth():
-    tracks = {1: track(points(2.0)), 2: track(points(0.0))}
+    tracks = {1: track_of(SECOND), 2: track_of(FIRST)}
     assert main_track(tracks, TRUTHS, FPS) is tracks[2]
     assert main_track(tracks, TRUTHS[:1], FPS) is tracks[1]
+
+
+# --- parts that are wrong, and parts that are called doubtful or lost
+
+TEN = FIRST[:10]
+LEFT_ARM, RIGHT_LEG = PART_NAMES.index("left arm"), PART_NAMES.index("right leg")
+LEFT_ELBOW, LEFT_HAND, RIGHT_FOOT = 7, 11, 14
+
+
+def off(points_world, errors_m):
+    """Points moved along x by errors (F, 15) m."""
+    return points_world + np.asarray(errors_m)[..., None] * [1.0, 0.0, 0.0]
+
+
+def flagged_by_hand():
+    """Frames 0 to 3: the left arm is wrong, in 0 and 1 it is called, as lost in 1; frame 0: so is the right leg, which
+    is not called. Frame 4: a hand is 150 mm off, neither wrong nor clear, and called. Frame 5: clear, a leg called."""
+    errors, parts = np.zeros((10, 15)), np.full((10, 5), GOOD, "<U8")
+    errors[:4, LEFT_HAND], errors[0, LEFT_ELBOW], errors[0, RIGHT_FOOT], errors[4, LEFT_HAND] = 0.3, 0.25, 0.21, 0.15
+    parts[0, LEFT_ARM], parts[1, LEFT_ARM], parts[4, LEFT_ARM], parts[5, RIGHT_LEG] = DOUBTFUL, LOST, DOUBTFUL, LOST
+    return errors, parts
+
+
+def test_shares_are_those_of_flags_set_by_hand():
+    errors, parts = flagged_by_hand()
+    scores = score(track_of(off(TEN, errors), parts=parts), truth_of(TEN))
+    assert scores.calls.wrong.sum() == 5 and scores.calls.clear.tolist() == [False] * 5 + [True] * 5
+    assert scores.calls.flagged_of_bad == pytest.approx(2 / 5)
+    assert scores.calls.false_alarms == pytest.approx(1 / 5)
+
+
+@pytest.mark.parametrize(("error_m", "false_alarms"), [(0.0, 0.0), (0.15, None)], ids=["clear", "neither"])
+def test_shares_of_nothing_are_null(error_m, false_alarms):
+    figures = score(track_of(off(TEN, np.full((10, 15), error_m))), truth_of(TEN)).figures()
+    assert (figures["flagged_of_bad"], figures["false_alarms"]) == (None, false_alarms)
+
+
+def test_frames_without_a_track_or_a_state_of_the_parts_say_nothing():
+    errors, parts = flagged_by_hand()
+    parts[[1, 5]] = ""  # as in the bag of a version that told no parts
+    calls = score(track_of(off(TEN, errors), parts=parts).chosen(np.arange(1, 10)), truth_of(TEN)).calls
+    assert calls.wrong.sum() == 2 and calls.clear.sum() == 4
+    assert (calls.flagged_of_bad, calls.false_alarms) == (0.0, 0.0)
+
+
+def test_a_frame_with_an_unknown_point_is_not_clear_but_may_hold_a_wrong_part():
+    errors_mm = np.zeros((2, 15))
+    errors_mm[0, LEFT_HAND], errors_mm[:, RIGHT_FOOT] = 300.0, np.nan
+    calls = PartCalls.of(errors_mm, np.full((2, 5), DOUBTFUL))
+    assert calls.wrong[0].tolist() == [part == LEFT_ARM for part in range(5)]
+    assert not calls.clear.any() and calls.flagged_of_bad == 1.0
+
+
+def test_several_truths_give_a_record_a_person_and_their_mean():
+    first, second, third = TEN, TEN + 3.0 * ASIDE_M, TEN + 6.0 * ASIDE_M
+    errors, parts = flagged_by_hand()
+    tracks = {1: track_of(off(first, errors), parts=parts), 2: track_of(off(second, errors)), 3: Track.of_states([])}
+    thesis = {1: track_of(off(second, np.full((10, 15), 0.08))), 2: track_of(off(first, np.full((10, 15), 0.04)))}
+    truths = truth_of(first), truth_of(second), truth_of(third)
+    figures = score_people(tracks, truths, FPS).figures(score_people(thesis, truths, FPS))
+    persons = figures["persons"]
+    for key, of_persons, mean in (
+        ("flagged_of_bad", [0.4, 0.0, None], 0.2),
+        ("false_alarms", [0.2, 0.0, None], 0.1),
+        ("thesis_mean_mm", [40.0, 80.0, None], 60.0),
+        ("identity_switches", [0, 0, None], 0),
+    ):
+        assert ([one[key] for one in persons], figures[key]) == (of_persons, mean), key
+    assert [one["tracked"] for one in persons] == [10, 10, 0]
+    assert figures["mean_mm"] == pytest.approx(np.mean([one["mean_mm"] for one in persons[:2]]))
+    assert set(persons[2]) == set(persons[0]) and persons[2]["mean_mm"] is None

@@ -5,12 +5,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from evaluation_tracks import track_of
 
 from capture_rig.session import Session, load_session
 from capture_rig.video import Video
-from mocap_packets.fit import GOOD
 from sagoma_tools.evaluation.pictures import caption, draw_plots, draw_stills, sheets, unbridged, write_overlay
-from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import TrackEvaluation, evaluate_track
 from sagoma_tools.overlays import LEFT_BGR, TRUTH_BGR, Window, draw_skeleton, overlay
 from stick_figure.body import Body
@@ -29,26 +28,17 @@ def session(tmp_path_factory) -> Session:
 @pytest.fixture()
 def evaluated(session) -> TrackEvaluation:
     """A track that is the truth moved up by 30 mm, its left hand 250 mm off in frame 4, without frame 0."""
-    assert session.truth is not None and session.truth.angles is not None
     points = session.truth.points_world[1:] + np.array([0.0, 0.0, 0.03])
     points[3, 11] += [0.0, 0.0, 0.22]
-    states = np.array(["acquiring", "tracking", "tracking", "doubtful", "tracking"])
-    covariance = np.broadcast_to(np.eye(3) * 1e-3, (FRAMES - 1, 15, 3, 3)).copy()
-    parts = np.full((FRAMES - 1, 5), GOOD)
-    track = Track(np.arange(1, FRAMES), points, covariance, session.truth.angles[1:].copy(), states, parts)
+    states = ["acquiring", "tracking", "tracking", "doubtful", "tracking"]
+    track = track_of(points, states, first=1, sd_m=0.03, angles=session.truth.angles[1:].copy())
     return evaluate_track(session, FRAMES, track, thesis=track)
 
 
 def test_every_page_of_plots_is_written(evaluated, tmp_path):
     paths = draw_plots(tmp_path, evaluated)
-    assert {path.stem for path in paths} == {
-        "angles_neck_elbows",
-        "angles_shoulders",
-        "angles_hips",
-        "angles_knees",
-        "point_errors",
-        "errors",
-    }
+    angles = {f"angles_{joints}" for joints in ("neck_elbows", "shoulders", "hips", "knees")}
+    assert {path.stem for path in paths} == angles | {"point_errors", "errors"}
     for path in paths:
         assert cv2.imread(str(path)).std() > 5.0  # there is something on it
 

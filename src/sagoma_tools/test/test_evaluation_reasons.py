@@ -94,13 +94,11 @@ def test_a_bag_of_a_tracked_person_without_the_topics_asks_for_these(tmp_path):
 
 
 def test_evaluate_ends_with_the_reasons_of_a_session_in_which_nobody_is_found(tmp_path, capsys):
-    folder = write_session(
-        tmp_path / "s", ring(3, False), Body.from_stature(1.75), "t_pose_only", fps=20.0, seconds=0.2
-    )
-    arguments = ("--exact-masks", "--json", "--set", "hull_server.backend=cpu")
-    assert (
-        main(["evaluate", str(folder), *arguments, "--set", "icp_tracker.initial_pose.t_pose.stature_high_m=1.4"]) == 2
-    )
+    body = Body.from_stature(1.75)
+    folder = write_session(tmp_path / "s", ring(3, False), body, "t_pose_only", fps=20.0, seconds=0.2)
+    settings = ("hull_server.backend=cpu", "icp_tracker.initial_pose.t_pose.stature_high_m=1.4")
+    arguments = ["--exact-masks", "--json", *(word for one in settings for word in ("--set", one))]
+    assert main(["evaluate", str(folder), *arguments]) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "no body was found in any frame: of 4 frame sets the tracker said" in said
     assert "Start from a T-pose" not in said

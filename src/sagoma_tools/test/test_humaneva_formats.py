@@ -1,14 +1,18 @@
-"""HumanEva-I's file formats one by one, and what is said when a file is damaged."""
+"""HumanEva-I's file formats one by one, damaged ones too, and the joints that follow from the body model's points."""
 
 import numpy as np
 import pytest
-from humaneva_files import write_c3d, write_cal, write_mp
+from humaneva_files import SHOULDER_WIDTH_MM, joints_of, marker_points, model_points, write_c3d, write_mp
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
-from sagoma_tools.importers.formats import Offset, common_time, read_c3d, read_cal, read_mp, read_ofs
-from virtual_studio.rig import ring
+from sagoma_tools.importers.formats import Mocap, Offset, common_time, read_c3d, read_cal, read_mp, read_ofs
+from sagoma_tools.importers.humaneva_joints import Instants, Measures, joints, measures, segment
+from stick_figure.body import Body
+from stick_figure.kinematics import forward
+from virtual_studio.motions.catalogue import walk
 
 CAL = "700 710\n320 240\n0\n-0.2 0.1 0.001 -0.002 0.03\n1 0 0\n0 0 -1\n0 1 0\n100 1200 3400\n"
 
@@ -16,28 +20,6 @@ CAL = "700 710\n320 240\n0\n-0.2 0.1 0.001 -0.002 0.03\n1 0 0\n0 0 -1\n0 1 0\n10
 def tracks(frames=5, seed=1):
     rng = np.random.default_rng(seed)
     return {name: rng.uniform(-900, 900, (frames, 3)) for name in ("RASI", "C7", "PELO", "LFEP")}
-
-
-def test_cal_numbers_become_a_camera_in_metres(tmp_path):
-    (tmp_path / "C1.cal").write_text(CAL)
-    camera = read_cal(tmp_path / "C1.cal", "cam01", 640, 480)
-    # by hand: X = (-100, 600, -1200) mm -> R X + T = (0, 2400, 4000) mm, without its lens (0, 0.6)
-    assert camera.R_camera_world @ [-0.1, 0.6, -1.2] + camera.t_camera_world == pytest.approx([0.0, 2.4, 4.0])
-    assert camera.K.tolist() == [[700, 0, 320], [0, 710, 240], [0, 0, 1]]
-    assert camera.D.tolist() == [-0.2, 0.1, 0.001, -0.002, 0.03]
-    # ... and with it, by the formula of Bouguet's toolbox: y (1 + k1 r2 + k2 r2^2 + k3 r2^3) + p1 (r2 + 2 y^2)
-    r2 = 0.36
-    y = 0.6 * (1 - 0.2 * r2 + 0.1 * r2**2 + 0.03 * r2**3) + 0.001 * (3 * r2)
-    x = -0.002 * r2
-    assert camera.project([-0.1, 0.6, -1.2]) == pytest.approx([320 + 700 * x, 240 + 710 * y])
-
-
-def test_cal_written_with_few_digits_projects_within_a_hundredth_of_a_pixel(tmp_path):
-    for known in ring(3).cameras:
-        read = read_cal(write_cal(tmp_path / "C.cal", known), "cam01", known.width, known.height)
-        points = np.random.default_rng(3).uniform([-0.5, -0.5, 0.0], [0.5, 0.5, 1.8], (50, 3))
-        assert np.abs(read.project(points) - known.project(points)).max() < 0.01
-        assert read.R_camera_world @ read.R_camera_world.T == pytest.approx(np.eye(3), abs=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -57,12 +39,6 @@ def test_damaged_cal_is_refused_by_name(tmp_path, text, message):
     with pytest.raises(InputError, match=message) as caught:
         read_cal(tmp_path / "C1.cal", "cam01", 640, 480)
     assert caught.value.remedy
-
-
-def test_ofs_holds_image_mocap_and_their_rate(tmp_path):
-    (tmp_path / "x.ofs").write_text("82.5 \n 34\n1.999871\n")
-    offset = read_ofs(tmp_path / "x.ofs")
-    assert (offset.image, offset.mocap, offset.mocap_per_image) == (82.5, 34.0, 1.999871)
 
 
 @pytest.mark.parametrize("text", ["1 2", "1 2 0", "1 2 -2", "1 2 two", ""])
@@ -92,18 +68,14 @@ def test_c3d_points_are_found_by_label_in_floats_and_in_integers(tmp_path, step,
         assert np.abs(mocap.track_mm(label) - track).max() < max(step, 1e-3)
 
 
-def test_c3d_in_metres_is_read_as_millimetres_and_unseen_points_stay_zero(tmp_path):
+def test_c3d_in_metres_is_read_as_millimetres_unseen_points_stay_zero_and_missing_ones_are_named(tmp_path):
     written = tracks()
     written["C7"][2] = 0.0
     path = write_c3d(tmp_path / "x.c3d", {label: track / 1000 for label, track in written.items()}, unit="m")
     mocap = read_c3d(path)
     assert mocap.track_mm("PELO") == pytest.approx(written["PELO"], abs=1e-3)
     assert (mocap.track_mm("C7")[2] == 0).all()
-
-
-def test_either_of_two_names_finds_a_point_and_a_missing_one_is_named(tmp_path):
-    mocap = read_c3d(write_c3d(tmp_path / "x.c3d", tracks()))
-    assert mocap.track_mm("NONE", "C7") is not None
+    assert mocap.track_mm("NONE", "C7") is not None  # either of two names
     with pytest.raises(InputError, match=r"x\.c3d: has no point labelled LFRM or LFRA"):
         mocap.track_mm("LFRM", "LFRA")
 
@@ -154,3 +126,111 @@ def test_every_image_is_within_half_a_frame_of_the_common_instant(pairs, rate, f
     for name, offset in offsets.items():
         taken_at = offset.mocap + (time.image(name, frame) - offset.image) * rate  # what the .ofs file says
         assert abs(taken_at - instant) <= 0.5 * rate + 1e-6
+
+
+# --- joints
+
+SIZES = Measures(SHOULDER_WIDTH_MM / 2 - 7.0, {"L": 46.0, "R": 52.0})
+GRID_HZ = 600
+
+
+@pytest.fixture(scope="module")
+def person():
+    """Points (F, 15, 3) m and torso rotations (F, 3, 3) of a walk at 600 Hz."""
+    body = Body.from_stature(1.70)
+    poses = walk(body, 3.0, GRID_HZ).poses[1000:1500]
+    return np.array([forward(body, pose) for pose in poses]), np.array([pose.R_world_torso for pose in poses])
+
+
+def mocap_of(points, R_torso):
+    tracks = {**marker_points(points), **model_points(points, R_torso)}
+    column = {label: index for index, label in enumerate(tracks)}
+    return Mocap(None, column, np.stack(list(tracks.values()), axis=1), 120.0)
+
+
+def test_joints_at_whole_mocap_frames_are_the_persons(person):
+    points, R_torso = person
+    found = joints(mocap_of(points[::5], R_torso[::5]), np.arange(1.0, 101.0), SIZES)
+    assert found.valid.all()
+    for name, expected in joints_of(points[::5], R_torso[::5]).items():
+        assert found.points_mm[name] == pytest.approx(1e3 * expected, abs=1e-6), name
+
+
+def test_joints_between_mocap_frames_are_the_persons_within_a_millimetre(person):
+    points, R_torso = person  # mocap at 120 Hz: every fifth; asked for at two fifths of the way
+    found = joints(mocap_of(points[::5], R_torso[::5]), np.arange(1.0, 99.0) + 0.4, SIZES)
+    for name, expected in joints_of(points[2:492:5], R_torso[2:492:5]).items():
+        off_mm = np.linalg.norm(found.points_mm[name] - 1e3 * expected, axis=1)
+        assert off_mm.max() < 1.0, name
+    speed_mm = np.linalg.norm(np.diff(found.points_mm["LAnkle"], axis=0), axis=1)
+    assert speed_mm.max() > 15.0  # a mocap frame off would show
+
+
+def test_torso_leans_back_and_upper_arms_turn_back(person):
+    points, R_torso = (a[:1] for a in person)
+    mocap = mocap_of(points, R_torso)
+    placed = {"TRXO": [0, 0, 400], "LCLO": [0, 200, 400]}
+    for segment_name, origin, arm in (("PEL", [0, 0, 0], 100), ("LHU", [0, 200, 100], 90), ("LRA", [0, 200, -150], 90)):
+        placed[f"{segment_name}O"] = origin
+        placed |= {f"{segment_name}{end}": origin + arm * np.eye(3)[k] for k, end in enumerate("ALP")}
+    for label, at in placed.items():
+        mocap.points_mm[0, mocap.column[label]] = np.array([1000.0, 0.0, 0.0]) + at  # a body that faces +x; mm
+    found = joints(mocap, np.array([1.0]), Measures(160.0, {"L": 60.0, "R": 60.0})).points_mm
+    # the torso, 400 long, leans back by atan(80 / 400) from 50 behind the pelvis; the neck is half way to the thorax
+    lean = np.arctan2(80.0, 400.0)
+    assert found["Pelvis"][0] == pytest.approx([950, 0, 0])
+    neck = [1000 + (-50 - 400 * np.sin(lean)) / 2, 0, (400 * np.cos(lean) + 400) / 2]
+    assert found["Neck"][0] == pytest.approx(neck)
+    assert neck[0] < 950  # behind the pelvis's point
+    # the upper arm: 300 long, turned back by atan(30 / 300); the forearm, 250 long, starts there and is turned forward
+    turn = np.arctan2(30.0, 300.0)
+    elbow = [1000 - 300 * np.sin(turn), 200, 400 - 300 * np.cos(turn)]
+    assert found["LElbow"][0] == pytest.approx(elbow)
+    assert found["LWrist"][0] == pytest.approx([elbow[0] + 250 * np.sin(turn), 200, elbow[2] - 250 * np.cos(turn)])
+
+
+def test_segment_axes_turn_evenly_between_two_mocap_frames():
+    begin, turn = Rotation.from_euler("xyz", [0.4, -0.3, 2.0]), np.array([0.2, -0.9, 0.5])
+    end = Rotation.from_rotvec(turn) * begin
+    origins = np.array([[100.0, 200, 300], [200.0, 250, 310]])
+    points = np.array([[o, *(o + 80 * R.as_matrix().T)] for o, R in zip(origins, (begin, end), strict=True)])
+    mocap = Mocap(None, {"PELO": 0, "PELA": 1, "PELL": 2, "PELP": 3}, points, 120.0)
+    pelvis = segment(mocap, Instants.of(np.array([1.0, 1.25, 2.0]), 2), "PEL")
+    for k, share in enumerate((0.0, 0.25, 1.0)):
+        expected = Rotation.from_rotvec(share * turn) * begin
+        assert (Rotation.from_matrix(pelvis.R_world_segment[k]) * expected.inv()).magnitude() < 1e-9
+        assert pelvis.origin_mm[k] == pytest.approx(origins[0] + share * (origins[1] - origins[0]))
+
+
+@pytest.mark.parametrize("label", ["C7", "RFRA", "LTOE", "TRXO", "PELL", "LHUP", "RTIO", "LFEP"])
+def test_frames_beside_a_lost_point_are_invalid_and_no_others(person, label):
+    points, R_torso = (a[::20] for a in person)
+    mocap = mocap_of(points, R_torso)
+    mocap.points_mm[9, mocap.column[label]] = 0.0  # mocap frame 10
+    positions = np.array([8.0, 9.0, 9.01, 9.5, 10.0, 10.99, 11.0, 12.0])
+    found = joints(mocap, positions, SIZES)
+    assert found.valid.tolist() == [True, True, False, False, False, False, True, True]
+
+
+def test_points_that_are_no_frame_and_instants_beyond_the_motion_capture_are_invalid(person):
+    points, R_torso = (a[::20] for a in person)
+    mocap = mocap_of(points, R_torso)
+    column = mocap.column
+    mocap.points_mm[4, column["PELA"]] = mocap.points_mm[4, column["PELL"]]  # two axes in one
+    mocap.points_mm[6, [column["LFEA"], column["LFEL"]]] = mocap.points_mm[6, [column["LFEL"], column["LFEA"]]]
+    found = joints(mocap, np.arange(1.0, 9.0), SIZES)
+    assert found.valid.tolist() == [True] * 4 + [False, True, False, True]
+    beyond = joints(mocap_of(points, R_torso), np.array([0.5, 1.0, 25.0, 25.2, 60.0]), SIZES)
+    assert beyond.valid.tolist() == [False, True, True, False, False]
+
+
+def test_chest_radius_leaves_out_frames_in_which_a_shoulder_was_not_seen(tmp_path):
+    still = {"LSHO": np.tile([0.0, 200.0, 1400.0], (4, 1)), "RSHO": np.tile([0.0, -160.0, 1400.0], (4, 1))}
+    still["RSHO"][1] = 0.0
+    mp = write_mp(tmp_path / "S2.mp")
+    found = measures(read_c3d(write_c3d(tmp_path / "Static.c3d", still)), mp)
+    assert found.chest_radius_mm == pytest.approx(360 / 2 - 7)
+    assert found.shoulder_offset_mm == {"L": 46.0, "R": 52.0}
+    still["RSHO"][:] = 0.0
+    with pytest.raises(InputError, match=r"Static\.c3d: both shoulder markers"):
+        measures(read_c3d(write_c3d(tmp_path / "Static.c3d", still)), mp)

@@ -60,12 +60,9 @@ def images(path):
         return np.array(list(video))
 
 
-def test_all_cameras_have_every_common_frame_from_the_sixth_on(imported, films):
+def test_all_cameras_have_every_common_frame_from_the_sixth_on_and_a_flash_of_light_at_one(imported, films):
     assert load_session(imported[0]).fps == 60.0
     assert {imported[1].footage.frames, *map(len, films.values())} == {LAST_COMMON - FIRST + 1}
-
-
-def test_a_flash_of_light_is_at_one_frame_in_all_cameras(films):
     for name, film in films.items():
         brightness = film.mean(axis=(1, 2, 3))
         others = np.delete(brightness, FLASH_COMMON - FIRST)
@@ -103,6 +100,8 @@ def test_calibration_projects_points_where_opencv_puts_them(data_set, imported):
         expected = cv2.projectPoints(points, rotation, known.t_camera_world, known.K, known.D)[0][:, 0]
         assert np.abs(rig.camera(name).project(points) - expected).max() < 0.01
         assert (rig.camera(name).width, rig.camera(name).height) == (320, 240)
+        read_R = rig.camera(name).R_camera_world
+        assert read_R @ read_R.T == pytest.approx(np.eye(3), abs=1e-14)
 
 
 def test_truth_is_where_the_person_was_and_empty_in_gaps(data_set, imported):
@@ -170,30 +169,30 @@ def test_footage_alone_needs_no_motion_capture(data_set, copy, tmp_path):
     assert session.fps == 60.0
 
 
-def damage_missing(*parts):
-    return lambda root: root.joinpath(*parts).unlink()
+def missing(path):
+    return lambda root: root.joinpath(path).unlink()
 
 
-def damage_text(text, *parts):
-    return lambda root: root.joinpath(*parts).write_text(text)
+def no_movie(root):
+    root.joinpath("S2/Image_Data/Walking_1_(C2).avi").write_text("none")
 
 
 def short_movie(root):
-    write_avi(root / "S2" / "Image_Data" / "Walking_1_(C3).avi", [np.zeros((240, 320), np.uint8)] * 5)
+    write_avi(root / "S2/Image_Data/Walking_1_(C3).avi", [np.zeros((240, 320), np.uint8)] * 5)
 
 
 def other_size(root):
-    write_avi(root / "Background" / "Background_1_(C2).avi", [np.zeros((120, 160), np.uint8)] * 9)
+    write_avi(root / "Background/Background_1_(C2).avi", [np.zeros((120, 160), np.uint8)] * 9)
 
 
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (damage_missing("S2", "Image_Data", "Walking_1_(C2).avi"), r"\(C2\)\.avi: is not there.*has Walking_1"),
-        (damage_text("none", "S2", "Image_Data", "Walking_1_(C2).avi"), r"\(C2\)\.avi: cannot be opened as a video"),
-        (damage_missing("S2", "Calibration_Data", "BW1.cal"), r"BW1\.cal: is not there"),
-        (damage_missing("S2", "Sync_Data", "Walking_1_(C1).ofs"), r"Sync_Data: has no \.ofs file of camera C1"),
-        (damage_missing("S2", "Mocap_Data", "Static.c3d"), r"Static\.c3d: cannot be read"),
+        (missing("S2/Image_Data/Walking_1_(C2).avi"), r"\(C2\)\.avi: is not there.*has Walking_1"),
+        (no_movie, r"\(C2\)\.avi: cannot be opened as a video"),
+        (missing("S2/Calibration_Data/BW1.cal"), r"BW1\.cal: is not there"),
+        (missing("S2/Sync_Data/Walking_1_(C1).ofs"), r"Sync_Data: has no \.ofs file of camera C1"),
+        (missing("S2/Mocap_Data/Static.c3d"), r"Static\.c3d: cannot be read"),
         (short_movie, r"\(C3\)\.avi: ends after 5 images, before image 8"),
         (other_size, r"Background_1_\(C2\)\.avi: its images have shape \(120, 160, 3\)"),
         (lambda root: shutil.rmtree(root / "Background"), r"Background: has no Background_\*_\(C1\)\.avi"),

@@ -1,6 +1,7 @@
 """Tools with --namespace see the graph below it, named as without one, and no other graph."""
 
 import threading
+from contextlib import contextmanager
 
 import pytest
 import rclpy
@@ -9,6 +10,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
+from tools_waiting import until
 
 from capture_rig.errors import InputError
 from ekf_tracker.ekf_node import EkfNode
@@ -28,25 +30,14 @@ KEPT = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 @pytest.fixture
 def graphs():
     """Two graphs in one domain, of one camera client each, and what each says on /icp/body."""
-    with (
-        RosLink("camera_client", namespace="/studio/cam01") as ours,
-        RosLink("camera_client", namespace="/cam01") as root,
-    ):
-        for link, name in ((ours, "/studio"), (root, "")):
+    studio, root = RosLink("camera_client", namespace="/studio/cam01"), RosLink("camera_client", namespace="/cam01")
+    with studio, root:
+        for link, name in ((studio, "/studio"), (root, "")):
             link.node.create_service(Trigger, f"~/{SERVICE}", lambda request, response: response)
             publisher = link.node.create_publisher(String, f"{name}/icp/body", KEPT)
             publisher.publish(String(data=f"of {name or 'the root'}"))
             link.node.create_publisher(String, f"{name}/cam01/silhouette/compressed", KEPT)
         yield
-
-
-def until(met):
-    """Wait for discovery, which rclpy tells nobody of."""
-    deadline, ended = PATIENCE_S / 0.05, threading.Event()
-    while not met():
-        deadline -= 1
-        assert deadline > 0
-        ended.wait(0.05)
 
 
 def test_nodes_services_and_topics_are_those_of_the_namespace(graphs):
@@ -81,9 +72,8 @@ def test_the_page_looks_at_the_graph_of_its_namespace(graphs):
         link.node.create_subscription(String, in_graph(link.node, "/icp/body"), lambda message: heard.set(), KEPT)
         assert heard.wait(PATIENCE_S)
         feed.watch([("/icp/body", "std_msgs/msg/String")])
-        assert [each.topic_name for each in link.node.subscriptions if each.topic_name.endswith("body")] == [
-            "/studio/icp/body"
-        ] * 2
+        subscribed = [each.topic_name for each in link.node.subscriptions if each.topic_name.endswith("body")]
+        assert subscribed == ["/studio/icp/body"] * 2
 
 
 def test_a_namespace_that_is_none_is_refused_before_anything_starts(tmp_path, capsys):
@@ -92,13 +82,13 @@ def test_a_namespace_that_is_none_is_refused_before_anything_starts(tmp_path, ca
 
 
 def test_commands_drive_and_examine_the_nodes_of_their_namespace_and_no_others(capsys):
-    with RunningFilter("/studio") as studio, RunningFilter("") as root:
+    with running_filter("/studio") as studio_state, running_filter("") as root_state:
         with RosLink("tool") as tool:
             until(lambda: {"/studio/ekf_tracker", "/ekf_tracker"} <= {*node_names(tool.node)})
         for namespace, states in (("/studio", ["active", "unconfigured"]), ("", ["active", "active"])):
             assert main(["start", "--namespace", namespace, "--wait", "30"]) == 0
             assert capsys.readouterr().out == f"{namespace}/ekf_tracker: active\n"
-            assert [studio.state, root.state] == states
+            assert [studio_state(), root_state()] == states
             until(lambda namespace=namespace: states_in(namespace) == [("/ekf_tracker", "active")])
 
 
@@ -106,28 +96,20 @@ def states_in(namespace):
     return [(node.name, node.state) for node in collect_graph(0.1, namespace=namespace).nodes]
 
 
-class RunningFilter:
-    """An EKF tracker in a namespace, spun by a thread of its own."""
-
-    def __init__(self, namespace):
-        self._context = Context()
-        rclpy.init(context=self._context)
-        self._node = EkfNode(context=self._context, namespace=namespace or "/")
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._executor.spin)
-
-    @property
-    def state(self):
-        return self._node._state_machine.current_state[1]
-
-    def __enter__(self):
-        self._thread.start()
-        return self
-
-    def __exit__(self, *error):
-        self._executor.shutdown()
-        self._thread.join()
-        self._node.close()
-        self._node.destroy_node()
-        self._context.try_shutdown()
+@contextmanager
+def running_filter(namespace):
+    """An EKF tracker in a namespace, spun by a thread of its own; yields who tells its state."""
+    context = Context()
+    rclpy.init(context=context)
+    node, executor = EkfNode(context=context, namespace=namespace or "/"), SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    try:
+        yield lambda: node._state_machine.current_state[1]
+    finally:
+        executor.shutdown()
+        thread.join()
+        node.close()
+        node.destroy_node()
+        context.try_shutdown()

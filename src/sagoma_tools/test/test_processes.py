@@ -1,15 +1,20 @@
-"""What a child process leaves behind when it is killed."""
+"""Processes that end: how they are ended, what they leave behind, and which are started again."""
 
 import fcntl
 import os
+import queue
+import signal
 import sys
 import threading
 
 import psutil
 import pytest
-from test_supervisor_graph import segments_of
+from test_supervisor_graph import camera, segments_of, tiny
+from tools_waiting import until
 
+from sagoma_bringup.graph import processes_of
 from sagoma_tools.graph.processes import Child, Exit, busy_machine, remove_abandoned_memory, stop_children
+from sagoma_tools.graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy, restarted, with_kept_backgrounds
 
 
 def start(tmp_path, name, script, on_exit=lambda child: None):
@@ -18,8 +23,7 @@ def start(tmp_path, name, script, on_exit=lambda child: None):
 
 def test_children_end_on_sigint_even_when_they_inherit_it_ignored(tmp_path):
     """Background jobs of a shell script ignore SIGINT, and hand that on to what they start."""
-    script = "import time; print('ready', flush=True); time.sleep(600)"
-    child = start(tmp_path, "sleeper", script)
+    child = start(tmp_path, "sleeper", "import time; print('ready', flush=True); time.sleep(600)")
     wait_for_text(child, "ready")
     (ended,) = stop_children([child], grace_s=30.0)
     assert ended.exit is Exit.CLEAN and not psutil.pid_exists(child.pid)
@@ -82,12 +86,8 @@ def test_segments_of_a_living_node_stay(link):
 
 def wait_for_text(child, text):
     """The child's log, once it holds ``text``."""
-    for _ in range(600):
-        log = child.log.read_text()
-        if text in log:
-            return log
-        threading.Event().wait(0.05)
-    raise AssertionError(f"{child.name} never said {text!r}")
+    until(lambda: text in child.log.read_text())
+    return child.log.read_text()
 
 
 @pytest.mark.parametrize(("load", "said"), [(0.5, ""), (12.0, "load 12.0 on 2 processors")])
@@ -95,3 +95,116 @@ def test_a_busy_machine_is_named_as_the_cause(monkeypatch, load, said):
     monkeypatch.setattr("os.getloadavg", lambda: (load, 0.0, 0.0))
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     assert (said in busy_machine()) and bool(busy_machine()) == bool(said)
+
+
+# --- restarts
+
+SOON = RestartPolicy(first_s=0.1, longest_s=0.1, most=2)
+PATIENCE_S = 60.0
+
+
+@pytest.mark.parametrize(
+    ("deaths_s", "expected_s"),
+    [
+        ([10.0], 1.0),
+        ([10.0, 20.0], 2.0),
+        ([10.0, 20.0, 30.0, 40.0, 50.0], 16.0),
+        ([10.0, 400.0], 1.0),  # the first one is forgiven
+        ([10.0, 20.0, 30.0, 40.0, 50.0, 60.0], None),
+    ],
+)
+def test_delay_doubles_with_each_crash_until_the_process_is_given_up(deaths_s, expected_s):
+    assert RestartPolicy(first_s=1.0, longest_s=16.0, most=5, within_s=300.0).delay_s(deaths_s) == expected_s
+
+
+@pytest.mark.parametrize(
+    ("returncode", "reason"),
+    [
+        (3, "exit status 3"),
+        (-signal.SIGKILL, "killed by SIGKILL (by hand, or by the kernel when memory ran out: see dmesg)"),
+        (-signal.SIGSEGV, "killed by SIGSEGV (it crashed in native code; the end of its log has the Python stack)"),
+        (-signal.SIGTERM, "killed by SIGTERM"),
+        (-99, "killed by signal 99"),
+    ],
+)
+def test_exit_reason_names_the_signal_and_what_it_mostly_means(tmp_path, returncode, reason):
+    (process,) = processes_of([tiny("hull_server")])
+    assert ProcessExited(process, 1, returncode, tmp_path, "").reason == reason
+
+
+def test_live_cameras_keep_their_background_in_the_run_folder_unless_they_have_a_place_for_it(tmp_path):
+    given = camera("cam02").with_parameters({"background_file": "/somewhere/cam02.npz"})
+    footage = camera("cam03").with_parameters({"source": "footage"})
+    graph = with_kept_backgrounds([tiny("hull_server"), camera("cam01"), given, footage], tmp_path)
+    files = [spec.parameters.get("background_file") for spec in graph]
+    assert files == [None, str(tmp_path / "cam01_background.npz"), "/somewhere/cam02.npz", None]
+
+
+def test_a_restarted_tracker_finds_the_person_in_any_pose_and_every_node_becomes_active_by_itself():
+    nodes = [tiny("hull_server"), tiny("icp_tracker").with_parameters({"initial_pose.source": "t_pose"})]
+    given = [node.parameters for process in processes_of(nodes) for node in restarted(process).nodes]
+    assert all(parameters["autostart"] for parameters in given)
+    assert [parameters.get("initial_pose.source") for parameters in given] == [None, "auto"]
+
+
+@pytest.fixture()
+def watched(supervise):
+    """Start a graph with restarts; returns the supervisor, active, and the queue of what it tells."""
+
+    def start(*graph, policy=SOON):
+        told = queue.Queue()
+        supervisor = supervise(*graph, on_event=told.put, restart=policy)
+        supervisor.configure()
+        supervisor.activate()
+        return supervisor, told
+
+    return start
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.slow)])
+def test_killed_node_is_active_again_without_a_person_and_leaves_no_shared_memory(watched, number):
+    run, told = watched(tiny("hull_server"), camera("cam01"))
+    name = "/cam01/camera_client"
+    before = run.processes.pids()[name]
+    its_memory = segments_of(before)
+    os.kill(before, number)
+    death, back = told.get(timeout=PATIENCE_S), told.get(timeout=PATIENCE_S)
+    assert isinstance(death, ProcessExited) and death.process.label == "cam01" and death.pid == before
+    assert f"killed by {number.name}" in str(death) and "restart in 0.1 s" in str(death)
+    assert isinstance(back, ProcessRecovered) and back.pid == run.processes.pids()[name] != before
+    assert run.states() == {"/hull_server": "active", name: "active"}
+    log = run.processes.log_tail(name, lines=100)
+    assert "I am good" in death.log_tail and log.count("I am good") == 2  # the log goes on
+    assert [status.returncode for status in run.stop()] == [0, 0]
+    assert its_memory and not any(segment.exists() for segment in its_memory)
+
+
+def test_process_that_crashes_at_every_start_is_given_up_with_its_last_words(watched):
+    run, told = watched(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"))
+    # it died once while the graph started, and dies at each of the two restarts
+    deaths = [told.get(timeout=PATIENCE_S) for _ in range(4)]
+    assert [death.restart_s for death in deaths] == [None, 0.1, 0.1, None]
+    assert "the graph is not active" in str(deaths[0])
+    assert "crashed more than 2 times within 300 s" in str(deaths[3])
+    assert deaths[3].log_tail.endswith("the last words of a dying node")
+    states = run.states()
+    assert states["/cam01/camera_client"] == "dead"
+    assert states["/hull_server"] == states["/cam02/camera_client"] == "active"
+
+
+@pytest.mark.slow
+def test_who_was_asked_to_end_or_reads_footage_stays_ended_and_stop_starts_nothing(watched):
+    footage = camera("cam02").with_parameters({"source": "footage"})
+    patient = RestartPolicy(first_s=3600.0, longest_s=3600.0)
+    run, told = watched(tiny("hull_server"), camera("cam01"), footage, camera("cam03"), policy=patient)
+    ends = {"cam01": signal.SIGINT, "cam02": signal.SIGKILL, "cam03": signal.SIGKILL}
+    for label, number in ends.items():
+        os.kill(run.processes.pids()[f"/{label}/camera_client"], number)
+    deaths = {death.process.label: death for death in (told.get(timeout=PATIENCE_S) for _ in ends)}
+    assert "no restart: somebody asked it to end" in str(deaths["cam01"])
+    assert "no restart: it reads footage, and its place in it is lost" in str(deaths["cam02"])
+    assert deaths["cam03"].restart_s == 3600.0
+    states = run.states()
+    assert [states[f"/{label}/camera_client"] for label in ends] == ["dead", "dead", "restarting"]
+    run.stop()
+    assert told.empty()

@@ -1,20 +1,19 @@
 """Recording and replaying over real ROS topics, with a fake EKF at the far end."""
 
 import re
-import threading
-import time
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 import yaml
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import CompressedImage, JointState, MultiDOFJointState
+from sensor_msgs.msg import CompressedImage, MultiDOFJointState
+from tools_waiting import until
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, Topic, camera_topics
+from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, camera_topics
 from sagoma_tools.recording.reader import BagMessage, read_messages
 from sagoma_tools.recording.recorder import Recorder, has_header
 from sagoma_tools.recording.replayer import Answers, InputPublishers, play_lockstep, play_timed, timed_by_exposures
@@ -78,22 +77,16 @@ class CountingClock:
         return self._stop_after is None or len(self.waited) <= self._stop_after
 
 
-class ListOfPublished:
-    def __init__(self):
-        self.published = []
-
-    def publish(self, message):
-        self.published.append(message)
-
-
 @pytest.mark.parametrize("rate", [1.0, 0.25])
-def test_timed_replay_waits_for_recorded_intervals_divided_by_the_rate(rate):
+def test_timed_replay_waits_for_recorded_intervals_divided_by_the_rate_until_it_is_stopped(rate):
     log_ms = [0, 5, 5, 40, 1000]
     messages = [BagMessage("/x", SILHOUETTE, EPOCH_NS + ms * 1_000_000, b"") for ms in log_ms]
-    clock, publishers = CountingClock(), ListOfPublished()
-    assert play_timed(messages, publishers, clock, rate) == 5
-    assert clock.waited == pytest.approx([1000.0 + ms / 1000 / rate for ms in log_ms])
-    assert publishers.published == messages
+    for stop_after, played in ((None, 5), (3, 3)):
+        clock, published = CountingClock(stop_after), []
+        publishers = SimpleNamespace(publish=published.append)
+        assert play_timed(messages, publishers, clock, rate) == played
+        assert clock.waited[:played] == pytest.approx([1000.0 + ms / 1000 / rate for ms in log_ms[:played]])
+        assert published == messages[:played]
 
 
 def test_timed_replay_keeps_step_with_the_stamps_of_footage_that_was_played_as_fast_as_it_was_answered():
@@ -123,13 +116,6 @@ def test_simulated_clock_shows_the_bags_time_at_the_bags_pace(rate):
     assert order == sorted(order)  # nothing of the bag is sent long before the clock shows its time
 
 
-def test_timed_replay_ends_when_it_is_stopped():
-    publishers = ListOfPublished()
-    messages = [silhouette("cam01", k) for k in range(10)]
-    assert play_timed(messages, publishers, CountingClock(stop_after=4)) == 4
-    assert publishers.published == messages[:4]
-
-
 @pytest.fixture()
 def far_link():
     with RosLink("fake_graph") as link:
@@ -142,19 +128,9 @@ def connected_publishers(link):
     return publishers
 
 
-def until(come):
-    """Wait for what rclpy has no event for: a change of the graph."""
-    end_s = time.monotonic() + 60
-    while not come() and time.monotonic() < end_s:
-        threading.Event().wait(0.05)
-    assert come()
-
-
 def test_lockstep_sends_no_set_before_the_one_before_is_answered(link, far_link):
     graph = FakeGraph(far_link)
-    answers = Answers(link.node)
-    publishers = connected_publishers(link)
-    report = play_lockstep(map(frame_set, range(30)), publishers, answers, timeout_s=20)
+    report = play_lockstep(map(frame_set, range(30)), connected_publishers(link), Answers(link.node), timeout_s=20)
     assert (report.sets, report.unanswered_ns, report.stray_answers) == (30, [], 0)
     # set k was answered after exactly 2 (k + 1) silhouettes had been heard: nothing ran ahead
     assert graph.answered_after == [2 * (k + 1) for k in range(30)]
@@ -164,17 +140,15 @@ def test_lockstep_sends_no_set_before_the_one_before_is_answered(link, far_link)
 
 def test_lockstep_notes_a_set_that_is_never_answered_and_goes_on(link, far_link):
     FakeGraph(far_link, deaf_to=(2,))
-    answers = Answers(link.node)
-    report = play_lockstep(map(frame_set, range(5)), connected_publishers(link), answers, timeout_s=2.0)
+    report = play_lockstep(map(frame_set, range(5)), connected_publishers(link), Answers(link.node), timeout_s=2.0)
     assert report.sets == 5
     assert report.unanswered_ns == [EPOCH_NS + 2 * PERIOD_NS]
 
 
 def test_lockstep_is_an_error_when_the_ekf_stays_silent_from_the_start(link, far_link):
     FakeGraph(far_link, deaf_to=range(5))
-    answers = Answers(link.node)
     with pytest.raises(InputError, match="/ekf/prediction: no answer to the first frame set"):
-        play_lockstep(map(frame_set, range(5)), connected_publishers(link), answers, timeout_s=0.5)
+        play_lockstep(map(frame_set, range(5)), connected_publishers(link), Answers(link.node), timeout_s=0.5)
 
 
 def test_replay_without_a_subscriber_names_the_topic(link):
@@ -217,21 +191,14 @@ def test_recorded_bytes_equal_the_published_ones(link, far_link, tmp_path):
     assert (tmp_path / "bag" / "rig.yaml").read_text() == rig.read_text()
     document = yaml.safe_load((tmp_path / "bag" / "sagoma.yaml").read_text())
     assert document["graph"]["/hull_server"]["voxel_mm"] == 20.0 and "rosbags" in document["software"]
-    assert re.fullmatch(r"\d+\.\d+\.\d+( \([0-9a-f]{12}(, modified)?\))?", document["software"]["sagoma"])
-
-
-def test_bag_metadata_carries_the_type_hashes_that_ros_itself_announces(link, tmp_path):
-    recorder = Recorder(link.node, tmp_path / "bag", [Topic("/probe", "sensor_msgs/msg/JointState")])
-    publisher = link.node.create_publisher(JointState, "/probe", LOSSLESS)
-    publisher.publish(JointState(name=["neck_x"]))
-    assert recorder.wait_for_count("/probe", 1, timeout_s=20)
-    announced = str(link.node.get_publishers_info_by_topic("/probe")[0].topic_type_hash)
-    recorder.close()
     metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
-    topic = metadata["topics_with_message_count"][0]["topic_metadata"]
-    assert topic["type_description_hash"] == announced
-    assert topic["offered_qos_profiles"][0]["reliability"] == "reliable"
-    assert metadata["storage_identifier"] == "mcap" and metadata["message_count"] == 1
+    assert metadata["storage_identifier"] == "mcap" and metadata["message_count"] == len(published)
+    described = [topic["topic_metadata"] for topic in metadata["topics_with_message_count"]]
+    (described,) = [topic for topic in described if topic["name"] == silhouette_topic("cam01")]
+    announced = far_link.node.get_publishers_info_by_topic(silhouette_topic("cam01"))[0].topic_type_hash
+    assert described["type_description_hash"] == str(announced)  # as ROS itself has it
+    assert described["offered_qos_profiles"][0]["reliability"] == "reliable"
+    assert re.fullmatch(r"\d+\.\d+\.\d+( \([0-9a-f]{12}(, modified)?\))?", document["software"]["sagoma"])
 
 
 def test_cameras_are_found_as_they_appear(link, far_link, tmp_path):
@@ -248,24 +215,3 @@ def test_every_output_topic_has_a_message_class_and_most_carry_a_stamp():
     unstamped = {topic.name for topic in OUTPUT_TOPICS} - stamped
     texts = {"/icp/body", "/icp/bodies", "/mocap/point_names", "/mocap/robot_description"}
     assert unstamped == texts | {"/mocap/skeleton", "/mocap/state"}
-
-
-def test_link_close_is_idempotent_and_ends_its_thread():
-    link = RosLink("short_lived")
-    link.close()
-    link.close()
-    assert "short_lived spin" not in {thread.name for thread in threading.enumerate()}
-
-
-def test_link_hands_a_callbacks_exception_to_its_owner_at_close():
-    link = RosLink("unlucky")
-    raised = threading.Event()
-
-    def fail():
-        raised.set()
-        raise OSError("no space left on device")
-
-    link.node.create_timer(0.01, fail)
-    assert raised.wait(10)
-    with pytest.raises(OSError, match="no space left"):
-        link.close()

@@ -1,13 +1,80 @@
-"""The link of a tool to a graph: what hours of messages leave behind."""
+"""The link of a tool to a graph: its end, its memory, its middleware, and nodes of our names that others run."""
 
 import gc
+import os
+import subprocess
+import sys
 import threading
 import tracemalloc
 
 import pytest
 from std_msgs.msg import Int64
 
+from capture_rig.errors import InputError
+from sagoma_ros.middleware import PROFILE_VARIABLE, QOS_FROM_PROFILE, profile_file, use_peers
+from sagoma_tools.graph import lifecycle_client as looks
+from sagoma_tools.graph.lifecycle_client import Place, foreign_nodes, living_nodes, own_machine, places_of, run_already
 from sagoma_tools.graph.ros_link import RosLink
+
+HULL, CAMERA = "/hull_server", "/cam01/camera_client"
+PIDS = {HULL: 7, CAMERA: 0x10009}
+OURS = {HULL: [Place("78fd", 7)], CAMERA: [Place("78fd", 9)]}
+UNKNOWN = Place("", 0)  # of another middleware
+
+
+@pytest.mark.parametrize(
+    ("found", "here", "foreign", "unknown"),
+    [
+        (OURS, "78fd", {}, []),
+        (OURS | {"/ekf_tracker": [Place("78fd", 5)]}, "78fd", {}, []),
+        ({}, "78fd", {}, [HULL, CAMERA]),
+        ({HULL: [Place("3d11", 7)]}, "78fd", {HULL: [Place("3d11", 7)]}, [HULL, CAMERA]),
+        (OURS | {HULL: [Place("78fd", 5), Place("78fd", 7)]}, "78fd", {HULL: [Place("78fd", 5)]}, []),
+        ({HULL: [Place("78fd", 5)]}, "78fd", {HULL: [Place("78fd", 5)]}, [HULL, CAMERA]),
+        ({HULL: [UNKNOWN], CAMERA: [UNKNOWN, UNKNOWN]}, "", {CAMERA: [UNKNOWN]}, []),
+    ],
+)
+def test_nodes_of_other_processes_are_foreign_and_names_without_one_of_ours_are_awaited(found, here, foreign, unknown):
+    assert foreign_nodes(found, here, PIDS) == (foreign, unknown)
+
+
+def test_a_machine_knows_its_own_number_and_process_though_others_have_the_name_of_its_node():
+    with RosLink("twin") as first, RosLink("twin") as second:
+        here = own_machine(first.node)
+        assert here == own_machine(second.node) != ""
+        assert foreign_nodes(places_of(first.node), here, {"/twin": os.getpid()})[1] == []
+
+
+@pytest.mark.parametrize(("places", "where"), [([Place("78fd", 5)], "this"), ([Place("3d11", 5)], "another")])
+def test_refusal_names_the_nodes_the_machine_and_the_remedy(places, where):
+    said = run_already({HULL: places}, "78fd")
+    assert said.startswith(f"/hull_server run already in this ROS domain on {where} machine. End that graph")
+    assert "ROS_DOMAIN_ID" in said
+
+
+@pytest.mark.usefixtures("somebody_is_found")
+def test_node_that_is_just_ending_is_waited_for_and_counts_no_longer(link, monkeypatch):
+    monkeypatch.setattr(looks, "ANSWER_S", 60.0)
+    ending = RosLink("hull_server")
+
+    class Cancel(threading.Event):
+        """Whoever waits has seen the node, which then ends."""
+
+        def wait(self, timeout=None):
+            ending.close()
+            return super().wait(timeout)
+
+    assert living_nodes(link.node, {HULL}, Cancel()) == {}
+    assert not ending.context.ok()
+
+
+@pytest.mark.usefixtures("somebody_is_found")
+def test_node_that_answers_nothing_counts_once_its_lease_is_over(link, monkeypatch):
+    monkeypatch.setattr(looks, "LEASE_S", 0.0)
+    with RosLink("hull_server"):
+        found = living_nodes(link.node, {HULL, CAMERA}, threading.Event())
+    assert list(found) == [HULL] and found[HULL][0].process == os.getpid() & 0xFFFF
+
 
 WARM, COUNTED = 1000, 1000
 PATIENCE_S = 60.0
@@ -37,3 +104,57 @@ def test_messages_leave_no_memory_behind():
         finally:
             tracemalloc.stop()
     assert (after - before) / COUNTED < 50.0
+
+
+# --- the middleware's settings for several machines
+
+LOAD = "from sagoma_tools.graph.ros_link import RosLink\nwith RosLink('loader'): print('loaded')"
+
+
+def test_peers_are_asked_by_unicast_with_our_profile():
+    environment = {}
+    use_peers("192.168.1.7, 192.168.1.8", environment)
+    assert environment == {
+        "ROS_STATIC_PEERS": "192.168.1.7;192.168.1.8",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        PROFILE_VARIABLE: str(profile_file()),
+        QOS_FROM_PROFILE: "1",
+    }
+    chosen = {PROFILE_VARIABLE: "mine.xml"}
+    use_peers("192.168.1.7", chosen)
+    assert chosen[PROFILE_VARIABLE] == "mine.xml"  # stays
+
+
+@pytest.mark.parametrize("text", ["", "server.local", "192.168.1.7;192.168.1.8", "192.168.1.300", "192.168.1.7,"])
+def test_what_is_no_address_is_refused(text):
+    environment = {}
+    with pytest.raises(InputError, match="is no IPv4 address") as refused:
+        use_peers(text, environment)
+    assert "--peers" in str(refused.value) and environment == {}
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_the_middleware_reads_the_profile_without_a_word_and_complains_of_a_spoilt_one(tmp_path, spoilt):
+    profile = tmp_path / "profile.xml"
+    text = profile_file().read_text()
+    profile.write_text(text.replace("leaseDuration>", "leaseDurations>") if spoilt else text)
+    environment = {**os.environ, PROFILE_VARIABLE: str(profile)}
+    done = subprocess.run([sys.executable, "-c", LOAD], capture_output=True, text=True, env=environment, check=True)
+    assert "loaded" in done.stdout
+    assert ("XMLPARSER" in done.stdout + done.stderr) == spoilt
+
+
+def test_link_hands_a_callbacks_exception_to_its_owner_at_close_which_ends_its_thread():
+    link = RosLink("unlucky")
+    raised = threading.Event()
+
+    def fail():
+        raised.set()
+        raise OSError("no space left on device")
+
+    link.node.create_timer(0.01, fail)
+    assert raised.wait(10)
+    with pytest.raises(OSError, match="no space left"):
+        link.close()
+    link.close()  # once more is no error
+    assert "unlucky spin" not in {thread.name for thread in threading.enumerate()}

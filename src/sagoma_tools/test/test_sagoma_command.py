@@ -10,30 +10,14 @@ from test_supervisor_graph import camera, tiny
 from capture_rig.errors import InputError
 from sagoma_tools.arguments import parse_settings
 from sagoma_tools.cli import main
-from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.recording.recorder import read_configuration
 from sagoma_tools.recording.writer import BagWriter
 
 TOPIC = "/mocap/joint_states"
 
 
-@pytest.fixture()
-def running_graph(tmp_path):
-    """Starts a server node and cameras that behave so, unconfigured, as some launch file may have started them."""
-
-    def start(*cameras):
-        graph = [tiny("hull_server"), *(camera(f"cam0{k}", behaviour) for k, behaviour in enumerate(cameras, start=1))]
-        supervisors.append(Supervisor(graph, tmp_path / "run"))
-        supervisors[-1].start()
-
-    supervisors = []
-    yield start
-    for supervisor in supervisors:
-        supervisor.stop()
-
-
-def test_start_suspend_and_stop_drive_every_node_and_report_its_state(running_graph, capsys, link):
-    running_graph("good")
+def test_start_suspend_and_stop_drive_every_node_and_report_its_state(supervise, capsys, link):
+    supervise(tiny("hull_server"), camera("cam01"))  # unconfigured, as some launch file may start them
     for verb, state in (("start", "active"), ("suspend", "inactive"), ("start", "active"), ("stop", "unconfigured")):
         assert main([verb, "--expect", "2", "--wait", "30"]) == 0
         assert capsys.readouterr().out == f"/cam01/camera_client: {state}\n/hull_server: {state}\n"
@@ -43,8 +27,8 @@ def test_start_suspend_and_stop_drive_every_node_and_report_its_state(running_gr
 
 
 @pytest.mark.slow
-def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_others(running_graph, capsys):
-    running_graph("refuses_to_configure", "never_answers")
+def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_others(supervise, capsys):
+    supervise(tiny("hull_server"), camera("cam01", "refuses_to_configure"), camera("cam02", "never_answers"))
     assert main(["start", "--expect", "3", "--wait", "30", "--timeout", "2"]) == 1
     said = capsys.readouterr().out
     assert "/hull_server: active" in said
@@ -52,8 +36,8 @@ def test_start_names_the_nodes_that_refuse_or_do_not_answer_and_starts_the_other
     assert "failed: /cam02/camera_client: configure did not answer" in said
 
 
-def test_start_with_a_rig_waits_for_its_nodes_and_starts_nothing_of_half_a_graph(running_graph, capsys):
-    running_graph("good", "good")
+def test_start_with_a_rig_waits_for_its_nodes_and_starts_nothing_of_half_a_graph(supervise, capsys):
+    supervise(tiny("hull_server"), camera("cam01"), camera("cam02"))
     rig = Path(__file__).resolve().parents[3] / "config" / "rig" / "ring4.yaml"
     assert main(["start", "--rig", str(rig), "--wait", "3"]) == 2
     said = capsys.readouterr()
@@ -76,30 +60,33 @@ def joint_states(bag, angles):
     return str(bag)
 
 
-def test_compare_tells_equal_from_different_bags(tmp_path, capsys):
+def test_compare_tells_equal_from_different_bags_and_refuses_those_without_outputs(tmp_path, capsys):
     a, b = joint_states(tmp_path / "a", [0.1, 0.2]), joint_states(tmp_path / "b", [0.1, 0.2])
     c = joint_states(tmp_path / "c", [0.1, 0.3])
     assert main(["compare", a, b]) == 0
     assert "identical       2 messages" in capsys.readouterr().out
     assert main(["compare", a, c]) == 1
     assert f"{TOPIC}: message 1 (of 2 and 2 messages) differs first" in capsys.readouterr().out
-
-
-def test_compare_of_bags_without_outputs_and_recover_of_a_complete_bag_are_input_errors(tmp_path, capsys):
-    with BagWriter(tmp_path / "a") as writer:
+    with BagWriter(tmp_path / "inputs") as writer:
         writer.add_topic("/cam01/camera_info", "sensor_msgs/msg/CameraInfo")
-    for command, said in ((["compare", str(tmp_path / "a")], "neither bag holds"), (["recover"], "is complete")):
-        assert main([*command, str(tmp_path / "a")]) == 2
-        assert said in capsys.readouterr().err
+    assert main(["compare", str(tmp_path / "inputs"), str(tmp_path / "inputs")]) == 2
+    assert "neither bag holds" in capsys.readouterr().err
 
 
-def test_recover_says_what_is_there_instead_of_a_bag(tmp_path, capsys):
+def test_recover_says_what_is_there_instead_of_a_damaged_bag(tmp_path, capsys):
+    joint_states(tmp_path / "complete", [])
     (tmp_path / "empty").mkdir()
     (tmp_path / "file.mcap").write_bytes(b"")
-    for name, said in (("missing", "there is no such"), ("file.mcap", "there is no such"), ("empty", "holds no .mcap")):
+    folder = "Give the folder that holds one .mcap file"
+    for name, said, remedy in (
+        ("complete", "is complete", ""),
+        ("missing", "there is no such", folder),
+        ("file.mcap", "there is no such", folder),
+        ("empty", "holds no .mcap", folder),
+    ):
         assert main(["recover", str(tmp_path / name)]) == 2
         error = capsys.readouterr().err
-        assert f"{tmp_path / name}: {said}" in error and "Give the folder that holds one .mcap file" in error
+        assert f"{tmp_path / name}: {said}" in error and remedy in error
 
 
 @pytest.mark.parametrize(

@@ -54,9 +54,8 @@ def bag(tmp_path):
             if k in OTHERS_SETS and k not in AWAY:
                 people[OTHER] = (points_of(smaller, k) + ASIDE_M, True)
             fitted = PeoplePoints({person: fit_of(*seen, rng) for person, seen in people.items()})
-            writer.write(
-                "/icp/reference_points", stamp_ns(k), serialize_message(people_cloud(fitted, stamp_ns(k), "map"))
-            )
+            cloud = people_cloud(fitted, stamp_ns(k), "map")
+            writer.write("/icp/reference_points", stamp_ns(k), serialize_message(cloud))
     return folder, *(np.array([points_of(one, k) for k in range(SETS)]) for one in (body, smaller))
 
 

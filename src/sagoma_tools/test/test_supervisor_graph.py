@@ -34,21 +34,6 @@ def segments_of(pid: int) -> list[Path]:
     return [Path(lock.removesuffix("_el")) for lock in locks if "fastrtps_port" not in lock]
 
 
-@pytest.fixture()
-def supervise(tmp_path):
-    running = []
-
-    def start(*graph: NodeSpec, **options) -> Supervisor:
-        supervisor = Supervisor(graph, tmp_path / "run", **options)
-        running.append(supervisor)
-        supervisor.start()
-        return supervisor
-
-    yield start
-    for supervisor in running:
-        supervisor.stop()
-
-
 def test_whole_graph_reaches_active_tells_of_itself_and_ends_cleanly(supervise):
     run = supervise(tiny("hull_server"), camera("cam01"), camera("cam02"))
     configured = run.configure()
@@ -88,37 +73,31 @@ def test_start_that_the_user_ends_is_an_interruption_and_no_failure(tmp_path):
     assert len(run.exit_statuses) == 1  # its process has ended
 
 
-def test_graph_goes_on_when_one_of_two_cameras_refuses(supervise):
-    run = supervise(tiny("hull_server"), camera("cam01", REFUSES), camera("cam02"))
-    outcome = run.configure()
-    assert [(each.node, each.verdict) for each in outcome.failures] == [("/cam01/camera_client", Verdict.REFUSED)]
-    run.activate()
-    assert run.states() == {
-        "/hull_server": "active",
-        "/cam01/camera_client": "unconfigured",
-        "/cam02/camera_client": "active",
-    }
-    with pytest.raises(GraphError, match="cam01"):
-        run.configure(tolerate_cameras=False)
-
-
-def test_dead_camera_is_reported_with_its_last_words_and_the_rest_is_active(supervise):
+def test_graph_goes_on_when_a_camera_refuses_and_another_dies_with_its_last_words(supervise):
     deaths, told = [], threading.Event()
 
     def on_event(death):
         deaths.append(death)
         told.set()
 
-    run = supervise(tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"), on_event=on_event)
-    run.configure()
+    graph = tiny("hull_server"), camera("cam01", "dies_when_activated"), camera("cam02"), camera("cam03", REFUSES)
+    run = supervise(*graph, on_event=on_event)
+    outcome = run.configure()
+    assert [(each.node, each.verdict) for each in outcome.failures] == [("/cam03/camera_client", Verdict.REFUSED)]
+    with pytest.raises(GraphError, match="cam03"):
+        run.configure(tolerate_cameras=False)
     its_memory = segments_of(run.processes.pids()["/cam01/camera_client"])
     outcome = run.activate()
     assert told.wait(30)
     assert outcome.silent == ("/cam01/camera_client",)
     assert deaths[0].process.label == "cam01" and deaths[0].log_tail.endswith("the last words of a dying node")
     assert "died: exit status 3; no restart: nobody asked for restarts" in str(deaths[0])
-    assert run.states()["/cam01/camera_client"] == "dead"
-    assert run.states()["/hull_server"] == run.states()["/cam02/camera_client"] == "active"
+    assert run.states() == {
+        "/hull_server": "active",
+        "/cam01/camera_client": "dead",
+        "/cam02/camera_client": "active",
+        "/cam03/camera_client": "unconfigured",
+    }
     exits = {ended.name: (ended.exit, ended.returncode) for ended in run.stop()}
     assert exits["cam01"] == (Exit.ALREADY_DEAD, 3) and exits["cam02"] == (Exit.CLEAN, 0)
     assert its_memory and not any(segment.exists() for segment in its_memory)

@@ -8,17 +8,15 @@ from capture_rig.errors import InputError
 from sagoma_tools.recording.reader import bag_topics, read_messages, read_provenance
 from sagoma_tools.recording.recorded_motion import recorded_motions
 from sagoma_tools.takes.folder import TakesFolder, trim
-from sagoma_tools.takes.measure import ERROR, OK, WARNING, finish_take, measure, read_summary, verify
+from sagoma_tools.takes.measure import ERROR, OK, WARNING, measure, read_summary, verify
 from sagoma_tools.takes.take import Background, Summary
 
 
 @pytest.fixture()
-def takes(tmp_path):
-    folder = TakesFolder(tmp_path / "takes")
-    path = folder.new_path("walk")
-    take_bags.write_take(path, 50, doubtful=range(10, 15), lost=range(22, 24), missing=range(30, 34))
-    finish_take(path)
-    return folder
+def takes(tmp_path, take_at):
+    walked = {"doubtful": range(10, 15), "lost": range(22, 24), "missing": range(30, 34)}
+    take_at(tmp_path / "takes" / "walk", 50, **walked)
+    return TakesFolder(tmp_path / "takes")
 
 
 def grades(take):
@@ -56,11 +54,8 @@ def test_a_part_is_a_new_take_that_says_what_it_is_of(takes):
     path = trim(takes, "walk", "middle", 0.1, 0.4)
     assert {file.name: file.read_bytes() for file in whole.iterdir()} == before
     made = takes.find("middle")
-    assert made.trimmed_from["take"] == "walk" and (made.trimmed_from["from_s"], made.trimmed_from["to_s"]) == (
-        0.1,
-        0.4,
-    )
-    assert made.trimmed_from["files"] == read_summary(whole).files
+    expected = {"take": "walk", "from_s": 0.1, "to_s": 0.4, "files": read_summary(whole).files}
+    assert {key: made.trimmed_from[key] for key in expected} == expected
     assert made.software == takes.find("walk").software and read_provenance(path)["graph"] == {}
     assert (made.summary.quality.begins_ns, made.summary.quality.sets) == (EPOCH_NS + 5 * PERIOD_NS, 16)
     assert bag_topics(path) == bag_topics(whole)
@@ -75,18 +70,22 @@ def test_a_part_is_a_new_take_that_says_what_it_is_of(takes):
     assert takes.find("less").trimmed_from["trimmed_from"]["take"] == "walk"
 
 
-@pytest.mark.parametrize(("from_s", "to_s"), [(-1.0, 1.0), (0.5, 0.5), (2.0, 3.0), (0.6, 0.2), (0.101, 0.102)])
-def test_a_part_that_is_none_is_refused_and_leaves_nothing(takes, from_s, to_s):
-    with pytest.raises(InputError, match=r"part"):
-        trim(takes, "walk", "middle", from_s, to_s)
+@pytest.mark.parametrize(
+    ("name", "from_s", "to_s", "says"),
+    [
+        ("middle", -1.0, 1.0, "part"),
+        ("middle", 0.5, 0.5, "part"),
+        ("middle", 2.0, 3.0, "part"),
+        ("middle", 0.6, 0.2, "part"),
+        ("middle", 0.101, 0.102, "part"),
+        ("walk", 0.1, 0.4, "already"),
+        ("../walk", 0.1, 0.4, "no name"),
+    ],
+)
+def test_a_part_that_is_none_or_overwrites_another_is_refused_and_leaves_nothing(takes, name, from_s, to_s, says):
+    with pytest.raises(InputError, match=says):
+        trim(takes, "walk", name, from_s, to_s)
     assert {file.name for file in takes.path.iterdir()} == {"walk"}
-
-
-def test_a_trim_overwrites_nothing(takes):
-    with pytest.raises(InputError, match="already"):
-        trim(takes, "walk", "walk", 0.1, 0.4)
-    with pytest.raises(InputError, match="no name"):
-        trim(takes, "walk", "../walk", 0.1, 0.4)
 
 
 def test_a_take_is_verified_and_a_changed_byte_is_found(takes):
@@ -99,9 +98,5 @@ def test_a_take_is_verified_and_a_changed_byte_is_found(takes):
     assert any(check.grade == ERROR and "hecksum" in check.text for check in checks)
     file.write_bytes(content[: len(content) // 2])
     assert ERROR in grades(takes.find("walk"))
-
-
-def test_a_take_of_before_is_verified_as_far_as_it_can_be(tmp_path):
-    takes = TakesFolder(tmp_path)
-    take_bags.write_take(tmp_path / "old", 10)
+    take_bags.write_take(takes.path / "old", 3)  # of before: as far as it can be
     assert grades(takes.find("old")) == {OK, WARNING}

@@ -1,5 +1,6 @@
-"""The takes of a folder: listed, named, renamed, deleted and brought back, with nothing overwritten."""
+"""The takes of a folder: listed, named, renamed, deleted and brought back, by the page's and the command's means."""
 
+import json
 import os
 import time
 
@@ -7,17 +8,17 @@ import pytest
 import take_bags
 
 from capture_rig.errors import InputError
+from sagoma_tools.cli import main
 from sagoma_tools.takes.folder import BEING_WRITTEN_S, TakesFolder
 from sagoma_tools.takes.measure import SIDECAR_TAKE, finish_take
 from sagoma_tools.takes.take import TakeState
 
 
 @pytest.fixture()
-def takes(tmp_path):
-    folder = TakesFolder(tmp_path / "takes")
-    take_bags.write_take(folder.new_path("walk"), 20)
-    finish_take(folder.path / "walk")
-    return folder
+def takes(tmp_path, take_at):
+    """A folder with one measured take, of twenty frames of which five are doubtful."""
+    take_at(tmp_path / "takes" / "walk", 20, doubtful=range(5))
+    return TakesFolder(tmp_path / "takes")
 
 
 def cut(takes, name="cut", seconds_ago=2 * BEING_WRITTEN_S):
@@ -52,10 +53,7 @@ def test_a_list_is_read_again_only_where_something_changed(takes):
     assert takes.takes()[0] is first[0]
     finish_take(takes.path / "walk")
     assert takes.takes()[0] is not first[0]
-
-
-def test_a_folder_that_is_not_there_holds_no_takes(tmp_path):
-    assert TakesFolder(tmp_path / "none").takes() == []
+    assert TakesFolder(takes.path / "none").takes() == []
 
 
 def test_a_new_take_overwrites_nothing_and_stays_in_its_folder(takes):
@@ -70,7 +68,7 @@ def test_a_new_take_overwrites_nothing_and_stays_in_its_folder(takes):
 
 def test_rename_keeps_every_byte_and_overwrites_nothing(takes):
     before = {path.name: path.read_bytes() for path in (takes.path / "walk").iterdir()}
-    take_bags.write_take(takes.path / "other", 3)
+    (takes.path / "other").mkdir()
     with pytest.raises(InputError, match="already"):
         takes.rename("walk", "other")
     for name in ("../out", "", "."):
@@ -82,20 +80,19 @@ def test_rename_keeps_every_byte_and_overwrites_nothing(takes):
 
 
 def test_nothing_outside_of_the_folder_can_be_named(takes, tmp_path):
-    take_bags.write_take(tmp_path / "outside", 3)
-    for name in ("../outside", str(tmp_path / "outside"), "..", ".", "", "walk/../../outside", "walk\0"):
+    outside = take_bags.write_take(tmp_path / "outside", 1)
+    for name in ("../outside", str(outside), "..", ".", "", "walk/../../outside", "walk\0"):
         for act in (takes.find, takes.delete, lambda name: takes.rename(name, "mine"), takes.restore):
             with pytest.raises(InputError):
                 act(name)
-    assert (tmp_path / "outside" / "metadata.yaml").exists()
+    assert (outside / "metadata.yaml").exists()
 
 
 def test_a_deleted_take_comes_back_from_the_bin_whole(takes):
-    take_bags.write_take(takes.path / "other", 3)
     takes.delete("walk")
     take_bags.write_take(takes.path / "walk", 5)
     takes.delete("walk")
-    assert [take.name for take in takes.takes()] == ["other"]
+    assert takes.takes() == []
     assert [deleted.name for deleted in takes.deleted()] == ["walk", "walk"]
     takes.restore("walk")
     with pytest.raises(InputError, match="already"):
@@ -107,7 +104,7 @@ def test_a_deleted_take_comes_back_from_the_bin_whole(takes):
 
 
 def test_the_bin_is_emptied_for_good_and_a_link_in_it_leads_nowhere(takes, tmp_path):
-    outside = take_bags.write_take(tmp_path / "outside", 3)
+    outside = take_bags.write_take(tmp_path / "outside", 1)
     (takes.path / "link").symlink_to(outside)
     takes.delete("link")
     takes.delete("walk")
@@ -123,3 +120,74 @@ def test_a_take_that_is_being_recorded_is_left_alone(takes):
     cut(takes, "killed")
     takes.delete("killed")
     assert [deleted.name for deleted in takes.deleted()] == ["killed"]
+
+
+# --- sagoma takes
+
+
+@pytest.fixture()
+def folder(takes):
+    """Beside the measured take there are one that was not measured and one whose recorder was killed."""
+    take_bags.write_take(takes.path / "old", 10)
+    cut(takes)
+    return takes.path
+
+
+def sagoma_takes(folder, *arguments):
+    return main(["takes", *arguments, "--takes", str(folder)])
+
+
+def test_takes_are_listed_for_people_and_for_programs(folder, capsys):
+    assert sagoma_takes(folder, "list") == 0
+    said = capsys.readouterr().out
+    rows = {line.split()[0]: line for line in said.splitlines()[1:4]}
+    assert "100 %" in rows["walk"] and "25 %" in rows["walk"] and "not measured" in rows["old"]
+    assert "recover" in said
+    assert sagoma_takes(folder, "list", "--json") == 0
+    listed = {take["name"]: take for take in json.loads(capsys.readouterr().out)}
+    assert listed["walk"]["summary"]["persons"]["b0001"]["doubtful"] == 0.25
+    assert (listed["old"]["state"], listed["old"]["summary"]) == ("whole", None)
+    assert listed["cut"]["state"] == "unfinished"
+
+
+def test_a_take_is_shown_measured_renamed_trimmed_deleted_and_brought_back(folder, capsys):
+    def does(status, *arguments):
+        assert sagoma_takes(folder, *arguments) == status
+        return capsys.readouterr().out
+
+    said = does(0, "show", "walk")
+    assert "20 frame sets" in said and "background: good" in said and "S1" in said
+    does(1, "show", "cut")
+    does(0, "measure", "old")
+    assert (folder / "old" / SIDECAR_TAKE).exists()
+    does(0, "rename", "old", "younger")
+    assert (folder / "younger").is_dir()
+    does(0, "trim", "walk", "part", "--from", "0.1", "--to", "0.3")
+    assert "trimmed from walk, 0.1 s to 0.3 s" in does(0, "show", "part")
+    does(0, "delete", "walk")
+    assert not (folder / "walk").exists() and "walk   deleted 20" in does(0, "bin")
+    does(0, "restore", "walk")
+    assert (folder / "walk").is_dir()
+    does(0, "delete", "walk")
+    does(2, "empty")  # nobody to ask
+    does(0, "empty", "--yes")
+    does(2, "restore", "walk")
+
+
+def test_a_take_is_verified_by_its_name_or_path_into_columns_or_json(folder, capsys):
+    assert sagoma_takes(folder, "verify", "walk") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) > 2 and {line[:8] for line in lines} == {"ok      ", "warning "}
+    assert main(["takes", "verify", str(folder / "walk"), "--json"]) == 0
+    assert {check["grade"] for check in json.loads(capsys.readouterr().out)} == {"ok", "warning"}
+    assert main(["takes", "verify", str(folder / "cut")]) == 1
+    assert capsys.readouterr().out.startswith("error   ")
+
+
+def test_a_take_whose_bytes_changed_is_not_measured_anew(folder, capsys):
+    file = folder / "walk" / "walk.mcap"
+    content = bytearray(file.read_bytes())
+    content[content.index(b"good; 100 frames")] ^= 1
+    file.write_bytes(content)
+    assert sagoma_takes(folder, "measure", "walk") == 2
+    assert "not those that were recorded" in capsys.readouterr().err

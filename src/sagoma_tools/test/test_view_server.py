@@ -8,6 +8,7 @@ import threading
 import msgspec
 import pytest
 import viser
+from websockets.datastructures import Headers
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -16,18 +17,8 @@ from sagoma_tools.cli import main
 from sagoma_tools.view.guard import COOKIE, Guard
 from sagoma_tools.view.server import FRAMING, PORT, SCRIPT, guarded_server, listening_socket
 
-CAMERA = {
-    "type": "ViewerCameraMessage",
-    "wxyz": [1, 0, 0, 0],
-    "position": [3.0, 0, 1],
-    "fov": 1.0,
-    "near": 0.01,
-    "far": 1000,
-    "image_height": 600,
-    "image_width": 800,
-    "look_at": [0, 0, 1],
-    "up_direction": [0, 0, 1],
-}
+CAMERA = {"type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [3.0, 0, 1], "look_at": [0, 0, 1]}
+CAMERA |= {"fov": 1.0, "near": 0.01, "far": 1000, "image_height": 600, "image_width": 800, "up_direction": [0, 0, 1]}
 OPENED = {"Cookie": f"{COOKIE}=secret"}
 PATIENCE_S = 60.0
 
@@ -57,9 +48,10 @@ def get_with_exactly(port, *headers, path="/"):
         return b"".join(iter(lambda: link.recv(1 << 16), b""))
 
 
-def test_the_server_asks_the_guard_before_it_serves_the_page(port):
+def test_the_server_asks_the_guard_before_it_serves_the_page_which_is_never_in_a_frame(port):
     assert get(port, "/").status == 403
     assert get(port, "/../guard.py", **OPENED).status == 404
+    assert get(port, "/" + "a" * 5000, **OPENED).status == 400  # too long for a file
     redirect = get(port, "/?token=secret")
     assert redirect.status == 303 and "HttpOnly" in redirect.getheader("Set-Cookie")
     page = get(port, "/", **OPENED)
@@ -67,6 +59,10 @@ def test_the_server_asks_the_guard_before_it_serves_the_page(port):
     body = page.read()
     assert len(body) == int(page.getheader("Content-Length")) and page.getheader("Content-Encoding") == "identity"
     assert body.index(b"<head>" + SCRIPT.encode()) < body.index(b"<title>")
+    bare = get_with_exactly(port, f"Host: 127.0.0.1:{port}", f"Cookie: {COOKIE}=secret")  # without Accept-Encoding
+    assert bare.startswith(b"HTTP/1.1 200 ") and SCRIPT.encode() in bare
+    for path in ("/", "/index.html"):
+        assert get(port, path, **OPENED).getheader(FRAMING[0]) == FRAMING[1] == "frame-ancestors 'none'"
 
 
 def test_the_server_refuses_connections_of_other_origins(port):
@@ -74,14 +70,6 @@ def test_the_server_refuses_connections_of_other_origins(port):
         connect(f"ws://127.0.0.1:{port}/", origin="http://evil.example", additional_headers=OPENED)
     with pytest.raises(InvalidStatus, match="403"):
         connect(f"ws://127.0.0.1:{port}/", origin=f"http://127.0.0.1:{port}")
-
-
-def test_the_page_is_served_without_accept_encoding_and_never_in_a_frame(port):
-    ours = f"Host: 127.0.0.1:{port}", f"Cookie: {COOKIE}=secret"
-    answer = get_with_exactly(port, *ours)
-    assert answer.startswith(b"HTTP/1.1 200 ") and SCRIPT.encode() in answer
-    for path in ("/", "/index.html"):
-        assert get(port, path, **OPENED).getheader(FRAMING[0]) == FRAMING[1] == "frame-ancestors 'none'"
 
 
 @pytest.mark.parametrize(
@@ -98,10 +86,6 @@ def test_odd_headers_are_refused_with_one_line_in_the_log(port, lines, caplog):
     assert answer.startswith(b"HTTP/1.1 400 ") and b"<html" not in answer
     (record,) = (record for record in caplog.records if record.levelno >= logging.WARNING)
     assert "could not be answered" in record.message and "\n" not in record.message and record.exc_info is None
-
-
-def test_a_path_too_long_for_a_file_is_refused(port):
-    assert get(port, "/" + "a" * 5000, **OPENED).status == 400
 
 
 def send(link, message):
@@ -127,14 +111,7 @@ def test_messages_of_wrong_types_are_left_out_and_every_control_goes_on(server, 
     bad: list[object] = [
         update_of(control, **updates)
         for control in controls
-        for updates in (
-            {"__dict__": {}},
-            {"value": {}},
-            {"value": [1]},
-            {"value": None},
-            {"update_cb": []},
-            {"nothing": 1},
-        )
+        for updates in ({"__dict__": {}}, {"value": {}}, {"value": [1]}, {"value": None}, {"update_cb": []}, {"no": 1})
     ]
     bad += [update_of(controls[0], value=value) for value in ("1", True, float("nan"), float("inf"))]
     bad += [update_of(controls[2], value=1), update_of(controls[1], value=7)]
@@ -173,11 +150,6 @@ def test_a_host_that_is_not_this_machine_ends_the_command_at_once(host, capsys):
     assert said.startswith(f"sagoma: --host: '{host}' is no address of this machine.") and "ip address" in said
 
 
-def test_an_empty_token_ends_the_command_with_the_remedy(capsys):
-    assert main(["view", "--host", "0.0.0.0", "--token", ""]) == 2
-    assert "--token: an empty token" in (said := capsys.readouterr().err) and "Leave --token out" in said
-
-
 def test_a_taken_port_is_refused_when_it_was_asked_for_and_else_passed_over(capsys):
     with listening_socket("127.0.0.1", None) as first, listening_socket("127.0.0.1", None) as second:
         taken = first.getsockname()[1]
@@ -186,3 +158,64 @@ def test_a_taken_port_is_refused_when_it_was_asked_for_and_else_passed_over(caps
             listening_socket("127.0.0.1", taken)
         assert main(["view", "--port", str(taken)]) == 2
         assert "Give another one" in capsys.readouterr().err
+
+
+# --- the guard, by the headers of a request
+
+OURS = Guard.of("127.0.0.1")
+OPEN = Guard.of("0.0.0.0", "secret")
+SOCKET = {"Host": "127.0.0.1:8080", "Upgrade": "websocket"}
+
+
+def asked(guard: Guard, path: str = "/", **headers: str) -> int:
+    """The status of the refusal; 200 for none."""
+    refusal = guard.refusal(path, Headers(headers))
+    return 200 if refusal is None else refusal.status_code
+
+
+def test_this_machine_needs_no_token_and_others_always_have_one():
+    assert OURS.token is None
+    made_up = Guard.of("192.168.1.5").token
+    assert made_up is not None and len(made_up) > 16 and made_up != Guard.of("192.168.1.5").token
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Host": "127.0.0.1:8080"}, 200),
+        ({"Host": "localhost:8080"}, 200),
+        ({"Host": "[::1]:8080"}, 200),
+        ({"Host": "evil.example:8080"}, 403),
+        ({"Host": ""}, 403),
+        ({**SOCKET, "Origin": "http://127.0.0.1:8080"}, 200),
+        ({**SOCKET, "Origin": "http://127.0.0.1:9999"}, 403),
+        ({**SOCKET, "Origin": "https://evil.example"}, 403),
+        ({**SOCKET, "Origin": "null"}, 403),
+    ],
+)
+def test_a_page_of_this_machine_answers_to_its_own_names_and_its_connection_comes_from_itself(headers, status):
+    assert asked(OURS, **headers) == status
+
+
+@pytest.mark.parametrize(
+    ("path", "headers", "status"),
+    [
+        ("/", {}, 403),
+        ("/?token=wrong", {}, 403),
+        ("/?token=secret", {}, 303),
+        ("/", OPENED, 200),
+        ("/", {"Cookie": f"{COOKIE}=other"}, 403),
+        ("/", {"Upgrade": "websocket", "Origin": "http://box:8080"}, 403),
+        ("/", {"Upgrade": "websocket", "Origin": "http://box:8080", **OPENED}, 200),
+        ("/", {"Upgrade": "websocket", "Origin": "http://evil.example", **OPENED}, 403),
+    ],
+)
+def test_a_token_becomes_a_cookie_and_the_cookie_opens_the_page(path, headers, status):
+    assert asked(OPEN, path, Host="box:8080", **headers) == status
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "127.0.0.1"])
+@pytest.mark.parametrize("token", ["", "  ", "two words", "a;b"])
+def test_an_empty_or_blank_token_ends_the_command_with_the_remedy(host, token, capsys):
+    assert main(["view", "--host", host, "--token", token]) == 2
+    assert "--token: " in (said := capsys.readouterr().err) and "Leave --token out" in said

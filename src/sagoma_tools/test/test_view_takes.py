@@ -10,12 +10,12 @@ import pytest
 import take_bags
 from diagnostic_msgs.msg import DiagnosticStatus
 from take_bags import EPOCH_NS, PERIOD_NS
+from tools_waiting import until
 
 from capture_rig.errors import InputError
 from motion_export.motion import UNTRACKED
 from sagoma_tools.graph.diagnostics_table import STALE_S, NodeReport
 from sagoma_tools.takes.folder import TakesFolder, describe
-from sagoma_tools.takes.measure import finish_take
 from sagoma_tools.view.control import ALL_FORMATS, Jobs, TakeActions
 from sagoma_tools.view.graph_panel import states_html, trouble_of
 from sagoma_tools.view.guard import Guard
@@ -27,10 +27,9 @@ FRAMES = 50
 
 
 @pytest.fixture()
-def takes(tmp_path):
-    folder = TakesFolder(tmp_path / "takes")
-    finish_take(take_bags.write_take(folder.new_path("walk"), FRAMES, lost=range(10, 20)))
-    return folder
+def takes(tmp_path, take_at):
+    take_at(tmp_path / "takes" / "walk", FRAMES, lost=range(10, 20))
+    return TakesFolder(tmp_path / "takes")
 
 
 def silently(text):
@@ -49,7 +48,7 @@ def test_buttons_do_what_the_commands_do(takes):
 
 
 def test_no_button_reaches_out_of_the_folder_or_touches_what_is_recorded(takes, tmp_path):
-    outside = take_bags.write_take(tmp_path / "outside", 3)
+    outside = take_bags.write_take(tmp_path / "outside", 1)
     work = TakeActions(takes, lambda: "walk")
     sent = []
     for name in ("walk", "../outside", str(outside), ""):
@@ -84,20 +83,13 @@ def test_one_job_runs_at_a_time_and_a_failure_is_said():
     assert jobs.request("waiting", lambda tell: begun.append(1) or str(jobs.cancelled.wait(30.0)))
     assert not jobs.request("second", lambda tell: "never") and "busy with: waiting" in jobs.said
     jobs.cancel()
-    wait_for(lambda: jobs.said == "True")
+    until(lambda: jobs.said == "True")
 
     def fails(tell):
         raise InputError("no such thing", remedy="Give another.")
 
     assert jobs.request("failing", fails)
-    wait_for(lambda: "no such thing" in jobs.said)
-
-
-def wait_for(done):
-    deadline_s = time.monotonic() + 30.0
-    while not done():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.005)  # Jobs has no event for its end: only the page asks
+    until(lambda: "no such thing" in jobs.said)
 
 
 def test_a_take_is_played_by_its_own_seconds_and_stands_still_when_paused(takes):
@@ -131,14 +123,15 @@ def test_a_pose_is_held_over_sets_that_were_left_out(tmp_path):
     assert last_frame(playback.motions["b0001"], EPOCH_NS + 12 * PERIOD_NS) == 9
 
 
-def test_a_take_begins_at_its_first_pose_and_no_time_passes_while_nobody_looks(tmp_path):
-    path = take_bags.write_take(tmp_path / "late", FRAMES, missing=range(20))
-    finish_take(path)
-    playback = Playback.of(describe(path))
+def test_a_take_begins_at_its_first_pose_and_no_time_passes_while_nobody_looks(tmp_path, take_at):
+    playback = Playback.of(describe(take_at(tmp_path / "late", FRAMES, missing=range(20))))
     assert playback.seconds == pytest.approx(
         (FRAMES - 1) * PERIOD_NS / 1e9
     )  # from the first set, though nobody is there
     assert playback.position_s == playback.first_pose_s == pytest.approx(20 * PERIOD_NS / 1e9)
+    motion = playback.motions["b0001"]
+    untracked = replace(motion, states=np.where(np.arange(len(motion)) < 7, UNTRACKED, motion.states))
+    assert first_pose_ns(untracked) == EPOCH_NS + 27 * PERIOD_NS
     now_s = time.monotonic() + 1000.0  # the page stood open for long before somebody came
     assert set(playback.new_figures_at(now_s)) == {"b0001"} and playback.position_s == playback.first_pose_s
     playback.stand()
@@ -148,15 +141,8 @@ def test_a_take_begins_at_its_first_pose_and_no_time_passes_while_nobody_looks(t
     assert playback.position_s == playback.first_pose_s
 
 
-def test_the_first_pose_is_the_first_in_which_somebody_is_tracked(takes):
-    motion = Playback.of(takes.find("walk")).motions["b0001"]
-    states = motion.states.copy()
-    states[:7] = UNTRACKED
-    assert first_pose_ns(replace(motion, states=states)) == EPOCH_NS + 7 * PERIOD_NS
-
-
 def test_the_page_of_a_take_opens_on_its_first_pose_with_the_take_chosen_and_named(takes):
-    finish_take(take_bags.write_take(takes.new_path("newer"), 5))
+    take_bags.write_take(takes.new_path("newer"), 5)
     page = Page(Guard("127.0.0.1", None), 0, takes)
     try:
         page.show_take(takes.path / "walk")

@@ -1,0 +1,216 @@
+"""Points, angles, covariance coverage, jitter and time to track against values known by construction."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from evaluation_tracks import SLOT, track_of, truth_of, turns, walker
+from scipy.spatial.transform import Rotation
+
+from capture_rig.errors import InputError
+from capture_rig.session import WRIST_FRACTION
+from sagoma_tools.evaluation.scores import angle_truth, covariance_coverage, defined, score, score_angles
+from sagoma_tools.evaluation.track import Track
+from sagoma_tools.evaluation.track_evaluation import jitter, time_to_track_s
+
+FPS = 60.0
+BENT = {"left_elbow": -1.2, "right_elbow": -0.9, "left_knee": 0.8, "right_knee": 1.1, "neck_x": 0.2, "left_hip_y": -0.5}
+BENT |= {"left_shoulder_y": 0.3, "right_shoulder_y": -0.4, "left_hip_z": 0.2, "right_hip_z": -0.25}
+POINTS, ANGLES = walker(**BENT)
+TEN = POINTS[:10]
+STILL = POINTS[:1]
+
+
+# --- points
+
+
+def test_score_reports_the_distance_when_every_point_is_moved_by_it():
+    scores = score(track_of(TEN + np.array([0.0, 0.03, 0.04])), truth_of(TEN))
+    assert scores.mean_mm == pytest.approx(50.0)
+    assert scores.rmse_mean_mm == pytest.approx(50.0)
+    assert scores.over_200mm == 0.0
+    assert scores.tracked == scores.frames == 10
+
+
+def test_an_offset_that_turns_with_the_body_is_reported_removed_and_no_lack_of_coverage():
+    moved = TEN.copy()
+    moved[:, 9] += 0.1 * turns(10)[:, :, 0]
+    scores = score(track_of(moved), truth_of(TEN))
+    assert scores.point_offset_mm[9] == pytest.approx([100.0, 0.0, 0.0], abs=1e-6)
+    assert scores.point_offset_mm[10] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+    assert scores.point_mm[9] == pytest.approx(100.0)
+    assert scores.point_mm_without_offset[9] == pytest.approx(0.0, abs=1e-6)
+    assert scores.coverage.point_inside_95[9] == 0.0
+    assert scores.coverage_without_offset.point_inside_95[9] == 1.0
+    assert scores.figures()["inside_95_without_offset"] > scores.coverage.inside_95
+
+
+def test_score_reports_each_points_own_statistics():
+    moved = TEN.copy()
+    moved[:, 7, 2] += 0.001 * np.array([0, 10, 20, 30, 40, 50, 60, 70, 80, 300])
+    scores = score(track_of(moved), truth_of(TEN))
+    assert scores.point_median_mm[7] == pytest.approx(45.0)
+    assert scores.point_mm[7] == pytest.approx(66.0)
+    assert scores.point_rmse_mm[7] == pytest.approx(np.sqrt((20400 + 90000) / 10))  # 10^2 + .. + 80^2 = 20400
+    assert scores.point_over_200mm[[7, 8]] == pytest.approx([0.1, 0.0])
+    assert scores.over_200mm == pytest.approx(0.1)  # frames with one lost point
+
+
+def test_score_compares_wrists_where_the_reference_ends_there():
+    truth = truth_of(truth_of(TEN, wrist_fraction=WRIST_FRACTION).comparable(TEN), wrist_fraction=WRIST_FRACTION)
+    assert not np.allclose(truth.points_world[:, 11], TEN[:, 11])
+    assert score(track_of(TEN), truth).mean_mm == pytest.approx(0.0, abs=1e-6)
+
+
+def test_score_leaves_out_frames_that_the_track_lacks_and_refuses_a_track_of_other_frames():
+    scores = score(track_of(TEN[4:], first=4), truth_of(TEN))
+    assert (scores.tracked, scores.frames) == (6, 10)
+    assert scores.mean_mm == pytest.approx(0.0)
+    with pytest.raises(InputError, match="shares none of its 10 frames"):
+        score(track_of(TEN, first=100), truth_of(TEN))
+
+
+def test_a_point_that_the_truth_never_knows_has_no_score():
+    holes = TEN.copy()
+    holes[:, 12] = np.nan
+    scores = score(track_of(TEN), truth_of(holes))
+    assert np.isnan(scores.point_mm[12])
+    assert np.isfinite(scores.mean_mm)
+    assert scores.figures()["point_mm"]["right_hand"] is None
+
+
+# --- angles
+
+
+def test_angle_errors_are_taken_the_short_way_round():
+    truly, tracked = ANGLES[:10].copy(), ANGLES[:10].copy()
+    truly[:, 3], tracked[:, 3] = np.deg2rad(-178.0), np.pi
+    scores = score(track_of(TEN, angles=tracked), truth_of(TEN, truly))
+    assert scores.angle_rmse_deg[3] == pytest.approx(2.0)
+
+
+def test_angle_truth_comes_from_the_points_where_the_reference_has_no_angles_and_is_unknown_where_one_is():
+    points = POINTS.copy()
+    points[5, 9] = np.nan
+    found = angle_truth(truth_of(points))
+    assert "inverse kinematics" in found.source
+    assert np.isnan(found.angles[5]).all()
+    np.testing.assert_allclose(np.delete(found.angles, 5, axis=0), ANGLES[1:], atol=1e-6)
+
+
+TWISTS = {"left_shoulder_y", "right_shoulder_y", "left_hip_z", "right_hip_z"}
+BARELY, JUST = ({**BENT, "left_elbow": -np.deg2rad(bend_deg)} for bend_deg in (19.0, 21.0))
+FORWARD = {**BENT, "left_shoulder_z": -np.pi / 2}
+
+
+@pytest.mark.parametrize(
+    ("pose", "undefined"),
+    [
+        ({}, TWISTS),
+        (BENT, set()),
+        (BARELY, {"left_shoulder_y"}),
+        (JUST, set()),
+        (FORWARD, {"left_shoulder_x", "left_shoulder_y"}),
+    ],
+    ids=["straight", "bent", "bent by 19 degrees", "bent by 21 degrees", "arm straight forward"],
+)
+def test_angles_that_have_no_meaning_do_not_count(pose, undefined):
+    _, angles = walker(1, **pose)
+    assert {name for name, slot in SLOT.items() if not defined(angles)[0, slot]} == undefined
+
+
+def test_angle_rmse_leaves_undefined_twists_out_and_says_how_many():
+    true = ANGLES.copy()
+    true[:30, SLOT["left_elbow"]] = 0.0  # straight for 30 of 40 frames
+    wrong = true.copy()
+    wrong[:30, SLOT["left_shoulder_y"]] += 2.0
+    wrong[30:, SLOT["left_shoulder_y"]] += 0.1
+    scores = score_angles(wrong, POINTS, angle_truth(truth_of(POINTS, true)))
+    assert scores.rmse_rad[SLOT["left_shoulder_y"]] == pytest.approx(0.1)
+    assert scores.share_defined[SLOT["left_shoulder_y"]] == pytest.approx(0.25)
+    assert scores.rmse_rad[SLOT["right_shoulder_y"]] == pytest.approx(0.0)
+
+
+def test_torso_error_is_the_angle_by_which_the_whole_body_is_turned():
+    R = Rotation.from_rotvec(0.2 * np.array([2.0, 1.0, 2.0]) / 3.0).as_matrix()
+    turned = (POINTS - POINTS[:, :1]) @ R.T + POINTS[:, :1]
+    scores = score_angles(ANGLES, turned, angle_truth(truth_of(POINTS)))
+    assert scores.torso_rmse_rad == pytest.approx(0.2, abs=1e-6)
+
+
+# --- covariance
+
+
+def test_nees_of_honest_noise_is_three_and_lies_in_its_interval():
+    rng = np.random.default_rng(11)
+    A = rng.normal(size=(15, 3, 3))
+    P = 1e-4 * (A @ A.transpose(0, 2, 1) + np.eye(3))
+    errors = np.einsum("pij,fpj->fpi", np.linalg.cholesky(P), rng.normal(size=(4000, 15, 3)))
+    found = covariance_coverage(errors, np.broadcast_to(P, (4000, 15, 3, 3)))
+    assert found.nees == pytest.approx(3.0, abs=0.05)
+    np.testing.assert_allclose(found.point_inside_95, 0.95, atol=0.015)
+    # 4000 independent frames: the mean of chi-square(3) has sd sqrt(6 / 4000)
+    np.testing.assert_allclose(found.nees_95, 3.0 + 1.96 * np.sqrt(6 / 4000) * np.array([-1.0, 1.0]), atol=2e-3)
+
+
+def test_nees_grows_by_four_where_a_point_claims_half_the_sd_it_has():
+    errors = np.random.default_rng(12).normal(0.0, 0.02, (4000, 15, 3))
+    P = np.tile(np.eye(3) * 0.02**2, (4000, 15, 1, 1))
+    P[:, 12] *= 0.25
+    found = covariance_coverage(errors, P)
+    assert found.point_nees[12] == pytest.approx(12.0, rel=0.05)
+    assert found.point_inside_95[12] == pytest.approx(0.418, abs=0.03)  # chi-square(3) at 7.81 / 4
+    assert found.point_inside_95[11] == pytest.approx(0.95, abs=0.015)
+
+
+def test_unknown_errors_do_not_count_and_certainty_counts_as_outside():
+    errors, P = np.full((4, 15, 3), 0.01), np.tile(np.eye(3) * 1e-4, (4, 15, 1, 1))
+    errors[:3, 0] = np.nan
+    P[:, 1] = 0.0
+    found = covariance_coverage(errors, P)
+    assert found.point_nees[0] == pytest.approx(3.0)
+    assert found.point_inside_95[1] == 0.0
+    assert found.point_nees[1] == np.inf
+
+
+# --- jitter and time to track
+
+
+def test_jitter_of_white_noise_at_rest_is_its_size():
+    noise = np.random.default_rng(13).normal(0.0, 0.002, (900, 15, 3))
+    found = jitter(track_of(STILL + noise), FPS, truth_of(np.repeat(STILL, 900, axis=0)))
+    half = 15  # frames in a quarter of a second
+    assert found.rms_mm == pytest.approx(2.0 * np.sqrt(3.0) * np.sqrt(1 - 1 / (2 * half + 1)), rel=0.01)
+    assert (found.at_rest == 900 - 2 * half).all()
+
+
+def test_jitter_is_blind_to_what_moves_and_to_a_constant_offset():
+    still, _ = walker(200, **BENT)  # turns by 3 rad/s: nothing rests but what lies on the axis
+    still[:, 13:] = STILL[:, 13:]  # the feet stand
+    found = jitter(track_of(still + 0.05), FPS, truth_of(still))
+    assert found.point_rms_mm[13] == pytest.approx(0.0, abs=1e-9)
+    assert (found.at_rest[[11, 12]] == 0).all()
+    assert np.isnan(found.point_rms_mm[11])
+    assert found.rms_mm == pytest.approx(0.0, abs=1e-9)
+
+
+def test_jitter_without_a_truth_takes_the_tracks_own_rest():
+    moving, _ = walker(300, **BENT)
+    points = np.concatenate([np.repeat(STILL, 300, axis=0), moving])
+    trembling = points + np.random.default_rng(14).normal(0.0, 0.001, points.shape)
+    found = jitter(track_of(trembling), FPS)
+    assert found.rms_mm == pytest.approx(np.sqrt(3.0), rel=0.05)
+    assert 200 < found.at_rest[11] < 300
+
+
+def test_jitter_has_no_value_for_a_track_with_gaps_everywhere_or_of_nobody():
+    track = track_of(np.repeat(STILL, 40, axis=0))
+    assert np.isnan(jitter(replace(track, frames=2 * track.frames), FPS).rms_mm)
+    nobody = jitter(Track.of_states([]), FPS)
+    assert np.isnan(nobody.rms_mm) and np.isnan(nobody.point_rms_mm).all() and nobody.at_rest.sum() == 0
+
+
+def test_time_to_track_is_that_of_the_first_frame_that_is_called_tracked():
+    states = ["acquiring", "doubtful", "doubtful", "tracking", "lost", "tracking"]
+    assert time_to_track_s(track_of(POINTS[:6], states, first=30), FPS) == pytest.approx(33 / 60)
+    assert np.isnan(time_to_track_s(track_of(POINTS[:6], "doubtful"), FPS))

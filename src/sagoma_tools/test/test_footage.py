@@ -1,0 +1,182 @@
+"""Footage: which files are which camera's, the codecs that people have, and what is said of bad files."""
+
+import json
+import re
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+from footage_clips import cut_off, transcoded, with_late_frames, write_clip
+
+from capture_rig.errors import InputError
+from capture_rig.session import load_session
+from capture_rig.video import Video
+from sagoma_tools.calibration.footage import open_footage_of_cameras
+from sagoma_tools.cli import main
+from stick_figure.body import Body
+from virtual_studio.recording.session import write_session
+from virtual_studio.rig import ring
+
+FPS, FRAMES = 25.0, 10
+
+
+# --- which files are which camera's footage
+
+
+def make_footage(folder, files):
+    """Stills of one grey level, films of a list of them, other files of a text."""
+    for name, content in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if isinstance(content, str):
+            path.write_text(content)
+        elif isinstance(content, int):
+            cv2.imwrite(str(path), np.full((24, 32), content, np.uint8))
+        else:
+            write_clip(path, [np.full((48, 64), grey, np.uint8) for grey in content], 30.0)
+
+
+@pytest.mark.parametrize(
+    ("files", "source", "expected"),
+    [
+        (
+            {"cam01.mp4": [10, 90, 170], "cam02_floor.mp4": [50, 60]},
+            "{}",
+            {"cam01": {0: 10, 1: 90, 2: 170}, "cam02": {0: 50, 1: 60}},
+        ),
+        (
+            {"left01.png": 10, "left02.png": 20, "left10.png": 100, "right01.png": 30, "right10.png": 40},
+            "{}",
+            {"left": {1: 10, 2: 20, 10: 100}, "right": {1: 30, 10: 40}},
+        ),
+        (
+            {"cam01.png": 10, "cam02.png": 20, "cam10.jpg": 30},
+            "{}",
+            {"cam01": {0: 10}, "cam02": {0: 20}, "cam10": {0: 30}},
+        ),
+        (
+            {"cam01/img2.png": 20, "cam01/img10.png": 100, "cam01/img1.png": 10},
+            "{}",
+            {"cam01": {1: 10, 2: 20, 10: 100}},
+        ),
+        (
+            {"a/1000.png": 10, "a/1007.png": 20, "b/5000.png": 30, "b/5007.png": 40},
+            "{}",
+            {"a": {0: 10, 1: 20}, "b": {0: 30, 1: 40}},
+        ),
+        ({"x_1.png": 10, "x_2.png": "no picture", "x_3.png": 30}, "front={}/x_*.png", {"front": {1: 10, 3: 30}}),
+    ],
+    ids=[
+        "a film a camera",
+        "numbered stills: a missing one shifts nothing",
+        "a still a camera: the same moment",
+        "folders, in natural order",
+        "numbers that no other camera shares",
+        "a pattern, a damaged still left out",
+    ],
+)
+def test_frames_of_a_camera_have_the_index_of_their_moment(tmp_path, files, source, expected):
+    make_footage(tmp_path, files)
+    footage = open_footage_of_cameras([source.format(tmp_path)])
+    found = {name: {index: round(image.mean(), -1) for index, image in camera} for name, camera in footage.items()}
+    assert found == expected and list(found) == list(expected)
+    assert all(
+        list(found[name]) == sorted(found[name]) and footage[name].where.startswith(str(tmp_path)) for name in found
+    )
+    assert {camera.is_video for camera in footage.values()} == {"cam01.mp4" in files}
+
+
+def test_film_says_its_length_and_gives_grey_images(tmp_path):
+    make_footage(tmp_path, {"cam01.mp4": [10, 90, 170]})
+    film = open_footage_of_cameras([str(tmp_path)])["cam01"]
+    assert film.count == 3 and {image.shape for _, image in film} == {(48, 64)}
+
+
+@pytest.mark.parametrize(
+    ("files", "sources", "says"),
+    [
+        ({}, [], "no footage"),
+        ({}, ["{}/nothing.mp4"], "does not exist"),
+        ({"notes.txt": "none"}, ["{}"], "holds no video"),
+        ({"notes.txt": "none"}, ["cam={}/*.png"], "holds no video"),
+        ({}, ["={}/a.png"], "begins with"),
+        ({"notes.txt": "none"}, ["{}/notes.txt"], "neither a video nor a still"),
+        ({"a/cam01.png": 10, "b/cam01.png": 10}, ["{}/a", "{}/b"], "cam01' is given twice.*NAME=PATH"),
+        ({"cam01.mp4": [10], "cam01_background.png": 10}, ["{}"], "several pieces of footage"),
+    ],
+)
+def test_footage_that_is_none_or_given_twice_is_refused(tmp_path, files, sources, says):
+    make_footage(tmp_path, files)
+    with pytest.raises(InputError, match=says):
+        open_footage_of_cameras([source.format(tmp_path) for source in sources])
+
+
+# --- codecs and damage
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """Ten frames of T-pose, seen by three cameras, at 25 Hz."""
+    folder = tmp_path_factory.mktemp("studio") / "standing"
+    return write_session(folder, ring(3, False), Body.from_stature(1.75), "t_pose_only", fps=FPS, seconds=FRAMES / FPS)
+
+
+def evaluated(capsys, session):
+    """The figures, and what was said on standard error."""
+    assert main(["evaluate", str(session), "--start", "session", "--json", "--set", "hull_server.backend=cpu"]) == 0
+    printed = capsys.readouterr()
+    return json.loads(printed.out.splitlines()[-1]), printed.err
+
+
+def doctor(capsys, session):
+    """Findings above ok: (severity, code, text)."""
+    main(["doctor", "--no-machine", "--json", "--rig", str(session / "rig.yaml"), "--session", str(session)])
+    found = json.loads(capsys.readouterr().out)["findings"]
+    return [(f["severity"], f["code"], f["what"]) for f in found if f["severity"] != "ok"]
+
+
+def test_video_that_was_cut_off_ends_the_tracking_there_and_is_named(session, tmp_path, capsys):
+    copied = transcoded(session, tmp_path / "copied", "MJPG", FPS)
+    cut_off(copied / "cam03.avi", 0.6)
+    with Video(copied / "cam03.avi") as video:
+        left = sum(1 for _ in video)
+    figures, said = evaluated(capsys, copied)
+    assert 4 < left < FRAMES and figures["tracked"] == left
+    assert f"cam03.avi: ends after {left} frames, its header promises {FRAMES}" in said
+    assert f"cam03.avi ended after {left} frames, before the others" in said
+    codes = [code for _, code, _ in doctor(capsys, copied)]
+    assert "footage.doubtful" in codes and "footage.lengths_differ" in codes
+
+
+def test_video_damaged_so_that_nobody_is_found_is_named_last(session, tmp_path, capsys):
+    copied = transcoded(session, tmp_path / "copied", "MJPG", FPS)
+    cut_off(copied / "cam03.avi", 0.15)
+    assert main(["evaluate", str(copied), "--json", "--set", "hull_server.backend=cpu"]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert re.search(rf"cam03.avi: ends after [1-4] frames, its header promises {FRAMES}.*; no body was found", said)
+    assert said.endswith("Copy it again from where it was recorded; what was cut off cannot be used.")
+
+
+def test_variable_frame_rate_is_said_when_tracking_and_by_the_doctor(session, tmp_path, capsys):
+    copied = shutil.copytree(session, tmp_path / "copied", ignore=shutil.ignore_patterns("session.yaml"))
+    with_late_frames(copied / "cam02.mp4", FRAMES - 4, 4)
+    assert main(["evaluate", str(copied), "--json"]) == 2
+    assert "different frame rates" in (said := capsys.readouterr().err) and "sagoma doctor --session" in said
+    (copied / "session.yaml").write_text(f"fps: {FPS}\n")
+    figures, said = evaluated(capsys, copied)
+    assert figures["frames"] == FRAMES
+    assert "cam02.mp4: has a variable frame rate: its frames are 40 to 80 ms apart" in said
+    assert any(code == "footage.doubtful" and "40 to 80 ms" in what for _, code, what in doctor(capsys, copied))
+
+
+def test_rate_that_no_camera_has_is_an_error_until_the_true_one_is_stated(session, tmp_path, capsys):
+    copied = shutil.copytree(session, tmp_path / "copied", ignore=shutil.ignore_patterns("session.yaml"))
+    with Video(session / "cam01.mp4") as video:
+        write_clip(copied / "cam01.mp4", list(video), 1000.0)
+    assert main(["evaluate", str(copied), "--json"]) == 2
+    assert "cam01.mp4: has no frame rate that a camera has: its header says 1000 fps" in capsys.readouterr().err
+    assert ("error", "footage.rate") in [found[:2] for found in doctor(capsys, copied)]
+    (copied / "session.yaml").write_text(f"fps: {FPS}\n")
+    assert load_session(copied).fps == FPS
+    assert "footage.rate" not in [code for _, code, _ in doctor(capsys, copied)]
