@@ -64,6 +64,7 @@ def test_health_carries_counters_values_state_and_memory(ros: Spinner, monkeypat
     assert (status.level, status.message, status.hardware_id) == (WARN, "camera cam02 is silent", socket.gethostname())
     found = values(status)
     assert (found["late"], found["backend"], found["spread_ms"]) == ("3", "cpu", "0.1235")
+    assert found["host"] == socket.gethostname()
     assert 5 < float(found["rss_mb"]) < 5000
     assert listener.health.counter("late") == 3 and listener.health.counter("never_counted") == 0
 
