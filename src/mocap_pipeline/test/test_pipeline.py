@@ -24,7 +24,7 @@ from virtual_studio.people import VolumetricBody
 from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
 
-FRAME_NS = 16_666_667
+FRAME_NS, STANDING = 16_666_667, 12
 BODY = Body.from_stature(1.75)
 
 
@@ -40,9 +40,9 @@ def standing(t_pose):
     """A pipeline that has tracked the T-pose, and the stamp of the set after."""
     rig, masks, _ = t_pose
     pipeline = MocapPipeline(rig, Configuration.of({"hull_server.backend": "cpu"}))
-    steps = [pipeline.step_masks(FRAME_NS * frame, masks) for frame in range(1, 31)]
+    steps = [pipeline.step_masks(FRAME_NS * frame, masks) for frame in range(1, STANDING + 1)]
     assert steps[-1].state is not None
-    return pipeline, steps[-1], 31 * FRAME_NS
+    return pipeline, steps[-1], (STANDING + 1) * FRAME_NS
 
 
 def test_pipeline_finds_and_follows_a_person_in_a_t_pose(standing, t_pose):
