@@ -12,7 +12,6 @@ from heard import Heard
 from sensor_msgs.msg import JointState
 
 from capture_rig.rig import save_rig
-from sagoma_bringup.graph import ONE_PROCESS, THREE_PROCESSES
 from sagoma_tools.graph.lifecycle_client import LifecycleClient, State
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, camera_topics
@@ -51,10 +50,7 @@ def up(built_in_session: Path, tmp_path: Path):
 @pytest.mark.slow
 def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(up, built_in_session, tmp_path):
     with RosLink("listener") as link:
-        poses, running = (
-            Heard(link.node, JointState, "/mocap/joint_states", PATIENCE_S),
-            up("--record", str(tmp_path / "bag")),
-        )
+        poses, running = poses_of(link), up("--record", str(tmp_path / "bag"))
         assert poses.wait_for_more(10), running.stdout.read()
         processes = psutil.Process(running.pid).children()
         running.send_signal(signal.SIGINT)
@@ -69,13 +65,12 @@ def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(up, built_in_session, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("server", [ONE_PROCESS, THREE_PROCESSES])
-def test_second_up_beside_a_running_graph_is_refused_and_the_first_one_goes_on(up, server, tmp_path):
+def test_second_up_beside_a_running_graph_is_refused_and_the_first_one_goes_on(up, tmp_path):
     save_rig(ring(3), tmp_path / "other.yaml")
     second = [sys.executable, "-m", "sagoma_tools.cli", "up", "--rig", str(tmp_path / "other.yaml"), "--seconds", "1"]
-    second += ["--server", server, "--run-folder", str(tmp_path / "second")]
+    second += ["--run-folder", str(tmp_path / "second")]
     with RosLink("listener") as link:
-        poses, running = poses_of(link), up("--server", server)
+        poses, running = poses_of(link), up()
         assert poses.wait_for_more(10), running.stdout.read()
         refused = subprocess.run(second, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
         assert refused.returncode == 1, refused.stdout + refused.stderr
