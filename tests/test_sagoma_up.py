@@ -1,4 +1,4 @@
-"""`sagoma up` as the process a user starts: it runs the graph, and Ctrl-C ends it and everything it started."""
+"""Graphs as users start them, by `sagoma up` and by ROS 2's launch: Ctrl-C ends them and everything they started."""
 
 import signal
 import subprocess
@@ -9,6 +9,7 @@ from pathlib import Path
 import psutil
 import pytest
 from heard import Heard
+from launch_stand_in import launched, running
 from sensor_msgs.msg import JointState
 
 from capture_rig.rig import save_rig
@@ -19,6 +20,7 @@ from sagoma_tools.recording.reader import bag_topics, read_messages
 from virtual_studio.rig import ring
 
 PATIENCE_S = 120.0
+LAUNCH = Path(__file__).resolve().parents[1] / "src" / "sagoma_bringup" / "launch"
 SERVER = ("/hull_server", "/icp_tracker", "/ekf_tracker")
 
 
@@ -82,3 +84,13 @@ def test_second_up_beside_a_running_graph_is_refused_and_the_first_one_goes_on(u
         said, _ = running.communicate(timeout=PATIENCE_S)
     assert running.returncode == 0, said
     assert "died" not in said
+
+
+@pytest.mark.slow
+def test_launched_footage_is_tracked_below_a_pushed_namespace(built_in_session):
+    given = {"session": built_in_session, "namespace": "studio", "loop": "true"}
+    topic, nodes = "/lab/studio/mocap/joint_states", launched(LAUNCH / "demo.launch.py", "/lab", **given)
+    with RosLink("listener") as link, running(nodes) as processes:
+        angles = Heard(link.node, JointState, topic, PATIENCE_S, lambda message: len(message.position))
+        assert angles.wait_for(20) and set(angles.kept) == {18}
+    assert [process.returncode for process in processes] == [0] * len(nodes)
