@@ -16,6 +16,8 @@ TELLING = {
     "a million elements": "bad_hulls",
     "picture bomb": "bad_images",
     "wrong encoding": "bad_images",
+    "a cloud of NaN": "bad_keypoints",
+    "YAML bomb": "bad_rules",
 }
 """Attacks, and a counter each that tells of it; of the others any counter does."""
 TRIES = 3  # on a busy machine a message's stamp may be passed when it comes: it is refused for that
