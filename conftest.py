@@ -46,10 +46,8 @@ SHARED_DATA = Path(os.environ.get("SAGOMA_SHARED_DATA", Path(__file__).resolve()
 _REAL_TIME = (
     "tests/test_camera_drills.py",
     "tests/test_graph_live.py",
-    "tests/test_launch_live.py",
     "tests/test_people_live.py",
     "tests/test_studio_graph.py",
-    "tests/test_real_footage.py",
     "tests/test_sagoma_up.py",
     "tests/test_setup_drill.py",
     "tests/test_soak.py",

@@ -25,16 +25,16 @@ def _graphs_start_soon() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def built_in_session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A short session of the virtual studio: four cameras and one above, a T-pose, then movement; read only."""
-    return rendered_once("built_in_session", ring(4, True), tmp_path_factory)
+    return rendered_once("built_in_session", ring(4, True), 2.0, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
 def three_cameras(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same before three cameras around: enough for most tests, in half the time; read only."""
-    return rendered_once("three_cameras", ring(3, ceiling=False), tmp_path_factory)
+    """Less of it before three cameras around: enough for most tests, in half the time; read only."""
+    return rendered_once("three_cameras", ring(3, ceiling=False), 1.6, tmp_path_factory)
 
 
-def rendered_once(name: str, rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def rendered_once(name: str, rig: Rig, seconds: float, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session's folder, rendered once for all processes of a test run."""
     common = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
@@ -44,6 +44,6 @@ def rendered_once(name: str, rig: Rig, tmp_path_factory: pytest.TempPathFactory)
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not done.exists():
             body, look = Body.from_stature(1.75), RenderSettings(seed=7)
-            write_session(folder, rig, body, fps=30.0, seconds=2.0, settings=look)
+            write_session(folder, rig, body, fps=30.0, seconds=seconds, settings=look)
             done.touch()
     return folder

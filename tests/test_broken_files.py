@@ -113,15 +113,10 @@ def break_and_read(kind: str, folder: Path, times: int) -> int:
     return refused
 
 
+@pytest.mark.parametrize("times", [FEW, pytest.param(MANY, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_broken_file_is_an_input_error(kind: str, tmp_path: Path) -> None:
-    assert break_and_read(kind, tmp_path, FEW) > 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_file_broken_in_many_ways_is_an_input_error(kind: str, tmp_path: Path) -> None:
-    assert break_and_read(kind, tmp_path, MANY) > MANY // 10
+def test_a_broken_file_is_an_input_error(kind: str, times: int, tmp_path: Path) -> None:
+    assert break_and_read(kind, tmp_path, times) > times // 10
 
 
 # --- bags, by every command that reads them
@@ -247,19 +242,22 @@ def test_broken_arguments_are_errors(words: tuple[str, ...], says: str, tmp_path
     assert any(part in said for part in says.split("|")), said
 
 
+def bag_of(folder: Path, kind: str, data: bytes) -> Path:
+    """A bag of one message on a topic of silhouettes."""
+    with BagWriter(folder) as writer:
+        writer.add_topic("/cam01/silhouette/compressed", kind)
+        writer.write("/cam01/silhouette/compressed", 1234, data)
+    return folder
+
+
 def test_a_bag_with_a_topic_of_another_type_is_refused(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.add_topic("/cam01/silhouette/compressed", "std_msgs/msg/String")
-        writer.write("/cam01/silhouette/compressed", 1, b"\0\1\0\0\1\0\0\0\0")
-    status, said = run("replay", tmp_path / "bag")
+    bag = bag_of(tmp_path / "bag", "std_msgs/msg/String", b"\0\1\0\0\1\0\0\0\0")
+    status, said = run("replay", bag)
     assert status == 2 and "holds messages of type std_msgs/msg/String, not sensor_msgs/msg/CompressedImage" in said
 
 
 def test_a_message_shorter_than_its_stamp_is_an_error_with_its_place(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag") as writer:
-        writer.add_topic("/cam01/silhouette/compressed", "sensor_msgs/msg/CompressedImage")
-        writer.write("/cam01/silhouette/compressed", 1234, b"\0\1\0\0\1\0")
-    (message,) = read_messages(tmp_path / "bag")
+    (message,) = read_messages(bag_of(tmp_path / "bag", "sensor_msgs/msg/CompressedImage", b"\0\1\0\0\1\0"))
     for read in (lambda: message.stamp_ns, lambda: message.decode(CompressedImage)):
         with pytest.raises(InputError, match=r"bag: /cam01/silhouette.*the message logged at 1234 ns.*sagoma recover"):
             read()

@@ -12,7 +12,6 @@ import time
 import pytest
 from camera_pc import ERROR, FPS, PATIENCE_S, WARN, CameraPC, GraphListener, end, save_rig_of
 
-from camera_client.frame_source import SourceUnavailable
 from camera_client.settings import AravisSettings
 from camera_client.sources.aravis_source import AravisSource, import_aravis
 from capture_rig.errors import InputError
@@ -97,18 +96,6 @@ def sum_rule_holds(values):
     return expected == sum(parts)
 
 
-def outage_of(pc, cut, before):
-    """Run ``cut``, wait for the first mask after it; from the camera's return to it, in seconds."""
-    seen = pc.listener.masks(pc.name)
-    returned_s = cut()
-    pc.listener.until(
-        lambda: pc.listener.masks(pc.name) > seen and pc.listener.received_s[pc.name] > returned_s, "masks again"
-    )
-    first_s = pc.listener.received_s[pc.name] - returned_s
-    pc.until_number("reconnects", before)
-    return first_s
-
-
 def test_camera_that_is_off_before_start_is_awaited_and_used_when_it_comes(second):
     pc = second
     pc.until_said(ERROR, "no camera: ")
@@ -153,8 +140,17 @@ def test_sigterm_releases_control_so_that_the_camera_can_be_opened_at_once(secon
         assert source.shape
 
 
-def test_camera_switched_off_in_the_middle_of_a_frame_leaves_it_incomplete_and_comes_back(pc):
-    incomplete, reconnects = pc.until_number("incomplete", -1), pc.until_number("reconnects", -1)
+def test_power_cut_in_the_middle_of_a_frame_leaves_it_incomplete_and_is_survived_and_timed(pc):
+    report: dict[str, str] = {}  # the sum counts an outage that goes on, as a busy machine may have one: begin without
+
+    def streams():
+        values = pc.listener.values(pc.node)
+        report.update(values if values.get("link") == "streaming" and "reconnects" in values else {})
+        return report
+
+    pc.listener.until(streams, "the camera streams")
+    before = {key: float(report[key]) for key in ("incomplete", "reconnects", "downtime_s")}
+    reconnects = before["reconnects"]
     for _ in range(5):  # one cut may fall between two frames
         sent = pc.camera.counters["frames_sent"]
         while pc.camera.counters["frames_sent"] == sent:
@@ -163,52 +159,30 @@ def test_camera_switched_off_in_the_middle_of_a_frame_leaves_it_incomplete_and_c
         pc.until_said(ERROR, "no camera")
         pc.camera.power_on()
         reconnects = pc.until_number("reconnects", reconnects)
-        if pc.listener.number(pc.node, "incomplete") > incomplete:
+        if pc.listener.number(pc.node, "incomplete") > before["incomplete"]:
             break
-    assert pc.until_number("incomplete", incomplete) > incomplete
-    assert sum_rule_holds(pc.listener.values(pc.node))
-
-
-def streams(values):
-    return values.get("link") == "streaming" and "reconnects" in values
-
-
-def test_power_cycle_is_survived_and_timed(pc):
-    # the sum counts an outage that goes on, as a busy machine may have one: begin without
-    pc.listener.until(
-        lambda: pc.node in pc.listener.said and streams(pc.listener.values(pc.node)), "the camera streams"
-    )
-    before = pc.listener.values(pc.node)
-    reconnects, downtime_s = float(before["reconnects"]), float(before["downtime_s"])
-
-    def cut():
-        pc.camera.power_off()
-        pc.until_said(ERROR, "no camera")
-        pc.camera.power_on()
-        return time.monotonic()
-
-    first_s = outage_of(pc, cut, reconnects)
+    assert pc.until_number("incomplete", before["incomplete"]) > before["incomplete"]
     values = pc.listener.values(pc.node)
-    measured("from power back to the first mask", first_s)
     measured("noticed after the last frame", float(values["last_outage_noticed_s"]))
     measured("whole outage, last frame to first frame", float(values["last_outage_s"]))
     measured("from the attempt that succeeded to the first frame", float(values["last_restart_s"]))
     assert float(values["last_outage_noticed_s"]) >= 0.5
-    assert float(values["downtime_s"]) - downtime_s > float(values["last_outage_s"]) - 0.1
+    assert float(values["downtime_s"]) - before["downtime_s"] > float(values["last_outage_s"]) - 0.1
     assert sum_rule_holds(values)
 
 
 @pytest.mark.slow
 def test_cable_out_for_a_moment_is_survived(pc):
-    reconnects = pc.until_number("reconnects", -1)
-
-    def cut():
-        pc.camera.faults.unplugged = True
-        pc.until_said(ERROR, "")
-        pc.camera.faults.unplugged = False
-        return time.monotonic()
-
-    measured("from cable back to the first mask", outage_of(pc, cut, reconnects))
+    reconnects, seen = pc.until_number("reconnects", -1), pc.listener.masks(pc.name)
+    pc.camera.faults.unplugged = True
+    pc.until_said(ERROR, "")
+    pc.camera.faults.unplugged = False
+    back_s = time.monotonic()
+    pc.listener.until(
+        lambda: pc.listener.masks(pc.name) > seen and pc.listener.received_s[pc.name] > back_s, "masks again"
+    )
+    measured("from cable back to the first mask", pc.listener.received_s[pc.name] - back_s)
+    pc.until_number("reconnects", reconnects)
     assert sum_rule_holds(pc.listener.values(pc.node))
 
 
@@ -223,8 +197,6 @@ def test_stalled_camera_is_connected_anew(pc):
 
 
 def test_second_controller_is_refused_with_a_clear_error_and_the_first_goes_on(pc):
-    with pytest.raises(SourceUnavailable, match=rf"{pc.address}.*controlled by another program.*Stop that program"):
-        AravisSource(AravisSettings(address=pc.address)).connect()
     other = pc.start_client("rival")
     pc.until_said(ERROR, "controlled by another program", node=f"/rival/{CAMERA_NODE}")
     pc.until_streaming()
@@ -233,10 +205,15 @@ def test_second_controller_is_refused_with_a_clear_error_and_the_first_goes_on(p
     assert pc.listener.values(pc.node)["control_losses"] == "0"
 
 
-def test_frozen_image_is_noticed(pc):
-    pc.camera.faults.frozen = True
-    pc.until_said(WARN, "frozen: ")
-    assert pc.until_number("frozen_frames", 0) > 0
+@pytest.mark.parametrize(
+    ("fault", "flag", "remedy"),
+    [("frozen", "frozen", ""), ("lens_cap", "dark", "lens cap"), ("lights_off", "lights", "switch the lights back")],
+)
+def test_picture_that_is_wrong_is_noticed_and_counted(pc, fault, flag, remedy):
+    setattr(pc.camera.faults, fault, True)
+    pc.until_said(WARN, f"{flag}: ")
+    assert remedy in pc.listener.level(pc.node)[1]
+    assert pc.until_number(f"{flag}_frames", 0) > 0
 
 
 def test_stamp_jump_is_counted_and_stamps_stay_true(pc):
@@ -249,21 +226,6 @@ def test_stamp_jump_is_counted_and_stamps_stay_true(pc):
     assert max(map(abs, off_s)) < 5.0  # an hour without the correction
 
 
-def test_lens_cap_is_noticed(pc):
-    pc.camera.faults.lens_cap = True
-    pc.until_said(WARN, "dark: ")
-    assert "lens cap" in pc.listener.level(pc.node)[1]
-
-
-def test_lights_that_go_off_or_change_are_noticed(pc):
-    pc.camera.faults.lights_off = True
-    pc.until_said(WARN, "switch the light")
-    pc.camera.faults.clear()
-    pc.camera.faults.light = 0.6
-    pc.until_said(WARN, "lights: ")
-    assert pc.until_number("lights_frames", 0) > 0
-
-
 def test_wrong_pixel_format_gives_no_silhouette_and_is_counted(pc):
     pc.until_well()  # what the drill before left would be said first
     wrong = pc.until_number("wrong_format", -1)
@@ -273,29 +235,6 @@ def test_wrong_pixel_format_gives_no_silhouette_and_is_counted(pc):
     values = pc.listener.values(pc.node)
     assert sum_rule_holds(values) and int(values.get("failed_frames", 0)) == 0
     pc.until_well()
-
-
-@pytest.mark.parametrize("resend", [True, False], ids=["with_resend", "without_resend"])
-@pytest.mark.slow
-def test_half_of_all_packets_lost_is_counted_honestly_and_recovered_from(pc, resend):
-    before = {key: int(value) for key, value in pc.listener.values(pc.node).items() if value.isdigit()}
-    sent, sent_again = pc.camera.counters["frames_sent"], pc.camera.counters["packets_resent"]
-    pc.camera.faults.no_resend = not resend
-    pc.camera.faults.packet_loss = 0.5
-    pc.until_number("expected", before["expected"] + 3 * FPS)
-    if not resend:  # a calm machine asks again and again until nearly every frame is whole
-        pc.until_said(WARN, "lost or incomplete")
-    pc.camera.faults.packet_loss = 0.0
-    values = pc.listener.values(pc.node)
-    assert sum_rule_holds(values)
-    bad = int(values["incomplete"]) + int(values["lost"]) - before["incomplete"] - before["lost"]
-    expected = int(values["expected"]) - before["expected"]
-    resent = pc.camera.counters["packets_resent"] - sent_again
-    assert (resent > FPS and bad < expected / 2) if resend else (resent == 0 and bad > expected / 2)
-    assert bad <= expected <= pc.camera.counters["frames_sent"] - sent + FPS
-    measured(f"frames lost or incomplete at 50 % packet loss, {resent} packets sent again", 100 * bad / expected, "%")
-    pc.until_well()
-    assert values["reconnects"] == str(before["reconnects"])  # packets of broken frames are a sign of life
 
 
 @pytest.mark.slow
@@ -311,19 +250,6 @@ def test_client_killed_by_force_gets_its_camera_back_after_the_heartbeat(fresh):
     back_s = pc.listener.received_s["cam03"] - killed_s
     measured("from kill -9 to masks of the next client", back_s)
     assert client.returncode == -signal.SIGKILL and back_s > 0
-
-
-@pytest.mark.slow
-def test_client_ends_cleanly_while_its_camera_is_dead(fresh):
-    pc = fresh("cam03")
-    client = pc.start_client()
-    pc.until_streaming()
-    pc.camera.power_off()
-    pc.until_said(ERROR, "no camera")
-    asked_s = time.monotonic()
-    client.send_signal(signal.SIGTERM)
-    assert client.wait(PATIENCE_S) == 0
-    measured("end of a client whose camera is dead", time.monotonic() - asked_s)
 
 
 @pytest.mark.slow

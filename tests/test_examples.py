@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from sensor_msgs.msg import JointState
 from take_bags import write_take
 
 from capture_rig.session import load_session
+from mocap_pipeline import session_footage
+from mocap_pipeline.session_footage import frame_sets
 from sagoma_ros.qos import RESULT
 from stick_figure.body import Body
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
@@ -62,23 +65,24 @@ def test_tracked_session_has_the_true_elbows_and_knees(three_cameras, result_of)
     assert len(hinges) == 4 and np.median(off_deg) < 8.0
 
 
-def test_the_example_of_the_readme_prints_the_angles_of_each_frame(three_cameras, capsys):
+def test_the_example_of_the_readme_prints_the_angles_of_each_frame(three_cameras, capsys, monkeypatch):
+    monkeypatch.setattr(session_footage, "frame_sets", lambda session: islice(frame_sets(session), 16))
     block = re.search(r"```python\n(from .*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
     assert block is not None
     exec(block[1].replace("my_session", str(three_cameras)), {})
     stamps, angles = zip(*(line.split(" ", 1) for line in capsys.readouterr().out.splitlines()), strict=True)
-    assert len(stamps) > 30 and sorted(set(map(int, stamps))) == list(map(int, stamps))
+    assert len(stamps) > 8 and sorted(set(map(int, stamps))) == list(map(int, stamps))
     assert tuple(ast.literal_eval(angles[-1])) == ANGLE_NAMES
 
 
 def test_own_silhouettes_give_the_true_places_of_the_hands(tmp_path, result_of):
     look = RenderSettings(shadow=False)
     session = write_session(
-        tmp_path / "s", ring(3, ceiling=False), Body.from_stature(1.75), fps=30.0, seconds=1.5, settings=look
+        tmp_path / "s", ring(3, ceiling=False), Body.from_stature(1.75), fps=20.0, seconds=1.6, settings=look
     )
     _, frames, hands = numbers(result_of("02_own_silhouettes.py", session))
     truth = load_session(session).truth
-    assert truth is not None and len(frames) > 30 and frames[-1] == truth.frames[-1]
+    assert truth is not None and len(frames) > 20 and frames[-1] == truth.frames[-1]
     true_points = truth.stick_figure_points()[np.searchsorted(truth.frames, frames)]
     expected = true_points[:, [POINT_NAMES.index("left_hand"), POINT_NAMES.index("right_hand")]]
     assert np.linalg.norm(hands.reshape(-1, 2, 3) - expected, axis=2).mean() < 0.03

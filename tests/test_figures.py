@@ -1,5 +1,6 @@
-"""Figures in pages: what a bench records, what the pages take from it, and which of it is older than its code."""
+"""Recorded figures: what a bench records, what pages take from it, what is older than its code; and the tree's size."""
 
+import ast
 import json
 import os
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import warnings
 from pathlib import Path
 
+import measure_code
 import pytest
 from figures import FigureError, Figures, main, pages_of, records_of
 
@@ -96,17 +98,13 @@ def test_make_figures_fills_the_tables_and_a_second_time_changes_nothing(tree, c
     assert capsys.readouterr().out == ""
 
 
-def test_a_page_that_says_something_else_is_named(tree, capsys):
+def test_a_page_that_says_something_else_is_named_and_a_record_in_words_stands_for_its_figure(tree, capsys):
     main(tree, check=False)
-    record(tree, figures={"off_mm": 7.0}, commit=git(tree, "rev-parse", "HEAD"))
+    record(tree, figures={"text": "about a millimetre"}, commit=git(tree, "rev-parse", "HEAD"))
     assert main(tree, check=True) == 1
     assert capsys.readouterr().out.splitlines()[-2:] == [
         f"{page}: differs from the records; run make figures" for page in ("README.md", "docs/long.md")
     ]
-
-
-def test_a_record_in_words_stands_for_the_figure_of_its_row(tree):
-    record(tree, figures={"text": "about a millimetre"}, commit=git(tree, "rev-parse", "HEAD"))
     assert main(tree, check=False) == 0
     assert "| the way | about a millimetre |" in (tree / "README.md").read_text()
 
@@ -204,3 +202,44 @@ def test_without_record_nothing_is_written_and_a_bench_without_figures_refuses_i
     folder, done = benched
     assert len(list(folder.glob("*.json"))) == 3 and done.stdout.count("there") == len(RUNS)
     assert done.returncode == 2 and "without a line of JSON" in done.stderr
+
+
+# --- the size of the tree, against the budget in docs/figures/size.json
+
+
+def test_the_tree_keeps_within_its_recorded_size():
+    counts = measure_code.measure(measure_code.TREE)
+    sizes = json.loads((measure_code.TREE / measure_code.BUDGET).read_text())
+    assert {"product lines", "tuned constants", "settings", "test lines", "docs words"} <= set(sizes)
+    over = measure_code.exceeded(counts, sizes)
+    assert not over, f"{over}: make it smaller, or record what it is worth (scripts/measure_code.py --record)"
+
+
+def test_growth_beyond_the_budget_is_named_and_recorded():
+    sizes = {"settings": {"budget": 3, "aim": 2}, "test lines": {"budget": 10, "aim": 5}}
+    counts = {"settings": 4, "test lines": 9}
+    assert measure_code.exceeded(counts, sizes) == ["settings: 4, 1 over the budget of 3"]
+    recorded = json.loads(measure_code.record(counts, sizes))
+    assert recorded == {"settings": {"budget": 4, "aim": 2}, "test lines": {"budget": 9, "aim": 5}}
+    assert measure_code.exceeded(counts, recorded) == []
+
+
+def test_constants_are_numbers_with_a_fraction_that_follow_from_no_other():
+    counted = "GATE = 0.5\nLOW: float = -1.5\nTILT = np.deg2rad(5)\nHALF = 1 / 12.0\n"
+    others = "SIZE = 3\nTWICE = 2.0 * GATE\nNAME = 'a'\nON = True\nAXES = (0.5, 1.0)\nmean = 0.5\nSIGMA = sqrt(2.0)\n"
+    assert list(measure_code.tuned_constants(ast.parse(counted + others))) == ["GATE", "LOW", "TILT", "HALF"]
+
+
+def test_a_small_tree_is_counted(tmp_path):
+    package = tmp_path / "src" / "walker" / "walker"
+    package.mkdir(parents=True)
+    text = "STEP_M = 0.7\nspeed: float = setting(1, 'm/s')\nloud: bool = setting(True, 'x')\n"
+    (package / "gait.py").write_text(text)
+    (tmp_path / "src/walker/test").mkdir()
+    (tmp_path / "src/walker/test/test_gait.py").write_text("def test_gait(): ...\n")
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs/gait.md").write_text("How it walks.\n")
+    counts = measure_code.measure(tmp_path)
+    expected = {"product lines": 3, "product modules": 1, "tuned constants": 2, "settings": 2, "test lines": 1}
+    assert {name: counts[name] for name in expected} == expected
+    assert counts["docs words"] == 3 and counts["bench lines"] == 0 and counts["  walker constants"] == 1

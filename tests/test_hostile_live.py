@@ -11,11 +11,13 @@ from hostile_messages import Attack, attacks
 
 TELLING = {
     "cut in the middle": "bad_images",
-    "stamp in 100 years": "ahead_stamps",
+    "stamp in 100 years": "frames_ahead",
+    "NaN": "bad_predictions",
+    "a million elements": "bad_hulls",
     "picture bomb": "bad_images",
-    "a cloud of a million points": "large_messages",
-    "a cloud of NaN": "dropped_points",
-    "YAML bomb": "bad_body",
+    "wrong encoding": "bad_images",
+    "a cloud of NaN": "bad_keypoints",
+    "YAML bomb": "bad_rules",
 }
 """Attacks, and a counter each that tells of it; of the others any counter does."""
 TRIES = 3  # on a busy machine a message's stamp may be passed when it comes: it is refused for that

@@ -96,27 +96,18 @@ def behind(package: str) -> frozenset[str]:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_everything_imported_is_declared_and_nothing_else(package):
+def test_everything_imported_is_declared_by_known_keys_and_nothing_else(package):
     folder = SOURCES / package
     wanted = needed(package, imported(folder / package, folder / "launch"))
     given = declared(package, "exec_depend", "depend")
     assert wanted - given == set(), "add exec_depend"
     assert given - wanted - RUN_ONLY.get(package, set()) == set(), "nothing imports it"
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_what_tests_import_is_declared(package):
-    given = declared(package, "exec_depend", "depend", "test_depend")
-    wanted = needed(package, imported(SOURCES / package / "test"))
+    for_tests = given | declared(package, "test_depend")
     # tests of basic packages use the studio, which is built on them: colcon could not order a circle
     above = {other for other in PACKAGES if package in behind(other)}
-    assert wanted - given - above == set(), "add test_depend"
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_every_key_is_one_of_rosdistro_or_ours(package):
-    keys = declared(package, "exec_depend", "depend", "test_depend", "build_depend")
-    assert keys - set(PACKAGES) - ROSDISTRO - set(ROSDEP) == set()
+    assert needed(package, imported(folder / "test")) - for_tests - above == set(), "add test_depend"
+    keys = for_tests | declared(package, "build_depend")
+    assert keys - set(PACKAGES) - ROSDISTRO - set(ROSDEP) == set(), "no key of rosdistro or ours"
 
 
 def test_our_keys_are_needed_and_ask_for_versions_that_the_requirements_allow():

@@ -1,8 +1,8 @@
 """The recorder takes what is asked for, of whatever nodes, and its bags say of what types they are."""
 
 import struct
+import sys
 import types
-from pathlib import Path
 
 import pytest
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -93,11 +93,9 @@ def test_definition_of_a_type_that_is_installed_is_learned(tmp_path, monkeypatch
     (tmp_path / "share/crowd_msgs/msg/Size.msg").write_text("float64 metres\n")
     monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
     assert not is_known("crowd_msgs/msg/Ids")  # there, but not its Python module
-    module = types.ModuleType("crowd_msgs.msg")
-    module.Ids = object
-    module.Size = object
-    monkeypatch.setitem(__import__("sys").modules, "crowd_msgs", types.ModuleType("crowd_msgs"))
-    monkeypatch.setitem(__import__("sys").modules, "crowd_msgs.msg", module)
+    module = types.SimpleNamespace(Ids=object, Size=object)
+    monkeypatch.setitem(sys.modules, "crowd_msgs", types.SimpleNamespace(msg=module))
+    monkeypatch.setitem(sys.modules, "crowd_msgs.msg", module)
     assert is_known("crowd_msgs/msg/Ids") and "crowd_msgs/msg/Size" in TYPES.fielddefs
     assert TYPES.hash_rihs01("crowd_msgs/msg/Ids").startswith("RIHS01_")
 
@@ -148,12 +146,9 @@ def test_a_late_message_is_no_time_jump():
     assert jumps.count == 0
 
 
-def test_all_and_topics_contradict_each_other(tmp_path: Path, capsys):
+def test_record_command_takes_the_topics_that_it_is_given_or_all(others, tmp_path, capsys):
     assert main(["record", str(tmp_path / "bag"), "--all", "--topics", "/tf"]) == 2
     assert "contradict" in capsys.readouterr().err and not (tmp_path / "bag").exists()
-
-
-def test_record_command_takes_the_topics_that_it_is_given(others, tmp_path):
     kept = others.node.create_publisher(String, "/humans/bodies/b0001/urdf", LATCHED)
     kept.publish(String(data="<robot/>"))
     others.node.create_publisher(String, "/noise", LATCHED).publish(String(data="noise"))

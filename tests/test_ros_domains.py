@@ -22,7 +22,7 @@ def participant(domain):
     return node
 
 
-def test_domain_with_garbage_of_an_earlier_file_is_freed_and_used_again():
+def test_domain_is_used_again_with_garbage_or_a_listener_in_it_and_left_where_a_node_stays():
     own = OwnDomains()
     domain = own.quiet()
     gc.disable()
@@ -32,23 +32,12 @@ def test_domain_with_garbage_of_an_earlier_file_is_freed_and_used_again():
         assert own.quiet() == domain and domain not in domains_in_use()
     finally:
         gc.enable()
-
-
-def test_domain_in_which_a_node_stays_is_left_for_another():
-    own = OwnDomains()
-    domain = own.quiet()
-    node = participant(domain)
-    assert own.quiet() not in {domain, int(os.environ["ROS_DOMAIN_ID"])} and node.get_name() == "leftover"
-
-
-def test_domain_to_whose_discovery_somebody_listens_is_quiet():
-    """`sagoma doctor` listens to the discovery of all domains, and is in none."""
-    own = OwnDomains()
-    domain = own.quiet()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:  # `sagoma doctor` listens, and is in no domain
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(("127.0.0.1", 7400 + 250 * domain))
         assert own.quiet() == domain
+    node = participant(domain)
+    assert own.quiet() not in {domain, int(os.environ["ROS_DOMAIN_ID"])} and node.get_name() == "leftover"
 
 
 def test_domain_of_another_process_is_not_taken():

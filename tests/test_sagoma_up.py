@@ -1,4 +1,4 @@
-"""`sagoma up` as the process a user starts: it runs the graph, and Ctrl-C ends it and everything it started."""
+"""Graphs as users start them, by `sagoma up` and by ROS 2's launch: Ctrl-C ends them and everything they started."""
 
 import signal
 import subprocess
@@ -9,10 +9,10 @@ from pathlib import Path
 import psutil
 import pytest
 from heard import Heard
+from launch_stand_in import launched, running
 from sensor_msgs.msg import JointState
 
 from capture_rig.rig import save_rig
-from sagoma_bringup.graph import ONE_PROCESS, THREE_PROCESSES
 from sagoma_tools.graph.lifecycle_client import LifecycleClient, State
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, camera_topics
@@ -20,6 +20,7 @@ from sagoma_tools.recording.reader import bag_topics, read_messages
 from virtual_studio.rig import ring
 
 PATIENCE_S = 120.0
+LAUNCH = Path(__file__).resolve().parents[1] / "src" / "sagoma_bringup" / "launch"
 SERVER = ("/hull_server", "/icp_tracker", "/ekf_tracker")
 
 
@@ -51,10 +52,7 @@ def up(built_in_session: Path, tmp_path: Path):
 @pytest.mark.slow
 def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(up, built_in_session, tmp_path):
     with RosLink("listener") as link:
-        poses, running = (
-            Heard(link.node, JointState, "/mocap/joint_states", PATIENCE_S),
-            up("--record", str(tmp_path / "bag")),
-        )
+        poses, running = poses_of(link), up("--record", str(tmp_path / "bag"))
         assert poses.wait_for_more(10), running.stdout.read()
         processes = psutil.Process(running.pid).children()
         running.send_signal(signal.SIGINT)
@@ -69,13 +67,12 @@ def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(up, built_in_session, 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("server", [ONE_PROCESS, THREE_PROCESSES])
-def test_second_up_beside_a_running_graph_is_refused_and_the_first_one_goes_on(up, server, tmp_path):
+def test_second_up_beside_a_running_graph_is_refused_and_the_first_one_goes_on(up, tmp_path):
     save_rig(ring(3), tmp_path / "other.yaml")
     second = [sys.executable, "-m", "sagoma_tools.cli", "up", "--rig", str(tmp_path / "other.yaml"), "--seconds", "1"]
-    second += ["--server", server, "--run-folder", str(tmp_path / "second")]
+    second += ["--run-folder", str(tmp_path / "second")]
     with RosLink("listener") as link:
-        poses, running = poses_of(link), up("--server", server)
+        poses, running = poses_of(link), up()
         assert poses.wait_for_more(10), running.stdout.read()
         refused = subprocess.run(second, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
         assert refused.returncode == 1, refused.stdout + refused.stderr
@@ -87,3 +84,13 @@ def test_second_up_beside_a_running_graph_is_refused_and_the_first_one_goes_on(u
         said, _ = running.communicate(timeout=PATIENCE_S)
     assert running.returncode == 0, said
     assert "died" not in said
+
+
+@pytest.mark.slow
+def test_launched_footage_is_tracked_below_a_pushed_namespace(built_in_session):
+    given = {"session": built_in_session, "namespace": "studio", "loop": "true"}
+    topic, nodes = "/lab/studio/mocap/joint_states", launched(LAUNCH / "demo.launch.py", "/lab", **given)
+    with RosLink("listener") as link, running(nodes) as processes:
+        angles = Heard(link.node, JointState, topic, PATIENCE_S, lambda message: len(message.position))
+        assert angles.wait_for(20) and set(angles.kept) == {18}
+    assert [process.returncode for process in processes] == [0] * len(nodes)

@@ -19,6 +19,8 @@ from sagoma_tools.graph.processes import ProcessSettings
 from sagoma_tools.graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
 from sagoma_tools.graph.supervisor import Supervisor
 
+pytestmark = pytest.mark.slow
+
 CAMERA_FPS = 5.0
 PATIENCE_S = 300.0
 CRASHES = {
@@ -32,7 +34,6 @@ CRASHES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("server", [ONE_PROCESS, THREE_PROCESSES])
 def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in_session: Path, tmp_path: Path):
     told: queue.Queue[ProcessExited | ProcessRecovered] = queue.Queue()

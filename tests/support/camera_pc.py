@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -73,12 +72,8 @@ class GraphListener:
         self._link.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, RESULT)
 
     def listen(self, camera: str) -> None:
-        self._link.node.create_subscription(
-            CompressedImage,
-            f"/{camera}/silhouette/compressed",
-            lambda message: self._on_mask(camera, message),
-            SILHOUETTE_RELIABLE_SUBSCRIBER,
-        )
+        topic, qos = f"/{camera}/silhouette/compressed", SILHOUETTE_RELIABLE_SUBSCRIBER
+        self._link.node.create_subscription(CompressedImage, topic, lambda mask: self._on_mask(camera, mask), qos)
 
     @property
     def node(self):
@@ -157,19 +152,10 @@ class CameraPC:
         namespace = namespace or self.name
         path = self.folder / f"{namespace}_{len(self._processes)}.yaml"
         path.write_text(yaml.safe_dump({f"/{namespace}/camera_client": {"ros__parameters": self.parameters}}))
-        command = [
-            sys.executable,
-            "-m",
-            "camera_client.camera_node",
-            "--ros-args",
-            "-r",
-            f"__ns:=/{namespace}",
-            "--params-file",
-            str(path),
-        ]
-        log = path.with_suffix(".log").open("wb")
-        self._processes.append(subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=os.environ))
-        log.close()
+        words = ["--ros-args", "-r", f"__ns:=/{namespace}", "--params-file", str(path)]
+        command = [sys.executable, "-m", "camera_client.camera_node", *words]
+        with path.with_suffix(".log").open("wb") as log:
+            self._processes.append(subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT))
         return self._processes[-1]
 
     def until_streaming(self) -> None:

@@ -85,29 +85,23 @@ class Target:
 
     def wait_for_tracking(self, timeout_s: float) -> bool:
         """Return whether the filter says in time that it tracks."""
-        end_s = time.monotonic() + timeout_s
-        while time.monotonic() < end_s:
-            if self.state().startswith("tracking"):
-                return True
-            self.wait_for_answers(1, 1.0)
-        return False
+        return self.supervisor.diagnostics.wait_until(lambda: self.state().startswith("tracking"), timeout_s)
 
     def state(self) -> str:
         """Return the filter's own words."""
         report = self.supervisor.diagnostics.report("/ekf_tracker")
         return report.message if report is not None else "?"
 
-    def wait_for_reports(self, timeout_s: float = ALIVE_TIMEOUT_S) -> None:
+    def wait_for_reports(self) -> None:
         """Wait until every node has published its diagnostics twice: by then they tell what came before."""
-        diagnostics, names = self.supervisor.diagnostics, [node.full_name for node in self.supervisor.graph]
-        end_s = time.monotonic() + timeout_s
-        for _ in range(2):
-            since_s = time.monotonic()
-            while time.monotonic() < end_s:
-                reports = [diagnostics.report(name) for name in names]
-                if all(report is not None and report.heard_s > since_s for report in reports):
-                    break
-                time.sleep(0.05)
+        before = self._reports()
+        self.supervisor.diagnostics.wait_until(
+            lambda: all(count >= before[name] + 2 for name, count in self._reports().items()), ALIVE_TIMEOUT_S
+        )
+
+    def _reports(self) -> Counter[str]:
+        reports = {node.full_name: self.supervisor.diagnostics.report(node.full_name) for node in self.supervisor.graph}
+        return Counter({name: report.count if report is not None else 0 for name, report in reports.items()})
 
     def counters(self) -> Counter[str]:
         """Return every whole number in the nodes' diagnostics."""

@@ -10,7 +10,7 @@ import array
 import copy
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -117,23 +117,18 @@ def _map(message: Any, change: Callable[[Any], Any], element: float | None) -> b
 
 
 def _enlarged(valid: Any, rng: np.random.Generator) -> Any:
+    """A copy whose lists and arrays are of twenty thousand messages, or a million texts or numbers."""
     made, changed = copy.deepcopy(valid), False
-    for name, value in _sequences(made):
+    for name, kind in made.get_fields_and_field_types().items():
+        value = getattr(made, name)
+        if not kind.startswith("sequence") or not isinstance(value, list | array.array):
+            continue
         if isinstance(value, array.array):
             setattr(made, name, array.array(value.typecode, [1]) * 1_000_000)
-        elif value and not isinstance(value[0], str):
-            setattr(made, name, [value[0]] * 20_000)
-        else:
-            setattr(made, name, ["x"] * 1_000_000 if value and isinstance(value[0], str) else value)
+        elif value:
+            setattr(made, name, ["x"] * 1_000_000 if isinstance(value[0], str) else [value[0]] * 20_000)
         changed = True
     return made if changed else None
-
-
-def _sequences(message: Any) -> Iterator[tuple[str, Any]]:
-    for name, kind in message.get_fields_and_field_types().items():
-        value = getattr(message, name)
-        if kind.startswith("sequence") and isinstance(value, list | array.array):
-            yield name, value
 
 
 # --- of single types

@@ -57,18 +57,9 @@ def restart(world, environment, **options):
 
 def examine(world, environment, rig):
     """What the doctor on the server finds, of the graph and of the way to the camera that has the fault."""
-    options = [
-        "--no-machine",
-        "--json",
-        "--live",
-        "--seconds",
-        SECONDS,
-        "--rig",
-        rig,
-        "--host",
-        world.hosts[AWAY].address,
-    ]
-    command = [sys.executable, "-m", "sagoma_tools.cli", "doctor", *options]
+    words = ["doctor", "--no-machine", "--json", "--live", "--seconds", SECONDS]
+    words += ["--rig", rig, "--host", world.hosts[AWAY].address]
+    command = [sys.executable, "-m", "sagoma_tools.cli", *words]
     doctor = world.hosts[SERVER].start(command, environment, stdout=subprocess.PIPE, text=True)
     return doctor.communicate()[0].splitlines()[-1]
 
@@ -76,26 +67,26 @@ def examine(world, environment, rig):
 def with_fault(fault, world, environment, rig):
     """Bring the fault about, examine, and take it away again."""
     cable = world.cables[AWAY]
+    elsewhere = {
+        "domain": {"ROS_DOMAIN_ID": OTHER_DOMAIN},
+        "localhost": ALONE,
+        "missing peer": ELSEWHERE,
+        "profile": {PROFILE_VARIABLE: rig.replace("rig.yaml", "other.xml")},
+    }
     if fault in LEAD_S:
         restart(world, environment, lead_s=LEAD_S[fault])
+    elif fault in elsewhere:
+        restart(world, {**environment, **elsewhere[fault]})
     elif fault == "loss":
         cable.set(Condition(loss=0.2))
     elif fault == "MTU":
         world.cables[SERVER].set_host_mtu(9000)
-    elif fault == "domain":
-        restart(world, {**environment, "ROS_DOMAIN_ID": OTHER_DOMAIN})
-    elif fault == "localhost":
-        restart(world, {**environment, **ALONE})
-    elif fault == "missing peer":
-        restart(world, {**environment, **ELSEWHERE})
     elif fault == "no multicast":
         world.pass_multicast(False)
         restart(world, environment)
     elif fault == "firewall":
         on_host(world, NOTHING_BUT_OUR_PROBES)
         restart(world, environment)
-    elif fault == "profile":
-        restart(world, {**environment, PROFILE_VARIABLE: rig.replace("rig.yaml", "other.xml")})
     elif fault == "two servers":
         for host in (SERVER, AWAY):
             world.hosts[host].start([sys.executable, "-c", A_SERVER], environment)

@@ -12,11 +12,10 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 import types
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,12 +34,8 @@ class Context:
         self.pushed: str | None = None
 
 
-@dataclass
 class Kept:
     """Keeps whatever it was made with."""
-
-    args: tuple[Any, ...]
-    kwargs: dict[str, Any]
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         self.args, self.kwargs = args, kwargs
@@ -212,7 +207,7 @@ def _visit(entities: Iterable[Any], context: Context) -> Iterator[Node]:
             yield entity
 
 
-# --- and runs
+# --- its processes
 
 
 def module_of(package: str, executable: str) -> str:
@@ -222,48 +217,19 @@ def module_of(package: str, executable: str) -> str:
     return found[1]
 
 
-class LaunchRun:
-    """Runs what a launch file starts, as launch does: a process that ends is started again, or ends them all."""
-
-    def __init__(self, nodes: list[Node]) -> None:
-        self.nodes = nodes
-        self.processes: dict[str, subprocess.Popen] = {}
-        self.over = threading.Event()
-        self.starts = 0
-        self._started = threading.Condition()
-        self._watchers = [threading.Thread(target=self._keep, args=(node,), daemon=True) for node in nodes]
-
-    def __enter__(self) -> LaunchRun:
-        for watcher in self._watchers:
-            watcher.start()
-        return self
-
-    def wait_for_starts(self, count: int) -> bool:
-        """Wait until so many processes have been started, those that were started again included."""
-        with self._started:
-            return self._started.wait_for(lambda: self.starts >= count, END_S)
-
-    def __exit__(self, *error: object) -> None:
-        self.over.set()
-        for process in self.processes.values():
+@contextmanager
+def running(nodes: list[Node]) -> Iterator[list[subprocess.Popen]]:
+    """The processes that launch would start for these nodes; ended as by Ctrl-C."""
+    commands = [
+        [sys.executable, "-m", module_of(n.package, n.executable), *n.arguments, *n.ros_arguments()] for n in nodes
+    ]
+    processes = [subprocess.Popen(command) for command in commands]
+    try:
+        yield processes
+    finally:
+        for process in processes:
             process.send_signal(signal.SIGINT)
-        for watcher in self._watchers:
-            watcher.join(END_S)
-        for process in self.processes.values():
+        for process in processes:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(END_S)
             process.kill()
-
-    def _keep(self, node: Node) -> None:
-        module = module_of(node.package, node.executable)
-        command = [sys.executable, "-m", module, *node.arguments, *node.ros_arguments()]
-        label = f"{(node.full_namespace or '').rstrip('/')}/{node.executable}"
-        while not self.over.is_set():
-            process = subprocess.Popen(command)
-            with self._started:
-                self.processes[label] = process
-                self.starts += 1
-                self._started.notify_all()
-            process.wait()
-            if node.on_exit:
-                self.over.set()
-            if not node.respawn or self.over.wait(node.respawn_delay or 0.0):
-                return

@@ -20,11 +20,12 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from virtual_studio.motions.catalogue import MOTIONS, t_pose_only
-from virtual_studio.people import VolumetricBody
+from virtual_studio.motions.together import TOGETHER
+from virtual_studio.people import VolumetricBody, people_of_sizes, together
 from virtual_studio.rendering.camera import ExactSilhouettes
 from virtual_studio.rig import ring
 
-FRAME_NS = 16_666_667
+FRAME_NS, STANDING = 16_666_667, 12
 BODY = Body.from_stature(1.75)
 
 
@@ -40,9 +41,9 @@ def standing(t_pose):
     """A pipeline that has tracked the T-pose, and the stamp of the set after."""
     rig, masks, _ = t_pose
     pipeline = MocapPipeline(rig, Configuration.of({"hull_server.backend": "cpu"}))
-    steps = [pipeline.step_masks(FRAME_NS * frame, masks) for frame in range(1, 31)]
+    steps = [pipeline.step_masks(FRAME_NS * frame, masks) for frame in range(1, STANDING + 1)]
     assert steps[-1].state is not None
-    return pipeline, steps[-1], 31 * FRAME_NS
+    return pipeline, steps[-1], (STANDING + 1) * FRAME_NS
 
 
 def test_pipeline_finds_and_follows_a_person_in_a_t_pose(standing, t_pose):
@@ -133,6 +134,27 @@ def test_a_runner_before_untriggered_cameras_is_where_the_rays_times_say():
             errors.append(np.linalg.norm(stage.step(seen).state.points_world - truth, axis=1))
     timed, untimed = (np.mean(errors[sets // 3 :]) for errors in errors_m.values())
     assert timed < 0.0115 and timed < 0.8 * untimed
+
+
+@pytest.mark.slow
+def test_two_who_pass_shake_hands_hug_and_part_are_followed_without_being_exchanged():
+    fps, rig, persons = 30.0, ring(5), people_of_sizes(2)
+    motions, eyes = TOGETHER["meeting"].motions(persons, fps), ExactSilhouettes(rig)
+    pipeline = MocapPipeline(rig, Configuration.of({"hull_server.backend": "cpu"}))
+    errors: dict[int, list[np.ndarray]] = {1: [], 2: []}  # mm from each of the two, by the tracker's number
+    for frame, poses in enumerate(zip(*(motion.poses for motion in motions), strict=True)):
+        masks = eyes.render(together(*(person.place(pose) for person, pose in zip(persons, poses, strict=True))))
+        true = [forward(person.body, pose) for person, pose in zip(persons, poses, strict=True)]
+        for person in pipeline.step_masks(round((frame + 1) * 1e9 / fps), masks).people:
+            if person.state is not None:
+                off = [np.linalg.norm(person.state.points_world - points, axis=1).mean() for points in true]
+                errors[person.person].append(1e3 * np.array(off))
+    for rows in errors.values():
+        from_each = np.array(rows)
+        assert len(from_each) > 0.95 * len(motions[0].poses)
+        assert len(set(from_each.argmin(axis=1))) == 1  # always the same one
+        assert from_each.min(axis=1).mean() < 25.0
+    assert {int(np.argmin(rows[0])) for rows in errors.values()} == {0, 1}
 
 
 def _no_masks(pipeline):

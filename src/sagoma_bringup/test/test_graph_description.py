@@ -1,4 +1,4 @@
-"""The graph as data: the right nodes for a session, a rig, a machine; and clear errors for what does not fit."""
+"""The graph as data: nodes for a session, a rig, a machine, the processes that they run in, and what does not fit."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from capture_rig.errors import InputError
-from sagoma_bringup.graph import Role, build_graph
+from sagoma_bringup.graph import SERVER_NODES, THREE_PROCESSES, Role, build_graph, processes_of, select
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 RING4 = CONFIG / "rig" / "ring4.yaml"
@@ -41,16 +41,21 @@ def test_footage_played_by_no_clock_is_stamped_from_one_epoch_or_the_one_that_wa
     assert epochs(rate=0, epoch_ns=7) == {7} and epochs(rate=1) == {0}
 
 
-def test_session_without_a_video_of_a_rig_camera_is_an_error(session):
-    (session / "cam02.mp4").unlink()
-    with pytest.raises(InputError, match=r"the rig has 2 cameras, but there is no video for cam02"):
-        build_graph(session=session)
-
-
-def test_session_without_a_background_is_an_error(session):
-    (session / "cam01_background.png").unlink()
-    with pytest.raises(InputError, match=r"no background for cam01.*Add cam01_background"):
-        build_graph(session=session)
+@pytest.mark.parametrize(
+    ("missing", "given", "message"),
+    [
+        ("cam02.mp4", {}, "the rig has 2 cameras, but there is no video for cam02"),
+        ("cam01_background.png", {}, "no background for cam01.*Add cam01_background"),
+        ("", {"only": "cam07"}, "no part 'cam07'.*cam01, cam02"),
+        ("", {"settings": {"hul_server.voxel_size_m": 0.015}}, "'hul_server.voxel_size_m' names no node.*hull_server"),
+    ],
+    ids=["no video", "no background", "unknown camera", "unknown node"],
+)
+def test_session_that_does_not_fit_is_an_error_that_says_what_does(session, missing, given, message):
+    if missing:
+        (session / missing).unlink()
+    with pytest.raises(InputError, match=message):
+        build_graph(session=session, **given)
 
 
 def test_only_one_camera_is_picked_by_its_name(session):
@@ -58,11 +63,6 @@ def test_only_one_camera_is_picked_by_its_name(session):
     assert node.full_name == "/cam02/camera_client"
     assert [n.full_name for n in build_graph(session=session, only="server")] == SERVER
     assert [n.label for n in build_graph(session=session, only="cameras")] == ["cam01", "cam02"]
-
-
-def test_unknown_camera_is_an_error_that_lists_the_known_ones(session):
-    with pytest.raises(InputError, match=r"no part 'cam07'.*cam01, cam02"):
-        build_graph(session=session, only="cam07")
 
 
 def test_example_rig_and_camera_files_make_one_graph():
@@ -100,17 +100,17 @@ def test_camera_file_alone_is_that_camera_alone():
     assert node.full_name == "/cam01/camera_client" and node.parameters["source"] == "footage"
 
 
-def test_camera_count_that_does_not_match_the_rig_is_an_error(tmp_path):
-    for name in ("cam01", "cam02"):
-        camera_file(tmp_path, name)
-    with pytest.raises(InputError, match=r"has 4 cameras, but there is no parameter file for cam03, cam04"):
-        build_graph(rig=RING4, cameras=tmp_path)
-
-
-def test_camera_that_the_rig_does_not_know_is_an_error(tmp_path):
-    for name in ("cam01", "cam02", "cam03", "cam04", "cam05"):
-        camera_file(tmp_path, name)
-    with pytest.raises(InputError, match=r"has no camera cam05.*Known cameras: cam01, cam02, cam03, cam04"):
+@pytest.mark.parametrize(
+    ("count", "message"),
+    [
+        (2, "has 4 cameras, but there is no parameter file for cam03, cam04"),
+        (5, "has no camera cam05.*Known cameras: cam01, cam02, cam03, cam04"),
+    ],
+)
+def test_cameras_that_are_not_those_of_the_rig_are_an_error(tmp_path, count, message):
+    for number in range(1, count + 1):
+        camera_file(tmp_path, f"cam{number:02d}")
+    with pytest.raises(InputError, match=message):
         build_graph(rig=RING4, cameras=tmp_path)
 
 
@@ -137,15 +137,19 @@ def test_camera_file_of_another_shape_is_an_error(tmp_path, text, message):
         build_graph(cameras=tmp_path / "cam01.yaml")
 
 
-def test_missing_files_are_errors_that_name_them(tmp_path):
-    with pytest.raises(InputError, match=r"nowhere\.yaml: cannot be read"):
-        build_graph(rig=tmp_path / "nowhere.yaml")
-    with pytest.raises(InputError, match="no camera parameter file"):
-        build_graph(rig=RING4, cameras=tmp_path)
-    with pytest.raises(InputError, match=r"body\.yaml: there is no such file"):
-        build_graph(rig=RING4, body=tmp_path / "body.yaml")
-    with pytest.raises(InputError, match="neither a session nor a rig"):
-        build_graph()
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"rig": "nowhere.yaml"}, r"nowhere\.yaml: cannot be read"),
+        ({"rig": RING4, "cameras": "."}, "no camera parameter file"),
+        ({"rig": RING4, "body": "body.yaml"}, r"body\.yaml: there is no such file"),
+        ({}, "neither a session nor a rig"),
+    ],
+)
+def test_missing_files_are_errors_that_name_them(tmp_path, monkeypatch, given, message):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=message):
+        build_graph(**given)
 
 
 def test_settings_reach_the_nodes_they_name(session):
@@ -157,13 +161,32 @@ def test_settings_reach_the_nodes_they_name(session):
     assert "publish_preview" not in graph["hull_server"]
 
 
-def test_setting_of_an_unknown_node_is_an_error(session):
-    with pytest.raises(InputError, match=r"'hul_server.voxel_size_m' names no node.*hull_server"):
-        build_graph(session=session, settings={"hul_server.voxel_size_m": 0.015})
+# --- processes
 
 
-def test_parameter_document_is_a_ros_parameter_file(session):
-    (node,) = build_graph(session=session, only="cam01")
-    document = node.parameter_document()
-    assert list(document) == ["/cam01/camera_client"]
-    assert document["/cam01/camera_client"]["ros__parameters"]["source"] == "footage"
+@pytest.fixture()
+def graph():
+    return build_graph(rig=RING4, cameras=CONFIG / "camera")
+
+
+def test_the_server_is_one_process_and_each_camera_another(graph):
+    server, *cameras = processes_of(graph)
+    assert [node.name for node in server.nodes] == list(SERVER_NODES)
+    assert (server.executable, server.label) == ("mocap_server", "mocap_server")
+    assert server.name_arguments == ["-r", "__ns:=/"]
+    assert server.parameter_document().keys() == {f"/{name}" for name in SERVER_NODES}
+    assert [process.label for process in cameras] == [node.label for node in graph[3:]]
+    assert cameras[0].name_arguments == ["-r", "__node:=camera_client", "-r", "__ns:=/cam01"]
+    assert cameras[0].parameter_document()["/cam01/camera_client"]["ros__parameters"]["source"] == "aravis"
+    assert str(server) == "/hull_server, /icp_tracker, /ekf_tracker"
+
+
+def test_three_processes_are_a_process_a_node(graph):
+    processes = processes_of(graph, THREE_PROCESSES)
+    assert [process.nodes for process in processes] == [(node,) for node in graph]
+    assert [process.module for process in processes] == [node.module for node in graph]
+
+
+def test_a_part_of_the_server_is_never_in_the_common_process(graph):
+    (process,) = processes_of(select(graph, "hull_server"))
+    assert process.executable == "hull_server"

@@ -37,14 +37,6 @@ def good_message() -> MultiDOFJointState:
     return message_of(Prediction.of(STAMP, random_pose(0), np.arange(24) / 10))
 
 
-def refusal(message: MultiDOFJointState) -> str:
-    with pytest.raises(InputError) as caught:
-        read_predictions(message, TOPIC)
-    assert str(caught.value).startswith(f"{TOPIC}: ")
-    assert caught.value.remedy
-    return str(caught.value)
-
-
 def test_joint_state_has_names_angles_and_rates() -> None:
     angles, rates = np.linspace(-1, 1, 18), np.linspace(2, 3, 18)
     message = joint_state_message(ANGLE_NAMES, angles, rates, STAMP)
@@ -53,18 +45,21 @@ def test_joint_state_has_names_angles_and_rates() -> None:
     assert to_ns(message.header.stamp) == STAMP
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_prediction_comes_back_as_the_same_pose_and_velocity(seed: int) -> None:
-    pose, velocity = random_pose(seed), np.random.default_rng(seed).normal(size=24)
-    sent = Prediction.of(STAMP, pose, velocity)
-    prediction = read_predictions(message_of(sent), TOPIC).of[1]
-    assert prediction.stamp_ns == STAMP
-    assert prediction.pose is not None
-    assert np.abs(prediction.pose.minus(pose)).max() < 1e-12
-    assert np.array_equal(prediction.velocity, velocity)
-    assert sent.pose is not None  # the same bytes, whether it went over the wire or not
-    for there, here in zip(prediction.pose.arrays, sent.pose.arrays, strict=True):
-        assert np.array_equal(there, here)
+def test_everybodys_prediction_comes_back_as_the_same_pose_and_velocity() -> None:
+    poses = {person: random_pose(person) for person in (1, 3, 4, 7)}
+    velocities = {person: np.random.default_rng(person).normal(size=24) for person in poses}
+    sent = {person: Prediction.of(STAMP, pose, velocities[person]) for person, pose in poses.items()}
+    message = predictions_message(Predictions(STAMP, sent))
+    assert message.joint_names[10] == "person_3/torso"
+    found = read_predictions(message, TOPIC).of
+    assert list(found) == list(poses)
+    for person, prediction in found.items():
+        assert prediction.stamp_ns == STAMP
+        assert np.abs(prediction.pose.minus(poses[person])).max() < 1e-12
+        assert np.array_equal(prediction.velocity, velocities[person])
+        # the same bytes, whether it went over the wire or not
+        for there, here in zip(prediction.pose.arrays, sent[person].pose.arrays, strict=True):
+            assert np.array_equal(there, here)
 
 
 def test_prediction_message_holds_each_joint_in_the_axes_of_its_carrier() -> None:
@@ -97,35 +92,25 @@ def test_filter_without_a_state_says_so_with_its_stamp() -> None:
     assert prediction.velocity.tolist() == [0] * 24
 
 
-def test_everybody_has_joints_of_their_own() -> None:
-    poses = {1: random_pose(1), 3: random_pose(3)}
-    sent = Predictions(STAMP, {p: Prediction.of(STAMP, pose, np.full(24, float(p))) for p, pose in poses.items()})
-    message = predictions_message(sent)
-    assert message.joint_names[10] == "person_3/torso"
-    found = read_predictions(message, TOPIC).of
-    assert list(found) == [1, 3]
-    for person, pose in poses.items():
-        assert np.abs(found[person].pose.minus(pose)).max() < 1e-12
-        assert (found[person].velocity == person).all()
+def refusal(message: MultiDOFJointState) -> str:
+    with pytest.raises(InputError) as caught:
+        read_predictions(message, TOPIC)
+    assert str(caught.value).startswith(f"{TOPIC}: ") and caught.value.remedy
+    return str(caught.value)
 
 
-@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
 @pytest.mark.parametrize("joint", [0, 7])
 def test_prediction_with_a_number_that_is_not_finite_is_refused(joint: int, bad: float) -> None:
     turned, moving = good_message(), good_message()
-    turned.transforms[joint].rotation.y = bad
-    moving.twist[joint].angular.x = bad
+    turned.transforms[joint].rotation.y = moving.twist[joint].angular.x = bad
     assert "not finite" in refusal(turned) and "not finite" in refusal(moving)
 
 
-def test_prediction_with_a_quaternion_that_is_no_rotation_is_refused() -> None:
-    message = good_message()
-    message.transforms[3].rotation = Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)
-    assert "length 1" in refusal(message)
-
-
-def test_prediction_of_other_joints_or_in_another_order_is_refused() -> None:
-    other, turned_round, twice = good_message(), good_message(), good_message()
+def test_prediction_of_no_rotation_other_joints_or_in_another_order_is_refused() -> None:
+    flat, other, turned_round, twice = (good_message() for _ in range(4))
+    flat.transforms[3].rotation = Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)
+    assert "length 1" in refusal(flat)
     other.joint_names = [*JOINT_NAMES[:-1], "tail"]
     turned_round.joint_names = list(reversed(JOINT_NAMES))
     for field in ("joint_names", "transforms", "twist"):
@@ -134,7 +119,7 @@ def test_prediction_of_other_joints_or_in_another_order_is_refused() -> None:
         assert "names" in refusal(message)
 
 
-@pytest.mark.parametrize(("transforms", "twists"), [(9, 10), (10, 9), (10, 0), (0, 10), (9, 9), (0, 0)])
+@pytest.mark.parametrize(("transforms", "twists"), [(9, 10), (10, 9), (0, 0)])
 def test_prediction_with_joints_missing_is_refused(transforms: int, twists: int) -> None:
     message = good_message()
     message.transforms, message.twist = message.transforms[:transforms], message.twist[:twists]

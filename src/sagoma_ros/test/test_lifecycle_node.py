@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from node_probe import FAILURE, SUCCESS
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters
-from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
@@ -23,8 +23,6 @@ from sagoma_ros.process import autostart
 
 if TYPE_CHECKING:
     from node_probe import Spinner
-
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
 @dataclass(frozen=True)
@@ -75,44 +73,37 @@ class Example(SagomaNode):
 
 def make_node(ros: Spinner, **overrides: Any) -> Example:
     parameters = [Parameter(key, value=value) for key, value in overrides.items()]
-    node = Example(context=ros.context, parameter_overrides=parameters)
-    ros.add(node)
-    return node
+    return ros.add(Example(context=ros.context, parameter_overrides=parameters))
 
 
-def test_node_starts_unconfigured_and_says_so(ros: Spinner) -> None:
-    node = make_node(ros)
-    assert node.state == "unconfigured"
-    assert node.shown == (OK, "unconfigured")
-
-
-def test_hooks_are_called_in_the_order_of_the_lifecycle(ros: Spinner) -> None:
+def test_hooks_are_called_in_the_order_of_the_lifecycle_and_each_state_is_shown(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
-    shown = []
+    shown = [(node.state, *node.shown)]
     for step in (node.trigger_configure, node.trigger_activate, node.trigger_deactivate, node.trigger_cleanup):
         assert step() == SUCCESS
-        shown.append(node.shown)
+        shown.append((node.state, *node.shown))
     assert node.hooks == ["configure", "activate", "deactivate", "cleanup"]
-    assert shown == [(OK, "configured, inactive"), (OK, "active"), (OK, "suspended"), (OK, "unconfigured")]
+    assert shown == [
+        ("unconfigured", OK, "unconfigured"),
+        ("inactive", OK, "configured, inactive"),
+        ("active", OK, "active"),
+        ("inactive", OK, "suspended"),
+        ("unconfigured", OK, "unconfigured"),
+    ]
     assert node.settings == Settings("rig.yaml", 4)
 
 
-def test_failing_configure_gives_failure_with_clear_text_and_cleans_up(ros: Spinner) -> None:
+def test_failing_configure_says_why_cleans_up_and_works_once_the_parameter_was_mended(ros: Spinner) -> None:
     node = make_node(ros)
     assert node.trigger_configure() == FAILURE
-    assert node.state == "unconfigured"
-    assert node.hooks == ["configure", "cleanup"]
+    assert (node.state, node.hooks) == ("unconfigured", ["configure", "cleanup"])
     assert node.shown == (ERROR, "parameters of /example: rig_file = '' is not a file. Name a rig file.")
-
-
-def test_node_configures_after_the_parameter_was_mended(ros: Spinner) -> None:
-    node = make_node(ros)
-    node.trigger_configure()
+    node.failing["cleanup"] = OSError("stuck")
+    assert node.trigger_configure() == FAILURE and node.state == "unconfigured"
     (result,) = node.set_parameters([Parameter("rig_file", value="rig.yaml")])
     assert result.successful
     assert node.trigger_configure() == SUCCESS
-    assert node.state == "inactive"
-    assert node.shown == (OK, "configured, inactive")
+    assert (node.state, node.shown) == ("inactive", (OK, "configured, inactive"))
     assert node.settings.rig_file == "rig.yaml"
 
 
@@ -134,94 +125,64 @@ def test_unexpected_error_in_a_hook_fails_the_transition_and_not_the_process(ros
     assert node.trigger_configure() == SUCCESS
 
 
-def test_failing_activate_leaves_the_node_inactive_and_its_publishers_silent(ros: Spinner) -> None:
+def test_failing_activate_leaves_the_node_inactive_and_failing_deactivate_active(ros: Spinner) -> None:
     node = make_node(ros, rig_file="rig.yaml")
     node.failing["activate"] = InputError("the camera is busy")
     node.trigger_configure()
     assert node.trigger_activate() == FAILURE
-    assert node.state == "inactive"
+    assert node.state == "inactive" and not node.results.is_activated
     assert node.hooks == ["configure", "activate", "deactivate"]
-    assert not node.results.is_activated
-    node.failing.clear()
+    node.failing = {"deactivate": OSError("stuck")}
     assert node.trigger_activate() == SUCCESS
-    assert node.results.is_activated
-
-
-def test_failing_deactivate_leaves_the_node_active(ros: Spinner) -> None:
-    node = make_node(ros, rig_file="rig.yaml")
-    node.trigger_configure()
-    node.trigger_activate()
-    node.failing["deactivate"] = OSError("stuck")
     assert node.trigger_deactivate() == FAILURE
     assert node.state == "active" and node.results.is_activated
 
 
-def test_failing_cleanup_after_a_failed_configure_does_not_kill(ros: Spinner) -> None:
-    node = make_node(ros)
-    node.failing["cleanup"] = OSError("stuck")
-    assert node.trigger_configure() == FAILURE
-    assert node.state == "unconfigured"
-
-
-def test_shutdown_releases_everything_from_any_state(ros: Spinner) -> None:
-    node = make_node(ros, rig_file="rig.yaml")
+def test_shutdown_and_close_release_everything_from_any_state(ros: Spinner) -> None:
+    node, unused = make_node(ros, rig_file="rig.yaml"), make_node(ros)
     node.trigger_configure()
     node.trigger_activate()
-    assert node.trigger_shutdown() == SUCCESS
-    assert node.state == "finalized"
+    assert node.trigger_shutdown() == SUCCESS and node.state == "finalized"
     assert node.hooks[-2:] == ["deactivate", "cleanup"]
+    unused.close()
+    assert unused.hooks == ["deactivate", "cleanup"]
 
 
-def test_close_releases_everything_without_a_transition(ros: Spinner) -> None:
-    node = make_node(ros)
-    node.close()
-    assert node.hooks == ["deactivate", "cleanup"]
-
-
-def test_autostart_is_off_unless_asked_for(ros: Spinner) -> None:
-    node = make_node(ros, rig_file="rig.yaml")
-    assert autostart([node])
-    assert (node.state, node.hooks) == ("unconfigured", [])
-
-
-def test_autostart_configures_and_activates(ros: Spinner) -> None:
-    node = make_node(ros, rig_file="rig.yaml", autostart=True)
-    assert autostart([node])
-    assert node.state == "active"
-
-
-def test_autostart_that_cannot_configure_does_not_activate(ros: Spinner) -> None:
-    node = make_node(ros, autostart=True)
-    assert not autostart([node])
-    assert "activate" not in node.hooks
+@pytest.mark.parametrize(
+    ("given", "succeeds", "state", "hooks"),
+    [
+        ({"rig_file": "rig.yaml"}, True, "unconfigured", []),
+        ({"rig_file": "rig.yaml", "autostart": True}, True, "active", ["configure", "activate"]),
+        ({"autostart": True}, False, "unconfigured", ["configure", "cleanup"]),
+    ],
+    ids=["not asked for", "asked for", "cannot configure"],
+)
+def test_autostart_configures_and_activates_where_asked_for(ros: Spinner, given, succeeds, state, hooks) -> None:
+    node = make_node(ros, **given)
+    assert autostart([node]) == succeeds
+    assert (node.state, node.hooks) == (state, hooks)
 
 
 def test_autostart_of_a_wrong_type_is_refused_by_name(ros: Spinner) -> None:
-    node = make_node(ros, autostart="yes")
     with pytest.raises(InputError, match="autostart = 'yes' is not of type bool"):
-        autostart([node])
+        autostart([make_node(ros, autostart="yes")])
 
 
-def change_state(ros: Spinner, node: Example, transition: int) -> bool:
+def test_impossible_and_failed_transitions_are_answered_with_no_and_kill_nothing(ros: Spinner) -> None:
+    node = make_node(ros)
     client = node.create_client(ChangeState, "example/change_state")
     ros.until(client.service_is_ready, "the lifecycle service")
-    future = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
-    ros.until(future.done, "the answer of the lifecycle service")
-    return future.result().success
 
+    def change_state(transition: int) -> bool:
+        future = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
+        ros.until(future.done, "the answer of the lifecycle service")
+        return future.result().success
 
-def test_impossible_transition_is_answered_with_no_and_kills_nothing(ros: Spinner) -> None:
-    node = make_node(ros, rig_file="rig.yaml")
-    assert not change_state(ros, node, Transition.TRANSITION_ACTIVATE)
+    assert not change_state(Transition.TRANSITION_ACTIVATE)
+    assert not change_state(Transition.TRANSITION_CONFIGURE)  # no rig file
     assert node.state == "unconfigured"
-    assert change_state(ros, node, Transition.TRANSITION_CONFIGURE)
-    assert node.state == "inactive"
-
-
-def test_failed_transition_is_answered_with_no(ros: Spinner) -> None:
-    node = make_node(ros)
-    assert not change_state(ros, node, Transition.TRANSITION_CONFIGURE)
-    assert node.state == "unconfigured"
+    node.set_parameters([Parameter("rig_file", value="rig.yaml")])
+    assert change_state(Transition.TRANSITION_CONFIGURE) and node.state == "inactive"
 
 
 def test_change_of_a_configured_node_says_when_it_takes_effect(ros: Spinner, capfd) -> None:

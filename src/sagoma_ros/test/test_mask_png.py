@@ -33,39 +33,40 @@ def person(depth: int, height: int = 480, width: int = 640) -> np.ndarray:
     return mask
 
 
+def chunk(name: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+
+def with_body(data: bytes, body: bytes) -> bytes:
+    """Return a PNG with another stream, its checksum right, so that the stream itself is read."""
+    return data[:33] + chunk(b"IDAT", body) + data[-12:]
+
+
+def with_size(data: bytes, width: int, height: int) -> bytes:
+    return data[:8] + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)) + data[33:]
+
+
 def written_by_zlib(mask: np.ndarray, depth: int) -> bytes:
     """Return the PNG that former versions wrote: the same rows, deflated by zlib's run-length strategy."""
     ours = mask_png.encode(mask)
     assert ours[24] == depth
-    length = struct.unpack(">I", ours[33:37])[0]
     packer = zlib.compressobj(2, zlib.DEFLATED, 15, 9, zlib.Z_RLE)
-    body = packer.compress(zlib.decompress(ours[41 : 41 + length])) + packer.flush()
-    checksum = struct.pack(">I", zlib.crc32(b"IDAT" + body))
-    return ours[:33] + struct.pack(">I", len(body)) + b"IDAT" + body + checksum + ours[-12:]
+    return with_body(ours, packer.compress(zlib.decompress(ours[41:-16])) + packer.flush())
 
 
-@given(st.integers(1, 41), st.integers(1, 9), st.integers(0, 2**32), st.sampled_from([0, 127, 255]), st.booleans())
-def test_masks_of_any_width_come_back_and_other_programs_see_them(width, height, seed, candidates, doubt) -> None:
-    levels = np.array([BACKGROUND, FOREGROUND, SHADOW_CANDIDATE] if doubt else [BACKGROUND, FOREGROUND], np.uint8)
-    mask = np.random.default_rng(seed).choice(levels, (height, width))
+@given(st.integers(2, 41), st.integers(1, 9), st.integers(0, 2**32), st.sampled_from(list(KINDS)))
+def test_masks_of_any_width_come_back_and_other_programs_see_them(width, height, seed, depth) -> None:
+    mask = np.random.default_rng(seed).choice(np.array(KINDS[depth], np.uint8), (height, width))
+    mask[0, :2] = KINDS[depth][1], KINDS[depth][-2]
     data = mask_png.encode(mask)
-    assert np.array_equal(mask_png.decode(data, candidates), np.where(mask == SHADOW_CANDIDATE, candidates, mask))
-    shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    assert np.array_equal(shown, np.where(mask == SHADOW_CANDIDATE, 85, mask))
-
-
-@given(st.integers(2, 41), st.integers(1, 9), st.integers(0, 2**32))
-def test_degrees_of_darkness_come_back_in_four_bits_or_as_the_camera_judged_them(width, height, seed) -> None:
-    mask = np.random.default_rng(seed).choice(np.array(LEVELS, np.uint8), (height, width))
-    mask[0, :2] = LEVELS[1], LEVELS[-2]
-    data = mask_png.encode(mask)
-    assert data[24] == 4  # bits a pixel
+    assert data[24] == depth  # bits a pixel
     assert np.array_equal(mask_png.decode(data, SHADOW_CANDIDATE), mask)
     for candidates in (BACKGROUND, FOREGROUND):
         expected = np.where(np.isin(mask, CANDIDATE_LEVELS), candidates, np.where(mask > SHADOW_CANDIDATE, 255, 0))
         assert np.array_equal(mask_png.decode(data, candidates), expected)
-    shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)  # sixteen greys, in the same order
-    assert np.array_equal(shown, 17 * np.searchsorted(LEVELS, mask))
+    shown = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    sixteen_greys = 17 * np.searchsorted(LEVELS, mask)  # in the order of their darkness
+    assert np.array_equal(shown, sixteen_greys if depth == 4 else np.where(mask == SHADOW_CANDIDATE, 85, mask))
 
 
 def test_png_that_another_program_wrote_is_left_to_the_general_decoder() -> None:
@@ -90,7 +91,7 @@ def test_stream_is_what_zlib_reads_and_no_longer_than_its_own_by_half(depth: int
     data, former = mask_png.encode(mask), written_by_zlib(mask, depth)
     rows = zlib.decompress(data[41:-16])
     assert len(rows) == 480 * (1 + 640 * depth // 8)
-    assert len(data) <= 1.5 * len(former)
+    assert len(data) <= 1.5 * len(former) and (depth == 4 or len(data) < 5000)
 
 
 @pytest.mark.parametrize("depth", KINDS)
@@ -136,18 +137,6 @@ def test_runs_of_all_lengths_come_back_and_the_bound_of_the_length_holds(depth: 
 # --- damage
 
 
-def with_body(data: bytes, body: bytes) -> bytes:
-    """Return a PNG with another stream, its checksum right, so that the stream itself is read."""
-    return (
-        data[:33]
-        + struct.pack(">I", len(body))
-        + b"IDAT"
-        + body
-        + struct.pack(">I", zlib.crc32(b"IDAT" + body))
-        + data[-12:]
-    )
-
-
 @pytest.mark.parametrize("depth", KINDS)
 def test_damaged_streams_are_refused_or_of_the_right_size_and_nothing_is_written_beyond_them(depth: int) -> None:
     rng, data = np.random.default_rng(depth), mask_png.encode(person(depth, 60, 80))
@@ -188,16 +177,11 @@ def test_rows_too_many_too_few_or_with_a_filter_are_refused_by_the_painter(depth
 
 
 def test_bomb_and_absurd_size_are_refused_without_taking_memory() -> None:
-    bomb = zlib.compress(bytes(50_000_000), 9)
-    data = with_body(mask_png.encode(person(1, 60, 80)), bomb)
-    assert mask_png.decode(data) is None
-    header = struct.pack(">IIBBBBB", 1 << 31, 1 << 31, 1, 0, 0, 0, 0)
-    absurd = data[:16] + header + struct.pack(">I", zlib.crc32(b"IHDR" + header)) + data[33:]
-    assert mask_png.decode(absurd) is None
-    for size in ((0, 5), (5, 0)):
-        header = struct.pack(">IIBBBBB", *size, 1, 0, 0, 0, 0)
-        empty = data[:16] + header + struct.pack(">I", zlib.crc32(b"IHDR" + header)) + data[33:]
-        assert mask_png.decode(empty) is None
+    data = mask_png.encode(person(1, 60, 80))
+    assert mask_png.decode(with_size(data, 80, 60)) is not None
+    assert mask_png.decode(with_body(data, zlib.compress(bytes(50_000_000), 9))) is None
+    for size in ((1 << 31, 1 << 31), (0, 5), (5, 0)):
+        assert mask_png.decode(with_size(data, *size)) is None
 
 
 def test_header_is_read_only_when_it_is_whole() -> None:

@@ -1,14 +1,19 @@
-"""A node's process gives back what large messages took: the middleware's buffers, and large blocks of malloc's."""
+"""The memory of a node's process: what messages took is given back, garbage is freed, what is in use is spared."""
 
+import gc
 import os
 import subprocess
 import sys
+import weakref
+from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from sagoma_ros.middleware import MALLOC_VARIABLES, PROFILE, PROFILE_VARIABLES, QOS_FROM_PROFILE, bound_memory
+from sagoma_ros.process import freeze_garbage_collector
 
 MIB = 1 << 20
 LARGE, BURST = 8, 12  # MiB of a message, and messages that wait at once
@@ -106,3 +111,49 @@ def test_profiles_free_what_was_taken_and_leave_discovery_as_ros_has_it(profile:
     (builtin,) = root.iter(space + "builtin")
     for end in ("reader", "writer"):
         assert builtin.findtext(f"{space}{end}HistoryMemoryPolicy") == "PREALLOCATED_WITH_REALLOC"
+
+
+# --- Python's garbage collection
+
+RINGS = 20_000
+
+
+class Ring:
+    """Refers to itself: only the collector can free it."""
+
+    def __init__(self) -> None:
+        self.next = self
+
+
+@pytest.fixture
+def collector_as_before() -> Iterator[None]:
+    before = gc.get_threshold()
+    yield
+    gc.unfreeze()
+    gc.set_threshold(*before)
+
+
+@pytest.mark.usefixtures("collector_as_before")
+def test_garbage_is_freed_and_what_is_in_use_is_left_alone_until_the_next_time() -> None:
+    held, garbage = [Ring()], weakref.ref(Ring())
+    once = weakref.ref(held[0])
+    freeze_garbage_collector()
+    assert garbage() is None
+    assert gc.get_freeze_count() > 0 and not any(each is held[0] for each in gc.get_objects())
+    held.clear()
+    gc.collect()
+    assert once() is not None
+    freeze_garbage_collector()
+    assert once() is None
+
+
+@pytest.mark.usefixtures("collector_as_before")
+def test_garbage_that_lived_for_a_while_does_not_pile_up_behind_what_is_frozen() -> None:
+    """Python itself waits until a quarter of what it last went through is garbage: of what is frozen now."""
+    in_use = [Ring() for _ in range(5 * RINGS)]
+    freeze_garbage_collector()
+    young = deque[Ring](maxlen=RINGS // 5)  # they outlive the collections of the young
+    for _ in range(RINGS):
+        young.append(Ring())
+    left = sum(isinstance(each, Ring) for each in gc.get_objects())
+    assert left < len(young) + RINGS // 2 and len(in_use) == 5 * RINGS

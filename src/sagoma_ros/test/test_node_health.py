@@ -64,15 +64,18 @@ def test_health_carries_counters_values_state_and_memory(ros: Spinner, monkeypat
     assert (status.level, status.message, status.hardware_id) == (WARN, "camera cam02 is silent", socket.gethostname())
     found = values(status)
     assert (found["late"], found["backend"], found["spread_ms"]) == ("3", "cpu", "0.1235")
+    assert found["host"] == socket.gethostname()
     assert 5 < float(found["rss_mb"]) < 5000
     assert listener.health.counter("late") == 3 and listener.health.counter("never_counted") == 0
 
 
-def test_health_asks_for_further_values_at_every_report(ros: Spinner) -> None:
+def test_health_asks_for_further_values_at_every_report_and_keeps_its_status(ros: Spinner) -> None:
     node_health, counts = Listener(ros).health, iter(range(10))
+    node_health.status(ERROR, "no rig")
     node_health.describe(lambda: {"asked": next(counts), "share": 0.123456})
-    assert [values(node_health.snapshot())["asked"] for _ in range(2)] == ["0", "1"]
-    assert values(node_health.snapshot())["share"] == "0.1235"
+    first, second = node_health.snapshot(), node_health.snapshot()
+    assert (values(first)["asked"], values(second)["asked"], values(second)["share"]) == ("0", "1", "0.1235")
+    assert first.level == second.level == ERROR  # a status stays until the next one
 
 
 def test_health_arrives_while_simulated_time_stands_still(ros: Spinner, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,13 +108,6 @@ def test_latency_percentiles_are_the_ages_of_the_results(ros: Spinner, monkeypat
     found = values(node_health.snapshot())
     assert [found[f"latency_p{p}_ms"] for p in (50, 95, 99)] == ["50.00", "95.00", "99.00"]
     assert "latency_p50_ms" not in values(node_health.snapshot())  # nothing since
-
-
-def test_status_stays_until_the_next_one(ros: Spinner) -> None:
-    node_health = Listener(ros).health
-    node_health.status(ERROR, "no rig")
-    levels = [node_health.snapshot().level for _ in range(2)]
-    assert levels == [ERROR, ERROR]
 
 
 def test_counters_lose_nothing_between_threads(ros: Spinner) -> None:

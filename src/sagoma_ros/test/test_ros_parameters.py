@@ -1,4 +1,4 @@
-"""Settings as parameters of a real node: overrides, files, later changes, and everything refused with its reason."""
+"""Settings as parameters of a real node, what is refused with its reason, and the names that nodes resolve."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ from rclpy.parameter import Parameter
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
+from sagoma_ros.names import graph_topic, package_path, resolve_packages
 from sagoma_ros.node import declare_parameters, read_declared, read_parameters
 
 if TYPE_CHECKING:
     from node_probe import Spinner
+
+RIG = Path(__file__).resolve().parents[3] / "config" / "rig" / "ring4.yaml"
 
 
 @dataclass(frozen=True)
@@ -56,11 +59,8 @@ def refusal(node: Node) -> str:
     return str(caught.value)
 
 
-def test_node_without_overrides_has_the_defaults(ros: Spinner) -> None:
+def test_overrides_are_read_typed_and_what_was_not_given_is_the_default(ros: Spinner) -> None:
     assert read_parameters(make_node(ros), Settings) == Settings()
-
-
-def test_overrides_are_read_typed(ros: Spinner) -> None:
     given = {
         "rig_file": "rig.yaml",
         "cameras": 6,
@@ -75,25 +75,14 @@ def test_overrides_are_read_typed(ros: Spinner) -> None:
     assert settings == Settings("rig.yaml", "auto", 6, True, 0.01, ["z"], [-1.5, 2.0], [3, 1], Blob(0.5))
 
 
-def test_whole_number_serves_for_a_float_parameter(ros: Spinner) -> None:
-    assert read_parameters(make_node(ros, {"blob.min_area_m2": 1}), Settings).blob.min_area_m2 == 1.0
-
-
-def test_parameter_file_is_read(ros: Spinner, tmp_path: Path) -> None:
+def test_parameter_file_is_read_with_empty_lists(ros: Spinner, tmp_path: Path) -> None:
     (tmp_path / "params.yaml").write_text(
         "/studio/hull_server:\n  ros__parameters:\n    cameras: 5\n    low: [0.5, 1.0]\n    ids: [4, 2]\n"
-        "    use_sim_time: false\n    blob: {min_area_m2: 0.25}\n"
+        "    axes: []\n    use_sim_time: false\n    blob: {min_area_m2: 0.25}\n"
     )
     arguments = ["--ros-args", "--params-file", str(tmp_path / "params.yaml")]
-    settings = read_parameters(make_node(ros, arguments=arguments), Settings)
-    assert (settings.cameras, settings.low, settings.ids, settings.blob) == (5, [0.5, 1.0], [4, 2], Blob(0.25))
-
-
-def test_empty_list_in_a_parameter_file_is_an_empty_list(ros: Spinner, tmp_path: Path) -> None:
-    file = tmp_path / "parameters.yaml"
-    file.write_text("/studio/hull_server:\n  ros__parameters:\n    axes: []\n    ids: []\n")
-    settings = read_parameters(make_node(ros, arguments=["--ros-args", "--params-file", str(file)]), Settings)
-    assert settings.axes == [] and settings.ids == []
+    read = read_parameters(make_node(ros, arguments=arguments), Settings)
+    assert (read.cameras, read.low, read.ids, read.axes, read.blob) == (5, [0.5, 1.0], [4, 2], [], Blob(0.25))
 
 
 def test_unknown_override_is_refused_with_a_suggestion(ros: Spinner) -> None:
@@ -110,7 +99,6 @@ def test_override_of_another_settings_class_is_none_of_our_business_when_reading
         ("cameras", 0, "cameras = 0 is out of range. Allowed: 1 to 64"),
         ("blob.min_area_m2", float("inf"), "blob.min_area_m2 = inf m^2 is out of range"),
         ("voxel_m", 1.0, "voxel_m = 1.0 m is out of range. Allowed: 0.002 to 0.2 m"),
-        ("blob.min_area_m2", -0.5, "blob.min_area_m2 = -0.5 m^2 is out of range"),
         ("cameras", "many", "cameras = 'many' is not of type int"),
         ("cameras", True, "cameras = True is not of type int"),
         ("loop", "yes", "loop = 'yes' is not of type bool"),
@@ -152,15 +140,11 @@ def test_later_change_that_is_good_is_read_next_time(ros: Spinner) -> None:
     assert read_parameters(node, Settings).low == [1.0, 2.0]
 
 
-def test_parameters_are_described_with_unit_and_range(ros: Spinner) -> None:
-    node = make_node(ros)
-    voxel, backend = node.describe_parameters(["voxel_m", "backend"])
+def test_parameters_are_described_with_unit_and_with_ranges_for_sliders(ros: Spinner) -> None:
+    described = make_node(ros).describe_parameters(["voxel_m", "backend", "cameras", "low"])
+    voxel, backend, cameras, low = described
     assert (voxel.description, voxel.additional_constraints) == ("voxel size [m]", "0.002 to 0.2")
     assert backend.additional_constraints == "one of auto, cpu, gl"
-
-
-def test_ranges_are_described_for_sliders_and_types_are_fixed(ros: Spinner) -> None:
-    voxel, cameras, low = make_node(ros).describe_parameters(["voxel_m", "cameras", "low"])
     assert [(r.from_value, r.to_value) for r in voxel.floating_point_range] == [(0.002, 0.2)]
     assert [(r.from_value, r.to_value, r.step) for r in cameras.integer_range] == [(1, 64, 1)]
     assert not (voxel.dynamic_typing or low.floating_point_range or voxel.integer_range)
@@ -168,6 +152,7 @@ def test_ranges_are_described_for_sliders_and_types_are_fixed(ros: Spinner) -> N
 
 def test_whole_numbers_given_for_decimals_keep_the_parameters_type(ros: Spinner) -> None:
     node = make_node(ros, {"blob.min_area_m2": 1, "low": [1, 2]})
+    assert read_parameters(node, Settings).blob.min_area_m2 == 1.0
     double = Parameter.Type.DOUBLE
     assert node.get_parameter("blob.min_area_m2").type_ == double
     assert node.get_parameter("low").type_ == Parameter.Type.DOUBLE_ARRAY
@@ -175,3 +160,39 @@ def test_whole_numbers_given_for_decimals_keep_the_parameters_type(ros: Spinner)
     assert (node.get_parameter("blob.min_area_m2").type_, node.get_parameter("blob.min_area_m2").value) == (double, 0.0)
     refused = node.set_parameters_atomically([Parameter("cameras", value=4.0)])
     assert not refused.successful and "cameras = 4.0 is not of type int" in refused.reason
+
+
+# --- names
+
+
+@pytest.mark.parametrize(
+    ("namespace", "expected"),
+    [("", "/hull/thinning"), ("/cam01", "/hull/thinning"), ("/lab/cam01", "/lab/hull/thinning")],
+)
+def test_a_topic_of_the_graph_stands_beside_the_cameras_namespace(ros: Spinner, namespace: str, expected: str) -> None:
+    node = ros.add(Node("client", namespace=namespace, context=ros.context))
+    assert graph_topic(node, "hull/thinning") == expected
+    assert graph_topic(node, "/elsewhere/prediction") == "/elsewhere/prediction"
+
+
+def test_a_package_uri_is_a_file_in_its_share_folder_or_its_sources(tmp_path: Path, monkeypatch) -> None:
+    uri = "package://sagoma_bringup/config/rig/ring4.yaml"
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    assert package_path(uri).samefile(RIG)
+    index = tmp_path / "share" / "ament_index" / "resource_index" / "packages"
+    index.mkdir(parents=True)
+    (index / "sagoma_bringup").touch()
+    (tmp_path / "share" / "sagoma_bringup").mkdir()
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert package_path(uri) == tmp_path / "share" / "sagoma_bringup" / "config" / "rig" / "ring4.yaml"
+
+
+@pytest.mark.parametrize("uri", ["package://no_such_package/rig.yaml", "package://", "package://no such/rig.yaml"])
+def test_a_package_that_is_not_there_is_an_error_that_names_it(uri: str) -> None:
+    with pytest.raises(InputError, match=r"there is no package"):
+        package_path(uri)
+
+
+def test_values_that_name_no_package_stay_as_they_are() -> None:
+    values = [1, 0.5, True, "config/rig.yaml", ["a", "b"], []]
+    assert [resolve_packages(value) for value in values] == values

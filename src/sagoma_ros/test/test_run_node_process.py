@@ -102,16 +102,6 @@ def next_line(process: subprocess.Popen) -> str:
     return process.stdout.readline().strip()
 
 
-def test_signal_ends_an_active_node_with_status_0_and_everything_released(start: Start) -> None:
-    process = start(*parameters(autostart=True))
-    assert next_line(process) == "active"
-    process.send_signal(signal.SIGTERM)
-    output, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, errors
-    assert output.split() == ["released"]
-    assert "Traceback" not in errors
-
-
 def test_signal_ends_the_node_although_an_extension_made_another_error_of_the_interrupt(start: Start) -> None:
     process = start(*parameters(turned_interrupt=True))
     assert (next_line(process), next_line(process)) == ("unconfigured", "waiting")  # nobody said autostart
@@ -122,35 +112,31 @@ def test_signal_ends_the_node_although_an_extension_made_another_error_of_the_in
     assert "Traceback" not in errors
 
 
-def test_autostart_that_fails_ends_with_status_1_and_clear_text(start: Start) -> None:
-    process = start(*parameters(autostart=True, rig_file='""'))
-    output, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 1
-    assert "parameters: rig_file = '' is not a file. Name a rig file." in errors
-    assert "released" in output
-    assert "Traceback" not in errors
+@pytest.mark.parametrize(
+    ("arguments", "status", "said", "output"),
+    [
+        (
+            parameters(autostart=True, rig_file='""'),
+            1,
+            "parameters: rig_file = '' is not a file. Name a rig file.",
+            {"released"},
+        ),
+        (["impossible"], 2, "camera: there is no such device. Plug it in.", set()),
+        (["--ros-args", "--params-file", "/nowhere.yaml"], 2, "nowhere.yaml", set()),
+    ],
+    ids=["autostart that fails", "node that cannot be made", "parameter file that is missing"],
+)
+def test_failing_start_ends_with_its_status_and_clear_text(start: Start, arguments, status, said, output) -> None:
+    process = start(*arguments)
+    printed, errors = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, set(printed.split())) == (status, output), errors
+    assert said in errors and "Traceback" not in errors
 
 
-def test_node_that_cannot_be_made_ends_with_status_2_and_clear_text(start: Start) -> None:
-    process = start("impossible")
-    _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 2
-    assert "camera: there is no such device. Plug it in." in errors
-    assert "Traceback" not in errors
-
-
-def test_parameter_file_that_is_missing_ends_with_status_2_and_its_name(start: Start, tmp_path: Path) -> None:
-    process = start("--ros-args", "--params-file", str(tmp_path / "nowhere.yaml"))
-    _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 2
-    assert "nowhere.yaml" in errors
-    assert "Traceback" not in errors
-
-
-def test_error_in_a_callback_is_logged_and_the_node_goes_on(start: Start) -> None:
+def test_error_in_a_callback_is_logged_and_the_node_goes_on_until_a_signal_ends_it(start: Start) -> None:
     process = start(*parameters(autostart=True, failing_callback=True))
     assert next_line(process) == "active"  # said in the turn after the failing one
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0 and output.split() == ["released"]
-    assert "ZeroDivisionError: a defect in a callback" in errors
+    assert process.returncode == 0 and output.split() == ["released"], errors
+    assert "ZeroDivisionError: a defect in a callback" in errors and errors.count("Traceback") == 1

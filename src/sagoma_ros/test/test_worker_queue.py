@@ -41,41 +41,24 @@ class GatedWorker:
         self.dropped += 1
 
 
-def test_items_are_worked_on_in_order() -> None:
-    gated = GatedWorker(depth=100)
+def test_items_are_worked_on_in_order_by_another_thread() -> None:
+    threads: list[str] = []
+    gated = GatedWorker(depth=100, function=lambda item: threads.append(threading.current_thread().name))
     for item in range(50):
         gated.worker.put(item)
     gated.finish()
-    assert gated.done == list(range(50))
-    assert gated.dropped == 0
+    assert gated.done == list(range(50)) and gated.dropped == 0
+    assert threads == ["gated"] * 50
 
 
-def test_items_are_worked_on_by_another_thread() -> None:
-    seen: list[str] = []
-    gated = GatedWorker(depth=1, function=lambda item: seen.append(threading.current_thread().name))
-    gated.worker.put(0)
-    gated.finish()
-    assert seen == ["gated"]
-
-
-def test_full_queue_drops_the_oldest_and_counts_it() -> None:
+def test_full_queue_drops_the_oldest_and_counts_it_and_put_never_waits() -> None:
     gated = GatedWorker(depth=3)
-    gated.block()
-    for item in (1, 2, 3, 4, 5):
-        gated.worker.put(item)
-    assert gated.dropped == 2
-    gated.finish()
-    assert gated.done == [0, 3, 4, 5]
-
-
-def test_put_never_waits_for_the_work() -> None:
-    gated = GatedWorker(depth=1)
     gated.block()
     for item in range(1, 1000):
         gated.worker.put(item)  # would never return if it waited: the worker stands still until `finish`
-    assert gated.done == []
+    assert gated.done == [] and gated.dropped == 996
     gated.finish()
-    assert gated.done == [0, 999]
+    assert gated.done == [0, 997, 998, 999]
 
 
 def test_error_is_reported_and_the_next_item_worked_on() -> None:
@@ -103,18 +86,13 @@ def test_close_drops_and_counts_what_waits_but_ends_what_runs() -> None:
     assert gated.dropped == 3
 
 
-def test_item_after_close_is_dropped_and_counted() -> None:
-    gated = GatedWorker(depth=10)
-    gated.finish()
-    gated.worker.put(7)
-    assert (gated.done, gated.dropped) == ([], 1)
-
-
 @pytest.mark.parametrize("finish", [True, False])
-def test_idle_worker_closes_and_may_be_closed_again(finish: bool) -> None:
+def test_idle_worker_may_be_closed_twice_and_drops_and_counts_what_comes_later(finish: bool) -> None:
     gated = GatedWorker(depth=1)
     assert gated.worker.close(finish=finish, timeout_s=PATIENCE_S)
     assert gated.worker.close(finish=finish, timeout_s=PATIENCE_S)
+    gated.worker.put(7)
+    assert (gated.done, gated.dropped) == ([], 1)
 
 
 def test_worker_can_close_itself() -> None:

@@ -1,0 +1,170 @@
+"""The pages: the README's code is the pipeline's own, what pages name is there, and lists are those of the code."""
+
+import re
+from importlib.metadata import PackageNotFoundError, metadata
+from pathlib import Path
+
+from packaging.requirements import Requirement
+from reference import SETTINGS, with_lists
+
+from camera_client.background.causes import CAUSES
+from capture_rig.settings import leaves
+from sagoma_tools.graph.topics import DIAGNOSTICS, OUTPUT_TOPICS, camera_topics
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = "src/mocap_pipeline/mocap_pipeline/pipeline.py"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "src").glob("*/README.md"))]
+DOCS = ROOT / "docs"
+MOST_WORDS = 900
+MOST_PAGES = 25
+CODE, NAMING = ("src", "bench", "models", "scripts", "examples", "config"), (".py", ".sh", ".xml", ".yaml")
+FILE = re.compile(r"\b([a-z_]+)/((?:[a-z_]+/)*)([a-z_]+\.py)?")
+
+
+def page_of_code() -> list[str]:
+    """Lines of the README's block of the pipeline."""
+    block = re.search(r"```python\n(# segment.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.S)
+    assert block is not None
+    return block.group(1).splitlines()
+
+
+def test_every_statement_of_the_readme_s_page_stands_in_the_pipeline_in_the_same_order():
+    pipeline = (ROOT / PAGE).read_text(encoding="utf-8")
+    statements = [line.split("  #")[0].strip() for line in page_of_code() if not line.startswith("#")]
+    places = [pipeline.find(statement) for statement in statements]
+    assert len(statements) >= 7
+    assert -1 not in places and places == sorted(places)
+
+
+def test_every_file_and_folder_that_the_page_names_exists():
+    named = [match.group(0) for line in page_of_code() for match in FILE.finditer(line)]
+    assert len(named) >= 15
+    missing = [name for name in named if not (ROOT / "src" / name.split("/")[0] / name).exists()]
+    assert not missing
+
+
+def test_the_readme_is_short_as_wc_counts_words_with_code_and_tables():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= MOST_WORDS
+
+
+def test_every_page_stands_in_the_list_of_pages():
+    listed = set(re.findall(r"\]\((\w+\.md)\)", (ROOT / "docs" / "index.md").read_text(encoding="utf-8")))
+    assert listed == {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    assert len(listed) < MOST_PAGES
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_link_of_the_documentation_leads_to_a_file_and_its_heading():
+    links = [
+        (page, page.parent / target if target else page, anchor)
+        for page in PAGES
+        for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)\)", page.read_text(encoding="utf-8"))
+        if not target.startswith(("http:", "https:"))
+    ]
+    assert sum(bool(anchor) for *_, anchor in links) > 30
+    assert not [
+        f"{page.relative_to(ROOT)}: {target.name}#{anchor}"
+        for page, target, anchor in links
+        if not target.exists() or (anchor and anchor not in anchors(target))
+    ]
+
+
+def test_every_image_stands_in_a_page():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert not [image.name for image in (ROOT / "docs" / "images").iterdir() if f"images/{image.name})" not in text]
+
+
+def test_every_page_that_code_names_exists():
+    files = [path for folder in CODE for path in sorted((ROOT / folder).rglob("*.*")) if path.suffix in NAMING]
+    named = {
+        (path.relative_to(ROOT), page)
+        for path in [ROOT / "Makefile", *files]
+        for page in re.findall(r"\bdocs/(\w+\.md)\b", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 20
+    assert not [f"{path}: {page}" for path, page in sorted(named) if not (ROOT / "docs" / page).exists()]
+
+
+def test_every_script_and_test_that_the_documentation_names_exists():
+    named = re.compile(r"\b((?:bench|models|scripts|tests|src/[a-z_]+/test|examples)/[\w/]+\.(?:py|sh))\b")
+    found = {(page, path) for page in PAGES for path in named.findall(page.read_text(encoding="utf-8"))}
+    assert len(found) > 15
+    assert not [f"{page.relative_to(ROOT)}: {path}" for page, path in sorted(found) if not (ROOT / path).exists()]
+
+
+# --- reference pages
+
+
+def test_the_lists_of_parameters_are_those_of_the_settings():
+    page = (DOCS / "parameters.md").read_text(encoding="utf-8")
+    assert with_lists(page) == page, "run python scripts/reference.py"
+    assert all(f"\n- `{leaf.key}`" in page for settings in SETTINGS.values() for leaf in leaves(settings))
+
+
+def test_every_topic_of_the_graph_stands_in_its_table_with_its_type_and_whether_it_is_latched():
+    rows = [line.split("|") for line in (DOCS / "ros.md").read_text(encoding="utf-8").splitlines() if line[:3] == "| `"]
+    table = {name: (row[2].strip(), "latched" in row[-2]) for row in rows for name in re.findall(r"`(/[^`]+)`", row[1])}
+    topics = (*OUTPUT_TOPICS, DIAGNOSTICS, *camera_topics("CAM"))
+    expected = {topic.name: (topic.msgtype.replace("/msg/", "/"), topic.latched) for topic in topics}
+    assert expected.items() <= table.items()
+
+
+def test_every_cause_of_a_bad_silhouette_that_the_page_names_is_one_that_a_client_finds():
+    section = (DOCS / "silhouettes.md").read_text(encoding="utf-8").partition("## Causes of bad silhouettes")[2]
+    named = {code for row in re.findall(r"^\| (`.+?) \|", section, re.M) for code in re.findall(r"`(\w+\.\w+)`", row)}
+    assert len(named) > 15
+    assert named - {cause.code for cause in CAUSES} == {"background.exposure", "background.gain"}  # of the camera
+
+
+# --- licences: docs/dependencies.md against requirements.txt
+
+
+def licence(name: str) -> str:
+    """What the installed package says of its licence: an SPDX expression, else classifiers, else a short text."""
+    about = metadata(name)
+    classes = [entry.rpartition("::")[2] for entry in about.get_all("Classifier", []) if entry.startswith("License")]
+    return about.get("License-Expression") or "; ".join(classes) or (about.get("License") or "").partition("\n")[0]
+
+
+def is_gpl(text: str) -> bool:
+    """Is it a licence whose conditions a product under Apache-2.0 could not be given on by?"""
+    return any(words in re.sub(r"lgpl|lesser general", "", text.lower()) for words in ("gpl", "general public"))
+
+
+def with_their_own(names: set[str]) -> set[str]:
+    """The installed packages among ``names``, and those that they need, directly or not."""
+    found, open_names = set(), list(names)
+    while open_names:
+        name = open_names.pop()
+        try:
+            needs = metadata(name).get_all("Requires-Dist", [])
+        except PackageNotFoundError:
+            continue
+        if name.lower() not in found:
+            found.add(name.lower())
+            wanted = map(Requirement, needs)
+            open_names += [one.name for one in wanted if one.marker is None or one.marker.evaluate({"extra": ""})]
+    return found
+
+
+def test_every_requirement_has_a_row_with_its_licence_and_none_is_under_the_gpl():
+    lines = [line.partition("#")[0] for line in (ROOT / "requirements.txt").read_text().splitlines()]
+    required = {Requirement(line).name.lower() for line in lines if line.strip()}
+    rows = [line.strip("|").split("|") for line in (DOCS / "dependencies.md").read_text().splitlines()]
+    listed = {
+        name.strip().lower()
+        for row in rows
+        if len(row) == 4 and row[-1].strip()
+        for name in re.sub(r"\(.*?\)", "", row[0]).split(",")
+    }
+    assert required - listed == set(), "give it a row in docs/dependencies.md"
+    said = {name: licence(name) for name in with_their_own(required)}
+    assert len(said) > len(required)
+    assert not {name: text for name, text in said.items() if is_gpl(text)}
+    for text in ("GPL-3.0-or-later", " GNU General Public License v3 (GPLv3)", "GNU GENERAL PUBLIC LICENSE"):
+        assert is_gpl(text) and not is_gpl(text.replace("GPL", "LGPL").lower().replace("general", "lesser general"))
