@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from camera_pictures import frames_of
 
 from camera_client.configuration import live_source
 from camera_client.frame_source import SourceUnavailable
@@ -56,14 +57,6 @@ class Capture:
 
 def webcam(capture, channels="auto", **settings):
     return WebcamSource(WebcamSettings(**settings), channels, lambda device: capture)
-
-
-def frames_of(source, count):
-    frames = []
-    while len(frames) < count:
-        frame = source.read(1.0)
-        frames += [] if frame is None else [frame]
-    return frames
 
 
 def test_pictures_are_stamped_by_the_driver_moved_to_mid_exposure(monkeypatch):

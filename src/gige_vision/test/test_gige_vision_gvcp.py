@@ -118,7 +118,7 @@ def test_any_action_and_resend_request_comes_back_as_it_was(request_):
     assert type(request_).decode(CommandPacket.decode(request_.command().encode())) == request_
 
 
-@given(st.text(max_size=40), st.integers(4, 48))
+@given(st.text("az\0é€😀", max_size=40), st.integers(4, 48))
 def test_texts_are_cut_at_a_character_and_always_end_with_zero(text, size):
     data = encode_text(text, size)
     assert len(data) == size and data[-1] == 0
