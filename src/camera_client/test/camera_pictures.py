@@ -19,14 +19,14 @@ def iou(mask, truth):
 
 
 def frames_of(source, count):
-    """The next so many frames of a started source; incomplete ones are passed over."""
+    """The next so many frames of a started source; incomplete ones, and those left out, are passed over."""
     frames, silences = [], 0
     while len(frames) < count:
-        arrived = source.statistics.arrived
+        before = source.statistics.arrived, source.counters.get("left_out")
         frame = source.read(1.0)
         if frame is not None:
             frames.append(frame)
-        elif source.statistics.arrived == arrived:
+        elif before == (source.statistics.arrived, source.counters.get("left_out")):
             silences += 1
             assert silences < PATIENCE, f"no frames: {source.counters} {source.statistics}"
     return frames
