@@ -3,12 +3,13 @@
 import cv2
 import numpy as np
 import pytest
+from camera_pictures import learned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
 from camera_client.background.adaptation.adaptive import FixedBackground
-from camera_client.background.model import BackgroundLearner, BackgroundModel, Provenance
+from camera_client.background.model import BackgroundModel, Provenance
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import (
@@ -100,10 +101,8 @@ def larger(camera, factor):
 @pytest.mark.parametrize("colour", [False, True])
 def test_working_in_a_box_gives_the_silhouette_of_the_whole_image(scene, colour):
     settings, rng = SilhouetteSettings(), np.random.default_rng(3)
-    learner = BackgroundLearner()
-    for image in scene.empty(40, colour=colour):
-        learner.add(cv2.resize(image, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST))
-    model = learner.model("test")
+    empty = scene.empty(40, colour=colour)
+    model = learned(cv2.resize(image, None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST) for image in empty)
     camera = larger(scene.camera(distortion=(-0.2, 0.05, 0, 0, 0)), 3)
     pipeline = SilhouettePipeline(camera, model, settings, THESIS)
     for k in range(12):
@@ -267,13 +266,12 @@ def test_spans_hold_the_dense_blocks_and_what_lies_between_them():
 
 @pytest.mark.parametrize("colour", [False, True])
 def test_pictures_finer_than_the_hull_are_looked_at_in_half_of_the_size(scene, colour):
-    learner, camera = BackgroundLearner(), larger(scene.camera(), 3)
-    for image in scene.empty(40, colour=colour):
-        learner.add(cv2.resize(image, None, fx=3, fy=3))
+    camera = larger(scene.camera(), 3)
+    model = learned(cv2.resize(image, None, fx=3, fy=3) for image in scene.empty(40, colour=colour))
     near = Volume(camera.centre_world - 1, camera.centre_world + 1)
     truth = cv2.resize(scene.person_mask(), None, fx=3, fy=3, interpolation=cv2.INTER_NEAREST) > 0
     image = cv2.resize(scene.with_person(scene.empty(1, seed=7, colour=colour)[0]), None, fx=3, fy=3)
-    pipeline = SilhouettePipeline(camera, learner.model("test"), SilhouetteSettings(), volume=near)
+    pipeline = SilhouettePipeline(camera, model, SilhouetteSettings(), volume=near)
     found = pipeline.run(image)
     assert pipeline.scale == 2 and found.image_mask.shape == truth.shape == pipeline.background_pixels.shape
     assert found.mask.shape == camera.undistorted_view().image_shape
