@@ -98,7 +98,7 @@ def test_corners_lie_where_the_lens_projects_them(distance_m, tilt_rad, about, a
     assert np.sqrt((errors**2).mean()) < 0.06  # of which OpenCV's refinement itself makes most: see docs/studio.md
 
 
-@pytest.mark.parametrize("camera", RIG.cameras, ids=RIG.names)
+@pytest.mark.parametrize("camera", [RIG.cameras[0], RIG.cameras[-1]], ids=["ring", "ceiling"])
 def test_grazing_floor_board_has_unbiased_corners(camera):
     board = PosedBoard(FLOOR, on_floor(FLOOR)[None])
     truth = camera.project(board.corners_world)
