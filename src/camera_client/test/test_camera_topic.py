@@ -98,6 +98,12 @@ def pictures(scene, count=5):
     return [image_message(image, 0, "usb_cam") for image in scene.empty(count)]
 
 
+def started(topic):
+    topic.connect()
+    topic.start()
+    return topic
+
+
 def test_driver_is_a_camera_of_the_graph(bench, session, scene, driver):
     driver().start([image_message(scene.with_person(image), 0, "usb_cam") for image in scene.empty(5, seed=4)])
     topic = {"source": "topic", "topic.name": TOPIC, "topic.stamp_offset_ms": -7.5, "topic.stamp_uncertainty_ms": 3.0}
@@ -113,10 +119,7 @@ def test_driver_is_a_camera_of_the_graph(bench, session, scene, driver):
 
 def test_stamps_are_the_drivers_moved_to_the_middle_of_the_exposure(source, scene, driver):
     usb = driver().start(pictures(scene))
-    topic = source(stamp_offset_ms=-7.5, stamp_uncertainty_ms=3.0)
-    topic.connect()
-    topic.start()
-    frames = frames_of(topic, 4)
+    frames = frames_of(started(source(stamp_offset_ms=-7.5, stamp_uncertainty_ms=3.0)), 4)
     assert {frame.stamp_ns + 7_500_000 for frame in frames} <= set(usb.stamps_ns)
     assert {frame.uncertainty_ns for frame in frames} == {3_000_000}
     assert np.diff([frame.stamp_ns for frame in frames]).min() > 0
@@ -126,9 +129,7 @@ def test_a_gap_of_stamps_counts_as_lost_frames_and_an_older_stamp_as_repeated(so
     usb = driver()
     usb.clock_ns = gaps(10**18, steps=[1, 1, 1, 1, 1, 1, 1, 1, 4, -1, 2])
     usb.start(pictures(scene))
-    topic = source()
-    topic.connect()
-    topic.start()
+    topic = started(source())
     while topic.statistics.repeated < 2:
         topic.read(1.0)
     counts = topic.statistics.counts()
@@ -139,9 +140,7 @@ def test_a_damaged_image_costs_this_image_alone(source, scene, driver):
     broken = image_message(scene.empty(1)[0], 0, "usb_cam")
     broken.step += 1
     usb = driver().start(pictures(scene))
-    topic = source()
-    topic.connect()
-    topic.start()
+    topic = started(source())
     usb.messages = [*pictures(scene), broken]
     while not topic.counters.get("damaged"):
         topic.read(1.0)
@@ -163,10 +162,8 @@ def test_both_types_come_in_the_channels_that_are_asked_for(source, scene, drive
     image = scene.empty(1)[0]
     message = image_message(image, 0, "c") if kind is Image else preview_message(image, 0, "c")
     driver(kind=kind).start([message])
-    topic = source(channels)
-    topic.connect()
+    topic = started(source(channels))
     assert topic.shape == (scene.height, scene.width, 3)[:ndim]
-    topic.start()
     seen = frames_of(topic, 1)[0].image
     assert np.abs(seen.reshape(scene.height, scene.width, -1).mean(axis=2) - image).mean() < 3
 

@@ -69,11 +69,8 @@ def test_mask_equals_brute_force_rays_against_parts(frame):
 
 def test_part_around_the_camera_does_not_break_the_picture():
     camera, capsules = CAMERAS[0], PERSON.place(MOTION.poses[0])
-    centre = camera.camera.centre_world
-    behind = capsules._replace(
-        starts=capsules.starts - capsules.starts[0] + 1.2 * centre,
-        ends=capsules.ends - capsules.starts[0] + 1.2 * centre,
-    )
+    shift = 1.2 * camera.camera.centre_world - capsules.starts[0]
+    behind = capsules._replace(starts=capsules.starts + shift, ends=capsules.ends + shift)
     light, mask = camera.render(behind, None)
     assert mask.max() == 0
     np.testing.assert_array_equal(light, camera.empty_room())
