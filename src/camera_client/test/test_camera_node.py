@@ -202,8 +202,8 @@ def test_frame_of_another_size_is_dropped_and_counted(bench, session, scene):
     assert (values["bad_frames"], values["undecodable"], values["incomplete"]) == ("1", "1", "1")
 
 
-def test_raw_images_and_previews_are_published_on_request(bench, session, scene):
-    camera = bench(**{**session.parameters, "publish_raw": True, "publish_preview": True})
+def test_raw_images_are_published_on_request_and_previews_to_who_subscribes(bench, session, scene):
+    camera = bench(**{**session.parameters, "publish_raw": True})
     camera.listen(Image, "image_raw", SILHOUETTE_RELIABLE_SUBSCRIBER)
     camera.listen(CompressedImage, "preview/compressed", RESULT)
     camera.start()

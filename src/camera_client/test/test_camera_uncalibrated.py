@@ -77,7 +77,8 @@ def test_background_learned_before_the_calibration_serves_after_it(bench, unknow
     assert (values["background_age_h"], values["background_static_foreground"]) == ("0", "")  # there is no foreground
     wanted = lens(scene)
     too_wide = camera_info_message(replace(wanted, width=640), 0, "cam01_optical")
-    assert "for images of 640 x 120" in set_camera_info(camera, too_wide).status_message
+    answer = set_camera_info(camera, too_wide)
+    assert not answer.success and "for images of 640 x 120" in answer.status_message
     assert set_camera_info(camera, camera_info_message(wanted, 0, "cam01_optical")).success
     canvas = wanted.undistorted_view().camera
     camera.until(lambda: camera.masks and camera.heard["camera_info"][-1].k[0] != 0)

@@ -238,7 +238,7 @@ def test_sensor_adds_the_stated_noise_anew_in_every_frame_and_repeats_itself(sha
     np.testing.assert_array_equal(picture, Sensor(noise=3.0, flicker=0.0, seed=7).expose(light, 2, 5))
     for other in (sensor.expose(light, 3, 5), sensor.expose(light, 2, 6), replace(sensor, seed=8).expose(light, 2, 5)):
         difference = picture.astype(np.float32) - other
-        assert difference.std() == pytest.approx(3.0 * np.sqrt(2.0), rel=0.02)
+        assert difference.std() == pytest.approx(3.0 * np.sqrt(2.0), rel=0.01)  # uncorrelated to 0.02
 
 
 def test_lamps_flicker_by_the_stated_share():
