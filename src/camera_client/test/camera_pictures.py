@@ -30,3 +30,10 @@ def frames_of(source, count):
             silences += 1
             assert silences < PATIENCE, f"no frames: {source.counters} {source.statistics}"
     return frames
+
+
+def taken(source, count=30):
+    """The first so many frames of a source, which is closed again."""
+    with source:
+        source.start()
+        return frames_of(source, count)

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from camera_pictures import frames_of
+from camera_pictures import frames_of, taken
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.settings import AravisSettings
@@ -155,9 +155,7 @@ def test_packet_size_is_negotiated_or_taken_as_given(gige_camera):
 
 @pytest.mark.parametrize("name", ["Mono8", "Mono10", "Mono12", "Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed"])
 def test_mono_formats_give_the_same_picture(gige_camera, name):
-    with source_of(gige_camera(), pixel_format=name) as source:
-        source.start()
-        frame = frames_of(source, 1)[0]
+    (frame,) = taken(source_of(gige_camera(), pixel_format=name), 1)
     number, instant_ns = PatternScene.read(frame.image)
     np.testing.assert_array_equal(frame.image, PatternScene(256, 192).picture(number, instant_ns))
 
@@ -167,9 +165,7 @@ def test_mono_formats_give_the_same_picture(gige_camera, name):
     [("BGR8", 0), ("RGB8", 0), ("YUV422_8", 3), *((f"Bayer{row}8", 3) for row in ("RG", "GR", "GB", "BG"))],
 )
 def test_colour_formats_give_the_same_picture_in_bgr(gige_camera, name, most):
-    with source_of(gige_camera(PatternScene(256, 192, colour=True)), pixel_format=name) as source:
-        source.start()
-        frame = frames_of(source, 1)[0]
+    (frame,) = taken(source_of(gige_camera(PatternScene(256, 192, colour=True)), pixel_format=name), 1)
     number, instant_ns = PatternScene.read(frame.image)
     truth = PatternScene(256, 192, colour=True).picture(number, instant_ns)
     inside = np.abs(frame.image.astype(int) - truth)[20:-4, 4:60]  # away from the jumps of the stripes, mostly

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from camera_pictures import frames_of
+from camera_pictures import frames_of, taken
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.settings import AravisSettings
@@ -30,19 +30,13 @@ def errors_ns(frames):
     return np.array([frame.stamp_ns - PatternScene.read(frame.image)[1] for frame in frames])
 
 
-def stamped(source, count=30):
-    with source:
-        source.start()
-        return frames_of(source, count)
-
-
 # --- stamps ------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("exposure_us", [500.0, 15000.0])
 def test_camera_clock_gives_mid_exposure_within_its_own_uncertainty(gige_camera, exposure_us):
     camera = gige_camera(drift_ppm=50, nominal_exposure_us=500)
-    frames = stamped(source_of(camera, stamp_source="camera", exposure_us=exposure_us))
+    frames = taken(source_of(camera, stamp_source="camera", exposure_us=exposure_us))
     assert all("camera" in frame.clock for frame in frames)
     uncertainty_ns = np.array([frame.uncertainty_ns for frame in frames])
     assert (np.abs(errors_ns(frames)) <= uncertainty_ns + 0.1 * MS).all()  # and the drift since the start
@@ -50,7 +44,7 @@ def test_camera_clock_gives_mid_exposure_within_its_own_uncertainty(gige_camera,
 
 
 def test_ptp_gives_mid_exposure_in_utc(gige_camera):
-    frames = stamped(source_of(gige_camera(ptp_offset_ns=80, ptp_settle_s=SETTLE_S), stamp_source="ptp"))
+    frames = taken(source_of(gige_camera(ptp_offset_ns=80, ptp_settle_s=SETTLE_S), stamp_source="ptp"))
     assert {frame.clock for frame in frames} == {"PTP"}
     assert np.abs(errors_ns(frames)).max() <= 80  # the camera's own offset from the master
     assert all(0 < frame.uncertainty_ns < 100 * MS for frame in frames)
@@ -64,7 +58,7 @@ def test_slow_camera_is_stamped_by_its_own_clock_at_its_full_rate(gige_camera, s
     camera = gige_camera(loop=loop, ptp_settle_s=SETTLE_S)
     try:
         began_ns = clock.now_ns()
-        frames = stamped(source_of(camera, stamp_source=stamp_source, clock_speed=speed))
+        frames = taken(source_of(camera, stamp_source=stamp_source, clock_speed=speed))
         assert began_ns < frames[0].stamp_ns < frames[-1].stamp_ns < clock.now_ns()
         assert np.median(np.diff([frame.stamp_ns for frame in frames])) == pytest.approx(PERIOD_NS, abs=MS)
         assert np.median(np.abs(errors_ns(frames))) < 1 * MS
@@ -74,7 +68,7 @@ def test_slow_camera_is_stamped_by_its_own_clock_at_its_full_rate(gige_camera, s
 
 
 def test_arrival_stamps_are_later_than_the_truth_and_say_how_uncertain_they_are(gige_camera):
-    frames = stamped(source_of(gige_camera(), stamp_source="arrival", exposure_us=8000.0))
+    frames = taken(source_of(gige_camera(), stamp_source="arrival", exposure_us=8000.0))
     assert {frame.clock for frame in frames} == {"host, at arrival"}
     assert errors_ns(frames).min() >= -1 * MS  # less half the exposure, it is never before mid-exposure
     assert all(frame.uncertainty_ns == 9 * MS for frame in frames)
@@ -82,8 +76,8 @@ def test_arrival_stamps_are_later_than_the_truth_and_say_how_uncertain_they_are(
 
 def test_auto_takes_ptp_where_the_camera_is_in_step_else_its_clock(gige_camera):
     plain, in_step = gige_camera(), gige_camera(ptp_settle_s=0.0)
-    assert "camera" in stamped(source_of(plain), 1)[0].clock
-    assert stamped(source_of(in_step, features=["PtpEnable=1"]), 1)[0].clock == "PTP"
+    assert "camera" in taken(source_of(plain), 1)[0].clock
+    assert taken(source_of(in_step, features=["PtpEnable=1"]), 1)[0].clock == "PTP"
 
 
 def test_ptp_clock_of_another_time_is_refused_when_demanded_and_left_when_not(gige_camera):
@@ -92,10 +86,10 @@ def test_ptp_clock_of_another_time_is_refused_when_demanded_and_left_when_not(gi
     with pytest.raises(InputError, match=r"0\.000 s ahead of this host's UTC, not 37 s as aravis\.tai_utc_offset_s"):
         source_of(camera, stamp_source="ptp").connect()
     source = source_of(camera, stamp_source="auto", features=["PtpEnable=1"])
-    frames = stamped(source)
+    frames = taken(source)
     assert any("PTP is not used for stamps" in warning for warning in source.warnings)
     assert "camera" in frames[0].clock and np.median(np.abs(errors_ns(frames))) < 1 * MS
-    right = stamped(source_of(camera, stamp_source="ptp", tai_utc_offset_s=0))
+    right = taken(source_of(camera, stamp_source="ptp", tai_utc_offset_s=0))
     assert np.abs(errors_ns(right)).max() < 1000
 
 

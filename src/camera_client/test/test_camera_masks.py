@@ -36,6 +36,16 @@ def holds(box, mask):
     return not outside.any()
 
 
+def test_box_grows_to_multiples_within_the_image_and_holds_every_pixel():
+    assert Box(10, 20, 30, 40).grown(3, (100, 100), 8) == Box(0, 16, 40, 48)
+    assert Box(2, 2, 98, 99).grown(3, (100, 100)) == Box(0, 0, 100, 100)
+    assert Box(11, 22, 13, 24).relative_to(Box(10, 20, 30, 40)) == Box(1, 2, 3, 4)
+    mask = np.zeros((50, 60), np.uint8)
+    assert Box.around(mask).empty
+    mask[7, 9] = mask[40, 20] = 255
+    assert Box.around(mask) == Box(7, 9, 41, 21)
+
+
 @given(st.integers(0, 2**32 - 1), st.sampled_from([3, 5, 7]), st.sampled_from([(61, 83), (64, 80), (40, 97)]))
 @settings(max_examples=60, deadline=None)
 def test_everything_that_survives_the_majority_filter_lies_in_the_box(seed, side, shape):
