@@ -6,7 +6,7 @@ import pytest
 from camera_pictures import learned
 
 from camera_client.background.adaptation.adaptive import AdaptiveBackground, samples_of
-from camera_client.background.noise import assumed_noise
+from camera_client.background.noise import assumed_noise, measured_correlation
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.codec_errors import FINE_GRAIN, codec_error_sigma
 from camera_client.silhouettes.pipeline import SilhouettePipeline
@@ -45,6 +45,13 @@ def test_grain_tells_a_codec_from_a_sensor_and_from_a_camera_that_was_touched(co
         if frame >= 8:
             correlation = background.noise.spatial_correlation
             assert (correlation > FINE_GRAIN) == codec, (frame, correlation)
+
+
+def test_grain_is_what_neighbours_share_and_the_same_picture_again_tells_none():
+    own, other, again = *np.random.default_rng(0).normal(0, NOISE, (2, 1000, 1)), np.zeros((1000, 1))
+    assert measured_correlation(own, own, other) == 1.0
+    assert measured_correlation(own, other, other) == 0.0
+    assert measured_correlation(again, again, again) is None
 
 
 def test_codec_errors_reach_a_block_far_and_are_there_with_codecs_only():
