@@ -7,28 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from camera_pictures import frames_of, taken
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.settings import AravisSettings
 from camera_client.sources.aravis_source import AravisSource
 from capture_rig.errors import InputError
 from virtual_studio.gige import PatternScene
-
-PATIENCE_S = 20  # only ever used up by a failing test
-
-
-def frames_of(source, count):
-    """That many frames; incomplete ones are passed over."""
-    frames, silences = [], 0
-    while len(frames) < count:
-        arrived = source.statistics.arrived
-        frame = source.read(1.0)
-        if frame is not None:
-            frames.append(frame)
-        elif source.statistics.arrived == arrived:
-            silences += 1
-            assert silences < PATIENCE_S, f"no frames: {source.counters} {source.statistics}"
-    return frames
 
 
 def registers_of(camera):
@@ -71,20 +56,15 @@ def test_camera_in_use_is_unavailable_and_its_holder_is_named(gige_camera):
         source_of(camera).connect()
 
 
-def test_closed_camera_can_be_opened_again_at_once(gige_camera):
+def test_failed_and_closed_connections_leave_the_camera_free_at_once(gige_camera):
     camera = gige_camera()
-    for _ in range(3):
-        with source_of(camera) as source:
-            source.start()
-            assert len(frames_of(source, 1)) == 1
-
-
-def test_failed_connection_leaves_the_camera_free(gige_camera):
-    camera = gige_camera()
-    with pytest.raises(InputError, match="BGR8"):
+    with pytest.raises(InputError, match=r"does not offer pixel format 'BGR8' but Mono8.*aravis\.pixel_format"):
         source_of(camera, pixel_format="BGR8").connect()
-    with source_of(camera) as source:
-        assert source.shape == (192, 256)
+    for _ in range(2):
+        with source_of(camera) as source:
+            assert source.shape == (192, 256)
+            source.start()
+            frames_of(source, 1)
 
 
 @pytest.mark.slow  # Aravis asks a mute camera for seconds
@@ -103,18 +83,13 @@ def test_camera_that_dies_while_it_is_set_up_is_unavailable(gige_camera):
 @pytest.mark.parametrize("generation", ["sfnc", "old"])
 def test_settings_are_set_and_read_back_whatever_the_generation_calls_them(gige_camera, generation):
     camera = gige_camera(generation=generation, auto_functions="Continuous")
-    settings = {"exposure_us": 5000.0, "gain": 6.0, "frame_rate": 40.0}
+    settings = {"exposure_us": 5000.0, "gain": 6.0, "frame_rate": 40.0, "packet_delay_ns": 2000}
     with source_of(camera, **settings) as source:
         assert source.details["exposure_us"] == "5000" and float(source.details["gain"]) == 6
         registers = registers_of(camera)
         assert registers.real("ExposureTime") == 5000 and registers.real("AcquisitionFrameRate") == 40
-        assert float(registers["Gain"]) == 6
+        assert float(registers["Gain"]) == 6 and registers.integer("GevSCPD") == 2000
         assert registers.integer("ExposureAuto") == registers.integer("GainAuto") == 0  # switched off
-
-
-def test_impossible_exposure_is_refused_with_the_range(gige_camera):
-    with pytest.raises(InputError, match=r"ExposureTime = 5\.0\. Allowed: 10 to 1e\+06.*aravis\.exposure_us"):
-        source_of(gige_camera(), exposure_us=5.0).connect()
 
 
 def test_features_are_set_in_the_order_given_before_the_named_settings(gige_camera):
@@ -132,7 +107,6 @@ def test_features_are_set_in_the_order_given_before_the_named_settings(gige_came
         ("Nonsense=1", "no feature Nonsense"),
         ("Width=17000", r"cannot take Width = 17000. Allowed: 16 to 256 in steps of 4"),
         ("ExposureAuto=Sometimes", "Allowed: Off, Once, Continuous"),
-        ("Gain=loud", "Gain = 'loud' is no float"),
         ("SensorWidth=100", "SensorWidth"),
         ("UserSetLoad=1", "UserSetLoad is a command"),
         ("Gain!", "Gain is no command"),
@@ -144,22 +118,16 @@ def test_feature_that_cannot_be_set_is_refused_by_name(gige_camera, line, expect
         source_of(gige_camera(), features=[line]).connect()
 
 
-def test_region_is_centred_unless_an_offset_is_given(gige_camera):
+def test_region_is_centred_unless_an_offset_is_given_and_whole_when_asked_for(gige_camera):
     whole = PatternScene(256, 192)
     for offset_x, expected_x in ((-1, 64), (32, 32)):
-        camera = gige_camera(PatternScene(256, 192))
+        camera = gige_camera()
         with source_of(camera, width=128, height=96, offset_x=offset_x) as source:
             source.start()
-            image = frames_of(source, 1)[0].image
+            picture = frames_of(source, 1)[0].image
         assert source.shape == (96, 128)
         truth = whole.picture(0, 0)[48:144, expected_x : expected_x + 128]
-        np.testing.assert_array_equal(image, truth)
-
-
-def test_whole_sensor_is_taken_when_asked_for(gige_camera):
-    camera = gige_camera()
-    with source_of(camera, width=64, height=48):
-        pass
+        np.testing.assert_array_equal(picture, truth)
     with source_of(camera, width=0, height=0) as source:
         assert source.shape == (192, 256)
 
@@ -182,20 +150,12 @@ def test_packet_size_is_negotiated_or_taken_as_given(gige_camera):
         source_of(camera, packet_size=9000).connect()
 
 
-def test_packet_delay_is_set(gige_camera):
-    camera = gige_camera()
-    with source_of(camera, packet_delay_ns=2000):
-        assert registers_of(camera).integer("GevSCPD") == 2000
-
-
 # --- formats -----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["Mono8", "Mono10", "Mono12", "Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed"])
 def test_mono_formats_give_the_same_picture(gige_camera, name):
-    with source_of(gige_camera(), pixel_format=name) as source:
-        source.start()
-        frame = frames_of(source, 1)[0]
+    (frame,) = taken(source_of(gige_camera(), pixel_format=name), 1)
     number, instant_ns = PatternScene.read(frame.image)
     np.testing.assert_array_equal(frame.image, PatternScene(256, 192).picture(number, instant_ns))
 
@@ -205,9 +165,7 @@ def test_mono_formats_give_the_same_picture(gige_camera, name):
     [("BGR8", 0), ("RGB8", 0), ("YUV422_8", 3), *((f"Bayer{row}8", 3) for row in ("RG", "GR", "GB", "BG"))],
 )
 def test_colour_formats_give_the_same_picture_in_bgr(gige_camera, name, most):
-    with source_of(gige_camera(PatternScene(256, 192, colour=True)), pixel_format=name) as source:
-        source.start()
-        frame = frames_of(source, 1)[0]
+    (frame,) = taken(source_of(gige_camera(PatternScene(256, 192, colour=True)), pixel_format=name), 1)
     number, instant_ns = PatternScene.read(frame.image)
     truth = PatternScene(256, 192, colour=True).picture(number, instant_ns)
     inside = np.abs(frame.image.astype(int) - truth)[20:-4, 4:60]  # away from the jumps of the stripes, mostly
@@ -220,11 +178,6 @@ def test_colour_is_preferred_and_mono_is_taken_when_asked_for(gige_camera):
         assert source.shape == (192, 256, 3)
     with source_of(camera, channels="mono") as source:
         assert source.shape == (192, 256)
-
-
-def test_pixel_format_that_the_camera_lacks_is_refused(gige_camera):
-    with pytest.raises(InputError, match=r"does not offer pixel format 'BGR8' but Mono8.*aravis\.pixel_format"):
-        source_of(gige_camera(), pixel_format="BGR8").connect()
 
 
 def test_frame_in_another_format_than_agreed_is_counted_and_not_misread(gige_camera):
@@ -322,7 +275,7 @@ def test_taken_control_is_noticed(gige_camera):
         frames_of(source, 1)
         camera.power_off()
         camera.power_on()  # it has forgotten us
-        for _ in range(10 * PATIENCE_S):
+        for _ in range(200):
             if source.lost:
                 break
             source.read(0.1)
@@ -330,24 +283,19 @@ def test_taken_control_is_noticed(gige_camera):
 
 
 def test_other_threads_run_while_a_frame_is_awaited(gige_camera):
-    """Waiting inside Aravis must not hold the interpreter."""
+    """Fails when waiting inside Aravis holds the interpreter."""
     camera = gige_camera()
     camera.faults.stall = True
-    steps = []
+    steps, done = [], threading.Event()
+
+    def work():
+        while not done.wait(0.001):
+            steps.append(1)
+
     with source_of(camera) as source:
         source.start()
-        waiting = threading.Event()
-
-        def work():
-            waiting.wait()
-            while not done.is_set():
-                steps.append(1)
-                done.wait(0.001)
-
-        done = threading.Event()
         thread = threading.Thread(target=work)
         thread.start()
-        waiting.set()
         assert source.read(0.5) is None
         done.set()
         thread.join()

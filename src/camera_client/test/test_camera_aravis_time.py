@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from camera_pictures import frames_of, taken
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.settings import AravisSettings
@@ -15,7 +16,6 @@ from capture_rig.stamps import CaptureClock
 from virtual_studio.gige import EventLoop, PatternScene, TriggerWire
 
 MS = 1_000_000
-PATIENCE = 60
 RATE = 50.0
 PERIOD_NS = 20 * MS
 SETTLE_S = 0.1  # of the cameras' PTP
@@ -25,26 +25,9 @@ def source_of(camera, **settings):
     return AravisSource(AravisSettings(address=camera.address, frame_rate=RATE, **settings))
 
 
-def frames_of(source, count):
-    frames = []
-    for _ in range(count + PATIENCE):
-        frame = source.read(1.0)
-        if frame is not None:
-            frames.append(frame)
-        if len(frames) == count:
-            return frames
-    raise AssertionError(f"only {len(frames)} frames: {source.counters} {source.statistics}")
-
-
 def errors_ns(frames):
     """Stamp minus the instant of mid-exposure that the picture shows."""
     return np.array([frame.stamp_ns - PatternScene.read(frame.image)[1] for frame in frames])
-
-
-def stamped(source, count=30):
-    with source:
-        source.start()
-        return frames_of(source, count)
 
 
 # --- stamps ------------------------------------------------------------------------------------------------------
@@ -53,7 +36,7 @@ def stamped(source, count=30):
 @pytest.mark.parametrize("exposure_us", [500.0, 15000.0])
 def test_camera_clock_gives_mid_exposure_within_its_own_uncertainty(gige_camera, exposure_us):
     camera = gige_camera(drift_ppm=50, nominal_exposure_us=500)
-    frames = stamped(source_of(camera, stamp_source="camera", exposure_us=exposure_us))
+    frames = taken(source_of(camera, stamp_source="camera", exposure_us=exposure_us))
     assert all("camera" in frame.clock for frame in frames)
     uncertainty_ns = np.array([frame.uncertainty_ns for frame in frames])
     assert (np.abs(errors_ns(frames)) <= uncertainty_ns + 0.1 * MS).all()  # and the drift since the start
@@ -61,7 +44,7 @@ def test_camera_clock_gives_mid_exposure_within_its_own_uncertainty(gige_camera,
 
 
 def test_ptp_gives_mid_exposure_in_utc(gige_camera):
-    frames = stamped(source_of(gige_camera(ptp_offset_ns=80, ptp_settle_s=SETTLE_S), stamp_source="ptp"))
+    frames = taken(source_of(gige_camera(ptp_offset_ns=80, ptp_settle_s=SETTLE_S), stamp_source="ptp"))
     assert {frame.clock for frame in frames} == {"PTP"}
     assert np.abs(errors_ns(frames)).max() <= 80  # the camera's own offset from the master
     assert all(0 < frame.uncertainty_ns < 100 * MS for frame in frames)
@@ -75,7 +58,7 @@ def test_slow_camera_is_stamped_by_its_own_clock_at_its_full_rate(gige_camera, s
     camera = gige_camera(loop=loop, ptp_settle_s=SETTLE_S)
     try:
         began_ns = clock.now_ns()
-        frames = stamped(source_of(camera, stamp_source=stamp_source, clock_speed=speed))
+        frames = taken(source_of(camera, stamp_source=stamp_source, clock_speed=speed))
         assert began_ns < frames[0].stamp_ns < frames[-1].stamp_ns < clock.now_ns()
         assert np.median(np.diff([frame.stamp_ns for frame in frames])) == pytest.approx(PERIOD_NS, abs=MS)
         assert np.median(np.abs(errors_ns(frames))) < 1 * MS
@@ -85,7 +68,7 @@ def test_slow_camera_is_stamped_by_its_own_clock_at_its_full_rate(gige_camera, s
 
 
 def test_arrival_stamps_are_later_than_the_truth_and_say_how_uncertain_they_are(gige_camera):
-    frames = stamped(source_of(gige_camera(), stamp_source="arrival", exposure_us=8000.0))
+    frames = taken(source_of(gige_camera(), stamp_source="arrival", exposure_us=8000.0))
     assert {frame.clock for frame in frames} == {"host, at arrival"}
     assert errors_ns(frames).min() >= -1 * MS  # less half the exposure, it is never before mid-exposure
     assert all(frame.uncertainty_ns == 9 * MS for frame in frames)
@@ -93,8 +76,8 @@ def test_arrival_stamps_are_later_than_the_truth_and_say_how_uncertain_they_are(
 
 def test_auto_takes_ptp_where_the_camera_is_in_step_else_its_clock(gige_camera):
     plain, in_step = gige_camera(), gige_camera(ptp_settle_s=0.0)
-    assert "camera" in stamped(source_of(plain), 1)[0].clock
-    assert stamped(source_of(in_step, features=["PtpEnable=1"]), 1)[0].clock == "PTP"
+    assert "camera" in taken(source_of(plain), 1)[0].clock
+    assert taken(source_of(in_step, features=["PtpEnable=1"]), 1)[0].clock == "PTP"
 
 
 def test_ptp_clock_of_another_time_is_refused_when_demanded_and_left_when_not(gige_camera):
@@ -103,10 +86,10 @@ def test_ptp_clock_of_another_time_is_refused_when_demanded_and_left_when_not(gi
     with pytest.raises(InputError, match=r"0\.000 s ahead of this host's UTC, not 37 s as aravis\.tai_utc_offset_s"):
         source_of(camera, stamp_source="ptp").connect()
     source = source_of(camera, stamp_source="auto", features=["PtpEnable=1"])
-    frames = stamped(source)
+    frames = taken(source)
     assert any("PTP is not used for stamps" in warning for warning in source.warnings)
     assert "camera" in frames[0].clock and np.median(np.abs(errors_ns(frames))) < 1 * MS
-    right = stamped(source_of(camera, stamp_source="ptp", tai_utc_offset_s=0))
+    right = taken(source_of(camera, stamp_source="ptp", tai_utc_offset_s=0))
     assert np.abs(errors_ns(right)).max() < 1000
 
 
@@ -116,8 +99,7 @@ def test_camera_that_is_never_in_step_is_unavailable_when_ptp_is_demanded(gige_c
         source.connect()
 
 
-@pytest.mark.parametrize("jump_s", [3, -1])
-@pytest.mark.parametrize("stamp_source", ["camera", "ptp"])
+@pytest.mark.parametrize("stamp_source, jump_s", [("camera", -1), ("ptp", 3)])
 def test_clock_that_jumps_is_noticed_and_stamps_stay_true(gige_camera, stamp_source, jump_s):
     camera = gige_camera(ptp_settle_s=SETTLE_S)
     with source_of(camera, stamp_source=stamp_source) as source:
@@ -231,24 +213,16 @@ def test_software_triggers_come_at_multiples_of_the_period_of_the_host_clock(thr
     assert all(source.counters["triggers"] >= 25 for source in sources)
 
 
-def test_action_that_comes_too_late_is_refused_by_the_camera_and_counted(gige_camera):
+def test_actions_that_come_too_late_or_without_ptp_are_refused_by_the_camera_and_counted(gige_camera):
     camera = gige_camera()
     with source_of(camera, sync="action", action_lead_ms=200.0) as source:
         source.start()
         frames_of(source, 3)
         source._actions.send(1)  # one nanosecond after the epoch of PTP
         frames_of(source, 5)
-        source.stop()
         assert source.counters["actions_late"] >= 1 and source.counters["actions"] >= 8
-
-
-def test_action_without_ptp_time_is_refused_by_the_camera_and_counted(gige_camera):
-    camera = gige_camera()
-    with source_of(camera, sync="action", action_lead_ms=200.0) as source:
-        source.start()
-        frames_of(source, 3)
         camera.faults.ptp_lost = True
-        for _ in range(PATIENCE):
+        for _ in range(60):
             source.read(0.1)
             if source.counters["actions_refused"]:
                 break

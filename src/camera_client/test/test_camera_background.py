@@ -1,5 +1,6 @@
 """The background model: its limits against the definition, learning, files."""
 
+import io
 import json
 import math
 from pathlib import Path
@@ -7,20 +8,13 @@ from pathlib import Path
 import hypothesis
 import numpy as np
 import pytest
+from camera_pictures import learned
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from camera_client.background.model import (
-    STILL_SIGMA,
-    BackgroundLearner,
-    BackgroundModel,
-    Provenance,
-    background_from_still,
-    check_shape,
-    load_background,
-    read_background,
-)
+from camera_client.background.model import STILL_SIGMA, BackgroundModel, Provenance, load_background, read_background
+from camera_client.background.training import FEWEST_FRAMES, background_of_footage
 from camera_client.settings import BackgroundSettings
 from capture_rig.errors import InputError
 
@@ -72,23 +66,11 @@ def test_colour_limits_agree_with_the_definition_channel_by_channel(rule):
     assert np.array_equal(found, unlikely.any(axis=2)) and 0.1 < found.mean() < 0.9
 
 
-def test_background_frame_is_background_but_for_the_risk(scene):
-    learner = BackgroundLearner()
-    for image in scene.empty(200, seed=1, noise=3.0):
-        learner.add(image)
-    limits = learner.model("test").limits(BackgroundSettings(risk=0.01))
-    shares = [(limits.subtract(image) > 0).mean() for image in scene.empty(20, seed=2, noise=3.0)]
-    assert 0.002 < np.mean(shares) < 0.02  # the sentence of thesis 6.3 as printed would make it 0.99
-
-
 @pytest.mark.parametrize("mean", [10, 120, 250])
 def test_learned_mean_and_sigma_equal_those_of_the_frames(mean):
     rng = np.random.default_rng(mean)
     frames = np.clip(np.rint(rng.normal(mean, 1.0, (2000, 6, 7))), 0, 255).astype(np.uint8)
-    learner = BackgroundLearner()
-    for frame in frames:
-        learner.add(frame)
-    model = learner.model("test")
+    model = learned(frames)
     assert np.allclose(model.mean, frames.mean(axis=0), rtol=1e-6)
     assert np.allclose(model.sigma, frames.std(axis=0, ddof=1), rtol=1e-5)
     assert model.provenance.frames == 2000
@@ -96,34 +78,23 @@ def test_learned_mean_and_sigma_equal_those_of_the_frames(mean):
 
 
 def test_moving_share_counts_pixels_that_varied(scene):
-    still, moving = BackgroundLearner(), BackgroundLearner()
-    for k, image in enumerate(scene.empty(30, seed=3)):
-        still.add(image)
+    still = scene.empty(30, seed=3)
+    moving = [image.copy() for image in still]
+    for k, image in enumerate(moving):
         image[10:30, 4 * k : 4 * k + 12] = 250  # sweeps a band of 20 of the 120 rows
-        moving.add(image)
-    assert still.model("test").moving_share < 0.001
-    assert 0.1 < moving.model("test").moving_share < 20 / 120
+    assert learned(still).moving_share < 0.001
+    assert 0.1 < learned(moving).moving_share < 20 / 120
 
 
-def test_learner_refuses_a_frame_of_another_size():
-    learner = BackgroundLearner()
-    learner.add(np.zeros((4, 5), np.uint8))
-    with pytest.raises(InputError, match="5 x 4 mono"):
-        learner.add(np.zeros((4, 6), np.uint8))
-
-
-def test_one_frame_is_too_few_to_learn_from():
-    learner = BackgroundLearner()
-    learner.add(np.zeros((4, 5), np.uint8))
-    with pytest.raises(InputError, match="1 frames are too few"):
-        learner.model("a video")
+@pytest.mark.parametrize("shapes, text", [([(4, 5), (4, 6)], "5 x 4 mono"), ([(4, 5)], "1 frames are too few")])
+def test_frames_of_two_sizes_or_a_single_one_are_no_background(shapes, text):
+    with pytest.raises(InputError, match=text):
+        learned([np.zeros(shape, np.uint8) for shape in shapes])
 
 
 def test_saved_model_comes_back_with_its_provenance(tmp_path, scene):
-    learner = BackgroundLearner()
-    for image in scene.empty(5, colour=True):
-        learner.add(image)
-    model = learner.model("camera 10.0.0.1", software="test 1", created="2026-01-01", camera_serial="S1")
+    images = scene.empty(5, colour=True)
+    model = learned(images, "camera 10.0.0.1", software="test 1", created="2026-01-01", camera_serial="S1")
     model.save(tmp_path / "deep" / "bg.npz")
     loaded = load_background(tmp_path / "deep" / "bg.npz")
     assert np.array_equal(loaded.mean, model.mean) and np.array_equal(loaded.sigma, model.sigma)
@@ -137,7 +108,7 @@ def test_saved_model_comes_back_with_its_provenance(tmp_path, scene):
 DATA = Path(__file__).parent / "data"
 
 
-def test_background_that_version_0_1_saved_is_read():
+def test_background_that_version_0_1_saved_is_read_with_a_verdict_and_without(tmp_path):
     model = load_background(DATA / "background_0_1.npz")
     assert model.shape == (12, 16) and model.mean[0, :3] == pytest.approx([99.84, 99.88, 99.74], abs=1e-4)
     assert model.sigma[0, :3] == pytest.approx([2.13197, 1.90209, 2.40586], abs=1e-4)
@@ -145,49 +116,41 @@ def test_background_that_version_0_1_saved_is_read():
     assert (about.source, about.frames, about.camera_serial, about.exposure_us) == ("camera 10.0.0.5", 50, "S1", "5000")
     assert (about.verdict, about.calibration, about.created) == ("good", "1a2b3c4d", "2026-03-01T08:00:00+00:00")
     assert about.turn_rad == pytest.approx([0.0, 0.0349, 0.0])
-
-
-def test_background_that_was_saved_without_a_verdict_is_read(tmp_path):
     with np.load(DATA / "background_0_1.npz") as file:
-        arrays, about = {"mean": file["mean"], "sigma": file["sigma"]}, str(file["about"])
-    older = about[: about.index(', "verdict"')] + "}"
-    np.savez(tmp_path / "old.npz", about=np.array(older), **arrays)
+        arrays, text = {"mean": file["mean"], "sigma": file["sigma"]}, str(file["about"])
+    np.savez(tmp_path / "old.npz", about=np.array(text[: text.index(', "verdict"')] + "}"), **arrays)
     assert load_background(tmp_path / "old.npz").provenance.verdict == ""
 
 
-@pytest.mark.parametrize("content", [b"", b"no archive", b"PK\x03\x04 broken"])
-def test_file_that_is_no_model_is_refused(tmp_path, content):
+def saved(**arrays):
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+FLAT = np.ones((2, 2), np.float32)
+
+
+@pytest.mark.parametrize(
+    "content, text",
+    [
+        (None, r"bg\.npz: cannot be read \(No such file"),
+        (b"", r"bg\.npz: is not a background model.*again"),
+        (b"no archive", "is not a background model.*again"),
+        (b"PK\x03\x04 broken", "is not a background model.*again"),
+        (saved(mean=FLAT, sigma=FLAT, about=np.array("{}")), "another version"),
+    ],
+    ids=["missing", "empty", "text", "cut off", "version"],
+)
+def test_file_that_is_no_model_is_refused(tmp_path, content, text):
     path = tmp_path / "bg.npz"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"bg\.npz: is not a background model.*again"):
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=text):
         load_background(path)
-
-
-def test_model_of_another_version_is_refused(tmp_path):
-    path = tmp_path / "bg.npz"
-    np.savez(path, mean=np.zeros((2, 2), np.float32), sigma=np.ones((2, 2), np.float32), about=np.array("{}"))
-    with pytest.raises(InputError, match="another version"):
-        load_background(path)
-
-
-def test_missing_model_is_refused_naming_the_file(tmp_path):
-    with pytest.raises(InputError, match=r"none\.npz: cannot be read \(No such file"):
-        load_background(tmp_path / "none.npz")
-
-
-def test_damaged_arrays_are_refused(tmp_path):
-    model = model_of(np.full((2, 2), np.nan), np.ones((2, 2)))
-    model.save(tmp_path / "bg.npz")
+    model_of(np.nan * FLAT, FLAT).save(path)
     with pytest.raises(InputError, match="damaged"):
-        load_background(tmp_path / "bg.npz")
-
-
-def test_background_of_another_size_or_channels_is_refused():
-    model = model_of(np.zeros((120, 160)), np.ones((120, 160)))
-    check_shape(model, (120, 160), "cam")
-    for shape, text in [((100, 160), "160 x 100 mono"), ((120, 160, 3), "160 x 120 colour")]:
-        with pytest.raises(InputError, match=f"cam: the background is 160 x 120 mono, .* {text}"):
-            check_shape(model, shape, "cam")
+        load_background(path)
 
 
 def test_background_learned_from_a_video_equals_the_learner(tmp_path, scene):
@@ -207,18 +170,50 @@ def test_background_from_one_still_assumes_a_noise(tmp_path, scene):
     assert (model.provenance.frames, model.provenance.mean_noise) == (1, STILL_SIGMA)
 
 
-def test_assumed_noise_widens_the_limits():
-    model = background_from_still(np.full((2, 2), 100, np.uint8), 4.0, "still")
-    limits = model.limits(BackgroundSettings(risk=1e-4))
-    assert (limits.lo == 85).all() and (limits.hi == 115).all()  # 3.89 sigma
+@pytest.mark.parametrize("shape, text", [((480, 640), "640 x 480 mono"), ((120, 160, 3), "160 x 120 colour")])
+def test_background_of_another_size_or_channels_is_refused(tmp_path, scene, shape, text):
+    model_of(np.zeros((120, 160)), np.ones((120, 160))).save(tmp_path / "bg.npz")
+    with pytest.raises(InputError, match=rf"bg\.npz: the background is 160 x 120 mono, .* {text}"):
+        read_background(tmp_path / "bg.npz", shape, BackgroundSettings())
 
 
-def test_background_video_of_another_size_is_refused(tmp_path, scene):
-    path = scene.write_video(tmp_path / "bg.avi", scene.empty(3))
-    with pytest.raises(InputError, match=r"bg\.avi: the background is 160 x 120 mono.*640 x 480"):
-        read_background(path, (480, 640), BackgroundSettings())
+# --- a background of footage with people in it
 
 
-def test_missing_background_is_refused_naming_the_file(tmp_path):
-    with pytest.raises(InputError, match=r"none\.mp4: does not exist"):
-        read_background(tmp_path / "none.mp4", (120, 160), BackgroundSettings())
+H, W, NOISE = 100, 150, 2.0
+
+
+def footage(colour, frames=40):
+    """Somebody crosses the picture below row 50; above it somebody stands for 60 % of the time, from column 100 on."""
+    rng = np.random.default_rng(4)
+    room = rng.uniform(60, 180, (H, W, 3) if colour else (H, W))
+    pictures = []
+    for k in range(frames):
+        picture = room * (1 + 0.05 * np.sin(k))  # exposure wanders
+        left = round(k * (W - 20) / frames)
+        picture[50:, left : left + 20] = 20
+        if k % 5 < 3:
+            picture[:40, 100:130] = 230
+        pictures.append(np.rint(picture + rng.normal(0, NOISE, picture.shape)).clip(0, 255).astype(np.uint8))
+    return pictures, room
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_who_walks_through_leaves_no_trace_and_who_lingers_is_uncertain(colour):
+    pictures, room = footage(colour)
+    model, uncertain = background_of_footage(pictures, "a test")
+    passed = np.zeros((H, W), bool)
+    passed[50:] = True
+    off = np.abs(model.mean - room) if not colour else np.abs(model.mean - room).max(axis=2)
+    assert np.quantile(off[passed], 0.99) < 0.06 * 180 and uncertain[passed].mean() < 0.02
+    sigma = model.sigma if not colour else model.sigma.mean(axis=2)
+    assert 0.5 * NOISE < np.median(sigma[passed]) < 3 * NOISE
+    lingered = np.zeros((H, W), bool)
+    lingered[:40, 100:130] = True
+    assert uncertain[lingered].mean() > 0.9 and np.median(sigma[lingered]) > 20
+    assert uncertain[~lingered].mean() < 0.02 and model.provenance.frames == len(pictures)
+
+
+def test_too_few_frames_are_refused():
+    with pytest.raises(InputError, match="too few to tell a background"):
+        background_of_footage(footage(False, FEWEST_FRAMES - 1)[0], "a test")

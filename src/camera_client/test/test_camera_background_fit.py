@@ -5,11 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from camera_pictures import learned
 
 from camera_client.background.adaptation.adaptive import samples_of
 from camera_client.background.causes import age_h, find_causes, other_setting, unfit
 from camera_client.background.kernels import STEP_PX
-from camera_client.background.model import BackgroundLearner, Provenance, read_background
+from camera_client.background.model import Provenance, read_background
 from camera_client.background.moved_things import MovedThings
 from camera_client.background.verdict import describe_regions, find_regions
 from camera_client.condition import Condition
@@ -51,10 +52,8 @@ class Room:
 
 def room_of(scene, colour=False):
     """The empty scene, learned; and frames of it with a change."""
-    learner, frames = BackgroundLearner(), scene.empty(20, seed=7, colour=colour)
-    for image in scene.empty(60, colour=colour):
-        learner.add(image)
-    room = Room(scene.camera(), learner.model("test"))
+    frames = scene.empty(20, seed=7, colour=colour)
+    room = Room(scene.camera(), learned(scene.empty(60, colour=colour)))
 
     def see(seconds, change=lambda image, second: image):
         return room.see(seconds, lambda second: change(frames[round(second / PERIOD_S) % 20].copy(), second))
@@ -65,7 +64,7 @@ def room_of(scene, colour=False):
 @pytest.mark.parametrize("colour", [False, True])
 def test_nothing_is_static_in_an_unchanged_room(scene, colour):
     room, see = room_of(scene, colour)
-    assert see(600) == () and not room.moved.static.any()
+    assert see(400) == () and not room.moved.static.any()
 
 
 def walk(scene):
@@ -75,7 +74,7 @@ def walk(scene):
         image[90:, shadowed] = image[90:, shadowed] * 0.7
         return scene.with_person(image, np.roll(scene.person_mask(), column - 80, axis=1))
 
-    return change, 600
+    return change, 400
 
 
 def jog_on_the_spot(scene):
@@ -84,7 +83,7 @@ def jog_on_the_spot(scene):
         image[mask] = np.broadcast_to(clothes, mask.shape)[mask]
         return image
 
-    return change, 600
+    return change, 400
 
 
 def stand_still(scene):

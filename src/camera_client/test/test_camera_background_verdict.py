@@ -2,22 +2,18 @@
 
 import numpy as np
 import pytest
+from camera_pictures import learned
 
 from camera_client.background.model import BackgroundLearner
 from camera_client.background.verdict import changed_regions, describe_background, judge_background
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 
-def learned(images, source="test camera", **about):
+def verdict_on(images, before=None):
     learner = BackgroundLearner()
     for image in images:
         learner.add(image)
-    return learner, learner.model(source, **about)
-
-
-def verdict_on(images, before=None):
-    learner, model = learned(images)
-    return judge_background(model, learner.brightness, before)
+    return judge_background(learner.model("test camera"), learner.brightness, before)
 
 
 def scaled(images, factors):
@@ -29,7 +25,7 @@ def test_quiet_scene_is_good(scene, colour):
     images = scene.empty(60, colour=colour)
     verdict = verdict_on(images)
     assert (verdict.grade, verdict.findings, str(verdict)) == (GOOD, (), "good")
-    model = learned(images)[1].with_provenance(verdict=str(verdict))
+    model = learned(images, "test camera").with_provenance(verdict=str(verdict))
     assert describe_background(model).startswith("good; 60 frames of test camera, mean noise 1.5")
 
 
@@ -102,13 +98,13 @@ def test_light_and_noise_are_judged_with_a_remedy(scene, images, grade, texts):
 
 @pytest.mark.parametrize("colour", [False, True])
 def test_somebody_who_stood_still_all_the_time_is_found_by_the_background_before(scene, colour):
-    _, before = learned(scene.empty(30, colour=colour), created="2026-03-01T08:00:00+00:00")
+    before = learned(scene.empty(30, colour=colour), created="2026-03-01T08:00:00+00:00")
     statue = [scene.with_person(image) for image in scene.empty(30, seed=4, colour=colour)]
     verdict = verdict_on(statue, before)
     assert verdict.grade == USABLE
     assert "something else than in the background of 2026-03-01T08:00:00+00:00: in the middle at 6" in str(verdict)
     assert "clear the room and learn again" in str(verdict)
-    place = changed_regions(learned(statue)[1], before)[0]
+    place = changed_regions(learned(statue), before)[0]
     rows, columns = np.nonzero(scene.person_mask())
     assert abs(place.left - columns.min()) <= 4 and abs(place.right - columns.max()) <= 4
     assert abs(place.top - rows.min()) <= 4 and abs(place.bottom - rows.max()) <= 4
@@ -117,7 +113,7 @@ def test_somebody_who_stood_still_all_the_time_is_found_by_the_background_before
 
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.3])
 def test_empty_room_under_other_light_is_good(scene, factor):
-    _, before = learned(scene.empty(30))
+    before = learned(scene.empty(30))
     again = [np.clip(np.rint(image * factor), 0, 255).astype(np.uint8) for image in scene.empty(30, seed=4)]
     assert str(verdict_on(again, before)) == "good"
 
@@ -130,16 +126,16 @@ def test_every_finding_has_a_code(scene):
 
 
 def test_background_that_was_read_and_never_judged_is_judged_when_it_is_described(scene):
-    _, model = learned([image // 6 for image in scene.empty(60)], "empty.mp4")
+    model = learned([image // 6 for image in scene.empty(60)], "empty.mp4")
     assert describe_background(model).startswith("usable: the image is dim")
 
 
 def test_camera_that_was_bumped_a_little_is_no_sign_of_somebody(scene):
-    _, before = learned(scene.empty(30))
-    _, bumped = learned([np.roll(image, 1, axis=1) for image in scene.empty(30, seed=4)])
+    before = learned(scene.empty(30))
+    bumped = learned([np.roll(image, 1, axis=1) for image in scene.empty(30, seed=4)])
     assert changed_regions(bumped, before) == []
 
 
 def test_background_of_another_size_or_none_tells_nothing(scene):
-    _, before = learned([image[:100] for image in scene.empty(30)])
+    before = learned([image[:100] for image in scene.empty(30)])
     assert verdict_on(scene.empty(30), before).grade == verdict_on(scene.empty(30)).grade == GOOD

@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 import pytest
+from camera_pictures import learned
 
 from camera_client.background.adaptation.adaptive import AdaptiveBackground, samples_of
-from camera_client.background.model import BackgroundLearner
-from camera_client.background.noise import assumed_noise
+from camera_client.background.noise import assumed_noise, measured_correlation
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.codec_errors import FINE_GRAIN, codec_error_sigma
 from camera_client.silhouettes.pipeline import SilhouettePipeline
@@ -36,18 +36,22 @@ def exposed(light, rng):
 @pytest.mark.parametrize("codec", [False, True])
 def test_grain_tells_a_codec_from_a_sensor_and_from_a_camera_that_was_touched(colour, codec):
     rng = np.random.default_rng(5)
-    light, learner = room(colour, rng), BackgroundLearner()
-    for _ in range(30):
-        image = exposed(light, rng)
-        learner.add(through_jpeg(image) if codec else image)
-    background = AdaptiveBackground(learner.model("room"), BackgroundSettings(), 8)
-    for frame in range(40):
-        image = exposed(np.roll(light, 30 * (frame >= 20), axis=1), rng)
-        image = through_jpeg(image) if codec else image
+    light, stored = room(colour, rng), through_jpeg if codec else lambda picture: picture
+    model = learned(stored(exposed(light, rng)) for _ in range(20))
+    background = AdaptiveBackground(model, BackgroundSettings(), 8)
+    for frame in range(24):
+        image = stored(exposed(np.roll(light, 30 * (frame >= 14), axis=1), rng))
         background.follow(image, samples_of(image), round(frame * 1e9 / FPS))
         if frame >= 8:
             correlation = background.noise.spatial_correlation
             assert (correlation > FINE_GRAIN) == codec, (frame, correlation)
+
+
+def test_grain_is_what_neighbours_share_and_the_same_picture_again_tells_none():
+    own, other, again = *np.random.default_rng(0).normal(0, NOISE, (2, 1000, 1)), np.zeros((1000, 1))
+    assert measured_correlation(own, own, other) == 1.0
+    assert measured_correlation(own, other, other) == 0.0
+    assert measured_correlation(again, again, again) is None
 
 
 def test_codec_errors_reach_a_block_far_and_are_there_with_codecs_only():
@@ -63,14 +67,13 @@ def test_codec_errors_reach_a_block_far_and_are_there_with_codecs_only():
 def test_blocks_beside_a_person_are_no_person(colour):
     """A tall ellipse through JPEG is found whole and hardly wider: 0.13 and 0.23 of its area if they are ignored."""
     camera, rng = ring(2).cameras[0], np.random.default_rng(6)
-    light, learner = room(colour, rng), BackgroundLearner()
-    for _ in range(30):
-        learner.add(through_jpeg(exposed(light, rng)))
+    light = room(colour, rng)
+    model = learned(through_jpeg(exposed(light, rng)) for _ in range(20))
     truth = cv2.ellipse(np.zeros((HEIGHT, WIDTH), np.uint8), (330, 160), (35, 110), 10, 0, 360, 255, cv2.FILLED)
-    pipeline = SilhouettePipeline(camera, learner.model("room"), SilhouetteSettings(shadow="keep"))
+    pipeline = SilhouettePipeline(camera, model, SilhouetteSettings(shadow="keep"))
     person = light.copy()
     person[truth > 0] = [40, 70, 190] if colour else 205
-    for frame in range(40):
+    for frame in range(20):
         found = pipeline.run(through_jpeg(exposed(person, rng)), round(frame * 1e9 / FPS)).image_mask > 127
     assert pipeline.background.noise.spatial_correlation > FINE_GRAIN
     assert np.count_nonzero(found & (truth > 0)) > 0.97 * np.count_nonzero(truth)

@@ -25,10 +25,16 @@ STREAMING = Connection(ConnectionState.STREAMING)
 OLD = Finding(USABLE, "the background is 14 h old", "learn again", "background.old")
 FLICKERS = Finding(GOOD, "the light flickers by 1.5 %", "it is followed", "light.flicker")
 RUNNING = {"grab": GrabState.RUNNING, "connection": STREAMING}
+LOSSES = {"recent": FrameStatistics(9, 1, 8), "has_background": False}
+EVERYTHING = {"frame_flags": ("dark",), "mask_flags": ("full",), **LOSSES}
 
 
 def mask(*flags):
     return Silhouette(np.zeros((2, 2), np.uint8), np.zeros((2, 2), np.uint8), 0.25, flags, 0.125)
+
+
+def linked(state, reason="", **more):
+    return {"connection": Connection(ConnectionState[state], reason, **more)}
 
 
 @pytest.mark.parametrize(
@@ -38,33 +44,22 @@ def mask(*flags):
         ({"grab": GrabState.WAITING}, Level.OK, "waiting for a consumer"),
         ({"grab": GrabState.ENDED, "frames": 7}, Level.OK, "end of footage after 7 frames"),
         ({"grab": GrabState.FAILED, "failure": "file: gone."}, Level.ERROR, "file: gone."),
+        (linked("CONNECTING"), Level.ERROR, "no camera: not connected yet (connecting)"),
         (
-            {"connection": Connection(ConnectionState.CONNECTING)},
-            Level.ERROR,
-            "no camera: not connected yet (connecting)",
-        ),
-        (
-            {"connection": Connection(ConnectionState.WAITING, "off", next_try_s=1.5, down_s=9.6)},
+            linked("WAITING", "off", next_try_s=1.5, down_s=9.6),
             Level.ERROR,
             "no camera: off (next attempt in 1.5 s, nothing for 10 s)",
         ),
         (
-            {"connection": Connection(ConnectionState.WAITING, "lacks Mono12", refused=True, next_try_s=2.0)},
+            linked("WAITING", "lacks Mono12", refused=True, next_try_s=2.0),
             Level.ERROR,
             "the camera cannot be used as it is set: lacks Mono12",
         ),
-        (
-            {"connection": Connection(ConnectionState.STALLED, "nothing came for 0.5 s")},
-            Level.ERROR,
-            "stalled: nothing came for 0.5 s",
-        ),
-        (
-            {"connection": Connection(ConnectionState.CONTROL_LOST, "taken")},
-            Level.ERROR,
-            "control lost: taken; connecting anew",
-        ),
+        (linked("STALLED", "nothing came for 0.5 s"), Level.ERROR, "stalled: nothing came for 0.5 s"),
+        (linked("CONTROL_LOST", "taken"), Level.ERROR, "control lost: taken; connecting anew"),
         ({"frame_flags": ("frozen",)}, Level.WARN, f"frozen: {REMEDIES['frozen']}"),
         ({"recent": FrameStatistics(100, 97, 1, 2)}, Level.WARN, "3 of the last 100 frames were lost or incomplete"),
+        ({"recent": FrameStatistics(9, 8, 1), "connection": None}, Level.OK, "active"),  # footage has no network
         ({"has_background": False}, Level.WARN, "no background: run sagoma background"),
         ({"calibrated": False}, Level.WARN, "uncalibrated: no silhouettes; run sagoma calibrate"),
         ({"placed": False}, Level.WARN, "the camera's place is unknown"),
@@ -72,6 +67,10 @@ def mask(*flags):
         ({"findings": (FLICKERS,)}, Level.OK, "active"),
         ({"has_background": False, "refused": OLD}, Level.WARN, "the background is 14 h old: learn again"),
         ({"mask_flags": ("empty",)}, Level.WARN, "the mask is empty"),
+        # the gravest trouble is told alone
+        ({**EVERYTHING, **linked("WAITING", "off")}, Level.ERROR, "no camera: off"),
+        (EVERYTHING, Level.WARN, "dark: "),
+        ({"has_background": False, "findings": (OLD,)}, Level.WARN, "no background"),
     ],
 )
 def test_level_and_text_follow_the_state(state, level, text):
@@ -79,27 +78,10 @@ def test_level_and_text_follow_the_state(state, level, text):
     assert got[0] is level and got[1].startswith(text)
 
 
-def test_gravest_trouble_is_told_alone():
-    everything = {
-        "frame_flags": ("dark",),
-        "recent": FrameStatistics(9, 1, 8),
-        "has_background": False,
-        "mask_flags": ("full",),
-    }
-    away = Connection(ConnectionState.WAITING, "off")
-    assert assess(CameraState(GrabState.RUNNING, connection=away, **everything))[1].startswith("no camera: off")
-    assert assess(CameraState(GrabState.RUNNING, connection=STREAMING, **everything))[1].startswith("dark: ")
-
-
-def test_setting_that_changed_explains_why_the_scene_looks_brighter():
-    changed = {"mismatch": "the exposure is 8000 us", "findings": (OLD,)}
-    assert assess(CameraState(**RUNNING, frame_flags=("lights",), **changed))[1] == "the exposure is 8000 us"
-    assert assess(CameraState(**RUNNING, frame_flags=("dark",), **changed))[1].startswith("dark: ")
-    assert assess(CameraState(**RUNNING, has_background=False, findings=(OLD,)))[1].startswith("no background")
-
-
-def test_frames_missing_in_footage_do_not_blame_the_network():
-    assert assess(CameraState(GrabState.RUNNING, connection=None, recent=FrameStatistics(9, 8, 1)))[0] is Level.OK
+def test_setting_that_changed_explains_why_the_scene_looks_brighter_and_not_why_it_is_dark():
+    changed = {**RUNNING, "mismatch": "the exposure is 8000 us", "findings": (OLD,)}
+    assert assess(CameraState(**changed, frame_flags=("lights",)))[1] == "the exposure is 8000 us"
+    assert assess(CameraState(**changed, frame_flags=("dark",)))[1].startswith("dark: ")
 
 
 def test_flags_of_the_newest_frame_and_mask_are_taken_over():

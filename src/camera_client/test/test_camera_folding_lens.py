@@ -6,9 +6,9 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
+from camera_pictures import learned
 
 from camera_client.alignment import PictureAlignment, choose_edge_points
-from camera_client.background.model import BackgroundLearner
 from camera_client.silhouettes.masks import Box, BoxUndistorter
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import floor_pixels
@@ -50,10 +50,7 @@ def picture(frame, turn_deg=(0.0, 0.0, 0.0)):
 
 @cache
 def background():
-    learner = BackgroundLearner()
-    for frame in range(20):
-        learner.add(picture(1000 + frame))
-    return learner.model("a test")
+    return learned(picture(1000 + frame) for frame in range(20))
 
 
 def test_floor_has_no_pixel_where_the_lens_has_no_ray():

@@ -5,12 +5,12 @@ import threading
 import cv2
 import numpy as np
 import pytest
+from camera_pictures import frames_of
 from footage_clips import CODECS, cut_off, write_clip
 from footage_clips import scene as square_scene
 
-from camera_client.background.model import read_background
 from camera_client.frame_source import EndOfFootage
-from camera_client.settings import BackgroundSettings, FootageSettings
+from camera_client.settings import FootageSettings
 from camera_client.sources.footage_pace import LEAD_NS, Pace, SharedClock, WallClockPace
 from camera_client.sources.footage_reader import VideoReader, open_footage
 from camera_client.sources.footage_source import READ_AHEAD, FootageSource
@@ -51,15 +51,6 @@ def read_all(source):
     return frames
 
 
-def read(source, count):
-    frames = []
-    while len(frames) < count:
-        frame = source.read(PATIENCE_S)
-        if frame is not None:
-            frames.append(frame)
-    return frames
-
-
 @pytest.fixture
 def images(scene):
     return scene.empty(8, colour=True)
@@ -82,19 +73,10 @@ def test_every_frame_comes_once_in_order_with_its_stamp(video, images, scene):
     assert "footage" in frames[0].clock
 
 
-def test_stamps_do_not_depend_on_the_playing_rate(video):
-    stamps = []
-    for rate in (0.0, 0.5, 100.0):
-        with source_of(video, rate=rate) as source:
-            source.start()
-            stamps.append([frame.stamp_ns for frame in read_all(source)])
-    assert stamps[0] == stamps[1] == stamps[2]
-
-
 def test_loop_goes_on_with_rising_stamps(video, images, scene):
     with source_of(video, loop=True) as source:
         source.start()
-        frames = read(source, 2 * len(images) + 1)
+        frames = frames_of(source, 2 * len(images) + 1)
     assert [frame.stamp_ns for frame in frames] == [footage_stamp_ns(EPOCH_NS, k, scene.fps) for k in range(17)]
     assert np.array_equal(frames[8].image, images[0]) and np.array_equal(frames[16].image, images[0])
 
@@ -103,7 +85,7 @@ def test_pause_goes_on_with_the_next_frame(video, scene):
     pace = Ready()
     with source_of(video, pace=pace) as source:
         source.start()
-        read(source, 3)
+        frames_of(source, 3)
         source.stop()
         with pytest.raises(InputError, match="not started"):
             source.read(0.0)
@@ -152,7 +134,7 @@ def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene, monkeypatch):
         monkeypatch.setattr(VideoReader, "read", counted)
         source.start()
         for delivered in range(1, 21):
-            read(source, 1)
+            frames_of(source, 1)
             assert len(decoded) <= delivered + READ_AHEAD + 1  # the stored ones, and the one in the decoder's hands
 
 
@@ -160,7 +142,7 @@ def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene, monkeypatch):
 def test_channels_of_the_settings_win(video, channels, shape):
     with source_of(video, channels=channels) as source:
         source.start()
-        assert source.shape == read(source, 1)[0].image.shape == shape
+        assert source.shape == frames_of(source, 1)[0].image.shape == shape
 
 
 def test_stills_play_in_the_order_of_their_names(tmp_path, images):
@@ -205,16 +187,13 @@ def test_footage_that_cannot_be_played_is_refused_with_the_reason(tmp_path, name
         source_of(tmp_path / name).connect()
 
 
-def test_start_before_connect_is_refused(video):
-    with pytest.raises(InputError, match="not connected"):
-        source_of(video).start()
-
-
-def test_close_while_the_decoder_waits_ends_its_thread(video):
+def test_start_needs_a_connection_and_close_ends_the_thread_of_a_decoder_that_waits(video):
     source = source_of(video)
+    with pytest.raises(InputError, match="not connected"):
+        source.start()
     source.connect()
     source.start()
-    read(source, 1)
+    frames_of(source, 1)
     source.close()
     assert not [t for t in threading.enumerate() if t.name == "footage decoder"]
 
@@ -254,7 +233,7 @@ def test_rate_in_the_header_that_no_camera_has_asks_for_the_setting(tmp_path):
         source.connect()
     with source_of(tmp_path / "cam01.mp4", fps=50.0) as source:
         source.start()
-        assert read(source, 2)[1].stamp_ns == EPOCH_NS + 20_000_000
+        assert frames_of(source, 2)[1].stamp_ns == EPOCH_NS + 20_000_000
 
 
 def test_footage_that_was_cut_off_ends_after_its_last_whole_frame(tmp_path):
@@ -264,17 +243,6 @@ def test_footage_that_was_cut_off_ends_after_its_last_whole_frame(tmp_path):
         frames = read_all(source)
     assert 6 < len(frames) < 20 and frames[0].image.ndim == 2  # of a grey camera
     assert [frame.frame_id for frame in frames] == list(range(len(frames)))
-
-
-@pytest.mark.parametrize("codec", CODECS)
-def test_background_from_a_clip_in_any_codec_is_the_mean_picture_to_a_few_levels(tmp_path, codec):
-    rng, still = np.random.default_rng(1), square_scene(1)[0]
-    images = [np.clip(still + np.rint(rng.normal(0, 3, still.shape)), 0, 255).astype(np.uint8) for _ in range(30)]
-    path = write_clip(tmp_path / f"cam01_background{CODECS[codec]}", images, 25.0, codec)
-    model = read_background(path, still.shape, BackgroundSettings())
-    assert np.abs(model.mean - np.mean(images, axis=0)).mean() < 3.0
-    coloured = read_background(path, (*still.shape, 3), BackgroundSettings())
-    assert coloured.shape == (*still.shape, 3)
 
 
 def test_frames_whose_time_has_passed_are_left_out_and_counted(tmp_path):
@@ -290,7 +258,7 @@ def test_frames_whose_time_has_passed_are_left_out_and_counted(tmp_path):
     source = FootageSource(settings, pace=pace, now_ns=lambda: now_ns)
     source.connect()
     source.start()
-    (frame,) = read(source, 1)
+    (frame,) = frames_of(source, 1)
     left_out = source.counters["left_out"]
     assert 0 < left_out < late_frames  # those of the last quarter of a second still join their sets
     assert frame.frame_id == left_out and frame.stamp_ns == footage_stamp_ns(EPOCH_NS, left_out, fps)
@@ -321,7 +289,7 @@ class Camera:
 
     def play(self, count):
         """Stamps of so many frames -> their number, by what they show."""
-        return {frame.stamp_ns: round(frame.image.mean() / 2) for frame in read(self.source, count)}
+        return {frame.stamp_ns: round(frame.image.mean() / 2) for frame in frames_of(self.source, count)}
 
 
 @pytest.mark.parametrize("rate", [0.1, 1.0])

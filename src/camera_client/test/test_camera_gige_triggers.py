@@ -37,14 +37,6 @@ def test_instants_are_whole_multiples_of_the_period_to_the_nanosecond(rate, star
         assert -(exact / SECOND) < periods - round(periods) <= 0 or periods.denominator == 1  # cut to the nanosecond
 
 
-def test_two_computers_that_begin_at_other_times_find_the_same_instants():
-    early, late = TriggerSchedule(60.0, lead_ns=100 * MS), TriggerSchedule(60.0, lead_ns=20 * MS)
-    first = due_over(early, NOW_NS, NOW_NS + 2 * SECOND, MS)
-    second = due_over(late, NOW_NS + 777 * MS, NOW_NS + 2 * SECOND, 2 * MS)
-    common = [instant for instant in first if instant >= second[0]]
-    assert second == common[: len(second)] and len(second) > 70
-
-
 def test_instants_are_given_once_and_ahead_of_time():
     schedule = TriggerSchedule(50.0, lead_ns=100 * MS)
     for now_ns in range(NOW_NS, NOW_NS + SECOND, 7 * MS):
@@ -125,19 +117,15 @@ def test_action_carries_keys_and_time_and_its_answer_is_counted(device):
     assert sender.counts == {"actions": 1, "actions_late": 1, "actions_refused": 2, "actions_unanswered": 0}
 
 
-def test_silent_camera_is_counted_and_holds_nobody_up(device):
-    _, sender = device
+@pytest.mark.parametrize("gone", [False, True], ids=["silent", "gone"])
+def test_camera_that_does_not_answer_is_counted_and_holds_nobody_up(device, gone):
+    listener, sender = device
+    if gone:
+        listener.close()
     for _ in range(MOST_PENDING + 5):
         sender.send(NOW_NS)
-    assert sender.counts["actions_unanswered"] == 5
-
-
-def test_camera_that_is_gone_is_counted_and_raises_nothing(device):
-    listener, sender = device
-    listener.close()
-    for _ in range(MOST_PENDING + 2):
-        sender.send(NOW_NS)
-    assert sender.counts["actions_unanswered"] >= 2 and sender.counts["actions"] == 0
+    assert sender.counts["actions_unanswered"] >= 5 and sender.counts["actions"] == 0
+    assert gone or sender.counts["actions_unanswered"] == 5
 
 
 @pytest.mark.parametrize(

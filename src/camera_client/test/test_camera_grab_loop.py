@@ -3,6 +3,7 @@
 import threading
 
 import numpy as np
+import pytest
 
 from camera_client.frame_source import EndOfFootage, Frame, FrameSource
 from camera_client.sources.grab_loop import GrabLoop, GrabState
@@ -70,39 +71,30 @@ def test_bad_frame_costs_only_itself():
     assert loop.state is GrabState.ENDED
 
 
-def test_error_of_the_source_ends_the_loop_and_is_kept():
+def test_error_of_the_source_ends_the_loop_and_is_kept_and_a_defect_reported():
     loop, errors = run(ListSource([1, InputError("unplugged", where="camera"), 2]))
     assert (loop.state, loop.frames) == (GrabState.FAILED, 1)
     assert str(loop.failure) == "camera: unplugged." and errors == []
-
-
-def test_defect_of_the_source_ends_the_loop_and_is_reported():
     loop, errors = run(ListSource([1, ZeroDivisionError("a defect")]))
     assert loop.state is GrabState.FAILED and loop.failure is errors[0]
     assert repr(errors[0]) == "ZeroDivisionError('a defect')"
 
 
-def test_source_is_started_only_when_ready():
-    source, ready = ListSource([1]), threading.Event()
-    asked = threading.Event()
+@pytest.mark.parametrize("becomes_ready", [True, False], ids=["ready", "stopped"])
+def test_source_is_started_only_when_ready_and_never_when_stopped_before(becomes_ready):
+    source, ready, asked = ListSource([1]), threading.Event(), threading.Event()
 
     def is_ready():
         asked.set()
         return ready.is_set()
 
-    loop = GrabLoop(source, lambda frame: None, lambda error: None, is_ready, ready_timeout_s=PATIENCE_S)
+    loop = GrabLoop(source, lambda frame: None, lambda error: None, is_ready, ready_timeout_s=3600.0)
     loop.start()
     assert asked.wait(PATIENCE_S)
     assert loop.state is GrabState.WAITING and source.calls == []
-    ready.set()
-    loop.wait(PATIENCE_S)
-    assert source.calls == ["start"] and loop.frames == 1
-
-
-def test_stop_while_waiting_never_starts_the_source():
-    source = ListSource([1])
-    loop = GrabLoop(source, lambda frame: None, lambda error: None, lambda: False, ready_timeout_s=3600.0)
-    loop.start()
-    loop.stop()
-    assert loop.wait(0.0)
-    assert source.calls == ["stop"] and loop.frames == 0
+    if becomes_ready:
+        ready.set()
+    else:
+        loop.stop()
+    assert loop.wait(PATIENCE_S)
+    assert source.calls == (["start"] if becomes_ready else ["stop"]) and loop.frames == int(becomes_ready)

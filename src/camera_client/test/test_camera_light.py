@@ -2,21 +2,14 @@
 
 import numpy as np
 import pytest
+from camera_pictures import iou, learned
 
-from camera_client.background.model import BackgroundLearner
 from camera_client.settings import BackgroundSettings
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.sources.frame_checks import FrameChecks
 
 SECOND_NS = 1_000_000_000
 FIXED = BackgroundSettings(rule="tail")
-
-
-def learned(images):
-    learner = BackgroundLearner()
-    for image in images:
-        learner.add(image)
-    return learner.model("test")
 
 
 def lit(image, factor):
@@ -48,13 +41,8 @@ class Room:
         return float((self.pipeline.background_pixels == 0).mean())
 
 
-def iou(mask, truth):
-    return ((mask == 255) & (truth > 0)).sum() / ((mask == 255) | (truth > 0)).sum()
-
-
-@pytest.mark.parametrize("colour", [False, True])
-def test_lights_that_dim_a_fifth_in_five_minutes_leave_the_masks_clean(scene, colour):
-    room, fixed = Room(scene, colour), Room(scene, colour, FIXED)
+def test_lights_that_dim_a_fifth_in_five_minutes_leave_the_masks_clean(scene):
+    room, fixed = Room(scene), Room(scene, settings=FIXED)
     for light in np.linspace(1.0, 0.8, 300):
         assert room.see(light).foreground_fraction < 0.001
     fixed.see(0.8)  # the thesis's rules follow nothing
@@ -89,11 +77,11 @@ def test_lamp_that_lights_a_part_of_the_room_is_taken_up_within_half_a_second(sc
     assert room.pipeline.background.light.unevenness > 0.05
 
 
-@pytest.mark.parametrize("light", [0.7, 1.0, 1.6])
+@pytest.mark.parametrize("light", [0.7, 1.6])
 def test_lens_that_was_covered_for_a_while_gives_whole_masks_again_also_in_other_light(scene, light):
     room, person, rng = Room(scene), scene.person_mask(), np.random.default_rng(6)
     black = {"cap": lambda image: np.clip(np.rint(rng.normal(0, 2, image.shape)), 0, 255).astype(np.uint8)}
-    for covered in (10, 20, 30):
+    for covered in (10, 30):
         for _ in range(10):
             room.see(1.0, person)
         for _ in range(covered):
@@ -157,9 +145,9 @@ def test_sunlight_that_creeps_over_a_wall_is_followed_up_to_the_bound(scene):
     def sun(by):
         return lambda image: np.where(np.arange(160) < 50, np.clip(image + by, 0, 255), image).astype(np.uint8)
 
-    for by in np.linspace(0, 5, 300):  # a grey level a minute
+    for by in np.linspace(0, 4, 240):  # a grey level a minute
         assert room.see(sun=sun(by)).foreground_fraction < 0.002
-    for by in np.linspace(5, 60, 150):
+    for by in np.linspace(4, 60, 80):
         last = room.see(sun=sun(by))
     assert last.foreground_fraction > 0.1  # beyond 12 grey levels it is a thing, not a drift
 
@@ -176,8 +164,8 @@ def test_thing_put_down_beside_the_person_stays_foreground(scene):
 
 
 def test_same_stamps_give_the_same_masks_and_a_clock_set_back_does_no_harm(scene):
-    one, two = Room(scene), Room(scene)
-    for light in np.linspace(1.0, 0.95, 100):
+    one, two = Room(scene, colour=True), Room(scene, colour=True)
+    for light in np.linspace(1.0, 0.95, 75):
         assert np.array_equal(one.see(light).image_mask, two.see(light).image_mask)
     gain, one.frames = one.pipeline.gain, 0
     assert one.see(0.95).foreground_fraction < 0.001

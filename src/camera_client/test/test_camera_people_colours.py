@@ -70,27 +70,31 @@ def test_binary_evidence_denies_what_looks_like_the_background():
     assert not (mask == UNCERTAIN).any()
 
 
+def learn(colours, image, person, frames, nobody=None):
+    mask = np.where(person, np.uint8(255), np.uint8(0))
+    for k in range(frames):
+        colours.learn(image, mask, Box.whole((H, W)), nobody, k * STEP_NS)
+
+
 @pytest.mark.parametrize("colour", [False, True])
 def test_nothing_is_uncertain_before_people_were_seen_for_a_second(colour):
     levels, shirt = room(colour)
-    colours, rng = PeopleColours(levels.shape), np.random.default_rng(0)
-    image, person = frame_of(levels, shirt, 20, rng)
+    colours = PeopleColours(levels.shape)
+    image, person = frame_of(levels, shirt, 20, np.random.default_rng(0))
+    learn(colours, image, person, 5)
+    learn(colours, image, person, 15, nobody=np.ones((-(-H // BLOCK_PX), -(-W // BLOCK_PX)), bool))  # say the others
     out = np.zeros((H, W), np.uint8)
     distance = np.full((H // STEP_PX, W // STEP_PX), 30, np.uint8)
-    for k in range(5):
-        colours.learn(image, np.where(person, np.uint8(255), np.uint8(0)), Box.whole((H, W)), None, k * STEP_NS)
-    assert (
-        not colours.known and colours.mark_uncertain(samples_of(image), distance, out, 3.0, 9.0).empty and not out.any()
-    )
+    assert not colours.known
+    assert colours.mark_uncertain(samples_of(image), distance, out, 3.0, 9.0).empty and not out.any()
 
 
 @pytest.mark.parametrize("colour", [False, True])
 def test_colours_decide_by_the_mean_ratio_of_a_block(colour):
     levels, shirt = room(colour)
-    colours, rng = PeopleColours(levels.shape), np.random.default_rng(0)
-    image, person = frame_of(levels, shirt, 20, rng)
-    for k in range(15):
-        colours.learn(image, np.where(person, np.uint8(255), np.uint8(0)), Box.whole((H, W)), None, k * STEP_NS)
+    colours = PeopleColours(levels.shape)
+    image, person = frame_of(levels, shirt, 20, np.random.default_rng(0))
+    learn(colours, image, person, 15)
     out = np.zeros((H, W), np.uint8)
     distance = np.zeros((H // STEP_PX, W // STEP_PX), np.uint8)
     distance[person[::STEP_PX, ::STEP_PX]] = 16  # z^2 = 4: as background, a ratio of exp(least - 2) for it
@@ -100,13 +104,3 @@ def test_colours_decide_by_the_mean_ratio_of_a_block(colour):
     assert (out[inner] == UNCERTAIN).all() and not out[:, 64:80].any()  # the wall is none of the colours
     assert box.top % BLOCK_PX == 0 and box.top <= 40 and box.bottom >= 96
     assert colours.mark_uncertain(samples_of(image), distance, np.zeros((H, W), np.uint8), 60.0, 90.0).empty
-
-
-def test_colours_where_the_others_see_nobody_are_not_learned():
-    levels, shirt = room(colour=True)
-    colours, rng = PeopleColours(levels.shape), np.random.default_rng(0)
-    image, person = frame_of(levels, shirt, 20, rng)
-    nobody = np.ones((-(-H // BLOCK_PX), -(-W // BLOCK_PX)), bool)
-    for k in range(15):
-        colours.learn(image, np.where(person, np.uint8(255), np.uint8(0)), Box.whole((H, W)), nobody, k * STEP_NS)
-    assert not colours.known

@@ -100,6 +100,15 @@ def world():
         source.hold.set()
 
 
+@pytest.fixture
+def streaming(world):
+    """A supervised source that has delivered its first frame."""
+    with world.supervised() as source:
+        source.start()
+        frames_of(source, 1)
+        yield source
+
+
 def until(source, done, reads=10_000):
     frames = []
     for _ in range(reads):
@@ -146,61 +155,50 @@ def test_camera_that_is_off_is_awaited_and_the_pauses_double_up_to_the_longest(w
     assert source.connection.downtime_s == pytest.approx(world.now_s, abs=1e-6)
 
 
-def test_power_cycle_is_noticed_and_the_first_frame_after_it_is_timed(world):
-    with world.supervised() as source:
-        source.start()
-        frames_of(source, 50)
-        last_s = world.now_s
-        world.fault = OFF
-        until(source, lambda s, _: s.connection.state is ConnectionState.WAITING)
-        assert world.now_s - last_s == pytest.approx(0.5)
-        assert source.counters["stalls"] == 1
-        until(source, lambda s, _: world.now_s - last_s > 5.0)
-        world.fault, back_s = None, world.now_s
-        frames_of(source, 1)
-        link = source.connection
-        assert link.last_outage.length_s == pytest.approx(world.now_s - last_s)
-        assert link.last_outage.noticed_s == pytest.approx(0.5)
-        assert world.now_s - back_s <= 2.0 + STEP_S  # at most the longest pause
-        assert link.last_outage.restart_s == pytest.approx(STEP_S)
-        assert source.counters["reconnects"] == 1
-        assert link.downtime_s == pytest.approx(link.last_outage.length_s) and link.down_s == 0.0
+def test_power_cycle_is_noticed_and_the_first_frame_after_it_is_timed(world, streaming):
+    last_s = world.now_s
+    world.fault = OFF
+    until(streaming, lambda s, _: s.connection.state is ConnectionState.WAITING)
+    assert world.now_s - last_s == pytest.approx(0.5)
+    assert streaming.counters["stalls"] == 1
+    until(streaming, lambda s, _: world.now_s - last_s > 5.0)
+    world.fault, back_s = None, world.now_s
+    frames_of(streaming, 1)
+    link = streaming.connection
+    assert link.last_outage.length_s == pytest.approx(world.now_s - last_s)
+    assert link.last_outage.noticed_s == pytest.approx(0.5)
+    assert world.now_s - back_s <= 2.0 + STEP_S  # at most the longest pause
+    assert link.last_outage.restart_s == pytest.approx(STEP_S)
+    assert streaming.counters["reconnects"] == 1
+    assert link.downtime_s == pytest.approx(link.last_outage.length_s) and link.down_s == 0.0
 
 
-def test_stalled_camera_that_still_answers_is_connected_anew_at_once(world):
-    with world.supervised() as source:
-        source.start()
-        frames_of(source, 5)
-        world.silent = True
-        until(source, lambda s, _: s.connection.state is ConnectionState.STALLED)
-        world.silent = False
-        before_s = world.now_s
-        frames_of(source, 1)
-        assert world.now_s - before_s == pytest.approx(STEP_S)
-        assert world.made[0].calls[-1] == "closed" and len(world.made) == 2
+def test_stalled_camera_that_still_answers_is_connected_anew_at_once(world, streaming):
+    world.silent = True
+    until(streaming, lambda s, _: s.connection.state is ConnectionState.STALLED)
+    world.silent = False
+    before_s = world.now_s
+    frames_of(streaming, 1)
+    assert world.now_s - before_s == pytest.approx(STEP_S)
+    assert world.made[0].calls[-1] == "closed" and len(world.made) == 2
 
 
-def test_process_that_did_not_get_to_run_does_not_blame_the_camera(world):
-    with world.supervised() as source:
-        source.start()
-        frames_of(source, 1)
-        world.silent = world.starved = True
-        for _ in range(2):
-            source.read(0.2)  # takes 5 s each
-        world.silent = world.starved = False
-        frames_of(source, 1)
-        assert world.now_s > 10.0 and len(world.made) == 1 and "stalls" not in source.counters
+def test_process_that_did_not_get_to_run_does_not_blame_the_camera(world, streaming):
+    world.silent = world.starved = True
+    for _ in range(2):
+        streaming.read(0.2)  # takes 5 s each
+    world.silent = world.starved = False
+    frames_of(streaming, 1)
+    assert world.now_s > 10.0 and len(world.made) == 1 and "stalls" not in streaming.counters
 
 
-def test_control_loss_is_told_from_a_stall(world):
-    with world.supervised() as source:
-        source.start()
-        frames_of(source, 1)
-        world.silent = world.control_taken = True
-        until(source, lambda s, _: s.connection.state is ConnectionState.CONTROL_LOST)
-        assert "control" in source.connection.reason and source.counters == {"packets": 10, "control_losses": 1}
-        world.silent = world.control_taken = False
-        frames_of(source, 1)
+def test_control_loss_is_told_from_a_stall(world, streaming):
+    world.silent = world.control_taken = True
+    until(streaming, lambda s, _: s.connection.state is ConnectionState.CONTROL_LOST)
+    assert "control" in streaming.connection.reason
+    assert streaming.counters == {"packets": 10, "control_losses": 1}
+    world.silent = world.control_taken = False
+    frames_of(streaming, 1)
 
 
 def test_stall_limit_is_that_of_the_connected_source(world):
@@ -213,22 +211,26 @@ def test_stall_limit_is_that_of_the_connected_source(world):
         assert source.connection.state is ConnectionState.STREAMING and world.now_s > 199.0
 
 
-def test_incomplete_frames_are_a_sign_of_life(world):
-    with world.supervised() as source:
-        source.start()
-        frames_of(source, 1)
-        world.silent = True
-        for frame_id in range(2, 40):
-            world.made[0].statistics.add(frame_id, complete=False)
-            source.read(0.2)
-        assert source.connection.state is ConnectionState.STREAMING
-        assert source.statistics.incomplete == 38
+def test_incomplete_frames_are_a_sign_of_life(world, streaming):
+    world.silent = True
+    for frame_id in range(2, 40):
+        world.made[0].statistics.add(frame_id, complete=False)
+        streaming.read(0.2)
+    assert streaming.connection.state is ConnectionState.STREAMING
+    assert streaming.statistics.incomplete == 38
 
 
-def test_settings_that_the_camera_refuses_fail_connect(world):
+def test_settings_that_the_camera_refuses_fail_connect_or_start(world):
     world.fault = WRONG
     with pytest.raises(InputError, match="Mono12"):
         world.supervised().connect()
+    world.fault, world.start_fault = None, WRONG
+    with world.supervised() as source:
+        with pytest.raises(InputError, match="Mono12"):
+            source.start()
+        world.start_fault = None
+        source.start()
+        frames_of(source, 1)
 
 
 def test_connection_that_is_not_accepted_is_closed_and_fails_connect(world):
@@ -240,16 +242,13 @@ def test_connection_that_is_not_accepted_is_closed_and_fails_connect(world):
     assert world.made[0].calls[-1] == "closed"
 
 
-def test_refusal_at_a_reconnection_is_shown_and_retried_at_the_slowest_pace(world):
-    with world.supervised() as source:
-        source.start()
-        frames_of(source, 1)
-        world.fault = WRONG
-        until(source, lambda s, _: s.connection.refused)
-        assert "Mono12" in source.connection.reason and source.connection.next_try_s == pytest.approx(2.0)
-        world.fault = None
-        frames_of(source, 1)
-        assert source.connection.reason == "" and not source.connection.refused
+def test_refusal_at_a_reconnection_is_shown_and_retried_at_the_slowest_pace(world, streaming):
+    world.fault = WRONG
+    until(streaming, lambda s, _: s.connection.refused)
+    assert "Mono12" in streaming.connection.reason and streaming.connection.next_try_s == pytest.approx(2.0)
+    world.fault = None
+    frames_of(streaming, 1)
+    assert streaming.connection.reason == "" and not streaming.connection.refused
 
 
 def test_camera_that_connects_but_never_delivers_is_not_stormed(world):
@@ -275,16 +274,6 @@ def test_camera_that_connects_but_does_not_start_is_tried_again(world):
         frames_of(source, 1)
 
 
-def test_refusal_to_start_fails_the_start(world):
-    with world.supervised() as source:
-        world.start_fault = WRONG
-        with pytest.raises(InputError, match="Mono12"):
-            source.start()
-        world.start_fault = None
-        source.start()
-        frames_of(source, 1)
-
-
 def test_error_of_the_driver_does_not_give_the_camera_up(world):
     world.fault = OFF
     source = world.supervised()
@@ -296,57 +285,43 @@ def test_error_of_the_driver_does_not_give_the_camera_up(world):
     assert len(frames_of(source, 1)) == 1 and source.connection.state is ConnectionState.STREAMING
 
 
-def test_dead_camera_blocks_neither_stop_nor_close(world):
-    source = world.supervised()
-    source.connect()
-    source.start()
-    frames_of(source, 1)
+def test_dead_camera_blocks_neither_stop_nor_close(world, streaming):
     world.made[0].hold.clear()
-    source.stop()  # gives up waiting after half a second
-    assert "did not answer" in source.connection.reason
-    source.close()
+    streaming.stop()  # gives up waiting after half a second
+    assert "did not answer" in streaming.connection.reason
+    streaming.close()
     assert "closed" not in world.made[0].calls
     world.made[0].hold.set()
     assert world.made[0].closed.wait(PATIENCE_S)
 
 
-def test_dead_connection_that_cannot_be_closed_yet_does_not_delay_the_next_one(world):
-    source = world.supervised()
-    source.connect()
-    source.start()
-    frames_of(source, 1)
+def test_dead_connection_that_cannot_be_closed_yet_does_not_delay_the_next_one(world, streaming):
     world.made[0].hold.clear()
     world.silent = True
-    until(source, lambda s, _: s.lost)
+    until(streaming, lambda s, _: s.lost)
     world.silent = False
-    frames_of(source, 1)
+    frames_of(streaming, 1)
     assert len(world.made) == 2 and "closed" not in world.made[0].calls
 
 
-def test_camera_that_was_lost_while_suspended_is_connected_anew(world):
-    with world.supervised() as source:
-        source.start()
-        frames_of(source, 1)
-        source.stop()
-        assert source.connection.state is ConnectionState.CONNECTED
-        world.made[0].taken = True
-        source.start()
-        frames_of(source, 1)
-        assert len(world.made) == 2 and source.counters["control_losses"] == 1
+def test_camera_that_was_lost_while_suspended_is_connected_anew(world, streaming):
+    streaming.stop()
+    assert streaming.connection.state is ConnectionState.CONNECTED
+    world.made[0].taken = True
+    streaming.start()
+    frames_of(streaming, 1)
+    assert len(world.made) == 2 and streaming.counters["control_losses"] == 1
 
 
-def test_suspension_is_no_downtime_and_keeps_the_connection(world):
-    with world.supervised() as source:
-        source.start()
-        frames_of(source, 3)
-        source.stop()
-        world.now_s += 100.0
-        source.start()
-        frames_of(source, 3)
-        assert len(world.made) == 1 and source.connection.downtime_s == 0.0
-        with pytest.raises(InputError, match="not started"):
-            source.stop()
-            source.read(0.0)
+def test_suspension_is_no_downtime_and_keeps_the_connection(world, streaming):
+    streaming.stop()
+    world.now_s += 100.0
+    streaming.start()
+    frames_of(streaming, 3)
+    assert len(world.made) == 1 and streaming.connection.downtime_s == 0.0
+    with pytest.raises(InputError, match="not started"):
+        streaming.stop()
+        streaming.read(0.0)
 
 
 @settings(deadline=None, max_examples=25)

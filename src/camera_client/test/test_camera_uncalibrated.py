@@ -7,17 +7,15 @@ import cv2
 import numpy as np
 import pytest
 from camera_probe import set_camera_info
-from node_probe import FAILURE, SUCCESS
-from sensor_msgs.msg import CameraInfo, Image
+from node_probe import SUCCESS
+from sensor_msgs.msg import Image
 
 from camera_client.background.model import load_background
 from camera_client.background.training import KEY, TrainingReport
 from camera_client.camera_ros import CameraTopics
-from camera_client.configuration import unplaced_camera
 from camera_client.diagnostics import UNCALIBRATED, UNPLACED
 from camera_client.frame_source import Frame
 from camera_client.settings import CameraClientSettings
-from capture_rig.camera_info_file import load_camera_info, save_camera_info
 from sagoma_ros.images import camera_info_message, decode_silhouette
 from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER
 
@@ -66,8 +64,9 @@ def test_images_for_calibration_are_sent_only_while_somebody_listens(to_calibrat
     assert len(out) == sent
 
 
-def test_background_learned_before_the_calibration_serves_after_it(bench, unknown, scene):
-    camera = bench(**unknown).start()
+def test_background_learned_before_the_calibration_serves_after_it(bench, unknown, session, scene):
+    path = session.folder / "cam01.yaml"
+    camera = bench(**unknown, camera_info_file=str(path)).start()
     camera.until_said(UNCALIBRATED)
     answer = camera.ask_to_learn()
     assert answer.success and "20 frames" in answer.message
@@ -77,8 +76,10 @@ def test_background_learned_before_the_calibration_serves_after_it(bench, unknow
     assert (training.number, training.frames, training.text, training.saved) == (1, 20, answer.message, "")
     assert (values["background_age_h"], values["background_static_foreground"]) == ("0", "")  # there is no foreground
     wanted = lens(scene)
-    answer = set_camera_info(camera, camera_info_message(wanted, 0, "cam01_optical"))
-    assert answer.success
+    too_wide = camera_info_message(replace(wanted, width=640), 0, "cam01_optical")
+    answer = set_camera_info(camera, too_wide)
+    assert not answer.success and "for images of 640 x 120" in answer.status_message
+    assert set_camera_info(camera, camera_info_message(wanted, 0, "cam01_optical")).success
     canvas = wanted.undistorted_view().camera
     camera.until(lambda: camera.masks and camera.heard["camera_info"][-1].k[0] != 0)
     info = camera.heard["camera_info"][-1]
@@ -86,40 +87,9 @@ def test_background_learned_before_the_calibration_serves_after_it(bench, unknow
     assert np.allclose(np.reshape(info.k, (3, 3)), canvas.K)
     assert not decode_silhouette(camera.masks[-1], canvas.width, canvas.height, "test").any()
     camera.until_said(UNPLACED)
-
-
-def test_intrinsics_set_by_service_are_saved_and_used_at_the_next_start(bench, unknown, session, scene):
-    path = session.folder / "cam01.yaml"
-    camera = bench(**unknown, camera_info_file=str(path)).start()
-    answer = set_camera_info(camera, camera_info_message(lens(scene), 0, "cam01_optical"))
-    assert answer.success and np.array_equal(load_camera_info(path, scene.camera()).K, lens(scene).K)
     assert camera.node.trigger_deactivate() == SUCCESS and camera.node.trigger_cleanup() == SUCCESS
-    assert camera.node.trigger_configure() == SUCCESS
-    assert np.array_equal(camera.node.processor.camera.K, lens(scene).K)
-
-
-def test_intrinsics_of_another_camera_fail_configure(bench, unknown, session, scene):
-    save_camera_info(session.folder / "cam02.yaml", lens(scene, "cam02"))
-    camera = bench(**unknown, camera_info_file=str(session.folder / "cam02.yaml"))
-    assert camera.node.trigger_configure() == FAILURE
-    camera.until_said("camera_name = 'cam02' is not this camera, 'cam01'")
-
-
-@pytest.mark.parametrize(
-    "spoil, text",
-    [
-        (lambda info: CameraInfo(width=info.width, height=info.height), "camera_matrix"),
-        (
-            lambda info: camera_info_message(unplaced_camera("cam01", 640, info.height), 0, ""),
-            "for images of 640 x 120",
-        ),
-    ],
-)
-def test_camera_info_that_is_none_or_of_another_size_is_refused(bench, unknown, scene, spoil, text):
-    camera = bench(**unknown).start()
-    answer = set_camera_info(camera, spoil(camera_info_message(lens(scene), 0, "cam01_optical")))
-    assert not answer.success and text in answer.status_message
-    camera.until_said(UNCALIBRATED)
+    assert camera.node.trigger_configure() == SUCCESS  # with what was saved
+    assert np.array_equal(camera.node.processor.camera.K, wanted.K)
 
 
 class Room:
@@ -169,27 +139,6 @@ def test_live_camera_learns_before_its_calibration_and_tells_who_was_in_the_room
     answer = camera.ask_to_learn()
     assert answer.success and "something else than in the background of" in answer.message
     assert "in the middle at 100..139, 60..149: 7.3 %" in answer.message  # 40 x 90 of 256 x 192 pixels
-
-
-def test_background_of_the_last_lesson_is_used_at_the_next_start(bench, session, scene):
-    saved = session.folder / "learned.npz"
-    parameters = {
-        **session.parameters,
-        "background": "",
-        "background_file": str(saved),
-        "background_frames": 20,
-        "footage.rate": 1.0,
-        "footage.loop": True,
-        "footage.path": scene.write_video(session.folder / "empty.avi", scene.empty(25, seed=3)),
-    }
-    camera = bench(**parameters).start()
-    camera.until_said("no background")
-    assert camera.ask_to_learn().success
-    assert camera.node.trigger_deactivate() == SUCCESS and camera.node.trigger_cleanup() == SUCCESS
-    camera.masks.clear()
-    camera.start()
-    camera.until(lambda: camera.masks)
-    assert camera.node.processor.background.provenance.frames == 20
 
 
 def test_damaged_background_of_the_last_lesson_keeps_no_camera_from_starting(bench, session):

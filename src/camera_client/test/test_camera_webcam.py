@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from camera_pictures import frames_of
 
 from camera_client.configuration import live_source
 from camera_client.frame_source import SourceUnavailable
@@ -58,14 +59,6 @@ def webcam(capture, channels="auto", **settings):
     return WebcamSource(WebcamSettings(**settings), channels, lambda device: capture)
 
 
-def frames_of(source, count):
-    frames = []
-    while len(frames) < count:
-        frame = source.read(1.0)
-        frames += [] if frame is None else [frame]
-    return frames
-
-
 def test_pictures_are_stamped_by_the_driver_moved_to_mid_exposure(monkeypatch):
     monkeypatch.setattr(webcam_source, "stamp_of", lambda position_ms: (round(position_ms * 1e6), "driver"))
     capture = Capture()
@@ -89,14 +82,11 @@ def test_stamps_of_the_monotonic_clock_become_system_time_and_others_the_arrival
     assert abs(stamp[0] - stamp_ns) < 1000 and stamp[1] == clock
 
 
-def test_what_it_is_asked_for_and_what_it_refuses():
+def test_refused_settings_are_a_warning_and_a_size_that_it_does_not_have_an_error_with_the_remedy():
     capture = Capture()
     with webcam(capture, width=64, height=48, frame_rate=30, exposure_100us=50) as source:
         assert capture.asked[cv2.CAP_PROP_EXPOSURE] == 50 and capture.asked[cv2.CAP_PROP_AUTO_EXPOSURE] == 1
         assert "refused 1 of its settings" in source.warnings[0]
-
-
-def test_a_size_that_it_does_not_have_is_an_error_with_the_remedy():
     capture = Capture()
     with pytest.raises(InputError, match=r"64 x 48 pixels instead of 1280 x 720.*list-formats-ext"):
         webcam(capture, width=1280, height=720).connect()

@@ -98,7 +98,7 @@ def test_corners_lie_where_the_lens_projects_them(distance_m, tilt_rad, about, a
     assert np.sqrt((errors**2).mean()) < 0.06  # of which OpenCV's refinement itself makes most: see docs/studio.md
 
 
-@pytest.mark.parametrize("camera", RIG.cameras, ids=RIG.names)
+@pytest.mark.parametrize("camera", [RIG.cameras[0], RIG.cameras[-1]], ids=["ring", "ceiling"])
 def test_grazing_floor_board_has_unbiased_corners(camera):
     board = PosedBoard(FLOOR, on_floor(FLOOR)[None])
     truth = camera.project(board.corners_world)
@@ -157,12 +157,9 @@ def test_thumbs_cover_the_margin_and_no_field():
     assert (np.abs(bare - grasped) > 0.1).sum() > 500
 
 
-def test_board_behind_the_camera_is_not_seen():
+def test_board_is_drawn_where_it_is_ahead_of_the_camera_and_not_behind():
     np.testing.assert_array_equal(EYE.render([held(shown(-0.7))], blur_px=0.0), EYE.empty_room())
-
-
-def test_board_around_the_camera_s_plane_is_drawn_where_it_is_ahead():
-    light = EYE.render([held(shown(0.12, 1.4, (0, 1, 0)))], blur_px=0.0)
+    light = EYE.render([held(shown(0.12, 1.4, (0, 1, 0)))], blur_px=0.0)  # through the camera's plane
     assert np.isfinite(light).all() and (light != EYE.empty_room()).sum() > 1000
 
 

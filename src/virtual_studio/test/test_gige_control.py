@@ -90,10 +90,6 @@ def test_any_command_of_the_controller_is_a_heartbeat(monkeypatch):
     assert privilege.owner is None
 
 
-def test_unknown_command_is_answered_not_implemented(camera, client):
-    assert client.ask(0x0BAD).status == Status.NOT_IMPLEMENTED
-
-
 def test_command_without_acknowledge_flag_is_obeyed_in_silence(camera, client):
     client.take_control()
     client.send(Command.WRITE_REGISTER, gvcp_payloads.encode_writes([(bootstrap.HEARTBEAT_TIMEOUT_MS, 7000)]), flags=0)
@@ -101,9 +97,10 @@ def test_command_without_acknowledge_flag_is_obeyed_in_silence(camera, client):
     assert client.read(bootstrap.HEARTBEAT_TIMEOUT_MS) == 7000
 
 
-def test_garbage_is_counted_and_harms_nobody(camera, client):
+def test_garbage_is_counted_and_an_unknown_command_is_answered_not_implemented(camera, client):
     client._socket.sendto(b"\x42\x01\x00", client._peer)
     client._socket.sendto(b"not a command at all", client._peer)
+    assert client.ask(0x0BAD).status == Status.NOT_IMPLEMENTED
     assert client.ask(Command.DISCOVERY).status == 0
     assert camera.counters["malformed_commands"] == 2
 
@@ -127,16 +124,13 @@ def test_unplugged_camera_is_silent_and_keeps_its_settings(camera, client):
     assert client.read(CONTROL_PRIVILEGE) == 2
 
 
-def test_powered_off_camera_leaves_its_address_free(camera):
+def test_address_is_taken_while_a_camera_is_on_and_free_when_it_is_off(camera):
+    with pytest.raises(InputError, match=rf"camera {camera.address}: .*another camera is there.*loopback address"):
+        SimulatedCamera(camera.address, PatternScene()).start()
     camera.power_off()
     other = SimulatedCamera(camera.address, PatternScene(), CameraSettings(serial="OTHER"))
     with other, GvcpClient(other.address) as client:
         assert DeviceRecord.decode(client.ask(Command.DISCOVERY).payload).serial == "OTHER"
-
-
-def test_address_in_use_is_a_clear_error(camera):
-    with pytest.raises(InputError, match=rf"camera {camera.address}: .*another camera is there.*loopback address"):
-        SimulatedCamera(camera.address, PatternScene()).start()
 
 
 def test_capabilities_tell_whether_packets_are_sent_again(camera, client):

@@ -33,6 +33,8 @@ class Wire:
         self.loop, self.faults, self.counters = EventLoop(), Faults(**faults), Counter()
         device = Device("127.0.0.1", settings, self.registers, self.faults, self.counters, self.loop)
         self.channel = StreamChannel(device)
+        self.layout = Layout(len(DATA), packet_size)
+        self.block_packets = self.layout.rows + 2
         self.registers["GevSCDA"] = int(ipaddress.IPv4Address("127.0.0.1"))
         self.registers["GevSCPHostPort"] = self.receiver.getsockname()[1]
         self.registers["PacketSizeWord"] = packet_size
@@ -46,8 +48,12 @@ class Wire:
         self.channel.close()
         self.receiver.close()
 
-    def send(self, block_id=1, data=DATA):
-        self.loop.call(lambda: self.channel.send(block_id, LEADER, data, TRAILER))
+    def send(self, *block_ids, data=DATA):
+        for block_id in block_ids or (1,):
+            self.loop.call(lambda number=block_id: self.channel.send(number, LEADER, data, TRAILER))
+
+    def resend(self, *wanted):
+        self.loop.call(lambda: self.channel.resend(ResendRequest(*wanted)))
 
     def packets(self, count=None):
         """What arrived: (header, body, bytes of the datagram)."""
@@ -61,54 +67,62 @@ class Wire:
         return received
 
 
+def payload(packets):
+    """The bytes between leader and trailer."""
+    return b"".join(body for _, body, _ in packets[1:-1])
+
+
+def told(packets):
+    return [(header.block_id, header.packet_id, header.status) for header, _, _ in packets]
+
+
 @pytest.mark.parametrize("packet_size", [576, 1500, 9000, 65500])
 def test_block_is_leader_payload_and_trailer_with_rising_packet_ids(packet_size):
     with Wire(packet_size) as wire:
-        wire.send(block_id=7)
-        packets = wire.packets(Layout(len(DATA), packet_size).rows + 2)
-    headers = [header for header, _, _ in packets]
-    assert [header.packet_id for header in headers] == list(range(len(packets)))
-    assert {header.block_id for header in headers} == {7}
-    contents = [header.content for header in headers]
+        wire.send(7)
+        packets = wire.packets(wire.block_packets)
+    assert told(packets) == [(7, number, Status.SUCCESS) for number in range(len(packets))]
+    contents = [header.content for header, _, _ in packets]
     assert contents == [Content.LEADER, *[Content.PAYLOAD] * (len(packets) - 2), Content.TRAILER]
     assert ImageLeader.decode(packets[0][1]) == LEADER
     assert ImageTrailer.decode(packets[-1][1]) == TRAILER
-    assert b"".join(body for _, body, _ in packets[1:-1]) == DATA.tobytes()
+    assert payload(packets) == DATA.tobytes()
     assert all(size + 28 == packet_size for _, _, size in packets[1:-2])  # IP and UDP headers are counted
 
 
-def test_block_arrives_alike_where_the_system_cannot_cut_sends_into_packets():
-    with Wire(1500) as wire:
-        wire.channel._segments_allowed = False
+@pytest.mark.parametrize("slow", [False, True], ids=["in single packets", "with a delay between packets"])
+def test_block_arrives_alike_where_the_system_cannot_cut_sends_into_packets(slow):
+    with Wire(9000 if slow else 1500) as wire:
+        wire.channel._segments_allowed = slow
+        wire.registers["GevSCPD"] = 2_000_000 if slow else 0
         wire.send()
-        packets = wire.packets(Layout(len(DATA), 1500).rows + 2)
-    assert b"".join(body for _, body, _ in packets[1:-1]) == DATA.tobytes()
+        packets = eventually(lambda: wire.packets(wire.block_packets))
+    assert payload(packets) == DATA.tobytes()
+
+
+class Refusing:
+    """A socket that refuses sends of several packets, as one does whose link carries smaller ones."""
+
+    def __init__(self, real):
+        self.real, self.refused = real, 0
+
+    def sendmsg(self, parts, *more):
+        if len(parts) > 2:
+            self.refused += 1
+            raise OSError
+        return self.real.sendmsg(parts, *more)
+
+    def __getattr__(self, name):
+        return getattr(self.real, name)
 
 
 def test_block_arrives_alike_where_the_link_refuses_packets_so_large_in_one_send():
-    class Refusing:
-        """A socket that refuses sends of several packets, as one does whose link carries smaller ones."""
-
-        def __init__(self, real):
-            self.real, self.refused = real, 0
-
-        def sendmsg(self, parts, *more):
-            if len(parts) > 2:
-                self.refused += 1
-                raise OSError
-            return self.real.sendmsg(parts, *more)
-
-        def __getattr__(self, name):
-            return getattr(self.real, name)
-
     with Wire(1500) as wire:
         wire.channel._socket = refusing = Refusing(wire.channel._socket)
-        wire.send()
-        wire.send()
-        packets = wire.packets(2 * (Layout(len(DATA), 1500).rows + 2))
+        wire.send(1, 2)
+        packets = wire.packets(2 * wire.block_packets)
     half = len(packets) // 2
-    for block in (packets[:half], packets[half:]):
-        assert b"".join(body for _, body, _ in block[1:-1]) == DATA.tobytes()
+    assert payload(packets[:half]) == payload(packets[half:]) == DATA.tobytes()
     assert refusing.refused >= 1
 
 
@@ -116,56 +130,42 @@ def test_packets_that_the_network_lost_never_arrive_and_the_others_are_intact():
     with Wire(1500, packet_loss=0.3) as wire:
         wire.send()
         packets = wire.packets()
-        layout = Layout(len(DATA), 1500)
-        assert len(packets) == layout.rows + 2 - wire.counters["packets_dropped"]
+        assert len(packets) == wire.block_packets - wire.counters["packets_dropped"]
     assert 5 < wire.counters["packets_dropped"] < 50
     for header, body, _ in packets:
         if header.content == Content.PAYLOAD:
-            start = (header.packet_id - 1) * layout.capacity
-            assert body == DATA[start : start + layout.capacity].tobytes()
+            start = (header.packet_id - 1) * wire.layout.capacity
+            assert body == DATA[start : start + wire.layout.capacity].tobytes()
 
 
 def test_resent_packets_are_the_ones_asked_for_and_marked():
     with Wire(1500) as wire:
-        wire.send(block_id=1)
-        wire.send(block_id=2, data=DATA[::-1].copy())
-        wire.packets(2 * (Layout(len(DATA), 1500).rows + 2))
-        wire.loop.call(lambda: wire.channel.resend(ResendRequest(1, 3, 5)))
+        wire.send(1)
+        wire.send(2, data=DATA[::-1].copy())
+        wire.packets(2 * wire.block_packets)
+        wire.resend(1, 3, 5)
         packets = wire.packets(3)
-    assert [(h.block_id, h.packet_id, h.status) for h, _, _ in packets] == [(1, n, 0x0100) for n in (3, 4, 5)]
+    assert told(packets) == [(1, number, Status.PACKET_RESEND) for number in (3, 4, 5)]
     assert packets[0][1] == DATA[2 * 1464 : 3 * 1464].tobytes()
 
 
 def test_request_beyond_the_block_s_end_gives_what_there_is():
     with Wire(9000) as wire:
         wire.send()
-        last = Layout(len(DATA), 9000).rows + 1
-        wire.packets(last + 1)
-        wire.loop.call(lambda: wire.channel.resend(ResendRequest(1, last - 1, 0xFFFFFF)))
-        packets = wire.packets()
-    assert [header.packet_id for header, _, _ in packets] == [last - 1, last]
+        wire.packets(wire.block_packets)
+        last = wire.block_packets - 1
+        wire.resend(1, last - 1, 0xFFFFFF)
+        assert [header.packet_id for header, _, _ in wire.packets()] == [last - 1, last]
 
 
 def test_packets_of_a_block_that_is_gone_are_said_to_be_unavailable():
     with Wire(9000) as wire:
-        for block_id in (1, 2, 3, 4):
-            wire.send(block_id)
-        wire.packets(4 * (Layout(len(DATA), 9000).rows + 2))
-        wire.loop.call(lambda: wire.channel.resend(ResendRequest(1, 2, 3)))
+        wire.send(1, 2, 3, 4)
+        wire.packets(4 * wire.block_packets)
+        wire.resend(1, 2, 3)
         packets = wire.packets(2)
-    assert [(h.block_id, h.packet_id, h.status) for h, _, _ in packets] == [
-        (1, 2, Status.PACKET_UNAVAILABLE),
-        (1, 3, Status.PACKET_UNAVAILABLE),
-    ]
+    assert told(packets) == [(1, number, Status.PACKET_UNAVAILABLE) for number in (2, 3)]
     assert wire.counters["resend_missed"] == 1
-
-
-def test_packet_delay_sends_the_same_block_over_time():
-    with Wire(9000) as wire:
-        wire.registers["GevSCPD"] = 2_000_000
-        wire.send()
-        packets = eventually(lambda: wire.packets(Layout(len(DATA), 9000).rows + 2))
-    assert b"".join(body for _, body, _ in packets[1:-1]) == DATA.tobytes()
 
 
 def test_nothing_is_sent_while_nobody_listens():

@@ -113,13 +113,6 @@ def test_body_neither_sinks_into_the_floor_nor_passes_through_itself(name, who):
         assert 0.08 < max(lowest) < 0.20
 
 
-def test_truth_of_a_hard_case_does_not_depend_on_the_frame_rate():
-    body = Body.from_stature(1.75)
-    slow, fast = (HARD_CASES["leave_and_return"](body, 6.0, fps).poses for fps in (20, 60))
-    for a, b in zip(slow, fast[::3], strict=True):
-        np.testing.assert_allclose(forward(body, a), forward(body, b), atol=1e-6)
-
-
 def test_arm_on_chest_keeps_the_forearm_on_the_skin_for_two_seconds():
     person, motion = played("arm_on_chest")
     gaps = np.array(

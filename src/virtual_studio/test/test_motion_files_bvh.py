@@ -80,18 +80,14 @@ def test_joints_of_a_bvh_lie_where_matrices_put_them_for_every_order_of_rotation
     np.testing.assert_allclose(motion.of("Arm_end")[0], (T @ shift(5, 0, 2))[:3, 3], atol=1e-12)
 
 
-def test_rate_and_frames_follow_the_header(tmp_path: Path) -> None:
+def test_rate_and_frames_follow_the_header_and_positions_without_a_channel_the_offset(tmp_path: Path) -> None:
     rows = "1 0 0 0 0 0 0 0 0\n2 0 0 0 0 0 0 0 0\n"
     motion = read_bvh(arm(tmp_path / "a.bvh", rows=rows, frames=2, period="0.0083333"))
     assert motion.fps == pytest.approx(120.0, rel=1e-4)
     np.testing.assert_allclose(motion.of("Hips")[:, 0], [1.0, 2.0])
-
-
-def test_positions_stay_at_the_offset_where_no_channel_moves_them(tmp_path: Path) -> None:
     text = "HIERARCHY\nROOT a b {\nOFFSET 1 2 3\nCHANNELS 1 yposition\nEnd Site { OFFSET 0 1 0 }\n}\n"
-    path = tmp_path / "a.bvh"
-    path.write_text(text + "MOTION\nFrames: 1\nFrame Time: 0.1\n7\n")
-    motion = read_bvh(path)
+    (tmp_path / "b.bvh").write_text(text + "MOTION\nFrames: 1\nFrame Time: 0.1\n7\n")
+    motion = read_bvh(tmp_path / "b.bvh")
     np.testing.assert_allclose(motion.of("a b")[0], [1, 7, 3])
     np.testing.assert_allclose(motion.of("a b_end")[0], [1, 8, 3])
 

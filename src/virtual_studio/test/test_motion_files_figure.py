@@ -128,11 +128,14 @@ def test_every_naming_is_written_plainly_and_mirrored() -> None:
         assert not set(left) & set(right)
 
 
-def test_a_wrong_up_axis_is_refused_and_the_right_one_named(tmp_path: Path) -> None:
+def test_a_wrong_up_axis_and_a_file_of_another_kind_are_refused_with_what_is_right(tmp_path: Path) -> None:
+    path = person(tmp_path / "t.bvh", {})
     with pytest.raises(InputError, match="probably y"):
-        read_stick_motion(person(tmp_path / "t.bvh", {}), LEG_M, options=ReadingOptions(up="z"))
+        read_stick_motion(path, LEG_M, options=ReadingOptions(up="z"))
     with pytest.raises(InputError, match="x, y or z"):
-        read_stick_motion(person(tmp_path / "t.bvh", {}), LEG_M, options=ReadingOptions(up="w"))
+        read_stick_motion(path, LEG_M, options=ReadingOptions(up="w"))
+    with pytest.raises(InputError, match=r"\*\.bvh"):
+        read_stick_motion(tmp_path / "walk.fbx", LEG_M)
 
 
 def test_a_head_without_an_end_gets_an_average_one(tmp_path: Path) -> None:
@@ -165,24 +168,23 @@ def test_unknown_names_are_refused_and_a_table_of_names_helps(tmp_path: Path) ->
 
 @pytest.mark.parametrize(
     ("table", "word"),
-    [({"left_elbow": "LeftForArm"}, "LeftForeArm"), ({"tail": "Hips"}, "tail"), ({"neck": "0"}, "neck")],
+    [
+        ({"left_elbow": "LeftForArm"}, "LeftForeArm"),
+        ({"tail": "Hips"}, "tail"),
+        ({"neck": "0"}, "neck"),
+        (None, "left_shoulder"),
+    ],
 )
-def test_a_wrong_table_of_names_is_refused_with_what_there_is(tmp_path: Path, table: dict[str, str], word: str) -> None:
-    path = person(tmp_path / "t.bvh", {})
+def test_a_wrong_table_of_names_is_refused_with_what_there_is(
+    tmp_path: Path, table: dict[str, str] | None, word: str
+) -> None:
+    names = tmp_path / "names.yaml"
+    if table is None:
+        names.write_text("neck: Neck\nhead: Head\n")
+    else:
+        names_of_my_own(names, **table)
     with pytest.raises(InputError, match=word):
-        read_stick_motion(path, LEG_M, options=ReadingOptions(joints=names_of_my_own(tmp_path / "n.yaml", **table)))
-
-
-def test_a_table_that_lacks_a_joint_names_it(tmp_path: Path) -> None:
-    (tmp_path / "names.yaml").write_text("neck: Neck\nhead: Head\n")
-    options = ReadingOptions(joints=tmp_path / "names.yaml")
-    with pytest.raises(InputError, match="left_shoulder"):
-        read_stick_motion(person(tmp_path / "t.bvh", {}), LEG_M, options=options)
-
-
-def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"\*\.bvh"):
-        read_stick_motion(tmp_path / "walk.fbx", LEG_M)
+        read_stick_motion(person(tmp_path / "t.bvh", {}), LEG_M, options=ReadingOptions(joints=names))
 
 
 def test_a_recorded_motion_begins_in_the_t_pose_and_stands_on_the_floor_in_the_middle(tmp_path: Path) -> None:

@@ -69,11 +69,8 @@ def test_mask_equals_brute_force_rays_against_parts(frame):
 
 def test_part_around_the_camera_does_not_break_the_picture():
     camera, capsules = CAMERAS[0], PERSON.place(MOTION.poses[0])
-    centre = camera.camera.centre_world
-    behind = capsules._replace(
-        starts=capsules.starts - capsules.starts[0] + 1.2 * centre,
-        ends=capsules.ends - capsules.starts[0] + 1.2 * centre,
-    )
+    shift = 1.2 * camera.camera.centre_world - capsules.starts[0]
+    behind = capsules._replace(starts=capsules.starts + shift, ends=capsules.ends + shift)
     light, mask = camera.render(behind, None)
     assert mask.max() == 0
     np.testing.assert_array_equal(light, camera.empty_room())
@@ -128,14 +125,14 @@ def test_torso_is_wider_than_deep_and_sizes_are_a_persons():
     high = np.maximum(capsules.starts + capsules.radii[:, :1], capsules.ends + capsules.radii[:, 1:]).max(0)
     assert high[2] == pytest.approx(1.72, abs=0.02)
     assert -0.005 < low[2] < 0.02
-    x, y, z = np.meshgrid(*(np.arange(a, b, 0.02) for a, b in zip(low, high, strict=True)), indexing="ij")
+    x, y, z = np.meshgrid(*(np.arange(a, b, 0.025) for a, b in zip(low, high, strict=True)), indexing="ij")
     grid = np.column_stack([x.ravel(), y.ravel(), z.ravel()])
     inside = np.zeros(len(grid), bool)
     for a, b, (ra, rb) in zip(capsules.starts, capsules.ends, capsules.radii, strict=True):
         u = np.linspace(0, 1, 9)
         for centre, r in zip(a + u[:, None] * (b - a), ra + u * (rb - ra), strict=True):
             inside |= ((grid - centre) ** 2).sum(1) < r * r
-    assert 0.050 < inside.sum() * 0.02**3 < 0.095  # cubic metres, a person of 55 to 100 kg
+    assert 0.050 < inside.sum() * 0.025**3 < 0.095  # cubic metres, a person of 55 to 100 kg
     chest = grid[inside & (np.abs(grid[:, 2] - 1.25) < 0.02)]
     width, depth = np.ptp(chest[:, 1]), np.ptp(chest[:, 0])
     assert 1.3 < width / depth < 2.2
@@ -200,70 +197,54 @@ def test_clothes_change_the_light_of_the_person_and_nothing_else(name):
     assert low < contrast < high
 
 
-def test_open_door_is_dark_and_as_large_as_a_door_from_every_camera():
-    seen = 0
-    for camera in ring(4, ceiling=False).cameras:
-        view = view_room(camera)
-        opened = open_door(camera, view)
-        changed = opened.grey != view.grey
-        assert (opened.grey[changed] < view.grey[changed]).all()
-        corners = np.array([[HALF_ROOM_M, y, z] for y in DOOR_Y_M for z in (0.0, DOOR_HEIGHT_M)])
-        pixels = camera.project(corners)
-        if (camera.R_camera_world[2] @ corners.T + camera.t_camera_world[2] > 0.5).all() and changed.any():
-            seen += 1
-            y, x = np.nonzero(changed)
-            inside = np.isfinite(pixels).all() and (pixels >= 0).all() and (pixels < [640, 480]).all()
-            if inside:
-                box = np.array([[x.min(), y.min()], [x.max(), y.max()]])
-                np.testing.assert_allclose(box, [pixels.min(0), pixels.max(0)], atol=6.0)
-    assert seen >= 1
+def test_open_door_is_dark_and_as_large_as_a_door():
+    camera = ring(4, ceiling=False).cameras[2]  # sees the whole of it
+    view = view_room(camera)
+    opened = open_door(camera, view)
+    changed = opened.grey != view.grey
+    assert (opened.grey[changed] < view.grey[changed]).all()
+    y, x = np.nonzero(changed)
+    pixels = camera.project(np.array([[HALF_ROOM_M, y, z] for y in DOOR_Y_M for z in (0.0, DOOR_HEIGHT_M)]))
+    assert (pixels >= 0).all() and (pixels < [640, 480]).all()
+    np.testing.assert_allclose([[x.min(), y.min()], [x.max(), y.max()]], [pixels.min(0), pixels.max(0)], atol=6.0)
     np.testing.assert_array_equal(open_door(camera, view, 0.0).grey, view.grey)
 
 
 def test_rays_of_the_view_project_back_onto_their_pixels():
-    camera = ring(1, ceiling=False).cameras[0]
-    view = view_room(camera)
+    camera = CAMERAS[0].camera
     y, x = np.mgrid[0:480:37, 0:640:41]
-    pixels = camera.project(camera.centre_world + 3.0 * view.rays[y, x])
+    pixels = camera.project(camera.centre_world + 3.0 * CAMERAS[0]._view.rays[y, x])
     np.testing.assert_allclose(pixels, np.stack([x, y], -1), atol=1e-3)
 
 
 def test_room_looks_the_same_place_by_place_from_two_cameras():
-    rig = ring(2, ceiling=True)
-    views = [view_room(camera) for camera in rig.cameras]
-    rng = np.random.default_rng(3)
-    points = np.column_stack([rng.uniform(-1.3, 1.3, (4000, 2)), np.zeros(4000)])
-    greys = []
-    for camera, view in zip(rig.cameras, views, strict=True):
-        pixels = np.rint(camera.project(points))
+    points = np.column_stack([np.random.default_rng(3).uniform(-1.3, 1.3, (4000, 2)), np.zeros(4000)])
+    greys = np.full((3, len(points)), np.nan)
+    for grey, eye in zip(greys, CAMERAS, strict=True):
+        pixels = np.rint(eye.camera.project(points))
         seen = ((pixels >= 0) & (pixels < [640, 480])).all(1)
-        grey = np.full(len(points), np.nan)
-        grey[seen] = view.grey[tuple(pixels[seen].astype(int).T[::-1])]
-        greys.append(grey)
+        grey[seen] = eye._view.grey[tuple(pixels[seen].astype(int).T[::-1])]
     for a, b in ((0, 1), (0, 2), (1, 2)):
         both = np.isfinite(greys[a]) & np.isfinite(greys[b])
         assert both.sum() > 1000
         assert np.corrcoef(greys[a][both], greys[b][both])[0, 1] > 0.6
 
 
-def test_every_frame_of_a_large_colour_sensor_has_noise_of_its_own():
-    sensor, light = Sensor(noise=3.0, flicker=0.0, seed=7), np.full((1200, 1920, 3), 0.5, np.float32)
-    first, second = (sensor.expose(light, 2, frame).astype(np.float32) for frame in (5, 6))
-    assert first.std() == pytest.approx(3.0, rel=0.02)
-    assert (first - second).std() == pytest.approx(3.0 * np.sqrt(2.0), rel=0.02)
-
-
-def test_sensor_adds_the_stated_noise_and_flicker_and_repeats_itself():
-    light = np.full((480, 640), 0.5, np.float32)
-    sensor = Sensor(noise=3.0, flicker=0.0, seed=7)
+@pytest.mark.parametrize("shape", [(480, 640), (1200, 1920, 3)])
+def test_sensor_adds_the_stated_noise_anew_in_every_frame_and_repeats_itself(shape):
+    sensor, light = Sensor(noise=3.0, flicker=0.0, seed=7), np.full(shape, 0.5, np.float32)
     picture = sensor.expose(light, 2, 5)
-    assert picture.astype(float).std() == pytest.approx(3.0, rel=0.02)
+    assert picture.astype(np.float32).std() == pytest.approx(3.0, rel=0.02)
     np.testing.assert_array_equal(picture, Sensor(noise=3.0, flicker=0.0, seed=7).expose(light, 2, 5))
     for other in (sensor.expose(light, 3, 5), sensor.expose(light, 2, 6), replace(sensor, seed=8).expose(light, 2, 5)):
-        correlation = np.corrcoef(picture.ravel(), other.ravel())[0, 1]
-        assert abs(correlation) < 0.02
+        difference = picture.astype(np.float32) - other
+        assert difference.std() == pytest.approx(3.0 * np.sqrt(2.0), rel=0.01)  # uncorrelated to 0.02
+
+
+def test_lamps_flicker_by_the_stated_share():
     flickering = Sensor(noise=0.0, flicker=0.01, seed=1)
-    means = [flickering.expose(light[:9, :9], 0, frame).mean() / 120.0 for frame in range(300)]
+    light = np.full((9, 9), 0.5, np.float32)
+    means = [flickering.expose(light, 0, frame).mean() / 120.0 for frame in range(300)]
     assert np.std(means) == pytest.approx(0.01, rel=0.2)
 
 
@@ -277,17 +258,15 @@ def test_bright_light_saturates_instead_of_wrapping():
 
 
 def test_bare_silhouettes_equal_the_rendered_ones():
-    rig, body = ring(1), Body.from_stature(1.7)
-    eyes = ExactSilhouettes(rig)
-    for pose in tour(body, 6.0, 1.0).poses[::4]:
-        capsules = VolumetricBody(body).place(pose)
-        masks = eyes.render(capsules)
-        assert list(masks) == list(rig.names)
-        for camera in rig.cameras:
-            rendered = VirtualCamera(camera).render(capsules, None)[1]
-            expected = camera.undistorted_view().undistort_mask(rendered)
-            assert expected.any()
-            np.testing.assert_array_equal(masks[camera.name], expected)
+    rig = ring(1)
+    capsules = PERSON.place(MOTION.poses[17])
+    masks = ExactSilhouettes(rig).render(capsules)
+    assert list(masks) == list(rig.names)
+    for camera in rig.cameras:
+        rendered = VirtualCamera(camera).render(capsules, None)[1]
+        expected = camera.undistorted_view().undistort_mask(rendered)
+        assert expected.any()
+        np.testing.assert_array_equal(masks[camera.name], expected)
 
 
 def test_rows_of_a_rolling_shutter_show_the_body_at_their_time_and_cameras_at_theirs():

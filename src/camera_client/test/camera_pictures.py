@@ -1,0 +1,39 @@
+"""What tests of camera_client share: a learned background, the frames of a source, how well a mask fits."""
+
+from camera_client.background.model import BackgroundLearner
+
+PATIENCE = 20  # silent seconds, only ever used up by a failing test
+
+
+def learned(images, source="test", **about):
+    """The background that these images show."""
+    learner = BackgroundLearner()
+    for image in images:
+        learner.add(image)
+    return learner.model(source, **about)
+
+
+def iou(mask, truth):
+    """Intersection over union of the person (255, as candidates for shadow are none) and the truth (not zero)."""
+    return ((mask == 255) & (truth > 0)).sum() / ((mask == 255) | (truth > 0)).sum()
+
+
+def frames_of(source, count):
+    """The next so many frames of a started source; incomplete ones, and those left out, are passed over."""
+    frames, silences = [], 0
+    while len(frames) < count:
+        before = source.statistics.arrived, source.counters.get("left_out")
+        frame = source.read(1.0)
+        if frame is not None:
+            frames.append(frame)
+        elif before == (source.statistics.arrived, source.counters.get("left_out")):
+            silences += 1
+            assert silences < PATIENCE, f"no frames: {source.counters} {source.statistics}"
+    return frames
+
+
+def taken(source, count=30):
+    """The first so many frames of a source, which is closed again."""
+    with source:
+        source.start()
+        return frames_of(source, count)
