@@ -35,6 +35,7 @@ def evaluated(session) -> TrackEvaluation:
     return evaluate_track(session, FRAMES, track, thesis=track)
 
 
+@pytest.mark.slow
 def test_every_page_of_plots_is_written(evaluated, tmp_path):
     paths = draw_plots(tmp_path, evaluated)
     angles = {f"angles_{joints}" for joints in ("neck_elbows", "shoulders", "hips", "knees")}

@@ -65,6 +65,7 @@ def parts_of(person, *sticks):
     return np.flatnonzero(np.isin(person.sticks, sticks)).tolist()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", HARD_CASES)
 def test_hard_case_is_a_movement_of_which_people_are_capable(name):
     (_, motion), points = played(name), points_of(name)

@@ -1,6 +1,7 @@
 """Silhouettes against a brute-force oracle; shadow, room and sensor."""
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -26,8 +27,17 @@ from virtual_studio.rig import HALF_WIDTH_M as HALF_ROOM_M
 
 BODY = Body.from_stature(1.72)
 PERSON = VolumetricBody(BODY)
-MOTION = tour(BODY, seconds=10.5, fps=4)
-CAMERAS = [VirtualCamera(camera) for camera in ring(2, ceiling=True).cameras]
+
+
+@cache
+def motion():
+    return tour(BODY, seconds=10.5, fps=4)
+
+
+@cache
+def cameras():
+    """Two around, and one on the ceiling."""
+    return [VirtualCamera(camera) for camera in ring(2, ceiling=True).cameras]
 
 
 def clearance(origin, rays, starts, ends, radii):
@@ -53,9 +63,9 @@ def clearance(origin, rays, starts, ends, radii):
 
 @pytest.mark.parametrize("frame", [0, pytest.param(9, marks=pytest.mark.slow), 17])
 def test_mask_equals_brute_force_rays_against_parts(frame):
-    camera = CAMERAS[frame % 3].camera
-    capsules = PERSON.place(MOTION.poses[frame])
-    _, mask = CAMERAS[frame % 3].render(capsules, None)
+    camera = cameras()[frame % 3].camera
+    capsules = PERSON.place(motion().poses[frame])
+    _, mask = cameras()[frame % 3].render(capsules, None)
     edge = cv2.dilate(mask, np.ones((5, 5))) != cv2.erode(mask, np.ones((5, 5)))
     rng = np.random.default_rng(frame)
     near = np.argwhere(edge)
@@ -68,7 +78,7 @@ def test_mask_equals_brute_force_rays_against_parts(frame):
 
 
 def test_part_around_the_camera_does_not_break_the_picture():
-    camera, capsules = CAMERAS[0], PERSON.place(MOTION.poses[0])
+    camera, capsules = cameras()[0], PERSON.place(motion().poses[0])
     shift = 1.2 * camera.camera.centre_world - capsules.starts[0]
     behind = capsules._replace(starts=capsules.starts + shift, ends=capsules.ends + shift)
     light, mask = camera.render(behind, None)
@@ -106,10 +116,10 @@ def test_hit_distance_lies_on_the_surface_for_any_taper():
 
 def test_truth_points_project_into_the_mask():
     inside = total = 0
-    poses = MOTION.poses[::3]
+    poses = motion().poses[::3]
     for pose in poses:
         capsules, points = PERSON.place(pose), forward(BODY, pose)
-        for camera in CAMERAS:
+        for camera in cameras():
             _, mask = camera.render(capsules, None)
             pixels = np.rint(camera.camera.project(points)).astype(int)
             seen = ((pixels >= 0) & (pixels < [640, 480])).all(1)
@@ -120,7 +130,7 @@ def test_truth_points_project_into_the_mask():
 
 
 def test_torso_is_wider_than_deep_and_sizes_are_a_persons():
-    capsules = PERSON.place(MOTION.poses[0])
+    capsules = PERSON.place(motion().poses[0])
     low = np.minimum(capsules.starts - capsules.radii[:, :1], capsules.ends - capsules.radii[:, 1:]).min(0)
     high = np.maximum(capsules.starts + capsules.radii[:, :1], capsules.ends + capsules.radii[:, 1:]).max(0)
     assert high[2] == pytest.approx(1.72, abs=0.02)
@@ -143,20 +153,20 @@ def test_torso_is_wider_than_deep_and_sizes_are_a_persons():
 
 
 def test_person_darkens_the_floor_beside_it_by_the_strength_given_and_nowhere_far():
-    shade = floor_shadow(PERSON.place(MOTION.poses[0]))
+    shade = floor_shadow(PERSON.place(motion().poses[0]))
     assert shade.max() <= 1.0
     assert shade.min() < 0.75
     assert 0.02 < (shade < 0.97).mean() < 0.2
     far = np.hypot(*(np.mgrid[: len(shade), : len(shade)] * CELL_M - HALF_WIDTH_M)) > 3.8
     np.testing.assert_allclose(shade[far], 1.0, atol=1e-3)
-    half, none = (floor_shadow(PERSON.place(MOTION.poses[0]), strength) for strength in (0.5, 0.0))
+    half, none = (floor_shadow(PERSON.place(motion().poses[0]), strength) for strength in (0.5, 0.0))
     np.testing.assert_allclose(1.0 - half, 0.5 * (1.0 - shade), atol=1e-6)
     assert (none == 1.0).all()
 
 
 def test_shadow_falls_where_the_lamps_are_hidden():
     """Independent of the drawing: rays from floor cells to one lamp's points against all parts."""
-    capsules = PERSON.place(MOTION.poses[20])
+    capsules = PERSON.place(motion().poses[20])
     shade = floor_shadow(capsules)
     rng = np.random.default_rng(2)
     cells = rng.integers(90, len(shade) - 90, size=(300, 2))
@@ -173,7 +183,7 @@ def test_shadow_falls_where_the_lamps_are_hidden():
 
 
 def test_room_in_colour_has_the_light_of_the_grey_one_and_a_brown_floor():
-    camera = CAMERAS[0]
+    camera = cameras()[0]
     colour, floor = camera.empty_room_colour(), np.isfinite(camera._view.floor_xy[..., 0])
     np.testing.assert_allclose(colour.mean(axis=2), camera.empty_room(), atol=1e-5)
     blue, green, red = colour[floor].mean(axis=0)
@@ -182,7 +192,7 @@ def test_room_in_colour_has_the_light_of_the_grey_one_and_a_brown_floor():
 
 @pytest.mark.parametrize("name", OUTFITS)
 def test_clothes_change_the_light_of_the_person_and_nothing_else(name):
-    camera, capsules, outfit = CAMERAS[0], PERSON.place(MOTION.poses[0]), OUTFITS[name]
+    camera, capsules, outfit = cameras()[0], PERSON.place(motion().poses[0]), OUTFITS[name]
     shadow = floor_shadow(capsules)
     light, mask = camera.render(outfit.dress(capsules), shadow)
     colour, same = camera.render_colour(capsules, outfit.albedo_bgr(capsules), shadow)
@@ -211,16 +221,16 @@ def test_open_door_is_dark_and_as_large_as_a_door():
 
 
 def test_rays_of_the_view_project_back_onto_their_pixels():
-    camera = CAMERAS[0].camera
+    camera = cameras()[0].camera
     y, x = np.mgrid[0:480:37, 0:640:41]
-    pixels = camera.project(camera.centre_world + 3.0 * CAMERAS[0]._view.rays[y, x])
+    pixels = camera.project(camera.centre_world + 3.0 * cameras()[0]._view.rays[y, x])
     np.testing.assert_allclose(pixels, np.stack([x, y], -1), atol=1e-3)
 
 
 def test_room_looks_the_same_place_by_place_from_two_cameras():
     points = np.column_stack([np.random.default_rng(3).uniform(-1.3, 1.3, (4000, 2)), np.zeros(4000)])
     greys = np.full((3, len(points)), np.nan)
-    for grey, eye in zip(greys, CAMERAS, strict=True):
+    for grey, eye in zip(greys, cameras(), strict=True):
         pixels = np.rint(eye.camera.project(points))
         seen = ((pixels >= 0) & (pixels < [640, 480])).all(1)
         grey[seen] = eye._view.grey[tuple(pixels[seen].astype(int).T[::-1])]
@@ -259,7 +269,7 @@ def test_bright_light_saturates_instead_of_wrapping():
 
 def test_bare_silhouettes_equal_the_rendered_ones():
     rig = ring(1)
-    capsules = PERSON.place(MOTION.poses[17])
+    capsules = PERSON.place(motion().poses[17])
     masks = ExactSilhouettes(rig).render(capsules)
     assert list(masks) == list(rig.names)
     for camera in rig.cameras:
