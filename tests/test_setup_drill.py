@@ -1,14 +1,11 @@
 """Unknown cameras of the virtual studio are set up by the commands that a user gives; the truth only scores."""
 
-import os
-import signal
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import Graph, run
 
 from capture_rig.rig import load_rig
 from sagoma_bringup.graph import build_graph
@@ -24,7 +21,6 @@ from virtual_studio.recording.footage import FootagePlan, camera_errors, read_tr
 from virtual_studio.rig import ring
 
 CAMERAS = ("cam01", "cam02", "cam03")
-COMMAND_TIMEOUT_S = 400.0
 
 
 @pytest.fixture(scope="module")
@@ -51,40 +47,9 @@ def test_filmed_cameras_are_calibrated_to_the_truth(footage, tmp_path):
         assert camera.rotation_deg < 0.2
 
 
-def command(*words: object) -> list[str]:
-    return [sys.executable, "-m", "sagoma_tools.cli", *map(str, words)]
-
-
-def run(*words: object) -> str:
-    done = subprocess.run(command(*words), capture_output=True, text=True, timeout=COMMAND_TIMEOUT_S, check=False)
-    assert done.returncode in (0, 1), f"{' '.join(map(str, words))}\n{done.stdout[-3000:]}\n{done.stderr[-3000:]}"
-    return done.stdout
-
-
 def calibrate_lens(name: str, board: Path, lenses: Path) -> None:
     given = ("--topic", f"/{name}/image_raw", "--board", board, "--output", lenses, "--seconds", "120", "--wait", "60")
     run("calibrate", "intrinsics", *given)
-
-
-class Graph:
-    """``sagoma up`` as a process; its end is asked for as by Ctrl-C."""
-
-    def __init__(self, log: Path, *words: object) -> None:
-        self._log = log.open("w")
-        self._process = subprocess.Popen(
-            command("up", *words, "--run-folder", log.with_suffix("")),
-            stdout=self._log,
-            stderr=subprocess.STDOUT,
-            env=os.environ.copy(),
-        )
-
-    def __enter__(self) -> "Graph":
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self._process.send_signal(signal.SIGINT)
-        self._process.wait(60.0)
-        self._log.close()
 
 
 def person_live(studio: StudioProcess, rig: Path, folder: Path) -> np.ndarray:

@@ -111,6 +111,8 @@ def up(args: argparse.Namespace) -> int:
     ):
         recorder = bring_up(supervisor, args.record, stop, report_failure)
         until_stopped()
+        if not stop.is_set():
+            console.print(f"all {len(graph)} nodes are active")
         watch(supervisor, console, stop, args.seconds)
         doing("stopping the nodes")
         supervisor.suspend()
