@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import time
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from hostile_messages import Attack, attacks
 
 TELLING = {
     "cut in the middle": "bad_images",
-    "stamp in 100 years": "frames_ahead",
+    "stamp in 100 years": "frames_(ahead|backwards)",  # of one camera; of most, a new beginning
     "NaN": "bad_predictions",
     "a million elements": "bad_hulls",
     "picture bomb": "bad_images",
@@ -19,8 +20,13 @@ TELLING = {
     "a cloud of NaN": "bad_keypoints",
     "YAML bomb": "bad_rules",
 }
-"""Attacks, and a counter each that tells of it; of the others any counter does."""
+"""Attacks, and the counter (a pattern) that tells of each. Others are survived: clouds that only strangers subscribe
+to, and texts that mean nothing."""
 TRIES = 3  # on a busy machine a message's stamp may be passed when it comes: it is refused for that
+
+
+def told(attack: Attack, keys: set[str]) -> bool:
+    return attack.name not in TELLING or any(re.search(TELLING[attack.name], key) for key in keys)
 
 
 def counted(attacker: Attacker, attack: Attack) -> set[str]:
@@ -30,7 +36,7 @@ def counted(attacker: Attacker, attack: Attack) -> set[str]:
         effect = attacker.send(attack)
         assert effect.died == () and math.isfinite(effect.recovered_s), f"{attack.name}: {effect}"
         keys |= set(effect.counted)
-        if any(TELLING.get(attack.name, "") in key for key in keys):
+        if told(attack, keys):
             break
     return keys
 
@@ -42,7 +48,7 @@ def test_the_graph_tracks_on_under_hostile_messages_and_counts_them(tmp_path: Pa
         attacker = Attacker(target)
         for attack in attacks(time.time_ns):
             keys = counted(attacker, attack)
-            assert any(TELLING.get(attack.name, "") in key for key in keys), f"{attack.name}: {keys}"
+            assert told(attack, keys), f"{attack.name}: {keys}"
         effect = attacker.call()
         assert effect.died == () and math.isfinite(effect.recovered_s)
     strangers = [path for path in tmp_path.parent.rglob("sagoma_was_here*")] + list(

@@ -90,7 +90,7 @@ def test_gl_places_every_voxel_as_float64_does_where_single_precision_does_not()
     rig = ring_rig(3, size=(1280, 1024), focal_px=2400.0, seed=4, distortion=False, volume=volume)
     views, grid = RigViews.from_rig(rig), VoxelGrid.covering(volume, 0.012)
     rng = np.random.default_rng(1)
-    masks = {n: rng.integers(0, 2, (h, w), np.uint8) for n, (w, h) in zip(views.names, views.sizes, strict=True)}
+    masks = {n: 255 * rng.integers(0, 2, (h, w), np.uint8) for n, (w, h) in zip(views.names, views.sizes, strict=True)}
     centres = np.c_[grid.centres_world(np.indices(grid.shape).reshape(3, -1).T), np.ones(np.prod(grid.shape))]
     h64 = centres @ views.P[0].T
     h32 = centres.astype(np.float32) @ views.P[0].T.astype(np.float32)

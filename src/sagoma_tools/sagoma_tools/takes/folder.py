@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
+from operator import index
 from pathlib import Path
 from typing import Any
 
@@ -150,7 +151,7 @@ def describe(path: Path) -> Take:
         return replace(take, state=TakeState.UNFINISHED, problem=str(problem), began_ns=_newest_change_ns(path))
     try:
         with open_bag(path) as reader:
-            topics = {connection.topic: connection.msgcount for connection in reader.connections}
+            topics = {connection.topic: index(connection.msgcount) for connection in reader.connections}
             if reader.message_count:
                 take = replace(take, began_ns=reader.start_time, seconds=reader.duration / 1e9)
         provenance = read_provenance(path)
