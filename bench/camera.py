@@ -28,7 +28,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from itertools import islice, product
 from pathlib import Path
 from statistics import median
@@ -48,7 +48,6 @@ from sensor_msgs.msg import CompressedImage
 
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from capture_rig import Rig
-from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.session import load_session
 from capture_rig.video import Video
@@ -64,7 +63,7 @@ from sagoma_tools.graph.topics import camera_topics
 from sagoma_tools.recording.reader import header_stamp_ns
 from stick_figure.body import Body
 from virtual_studio.recording.session import RenderSettings, write_session
-from virtual_studio.rig import ring
+from virtual_studio.rig import ring, with_pictures
 
 PLAY_S, PLAY_FPS = 4.0, 60.0
 WARM_UP_FRAMES, ROUNDS = 15, 5
@@ -132,8 +131,7 @@ PLAIN_MASKS = {f"{ALL_CAMERAS}.silhouette.shadow": "remove", f"{ALL_CAMERAS}.sil
 
 def built_in_session(folder: Path, cameras: int, shadow: bool = False, size: str = "640x480") -> Path:
     """The studio's person in its room, a T-pose and some movement, with sensor noise and flicker."""
-    whole, body = ring(cameras - 1, True), Body.from_stature(1.75)
-    rig = Rig(tuple(scaled(camera, *sides(size)) for camera in whole.cameras), whole.volume)
+    rig, body = with_pictures(ring(cameras - 1, True), *sides(size)), Body.from_stature(1.75)
     return write_session(folder, rig, body, fps=PLAY_FPS, seconds=PLAY_S, settings=RenderSettings(shadow=shadow))
 
 
@@ -236,15 +234,6 @@ def print_runs(runs: list[Run]) -> None:
 # --- silhouettes alone
 
 
-def scaled(camera: CameraModel, width: int, height: int) -> CameraModel:
-    """The camera with more or fewer pixels across the same view, cut or widened at top and bottom."""
-    times = width / camera.width
-    K = camera.K * [[times], [times], [1.0]]
-    K[:2, 2] = times * (camera.K[:2, 2] + 0.5) - 0.5
-    K[1, 2] -= (times * camera.height - height) / 2
-    return replace(camera, width=width, height=height, K=K)
-
-
 def sides(size: str) -> tuple[int, int]:
     """Return width and height of "WIDTHxHEIGHT", pixels."""
     width, height = map(int, size.split("x"))
@@ -253,8 +242,8 @@ def sides(size: str) -> tuple[int, int]:
 
 def studio_pictures(size: str, colour: bool) -> tuple[RoomClip, SilhouettePipeline]:
     """A clip of one of the studio's cameras with pictures of a size, "WIDTHxHEIGHT", and its silhouettes."""
-    whole = ring(SIDE_CAMERAS)
-    rig = Rig(tuple(scaled(camera, *sides(size)) for camera in whole.cameras[:2]), whole.volume)  # a hull needs two
+    whole = with_pictures(ring(SIDE_CAMERAS), *sides(size))
+    rig = Rig(whole.cameras[:2], whole.volume)  # a hull needs two
     look = next(look for look in LOOKS if look.colour == colour)
     clip = studio_clip(look, PLAY_S, rig)
     return clip, our_pipeline(clip, {}).cameras[rig.names[0]]

@@ -151,9 +151,14 @@ def test_impossible_settings_are_refused_before_anything_is_written(tmp_path, ch
 def test_command_line_writes_a_session_and_says_what_or_what_is_wrong_in_one_line(tmp_path, capsys):
     folder = tmp_path / "session"
     arguments = ["--cameras", "1", "--no-ceiling", "--seconds", "0.2", "--fps", "10", "--stature", "1.6"]
+    arguments += ["--size", "320x200"]
     assert main([str(folder), *arguments]) == 0
     assert "1 cameras x 2 frames" in capsys.readouterr().out
-    assert load_session(folder).rig.names == ("cam01",)
+    rig, usual = load_session(folder).rig, ring(1, ceiling=False)
+    assert rig.names == ("cam01",) and (rig.cameras[0].width, rig.cameras[0].height) == (320, 200)
+    point, (x, y) = np.array([[0.3, -0.2, 1.0]]), usual.cameras[0].project(np.array([[0.3, -0.2, 1.0]]))[0]
+    across = (x + 0.5) / 2 - 0.5, (y + 0.5) / 2 - 0.5 - 20.0  # half the pixels, 20 rows cut off at the top
+    np.testing.assert_allclose(rig.cameras[0].project(point)[0], across, atol=1e-3)
     assert load_body(folder / "body.yaml").stature == pytest.approx(1.6)
     assert yaml.safe_load((folder / "session.yaml").read_text())["recipe"]["motion"] == "tour"
     (tmp_path / "other").write_text("in the way")

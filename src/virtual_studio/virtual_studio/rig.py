@@ -37,6 +37,19 @@ def ring(n: int, ceiling: bool = True) -> Rig:
     return Rig(tuple(cameras), VOLUME)
 
 
+def with_pictures(rig: Rig, width: int, height: int) -> Rig:
+    """Returns the rig with pictures of another size, pixels, across the same view, cut or widened at top and bottom."""
+    return Rig(tuple(_with_picture(camera, width, height) for camera in rig.cameras), rig.volume)
+
+
+def _with_picture(camera: CameraModel, width: int, height: int) -> CameraModel:
+    times = width / camera.width
+    K = camera.K * [[times], [times], [1.0]]
+    K[:2, 2] = times * (camera.K[:2, 2] + 0.5) - 0.5  # pixels are counted from the middle of the first one
+    K[1, 2] -= (times * camera.height - height) / 2
+    return replace(camera, width=width, height=height, K=K)
+
+
 def azimuths(n: int) -> Array:
     """Returns the directions (n,) of the ring's cameras, rad."""
     spacing = 2 * np.pi / n
