@@ -129,8 +129,8 @@ def connected_publishers(link):
 
 
 def test_lockstep_sends_no_set_before_the_one_before_is_answered(link, far_link):
-    graph = FakeGraph(far_link)
-    report = play_lockstep(map(frame_set, range(30)), connected_publishers(link), Answers(link.node), timeout_s=20)
+    graph, answers = FakeGraph(far_link), Answers(link.node)  # subscribed before the first set is sent
+    report = play_lockstep(map(frame_set, range(30)), connected_publishers(link), answers, timeout_s=20)
     assert (report.sets, report.unanswered_ns, report.stray_answers) == (30, [], 0)
     # set k was answered after exactly 2 (k + 1) silhouettes had been heard: nothing ran ahead
     assert graph.answered_after == [2 * (k + 1) for k in range(30)]
@@ -140,15 +140,17 @@ def test_lockstep_sends_no_set_before_the_one_before_is_answered(link, far_link)
 
 def test_lockstep_notes_a_set_that_is_never_answered_and_goes_on(link, far_link):
     FakeGraph(far_link, deaf_to=(2,))
-    report = play_lockstep(map(frame_set, range(5)), connected_publishers(link), Answers(link.node), timeout_s=2.0)
+    answers = Answers(link.node)
+    report = play_lockstep(map(frame_set, range(5)), connected_publishers(link), answers, timeout_s=2.0)
     assert report.sets == 5
     assert report.unanswered_ns == [EPOCH_NS + 2 * PERIOD_NS]
 
 
 def test_lockstep_is_an_error_when_the_ekf_stays_silent_from_the_start(link, far_link):
     FakeGraph(far_link, deaf_to=range(5))
+    answers = Answers(link.node)
     with pytest.raises(InputError, match="/ekf/prediction: no answer to the first frame set"):
-        play_lockstep(map(frame_set, range(5)), connected_publishers(link), Answers(link.node), timeout_s=0.5)
+        play_lockstep(map(frame_set, range(5)), connected_publishers(link), answers, timeout_s=0.5)
 
 
 def test_replay_without_a_subscriber_names_the_topic(link):
