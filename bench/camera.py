@@ -62,8 +62,9 @@ from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.graph.topics import camera_topics
 from sagoma_tools.recording.reader import header_stamp_ns
 from stick_figure.body import Body
+from virtual_studio.__main__ import image_size
 from virtual_studio.recording.session import RenderSettings, write_session
-from virtual_studio.rig import ring, with_pictures
+from virtual_studio.rig import ring
 
 PLAY_S, PLAY_FPS = 4.0, 60.0
 WARM_UP_FRAMES, ROUNDS = 15, 5
@@ -131,7 +132,7 @@ PLAIN_MASKS = {f"{ALL_CAMERAS}.silhouette.shadow": "remove", f"{ALL_CAMERAS}.sil
 
 def built_in_session(folder: Path, cameras: int, shadow: bool = False, size: str = "640x480") -> Path:
     """The studio's person in its room, a T-pose and some movement, with sensor noise and flicker."""
-    rig, body = with_pictures(ring(cameras - 1, True), *sides(size)), Body.from_stature(1.75)
+    rig, body = ring(cameras - 1, True, image_size(size)), Body.from_stature(1.75)
     return write_session(folder, rig, body, fps=PLAY_FPS, seconds=PLAY_S, settings=RenderSettings(shadow=shadow))
 
 
@@ -234,15 +235,9 @@ def print_runs(runs: list[Run]) -> None:
 # --- silhouettes alone
 
 
-def sides(size: str) -> tuple[int, int]:
-    """Return width and height of "WIDTHxHEIGHT", pixels."""
-    width, height = map(int, size.split("x"))
-    return width, height
-
-
 def studio_pictures(size: str, colour: bool) -> tuple[RoomClip, SilhouettePipeline]:
     """A clip of one of the studio's cameras with pictures of a size, "WIDTHxHEIGHT", and its silhouettes."""
-    whole = with_pictures(ring(SIDE_CAMERAS), *sides(size))
+    whole = ring(SIDE_CAMERAS, size=image_size(size))
     rig = Rig(whole.cameras[:2], whole.volume)  # a hull needs two
     look = next(look for look in LOOKS if look.colour == colour)
     clip = studio_clip(look, PLAY_S, rig)

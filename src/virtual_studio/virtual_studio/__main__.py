@@ -20,11 +20,17 @@ from .motions.together import TOGETHER
 from .people import OUTFITS, people_of_sizes, person_of
 from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
 from .recording.session import RenderSettings, write_scene, write_session
-from .rig import HEIGHT_PX, WIDTH_PX, ring, with_pictures
+from .rig import HEIGHT_PX, WIDTH_PX, ring
 
 QUICK_FPS, QUICK_MOVING_S = 6.0, 16.0
 SIDE = number("pixels", 160, 8192, whole=True)
 PROPORTION = number("times the average", 0.3, 3)
+
+
+def image_size(text: str) -> tuple[int, int]:
+    """Returns width and height of "WIDTHxHEIGHT", pixels; argparse.ArgumentTypeError for anything else."""
+    width, _, height = text.partition("x")
+    return int(SIDE(width)), int(SIDE(height))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -41,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _session(options: argparse.Namespace) -> int:
     started = time.monotonic()
-    rig = with_pictures(ring(options.cameras - options.ceiling, options.ceiling), *options.size)
+    rig = ring(options.cameras - options.ceiling, options.ceiling, options.size)
     body = person_of(options.stature, options.arms, options.legs)
     look = RenderSettings(options.seed, options.noise, options.flicker, options.shadow, options.build)
     progress = _show_progress if sys.stderr.isatty() else lambda done, total: None
@@ -58,7 +64,7 @@ def _session(options: argparse.Namespace) -> int:
 
 def _setup(options: argparse.Namespace) -> int:
     started = time.monotonic()
-    rig = with_pictures(ring(options.cameras - options.ceiling, options.ceiling), *options.size)
+    rig = ring(options.cameras - options.ceiling, options.ceiling, options.size)
     hand, floor = read_board(options.board), read_board(options.floor_board)
     wand = Wand() if options.wand else None
     plan = FootagePlan(hand_board=hand, floor_board=floor, wand=wand, seed=options.seed, noise=options.noise)
@@ -145,18 +151,13 @@ def _add_common_arguments(parser: argparse.ArgumentParser, motion: str, seed: st
         "--ceiling", action=argparse.BooleanOptionalAction, default=True, help="the last camera hangs from the ceiling"
     )
     parser.add_argument(
-        "--size", type=_size, default=f"{WIDTH_PX}x{HEIGHT_PX}", metavar="WxH", help="of the pictures, pixels"
+        "--size", type=image_size, default=f"{WIDTH_PX}x{HEIGHT_PX}", metavar="WxH", help="of the images, pixels"
     )
     parser.add_argument("--motion", default="tour", metavar="NAME|FILE", help=motion)
     parser.add_argument("--seed", type=number("", 0, 1 << 32, whole=True), default=1, help=seed)
     parser.add_argument(
         "--noise", type=number("grey levels", 0, 255), default=3.0, help="standard deviation of a pixel, grey levels"
     )
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.partition("x")
-    return SIDE(width), SIDE(height)
 
 
 def _show_progress(done: int, total: int) -> None:

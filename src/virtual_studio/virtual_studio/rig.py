@@ -23,31 +23,21 @@ DISTORTION, CEILING_DISTORTION = np.array([-0.185, 0.084, 3e-4, -2e-4, 0.0]), np
 VOLUME = Volume(np.array([-1.4, -1.4, -0.05]), np.array([1.4, 1.4, 2.30]))
 
 
-def ring(n: int, ceiling: bool = True) -> Rig:
+def ring(n: int, ceiling: bool = True, size: tuple[int, int] = (WIDTH_PX, HEIGHT_PX)) -> Rig:
     """Places n cameras around the volume, about 3.2 m from its centre, and optionally one above it.
+
+    size : width and height of their images, pixels, across the same view; of another shape, cut or widened at top and
+    bottom.
 
     Two cameras that face each other see the same outline, so an even ring has its second half turned by a quarter of
     the spacing. Cameras are named cam01, cam02, ...; the one on the ceiling comes last.
     """
     if not 1 <= n <= 32:
         raise InputError(f"a ring of {n} cameras", remedy="Give 1 to 32 cameras.")
-    cameras = [_ring_camera(i, n) for i in range(n)]
+    cameras = [_ring_camera(i, n, size) for i in range(n)]
     if ceiling:
-        cameras.append(_camera(n, CEILING_POSITION_WORLD, LOOK_AT_WORLD, CEILING_FOCAL_PX, CEILING_DISTORTION))
+        cameras.append(_camera(n, CEILING_POSITION_WORLD, CEILING_FOCAL_PX, CEILING_DISTORTION, size))
     return Rig(tuple(cameras), VOLUME)
-
-
-def with_pictures(rig: Rig, width: int, height: int) -> Rig:
-    """Returns the rig with pictures of another size, pixels, across the same view, cut or widened at top and bottom."""
-    return Rig(tuple(_with_picture(camera, width, height) for camera in rig.cameras), rig.volume)
-
-
-def _with_picture(camera: CameraModel, width: int, height: int) -> CameraModel:
-    times = width / camera.width
-    K = camera.K * [[times], [times], [1.0]]
-    K[:2, 2] = times * (camera.K[:2, 2] + 0.5) - 0.5  # pixels are counted from the middle of the first one
-    K[1, 2] -= (times * camera.height - height) / 2
-    return replace(camera, width=width, height=height, K=K)
 
 
 def azimuths(n: int) -> Array:
@@ -82,23 +72,24 @@ def with_camera(rig: Rig, number: int, camera: CameraModel) -> Rig:
     return Rig(tuple(cameras), rig.volume)
 
 
-def _ring_camera(index: int, n: int) -> CameraModel:
+def _ring_camera(index: int, n: int, size: tuple[int, int]) -> CameraModel:
     azimuth = azimuths(n)[index]
     height = HEIGHTS_M[index % len(HEIGHTS_M)]
     across = np.sqrt(DISTANCES_M[index % len(DISTANCES_M)] ** 2 - (height - LOOK_AT_WORLD[2]) ** 2)
     position = np.array([across * np.cos(azimuth), across * np.sin(azimuth), height])
-    return _camera(index, position, LOOK_AT_WORLD, FOCAL_PX, DISTORTION)
+    return _camera(index, position, FOCAL_PX, DISTORTION, size)
 
 
-def _camera(index: int, position: Array, look_at: Array, focal: float, distortion: Array) -> CameraModel:
-    """Return a camera whose lens differs a little from its neighbours', as real ones do."""
-    rng = np.random.default_rng(1000 + index)
-    fx, fy = focal * (1.0 + 0.006 * rng.standard_normal(2))
-    cx, cy = np.array([WIDTH_PX - 1, HEIGHT_PX - 1]) / 2 + 3.0 * rng.standard_normal(2)
+def _camera(index: int, position: Array, focal: float, distortion: Array, size: tuple[int, int]) -> CameraModel:
+    """Return a camera whose lens differs a little from its neighbours', as real ones do; ``focal`` : in pixels of an
+    image WIDTH_PX wide."""
+    rng, times = np.random.default_rng(1000 + index), size[0] / WIDTH_PX
+    fx, fy = times * focal * (1.0 + 0.006 * rng.standard_normal(2))
+    cx, cy = (np.array(size) - 1) / 2 + times * 3.0 * rng.standard_normal(2)
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     D = distortion * (1.0 + 0.03 * rng.standard_normal(5))
-    T = looking_at(position, look_at, roll_rad=0.02 * rng.standard_normal())
-    return CameraModel(f"cam{index + 1:02d}", WIDTH_PX, HEIGHT_PX, K, "plumb_bob", D, T)
+    T = looking_at(position, LOOK_AT_WORLD, roll_rad=0.02 * rng.standard_normal())
+    return CameraModel(f"cam{index + 1:02d}", *size, K, "plumb_bob", D, T)
 
 
 # --- The empty room: floor, four walls and a ceiling with textures, as a camera's own lens sees it.

@@ -112,7 +112,8 @@ def up(args: argparse.Namespace) -> int:
         recorder = bring_up(supervisor, args.record, stop, report_failure)
         until_stopped()
         if not stop.is_set():
-            console.print(f"all {len(graph)} nodes are active")
+            active = sum(state == State.ACTIVE.value for state in supervisor.states().values())
+            console.print(f"{active} of {len(graph)} nodes are active")
         watch(supervisor, console, stop, args.seconds)
         doing("stopping the nodes")
         supervisor.suspend()
