@@ -31,9 +31,9 @@ class CameraModel:
     """A calibrated camera: ``x_camera = R_camera_world x_world + t_camera_world``, z forward, x right, y down.
 
     ``K`` (3, 3) in pixels; ``D`` holds the coefficients of ``distortion_model`` in OpenCV's order (plumb_bob:
-    k1 k2 p1 p2 k3; rational_polynomial: + k4 k5 k6); ``T_camera_world`` (4, 4) maps world to camera, metres.
-    ``line_time_s``: of a rolling shutter, from the exposure of one row to that of the next; an image's stamp is that of
-    its middle row.
+    k1 k2 p1 p2 k3; rational_polynomial: + k4 k5 k6; equidistant, a fisheye's: k1 k2 k3 k4); ``T_camera_world`` (4, 4)
+    maps world to camera, metres. ``line_time_s``: of a rolling shutter, from the exposure of one row to that of the
+    next; an image's stamp is that of its middle row.
     """
 
     name: str
@@ -118,7 +118,10 @@ class CameraModel:
         on_canvas = ideal * self.K.diagonal()[:2] + self.K[:2, 2]
         low, high = _canvas_bounds(self)
         used = np.asarray(((on_canvas >= low - 0.5) & (on_canvas < high + 0.5)).all(axis=1))  # NaN: not
-        radius = np.hypot(*ideal[used].T).max(initial=0.0) if np.isfinite(ideal).all() else self._reach_radius
+        radius = np.hypot(*ideal[used].T).max(initial=0.0)
+        if not np.isfinite(ideal).all():  # the lens model ends inside the image, or the canvas before it
+            edge = (np.array([low, high]) - self.K[:2, 2]) / self.K.diagonal()[:2]
+            radius = min(self._reach_radius, float(np.hypot(*np.abs(edge).max(axis=0))))
         return float(np.arctan(radius)), float(1.0 - used[len(corners) :].mean())
 
     @cached_property

@@ -15,6 +15,7 @@ LENSES = {
     "mild_barrel": ("plumb_bob", [-0.19, 0.084, 3.3e-4, -5.9e-4, 0]),
     "strong_barrel": ("plumb_bob", [-0.45, 0.2, 2e-3, -1e-3, -0.03]),
     "rational": ("rational_polynomial", [8.0, 3.5, 1e-4, 1e-4, 0.15, 8.4, 6.1, 1.2]),
+    "fisheye": ("equidistant", [-0.02, 0.01, -0.004, 0.0006]),
 }
 PINCUSHION = ("plumb_bob", [0.3, 0.1, 1e-3, 0, 0])
 FOLDING = ("plumb_bob", [-0.5, 0, 0, 0, 0])  # r (1 - r^2 / 2) turns back at r = sqrt(2/3)
@@ -45,11 +46,16 @@ def world_points_in_view(camera: CameraModel, count: int = 200) -> np.ndarray:
     return (points_camera - camera.t_camera_world) @ camera.R_camera_world
 
 
+def projected_by_opencv(points: np.ndarray, rotation_vector: np.ndarray, t: np.ndarray, D: np.ndarray) -> np.ndarray:
+    project = cv2.fisheye.projectPoints if lens.is_fisheye(D) else cv2.projectPoints
+    return np.asarray(project(points.reshape(-1, 1, 3), rotation_vector, t, K, D)[0].reshape(-1, 2))
+
+
 def test_projection_agrees_with_opencv(camera: CameraModel) -> None:
     points = world_points_in_view(camera)
     rotation_vector, _ = cv2.Rodrigues(camera.R_camera_world)
-    oracle, _ = cv2.projectPoints(points.reshape(-1, 1, 3), rotation_vector, camera.t_camera_world, K, camera.D)
-    assert np.abs(camera.project(points) - oracle.reshape(-1, 2)).max() < 1e-6
+    oracle = projected_by_opencv(points, rotation_vector, camera.t_camera_world, camera.D)
+    assert np.abs(camera.project(points) - oracle).max() < 1e-6
 
 
 def test_pinhole_projection_is_P_times_the_point_whatever_the_leading_axes() -> None:
@@ -89,10 +95,8 @@ def test_rays_of_every_pixel_project_back_onto_it(camera: CameraModel) -> None:
     pixels = all_pixels()
     rays = camera.rays_world(pixels)
     assert np.abs(np.linalg.norm(rays, axis=1) - 1).max() < 1e-12
-    oracle, _ = cv2.projectPoints(
-        (rays @ camera.R_camera_world.T).reshape(-1, 1, 3), np.zeros(3), np.zeros(3), K, camera.D
-    )
-    assert np.abs(oracle.reshape(-1, 2) - pixels).max() < 1e-6
+    oracle = projected_by_opencv(rays @ camera.R_camera_world.T, np.zeros(3), np.zeros(3), camera.D)
+    assert np.abs(oracle - pixels).max() < 1e-6
 
 
 def test_rays_with_a_pincushion_lens_project_back() -> None:
@@ -145,7 +149,8 @@ def test_undistorted_canvas_without_distortion_is_the_image_padded_to_32() -> No
 def test_seen_canvas_pixels_are_those_that_opencv_maps_into_the_image(camera: CameraModel) -> None:
     view = camera.undistorted_view()
     size = (view.camera.width, view.camera.height)
-    x, y = cv2.initUndistortRectifyMap(K, camera.D, np.eye(3), view.camera.K, size, cv2.CV_32FC1)
+    make_map = cv2.fisheye.initUndistortRectifyMap if lens.is_fisheye(camera.D) else cv2.initUndistortRectifyMap
+    x, y = make_map(K, camera.D, np.eye(3), view.camera.K, size, cv2.CV_32FC1)
     inside = (x >= -0.5) & (x <= WIDTH - 0.5) & (y >= -0.5) & (y <= HEIGHT - 0.5)
     at_the_edge = (
         np.minimum.reduce([np.abs(x + 0.5), np.abs(x - WIDTH + 0.5), np.abs(y + 0.5), np.abs(y - HEIGHT + 0.5)]) < 1e-3
@@ -254,3 +259,19 @@ def test_camera_that_looks_at_a_place_sees_it_in_the_middle_and_level(
     assert level[0, :3] @ up == pytest.approx(0.0, abs=1e-12)
     assert level[1, :3] @ up < 0
     assert level[0, :3] @ rolled[0, :3] == pytest.approx(np.cos(roll))
+
+
+def test_fisheye_of_180_degrees_is_undistorted_as_far_as_a_canvas_of_twice_the_image_goes() -> None:
+    focal = WIDTH / np.pi
+    K = np.array([[focal, 0, (WIDTH - 1) / 2], [0, focal, (HEIGHT - 1) / 2], [0, 0, 1]])
+    camera = CameraModel("cam01", WIDTH, HEIGHT, K, "equidistant", np.zeros(4), np.eye(4))
+    angles = np.deg2rad([0.0, 60.0, 87.9, 88.1, 120.0])
+    pixels = camera.project(np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1))
+    assert pixels[:3, 0] == pytest.approx(K[0, 2] + focal * angles[:3]) and np.isnan(pixels[3:]).all()
+    rays = camera.rays_world([[K[0, 2] + focal * np.deg2rad(80.0), K[1, 2]], [WIDTH, K[1, 2]]])
+    assert np.rad2deg(np.arccos(rays[0, 2])) == pytest.approx(80.0) and np.isnan(rays[1]).all()
+    view = camera.undistorted_view()
+    assert (view.camera.width, view.camera.height) == (2 * WIDTH, 2 * HEIGHT)
+    across = view.seen[view.camera.height // 2]
+    assert across.all() and np.rad2deg(np.arctan(WIDTH / focal)) == pytest.approx(72.3, abs=0.1)
+    assert 0.3 < camera.unused_share < 0.5 and np.rad2deg(camera.reach_rad) < 80.0

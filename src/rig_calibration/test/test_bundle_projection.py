@@ -1,6 +1,7 @@
 """The solver's projection against OpenCV's, and its derivatives against differences."""
 
 import numpy as np
+import pytest
 from bundle_studio import rotation
 
 from rig_calibration.bundle.adjustment import FreeUnknowns, information_of_each, normal_equations, reduce
@@ -9,7 +10,7 @@ from rig_calibration.bundle.state import Layout, Observations, State, linearise,
 RATIONAL = np.array([-0.25, 0.08, 1e-3, -2e-3, 0.01, 0.05, -0.02, 0.004])
 
 
-def state_and_observations(rng: np.random.Generator) -> tuple[State, Observations]:
+def state_and_observations(rng: np.random.Generator, fisheye: bool = False) -> tuple[State, Observations]:
     """Two cameras, three poses of two targets, four detections."""
     lens = np.array([[600, 605, 320, 240, *RATIONAL], [500, 498, 300, 250, -0.1, *np.zeros(7)]])
     state = State(
@@ -20,6 +21,7 @@ def state_and_observations(rng: np.random.Generator) -> tuple[State, Observation
         rng.normal(size=(3, 3)) * 0.2,
         np.array([1.0, 1.1]),
         np.array([[0.01, -0.02], [0.0, 0.03]]),
+        np.array([False, fisheye]),
     )
     points = rng.uniform(-0.3, 0.3, size=(4, 7, 3))
     seen = Observations(
@@ -58,8 +60,10 @@ def test_corners_fall_where_opencv_projects_them():
         np.testing.assert_allclose(seen.pixels[row] - residual[row], pixels.reshape(-1, 2), atol=1e-8)
 
 
-def test_derivatives_match_central_differences():
-    state, seen = state_and_observations(np.random.default_rng(1))
+@pytest.mark.parametrize("fisheye", [False, True])
+def test_derivatives_match_central_differences(fisheye):
+    """With a fisheye beside another lens, too."""
+    state, seen = state_and_observations(np.random.default_rng(1), fisheye)
     layout = Layout(2, 2, with_lens=True)
     linear = linearise(state, seen, with_lens=True)
     columns = layout.columns(seen.camera, seen.target)

@@ -1,13 +1,13 @@
-"""Wide lenses: what plumb_bob cannot describe in the corners, and lenses whose own polynomial turns back there."""
+"""Wide lenses: fisheyes, corners that plumb_bob cannot describe, and lenses whose own polynomial turns back there."""
 
 import numpy as np
 import pytest
 from intrinsics_views import BOARD, folding_lens, pixel_errors, shown
 from wide_lenses import PROJECTIONS, DesignedLens
 
+from capture_rig.camera import CameraModel
 from rig_calibration.boards.board import CharucoBoard
 from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
-from rig_calibration.intrinsics.lens_model import family_angle, family_radius, nearest_member
 from rig_calibration.intrinsics.picture import draw
 from rig_calibration.intrinsics.result import report_of
 
@@ -38,7 +38,7 @@ def test_designed_wide_lens_is_usable_in_the_whole_image_though_plumb_bob_folds(
     camera = DesignedLens(PROJECTIONS[projection], across_deg)
     views = 30 if across_deg < 110.0 else 20  # it takes more to tell a milder lens from plumb_bob
     result, plain = (calibrated(camera, 21, model, views=views) for model in ("auto", "plumb_bob"))
-    assert result.verdict.grade != "redo" and result.camera.distortion_model == "rational_polynomial"
+    assert result.verdict.grade != "redo" and result.camera.distortion_model == "equidistant"
     assert result.camera.unused_share < 0.1 * plain.camera.unused_share
     assert abs(result.values["fx"] / camera.K[0, 0] - 1) < 1.5e-3
     errors, plain_errors = pixel_errors(result.camera, camera), pixel_errors(plain.camera, camera)
@@ -52,15 +52,14 @@ def test_partial_board_in_the_corners_leaves_nothing_to_guess():
     board, camera = CharucoBoard(11, 8, 0.03, 0.022, "DICT_5X5_100"), DesignedLens(PROJECTIONS["equidistant"], 110.0)
     views = shown(camera, 20, NOISE_PX, seed=22, board=board, sizes=(0.5, 1.1), partial=True)
     result = calibrate_intrinsics(views, board, name="cam01", model="auto")
-    assert result.camera.distortion_model == "rational_polynomial" and result.camera.unused_share < 0.005
+    assert result.camera.distortion_model == "equidistant" and result.camera.unused_share < 0.005
     assert np.nanmax(pixel_errors(result.camera, camera)) < 1.0
 
 
 @pytest.mark.filterwarnings("error")
 def test_lens_that_folds_inside_the_image_is_usable_up_to_there():
     camera = folding_lens()
-    result = calibrated(camera, 23)
-    assert result.camera.distortion_model == "plumb_bob"
+    result = calibrated(camera, 23, "plumb_bob")
     assert result.verdict.grade == "usable", str(result.verdict)
     finding = said(result, "% of the image is not used")[0]
     assert finding.what.startswith("the lens model holds up to 54 degrees: the outer 7.")
@@ -83,11 +82,24 @@ def test_lens_that_folds_far_inside_the_image_must_be_done_again():
     assert said(result, "% of the image is not used")[0].grade == "redo"
 
 
-@pytest.mark.parametrize("k", [-1.0, 0.0, 1.2])
-def test_member_of_the_family_is_found_from_the_inner_part_of_its_own_lens(k):
-    inner = DesignedLens(lambda angle: family_radius(np.minimum(angle, 1.2), k), 70.0)
-    fitted = calibrate_intrinsics(
-        shown(inner, 20, 0.0, seed=27, sizes=(0.3, 0.5)), BOARD, name="cam01", model="rational_polynomial"
-    )
-    assert nearest_member(fitted.camera, 300.0) == pytest.approx(k, abs=0.03)
-    assert family_radius(family_angle(0.8, k), k) == pytest.approx(0.8)
+def fisheye(across_deg: float = 180.0) -> CameraModel:
+    """1280 x 1024 pixels, departing from the equidistant projection by a per cent, the axis off the middle."""
+    focal = 1280 / np.deg2rad(across_deg)
+    K = np.array([[focal, 0.0, 650.0], [0.0, 1.001 * focal, 505.0], [0.0, 0.0, 1.0]])
+    return CameraModel("cam01", 1280, 1024, K, "equidistant", np.array([-0.02, 0.01, -0.004, 0.0006]), np.eye(4))
+
+
+def test_fisheye_of_half_the_world_is_told_from_its_views_and_known_to_a_pixel():
+    camera = fisheye()
+    result = calibrated(camera, 3)
+    assert result.camera.distortion_model == "equidistant" and result.verdict.grade == "usable", str(result.verdict)
+    assert result.choice.rms_px["plumb_bob"] > 5 * result.choice.rms_px["equidistant"]
+    assert np.nanmax(pixel_errors(result.camera, camera)) < 1.0 and abs(result.values["fx"] / camera.K[0, 0] - 1) < 1e-3
+    assert said(result, "the lens model holds up to")  # the rim is no part of the undistorted canvas
+
+
+@pytest.mark.parametrize("model", ["equidistant", "rational_polynomial"])
+def test_wide_lens_goes_on_as_lenses_do_where_no_board_was_seen(model):
+    camera = DesignedLens(PROJECTIONS["between rectilinear and equidistant"], 112.0)
+    result = calibrated(camera, 21, model, reach=0.6)
+    assert result.camera.unused_share < 0.02 and np.nanmax(pixel_errors(result.camera, camera)) < 15.0

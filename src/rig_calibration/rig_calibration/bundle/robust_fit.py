@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_rig.lens import Array
+from capture_rig.lens import Array, is_fisheye
 from capture_rig.rigid import inverse
 
 from ..boards.board import TargetDetection
@@ -193,6 +193,7 @@ def _first_state(problem: Problem, initial: InitialPoses) -> State:
         T[:, :3, 3],
         np.ones(len(problem.shapes)),
         np.zeros((len(problem.shapes), WARP)),
+        np.array([is_fisheye(camera.D) for camera in problem.cameras.values()]),
     )
 
 

@@ -6,14 +6,14 @@ pose of its own at each frame. A lens by itself is a rig of one camera whose pos
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
-from capture_rig.lens import Array, derivatives, distort
+from capture_rig.lens import COEFFICIENTS, Array, derivatives, distort
 from capture_rig.rigid import nearest_rotation, rotation_matrix
 
 from ..boards.board import TargetDetection
@@ -30,8 +30,9 @@ class State:
     """The unknowns, in one common frame.
 
     R_camera (c, 3, 3), centre (c, 3): x_camera = R_camera (x - centre); lens (c, 12): fx fy cx cy k1 k2 p1 p2 k3 k4 k5
-    k6; R_pose (m, 3, 3), position (m, 3): x = R_pose scale x_target + position, x_target about the target's centroid;
-    scale (k,) of each target; board_warp (k, 2): how far its middle stands out along its z, m, bent along x and y.
+    k6, or k1 k2 k3 k4 of those that are ``fisheye`` (c,); R_pose (m, 3, 3), position (m, 3): x = R_pose scale x_target
+    + position, x_target about the target's centroid; scale (k,) of each target; board_warp (k, 2): how far its middle
+    stands out along its z, m, bent along x and y.
     """
 
     R_camera: Array
@@ -41,6 +42,7 @@ class State:
     position: Array
     scale: Array
     board_warp: Array
+    fisheye: Bools
 
     def moved(self, shared: Array, poses: Array) -> State:
         """The state after a step: ``shared`` (as laid out by :class:`Layout`), ``poses`` (m, 6) rotation, position.
@@ -59,6 +61,7 @@ class State:
             self.position + poses[:, 3:],
             self.scale + shared[layout.scales],
             self.board_warp + shared[layout.warps] if layout.with_lens else self.board_warp,
+            self.fisheye,
         )
 
 
@@ -188,7 +191,8 @@ def residuals_px(state: State, seen: Observations) -> Array:
     x = _in_camera(state, seen, _arm(state, seen))
     lens = state.lens[seen.camera][:, None]
     with np.errstate(all="ignore"):
-        predicted = distort(x[..., :2] / x[..., 2:], lens[..., 4:]) * lens[..., :2] + lens[..., 2:4]
+        (distorted,) = _by_model(lambda *of: [distort(*of)], x[..., :2] / x[..., 2:], state, seen)
+        predicted = distorted * lens[..., :2] + lens[..., 2:4]
     return np.where(x[..., 2:] > MIN_DEPTH, seen.pixels - predicted, np.inf)
 
 
@@ -204,7 +208,7 @@ def linearise(state: State, seen: Observations, with_lens: bool = False) -> Line
     x = _in_camera(state, seen, arm)
     lens, scale = state.lens[seen.camera][:, None], state.scale[seen.target][:, None, None]
     ideal = x[..., :2] / x[..., 2:]
-    distorted, by_ideal, by_coefficients = derivatives(ideal, lens[..., 4:])
+    distorted, by_ideal, by_coefficients = _by_model(derivatives, ideal, state, seen)
     residual = np.where(x[..., 2:] > MIN_DEPTH, seen.pixels - distorted * lens[..., :2] - lens[..., 2:4], np.inf)
     by_ideal = by_ideal * lens[..., :2, None]
     by_x = np.concatenate([by_ideal, -(by_ideal @ ideal[..., None])], axis=-1) / x[..., 2, None, None]  # x_camera
@@ -221,6 +225,16 @@ def linearise(state: State, seen: Observations, with_lens: bool = False) -> Line
     rows = lambda a: (a * weight[..., None]).reshape(len(a), 2 * a.shape[1], -1)  # noqa: E731
     by_pose = np.concatenate([np.cross(arm[:, :, None], q), q], axis=-1)
     return Linearised((residual * weight).reshape(len(x), -1), rows(np.concatenate(shared, axis=-1)), rows(by_pose))
+
+
+def _by_model(of_lens: Callable[..., Sequence[Array]], ideal: Array, state: State, seen: Observations) -> list[Array]:
+    """Return what a function of ideal points (s, n, 2) and coefficients gives, of each detection by its lens model."""
+    fisheye, D = state.fisheye[seen.camera], state.lens[seen.camera][:, None, 4:]
+    if not fisheye.any():
+        return list(of_lens(ideal, D))
+    with np.errstate(all="ignore"):  # each model also has the other's coefficients
+        results = zip(of_lens(ideal, D), of_lens(ideal, D[..., : COEFFICIENTS["equidistant"]]), strict=True)
+    return [np.where(fisheye.reshape(-1, *[1] * (of.ndim - 1)), its, of) for of, its in results]
 
 
 def _arm(state: State, seen: Observations) -> Array:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from capture_rig.errors import InputError
 from capture_rig.rigid import transform
 from capture_rig.verdict import judge
 
@@ -19,10 +20,10 @@ from ..bundle.outliers import RejectedDetection
 from ..bundle.state import residuals_px
 from .coverage import placement_of
 from .lens_fit import LensFit, diagonal_m, fit_lens, usable_detections, view_squares
-from .lens_model import RATIONAL, SIMPLE, LensModel, edge_sd_px
+from .lens_model import FISHEYE, RATIONAL, SIMPLE, LensModel, edge_sd_px
 from .result import Intrinsics, ModelChoice, ViewResult, lens_findings
 
-AUTO = "auto"
+AUTO, MODELS = "auto", (SIMPLE, FISHEYE, RATIONAL)  # from the simplest to the one with the most coefficients
 # Thresholds: judgement, no measurement.
 STANDARD_ERRORS = 2.0
 WORTHWHILE = 0.02  # relative gain in rms for which three more coefficients are taken (by chance they gain 0.0003)
@@ -38,7 +39,7 @@ def calibrate_intrinsics(
     """Calibrate the lens of camera ``name`` from what it saw of ``board``; the same detections, in any order, give the
     same bytes.
 
-    ``model`` : plumb_bob, rational_polynomial, or auto: the one that explains the views better.
+    ``model`` : plumb_bob, rational_polynomial, equidistant, or auto: the one that explains the views better.
     Raises InputError: images of several sizes, corners that the board has not, too few views that agree.
     """
     usable, poor = usable_detections(detections, board)
@@ -103,27 +104,32 @@ def _view_results(fit: LensFit, board: Board) -> list[ViewResult]:
 
 
 def choose_model(views: Sequence[TargetDetection], board: Board) -> tuple[ModelChoice, LensFit]:
-    """Choose by how well each model explains each view, and return its fit. The simpler model that folds inside the
-    image gives way to one that does not and explains as well. (A view has a hundred corners: the three coefficients
-    more cannot adapt to its noise.)"""
-    fits = {name: fit_lens(views, board, LensModel(name)) for name in (SIMPLE, RATIONAL)}
+    """Choose by how well each model explains each view, and return its fit. A richer model is taken where it explains
+    the views better, or alike and has rays for more of the image. (A view has a hundred corners: more coefficients
+    cannot adapt to its noise.) Raises InputError where the views contradict each other by every model."""
+    fits: dict[str, LensFit] = {}
+    for name in MODELS:
+        try:
+            fits[name] = fit_lens(views, board, LensModel(name), wide=fits.get(FISHEYE))
+        except InputError:  # a fisheye's views contradict each other by the other models
+            if name == MODELS[-1] and not fits:
+                raise
     squares = {name: _squares(fit, views) for name, fit in fits.items()}
     rms_px = {name: float(np.sqrt(np.median(of_views))) for name, of_views in squares.items()}
-    gain = np.log(squares[SIMPLE]) - np.log(
-        squares[RATIONAL]
-    )  # of every view; logarithms: no view outweighs the others
-    margin = max(STANDARD_ERRORS * gain.std(ddof=1) / np.sqrt(len(gain)), 2 * WORTHWHILE)
-    unused_share = {name: fit.camera.unused_share for name, fit in fits.items()}
-    better = gain.mean() > margin
-    wider = unused_share[SIMPLE] > unused_share[RATIONAL] + MORE_OF_IMAGE and _edge_sd(fits[RATIONAL]) < KNOWN_RAYS
-    wider &= bool(gain.mean() > -margin)
-    reason = f"rms {rms_px[SIMPLE]:.3f} px with {SIMPLE}, {rms_px[RATIONAL]:.3f} px with {RATIONAL}"
-    if wider and not better:
-        reason += f": as good, and {SIMPLE} has no rays for the outer {100 * unused_share[SIMPLE]:.1f} % of the image"
-    elif not better:
-        reason += ": no better, so the simpler one"
-    chosen = RATIONAL if better or wider else SIMPLE
-    return ModelChoice(chosen, rms_px, reason), fits[chosen]
+    chosen, *richer = fits
+    reason = "rms " + ", ".join(f"{rms_px[name]:.3f} px with {name}" for name in fits)
+    why = ": no better, so the simpler one" if richer else ""
+    for name in richer:
+        gain = np.log(squares[chosen]) - np.log(squares[name])  # logarithms: no view outweighs the others
+        margin = max(STANDARD_ERRORS * gain.std(ddof=1) / np.sqrt(len(gain)), 2 * WORTHWHILE)
+        lost, sd = fits[chosen].camera.unused_share, _edge_sd(fits[name])
+        wider = lost > fits[name].camera.unused_share + MORE_OF_IMAGE and sd < KNOWN_RAYS
+        if gain.mean() > margin:
+            chosen, why = name, ""
+        elif gain.mean() > -margin and wider:
+            why = f": as good, and {chosen} has no rays for the outer {100 * lost:.1f} % of the image"
+            chosen = name
+    return ModelChoice(chosen, rms_px, reason + why), fits[chosen]
 
 
 def _squares(fit: LensFit, views: Sequence[TargetDetection]) -> np.ndarray:

@@ -26,13 +26,13 @@ from ..bundle.outliers import LENS_LIMITS, RejectedDetection
 from ..bundle.problem import LENS, THIN, check_problem, detection_poses, shapes_of, views_of
 from ..bundle.robust_fit import NO_POSE, Fit, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
-from .lens_model import LAYOUT, RATIONAL, LensModel, nearest_member, rational_prior
+from .lens_model import FISHEYE, LAYOUT, RATIONAL, LensModel, rational_prior
 
 # Thresholds: judgement, no measurement.
 MIN_CORNERS = 8
 MIN_VIEWS = 3
 AGREEING_SHARE = 0.4  # of the views must agree, else it is open which of them are right
-FOCAL_TRIALS = np.geomspace(0.4, 5.0, 7)  # of the image's longer side: from a fisheye to a long lens
+FOCAL_TRIALS = np.geomspace(0.2, 5.0, 9)  # of the image's longer side: from a fisheye to a long lens
 TRIAL_VIEWS = 12
 UNEXPLAINED_PX = 1e4  # of a view to which no pose fits
 START = StopCriterion(40, 1e-5)
@@ -88,21 +88,28 @@ def _inverse(precision: Array) -> Array:
 
 
 def fit_lens(
-    detections: Sequence[TargetDetection], board: Board, model: LensModel, *, start: CameraModel | None = None
+    detections: Sequence[TargetDetection],
+    board: Board,
+    model: LensModel,
+    *,
+    start: CameraModel | None = None,
+    wide: LensFit | None = None,
 ) -> LensFit:
     """Fit a lens of ``model`` to one camera's usable ``detections``, those that contradict the others left out.
 
-    ``start`` : a lens that is roughly right; by default nothing is known. Raises InputError when too few views agree.
+    ``start`` : a lens that is roughly right; by default nothing is known. ``wide`` : the fisheye fitted to the same,
+    where a rational lens is wanted and there is one already. Raises InputError when too few views agree.
     """
-    some = detections[:: max(1, len(detections) // TRIAL_VIEWS)]
-    if start is None:
+    radial, some = None, detections[:: max(1, len(detections) // TRIAL_VIEWS)]
+    if model.name == RATIONAL:
+        # its many coefficients are free where no board was seen: there the lens goes on as lenses do
+        fisheye = (wide or fit_lens(detections, board, LensModel(FISHEYE))).camera
+        radial = rational_prior(fisheye)
+        start = replace(fisheye, distortion_model=RATIONAL, D=radial[0])
+    elif start is None:
         start = _camera_of(adjusted(_fit_from(_best_of_trials(some, board, model), some, board, model), START))
     # the plane's two solutions can be told apart only with a lens that is roughly right: poses anew
-    fit = settled(_fit_from(start, detections, board, model), LENS_LIMITS)
-    if model.name == RATIONAL and len(fit.rows) >= MIN_VIEWS:
-        # its many coefficients are free where no board was seen: there the lens goes on as lenses do
-        camera, radial = _like_its_family(fit)
-        fit = settled(_fit_from(camera, detections, board, model, radial), LENS_LIMITS)
+    fit = settled(_fit_from(start, detections, board, model, radial), LENS_LIMITS)
     if len(fit.rows) < max(MIN_VIEWS, AGREEING_SHARE * len(detections)):
         reason = fit.left_out[0].reason if fit.left_out else "too few fit any pose of the board"
         raise InputError(
@@ -140,18 +147,6 @@ def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: 
         return float(np.median([UNEXPLAINED_PX if found is None else found.rms_px[0] for found in poses]))
 
     return min(trials, key=typical_misfit)
-
-
-def _like_its_family(fit: Fit) -> tuple[CameraModel, tuple[Array, Array]]:
-    """Return the lens with the distortion of the member of the family of wide lenses that it is most like where corners
-    were seen, and that member's prior."""
-    camera = _camera_of(fit)
-    centre, focal_px = camera.K[:2, 2], float(camera.K.diagonal()[:2].mean())
-    seen_px = max(float(np.hypot(*(detection.pixels - centre).T).max()) for detection in fit.detections)
-    image_corners = np.array([[x, y] for y in (0, camera.height - 1) for x in (0, camera.width - 1)], float)
-    edge = float(np.hypot(*(image_corners - centre).T).max()) / focal_px
-    mean, information = rational_prior(nearest_member(camera, seen_px), edge)
-    return replace(camera, D=mean), (mean, information)
 
 
 def _fit_from(

@@ -9,9 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from capture_rig import lens
 from capture_rig.camera import CameraModel
@@ -22,9 +20,10 @@ from ..bundle.adjustment import Prior
 from ..bundle.problem import LENS
 from ..bundle.state import Ints, Layout, lens_of
 
-SIMPLE, RATIONAL = COEFFICIENTS
+SIMPLE, RATIONAL, FISHEYE = COEFFICIENTS
 LAYOUT = Layout(cameras=1, targets=1, with_lens=True)
 DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+FISHEYE_NAMES = ("k1", "k2", "k3", "k4")
 REFERENCE_WIDTH_PX = 640  # of images, for which limits in pixels are given
 
 # Thresholds: judgement, and outweighed by views (decisions); measured by python bench/calibration.py.
@@ -45,12 +44,13 @@ DISTORTION_PRIOR = {
     "k5": (0.5, 4),
     "k6": (0.25, 6),
 }
+FISHEYE_PRIOR = {"k1": (0.5, 2), "k2": (0.5, 4), "k3": (0.5, 6), "k4": (0.5, 8)}
 WARP_PRIOR = 0.003  # of the board's diagonal: a millimetre on a sheet of A4
 
 
 @dataclass(frozen=True)
 class LensModel:
-    """Which parameters there are. ``name`` is ROS's: plumb_bob or rational_polynomial."""
+    """Which parameters there are. ``name`` is ROS's: plumb_bob, rational_polynomial or equidistant."""
 
     name: str
 
@@ -61,7 +61,8 @@ class LensModel:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the lens's own parameters, in order."""
-        return ("fx", "fy", "cx", "cy", *DISTORTION_NAMES[: COEFFICIENTS[self.name]])
+        distortion = FISHEYE_NAMES if self.name == FISHEYE else DISTORTION_NAMES[: COEFFICIENTS[self.name]]
+        return ("fx", "fy", "cx", "cy", *distortion)
 
     @property
     def columns(self) -> Ints:
@@ -103,8 +104,8 @@ class LensModel:
     def distortion_prior_sd(self, focal_px: float, image_size: tuple[int, int]) -> dict[str, float]:
         """Return the prior sd of each coefficient: a long lens sees small radii only, and may have large ones."""
         radius = np.hypot(*image_size) / 2 / focal_px
-        prior = {name: DISTORTION_PRIOR[name] for name in self.names[4:]}
-        return {name: float(share / radius**power) for name, (share, power) in prior.items()}
+        prior = FISHEYE_PRIOR if self.name == FISHEYE else DISTORTION_PRIOR
+        return {name: float(prior[name][0] / radius ** prior[name][1]) for name in self.names[4:]}
 
 
 # --- How uncertain a calibrated lens leaves the rays of its pixels, and how far out it has rays at all.
@@ -115,12 +116,15 @@ def edge_sd_px(camera: CameraModel, covariance: Array) -> float:
     from a common rotation of the camera, which extrinsics take up; the larger axis of the error ellipse.
 
     ``covariance`` : of the lens's parameters, in order."""
-    ideal = camera.ideal_points(outermost_pixels(camera))
-    rays = np.column_stack([ideal, np.ones(len(ideal))])
-    _, jacobian = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, camera.D)
-    by_rotation, by_lens = jacobian[:, :3], jacobian[:, 6 : 6 + len(covariance)]
+    ideal, focal = camera.ideal_points(outermost_pixels(camera)), camera.K.diagonal()[:2, None]
+    distorted, by_ideal, by_coefficients = lens.derivatives(ideal, camera.D)
+    x, y = ideal.T
+    turned = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x]]).transpose(2, 0, 1)  # by a rotation vector
+    by_focal, by_centre = distorted[..., None] * np.eye(2), np.broadcast_to(np.eye(2), by_ideal.shape)
+    by_lens = np.concatenate([by_focal, by_centre, focal * by_coefficients], axis=-1)[..., : len(covariance)]
+    by_rotation, by_lens = (each.reshape(2 * len(x), -1) for each in (focal * by_ideal @ turned, by_lens))
     by_lens = by_lens - by_rotation @ np.linalg.lstsq(by_rotation, by_lens, rcond=None)[0]
-    blocks = by_lens.reshape(len(rays), 2, -1)
+    blocks = by_lens.reshape(len(x), 2, -1)
     ellipses = blocks @ covariance @ blocks.transpose(0, 2, 1)
     return float(np.sqrt(np.linalg.eigvalsh(ellipses).max(initial=0.0)))
 
@@ -136,72 +140,35 @@ def outermost_pixels(camera: CameraModel) -> Array:
     return along[last, np.arange(len(corners))]
 
 
-# --- How wide lenses go on where no board was seen: like the lens that opticians design, not like a polynomial.
+# --- How wide lenses go on where no board was seen: like the fisheye that the views agree on, not like a polynomial.
 #
-# The classical projections (rectilinear, stereographic, equidistant, equisolid, orthographic) are one family with a
-# single parameter k, the radius in the image over the focal length at the angle a off the axis being
-#
-#     tan(k a) / k  for k > 0 (1: rectilinear, 1/2: stereographic),   a  for k = 0 (equidistant),
-#     sin(k a) / k  for k < 0 (-1/2: equisolid, -1: orthographic)
-#
-# (Bettonvil 2005, "Fisheye lenses", WGN 33:1). k comes from the part of the image where boards were seen; real lenses
-# depart from their member by about a per cent. As a prior of the rational model that leaves it free where it is
-# measured, and keeps its eight coefficients, which a board in the middle does not tell apart, from folding in the
-# corners.
+# The classical projections (rectilinear, stereographic, equidistant, equisolid, orthographic) are smooth odd functions
+# of the angle off the axis, which a fisheye's four terms follow into the image's corners. As a prior of the rational
+# model that leaves it free where it is measured, and keeps its eight coefficients, which a board in the middle does not
+# tell apart, from folding in the corners.
 
-K_RANGE = (-1.2, 1.3)  # orthographic and a little beyond, to a pincushion lens
-LARGEST_ANGLE_RAD = np.deg2rad(80.0)  # as far as a lens model in tan(a) can go
+TAN_REACH_RAD = np.deg2rad(80.0)  # as far as a lens model in tan(a) can go
 SAMPLES = 24
-# sd of a real lens about its member, as a share of the radius: below it no maker's lens table we know of stays, and
+# sd of a real lens about what the fisheye says where no board was seen, as a share of the radius;
 # views outweigh it by far (0.1 px of noise are a fiftieth of it)
 DEPARTURE = 0.01
 
 
-def family_radius(angle: Array, k: float) -> Array:
-    """Return the distorted radius, in focal lengths, at angles off the axis, rad."""
-    if abs(k) < 1e-6:
-        return np.asarray(angle, float)
-    turned = np.minimum(np.abs(k) * angle, np.deg2rad(89.0))
-    return np.asarray((np.tan(turned) if k > 0 else np.sin(turned)) / abs(k))
-
-
-def family_angle(radius: float, k: float) -> float:
-    """Return the inverse of :func:`family_radius`, at most LARGEST_ANGLE_RAD."""
-    if abs(k) < 1e-6:
-        return min(radius, float(LARGEST_ANGLE_RAD))
-    found = np.arctan(k * radius) / k if k > 0 else np.arcsin(min(-k * radius, 1.0)) / -k
-    return float(min(found, LARGEST_ANGLE_RAD))
-
-
-def nearest_member(camera: CameraModel, radius_px: float) -> float:
-    """Return the k of the member that is most like the lens of ``camera`` within ``radius_px`` of its principal
-    point."""
-    radius = np.linspace(0.0, radius_px / camera.K.diagonal()[:2].mean(), SAMPLES + 1)[1:]
-    D = np.where(np.isin(np.arange(len(camera.D)), (2, 3)), 0.0, camera.D)  # the radial part
-    angle = np.arctan(lens.undistort(np.column_stack([radius, 0.0 * radius]), D)[:, 0])
-    known = np.isfinite(angle)
-    if not known.any():
-        return 0.0
-
-    def misfit(k: float) -> float:
-        return float(np.square(family_radius(angle[known], k) - radius[known]).sum())
-
-    return float(minimize_scalar(misfit, bounds=K_RANGE, method="bounded").x)
-
-
-def rational_prior(k: float, radius: float) -> tuple[Array, Array]:
-    """Return the mean (8,) of k1 k2 p1 p2 k3 k4 k5 k6 and their information (8, 8), by what the member ``k`` says of
-    the radial function up to the distorted ``radius``, in focal lengths."""
-    angle = np.linspace(0.0, family_angle(radius, k), SAMPLES + 1)[1:]
-    ideal, distorted = np.tan(angle), family_radius(angle, k)
+def rational_prior(fisheye: CameraModel) -> tuple[Array, Array]:
+    """Return the mean (8,) of k1 k2 p1 p2 k3 k4 k5 k6 and their information (8, 8), by what a fisheye says of the
+    radial function up to the image's outermost pixels."""
+    outermost = np.arctan(np.hypot(*fisheye.ideal_points(outermost_pixels(fisheye)).T).max())
+    ideal = np.tan(np.linspace(0.0, min(outermost, TAN_REACH_RAD), SAMPLES + 1)[1:])
+    on_axis = np.column_stack([ideal, 0.0 * ideal])
+    distorted = lens.distort(on_axis, fisheye.D)[:, 0]
     q = ideal**2
     powers = np.column_stack([q, q**2, q**3])
     # ideal (1 + k1 q + ...) = distorted (1 + k4 q + ...), linear in the coefficients; the smallest that fit
     rows = np.hstack([ideal[:, None] * powers, -distorted[:, None] * powers]) / distorted[:, None]
     scale = np.abs(rows).max(axis=0)
-    radial = np.linalg.lstsq(rows / scale, 1.0 - ideal / distorted, rcond=1e-6)[0] / scale
+    radial = np.linalg.lstsq(rows / scale, 1.0 - ideal / distorted, rcond=1e-4)[0] / scale
     mean = np.array([radial[0], radial[1], 0.0, 0.0, *radial[2:]])
-    by_coefficients = lens.derivatives(np.column_stack([ideal, 0.0 * ideal]), mean)[2][:, 0]
+    by_coefficients = lens.derivatives(on_axis, mean)[2][:, 0]
     by_coefficients[:, 2:4] = 0.0  # tangential: nothing is said
     weighted = by_coefficients / (DEPARTURE * distorted[:, None])
     return mean, weighted.T @ weighted / SAMPLES

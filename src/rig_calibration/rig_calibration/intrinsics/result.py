@@ -16,7 +16,7 @@ from capture_rig.verdict import REDO, USABLE, Finding, Verdict, graded
 from ..boards.board import TargetDetection
 from ..bundle.outliers import RejectedDetection
 from .coverage import BoardPlacement
-from .lens_model import ASPECT_PRIOR, CENTRE_PRIOR, RATIONAL, REFERENCE_WIDTH_PX, LensModel, outermost_pixels
+from .lens_model import ASPECT_PRIOR, CENTRE_PRIOR, FISHEYE, REFERENCE_WIDTH_PX, SIMPLE, LensModel, outermost_pixels
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ REACH = (0.75, 0.5)  # of the half diagonal
 TILT_DEG = (20.0, 8.0)
 NOISE_PX = (0.4, 1.2)  # sd of a corner's coordinate
 NOISE_FACTOR, NOISE_HARMLESS_PX = 3.0, 0.15  # residuals against what the corners' own sharpness promises
-FOCAL_RANGE = (0.3, 8.0)  # of the image's longer side
+FOCAL_RANGE = (0.2, 8.0)  # of the image's longer side; 0.24: a fisheye of 190 degrees in the height of 4:3
 LEFT_OUT_SHARE, CORNERS_LEFT_OUT_SHARE = 0.2, 0.03
 WARP_SDS, WARP_SHARE = 4.0, 0.002  # of the board's diagonal
 UNUSED = UNUSED_GOOD, UNUSED_USABLE = (
@@ -227,7 +227,7 @@ def _coefficients(result: Intrinsics) -> Iterator[Finding]:
     camera = result.camera
     prior = LensModel(camera.distortion_model).distortion_prior_sd(camera.K[0, 0], (camera.width, camera.height))
     # of a wide lens the coefficients may make up for each other: there the rays count, below
-    rich = camera.distortion_model == RATIONAL
+    rich = camera.distortion_model != SIMPLE
     outermost = np.hypot(*camera.ideal_points(outermost_pixels(camera)).T).max()
     lost = [name for name, sd in prior.items() if result.sd[name] > UNDETERMINED * sd]
     if lost and not (rich and np.rad2deg(np.arctan(outermost)) > WIDE_HALF_ANGLE_DEG):
@@ -249,11 +249,11 @@ def _reach(result: Intrinsics) -> Iterator[Finding]:
     camera, share, reach = result.camera, result.camera.unused_share, result.reach
     yield from graded(
         share,
-        UNUSED,
+        (UNUSED_GOOD, inf) if camera.distortion_model == FISHEYE else UNUSED,
         f"the lens model holds up to {np.rad2deg(camera.reach_rad):.0f} degrees: the outer {100 * share:.1f} % of the "
         "image is not used",
         "nothing is expected to be seen there; to use it, bring a ChArUco board, which may leave the image, into its "
-        "corners" + ("" if camera.distortion_model == RATIONAL else ", and calibrate with --model auto"),
+        "corners" + ("" if camera.distortion_model != SIMPLE else ", and calibrate with --model auto"),
     )
     yield from _too_little(
         reach,
