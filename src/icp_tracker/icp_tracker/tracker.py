@@ -263,7 +263,7 @@ class IcpTracker:
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, reason)
         fit = self._solve(found.body, found.pose, self._data(seen), self._settings.acquire_iterations)
         explained = fit.inliers / fit.points
-        if explained < self._settings.acquire_inliers:
+        if explained < self._settings.acquire_inliers and not found.is_fitted:
             reason = f"the first pose explains only {100 * explained:.0f} % of the points"
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, reason)
         self._body, self._pose, self._refiner = found.body, fit.pose, self._new_refiner(found)

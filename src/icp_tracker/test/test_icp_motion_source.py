@@ -8,7 +8,7 @@ import pytest
 from t_pose_studio import SET_NS, Studio, both_sides, box, person, standing
 
 from icp_tracker.acquisition.body_sizes import sizes_of_body
-from icp_tracker.acquisition.motion_source import MotionSettings, MotionSource
+from icp_tracker.acquisition.motion_source import STEP_M, MotionSettings, MotionSource
 from icp_tracker.acquisition.pose_source import CombinedPoseSource
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource
@@ -58,6 +58,7 @@ def walker():
 
 def test_who_walks_in_is_found_the_right_way_round(walker):
     answer, pose = walker
+    assert answer.is_fitted
     assert answer.pose.R_world_torso[:, 0] @ pose.R_world_torso[:, 0] > 0.8
     off = np.linalg.norm(forward(answer.body, answer.pose) - forward(BODY, pose), axis=1)
     assert off.mean() < 0.05 and off.max() < 0.15
@@ -73,6 +74,17 @@ def test_stout_person_is_found_when_a_body_of_average_girth_explains_too_little(
     found = answers[-1]
     assert found.pose is not None and (found.body.build == build_of_girth(1.3)).all()
     assert found.pose.R_world_torso[:, 0] @ poses[len(answers) - 1].R_world_torso[:, 0] > 0.8
+
+
+def test_slower_walk_counts_less_as_walking_forwards():
+    sets, _, visibility = walk(seconds=1.3)
+    ways = []
+    for times in (1, 6):
+        source = MotionSource(MotionSettings(watch_s=30.0), visibility)
+        for k, seen in enumerate(sets):
+            source.find_pose(replace(seen, stamp_ns=10**9 + k * times * EVERY * SET_NS))
+        ways.append(max(hypothesis.way for hypothesis in source._followed))
+    assert ways[0] > STEP_M / 2 and 0.0 < ways[1] < ways[0] / 3
 
 
 def test_sizes_of_who_walks_in_are_as_uncertain_as_they_are_wrong(walker):

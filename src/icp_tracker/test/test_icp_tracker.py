@@ -138,6 +138,8 @@ def test_first_pose_that_explains_nothing_is_not_believed(body, motion):
     assert result.state == "acquiring"
     assert "explains only" in result.reason
     assert tracker.step(HullProducts.of_points(stamp(1), clouds[1])).state == "tracking"
+    fitted = SimpleNamespace(find_pose=lambda seen: InitialPose(poses[0], body, is_fitted=True))
+    assert IcpTracker(fitted, SETTINGS).step(HullProducts.of_points(stamp(0), everywhere)).state == "tracking"
 
 
 def test_second_person_does_not_draw_the_figure_off_even_when_the_numbers_change_hands(body, motion):

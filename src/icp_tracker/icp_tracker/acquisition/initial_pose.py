@@ -29,13 +29,15 @@ NEIGHBOUR_FRAMES = 5
 class InitialPose:
     """A first pose with the body it is meant for, or the reason why there is none yet.
 
-    estimate : how sure the sizes of ``body`` are, where they were measured.
+    estimate : how sure the sizes of ``body`` are, where they were measured. is_fitted : whether the pose has been
+    followed from set to set, and judged by what it explains of their outlines.
     """
 
     pose: Pose | None = None
     body: Body | None = None
     reason: str = ""
     estimate: BodyEstimate | None = None
+    is_fitted: bool = False
 
 
 class PoseSource(Protocol):

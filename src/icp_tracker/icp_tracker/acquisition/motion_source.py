@@ -10,6 +10,7 @@ their spread (``body_sizes.prior_sizes``), and are learnt while the person moves
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,7 +56,7 @@ PATIENT_S = 3.0  # somebody of whom a part is not seen has so long to step where
 BENT_WALK_SD_M = 0.015  # a walking person's crown is so much lower than a standing one's, and a hull's so uncertain
 FLOOR_SD_M = 0.03  # of a body whose feet are not seen: on what it stands
 STATURE_SD_M = 0.09  # of adults, where the head is not seen
-STEP_M = 0.25  # way after which somebody walks, and does so forwards
+STEP_M, STEP_S = 0.4, 1.0  # way of about a second of somebody who walks, and does so forwards; slower, people shuffle
 # shares of the outlines that count as much: walking forwards, toes ahead of the ankles. Those who face
 # the right way explain 0.05 to 0.17 more than when turned round, on rendered walks: these decide where it is less
 WALKING_SHARE, FEET_SHARE = 0.04, 0.02
@@ -87,7 +88,7 @@ class PoseHypothesis:
 
     cost : what speaks against it, as a share of the rays; share : of the rays that it explains; seen : of its sticks,
     as cameras look at them, that rays show; all summed over the sets. feet : log-likelihood ratio of its heading from
-    the feet. way : m, walked forwards (negative: backwards).
+    the feet. way : m, gone forwards of late (negative: backwards).
     """
 
     pose: Pose
@@ -162,8 +163,8 @@ class MotionSource:
         if len(data.contour_rays.information) == 0:
             return InitialPose(reason="no outlines")
         self._cameras = rays_in_use(seen.contour_rays, settings, self._visibility).camera
-        self._last_ns = seen.stamp_ns
-        self._follow(body, data)
+        step_s, self._last_ns = (seen.stamp_ns - self._last_ns) / NS_PER_S, seen.stamp_ns
+        self._follow(body, data, step_s)
         if not self._followed:
             self._began_ns = seen.stamp_ns
         if not self._followed or seen.stamp_ns - self._looked_ns > LOOK_EVERY_S * NS_PER_S:
@@ -226,13 +227,14 @@ class MotionSource:
     def _is_new(self, body: Body, pose: Pose) -> bool:
         return all(_apart_m(body, pose, other.pose) > SAME_M for other in self._followed)
 
-    def _follow(self, body: Body, data: Data) -> None:
+    def _follow(self, body: Body, data: Data, step_s: float) -> None:
         """Fit every hypothesis to this set too; those that have become one with a better one are dropped."""
         figure, followed = Figure.of(body), self._followed
         for hypothesis in followed:
             before = hypothesis.pose
             hypothesis.pose = minimise(body, before, data, self._fit_settings)[0]
             moved = hypothesis.pose.position_world - before.position_world
+            hypothesis.way *= math.exp(-step_s / STEP_S)
             hypothesis.way += float(moved[:2] @ before.R_world_torso[:2, 0])
             self._compare(figure, hypothesis, data)
         self._followed = []
@@ -309,7 +311,7 @@ class MotionSource:
             return InitialPose(reason=told if cut else "front and back look alike: walk a step")
         estimate = self._estimate
         self.reset()
-        return InitialPose(best.pose, body, "", estimate)
+        return InitialPose(best.pose, body, "", estimate, is_fitted=True)
 
     def _try_girths(self, body: Body, data: Data) -> None:
         """Take the one of GIRTHS with which the best pose explains clearly most of a set; what it explains and where it
