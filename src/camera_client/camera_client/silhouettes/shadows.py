@@ -53,7 +53,11 @@ HALVED_NOISE = 0.5  # of the variance is left in a mean of four pixels: neighbou
 PATCH_SIGMAS, PATCH_LEFT = 2.0, 0.5  # half of its texture tells a shadow from none when it stands out by so many sigmas
 LEAST_PATCH = 8e-4  # share of height^2, about a forearm: smaller patches are shadow only near larger ones
 _THREE = np.ones((3, 3), np.uint8)
-_ALL_BYTES: dict[int, np.unsignedinteger] = {2: np.uint16(0x0101), 4: np.uint32(0x01010101), 8: np.uint64(0x0101010101010101)}
+_ALL_BYTES: dict[int, np.unsignedinteger] = {
+    2: np.uint16(0x0101),
+    4: np.uint32(0x01010101),
+    8: np.uint64(0x0101010101010101),
+}
 
 
 @dataclass(frozen=True, eq=False)
