@@ -108,6 +108,14 @@ def test_wide_lens_that_folds_in_the_corners_is_a_note_that_says_up_to_where_it_
     assert "holds up to 54 degrees: the outer 7.9 % of the image" in what
 
 
+def test_fisheye_of_180_degrees_is_a_note_that_says_where_its_picture_ends(examined):
+    focal = 640 / np.pi
+    K = np.array([[focal, 0.0, 319.5], [0.0, focal, 239.5], [0.0, 0.0, 1.0]])
+    _, found = examined(with_camera(GOOD, "cam01", K=K, distortion_model="equidistant", D=np.zeros(4)))
+    ((severity, what),) = [(kind, text) for kind, code, text in found["camera cam01"] if code.startswith("lens.")]
+    assert severity == "note" and "the undistorted picture ends at 76 degrees" in what
+
+
 def test_field_of_view_of_a_barrel_lens_is_wider_than_its_pinholes():
     pinhole, barrel = (across_deg(replace(C1, D=np.array(D))) for D in ([0.0] * 5, C1.D))
     left, right = C1.rays_world([[0.0, C1.K[1, 2]], [C1.width - 1.0, C1.K[1, 2]]])

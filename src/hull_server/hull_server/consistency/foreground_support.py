@@ -268,7 +268,9 @@ def _pool(mask_words, bits, cells):  # type: ignore[no-untyped-def]
         for column in range(rows.shape[1]):
             count = 0
             for v in range(rows.shape[0]):
-                count += popcount(nonzero_bytes(rows[v, column] & bits))
+                word = rows[v, column] & bits
+                if word != 0:
+                    count += popcount(nonzero_bytes(word))
             cells[row // CELL_PX, column] = 255 if count >= LEAST_PX else 0
 
 

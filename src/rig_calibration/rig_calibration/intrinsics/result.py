@@ -247,13 +247,13 @@ def _coefficients(result: Intrinsics) -> Iterator[Finding]:
 
 def _reach(result: Intrinsics) -> Iterator[Finding]:
     camera, share, reach = result.camera, result.camera.unused_share, result.reach
+    remedy = "nothing is expected to be seen there"
+    if camera.distortion_model != FISHEYE:
+        remedy += "; to use it, bring a ChArUco board, which may leave the image, into its corners"
+    if camera.distortion_model == SIMPLE:
+        remedy += ", and calibrate with --model auto"
     yield from graded(
-        share,
-        (UNUSED_GOOD, inf) if camera.distortion_model == FISHEYE else UNUSED,
-        f"the lens model holds up to {np.rad2deg(camera.reach_rad):.0f} degrees: the outer {100 * share:.1f} % of the "
-        "image is not used",
-        "nothing is expected to be seen there; to use it, bring a ChArUco board, which may leave the image, into its "
-        "corners" + ("" if camera.distortion_model != SIMPLE else ", and calibrate with --model auto"),
+        share, (UNUSED_GOOD, inf) if camera.distortion_model == FISHEYE else UNUSED, unused_text(camera), remedy
     )
     yield from _too_little(
         reach,
@@ -262,6 +262,13 @@ def _reach(result: Intrinsics) -> Iterator[Finding]:
         "the distortion is a guess",
         "bring the board into the image's corners",
     )
+
+
+def unused_text(camera: CameraModel) -> str:
+    """Say how much of the image has no rays that are used, and from which angle on."""
+    ends = "undistorted picture ends at" if camera.distortion_model == FISHEYE else "lens model holds up to"
+    share = f"{100 * camera.unused_share:.1f} % of the image is not used"
+    return f"the {ends} {np.rad2deg(camera.reach_rad):.0f} degrees: the outer {share}"
 
 
 def _noise(result: Intrinsics) -> Iterator[Finding]:

@@ -16,13 +16,14 @@ from camera_client.sources.footage_reader import open_footage
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info
 from capture_rig.errors import InputError
+from capture_rig.lens import is_fisheye
 from capture_rig.region import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
 from capture_rig.rig import Rig, load_rig
 from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, stated_rate
 from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video import VideoFacts, examine_video, session_findings
 from capture_rig.yaml_file import read_mapping
-from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE
+from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
 from .cameras import BUSY, GIGABIT, JUMBO_MTU, Stream, stream_bytes_per_s
 from .findings import Finding, check, error, examine, graded, note, warning
@@ -37,7 +38,7 @@ BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
 OLD_S = 180 * 86400.0
 OFF_CENTRE = 0.15  # of the image's width or height
 UNEQUAL_FOCAL = 0.02
-NARROW_DEG, WIDE_DEG = 15.0, 130.0
+NARROW_DEG, WIDE_DEG, FISHEYE_DEG = 15.0, 130.0, 200.0
 HIGH_M, LOW_M = 6.0, 0.3
 SAME_PLACE_M, SAME_LENS_PX = 0.05, 0.5
 SAME_OUTLINE_DEG = 15.0
@@ -249,7 +250,7 @@ def check_lens_report(view: RigView, camera: CameraModel) -> Iterator[Finding]:
 def check_lens(view: RigView, camera: CameraModel) -> Iterator[Finding]:
     """Whether the lens is one that exists, and holds over the image."""
     fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
-    width, height = camera.width, camera.height
+    width, height, fisheye = camera.width, camera.height, is_fisheye(camera.D)
     off, across = max(abs(cx - (width - 1) / 2) / width, abs(cy - (height - 1) / 2) / height), across_deg(camera)
     again = f"{CALIBRATE_LENS}: boards in the corners of the image, and tilted; check that the file is this camera's."
     yield graded(
@@ -257,16 +258,14 @@ def check_lens(view: RigView, camera: CameraModel) -> Iterator[Finding]:
         f"f {fx:.0f} x {fy:.0f} px, {across:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})",
         (off > OFF_CENTRE, warning, "off_centre", again),
         (abs(fx / fy - 1) > UNEQUAL_FOCAL, warning, "unequal_focal", again),
-        (not NARROW_DEG < across < WIDE_DEG, warning, "field_of_view", again),
+        (not NARROW_DEG < across < (FISHEYE_DEG if fisheye else WIDE_DEG), warning, "field_of_view", again),
     )
-    share, reach_deg = camera.unused_share, float(np.degrees(camera.reach_rad))
-    text = f"the lens model holds up to {reach_deg:.0f} degrees: the outer {100 * share:.1f} % of the image is not used"
-    if share > UNUSED_USABLE:
+    share, text = camera.unused_share, unused_text(camera)
+    if share > UNUSED_USABLE and not fisheye:
         yield warning("lens.border", text, again)
     elif share > UNUSED_GOOD:
-        remedy = (
-            f"Keep people out of the image's corners, or {CALIBRATE_LENS} --model auto, with a ChArUco board in them."
-        )
+        remedy = "Keep people out of the image's corners"
+        remedy += "." if fisheye else f", or {CALIBRATE_LENS} --model auto, with a ChArUco board in them."
         yield note("lens.unused", text, remedy)
 
 
