@@ -37,9 +37,14 @@ BAD_MM = 200.0
 FOLDER = SHARED / "lab_two_men"
 REFINED = "rig.yaml"
 WAYS = {
-    **{"refined": (REFINED, 0, 1.0), "from frame 3": (REFINED, 3, 1.0), "from frame 7": (REFINED, 7, 1.0)},
-    **{"from frame 12": (REFINED, 12, 1.0), "from frame 20": (REFINED, 20, 1.0)},
-    **{"7 % darker": (REFINED, 0, 0.93), "5 % brighter": (REFINED, 0, 1.05), "as found": ("rig_as_found.yaml", 0, 1.0)},
+    "refined": (REFINED, 0, 1.0),
+    "from frame 3": (REFINED, 3, 1.0),
+    "from frame 7": (REFINED, 7, 1.0),
+    "from frame 12": (REFINED, 12, 1.0),
+    "from frame 20": (REFINED, 20, 1.0),
+    "7 % darker": (REFINED, 0, 0.93),
+    "5 % brighter": (REFINED, 0, 1.05),
+    "as found": ("rig_as_found.yaml", 0, 1.0),
 }
 """The rig, the first frame that is seen, and how much brighter pictures are: small causes decide when a first pose is
 sure."""

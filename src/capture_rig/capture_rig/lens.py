@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8, "equidistant": 4}
+COEFFICIENTS = {"plumb_bob": 5, "equidistant": 4, "rational_polynomial": 8}
+"""How many each model has, from the simplest to the richest."""
 NEWTON_STEPS = 20
-# Thresholds: CONVERGED from rounding, LEAST_SLOPE from the classical projections up to 80 degrees, the last three
-# from sensors, lenses and rooms that exist; else judgement.
+# Thresholds: CONVERGED from rounding, LEAST_SLOPE from the classical projections up to 80 degrees; else judgement.
 CONVERGED = 1e-9  # of the focal length: far below a thousandth of a pixel
 # d(distorted radius) / d(ideal radius) below which the model counts as folded: there an error of a pixel turns a ray
 # by over thirty times what it does in the middle, and tangential terms (below 0.03 in any lens) may fold what is left.

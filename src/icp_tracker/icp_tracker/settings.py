@@ -31,7 +31,9 @@ class TrackerSettings:
         0.1, "the predicted motion is followed for at most this long", unit="s", low=0.0, high=10.0
     )
     acquire_iterations: int = setting(30, "iterations of the first fit", low=1, high=1000)
-    acquire_inliers: float = setting(0.4, "share of the points that the first fit must explain", low=0.0, high=1.0)
+    acquire_inliers: float = setting(
+        0.4, "share of the points that a first fit must explain, unless the person was watched", low=0.0, high=1.0
+    )
 
 
 MOST_PERSONS = 4  # in one volume: more hide each other from most cameras of a ring

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from capture_rig.errors import InputError
+from capture_rig.lens import COEFFICIENTS
 from capture_rig.rigid import transform
 from capture_rig.verdict import judge
 
@@ -20,13 +21,13 @@ from ..bundle.outliers import RejectedDetection
 from ..bundle.state import residuals_px
 from .coverage import placement_of
 from .lens_fit import LensFit, diagonal_m, fit_lens, usable_detections, view_squares
-from .lens_model import FISHEYE, RATIONAL, SIMPLE, LensModel, edge_sd_px
+from .lens_model import FISHEYE, RATIONAL, LensModel, edge_sd_px
 from .result import Intrinsics, ModelChoice, ViewResult, lens_findings
 
-AUTO, MODELS = "auto", (SIMPLE, FISHEYE, RATIONAL)  # from the simplest to the one with the most coefficients
+AUTO = "auto"
 # Thresholds: judgement, no measurement.
 STANDARD_ERRORS = 2.0
-WORTHWHILE = 0.02  # relative gain in rms for which three more coefficients are taken (by chance they gain 0.0003)
+WORTHWHILE = 0.02  # relative gain in rms for which more coefficients are taken (by chance they gain 0.0003)
 LOST_PX = 10.0  # at most, of a view that a model cannot explain at all
 # a model has rays where they are known to that share of the image's width; where they are not, none at all are better
 KNOWN_RAYS = 0.05
@@ -108,11 +109,11 @@ def choose_model(views: Sequence[TargetDetection], board: Board) -> tuple[ModelC
     the views better, or alike and has rays for more of the image. (A view has a hundred corners: more coefficients
     cannot adapt to its noise.) Raises InputError where the views contradict each other by every model."""
     fits: dict[str, LensFit] = {}
-    for name in MODELS:
+    for name in COEFFICIENTS:
         try:
             fits[name] = fit_lens(views, board, LensModel(name), wide=fits.get(FISHEYE))
         except InputError:  # a fisheye's views contradict each other by the other models
-            if name == MODELS[-1] and not fits:
+            if name == RATIONAL and not fits:
                 raise
     squares = {name: _squares(fit, views) for name, fit in fits.items()}
     rms_px = {name: float(np.sqrt(np.median(of_views))) for name, of_views in squares.items()}

@@ -20,7 +20,7 @@ from ..bundle.adjustment import Prior
 from ..bundle.problem import LENS
 from ..bundle.state import Ints, Layout, lens_of
 
-SIMPLE, RATIONAL, FISHEYE = COEFFICIENTS
+SIMPLE, FISHEYE, RATIONAL = COEFFICIENTS
 LAYOUT = Layout(cameras=1, targets=1, with_lens=True)
 DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_NAMES = ("k1", "k2", "k3", "k4")
