@@ -17,6 +17,7 @@ from camera_client.frame_processor import FrameProcessor, FrameResult
 from camera_client.frame_source import Frame
 from camera_client.settings import CameraClientSettings
 from capture_rig import CameraModel
+from sagoma_bringup.launch_arguments import start_settings
 from stick_figure.body import Body
 from virtual_studio.motions.catalogue import walk
 from virtual_studio.people import Capsules, VolumetricBody
@@ -27,7 +28,7 @@ from virtual_studio.rig import ring
 SESSIONS = ("sessions/walk_ring5top", "sessions/charleston_ring5top", "sessions/zombie_he3", "real_4cam")
 FPS = STUDIO_FPS
 EVERY = 6  # frames of which one is rendered and looked at
-SECONDS, BACKGROUND_FRAMES = 9.0, 20
+SECONDS, BACKGROUND_FRAMES = 12.0, 20
 AXES = {"pan": 1, "tilt": 0, "roll": 2}
 PUSHES = {"sideways": 0, "upwards": 1}
 
@@ -75,7 +76,7 @@ class Studio:
         self.sensor = Sensor(3.0, 0.005, 1)
         body = Body.from_stature(STATURE_M)
         person = VolumetricBody(body)
-        self.capsules: list[Capsules] = [person.place(pose) for pose in walk(body, SECONDS, FPS).poses[60::EVERY]]
+        self.capsules: list[Capsules] = [person.place(pose) for pose in walk(body, SECONDS, FPS).poses[::EVERY]]
         self.shadows = [floor_shadow(capsules) for capsules in self.capsules]
 
     def film(self, camera: CameraModel, frame: int) -> tuple[Mask, Mask]:
@@ -126,4 +127,4 @@ def session_clips(only: str) -> Iterator[Clip]:
         for kind, exact in (("from video", False), ("exact", True)):
             if not exact or session.masks:
                 frames = islice(canvas_masks(session, exact), 0, None, EVERY)
-                yield Clip.of(f"{name}, {kind}", session.rig, FPS / EVERY, frames)
+                yield Clip.of(f"{name}, {kind}", session.rig, FPS / EVERY, frames, start=start_settings(session))

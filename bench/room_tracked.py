@@ -147,7 +147,7 @@ def laboratory() -> dict[str, Any]:
 
 
 def follow(rig_file: str, first: int, brighter: float) -> tuple[dict[int, Track], str]:
-    """Track the clip with defaults; everybody who is not lost, by number, and the last warning of the hull server."""
+    """Track the clip with defaults; everybody who is not lost, by number, and the last warning about cameras."""
     session = load_session(FOLDER)
     session = replace(session, rig=load_rig(FOLDER / rig_file))
     pipeline, tracks, warning = pipeline_of(session, Configuration.of({})), defaultdict[int, Track](dict), ""
@@ -159,8 +159,8 @@ def follow(rig_file: str, first: int, brighter: float) -> tuple[dict[int, Track]
         for person in step.people:
             if person.fit.state in ("tracking", "doubtful"):
                 tracks[person.person][frame] = np.array(person.fit.reference_points_world)
-        faults = hull.camera_faults
-        warning = "; ".join(faults.reasons.values()) or faults.warning or warning
+        suspects = pipeline.body.tracker.extrinsic_errors.suspects
+        warning = "; ".join(dict.fromkeys((*hull.camera_faults.reasons.values(), *suspects.values()))) or warning
     return tracks, warning
 
 

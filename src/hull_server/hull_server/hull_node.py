@@ -66,7 +66,6 @@ class HullNode(SagomaNode):
         self._newest: HullResult | None = None
         self.health.describe(self._describe)
         self._left_out: tuple[str, ...] = ()
-        self._moved: set[str] = set()
         self._thinning = ThinningControl()  # keeps every frame unless an overload control updates it
         self._overload: OverloadControl | None = None
         self._closing: list[Callable[[], object]] = []  # releases what configure has opened
@@ -214,9 +213,6 @@ class HullNode(SagomaNode):
         for camera in {*self._left_out} - {*faults.left_out}:
             self.get_logger().info(f"used again: {camera} agrees with the others")
         self._left_out = faults.left_out
-        for camera in {*result.extrinsic_errors.suspects} - self._moved:
-            self.get_logger().warning(result.extrinsic_errors.suspects[camera])
-        self._moved = {*result.extrinsic_errors.suspects}
         if self.silhouettes is None or not self.silhouettes.refused:
             level, text = summarise(result)
             thinned = self._thinning.summary

@@ -22,7 +22,6 @@ from mocap_packets.silhouette import ForegroundSupport
 
 from .carving import make_backend
 from .consistency.camera_fault_detector import CameraFaultDetector, CameraFaults
-from .consistency.extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
 from .consistency.foreground_support import SupportReporter
 from .contour_rays.contour_tracer import ContourTracer
 from .floor_shadows import ShadowResolver
@@ -43,8 +42,7 @@ class HullResult:
     stamp_ns : capture stamp of the set. products : what travels on to the tracker. cameras, missing : cameras that were
     carved with, and those that delivered nothing. blank : cameras whose silhouette is empty; they empty the hull
     wherever they see. camera_faults : cameras that contradict the others; those left out were not carved with.
-    extrinsic_errors
-    : how far the cameras are from their calibration. bodies : the parts of the hull large enough to be a person,
+    bodies : the parts of the hull large enough to be a person,
     numbered. support : where each camera's foreground can be a body, as far as the others see; a few times a second,
     else empty.
     min_seeing : how many cameras had to see a voxel. stage_ms : time spent in each stage.
@@ -58,7 +56,6 @@ class HullResult:
     missing: tuple[str, ...]
     blank: tuple[str, ...]
     camera_faults: CameraFaults
-    extrinsic_errors: ExtrinsicErrors
     support: tuple[ForegroundSupport, ...]
     min_seeing: int
     backend: str
@@ -77,7 +74,6 @@ class PendingHull:
     masks: dict[str, Mask]
     blank: tuple[str, ...]
     camera_faults: CameraFaults
-    extrinsic_errors: ExtrinsicErrors
     support: tuple[ForegroundSupport, ...]
     min_seeing: int
     handle: Any
@@ -100,7 +96,6 @@ class HullPipeline:
         self._faults = CameraFaultDetector(rig, self.views, settings.camera_fault, settings.min_seeing)
         # who is faulty has no say, so without that test there is no report
         self._support = SupportReporter(rig, self.views, settings.min_seeing) if settings.camera_fault.enabled else None
-        self._extrinsics = ExtrinsicMonitor(rig, self.views, settings.calibration)
         self._shadows = ShadowResolver(self.views, rig.volume, self.grid)
         self._bodies = BodyTracker(settings.body)
         self._contour = ContourTracer(self.views, self.grid, settings.contour)
@@ -121,8 +116,6 @@ class HullPipeline:
         # leave out cameras that contradict all others
         faults = self._faults.update(frames, frame_set.stamp_ns)
         used = {name: mask for name, mask in frames.items() if name not in faults.left_out}
-        # find cameras that moved from their calibration
-        errors = self._extrinsics.update(frames, frame_set.stamp_ns)
         seeing = min_seeing(len(used), self.settings.min_seeing)
         watch.lap("consistency")
         # find the dark pixels that may be floor in shadow
@@ -135,7 +128,7 @@ class HullPipeline:
         handle = self.backend.submit(masks, seeing, boxes)
         watch.lap("carve")
         blank = tuple(name for name, (left, _, right, _) in boxes.items() if left == right)
-        return PendingHull(frame_set, masks, blank, faults, errors, support, seeing, handle, watch.laps_ms)
+        return PendingHull(frame_set, masks, blank, faults, support, seeing, handle, watch.laps_ms)
 
     def finish(self, pending: PendingHull) -> HullResult:
         """Wait for the carve, then slice, filter, sample, and trace the contour rays."""
@@ -166,7 +159,6 @@ class HullPipeline:
             missing=frame_set.missing,
             blank=pending.blank,
             camera_faults=pending.camera_faults,
-            extrinsic_errors=pending.extrinsic_errors,
             support=pending.support,
             min_seeing=pending.min_seeing,
             backend=self.backend.name,

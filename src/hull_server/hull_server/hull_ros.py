@@ -55,9 +55,8 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
         "bodies_numbers": _row(result.bodies.number, "d"),
         "bodies_litres": _row(result.bodies.litres, ".1f"),
         "bodies_at": "; ".join(_row(place, ".2f") for place in result.bodies.centroid_world),
-        "left_out": ",".join(result.camera_faults.left_out),
         "suspects": ",".join(result.camera_faults.suspects),
-    } | calibration_values(result)
+    } | camera_values(result)
     stages_ms = {f"{stage}_ms": time for stage, time in result.stage_ms.items()}
     texts |= {key: f"{time:.3f}" for key, time in (stages_ms | times_ms).items()}
     level, message = summarise(result)
@@ -69,22 +68,11 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
 
 
 def camera_values(result: HullResult) -> dict[str, str]:
-    """Report which cameras are left out, how far each contradicts the others, and its calibration."""
+    """Report which cameras are left out, and how well each agrees with the others."""
     faults = result.camera_faults
     vetoes = " ".join(f"{camera}={share:.3f}" for camera, share in faults.veto_fraction.items())
-    return {"left_out": ",".join(faults.left_out), "veto_fraction": vetoes} | calibration_values(result)
-
-
-def calibration_values(result: HullResult) -> dict[str, str]:
-    """Report how far each camera is from its calibration, in degrees, and how well it agrees with the others."""
-    calibration = result.extrinsic_errors
-    texts = {"calibration_suspects": ",".join(calibration.suspects)}
-    for camera, error in calibration.of_camera.items():
-        angles = {"rotation_error": error.angle_rad, "rotation_error_sd": error.sd_rad, "roll": error.roll_rad}
-        texts |= {f"calibration_{name}_deg_{camera}": f"{np.degrees(rad):.3f}" for name, rad in angles.items()}
-    for camera, share in result.camera_faults.consistency.items():
-        texts[f"calibration_consistency_{camera}"] = f"{share:.3f}"
-    return texts
+    agreement = {f"consistency_{camera}": f"{share:.3f}" for camera, share in faults.consistency.items()}
+    return {"left_out": ",".join(faults.left_out), "veto_fraction": vetoes} | agreement
 
 
 def summarise(result: HullResult) -> tuple[bytes, str]:
@@ -98,8 +86,6 @@ def summarise(result: HullResult) -> tuple[bytes, str]:
         result.camera_faults.reasons[camera]
         for camera in (*result.camera_faults.left_out, *result.camera_faults.suspects)
     ]
-    named = {*result.camera_faults.left_out, *result.camera_faults.suspects}
-    troubles += [why for camera, why in result.extrinsic_errors.suspects.items() if camera not in named]
     if result.camera_faults.warning:
         troubles.append(result.camera_faults.warning)
     if len(result.cameras) < result.min_seeing:

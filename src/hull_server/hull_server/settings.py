@@ -56,16 +56,6 @@ class CameraFaultSettings:
 
 
 @dataclass(frozen=True)
-class CalibrationSettings:
-    """When a camera is reported to have moved from its calibration."""
-
-    enabled: bool = setting(True, "compare the cameras' silhouettes with the calibration all the time")
-    limit_deg: float = setting(
-        0.3, "a camera is reported when it has certainly rotated by more than this", unit="deg", low=0.05, high=10.0
-    )
-
-
-@dataclass(frozen=True)
 class ContourSettings:
     """Which rays along the silhouettes' contours are published."""
 
@@ -89,7 +79,6 @@ class HullSettings:
     body: BodySettings = setting(BodySettings, "separate bodies")
     contour: ContourSettings = setting(ContourSettings, "rays along the silhouettes' contours")
     camera_fault: CameraFaultSettings = setting(CameraFaultSettings, "cameras that contradict the others")
-    calibration: CalibrationSettings = setting(CalibrationSettings, "cameras that moved from their calibration")
 
 
 @dataclass(frozen=True)

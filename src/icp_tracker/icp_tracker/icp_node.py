@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -33,6 +33,7 @@ from sagoma_ros.qos import LATCHED
 from sagoma_ros.worker import Worker
 from stick_figure.body import Body, format_body
 
+from .extrinsic_monitor import ExtrinsicErrors
 from .icp_ros import FilterFeedback, KeypointInputs, SaveBodyService, SavedBody
 from .people.people_tracker import PeopleTracker, make_people_tracker
 from .settings import IcpNodeSettings
@@ -58,7 +59,9 @@ class IcpNode(SagomaNode):
         self._published: dict[int, Body] = {}
         self._watchdog: InputWatchdog | None = None
         self._rig: Rig | None = None
+        self._errors = ExtrinsicErrors()
         self._keypoints: KeypointInputs | None = None  # of the cameras of a rig that is known
+        self.health.describe(self._describe)
 
     # --- lifecycle -----------------------------------------------------------------------------------------------
 
@@ -176,13 +179,14 @@ class IcpNode(SagomaNode):
             began = time.perf_counter()
             fits = self._tracker.step(seen, predictions)
             bodies = {fit.person: body for fit in fits if (body := self._tracker.body_of(fit.person)) is not None}
-            acquiring = self._tracker.acquiring
+            acquiring, errors = self._tracker.acquiring, self._tracker.extrinsic_errors
             self.health.set("fit_ms", 1e3 * (time.perf_counter() - began))
         people = FittedPeople(seen.stamp_ns, PeoplePoints.of_fits(fits), bodies, seen.ages)
         self._publish_bodies(people.stamp_ns, bodies)
         self._feedback.sent(people.stamp_ns)
         self._people_publisher.publish(people, delivery.frame_id)
         self._points_publisher.publish(people_cloud, people.points, people.stamp_ns, delivery.frame_id)
+        self._report_cameras(errors)
         self._publish(fits, acquiring)
 
     def _publish_bodies(self, stamp_ns: int, bodies: dict[int, Body]) -> None:
@@ -204,9 +208,25 @@ class IcpNode(SagomaNode):
         self.health.tick(fits[0].stamp_ns)
         self.health.set("late_predictions", self._feedback.timeouts)
         good = not acquiring and all(fit.state == TRACKING for fit in fits)
-        self.health.status(OK if good else WARN, summary_of(fits, acquiring))
+        troubles = tuple(dict.fromkeys(self._errors.suspects.values()))
+        level = OK if good and not troubles else WARN
+        self.health.status(level, "; ".join([summary_of(fits, acquiring), *troubles]))
         for fit in fits:
             self._log_state(fit)
+
+    def _report_cameras(self, errors: ExtrinsicErrors) -> None:
+        """Remember how far cameras are from their calibration; log who is newly suspected."""
+        if errors is self._errors:
+            return
+        new = {*errors.suspects} - {*self._errors.suspects}
+        for text in dict.fromkeys(text for camera, text in errors.suspects.items() if camera in new):
+            self.get_logger().warning(text)
+        self._errors = errors
+
+    def _describe(self) -> Mapping[str, object]:
+        """How far each camera is from its calibration, for the diagnostics."""
+        shifts = {f"calibration_shift_mm_{name}": f"{1e3 * m:.1f}" for name, m in self._errors.shift_m.items()}
+        return {"calibration_suspects": ",".join(self._errors.suspects)} | shifts
 
     def _log_state(self, fit: Fit) -> None:
         """Log how it stands with a person when that has changed, once in LOG_PERIOD_S at most."""

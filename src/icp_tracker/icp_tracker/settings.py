@@ -8,6 +8,7 @@ from capture_rig.settings import setting
 
 from .acquisition.pose_source import InitialPoseSettings
 from .articulated_fit import ArticulatedSettings
+from .extrinsic_monitor import CalibrationSettings
 from .monitor.track_monitor import RecoverySettings
 from .refinement.body_refiner import RefinementSettings
 from .thesis.hierarchical_icp import HierarchicalSettings
@@ -60,6 +61,7 @@ class IcpNodeSettings(TrackerSettings):
     body_file: str = setting("", "body (YAML); empty: the one that comes with the first pose")
     initial_pose: InitialPoseSettings = setting(InitialPoseSettings, "where the first pose comes from")
     people: PeopleSettings = setting(PeopleSettings, "how many persons are followed")
+    calibration: CalibrationSettings = setting(CalibrationSettings, "cameras that moved from their calibration")
     bodies: SaveBodySettings = setting(SaveBodySettings, "where bodies are saved")
     prediction_wait_s: float = setting(
         0.05, "a fit waits at most this long for the filter's state after the previous set", unit="s", low=0.0

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from capture_rig.rig import Rig, load_rig
 from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
 from mocap_packets.fit import GOOD, LOST, PART_NAMES, UNKNOWN, Fit, Solution, TrackQuality
@@ -26,8 +25,9 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .acquisition.pose_source import make_pose_source
-from .articulated_fit import FitResult, assess, make_data, minimise, rays_at_stamp, unknown_covariance
+from .articulated_fit import FitResult, assess, make_data, minimise, rays_at_stamp, rays_in_use, unknown_covariance
 from .body_uncertainty import covariance_of_sizes, widen_hidden
+from .extrinsic_monitor import ContourResiduals
 from .monitor.evidence import evidence_of
 from .monitor.track_monitor import TrackAssessment, TrackMonitor
 from .refinement.body_refiner import BodyRefiner, RefinedBody, known_sizes, warm_up_refiner
@@ -77,6 +77,7 @@ class IcpTracker:
         self._monitor.reset()
         self._own: OwnStart | None = None  # while fits start from the own pose, because the filter has to follow
         self._data_fitted: Data | None = None
+        self._matched: tuple[FitResult, ContourRays] | None = None
 
     @property
     def body(self) -> Body | None:
@@ -97,6 +98,15 @@ class IcpTracker:
     def has_outline(self) -> bool:
         """Whether the last set was fitted, and to contour rays."""
         return self._data_fitted is not None and len(self._data_fitted.contour_rays.information) > 0
+
+    @property
+    def residuals(self) -> ContourResiduals | None:
+        """What the contour rays of the last set are matched to, if it was fitted and the fit is not lost."""
+        if self._matched is None:
+            return None
+        fit, rays = self._matched
+        rays = rays_in_use(rays, self._settings.articulated, self._visibility)
+        return ContourResiduals(fit.reference_points_world, rays, fit.matched)
 
     def expected(self, stamp_ns: int, prediction: Prediction | None = None) -> Pose | None:
         """Return where the body is expected in the next set; None before the first pose."""
@@ -137,7 +147,7 @@ class IcpTracker:
         """Fit one frame set. Of several people one is followed; ``learn`` the body's sizes from this set, too;
         ``shared`` : what is seen of the person is another one's, too."""
         seen, dropped = seen.finite()
-        self._data_fitted = None
+        self._data_fitted = self._matched = None
         if self._body is None or self._pose is None:
             fit = self._acquire(seen)
         else:
@@ -170,6 +180,8 @@ class IcpTracker:
             self._own = OwnStart(seen.stamp_ns)
         self._pose = fit.pose
         judged = self._judged(seen.stamp_ns, started_from, fit, found)
+        if judged.state != LOST and self.has_outline:
+            self._matched = fit, seen.contour_rays
         if found.better is None and found.quality.state == GOOD and self._body is not None:
             self._trunk.look(seen.stamp_ns, self._body, fit.pose, data.contour_rays, fit.matched)
         return judged
@@ -293,17 +305,6 @@ def make_tracker(settings: IcpNodeSettings, visibility: RigVisibility | None = N
     Raises InputError for files that cannot be used.
     """
     return IcpTracker(make_pose_source(settings.initial_pose, settings.body_file, visibility), settings, visibility)
-
-
-def visibility_of(settings: IcpNodeSettings, rig: Rig | None = None, min_seeing: int = 0) -> RigVisibility | None:
-    """Return the visibility of the settings' rig file, else of a rig whose hulls need ``min_seeing`` cameras.
-
-    Without either None: hulls are taken to show all. Raises InputError for a rig file that cannot be used.
-    """
-    start = settings.initial_pose
-    if start.rig_file:
-        rig, min_seeing = load_rig(start.rig_file), start.min_seeing
-    return None if rig is None else RigVisibility(rig, min_seeing)
 
 
 def warm_up(settings: TrackerSettings, visibility: RigVisibility | None = None) -> None:

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from capture_rig.rigid import rotation_matrix
+from capture_rig.visibility import RigVisibility
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.people.association import UNCLEAR_SD_M, Expected, associate_parts, associate_rows, is_phantom
 from icp_tracker.people.identity import IdentityCheck, Verdict
 from icp_tracker.people.people_tracker import GONE_AFTER_S, PeopleTracker, make_people_tracker
 from icp_tracker.settings import IcpNodeSettings
-from icp_tracker.tracker import make_tracker, visibility_of
+from icp_tracker.tracker import make_tracker
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts
 from stick_figure.kinematics import forward
@@ -87,7 +88,7 @@ def number_of(fits, person, pose):
 
 def test_one_person_alone_is_followed_as_by_the_tracker_of_one_body_to_the_last_bit(hulls):
     people = make_people_tracker(SETTINGS, hulls["rig"])
-    alone = make_tracker(SETTINGS, visibility_of(SETTINGS, hulls["rig"]))
+    alone = make_tracker(SETTINGS, RigVisibility(hulls["rig"]))
     for k in range(1, 16):
         seen = replace(hulls["tall"], stamp_ns=k * FRAME_NS)
         (of_people,), of_one = people.step(seen, {}), alone.step(seen)

@@ -159,8 +159,8 @@ class CameraFaultDetector:
         if not suspects and self._conflict > EXCESS_ALLOWANCE:
             warning = (
                 f"{', '.join(used)} contradict each other: {self._conflict:.0%} of what they show fits no common "
-                "hull, and it cannot be told which of them is wrong. Were they moved since they were calibrated? Then "
-                "calibrate again. Or is a person outside the volume?"
+                "hull, and it cannot be told which of them is wrong. Is somebody outside the volume, is a background "
+                "old, or were cameras moved since they were calibrated (the tracker says so once it follows somebody)?"
             )
         return CameraFaults(
             left_out=tuple(name for name in records if name not in used),

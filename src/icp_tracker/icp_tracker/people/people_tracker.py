@@ -14,7 +14,8 @@ from itertools import combinations
 
 import numpy as np
 
-from capture_rig.rig import Rig
+from capture_rig.rig import Rig, load_rig
+from capture_rig.visibility import RigVisibility
 from mocap_packets.fit import FIRST_PERSON, LOST, Fit
 from mocap_packets.hull import HullProducts
 from mocap_packets.state import Prediction
@@ -23,8 +24,9 @@ from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 
 from ..acquisition.pose_source import HULL_SOURCES
 from ..acquisition.upright import reasons_of_bodies
+from ..extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
 from ..settings import MOST_PERSONS, IcpNodeSettings
-from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker, visibility_of
+from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker
 from .association import Association, Expected, associate_parts, associate_rows, associate_skeletons, is_phantom
 from .identity import ALIKE, IdentityCheck, OcclusionEvents, Verdict, sizes_apart
 
@@ -60,13 +62,18 @@ class PeopleTracker:
     while the person is away.
     """
 
-    def __init__(self, make: Callable[[], IcpTracker], most: int = MOST_PERSONS) -> None:
-        """``make`` : returns a tracker that looks for a first pose. ``most`` : persons that are known at most."""
-        self._make, self._most = make, most
+    def __init__(
+        self, make: Callable[[], IcpTracker], most: int = MOST_PERSONS, extrinsics: ExtrinsicMonitor | None = None
+    ) -> None:
+        """``make`` : returns a tracker that looks for a first pose. ``most`` : persons that are known at most.
+        ``extrinsics`` : of the rig, if that is known."""
+        self._make, self._most, self._extrinsics = make, most, extrinsics
         self.reset()
 
     def reset(self) -> None:
         """Forget everybody and look for first poses again."""
+        if self._extrinsics is not None:
+            self._extrinsics.reset()
         self._persons: dict[int, _Person] = {}
         self._newcomers: dict[int, IcpTracker] = {NO_PART: self._make()}  # by the number of their part of the hull
         self._reasons: dict[int, str] = {}
@@ -86,6 +93,11 @@ class PeopleTracker:
         """Why each part of the last hull that is nobody's has no first pose yet, while somebody is followed."""
         return tuple(self._reasons.values()) if self._persons else ()
 
+    @property
+    def extrinsic_errors(self) -> ExtrinsicErrors:
+        """How far the cameras are from their calibration, as far as the tracked bodies tell."""
+        return ExtrinsicErrors() if self._extrinsics is None else self._extrinsics.errors
+
     def body_of(self, person: int, bent: bool = False) -> Body | None:
         """Return a person's body, at rest or as its trunk is ``bent`` now; None for one who is not known."""
         if person not in self._persons:
@@ -95,6 +107,14 @@ class PeopleTracker:
 
     def step(self, seen: HullProducts, predictions: Mapping[int, Prediction]) -> tuple[Fit, ...]:
         """Fit one frame set: one answer for each person that is there, in order, and always one for the first."""
+        fits = self._fits(seen, predictions)
+        if self._extrinsics is not None and self._extrinsics.is_due(seen.stamp_ns):
+            trackers = {fit.person: self._persons[fit.person].tracker for fit in fits if fit.person in self._persons}
+            measured = [(person, tracker.residuals) for person, tracker in trackers.items()]
+            self._extrinsics.update(seen.stamp_ns, [(person, body) for person, body in measured if body is not None])
+        return fits
+
+    def _fits(self, seen: HullProducts, predictions: Mapping[int, Prediction]) -> tuple[Fit, ...]:
         parts = seen.numbers()
         keypoints, seen = seen.keypoints, replace(seen, keypoints=NO_KEYPOINTS)
         is_alone = len(parts) <= 1 and len(self._persons) + len(self._newcomers) <= 1
@@ -343,11 +363,16 @@ def _place_of(seen: HullProducts, part: int) -> np.ndarray:
 
 
 def make_people_tracker(settings: IcpNodeSettings, rig: Rig | None = None, min_seeing: int = 0) -> PeopleTracker:
-    """Make a tracker of everybody; first poses come from where the settings say; rig, min_seeing as of `visibility_of`.
+    """Make a tracker of everybody; first poses come from where the settings say.
 
-    A pose from a file or a session is that of one person: then nobody else is followed. Raises InputError for files
-    that cannot be used.
+    ``rig``, ``min_seeing`` : of the cameras, and how many of them a hull needs, where the settings name no rig file.
+    Without either, hulls are taken to show all, and no camera is watched. A pose from a file or a session is that of
+    one person: then nobody else is followed. Raises InputError for files that cannot be used.
     """
-    most = settings.people.max if settings.initial_pose.source in HULL_SOURCES else 1
-    visibility = visibility_of(settings, rig, min_seeing)
-    return PeopleTracker(lambda: make_tracker(settings, visibility), most)
+    start = settings.initial_pose
+    if start.rig_file:
+        rig, min_seeing = load_rig(start.rig_file), start.min_seeing
+    most = settings.people.max if start.source in HULL_SOURCES else 1
+    visibility = None if rig is None else RigVisibility(rig, min_seeing)
+    extrinsics = None if rig is None else ExtrinsicMonitor(rig, settings.calibration)
+    return PeopleTracker(lambda: make_tracker(settings, visibility), most, extrinsics)

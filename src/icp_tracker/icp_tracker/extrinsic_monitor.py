@@ -1,0 +1,192 @@
+"""Watches each camera's extrinsic calibration through the bodies that are tracked.
+
+A contour ray touches the body, so what is left of its distance from the fitted surface is zero on average, whatever the
+pose, the clothes and the clutter behind. Where it is not, in one camera, and goes with where the body stands, that
+camera is elsewhere than its calibration says: a small motion of the camera moves every ray by a known amount, and six
+numbers explain all of them. They are solved for by least squares, weighted as in the fit, beside a silhouette that is
+larger all around; twice, from the odd and from the even seconds. What both halves agree on is no noise of either: the
+scalar product of the two shifts that they find for the rays is without bias (cross-validation: Stone, "Cross-validatory
+choice", JRSS B 1974). A surface that errs leaves 1 to 4 mm, a camera that was turned by a degree 10 mm and more.
+
+Against the epipolar tangents of whole silhouettes (Sinha, Pollefeys and McMillan 2004) this needs no silhouette that is
+whole, and no person who is alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from capture_rig.rig import Rig
+from capture_rig.settings import setting
+from capture_rig.stamps import NS_PER_S
+from mocap_packets.hull import ContourRays
+from stick_figure.least_squares.contour_factor import RayMatch
+
+Array = npt.NDArray[np.float64]
+
+# Thresholds: chosen with recordings of rendered people of four makers, two real rooms, and cameras turned by 0.5 and 1
+# degree, pushed by 5 cm (bench/camera_movement.py).
+PERIOD_S, LONGEST_S = 0.1, 0.5  # from one set that is measured to the next; and what one counts for at most
+MEMORY_S = 20.0  # of what was measured
+BLOCK_S = 1.0  # errors of two blocks are independent
+LEAST_S = 1.5  # before anything is said
+SETTLING_S = 2.0  # after so long chance may be as large as the limit
+MOTION_M = 0.03  # by which a body has to move: while it holds still its surface errs as it did before
+ENOUGH_CAMERAS = 5  # fewer do not tell which of them has moved: the fit follows each by its share
+NEXT_WORST, NEXT_OF_FEW = 0.6, 0.4  # of the largest shift: what the others show of one camera's error, at most
+FEWEST_CAMERAS, FEWEST_RAYS = 3, 10  # of a set
+GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
+RAY_SD_M, RAYS_OF_A_DATUM = 0.01, 25.0  # neighbours along an outline err alike
+CAMERA_SD = np.repeat([np.radians(1.0), 0.1, 0.01], [3, 3, 1])  # rad, m, and m of growth: what befalls cameras
+CAMERA = 6  # numbers of a camera's motion; the growth of its silhouettes follows
+
+
+@dataclass(frozen=True)
+class CalibrationSettings:
+    """When a camera is reported to have moved from its calibration."""
+
+    enabled: bool = setting(True, "compare the tracked bodies' outlines with the calibration all the time")
+    limit_m: float = setting(
+        0.005, "a camera is reported that shows bodies farther than this beside the others", unit="m", low=0.001
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class ExtrinsicErrors:
+    """By how much (m, root mean square over its rays) each camera shows the bodies beside where the others do; and of
+    cameras that have moved, a message with the remedy."""
+
+    shift_m: Mapping[str, float] = field(default_factory=dict)
+    suspects: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class ContourResiduals:
+    """The rays of one fitted body, with what each is matched to."""
+
+    points_world: Array
+    rays: ContourRays
+    match: RayMatch
+
+
+class ExtrinsicMonitor:
+    """Monitors the calibration of one rig. The same sets give the same results."""
+
+    def __init__(self, rig: Rig, settings: CalibrationSettings | None = None) -> None:
+        self._rig, self._settings = rig, settings or CalibrationSettings()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was measured."""
+        self.errors = ExtrinsicErrors()
+        self._halves = [[_Sums() for _ in self._rig.cameras] for _ in range(2)]
+        self._last: dict[int, Array] = {}  # of each person, the points when they were measured
+        self._last_ns: int | None = None
+
+    def is_due(self, stamp_ns: int) -> bool:
+        """Whether a set of this stamp is to be measured."""
+        if not self._settings.enabled or len(self._rig.cameras) < FEWEST_CAMERAS:
+            return False
+        return self._last_ns is None or not 0 <= stamp_ns - self._last_ns < PERIOD_S * NS_PER_S
+
+    def update(self, stamp_ns: int, bodies: Iterable[tuple[int, ContourResiduals]]) -> ExtrinsicErrors:
+        """Measure the fitted bodies of one frame set, by person; return what is known of the cameras."""
+        passed_s = PERIOD_S if self._last_ns is None else (stamp_ns - self._last_ns) / NS_PER_S
+        moved = [(person, body) for person, body in bodies if self._has_moved(person, body)]
+        self._last_ns = stamp_ns
+        if moved:
+            block = int(stamp_ns // (BLOCK_S * NS_PER_S)) % 2
+            step_s = min(max(passed_s, PERIOD_S), LONGEST_S)
+            for half, cameras in enumerate(self._halves):
+                for number, sums in enumerate(cameras):
+                    sums.decay(step_s)
+                    if half == block:
+                        sums.add(self._equations(number, [body for _, body in moved]), step_s)
+            self._last |= {person: body.points_world for person, body in moved}
+            self.errors = self._estimate()
+        return self.errors
+
+    def _has_moved(self, person: int, body: ContourResiduals) -> bool:
+        last = self._last.get(person)
+        return last is None or float(np.linalg.norm(body.points_world - last, axis=1).mean()) > MOTION_M
+
+    def _equations(self, number: int, bodies: list[ContourResiduals]) -> tuple[Array, Array, Array]:
+        """Return by how much the rays (k) of one camera lie outside of the surface, m; the derivatives (k, 7) of that
+        by a motion of the camera (rotation vector and translation, in its frame) and by growth; and weights (k,)."""
+        camera, parts = self._rig.cameras[number], []
+        for body in bodies:
+            own = body.rays.camera == number
+            points = (body.rays.points_world[own] - camera.centre_world) @ camera.R_camera_world.T
+            normals = body.rays.normals[own] @ camera.R_camera_world.T
+            by_motion = np.column_stack([np.cross(points, normals), normals, np.ones(len(points))])
+            weights = 1.0 / (1.0 + (body.match.separation[own] / GATE_M) ** 2) ** 2
+            parts.append((body.match.distance[own], by_motion, weights))
+        y, J, w = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return y, J, w
+
+    def _estimate(self) -> ExtrinsicErrors:
+        """Return the shifts that both halves agree on, and who is suspected."""
+        names, shift_m, limits_m = self._rig.names, dict[str, float](), dict[str, float]()
+        drawn = 1.0 - 1.0 / len(names)  # what is left of a shift: the fit follows every camera by its share
+        for camera, odd, even in zip(names, *self._halves, strict=True):
+            seconds = odd.seconds + even.seconds
+            if min(odd.seconds, even.seconds) >= 0.25 * LEAST_S and seconds >= LEAST_S:
+                M = (odd.of_rays + even.of_rays) / max(odd.rays + even.rays, 1.0)
+                shift_m[camera] = float(np.sqrt(max(odd.motion() @ M @ even.motion(), 0.0))) / drawn
+                limits_m[camera] = self._settings.limit_m * (1.0 + SETTLING_S / seconds)
+        worst = max(shift_m, key=shift_m.__getitem__, default="")
+        if not worst or shift_m[worst] <= limits_m[worst]:
+            return ExtrinsicErrors(shift_m)
+        if len(names) < ENOUGH_CAMERAS:
+            alike = [camera for camera in shift_m if shift_m[camera] >= NEXT_OF_FEW * shift_m[worst]]
+            return ExtrinsicErrors(shift_m, dict.fromkeys(alike, _which_of(alike, shift_m[worst])))
+        moved = [c for c in shift_m if shift_m[c] > limits_m[c] and shift_m[c] >= NEXT_WORST * shift_m[worst]]
+        return ExtrinsicErrors(shift_m, {camera: _was_it_moved(camera, shift_m[camera]) for camera in moved})
+
+
+def _was_it_moved(camera: str, shift_m: float) -> str:
+    return (
+        f"{camera} shows people {1e3 * shift_m:.0f} mm beside where the other cameras do: was it moved since it was "
+        "calibrated? Put it back, or calibrate it again"
+    )
+
+
+def _which_of(cameras: list[str], shift_m: float) -> str:
+    return (
+        f"{', '.join(cameras)} show people {1e3 * shift_m:.0f} mm beside each other: was one of them moved since it "
+        "was calibrated? Put it back, or calibrate again"
+    )
+
+
+class _Sums:
+    """The normal equations of one camera: A (7, 7) and b (7,); of_rays (6, 6) sum of the squares of what a motion does
+    to its rays; how many rays and seconds they are of."""
+
+    def __init__(self) -> None:
+        self.A, self.b, self.of_rays = np.zeros((CAMERA + 1,) * 2), np.zeros(CAMERA + 1), np.zeros((CAMERA,) * 2)
+        self.rays = self.seconds = 0.0
+
+    def decay(self, step_s: float) -> None:
+        kept = float(np.exp(-step_s / MEMORY_S))
+        self.A, self.b, self.of_rays = kept * self.A, kept * self.b, kept * self.of_rays
+        self.rays, self.seconds = kept * self.rays, kept * self.seconds
+
+    def add(self, equations: tuple[Array, Array, Array], step_s: float) -> None:
+        y, J, w = equations
+        if len(y) < FEWEST_RAYS:
+            return
+        # of a set that stands for a block all its data count, of neighbours in time their share
+        information = step_s / BLOCK_S / (RAYS_OF_A_DATUM * RAY_SD_M**2)
+        self.A = self.A + information * (J * w[:, None]).T @ J
+        self.b = self.b + information * (J * w[:, None]).T @ y
+        self.of_rays = self.of_rays + J[:, :CAMERA].T @ J[:, :CAMERA]
+        self.rays, self.seconds = self.rays + len(y), self.seconds + step_s
+
+    def motion(self) -> Array:
+        """Return the camera's most probable motion (6,)."""
+        solved = np.linalg.solve(self.A + np.diag(CAMERA_SD**-2), self.b)
+        return np.asarray(solved[:CAMERA], np.float64)
