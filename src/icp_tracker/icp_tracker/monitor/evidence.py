@@ -43,12 +43,13 @@ class Evidence:
     """What speaks for and against a pose.
 
     costs (n,) : what each ray costs, 0 to 1; beyond : what joints beyond their ranges cost, in rays, less what detected
-    joints say for the pose. explained : rays that the pose explains. matched : what the rays were matched to.
+    joints say for the pose. share : of the rays' information, what the pose explains; 1 when there are none. matched :
+    what the rays were matched to.
     """
 
     costs: np.ndarray
     beyond: float
-    explained: int
+    share: float
     matched: RayMatch
 
     @property
@@ -70,11 +71,6 @@ class Evidence:
         better, besides = self.costs - other.costs, self.beyond - other.beyond
         return float(np.where(better > 0.0, better, LOSS * better).sum()) + besides
 
-    @property
-    def share(self) -> float:
-        """Share of the rays that the pose explains; 1 when there are none."""
-        return self.explained / self.rays if self.rays else 1.0
-
 
 def evidence_of(figure: Figure, pose: Pose, data: Data, matched: RayMatch | None = None) -> Evidence:
     """Weigh a pose against the contour rays and keypoints of a set, and its angles against their joints' ranges.
@@ -83,11 +79,11 @@ def evidence_of(figure: Figure, pose: Pose, data: Data, matched: RayMatch | None
     """
     state = State(*pose.arrays)
     matched = matched or match_to(figure, state, data)
-    costs, explained, excess = _weigh(state, matched.separation)
+    costs, share, excess = _weigh(state, matched.separation, data.contour_rays.information)
     beyond = float(((excess / LIMIT_RAD) ** 2).sum())
     if len(data.keypoints.score):
         beyond -= RAYS_PER_NAT * keypoint_support(data.keypoints, place(state, figure), ALL_STICKS)
-    return Evidence(costs, beyond, explained, matched)
+    return Evidence(costs, beyond, share, matched)
 
 
 @njit(cache=True, nogil=True)
@@ -120,12 +116,16 @@ class Observation:
 
 
 @njit(cache=True, nogil=True)
-def _weigh(state, separation):
-    """Return what each ray costs (n,); the number of explained rays; by how much (18,) rad angles are beyond their
-    joints' ranges."""
-    excess = np.empty(18)
+def _weigh(state, separation, information):
+    """Return what each ray costs (n,); the share of their information (n,) that is explained; by how much (18,) rad
+    angles are beyond their joints' ranges."""
+    excess, explained, every = np.empty(18), 0.0, 0.0
     joint_excess(state.RJ, state.hinges, 0.0, np.empty(5), excess)
-    return ray_cost(separation, GATE_M), np.sum(separation < EXPLAINED_M), excess
+    for i in range(separation.shape[0]):
+        every += information[i]
+        if separation[i] < EXPLAINED_M:
+            explained += information[i]
+    return ray_cost(separation, GATE_M), explained / every if every > 0.0 else 1.0, excess
 
 
 @njit(cache=True, error_model="numpy")
