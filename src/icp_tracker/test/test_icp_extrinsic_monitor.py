@@ -44,7 +44,7 @@ def body_at(rig, place_world, seed, errors):
         in_camera = (points - camera.centre_world) @ camera.R_camera_world.T
         motion = np.cross(np.radians(turn), in_camera) + push
         moved = np.einsum("ni,ni->n", motion, normals @ camera.R_camera_world.T)
-        distance = moved + growth + rng.normal(scale=NOISE_M, size=RAYS)
+        distance = moved + growth * np.linalg.norm(in_camera, axis=1) + rng.normal(scale=NOISE_M, size=RAYS)
         parts.append((points, directions, normals, np.full(RAYS, number), distance))
     points, directions, normals, camera, distance = (np.concatenate(part) for part in zip(*parts, strict=True))
     rays = ContourRays(points, directions, normals, np.full(len(points), 0.1), np.full(len(points), 0.002))
@@ -79,7 +79,7 @@ def test_camera_that_moved_is_named_with_the_shift_that_it_shows(turn_deg, push_
 
 def test_sound_cameras_show_no_shift_however_the_surface_and_the_silhouettes_err():
     rig = rig_of(6)
-    grown = {0: ((0, 0, 0), (0, 0, 0), 0.02), 3: ((0, 0, 0), (0, 0, 0), -0.02)}
+    grown = {0: ((0, 0, 0), (0, 0, 0), 0.006), 3: ((0, 0, 0), (0, 0, 0), -0.006)}  # rad: about 20 mm
     errors = watched(ExtrinsicMonitor(rig), rig, grown, SLOW_SECONDS)
     assert errors.suspects == {} and max(errors.shift_m.values()) < 0.001
 
