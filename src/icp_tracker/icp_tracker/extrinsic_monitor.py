@@ -36,6 +36,7 @@ BLOCK_S = 1.0  # errors of two blocks are independent
 LEAST_S = 1.5  # before anything is said
 SETTLING_S = 2.0  # after so long chance may be as large as the limit
 MOTION_M = 0.03  # by which a body has to move: while it holds still its surface errs as it did before
+SPREAD_M = 0.25  # root mean square of the places: who stays in one errs alike in both halves
 ENOUGH_CAMERAS = 5  # fewer do not tell which of them has moved: the fit follows each by its share
 NEXT_WORST, NEXT_OF_FEW = 0.6, 0.4  # of the largest shift: what the others show of one camera's error, at most
 MISSING = 1.5  # times the limit while a camera is left out: the bodies' sizes may be learnt with its errors
@@ -52,7 +53,7 @@ class CalibrationSettings:
 
     enabled: bool = setting(True, "compare the tracked bodies' outlines with the calibration all the time")
     limit_m: float = setting(
-        0.006, "a camera is reported that shows bodies farther than this beside the others", unit="m", low=0.001
+        0.005, "a camera is reported that shows bodies farther than this beside the others", unit="m", low=0.001
     )
 
 
@@ -85,6 +86,7 @@ class ExtrinsicMonitor:
         """Forget what was measured."""
         self.errors = ExtrinsicErrors()
         self._halves = [[_Sums() for _ in self._rig.cameras] for _ in range(2)]
+        self._places = np.zeros(4)  # how many were measured, and sums of x, y and their squares
         self._last: dict[int, Array] = {}  # of each person, the points when they were measured
         self._last_ns: int | None = None
 
@@ -107,8 +109,13 @@ class ExtrinsicMonitor:
                     sums.decay(step_s)
                     if half == block:
                         sums.add(self._equations(number, [body for _, body in moved]), step_s)
+            places = np.array([body.points_world[0, :2] for _, body in moved])
+            self._places = self._places * np.exp(-step_s / MEMORY_S)
+            self._places += [len(places), *places.sum(axis=0), (places**2).sum()]
             self._last |= {person: body.points_world for person, body in moved}
-            self.errors = self._estimate()
+            count, x, y, squares = self._places
+            spread_m2 = squares / count - (x * x + y * y) / count**2
+            self.errors = self._estimate() if spread_m2 > SPREAD_M**2 else ExtrinsicErrors()
         return self.errors
 
     def _has_moved(self, person: int, body: ContourResiduals) -> bool:
