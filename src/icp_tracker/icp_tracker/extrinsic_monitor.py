@@ -123,8 +123,8 @@ class ExtrinsicMonitor:
         return last is None or float(np.linalg.norm(body.points_world - last, axis=1).mean()) > MOTION_M
 
     def _equations(self, number: int, bodies: list[ContourResiduals]) -> tuple[Array, Array, Array]:
-        """Return by how much the rays (k) of one camera lie outside of the surface, m; the derivatives (k, 7) of that
-        by a motion of the camera (rotation vector and translation, in its frame) and by growth, rad; and weights (k,)."""
+        """Return by how much the rays (k) of one camera lie outside of the surface, m; its derivatives (k, 7) by a
+        motion of the camera (rotation vector and translation, in its frame) and by growth, rad; and weights (k,)."""
         camera, parts = self._rig.cameras[number], []
         for body in bodies:
             own = body.rays.camera == number
