@@ -188,7 +188,7 @@ class _Sums:
 
     def add(self, equations: tuple[Array, Array, Array], step_s: float) -> None:
         y, J, w = equations
-        if len(y) < FEWEST_RAYS:
+        if len(y) < FEWEST_RAYS or not (np.isfinite(y).all() and np.isfinite(J).all()):
             return
         # of a set that stands for a block all its data count, of neighbours in time their share
         information = step_s / BLOCK_S / (RAYS_OF_A_DATUM * RAY_SD_M**2)

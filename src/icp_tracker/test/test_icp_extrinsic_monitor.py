@@ -120,13 +120,16 @@ def test_two_cameras_and_a_monitor_that_is_off_say_nothing():
     assert not ExtrinsicMonitor(rig_of(6), CalibrationSettings(enabled=False)).is_due(0)
 
 
-def test_stamps_that_go_back_and_sets_without_anybody_do_no_harm():
+def test_stamps_that_go_back_sets_without_anybody_and_wild_numbers_do_no_harm():
     rig = rig_of(6)
     monitor = ExtrinsicMonitor(rig)
     watched(monitor, rig, {}, first=1000)
     assert monitor.update(2000 * SET_NS, []).suspects == {}
     assert monitor.is_due(0)
-    assert watched(monitor, rig, {}).suspects == {}
+    wild = body_at(rig, walking(0), 0, {})
+    wild.match.distance[7] = np.inf
+    assert watched(monitor, rig, {}, 5).suspects == {} and monitor.update(SET_NS * 5, [(1, wild)]).suspects == {}
+    assert list(watched(monitor, rig, {2: ((0.5, 0, 0), (0, 0, 0), 0.0)}, first=6).suspects) == ["cam03"]
     monitor.reset()
     assert monitor.errors.shift_m == {}
 

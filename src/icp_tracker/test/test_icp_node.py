@@ -14,6 +14,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
+from icp_tracker.extrinsic_monitor import ExtrinsicErrors
 from icp_tracker.icp_node import IcpNode, fit_message
 from icp_tracker.tracker import IcpTracker, fits_nothing
 from mocap_packets.hull import NO_VOXELS, Centerline, HullProducts, VoxelSamples
@@ -108,6 +109,22 @@ def walk(body, tmp_path):
         "prediction_wait_s": 0.0,
     }
     return SimpleNamespace(body=body, poses=poses, clouds=clouds, parameters=parameters)
+
+
+def test_camera_that_was_moved_is_named_in_the_diagnostics_until_it_is_put_back(bench, walk):
+    node = bench(**walk.parameters).start()
+    node.answer(hull(walk.clouds[0], 0))
+    assert values_of(node.diagnostics[-1]).get("calibration_suspects", "") == ""
+    why = "cam02 shows people 12 mm beside where the other cameras do"
+    node.node._report_cameras(ExtrinsicErrors({"cam01": 0.001, "cam02": 0.0123}, {"cam02": why}))
+    node.node._publish((node.node._tracker.step(HullProducts.of_points(stamp(1), walk.clouds[1], 0.005), {})[0],), ())
+    node.until(lambda: why in node.diagnostics[-1].status[0].message)
+    values = values_of(node.diagnostics[-1])
+    assert values["calibration_suspects"] == "cam02" and values["calibration_shift_mm_cam02"] == "12.3"
+    assert node.diagnostics[-1].status[0].level == DiagnosticStatus.WARN
+    node.answer(hull(walk.clouds[2], 2))  # whose tracker has no rig, and suspects nobody
+    node.until(lambda: node.diagnostics[-1].status[0].level == DiagnosticStatus.OK)
+    assert values_of(node.diagnostics[-1])["calibration_suspects"] == ""
 
 
 def test_every_centerline_is_answered_with_its_stamp_and_exactly_what_the_tracker_returns(bench, walk):
