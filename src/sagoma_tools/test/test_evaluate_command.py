@@ -15,6 +15,8 @@ from take_bags import PERIOD_NS, write_take
 from capture_rig.errors import InputError
 from capture_rig.session import load_session
 from ekf_tracker.state_ros import state_message
+from icp_tracker.extrinsic_monitor import ExtrinsicErrors
+from icp_tracker.people.people_tracker import PeopleTracker
 from mocap_packets.fit import DOUBTFUL, PART_NAMES
 from mocap_packets.state import BodyState
 from mocap_pipeline.configuration import Configuration
@@ -63,10 +65,15 @@ def test_the_ablation_ends_with_our_figures_and_begins_with_the_thesis(tour, cap
     assert {path.name for path in tmp_path.iterdir()} >= {"point_errors.png", "errors.png", "overlay.png", "worst.png"}
 
 
-def test_a_session_without_truth_is_tracked_and_judged_by_what_can_be_said(tour, capsys, tmp_path):
+def test_a_session_without_truth_is_tracked_and_judged_by_what_can_be_said(tour, capsys, tmp_path, monkeypatch):
+    moved = ExtrinsicErrors({"cam02": 0.012}, dict.fromkeys(("cam02", "cam03"), "cam02 or cam03 was moved"))
+    monkeypatch.setattr(PeopleTracker, "extrinsic_errors", moved)
     blind = shutil.copytree(tour, tmp_path / "blind")
     (blind / "truth.csv").unlink()
-    figures = evaluated(capsys, blind, "--exact-masks", "--json")
+    assert main(["evaluate", str(blind), "--exact-masks", "--json"]) == 0
+    said = capsys.readouterr()
+    assert said.err.count("sagoma: cam02 or cam03 was moved") == 1
+    figures = json.loads(said.out.splitlines()[-1])
     assert figures["frames"] == FRAMES
     assert figures["time_to_track_s"] is not None
     assert not {"mean_mm", "thesis_mean_mm", "inside_95"} & set(figures)

@@ -133,6 +133,7 @@ def tracked(args: argparse.Namespace, session: Session) -> tuple[dict[str, dict[
             progress=doing("tracking frames"),
             ended=came.update,
             detections=detections,
+            warned=lambda text: print(f"sagoma: {text}", file=sys.stderr),
         )
     except InputError as nobody:
         damaged = [finding for finding in ended_findings(came) if finding.grade == REDO] if came else []

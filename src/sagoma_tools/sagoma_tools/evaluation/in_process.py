@@ -38,13 +38,15 @@ def track_people(
     progress: Callable[[int], None] = lambda frame: None,
     ended: FootageEnded = ignore_end,
     detections: Mapping[int, Sequence[Detections]] | None = None,
+    warned: Callable[[str], None] = lambda text: None,
 ) -> dict[str, dict[int, Track]]:
     """Track everybody with several configurations over the same hulls: every frame is segmented and carved once.
 
     Returns each configuration's tracks by the person's number; the first person's is always there. Cameras and hull
     are set as the first one says, from which the others may differ in fit and filter only; it is also the one that must
     find a body (InputError): another's tracks may be empty. ``ended`` : is told what came of the videos when the
-    shortest has ended. ``detections`` : joints that a detector found in the images of a frame.
+    shortest has ended. ``detections`` : joints that a detector found in the images of a frame. ``warned`` : is told
+    once of cameras that are not where the rig says.
     """
     first, *others = variants.values()
     if any((other.camera, other.hull) != (first.camera, first.hull) for other in others):
@@ -54,6 +56,7 @@ def track_people(
     followers = [pipeline.body, *(TrackingStage.of(other, session.rig) for other in others)]
     rows: list[dict[int, list[tuple[int, BodyState]]]] = [{FIRST_PERSON: []} for _ in followers]
     reasons: list[tuple[str, ...]] = []
+    suspects: Mapping[str, str] = {}
     for frame, frame_masks in enumerate(masks):
         progress(frame)
         stamps_ns = session.stamps_ns(EPOCH_NS, frame)
@@ -61,10 +64,13 @@ def track_people(
         products = replace(products, keypoints=keypoints_of(session.rig, (detections or {}).get(frame, ())))
         steps = [follower.step(products) for follower in followers]
         reasons.append(reasons_of_step(steps[0]))
+        suspects = pipeline.body.tracker.extrinsic_errors.suspects or suspects
         for step, states in zip(steps, rows, strict=True):
             for person in step.people:
                 if person.state is not None:
                     states.setdefault(person.person, []).append((frame, person.state))
+    for text in dict.fromkeys(suspects.values()):
+        warned(text)
     if not rows[0][FIRST_PERSON]:
         raise nobody_tracked("no body was found in any frame", str(session.folder), reasons)
     return {
