@@ -225,8 +225,8 @@ class IcpNode(SagomaNode):
 
     def _describe(self) -> Mapping[str, object]:
         """How far each camera is from its calibration, for the diagnostics."""
-        shifts = {f"calibration_shift_mm_{name}": f"{1e3 * m:.1f}" for name, m in self._errors.shift_m.items()}
-        return {"calibration_suspects": ",".join(self._errors.suspects)} | shifts
+        shifts = " ".join(f"{name}={1e3 * m:.1f}" for name, m in self._errors.shift_m.items())
+        return {"calibration_suspects": ",".join(self._errors.suspects), "calibration_shift_mm": shifts}
 
     def _log_state(self, fit: Fit) -> None:
         """Log how it stands with a person when that has changed, once in LOG_PERIOD_S at most."""
