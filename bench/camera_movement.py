@@ -129,7 +129,7 @@ def footage_of(studio: Studio) -> Footage:
     return Footage(pictures, ours, exact, alarms, frames, 1e3 * spent_s / frames / EVERY)
 
 
-class Followed:
+class TrackedBodies:
     """Whoever is tracked; ``start`` : settings of the first pose."""
 
     def __init__(self, rig: Rig, start: Mapping[str, Any]) -> None:
@@ -145,7 +145,7 @@ def drill(studio: Studio, unmoved: Footage, camera: str, displacement: Displacem
     """One camera films from its place for three seconds, and then from where the displacement has put it."""
     result, model, views = Drill(), studio.rig.camera(camera), RigViews.from_rig(studio.rig)
     processor, moved, view = studio.processor(model), displacement.moved(model, sign), model.undistorted_view()
-    bodies = Followed(studio.rig, {})
+    bodies = TrackedBodies(studio.rig, {})
     dissent = CameraFaultDetector(studio.rig, views, CameraFaultSettings())
     for frame in range(len(studio.capsules)):
         since = frame - MOVED_AT
@@ -201,7 +201,7 @@ def play_clip(clip: Clip) -> dict[str, list[Drill]]:
             continue
         runs = []
         for number, camera in enumerate(clip.rig.names):
-            run, watch = Drill(), Followed(clip.rig, clip.start)
+            run, watch = Drill(), TrackedBodies(clip.rig, clip.start)
             K = clip.rig.camera(camera).undistorted_view().camera.K
             H = displacement.homography(K, 1.0 if number % 2 else -1.0)
             for look in range(CLIP_LOOKS):
@@ -241,7 +241,7 @@ def unmoved_sets(
 
 
 def _alarms(rig: Rig, start: Mapping[str, Any], frames: list[Masks]) -> int:
-    watch = Followed(rig, start)
+    watch = TrackedBodies(rig, start)
     return sum(bool(watch.update(masks, stamp_ns(look))) for look, masks in enumerate(frames))
 
 

@@ -45,17 +45,6 @@ def lowest_bit(word):  # type: ignore[no-untyped-def]
     return _count_trailing_zeros(word)  # type: ignore[call-arg]
 
 
-@kernel
-def highest_bit(word):  # type: ignore[no-untyped-def]
-    """Return the position of the highest set bit of a word that is not zero."""
-    position = 0
-    for half in (32, 16, 8, 4, 2, 1):
-        above = word >> np.uint64(half)
-        if above != 0:
-            position, word = position + half, above
-    return position
-
-
 @njit(cache=True, nogil=True)
 def select_bit(word, rank):  # type: ignore[no-untyped-def]
     """Return the position of the set bit with ``rank`` set bits below it."""

@@ -42,10 +42,9 @@ class HullResult:
     stamp_ns : capture stamp of the set. products : what travels on to the tracker. cameras, missing : cameras that were
     carved with, and those that delivered nothing. blank : cameras whose silhouette is empty; they empty the hull
     wherever they see. camera_faults : cameras that contradict the others; those left out were not carved with.
-    bodies : the parts of the hull large enough to be a person,
-    numbered. support : where each camera's foreground can be a body, as far as the others see; a few times a second,
-    else empty.
-    min_seeing : how many cameras had to see a voxel. stage_ms : time spent in each stage.
+    bodies : the parts of the hull large enough to be a person, numbered. support : where each camera's foreground can
+    be a body, as far as the others see; a few times a second, else empty. min_seeing : how many cameras had to see a
+    voxel. stage_ms : time spent in each stage.
     """
 
     stamp_ns: int

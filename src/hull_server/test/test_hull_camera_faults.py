@@ -9,8 +9,11 @@ from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, ro
 
 from capture_rig import Rig
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
-from hull_server.settings import CameraFaultSettings
+from hull_server.hull_pipeline import HullPipeline
+from hull_server.hull_ros import frame_set_message
+from hull_server.settings import CameraFaultSettings, HullSettings
 from hull_server.views import RigViews, min_seeing
+from mocap_packets.frame_set import FrameSet
 
 PERIOD_S, SET_NS = 0.1, 100_000_000
 LAP = 16  # judged frame sets in which the person walks once round
@@ -242,3 +245,19 @@ def test_frame_sets_are_compared_once_a_period_and_after_stamps_have_gone_back()
 
 def test_detector_that_is_switched_off_leaves_nobody_out():
     assert not Session(rig_of(5), walking(5), enabled=False).show(10, blank("cam02")).left_out
+
+
+def test_consistency_is_near_one_for_sound_cameras_and_low_for_one_that_shows_what_is_not_there():
+    session = Session(rig_of(6), walking(6))
+    assert min(session.show(LAP).consistency.values()) > 0.9
+    found = session.show(4 * LAP, lambda masks: {"cam03": np.ascontiguousarray(masks["cam03"][:, ::-1])}).consistency
+    assert found["cam03"] < 0.6 < min(share for name, share in found.items() if name != "cam03")
+
+
+def test_message_of_a_frame_set_tells_how_well_each_camera_agrees():
+    pipeline = HullPipeline(rig_of(6), HullSettings(voxel_size_m=0.04, backend="cpu"))
+    result = pipeline.run(FrameSet.of_instant(0, walking(6)[0]))
+    pipeline.close()
+    values = {pair.key: pair.value for pair in frame_set_message(result, {}).status[0].values}
+    assert values["left_out"] == "" and "cam02=" in values["veto_fraction"]
+    assert 0.9 < float(values["consistency_cam02"]) <= 1.0

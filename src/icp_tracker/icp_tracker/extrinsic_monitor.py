@@ -1,4 +1,4 @@
-"""Watches each camera's extrinsic calibration through the bodies that are tracked.
+"""Monitors each camera's extrinsic calibration by the contour rays of tracked bodies.
 
 A contour ray touches the body, so what is left of its distance from the fitted surface is zero on average, whatever the
 pose, the clothes and the clutter behind. Where it is not, in one camera, and goes with where the body stands, that
@@ -26,6 +26,9 @@ from capture_rig.stamps import NS_PER_S
 from mocap_packets.hull import ContourRays
 from stick_figure.least_squares.contour_factor import RayMatch
 
+from .articulated_fit import CONTOUR_GATE_M
+from .refinement.trunk_bend import RAYS_OF_A_DATUM
+
 Array = npt.NDArray[np.float64]
 
 # Thresholds: chosen with recordings of rendered people of four makers, two real rooms, and cameras turned by 0.5 and 1
@@ -41,8 +44,7 @@ ENOUGH_CAMERAS = 5  # fewer do not tell which of them has moved: the fit follows
 NEXT_WORST, NEXT_OF_FEW = 0.6, 0.4  # of the largest shift: what the others show of one camera's error, at most
 MISSING = 1.5  # times the limit while a camera is left out: the bodies' sizes may be learnt with its errors
 FEWEST_CAMERAS, FEWEST_RAYS = 3, 10  # of a set
-GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
-RAY_SD_M, RAYS_OF_A_DATUM = 0.01, 25.0  # neighbours along an outline err alike
+RAY_SD_M = 0.01
 CAMERA_SD = np.repeat([np.radians(1.0), 0.1, 0.003], [3, 3, 1])  # rad, m, and rad of growth: what befalls cameras
 CAMERA = 6  # numbers of a camera's motion; the growth of its silhouettes follows
 
@@ -68,7 +70,7 @@ class ExtrinsicErrors:
 
 @dataclass(frozen=True, eq=False)
 class ContourResiduals:
-    """The rays of one fitted body, with what each is matched to."""
+    """A fitted body: its reference points (15, 3), m, its contour rays (n), and what each is matched to; world frame."""
 
     points_world: Array
     rays: ContourRays
@@ -132,7 +134,7 @@ class ExtrinsicMonitor:
             normals = body.rays.normals[own] @ camera.R_camera_world.T
             depths = np.linalg.norm(points, axis=1)
             by_motion = np.column_stack([np.cross(points, normals), normals, depths])
-            weights = 1.0 / (1.0 + (body.match.separation[own] / GATE_M) ** 2) ** 2
+            weights = 1.0 / (1.0 + (body.match.separation[own] / CONTOUR_GATE_M) ** 2) ** 2
             parts.append((body.match.distance[own], by_motion, weights))
         y, J, w = (np.concatenate(part) for part in zip(*parts, strict=True))
         return y, J, w

@@ -115,6 +115,7 @@ class PeopleTracker:
         return fits
 
     def _fits(self, seen: HullProducts, predictions: Mapping[int, Prediction]) -> tuple[Fit, ...]:
+        """Associate the set's rows with persons, fit those who are known, and look for newcomers."""
         parts = seen.numbers()
         keypoints, seen = seen.keypoints, replace(seen, keypoints=NO_KEYPOINTS)
         is_alone = len(parts) <= 1 and len(self._persons) + len(self._newcomers) <= 1
