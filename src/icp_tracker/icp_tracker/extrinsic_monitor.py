@@ -70,7 +70,7 @@ class ExtrinsicErrors:
 
 @dataclass(frozen=True, eq=False)
 class ContourResiduals:
-    """A fitted body: its reference points (15, 3), m, its contour rays (n), and what each is matched to; world frame."""
+    """A fitted body: reference points (15, 3), m, its contour rays (n), and what each is matched to; world frame."""
 
     points_world: Array
     rays: ContourRays
