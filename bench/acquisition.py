@@ -35,7 +35,7 @@ from icp_tracker.acquisition.body_sizes import (
     sizes_of_body,
 )
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pose
-from icp_tracker.acquisition.t_pose_source import TPoseSource
+from icp_tracker.acquisition.t_pose_source import SURENESS, TPoseSource
 from icp_tracker.acquisition.upright import PoseRejected
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts, VoxelSamples
@@ -97,7 +97,7 @@ def of_people(cameras: int, ceiling: bool, number: int) -> dict[str, object]:
         except PoseRejected as refusal:
             refused.append(refusal.reason)
             continue
-        if measured.facing < TPoseSettings().sureness:
+        if measured.facing < SURENESS:
             refused.append("front and back look alike")
             continue
         backward += int(measured.body.forward_world @ pose.R_world_torso[:2, 0] < 0.0)

@@ -4,7 +4,7 @@ from .camera import CameraModel, UndistortedView
 from .errors import InputError
 from .rig import Rig, Volume, load_rig, save_rig
 from .session import Session, Truth, footage_stamp_ns, load_session, load_truth
-from .settings import as_dict, build_settings, setting
+from .settings import build_settings, setting
 
 __all__ = [
     "CameraModel",
@@ -14,7 +14,6 @@ __all__ = [
     "Truth",
     "UndistortedView",
     "Volume",
-    "as_dict",
     "build_settings",
     "footage_stamp_ns",
     "load_rig",

@@ -1,7 +1,8 @@
 """Typed configuration: one frozen dataclass serves ROS parameters, YAML files and plain Python alike.
 
 A settings class is a frozen dataclass whose fields come from :func:`setting`; a field may itself be a settings
-class, and is then written with dotted keys (``blob.min_area_m2``) or as a nested mapping.
+class, and is then written with dotted keys (``blob.min_area_m2``) or as a nested mapping. A plain field is no setting:
+Python code may give it, users need not decide it.
 """
 
 from __future__ import annotations
@@ -78,7 +79,7 @@ def leaves(cls: type, prefix: str = "") -> Iterator[Leaf]:
         key = prefix + field.name
         if dataclasses.is_dataclass(hints[field.name]):
             yield from leaves(hints[field.name], key + ".")
-        else:
+        elif field.metadata:
             yield Leaf(key, hints[field.name], _default(field), field.metadata)
 
 
@@ -95,11 +96,6 @@ def build_settings(cls: type[T], values: Mapping[str, Any], where: str) -> T:
             raise _unknown(key, list(known), where)
         flat[key] = _checked(known[key], value, where)
     return _assemble(cls, flat, "")
-
-
-def as_dict(settings: Any) -> dict[str, Any]:
-    """Return the settings as a nested plain mapping, ready for YAML; ``build_settings`` reads it back."""
-    return dataclasses.asdict(settings)
 
 
 def _default(field: dataclasses.Field) -> Any:

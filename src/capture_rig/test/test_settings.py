@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-import yaml
 
 from capture_rig.errors import InputError
-from capture_rig.settings import as_dict, build_settings, leaves, setting
+from capture_rig.settings import build_settings, leaves, setting
 
 
 @dataclass(frozen=True)
@@ -138,11 +137,14 @@ def test_text_that_cannot_be_a_name_is_refused(name: str) -> None:
     assert f"frame = {name!r} is not a name" in refusal({"frame": name})
 
 
-def test_as_dict_goes_through_yaml_and_back() -> None:
-    settings = build_settings(Example, {"cameras": 6, "ids": [3, 1], "blob.min_area_m2": 1e-5}, "")
-    document = yaml.safe_load(yaml.safe_dump(as_dict(settings)))
-    assert document["blob"] == {"min_area_m2": 1e-5, "max_elongation": 2.0}
-    assert build_settings(Example, document, "hull.yaml") == settings
+def test_a_plain_field_is_an_option_of_the_code_and_no_setting() -> None:
+    @dataclass(frozen=True)
+    class WithOption(Example):
+        option: float = 0.5
+
+    assert list(leaves(WithOption)) == list(leaves(Example))
+    with pytest.raises(InputError, match="unknown key 'option'"):
+        build_settings(WithOption, {"option": 1.0}, "hull.yaml")
 
 
 def test_leaves_carry_key_default_help_and_unit() -> None:

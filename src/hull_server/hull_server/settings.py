@@ -7,6 +7,13 @@ from dataclasses import dataclass
 from capture_rig.settings import setting
 
 BACKENDS = ("auto", "gl", "sweep", "cpu")
+# Thresholds: judgement; the growth's step with rendered bodies.
+GROWTH_STEP_M = 0.02  # of max_growth, in whole voxels
+MAX_JUMP_M = 0.5  # farthest that a body's centroid moves between two sets
+FORGET_S = 1.0  # a body that is not seen keeps its number for this long
+COMPARED_EVERY_S = 0.1  # cameras, with each other
+PERSON_LITRES = 15.0  # a smaller hull is no person: cameras are not compared by it
+RAY_SPACING_PX = 3.0  # least distance of neighbouring rays along an outline
 
 
 @dataclass(frozen=True)
@@ -21,16 +28,16 @@ class BlobSettings:
     max_growth: float = setting(
         3.0, "largest ratio of the areas a step to either side to the blob's, as a limb continues; 0: any", low=0.0
     )
-    growth_step_m: float = setting(0.02, "the step of max_growth, in whole voxels", unit="m", low=0.0, high=0.2)
+    growth_step_m: float = GROWTH_STEP_M
 
 
 @dataclass(frozen=True)
 class BodySettings:
     """Which parts of the hull are bodies, and how long a body keeps its number."""
 
-    min_litres: float = setting(15.0, "smallest separate part of the hull that is a body", unit="litres", low=0.0)
-    max_jump_m: float = setting(0.5, "farthest that a body's centroid moves between two sets", unit="m", low=0.0)
-    forget_s: float = setting(1.0, "a body that is not seen keeps its number for this long", unit="s", low=0.0)
+    min_litres: float = setting(PERSON_LITRES, "smallest separate part that is a body", unit="litres", low=0.0)
+    max_jump_m: float = MAX_JUMP_M
+    forget_s: float = FORGET_S
 
 
 @dataclass(frozen=True)
@@ -48,11 +55,8 @@ class CameraFaultSettings:
     """When a camera that contradicts the others is excluded, and reinstated."""
 
     enabled: bool = setting(True, "leave out a camera that contradicts all others")
-    period_s: float = setting(0.1, "how often the cameras are compared", unit="s", low=0.0, high=10.0)
     reinstate_s: float = setting(2.0, "a camera that has agreed for this long is used again", unit="s", low=0.0)
-    min_body_litres: float = setting(
-        15.0, "a smaller hull is no person, and cameras are not compared by it", unit="litres", low=0.0
-    )
+    period_s: float = COMPARED_EVERY_S
 
 
 @dataclass(frozen=True)
@@ -60,7 +64,7 @@ class ContourSettings:
     """Which rays along the silhouettes' contours are published."""
 
     per_camera: int = setting(200, "most rays of a camera; 0: no contour rays", low=0, high=100_000)
-    spacing_px: float = setting(3.0, "least distance of neighbouring rays along an outline", unit="px", low=1.0)
+    spacing_px: float = RAY_SPACING_PX
 
 
 @dataclass(frozen=True)

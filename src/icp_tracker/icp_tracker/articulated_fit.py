@@ -41,9 +41,15 @@ from stick_figure.trunk_bend import with_joint_centres
 # of the fit; checked by bench/people.py --ablation on rendered and real sessions
 HINGE_MARGIN = 0.15  # rad a hinge may stay on the wrong side of straight
 STEP_LIMIT = 0.5  # m, rad, largest component of one step
+POINT_GATE_M = 0.08  # distance at which a centerline point's weight has fallen to 1/4
+STICK_SD_M = 0.03  # of a perfect centerline point from its stick: a body is no stick figure
+NEIGHBOURS = 4.0  # centerline points that carry the information of one independent one: they share voxels
+TOLERANCE_M = 0.002  # converged when an iteration moves no reference point farther than this
 VOXEL_GATE_M = 0.06  # distance at which a voxel's weight has fallen to 1/4
 TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight has fallen to a half
-HULL_SAMPLES = 1000  # voxels of surface and interior that stand for the hull
+SURFACE_SAMPLES, HULL_SAMPLES = 1000, 1000  # voxels of the surface, and with the interior, that stand for the hull
+RAYS = 1200  # contour rays that are used
+RAY_SURFACE_SD_M = 0.01  # of the model's surface from the body's: a ray less certain than that counts less
 CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
 # weight of 1200 rays of 9000 / m^2 over that of what they tell, 33 places of a centimetre (`independent_rows`); with 10
 # to 50 simulated detections (tests/support/simulated_detections.py) settle as many limbs
@@ -77,7 +83,6 @@ class VolumeSettings:
     weight: float = setting(
         900.0, "all surface voxels together, in centerline points; 0 leaves the voxels out", low=0.0, high=1e6
     )
-    samples: int = setting(1000, "surface voxels that are used", low=10, high=100000)
 
 
 @dataclass(frozen=True)
@@ -86,10 +91,6 @@ class ContourSettings:
 
     weight: float = setting(
         10000.0, "all contour rays together, in centerline points; 0 leaves the rays out", low=0.0, high=1e6
-    )
-    rays: int = setting(1200, "rays that are used", low=10, high=100000)
-    surface_sd_m: float = setting(
-        0.01, "distance of the model's surface from the body's: a ray less certain counts less", unit="m", low=1e-4
     )
     turn_sd: float = setting(
         TURN_SD,
@@ -107,24 +108,22 @@ class ContourSettings:
 
 @dataclass(frozen=True)
 class ArticulatedSettings:
-    """Settings of the all-joints solve."""
+    """Settings of the all-joints solve.
 
-    gate_m: float = setting(0.08, "distance at which a Geman-McClure weight has fallen to 1/4", unit="m", low=1e-3)
-    model_sigma_m: float = setting(
-        0.03, "distance of a perfect centerline point from its stick (a body is no stick figure)", unit="m", low=1e-4
-    )
-    correlation: float = setting(
-        4.0, "data that carry the information of one independent datum (neighbours share voxels)", low=1.0
-    )
-    prior: float = setting(
-        1.0, "how far a pose may leave its start where no datum says otherwise, over 0.1 m, 0.15 to 0.2 rad", low=1e-3
-    )
-    max_iterations: int = setting(8, "Gauss-Newton iterations at most", low=1, high=1000)
-    tolerance_m: float = setting(
-        0.002, "converged when an iteration moves no reference point farther than this", unit="m", low=0.0
-    )
+    gate_m : distance at which a centerline point's weight has fallen to 1/4. model_sigma_m : distance of a perfect
+    centerline point from its stick. correlation : centerline points that carry the information of one independent one.
+    prior : how far a pose may leave its start where no datum says otherwise, over the PRIOR_SD. max_iterations : of
+    Gauss-Newton, which has converged when one moves no reference point farther than tolerance_m.
+    """
+
     volume: VolumeSettings = setting(VolumeSettings, "the hull's voxels")
     contour: ContourSettings = setting(ContourSettings, "the contour rays")
+    gate_m: float = POINT_GATE_M
+    model_sigma_m: float = STICK_SD_M
+    correlation: float = NEIGHBOURS
+    prior: float = 1.0
+    max_iterations: int = 8
+    tolerance_m: float = TOLERANCE_M
 
     @classmethod
     def of_ideal_figure(cls) -> ArticulatedSettings:
@@ -231,7 +230,7 @@ def make_data(
     points = np.ascontiguousarray(points_world, dtype=np.float64)
     sigma = np.broadcast_to(np.asarray(sigma_m, dtype=np.float64), (len(points),))
     volume = settings.volume
-    surface = (voxels if volume.weight > 0.0 else NO_VOXELS).surface_points(volume.samples)
+    surface = (voxels if volume.weight > 0.0 else NO_VOXELS).surface_points(SURFACE_SAMPLES)
     contour_rays = contour_rays if settings.contour.weight > 0.0 else NO_CONTOUR_RAYS
     if visibility is not None:
         whole = visibility.near_unseen.rows_outside(points)
@@ -244,20 +243,18 @@ def make_data(
         gate2,
         surface,
         np.ascontiguousarray(voxels.hull_points(HULL_SAMPLES), dtype=np.float64),
-        _contour_rays(rays_in_use(contour_rays, settings, visibility), settings),
+        _contour_rays(rays_in_use(contour_rays, visibility), settings),
         EVERYWHERE if visibility is None else visibility.unseen_cells,
         keypoints,
     )
 
 
-def rays_in_use(
-    rays: ContourRays, settings: ArticulatedSettings, visibility: RigVisibility | None = None
-) -> ContourRays:
+def rays_in_use(rays: ContourRays, visibility: RigVisibility | None = None) -> ContourRays:
     """Return the rays that a fit uses: those that touch the hull where the rig shows it, thinned."""
     if visibility is not None:
         in_sight = visibility.unseen_cells.rows_outside(rays.points_world)
         rays = rays.chosen(in_sight) if len(in_sight) < len(rays) else rays
-    return rays.thinned(settings.contour.rays)
+    return rays.thinned(RAYS)
 
 
 def rays_at_stamp(rays: ContourRays, body: Body, pose: Pose, velocity: np.ndarray) -> ContourRays:
@@ -280,7 +277,7 @@ def rays_at_stamp(rays: ContourRays, body: Body, pose: Pose, velocity: np.ndarra
 
 def _contour_rays(rays: ContourRays, settings: ArticulatedSettings) -> RayArrays:
     """Lay out the rays with their share of the weight of all of them."""
-    trust = settings.contour.surface_sd_m**2 / (settings.contour.surface_sd_m**2 + rays.sigma**2)
+    trust = RAY_SURFACE_SD_M**2 / (RAY_SURFACE_SD_M**2 + rays.sigma**2)
     information = trust * (settings.contour.weight / settings.model_sigma_m**2 / max(len(rays), 1))
     return ray_arrays(rays, information)
 

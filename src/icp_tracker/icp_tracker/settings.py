@@ -13,10 +13,15 @@ from .monitor.track_monitor import RecoverySettings
 from .refinement.body_refiner import RefinementSettings
 from .thesis.hierarchical_icp import HierarchicalSettings
 
+FIRST_INLIERS = 0.4  # share of the points; judgement
+
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """How the figure is fitted, set after set."""
+    """How the figure is fitted, set after set.
+
+    acquire_inliers : share of the points that a first fit must explain, unless the person was watched.
+    """
 
     method: str = setting(
         "articulated",
@@ -27,14 +32,7 @@ class TrackerSettings:
     hierarchical: HierarchicalSettings = setting(HierarchicalSettings, "the hierarchical ICP")
     refinement: RefinementSettings = setting(RefinementSettings, "a measured body's sizes, while it moves")
     recovery: RecoverySettings = setting(RecoverySettings, "how a lost track is noticed and found again")
-    min_points: int = setting(15, "fewer centerline points than this count as none", low=3)
-    extrapolation_limit_s: float = setting(
-        0.1, "the predicted motion is followed for at most this long", unit="s", low=0.0, high=10.0
-    )
-    acquire_iterations: int = setting(30, "iterations of the first fit", low=1, high=1000)
-    acquire_inliers: float = setting(
-        0.4, "share of the points that a first fit must explain, unless the person was watched", low=0.0, high=1.0
-    )
+    acquire_inliers: float = FIRST_INLIERS
 
 
 MOST_PERSONS = 4  # in one volume: more hide each other from most cameras of a ring

@@ -40,6 +40,9 @@ FROM_NOTHING, FROM_INITIAL, FROM_OWN = "nothing", "initial", "own"
 # Thresholds: measured by python bench/recovery.py.
 AGREES_M = 0.1  # the filter has followed a recovered pose when all points of its prediction are so near to it
 FOLLOW_S = 0.25  # that the fit starts from its own pose at most, until the filter has followed
+EXTRAPOLATED_S = 0.1  # the predicted motion is followed for at most this long
+FEWEST_POINTS = 15  # fewer centerline points count as none
+FIRST_ITERATIONS = 30  # of the first fit
 FOLLOW_SETS = 7  # ... but so many sets at least: the filter believes a jump after five
 
 
@@ -105,7 +108,7 @@ class IcpTracker:
         if self._matched is None:
             return None
         fit, rays = self._matched
-        rays = rays_in_use(rays, self._settings.articulated, self._visibility)
+        rays = rays_in_use(rays, self._visibility)
         return ContourResiduals(fit.reference_points_world, rays, fit.matched)
 
     def expected(self, stamp_ns: int, prediction: Prediction | None = None) -> Pose | None:
@@ -206,12 +209,12 @@ class IcpTracker:
         """
         pose = Pose.from_angles(pose.position_world, pose.R_world_torso, pose.angles())
         ahead_s = (stamp_ns - prediction.stamp_ns) / NS_PER_S
-        ahead_s = min(max(ahead_s, 0.0), self._settings.extrapolation_limit_s)
+        ahead_s = min(max(ahead_s, 0.0), EXTRAPOLATED_S)
         return pose.retract(prediction.velocity * ahead_s)
 
     def _too_few(self, seen: HullProducts) -> str:
         """Return why a set has too few points to be fitted; empty when it has enough."""
-        points, needed = len(seen.centerline), self._settings.min_points
+        points, needed = len(seen.centerline), FEWEST_POINTS
         return f"{points} centerline points, {needed} needed" if points < needed else ""
 
     def _data(self, seen: HullProducts) -> Data:
@@ -273,7 +276,7 @@ class IcpTracker:
         seen = seen.of_body_at(forward(found.body, found.pose))
         if reason := self._too_few(seen):
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, reason)
-        fit = self._solve(found.body, found.pose, self._data(seen), self._settings.acquire_iterations)
+        fit = self._solve(found.body, found.pose, self._data(seen), FIRST_ITERATIONS)
         explained = fit.inliers / fit.points
         if explained < self._settings.acquire_inliers and not found.is_fitted:
             reason = f"the first pose explains only {100 * explained:.0f} % of the points"

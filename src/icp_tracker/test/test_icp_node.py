@@ -324,8 +324,8 @@ def test_suspended_node_is_silent_and_resumes(bench, walk):
         ({"initial_pose.source": "session", "initial_pose.session": "/no/such"}, ["/no/such"]),
         ({"initial_pose.source": "guess"}, ["initial_pose.source", "guess", "t_pose"]),
         ({"body_file": "/no/body.yaml"}, ["/no/body.yaml"]),
-        ({"articulated.gate_m": -1.0}, ["articulated.gate_m", "-1.0"]),
-        ({"articulated.gate": 0.1}, ["articulated.gate", "articulated.gate_m"]),
+        ({"people.max": -1}, ["people.max", "-1"]),
+        ({"people.most": 2}, ["people.most", "people.max"]),
     ],
 )
 def test_bad_parameter_fails_configure_with_a_clear_line(bench, capfd, parameters, words):

@@ -42,14 +42,14 @@ def differing(a, b, prefix="") -> set[str]:
 
 
 def test_the_last_row_is_the_settings_own_and_the_first_the_thesis_method():
-    settings = {"icp_tracker.min_points": 20}
+    settings = {"icp_tracker.refinement.keyframes": 20}
     rows = ablation_rows(settings)
     assert tuple(rows) == ROWS
     assert differing(rows[OURS], Configuration.of(settings)) == set()
     assert differing(rows[THESIS], thesis_configuration(settings)) == set()
     first = rows[THESIS]
     assert (first.icp.method, first.ekf.motion_model, first.feedback) == ("hierarchical", "identity", False)
-    assert first.icp.min_points == 20
+    assert first.icp.refinement.keyframes == 20
 
 
 def test_every_row_adds_exactly_one_part():

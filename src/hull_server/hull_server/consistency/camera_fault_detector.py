@@ -16,7 +16,7 @@ import numpy as np
 from capture_rig import Rig
 from capture_rig.stamps import StampThrottle
 
-from ..settings import CameraFaultSettings
+from ..settings import PERSON_LITRES, CameraFaultSettings
 from ..views import Masks, RigViews
 from . import EARLY
 from .occluders import OccluderMap
@@ -96,7 +96,7 @@ class CameraFaultDetector:
         if residuals is None:
             return replace(self._faults, updated=False)
         self.occluders.learn(residuals, step_s)
-        shows_body = residuals.body_litres >= self.settings.min_body_litres
+        shows_body = residuals.body_litres >= PERSON_LITRES
         if not shows_body.any():  # there is no body to compare by
             return replace(self._faults, updated=False)
         for slot in np.flatnonzero(shows_body):

@@ -60,7 +60,8 @@ STEP_M, STEP_S = 0.4, 1.0  # way of about a second of somebody who walks, and do
 # shares of the outlines that count as much: walking forwards, toes ahead of the ankles. Those who face
 # the right way explain 0.05 to 0.17 more than when turned round, on rendered walks: these decide where it is less
 WALKING_SHARE, FEET_SHARE = 0.04, 0.02
-GIRTHS = (1.0, 1.3, 0.8)  # over the average: tried where a body of average girth explains too little
+SURE_SHARE = 0.03  # so much more of the outlines a pose must explain than any that faces elsewhere
+GIRTHS, LITTLE_SHARE = (1.0, 1.3, 0.8), 0.7  # over the average: tried where a body of average girth explains less
 BETTER_SHARE = 0.02  # another girth that explains so much more is right
 LEAST_AGREEMENT = 0.5  # of outlines and body: in clutter, torn outlines are no body's, but then all of it is seen
 SEEN_RAYS = 3  # explained rays that show a stick to a camera
@@ -75,10 +76,6 @@ class MotionSettings:
 
     watch_s: float = setting(
         1.0, "a person without a T-pose is watched for so long before being followed", unit="s", low=0.0, high=60.0
-    )
-    explained: float = setting(0.7, "share of the outlines below which other girths are tried", low=0.0, high=1.0)
-    margin: float = setting(
-        0.03, "how much more of the outlines it must explain than any that faces elsewhere", low=0.0, high=1.0
     )
 
 
@@ -162,7 +159,7 @@ class MotionSource:
         data = make_data(line.points_world, line.sigma, seen.voxels, settings, seen.contour_rays, self._visibility)
         if len(data.contour_rays.information) == 0:
             return InitialPose(reason="no outlines")
-        self._cameras = rays_in_use(seen.contour_rays, settings, self._visibility).camera
+        self._cameras = rays_in_use(seen.contour_rays, self._visibility).camera
         step_s, self._last_ns = (seen.stamp_ns - self._last_ns) / NS_PER_S, seen.stamp_ns
         self._follow(body, data, step_s)
         if not self._followed:
@@ -295,7 +292,7 @@ class MotionSource:
             told = f"somebody is here: watched for {min(watched_s, settings.watch_s):.1f} of {settings.watch_s:.1f} s"
         if not self._girth_is_known and 2.0 * watched_s >= settings.watch_s and self._known is None:
             self._girth_is_known = True
-            if best.mean_share < settings.explained:
+            if best.mean_share < LITTLE_SHARE:
                 self._try_girths(body, data)
         if watched_s < (max(PATIENT_S, settings.watch_s) if HEAD in cut or FEET in cut else settings.watch_s):
             return InitialPose(reason=told)
@@ -305,7 +302,7 @@ class MotionSource:
             self._watch_anew()
             return InitialPose(reason=told if cut else too_little)  # cut, the stature may be wrong, too
         elsewhere = [other.mean_cost for other in rivals if _faces_elsewhere(best.pose, other.pose)]
-        if 2 * best.sets < rivals_sets or min(elsewhere, default=np.inf) - best.mean_cost < settings.margin:
+        if 2 * best.sets < rivals_sets or min(elsewhere, default=np.inf) - best.mean_cost < SURE_SHARE:
             if watched_s > 4.0 * settings.watch_s:
                 self._watch_anew()
             return InitialPose(reason=told if cut else "front and back look alike: walk a step")

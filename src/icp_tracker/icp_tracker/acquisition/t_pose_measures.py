@@ -17,6 +17,7 @@ LOWERED_BY = np.pi / 4
 ARMPIT = (-0.10, -0.06)  # over the stature, from the arms' height: here the trunk's sides end
 TRUNK_REACH = 0.16  # over the stature: farther from the spine is no trunk
 # Thresholds: measured by python bench/acquisition.py (how many are found).
+LARGEST_TILT = 0.33  # rad, of an arm from where it should be
 LARGEST_SWEEP = 0.45  # rad, of both arms ahead or behind: elbows that are bent a little swing their forearms ahead
 SPAN, ASYMMETRY = (0.80, 1.25), 0.10  # over the stature: of both arms, least and largest; of their reach
 NO_WIDTH = float("nan")
@@ -33,11 +34,6 @@ class TPoseSettings:
     )
     stature_low_m: float = setting(1.2, "least stature", unit="m", low=0.5, high=2.6)
     stature_high_m: float = setting(2.2, "largest stature", unit="m", low=0.5, high=2.6)
-    tilt: float = setting(0.33, "an arm's largest angle from where it should be", unit="rad", low=0.0, high=0.7)
-    sureness: float = setting(
-        5.0, "least log-likelihood ratio of the heading that was found against the opposite one", low=0.0, high=100.0
-    )
-    speed_m_s: float = setting(0.25, "who moves faster does not stand still", unit="m/s", low=0.01, high=10.0)
     hold_sets: int = setting(5, "frame sets in a row that must show the pose", low=1, high=1000)
 
 
@@ -99,7 +95,7 @@ def measure_t_pose(
 def _refuse_arms(arms: tuple[Arm, Arm], stature: float, settings: TPoseSettings) -> None:
     expected = 0.0 if settings.arms == LEVEL else -LOWERED_BY
     for arm in arms:
-        if abs(arm.elevation - expected) > settings.tilt:
+        if abs(arm.elevation - expected) > LARGEST_TILT:
             kind = "level" if settings.arms == LEVEL else "lowered by 45 degrees"
             raise PoseRejected(f"arms not {kind}: one slopes by {np.degrees(arm.elevation):.0f} degrees")
     ahead = 0.5 * (arms[0].sweep + arms[1].sweep)

@@ -20,6 +20,8 @@ from .upright import SHINS, TRUNK, PoseRejected, reasons_of_bodies
 
 # Thresholds: measured by python bench/acquisition.py (how many are found).
 SAME_PLACE_M = 0.3  # a body that moves farther between two sets is another person
+STILL_M_S = 0.25  # who moves faster does not stand still
+SURENESS = 5.0  # least log-likelihood ratio of the heading that was found against the opposite one
 JITTER_M = 0.03  # the middle of a hull's trunk jitters by so much though nobody moves
 TRUNK_HALF_WIDTH = 0.12  # over the stature
 RIGHT = np.array([name.startswith("right") for name in ANGLE_NAMES])
@@ -62,12 +64,12 @@ class TPoseSource:
     def _not_yet(self) -> str:
         """Why the sets so far are not enough; empty when they are."""
         speed, way = _movement(self._held)
-        if speed > self._settings.speed_m_s and way > JITTER_M:
+        if speed > STILL_M_S and way > JITTER_M:
             return f"stand still: moving at {speed:.1f} m/s"
         if len(self._held) < self._settings.hold_sets:
             name = "T-pose" if self._settings.arms == LEVEL else "A-pose"
             return f"{name} seen, hold it ({len(self._held)} of {self._settings.hold_sets})"
-        if _sureness(self._held) < self._settings.sureness:
+        if _sureness(self._held) < SURENESS:
             return "front and back look alike: are the feet and the floor around them in view?"
         return ""
 

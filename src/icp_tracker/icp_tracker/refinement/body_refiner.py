@@ -25,53 +25,50 @@ from ..articulated_fit import LIMIT_SD, NECK_PITCH, NECK_SD, PRIOR
 from .keyframes import Keyframes, PosePrior, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
 from .shape import BUILD, SIZE, ShapeModel, ShapePrior, body_of, figure_change
 
+# Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION; PATIENT_S,
+# LEAST_SHARE, BELOW_BEST with stout people who walk in (python bench/acquisition.py).
+# checked by the studio's bodies and rendered sessions of the package's README
+TURN = 0.2  # rad, by which some joint of a different pose has turned
+EXPLAINED = 0.93  # share of the rays, in a pose that counts
+SURFACE_SD_M = 0.01
+INDEPENDENT_RAYS = 18.0  # one for each capsule: the model's error is common to a capsule's
+FARTHEST_SD = 3.0
+RAYS = 400  # of a kept pose that are used
+# when no pose has reached the share that counts for so long, those count that explain about as much as the best so far:
+# of an average person's surface a stout one of 1.88 m explains 0.84 to 0.92 of the rays while walking
+PATIENT_S, LEAST_SHARE, BELOW_BEST = 0.2, 0.6, 0.02
+LEAST_CHANGE_M, PAUSE_S = 0.004, 0.2
+LOOKS_TO_SETTLE = 4  # looks at each of all kept poses after which nothing moves any more
+AT_REST = np.zeros(BEND_NUMBERS)
+STIFF = 1e-3  # over how far a trunk bends, and rad of hands and feet: what does not
+GIVEN_SD_M = 0.001  # sizes that were given are kept
+
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """Sizes and build of a body that was measured or guessed, from the contour rays of the poses that follow."""
+    """Sizes and build of a body that was measured or guessed, from the contour rays of the poses that follow.
+
+    turn : rad, a pose is different when some joint turned by this much against every kept one. explained : share of the
+    rays that the surface must explain for a pose to count; less while no pose reaches it. surface_sd_m : distance of a
+    body's surface from the capsules, where they fit well; independent_rays : what all rays of a pose count as.
+    farthest_sd : no size leaves what the T-pose said by more. least_change_m : of a size or a part of the surface, for
+    the tracker to take a body over; not more often than every pause_s.
+    """
 
     keyframes: int = setting(64, "different poses that are kept; 0 leaves the body as it was measured", low=0, high=500)
-    turn: float = setting(
-        0.2, "a pose is different when some joint turned by this much against every kept one", unit="rad", low=0.01
-    )
-    explained: float = setting(
-        0.93,
-        "share of the rays that the body's surface must explain for a pose to count; less while no pose reaches it",
-        low=0.0,
-        high=1.0,
-    )
-    surface_sd_m: float = setting(
-        0.01, "distance of a body's surface from the capsules, where they fit well", unit="m", low=1e-4
-    )
-    independent_rays: float = setting(
-        18.0,
-        "independent rays that all rays of a pose count as: one for each capsule, for the model's error is common to a "
-        "capsule's",
-        low=0.1,
-        high=1e4,
-    )
     build_sd: float = setting(
         1.0,
         "how people differ in build, over the spread of the table of builds; small: all have the average build",
         low=1e-6,
         high=10.0,
     )
-    farthest_sd: float = setting(
-        3.0, "no size leaves what the T-pose said by more than this many standard deviations", low=0.1, high=10.0
-    )
-    least_change_m: float = setting(
-        0.004,
-        "the tracker takes over a body when one of its sizes or a part of its surface has moved by so much",
-        unit="m",
-        low=0.0,
-    )
-    pause_s: float = setting(0.2, "and not more often than this", unit="s", low=0.0)
-
-
-# Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION; PATIENT_S,
-# LEAST_SHARE, BELOW_BEST with stout people who walk in (python bench/acquisition.py).
-# checked by the studio's bodies and rendered sessions of the package's README
-RAYS = 400  # of a kept pose that are used
+    turn: float = TURN
+    explained: float = EXPLAINED
+    surface_sd_m: float = SURFACE_SD_M
+    independent_rays: float = INDEPENDENT_RAYS
+    farthest_sd: float = FARTHEST_SD
+    least_change_m: float = LEAST_CHANGE_M
+    pause_s: float = PAUSE_S
 
 
 def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> RayArrays:
@@ -80,15 +77,6 @@ def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> Ray
     rows = np.arange(count) if count <= RAYS else np.arange(RAYS) * count // RAYS
     information = np.full(len(rows), settings.independent_rays / settings.surface_sd_m**2 / max(len(rows), 1))
     return contour_rays.chosen(rows, information)
-
-
-AT_REST = np.zeros(BEND_NUMBERS)
-STIFF = 1e-3  # over how far a trunk bends, and rad of hands and feet: what does not
-GIVEN_SD_M = 0.001  # sizes that were given are kept
-# when no pose has reached the share that counts for so long, those count that explain about as much as the best so far:
-# of an average person's surface a stout one of 1.88 m explains 0.84 to 0.92 of the rays while walking
-PATIENT_S, LEAST_SHARE, BELOW_BEST = 0.2, 0.6, 0.02
-LOOKS_TO_SETTLE = 4  # looks at each of all kept poses after which nothing moves any more
 
 
 @dataclass(frozen=True, eq=False)
