@@ -2,8 +2,8 @@
 
     python bench/families.py [NAME ...] [--products FOLDER] [--offsets] [--set NODE.PARAMETER=VALUE ...]
 
-Tracks the sets avatar_FAMILY_BODY_CLIP_RIG of `models/avatar_people.py` (those with a NAME in theirs) with automatic
-start and default settings. Makers put joints to different places: the constant offset of each point in the pelvis's
+Tracks the sets avatar_FAMILY_BODY_CLIP_RIG and avatar_held_... of `models/avatar_people.py` (those with a NAME in
+theirs) with automatic start and default settings. Makers put joints to different places: the constant offset of each point in the pelvis's
 frame says what they mean by it, and is taken out of all columns but the first.
 
 Columns: mean error of the 15 points, mm; without offsets; share of the tracked frames with a point over 200 mm; share
@@ -87,11 +87,12 @@ def main() -> None:
         if arguments.names and not any(part in path.stem for part in arguments.names):
             continue
         errors, words = errors_of(load(path), settings), path.stem.removesuffix("_own").split("_")
+        family = f"{words[2]}, held out" if words[1] == "held" else words[1]
         each.row(path.stem, *figures([errors]).values())
         own = ", own silhouettes" if path.stem.endswith("_own") else ""
-        by_row[f"{words[1]}, {words[-1].strip('ringb')} cameras{own}"].append(errors)
-        by_family[words[1]].append(errors)
-    shown, table = Table(f"family:<26 | {columns}"), {}
+        by_row[f"{family}, {words[-1].strip('ringbhigh')} cameras{own}"].append(errors)
+        by_family[family].append(errors)
+    shown, table = Table(f"family:<31 | {columns}"), {}
     for name, several in by_row.items():
         table[name] = figures(several)
         shown.row(name, *table[name].values())

@@ -1,9 +1,10 @@
-"""One discrete Bayes filter for each limb: it is as tracked, at another place that the search found, or unseen.
+"""One discrete Bayes filter for each limb: as tracked, at another place that the search found or did not, or unseen.
 
 All evidence is counted in independent samples, cells of the limb's surface whose rays a place, and nothing else of the
 body, explains; each is worth a nat. A limb in the wrong place explains a few by chance, a right one a dozen, with three
-cameras as with eight. The evidence for another place is what it explains beyond the tracked one, the evidence against
-"unseen" what the tracked one explains. Chance lasts as long as the body holds still, so that sets close to each other
+cameras as with eight. The evidence for another place is what it explains beyond the tracked one; for a place that the search
+did not find, what is left over within reach, for there the limb must show; against "unseen" what the tracked one
+explains. Chance lasts as long as the body holds still, so that sets close to each other
 in time are one observation: log odds forget exponentially (Raftery, Karny & Ettler, Online prediction under model
 uncertainty via dynamic model averaging, Technometrics 52, 2010), by stamps, the same at any rate.
 """
@@ -11,7 +12,7 @@ uncertainty via dynamic model averaging, Technometrics 52, 2010), by stamps, the
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,20 +21,23 @@ from .limb_search import LimbPlaces
 # Thresholds: chosen with python bench/doubt.py on clothed figures before three cameras.
 MEMORY_S = 0.1  # time in which a body moves by a limb's width: older evidence is forgotten, newer is the same again
 PLACE_LOG_PRIOR = -1.0  # of a place that the search found, against the tracked one: 1 to 3
+UNFOUND_LOG_PRIOR = 2.5  # of one that it did not find: part of it hides before the body; bench/doubt.py
 SET_NATS = 4.0  # one set in 50 is torn, so none says more than ln 50 for or against a place
 CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever it is
-DOUBTFUL = 0.40  # probability of another place, or of none: at most 1 % of clear frames are called; bench/doubt.py
-UNSEEN = 0.95  # probability of "unseen" at which a hand or foot is not published
+DOUBTFUL = 0.50  # probability of another place, or of none
+UNSEEN = 0.95  # probability of "unseen" against the tracked place at which a hand or foot is not published
 ELSEWHERE_M = 0.25  # a place whose elbow or hand is so far off is another one: the track may then be 0.2 m wrong
-UNSEEN_SD_M = 0.15  # of an unseen limb about its tracked place: half a forearm
+UNSEEN_SD_M = 0.15  # of an unseen or unfound limb about its tracked place: half a forearm
 
 
 @dataclass(frozen=True, eq=False)
 class LimbBelief:
-    """What is believed of one limb: log odds against the tracked place, of the other ``places`` (k,), of ``unseen``."""
+    """What is believed of one limb: log odds against the tracked place, of the other ``places`` (k,), of one that is
+    ``unfound``, of ``unseen``."""
 
     places: LimbPlaces
     log_odds: np.ndarray
+    unfound: float
     unseen: float
 
     @staticmethod
@@ -45,22 +49,24 @@ class LimbBelief:
         prior = _inherited(before, places.origins)
         prior = np.where(np.isnan(prior), np.minimum(seen, PLACE_LOG_PRIOR), prior)
         log_odds = prior + gain * (seen - prior)
-        unseen = min(max(CHANCE_SAMPLES - places.samples, -SET_NATS), SET_NATS)
-        if before is not None and not hidden:
-            unseen = before.unseen + gain * (unseen - before.unseen)
-        return LimbBelief(places, log_odds, unseen)
+        unfound = _of_one_set(places.left_over - places.samples + UNFOUND_LOG_PRIOR)
+        unseen = _of_one_set(CHANCE_SAMPLES - places.samples)
+        if before is not None:
+            unfound = before.unfound + gain * (unfound - before.unfound)
+            unseen = unseen if hidden else before.unseen + gain * (unseen - before.unseen)
+        return LimbBelief(places, log_odds, unfound, unseen)
 
     @property
     def probabilities(self) -> np.ndarray:
-        """(k + 2,) of the tracked place, the other places, unseen."""
-        odds = np.exp(np.concatenate([[0.0], self.log_odds, [self.unseen]]))
+        """(k + 3,) of the tracked place, the other places, unfound, unseen."""
+        odds = np.exp(np.concatenate([[0.0], self.log_odds, [self.unfound, self.unseen]]))
         return np.asarray(odds / odds.sum())
 
     @property
     def not_as_tracked(self) -> float:
-        """Probability that elbow or hand is ELSEWHERE_M off, or unseen."""
+        """Probability that elbow or hand is ELSEWHERE_M off, unfound, or unseen."""
         p = self.probabilities
-        return float(p[1:-1][self.places.apart_m > ELSEWHERE_M].sum() + p[-1])
+        return float(p[1:-2][self.places.apart_m > ELSEWHERE_M].sum() + p[-2:].sum())
 
     @property
     def likeliest_place(self) -> int | None:
@@ -72,23 +78,28 @@ class LimbBelief:
 
     @property
     def is_unseen(self) -> bool:
-        """Whether nothing in the last sets shows where the limb is."""
-        return bool(self.probabilities[-1] > UNSEEN)
+        """Whether nothing in the last sets shows the limb where it is tracked."""
+        return 1.0 / (1.0 + math.exp(-self.unseen)) > UNSEEN
 
     @property
     def spread(self) -> np.ndarray:
         """Second moment (2, 3, 3) m^2 of elbow and hand about where they are tracked."""
         p, offsets = self.probabilities, self.places.ends - self.places.tracked
-        moment = np.einsum("k,kpi,kpj->pij", p[1:-1], offsets, offsets)
+        moment = np.einsum("k,kpi,kpj->pij", p[1:-2], offsets, offsets)
         lower = self.places.tracked[1] - self.places.tracked[0]
         anywhere = np.array([UNSEEN_SD_M**2, 2.0 / 3.0 * float(lower @ lower)])
-        return np.asarray(moment + p[-1] * anywhere[:, None, None] * np.eye(3))
+        return np.asarray(moment + p[-2:].sum() * anywhere[:, None, None] * np.eye(3))
 
     def without(self, number: int) -> LimbBelief:
         """Return the belief with one place refuted: the whole set does not agree."""
         log_odds = self.log_odds.copy()
         log_odds[number] = PLACE_LOG_PRIOR
-        return LimbBelief(self.places, log_odds, self.unseen)
+        return replace(self, log_odds=log_odds)
+
+
+def _of_one_set(nats: float) -> float:
+    """Return what one set says, as far as one is believed."""
+    return min(max(nats, -SET_NATS), SET_NATS)
 
 
 def _inherited(before: LimbBelief | None, origins: np.ndarray) -> np.ndarray:

@@ -60,9 +60,10 @@ class LimbPlaces:
 
     poses : upper limb to torso and flexion, as in the library. samples : cells of the limb's surface (independent
     samples) whose rays the tracked place explains, and the rest of the body does not, and nats of detected joints;
-    margins (k,) : how many more each of these places explains. ends (k, 2, 3) : elbow and hand, or knee and foot, m,
-    world; tracked (2, 3) : those of the tracked place. origins (k,) : the known place that each was refined from, or
-    that is the same place, -1 for a new one.
+    left_over : as many samples as the rays within reach amount to that nothing explains. margins (k,) : how many more
+    each of these places explains. ends (k, 2, 3) : elbow and hand, or knee and foot, m, world; tracked (2, 3) : those
+    of the tracked place. origins (k,) : the known place that each was refined from, or that is the same place, -1 for
+    a new one.
     """
 
     poses: LimbPoses
@@ -70,6 +71,7 @@ class LimbPlaces:
     ends: np.ndarray
     tracked: np.ndarray
     samples: float
+    left_over: float
     origins: np.ndarray
 
     @cached_property
@@ -97,8 +99,8 @@ def other_places(
     """
     state = State.of(pose)
     found = _search(data, matched or match_to(figure, state, data), state, figure, limb, library, known)
-    R, flexion, margins, ends, tracked, samples, origins = found
-    return LimbPlaces(LimbPoses(R, flexion), margins, ends, tracked, samples, origins)
+    R, flexion, margins, ends, tracked, samples, left_over, origins = found
+    return LimbPlaces(LimbPoses(R, flexion), margins, ends, tracked, samples, left_over, origins)
 
 
 def with_limb(pose: Pose, limb: Limb, R: np.ndarray, flexion: float) -> Pose:
@@ -110,14 +112,16 @@ def with_limb(pose: Pose, limb: Limb, R: np.ndarray, flexion: float) -> Pose:
 
 @njit(cache=True, nogil=True)
 def _search(data, matched, state, figure, limb, library, known):
-    """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; its samples;
-    which of the known places each of them is."""
+    """Return the KEPT best places apart from the tracked one: R, flexion, margins, ends; the tracked ends; its samples,
+    and those left over; which of the known places each of them is."""
     left, own = unexplained_data(data, matched, state, figure, limb), part_of(figure, limb, True)
     placed, costs, lower = place(state, own), np.empty(left.fine.shape[0]), own.surface.stick == limb.lower
     keypoints, sticks = data.keypoints, np.zeros(STICKS, np.bool_)
     sticks[limb.upper], sticks[limb.lower] = True, True
     tracked = _ends(placed, limb)
-    samples = _samples(left, placed, lower, costs) + keypoint_support(keypoints, placed, sticks)
+    samples = _samples(left, placed, lower, costs)
+    left_over = samples * _odds_left_over(left, costs)
+    samples += keypoint_support(keypoints, placed, sticks)
     gains = np.zeros(library.flexion.shape[0])
     for h in range(gains.shape[0]):
         state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
@@ -141,7 +145,7 @@ def _search(data, matched, state, figure, limb, library, known):
             found = _samples(left, placed, lower, costs) + keypoint_support(keypoints, placed, sticks)
             margins[m] = found - samples
     kept, origins = _distinct(margins, ends, known.flexion.shape[0])
-    return R[kept], flexion[kept], margins[kept], ends[kept], tracked, samples, origins
+    return R[kept], flexion[kept], margins[kept], ends[kept], tracked, samples, left_over, origins
 
 
 @njit(cache=True)
@@ -257,6 +261,16 @@ def _samples(left, placed, lower, costs):
             shown[cell // CELLS, cell % CELLS] += costs[i] / SAMPLE_RAYS
     shown = np.minimum(shown, 1.0)
     return min(shown.sum(), 2.0 * shown[lower].sum())
+
+
+@njit(cache=True)
+def _odds_left_over(left, gains):
+    """Return how many rays neither limb nor body explains, over those that one of them does, by what each (n,) gains
+    by the limb."""
+    unexplained = 0.0
+    for i in range(gains.shape[0]):
+        unexplained += left.fine[i] - max(gains[i], 0.0)
+    return unexplained / max(gains.shape[0] - unexplained, 1.0)
 
 
 @njit(cache=True)

@@ -51,6 +51,7 @@ STANCES_A_SET = 6
 LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
 MOST_M_S2, NEAR_M = 600.0, 0.1  # a boxer's fist stops with half of this (Walilko et al. 2005); what fits err by besides
 BODY_LOG_PRIOR = -3.0  # of another pose of the whole body, against the tracked one: a person seldom turns in a set
+BODY_DOUBTFUL = 0.4  # probability of another pose of the whole body
 LOST_SHARE, DOUBTFUL_SHARE = 0.35, 0.60  # of the contour rays explained: what wrong poses explain, what clothes leave
 LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains: cameras and shadows differ
 USUAL_S = 5.0  # over which the usual share is averaged
@@ -250,7 +251,7 @@ class TrackMonitor:
             quality = replace(quality, hypothesis_margin=other.margin)
         if quality.state == LOST:
             return quality
-        if other is not None and other.probability > limb_filter.DOUBTFUL:
+        if other is not None and other.probability > BODY_DOUBTFUL:
             reasons.append(f"{other.why} would explain {other.margin:.0f} rays more")
         elif self._unchecked > 0:
             reasons.append("found again, other poses are being tried")
@@ -325,8 +326,9 @@ class TrackMonitor:
         """Return what is believed of a limb after it moved: the place that it left is another one now."""
         limb = LIMBS[number]
         places = other_places(Figure.of(seen.body), better, limb, seen.data, NO_POSES, LimbPoses.of(left, limb))
-        unseen = 0.0 if (before := self._beliefs[number]) is None else before.unseen - log_odds
-        return LimbBelief(places, np.full(len(places.margins), -log_odds), unseen)
+        before = self._beliefs[number]
+        unfound, unseen = (0.0, 0.0) if before is None else (before.unfound - log_odds, before.unseen - log_odds)
+        return LimbBelief(places, np.full(len(places.margins), -log_odds), unfound, unseen)
 
     # --- what doubt means for the points ------------------------------------------------------------------------------
 
@@ -386,7 +388,10 @@ def _updated(other: Hypothesis, margin: float, dt_s: float) -> Hypothesis:
 
 def _in_words(belief: LimbBelief) -> str:
     places = belief.places
-    if len(belief.log_odds) == 0 or belief.unseen > belief.log_odds.max():
+    of_places = belief.log_odds.max(initial=-np.inf)
+    if belief.unseen >= max(belief.unfound, of_places):
         return f"{places.samples:.0f} independent samples show it"
+    if belief.unfound >= of_places:
+        return f"{places.left_over:.0f} independent samples near it are left over, {places.samples:.0f} show it"
     k = int(belief.log_odds.argmax())
     return f"a place {100 * places.apart_m[k]:.0f} cm away explains {places.margins[k]:+.0f} independent samples"
