@@ -91,11 +91,12 @@ def write_csv(motion: Motion, path: Path) -> None:
     columns.append(np.stack(list(isb.values()), axis=1))
     numbers = np.concatenate(columns, axis=1)
     stamps = motion.start_ns + np.rint(np.arange(len(motion)) * (NS_PER_S / motion.rate_hz)).astype(np.int64)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        for time_s, stamp_ns, state, row in zip(motion.times_s, stamps, motion.states, numbers, strict=True):
-            writer.writerow([f"{time_s:.6f}", stamp_ns, state, *map(_cell, row)])
+    file = io.StringIO()
+    writer = csv.writer(file)
+    writer.writerow(header)
+    for time_s, stamp_ns, state, row in zip(motion.times_s, stamps, motion.states, numbers, strict=True):
+        writer.writerow([f"{time_s:.6f}", stamp_ns, state, *map(_cell, row)])
+    write_text(path, file.getvalue())
 
 
 def _cell(value: float) -> str:

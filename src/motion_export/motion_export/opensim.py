@@ -15,7 +15,7 @@ from xml.etree import ElementTree as xml
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from capture_rig.files import write_text
+from capture_rig.files import write_bytes, write_text
 from stick_figure.body import Body
 from stick_figure.body_surface import SegmentInertia, segment_inertias
 from stick_figure.skeleton import (
@@ -83,7 +83,7 @@ def write_osim(motion: Motion, path: Path, mass_kg: float | None = None) -> None
         _text(marker, "socket_parent_frame", f"/bodyset/{STICK_NAMES[POINT_STICK[point]]}")
         _text(marker, "location", _numbers(_marker_place(body, point)))
     xml.indent(document)
-    xml.ElementTree(document).write(path, encoding="UTF-8", xml_declaration=True)
+    write_bytes(path, xml.tostring(document, "UTF-8", xml_declaration=True))
 
 
 def write_mot(motion: Motion, path: Path) -> None:

@@ -85,7 +85,7 @@ def export_take(
     for body_id, motion in motions.items():
         tell(f"{body_id}: {describe(motion)}")
     for body_id, kind, path, write in planned:
-        write_whole(motions[body_id], path, write)
+        write(motions[body_id], path)
         filled = motions[body_id].gaps and kind in WITHOUT_GAPS
         tell(f"  {path}{'  (gaps are filled by interpolation)' if filled else ''}")
     return [path for _, _, path, _ in planned]
@@ -96,16 +96,6 @@ def describe(motion: Motion) -> str:
     lost = sum(end - first for first, end in motion.gaps) / motion.rate_hz
     gaps = f", {len(motion.gaps)} gaps of {lost:.1f} s in all" if motion.gaps else ", no gaps"
     return f"{len(motion)} frames at {motion.rate_hz:g} Hz{gaps}"
-
-
-def write_whole(motion: Motion, path: Path, write: Writer) -> None:
-    """Write beside the file and rename, so that a file is there whole or not at all."""
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        write(motion, beside)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 def _writers(kind: str, options: Options) -> Mapping[str, Writer]:

@@ -238,10 +238,10 @@ class GraphPanel:
 def _graph_buttons(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
     """Connect, start, suspend, stop, reset, and the countdown to learn the background."""
     transitions: dict[str, tuple[str, Work]] = {
-        "connect": ("connecting", control.bring(State.INACTIVE, False)),
-        "start": ("starting", control.bring(State.ACTIVE, False)),
-        "suspend": ("suspending", control.bring(State.INACTIVE, True)),
-        "stop": ("stopping", control.bring(State.UNCONFIGURED, True)),
+        "connect": ("connecting", partial(control.bring, State.INACTIVE, False)),
+        "start": ("starting", partial(control.bring, State.ACTIVE, False)),
+        "suspend": ("suspending", partial(control.bring, State.INACTIVE, True)),
+        "stop": ("stopping", partial(control.bring, State.UNCONFIGURED, True)),
     }
     nodes = gui.add_button_group("nodes", tuple(transitions))
     on_click(nodes, lambda: jobs.request(*transitions[nodes.value]))
@@ -250,8 +250,8 @@ def _graph_buttons(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
     seconds = gui.add_number("countdown, s", COUNTDOWN_S, min=0, max=120, step=1)
     background = gui.add_button_group("background", (LEARN, CANCEL))
     acts: dict[str, Callable[[], object]] = {
-        LEARN: lambda: jobs.request("learning", control.learn_background(int(seconds.value))),
-        CANCEL: jobs.cancel,
+        LEARN: lambda: jobs.request("learning", partial(control.learn_background, int(seconds.value))),
+        CANCEL: jobs.cancelled.set,
     }
     on_click(background, lambda: acts[background.value]())
 
@@ -261,7 +261,7 @@ def _recording_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None
     name = gui.add_text("name of the take", "", hint="by date and time without one")
     recording = gui.add_button_group("recording", (RECORD, FINISH))
     acts: dict[str, Callable[[], object]] = {
-        RECORD: lambda: jobs.request("recording", control.start_recording(name.value)),
+        RECORD: lambda: jobs.request("recording", partial(control.start_recording, name.value)),
         FINISH: lambda: jobs.request("finishing", control.stop_recording),
     }
     on_click(recording, lambda: acts[recording.value]())
