@@ -34,7 +34,6 @@ from .machine import SUBJECT, Interface, check_buffer, interface_to
 
 NODE_PARAMETERS = ("autostart", "tf_prefix")  # of every node, not of the camera client's settings
 OLD_S = 12 * 3600.0  # daylight and lamps change from one day to the next
-EXPOSURE_TOLERANCE = 0.02
 JUMBO_MTU, GIGABIT = 9000, 1000
 PACKET_HEADERS = 36  # IP, UDP and GVSP, of every stream packet
 ETHERNET_FRAME = 38  # preamble, header, checksum and gap around every packet
@@ -133,7 +132,7 @@ def check_calibration(file: CameraFile) -> Iterator[Finding]:
 
 
 @check("camera file")
-def check_background(file: CameraFile) -> Iterator[Finding]:
+def check_background(file: CameraFile) -> Finding | None:
     """Whether the background can be read, has the camera's size, and is recent."""
     learn = f"sagoma background --cameras {file.name}, while the room is empty"
     settings = file.settings
@@ -143,30 +142,19 @@ def check_background(file: CameraFile) -> Iterator[Finding]:
     except InputError:
         camera = None
     if camera is None:  # another check says so
-        return
+        return None
     if not path:
-        yield note("background.none_named", "none is named: no silhouettes until one is learned", learn)
-        return
+        return note("background.none_named", "none is named: no silhouettes until one is learned", learn)
     try:
         shape, model = _read_background(path, settings)
         age_s = time.time() - Path(path).stat().st_mtime
     except (InputError, OSError) as problem:
-        yield error("background.unusable", f"{problem}", f"Name the right file, or empty the parameter, and {learn}")
-        return
+        return error("background.unusable", f"{problem}", f"Name the right file, or empty the parameter, and {learn}")
     size = f"{path} is {shape[1]} x {shape[0]}, the camera {camera.width} x {camera.height} pixels"
     if shape[:2] != (camera.height, camera.width):
-        yield error("background.size_differs", size, learn)
-        return
+        return error("background.size_differs", size, learn)
     text = f"{path}, {age_s / 3600:.0f} h old; {model.provenance.frames} frames of {model.provenance.source}"
-    yield graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
-    wanted = settings.aravis.exposure_us
-    try:
-        learned = float(model.provenance.exposure_us)
-    except ValueError:  # it is not written in the file
-        return
-    if wanted > 0 and abs(learned - wanted) > EXPOSURE_TOLERANCE * wanted:
-        text = f"learned at {learned:g} us of exposure, aravis.exposure_us = {wanted:g}"
-        yield warning("background.exposure_differs", text, learn)
+    return graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
 
 
 @check("camera settings")
@@ -189,7 +177,7 @@ def check_timing(settings: AravisSettings) -> Iterator[Finding]:
 @check("camera settings")
 def check_receive_buffer(settings: AravisSettings) -> Finding:
     """Whether the stream's socket may be as large as the settings ask."""
-    return check_buffer("rmem_max", settings.socket_buffer_bytes, warning)
+    return check_buffer(settings.socket_buffer_bytes)
 
 
 @check("camera network")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import itertools
 import time
@@ -293,11 +294,11 @@ def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
 
 
 @check("session")
-def check_session(footage: list[Footage], session: Path | None) -> Iterator[Finding]:
+def check_session(footage: list[Footage], session: Path) -> Iterator[Finding]:
     """Whether the videos have one rate and equally many frames, can be read to their ends, and have backgrounds."""
     videos = {each.camera.name: each.video for each in footage if each.video is not None}
     rates = {camera: video.fps for camera, video in videos.items()}
-    if rates and _stated(session) is None and (min(rates.values()) <= 0 or len(set(rates.values())) > 1):
+    if rates and not _states_rate(session) and (min(rates.values()) <= 0 or len(set(rates.values())) > 1):
         listed = ", ".join(f"{camera} {f'{rate:g}' if rate else 'unknown'}" for camera, rate in rates.items())
         remedy = "Give the true rate as 'fps' in session.yaml."
         yield error("footage.rate", f"the videos' headers give no one frame rate ({listed})", remedy)
@@ -375,9 +376,8 @@ def _size(path: Path) -> tuple[int, int]:
     return width, height
 
 
-def _stated(session: Path | None) -> float | None:
-    """Return the frame rate that the session states, None for none, or one that loading the session refuses."""
-    try:
-        return None if session is None else stated_rate(session / "session.yaml")
-    except InputError:
-        return None
+def _states_rate(session: Path) -> bool:
+    """Return whether the session states a frame rate, one that loading it does not refuse."""
+    with contextlib.suppress(InputError):
+        return stated_rate(session / "session.yaml") is not None
+    return False
