@@ -205,7 +205,7 @@ def test_recorded_bytes_equal_the_published_ones(link, far_link, tmp_path):
 
 def test_cameras_are_found_as_they_appear(link, far_link, tmp_path):
     recorder = Recorder(link.node, tmp_path / "bag", [])
-    recorder.follow_graph()
+    recorder.follow()
     publishers = connected_publishers(far_link)
     publishers.publish(silhouette("cam01", 0))
     assert recorder.wait_for_count(silhouette_topic("cam01"), 1, timeout_s=20)

@@ -21,7 +21,6 @@ from ..graph.topics import (
     DIAGNOSTICS,
     OUTPUT_TOPICS,
     SILHOUETTE_SUFFIX,
-    Topic,
     camera_topics,
     cameras_in,
     image_topics,
@@ -95,11 +94,7 @@ def record(args: argparse.Namespace) -> int:
     if args.all and args.topics:
         raise InputError("--all and --topics contradict each other", where="arguments", remedy="Give one of them.")
     cameras = load_rig(args.rig).names if args.rig else ()
-    topics: list[Topic] = [
-        *(topic for camera in cameras for topic in camera_topics(camera)),
-        *OUTPUT_TOPICS,
-        *topics_of_others(),
-    ]
+    topics = [*(topic for camera in cameras for topic in camera_topics(camera)), *OUTPUT_TOPICS, *topics_of_others()]
     with StopOnSignal() as stop, RosLink("sagoma_recorder", namespace=namespace_argument(args)) as link:
 
         def report_failure(error: InputError) -> None:
@@ -109,11 +104,11 @@ def record(args: argparse.Namespace) -> int:
         if args.all or args.topics:
             recorder = Recorder(link.node, args.bag, (), on_failure=report_failure)
             wanted = (lambda name: True) if args.all else matches_any(args.topics)
-            recorder.follow(AskedTopics(link.node, wanted, report_unknown))
+            recorder.follow(AskedTopics(link.node, wanted, report_unknown).new)
         else:
             topics = topics if args.no_diagnostics else [*topics, DIAGNOSTICS]
             recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
-            recorder.follow_graph()
+            recorder.follow()
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
         until_stopped()
         stop.wait(args.seconds)

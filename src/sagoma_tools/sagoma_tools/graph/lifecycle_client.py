@@ -209,13 +209,9 @@ def places_of(node: Node) -> dict[str, list[Place]]:
     found: dict[str, list[Place]] = {}
     for one in node.get_publishers_info_by_topic(COMMON_TOPIC):
         name = f"{one.node_namespace.rstrip('/')}/{one.node_name}"
-        found.setdefault(name, []).append(place_of(one.endpoint_gid))
+        gid = one.endpoint_gid
+        found.setdefault(name, []).append(Place(machine_of(gid), int.from_bytes(bytes(gid[PID]), "little")))
     return found
-
-
-def place_of(gid: Sequence[int]) -> Place:
-    """Return what a GUID says of where its owner runs."""
-    return Place(machine_of(gid), int.from_bytes(bytes(gid[PID]), "little"))
 
 
 def own_machine(node: Node) -> str:

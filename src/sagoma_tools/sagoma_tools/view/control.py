@@ -181,7 +181,7 @@ class Control:
             [*OUTPUT_TOPICS, DIAGNOSTICS],
             on_failure=lambda error: self._jobs.report(f"{error} The capture goes on."),
         )
-        self._recorder.follow_graph()
+        self._recorder.follow()
         self._recording_to = folder
         return recording_text(folder.name)
 
