@@ -115,7 +115,8 @@ def build_graph(
         if cameras is not None:
             clients = rig_cameras(rig, cameras)
             # stamps of slow motion fall behind time, which would look like a queue; and nothing need be dropped
-            graph = apply_settings(graph, {} if _in_real_time(clients) else LOSSLESS_SETTINGS) + clients
+            in_real_time = all(client.parameters.get("aravis.clock_speed", 1) == 1 for client in clients)
+            graph = apply_settings(graph, {} if in_real_time else LOSSLESS_SETTINGS) + clients
     elif cameras is not None:
         graph = [node.with_parameters({"autostart": False}) for node in cameras_from_files(cameras)]
     else:
@@ -205,11 +206,6 @@ def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
         )
     rig_file = str(Path(rig).resolve())
     return [camera_node(name, {**nodes[name].parameters, "rig_file": rig_file, "autostart": False}) for name in names]
-
-
-def _in_real_time(cameras: Sequence[NodeSpec]) -> bool:
-    """Return whether the cameras' clocks run at the speed of time: all but simulated ones in slow motion do."""
-    return all(camera.parameters.get("aravis.clock_speed", 1) == 1 for camera in cameras)
 
 
 def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:

@@ -56,9 +56,8 @@ def silhouette_message(mask: np.ndarray, stamp_ns: int, frame_id: str) -> Compre
     The levels are those of ``capture_rig.mask_levels``. The PNG has one bit a pixel; two with shadow candidates, four
     with degrees of darkness.
     """
-    message = CompressedImage(format=SILHOUETTE_FORMAT, data=array.array("B", mask_png.encode(mask)))
-    message.header.stamp, message.header.frame_id = to_stamp(stamp_ns), frame_id
-    return message
+    header, data = Header(stamp=to_stamp(stamp_ns), frame_id=frame_id), array.array("B", mask_png.encode(mask))
+    return CompressedImage(header=header, format=SILHOUETTE_FORMAT, data=data)
 
 
 def absence_message(stamp_ns: int) -> CompressedImage:
@@ -68,7 +67,10 @@ def absence_message(stamp_ns: int) -> CompressedImage:
 
 def preview_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> CompressedImage:
     """Image (h, w[, 3]) uint8 BGR as JPEG, for looking at."""
-    return _compressed(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80], "jpeg", stamp_ns, frame_id)
+    _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])
+    return CompressedImage(
+        header=Header(stamp=to_stamp(stamp_ns), frame_id=frame_id), format="jpeg", data=_bytes(encoded)
+    )
 
 
 def decode_silhouette(
@@ -141,18 +143,6 @@ def _levels(candidates: int) -> np.ndarray:
     table = np.full(256, FOREGROUND, np.uint8)
     table[BACKGROUND], table[SHADOW_CANDIDATE] = BACKGROUND, candidates
     return table
-
-
-def _compressed(
-    suffix: str, image: np.ndarray, options: list[int], format: str, stamp_ns: int, frame_id: str
-) -> CompressedImage:
-    ok, encoded = cv2.imencode(suffix, image, options)
-    if not ok:
-        raise ValueError(f"an image of shape {image.shape} and type {image.dtype} cannot be encoded as {suffix}")
-    message = CompressedImage(format=format)
-    message.header.stamp, message.header.frame_id = to_stamp(stamp_ns), frame_id
-    message.data = _bytes(encoded)
-    return message
 
 
 def _bytes(values: np.ndarray) -> array.array:

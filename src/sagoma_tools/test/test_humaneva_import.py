@@ -62,7 +62,7 @@ def images(path):
 
 def test_all_cameras_have_every_common_frame_from_the_sixth_on_and_a_flash_of_light_at_one(imported, films):
     assert load_session(imported[0]).fps == 60.0
-    assert {imported[1].footage.frames, *map(len, films.values())} == {LAST_COMMON - FIRST + 1}
+    assert {imported[1].frames, *map(len, films.values())} == {LAST_COMMON - FIRST + 1}
     for name, film in films.items():
         brightness = film.mean(axis=(1, 2, 3))
         others = np.delete(brightness, FLASH_COMMON - FIRST)
@@ -85,7 +85,7 @@ def test_footage_is_the_data_sets_own_pixel_for_pixel_in_colour_and_grey(data_se
 def test_the_empty_room_in_the_footages_light_is_taken_without_its_first_images(data_set, imported):
     folder, summary = imported
     for camera, name in NAMES.items():
-        assert summary.footage.empty_rooms[camera] == f"Background_2_({camera}).avi"
+        assert summary.empty_rooms[camera] == f"Background_2_({camera}).avi"
         empty = images(load_session(folder).backgrounds[name])
         assert len(empty) == 8  # 13 less the five at the begin, which are black here
         assert empty.mean(axis=(1, 2, 3)).min() > 20
@@ -164,7 +164,7 @@ def test_footage_alone_needs_no_motion_capture(data_set, copy, tmp_path):
     request = request_of(data_set, copy, cameras=("C2",), frames=(6, 8), with_truth=False)
     summary = import_trial(request, tmp_path / "out")
     session = load_session(tmp_path / "out")
-    assert session.truth is None and summary.footage.frames == 3
+    assert session.truth is None and summary.frames == 3
     assert session.fps == 60.0
 
 

@@ -9,9 +9,8 @@ import argparse
 import threading
 import time
 from collections.abc import Hashable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -42,6 +41,7 @@ from .intrinsics import save_results
 
 COMPRESSED = "/compressed"
 PREVIEW = "calibration/preview/compressed"
+Message: TypeAlias = Image | CompressedImage
 
 
 def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> Intrinsics:
@@ -106,15 +106,6 @@ def _who_publishes(node: Node) -> str:
     return f"{listed}; start the camera client, and check ROS_DOMAIN_ID."
 
 
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    """An image and the one that came just before it."""
-
-    before: Image | CompressedImage
-    image: Image | CompressedImage
-    number: int
-
-
 class Shown(NamedTuple):
     """The progress of collecting views, as it is shown; how many there are, and whether they suffice."""
 
@@ -135,10 +126,10 @@ class LiveCamera:
         self.changed = threading.Event()
         self.error: Exception | None = None
         self.received = 0
-        self._last: Image | CompressedImage | None = None
+        self._last: Message | None = None
         self._show("waiting for images")
         self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
-        self._worker: Worker[_Pair] = Worker(
+        self._worker: Worker[tuple[Message, Message, int]] = Worker(  # the image before, the image, its number
             "board watcher", self._process, depth=1, on_drop=lambda: None, on_error=self._fail
         )
         kind = CompressedImage if topic.endswith(COMPRESSED) else Image
@@ -148,38 +139,35 @@ class LiveCamera:
         """Stop processing; the views collected so far stay."""
         self._worker.close()
 
-    def _on_image(self, message: Image | CompressedImage) -> None:
+    def _on_image(self, message: Message) -> None:
         self.received += 1
         if self._last is not None:
-            self._worker.put(_Pair(self._last, message, self.received - 1))
+            self._worker.put((self._last, message, self.received - 1))
         self._last = message
 
     def _fail(self, error: Exception) -> None:
         self.error = error
         self.changed.set()
 
-    def _process(self, pair: _Pair) -> None:
+    def _process(self, pair: tuple[Message, Message, int]) -> None:
         """Search one image, on the worker's thread."""
+        *messages, number = pair
         try:
-            image, before = decode_image(pair.image, self._topic), decode_image(pair.before, self._topic)
+            before, image = (decode_image(message, self._topic) for message in messages)
         except InputError as error:  # one bad message: the next may be better
             self._show(str(error))
             return
-        seen = self._watcher.process(image, before, pair.number)
+        seen, collector, header = self._watcher.process(image, before, number), self._watcher.collector, pair[1].header
         self._show("taken" if seen.taken else seen.reason)
         if self._preview.get_subscription_count():
-            self._publish_preview(pair.image, image, seen)
+            picture = draw_preview(image, seen, collector.coverage, collector.advice())
+            self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
     def _show(self, last: str) -> None:
         """Describe the progress, on the thread that makes it."""
         collector, watcher = self._watcher.collector, self._watcher
         self.shown = Shown(panel(watcher, last), plain_line(watcher), len(collector), collector.enough)
         self.changed.set()
-
-    def _publish_preview(self, message: Image | CompressedImage, image: np.ndarray, seen: ImageResult) -> None:
-        picture = draw_preview(image, seen, self._watcher.collector.coverage, self._watcher.collector.advice())
-        header = message.header
-        self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
 
 def namespace_of(topic: str) -> str:

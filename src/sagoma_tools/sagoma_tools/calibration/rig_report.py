@@ -130,7 +130,11 @@ def write_report(path: Path, calibrated: RigCalibration, asked: Mapping[str, Any
         "measure": tape_request(calibrated),
         "rig": _rig_document(calibrated),
         "cameras": {camera.name: _camera_document(camera, calibrated) for camera in calibrated.figures.cameras},
-        "left_out": [_left_document(left) for left in calibrated.solution.left_out],
+        "left_out": [
+            {"camera": of.camera, "target": of.target, "frame": of.frame_index, "reason": left.reason}
+            for left in calibrated.solution.left_out
+            for of in [left.detection]
+        ],
         "asked": dict(asked),
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "versions": {"sagoma_tools": own_version(), "opencv": cv2.__version__, "numpy": np.__version__},
@@ -172,11 +176,6 @@ def _camera_document(camera: CameraFigures, calibrated: RigCalibration) -> dict[
     covariance = calibrated.solution.covariance[camera.name]
     document["pose_covariance"] = [[float(f"{value:.4g}") for value in row] for row in covariance]
     return document
-
-
-def _left_document(left: Any) -> dict[str, Any]:
-    of = left.detection
-    return {"camera": of.camera, "target": of.target, "frame": of.frame_index, "reason": left.reason}
 
 
 def _rounded(value: float | None) -> float | int | None:

@@ -34,17 +34,10 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ..arguments import NODES
 from ..console import INTERRUPTED, command_console
-from ..graph.background_training import (
-    TrainingOutcome,
-    camera_of,
-    find_clients,
-    needing_training,
-    progress_of,
-    train_backgrounds,
-)
+from ..graph.background_training import TrainingOutcome, find_clients, needing_training, progress_of, train_backgrounds
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
 from ..graph.processes import START_TIMEOUT_S
-from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument, namespace_of
+from ..graph.ros_link import RosLink, add_namespace_argument, label_of, namespace_argument, namespace_of
 
 COUNTDOWN_S = 10
 LAST_SECONDS = 5  # in a log each of them has a line
@@ -161,7 +154,7 @@ def train(
     args: argparse.Namespace,
 ) -> list[TrainingOutcome]:
     """Count down and train the clients ``names``, again those that failed; return the last outcome of each."""
-    outcomes = {name: TrainingOutcome(camera_of(name), "cancelled") for name in names}
+    outcomes = {name: TrainingOutcome(label_of(name), "cancelled") for name in names}
     pending, prompt = list(names), "leave the room"
     for attempt in range(1 + args.retries):
         if not count_down(console, prompt, args.countdown, stop):
@@ -173,7 +166,7 @@ def train(
         pending = [n for n in pending if outcomes[n].report is not None and outcomes[n].grade == REDO]
         if not pending:
             break
-        prompt = f"leave the room for {', '.join(map(camera_of, pending))}"
+        prompt = f"leave the room for {', '.join(map(label_of, pending))}"
         if attempt < args.retries:
             console.print(training_table([outcomes[name] for name in pending]))
     console.bell()
@@ -185,11 +178,11 @@ def _progress(console: Console, diagnostics: DiagnosticsTable, names: Sequence[s
     """Show the cameras' progress in one line; into a file, print the cameras' names once."""
 
     def line() -> Text:
-        progress = (f"{camera_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names)
+        progress = (f"{label_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names)
         return Text("   ".join(["learning", *progress]))
 
     if not console.is_terminal:
-        console.print(f"learning: {', '.join(map(camera_of, names))}")
+        console.print(f"learning: {', '.join(map(label_of, names))}")
         yield
         return
     with Live(console=console, get_renderable=line, refresh_per_second=4, transient=True):
@@ -222,7 +215,7 @@ def select_clients(names: Sequence[str], cameras: Sequence[str] | None, namespac
     """
     if cameras is None:
         return list(names)
-    by_camera = {camera_of(name.removeprefix(namespace)): name for name in names}
+    by_camera = {label_of(name.removeprefix(namespace)): name for name in names}
     absent = sorted(set(cameras) - set(by_camera))
     if absent:
         remedy = f"There are: {', '.join(sorted(by_camera))}."
@@ -235,9 +228,9 @@ def warn_of_idle(console: Console, diagnostics: DiagnosticsTable, names: Sequenc
     for name in names:
         status = diagnostics.report(name)
         if status is None:
-            console.print(f"{camera_of(name)} is silent: its node sends no diagnostics", style="yellow")
+            console.print(f"{label_of(name)} is silent: its node sends no diagnostics", style="yellow")
         elif status.level == ERROR or status.message in IDLE:
-            console.print(f"{camera_of(name)} says: {status.message}", style="yellow")
+            console.print(f"{label_of(name)} says: {status.message}", style="yellow")
 
 
 def exit_status(outcomes: Sequence[TrainingOutcome]) -> int:

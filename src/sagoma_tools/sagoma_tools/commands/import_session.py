@@ -108,12 +108,11 @@ def import_humaneva(args: argparse.Namespace) -> int:
     frames = None if args.frames is None else (args.frames[0], args.frames[1])
     request = Request(trial, tuple(dict.fromkeys(args.cameras)), frames, not args.no_truth)
     summary, console = import_trial(request, args.output, doing(COPYING, request.count)), command_console()
-    footage = summary.footage
-    console.print(f"{trial}: {footage.frames} frames of {', '.join(request.cameras)}")
-    for camera, room in footage.empty_rooms.items():
+    console.print(f"{trial}: {summary.frames} frames of {', '.join(request.cameras)}")
+    for camera, room in summary.empty_rooms.items():
         console.print(f"empty room of {camera}: {room}")
     if request.with_truth:
-        share = summary.frames_with_truth / footage.frames
+        share = summary.frames_with_truth / summary.frames
         console.print(f"motion capture is complete in {summary.frames_with_truth} of them ({share:.0%})")
         console.print(f"next: sagoma evaluate {args.output} --start session")
     else:

@@ -12,6 +12,7 @@ from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from ..graph.diagnostics_table import BUDGET_PERIODS
 from ..graph.processes import Usage
+from ..graph.ros_link import label_of
 from .scores import AngleScores, Scores
 from .track_evaluation import PeopleScores, TrackEvaluation
 
@@ -200,7 +201,7 @@ def print_nodes(
     memory_columns = "resident MiB", "peak MiB"
     latencies = {"latency p50 ms": "latency_p50_ms", "p95 ms": "latency_p95_ms"} if in_real_time else {}
     table = _table("nodes", "node", *memory_columns, "cpu ms a set", "results", *latencies)
-    values = {_label(name): report for name, report in diagnostics.items()}
+    values = {label_of(name): report for name, report in diagnostics.items()}
     for label in dict.fromkeys([*usage, *values]):
         used = usage.get(label)  # None of a node that shares its process
         memory = (f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}") if used is not None else ("", "")
@@ -208,8 +209,3 @@ def print_nodes(
         report = values.get(label, {})
         table.add_row(label, *memory, cpu, *(report.get(key, "") for key in ("results", *latencies.values())))
     console.print(table)
-
-
-def _label(full_name: str) -> str:
-    namespace, _, name = full_name.rpartition("/")
-    return namespace.strip("/") or name

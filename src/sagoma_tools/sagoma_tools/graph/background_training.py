@@ -19,7 +19,7 @@ from sagoma_bringup.graph import Role
 
 from .diagnostics_table import DiagnosticsTable
 from .processes import START_TIMEOUT_S
-from .ros_link import ASK_S, call_all, owners_of, settled
+from .ros_link import ASK_S, call_all, label_of, owners_of, settled
 from .supervisor import Supervisor
 
 SERVICE, SERVICE_TYPE = "learn_background", "std_srvs/srv/Trigger"
@@ -39,11 +39,6 @@ class TrainingOutcome:
     def grade(self) -> str:
         """GOOD, USABLE or REDO (capture_rig.verdict)."""
         return REDO if self.report is None else self.report.grade
-
-
-def camera_of(full_name: str) -> str:
-    """ "cam01" of "/cam01/camera_client"."""
-    return full_name.strip("/").rpartition("/")[0] or full_name.strip("/")
 
 
 def find_clients(node: Node, expect: int, wait_s: float) -> list[str]:
@@ -120,7 +115,7 @@ def train_backgrounds(
         answer, report = answers[name], new_report(name)
         said = silence if answer is None else answer.message
         its_own = answer is not None and report is not None and report.text == answer.message
-        return TrainingOutcome(camera_of(name), said, report if its_own else None)
+        return TrainingOutcome(label_of(name), said, report if its_own else None)
 
     silence = "did not answer" + ("" if wanted() else " before it was cancelled")
     answered = [name for name in names if answers[name] is not None]

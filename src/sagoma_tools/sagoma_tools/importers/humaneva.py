@@ -26,7 +26,7 @@ from .formats import (
     volume_around,
     write_truth_file,
 )
-from .humaneva_footage import Footage, Movie, Source, copy_footage, is_grey
+from .humaneva_footage import Movie, Source, copy_footage, is_grey
 from .humaneva_joints import Joints, joints, markers_mm, measures
 
 CAMERAS = ("C1", "C2", "C3", "BW1", "BW2", "BW3", "BW4")
@@ -123,10 +123,11 @@ class Request:
 
 @dataclass(frozen=True)
 class Summary:
-    """The footage written, and how many of its frames have a truth."""
+    """What was written: frames, how many of them have a truth, each camera's movie of the empty room."""
 
-    footage: Footage
+    frames: int
     frames_with_truth: int
+    empty_rooms: dict[str, str]
 
 
 def import_trial(request: Request, folder: Path, progress: Callable[[int], None] = lambda done: None) -> Summary:
@@ -142,14 +143,14 @@ def import_trial(request: Request, folder: Path, progress: Callable[[int], None]
     sizes = measures(read_c3d(trial.static_mocap()), trial.measures()) if request.with_truth else None
     fps = _frame_rate(sources, time, mocap)
     with new_session_folder(folder) as partial:
-        footage = copy_footage(sources, request.count, partial, fps, progress)
-        frames = np.arange(request.first_frame, request.first_frame + footage.frames)
+        count, empty_rooms = copy_footage(sources, request.count, partial, fps, progress)
+        frames = np.arange(request.first_frame, request.first_frame + count)
         with_truth = 0
         if mocap is not None and sizes is not None:
             with_truth = _write_truth(partial / "truth.csv", joints(mocap, time.mocap(frames), sizes), trial)
         save_rig(Rig(cameras, _volume(cameras, mocap, time.mocap(frames))), partial / "rig.yaml")
         of_cameras = {
-            source.name: {"name": camera, "first_image": source.first_image, "background": footage.empty_rooms[camera]}
+            source.name: {"name": camera, "first_image": source.first_image, "background": empty_rooms[camera]}
             for camera, source in sources.items()
         }
         more = {
@@ -157,7 +158,7 @@ def import_trial(request: Request, folder: Path, progress: Callable[[int], None]
             "first_mocap_frame": round(float(time.mocap(frames[:1])[0]), 4),
         }
         save_description(partial, fps, f"HumanEva-I, {trial}", "humaneva", cameras=of_cameras, **more)
-    return Summary(footage, with_truth)
+    return Summary(count, with_truth, empty_rooms)
 
 
 def _source(request: Request, time: CommonTime, camera: str, number: int) -> Source:

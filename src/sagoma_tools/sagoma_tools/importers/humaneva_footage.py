@@ -144,18 +144,13 @@ class Source:
     name: str
 
 
-@dataclass(frozen=True)
-class Footage:
-    """The number of frames copied, and the movie of the empty room chosen for each camera."""
-
-    frames: int
-    empty_rooms: dict[str, str]
-
-
 def copy_footage(
     sources: dict[str, Source], count: int | None, folder: Path, fps: float, progress: Callable[[int], None]
-) -> Footage:
-    """Write NAME.mkv and NAME_background.mkv of every camera; without a count, until one movie ends."""
+) -> tuple[int, dict[str, str]]:
+    """Write NAME.mkv and NAME_background.mkv of every camera; without a count, until one movie ends.
+
+    Returns the number of frames, and the movie of the empty room chosen for each camera.
+    """
     rooms = {camera: EmptyRoom(source.empty_rooms, is_grey(camera)) for camera, source in sources.items()}
     frames = 0
     with ExitStack() as stack:
@@ -174,4 +169,4 @@ def copy_footage(
             progress(frames)
     for camera, room in rooms.items():
         room.write(folder / f"{sources[camera].name}_background", fps)
-    return Footage(frames, {camera: room.best.name for camera, room in rooms.items()})
+    return frames, {camera: room.best.name for camera, room in rooms.items()}

@@ -200,22 +200,17 @@ _log = logging.getLogger("sagoma.takes")
 
 
 def finish_take(bag: Path, progress: Callable[[int], None] = lambda messages: None) -> Summary | None:
-    """Measure a bag that was just closed, and write its summary; None where that fails.
+    """Measure a bag that was just closed, and write (or replace) its take.yaml, whole; None where that fails.
 
     The recording is whole without it: a summary that cannot be made is made later, by `sagoma takes measure`.
     """
     try:
         summary = measure(bag, progress)
-        write_summary(bag, summary)
+        write_text(bag / SIDECAR_TAKE, yaml.safe_dump(summary.document(), sort_keys=False, allow_unicode=True))
     except Exception as error:  # a full disk, a foreign message: the bag itself is closed, and must be reported so
         _log.warning("%s is recorded, but its figures cannot be measured: %s", bag, error)
         return None
     return summary
-
-
-def write_summary(bag: Path, summary: Summary) -> None:
-    """Write (or replace) take.yaml, whole or not at all."""
-    write_text(bag / SIDECAR_TAKE, yaml.safe_dump(summary.document(), sort_keys=False, allow_unicode=True))
 
 
 def read_summary(bag: Path) -> Summary | None:

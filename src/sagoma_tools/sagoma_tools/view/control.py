@@ -15,10 +15,10 @@ from capture_rig.errors import InputError
 from capture_rig.files import describe_os_error
 from capture_rig.verdict import REDO
 
-from ..graph.background_training import SERVICE, SERVICE_TYPE, camera_of, progress_of, train_backgrounds
+from ..graph.background_training import SERVICE, SERVICE_TYPE, progress_of, train_backgrounds
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
-from ..graph.ros_link import ANSWER_S, RosLink, call_all, our_nodes, owners_of
+from ..graph.ros_link import ANSWER_S, RosLink, call_all, label_of, our_nodes, owners_of
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 from ..recording.recorder import Recorder
 from ..takes.exporting import EXPORTS, FORMATS, VIDEO, Options, export_take, write_video
@@ -160,7 +160,7 @@ class Control:
                 return "cancelled: the background is as it was"
 
         def progress() -> bool:
-            done = ", ".join(f"{camera_of(name)} {progress_of(self._diagnostics, name) or '...'}" for name in names)
+            done = ", ".join(f"{label_of(name)} {progress_of(self._diagnostics, name) or '...'}" for name in names)
             tell(f"learning: {done}")
             return not self._jobs.cancelled.is_set()
 

@@ -23,7 +23,7 @@ from sagoma_ros.packets import read_packet, read_reference_points
 
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable, NodeReport
 from ..graph.lifecycle_client import State
-from ..graph.ros_link import RosLink, in_graph, is_in_graph, namespace_of, our_nodes, topics_of
+from ..graph.ros_link import RosLink, in_graph, is_camera, is_in_graph, label_of, namespace_of, our_nodes, topics_of
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class, persons_in
 from .control import Control, Jobs, Work, on_click
 from .scene import Figure
@@ -282,16 +282,6 @@ NO_NODES = "no node is in the graph yet: `sagoma up SESSION` plays footage, docs
 UNHEARD = "has not been heard yet"
 MOST_TEXT = 400
 """Characters of what a node says: more than any of ours, and less than a panel."""
-
-
-def label_of(name: str) -> str:
-    """Return what to call a node: a camera client by its camera."""
-    return name.strip("/").removesuffix("/camera_client")
-
-
-def is_camera(name: str) -> bool:
-    """Is this the full name of a camera client?"""
-    return name.endswith("/camera_client")
 
 
 def trouble_of(report: NodeReport | None, now_s: float) -> str:
