@@ -217,7 +217,7 @@ def test_camera_that_is_another_one_is_found(record, settings, severity, code, v
     ],
 )
 def test_program_that_controls_the_camera_is_named(controlled, controller, code):
-    finding = check_control(SETTINGS, Device(RECORD, LINK, controlled, controller))
+    finding = check_control(Device(RECORD, LINK, controlled, controller))
     assert finding.code == code and controller in finding.what
 
 

@@ -46,7 +46,7 @@ Message: TypeAlias = Image | CompressedImage
 
 def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> Intrinsics:
     """Collect, calibrate, save; Ctrl-C ends collecting only. Raises InputError: no images, too few views."""
-    name = args.name or camera_name_of(args.topic)
+    name = camera_name_of(args.topic)
     collector = ViewCollector(board, model="plumb_bob" if args.model == AUTO else args.model)
     watcher = BoardImageProcessor(board, name, collector)
     with RosLink("sagoma_calibrate") as link:

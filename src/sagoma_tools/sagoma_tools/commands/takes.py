@@ -25,7 +25,7 @@ from ..arguments import add_settings_argument, add_takes_argument, bag_of, chose
 from ..console import command_console, doing
 from ..graph.topics import FIRST_BODY_ID
 from ..recording.smoothing import smooth_bag
-from ..takes.exporting import EXPORTS, FORMATS, VIDEO, Options, export_take, write_video
+from ..takes.exporting import EXPORTS, FORMATS, VIDEO, export_take, write_video
 from ..takes.folder import TAKES, TakesFolder, trim
 from ..takes.measure import ERROR, OK, WARNING, digests, finish_take, verify
 from ..takes.take import FIGURES, MIB, NOT_MEASURED, Summary, TakeState, date, figures, origin, remark, summary_lines
@@ -260,7 +260,7 @@ def run_export(args: argparse.Namespace) -> int:
     formats = list(FORMATS) if ALL in args.format else args.format
     take = bag_of(args.take, args.takes)
     folder = Path(args.output) if args.output else take / EXPORTS
-    export_take(take, folder, formats, Options(args.rate, args.mass, args.constant_bones, args.overwrite), tell=print)
+    export_take(take, folder, formats, args.rate, args.mass, args.constant_bones, args.overwrite, print)
     return 0
 
 

@@ -29,8 +29,8 @@ from gige_vision.pixel_formats import PixelFormat
 from sagoma_bringup.graph import camera_from_file
 from sagoma_ros.names import resolve_packages
 
-from .findings import Finding, check, error, examine, graded, note, ok, warning
-from .machine import SUBJECT, Interface, check_buffer, interface_to
+from .findings import Finding, about, error, graded, note, ok, warning
+from .machine import Interface, check_buffer, examine_node_host, interface_to
 
 NODE_PARAMETERS = ("autostart", "tf_prefix")  # of every node, not of the camera client's settings
 OLD_S = 12 * 3600.0  # daylight and lamps change from one day to the next
@@ -83,18 +83,18 @@ def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) 
         yield replace(invalid, subject=f"camera file {path}")
         return
     subject, settings = f"camera {file.name}", file.settings.aravis
-    yield from examine("camera file", subject, file)
+    yield from about(subject, check_calibration(file), check_background(file))
     if file.settings.source == "aravis":
-        yield from examine("camera settings", subject, settings)
+        yield from about(subject, check_timing(settings), check_buffer(settings.socket_buffer_bytes))
         if settings.address:
             device = ask_camera(settings.address)
-            yield from examine("camera network", subject, settings, device.interface)
-            yield from examine("camera device", subject, settings, device)
-            yield from examine("camera link", subject, streams_beside(file, device.interface), device.interface)
+            link, streams = device.interface, streams_beside(file, device.interface)
+            yield from about(subject, check_interface(settings, link), check_identity(settings, device))
+            yield from about(subject, check_control(device), check_bandwidth(streams, link))
         if open_it:
-            yield from examine("camera open", subject, file)
+            yield from about(subject, check_opened(file))
     if host_too:
-        yield from examine("node host", SUBJECT)
+        yield from examine_node_host()
 
 
 def read_file(path: Path) -> CameraFile:
@@ -105,7 +105,6 @@ def read_file(path: Path) -> CameraFile:
     return CameraFile(path, spec.namespace.strip("/"), settings)
 
 
-@check("camera file")
 def check_calibration(file: CameraFile) -> Iterator[Finding]:
     """Whether the camera's lens and pose are known."""
     settings, camera_info = file.settings, file.settings.camera_info_file
@@ -131,7 +130,6 @@ def check_calibration(file: CameraFile) -> Iterator[Finding]:
         yield note("camera_info.missing", f"{camera_info} does not exist yet: the rig's intrinsics are in use", remedy)
 
 
-@check("camera file")
 def check_background(file: CameraFile) -> Finding | None:
     """Whether the background can be read, has the camera's size, and is recent."""
     learn = f"sagoma background --cameras {file.name}, while the room is empty"
@@ -157,7 +155,6 @@ def check_background(file: CameraFile) -> Finding | None:
     return graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
 
 
-@check("camera settings")
 def check_timing(settings: AravisSettings) -> Iterator[Finding]:
     """Whether the exposure fits the frame rate, which settings are left to the camera, and whether it can be asked."""
     exposure_us, rate = settings.exposure_us, settings.frame_rate
@@ -174,13 +171,6 @@ def check_timing(settings: AravisSettings) -> Iterator[Finding]:
         yield note("camera.no_address", text, "Give aravis.address to have it examined.")
 
 
-@check("camera settings")
-def check_receive_buffer(settings: AravisSettings) -> Finding:
-    """Whether the stream's socket may be as large as the settings ask."""
-    return check_buffer(settings.socket_buffer_bytes)
-
-
-@check("camera network")
 def check_interface(settings: AravisSettings, link: Interface | None) -> Iterator[Finding]:
     """Whether an interface leads to the camera and carries large packets."""
     if link is None:
@@ -202,7 +192,6 @@ def check_interface(settings: AravisSettings, link: Interface | None) -> Iterato
         yield warning("speed.slow", f"{link.name} runs at {link.speed_mbit} Mbit/s", remedy)
 
 
-@check("camera device")
 def check_identity(settings: AravisSettings, device: Device) -> Iterator[Finding]:
     """Whether the camera answers, is the configured one, and is in this machine's subnet."""
     record, link = device.record, device.interface
@@ -222,8 +211,7 @@ def check_identity(settings: AravisSettings, device: Device) -> Iterator[Finding
             yield warning("subnet.differs", text, "Put both into one subnet (the maker's IP tool, or DHCP).")
 
 
-@check("camera device")
-def check_control(settings: AravisSettings, device: Device) -> Finding | None:
+def check_control(device: Device) -> Finding | None:
     """Whether the camera is free."""
     if device.controlled is None:
         return None
@@ -236,7 +224,6 @@ def check_control(settings: AravisSettings, device: Device) -> Finding | None:
     return warning("control.taken", text, "Stop the program there; a camera has one controller.")
 
 
-@check("camera link")
 def check_bandwidth(streams: list[Stream], link: Interface | None) -> Finding | None:
     """Whether all cameras on this interface fit its link."""
     unknown = [stream.camera for stream in streams if not stream.frame_rate]
@@ -257,7 +244,6 @@ def check_bandwidth(streams: list[Stream], link: Interface | None) -> Finding | 
     return graded("bandwidth", text, (share > FULL, error, "exceeded", remedy), (share > BUSY, warning, "tight", space))
 
 
-@check("camera open")
 def check_opened(file: CameraFile) -> Iterator[Finding]:
     """What the camera says once its client's settings are made: features, PTP, temperature."""
     source = AravisSource(file.settings.aravis, file.settings.channels)

@@ -18,7 +18,7 @@ from camera_client.sources.aravis_source import import_aravis
 from capture_rig.errors import InputError
 from sagoma_ros.middleware import PROFILE_VARIABLE
 
-from .findings import Finding, check, error, examine, graded, note, ok, warning
+from .findings import Finding, about, error, graded, note, ok, warning
 
 SUBJECT = "this machine"
 PYTHONS = ((3, 11), (3, 12))
@@ -32,12 +32,17 @@ SHARED_MEMORY, SMALL_SHARED_MEMORY = "/dev/shm", 128 << 20  # containers start w
 
 def examine_machine(bags: Path) -> Iterator[Finding]:
     """Examine this machine; ``bags`` is the folder for recordings."""
-    yield from examine("machine", SUBJECT)
-    yield from examine("node host", SUBJECT)
-    yield from examine("disk", SUBJECT, bags)
+    yield from about(SUBJECT, check_software(), check_kernels(), check_shared_memory())
+    yield from about(SUBJECT, check_interfaces(), check_buffer(BUFFER_BYTES), check_profile())
+    yield from examine_node_host()
+    yield from about(SUBJECT, check_disk(bags))
 
 
-@check("machine")
+def examine_node_host() -> Iterator[Finding]:
+    """Examine what nodes need of this machine."""
+    yield from about(SUBJECT, check_aravis(), check_cores(), check_memory(), check_clock(), check_ros_environment())
+
+
 def check_software() -> Iterator[Finding]:
     """Python and ROS against the tested versions."""
     text, usual = ".".join(map(str, sys.version_info[:2])), sys.version_info[:2] in PYTHONS
@@ -54,7 +59,6 @@ def check_software() -> Iterator[Finding]:
     yield graded("ros", f"ROS_DISTRO = {distribution}, {middleware}", other, untested)
 
 
-@check("machine")
 def check_kernels() -> Finding:
     """numba's cache, beside the sources or where NUMBA_CACHE_DIR says."""
     folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(hull_server.__file__).parents[2])
@@ -69,7 +73,6 @@ def check_kernels() -> Finding:
     )
 
 
-@check("machine")
 def check_shared_memory() -> Finding:
     """The shared memory through which nodes of one machine exchange messages."""
     memory = psutil.disk_usage(SHARED_MEMORY)
@@ -78,7 +81,6 @@ def check_shared_memory() -> Finding:
     return graded("shm", text, (memory.free < SMALL_SHARED_MEMORY, warning, "small", remedy))
 
 
-@check("node host")
 def check_aravis() -> Finding:
     """Whether Aravis can be imported."""
     try:
@@ -89,7 +91,6 @@ def check_aravis() -> Finding:
     return ok("aravis", "can be imported")
 
 
-@check("node host")
 def check_cores() -> Finding:
     """Processor cores that are free."""
     cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
@@ -98,7 +99,6 @@ def check_cores() -> Finding:
     return graded("cores", text, (cores - load < FREE_CORES, warning, "busy", remedy))
 
 
-@check("node host")
 def check_memory() -> Finding:
     """Memory that is free."""
     free = psutil.virtual_memory().available
@@ -106,7 +106,6 @@ def check_memory() -> Finding:
     return graded("memory", text, (free < FREE_BYTES, warning, "low", "Close what is not needed here."))
 
 
-@check("node host")
 def check_clock() -> Finding:
     """Whether a service keeps the system's clock, and how closely, by chrony's account or systemd's."""
     remedy = "Install chrony (or linuxptp with PTP cameras): frame sets are formed by stamps of several machines."
@@ -125,7 +124,6 @@ def check_clock() -> Finding:
     return graded("clock", text, (offset_s > CLOCK_LIMIT_S, warning, "off", settle))
 
 
-@check("node host")
 def check_ros_environment() -> Iterator[Finding]:
     """Environment variables that decide whom nodes hear."""
     domain = os.environ.get("ROS_DOMAIN_ID", "")
@@ -140,7 +138,6 @@ def check_ros_environment() -> Iterator[Finding]:
         yield warning("ros.discovery_local", f"{what}: other machines do not hear this one", remedy)
 
 
-@check("disk")
 def check_disk(bags: Path) -> Finding:
     """Free space of the disk for bags, below their folder or its nearest parent that exists."""
     place = next(each for each in (bags.absolute(), *bags.absolute().parents) if each.exists())
@@ -220,7 +217,6 @@ def domains_of_ports(ports: Iterable[int]) -> tuple[int, ...]:
     return tuple(sorted({domain for domain, place in places if 0 <= domain <= HIGHEST_DOMAIN and place in discovery}))
 
 
-@check("machine")
 def check_interfaces() -> Iterator[Finding]:
     """Interfaces and their speeds."""
     cable = "Enough for silhouettes, not for pictures or GigE cameras: a Cat 5e cable, gigabit ports at both ends and "
@@ -232,14 +228,8 @@ def check_interfaces() -> Iterator[Finding]:
             yield graded("network", text, (slow, warning, "slow", cable))
 
 
-@check("machine")
-def check_receive_buffer() -> Finding:
-    """The socket buffer for bursts of silhouettes and of a camera's packets."""
-    return check_buffer(BUFFER_BYTES)
-
-
 def check_buffer(wanted: int) -> Finding:
-    """Whether a socket's receive buffer may be ``wanted`` bytes large."""
+    """Whether a socket's receive buffer may be ``wanted`` bytes large, for bursts of silhouettes and of packets."""
     try:
         value = int(RECEIVE_BUFFER.read_text())
     except OSError:
@@ -251,7 +241,6 @@ def check_buffer(wanted: int) -> Finding:
     return small if value < wanted else ok("rmem_max", f"net.core.rmem_max = {value} bytes")
 
 
-@check("machine")
 def check_profile() -> Finding | None:
     """The middleware's profile: one that is named and is not there is ignored silently."""
     profile = os.environ.get(PROFILE_VARIABLE) or os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE", "")

@@ -47,38 +47,36 @@ EXPORTS = "export"
 """The folder in a take's folder into which its files go unless told otherwise."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """How files are written. rate_hz : frames a second, None for the take's own. mass_kg : of the OpenSim model, None
-    for a BMI of 22. constant_bones : BVH without position channels below the root. overwrite : replace files."""
-
-    rate_hz: float | None = None
-    mass_kg: float | None = None
-    constant_bones: bool = False
-    overwrite: bool = False
-
-
 def export_take(
     take: Path,
     folder: Path,
     formats: Sequence[str],
-    options: Options | None = None,
+    rate_hz: float | None = None,
+    mass_kg: float | None = None,
+    constant_bones: bool = False,
+    overwrite: bool = False,
     tell: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
     """Write every person of a take in every format wanted, each file whole or not at all; returns the files.
 
-    tell : hears of every person and file. Raises InputError for a take without a person, and for files that exist.
+    rate_hz : frames a second, None for the take's own. mass_kg : of the OpenSim model, None for a BMI of 22.
+    constant_bones : BVH without position channels below the root. overwrite : replace files. tell : hears of every
+    person and file. Raises InputError for a take without a person, and for files that exist.
     """
-    chosen = options or Options()
-    motions = recorded_motions(take, chosen.rate_hz)
+    motions = recorded_motions(take, rate_hz)
+    writers: dict[str, Mapping[str, Writer]] = {
+        **FORMATS,
+        "bvh": {"bvh": partial(write_bvh, constant_bones=constant_bones)},
+    }
+    writers["opensim"] = {"osim": partial(write_osim, mass_kg=mass_kg), "mot": write_mot}
     planned = [
         (body_id, kind, folder / f"{motion.name}.{extension}", write)
         for body_id, motion in motions.items()
         for kind in dict.fromkeys(formats)
-        for extension, write in _writers(kind, chosen).items()
+        for extension, write in writers[kind].items()
     ]
     existing = [str(path) for _, _, path, _ in planned if path.exists()]
-    if existing and not chosen.overwrite:
+    if existing and not overwrite:
         remedy = "Give another --output, or --overwrite."
         raise InputError(f"{', '.join(existing)} exists", where="--output", remedy=remedy)
     make_folder(folder)
@@ -96,15 +94,6 @@ def describe(motion: Motion) -> str:
     lost = sum(end - first for first, end in motion.gaps) / motion.rate_hz
     gaps = f", {len(motion.gaps)} gaps of {lost:.1f} s in all" if motion.gaps else ", no gaps"
     return f"{len(motion)} frames at {motion.rate_hz:g} Hz{gaps}"
-
-
-def _writers(kind: str, options: Options) -> Mapping[str, Writer]:
-    """Extension -> writer, with the options that concern it."""
-    if kind == "bvh":
-        return {"bvh": partial(write_bvh, constant_bones=options.constant_bones)}
-    if kind == "opensim":
-        return {"osim": partial(write_osim, mass_kg=options.mass_kg), "mot": write_mot}
-    return FORMATS[kind]
 
 
 # as a video -----------------------------------------------------------------------------------------------------------

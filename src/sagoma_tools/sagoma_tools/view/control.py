@@ -21,7 +21,7 @@ from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.ros_link import ANSWER_S, RosLink, call_all, label_of, our_nodes, owners_of
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 from ..recording.recorder import Recorder
-from ..takes.exporting import EXPORTS, FORMATS, VIDEO, Options, export_take, write_video
+from ..takes.exporting import EXPORTS, FORMATS, VIDEO, export_take, write_video
 from ..takes.folder import TakesFolder, trim
 from ..takes.measure import finish_take
 from ..takes.take import MIB
@@ -244,7 +244,7 @@ class TakeActions:
         self._check(name)
         take = self._takes.find(name)
         formats = list(FORMATS) if kind == ALL_FORMATS else [kind]
-        files = export_take(take.path, take.path / EXPORTS, formats, Options(overwrite=True), tell)
+        files = export_take(take.path, take.path / EXPORTS, formats, overwrite=True, tell=tell)
         _deliver(files, f"{name}_{kind.replace(' ', '_')}.zip", deliver)
         return f"exported {', '.join(file.name for file in files)} into {take.name}/{EXPORTS}"
 
