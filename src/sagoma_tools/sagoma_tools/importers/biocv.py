@@ -19,7 +19,6 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, default_volume, save_rig
-from capture_rig.rigid import nearest_rotation
 from capture_rig.session import VIDEO_SUFFIXES
 from capture_rig.video import Video
 from capture_rig.yaml_file import read_mapping
@@ -28,6 +27,7 @@ from .formats import (
     ROTATION_TOLERANCE,
     Mocap,
     new_session_folder,
+    pose_of,
     read_c3d,
     read_numbers,
     save_description,
@@ -37,7 +37,7 @@ from .formats import (
 
 NUMBERS = "width height K(3 x 3) L(4 x 4, mm) k0..k4"
 COUNT = 2 + 9 + 16 + 5
-NOT_A_ROTATION = "L is the matrix from world to camera, millimetres, its last row 0 0 0 1."
+RIGID = "L is the matrix from world to camera, millimetres, its last row 0 0 0 1."
 MARKERS: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "Head": (("HEAD_TOP",), ("LFHD", "RFHD", "LBHD", "RBHD")),
     "Neck": (("NECK",), ("C7", "CLAV")),
@@ -111,12 +111,9 @@ def read_calibration(path: Path, video: Path, name: str) -> CameraModel:
             what = f"is of images of {width} x {height} px, those of {video.name} are {opened.size_px}"
             raise InputError(what, where=str(path), remedy="Give the calibration of that camera.")
     K, L, distortion = numbers[2:11].reshape(3, 3), numbers[11:27].reshape(4, 4), numbers[27:32]
-    R = L[:3, :3]
-    error = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1.0), np.abs(L[3] - [0, 0, 0, 1]).max())
-    if error > ROTATION_TOLERANCE:
-        raise InputError(f"its L departs from a rigid motion by {error:.2g}", where=str(path), remedy=NOT_A_ROTATION)
-    T_camera_world = np.eye(4)
-    T_camera_world[:3, :3], T_camera_world[:3, 3] = nearest_rotation(R), L[:3, 3] / 1000.0
+    if np.abs(L[3] - [0, 0, 0, 1]).max() > ROTATION_TOLERANCE:
+        raise InputError(f"the last row of its L is {L[3].tolist()}", where=str(path), remedy=RIGID)
+    T_camera_world = pose_of(L[:3, :3], L[:3, 3], path, RIGID)
     return CameraModel(name, width, height, K, "plumb_bob", distortion, T_camera_world)
 
 

@@ -13,7 +13,6 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from capture_rig.errors import InputError
-from capture_rig.files import copy_file
 from ekf_tracker.settings import EkfSettings
 from ekf_tracker.smoother import Set, check_stamps, smooth
 from ekf_tracker.state import POSE
@@ -77,9 +76,7 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
                     _write(writer, topics[person], message.log_ns, state, take.frames[message.stamp_ns])
         rig = Path(bag) / SIDECAR_RIG
         provenance = {key: value for key, value in read_provenance(bag).items() if key != "software"}
-        writer.describe({**provenance, "smoothed_from": str(bag)})
-        if rig.is_file():
-            copy_file(rig, writer.folder / SIDECAR_RIG)
+        writer.describe({**provenance, "smoothed_from": str(bag)}, rig if rig.is_file() else None)
     counts = {person: len(of_person) for person, of_person in states.items()}
     return SmoothedTake(counts, len(take.frames), writer.counts)
 
