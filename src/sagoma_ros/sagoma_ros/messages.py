@@ -84,7 +84,6 @@ def read_thinning(message: DiagnosticArray, where: str) -> FrameDecimation:
         remedy = "Run the same version on camera PCs and server."
         raise InputError(f"is no rule of thinning: {error!r}", where=where, remedy=remedy) from error
     if not (0 < rule.keep <= rule.of and 0.0 < rule.period_ns < math.inf):
-        raise InputError(
-            f"keeps {rule.keep} of {rule.of} every {rule.period_ns} ns", where=where, remedy="Restart the hull server."
-        )
+        remedy = "Restart the hull server."
+        raise InputError(f"keeps {rule.keep} of {rule.of} every {rule.period_ns} ns", where=where, remedy=remedy)
     return rule

@@ -101,10 +101,8 @@ def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:
     for source in sources:
         for name, files in _cameras_of(source):
             if name in found:
-                raise InputError(
-                    f"camera '{name}' is given twice, by {found[name][0]} and by {source}",
-                    remedy="Give each camera one source, and each its own name: NAME=PATH.",
-                )
+                remedy = "Give each camera one source, and each its own name: NAME=PATH."
+                raise InputError(f"camera '{name}' is given twice, by {found[name][0]} and by {source}", remedy=remedy)
             found[name] = source, files
     if not found:
         raise InputError("no footage is given", remedy=HELP)

@@ -260,11 +260,9 @@ def _require_one_rate(clips: Mapping[str, CameraFootage], cameras: Container[str
     rates = {name: clip.fps for name, clip in clips.items() if name in cameras and clip.fps}
     if rates and max(rates.values()) - min(rates.values()) > SAME_RATE * max(rates.values()):
         listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
-        raise InputError(
-            f"the videos have different frame rates ({listed} fps): frame k of each is not of the same instant",
-            where=", ".join(clips[name].where for name in rates),
-            remedy="Record at one rate, or bring them to one: ffmpeg -i IN -r RATE -c:v libx264 -crf 16 OUT.mp4.",
-        )
+        what = f"the videos have different frame rates ({listed} fps): frame k of each is not of the same instant"
+        remedy = "Record at one rate, or bring them to one: ffmpeg -i IN -r RATE -c:v libx264 -crf 16 OUT.mp4."
+        raise InputError(what, where=", ".join(clips[name].where for name in rates), remedy=remedy)
 
 
 def _open(sources: Sequence[str]) -> dict[str, CameraFootage]:

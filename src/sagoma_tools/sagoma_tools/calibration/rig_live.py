@@ -270,10 +270,8 @@ def grab(node: Node, topics: Mapping[str, str], count: int) -> dict[str, Shots]:
         node.destroy_subscription(subscription)
     silent = [name for name, taken in pictures.items() if not taken]
     if silent:
-        raise InputError(
-            f"no picture came from {', '.join(silent)} for {PATIENCE_S:g} s",
-            remedy="Check the camera client: sagoma doctor; or leave it out (--without).",
-        )
+        remedy = "Check the camera client: sagoma doctor; or leave it out (--without)."
+        raise InputError(f"no picture came from {', '.join(silent)} for {PATIENCE_S:g} s", remedy=remedy)
     return {name: Shots(name, tuple(taken)) for name, taken in pictures.items()}
 
 

@@ -291,11 +291,8 @@ def free_first_address(count: int) -> str:
     for first in (*FIRST_ADDRESSES[begin:], *FIRST_ADDRESSES[:begin]):
         if all(is_free(address) for address in consecutive_addresses(first, count)):
             return first
-    raise InputError(
-        "other studios hold every address",
-        where=f"{FIRST_ADDRESSES[0]} to {FIRST_ADDRESSES[-1]}",
-        remedy="End one of them.",
-    )
+    what = "other studios hold every address"
+    raise InputError(what, where=f"{FIRST_ADDRESSES[0]} to {FIRST_ADDRESSES[-1]}", remedy="End one of them.")
 
 
 # the rate that a graph holds ------------------------------------------------------------------------------------------

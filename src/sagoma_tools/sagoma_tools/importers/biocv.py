@@ -123,9 +123,8 @@ def choose_markers(mocap: Mocap, given: Mapping[str, object] | None = None) -> d
     for name, labels in (given or {}).items():
         if name not in MARKERS or not isinstance(labels, list) or not all(isinstance(one, str) for one in labels):
             remedy = f"Write NAME: [MARKER, ...] for any of {', '.join(MARKERS)}."
-            raise InputError(
-                f"{name!r}: {labels!r} is not a list of markers of a point", where="--markers", remedy=remedy
-            )
+            what = f"{name!r}: {labels!r} is not a list of markers of a point"
+            raise InputError(what, where="--markers", remedy=remedy)
         choices[name] = (tuple(labels),)
     chosen = {
         name: next((labels for labels in options if labels and all(label in mocap.column for label in labels)), None)

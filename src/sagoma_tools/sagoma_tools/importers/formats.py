@@ -150,9 +150,8 @@ def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
     try:
         text = path.read_text(encoding="latin-1")
     except OSError as error:
-        raise InputError(
-            f"cannot be read ({error.strerror})", where=str(path), remedy="It lies in Mocap_Data beside the .c3d files."
-        ) from None
+        remedy = "It lies in Mocap_Data beside the .c3d files."
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
     measures = {name: float(value) for name, value in LINE.findall(text)}
     missing = [name for name in names if name not in measures]
     if missing:
@@ -201,9 +200,8 @@ def read_c3d(path: Path, remedy: str = WITHHELD) -> Mocap:
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
     except Exception as error:  # the library asserts and indexes its way through damaged files
-        raise InputError(
-            f"is not a readable .c3d file ({type(error).__name__}: {error})", where=str(path), remedy=COPY_AGAIN
-        ) from None
+        what = f"is not a readable .c3d file ({type(error).__name__}: {error})"
+        raise InputError(what, where=str(path), remedy=COPY_AGAIN) from None
     if not frames or len(frames) < expected:
         raise InputError(f"ends after {len(frames)} of {expected} frames", where=str(path), remedy=COPY_AGAIN)
     column = {label: index for index, label in reversed(list(enumerate(labels)))}  # the first of equal labels counts

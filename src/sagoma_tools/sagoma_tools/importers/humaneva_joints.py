@@ -141,9 +141,8 @@ def measures(static: Mocap, mp: Path) -> Measures:
     left, right = static.track_mm("LSHO"), static.track_mm("RSHO")
     seen = (left != 0).any(axis=1) & (right != 0).any(axis=1)
     if not seen.any():
-        raise InputError(
-            "both shoulder markers (LSHO, RSHO) are never seen together", where=str(static.path), remedy=COPY_AGAIN
-        )
+        what = "both shoulder markers (LSHO, RSHO) are never seen together"
+        raise InputError(what, where=str(static.path), remedy=COPY_AGAIN)
     width_mm = np.linalg.norm(left - right, axis=1)[seen].mean()
     offset = read_mp(mp, MEASURES)
     return Measures(width_mm / 2 - MARKER_RADIUS_MM, {side: offset[f"{side}ShoulderOffset"] for side in "LR"})

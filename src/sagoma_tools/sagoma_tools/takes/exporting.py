@@ -216,9 +216,8 @@ def _write_id(cell: np.ndarray, camera: CameraModel, points: np.ndarray, body_id
 def _views(take: Take, wanted: Sequence[str]) -> list[View]:
     if not (take.path / SIDECAR_RIG).is_file():
         remedy = "Record with --rig, or copy the rig file there."
-        raise InputError(
-            f"has no {SIDECAR_RIG}: where the cameras stood is not known", where=str(take.path), remedy=remedy
-        )
+        what = f"has no {SIDECAR_RIG}: where the cameras stood is not known"
+        raise InputError(what, where=str(take.path), remedy=remedy)
     rig, recorded = load_rig(take.path / SIDECAR_RIG), cameras_in(take.topics)
     unknown = [name for name in wanted if name not in recorded]
     if unknown or not recorded:
