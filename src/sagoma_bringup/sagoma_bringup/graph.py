@@ -131,9 +131,7 @@ def session_graph(
         what = f"there is no background for {', '.join(without_background)}"
         remedy = f"Add {without_background[0]}_background.mp4 or .png: the empty scene."
         raise InputError(what, where=str(session.folder), remedy=remedy)
-    if (
-        rate == 0 and not epoch_ns
-    ):  # played by no clock, the cameras' stamps begin alike; at a rate, they agree themselves
+    if rate == 0 and not epoch_ns:  # by no clock, the cameras' stamps begin alike; at a rate, they agree themselves
         epoch_ns = time.time_ns()
     footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": int(epoch_ns), "loop": loop}
     footage["wait_for_cameras"] = rate > 0
@@ -163,7 +161,9 @@ def server_graph(rig: str | Path, *, body: str | Path | None = None) -> list[Nod
     """Hull server, ICP tracker and EKF tracker for one rig."""
     rig_file = Path(rig).resolve()
     load_rig(rig_file)
-    known = {"body_file": _body_file(Path(body))} if body is not None else {}
+    if body is not None and not Path(body).is_file():
+        raise InputError("there is no such file", where=str(body), remedy="Give a body YAML, or none: it is measured.")
+    known = {"body_file": str(Path(body).resolve())} if body is not None else {}
     parameters: dict[str, Mapping[str, Any]] = {
         "hull_server": {"rig_file": str(rig_file)},
         "icp_tracker": {"initial_pose.rig_file": str(rig_file), **known},
@@ -199,7 +199,12 @@ def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
 
 def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:
     """Return the camera nodes of the parameter files in a folder (or of one file), in name order."""
-    nodes = [camera_from_file(path) for path in _camera_files(Path(cameras))]
+    path = Path(cameras)
+    files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
+    if not files or not all(file.is_file() for file in files):
+        remedy = "Give a folder with one YAML a camera, or one such file."
+        raise InputError("no camera parameter file", where=str(path), remedy=remedy)
+    nodes = [camera_from_file(file) for file in files]
     labels = [node.label for node in nodes]
     twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:
@@ -248,28 +253,14 @@ def apply_settings(graph: Sequence[NodeSpec], settings: Mapping[str, Any]) -> li
             known = ", ".join([*sorted(labels), ALL_CAMERAS])
             remedy = f"Write NODE.PARAMETER, with NODE one of: {known}."
             raise InputError(f"'{key}' names no node of the graph", where="settings", remedy=remedy)
-    return [node.with_parameters(_parameters_for(node, settings)) for node in graph]
-
-
-def _parameters_for(node: NodeSpec, settings: Mapping[str, Any]) -> dict[str, Any]:
-    targets = {node.label} | ({ALL_CAMERAS} if node.role is Role.CAMERA else set())
-    # the single camera's own value comes last, so that it wins over the one given for all
+    # a single camera's own value comes last, so that it wins over the one given for all
     ordered = sorted(settings.items(), key=lambda item: not item[0].startswith(ALL_CAMERAS + "."))
-    return {key.partition(".")[2]: value for key, value in ordered if key.partition(".")[0] in targets}
 
+    def own(node: NodeSpec) -> dict[str, Any]:
+        targets = (node.label, ALL_CAMERAS) if node.role is Role.CAMERA else (node.label,)
+        return {key.partition(".")[2]: value for key, value in ordered if key.partition(".")[0] in targets}
 
-def _body_file(path: Path) -> str:
-    if not path.is_file():
-        raise InputError("there is no such file", where=str(path), remedy="Give a body YAML, or none: it is measured.")
-    return str(path.resolve())
-
-
-def _camera_files(path: Path) -> list[Path]:
-    files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
-    if not files or not all(file.is_file() for file in files):
-        remedy = "Give a folder with one YAML a camera, or one such file."
-        raise InputError("no camera parameter file", where=str(path), remedy=remedy)
-    return files
+    return [node.with_parameters(own(node)) for node in graph]
 
 
 def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
