@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from camera_client.background.causes import KEY as FINDINGS_KEY
 from camera_client.background.causes import read_findings
 from camera_client.background.training import KEY as TRAINING_KEY
@@ -160,8 +162,8 @@ def _period_s(facts: GraphFacts) -> float:
 
 def _high(sets: Sequence[Mapping[str, str]], key: str) -> float:
     """Return the 95th percentile of a figure of the frame sets; NaN of nothing."""
-    ordered = sorted(float(each[key]) for each in sets if key in each)
-    return ordered[round(0.95 * (len(ordered) - 1))] if ordered else float("nan")
+    values = [float(each[key]) for each in sets if key in each]
+    return float(np.percentile(values, 95)) if values else float("nan")
 
 
 def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:

@@ -25,9 +25,12 @@ from capture_rig.yaml_file import read_mapping
 
 from .formats import (
     ROTATION_TOLERANCE,
+    Instants,
     Mocap,
+    between,
     new_session_folder,
     pose_of,
+    present,
     read_c3d,
     read_numbers,
     save_description,
@@ -142,17 +145,12 @@ def choose_markers(mocap: Mocap, given: Mapping[str, object] | None = None) -> d
 
 def _at_frames(mocap: Mocap, labels: Iterable[str], frames: int, fps: float, delay_s: float) -> np.ndarray:
     """Return (F, 3) the middle of markers at each frame's time, m; NaN where one of them was not seen around it."""
-    tracks = np.stack([mocap.track_mm(label) for label in labels])
-    seen = (tracks != 0.0).any(axis=-1).all(axis=0)
-    middle = np.where(seen[:, None], tracks.mean(axis=0) / 1000.0, np.nan)
-    place = (np.arange(frames) / fps - delay_s) * mocap.rate_hz
-    before = np.floor(place + 1e-6).astype(int)
-    inside = (before >= 0) & (before < len(middle))
-    before = np.clip(before, 0, len(middle) - 1)
-    share = np.clip(place - before, 0.0, 1.0)[:, None]
-    after = np.where(share[:, 0] > 1e-6, np.minimum(before + 1, len(middle) - 1), before)
-    between = middle[before] + share * (middle[after] - middle[before])
-    return np.where(inside[:, None], between, np.nan)
+    tracks = [mocap.track_mm(label) for label in labels]
+    positions = np.round((np.arange(frames) / fps - delay_s) * mocap.rate_hz, 6) + 1.0
+    at = Instants.of(positions, len(mocap.points_mm))
+    known = at.inside & np.all([present(track, at) for track in tracks], axis=0)
+    middle_mm = np.mean([between(track, at) for track in tracks], axis=0)
+    return np.where(known[:, None], middle_mm / 1000.0, np.nan)
 
 
 def _videos(trial: Path) -> list[Path]:

@@ -208,6 +208,39 @@ def read_c3d(path: Path, remedy: str = WITHHELD) -> Mocap:
     return Mocap(path, column, scale * np.stack(frames).astype(float), rate_hz)
 
 
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """Fractional mocap frames: rows ``lower`` and ``upper`` (F,) of a file and the ``fraction`` (F,) between them.
+
+    ``inside`` (F,) is False where the file does not reach; its rows are then clipped.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    fraction: np.ndarray
+    inside: np.ndarray
+
+    @classmethod
+    def of(cls, positions: np.ndarray, count: int) -> Instants:
+        """Build from 1-based positions (F,) in a file of ``count`` mocap frames."""
+        lower, upper = np.floor(positions).astype(int) - 1, np.ceil(positions).astype(int) - 1
+        inside = (lower >= 0) & (upper < count)
+        last = count - 1
+        return cls(lower.clip(0, last), upper.clip(0, last), positions - np.floor(positions), inside)
+
+
+def between(track_mm: np.ndarray, at: Instants) -> np.ndarray:
+    """Return a track (T, 3) at instants (F,): (F, 3), on the straight line between its neighbours."""
+    fraction = at.fraction[:, None]
+    return (1 - fraction) * track_mm[at.lower] + fraction * track_mm[at.upper]
+
+
+def present(track_mm: np.ndarray, at: Instants) -> np.ndarray:
+    """(F,) whether a track (T, 3) was seen in both mocap frames around each instant: it is not (0, 0, 0) there."""
+    seen = (track_mm != 0).any(axis=1)
+    return seen[at.lower] & seen[at.upper]
+
+
 @dataclass(frozen=True)
 class Offset:
     """Image frame ``image`` was taken at mocap frame ``mocap``; both 1-based and fractional."""
