@@ -19,7 +19,7 @@ from mocap_packets.state import BodyState
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..graph.topics import camera_topics
-from ..recording.reader import SIDECAR_RIG, bag_persons, frame_tolerance_ns, read_messages, read_provenance
+from ..recording.reader import SIDECAR_RIG, bag_persons, frame_tolerance_ns, read_messages, read_provenance, rig_in
 from ..recording.recorded_motion import ANGLES, FIRST, NO_STATE, POINTS, STATE, PersonRows, read_person_rows
 from .reasons import nobody_tracked, reasons_of_bag
 
@@ -214,8 +214,8 @@ def session_of_bag(bag: Path) -> Session:
     named = read_provenance(bag).get("session")
     if named:
         return load_session(named)
-    if not (bag / SIDECAR_RIG).is_file():
+    if (rig_file := rig_in(bag)) is None:
         what = f"says neither of which session it is nor, in {SIDECAR_RIG}, by which cameras"
         raise InputError(what, where=str(bag), remedy=f"Run sagoma evaluate SESSION --bag {bag}.")
     fps = 0.5e9 / frame_tolerance_ns(bag)
-    return Session(bag, load_rig(bag / SIDECAR_RIG), fps, videos={}, backgrounds={}, masks={}, truth=None)
+    return Session(bag, load_rig(rig_file), fps, videos={}, backgrounds={}, masks={}, truth=None)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
 from capture_rig.camera import CameraModel
@@ -27,7 +26,7 @@ from stick_figure.skeleton import POINT_NAMES
 
 from ..graph.topics import SILHOUETTE_SUFFIX, cameras_in
 from ..overlays import MAX_WIDTH_PX, VideoFile, Window, captioned, draw_skeleton, montage, tiling, write_name
-from ..recording.reader import SIDECAR_RIG, BagMessage, read_messages
+from ..recording.reader import SIDECAR_RIG, BagMessage, read_messages, rig_in
 from ..recording.recorded_motion import TRUSTED, recorded_motions
 from .measure import measure
 from .take import Quality, Take
@@ -160,7 +159,7 @@ class View:
         return self._silhouette(self._now) if self.is_silhouette else _picture(self._now)
 
     def _silhouette(self, message: BagMessage) -> np.ndarray:
-        image = deserialize_message(message.data, CompressedImage)
+        image = message.decode(CompressedImage)
         mask = decode_silhouette(image, self.camera.width, self.camera.height, message.topic)
         grey = np.full(mask.shape, ROOM_GREY, np.uint8)
         grey[mask > 0] = SHADOW_GREY
@@ -214,11 +213,11 @@ def _write_id(cell: np.ndarray, camera: CameraModel, points: np.ndarray, body_id
 
 
 def _views(take: Take, wanted: Sequence[str]) -> list[View]:
-    if not (take.path / SIDECAR_RIG).is_file():
+    if (rig_file := rig_in(take.path)) is None:
         remedy = "Record with --rig, or copy the rig file there."
         what = f"has no {SIDECAR_RIG}: where the cameras stood is not known"
         raise InputError(what, where=str(take.path), remedy=remedy)
-    rig, recorded = load_rig(take.path / SIDECAR_RIG), cameras_in(take.topics)
+    rig, recorded = load_rig(rig_file), cameras_in(take.topics)
     unknown = [name for name in wanted if name not in recorded]
     if unknown or not recorded:
         what = f"holds no silhouettes of {', '.join(unknown) or 'any camera'}"
@@ -237,5 +236,5 @@ def _view(take: Take, camera: CameraModel) -> View:
 
 def _picture(message: BagMessage) -> np.ndarray:
     kind = CompressedImage if message.topic.endswith("compressed") else Image
-    image = decode_image(deserialize_message(message.data, kind), message.topic)
+    image = decode_image(message.decode(kind), message.topic)
     return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image

@@ -19,16 +19,16 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.serialization import deserialize_message
 
 from capture_rig.errors import InputError
+from sagoma_ros.messages import values_of
 
 from ..graph.topics import DIAGNOSTICS_TOPIC, OUTPUT_TOPICS, type_of
-from ..recording.reader import SIDECAR_RIG, BagMessage, open_bag, read_messages, read_provenance
+from ..recording.reader import BagMessage, open_bag, read_messages, read_provenance, rig_in
 from ..recording.recorded_motion import STATE, kind_of
 from ..recording.recorder import has_header
 from ..recording.writer import BagWriter, own_version
-from .measure import SIDECAR_TAKE, finish_take, measure, read_summary, values_of
+from .measure import SIDECAR_TAKE, finish_take, measure, read_summary
 from .take import Summary, Take, TakeState, check_name
 
 TAKES = "output/takes"
@@ -255,8 +255,7 @@ def trim(
     try:
         with BagWriter(beside) as writer:
             _copy(take.path, writer, begins_ns, ends_ns, progress)
-            rig = take.path / SIDECAR_RIG
-            writer.describe(_provenance(take, from_s, to_s), rig if rig.is_file() else None)
+            writer.describe(_provenance(take, from_s, to_s), rig_in(take.path))
         finish_take(beside)
         move_new(beside, target)
     finally:
@@ -310,7 +309,7 @@ def _has_stamp(topic: str) -> bool:
 def _stamp_ns(message: BagMessage) -> int | None:
     """The stamp of the frame set that a message belongs to, None where it names none."""
     if kind_of(message.topic) == STATE:
-        stamp = values_of(deserialize_message(message.data, DiagnosticStatus)).get("stamp_ns", "")
+        stamp = values_of(message.decode(DiagnosticStatus)).get("stamp_ns", "")
         return int(stamp) if stamp.isdigit() else None
     return message.stamp_ns if _has_stamp(message.topic) else None
 
