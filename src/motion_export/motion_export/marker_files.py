@@ -18,7 +18,7 @@ from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 from .isb_angles import isb_angles
 from .motion import NS_PER_S, R_BIOMECHANICS_WORLD, Motion, in_frames, point_deviations
 
-MM_PER_M = 1000.0
+MM_PER_M = 1000
 LABEL_LENGTH = 16
 """Characters of the longest label, "right_shoulder", and some: C3D labels have one length."""
 NO_POINT = -1.0

@@ -103,10 +103,6 @@ def _label(name: str, layout: np.dtype) -> str:
     return f"{name}: {' '.join(layout.names or ())}"
 
 
-def _header_of_joints(message: MultiDOFJointState) -> tuple[int, str]:
-    return to_ns(message.header.stamp), message.header.frame_id
-
-
 def _topic_of_tables(name: str, kind: type[M]) -> PacketTopic[M]:
     def read(message: Float64MultiArray, where: str) -> M:
         return read_tables(message, kind, where)
@@ -117,7 +113,11 @@ def _topic_of_tables(name: str, kind: type[M]) -> PacketTopic[M]:
 HULL_PRODUCTS = _topic_of_tables("hull/products", HullProducts)
 FITTED_PEOPLE = _topic_of_tables("icp/people", FittedPeople)
 PREDICTIONS = PacketTopic[Predictions](
-    "ekf/prediction", MultiDOFJointState, predictions_message, _header_of_joints, read_predictions
+    "ekf/prediction",
+    MultiDOFJointState,
+    predictions_message,
+    lambda message: (to_ns(message.header.stamp), message.header.frame_id),
+    read_predictions,
 )
 
 # --- for whoever listens

@@ -143,17 +143,13 @@ def watch_recorder(recorder: MotionRecorder, console: Console, stop: threading.E
                 raise recorder.error
             progress = recorder.progress()
             if recorder.examined == 0 and time.monotonic() - begun_s > PATIENCE_S:
-                raise InputError(_silence(recorder), remedy="Synchronise the cameras (docs/camera_pcs.md).")
+                apart = f"no two cameras' within {TOLERANCE_NS / 1e6:g} ms of each other"
+                came = f"{recorder.received} pictures came, but {apart}" if recorder.received else "no picture comes"
+                raise InputError(came, remedy="Synchronise the cameras (docs/camera_pcs.md).")
             line = f"{progress.shared_frames} shared frames; {progress.advice or 'enough'}"
             report.update(progress_panel(progress, recorder.examined), line, line, last=not progress.advice)
             if not progress.advice:
                 return
-
-
-def _silence(recorder: MotionRecorder) -> str:
-    if recorder.received == 0:
-        return "no picture comes from any camera"
-    return f"{recorder.received} pictures came, but no two cameras' within {TOLERANCE_NS / 1e6:g} ms of each other"
 
 
 def progress_panel(progress: MotionProgress, examined: int) -> Panel:

@@ -100,10 +100,14 @@ def record(args: argparse.Namespace) -> int:
             print(f"sagoma: {error}", file=sys.stderr, flush=True)
             stop.set()
 
+        def leave_out(topic: str, msgtype: str) -> None:
+            text = f"sagoma: {topic} is not recorded: its type {msgtype} is not installed here"
+            print(text, file=sys.stderr, flush=True)
+
         if args.all or args.topics:
             recorder = Recorder(link.node, args.bag, (), on_failure=report_failure)
             wanted = (lambda name: True) if args.all else matches_any(args.topics)
-            recorder.follow(AskedTopics(link.node, wanted, report_unknown).new)
+            recorder.follow(AskedTopics(link.node, wanted, leave_out).new)
         else:
             topics = [*of_cameras, *OUTPUT_TOPICS, *topics_of_others(), DIAGNOSTICS]
             recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
@@ -118,11 +122,6 @@ def record(args: argparse.Namespace) -> int:
     if any(counts.values()):
         print(next_steps(args.bag))
     return 0 if recorder.failure is None else 1
-
-
-def report_unknown(topic: str, msgtype: str) -> None:
-    """Say that a topic is left out."""
-    print(f"sagoma: {topic} is not recorded: its type {msgtype} is not installed here", file=sys.stderr, flush=True)
 
 
 def replay(args: argparse.Namespace) -> int:

@@ -254,7 +254,9 @@ class GraphRecorder(Recorder):
     ) -> None:
         """``topics`` by default all of the graph and /diagnostics; ``provenance`` is added to the bag's sagoma.yaml;
         ``options`` as of :class:`Recorder`."""
-        self._recorded = tuple(graph_topics(graph) if topics is None else topics)
+        cameras = [node.label for node in graph if node.role is Role.CAMERA]
+        everything = [*(one for camera in cameras for one in camera_topics(camera)), *server_topics(graph), DIAGNOSTICS]
+        self._recorded = tuple(everything if topics is None else topics)
         self._configuration = {node.full_name: dict(node.parameters) for node in graph}
         self._provenance = dict(provenance or {})
         self._link = RosLink("sagoma_recorder", domain_id=domain_id)
@@ -278,12 +280,6 @@ class GraphRecorder(Recorder):
         counts = super().close(described, rig or rig_of(self._configuration))
         self._link.close()
         return counts
-
-
-def graph_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
-    """Return the topics that the nodes publish: the cameras', the server's, and diagnostics."""
-    cameras = [node.label for node in graph if node.role is Role.CAMERA]
-    return [*(topic for camera in cameras for topic in camera_topics(camera)), *server_topics(graph), DIAGNOSTICS]
 
 
 def server_topics(graph: Sequence[NodeSpec]) -> list[Topic]:

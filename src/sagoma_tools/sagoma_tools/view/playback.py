@@ -87,7 +87,11 @@ class Playback:
         if frames == self._shown:
             return None
         self._shown = frames
-        return {body_id: figure_of(self.motions[body_id], k) for body_id, k in frames.items() if k is not None}
+        shown = ((body_id, self.motions[body_id], frame) for body_id, frame in frames.items() if frame is not None)
+        return {
+            body_id: Figure(motion.points_world[k], point_deviations(motion.covariance[k]), str(motion.states[k]))
+            for body_id, motion, k in shown
+        }
 
     def plots(self, body_id: str) -> Iterator[tuple[str, Array, Array]]:
         """Yield title, times (n,) s and the curves (2, n) degrees of a person's left and right side, NaN in gaps."""
@@ -113,9 +117,3 @@ def last_frame(motion: Motion, stamp_ns: int) -> int | None:
     first = max(0, now - math.floor(HELD_S * motion.rate_hz))
     tracked = np.flatnonzero(motion.tracked[first : now + 1])
     return first + int(tracked[-1]) if len(tracked) else None
-
-
-def figure_of(motion: Motion, frame: int) -> Figure:
-    """Return a person as they were in one frame."""
-    sigma = point_deviations(motion.covariance[frame])
-    return Figure(motion.points_world[frame], sigma, str(motion.states[frame]))
