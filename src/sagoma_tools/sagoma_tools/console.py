@@ -18,6 +18,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from capture_rig.verdict import GOOD, REDO, USABLE
+
+GRADE_STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
 EDGES = "│┃|"  # of tables with a box
 LOG_WIDTH = 150  # of tables in a file, unless COLUMNS says otherwise
 

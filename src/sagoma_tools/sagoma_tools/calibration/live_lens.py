@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -81,21 +81,16 @@ def offer(node: Node, namespace: str, result: Intrinsics) -> str:
 def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argparse.Namespace, console: Console) -> None:
     """Show the progress until the views suffice, the user stops it, or the time is over."""
     begun_s = time.monotonic()
-    with LiveReport(console) as report:
-        while not stop.is_set() and not camera.shown.enough:
-            camera.changed.wait(REFRESH_S)
-            camera.changed.clear()
-            shown = camera.shown
-            report.update(shown.panel, shown.line, shown.views, last=shown.enough)
-            passed_s = time.monotonic() - begun_s
-            if camera.error is not None:
-                raise camera.error
-            if camera.received == 0 and passed_s > args.wait:
-                raise InputError(f"no image came for {args.wait:g} s", where=args.topic, remedy=_who_publishes(node))
-            if args.seconds is not None and passed_s > args.seconds:
-                return
-            if args.views is not None and camera.shown.views >= args.views:
-                return
+    for report in reports(console, camera.changed, stop):
+        shown, passed_s = camera.shown, time.monotonic() - begun_s
+        report.update(shown.panel, shown.line, shown.views, last=shown.enough)
+        if camera.error is not None:
+            raise camera.error
+        if camera.received == 0 and passed_s > args.wait:
+            raise InputError(f"no image came for {args.wait:g} s", where=args.topic, remedy=_who_publishes(node))
+        over = args.seconds is not None and passed_s > args.seconds
+        if shown.enough or over or (args.views is not None and shown.views >= args.views):
+            return
 
 
 def _who_publishes(node: Node) -> str:
@@ -211,6 +206,15 @@ class LiveReport:
         elif news != self._news and (last or now_s - self._printed_s >= LOG_EVERY_S):
             self._news, self._printed_s = news, now_s
             self._console.print(line)
+
+
+def reports(console: Console, changed: threading.Event, stop: threading.Event) -> Iterator[LiveReport]:
+    """Yield the report to be updated, again whenever something has changed, until ``stop`` is set."""
+    with LiveReport(console) as report:
+        while not stop.is_set():
+            changed.wait(REFRESH_S)
+            changed.clear()
+            yield report
 
 
 def panel(watcher: BoardImageProcessor, last: str) -> Panel:

@@ -21,15 +21,14 @@ from rich.table import Table
 from capture_rig.camera import CameraModel
 from capture_rig.files import make_folder
 from capture_rig.rig import Volume, save_rig
-from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
 from rig_calibration.extrinsics.world import CameraFigures, PlacedRig, RigFigures
 
+from ..console import GRADE_STYLE
 from ..doctor.rig import carried
 from ..recording.writer import own_version
 
-COLOURS = {GOOD: "green", USABLE: "yellow", REDO: "red"}
 CAMERA_FIGURES = (
     ("detections", "detections", "d"),
     ("rms px", "rms_px", ".2f"),
@@ -104,9 +103,9 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
     for check in calibrated.tape:
         console.print(str(check))
     verdict = calibrated.verdict
-    console.print(f"verdict: {verdict.grade.upper()}", style=COLOURS[verdict.grade])
+    console.print(f"verdict: {verdict.grade.upper()}", style=GRADE_STYLE[verdict.grade])
     for finding in verdict.findings:
-        console.print(f"  {finding.grade}: {finding.what}. {finding.remedy}", style=COLOURS[finding.grade])
+        console.print(f"  {finding.grade}: {finding.what}. {finding.remedy}", style=GRADE_STYLE[finding.grade])
     console.print(tape_request(calibrated))
 
 

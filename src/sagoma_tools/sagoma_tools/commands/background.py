@@ -33,7 +33,7 @@ from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ..arguments import NODES
-from ..console import INTERRUPTED, command_console
+from ..console import GRADE_STYLE, INTERRUPTED, command_console
 from ..graph.background_training import TrainingOutcome, find_clients, needing_training, progress_of, train_backgrounds
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
 from ..graph.processes import START_TIMEOUT_S
@@ -43,7 +43,6 @@ COUNTDOWN_S = 10
 LAST_SECONDS = 5  # in a log each of them has a line
 ERROR = b"\2"
 IDLE = ("unconfigured", "configured, inactive", "suspended")
-STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
 STATUS = {GOOD: 0, USABLE: 1, REDO: 2}
 BRIGHTEST_SIGMA = 10.0  # grey levels of noise that the picture shows in its brightest colour
 REGION_BGR = (0, 0, 255)
@@ -255,7 +254,7 @@ def training_table(outcomes: Sequence[TrainingOutcome]) -> Table:
     table.add_column("what to do", ratio=1)
     for outcome in sorted(outcomes, key=lambda outcome: outcome.camera):
         first, *others = _reasons(outcome)
-        table.add_row(outcome.camera, Text(outcome.grade, STYLE[outcome.grade]), *_columns(outcome), *first)
+        table.add_row(outcome.camera, Text(outcome.grade, GRADE_STYLE[outcome.grade]), *_columns(outcome), *first)
         for other in others:
             table.add_row("", "", "", "", "", *other)
     return table
@@ -286,7 +285,7 @@ def run_show(args: argparse.Namespace) -> int:
         model = load_background(file)
         console.print(provenance_table(model, str(file)))
         for finding in judge_background(model, (), before).findings + turn_findings(model.provenance):
-            console.print(Text(f"{finding.grade}: {finding.line}", STYLE[finding.grade]))
+            console.print(Text(f"{finding.grade}: {finding.line}", GRADE_STYLE[finding.grade]))
         folder = Path(args.output) if args.output else file.parent
         mean, sigma = write_pictures(model, folder, file.stem)
         console.print(f"pictures: {mean}, {sigma} (brightest: {BRIGHTEST_SIGMA:g} grey levels of noise or more)")
