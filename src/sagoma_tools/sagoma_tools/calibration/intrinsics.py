@@ -156,14 +156,8 @@ def print_results(console: Console, results: Sequence[Intrinsics]) -> None:
     table = Table("camera", "views", "rms px", "fx px", "fy px", "cx px", "cy px", "verdict")
     for result in results:
         numbers = (f"{result.values[key]:.2f} ± {result.sd[key]:.2f}" for key in ("fx", "fy", "cx", "cy"))
-        grade = result.verdict.grade
-        table.add_row(
-            result.camera.name,
-            str(len(result.views)),
-            f"{result.rms_px:.3f}",
-            *numbers,
-            f"[{GRADE_STYLE[grade]}]{grade}",
-        )
+        grade = f"[{GRADE_STYLE[result.verdict.grade]}]{result.verdict.grade}"
+        table.add_row(result.camera.name, str(len(result.views)), f"{result.rms_px:.3f}", *numbers, grade)
     console.print(table)
     for result in results:
         for line in remarks(result):

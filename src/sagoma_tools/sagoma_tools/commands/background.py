@@ -33,7 +33,7 @@ from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ..arguments import NODES
-from ..console import GRADE_STYLE, INTERRUPTED, command_console
+from ..console import GRADE_STYLE, INTERRUPTED, command_console, plain_table
 from ..graph.background_training import TrainingOutcome, find_clients, needing_training, progress_of, train_backgrounds
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
 from ..graph.processes import START_TIMEOUT_S
@@ -245,13 +245,7 @@ def figures(outcomes: Sequence[TrainingOutcome]) -> dict[str, Any]:
 
 def training_table(outcomes: Sequence[TrainingOutcome]) -> Table:
     """Return one line a camera, and one more for each further finding."""
-    table = Table(box=None, pad_edge=False)
-    for title in ("camera", "verdict"):
-        table.add_column(title, no_wrap=True)
-    for title in ("frames", "noise", "moved %"):
-        table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("why", ratio=1)
-    table.add_column("what to do", ratio=1)
+    table = plain_table("", ("camera", "verdict"), ("frames", "noise", "moved %"), ("why", "what to do"))
     for outcome in sorted(outcomes, key=lambda outcome: outcome.camera):
         first, *others = _reasons(outcome)
         table.add_row(outcome.camera, Text(outcome.grade, GRADE_STYLE[outcome.grade]), *_columns(outcome), *first)

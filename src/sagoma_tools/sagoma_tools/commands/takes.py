@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from capture_rig.errors import InputError
@@ -22,7 +21,7 @@ from mocap_pipeline.configuration import Configuration
 from stick_figure.body import STATURES_M, Body, load_body
 
 from ..arguments import add_settings_argument, add_takes_argument, bag_of, chosen_take, parse_settings
-from ..console import command_console, doing
+from ..console import command_console, doing, plain_table
 from ..graph.topics import FIRST_BODY_ID
 from ..recording.smoothing import smooth_bag
 from ..takes.exporting import EXPORTS, FORMATS, VIDEO, export_take, write_video
@@ -96,12 +95,7 @@ def list_takes(args: argparse.Namespace) -> int:
     if not takes:
         print(f"no takes in {args.takes}: record one with `sagoma record {args.takes}/NAME`, or on the page")
         return 0
-    console, table = command_console(), Table(box=None, pad_edge=False)
-    for title in ("take", "recorded"):
-        table.add_column(title, no_wrap=True)
-    for title in FIGURES:
-        table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("", ratio=1)
+    console, table = command_console(), plain_table("", ("take", "recorded"), FIGURES, [""])
     for take in takes:
         table.add_row(take.name, date(take), *figures(take), remark(take), style=STATE_STYLE[take.state])
     console.print(table)
