@@ -5,6 +5,7 @@ The camera is asked over GVCP by unicast, which disturbs no program that uses it
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import socket
 import struct
@@ -12,8 +13,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
 
 from camera_client.background.model import BackgroundModel, load_background, read_background
 from camera_client.configuration import Calibration, load_calibration
@@ -187,9 +186,6 @@ def check_interface(settings: AravisSettings, link: Interface | None) -> Iterato
     elif link.mtu < JUMBO_MTU and not link.loopback:
         text = f"{link.name} carries packets of {link.mtu} bytes: six times the interrupts"
         yield warning("mtu.no_jumbo_frames", text, jumbo)
-    if 0 < link.speed_mbit < GIGABIT and not link.loopback:
-        remedy = "Check cable and switch: GigE Vision needs 1000 Mbit/s or more."
-        yield warning("speed.slow", f"{link.name} runs at {link.speed_mbit} Mbit/s", remedy)
 
 
 def check_identity(settings: AravisSettings, device: Device) -> Iterator[Finding]:
@@ -226,11 +222,7 @@ def check_control(device: Device) -> Finding | None:
 
 def check_bandwidth(streams: list[Stream], link: Interface | None) -> Finding | None:
     """Whether all cameras on this interface fit its link."""
-    unknown = [stream.camera for stream in streams if not stream.frame_rate]
-    if unknown:
-        text = f"unknown: aravis.frame_rate of {', '.join(unknown)} is left to the camera"
-        return note("bandwidth.rate_unknown", text, "Set it, so that all cameras run at one rate.")
-    if link is None or not streams:
+    if link is None or not streams or not all(stream.frame_rate for stream in streams):  # check_timing names these
         return None
     largest = min(link.mtu, JUMBO_MTU)
     needed = sum(stream_bytes_per_s(stream, stream.packet_size or largest) for stream in streams)
@@ -266,12 +258,14 @@ def _read_background(path: str, settings: CameraClientSettings) -> tuple[tuple[i
     if path.endswith(".npz"):
         model = load_background(path)
         return model.shape, model
-    reader = open_footage(path)
-    try:
-        shape = tuple(np.asarray(reader.probe()).tolist())
-    finally:
-        reader.close()
+    shape = footage_shape(path)
     return shape, read_background(path, shape, settings.background_model)
+
+
+def footage_shape(path: str | Path) -> tuple[int, ...]:
+    """Return the shape (H, W, ...) of footage's images."""
+    with contextlib.closing(open_footage(path)) as reader:
+        return reader.probe()
 
 
 def streams_beside(file: CameraFile, link: Interface | None) -> list[Stream]:

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from camera_client.sources.footage_reader import open_footage
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info
 from capture_rig.errors import InputError
@@ -26,7 +25,7 @@ from capture_rig.video import VideoFacts, examine_video, session_findings
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
-from .cameras import BUSY, GIGABIT, JUMBO_MTU, Stream, stream_bytes_per_s
+from .cameras import BUSY, GIGABIT, JUMBO_MTU, Stream, footage_shape, stream_bytes_per_s
 from .findings import Finding, about, error, graded, note, warning
 
 Array = npt.NDArray[np.float64]
@@ -360,11 +359,7 @@ def _lens_folders(rig_file: Path) -> tuple[Path, ...]:
 
 
 def _size(path: Path) -> tuple[int, int]:
-    reader = open_footage(path)
-    try:
-        height, width = reader.probe()[:2]
-    finally:
-        reader.close()
+    height, width = footage_shape(path)[:2]
     return width, height
 
 
