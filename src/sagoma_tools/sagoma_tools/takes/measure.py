@@ -32,7 +32,6 @@ from .take import REMEDY, Background, CameraRecord, PersonRecord, Quality, Summa
 
 FRAME_SETS, FITS, BODY = "/hull/frame_set", "/icp/fit", "/icp/body"
 CAMERA_NODE = re.compile(r"^/(?:.+/)?(?P<camera>[^/]+)/camera_client$")
-DIGEST_BYTES = 1 << 20
 ROUNDED = 4
 """Digits behind the point of shares and millimetres: figures are compared when they are measured again."""
 
@@ -57,11 +56,9 @@ def digests(bag: Path) -> dict[str, dict[str, Any]]:
     """Return size and SHA-256 of each recorded file of a bag, by name."""
     found = {}
     for path in sorted([*bag.glob("*.mcap"), *bag.glob("*.db3")]):
-        digest = hashlib.sha256()
         with path.open("rb") as file:
-            while block := file.read(DIGEST_BYTES):
-                digest.update(block)
-        found[path.name] = {"bytes": path.stat().st_size, "sha256": digest.hexdigest()}
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        found[path.name] = {"bytes": path.stat().st_size, "sha256": digest}
     return found
 
 
