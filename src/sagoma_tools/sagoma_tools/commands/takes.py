@@ -280,9 +280,10 @@ def run_smooth(args: argparse.Namespace) -> int:
 
 def _add_urdf(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("urdf", help="print the body as a URDF with the joints of /mocap/joint_states")
-    parser.add_argument("--body", help="body YAML, as ~/save_body of icp_tracker writes it")
+    whose = parser.add_mutually_exclusive_group()
+    whose.add_argument("--body", help="body YAML, as ~/save_body of icp_tracker writes it")
     help_stature = f"an average body of this height in metres (default {STATURE_M})"
-    parser.add_argument("--stature", type=number("m", *STATURES_M), help=help_stature)
+    whose.add_argument("--stature", type=number("m", *STATURES_M), default=STATURE_M, help=help_stature)
     help_id = f"what names of links begin with (default {FIRST_BODY_ID}, the first person's)"
     parser.add_argument("--id", default=FIRST_BODY_ID, help=help_id)
     parser.add_argument("--mass", type=MASS, metavar="KG", help="of the person (default: a BMI of 22)")
@@ -293,9 +294,7 @@ def _add_urdf(subparsers: argparse._SubParsersAction) -> None:
 
 def run_urdf(args: argparse.Namespace) -> int:
     """Print or write the URDF."""
-    if args.body and args.stature is not None:
-        raise InputError("--body has a stature of its own", where="arguments", remedy="Give --body or --stature.")
-    body = load_body(args.body) if args.body else Body.from_stature(STATURE_M if args.stature is None else args.stature)
+    body = load_body(args.body) if args.body else Body.from_stature(args.stature)
     body_id = body_id_of(args.id, FIRST_PERSON)
     text = (human_urdf if args.rep155 else body_urdf)(body, body_id, args.mass)
     if not args.output:
