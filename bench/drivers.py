@@ -44,6 +44,7 @@ class DriverInput(LiveInput):
     def __init__(self, session: Path, hz: float, apart: int, speed: float, keypoints: Path | None) -> None:
         super().__init__(session)
         self._hz, self._apart, self.clock = hz, apart, CaptureClock(speed)
+        self.in_real_time = self.clock.speed == 1
         given = ["--hz", str(hz), "--apart", str(apart), "--speed", str(speed)]
         given += ["--keypoints", str(keypoints)] if keypoints else []
         self._command = [sys.executable, str(DRIVER), str(session), *given]
@@ -74,10 +75,6 @@ class DriverInput(LiveInput):
         self._driver.wait()
         recorder.wait_for_stamp(PREDICTION_TOPIC, begin_ns + round(1e9 * frames / self._hz), SETTLE_S)
         return SessionClock(begin_ns + round(0.5e9 * self._apart / self.session.fps), frames, self.session.fps)
-
-    @property
-    def in_real_time(self) -> bool:
-        return self.clock.speed == 1
 
 
 def between_frames(run: LiveRun) -> LiveRun:

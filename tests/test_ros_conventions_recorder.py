@@ -55,7 +55,7 @@ def test_asked_topics_are_recorded_as_they_are_offered_and_nothing_else(link, ot
     others.node.create_publisher(JointState, "/mocap/joint_states", RESULT)
     recorder = Recorder(link.node, tmp_path / "bag", ())
     asked = AskedTopics(link.node, matches_any(["/humans", "/cam01"]), lambda topic, kind: None)
-    recorder.follow(asked)
+    recorder.follow(asked.new)
     assert recorder.wait_for_count("/humans/bodies/b0001/urdf", 1, PATIENCE_S)
     late = others.node.create_publisher(Image, "/cam01/image_raw", BEST_EFFORT)  # as camera drivers publish
     assert not recorder.wait_for_publishers(["/cam01/image_raw"], PATIENCE_S)

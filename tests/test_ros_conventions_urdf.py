@@ -108,4 +108,3 @@ def test_urdf_command_prints_the_body_of_a_file_and_replaces_nothing(tmp_path, c
     assert out.read_text() == body_urdf(Body.from_stature(1.9), BODY_ID)
     assert main(["urdf", "--output", str(out)]) == 2
     assert "A file has that name: choose another" in capsys.readouterr().err
-    assert main(["urdf", "--body", "b.yaml", "--stature", "1.9"]) == 2

@@ -34,14 +34,7 @@ class Context:
         self.pushed: str | None = None
 
 
-class Kept:
-    """Keeps whatever it was made with."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        self.args, self.kwargs = args, kwargs
-
-
-class DeclareLaunchArgument(Kept):
+class DeclareLaunchArgument:
     def __init__(self, name: str, *, default_value: str | None = None, description: str, choices: list | None) -> None:
         self.name, self.default, self.description, self.choices = name, default_value, description, choices
 
@@ -54,31 +47,22 @@ class DeclareLaunchArgument(Kept):
             raise RuntimeError(f"Argument '{self.name}' provided value is not valid.")
 
 
-class OpaqueFunction(Kept):
+class OpaqueFunction:
     def __init__(self, *, function: Any) -> None:
         self.function = function
 
 
-class GroupAction(Kept):
-    """What stands in it, with a namespace of its own."""
-
-    def __init__(self, actions: list[Any]) -> None:
-        self.actions = actions
-
-
-class PushRosNamespace(Kept):
-    def __init__(self, namespace: str) -> None:
-        self.namespace = namespace
-
-
-class Shutdown(Kept):
+class Shutdown:
     def __init__(self, *, reason: str) -> None:
         self.reason = reason
 
 
-class LaunchConfiguration(Kept):
+class LaunchConfiguration:
+    def __init__(self, name: str) -> None:
+        self.name = name
+
     def perform(self, context: Context) -> str:
-        return context.values[self.args[0]]
+        return context.values[self.name]
 
 
 @dataclass
@@ -127,13 +111,11 @@ def stood_in() -> Iterator[None]:
     contents = {
         "launch": {},
         "launch.launch_description": {"LaunchDescription": list},
-        "launch.actions": {
-            kind.__name__: kind for kind in (DeclareLaunchArgument, GroupAction, OpaqueFunction, Shutdown)
-        },
+        "launch.actions": {kind.__name__: kind for kind in (DeclareLaunchArgument, OpaqueFunction, Shutdown)},
         "launch.logging": {"launch_config": types.SimpleNamespace(log_dir=os.environ.get("ROS_LOG_DIR"))},
         "launch.substitutions": {"LaunchConfiguration": LaunchConfiguration},
         "launch_ros": {},
-        "launch_ros.actions": {"Node": Node, "PushRosNamespace": PushRosNamespace},
+        "launch_ros.actions": {"Node": Node},
     }
     with pytest.MonkeyPatch.context() as patch:
         for name, attributes in contents.items():
@@ -195,12 +177,6 @@ def _visit(entities: Iterable[Any], context: Context) -> Iterator[Node]:
             entity.visit(context)
         elif isinstance(entity, OpaqueFunction):
             yield from _visit(entity.function(context), context)
-        elif isinstance(entity, PushRosNamespace):
-            context.pushed = below(context.pushed, entity.namespace)
-        elif isinstance(entity, GroupAction):
-            outside = context.pushed
-            yield from _visit(entity.actions, context)
-            context.pushed = outside
         else:
             assert isinstance(entity, Node), entity
             entity.full_namespace = below(context.pushed, entity.namespace)

@@ -19,7 +19,7 @@ from capture_rig.files import write_text
 from .joint_tree import JOINTS, PARENTS, JointTree
 from .motion import Motion
 
-CM_PER_M = 100.0
+CM_PER_M = 100
 ROTATION_ORDER = "ZXY"
 """Body-fixed, as most BVH files have it; singular where a bone pitches by 90 degrees about x, after its z turn."""
 DIGITS = 5

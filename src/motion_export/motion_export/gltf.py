@@ -12,6 +12,8 @@ import numpy as np
 import pygltflib as gltf
 from scipy.spatial.transform import Rotation
 
+from capture_rig.files import write_bytes
+
 from .joint_tree import JOINTS, PARENTS, JointTree
 from .motion import Motion
 
@@ -46,7 +48,7 @@ def write_glb(motion: Motion, path: Path) -> None:
         buffers=[gltf.Buffer(byteLength=len(buffer.data))],
     )
     document.set_binary_blob(bytes(buffer.data))
-    document.save_binary(str(path))
+    write_bytes(path, b"".join(document.save_to_bytes()))
 
 
 def _animation(buffer: _Buffer, motion: Motion, tree: JointTree, keys: np.ndarray) -> gltf.Animation:

@@ -26,7 +26,7 @@ from stick_figure.skeleton import (
     TORSO,
 )
 
-from .motion import R_BIOMECHANICS_WORLD, Motion
+from .motion import R_BIOMECHANICS_WORLD, Motion, in_frames
 
 Array = np.ndarray
 
@@ -102,7 +102,5 @@ def _degrees(R: dict[str, Array], sequence: str) -> dict[str, Array]:
 
 def _over_time(values: Array, known: Array) -> Array:
     """(F,) continuous angles, NaN in gaps, the first one within half a turn of zero."""
-    out = np.full(len(known), np.nan)
     continuous = np.unwrap(values, period=360.0)
-    out[known] = continuous - 360.0 * np.round(continuous[0] / 360.0) if len(values) else continuous
-    return out
+    return in_frames(continuous - 360.0 * np.round(continuous[:1] / 360.0), known)

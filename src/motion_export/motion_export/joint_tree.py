@@ -24,7 +24,7 @@ from stick_figure.skeleton import (
     TORSO,
 )
 
-from .motion import R_ANIMATION_WORLD, T_POSE_STICKS, Motion, fill_linearly, fill_rotations, rotated
+from .motion import R_ANIMATION_WORLD, T_POSE_STICKS, Motion, fill_linearly, fill_rotations, in_frames, rotated
 
 Array = np.ndarray
 RIGID_M = 1e-3
@@ -112,15 +112,8 @@ class JointTree:
         offsets[0] = 0.0
         rigid = bool(np.abs(translations - offsets)[:, 1:].max() < RIGID_M)
         return cls(
-            fill_linearly(_in_frames(translations, tracked), tracked),
-            np.stack([fill_rotations(_in_frames(R, tracked), tracked) for R in rotations.swapaxes(0, 1)], axis=1),
+            fill_linearly(in_frames(translations, tracked), tracked),
+            np.stack([fill_rotations(in_frames(R, tracked), tracked) for R in rotations.swapaxes(0, 1)], axis=1),
             offsets,
             rigid,
         )
-
-
-def _in_frames(values: Array, tracked: Array) -> Array:
-    """Spread rows of the tracked frames over all frames, NaN in gaps."""
-    out = np.full((len(tracked), *values.shape[1:]), np.nan)
-    out[tracked] = values
-    return out

@@ -16,9 +16,9 @@ from capture_rig.files import write_bytes, write_text
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from .isb_angles import isb_angles
-from .motion import NS_PER_S, R_BIOMECHANICS_WORLD, Motion, point_deviations
+from .motion import NS_PER_S, R_BIOMECHANICS_WORLD, Motion, in_frames, point_deviations
 
-MM_PER_M = 1000.0
+MM_PER_M = 1000
 LABEL_LENGTH = 16
 """Characters of the longest label, "right_shoulder", and some: C3D labels have one length."""
 NO_POINT = -1.0
@@ -83,7 +83,8 @@ def write_csv(motion: Motion, path: Path) -> None:
         header += [f"{name}_{axis}_m" for axis in "xyz"] + [f"{name}_cov_{'xyz'[i]}{'xyz'[j]}_m2" for i, j in UPPER]
         columns += [motion.points_world[:, p], np.stack([motion.covariance[:, p, i, j] for i, j in UPPER], axis=1)]
     header += [f"torso_frame_{axis}_m" for axis in "xyz"] + [f"torso_frame_q{axis}" for axis in "xyzw"]
-    columns += [motion.torso_position_world, _quaternions(motion.R_world_torso)]
+    turned = Rotation.from_matrix(motion.R_world_torso[motion.tracked]).as_quat(canonical=True)  # w >= 0
+    columns += [motion.torso_position_world, in_frames(turned, motion.tracked)]
     header += [f"{name}_rad" for name in ANGLE_NAMES]
     columns.append(motion.angles)
     isb = isb_angles(motion)
@@ -91,20 +92,13 @@ def write_csv(motion: Motion, path: Path) -> None:
     columns.append(np.stack(list(isb.values()), axis=1))
     numbers = np.concatenate(columns, axis=1)
     stamps = motion.start_ns + np.rint(np.arange(len(motion)) * (NS_PER_S / motion.rate_hz)).astype(np.int64)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(header)
-        for time_s, stamp_ns, state, row in zip(motion.times_s, stamps, motion.states, numbers, strict=True):
-            writer.writerow([f"{time_s:.6f}", stamp_ns, state, *map(_cell, row)])
+    file = io.StringIO()
+    writer = csv.writer(file)
+    writer.writerow(header)
+    for time_s, stamp_ns, state, row in zip(motion.times_s, stamps, motion.states, numbers, strict=True):
+        writer.writerow([f"{time_s:.6f}", stamp_ns, state, *map(_cell, row)])
+    write_text(path, file.getvalue())
 
 
 def _cell(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.{DIGITS}g}"
-
-
-def _quaternions(R: np.ndarray) -> np.ndarray:
-    """(F, 4) x, y, z, w with w >= 0; NaN in gaps."""
-    known = np.isfinite(R).all(axis=(1, 2))
-    out = np.full((len(R), 4), np.nan)
-    out[known] = Rotation.from_matrix(R[known]).as_quat(canonical=True)
-    return out

@@ -133,6 +133,13 @@ def usual_rate(stamps_ns: Array) -> float:
     return nearest if abs(nearest - rate) <= NEAR_A_CAMERA_RATE * nearest else rate
 
 
+def in_frames(values: Array, tracked: Array) -> Array:
+    """Spread rows of the tracked frames (F,) bool over all frames; NaN in gaps."""
+    out = np.full((len(tracked), *values.shape[1:]), np.nan)
+    out[tracked] = values
+    return out
+
+
 def _frames_of_sticks(position: Array, R_torso: Array, angles: Array) -> Array:
     """(F, 10, 3, 3) by forward kinematics; NaN where there is no pose."""
     out = np.full((len(angles), 10, 3, 3), np.nan)

@@ -8,14 +8,13 @@ The model is our stick figure: its coordinates are the torso's six and the eight
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as xml
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from capture_rig.files import write_text
+from capture_rig.files import write_bytes, write_text
 from stick_figure.body import Body
 from stick_figure.body_surface import SegmentInertia, segment_inertias
 from stick_figure.skeleton import (
@@ -42,26 +41,18 @@ AXIS_OF = {"x": (1, 0, 0), "y": (0, 0, -1), "z": (0, 1, 0)}
 """Our axes in OpenSim's: x forward, y up, z right."""
 
 
-@dataclass(frozen=True)
-class _Joint:
-    """A joint: the stick that it moves, its angles in the order in which they turn, the axis (ours) of each."""
-
-    stick: int
-    angles: tuple[str, ...]
-    axes: str
-
-
-_JOINTS = (
-    _Joint(1, ("neck_x", "neck_y"), "xy"),
-    _Joint(2, ("left_shoulder_x", "left_shoulder_z", "left_shoulder_y"), "xzy"),
-    _Joint(3, ("right_shoulder_x", "right_shoulder_z", "right_shoulder_y"), "xzy"),
-    _Joint(4, ("left_hip_x", "left_hip_y", "left_hip_z"), "xyz"),
-    _Joint(5, ("right_hip_x", "right_hip_y", "right_hip_z"), "xyz"),
-    _Joint(6, ("left_elbow",), "z"),
-    _Joint(7, ("right_elbow",), "z"),
-    _Joint(8, ("left_knee",), "y"),
-    _Joint(9, ("right_knee",), "y"),
+_JOINTS: tuple[tuple[int, tuple[str, ...], str], ...] = (
+    (1, ("neck_x", "neck_y"), "xy"),
+    (2, ("left_shoulder_x", "left_shoulder_z", "left_shoulder_y"), "xzy"),
+    (3, ("right_shoulder_x", "right_shoulder_z", "right_shoulder_y"), "xzy"),
+    (4, ("left_hip_x", "left_hip_y", "left_hip_z"), "xyz"),
+    (5, ("right_hip_x", "right_hip_y", "right_hip_z"), "xyz"),
+    (6, ("left_elbow",), "z"),
+    (7, ("right_elbow",), "z"),
+    (8, ("left_knee",), "y"),
+    (9, ("right_knee",), "y"),
 )
+"""Of each joint: the stick that it moves, its angles in the order in which they turn, the axis (ours) of each."""
 
 
 def write_osim(motion: Motion, path: Path, mass_kg: float | None = None) -> None:
@@ -76,14 +67,14 @@ def write_osim(motion: Motion, path: Path, mass_kg: float | None = None) -> None
     joints = xml.SubElement(xml.SubElement(model, "JointSet", name="jointset"), "objects")
     _add_root(joints)
     for joint in _JOINTS:
-        _add_joint(joints, joint, body)
+        _add_joint(joints, *joint, body)
     markers = xml.SubElement(xml.SubElement(model, "MarkerSet", name="markerset"), "objects")
     for point, name in enumerate(POINT_NAMES):
         marker = xml.SubElement(markers, "Marker", name=name)
         _text(marker, "socket_parent_frame", f"/bodyset/{STICK_NAMES[POINT_STICK[point]]}")
         _text(marker, "location", _numbers(_marker_place(body, point)))
     xml.indent(document)
-    xml.ElementTree(document).write(path, encoding="UTF-8", xml_declaration=True)
+    write_bytes(path, xml.tostring(document, "UTF-8", xml_declaration=True))
 
 
 def write_mot(motion: Motion, path: Path) -> None:
@@ -133,15 +124,14 @@ def _add_root(joints: xml.Element) -> None:
         _add_axis(transform, f"translation{k}", name, axis)
 
 
-def _add_joint(joints: xml.Element, description: _Joint, body: Body) -> None:
+def _add_joint(joints: xml.Element, stick: int, angles: tuple[str, ...], axes: str, body: Body) -> None:
     """Add a ball joint or hinge between a stick and its parent."""
-    stick, parent = description.stick, int(PARENT[description.stick])
-    name = STICK_NAMES[stick]
+    name, parent = STICK_NAMES[stick], int(PARENT[stick])
     joint = xml.SubElement(joints, "CustomJoint", name=f"{name}_joint")
     _text(joint, "socket_parent_frame", f"{name}_origin")
     _text(joint, "socket_child_frame", f"/bodyset/{name}")
     coordinates = xml.SubElement(joint, "coordinates")
-    for angle in description.angles:
+    for angle in angles:
         slot = ANGLE_NAMES.index(angle)
         _add_coordinate(coordinates, angle, T_POSE_ANGLES[slot], ANGLE_LOW[slot], ANGLE_HIGH[slot])
     frame = xml.SubElement(xml.SubElement(joint, "frames"), "PhysicalOffsetFrame", name=f"{name}_origin")
@@ -154,10 +144,10 @@ def _add_joint(joints: xml.Element, description: _Joint, body: Body) -> None:
     _text(frame, "translation", _numbers(origin))
     _text(frame, "orientation", "0 0 0")
     transform = xml.SubElement(joint, "SpatialTransform")
-    used = [AXIS_OF[axis] for axis in description.axes]
+    used = [AXIS_OF[axis] for axis in axes]
     spare = [axis for axis in AXIS_OF.values() if axis not in used]
     for k, axis in enumerate([*used, *spare], 1):
-        _add_axis(transform, f"rotation{k}", description.angles[k - 1] if k <= len(used) else "", axis)
+        _add_axis(transform, f"rotation{k}", angles[k - 1] if k <= len(used) else "", axis)
     for k, axis in enumerate(UNIT_AXES, 1):
         _add_axis(transform, f"translation{k}", "", axis)
 

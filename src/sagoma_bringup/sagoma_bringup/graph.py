@@ -104,18 +104,16 @@ def build_graph(
     """
     if session is not None:
         if rig is not None or cameras is not None:
-            raise InputError(
-                "a session brings its own rig and cameras",
-                where="rig, cameras",
-                remedy="Give a session, or a rig with cameras.",
-            )
+            remedy = "Give a session, or a rig with cameras."
+            raise InputError("a session brings its own rig and cameras", where="rig, cameras", remedy=remedy)
         graph = session_graph(load_session(session), rate=rate, epoch_ns=epoch_ns, loop=loop, body=body)
     elif rig is not None:
         graph = server_graph(rig, body=body)
         if cameras is not None:
             clients = rig_cameras(rig, cameras)
             # stamps of slow motion fall behind time, which would look like a queue; and nothing need be dropped
-            graph = apply_settings(graph, {} if _in_real_time(clients) else LOSSLESS_SETTINGS) + clients
+            in_real_time = all(client.parameters.get("aravis.clock_speed", 1) == 1 for client in clients)
+            graph = apply_settings(graph, {} if in_real_time else LOSSLESS_SETTINGS) + clients
     elif cameras is not None:
         graph = [node.with_parameters({"autostart": False}) for node in cameras_from_files(cameras)]
     else:
@@ -130,14 +128,10 @@ def session_graph(
     rig_file = (session.folder / "rig.yaml").resolve()
     without_background = [name for name in session.rig.names if name not in session.backgrounds]
     if without_background:
-        raise InputError(
-            f"there is no background for {', '.join(without_background)}",
-            where=str(session.folder),
-            remedy=f"Add {without_background[0]}_background.mp4 or .png: the empty scene.",
-        )
-    if (
-        rate == 0 and not epoch_ns
-    ):  # played by no clock, the cameras' stamps begin alike; at a rate, they agree themselves
+        what = f"there is no background for {', '.join(without_background)}"
+        remedy = f"Add {without_background[0]}_background.mp4 or .png: the empty scene."
+        raise InputError(what, where=str(session.folder), remedy=remedy)
+    if rate == 0 and not epoch_ns:  # by no clock, the cameras' stamps begin alike; at a rate, they agree themselves
         epoch_ns = time.time_ns()
     footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": int(epoch_ns), "loop": loop}
     footage["wait_for_cameras"] = rate > 0
@@ -167,7 +161,9 @@ def server_graph(rig: str | Path, *, body: str | Path | None = None) -> list[Nod
     """Hull server, ICP tracker and EKF tracker for one rig."""
     rig_file = Path(rig).resolve()
     load_rig(rig_file)
-    known = {"body_file": _body_file(Path(body))} if body is not None else {}
+    if body is not None and not Path(body).is_file():
+        raise InputError("there is no such file", where=str(body), remedy="Give a body YAML, or none: it is measured.")
+    known = {"body_file": str(Path(body).resolve())} if body is not None else {}
     parameters: dict[str, Mapping[str, Any]] = {
         "hull_server": {"rig_file": str(rig_file)},
         "icp_tracker": {"initial_pose.rig_file": str(rig_file), **known},
@@ -192,35 +188,28 @@ def rig_cameras(rig: str | Path, cameras: str | Path) -> list[NodeSpec]:
     nodes = {node.label: node for node in cameras_from_files(cameras)}
     unknown, absent = sorted(set(nodes) - set(names)), sorted(set(names) - set(nodes))
     if unknown:
-        raise InputError(
-            f"the rig {rig} has no camera {', '.join(unknown)}",
-            where=str(cameras),
-            remedy=f"Known cameras: {', '.join(names)}.",
-        )
+        remedy = f"Known cameras: {', '.join(names)}."
+        raise InputError(f"the rig {rig} has no camera {', '.join(unknown)}", where=str(cameras), remedy=remedy)
     if absent:
-        raise InputError(
-            f"the rig {rig} has {len(names)} cameras, but there is no parameter file for {', '.join(absent)}",
-            where=str(cameras),
-            remedy=f"Add {absent[0]}.yaml, or take the camera out of the rig.",
-        )
+        what = f"the rig {rig} has {len(names)} cameras, but there is no parameter file for {', '.join(absent)}"
+        raise InputError(what, where=str(cameras), remedy=f"Add {absent[0]}.yaml, or take the camera out of the rig.")
     rig_file = str(Path(rig).resolve())
     return [camera_node(name, {**nodes[name].parameters, "rig_file": rig_file, "autostart": False}) for name in names]
 
 
-def _in_real_time(cameras: Sequence[NodeSpec]) -> bool:
-    """Return whether the cameras' clocks run at the speed of time: all but simulated ones in slow motion do."""
-    return all(camera.parameters.get("aravis.clock_speed", 1) == 1 for camera in cameras)
-
-
 def cameras_from_files(cameras: str | Path) -> list[NodeSpec]:
     """Return the camera nodes of the parameter files in a folder (or of one file), in name order."""
-    nodes = [camera_from_file(path) for path in _camera_files(Path(cameras))]
+    path = Path(cameras)
+    files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
+    if not files or not all(file.is_file() for file in files):
+        remedy = "Give a folder with one YAML a camera, or one such file."
+        raise InputError("no camera parameter file", where=str(path), remedy=remedy)
+    nodes = [camera_from_file(file) for file in files]
     labels = [node.label for node in nodes]
     twice = sorted({label for label in labels if labels.count(label) > 1})
     if twice:
-        raise InputError(
-            f"{', '.join(twice)} is described twice", where=str(cameras), remedy="Keep one parameter file a camera."
-        )
+        remedy = "Keep one parameter file a camera."
+        raise InputError(f"{', '.join(twice)} is described twice", where=str(cameras), remedy=remedy)
     return sorted(nodes, key=lambda node: node.label)
 
 
@@ -230,17 +219,13 @@ def camera_from_file(path: str | Path) -> NodeSpec:
     document = read_mapping(path, f"Give a ROS parameter file with the key /CAMERA/{CAMERA_NODE}.")
     keys = [key for key in document if str(key).endswith(f"/{CAMERA_NODE}") and str(key).count("/") == 2]
     if len(document) != 1 or len(keys) != 1:
-        raise InputError(
-            f"has the keys {', '.join(map(str, document)) or 'of no node'}",
-            where=str(path),
-            remedy=f"A camera's parameter file has one key, /CAMERA/{CAMERA_NODE}.",
-        )
+        what = f"has the keys {', '.join(map(str, document)) or 'of no node'}"
+        raise InputError(what, where=str(path), remedy=f"A camera's parameter file has one key, /CAMERA/{CAMERA_NODE}.")
     entry = document[keys[0]]
     parameters = entry.get("ros__parameters") if isinstance(entry, Mapping) else None
     if not isinstance(parameters, Mapping):
-        raise InputError(
-            "has no mapping 'ros__parameters'", where=f"{path}: {keys[0]}", remedy="Put the parameters under it."
-        )
+        remedy = "Put the parameters under it."
+        raise InputError("has no mapping 'ros__parameters'", where=f"{path}: {keys[0]}", remedy=remedy)
     return camera_node(str(keys[0]).split("/")[1], _flat(parameters))
 
 
@@ -254,9 +239,8 @@ def select(graph: Sequence[NodeSpec], only: str | None) -> list[NodeSpec]:
     chosen = [node for node in graph if node.label == only]
     if not chosen:
         labels = ", ".join(node.label for node in graph)
-        raise InputError(
-            f"the graph has no part '{only}'", where="only", remedy=f"Give server, cameras, or one of: {labels}."
-        )
+        remedy = f"Give server, cameras, or one of: {labels}."
+        raise InputError(f"the graph has no part '{only}'", where="only", remedy=remedy)
     return chosen
 
 
@@ -267,36 +251,16 @@ def apply_settings(graph: Sequence[NodeSpec], settings: Mapping[str, Any]) -> li
         target, _, parameter = key.partition(".")
         if not parameter or target not in labels | {ALL_CAMERAS}:
             known = ", ".join([*sorted(labels), ALL_CAMERAS])
-            raise InputError(
-                f"'{key}' names no node of the graph",
-                where="settings",
-                remedy=f"Write NODE.PARAMETER, with NODE one of: {known}.",
-            )
-    return [node.with_parameters(_parameters_for(node, settings)) for node in graph]
-
-
-def _parameters_for(node: NodeSpec, settings: Mapping[str, Any]) -> dict[str, Any]:
-    targets = {node.label} | ({ALL_CAMERAS} if node.role is Role.CAMERA else set())
-    # the single camera's own value comes last, so that it wins over the one given for all
+            remedy = f"Write NODE.PARAMETER, with NODE one of: {known}."
+            raise InputError(f"'{key}' names no node of the graph", where="settings", remedy=remedy)
+    # a single camera's own value comes last, so that it wins over the one given for all
     ordered = sorted(settings.items(), key=lambda item: not item[0].startswith(ALL_CAMERAS + "."))
-    return {key.partition(".")[2]: value for key, value in ordered if key.partition(".")[0] in targets}
 
+    def own(node: NodeSpec) -> dict[str, Any]:
+        targets = (node.label, ALL_CAMERAS) if node.role is Role.CAMERA else (node.label,)
+        return {key.partition(".")[2]: value for key, value in ordered if key.partition(".")[0] in targets}
 
-def _body_file(path: Path) -> str:
-    if not path.is_file():
-        raise InputError("there is no such file", where=str(path), remedy="Give a body YAML, or none: it is measured.")
-    return str(path.resolve())
-
-
-def _camera_files(path: Path) -> list[Path]:
-    files = sorted(path.glob("*.yaml")) if path.is_dir() else [path]
-    if not files or not all(file.is_file() for file in files):
-        raise InputError(
-            "no camera parameter file",
-            where=str(path),
-            remedy="Give a folder with one YAML a camera, or one such file.",
-        )
-    return files
+    return [node.with_parameters(own(node)) for node in graph]
 
 
 def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -22,14 +22,19 @@ from capture_rig.yaml_file import format_mapping, read_mapping
 from sagoma_ros.names import SCHEME, package_path, resolve_packages
 
 from .graph import ProcessSpec
-from .launch_arguments import ARGUMENTS, Argument, LaunchRequest, read_request
+from .launch_arguments import ARGUMENTS, LaunchRequest, read_request
 
 PACKAGE = "sagoma_bringup"
 
 
 def describe(file: str) -> LaunchDescription:
     """Return the description of the launch file named ``file``: its arguments, and what their values start."""
-    declared = [_declare(argument) for argument in ARGUMENTS[file]]
+    declared = [
+        DeclareLaunchArgument(
+            one.name, default_value=one.default, description=one.description, choices=list(one.choices) or None
+        )
+        for one in ARGUMENTS[file]
+    ]
     return LaunchDescription([*declared, OpaqueFunction(function=partial(start, file))])
 
 
@@ -62,13 +67,6 @@ def rviz(request: LaunchRequest) -> Node:
         remappings=[(topic, topic.removeprefix("/")) for topic in topics],
         parameters=[{"use_sim_time": request.use_sim_time}],
         output="screen",
-    )
-
-
-def _declare(argument: Argument) -> DeclareLaunchArgument:
-    choices = list(argument.choices) or None
-    return DeclareLaunchArgument(
-        argument.name, default_value=argument.default, description=argument.description, choices=choices
     )
 
 

@@ -55,19 +55,15 @@ def from_cloud(cloud: PointCloud2, layout: np.dtype, where: str) -> np.ndarray:
     wanted = [name for name in layout.names or () if name in fields or name not in DEFAULTS]
     missing = [name for name in wanted if name not in fields]
     if missing:
-        raise InputError(
-            f"the cloud has no field '{missing[0]}' (it has: {', '.join(fields)})",
-            where=where,
-            remedy=f"Publish the fields {', '.join(layout.names or ())}.",
-        )
+        what = f"the cloud has no field '{missing[0]}' (it has: {', '.join(fields)})"
+        raise InputError(what, where=where, remedy=f"Publish the fields {', '.join(layout.names or ())}.")
     wire = np.frombuffer(_rows(cloud, where), _wire_layout(cloud, [fields[name] for name in wanted], where))
     points = np.empty(len(wire), layout)
     for name in layout.names or ():
         points[name] = wire[name] if name in fields else DEFAULTS[name]
     if not np.isfinite(points.view(np.float64)).all():
-        raise InputError(
-            "the cloud holds numbers that are not finite", where=where, remedy="Drop such points before publishing."
-        )
+        remedy = "Drop such points before publishing."
+        raise InputError("the cloud holds numbers that are not finite", where=where, remedy=remedy)
     return points
 
 

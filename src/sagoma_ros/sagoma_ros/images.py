@@ -56,9 +56,8 @@ def silhouette_message(mask: np.ndarray, stamp_ns: int, frame_id: str) -> Compre
     The levels are those of ``capture_rig.mask_levels``. The PNG has one bit a pixel; two with shadow candidates, four
     with degrees of darkness.
     """
-    message = CompressedImage(format=SILHOUETTE_FORMAT, data=array.array("B", mask_png.encode(mask)))
-    message.header.stamp, message.header.frame_id = to_stamp(stamp_ns), frame_id
-    return message
+    header, data = Header(stamp=to_stamp(stamp_ns), frame_id=frame_id), array.array("B", mask_png.encode(mask))
+    return CompressedImage(header=header, format=SILHOUETTE_FORMAT, data=data)
 
 
 def absence_message(stamp_ns: int) -> CompressedImage:
@@ -68,7 +67,10 @@ def absence_message(stamp_ns: int) -> CompressedImage:
 
 def preview_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> CompressedImage:
     """Image (h, w[, 3]) uint8 BGR as JPEG, for looking at."""
-    return _compressed(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80], "jpeg", stamp_ns, frame_id)
+    _, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])
+    return CompressedImage(
+        header=Header(stamp=to_stamp(stamp_ns), frame_id=frame_id), format="jpeg", data=_bytes(encoded)
+    )
 
 
 def decode_silhouette(
@@ -82,26 +84,17 @@ def decode_silhouette(
     """
     data = bytes(message.data)
     if not data.startswith(mask_png.SIGNATURE):
-        raise InputError(
-            f"format '{message.format}' is not a PNG silhouette",
-            where=where,
-            remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.",
-        )
+        remedy = f"Publish '{SILHOUETTE_FORMAT}', as camera_client does."
+        raise InputError(f"format '{message.format}' is not a PNG silhouette", where=where, remedy=remedy)
     header = mask_png.read_header(data)
     if header is None:
         raise _damaged(where)
     if (header.depth, header.colour_type) not in MONO_PNG:
-        raise InputError(
-            f"the PNG is not mono8: its bit depth and colour type are {[header.depth, header.colour_type]}",
-            where=where,
-            remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.",
-        )
+        what = f"the PNG is not mono8: its bit depth and colour type are {[header.depth, header.colour_type]}"
+        raise InputError(what, where=where, remedy=f"Publish '{SILHOUETTE_FORMAT}', as camera_client does.")
     if (header.width, header.height) != (width, height):  # before any memory is taken for it
-        raise InputError(
-            f"the silhouette is {header.width} x {header.height} pixels, the undistorted canvas {width} x {height}",
-            where=where,
-            remedy="Give camera client and hull server the same rig file.",
-        )
+        what = f"the silhouette is {header.width} x {header.height} pixels, the undistorted canvas {width} x {height}"
+        raise InputError(what, where=where, remedy="Give camera client and hull server the same rig file.")
     mask = mask_png.decode(data, candidates)
     if mask is not None:
         return mask
@@ -143,18 +136,6 @@ def _levels(candidates: int) -> np.ndarray:
     return table
 
 
-def _compressed(
-    suffix: str, image: np.ndarray, options: list[int], format: str, stamp_ns: int, frame_id: str
-) -> CompressedImage:
-    ok, encoded = cv2.imencode(suffix, image, options)
-    if not ok:
-        raise ValueError(f"an image of shape {image.shape} and type {image.dtype} cannot be encoded as {suffix}")
-    message = CompressedImage(format=format)
-    message.header.stamp, message.header.frame_id = to_stamp(stamp_ns), frame_id
-    message.data = _bytes(encoded)
-    return message
-
-
 def _bytes(values: np.ndarray) -> array.array:
     """rclpy copies an array('B') as a block; an ndarray it copies element by element, a thousand times slower."""
     return array.array("B", values.tobytes())
@@ -169,9 +150,8 @@ def decode_image(message: Image | CompressedImage, where: str, bits: int | None 
     if isinstance(message, CompressedImage):
         return _decode_compressed(message, where)
     if message.encoding not in ENCODINGS:
-        raise InputError(
-            f"encoding '{message.encoding}' is not known", where=where, remedy=f"Publish one of {', '.join(ENCODINGS)}."
-        )
+        remedy = f"Publish one of {', '.join(ENCODINGS)}."
+        raise InputError(f"encoding '{message.encoding}' is not known", where=where, remedy=remedy)
     channels, kind, conversion = ENCODINGS[message.encoding]
     dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
     row_bytes = message.width * channels * dtype.itemsize
@@ -199,9 +179,8 @@ def _decode_compressed(message: CompressedImage, where: str) -> np.ndarray:
         check_pixels(*size, where)
     image = None if size is None else cv2.imdecode(np.frombuffer(message.data, np.uint8), cv2.IMREAD_ANYCOLOR)
     if image is None:
-        raise InputError(
-            f"the image (format '{message.format}') cannot be decoded", where=where, remedy="Publish JPEG or PNG."
-        )
+        remedy = "Publish JPEG or PNG."
+        raise InputError(f"the image (format '{message.format}') cannot be decoded", where=where, remedy=remedy)
     return image
 
 

@@ -144,7 +144,7 @@ class PacketSubscription(Generic[P]):
     """
 
     def __init__(self, node: Node, topic: PacketTopic[P], callback: Callable[[Delivery[P]], None]) -> None:
-        self._node, self._topic, self._callback = node, topic, callback
+        self._node, self._topic, self.deliver = node, topic, callback
         self._where = node.resolve_topic_name(topic.name)
         self._wire: Subscription | None = None
         self._channel = _channel(node, topic.name)
@@ -161,10 +161,6 @@ class PacketSubscription(Generic[P]):
             topic = self._topic
             self._wire = self._node.create_subscription(topic.kind, topic.name, self._on_message, RESULT)
 
-    def deliver(self, delivery: Delivery[P]) -> None:
-        """Pass on a packet from this process."""
-        self._callback(delivery)
-
     def close(self) -> None:
         """Listen no longer."""
         with _CHANGING:
@@ -176,14 +172,9 @@ class PacketSubscription(Generic[P]):
             if excess := oversize(message):
                 raise InputError(f"a message is refused: {excess}")
             stamp_ns, frame_id = self._topic.header_of(message)
-        except InputError as error:
-            self._refuse(str(error))
+        except InputError as error:  # it is too large, or no message of ours
+            if (health := getattr(self._node, "health", None)) is not None:
+                health.count("large_messages")
+            self._node.get_logger().warning(f"{self._topic.name}: {error}", throttle_duration_sec=5.0)
             return
-        self._callback(Delivery(stamp_ns, frame_id, lambda: self._topic.from_message(message, self._where)))
-
-    def _refuse(self, why: str) -> None:
-        """Count and log what is too large, or no message of ours."""
-        health = getattr(self._node, "health", None)
-        if health is not None:
-            health.count("large_messages")
-        self._node.get_logger().warning(f"{self._topic.name}: {why}", throttle_duration_sec=5.0)
+        self.deliver(Delivery(stamp_ns, frame_id, lambda: self._topic.from_message(message, self._where)))

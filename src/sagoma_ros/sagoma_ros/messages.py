@@ -34,6 +34,11 @@ def key_values(values: Mapping[str, object]) -> list[KeyValue]:
     return [KeyValue(key=key, value=str(value)) for key, value in values.items()]
 
 
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    """Return the values of a status by their keys."""
+    return {pair.key: pair.value for pair in status.values}
+
+
 # mocap/latency --------------------------------------------------------------------------------------------------------
 
 
@@ -76,15 +81,14 @@ def thinning_message(rule: FrameDecimation, text: str = "") -> DiagnosticArray:
 
 def read_thinning(message: DiagnosticArray, where: str) -> FrameDecimation:
     """Return the inverse of :func:`thinning_message`. Raises InputError for a message that holds no rule."""
-    values = {pair.key: pair.value for status in message.status[:1] for pair in status.values}
     try:
+        values = values_of(message.status[0])
         numbers = {name: int(values[name]) for name in _INTEGERS}
         rule = FrameDecimation(from_ns=to_ns(message.header.stamp), period_ns=float(values["period_ns"]), **numbers)
-    except (KeyError, ValueError) as error:
+    except (IndexError, KeyError, ValueError) as error:
         remedy = "Run the same version on camera PCs and server."
         raise InputError(f"is no rule of thinning: {error!r}", where=where, remedy=remedy) from error
     if not (0 < rule.keep <= rule.of and 0.0 < rule.period_ns < math.inf):
-        raise InputError(
-            f"keeps {rule.keep} of {rule.of} every {rule.period_ns} ns", where=where, remedy="Restart the hull server."
-        )
+        remedy = "Restart the hull server."
+        raise InputError(f"keeps {rule.keep} of {rule.of} every {rule.period_ns} ns", where=where, remedy=remedy)
     return rule

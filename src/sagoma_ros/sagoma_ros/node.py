@@ -64,7 +64,7 @@ class SagomaNode(LifecycleNode):
         self.tf_prefix = ""
         self.health = NodeHealth(self)
         self.health.status(OK, "unconfigured")
-        self.on_active: Callable[[], None] = _do_nothing
+        self.on_active: Callable[[], object] = lambda: None
         """What the process does each time the node has become active."""
 
     def configure(self) -> None:
@@ -119,11 +119,6 @@ class SagomaNode(LifecycleNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         return self._attempt(self.cleanup, None)
 
-    @property
-    def starts_itself(self) -> bool:
-        """The parameter ``autostart``."""
-        return read_declared(self, CommonSettings).autostart
-
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters as every node does; while it is configured, the result says when a change takes effect."""
         result = super().set_parameters_atomically(parameter_list)
@@ -133,14 +128,6 @@ class SagomaNode(LifecycleNode):
             result.reason = TAKES_EFFECT
             self.get_logger().info(f"{changed}: {TAKES_EFFECT}")
         return result
-
-    def configured(self) -> bool:
-        """Configure by oneself; False when that failed."""
-        return self.trigger_configure() == TransitionCallbackReturn.SUCCESS
-
-    def activated(self) -> bool:
-        """Activate by oneself; False when that failed."""
-        return self.trigger_activate() == TransitionCallbackReturn.SUCCESS
 
     def close(self) -> None:
         """Release everything before the process ends, in whatever state the node is."""
@@ -203,10 +190,6 @@ class SagomaNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
 
-def _do_nothing() -> None:
-    pass
-
-
 # --- parameters -----------------------------------------------------------------------------------------------------
 
 
@@ -232,9 +215,7 @@ def _of_type(leaf: Leaf, value: Any) -> Any:
 
 
 def _change_of_type(known: Mapping[str, Leaf], change: Parameter) -> Parameter:
-    if change.name not in known:
-        return change
-    value = _of_type(known[change.name], change.value)
+    value = _of_type(known[change.name], change.value) if change.name in known else change.value
     return change if value is change.value else Parameter(change.name, value=value)
 
 

@@ -103,26 +103,21 @@ def _label(name: str, layout: np.dtype) -> str:
     return f"{name}: {' '.join(layout.names or ())}"
 
 
-def _header_of_joints(message: MultiDOFJointState) -> tuple[int, str]:
-    return to_ns(message.header.stamp), message.header.frame_id
+def _topic_of_tables(name: str, kind: type[M]) -> PacketTopic[M]:
+    def read(message: Float64MultiArray, where: str) -> M:
+        return read_tables(message, kind, where)
+
+    return PacketTopic(name, Float64MultiArray, tables_message, header_of_tables, read)
 
 
-HULL_PRODUCTS = PacketTopic[HullProducts](
-    "hull/products",
-    Float64MultiArray,
-    tables_message,
-    header_of_tables,
-    lambda message, where: read_tables(message, HullProducts, where),
-)
-FITTED_PEOPLE = PacketTopic[FittedPeople](
-    "icp/people",
-    Float64MultiArray,
-    tables_message,
-    header_of_tables,
-    lambda message, where: read_tables(message, FittedPeople, where),
-)
+HULL_PRODUCTS = _topic_of_tables("hull/products", HullProducts)
+FITTED_PEOPLE = _topic_of_tables("icp/people", FittedPeople)
 PREDICTIONS = PacketTopic[Predictions](
-    "ekf/prediction", MultiDOFJointState, predictions_message, _header_of_joints, read_predictions
+    "ekf/prediction",
+    MultiDOFJointState,
+    predictions_message,
+    lambda message: (to_ns(message.header.stamp), message.header.frame_id),
+    read_predictions,
 )
 
 # --- for whoever listens

@@ -13,12 +13,13 @@ import rclpy
 from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
 from capture_rig.errors import InputError
 
 from .middleware import bound_memory
-from .node import SagomaNode
+from .node import CommonSettings, SagomaNode, read_declared
 
 try:  # is told what has come, where the other asks every entity of every node for each message
     from rclpy.experimental import EventsExecutor
@@ -81,8 +82,9 @@ def run_nodes(factories: Sequence[Callable[[], SagomaNode]], args: list[str] | N
 
 def autostart(nodes: Sequence[SagomaNode]) -> bool:
     """Bring the nodes whose parameter ``autostart`` says so to active, as :func:`run_nodes` does; False: it failed."""
-    starting = [node for node in nodes if node.starts_itself]
-    return all(node.configured() for node in starting) and all(node.activated() for node in reversed(starting))
+    starting = [node for node in nodes if read_declared(node, CommonSettings).autostart]
+    steps = [node.trigger_configure for node in starting] + [node.trigger_activate for node in reversed(starting)]
+    return all(step() == TransitionCallbackReturn.SUCCESS for step in steps)
 
 
 def freeze_garbage_collector() -> None:

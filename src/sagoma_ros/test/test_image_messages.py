@@ -67,7 +67,6 @@ def test_mask_of_another_program_is_foreground_wherever_it_is_neither_zero_nor_a
 BODY = bytes(silhouette_message(body_mask(), 0, "").data)
 WIDE = BODY[:16] + b"\x80\0\0\0" + BODY[20:29]  # a header that says 2^31 columns
 WIDE += struct.pack(">I", zlib.crc32(WIDE[12:])) + BODY[33:]
-FLIPPED = bytes(byte ^ 0xFF if place == len(BODY) // 2 else byte for place, byte in enumerate(BODY))
 
 
 @pytest.mark.parametrize(
@@ -81,12 +80,8 @@ FLIPPED = bytes(byte ^ 0xFF if place == len(BODY) // 2 else byte for place, byte
         pytest.param(png(WIDE), "2147483648 x 120", id="huge size"),
         pytest.param(preview_message(body_mask(), 0, ""), "format 'jpeg' is not a PNG silhouette", id="jpeg"),
         pytest.param(encoded(np.zeros((HEIGHT, WIDTH, 3), np.uint8)), "is not mono8", id="colour"),
-        pytest.param(encoded(np.zeros((HEIGHT, WIDTH), np.uint16)), "is not mono8", id="16 bits"),
         pytest.param(png(b""), "is not a PNG", id="empty"),
-        pytest.param(png(b"not a picture"), "is not a PNG", id="text"),
-        pytest.param(png(b"\x89PNG\r\n\x1a\n"), "the PNG cannot be decoded", id="signature alone"),
         pytest.param(png(BODY[: len(BODY) // 2]), "the PNG cannot be decoded", id="truncated"),
-        pytest.param(png(FLIPPED), "the PNG cannot be decoded", id="damaged"),
     ],
 )
 def test_message_that_is_no_silhouette_is_refused_with_topic_cause_and_remedy(message, said: str) -> None:

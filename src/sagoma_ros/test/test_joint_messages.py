@@ -99,11 +99,9 @@ def refusal(message: MultiDOFJointState) -> str:
     return str(caught.value)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-@pytest.mark.parametrize("joint", [0, 7])
-def test_prediction_with_a_number_that_is_not_finite_is_refused(joint: int, bad: float) -> None:
+def test_prediction_with_a_number_that_is_not_finite_is_refused() -> None:
     turned, moving = good_message(), good_message()
-    turned.transforms[joint].rotation.y = moving.twist[joint].angular.x = bad
+    turned.transforms[7].rotation.y = moving.twist[0].angular.x = np.inf
     assert "not finite" in refusal(turned) and "not finite" in refusal(moving)
 
 

@@ -164,11 +164,9 @@ def in_step(graph: Sequence[NodeSpec], cameras: int, start_at_ns: int | None, ra
     here = [node.label for node in graph if node.role is Role.CAMERA]
     if start_at_ns is None:
         if 0 < len(here) < cameras:
-            raise InputError(
-                f"of {cameras} cameras only {', '.join(here)} plays here, and its frames would not meet the others'",
-                where="--only",
-                remedy="Give every machine the same moment to begin, a minute from now: --start-at 14:30:05.",
-            )
+            what = f"of {cameras} cameras only {', '.join(here)} plays here, and its frames would not meet the others'"
+            remedy = "Give every machine the same moment to begin, a minute from now: --start-at 14:30:05."
+            raise InputError(what, where="--only", remedy=remedy)
         return list(graph)
     settings: dict[str, Any] = {"epoch_ns": start_at_ns}
     if rate > 0:

@@ -27,6 +27,7 @@ COMMANDS = {
     "doctor": ("doctor",),
 }
 """Module -> its subcommands, in the order of the help."""
+NAMES = "Names in ROS have letters, digits and _, parts divided by /, and no part begins with a digit."
 ON_A_GRAPH = {"up", "start", "suspend", "stop", "background", "record", "view", "doctor"}
 
 
@@ -49,9 +50,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:  # a file or folder that cannot be used, wherever it was named
         return _refuse(describe_os_error(error, "cannot be used"), BAD_INPUT)
     except Exception as error:
-        if not _is_bad_name(error):
-            raise
-        return _refuse(_bad_name(error), BAD_INPUT)
+        if "NameValidationException" not in {kind.__name__ for kind in type(error).__mro__}:
+            raise  # rclpy's, about a topic, camera or node, is known by its name: rclpy takes long to load
+        what = shortened(" ".join(str(error).replace("^", "").split()))
+        return _refuse(InputError(what, where="names", remedy=NAMES), BAD_INPUT)
 
 
 def run(argv: list[str]) -> int:
@@ -92,17 +94,6 @@ def _drop_output() -> None:
 def _refuse(why: object, status: int) -> int:
     print(f"sagoma: {why}", file=sys.stderr)
     return status
-
-
-def _is_bad_name(error: Exception) -> bool:
-    """Is it rclpy's, about a topic, service, camera or node? By name: rclpy takes long to load, and may not be."""
-    return any(kind.__name__ == "NameValidationException" for kind in type(error).__mro__)
-
-
-def _bad_name(error: Exception) -> InputError:
-    what = shortened(" ".join(str(error).replace("^", "").split()))
-    remedy = "Names in ROS have letters, digits and _, parts divided by /, and no part begins with a digit."
-    return InputError(what, where="names", remedy=remedy)
 
 
 if __name__ == "__main__":

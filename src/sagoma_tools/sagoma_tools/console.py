@@ -9,7 +9,7 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
@@ -18,6 +18,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from capture_rig.verdict import GOOD, REDO, USABLE
+
+GRADE_STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
 EDGES = "│┃|"  # of tables with a box
 LOG_WIDTH = 150  # of tables in a file, unless COLUMNS says otherwise
 
@@ -44,6 +47,20 @@ def command_console(*, stderr: bool = False, width: int = LOG_WIDTH) -> CommandC
     if console.is_terminal or os.environ.get("COLUMNS", "").isdecimal():
         return console
     return CommandConsole(stderr=stderr, width=width)
+
+
+def plain_table(
+    title: str = "", left: Sequence[str] = (), right: Sequence[str] = (), wide: Sequence[str] = ()
+) -> Table:
+    """Return a table without lines: columns of words, columns of numbers, columns of text that may be broken."""
+    table = Table(title=title or None, title_justify="left", box=None, pad_edge=False)
+    for name in left:
+        table.add_column(name, no_wrap=True)
+    for name in right:
+        table.add_column(name, justify="right", no_wrap=True)
+    for name in wide:
+        table.add_column(name, ratio=1)
+    return table
 
 
 def fitted(console: Console, table: Table) -> RenderableType:

@@ -112,7 +112,7 @@ def test_markers_by_other_names_are_listed_and_can_be_given(known, trial, tmp_pa
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda text: text.replace(text.split()[11], "3.0", 1), "departs from a rigid motion"),
+        (lambda text: text.replace(text.split()[11], "3.0", 1), "is not a rotation"),
         (lambda text: "1 " + text.split(maxsplit=1)[1], "is of images of 1 x"),
         (lambda text: " ".join(text.split()[:20]), "holds 20 finite numbers instead of 32"),
     ],

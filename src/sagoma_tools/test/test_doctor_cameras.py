@@ -84,7 +84,7 @@ def save_background(path, shape):
     rng = np.random.default_rng(0)
     for _ in range(10):
         learner.add(rng.integers(100, 110, shape).astype(np.uint8))
-    learner.model("a test", exposure_us="4000").save(path)
+    learner.model("a test").save(path)
     return str(path)
 
 
@@ -144,8 +144,6 @@ def test_opened_camera_says_what_it_is_and_those_of_a_folder_share_the_link(file
         ({"background": ""}, "note", "background.none_named", ""),
         ({"background": "SMALL"}, "error", "background.size_differs", "320 x 240"),
         ({"background": "OLD"}, "warning", "background.old", "30 h"),
-        ({"aravis.exposure_us": 8000.0}, "warning", "background.exposure_differs", "4000 us"),
-        ({"aravis.exposure_us": 4001.0}, "ok", "background.ok", ""),
         ({"aravis.serial": "X9"}, "error", "serial.differs", "'D1'"),
         ({"aravis.address": "127.0.0.78"}, "error", "camera.silent", "127.0.0.78"),
     ],
@@ -187,7 +185,6 @@ def worst(findings):
         (replace(LINK, up=False), {}, Severity.ERROR, "interface.down", "ip link set enp3s0 up"),
         (replace(LINK, mtu=1500), {}, Severity.WARNING, "mtu.no_jumbo_frames", "ip link set enp3s0 mtu 9000"),
         (replace(LINK, mtu=1500), {"packet_size": 8000}, Severity.ERROR, "mtu.packet_too_large", "mtu 9000"),
-        (replace(LINK, speed_mbit=100), {}, Severity.WARNING, "speed.slow", "1000 Mbit/s"),
         (replace(LINK, speed_mbit=0), {}, Severity.OK, "interface.ok", ""),
         (replace(LINK, mtu=1500, address="127.0.0.1"), {}, Severity.OK, "interface.ok", ""),
     ],
@@ -211,15 +208,10 @@ def test_camera_that_is_another_one_is_found(record, settings, severity, code, v
 
 @pytest.mark.parametrize(
     "controlled, controller, code",
-    [
-        (False, "", "control.ok"),
-        (True, "192.168.1.1", "control.local"),
-        (True, "192.168.1.9", "control.taken"),
-        (True, "", "control.taken"),
-    ],
+    [(False, "", "control.ok"), (True, "192.168.1.1", "control.local"), (True, "192.168.1.9", "control.taken")],
 )
 def test_program_that_controls_the_camera_is_named(controlled, controller, code):
-    finding = check_control(SETTINGS, Device(RECORD, LINK, controlled, controller))
+    finding = check_control(Device(RECORD, LINK, controlled, controller))
     assert finding.code == code and controller in finding.what
 
 
@@ -232,11 +224,6 @@ def test_stream_on_the_wire_is_counted_with_the_headers_of_every_packet():
 def test_cameras_that_share_a_link_must_fit_it_together(cameras, code):
     finding = check_bandwidth([GREY_VGA] * cameras, LINK)  # 30.99 of 125 MB/s each
     assert finding.code == code and f"{24.8 * cameras:.0f} % of the 1000 Mbit/s" in finding.what
-
-
-def test_bandwidth_without_a_frame_rate_is_unknown_and_names_the_camera():
-    finding = check_bandwidth([GREY_VGA, replace(GREY_VGA, camera="cam02", frame_rate=0.0)], LINK)
-    assert finding.code == "bandwidth.rate_unknown" and "cam02" in finding.what
 
 
 def test_exposure_longer_than_a_frame_is_an_error_and_features_left_to_the_camera_are_noted():

@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 
 from sagoma_tools.doctor import hosts
-from sagoma_tools.doctor.findings import examine
 from sagoma_tools.doctor.hosts import FULL_BYTES, HEADERS, Host, Peer, RosSettings, ask_peer, hears_multicast, serve
 from sagoma_tools.doctor.machine import Interface
 
@@ -23,7 +22,7 @@ def there(**settings):
 
 
 def codes(peer):
-    return {finding.code: finding for finding in examine("peer", "machine", peer)}
+    return {finding.code: finding for finding in hosts.examine_peer("machine", peer)}
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,6 @@ from sagoma_tools.doctor.machine import (
 LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=1500, speed_mbit=1000)
 VARIABLES = ("ROS_DOMAIN_ID", "ROS_DISTRO", "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY", "RMW_IMPLEMENTATION")
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
-FIREWALL = SimpleNamespace(info={"name": "firewalld"})
 GIB = 1 << 30
 
 
@@ -57,8 +56,6 @@ GOOD = {
     "machine._answer": answers(chronyc="A29FC87B,10.0.0.1,3,1763712345.6,0.000012345,0.00001"),
     "machine.interfaces": lambda: [LINK],
     "machine.Path.read_text": lambda path, **options: str(8 << 20),
-    "machine.UFW": Path("/nowhere"),
-    "machine.psutil.process_iter": lambda names: [],
 }
 
 
@@ -99,17 +96,14 @@ def test_machine_as_it_should_be_has_nothing_but_ok(examined):
         ({"machine._answer": answers(timedatectl="no")}, "WARNING", "clock.unsynchronised", "systemd"),
         ({"machine._answer": answers()}, "NOTE", "clock.unknown", "timedatectl is not there"),
         ({"machine.Path.read_text": lambda path: "212992"}, "WARNING", "rmem_max.small", "rmem_max=4194304"),
-        ({"machine.interfaces": lambda: []}, "NOTE", "network.loopback_only", ""),
+        ({"machine.get_rmw_implementation_identifier": lambda: "rmw_x"}, "NOTE", "ros.untested_rmw", "rmw_x"),
         ({"machine.interfaces": lambda: [replace(LINK, speed_mbit=100)]}, "WARNING", "network.slow", "100 Mbit/s"),
-        ({"machine.interfaces": lambda: [replace(LINK, speed_mbit=0, up=False)]}, "NOTE", "network.down", "enp3s0"),
-        ({"machine.psutil.process_iter": lambda names: [FIREWALL]}, "NOTE", "firewall.active", "firewalld"),
         ({"machine.get_rmw_implementation_identifier": missing_middleware}, "ERROR", "ros.no_middleware", "no lib"),
     ],
 )
 def test_machine_that_is_not_ready_is_found_with_a_remedy(examined, changes, severity, code, value):
-    (found, *others) = examined(changes)
+    (found,) = examined(changes)
     assert found[:2] == (severity, code) and value in found[2]
-    assert {code for _, code, _ in others} <= {"wmem_max.small", "network.loopback_only"}
 
 
 @pytest.mark.parametrize(
@@ -117,9 +111,7 @@ def test_machine_that_is_not_ready_is_found_with_a_remedy(examined, changes, sev
     [
         ({"ROS_DOMAIN_ID": "300"}, "ERROR", "ros.domain_invalid", "300"),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, "WARNING", "ros.discovery_local", "LOCALHOST"),
-        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "NEAR"}, "ERROR", "ros.discovery_invalid", "'NEAR'"),
         ({"ROS_LOCALHOST_ONLY": "1"}, "WARNING", "ros.discovery_local", "ROS_LOCALHOST_ONLY"),
-        ({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, "NOTE", "ros.untested_rmw", "rmw_cyclonedds_cpp"),
         ({"ROS_DISTRO": "humble"}, "WARNING", "ros.other_distro", "humble"),
         ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/x.xml"}, "ERROR", "dds_profile.missing", "/x.xml"),
     ],
@@ -163,7 +155,7 @@ def test_buffer_that_a_container_hides_is_unknown(monkeypatch):
         raise FileNotFoundError
 
     monkeypatch.setattr(Path, "read_text", hidden)
-    assert machine.check_buffer("wmem_max", 1, machine.note).code == "wmem_max.unknown"
+    assert machine.check_buffer(1).code == "rmem_max.unknown"
 
 
 def test_domains_are_told_from_well_known_ports():

@@ -173,7 +173,7 @@ def test_killed_node_is_active_again_without_a_person_and_leaves_no_shared_memor
     assert f"killed by {number.name}" in str(death) and "restart in 0.1 s" in str(death)
     assert isinstance(back, ProcessRecovered) and back.pid == run.processes.pids()[name] != before
     assert run.states() == {"/hull_server": "active", name: "active"}
-    log = run.processes.log_tail(name, lines=100)
+    log = run.processes.child_of(name).log_tail(100)
     assert "I am good" in death.log_tail and log.count("I am good") == 2  # the log goes on
     assert [status.returncode for status in run.stop()] == [0, 0]
     assert its_memory and not any(segment.exists() for segment in its_memory)

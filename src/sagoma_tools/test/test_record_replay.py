@@ -46,7 +46,7 @@ class FakeGraph:
 
     def __init__(self, link, deaf_to=()):
         self.heard, self.answered_after, self._deaf_to = [], [], deaf_to
-        self._publisher = link.node.create_publisher(MultiDOFJointState, "/ekf/prediction", LOSSLESS)
+        self.publisher = link.node.create_publisher(MultiDOFJointState, "/ekf/prediction", LOSSLESS)
         self._subscriptions = [
             link.node.create_subscription(CompressedImage, silhouette_topic(c), self.take, LOSSLESS) for c in CAMERAS
         ]
@@ -59,7 +59,7 @@ class FakeGraph:
             self.answered_after.append(len(self.heard))
             answer = MultiDOFJointState()
             answer.header.stamp = stamp
-            self._publisher.publish(answer)
+            self.publisher.publish(answer)
 
 
 class CountingClock:
@@ -130,6 +130,7 @@ def connected_publishers(link):
 
 def test_lockstep_sends_no_set_before_the_one_before_is_answered(link, far_link):
     graph, answers = FakeGraph(far_link), Answers(link.node)  # subscribed before the first set is sent
+    until(lambda: graph.publisher.get_subscription_count() == 1)
     report = play_lockstep(map(frame_set, range(30)), connected_publishers(link), answers, timeout_s=20)
     assert (report.sets, report.unanswered_ns, report.stray_answers) == (30, [], 0)
     # set k was answered after exactly 2 (k + 1) silhouettes had been heard: nothing ran ahead
@@ -139,8 +140,8 @@ def test_lockstep_sends_no_set_before_the_one_before_is_answered(link, far_link)
 
 
 def test_lockstep_notes_a_set_that_is_never_answered_and_goes_on(link, far_link):
-    FakeGraph(far_link, deaf_to=(2,))
-    answers = Answers(link.node)
+    graph, answers = FakeGraph(far_link, deaf_to=(2,)), Answers(link.node)
+    until(lambda: graph.publisher.get_subscription_count() == 1)
     report = play_lockstep(map(frame_set, range(5)), connected_publishers(link), answers, timeout_s=2.0)
     assert report.sets == 5
     assert report.unanswered_ns == [EPOCH_NS + 2 * PERIOD_NS]
@@ -205,7 +206,7 @@ def test_recorded_bytes_equal_the_published_ones(link, far_link, tmp_path):
 
 def test_cameras_are_found_as_they_appear(link, far_link, tmp_path):
     recorder = Recorder(link.node, tmp_path / "bag", [])
-    recorder.follow_graph()
+    recorder.follow()
     publishers = connected_publishers(far_link)
     publishers.publish(silhouette("cam01", 0))
     assert recorder.wait_for_count(silhouette_topic("cam01"), 1, timeout_s=20)

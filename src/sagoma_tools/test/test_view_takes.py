@@ -4,6 +4,7 @@ import io
 import time
 import zipfile
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -38,10 +39,10 @@ def silently(text):
 
 def test_buttons_do_what_the_commands_do(takes):
     work = TakeActions(takes, lambda: "")
-    assert "gait" in work.rename("walk", "gait")(silently)
-    assert "made part" in work.trim("gait", "part", 0.2, 0.6)(silently)
+    assert "gait" in work.rename("walk", "gait", silently)
+    assert "made part" in work.trim("gait", "part", 0.2, 0.6, silently)
     assert takes.find("part").trimmed_from["take"] == "gait"
-    assert "bin" in work.delete("gait")(silently)
+    assert "bin" in work.delete("gait", silently)
     assert [take.name for take in takes.takes()] == ["part"]
     assert work.restore(silently) == "gait is back"
     assert work.restore(silently) == "the bin is empty"
@@ -53,17 +54,17 @@ def test_no_button_reaches_out_of_the_folder_or_touches_what_is_recorded(takes, 
     sent = []
     for name in ("walk", "../outside", str(outside), ""):
         for asked in (
-            work.rename(name, "mine"),
-            work.trim(name, "mine", 0.1, 0.3),
-            work.delete(name),
-            work.export(name, "bvh", lambda *file: sent.append(file)),
-            work.video(name, lambda *file: sent.append(file)),
+            partial(work.rename, name, "mine"),
+            partial(work.trim, name, "mine", 0.1, 0.3),
+            partial(work.delete, name),
+            partial(work.export, name, "bvh", lambda *file: sent.append(file)),
+            partial(work.video, name, lambda *file: sent.append(file)),
         ):
             with pytest.raises(InputError):
                 asked(silently)
     for new_name in ("../mine", "/tmp/mine", ""):
         with pytest.raises(InputError):
-            TakeActions(takes, lambda: "").trim("walk", new_name, 0.1, 0.3)(silently)
+            TakeActions(takes, lambda: "").trim("walk", new_name, 0.1, 0.3, silently)
     assert not sent and {path.name for path in tmp_path.iterdir()} == {"takes", "outside"}
     assert {path.name for path in takes.path.iterdir()} == {"walk"}
 
@@ -71,9 +72,9 @@ def test_no_button_reaches_out_of_the_folder_or_touches_what_is_recorded(takes, 
 def test_an_export_is_written_into_the_take_and_sent_to_who_asked(takes):
     sent = {}
     work = TakeActions(takes, lambda: "")
-    assert "walk.bvh" in work.export("walk", "bvh", sent.__setitem__)(silently)
+    assert "walk.bvh" in work.export("walk", "bvh", sent.__setitem__, silently)
     assert sent["walk.bvh"].startswith(b"HIERARCHY")
-    work.export("walk", ALL_FORMATS, sent.__setitem__)(silently)
+    work.export("walk", ALL_FORMATS, sent.__setitem__, silently)
     names = set(zipfile.ZipFile(io.BytesIO(sent["walk_all_formats.zip"])).namelist())
     assert names == {path.name for path in (takes.path / "walk" / "export").iterdir()} and "walk.c3d" in names
 
@@ -82,7 +83,7 @@ def test_one_job_runs_at_a_time_and_a_failure_is_said():
     jobs, begun = Jobs(), []
     assert jobs.request("waiting", lambda tell: begun.append(1) or str(jobs.cancelled.wait(30.0)))
     assert not jobs.request("second", lambda tell: "never") and "busy with: waiting" in jobs.said
-    jobs.cancel()
+    jobs.cancelled.set()
     until(lambda: jobs.said == "True")
 
     def fails(tell):

@@ -101,10 +101,8 @@ def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:
     for source in sources:
         for name, files in _cameras_of(source):
             if name in found:
-                raise InputError(
-                    f"camera '{name}' is given twice, by {found[name][0]} and by {source}",
-                    remedy="Give each camera one source, and each its own name: NAME=PATH.",
-                )
+                remedy = "Give each camera one source, and each its own name: NAME=PATH."
+                raise InputError(f"camera '{name}' is given twice, by {found[name][0]} and by {source}", remedy=remedy)
             found[name] = source, files
     if not found:
         raise InputError("no footage is given", remedy=HELP)
@@ -134,23 +132,35 @@ def _cameras_of(source: str) -> list[tuple[str, list[Path]]]:
 
 def _files_of_one(path: Path, source: str) -> list[Path]:
     """Return the files of NAME=PATH: one video, or stills."""
-    if path.is_dir() or _is_pattern(path):
-        candidates = path.parent.glob(path.name) if _is_pattern(path) else path.iterdir()
-        files = sorted((file for file in candidates if _kind(file)), key=lambda file: natural_sort_key(file.name))
-    else:
-        files = [_existing(path, source)]
-    return _video_or_stills(files, source)
+    files = [entry for entry in _inside(path, source) if _kind(entry)]
+    videos = [file for file in files if _kind(file) == "video"]
+    if not files:
+        raise InputError("holds no video and no still", where=source, remedy=HELP)
+    if videos and len(files) > 1:
+        remedy = "Give one video a camera, or stills only."
+        raise InputError(f"holds {len(files)} files, of which {videos[0].name} is a video", where=source, remedy=remedy)
+    return files
 
 
 def _entries(path: Path, source: str) -> list[Path]:
     """Videos, stills and folders of stills in a folder or pattern; or the one file."""
-    if not path.is_dir() and not _is_pattern(path):
-        return [_existing(path, source)]
-    inside = path.parent.glob(path.name) if _is_pattern(path) else path.iterdir()
-    usable = [entry for entry in inside if _kind(entry) or (entry.is_dir() and _stills_in(entry))]
+    usable = [entry for entry in _inside(path, source) if _kind(entry) or (entry.is_dir() and _stills_in(entry))]
     if not usable:
         raise InputError("holds no video and no still", where=source, remedy=HELP)
-    return sorted(usable, key=lambda entry: natural_sort_key(entry.name))
+    return usable
+
+
+def _inside(path: Path, source: str) -> list[Path]:
+    """Return what is in a folder or fits a pattern, in natural order; else the one file, which has to be footage."""
+    if path.is_dir() or any(mark in path.name for mark in "*?["):
+        inside = path.iterdir() if path.is_dir() else path.parent.glob(path.name)
+        return sorted(inside, key=lambda entry: natural_sort_key(entry.name))
+    if not path.is_file():
+        raise InputError("does not exist", where=source, remedy=HELP)
+    if not _kind(path):
+        remedy = f"Known are {', '.join(VIDEOS + STILLS)}."
+        raise InputError(f"'{path.suffix}' is neither a video nor a still", where=source, remedy=remedy)
+    return [path]
 
 
 def _camera_name(entry: Path) -> str:
@@ -176,33 +186,8 @@ def _one_piece(camera: str, entries: list[Path], source: str) -> list[Path]:
     return entries
 
 
-def _video_or_stills(files: list[Path], source: str) -> list[Path]:
-    videos = [file for file in files if _kind(file) == "video"]
-    if not files:
-        raise InputError("holds no video and no still", where=source, remedy=HELP)
-    if videos and len(files) > 1:
-        remedy = "Give one video a camera, or stills only."
-        raise InputError(f"holds {len(files)} files, of which {videos[0].name} is a video", where=source, remedy=remedy)
-    return files
-
-
-def _existing(path: Path, source: str) -> Path:
-    if not path.is_file():
-        raise InputError("does not exist", where=source, remedy=HELP)
-    if not _kind(path):
-        remedy = f"Known are {', '.join(VIDEOS + STILLS)}."
-        raise InputError(f"'{path.suffix}' is neither a video nor a still", where=source, remedy=remedy)
-    return path
-
-
 def _stills_in(folder: Path) -> list[Path]:
-    return sorted(
-        (file for file in folder.iterdir() if _kind(file) == "still"), key=lambda file: natural_sort_key(file.name)
-    )
-
-
-def _is_pattern(path: Path) -> bool:
-    return any(mark in path.name for mark in "*?[")
+    return [file for file in _inside(folder, str(folder)) if _kind(file) == "still"]
 
 
 def _kind(path: Path) -> str:

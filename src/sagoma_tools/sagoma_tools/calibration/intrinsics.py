@@ -16,7 +16,6 @@ from rich.table import Table
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder
-from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.boards.board import Board, board_text
 from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
@@ -24,14 +23,13 @@ from rig_calibration.intrinsics.lens_fit import MIN_VIEWS
 from rig_calibration.intrinsics.result import Intrinsics, report_of
 from rig_calibration.intrinsics.selection import ENOUGH_VIEWS, BoardImageProcessor, ViewCollector
 
-from ..console import doing, until_stopped
+from ..console import GRADE_STYLE, doing, until_stopped
 from .footage import CameraFootage, open_footage_of_cameras
 
 MAX_EXAMINED = 400  # frames of a video in the first pass
 MAX_THOROUGH = 100  # ... in the second
 FEW_PICTURES = 60  # so few stills were chosen by hand: all are used
 DIAGNOSED = 4  # images that are searched for another board
-COLOURS = {GOOD: "green", USABLE: "yellow", REDO: "red"}
 PICTURE_DPI = 100
 
 ProgressCallback = Callable[[BoardImageProcessor], None]  # called after every image that was examined
@@ -158,10 +156,8 @@ def print_results(console: Console, results: Sequence[Intrinsics]) -> None:
     table = Table("camera", "views", "rms px", "fx px", "fy px", "cx px", "cy px", "verdict")
     for result in results:
         numbers = (f"{result.values[key]:.2f} ± {result.sd[key]:.2f}" for key in ("fx", "fy", "cx", "cy"))
-        grade = result.verdict.grade
-        table.add_row(
-            result.camera.name, str(len(result.views)), f"{result.rms_px:.3f}", *numbers, f"[{COLOURS[grade]}]{grade}"
-        )
+        grade = f"[{GRADE_STYLE[result.verdict.grade]}]{result.verdict.grade}"
+        table.add_row(result.camera.name, str(len(result.views)), f"{result.rms_px:.3f}", *numbers, grade)
     console.print(table)
     for result in results:
         for line in remarks(result):

@@ -8,10 +8,9 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Hashable
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
@@ -42,11 +41,12 @@ from .intrinsics import save_results
 
 COMPRESSED = "/compressed"
 PREVIEW = "calibration/preview/compressed"
+Message: TypeAlias = Image | CompressedImage
 
 
 def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> Intrinsics:
     """Collect, calibrate, save; Ctrl-C ends collecting only. Raises InputError: no images, too few views."""
-    name = args.name or camera_name_of(args.topic)
+    name = camera_name_of(args.topic)
     collector = ViewCollector(board, model="plumb_bob" if args.model == AUTO else args.model)
     watcher = BoardImageProcessor(board, name, collector)
     with RosLink("sagoma_calibrate") as link:
@@ -81,21 +81,16 @@ def offer(node: Node, namespace: str, result: Intrinsics) -> str:
 def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argparse.Namespace, console: Console) -> None:
     """Show the progress until the views suffice, the user stops it, or the time is over."""
     begun_s = time.monotonic()
-    with LiveReport(console) as report:
-        while not stop.is_set() and not camera.shown.enough:
-            camera.changed.wait(REFRESH_S)
-            camera.changed.clear()
-            shown = camera.shown
-            report.update(shown.panel, shown.line, shown.views, last=shown.enough)
-            passed_s = time.monotonic() - begun_s
-            if camera.error is not None:
-                raise camera.error
-            if camera.received == 0 and passed_s > args.wait:
-                raise InputError(f"no image came for {args.wait:g} s", where=args.topic, remedy=_who_publishes(node))
-            if args.seconds is not None and passed_s > args.seconds:
-                return
-            if args.views is not None and camera.shown.views >= args.views:
-                return
+    for report in reports(console, camera.changed, stop):
+        shown, passed_s = camera.shown, time.monotonic() - begun_s
+        report.update(shown.panel, shown.line, shown.views, last=shown.enough)
+        if camera.error is not None:
+            raise camera.error
+        if camera.received == 0 and passed_s > args.wait:
+            raise InputError(f"no image came for {args.wait:g} s", where=args.topic, remedy=_who_publishes(node))
+        over = args.seconds is not None and passed_s > args.seconds
+        if shown.enough or over or (args.views is not None and shown.views >= args.views):
+            return
 
 
 def _who_publishes(node: Node) -> str:
@@ -104,15 +99,6 @@ def _who_publishes(node: Node) -> str:
     )
     listed = f"Image topics there are: {', '.join(images)}" if images else "There is no image topic at all"
     return f"{listed}; start the camera client, and check ROS_DOMAIN_ID."
-
-
-@dataclass(frozen=True, eq=False)
-class _Pair:
-    """An image and the one that came just before it."""
-
-    before: Image | CompressedImage
-    image: Image | CompressedImage
-    number: int
 
 
 class Shown(NamedTuple):
@@ -135,10 +121,10 @@ class LiveCamera:
         self.changed = threading.Event()
         self.error: Exception | None = None
         self.received = 0
-        self._last: Image | CompressedImage | None = None
+        self._last: Message | None = None
         self._show("waiting for images")
         self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
-        self._worker: Worker[_Pair] = Worker(
+        self._worker: Worker[tuple[Message, Message, int]] = Worker(  # the image before, the image, its number
             "board watcher", self._process, depth=1, on_drop=lambda: None, on_error=self._fail
         )
         kind = CompressedImage if topic.endswith(COMPRESSED) else Image
@@ -148,38 +134,35 @@ class LiveCamera:
         """Stop processing; the views collected so far stay."""
         self._worker.close()
 
-    def _on_image(self, message: Image | CompressedImage) -> None:
+    def _on_image(self, message: Message) -> None:
         self.received += 1
         if self._last is not None:
-            self._worker.put(_Pair(self._last, message, self.received - 1))
+            self._worker.put((self._last, message, self.received - 1))
         self._last = message
 
     def _fail(self, error: Exception) -> None:
         self.error = error
         self.changed.set()
 
-    def _process(self, pair: _Pair) -> None:
+    def _process(self, pair: tuple[Message, Message, int]) -> None:
         """Search one image, on the worker's thread."""
+        *messages, number = pair
         try:
-            image, before = decode_image(pair.image, self._topic), decode_image(pair.before, self._topic)
+            before, image = (decode_image(message, self._topic) for message in messages)
         except InputError as error:  # one bad message: the next may be better
             self._show(str(error))
             return
-        seen = self._watcher.process(image, before, pair.number)
+        seen, collector, header = self._watcher.process(image, before, number), self._watcher.collector, pair[1].header
         self._show("taken" if seen.taken else seen.reason)
         if self._preview.get_subscription_count():
-            self._publish_preview(pair.image, image, seen)
+            picture = draw_preview(image, seen, collector.coverage, collector.advice())
+            self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
     def _show(self, last: str) -> None:
         """Describe the progress, on the thread that makes it."""
         collector, watcher = self._watcher.collector, self._watcher
         self.shown = Shown(panel(watcher, last), plain_line(watcher), len(collector), collector.enough)
         self.changed.set()
-
-    def _publish_preview(self, message: Image | CompressedImage, image: np.ndarray, seen: ImageResult) -> None:
-        picture = draw_preview(image, seen, self._watcher.collector.coverage, self._watcher.collector.advice())
-        header = message.header
-        self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
 
 def namespace_of(topic: str) -> str:
@@ -223,6 +206,15 @@ class LiveReport:
         elif news != self._news and (last or now_s - self._printed_s >= LOG_EVERY_S):
             self._news, self._printed_s = news, now_s
             self._console.print(line)
+
+
+def reports(console: Console, changed: threading.Event, stop: threading.Event) -> Iterator[LiveReport]:
+    """Yield the report to be updated, again whenever something has changed, until ``stop`` is set."""
+    with LiveReport(console) as report:
+        while not stop.is_set():
+            changed.wait(REFRESH_S)
+            changed.clear()
+            yield report
 
 
 def panel(watcher: BoardImageProcessor, last: str) -> Panel:

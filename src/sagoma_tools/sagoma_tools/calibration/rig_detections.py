@@ -94,13 +94,15 @@ def find_floor(
     return _in_all(footage, find, steps, only, progress)
 
 
-def find_moving(footage: Mapping[str, Footage], board: Board, progress: Step = lambda: None) -> CamerasDetections:
-    """Find the carried board in all footage, at the same frames of every camera."""
-
-    def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
-        return find_board(image, board, camera=name, frame_index=frame_index, target=MOVING)
-
-    return _in_all(footage, find, dict.fromkeys(footage, _common_step(footage)), {}, progress)
+def find_carried(
+    footage: Mapping[str, Footage],
+    find: Callable[[str, int, Picture], TargetDetection | None],
+    progress: Step = lambda: None,
+    refuse_blurred: bool = True,
+) -> CamerasDetections:
+    """Find what is carried in all footage, at the same frames of every camera."""
+    step = max(1, -(-max(clip.count for clip in footage.values()) // MOVING_FRAMES))
+    return _in_all(footage, find, dict.fromkeys(footage, step), {}, progress, refuse_blurred)
 
 
 def find_wands(
@@ -112,7 +114,7 @@ def find_wands(
     def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
         return find_wand(image, marks_m, cameras[name], frame_index=frame_index, target=WAND, background=empty[name])
 
-    return _in_all(footage, find, dict.fromkeys(footage, _common_step(footage)), {}, progress, refuse_blurred=False)
+    return find_carried(footage, find, progress, refuse_blurred=False)
 
 
 def missing_reason(seen: CameraDetections, board: Board | None) -> str:
@@ -125,10 +127,6 @@ def missing_reason(seen: CameraDetections, board: Board | None) -> str:
         return f"the wand was not found in any of {seen.examined} frame(s)"
     diagnosis = diagnose_board(seen.picture, board)
     return diagnosis or f"the board was not found in any of {seen.examined} frame(s)"
-
-
-def _common_step(footage: Mapping[str, Footage]) -> int:
-    return max(1, -(-max(clip.count for clip in footage.values()) // MOVING_FRAMES))
 
 
 def _median_picture(footage: Footage) -> Picture | None:
@@ -235,7 +233,11 @@ class FootageSources(RigSources):
 
     def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
         _require_one_rate(self._moving, cameras)
-        return self._search("carried board", self._moving, cameras, partial(find_moving, board=board))
+
+        def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
+            return find_board(image, board, camera=name, frame_index=frame_index, target=MOVING)
+
+        return self._search("carried board", self._moving, cameras, partial(find_carried, find=find))
 
     def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
         _require_one_rate(self._wand, cameras)
@@ -260,11 +262,9 @@ def _require_one_rate(clips: Mapping[str, CameraFootage], cameras: Container[str
     rates = {name: clip.fps for name, clip in clips.items() if name in cameras and clip.fps}
     if rates and max(rates.values()) - min(rates.values()) > SAME_RATE * max(rates.values()):
         listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
-        raise InputError(
-            f"the videos have different frame rates ({listed} fps): frame k of each is not of the same instant",
-            where=", ".join(clips[name].where for name in rates),
-            remedy="Record at one rate, or bring them to one: ffmpeg -i IN -r RATE -c:v libx264 -crf 16 OUT.mp4.",
-        )
+        what = f"the videos have different frame rates ({listed} fps): frame k of each is not of the same instant"
+        remedy = "Record at one rate, or bring them to one: ffmpeg -i IN -r RATE -c:v libx264 -crf 16 OUT.mp4."
+        raise InputError(what, where=", ".join(clips[name].where for name in rates), remedy=remedy)
 
 
 def _open(sources: Sequence[str]) -> dict[str, CameraFootage]:

@@ -191,9 +191,8 @@ def read_intrinsics(path: str | Path, names: Iterable[str]) -> dict[str, CameraM
         rig = load_rig(path)
         return {name: rig.camera(name) for name in wanted}
     if not path.is_dir():
-        raise InputError(
-            "does not exist", where=str(path), remedy=f"Give the folder of camera_info files. {CALIBRATE}."
-        )
+        remedy = f"Give the folder of camera_info files. {CALIBRATE}."
+        raise InputError("does not exist", where=str(path), remedy=remedy)
     return {name: _read(path, name) for name in wanted}
 
 

@@ -30,9 +30,8 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from ..console import REFRESH_S
 from ..graph.ros_link import DISCOVERY_S, PATIENCE_S, settled
-from .live_lens import LiveReport
+from .live_lens import reports
 from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, RigSources, find_floor
 
 TOLERANCE_NS = 10_000_000
@@ -135,25 +134,18 @@ class MotionRecorder:
 def watch_recorder(recorder: MotionRecorder, console: Console, stop: threading.Event) -> None:
     """Show the progress until it suffices or the person stops it. Raises InputError when no frame set comes."""
     begun_s = time.monotonic()
-    with LiveReport(console) as report:
-        while not stop.is_set():
-            recorder.changed.wait(REFRESH_S)
-            recorder.changed.clear()
-            if recorder.error is not None:
-                raise recorder.error
-            progress = recorder.progress()
-            if recorder.examined == 0 and time.monotonic() - begun_s > PATIENCE_S:
-                raise InputError(_silence(recorder), remedy="Synchronise the cameras (docs/camera_pcs.md).")
-            line = f"{progress.shared_frames} shared frames; {progress.advice or 'enough'}"
-            report.update(progress_panel(progress, recorder.examined), line, line, last=not progress.advice)
-            if not progress.advice:
-                return
-
-
-def _silence(recorder: MotionRecorder) -> str:
-    if recorder.received == 0:
-        return "no picture comes from any camera"
-    return f"{recorder.received} pictures came, but no two cameras' within {TOLERANCE_NS / 1e6:g} ms of each other"
+    for report in reports(console, recorder.changed, stop):
+        if recorder.error is not None:
+            raise recorder.error
+        progress = recorder.progress()
+        if recorder.examined == 0 and time.monotonic() - begun_s > PATIENCE_S:
+            apart = f"no two cameras' within {TOLERANCE_NS / 1e6:g} ms of each other"
+            came = f"{recorder.received} pictures came, but {apart}" if recorder.received else "no picture comes"
+            raise InputError(came, remedy="Synchronise the cameras (docs/camera_pcs.md).")
+        line = f"{progress.shared_frames} shared frames; {progress.advice or 'enough'}"
+        report.update(progress_panel(progress, recorder.examined), line, line, last=not progress.advice)
+        if not progress.advice:
+            return
 
 
 def progress_panel(progress: MotionProgress, examined: int) -> Panel:
@@ -270,10 +262,8 @@ def grab(node: Node, topics: Mapping[str, str], count: int) -> dict[str, Shots]:
         node.destroy_subscription(subscription)
     silent = [name for name, taken in pictures.items() if not taken]
     if silent:
-        raise InputError(
-            f"no picture came from {', '.join(silent)} for {PATIENCE_S:g} s",
-            remedy="Check the camera client: sagoma doctor; or leave it out (--without).",
-        )
+        remedy = "Check the camera client: sagoma doctor; or leave it out (--without)."
+        raise InputError(f"no picture came from {', '.join(silent)} for {PATIENCE_S:g} s", remedy=remedy)
     return {name: Shots(name, tuple(taken)) for name, taken in pictures.items()}
 
 

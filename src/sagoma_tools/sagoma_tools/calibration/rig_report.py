@@ -21,15 +21,14 @@ from rich.table import Table
 from capture_rig.camera import CameraModel
 from capture_rig.files import make_folder
 from capture_rig.rig import Volume, save_rig
-from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
 from rig_calibration.extrinsics.world import CameraFigures, PlacedRig, RigFigures
 
+from ..console import GRADE_STYLE
 from ..doctor.rig import carried
 from ..recording.writer import own_version
 
-COLOURS = {GOOD: "green", USABLE: "yellow", REDO: "red"}
 CAMERA_FIGURES = (
     ("detections", "detections", "d"),
     ("rms px", "rms_px", ".2f"),
@@ -104,9 +103,9 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
     for check in calibrated.tape:
         console.print(str(check))
     verdict = calibrated.verdict
-    console.print(f"verdict: {verdict.grade.upper()}", style=COLOURS[verdict.grade])
+    console.print(f"verdict: {verdict.grade.upper()}", style=GRADE_STYLE[verdict.grade])
     for finding in verdict.findings:
-        console.print(f"  {finding.grade}: {finding.what}. {finding.remedy}", style=COLOURS[finding.grade])
+        console.print(f"  {finding.grade}: {finding.what}. {finding.remedy}", style=GRADE_STYLE[finding.grade])
     console.print(tape_request(calibrated))
 
 
@@ -130,7 +129,11 @@ def write_report(path: Path, calibrated: RigCalibration, asked: Mapping[str, Any
         "measure": tape_request(calibrated),
         "rig": _rig_document(calibrated),
         "cameras": {camera.name: _camera_document(camera, calibrated) for camera in calibrated.figures.cameras},
-        "left_out": [_left_document(left) for left in calibrated.solution.left_out],
+        "left_out": [
+            {"camera": of.camera, "target": of.target, "frame": of.frame_index, "reason": left.reason}
+            for left in calibrated.solution.left_out
+            for of in [left.detection]
+        ],
         "asked": dict(asked),
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "versions": {"sagoma_tools": own_version(), "opencv": cv2.__version__, "numpy": np.__version__},
@@ -172,11 +175,6 @@ def _camera_document(camera: CameraFigures, calibrated: RigCalibration) -> dict[
     covariance = calibrated.solution.covariance[camera.name]
     document["pose_covariance"] = [[float(f"{value:.4g}") for value in row] for row in covariance]
     return document
-
-
-def _left_document(left: Any) -> dict[str, Any]:
-    of = left.detection
-    return {"camera": of.camera, "target": of.target, "frame": of.frame_index, "reason": left.reason}
 
 
 def _rounded(value: float | None) -> float | int | None:

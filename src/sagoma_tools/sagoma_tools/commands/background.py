@@ -33,24 +33,16 @@ from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ..arguments import NODES
-from ..console import INTERRUPTED, command_console
-from ..graph.background_training import (
-    TrainingOutcome,
-    camera_of,
-    find_clients,
-    needing_training,
-    progress_of,
-    train_backgrounds,
-)
+from ..console import GRADE_STYLE, INTERRUPTED, command_console, plain_table
+from ..graph.background_training import TrainingOutcome, find_clients, needing_training, progress_of, train_backgrounds
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
 from ..graph.processes import START_TIMEOUT_S
-from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument, namespace_of
+from ..graph.ros_link import RosLink, add_namespace_argument, label_of, namespace_argument, namespace_of
 
 COUNTDOWN_S = 10
 LAST_SECONDS = 5  # in a log each of them has a line
 ERROR = b"\2"
 IDLE = ("unconfigured", "configured, inactive", "suspended")
-STYLE = {GOOD: "green", USABLE: "yellow", REDO: "red"}
 STATUS = {GOOD: 0, USABLE: 1, REDO: 2}
 BRIGHTEST_SIGMA = 10.0  # grey levels of noise that the picture shows in its brightest colour
 REGION_BGR = (0, 0, 255)
@@ -161,7 +153,7 @@ def train(
     args: argparse.Namespace,
 ) -> list[TrainingOutcome]:
     """Count down and train the clients ``names``, again those that failed; return the last outcome of each."""
-    outcomes = {name: TrainingOutcome(camera_of(name), "cancelled") for name in names}
+    outcomes = {name: TrainingOutcome(label_of(name), "cancelled") for name in names}
     pending, prompt = list(names), "leave the room"
     for attempt in range(1 + args.retries):
         if not count_down(console, prompt, args.countdown, stop):
@@ -173,7 +165,7 @@ def train(
         pending = [n for n in pending if outcomes[n].report is not None and outcomes[n].grade == REDO]
         if not pending:
             break
-        prompt = f"leave the room for {', '.join(map(camera_of, pending))}"
+        prompt = f"leave the room for {', '.join(map(label_of, pending))}"
         if attempt < args.retries:
             console.print(training_table([outcomes[name] for name in pending]))
     console.bell()
@@ -185,11 +177,11 @@ def _progress(console: Console, diagnostics: DiagnosticsTable, names: Sequence[s
     """Show the cameras' progress in one line; into a file, print the cameras' names once."""
 
     def line() -> Text:
-        progress = (f"{camera_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names)
+        progress = (f"{label_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names)
         return Text("   ".join(["learning", *progress]))
 
     if not console.is_terminal:
-        console.print(f"learning: {', '.join(map(camera_of, names))}")
+        console.print(f"learning: {', '.join(map(label_of, names))}")
         yield
         return
     with Live(console=console, get_renderable=line, refresh_per_second=4, transient=True):
@@ -222,7 +214,7 @@ def select_clients(names: Sequence[str], cameras: Sequence[str] | None, namespac
     """
     if cameras is None:
         return list(names)
-    by_camera = {camera_of(name.removeprefix(namespace)): name for name in names}
+    by_camera = {label_of(name.removeprefix(namespace)): name for name in names}
     absent = sorted(set(cameras) - set(by_camera))
     if absent:
         remedy = f"There are: {', '.join(sorted(by_camera))}."
@@ -235,9 +227,9 @@ def warn_of_idle(console: Console, diagnostics: DiagnosticsTable, names: Sequenc
     for name in names:
         status = diagnostics.report(name)
         if status is None:
-            console.print(f"{camera_of(name)} is silent: its node sends no diagnostics", style="yellow")
+            console.print(f"{label_of(name)} is silent: its node sends no diagnostics", style="yellow")
         elif status.level == ERROR or status.message in IDLE:
-            console.print(f"{camera_of(name)} says: {status.message}", style="yellow")
+            console.print(f"{label_of(name)} says: {status.message}", style="yellow")
 
 
 def exit_status(outcomes: Sequence[TrainingOutcome]) -> int:
@@ -253,16 +245,10 @@ def figures(outcomes: Sequence[TrainingOutcome]) -> dict[str, Any]:
 
 def training_table(outcomes: Sequence[TrainingOutcome]) -> Table:
     """Return one line a camera, and one more for each further finding."""
-    table = Table(box=None, pad_edge=False)
-    for title in ("camera", "verdict"):
-        table.add_column(title, no_wrap=True)
-    for title in ("frames", "noise", "moved %"):
-        table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("why", ratio=1)
-    table.add_column("what to do", ratio=1)
+    table = plain_table("", ("camera", "verdict"), ("frames", "noise", "moved %"), ("why", "what to do"))
     for outcome in sorted(outcomes, key=lambda outcome: outcome.camera):
         first, *others = _reasons(outcome)
-        table.add_row(outcome.camera, Text(outcome.grade, STYLE[outcome.grade]), *_columns(outcome), *first)
+        table.add_row(outcome.camera, Text(outcome.grade, GRADE_STYLE[outcome.grade]), *_columns(outcome), *first)
         for other in others:
             table.add_row("", "", "", "", "", *other)
     return table
@@ -293,7 +279,7 @@ def run_show(args: argparse.Namespace) -> int:
         model = load_background(file)
         console.print(provenance_table(model, str(file)))
         for finding in judge_background(model, (), before).findings + turn_findings(model.provenance):
-            console.print(Text(f"{finding.grade}: {finding.line}", STYLE[finding.grade]))
+            console.print(Text(f"{finding.grade}: {finding.line}", GRADE_STYLE[finding.grade]))
         folder = Path(args.output) if args.output else file.parent
         mean, sigma = write_pictures(model, folder, file.stem)
         console.print(f"pictures: {mean}, {sigma} (brightest: {BRIGHTEST_SIGMA:g} grey levels of noise or more)")

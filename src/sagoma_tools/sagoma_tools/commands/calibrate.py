@@ -58,7 +58,6 @@ def _add_intrinsics(steps: argparse._SubParsersAction) -> None:
     parser.add_argument("--output", default=INTRINSICS_FOLDER, help=help_output)
     parser.add_argument("--json", action="store_true", help="the last line is the figures as JSON")
     live = parser.add_argument_group("live, with --topic")
-    live.add_argument("--name", help="the camera's name (default: from the topic)")
     live.add_argument("--seconds", type=SECONDS, help="end after so long, with what there is")
     views, help_views = number("views", 1, 1000, whole=True), "end after so many (default: when the lens is known well)"
     live.add_argument("--views", type=views, help=help_views)

@@ -173,7 +173,9 @@ def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
 
 
 def figures(live: LiveRun, scores: Scores | None) -> dict[str, object]:
-    """Return the run's figures as plain data for the line of JSON."""
+    """Return the run's figures as plain data for the line of JSON; exposure to joint state where stamps are those of
+    exposures."""
+    ages_ms = np.percentile(live.ages_ms["published_ms"], [50, 95]).round(1).tolist() if live.ages_ms else ()
     return {
         "sets": live.sets,
         "answered": live.answered,
@@ -182,16 +184,8 @@ def figures(live: LiveRun, scores: Scores | None) -> dict[str, object]:
         "hz_held": round(live.hz_held, 1),
         "others": round(live.others, 3),
         "speed": live.speed,
-        **latency_figures(live),
+        **dict(zip(("latency_p50_ms", "latency_p95_ms"), ages_ms, strict=False)),
         "memory_mib": {name: round(used.resident_mib, 1) for name, used in live.usage.items()},
         "cpu_ms_per_set": {name: round(ms, 2) for name, ms in live.cpu_ms_per_set.items()},
         **(scores.figures() if scores is not None else {}),
     }
-
-
-def latency_figures(live: LiveRun) -> dict[str, float]:
-    """Return exposure to joint state as plain data; nothing where stamps are not those of exposures."""
-    if not live.ages_ms:
-        return {}
-    p50, p95 = np.percentile(live.ages_ms["published_ms"], [50, 95])
-    return {"latency_p50_ms": round(float(p50), 1), "latency_p95_ms": round(float(p95), 1)}

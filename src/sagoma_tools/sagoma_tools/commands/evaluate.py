@@ -59,7 +59,9 @@ def run(args: argparse.Namespace) -> int:
     switches = identify(everybody[OURS], session.truths, session.fps).switches_of(0) if session.truths else None
     evaluated = evaluate_track(session, frames, tracks[OURS], tracks.get(THESIS), switches)
     figures, console = evaluated.figures(), command_console(stderr=args.json, width=TABLE_WIDTH)
-    rows = ablation_scores(session, tracks) if args.ablation else {}
+    rows: dict[str, Scores | None] = {}
+    if args.ablation and session.truth is not None:
+        rows = {name: score(tracks[name], session.truth) if len(tracks[name]) else None for name in ROWS}
     people = people_scores(session, everybody[OURS])
     if people is not None:
         figures |= people.figures(people_scores(session, everybody[THESIS]) if THESIS in everybody else None)
@@ -150,12 +152,6 @@ def people_scores(session: Session, tracks: Mapping[int, Track]) -> PeopleScores
     if len(session.truths) < 2:
         return None
     return score_people(tracks, session.truths, session.fps, RigVisibility(session.rig))
-
-
-def ablation_scores(session: Session, tracks: Mapping[str, Track]) -> dict[str, Scores | None]:
-    """Return the scores of the ablation's rows, in order; None for an empty track."""
-    assert session.truth is not None
-    return {name: score(tracks[name], session.truth) if len(tracks[name]) else None for name in ROWS}
 
 
 def _settings(args: argparse.Namespace, session: Session) -> dict[str, Any]:

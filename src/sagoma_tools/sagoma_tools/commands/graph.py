@@ -10,7 +10,7 @@ import argparse
 import threading
 import time
 from collections.abc import Callable, Iterator, Set
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 
 from rclpy.node import Node
@@ -19,7 +19,7 @@ from rich.live import Live
 
 from capture_rig.errors import InputError
 from capture_rig.number import SECONDS, number
-from capture_rig.rig import Rig, load_rig
+from capture_rig.rig import load_rig
 from capture_rig.stop_signals import StopOnSignal
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 from virtual_studio.gige import command as studio
@@ -178,23 +178,18 @@ def change_state(args: argparse.Namespace) -> int:
     namespace = namespace_argument(args)
     with RosLink("sagoma_control", namespace=namespace) as link:
         doing("looking for nodes")
-        awaited = nodes_of(args.rig, namespace) if args.rig else frozenset()
-        names = discover(link.node, args.expect, args.wait, awaited)
-        doing(f"bringing {len(names)} nodes to {args.goal.value}")
+        names = (*SERVER_NODES, *(f"{camera}/{CAMERA_NODE}" for camera in load_rig(args.rig).names)) if args.rig else ()
+        awaited = frozenset(f"{namespace}/{name}" for name in names)
+        found = discover(link.node, args.expect, args.wait, awaited)
+        doing(f"bringing {len(found)} nodes to {args.goal.value}")
         client = LifecycleClient(link.node)
-        outcome = client.bring(groups_of(names, args.cameras_first), args.goal, args.timeout)
-        states = client.states(names)
-    for name in names:
+        outcome = client.bring(groups_of(found, args.cameras_first), args.goal, args.timeout)
+        states = client.states(found)
+    for name in found:
         print(f"{name}: {states[name] or 'did not answer'}")
     for failure in outcome.failures:
         print(f"failed: {failure}")
     return 0 if outcome.ok else 1
-
-
-def nodes_of(rig: str, namespace: str) -> frozenset[str]:
-    """Full names of the nodes of a rig's graph: the server's, and a client a camera."""
-    cameras = [f"{camera}/{CAMERA_NODE}" for camera in load_rig(rig).names]
-    return frozenset(f"{namespace}/{name}" for name in (*SERVER_NODES, *cameras))
 
 
 def discover(node: Node, expect: int, wait_s: float, names: Set[str] = frozenset()) -> list[str]:
@@ -249,39 +244,24 @@ def view(args: argparse.Namespace) -> int:
 @contextmanager
 def page_of(args: argparse.Namespace) -> Iterator[Page]:
     """Serve the page that the arguments describe: of a take alone, or of the graph."""
-    take = getattr(args, "take", None)
-    rig = _rig(args)
     guard = Guard.of(args.host, args.token)
-    if take is not None:
+    if (take := getattr(args, "take", None)) is not None:
         folder = bag_of(take, args.takes).resolve()
-        page = Page(guard, args.port, TakesFolder(folder.parent))
-        try:
+        with closing(Page(guard, args.port, TakesFolder(folder.parent))) as page:
             page.show_take(folder)
             announce(guard, page.port)
             yield page
-        finally:
-            page.close()
         return
+    session = getattr(args, "session", None)  # that `sagoma up` plays
+    rig_file = args.rig or (Path(session) / "rig.yaml" if session else None)
+    rig = None if rig_file is None else load_rig(rig_file)
     with RosLink("sagoma_view", namespace=namespace_argument(args)) as link:
-        diagnostics = DiagnosticsTable(link.node)
-        takes = TakesFolder(Path(args.takes))
-        jobs = Jobs()
-        control = Control(link, diagnostics, takes, jobs)
-        page = Page(guard, args.port, takes, LiveGraph(link, diagnostics), control, jobs, rig)
-        try:
-            announce(guard, page.port)
-            yield page
-        finally:
-            page.close()
-            control.close()
-
-
-def _rig(args: argparse.Namespace) -> Rig | None:
-    """The rig that was named, or that of the session that `sagoma up` plays."""
-    session = getattr(args, "session", None)
-    if args.rig:
-        return load_rig(args.rig)
-    return load_rig(Path(session) / "rig.yaml") if session else None
+        diagnostics, takes, jobs = DiagnosticsTable(link.node), TakesFolder(Path(args.takes)), Jobs()
+        with closing(Control(link, diagnostics, takes, jobs)) as control:
+            live = LiveGraph(link, diagnostics)
+            with closing(Page(guard, args.port, takes, live, control, jobs, rig)) as page:
+                announce(guard, page.port)
+                yield page
 
 
 def announce(guard: Guard, port: int) -> None:

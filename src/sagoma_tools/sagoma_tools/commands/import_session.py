@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-
-from capture_rig.errors import InputError
 from capture_rig.number import number
 
-from ..console import command_console
+from ..console import command_console, doing
 from ..importers import biocv, image_bag
-from ..importers.humaneva import CAMERAS, Request, Summary, Trial, import_trial
+from ..importers.humaneva import CAMERAS, Request, Trial, import_trial
 
-_COPYING = (TextColumn("copying"), MofNCompleteColumn(), TextColumn("frames"), TimeElapsedColumn())
-
-
-def _show_done(progress: Progress, task: TaskID, done: int) -> None:
-    progress.update(task, completed=done)
+COPYING = "copying frames"
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -49,18 +40,19 @@ def add_humaneva(kinds: argparse._SubParsersAction) -> None:
     help_text = "a trial of HumanEva-I (Sigal, Balan & Black 2010) that you have from its owners"
     parser = kinds.add_parser("humaneva", help=help_text)
     parser.add_argument("root", type=Path, help="folder that holds S1, S2, S3, S4 and Background")
+    parser.add_argument("output", type=Path, help="the session folder to write")
     parser.add_argument("--subject", required=True, help="S1 to S4")
     parser.add_argument("--action", required=True, help="Walking, Jog, ThrowCatch, Gestures, Box or Combo")
     parser.add_argument(
         "--trial", type=number("", 1, 3, whole=True), default=1, help="1 has footage and motion capture (default)"
     )
-    parser.add_argument("--cameras", nargs="+", default=list(CAMERAS), metavar="CAMERA", help=", ".join(CAMERAS))
+    help_cameras = ", ".join(CAMERAS)
+    parser.add_argument("--cameras", nargs="+", choices=CAMERAS, default=CAMERAS, metavar="CAMERA", help=help_cameras)
     help_frames = "the data set's own frame numbers, from 6 on (default: all)"
     parser.add_argument(
         "--frames", nargs=2, type=number("", 1, 1e6, whole=True), metavar=("FIRST", "LAST"), help=help_frames
     )
     parser.add_argument("--no-truth", action="store_true", help="footage alone; trial 2 has no motion capture")
-    parser.add_argument("output", type=Path, nargs="?", help="the session folder to write")
     parser.set_defaults(run=import_humaneva)
 
 
@@ -95,10 +87,7 @@ def import_biocv(args: argparse.Namespace) -> int:
 def import_bag(args: argparse.Namespace) -> int:
     """Import the images, then print what was written and what to do next."""
     console, topics = command_console(), dict(one.partition("=")[::2] for one in args.camera)
-    with Progress(*_COPYING, console=console, transient=True) as progress:
-        task = progress.add_task("", total=None)
-        done = partial(_show_done, progress, task)
-        summary = image_bag.import_bag(args.bag, args.output, args.rig, topics, args.background, done)
+    summary = image_bag.import_bag(args.bag, args.output, args.rig, topics, args.background, doing(COPYING))
     for name, topic in summary.topics.items():
         console.print(f"{name}: {topic}")
     apart = f"images of a frame up to {1e3 * summary.spread_s:.1f} ms apart"
@@ -115,39 +104,17 @@ def import_bag(args: argparse.Namespace) -> int:
 
 def import_humaneva(args: argparse.Namespace) -> int:
     """Import the trial, then print what was written and what to do next."""
-    cameras, output = _cameras_and_output(args)
-    frames = None if args.frames is None else (args.frames[0], args.frames[1])
     trial = Trial(args.root, args.subject, args.action, args.trial)
-    request = Request(trial, cameras, frames, not args.no_truth)
-    console = command_console()
-    with Progress(*_COPYING, console=console, transient=True) as progress:
-        task = progress.add_task("", total=None if frames is None else frames[1] - frames[0] + 1)
-        summary = import_trial(request, output, partial(_show_done, progress, task))
-    report(console, request, output, summary)
-    return 0
-
-
-def report(console: Console, request: Request, output: Path, summary: Summary) -> None:
-    """Print what was written, and the next command."""
-    footage = summary.footage
-    console.print(f"{request.trial}: {footage.frames} frames of {', '.join(request.cameras)}")
-    for camera, room in footage.empty_rooms.items():
+    frames = None if args.frames is None else (args.frames[0], args.frames[1])
+    request = Request(trial, tuple(dict.fromkeys(args.cameras)), frames, not args.no_truth)
+    summary, console = import_trial(request, args.output, doing(COPYING, request.count)), command_console()
+    console.print(f"{trial}: {summary.frames} frames of {', '.join(request.cameras)}")
+    for camera, room in summary.empty_rooms.items():
         console.print(f"empty room of {camera}: {room}")
     if request.with_truth:
-        share = summary.frames_with_truth / footage.frames
+        share = summary.frames_with_truth / summary.frames
         console.print(f"motion capture is complete in {summary.frames_with_truth} of them ({share:.0%})")
-        console.print(f"next: sagoma evaluate {output} --start session")
+        console.print(f"next: sagoma evaluate {args.output} --start session")
     else:
-        console.print(f"next: sagoma up {output}")
-
-
-def _cameras_and_output(args: argparse.Namespace) -> tuple[tuple[str, ...], Path]:
-    cameras, output = list(args.cameras), args.output
-    if output is None and len(cameras) > 1 and cameras[-1] not in CAMERAS:
-        output = Path(cameras.pop())  # argparse gives a folder that follows --cameras to --cameras
-    if output is None:
-        raise InputError("no session folder to write is given", where="command line", remedy="Put its path last.")
-    for camera in cameras:
-        if camera not in CAMERAS:
-            raise InputError(f"there is no camera '{camera}'", where="--cameras", remedy=f"Use {', '.join(CAMERAS)}.")
-    return tuple(dict.fromkeys(cameras)), output
+        console.print(f"next: sagoma up {args.output}")
+    return 0

@@ -21,7 +21,6 @@ from ..graph.topics import (
     DIAGNOSTICS,
     OUTPUT_TOPICS,
     SILHOUETTE_SUFFIX,
-    Topic,
     camera_topics,
     cameras_in,
     image_topics,
@@ -50,7 +49,6 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("record", help="record the running graph into a rosbag2 bag (mcap) until Ctrl-C")
     parser.add_argument("bag", help="folder to make")
     parser.add_argument("--rig", help="rig YAML: record its cameras from the first frame on, and copy it into the bag")
-    parser.add_argument("--no-diagnostics", action="store_true", help="leave /diagnostics out")
     parser.add_argument("--all", action="store_true", help="record every topic of the graph, of whatever nodes")
     help_asked = "record these alone, and what is below them (/tf /tf_static /humans /cam01), as they appear"
     parser.add_argument("--topics", nargs="+", metavar="TOPIC", help=help_asked)
@@ -95,25 +93,25 @@ def record(args: argparse.Namespace) -> int:
     if args.all and args.topics:
         raise InputError("--all and --topics contradict each other", where="arguments", remedy="Give one of them.")
     cameras = load_rig(args.rig).names if args.rig else ()
-    topics: list[Topic] = [
-        *(topic for camera in cameras for topic in camera_topics(camera)),
-        *OUTPUT_TOPICS,
-        *topics_of_others(),
-    ]
+    of_cameras = [topic for camera in cameras for topic in camera_topics(camera)]
     with StopOnSignal() as stop, RosLink("sagoma_recorder", namespace=namespace_argument(args)) as link:
 
         def report_failure(error: InputError) -> None:
             print(f"sagoma: {error}", file=sys.stderr, flush=True)
             stop.set()
 
+        def leave_out(topic: str, msgtype: str) -> None:
+            text = f"sagoma: {topic} is not recorded: its type {msgtype} is not installed here"
+            print(text, file=sys.stderr, flush=True)
+
         if args.all or args.topics:
             recorder = Recorder(link.node, args.bag, (), on_failure=report_failure)
             wanted = (lambda name: True) if args.all else matches_any(args.topics)
-            recorder.follow(AskedTopics(link.node, wanted, report_unknown))
+            recorder.follow(AskedTopics(link.node, wanted, leave_out).new)
         else:
-            topics = topics if args.no_diagnostics else [*topics, DIAGNOSTICS]
+            topics = [*of_cameras, *OUTPUT_TOPICS, *topics_of_others(), DIAGNOSTICS]
             recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
-            recorder.follow_graph()
+            recorder.follow()
         print(f"recording into {args.bag}; Ctrl-C ends it", flush=True)
         until_stopped()
         stop.wait(args.seconds)
@@ -124,11 +122,6 @@ def record(args: argparse.Namespace) -> int:
     if any(counts.values()):
         print(next_steps(args.bag))
     return 0 if recorder.failure is None else 1
-
-
-def report_unknown(topic: str, msgtype: str) -> None:
-    """Say that a topic is left out."""
-    print(f"sagoma: {topic} is not recorded: its type {msgtype} is not installed here", file=sys.stderr, flush=True)
 
 
 def replay(args: argparse.Namespace) -> int:

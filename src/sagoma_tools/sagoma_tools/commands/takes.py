@@ -10,7 +10,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from capture_rig.errors import InputError
@@ -22,12 +21,12 @@ from mocap_pipeline.configuration import Configuration
 from stick_figure.body import STATURES_M, Body, load_body
 
 from ..arguments import add_settings_argument, add_takes_argument, bag_of, chosen_take, parse_settings
-from ..console import command_console, doing
+from ..console import command_console, doing, plain_table
 from ..graph.topics import FIRST_BODY_ID
 from ..recording.smoothing import smooth_bag
-from ..takes.exporting import EXPORTS, FORMATS, VIDEO, Options, export_take, write_video
+from ..takes.exporting import EXPORTS, FORMATS, VIDEO, export_take, write_video
 from ..takes.folder import TAKES, TakesFolder, trim
-from ..takes.measure import ERROR, OK, WARNING, Check, digests, finish_take, verify
+from ..takes.measure import ERROR, OK, WARNING, digests, finish_take, verify
 from ..takes.take import FIGURES, MIB, NOT_MEASURED, Summary, TakeState, date, figures, origin, remark, summary_lines
 
 STATE_STYLE = {TakeState.WHOLE: "", TakeState.UNFINISHED: "yellow", TakeState.DAMAGED: "red"}
@@ -46,22 +45,25 @@ def _add_takes(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("takes", help="list, show, rename, trim, delete and check recorded takes")
     verbs = parser.add_subparsers(title="verbs", metavar="VERB", required=True)
 
-    def verb(
-        name: str, run: Callable[[argparse.Namespace], int], text: str, take: bool = True
-    ) -> argparse.ArgumentParser:
+    def of_all(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
         added = verbs.add_parser(name, help=text)
-        if take:
-            added.add_argument("take", help="a take's name, or the folder of a bag")
         add_takes_argument(added)
         added.set_defaults(run=run)
         return added
 
-    for name, run, text, takes_one in (
-        ("list", list_takes, "all takes, the newest first", False),
-        ("show", show, "everything that is known of a take", True),
-        ("verify", check, "check that all of it is readable, and as it was recorded", True),
+    def verb(
+        name: str, run: Callable[[argparse.Namespace, TakesFolder, str], int], text: str
+    ) -> argparse.ArgumentParser:
+        added = of_all(name, lambda args: run(args, *chosen_take(args.take, args.takes)), text)
+        added.add_argument("take", help="a take's name, or the folder of a bag")
+        return added
+
+    for parser in (
+        of_all("list", list_takes, "all takes, the newest first"),
+        verb("show", show, "everything that is known of a take"),
+        verb("verify", check, "check that all of it is readable, and as it was recorded"),
     ):
-        verb(name, run, text, takes_one).add_argument("--json", action="store_true", help="for programs")
+        parser.add_argument("--json", action="store_true", help="for programs")
     verb("rename", rename, "give a take another name").add_argument("name", help="the new name")
     cut = verb("trim", trim_take, "make a new take of a part; the take stays as it is")
     cut.add_argument("name", help="the new take's name")
@@ -74,11 +76,12 @@ def _add_takes(subparsers: argparse._SubParsersAction) -> None:
     film.add_argument("--cameras", nargs="+", default=[], metavar="CAM", help="these only (default: all)")
     film.add_argument("--fps", type=FRAME_RATE, metavar="HZ", help="frames a second (default: the take's)")
     verb("delete", delete, "move a take into the bin")
-    verb("restore", restore, "bring a deleted take back").add_argument("--name", default="", help="under this name")
-    verb("bin", show_bin, "what is in the bin", False)
-    verb("empty", empty, "remove what is in the bin for good", False).add_argument(
-        "--yes", action="store_true", help="without asking"
-    )
+    back = of_all("restore", restore, "bring a deleted take back")
+    back.add_argument("take", help="its name")
+    back.add_argument("--name", default="", help="under this name")
+    of_all("bin", show_bin, "what is in the bin")
+    gone = of_all("empty", empty, "remove what is in the bin for good")
+    gone.add_argument("--yes", action="store_true", help="without asking")
     verb("measure", measure_anew, "measure a take's figures anew (or those of an old bag), and keep them")
 
 
@@ -92,12 +95,7 @@ def list_takes(args: argparse.Namespace) -> int:
     if not takes:
         print(f"no takes in {args.takes}: record one with `sagoma record {args.takes}/NAME`, or on the page")
         return 0
-    console, table = command_console(), Table(box=None, pad_edge=False)
-    for title in ("take", "recorded"):
-        table.add_column(title, no_wrap=True)
-    for title in FIGURES:
-        table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("", ratio=1)
+    console, table = command_console(), plain_table("", ("take", "recorded"), FIGURES, [""])
     for take in takes:
         table.add_row(take.name, date(take), *figures(take), remark(take), style=STATE_STYLE[take.state])
     console.print(table)
@@ -112,9 +110,8 @@ def list_takes(args: argparse.Namespace) -> int:
     return 0
 
 
-def show(args: argparse.Namespace) -> int:
+def show(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     """Print everything that is known of a take; 1 when it cannot be read."""
-    folder, name = chosen_take(args.take, args.takes)
     take = folder.find(name)
     if args.json:
         print(json.dumps(take.document(), indent=1))
@@ -131,54 +128,45 @@ def show(args: argparse.Namespace) -> int:
     if take.summary is None:
         console.print(f"  no figures: its recorder was killed (`sagoma takes measure {take.name}` measures them)")
     else:
-        print_summary(console, take.summary)
+        print_figures(console, take.summary)
     console.print(f"  {sum(take.topics.values())} messages on {len(take.topics)} topics")
     return 0
 
 
-def print_summary(console: Console, summary: Summary) -> None:
+def print_figures(console: Console, summary: Summary) -> None:
     """Print a take's figures, moved in."""
     for line in summary_lines(summary):
         console.print(f"  {line}")
 
 
-def check(args: argparse.Namespace) -> int:
+def check(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     """Print what every check found; 1 when one found an error."""
-    folder, name = chosen_take(args.take, args.takes)
     checks = verify(folder.find(name), doing("reading messages"))
     if args.json:
         print(json.dumps([vars(each) for each in checks], indent=1))
     else:
-        print_checks(checks)
+        console = command_console()
+        for each in checks:
+            console.print(Text.assemble((f"{each.grade:8s}", CHECK_STYLE[each.grade]), each.text))
     return 1 if any(each.grade == ERROR for each in checks) else 0
 
 
-def print_checks(checks: list[Check]) -> None:
-    """Print a line a check."""
-    console = command_console()
-    for each in checks:
-        console.print(Text.assemble((f"{each.grade:8s}", CHECK_STYLE[each.grade]), each.text))
-
-
-def rename(args: argparse.Namespace) -> int:
+def rename(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     """Give a take another name."""
-    folder, name = chosen_take(args.take, args.takes)
     print(f"{name} is now {folder.rename(name, args.name).name}")
     return 0
 
 
-def trim_take(args: argparse.Namespace) -> int:
+def trim_take(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     """Make a new take of a part."""
-    folder, name = chosen_take(args.take, args.takes)
     path = trim(folder, name, args.name, args.from_s, args.to_s, doing("copying messages"))
     made = folder.find(path.name)
     print(f"made {path}: {made.summary.quality.seconds if made.summary else made.seconds:.1f} s, {origin(made)}")
     return 0
 
 
-def video(args: argparse.Namespace) -> int:
+def video(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     """Write a video of a take."""
-    folder, name = chosen_take(args.take, args.takes)
     take = folder.find(name)
     path = Path(args.output) if args.output else take.path / EXPORTS / VIDEO
     frames = write_video(take, path, args.cameras, args.fps, doing("drawing frames"))
@@ -186,9 +174,8 @@ def video(args: argparse.Namespace) -> int:
     return 0
 
 
-def delete(args: argparse.Namespace) -> int:
+def delete(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     """Move a take into the bin."""
-    folder, name = chosen_take(args.take, args.takes)
     deleted = folder.delete(name)
     takes = "" if folder.path == Path(TAKES) else f" --takes '{folder.path}'"
     print(f"{deleted.name} is in the bin (`sagoma takes restore '{deleted.name}'{takes}` brings it back)")
@@ -226,9 +213,8 @@ def empty(args: argparse.Namespace) -> int:
     return 0
 
 
-def measure_anew(args: argparse.Namespace) -> int:
+def measure_anew(args: argparse.Namespace, folder: TakesFolder, name: str) -> int:
     """Measure a take anew; refused where its files are not those that were recorded."""
-    folder, name = chosen_take(args.take, args.takes)
     take = folder.find(name)
     if take.summary is not None and take.summary.files != digests(take.path):
         remedy = f"See `sagoma takes verify {name}`; bring the take back from a copy."
@@ -236,7 +222,7 @@ def measure_anew(args: argparse.Namespace) -> int:
     summary = finish_take(take.path, doing("reading messages")) if take.state is TakeState.WHOLE else None
     if summary is None:
         raise InputError("cannot be measured", where=str(take.path), remedy=f"See `sagoma takes verify {name}`.")
-    print_summary(command_console(), summary)
+    print_figures(command_console(), summary)
     return 0
 
 
@@ -268,7 +254,7 @@ def run_export(args: argparse.Namespace) -> int:
     formats = list(FORMATS) if ALL in args.format else args.format
     take = bag_of(args.take, args.takes)
     folder = Path(args.output) if args.output else take / EXPORTS
-    export_take(take, folder, formats, Options(args.rate, args.mass, args.constant_bones, args.overwrite), tell=print)
+    export_take(take, folder, formats, args.rate, args.mass, args.constant_bones, args.overwrite, print)
     return 0
 
 
@@ -294,9 +280,10 @@ def run_smooth(args: argparse.Namespace) -> int:
 
 def _add_urdf(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("urdf", help="print the body as a URDF with the joints of /mocap/joint_states")
-    parser.add_argument("--body", help="body YAML, as ~/save_body of icp_tracker writes it")
+    whose = parser.add_mutually_exclusive_group()
+    whose.add_argument("--body", help="body YAML, as ~/save_body of icp_tracker writes it")
     help_stature = f"an average body of this height in metres (default {STATURE_M})"
-    parser.add_argument("--stature", type=number("m", *STATURES_M), help=help_stature)
+    whose.add_argument("--stature", type=number("m", *STATURES_M), default=STATURE_M, help=help_stature)
     help_id = f"what names of links begin with (default {FIRST_BODY_ID}, the first person's)"
     parser.add_argument("--id", default=FIRST_BODY_ID, help=help_id)
     parser.add_argument("--mass", type=MASS, metavar="KG", help="of the person (default: a BMI of 22)")
@@ -307,9 +294,7 @@ def _add_urdf(subparsers: argparse._SubParsersAction) -> None:
 
 def run_urdf(args: argparse.Namespace) -> int:
     """Print or write the URDF."""
-    if args.body and args.stature is not None:
-        raise InputError("--body has a stature of its own", where="arguments", remedy="Give --body or --stature.")
-    body = load_body(args.body) if args.body else Body.from_stature(STATURE_M if args.stature is None else args.stature)
+    body = load_body(args.body) if args.body else Body.from_stature(args.stature)
     body_id = body_id_of(args.id, FIRST_PERSON)
     text = (human_urdf if args.rep155 else body_urdf)(body, body_id, args.mass)
     if not args.output:

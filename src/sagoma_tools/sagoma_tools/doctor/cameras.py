@@ -5,6 +5,7 @@ The camera is asked over GVCP by unicast, which disturbs no program that uses it
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import socket
 import struct
@@ -12,8 +13,6 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-
-import numpy as np
 
 from camera_client.background.model import BackgroundModel, load_background, read_background
 from camera_client.configuration import Calibration, load_calibration
@@ -29,12 +28,11 @@ from gige_vision.pixel_formats import PixelFormat
 from sagoma_bringup.graph import camera_from_file
 from sagoma_ros.names import resolve_packages
 
-from .findings import Finding, check, error, examine, graded, note, ok, warning
-from .machine import SUBJECT, Interface, check_buffer, interface_to
+from .findings import Finding, about, error, graded, note, ok, warning
+from .machine import Interface, check_buffer, examine_node_host, interface_to
 
 NODE_PARAMETERS = ("autostart", "tf_prefix")  # of every node, not of the camera client's settings
 OLD_S = 12 * 3600.0  # daylight and lamps change from one day to the next
-EXPOSURE_TOLERANCE = 0.02
 JUMBO_MTU, GIGABIT = 9000, 1000
 PACKET_HEADERS = 36  # IP, UDP and GVSP, of every stream packet
 ETHERNET_FRAME = 38  # preamble, header, checksum and gap around every packet
@@ -84,18 +82,18 @@ def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) 
         yield replace(invalid, subject=f"camera file {path}")
         return
     subject, settings = f"camera {file.name}", file.settings.aravis
-    yield from examine("camera file", subject, file)
+    yield from about(subject, check_calibration(file), check_background(file))
     if file.settings.source == "aravis":
-        yield from examine("camera settings", subject, settings)
+        yield from about(subject, check_timing(settings), check_buffer(settings.socket_buffer_bytes))
         if settings.address:
             device = ask_camera(settings.address)
-            yield from examine("camera network", subject, settings, device.interface)
-            yield from examine("camera device", subject, settings, device)
-            yield from examine("camera link", subject, streams_beside(file, device.interface), device.interface)
+            link, streams = device.interface, streams_beside(file, device.interface)
+            yield from about(subject, check_interface(settings, link), check_identity(settings, device))
+            yield from about(subject, check_control(device), check_bandwidth(streams, link))
         if open_it:
-            yield from examine("camera open", subject, file)
+            yield from about(subject, check_opened(file))
     if host_too:
-        yield from examine("node host", SUBJECT)
+        yield from examine_node_host()
 
 
 def read_file(path: Path) -> CameraFile:
@@ -106,7 +104,6 @@ def read_file(path: Path) -> CameraFile:
     return CameraFile(path, spec.namespace.strip("/"), settings)
 
 
-@check("camera file")
 def check_calibration(file: CameraFile) -> Iterator[Finding]:
     """Whether the camera's lens and pose are known."""
     settings, camera_info = file.settings, file.settings.camera_info_file
@@ -132,8 +129,7 @@ def check_calibration(file: CameraFile) -> Iterator[Finding]:
         yield note("camera_info.missing", f"{camera_info} does not exist yet: the rig's intrinsics are in use", remedy)
 
 
-@check("camera file")
-def check_background(file: CameraFile) -> Iterator[Finding]:
+def check_background(file: CameraFile) -> Finding | None:
     """Whether the background can be read, has the camera's size, and is recent."""
     learn = f"sagoma background --cameras {file.name}, while the room is empty"
     settings = file.settings
@@ -143,33 +139,21 @@ def check_background(file: CameraFile) -> Iterator[Finding]:
     except InputError:
         camera = None
     if camera is None:  # another check says so
-        return
+        return None
     if not path:
-        yield note("background.none_named", "none is named: no silhouettes until one is learned", learn)
-        return
+        return note("background.none_named", "none is named: no silhouettes until one is learned", learn)
     try:
         shape, model = _read_background(path, settings)
         age_s = time.time() - Path(path).stat().st_mtime
     except (InputError, OSError) as problem:
-        yield error("background.unusable", f"{problem}", f"Name the right file, or empty the parameter, and {learn}")
-        return
+        return error("background.unusable", f"{problem}", f"Name the right file, or empty the parameter, and {learn}")
     size = f"{path} is {shape[1]} x {shape[0]}, the camera {camera.width} x {camera.height} pixels"
     if shape[:2] != (camera.height, camera.width):
-        yield error("background.size_differs", size, learn)
-        return
+        return error("background.size_differs", size, learn)
     text = f"{path}, {age_s / 3600:.0f} h old; {model.provenance.frames} frames of {model.provenance.source}"
-    yield graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
-    wanted = settings.aravis.exposure_us
-    try:
-        learned = float(model.provenance.exposure_us)
-    except ValueError:  # it is not written in the file
-        return
-    if wanted > 0 and abs(learned - wanted) > EXPOSURE_TOLERANCE * wanted:
-        text = f"learned at {learned:g} us of exposure, aravis.exposure_us = {wanted:g}"
-        yield warning("background.exposure_differs", text, learn)
+    return graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))
 
 
-@check("camera settings")
 def check_timing(settings: AravisSettings) -> Iterator[Finding]:
     """Whether the exposure fits the frame rate, which settings are left to the camera, and whether it can be asked."""
     exposure_us, rate = settings.exposure_us, settings.frame_rate
@@ -186,13 +170,6 @@ def check_timing(settings: AravisSettings) -> Iterator[Finding]:
         yield note("camera.no_address", text, "Give aravis.address to have it examined.")
 
 
-@check("camera settings")
-def check_receive_buffer(settings: AravisSettings) -> Finding:
-    """Whether the stream's socket may be as large as the settings ask."""
-    return check_buffer("rmem_max", settings.socket_buffer_bytes, warning)
-
-
-@check("camera network")
 def check_interface(settings: AravisSettings, link: Interface | None) -> Iterator[Finding]:
     """Whether an interface leads to the camera and carries large packets."""
     if link is None:
@@ -209,12 +186,8 @@ def check_interface(settings: AravisSettings, link: Interface | None) -> Iterato
     elif link.mtu < JUMBO_MTU and not link.loopback:
         text = f"{link.name} carries packets of {link.mtu} bytes: six times the interrupts"
         yield warning("mtu.no_jumbo_frames", text, jumbo)
-    if 0 < link.speed_mbit < GIGABIT and not link.loopback:
-        remedy = "Check cable and switch: GigE Vision needs 1000 Mbit/s or more."
-        yield warning("speed.slow", f"{link.name} runs at {link.speed_mbit} Mbit/s", remedy)
 
 
-@check("camera device")
 def check_identity(settings: AravisSettings, device: Device) -> Iterator[Finding]:
     """Whether the camera answers, is the configured one, and is in this machine's subnet."""
     record, link = device.record, device.interface
@@ -234,8 +207,7 @@ def check_identity(settings: AravisSettings, device: Device) -> Iterator[Finding
             yield warning("subnet.differs", text, "Put both into one subnet (the maker's IP tool, or DHCP).")
 
 
-@check("camera device")
-def check_control(settings: AravisSettings, device: Device) -> Finding | None:
+def check_control(device: Device) -> Finding | None:
     """Whether the camera is free."""
     if device.controlled is None:
         return None
@@ -248,14 +220,9 @@ def check_control(settings: AravisSettings, device: Device) -> Finding | None:
     return warning("control.taken", text, "Stop the program there; a camera has one controller.")
 
 
-@check("camera link")
 def check_bandwidth(streams: list[Stream], link: Interface | None) -> Finding | None:
     """Whether all cameras on this interface fit its link."""
-    unknown = [stream.camera for stream in streams if not stream.frame_rate]
-    if unknown:
-        text = f"unknown: aravis.frame_rate of {', '.join(unknown)} is left to the camera"
-        return note("bandwidth.rate_unknown", text, "Set it, so that all cameras run at one rate.")
-    if link is None or not streams:
+    if link is None or not streams or not all(stream.frame_rate for stream in streams):  # check_timing names these
         return None
     largest = min(link.mtu, JUMBO_MTU)
     needed = sum(stream_bytes_per_s(stream, stream.packet_size or largest) for stream in streams)
@@ -269,7 +236,6 @@ def check_bandwidth(streams: list[Stream], link: Interface | None) -> Finding | 
     return graded("bandwidth", text, (share > FULL, error, "exceeded", remedy), (share > BUSY, warning, "tight", space))
 
 
-@check("camera open")
 def check_opened(file: CameraFile) -> Iterator[Finding]:
     """What the camera says once its client's settings are made: features, PTP, temperature."""
     source = AravisSource(file.settings.aravis, file.settings.channels)
@@ -292,12 +258,14 @@ def _read_background(path: str, settings: CameraClientSettings) -> tuple[tuple[i
     if path.endswith(".npz"):
         model = load_background(path)
         return model.shape, model
-    reader = open_footage(path)
-    try:
-        shape = tuple(np.asarray(reader.probe()).tolist())
-    finally:
-        reader.close()
+    shape = footage_shape(path)
     return shape, read_background(path, shape, settings.background_model)
+
+
+def footage_shape(path: str | Path) -> tuple[int, ...]:
+    """Return the shape (H, W, ...) of footage's images."""
+    with contextlib.closing(open_footage(path)) as reader:
+        return reader.probe()
 
 
 def streams_beside(file: CameraFile, link: Interface | None) -> list[Stream]:

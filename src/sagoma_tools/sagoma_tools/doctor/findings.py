@@ -1,18 +1,16 @@
-"""Findings and the registry of checks; findings are printed by subject, the gravest first.
+"""Findings of the doctor's checks; they are printed by subject, the gravest first.
 
-A check is a function that reads a fact, judges it, and returns findings with the remedy: none, one or several. The
-modules of this folder register theirs by topic (:func:`check`); :func:`examine` runs those of a topic.
+A check is a function that reads a fact, judges it, and returns findings with the remedy: none, one or several.
 A finding's code, "ABOUT.CONDITION" ("mtu.too_large", "clock.off"), is stable: scripts and tests match it, not the text.
 """
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import IntEnum
 from functools import partial
-from typing import TypeVar
 
 from rich.console import Console
 from rich.text import Text
@@ -68,25 +66,11 @@ def graded(about: str, what: str, *cases: Case) -> Finding:
 
 
 Found = Finding | Iterable[Finding] | None
-Check = TypeVar("Check", bound=Callable[..., Found])
-CHECKS: dict[str, list[Callable[..., Found]]] = defaultdict(list)
-"""Topic -> its checks in the order of their findings."""
 
 
-def check(topic: str) -> Callable[[Check], Check]:
-    """Register the function below as a check of this topic."""
-
-    def register(function: Check) -> Check:
-        CHECKS[topic].append(function)
-        return function
-
-    return register
-
-
-def examine(topic: str, subject: str, *facts: object) -> Iterator[Finding]:
-    """Yield what the checks of a topic find, ``facts`` being their arguments."""
-    for function in CHECKS[topic]:
-        found = function(*facts)
+def about(subject: str, *checks: Found) -> Iterator[Finding]:
+    """Yield what checks of a subject found, each under its name."""
+    for found in checks:
         for finding in [found] if isinstance(found, Finding) else found or ():
             yield replace(finding, subject=subject)
 

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from camera_client.background.causes import KEY as FINDINGS_KEY
 from camera_client.background.causes import read_findings
 from camera_client.background.training import KEY as TRAINING_KEY
@@ -15,7 +17,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
 
-from .findings import Finding, check, error, examine, graded, note, ok, warning
+from .findings import Finding, Found, about, error, graded, note, ok, warning
 from .graph_listener import ACTIVE, FLOODED, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
 
 LIVE_S = 6.0
@@ -61,22 +63,26 @@ def examine_graph(
 
 def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
     """Yield the findings on the facts."""
-    yield from examine("graph", SUBJECT, facts)
+    yield from about(SUBJECT, check_nodes(facts), check_alike(facts), check_frame_sets(facts))
     for node in facts.nodes:
         if not node.camera:
-            yield from examine("node", node.name.strip("/"), node, facts)
-    yield from examine("hull server", HULL.strip("/"), facts)
+            yield from about(node.name.strip("/"), *_of_node(node, facts))
+    yield from about(HULL.strip("/"), check_refusals(facts))
     sent = {camera.camera: camera for camera in facts.cameras}
     for name in sorted({*(facts.rig.names if facts.rig else ()), *sent, *(node.camera for node in facts.nodes)} - {""}):
         subject, client = f"camera {name}", facts.client(name)
-        yield from examine("graph camera", subject, name, facts)
+        yield from about(subject, check_client(name, facts), check_share_in_sets(name, facts))
         if client is not None:
-            yield from examine("node", subject, client, facts)
-        if name in sent:
-            yield from examine("silhouettes", subject, sent[name], client, facts)
+            yield from about(subject, *_of_node(client, facts))
+        if (its := sent.get(name)) is not None:
+            checks = check_arrival(its, client, facts), check_canvas(its, client, facts), check_content(its, facts)
+            yield from about(subject, *checks)
 
 
-@check("graph")
+def _of_node(node: NodeFacts, facts: GraphFacts) -> list[Found]:
+    return [check_answers(node, facts), check_message(node, facts), check_clock(node, facts), check_background(node)]
+
+
 def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
     """Which nodes are heard, on which machines, and which of the server are missing."""
     where = f"ROS_DOMAIN_ID {facts.domain}"
@@ -118,7 +124,6 @@ def _no_node_heard(facts: GraphFacts) -> Finding:
     return error("nodes.none", where, hint + remedy)
 
 
-@check("graph")
 def check_alike(facts: GraphFacts) -> Iterator[Finding]:
     """Whether the cameras are set alike: a frame set needs frames of one instant from all of them."""
     for key, severity, what in ALIKE:
@@ -129,7 +134,6 @@ def check_alike(facts: GraphFacts) -> Iterator[Finding]:
             yield severity(f"settings.{key}_differs", f"the cameras have different {what} ({listed})", remedy)
 
 
-@check("graph")
 def check_frame_sets(facts: GraphFacts) -> Iterator[Finding]:
     """Spread and latency of the frame sets, and whether they give a hull."""
     hull, sets = facts.node(HULL), facts.sets
@@ -158,11 +162,10 @@ def _period_s(facts: GraphFacts) -> float:
 
 def _high(sets: Sequence[Mapping[str, str]], key: str) -> float:
     """Return the 95th percentile of a figure of the frame sets; NaN of nothing."""
-    ordered = sorted(float(each[key]) for each in sets if key in each)
-    return ordered[round(0.95 * (len(ordered) - 1))] if ordered else float("nan")
+    values = [float(each[key]) for each in sets if key in each]
+    return float(np.percentile(values, 95)) if values else float("nan")
 
 
-@check("node")
 def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
     """Whether the node is the only one of its name, answers, reports and is active."""
     if node.copies > 1:
@@ -182,7 +185,6 @@ def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
         yield warning("state.inactive", f"it is {node.state}", "sagoma start (or sagoma up, where no process runs)")
 
 
-@check("node")
 def check_message(node: NodeFacts, facts: GraphFacts) -> Finding | None:
     """The node's own warning or error, but for what is usual in an empty room."""
     if node.report is None:
@@ -199,7 +201,6 @@ def check_message(node: NodeFacts, facts: GraphFacts) -> Finding | None:
     return graded("says", message, (level > 1, error, "error", remedy), (level > 0, warning, "warning", remedy))
 
 
-@check("node")
 def check_clock(node: NodeFacts, facts: GraphFacts) -> Finding | None:
     """The clock's offset from this machine's: a report takes between nothing and one round trip to arrive."""
     if node.report is None or facts.simulated_time:
@@ -217,8 +218,7 @@ def check_clock(node: NodeFacts, facts: GraphFacts) -> Finding | None:
     return ok("clock", f"{1e3 * low:+.1f} to {1e3 * high:+.1f} ms from this machine's")
 
 
-@check("node")
-def check_background(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
+def check_background(node: NodeFacts) -> Iterator[Finding]:
     """What a camera's client finds against its background, and the last training that failed."""
     for found in read_findings(node.value(FINDINGS_KEY)):
         yield OF_GRADE[found.grade](found.code, found.what, found.remedy)
@@ -232,7 +232,6 @@ def check_background(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
         yield warning("background.failed", f"the last training failed: {why}", remedy)
 
 
-@check("hull server")
 def check_refusals(facts: GraphFacts) -> Iterator[Finding]:
     """Cameras that the hull server refuses although they agree with the rig file: the server is wrong."""
     hull = facts.node(HULL)
@@ -245,7 +244,6 @@ def check_refusals(facts: GraphFacts) -> Iterator[Finding]:
             yield error("rig.refused", text, "Give it the same rig file: sagoma stop, sagoma up --rig RIG.")
 
 
-@check("graph camera")
 def check_client(camera: str, facts: GraphFacts) -> Finding | None:
     """Whether a camera of the rig has its client."""
     if not facts.nodes or facts.rig is None or camera not in facts.rig.names or facts.client(camera) is not None:
@@ -258,7 +256,6 @@ def check_client(camera: str, facts: GraphFacts) -> Finding | None:
     )
 
 
-@check("graph camera")
 def check_share_in_sets(camera: str, facts: GraphFacts) -> Finding | None:
     """How often the camera was missing from the frame sets."""
     sets = facts.sets
@@ -269,7 +266,6 @@ def check_share_in_sets(camera: str, facts: GraphFacts) -> Finding | None:
     return warning("frame_sets.missing_camera", f"it is missing from {missing} of {len(sets)}", remedy)
 
 
-@check("silhouettes")
 def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFacts) -> Iterator[Finding]:
     """Whether one client publishes silhouettes, and they arrive in time."""
     if sent.publishers > 1:
@@ -298,7 +294,6 @@ def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphF
         yield warning("latency.old", f"its silhouettes are {sent.age_s:.1f} s old when they arrive", remedy)
 
 
-@check("silhouettes")
 def check_canvas(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFacts) -> Finding | None:
     """Whether the silhouettes were made with the rig's calibration."""
     canvas, rig = sent.canvas, facts.canvas(sent.camera)
@@ -326,8 +321,7 @@ def _differences(canvas: Canvas, rig: Canvas) -> str:
     return ", ".join(f"{name} {mine:.2f}, in the rig {its:.2f}" for name, mine, its in different)
 
 
-@check("silhouettes")
-def check_content(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFacts) -> Finding | None:
+def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
     """Whether the silhouettes are plausible."""
     if not sent.masks:
         return None

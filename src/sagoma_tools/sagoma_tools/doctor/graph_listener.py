@@ -25,7 +25,7 @@ from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import Rig
 from sagoma_bringup.graph import CAMERA_NODE
 from sagoma_ros import mask_png
-from sagoma_ros.messages import to_ns
+from sagoma_ros.messages import to_ns, values_of
 from sagoma_ros.middleware import PEERS_VARIABLE
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
@@ -219,7 +219,7 @@ def collect_graph(
                 silhouette_facts(name, node.count_publishers(topic), mask.copy(), info.copy())
                 for name, topic, mask, info in zip(cameras, sent, masks, infos, strict=True)
             ),
-            tuple({pair.key: pair.value for status in each.status for pair in status.values} for each, _ in heard),
+            tuple(values_of(each.status[0]) if each.status else {} for each, _ in heard),
             (len(heard) - 1) / span_s if span_s > 0 else 0.0,
             node.count_publishers("/clock") > 0,
             {name.removeprefix(namespace): path for name, path in rig_files.items()},

@@ -24,7 +24,7 @@ import psutil
 
 from sagoma_ros.middleware import PEERS_VARIABLE, PROFILE_VARIABLE, RANGE_VARIABLE
 
-from .findings import Finding, check, error, examine, note, ok, warning
+from .findings import Finding, about, error, note, ok, warning
 from .machine import DOMAIN_PORTS, FIRST_PORT, PARTICIPANTS, Interface, domains_here, interface_to
 
 PORT = 7398  # below all ROS domains' ports
@@ -205,9 +205,14 @@ def examine_hosts(addresses: Sequence[str]) -> Iterator[Finding]:
     for address in addresses:
         interface = interface_to(address)
         host = Host(address, interface, interface is not None and reaches(address, SMALL_BYTES))
-        yield from examine("host", f"machine {address}", host)
+        yield from about(f"machine {address}", check_path(host))
         if host.answers and (peer := ask_peer(address)):
-            yield from examine("peer", f"machine {address}", peer)
+            yield from examine_peer(f"machine {address}", peer)
+
+
+def examine_peer(subject: str, peer: Peer) -> Iterator[Finding]:
+    """Examine whether nodes there and here find each other."""
+    yield from about(subject, check_domain(peer), check_discovery(peer), check_settings(peer))
 
 
 def ask_peer(address: str, port: int = PORT) -> Peer | None:
@@ -234,7 +239,6 @@ def ask_peer(address: str, port: int = PORT) -> Peer | None:
     return replace(peer, multicast=arrives, port_open=reaches(address, SMALL_BYTES, first + UNUSED_PORT))
 
 
-@check("host")
 def check_path(host: Host) -> Iterator[Finding]:
     """Whether the machine can be reached and gets packets of the interface's MTU whole."""
     address, link = host.address, host.interface
@@ -262,7 +266,6 @@ def check_path(host: Host) -> Iterator[Finding]:
     )
 
 
-@check("peer")
 def check_domain(peer: Peer) -> Finding | None:
     """Whether nodes run there, and in our domain."""
     domains = sorted({node.domain for node in peer.nodes} or set(peer.domains))
@@ -275,7 +278,6 @@ def check_domain(peer: Peer) -> Finding | None:
     return error("domain.differs", f"its nodes run in ROS_DOMAIN_ID {listed}, this doctor in {ours}", remedy)
 
 
-@check("peer")
 def check_discovery(peer: Peer) -> Finding | None:
     """Whether one machine asks the other, or multicast carries their announcements."""
     theirs, ours = peer.node, peer.ours
@@ -298,7 +300,6 @@ def check_discovery(peer: Peer) -> Finding | None:
     return error("multicast.blocked", text, f"{why}{name}. {DOCS}") if blocked else ok("discovery", "by multicast")
 
 
-@check("peer")
 def check_settings(peer: Peer) -> Iterator[Finding]:
     """Firewall, Fast DDS profile and middleware there."""
     node, ours = peer.node, peer.ours

@@ -6,7 +6,7 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,12 +18,11 @@ from camera_client.sources.aravis_source import import_aravis
 from capture_rig.errors import InputError
 from sagoma_ros.middleware import PROFILE_VARIABLE
 
-from .findings import Finding, check, error, examine, graded, note, ok, warning
+from .findings import Finding, about, error, graded, note, ok, warning
 
 SUBJECT = "this machine"
 PYTHONS = ((3, 11), (3, 12))
 ROS, TESTED_RMW = "jazzy", "rmw_fastrtps_cpp"
-RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
 FREE_CORES = 1.0  # a camera client at 100 frames a second takes a third of one
 FREE_BYTES = 500 << 20
 CLOCK_LIMIT_S = 1e-3  # a tenth of a frame at 100 Hz
@@ -33,12 +32,17 @@ SHARED_MEMORY, SMALL_SHARED_MEMORY = "/dev/shm", 128 << 20  # containers start w
 
 def examine_machine(bags: Path) -> Iterator[Finding]:
     """Examine this machine; ``bags`` is the folder for recordings."""
-    yield from examine("machine", SUBJECT)
-    yield from examine("node host", SUBJECT)
-    yield from examine("disk", SUBJECT, bags)
+    yield from about(SUBJECT, check_software(), check_kernels(), check_shared_memory())
+    yield from about(SUBJECT, check_interfaces(), check_buffer(BUFFER_BYTES), check_profile())
+    yield from examine_node_host()
+    yield from about(SUBJECT, check_disk(bags))
 
 
-@check("machine")
+def examine_node_host() -> Iterator[Finding]:
+    """Examine what nodes need of this machine."""
+    yield from about(SUBJECT, check_aravis(), check_cores(), check_memory(), check_clock(), check_ros_environment())
+
+
 def check_software() -> Iterator[Finding]:
     """Python and ROS against the tested versions."""
     text, usual = ".".join(map(str, sys.version_info[:2])), sys.version_info[:2] in PYTHONS
@@ -50,12 +54,11 @@ def check_software() -> Iterator[Finding]:
         yield error("ros.no_middleware", f"no middleware can be loaded ({problem})", remedy)
         return
     distribution = os.environ.get("ROS_DISTRO") or ROS
-    remedy = "Source ROS 2 Jazzy, then make setup again."
-    text = f"ROS_DISTRO = {distribution}, {middleware}"
-    yield graded("ros", text, (distribution != ROS, warning, "other_distro", remedy))
+    other = (distribution != ROS, warning, "other_distro", "Source ROS 2 Jazzy, then make setup again.")
+    untested = (middleware != TESTED_RMW, note, "untested_rmw", "All machines must use the same.")
+    yield graded("ros", f"ROS_DISTRO = {distribution}, {middleware}", other, untested)
 
 
-@check("machine")
 def check_kernels() -> Finding:
     """numba's cache, beside the sources or where NUMBA_CACHE_DIR says."""
     folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(hull_server.__file__).parents[2])
@@ -70,7 +73,6 @@ def check_kernels() -> Finding:
     )
 
 
-@check("machine")
 def check_shared_memory() -> Finding:
     """The shared memory through which nodes of one machine exchange messages."""
     memory = psutil.disk_usage(SHARED_MEMORY)
@@ -79,7 +81,6 @@ def check_shared_memory() -> Finding:
     return graded("shm", text, (memory.free < SMALL_SHARED_MEMORY, warning, "small", remedy))
 
 
-@check("node host")
 def check_aravis() -> Finding:
     """Whether Aravis can be imported."""
     try:
@@ -90,7 +91,6 @@ def check_aravis() -> Finding:
     return ok("aravis", "can be imported")
 
 
-@check("node host")
 def check_cores() -> Finding:
     """Processor cores that are free."""
     cores, load = len(os.sched_getaffinity(0)), os.getloadavg()[0]
@@ -99,7 +99,6 @@ def check_cores() -> Finding:
     return graded("cores", text, (cores - load < FREE_CORES, warning, "busy", remedy))
 
 
-@check("node host")
 def check_memory() -> Finding:
     """Memory that is free."""
     free = psutil.virtual_memory().available
@@ -107,7 +106,6 @@ def check_memory() -> Finding:
     return graded("memory", text, (free < FREE_BYTES, warning, "low", "Close what is not needed here."))
 
 
-@check("node host")
 def check_clock() -> Finding:
     """Whether a service keeps the system's clock, and how closely, by chrony's account or systemd's."""
     remedy = "Install chrony (or linuxptp with PTP cameras): frame sets are formed by stamps of several machines."
@@ -126,7 +124,6 @@ def check_clock() -> Finding:
     return graded("clock", text, (offset_s > CLOCK_LIMIT_S, warning, "off", settle))
 
 
-@check("node host")
 def check_ros_environment() -> Iterator[Finding]:
     """Environment variables that decide whom nodes hear."""
     domain = os.environ.get("ROS_DOMAIN_ID", "")
@@ -135,20 +132,12 @@ def check_ros_environment() -> Iterator[Finding]:
     remedy = f"Give a number from 0 to {HIGHEST_DOMAIN}: above, ports collide with those of outgoing connections."
     yield graded("ros", text, (not valid, error, "domain_invalid", remedy))
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
-    if reach and reach not in RANGES:
-        remedy = f"Give one of {', '.join(RANGES)}."
-        yield error("ros.discovery_invalid", f"ROS_AUTOMATIC_DISCOVERY_RANGE = '{reach}'", remedy)
-    elif reach in ("LOCALHOST", "OFF") or os.environ.get("ROS_LOCALHOST_ONLY") == "1":
+    if reach in ("LOCALHOST", "OFF") or os.environ.get("ROS_LOCALHOST_ONLY") == "1":
         what = f"ROS_AUTOMATIC_DISCOVERY_RANGE = {reach}" if reach else "ROS_LOCALHOST_ONLY = 1"
         remedy = "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET, unless the whole graph runs here."
         yield warning("ros.discovery_local", f"{what}: other machines do not hear this one", remedy)
-    middleware = os.environ.get("RMW_IMPLEMENTATION", "")
-    if middleware not in ("", TESTED_RMW):
-        text = f"RMW_IMPLEMENTATION = {middleware}; tested with {TESTED_RMW}"
-        yield note("ros.untested_rmw", text, "All machines must use the same.")
 
 
-@check("disk")
 def check_disk(bags: Path) -> Finding:
     """Free space of the disk for bags, below their folder or its nearest parent that exists."""
     place = next(each for each in (bags.absolute(), *bags.absolute().parents) if each.exists())
@@ -172,7 +161,7 @@ def _answer(*command: str) -> str:
 
 ANY_PORT = 9  # discard; connecting a UDP socket sends nothing
 DOMAIN_PORTS, FIRST_PORT, HIGHEST_DOMAIN, PARTICIPANTS = 250, 7400, 101, 100  # RTPS 2.3, 9.6.1.1: well-known ports
-UDP_SOCKETS, UFW = Path("/proc/net/udp"), Path("/etc/ufw/ufw.conf")
+UDP_SOCKETS, RECEIVE_BUFFER = Path("/proc/net/udp"), Path("/proc/sys/net/core/rmem_max")
 GIGABIT, BUFFER_BYTES = 1000, 4 << 20
 
 
@@ -228,54 +217,30 @@ def domains_of_ports(ports: Iterable[int]) -> tuple[int, ...]:
     return tuple(sorted({domain for domain, place in places if 0 <= domain <= HIGHEST_DOMAIN and place in discovery}))
 
 
-@check("machine")
 def check_interfaces() -> Iterator[Finding]:
-    """Interfaces that are down or slow."""
-    found = [each for each in interfaces() if not each.loopback]
+    """Interfaces and their speeds."""
     cable = "Enough for silhouettes, not for pictures or GigE cameras: a Cat 5e cable, gigabit ports at both ends and "
     cable += "the switch; ethtool shows what was agreed."
-    for each in found:
-        speed = f", {each.speed_mbit} Mbit/s" if each.speed_mbit else ""
-        yield graded(
-            "network",
-            f"{each.name}: {each.address}, MTU {each.mtu}{speed}" if each.up else f"{each.name} is down",
-            (not each.up, note, "down", f"sudo ip link set {each.name} up, if it is in use."),
-            (0 < each.speed_mbit < GIGABIT, warning, "slow", cable),
-        )
-    if not any(each.up for each in found):
-        yield note("network.loopback_only", "there is no network but loopback: the whole graph must run here")
+    for each in interfaces():
+        if each.up and not each.loopback:
+            speed = f", {each.speed_mbit} Mbit/s" if each.speed_mbit else ""
+            text, slow = f"{each.name}: {each.address}, MTU {each.mtu}{speed}", 0 < each.speed_mbit < GIGABIT
+            yield graded("network", text, (slow, warning, "slow", cable))
 
 
-@check("machine")
-def check_buffers() -> Iterator[Finding]:
-    """Socket buffers for bursts of silhouettes and of a camera's packets."""
-    yield check_buffer("rmem_max", BUFFER_BYTES, warning)
-    yield check_buffer("wmem_max", BUFFER_BYTES, note)
-
-
-def check_buffer(name: str, wanted: int, severity: Callable[[str, str, str], Finding]) -> Finding:
-    """Whether a socket's buffer may be ``wanted`` bytes large."""
+def check_buffer(wanted: int) -> Finding:
+    """Whether a socket's receive buffer may be ``wanted`` bytes large, for bursts of silhouettes and of packets."""
     try:
-        value = int(Path(f"/proc/sys/net/core/{name}").read_text())
+        value = int(RECEIVE_BUFFER.read_text())
     except OSError:
-        text = f"unknown: this container does not show net.core.{name}"
-        return note(f"{name}.unknown", text, "Look at it on the host.")
-    remedy = f"sudo sysctl -w net.core.{name}={wanted} (for good: a line in /etc/sysctl.d/60-cameras.conf)"
-    text = f"net.core.{name} = {value} bytes, wanted {wanted}: bursts of messages and frames are lost"
-    return severity(f"{name}.small", text, remedy) if value < wanted else ok(name, f"net.core.{name} = {value} bytes")
+        text = "unknown: this container does not show net.core.rmem_max"
+        return note("rmem_max.unknown", text, "Look at it on the host.")
+    remedy = f"sudo sysctl -w net.core.rmem_max={wanted} (for good: a line in /etc/sysctl.d/60-cameras.conf)"
+    text = f"net.core.rmem_max = {value} bytes, wanted {wanted}: bursts of messages and frames are lost"
+    small = warning("rmem_max.small", text, remedy)
+    return small if value < wanted else ok("rmem_max", f"net.core.rmem_max = {value} bytes")
 
 
-@check("machine")
-def check_firewall() -> Finding | None:
-    """An active firewall: ufw by its configuration, firewalld by its process."""
-    found = ["ufw"] if UFW.is_file() and "ENABLED=yes" in UFW.read_text(errors="replace") else []
-    found += ["firewalld"] if "firewalld" in {each.info["name"] for each in psutil.process_iter(["name"])} else []
-    remedy = "Let UDP ports 7400 to 7650 + 250 x ROS_DOMAIN_ID in from the other machines, and multicast "
-    remedy += "(239.255.0.1); ports 3956 and above 1024 from the cameras."
-    return note("firewall.active", f"active: {', '.join(found)}", remedy) if found else None
-
-
-@check("machine")
 def check_profile() -> Finding | None:
     """The middleware's profile: one that is named and is not there is ignored silently."""
     profile = os.environ.get(PROFILE_VARIABLE) or os.environ.get("FASTDDS_DEFAULT_PROFILES_FILE", "")

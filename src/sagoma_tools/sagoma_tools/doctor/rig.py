@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import itertools
 import time
@@ -12,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from camera_client.sources.footage_reader import open_footage
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info
 from capture_rig.errors import InputError
@@ -25,8 +25,8 @@ from capture_rig.video import VideoFacts, examine_video, session_findings
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
-from .cameras import BUSY, GIGABIT, JUMBO_MTU, Stream, stream_bytes_per_s
-from .findings import Finding, check, error, examine, graded, note, warning
+from .cameras import BUSY, GIGABIT, JUMBO_MTU, Stream, footage_shape, stream_bytes_per_s
+from .findings import Finding, about, error, graded, note, warning
 
 Array = npt.NDArray[np.float64]
 
@@ -102,16 +102,17 @@ def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None
         yield replace(error("file.invalid", f"{problem.where}: {problem.what}", problem.remedy), subject=SUBJECT)
         return
     view = RigView.of(rig, path, intrinsics)
-    yield from examine("rig", SUBJECT, view)
+    checks = check_rig_report(view), check_number(view), check_common_view(view), check_regions(view), check_pairs(view)
+    yield from about(SUBJECT, *checks)
     footage = [] if session is None else [read_footage(session, camera) for camera in rig.cameras]
-    yield from examine("session", f"session {session}", footage, session)
+    if session is not None:
+        yield from about(f"session {session}", check_session(footage, session))
     for number, camera in enumerate(rig.cameras):
-        yield from examine("rig camera", f"camera {camera.name}", view, camera)
-        if footage:
-            yield from examine("footage", f"camera {camera.name}", footage[number])
+        subject = f"camera {camera.name}"
+        yield from about(subject, check_lens_report(view, camera), check_lens(camera), check_place(view, camera))
+        yield from about(subject, *map(check_footage, footage[number : number + 1]))
 
 
-@check("rig")
 def check_rig_report(view: RigView) -> Iterator[Finding]:
     """The rig's calibration report, and the cameras' own."""
     report = view.path.with_name(view.path.stem + SUFFIX)
@@ -148,7 +149,6 @@ def check_report(path: Path, again: str) -> Iterator[Finding]:
     yield graded("age", f"calibrated {age_s / 86400:.0f} days ago", (age_s > OLD_S, warning, "old", remedy))
 
 
-@check("rig")
 def check_number(view: RigView) -> Finding:
     """Whether the cameras are enough to carve a body."""
     number = len(view.rig.cameras)
@@ -159,7 +159,6 @@ def check_number(view: RigView) -> Finding:
     return graded("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
 
 
-@check("rig")
 def check_common_view(view: RigView) -> Finding:
     """How much of the volume enough cameras see."""
     enough = min(ENOUGH_CAMERAS, len(view.rig.cameras))
@@ -170,7 +169,6 @@ def check_common_view(view: RigView) -> Finding:
     return graded("volume", text, poor, little)
 
 
-@check("rig")
 def check_regions(view: RigView) -> Finding:
     """What of the pictures the volume needs, and how fast one link carries that."""
     whole, parts = view.rig, needed_parts(view.rig)
@@ -204,7 +202,6 @@ def most_hz(rig: Rig) -> float:
     return BUSY * GIGABIT * 1e6 / 8 / sum(stream_bytes_per_s(stream, JUMBO_MTU) for stream in streams)
 
 
-@check("rig")
 def check_pairs(view: RigView) -> Iterator[Finding]:
     """Pairs of cameras that show one outline."""
     for one, other in itertools.combinations(view.rig.cameras, 2):
@@ -222,7 +219,6 @@ def check_pairs(view: RigView) -> Iterator[Finding]:
             yield warning("cameras.parallel", text, "Spread the cameras around the volume.")
 
 
-@check("rig camera")
 def check_lens_report(view: RigView, camera: CameraModel) -> Iterator[Finding]:
     """The report of the camera's own calibration, and whether the rig has its intrinsics."""
     report = view.lens_report(camera.name)
@@ -246,8 +242,7 @@ def check_lens_report(view: RigView, camera: CameraModel) -> Iterator[Finding]:
         yield warning("intrinsics.differ", f"{path} differs from the rig file: {differences}", remedy)
 
 
-@check("rig camera")
-def check_lens(view: RigView, camera: CameraModel) -> Iterator[Finding]:
+def check_lens(camera: CameraModel) -> Iterator[Finding]:
     """Whether the lens is one that exists, and holds over the image."""
     fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     width, height, fisheye = camera.width, camera.height, is_fisheye(camera.D)
@@ -269,7 +264,6 @@ def check_lens(view: RigView, camera: CameraModel) -> Iterator[Finding]:
         yield note("lens.unused", text, remedy)
 
 
-@check("rig camera")
 def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
     """Where the camera stands, and what it sees of the volume."""
     height, distance = float(camera.centre_world[2]), float(np.linalg.norm(camera.centre_world - view.middle))
@@ -292,12 +286,11 @@ def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
     )
 
 
-@check("session")
-def check_session(footage: list[Footage], session: Path | None) -> Iterator[Finding]:
+def check_session(footage: list[Footage], session: Path) -> Iterator[Finding]:
     """Whether the videos have one rate and equally many frames, can be read to their ends, and have backgrounds."""
     videos = {each.camera.name: each.video for each in footage if each.video is not None}
     rates = {camera: video.fps for camera, video in videos.items()}
-    if rates and _stated(session) is None and (min(rates.values()) <= 0 or len(set(rates.values())) > 1):
+    if rates and not _states_rate(session) and (min(rates.values()) <= 0 or len(set(rates.values())) > 1):
         listed = ", ".join(f"{camera} {f'{rate:g}' if rate else 'unknown'}" for camera, rate in rates.items())
         remedy = "Give the true rate as 'fps' in session.yaml."
         yield error("footage.rate", f"the videos' headers give no one frame rate ({listed})", remedy)
@@ -313,17 +306,16 @@ def check_session(footage: list[Footage], session: Path | None) -> Iterator[Find
         yield error("background.missing", f"there is none for {', '.join(bare)}", remedy)
 
 
-@check("footage")
 def check_footage(footage: Footage) -> Iterator[Finding]:
     """Whether footage and background can be read and have the calibrated size."""
     size = (footage.camera.width, footage.camera.height)
     if footage.problem:
         yield error("footage.unreadable", footage.problem, "Record the session again, or mend the file.")
         return
-    for about, seen in (("footage", footage.size), ("background", footage.background_size or size)):
+    for kind, seen in (("footage", footage.size), ("background", footage.background_size or size)):
         text = f"{seen[0]} x {seen[1]} pixels, the camera was calibrated at {size[0]} x {size[1]}"
         remedy = "Record at the calibrated size, or calibrate at the recorded one."
-        yield graded(about, text, (seen != size, error, "size_differs", remedy))
+        yield graded(kind, text, (seen != size, error, "size_differs", remedy))
 
 
 def read_footage(session: Path, camera: CameraModel) -> Footage:
@@ -367,17 +359,12 @@ def _lens_folders(rig_file: Path) -> tuple[Path, ...]:
 
 
 def _size(path: Path) -> tuple[int, int]:
-    reader = open_footage(path)
-    try:
-        height, width = reader.probe()[:2]
-    finally:
-        reader.close()
+    height, width = footage_shape(path)[:2]
     return width, height
 
 
-def _stated(session: Path | None) -> float | None:
-    """Return the frame rate that the session states, None for none, or one that loading the session refuses."""
-    try:
-        return None if session is None else stated_rate(session / "session.yaml")
-    except InputError:
-        return None
+def _states_rate(session: Path) -> bool:
+    """Return whether the session states a frame rate, one that loading it does not refuse."""
+    with contextlib.suppress(InputError):
+        return stated_rate(session / "session.yaml") is not None
+    return False

@@ -7,7 +7,6 @@ import sys
 import tempfile
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -112,44 +111,43 @@ class StudioProcess:
         self.close()
 
 
-class LiveInput(ABC):
-    """Frames for a graph; a context manager, since it may run processes. ``clock`` is that of cameras which expose."""
+class LiveInput:
+    """Frames for a graph; a context manager, since it may run processes. ``clock`` is that of cameras which expose.
+
+    in_real_time : whether a frame's stamp is the time of its exposure, so that its age is a latency.
+    """
 
     clock = UTC
+    in_real_time = True
 
     def __init__(self, session_folder: str | Path) -> None:
         self.session: Session = load_session(session_folder)
 
-    @abstractmethod
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
         """Return the nodes that process these frames."""
+        raise NotImplementedError
 
-    def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:  # noqa: B027 (files need nothing)
+    def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
         """Prepare the active graph for the playback."""
 
-    def settle(self, cancel: threading.Event) -> None:  # noqa: B027
+    def settle(self, cancel: threading.Event) -> None:
         """Wait until the graph has found the rate that it holds."""
 
     def usage(self) -> dict[str, Usage]:
         """Return what its own processes use, by label: simulated cameras run beside the graph."""
         return {}
 
-    @abstractmethod
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock | None:
         """Play the session once through the active graph and wait for the answers.
 
         None where the input has no clock of its own: the first stamp is then that of frame 0.
         """
+        raise NotImplementedError
 
-    @property
-    @abstractmethod
-    def in_real_time(self) -> bool:
-        """Whether a frame's stamp is the time of its exposure, so that its age is a latency."""
-
-    def open(self, cancel: threading.Event) -> None:  # noqa: B027 (files need no preparation)
+    def open(self, cancel: threading.Event) -> None:
         """Prepare the input; :meth:`close` undoes it."""
 
-    def close(self) -> None:  # noqa: B027
+    def close(self) -> None:
         """End what :meth:`open` started."""
 
     def __enter__(self) -> LiveInput:
@@ -164,7 +162,7 @@ class FootageInput(LiveInput):
 
     def __init__(self, session_folder: str | Path, rate: float = 0.0) -> None:
         super().__init__(session_folder)
-        self._rate = rate
+        self._rate, self.in_real_time = rate, rate > 0.0
 
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
         return build_graph(session=self.session.folder, rate=self._rate, settings=settings)
@@ -175,10 +173,6 @@ class FootageInput(LiveInput):
             if not recorder.wait_for_count(PREDICTION_TOPIC, seen + 1, PATIENCE_S):
                 return
             seen = recorder.counts.get(PREDICTION_TOPIC, 0)
-
-    @property
-    def in_real_time(self) -> bool:
-        return self._rate > 0.0
 
 
 class TooSlow(Exception):
@@ -218,16 +212,9 @@ class StudioInput(LiveInput):
             raise InputError(f"fps = {fps:g}", where="cameras", remedy="Give a frame rate above 0 Hz.")
         self._fps, self._least_hz, self._trained = fps, least_hz, trained
         self.clock = CaptureClock(speed)
+        self.in_real_time = self.clock.speed == 1
         address = free_first_address(len(self.session.rig.names))
-        scene = (
-            "--session",
-            str(self.session.folder),
-            "--fps",
-            f"{fps:g}",
-            "--speed",
-            str(self.clock.speed),
-            "--empty",
-        )
+        scene = "--session", str(self.session.folder), "--fps", f"{fps:g}", "--speed", str(self.clock.speed), "--empty"
         self.studio = StudioProcess(folder, *scene, "--address", address)
 
     def open(self, cancel: threading.Event) -> None:
@@ -277,10 +264,6 @@ class StudioInput(LiveInput):
             if counts != (counts := recorder.counts):
                 heard_s = max(heard_s, time.monotonic())
 
-    @property
-    def in_real_time(self) -> bool:
-        return self.clock.speed == 1
-
 
 def free_first_address(count: int) -> str:
     """Return the first of ``count`` loopback addresses in a row on which no other studio serves.
@@ -291,11 +274,8 @@ def free_first_address(count: int) -> str:
     for first in (*FIRST_ADDRESSES[begin:], *FIRST_ADDRESSES[:begin]):
         if all(is_free(address) for address in consecutive_addresses(first, count)):
             return first
-    raise InputError(
-        "other studios hold every address",
-        where=f"{FIRST_ADDRESSES[0]} to {FIRST_ADDRESSES[-1]}",
-        remedy="End one of them.",
-    )
+    what = "other studios hold every address"
+    raise InputError(what, where=f"{FIRST_ADDRESSES[0]} to {FIRST_ADDRESSES[-1]}", remedy="End one of them.")
 
 
 # the rate that a graph holds ------------------------------------------------------------------------------------------

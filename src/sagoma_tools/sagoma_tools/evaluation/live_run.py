@@ -17,6 +17,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from capture_rig.session import Session
 from mocap_packets.table import AGE_POINTS
 from sagoma_bringup.launch_arguments import start_settings
+from sagoma_ros.messages import values_of
 
 from ..console import doing
 from ..graph.processes import ProcessSettings, Usage
@@ -232,7 +233,7 @@ def _values(message: BagMessage) -> dict[str, str]:
     statuses = message.decode(DiagnosticArray).status
     if not statuses:
         raise message.damaged("holds no status")
-    return {pair.key: pair.value for pair in statuses[0].values}
+    return values_of(statuses[0])
 
 
 def evaluate_run(run: LiveRun) -> TrackEvaluation:

@@ -5,7 +5,7 @@ To be imported where it is used: matplotlib takes a second to load.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from capture_rig.camera import CameraModel
 from capture_rig.session import Truth
 from capture_rig.video import Video
 from stick_figure import metrics
@@ -76,15 +77,22 @@ def draw_stills(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
 def _close_ups(evaluated: TrackEvaluation, frames: list[int]) -> Iterator[np.ndarray]:
     """Yield one sheet a frame: its caption, and every camera's image cut out around the body."""
     for frame, cameras, images, points, truth in _pictures(evaluated, frames):
-        shown = points if truth is None else np.vstack([points, truth])
-        side = CLOSE_UP_WIDTH_PX // min(len(cameras), CLOSE_UPS_A_ROW)
-        windows = [Window.around(camera, shown, side) for camera in cameras]
-        cells = [
-            overlay(camera, image, points, truth, window)
-            for camera, image, window in zip(cameras, images, windows, strict=True)
-        ]
-        sheet = montage(cells, min(len(cells), CLOSE_UPS_A_ROW), MAX_WIDTH_PX)
-        yield captioned(sheet, *caption(evaluated, frame))
+        shown, columns = points if truth is None else np.vstack([points, truth]), min(len(cameras), CLOSE_UPS_A_ROW)
+        windows = [Window.around(camera, shown, CLOSE_UP_WIDTH_PX // columns) for camera in cameras]
+        yield _sheet(evaluated, frame, zip(cameras, images, windows, strict=True), points, truth, columns)
+
+
+def _sheet(
+    evaluated: TrackEvaluation,
+    frame: int,
+    views: Iterable[tuple[CameraModel, np.ndarray, Window]],
+    points_world: np.ndarray,
+    truth_world: np.ndarray | None,
+    columns: int,
+) -> np.ndarray:
+    """Return a frame's picture: track and truth over each camera's image, under the caption."""
+    cells = [overlay(camera, image, points_world, truth_world, window) for camera, image, window in views]
+    return captioned(montage(cells, columns, MAX_WIDTH_PX), *caption(evaluated, frame))
 
 
 def _pictures(evaluated: TrackEvaluation, frames: Sequence[int]) -> Iterator[tuple]:
@@ -112,12 +120,7 @@ def sheets(evaluated: TrackEvaluation) -> Iterator[np.ndarray]:
     columns, scale = tiling([camera.width for camera in rig], [camera.height for camera in rig])
     windows = [Window.whole(camera, scale) for camera in rig]
     for frame, cameras, images, points, truth in _pictures(evaluated, range(evaluated.frames)):
-        cells = [
-            overlay(camera, image, points, truth, window)
-            for camera, image, window in zip(cameras, images, windows, strict=True)
-        ]
-        sheet = montage(cells, columns, MAX_WIDTH_PX)
-        yield captioned(sheet, *caption(evaluated, frame))
+        yield _sheet(evaluated, frame, zip(cameras, images, windows, strict=True), points, truth, columns)
 
 
 def caption(evaluated: TrackEvaluation, frame: int) -> tuple[str, bool | None]:

@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from capture_rig.errors import InputError
 from mocap_packets.fit import PART_NAMES
 from mocap_packets.state import Tracking
+from sagoma_ros.messages import values_of
 
 from ..recording.reader import read_messages
 
@@ -90,7 +91,7 @@ def reasons_of_bag(bag: str | Path, wanted: Callable[[int], bool] = lambda stamp
     for message in read_messages(bag, FIT_TOPIC.__eq__):
         if wanted(message.stamp_ns):
             statuses = message.decode(DiagnosticArray).status
-            troubled = [s for s in statuses if {v.key: v.value for v in s.values}.get(STATE) != Tracking.TRACKING]
+            troubled = [s for s in statuses if values_of(s).get(STATE) != Tracking.TRACKING]
             found.append(tuple(status.message for status in troubled))
     return found
 

@@ -57,7 +57,7 @@ def score_angles(angles: np.ndarray, points_world: np.ndarray, truth: AngleTruth
     """Compare a track's angles (F, 18) rad and points (F, 15, 3) m, NaN where it has none, with the truth, by frame."""
     known = np.isfinite(truth.angles).all(1) & np.isfinite(angles).all(1)
     compared = known[:, None] & defined(truth.angles)
-    turned = metrics.rotation_angle(torso_rotations(points_world), truth.R_world_torso)
+    turned = metrics.rotation_angle(_rotations(fit_poses(points_world)), truth.R_world_torso)
     turned = turned[np.isfinite(turned)]
     return AngleScores(
         rmse_rad=metrics.rmse_angles(angles, np.where(compared, truth.angles, np.nan)),
@@ -73,8 +73,11 @@ def angle_truth(truth: Truth) -> AngleTruth:
     poses = fit_poses(points)
     if truth.angles is not None:
         return AngleTruth(truth.angles, _rotations(poses), f"the angles in {truth.source.name}")
-    source = f"inverse kinematics of the points in {truth.source.name}"
-    return AngleTruth(_continuous_angles(poses), _rotations(poses), source)
+    angles, previous = np.full((len(poses), 18), np.nan), None
+    for frame, pose in enumerate(poses):
+        if pose is not None:
+            angles[frame] = previous = pose.angles(previous)
+    return AngleTruth(angles, _rotations(poses), f"inverse kinematics of the points in {truth.source.name}")
 
 
 def fit_poses(points_world: np.ndarray) -> list[Pose | None]:
@@ -110,20 +113,8 @@ def defined(angles: np.ndarray) -> np.ndarray:
     return out
 
 
-def _continuous_angles(poses: list[Pose | None]) -> np.ndarray:
-    angles, previous = np.full((len(poses), 18), np.nan), None
-    for frame, pose in enumerate(poses):
-        if pose is not None:
-            angles[frame] = previous = pose.angles(previous)
-    return angles
-
-
-def torso_rotations(points_world: np.ndarray) -> np.ndarray:
-    """R_world_torso (F, 3, 3) of the rigid fit to the torso's points."""
-    return _rotations(fit_poses(points_world))
-
-
 def _rotations(poses: list[Pose | None]) -> np.ndarray:
+    """R_world_torso (F, 3, 3) of the rigid fits to the torso's points; NaN where there is no pose."""
     unknown = np.full((3, 3), np.nan)
     return np.array([unknown if pose is None else pose.R_world_torso for pose in poses]).reshape(-1, 3, 3)
 

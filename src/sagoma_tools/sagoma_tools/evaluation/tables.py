@@ -10,8 +10,10 @@ from rich.table import Table
 
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
+from ..console import plain_table
 from ..graph.diagnostics_table import BUDGET_PERIODS
 from ..graph.processes import Usage
+from ..graph.ros_link import label_of
 from .scores import AngleScores, Scores
 from .track_evaluation import PeopleScores, TrackEvaluation
 
@@ -54,7 +56,7 @@ def _percent(share: float) -> str:
 
 def _points(scores: Scores) -> Table:
     title = "error of the points (RMSE: thesis Table 7.2)"
-    table = _table(title, "point", "RMSE mm", *POINT_COLUMNS)
+    table = plain_table(title, ["point"], ["RMSE mm", *POINT_COLUMNS])
     columns = (
         scores.point_mm,
         scores.point_median_mm,
@@ -86,7 +88,7 @@ def _cells(
 
 def _angles(angles: AngleScores) -> Table:
     title = f"RMSE of the angles, rad (thesis Table 7.1); truth: {angles.source}"
-    table = _table(title, "angle", "left", "right", "left deg", "right deg", "left frames", "right frames")
+    table = plain_table(title, ["angle"], ["left", "right", "left deg", "right deg", "left frames", "right frames"])
     torso = angles.torso_rmse_rad
     table.add_row("torso", f"{torso:.2f}", "", f"{np.rad2deg(torso):.1f}", "", "100 %", "")
     for slot, axis in enumerate("xy"):
@@ -131,7 +133,7 @@ def print_evaluation(console: Console, evaluated: TrackEvaluation) -> None:
 def print_people(console: Console, people: PeopleScores) -> None:
     """Print a row for each person of a session with several truths, where the rig shows that person."""
     columns = "numbers", *POINT_COLUMNS, "flagged", "alarms", "frames", "switches"
-    table = _table("every person, where the rig shows them", "truth", *columns)
+    table = plain_table("every person, where the rig shows them", ["truth"], columns)
     for person in people.persons:
         name, numbers = f"person {person.truth + 1}", "+".join(map(str, person.numbers)) or "-"
         scores = person.scores
@@ -148,7 +150,7 @@ def print_people(console: Console, people: PeopleScores) -> None:
 
 def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
     """Print one row a configuration, None where it found no body; ratio: the first row's mean to this one's."""
-    table = _table("ablation: each row adds one part to the row above", "method", *POINT_COLUMNS, "ratio")
+    table = plain_table("ablation: each row adds one part to the row above", ["method"], [*POINT_COLUMNS, "ratio"])
     first = next(iter(rows.values()), None)
     for name, scores in rows.items():
         if scores is None:
@@ -157,14 +159,6 @@ def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
         better = "" if first is None else f"{first.mean_mm / scores.mean_mm:.1f}"
         table.add_row(name, *_overall_cells(scores), better)
     console.print(table)
-
-
-def _table(title: str, first: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    table.add_column(first, no_wrap=True)
-    for column in columns:
-        table.add_column(column, justify="right", no_wrap=True)
-    return table
 
 
 def print_latency(console: Console, latency_ms: Mapping[str, np.ndarray]) -> None:
@@ -182,7 +176,7 @@ def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray], hz: float) -
 
 
 def _percentiles(title: str, first: str, measured_ms: Mapping[str, np.ndarray], digits: int) -> Table:
-    table = _table(title, first, "p50 ms", "p95 ms", "max ms")
+    table = plain_table(title, [first], ["p50 ms", "p95 ms", "max ms"])
     for name, values in measured_ms.items():
         table.add_row(name.removesuffix("_ms"), *(f"{v:.{digits}f}" for v in np.percentile(values, [50, 95, 100])))
     return table
@@ -199,8 +193,8 @@ def print_nodes(
     where stamps are of this machine's time."""
     memory_columns = "resident MiB", "peak MiB"
     latencies = {"latency p50 ms": "latency_p50_ms", "p95 ms": "latency_p95_ms"} if in_real_time else {}
-    table = _table("nodes", "node", *memory_columns, "cpu ms a set", "results", *latencies)
-    values = {_label(name): report for name, report in diagnostics.items()}
+    table = plain_table("nodes", ["node"], [*memory_columns, "cpu ms a set", "results", *latencies])
+    values = {label_of(name): report for name, report in diagnostics.items()}
     for label in dict.fromkeys([*usage, *values]):
         used = usage.get(label)  # None of a node that shares its process
         memory = (f"{used.resident_mib:.0f}", f"{used.peak_mib:.0f}") if used is not None else ("", "")
@@ -208,8 +202,3 @@ def print_nodes(
         report = values.get(label, {})
         table.add_row(label, *memory, cpu, *(report.get(key, "") for key in ("results", *latencies.values())))
     console.print(table)
-
-
-def _label(full_name: str) -> str:
-    namespace, _, name = full_name.rpartition("/")
-    return namespace.strip("/") or name

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,7 +19,7 @@ from mocap_packets.state import BodyState
 from stick_figure.skeleton import ANGLE_NAMES
 
 from ..graph.topics import camera_topics
-from ..recording.reader import SIDECAR_RIG, bag_persons, frame_tolerance_ns, read_messages, read_provenance
+from ..recording.reader import SIDECAR_RIG, bag_persons, frame_tolerance_ns, read_messages, read_provenance, rig_in
 from ..recording.recorded_motion import ANGLES, FIRST, NO_STATE, POINTS, STATE, PersonRows, read_person_rows
 from .reasons import nobody_tracked, reasons_of_bag
 
@@ -48,18 +48,9 @@ class Track:
     @classmethod
     def of_states(cls, rows: Sequence[tuple[int, BodyState]]) -> Track:
         """Build from frames and the filter's states at them; no rows make an empty track."""
-        frames, states = [frame for frame, _ in rows], [state for _, state in rows]
-
-        def column(values: list[np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
-            return np.array(values, dtype=float).reshape(-1, *shape)
-
-        return cls(
-            np.array(frames, dtype=int),
-            column([state.points_world for state in states], (15, 3)),
-            column([state.point_covariance for state in states], (15, 3, 3)),
-            column([state.angles for state in states], (18,)),
-            np.array([str(state.tracking) for state in states], dtype=str),
-            np.array([state.parts for state in states], dtype=str).reshape(-1, len(PART_NAMES)),
+        return cls._of(
+            (frame, state.points_world, state.point_covariance, state.angles, str(state.tracking), state.parts)
+            for frame, state in rows
         )
 
     @classmethod
@@ -71,13 +62,22 @@ class Track:
 
         points, angles, states = by_frame(rows.points), by_frame(rows.angles), by_frame(rows.states)
         frames = sorted(set(points) & set(angles))
+        return cls._of(
+            (f, points[f].points_world, points[f].covariance, angles[f], *states.get(f, NO_STATE)) for f in frames
+        )
+
+    @classmethod
+    def _of(cls, rows: Iterable[tuple]) -> Track:
+        """Build from one tuple a frame, in the order of the fields."""
+        columns = list(zip(*rows, strict=True)) or [()] * 6
+        frames, points, covariance, angles, states, parts = columns
         return cls(
             np.array(frames, dtype=int),
-            np.array([points[f].points_world for f in frames]).reshape(-1, 15, 3),
-            np.array([points[f].covariance for f in frames]).reshape(-1, 15, 3, 3),
-            np.array([angles[f] for f in frames]).reshape(-1, len(ANGLE_NAMES)),
-            np.array([states.get(f, NO_STATE)[0] for f in frames], dtype=str),
-            np.array([states.get(f, NO_STATE)[1] for f in frames], dtype=str).reshape(-1, len(PART_NAMES)),
+            np.array(points, dtype=float).reshape(-1, 15, 3),
+            np.array(covariance, dtype=float).reshape(-1, 15, 3, 3),
+            np.array(angles, dtype=float).reshape(-1, len(ANGLE_NAMES)),
+            np.array(states, dtype=str),
+            np.array(parts, dtype=str).reshape(-1, len(PART_NAMES)),
         )
 
     def __len__(self) -> int:
@@ -214,8 +214,8 @@ def session_of_bag(bag: Path) -> Session:
     named = read_provenance(bag).get("session")
     if named:
         return load_session(named)
-    if not (bag / SIDECAR_RIG).is_file():
+    if (rig_file := rig_in(bag)) is None:
         what = f"says neither of which session it is nor, in {SIDECAR_RIG}, by which cameras"
         raise InputError(what, where=str(bag), remedy=f"Run sagoma evaluate SESSION --bag {bag}.")
     fps = 0.5e9 / frame_tolerance_ns(bag)
-    return Session(bag, load_rig(bag / SIDECAR_RIG), fps, videos={}, backgrounds={}, masks={}, truth=None)
+    return Session(bag, load_rig(rig_file), fps, videos={}, backgrounds={}, masks={}, truth=None)

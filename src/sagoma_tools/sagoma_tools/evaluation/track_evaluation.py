@@ -35,12 +35,10 @@ class Jitter:
     a truth, the moving average of the track's own) stays within :data:`STILL_M` of its place at k from k - h to k + h.
 
     rms_mm : over all points and frames that count, three axes together: white noise of sd s an axis gives
-    s sqrt(3) sqrt(1 - 1 / (2 h + 1)). point_rms_mm : (15,) of each point; at_rest : (15,) how many frames counted.
-    NaN where a point never rests.
+    s sqrt(3) sqrt(1 - 1 / (2 h + 1)), NaN where no point ever rests; at_rest : (15,) how many frames counted.
     """
 
     rms_mm: float
-    point_rms_mm: np.ndarray
     at_rest: np.ndarray
 
 
@@ -54,12 +52,8 @@ def jitter(track: Track, fps: float, truth: Truth | None = None) -> Jitter:
     reference = smooth if truth is None else truth.points_at(frames)
     counts = _rests(reference, half) & np.isfinite(smooth).all(-1)
     squared = np.where(counts, ((points - smooth) ** 2).sum(-1), 0.0)
-    point_count, count = counts.sum(0), counts.sum()
-    return Jitter(
-        rms_mm=1e3 * float(np.sqrt(squared.sum() / count)) if count else float("nan"),
-        point_rms_mm=1e3 * np.where(point_count > 0, np.sqrt(squared.sum(0) / np.maximum(point_count, 1)), np.nan),
-        at_rest=point_count,
-    )
+    rms_m = float(np.sqrt(squared.sum() / counts.sum())) if counts.any() else float("nan")
+    return Jitter(1e3 * rms_m, counts.sum(0))
 
 
 def _windows(points: np.ndarray, half: int) -> np.ndarray:

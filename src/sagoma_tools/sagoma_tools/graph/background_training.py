@@ -19,7 +19,7 @@ from sagoma_bringup.graph import Role
 
 from .diagnostics_table import DiagnosticsTable
 from .processes import START_TIMEOUT_S
-from .ros_link import ASK_S, call_all, owners_of, settled
+from .ros_link import ASK_S, call_all, label_of, owners_of, settled
 from .supervisor import Supervisor
 
 SERVICE, SERVICE_TYPE = "learn_background", "std_srvs/srv/Trigger"
@@ -39,11 +39,6 @@ class TrainingOutcome:
     def grade(self) -> str:
         """GOOD, USABLE or REDO (capture_rig.verdict)."""
         return REDO if self.report is None else self.report.grade
-
-
-def camera_of(full_name: str) -> str:
-    """ "cam01" of "/cam01/camera_client"."""
-    return full_name.strip("/").rpartition("/")[0] or full_name.strip("/")
 
 
 def find_clients(node: Node, expect: int, wait_s: float) -> list[str]:
@@ -116,19 +111,16 @@ def train_backgrounds(
     replies = call_all(node, Trigger, requests, timeout_s, lambda service: wanted(), inferred=inferred)
     answers = {name: replies[f"{name}/{SERVICE}"] for name in names}
 
-    def report_of_answer(name: str) -> TrainingReport | None:
-        report = new_report(name)
-        return report if report is not None and report.text == answers[name].message else None
+    def outcome(name: str) -> TrainingOutcome:
+        answer, report = answers[name], new_report(name)
+        said = silence if answer is None else answer.message
+        its_own = answer is not None and report is not None and report.text == answer.message
+        return TrainingOutcome(label_of(name), said, report if its_own else None)
 
-    answered = [name for name in names if answers[name] is not None]
-    diagnostics.wait_until(lambda: all(report_of_answer(name) is not None for name in answered), ASK_S)
     silence = "did not answer" + ("" if wanted() else " before it was cancelled")
-    return [
-        TrainingOutcome(camera_of(name), silence)
-        if answers[name] is None
-        else TrainingOutcome(camera_of(name), answers[name].message, report_of_answer(name))
-        for name in names
-    ]
+    answered = [name for name in names if answers[name] is not None]
+    diagnostics.wait_until(lambda: all(outcome(name).report is not None for name in answered), ASK_S)
+    return list(map(outcome, names))
 
 
 def learn_backgrounds(supervisor: Supervisor) -> dict[str, str]:

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rich.table import Table
 from rich.text import Text
 
-from sagoma_ros.messages import to_ns
+from sagoma_ros.messages import to_ns, values_of
 
 from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
@@ -95,7 +95,7 @@ class DiagnosticsTable:
         lead_s = 1e-9 * (to_ns(message.header.stamp) - info["received_timestamp"])
         with self._heard:
             for status in message.status:
-                values = {pair.key: pair.value for pair in status.values}
+                values = values_of(status)
                 before = self._reports.get(status.name, NodeReport(status.level, "", count=0))
                 count, most_s = before.count + 1, max(before.lead_s, lead_s)
                 self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s, count, most_s)

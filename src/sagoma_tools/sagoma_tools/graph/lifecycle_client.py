@@ -21,9 +21,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
 from std_msgs.msg import Empty
 
-from sagoma_bringup.graph import CAMERA_NODE
-
-from .ros_link import ANSWER_S, ASK_S, DISCOVERY_S, LOOK_S, call_all, settled
+from .ros_link import ANSWER_S, ASK_S, DISCOVERY_S, LOOK_S, call_all, is_camera, settled
 
 
 class Transition(Enum):
@@ -114,7 +112,7 @@ def groups_of(names: Iterable[str], cameras_first: bool) -> list[list[str]]:
     """Return camera clients and server's nodes (full names) as two groups: cameras last on the way up, first down."""
     groups: list[list[str]] = [[], []]
     for name in names:
-        groups[name.endswith(f"/{CAMERA_NODE}") != cameras_first].append(name)
+        groups[is_camera(name) != cameras_first].append(name)
     return groups
 
 
@@ -209,13 +207,9 @@ def places_of(node: Node) -> dict[str, list[Place]]:
     found: dict[str, list[Place]] = {}
     for one in node.get_publishers_info_by_topic(COMMON_TOPIC):
         name = f"{one.node_namespace.rstrip('/')}/{one.node_name}"
-        found.setdefault(name, []).append(place_of(one.endpoint_gid))
+        gid = one.endpoint_gid
+        found.setdefault(name, []).append(Place(machine_of(gid), int.from_bytes(bytes(gid[PID]), "little")))
     return found
-
-
-def place_of(gid: Sequence[int]) -> Place:
-    """Return what a GUID says of where its owner runs."""
-    return Place(machine_of(gid), int.from_bytes(bytes(gid[PID]), "little"))
 
 
 def own_machine(node: Node) -> str:

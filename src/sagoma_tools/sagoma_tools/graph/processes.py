@@ -271,9 +271,5 @@ class ProcessGroup:
         found = {label: child.usage() for label, child in self._children.items()}
         return {label: usage for label, usage in found.items() if usage is not None}
 
-    def log_tail(self, node: str, lines: int = 15) -> str:
-        """Return the last lines of the log of a node's process."""
-        return self.child_of(node).log_tail(lines)
-
     def _path(self, spec: ProcessSpec, suffix: str) -> Path:
         return self._run_folder / f"{spec.label}.{suffix}"

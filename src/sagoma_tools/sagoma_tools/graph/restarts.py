@@ -97,9 +97,6 @@ def reads_file(spec: NodeSpec) -> bool:
 
 def restarted(process: ProcessSpec) -> ProcessSpec:
     """Return the process with nodes that become active by themselves; its tracker finds the person in any pose."""
-    return replace(process, nodes=tuple(_restarted(node) for node in process.nodes))
-
-
-def _restarted(node: NodeSpec) -> NodeSpec:
-    finds_anybody = {"initial_pose.source": "auto"} if node.name == TRACKER else {}
-    return node.with_parameters({"autostart": True, **finds_anybody})
+    own = {TRACKER: {"initial_pose.source": "auto"}}
+    nodes = (node.with_parameters({"autostart": True, **own.get(node.name, {})}) for node in process.nodes)
+    return replace(process, nodes=tuple(nodes))

@@ -115,6 +115,16 @@ def node_names(node: Node) -> list[str]:
     return [f"{namespace.rstrip('/')}/{name}" for name, namespace in node.get_node_names_and_namespaces()]
 
 
+def is_camera(full_name: str) -> bool:
+    """Is this the full name of a camera client?"""
+    return full_name.endswith(f"/{CAMERA_NODE}")
+
+
+def label_of(full_name: str) -> str:
+    """Return what to call a node: a camera client by its camera, "cam01" of "/cam01/camera_client"."""
+    return full_name.strip("/").removesuffix(f"/{CAMERA_NODE}")
+
+
 def our_nodes(node: Node) -> set[str]:
     """Fully qualified names of the camera clients and of the server's nodes in the graph, of the node's namespace."""
     ours = (CAMERA_NODE, *SERVER_NODES)
@@ -225,7 +235,7 @@ def below(node: Node, full_name: str) -> bool:
 def is_in_graph(node: Node, node_name: str) -> bool:
     """Whether this full name of a node is of the graph of ``node``'s namespace: camera clients are one level below."""
     depth = node_name.removeprefix(f"{namespace_of(node)}/").count("/")
-    return below(node, node_name) and depth == (1 if node_name.endswith(f"/{CAMERA_NODE}") else 0)
+    return below(node, node_name) and depth == is_camera(node_name)
 
 
 def in_graph(node: Node, name: str) -> str:

@@ -25,6 +25,7 @@ from .lifecycle_client import (
     State,
     Verdict,
     foreign_nodes,
+    groups_of,
     living_nodes,
     own_machine,
     places_of,
@@ -246,12 +247,7 @@ class Supervisor:
 
     def _in(self, state: State, *, cameras_first: bool = False) -> list[list[str]]:
         """Return the nodes in ``state``: the server's and the cameras', or the other way round."""
-        states = self.states()
-        order = (Role.CAMERA, Role.SERVER) if cameras_first else (Role.SERVER, Role.CAMERA)
-        return [
-            [spec.full_name for spec in self.graph if spec.role is role and states.get(spec.full_name) == state.value]
-            for role in order
-        ]
+        return groups_of((name for name, now in self.states().items() if now == state.value), cameras_first)
 
     def _bring(
         self, groups: Sequence[Sequence[str]], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S

@@ -19,15 +19,18 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, default_volume, save_rig
-from capture_rig.rigid import nearest_rotation
 from capture_rig.session import VIDEO_SUFFIXES
 from capture_rig.video import Video
 from capture_rig.yaml_file import read_mapping
 
 from .formats import (
     ROTATION_TOLERANCE,
+    Instants,
     Mocap,
+    between,
     new_session_folder,
+    pose_of,
+    present,
     read_c3d,
     read_numbers,
     save_description,
@@ -37,7 +40,7 @@ from .formats import (
 
 NUMBERS = "width height K(3 x 3) L(4 x 4, mm) k0..k4"
 COUNT = 2 + 9 + 16 + 5
-NOT_A_ROTATION = "L is the matrix from world to camera, millimetres, its last row 0 0 0 1."
+RIGID = "L is the matrix from world to camera, millimetres, its last row 0 0 0 1."
 MARKERS: Mapping[str, tuple[tuple[str, ...], ...]] = {
     "Head": (("HEAD_TOP",), ("LFHD", "RFHD", "LBHD", "RBHD")),
     "Neck": (("NECK",), ("C7", "CLAV")),
@@ -111,12 +114,9 @@ def read_calibration(path: Path, video: Path, name: str) -> CameraModel:
             what = f"is of images of {width} x {height} px, those of {video.name} are {opened.size_px}"
             raise InputError(what, where=str(path), remedy="Give the calibration of that camera.")
     K, L, distortion = numbers[2:11].reshape(3, 3), numbers[11:27].reshape(4, 4), numbers[27:32]
-    R = L[:3, :3]
-    error = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1.0), np.abs(L[3] - [0, 0, 0, 1]).max())
-    if error > ROTATION_TOLERANCE:
-        raise InputError(f"its L departs from a rigid motion by {error:.2g}", where=str(path), remedy=NOT_A_ROTATION)
-    T_camera_world = np.eye(4)
-    T_camera_world[:3, :3], T_camera_world[:3, 3] = nearest_rotation(R), L[:3, 3] / 1000.0
+    if np.abs(L[3] - [0, 0, 0, 1]).max() > ROTATION_TOLERANCE:
+        raise InputError(f"the last row of its L is {L[3].tolist()}", where=str(path), remedy=RIGID)
+    T_camera_world = pose_of(L[:3, :3], L[:3, 3], path, RIGID)
     return CameraModel(name, width, height, K, "plumb_bob", distortion, T_camera_world)
 
 
@@ -126,9 +126,8 @@ def choose_markers(mocap: Mocap, given: Mapping[str, object] | None = None) -> d
     for name, labels in (given or {}).items():
         if name not in MARKERS or not isinstance(labels, list) or not all(isinstance(one, str) for one in labels):
             remedy = f"Write NAME: [MARKER, ...] for any of {', '.join(MARKERS)}."
-            raise InputError(
-                f"{name!r}: {labels!r} is not a list of markers of a point", where="--markers", remedy=remedy
-            )
+            what = f"{name!r}: {labels!r} is not a list of markers of a point"
+            raise InputError(what, where="--markers", remedy=remedy)
         choices[name] = (tuple(labels),)
     chosen = {
         name: next((labels for labels in options if labels and all(label in mocap.column for label in labels)), None)
@@ -146,17 +145,12 @@ def choose_markers(mocap: Mocap, given: Mapping[str, object] | None = None) -> d
 
 def _at_frames(mocap: Mocap, labels: Iterable[str], frames: int, fps: float, delay_s: float) -> np.ndarray:
     """Return (F, 3) the middle of markers at each frame's time, m; NaN where one of them was not seen around it."""
-    tracks = np.stack([mocap.track_mm(label) for label in labels])
-    seen = (tracks != 0.0).any(axis=-1).all(axis=0)
-    middle = np.where(seen[:, None], tracks.mean(axis=0) / 1000.0, np.nan)
-    place = (np.arange(frames) / fps - delay_s) * mocap.rate_hz
-    before = np.floor(place + 1e-6).astype(int)
-    inside = (before >= 0) & (before < len(middle))
-    before = np.clip(before, 0, len(middle) - 1)
-    share = np.clip(place - before, 0.0, 1.0)[:, None]
-    after = np.where(share[:, 0] > 1e-6, np.minimum(before + 1, len(middle) - 1), before)
-    between = middle[before] + share * (middle[after] - middle[before])
-    return np.where(inside[:, None], between, np.nan)
+    tracks = [mocap.track_mm(label) for label in labels]
+    positions = np.round((np.arange(frames) / fps - delay_s) * mocap.rate_hz, 6) + 1.0
+    at = Instants.of(positions, len(mocap.points_mm))
+    known = at.inside & np.all([present(track, at) for track in tracks], axis=0)
+    middle_mm = np.mean([between(track, at) for track in tracks], axis=0)
+    return np.where(known[:, None], middle_mm / 1000.0, np.nan)
 
 
 def _videos(trial: Path) -> list[Path]:

@@ -15,7 +15,7 @@ import os
 import re
 import shutil
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,13 +72,17 @@ def write_truth_file(path: Path, frames: np.ndarray, points_world: Mapping[str, 
 
     Cells of points that are not finite stay empty: unknown.
     """
-    header = ["frame", *(f"{name}_{axis}" for name in points_world for axis in "xyz")]
-    table = np.hstack(list(points_world.values()))
+    names = [f"{name}_{axis}" for name in points_world for axis in "xyz"]
+    write_table(path, names, frames, np.hstack(list(points_world.values())), 6)
+
+
+def write_table(path: Path, names: Sequence[str], frames: np.ndarray, values: np.ndarray, digits: int) -> None:
+    """Write a row a frame, its number (F,), then the values (F, n) called ``names``; what is not finite stays empty."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for frame, row in zip(frames, table, strict=True):
-            writer.writerow([int(frame), *(f"{value:.6f}" if np.isfinite(value) else "" for value in row)])
+        writer.writerow(["frame", *names])
+        for frame, row in zip(frames, values, strict=True):
+            writer.writerow([int(frame), *(f"{value:.{digits}f}" if np.isfinite(value) else "" for value in row)])
 
 
 def save_description(folder: Path, fps: float, source: str, kind: str, **more: Any) -> None:
@@ -122,20 +126,23 @@ def read_cal(path: Path, name: str, width: int, height: int) -> CameraModel:
     if (focal <= 0).any() or skew != 0:
         what = f"focal lengths {focal.tolist()} and skew {skew:g} are not those of a camera with square axes"
         raise InputError(what, where=str(path), remedy="Focal lengths must be positive pixels and the skew 0.")
-    T_camera_world = np.eye(4)
-    T_camera_world[:3, :3] = _rotation(numbers[10:19].reshape(3, 3), path)
-    T_camera_world[:3, 3] = numbers[19:22] / 1000.0
+    T_camera_world = pose_of(numbers[10:19].reshape(3, 3), numbers[19:22], path, f"It reads {CAL_NUMBERS}.")
     K = np.array([[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]])
     return CameraModel(name, width, height, K, "plumb_bob", D, T_camera_world)
 
 
-def _rotation(R: np.ndarray, path: Path) -> np.ndarray:
-    """Return the rotation nearest to R: the file's digits are rounded."""
+def pose_of(R: np.ndarray, translation_mm: np.ndarray, path: Path, meaning: str) -> np.ndarray:
+    """Return T_camera_world (4, 4), m, of a file's rotation, whose digits are rounded, and translation (3,).
+
+    Raises InputError naming the file for a matrix that is no rotation.
+    """
     error = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1))
     if error > ROTATION_TOLERANCE:
         what = f"its R is not a rotation: it departs from R R^T = I, det R = 1 by {error:.2g}"
-        raise InputError(what, where=str(path), remedy=f"It reads {CAL_NUMBERS}: copy it again from the data set.")
-    return nearest_rotation(R)
+        raise InputError(what, where=str(path), remedy=f"{meaning} {COPY_AGAIN}")
+    T_camera_world = np.eye(4)
+    T_camera_world[:3, :3], T_camera_world[:3, 3] = nearest_rotation(R), translation_mm / 1000.0
+    return T_camera_world
 
 
 def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
@@ -143,9 +150,8 @@ def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
     try:
         text = path.read_text(encoding="latin-1")
     except OSError as error:
-        raise InputError(
-            f"cannot be read ({error.strerror})", where=str(path), remedy="It lies in Mocap_Data beside the .c3d files."
-        ) from None
+        remedy = "It lies in Mocap_Data beside the .c3d files."
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
     measures = {name: float(value) for name, value in LINE.findall(text)}
     missing = [name for name in names if name not in measures]
     if missing:
@@ -194,13 +200,45 @@ def read_c3d(path: Path, remedy: str = WITHHELD) -> Mocap:
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
     except Exception as error:  # the library asserts and indexes its way through damaged files
-        raise InputError(
-            f"is not a readable .c3d file ({type(error).__name__}: {error})", where=str(path), remedy=COPY_AGAIN
-        ) from None
+        what = f"is not a readable .c3d file ({type(error).__name__}: {error})"
+        raise InputError(what, where=str(path), remedy=COPY_AGAIN) from None
     if not frames or len(frames) < expected:
         raise InputError(f"ends after {len(frames)} of {expected} frames", where=str(path), remedy=COPY_AGAIN)
     column = {label: index for index, label in reversed(list(enumerate(labels)))}  # the first of equal labels counts
     return Mocap(path, column, scale * np.stack(frames).astype(float), rate_hz)
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """Fractional mocap frames: rows ``lower`` and ``upper`` (F,) of a file and the ``fraction`` (F,) between them.
+
+    ``inside`` (F,) is False where the file does not reach; its rows are then clipped.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    fraction: np.ndarray
+    inside: np.ndarray
+
+    @classmethod
+    def of(cls, positions: np.ndarray, count: int) -> Instants:
+        """Build from 1-based positions (F,) in a file of ``count`` mocap frames."""
+        lower, upper = np.floor(positions).astype(int) - 1, np.ceil(positions).astype(int) - 1
+        inside = (lower >= 0) & (upper < count)
+        last = count - 1
+        return cls(lower.clip(0, last), upper.clip(0, last), positions - np.floor(positions), inside)
+
+
+def between(track_mm: np.ndarray, at: Instants) -> np.ndarray:
+    """Return a track (T, 3) at instants (F,): (F, 3), on the straight line between its neighbours."""
+    fraction = at.fraction[:, None]
+    return (1 - fraction) * track_mm[at.lower] + fraction * track_mm[at.upper]
+
+
+def present(track_mm: np.ndarray, at: Instants) -> np.ndarray:
+    """(F,) whether a track (T, 3) was seen in both mocap frames around each instant: it is not (0, 0, 0) there."""
+    seen = (track_mm != 0).any(axis=1)
+    return seen[at.lower] & seen[at.upper]
 
 
 @dataclass(frozen=True)

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, Volume, default_volume, save_rig
+from capture_rig.video import Video
 
+from ..overlays import VideoFile
 from .formats import (
+    COPY_AGAIN,
     FIRST_USABLE_FRAME,
     CommonTime,
     Mocap,
@@ -26,7 +32,6 @@ from .formats import (
     volume_around,
     write_truth_file,
 )
-from .humaneva_footage import Footage, Movie, Source, copy_footage, is_grey
 from .humaneva_joints import Joints, joints, markers_mm, measures
 
 CAMERAS = ("C1", "C2", "C3", "BW1", "BW2", "BW3", "BW4")
@@ -65,14 +70,9 @@ class Trial:
             self._existing(paths["C1"])
         return found
 
+    @property
     def mocap(self) -> Path:
         return self.folder / "Mocap_Data" / f"{self.action}_{self.number}.c3d"
-
-    def static_mocap(self) -> Path:
-        return self.folder / "Mocap_Data" / "Static.c3d"
-
-    def measures(self) -> Path:
-        return self.folder / "Mocap_Data" / f"{self.subject}.mp"
 
     def backgrounds(self, camera: str) -> list[Path]:
         """Return the movies of the empty room for a camera, at least one."""
@@ -123,10 +123,11 @@ class Request:
 
 @dataclass(frozen=True)
 class Summary:
-    """The footage written, and how many of its frames have a truth."""
+    """What was written: frames, how many of them have a truth, each camera's movie of the empty room."""
 
-    footage: Footage
+    frames: int
     frames_with_truth: int
+    empty_rooms: dict[str, str]
 
 
 def import_trial(request: Request, folder: Path, progress: Callable[[int], None] = lambda done: None) -> Summary:
@@ -138,26 +139,25 @@ def import_trial(request: Request, folder: Path, progress: Callable[[int], None]
     time = common_time({camera: read_ofs(path) for camera, path in trial.offsets().items()})
     sources = {camera: _source(request, time, camera, n) for n, camera in enumerate(request.cameras, 1)}
     cameras = tuple(_camera(trial, camera, source) for camera, source in sources.items())
-    mocap = read_c3d(trial.mocap()) if request.with_truth else None
-    sizes = measures(read_c3d(trial.static_mocap()), trial.measures()) if request.with_truth else None
+    mocap = read_c3d(trial.mocap) if request.with_truth else None
+    beside = trial.mocap.with_name("Static.c3d"), trial.mocap.with_name(f"{trial.subject}.mp")
+    sizes = measures(read_c3d(beside[0]), beside[1]) if request.with_truth else None
     fps = _frame_rate(sources, time, mocap)
     with new_session_folder(folder) as partial:
-        footage = copy_footage(sources, request.count, partial, fps, progress)
-        frames = np.arange(request.first_frame, request.first_frame + footage.frames)
+        count, empty_rooms = copy_footage(sources, request.count, partial, fps, progress)
+        frames = np.arange(request.first_frame, request.first_frame + count)
         with_truth = 0
         if mocap is not None and sizes is not None:
             with_truth = _write_truth(partial / "truth.csv", joints(mocap, time.mocap(frames), sizes), trial)
         save_rig(Rig(cameras, _volume(cameras, mocap, time.mocap(frames))), partial / "rig.yaml")
         of_cameras = {
-            source.name: {"name": camera, "first_image": source.first_image, "background": footage.empty_rooms[camera]}
+            source.name: {"name": camera, "first_image": source.first_image, "background": empty_rooms[camera]}
             for camera, source in sources.items()
         }
-        more = {
-            "common_frames": [int(frames[0]), int(frames[-1])],
-            "first_mocap_frame": round(float(time.mocap(frames[:1])[0]), 4),
-        }
-        save_description(partial, fps, f"HumanEva-I, {trial}", "humaneva", cameras=of_cameras, **more)
-    return Summary(footage, with_truth)
+        span, first = [int(frames[0]), int(frames[-1])], round(float(time.mocap(frames[:1])[0]), 4)
+        about = {"cameras": of_cameras, "common_frames": span, "first_mocap_frame": first}
+        save_description(partial, fps, f"HumanEva-I, {trial}", "humaneva", **about)
+    return Summary(count, with_truth, empty_rooms)
 
 
 def _source(request: Request, time: CommonTime, camera: str, number: int) -> Source:
@@ -189,7 +189,7 @@ def _write_truth(path: Path, found: Joints, trial: Trial) -> int:
     if not found.valid.any():
         what = f"no imported frame of {trial} has complete motion capture"
         remedy = "Import other frames, or footage alone with --no-truth."
-        raise InputError(what, where=str(trial.mocap()), remedy=remedy)
+        raise InputError(what, where=str(trial.mocap), remedy=remedy)
     start = int(found.valid.argmax())
     points = {n: np.where(found.valid[:, None], p, np.nan)[start:] / 1000.0 for n, p in found.points_mm.items()}
     write_truth_file(path, np.arange(start, len(found.valid)), points)
@@ -203,3 +203,159 @@ def _volume(cameras: tuple[CameraModel, ...], mocap: Mocap | None, positions: np
     rows = slice(max(int(positions[0]) - 1, 0), int(positions[-1]) + 1)
     points = np.concatenate([track[rows] for track in markers_mm(mocap)]) / 1000.0
     return volume_around(points[(points != 0).any(axis=1)])
+
+
+# footage, all cameras in step ----------------------------------------------------------------------------------------
+
+
+LOSSLESS = ".mkv"
+MAX_ROOM_IMAGES = 300
+MEAN_IMAGES = 30  # enough for the noise to average out
+COMPARE_EVERY = 60  # images between those that are compared with the movies of the empty room
+REMEDY = f"{COPY_AGAIN[:-1]}; it is a .avi with codec XVID."
+Image = np.ndarray
+
+
+class Movie:
+    """Reads the images of a movie in order; grey (h, w) or colour (h, w, 3), uint8. Raises InputError."""
+
+    def __init__(self, path: Path, grey: bool) -> None:
+        self.path, self.grey = path, grey
+        self.video = Video(path, remedy=REMEDY)
+        self.read_count = 0
+
+    def skip_to(self, number: int) -> None:
+        """Make the 1-based image ``number`` the next one. Raises InputError when the movie is shorter."""
+        self.read_count += self.video.skip(number - 1 - self.read_count)
+        if self.read_count < number - 1:
+            what = f"ends after {self.read_count} images, before image {number}"
+            remedy = "Import other frames, or copy it again from the data set."
+            raise InputError(what, where=str(self.path), remedy=remedy)
+
+    def read(self) -> Image | None:
+        """Return the next image, None at the end."""
+        image = self.video.read()
+        if image is None:
+            return None
+        self.read_count += 1
+        return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if self.grey else image
+
+    def images(self) -> Iterator[Image]:
+        """Yield all remaining images."""
+        while (image := self.read()) is not None:
+            yield image
+
+    def __enter__(self) -> Movie:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self.video.close()
+
+
+def is_grey(camera: str) -> bool:
+    """Return whether a camera of the data set is one of the grey ones."""
+    return camera.startswith("BW")
+
+
+def read_in_step(sources: Mapping[str, Source], count: int | None) -> Iterator[dict[str, Image]]:
+    """Read ``count`` images of every camera, from its first one on.
+
+    Without a count, until one movie ends. Raises InputError when a movie ends too early.
+    """
+    with ExitStack() as stack:
+        movies = {camera: stack.enter_context(Movie(one.movie, is_grey(camera))) for camera, one in sources.items()}
+        for camera, movie in movies.items():
+            movie.skip_to(sources[camera].first_image)
+        done = 0
+        while count is None or done < count:
+            images = {camera: movie.read() for camera, movie in movies.items()}
+            ended = [camera for camera, image in images.items() if image is None]
+            if ended and count is None and done:
+                return
+            if ended:
+                movie = movies[ended[0]]
+                what = f"ends after {movie.read_count} images, {(count or 1) - done} too early"
+                raise InputError(what, where=str(movie.path), remedy="Import fewer frames.")
+            yield {camera: image for camera, image in images.items() if image is not None}
+            done += 1
+
+
+class EmptyRoom:
+    """Chooses the movie of the empty room nearest to a trial: three were taken in a week, and the light changed.
+
+    The difference is the median over the pixels, which a person in the image does not change.
+    """
+
+    def __init__(self, movies: list[Path], grey: bool) -> None:
+        self._movies, self._grey = movies, grey
+        self._means = [self._mean(path) for path in movies]
+        self._differences: list[list[float]] = []
+
+    def compare(self, image: Image) -> None:
+        """Add an image of the trial to the comparison. Raises InputError when it has another size than the movies."""
+        for path, mean in zip(self._movies, self._means, strict=True):
+            if mean.shape != image.shape:
+                what = f"its images have shape {mean.shape}, those of the trial {image.shape}"
+                raise InputError(what, where=str(path), remedy=COPY_AGAIN)
+        self._differences.append([float(np.median(np.abs(image - mean))) for mean in self._means])
+
+    @property
+    def best(self) -> Path:
+        """The movie nearest to the images compared so far."""
+        return self._movies[int(np.mean(self._differences, axis=0).argmin())]
+
+    def write(self, stem: Path, fps: float) -> None:
+        """Copy the best movie's usable images."""
+        with self._open(self.best) as movie:
+            images = islice(movie.images(), MAX_ROOM_IMAGES)
+            with VideoFile(stem.with_name(stem.name + LOSSLESS), fps) as footage:
+                for image in images:
+                    footage.write(image)
+
+    def _mean(self, path: Path) -> np.ndarray:
+        with self._open(path) as movie:
+            images = list(islice(movie.images(), MEAN_IMAGES))
+        if not images:
+            raise InputError(f"has fewer than {FIRST_USABLE_FRAME} images", where=str(path), remedy=COPY_AGAIN)
+        return np.asarray(np.mean(images, axis=0, dtype=np.float32))
+
+    def _open(self, path: Path) -> Movie:
+        movie = Movie(path, self._grey)
+        movie.skip_to(FIRST_USABLE_FRAME)
+        return movie
+
+
+@dataclass(frozen=True)
+class Source:
+    """A camera's movie, its 1-based image to begin with, its movies of the empty room, and its name in the session."""
+
+    movie: Path
+    first_image: int
+    empty_rooms: list[Path]
+    name: str
+
+
+def copy_footage(
+    sources: dict[str, Source], count: int | None, folder: Path, fps: float, progress: Callable[[int], None]
+) -> tuple[int, dict[str, str]]:
+    """Write NAME.mkv and NAME_background.mkv of every camera; without a count, until one movie ends.
+
+    Returns the number of frames, and the movie of the empty room chosen for each camera.
+    """
+    rooms = {camera: EmptyRoom(source.empty_rooms, is_grey(camera)) for camera, source in sources.items()}
+    frames = 0
+    with ExitStack() as stack:
+        files = {
+            camera: stack.enter_context(VideoFile(folder / (source.name + LOSSLESS), fps))
+            for camera, source in sources.items()
+        }
+        for images in read_in_step(sources, count):
+            for camera, image in images.items():
+                if frames % COMPARE_EVERY == 0:
+                    rooms[camera].compare(image)
+                files[camera].write(image)
+            frames += 1
+            progress(frames)
+    for camera, room in rooms.items():
+        room.write(folder / f"{sources[camera].name}_background", fps)
+    return frames, {camera: room.best.name for camera, room in rooms.items()}

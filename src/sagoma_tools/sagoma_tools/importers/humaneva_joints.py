@@ -19,31 +19,10 @@ from scipy.spatial.transform import Rotation
 from capture_rig.errors import InputError
 from capture_rig.rigid import nearest_rotation
 
-from .formats import COPY_AGAIN, Mocap, read_mp
+from .formats import COPY_AGAIN, Instants, Mocap, between, present, read_mp
 
 SQUARE_TOLERANCE = 0.02
 """How far from square three axis points may stand, as the sine of an angle, before the frame counts as damaged."""
-
-
-@dataclass(frozen=True, eq=False)
-class Instants:
-    """Fractional mocap frames: rows ``lower`` and ``upper`` (F,) of a file and the ``fraction`` (F,) between them.
-
-    ``inside`` (F,) is False where the file does not reach; its rows are then clipped.
-    """
-
-    lower: np.ndarray
-    upper: np.ndarray
-    fraction: np.ndarray
-    inside: np.ndarray
-
-    @classmethod
-    def of(cls, positions: np.ndarray, count: int) -> Instants:
-        """Build from 1-based positions (F,) in a file of ``count`` mocap frames."""
-        lower, upper = np.floor(positions).astype(int) - 1, np.ceil(positions).astype(int) - 1
-        inside = (lower >= 0) & (upper < count)
-        last = count - 1
-        return cls(lower.clip(0, last), upper.clip(0, last), positions - np.floor(positions), inside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,18 +49,6 @@ def segment(mocap: Mocap, at: Instants, name: str, origin: str = "") -> Segment:
     turn = (start.inv() * Rotation.from_matrix(R_upper)).as_rotvec()
     R = (start * Rotation.from_rotvec(at.fraction[:, None] * turn)).as_matrix()
     return Segment(between(centre, at), R, seen & square_lower & square_upper)
-
-
-def between(track_mm: np.ndarray, at: Instants) -> np.ndarray:
-    """Return a track (T, 3) at instants (F,): (F, 3), on the straight line between its neighbours."""
-    fraction = at.fraction[:, None]
-    return (1 - fraction) * track_mm[at.lower] + fraction * track_mm[at.upper]
-
-
-def present(track_mm: np.ndarray, at: Instants) -> np.ndarray:
-    """(F,) whether a track (T, 3) was seen in both mocap frames around each instant: it is not (0, 0, 0) there."""
-    seen = (track_mm != 0).any(axis=1)
-    return seen[at.lower] & seen[at.upper]
 
 
 def mean_distance_mm(a_mm: np.ndarray, b_mm: np.ndarray, at: Instants) -> np.ndarray:
@@ -141,9 +108,8 @@ def measures(static: Mocap, mp: Path) -> Measures:
     left, right = static.track_mm("LSHO"), static.track_mm("RSHO")
     seen = (left != 0).any(axis=1) & (right != 0).any(axis=1)
     if not seen.any():
-        raise InputError(
-            "both shoulder markers (LSHO, RSHO) are never seen together", where=str(static.path), remedy=COPY_AGAIN
-        )
+        what = "both shoulder markers (LSHO, RSHO) are never seen together"
+        raise InputError(what, where=str(static.path), remedy=COPY_AGAIN)
     width_mm = np.linalg.norm(left - right, axis=1)[seen].mean()
     offset = read_mp(mp, MEASURES)
     return Measures(width_mm / 2 - MARKER_RADIUS_MM, {side: offset[f"{side}ShoulderOffset"] for side in "LR"})

@@ -6,7 +6,6 @@ time. Cameras need not be triggered together: stamps.csv says when each image wa
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -29,7 +28,7 @@ from sagoma_ros.images import decode_image
 from ..graph.topics import IMAGE_TYPES, image_topics
 from ..overlays import VideoFile
 from ..recording.reader import BagMessage, bag_topics, read_messages
-from .formats import new_session_folder, save_description
+from .formats import new_session_folder, save_description, write_table
 
 LENSES, VIDEO = "lenses", ".mkv"
 GREY_BITS = TopicSettings().bits
@@ -72,7 +71,8 @@ def import_bag(
             rooms_ns = _stamps(background, found)
             for name, topic in found.items():
                 _copy_images(background, {name: topic}, partial, "_background", fps, rooms_ns[name][:, None], progress)
-        write_stamps(partial / STAMPS, list(found), sets_ns)
+        seconds = (sets_ns - sets_ns[0].min()) / NS_PER_S  # after the first image of all
+        write_table(partial / STAMPS, list(found), np.arange(len(seconds)), seconds, 9)
         if rig is not None:
             save_rig(rig, partial / "rig.yaml")
         else:
@@ -125,15 +125,6 @@ def frame_sets(stamps_ns: Sequence[np.ndarray]) -> tuple[np.ndarray, float]:
     if not len(sets_ns):
         raise InputError("no two cameras' images are of the same time", remedy="Set the clocks of their machines.")
     return sets_ns, period_ns
-
-
-def write_stamps(path: Path, cameras: Sequence[str], sets_ns: np.ndarray) -> None:
-    """Write when the images (F, C) of each frame were taken, seconds after the first of all."""
-    seconds = (sets_ns - sets_ns[0].min()) / NS_PER_S
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["frame", *cameras])
-        writer.writerows([frame, *(f"{value:.9f}" for value in row)] for frame, row in enumerate(seconds))
 
 
 def _stamp_ns(message: BagMessage) -> int:

@@ -196,6 +196,12 @@ def read_provenance(bag: str | Path) -> Mapping[str, Any]:
     return read_mapping(sidecar, "Delete it, or restore what sagoma recorded.") if sidecar.is_file() else {}
 
 
+def rig_in(bag: str | Path) -> Path | None:
+    """Return the rig file that lies in the bag's folder; None without one."""
+    path = Path(bag) / SIDECAR_RIG
+    return path if path.is_file() else None
+
+
 def bag_persons(bag: str | Path) -> dict[str, int]:
     """Return the ids of the bodies that have topics of their own in a bag -> the persons' numbers, in their order.
 

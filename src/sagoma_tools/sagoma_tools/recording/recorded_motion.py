@@ -18,6 +18,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 from capture_rig.errors import InputError
 from mocap_packets.fit import PART_NAMES, ReferencePoints
 from motion_export.motion import Motion, Samples
+from sagoma_ros.messages import values_of
 from sagoma_ros.packets import read_reference_points
 from stick_figure.skeleton import ANGLE_NAMES
 
@@ -51,7 +52,7 @@ class PersonRows:
         try:
             if kind == STATE:  # without a header: its values hold the stamp
                 status = row.decode(DiagnosticStatus)
-                said = {pair.key: pair.value for pair in status.values}
+                said = values_of(status)
                 if "stamp_ns" in said:
                     self.states[int(said["stamp_ns"])] = status.message, tuple(said.get(p, "") for p in PART_NAMES)
             elif kind == POINTS:

@@ -9,6 +9,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -117,29 +118,22 @@ class Recorder:
         self._subscriptions[topic.name] = self._node.create_subscription(
             message_class(topic.msgtype),
             in_graph(self._node, topic.name),
-            self._on_message(topic),
+            partial(self._on_message, topic, has_header(topic.msgtype)),
             topic.qos,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(matched=self._on_match(topic)),
+            event_callbacks=SubscriptionEventCallbacks(matched=partial(self._on_match, topic.name)),
         )
 
-    def follow_graph(self) -> None:
-        """Look for cameras that publish silhouettes, and for persons, every SETTLE_S, and record them too."""
-        self._discover(self._newcomers)
+    def follow(self, appeared: Callable[[], Iterable[Topic]] | None = None) -> None:
+        """Look every SETTLE_S for topics to record too: those that ``appeared`` returns, by default those of cameras
+        that publish silhouettes, and of persons."""
 
-    def follow(self, asked: AskedTopics) -> None:
-        """Record the topics that were asked for as they appear, looking every SETTLE_S."""
-        self._discover(asked.new)
-
-    def _discover(self, appeared: Callable[[], Iterable[Topic]]) -> None:
         def add_all() -> None:
-            for topic in appeared():
+            for topic in (appeared or self._newcomers)():
                 self.add(topic)
 
         add_all()
-        if self._discovery is None:
-            steady = Clock(clock_type=ClockType.STEADY_TIME)
-            self._discovery = self._node.create_timer(SETTLE_S, add_all, clock=steady)
+        self._discovery = self._node.create_timer(SETTLE_S, add_all, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def wait_for_publishers(self, topics: Iterable[str], timeout_s: float) -> tuple[str, ...]:
         """Return once each of these topics has a publisher; returns those that have none after ``timeout_s``."""
@@ -197,57 +191,46 @@ class Recorder:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _on_message(self, topic: Topic) -> Callable[[bytes], None]:
-        stamped = has_header(topic.msgtype)
-
-        def record(data: bytes) -> None:
-            now_ns = self._node.get_clock().now().nanoseconds
-            with self._arrived:
-                if not self._open or self.failure is not None:
-                    return
-                self._announce(topic)
-                written = canonical_bytes(data, topic.msgtype) if self._canonical else data
-                try:
-                    self._writer.write(topic.name, now_ns, written)
-                except InputError as error:
-                    self.failure = error
-                if stamped and len(data) >= STAMPED_BYTES:
-                    self._last_stamp_ns[topic.name] = header_stamp_ns(data)
-                    self._log_time_jump(topic.name)
-                self._arrived.notify_all()
-            if self.failure is not None:
-                self._on_failure(self.failure)
-
-        return record
-
-    def _log_time_jump(self, topic: str) -> None:
-        back_s = self._jumps.observe(topic, self._last_stamp_ns[topic])
-        if back_s is not None:
-            self._node.get_logger().warning(
-                f"stamps went back by {back_s:.3f} s: the recording holds a new beginning, its number {self.beginnings}"
-            )
+    def _on_message(self, topic: Topic, stamped: bool, data: bytes) -> None:
+        now_ns = self._node.get_clock().now().nanoseconds
+        with self._arrived:
+            if not self._open or self.failure is not None:
+                return
+            self._announce(topic)
+            written = canonical_bytes(data, topic.msgtype) if self._canonical else data
+            try:
+                self._writer.write(topic.name, now_ns, written)
+            except InputError as error:
+                self.failure = error
+            if stamped and len(data) >= STAMPED_BYTES:
+                self._last_stamp_ns[topic.name] = header_stamp_ns(data)
+                if (back_s := self._jumps.observe(topic.name, self._last_stamp_ns[topic.name])) is not None:
+                    beginning = f"the recording holds a new beginning, its number {self.beginnings}"
+                    self._node.get_logger().warning(f"stamps went back by {back_s:.3f} s: {beginning}")
+            self._arrived.notify_all()
+        if self.failure is not None:
+            self._on_failure(self.failure)
 
     @property
     def beginnings(self) -> int:
         """How often the stamps began anew, the start included."""
         return 1 + self._jumps.count
 
-    def _on_match(self, topic: Topic) -> Callable[[Any], None]:
-        def update(info: Any) -> None:
-            with self._arrived:
-                self._publishers[topic.name] = info.current_count
-                self._arrived.notify_all()
-
-        return update
+    def _on_match(self, name: str, info: Any) -> None:
+        with self._arrived:
+            self._publishers[name] = info.current_count
+            self._arrived.notify_all()
 
     def _announce(self, topic: Topic) -> None:
         self._writer.add_topic(topic.name, topic.msgtype, OFFERED_LATCHED if topic.latched else OFFERED)
 
     def _newcomers(self) -> Iterator[Topic]:
         names = topics_of(self._node)
-        others = [body_id for body_id in persons_in(names) if body_id != FIRST_BODY_ID]
-        for topics in (*map(camera_topics, cameras_in(names)), *map(person_topics, others)):
-            yield from topics
+        for camera in cameras_in(names):
+            yield from camera_topics(camera)
+        for body_id in persons_in(names):
+            if body_id != FIRST_BODY_ID:
+                yield from person_topics(body_id)
 
 
 def has_header(msgtype: str) -> bool:
@@ -271,7 +254,9 @@ class GraphRecorder(Recorder):
     ) -> None:
         """``topics`` by default all of the graph and /diagnostics; ``provenance`` is added to the bag's sagoma.yaml;
         ``options`` as of :class:`Recorder`."""
-        self._recorded = tuple(graph_topics(graph) if topics is None else topics)
+        cameras = [node.label for node in graph if node.role is Role.CAMERA]
+        everything = [*(one for camera in cameras for one in camera_topics(camera)), *server_topics(graph), DIAGNOSTICS]
+        self._recorded = tuple(everything if topics is None else topics)
         self._configuration = {node.full_name: dict(node.parameters) for node in graph}
         self._provenance = dict(provenance or {})
         self._link = RosLink("sagoma_recorder", domain_id=domain_id)
@@ -295,12 +280,6 @@ class GraphRecorder(Recorder):
         counts = super().close(described, rig or rig_of(self._configuration))
         self._link.close()
         return counts
-
-
-def graph_topics(graph: Sequence[NodeSpec]) -> list[Topic]:
-    """Return the topics that the nodes publish: the cameras', the server's, and diagnostics."""
-    cameras = [node.label for node in graph if node.role is Role.CAMERA]
-    return [*(topic for camera in cameras for topic in camera_topics(camera)), *server_topics(graph), DIAGNOSTICS]
 
 
 def server_topics(graph: Sequence[NodeSpec]) -> list[Topic]:

@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +97,7 @@ class InputPublishers:
                 message_class(msgtype),
                 name,
                 offered_qos(name),
-                event_callbacks=PublisherEventCallbacks(matched=self._on_match(name)),
+                event_callbacks=PublisherEventCallbacks(matched=partial(self._on_match, name)),
             )
             for name, msgtype in topics.items()
         }
@@ -107,12 +108,8 @@ class InputPublishers:
         with self._matched:
             if not self._matched.wait_for(lambda: all(self._subscribers[n] for n in names), timeout_s):
                 missing = ", ".join(name for name in names if not self._subscribers[name])
-                raise InputError(
-                    f"no subscriber within {timeout_s:g} s",
-                    where=missing,
-                    remedy=f"Start the hull server ({SERVER_ALONE}), or check ROS_DOMAIN_ID and the camera names of "
-                    "its rig.",
-                )
+                remedy = f"Start the hull server ({SERVER_ALONE}), or check ROS_DOMAIN_ID and its rig's camera names."
+                raise InputError(f"no subscriber within {timeout_s:g} s", where=missing, remedy=remedy)
 
     def require_no_other(self, topics: Iterable[str]) -> None:
         """Raises InputError when another node publishes one of ``topics``, as a live camera does: bodies would leap
@@ -137,13 +134,10 @@ class InputPublishers:
             if camera not in frame_set.frames:
                 self._publishers[f"/{camera}{SILHOUETTE_SUFFIX}"].publish(absence_message(frame_set.stamp_ns))
 
-    def _on_match(self, name: str) -> Any:
-        def update(info: Any) -> None:
-            with self._matched:
-                self._subscribers[name] = info.current_count
-                self._matched.notify_all()
-
-        return update
+    def _on_match(self, name: str, info: Any) -> None:
+        with self._matched:
+            self._subscribers[name] = info.current_count
+            self._matched.notify_all()
 
 
 def timed_by_exposures(messages: Iterable[BagMessage], pictures: Collection[str]) -> Iterator[BagMessage]:
@@ -206,11 +200,14 @@ class LockstepReport:
 
 
 class Answers:
-    """The EKF's answers: it publishes one prediction for every frame set, stamped with the set's stamp."""
+    """The EKF's answers: it publishes one prediction for every frame set, stamped with the set's stamp.
+
+    stamps : of the sets that were answered.
+    """
 
     def __init__(self, node: Node) -> None:
         self._arrived = threading.Condition()
-        self._stamps: set[int] = set()
+        self.stamps: set[int] = set()
         self._subscription = node.create_subscription(
             MultiDOFJointState, PREDICTION_TOPIC, self._on_answer, LOSSLESS, raw=True
         )
@@ -218,16 +215,11 @@ class Answers:
     def wait_for(self, stamp_ns: int, timeout_s: float) -> bool:
         """True as soon as the answer to the set with this stamp has come."""
         with self._arrived:
-            return self._arrived.wait_for(lambda: stamp_ns in self._stamps, timeout_s)
-
-    def stray_count(self, sent: Iterable[int]) -> int:
-        """Return the number of answers to sets that were never sent."""
-        with self._arrived:
-            return len(self._stamps - set(sent))
+            return self._arrived.wait_for(lambda: stamp_ns in self.stamps, timeout_s)
 
     def _on_answer(self, data: bytes) -> None:
         with self._arrived:
-            self._stamps.add(header_stamp_ns(data))
+            self.stamps.add(header_stamp_ns(data))
             self._arrived.notify_all()
 
 
@@ -245,7 +237,7 @@ def play_lockstep(
     A set that is not answered within ``timeout_s`` is noted and the next one follows; InputError when the very first
     one is not, since then the graph does not run or is not connected. ``cancel`` ends it between two sets.
     """
-    report, sent = LockstepReport(), []
+    report, sent = LockstepReport(), set[int]()
     for frame_set in frame_sets:
         if cancel is not None and cancel.is_set():
             break
@@ -253,7 +245,7 @@ def play_lockstep(
             for message in frame:
                 publishers.publish(message)
         publishers.publish_absences(frame_set)
-        sent.append(frame_set.stamp_ns)
+        sent.add(frame_set.stamp_ns)
         report.sets += 1
         report.last_stamp_ns = frame_set.stamp_ns
         progress(report.sets)
@@ -263,7 +255,7 @@ def play_lockstep(
                 what = f"no answer to the first frame set within {timeout_s:g} s"
                 remedy = "All of hull_server, icp_tracker and ekf_tracker must be active."
                 raise InputError(what, where=PREDICTION_TOPIC, remedy=remedy)
-    report.stray_answers = answers.stray_count(sent)
+    report.stray_answers = len(answers.stamps - sent)
     return report
 
 
@@ -273,14 +265,8 @@ def play_lockstep(
 QUIET_S = 0.5
 TOLERANCE = "hull_server.tolerance_s"
 # topics with exactly one message a frame set
-PER_SET = (
-    "/hull/contour_rays",
-    "/hull/centerline",
-    "/hull/voxels",
-    "/icp/reference_points",
-    "/icp/fit",
-    PREDICTION_TOPIC,
-)
+OF_HULL = "/hull/contour_rays", "/hull/centerline", "/hull/voxels"
+PER_SET = (*OF_HULL, "/icp/reference_points", "/icp/fit", PREDICTION_TOPIC)
 # topic -> the node that must listen to it before the first set is sent, where each has a process of its own
 LISTENERS = {"/hull/products": "icp_tracker", "/icp/people": "ekf_tracker", PREDICTION_TOPIC: "icp_tracker"}
 

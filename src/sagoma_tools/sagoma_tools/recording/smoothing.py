@@ -13,7 +13,6 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from capture_rig.errors import InputError
-from capture_rig.files import copy_file
 from ekf_tracker.settings import EkfSettings
 from ekf_tracker.smoother import Set, check_stamps, smooth
 from ekf_tracker.state import POSE
@@ -26,7 +25,7 @@ from stick_figure.body import Body, parse_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
 
 from ..graph.topics import OF_A_PERSON, OUTPUT_TOPICS
-from .reader import SIDECAR_RIG, bag_persons, bag_topics, read_messages, read_provenance
+from .reader import bag_persons, bag_topics, read_messages, read_provenance, rig_in
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter, require_new
 
 FITTED, BODY, BODIES = "/icp/reference_points", "/icp/body", "/icp/bodies"
@@ -75,11 +74,8 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
             for person, of_person in states.items():
                 if (state := of_person.get(message.stamp_ns)) is not None:
                     _write(writer, topics[person], message.log_ns, state, take.frames[message.stamp_ns])
-        rig = Path(bag) / SIDECAR_RIG
         provenance = {key: value for key, value in read_provenance(bag).items() if key != "software"}
-        writer.describe({**provenance, "smoothed_from": str(bag)})
-        if rig.is_file():
-            copy_file(rig, writer.folder / SIDECAR_RIG)
+        writer.describe({**provenance, "smoothed_from": str(bag)}, rig_in(bag))
     counts = {person: len(of_person) for person, of_person in states.items()}
     return SmoothedTake(counts, len(take.frames), writer.counts)
 

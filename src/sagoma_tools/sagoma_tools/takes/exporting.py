@@ -9,7 +9,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CompressedImage, Image
 
 from capture_rig.camera import CameraModel
@@ -27,7 +26,7 @@ from stick_figure.skeleton import POINT_NAMES
 
 from ..graph.topics import SILHOUETTE_SUFFIX, cameras_in
 from ..overlays import MAX_WIDTH_PX, VideoFile, Window, captioned, draw_skeleton, montage, tiling, write_name
-from ..recording.reader import SIDECAR_RIG, BagMessage, read_messages
+from ..recording.reader import SIDECAR_RIG, BagMessage, read_messages, rig_in
 from ..recording.recorded_motion import TRUSTED, recorded_motions
 from .measure import measure
 from .take import Quality, Take
@@ -47,45 +46,43 @@ EXPORTS = "export"
 """The folder in a take's folder into which its files go unless told otherwise."""
 
 
-@dataclass(frozen=True)
-class Options:
-    """How files are written. rate_hz : frames a second, None for the take's own. mass_kg : of the OpenSim model, None
-    for a BMI of 22. constant_bones : BVH without position channels below the root. overwrite : replace files."""
-
-    rate_hz: float | None = None
-    mass_kg: float | None = None
-    constant_bones: bool = False
-    overwrite: bool = False
-
-
 def export_take(
     take: Path,
     folder: Path,
     formats: Sequence[str],
-    options: Options | None = None,
+    rate_hz: float | None = None,
+    mass_kg: float | None = None,
+    constant_bones: bool = False,
+    overwrite: bool = False,
     tell: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
     """Write every person of a take in every format wanted, each file whole or not at all; returns the files.
 
-    tell : hears of every person and file. Raises InputError for a take without a person, and for files that exist.
+    rate_hz : frames a second, None for the take's own. mass_kg : of the OpenSim model, None for a BMI of 22.
+    constant_bones : BVH without position channels below the root. overwrite : replace files. tell : hears of every
+    person and file. Raises InputError for a take without a person, and for files that exist.
     """
-    chosen = options or Options()
-    motions = recorded_motions(take, chosen.rate_hz)
+    motions = recorded_motions(take, rate_hz)
+    writers: dict[str, Mapping[str, Writer]] = {
+        **FORMATS,
+        "bvh": {"bvh": partial(write_bvh, constant_bones=constant_bones)},
+    }
+    writers["opensim"] = {"osim": partial(write_osim, mass_kg=mass_kg), "mot": write_mot}
     planned = [
         (body_id, kind, folder / f"{motion.name}.{extension}", write)
         for body_id, motion in motions.items()
         for kind in dict.fromkeys(formats)
-        for extension, write in _writers(kind, chosen).items()
+        for extension, write in writers[kind].items()
     ]
     existing = [str(path) for _, _, path, _ in planned if path.exists()]
-    if existing and not chosen.overwrite:
+    if existing and not overwrite:
         remedy = "Give another --output, or --overwrite."
         raise InputError(f"{', '.join(existing)} exists", where="--output", remedy=remedy)
     make_folder(folder)
     for body_id, motion in motions.items():
         tell(f"{body_id}: {describe(motion)}")
     for body_id, kind, path, write in planned:
-        write_whole(motions[body_id], path, write)
+        write(motions[body_id], path)
         filled = motions[body_id].gaps and kind in WITHOUT_GAPS
         tell(f"  {path}{'  (gaps are filled by interpolation)' if filled else ''}")
     return [path for _, _, path, _ in planned]
@@ -96,25 +93,6 @@ def describe(motion: Motion) -> str:
     lost = sum(end - first for first, end in motion.gaps) / motion.rate_hz
     gaps = f", {len(motion.gaps)} gaps of {lost:.1f} s in all" if motion.gaps else ", no gaps"
     return f"{len(motion)} frames at {motion.rate_hz:g} Hz{gaps}"
-
-
-def write_whole(motion: Motion, path: Path, write: Writer) -> None:
-    """Write beside the file and rename, so that a file is there whole or not at all."""
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        write(motion, beside)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
-
-
-def _writers(kind: str, options: Options) -> Mapping[str, Writer]:
-    """Extension -> writer, with the options that concern it."""
-    if kind == "bvh":
-        return {"bvh": partial(write_bvh, constant_bones=options.constant_bones)}
-    if kind == "opensim":
-        return {"osim": partial(write_osim, mass_kg=options.mass_kg), "mot": write_mot}
-    return FORMATS[kind]
 
 
 # as a video -----------------------------------------------------------------------------------------------------------
@@ -181,7 +159,7 @@ class View:
         return self._silhouette(self._now) if self.is_silhouette else _picture(self._now)
 
     def _silhouette(self, message: BagMessage) -> np.ndarray:
-        image = deserialize_message(message.data, CompressedImage)
+        image = message.decode(CompressedImage)
         mask = decode_silhouette(image, self.camera.width, self.camera.height, message.topic)
         grey = np.full(mask.shape, ROOM_GREY, np.uint8)
         grey[mask > 0] = SHADOW_GREY
@@ -235,12 +213,11 @@ def _write_id(cell: np.ndarray, camera: CameraModel, points: np.ndarray, body_id
 
 
 def _views(take: Take, wanted: Sequence[str]) -> list[View]:
-    if not (take.path / SIDECAR_RIG).is_file():
+    if (rig_file := rig_in(take.path)) is None:
         remedy = "Record with --rig, or copy the rig file there."
-        raise InputError(
-            f"has no {SIDECAR_RIG}: where the cameras stood is not known", where=str(take.path), remedy=remedy
-        )
-    rig, recorded = load_rig(take.path / SIDECAR_RIG), cameras_in(take.topics)
+        what = f"has no {SIDECAR_RIG}: where the cameras stood is not known"
+        raise InputError(what, where=str(take.path), remedy=remedy)
+    rig, recorded = load_rig(rig_file), cameras_in(take.topics)
     unknown = [name for name in wanted if name not in recorded]
     if unknown or not recorded:
         what = f"holds no silhouettes of {', '.join(unknown) or 'any camera'}"
@@ -259,5 +236,5 @@ def _view(take: Take, camera: CameraModel) -> View:
 
 def _picture(message: BagMessage) -> np.ndarray:
     kind = CompressedImage if message.topic.endswith("compressed") else Image
-    image = decode_image(deserialize_message(message.data, kind), message.topic)
+    image = decode_image(message.decode(kind), message.topic)
     return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image

@@ -19,16 +19,16 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.serialization import deserialize_message
 
 from capture_rig.errors import InputError
+from sagoma_ros.messages import values_of
 
 from ..graph.topics import DIAGNOSTICS_TOPIC, OUTPUT_TOPICS, type_of
-from ..recording.reader import SIDECAR_RIG, BagMessage, open_bag, read_messages, read_provenance
+from ..recording.reader import BagMessage, open_bag, read_messages, read_provenance, rig_in
 from ..recording.recorded_motion import STATE, kind_of
 from ..recording.recorder import has_header
 from ..recording.writer import BagWriter, own_version
-from .measure import SIDECAR_TAKE, finish_take, measure, read_summary, values_of
+from .measure import SIDECAR_TAKE, finish_take, measure, read_summary
 from .take import Summary, Take, TakeState, check_name
 
 TAKES = "output/takes"
@@ -95,19 +95,17 @@ class TakesFolder:
         take = self._settled(name)
         when = time.strftime(SAME_DATE)
         (self.path / BIN).mkdir(exist_ok=True)
-        for number in range(1000):  # the same name, deleted twice within a second
-            path = self.path / BIN / (f"{take.name}~{when}" + (f"-{number}" if number else ""))
-            if not os.path.lexists(path):
-                move_new(take.path, path)
-                return DeletedTake(path, take.name, when)
-        raise InputError("the bin is full of it", where=str(path), remedy="Empty the bin.")
+        ends = ("", *(f"-{number}" for number in range(1, 1000)))  # of the same name, deleted twice within a second
+        places = (self.path / BIN / f"{take.name}~{when}{end}" for end in ends)
+        path = next(place for place in places if not os.path.lexists(place))
+        move_new(take.path, path)
+        return DeletedTake(path, take.name, when)
 
     def deleted(self) -> list[DeletedTake]:
         """Return what is in the bin, deleted last first."""
-        folder = self.path / BIN
-        paths = sorted(folder.iterdir(), key=_deleted_order, reverse=True) if folder.is_dir() else []
-        found = [(path, BINNED.fullmatch(path.name)) for path in paths]
-        return [DeletedTake(path, match["name"], match["when"]) for path, match in found if match is not None]
+        names = [match for path in (self.path / BIN).glob("*") if (match := BINNED.fullmatch(path.name))]
+        names.sort(key=lambda match: (match["when"], int(match["number"] or 0)), reverse=True)
+        return [DeletedTake(self.path / BIN / match[0], match["name"], match["when"]) for match in names]
 
     def restore(self, name: str, new_name: str = "") -> Path:
         """Bring the take of this name that was deleted last back, under another name if wanted. Raises InputError."""
@@ -199,11 +197,6 @@ def _is_bag(path: Path) -> bool:
         return False
 
 
-def _deleted_order(path: Path) -> tuple[str, int]:
-    match = BINNED.fullmatch(path.name)
-    return (match["when"], int(match["number"] or 0)) if match else ("", 0)
-
-
 def _signature(path: Path) -> tuple:
     """What changes whenever a take does: its files' sizes and times."""
     names = ("metadata.yaml", SIDECAR_TAKE, "sagoma.yaml")
@@ -250,17 +243,13 @@ def trim(
         raise InputError(f"'{name}' cannot be trimmed: {take.problem}", where=str(take.path))
     target = takes.new_path(new_name)
     begins_ns, ends_ns = _part(take.summary or measure(take.path), from_s, to_s, str(take.path))
-    workshop = Path(tempfile.mkdtemp(prefix=".trim-", dir=takes.path))
-    beside = workshop / target.name
-    try:
+    with tempfile.TemporaryDirectory(prefix=".trim-", dir=takes.path) as workshop:
+        beside = Path(workshop) / target.name
         with BagWriter(beside) as writer:
             _copy(take.path, writer, begins_ns, ends_ns, progress)
-            rig = take.path / SIDECAR_RIG
-            writer.describe(_provenance(take, from_s, to_s), rig if rig.is_file() else None)
+            writer.describe(_provenance(take, from_s, to_s), rig_in(take.path))
         finish_take(beside)
         move_new(beside, target)
-    finally:
-        remove_folder(workshop)
     return target
 
 
@@ -310,7 +299,7 @@ def _has_stamp(topic: str) -> bool:
 def _stamp_ns(message: BagMessage) -> int | None:
     """The stamp of the frame set that a message belongs to, None where it names none."""
     if kind_of(message.topic) == STATE:
-        stamp = values_of(deserialize_message(message.data, DiagnosticStatus)).get("stamp_ns", "")
+        stamp = values_of(message.decode(DiagnosticStatus)).get("stamp_ns", "")
         return int(stamp) if stamp.isdigit() else None
     return message.stamp_ns if _has_stamp(message.topic) else None
 

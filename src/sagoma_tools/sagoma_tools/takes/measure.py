@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.serialization import deserialize_message
+from diagnostic_msgs.msg import DiagnosticArray
 from std_msgs.msg import String
 
 from capture_rig.errors import InputError
@@ -23,16 +22,16 @@ from capture_rig.rig import load_rig
 from capture_rig.yaml_file import read_mapping
 from mocap_packets.fit import DOUBTFUL, LOST
 from motion_export.motion import point_deviations, usual_rate
+from sagoma_ros.messages import values_of
 
 from ..graph.topics import CAMERA_TOPIC, DIAGNOSTICS_TOPIC, FIRST_BODY_ID, cameras_in
-from ..recording.reader import SIDECAR_RIG, BagMessage, open_bag, read_messages
+from ..recording.reader import SIDECAR_RIG, BagMessage, open_bag, read_messages, rig_in
 from ..recording.recorded_motion import POINTS, ROW_TOPIC, STATE, PersonRows, kind_of
 from ..recording.writer import own_version
 from .take import REMEDY, Background, CameraRecord, PersonRecord, Quality, Summary, Take, TakeState
 
 FRAME_SETS, FITS, BODY = "/hull/frame_set", "/icp/fit", "/icp/body"
 CAMERA_NODE = re.compile(r"^/(?:.+/)?(?P<camera>[^/]+)/camera_client$")
-DIGEST_BYTES = 1 << 20
 ROUNDED = 4
 """Digits behind the point of shares and millimetres: figures are compared when they are measured again."""
 
@@ -57,11 +56,9 @@ def digests(bag: Path) -> dict[str, dict[str, Any]]:
     """Return size and SHA-256 of each recorded file of a bag, by name."""
     found = {}
     for path in sorted([*bag.glob("*.mcap"), *bag.glob("*.db3")]):
-        digest = hashlib.sha256()
         with path.open("rb") as file:
-            while block := file.read(DIGEST_BYTES):
-                digest.update(block)
-        found[path.name] = {"bytes": path.stat().st_size, "sha256": digest.hexdigest()}
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        found[path.name] = {"bytes": path.stat().st_size, "sha256": digest}
     return found
 
 
@@ -89,13 +86,13 @@ class _Scan:
             self.silhouettes[camera["camera"]].append(message.stamp_ns)
         elif topic == FRAME_SETS:
             self.set_stamps.append(message.stamp_ns)
-            self.incomplete += bool(values_of(deserialize_message(message.data, DiagnosticArray).status[0])["missing"])
+            self.incomplete += bool(values_of(message.decode(DiagnosticArray).status[0])["missing"])
         elif topic == FITS:
             self.answered.add(message.stamp_ns)
         elif topic == BODY:
-            self.body = deserialize_message(message.data, String).data
+            self.body = message.decode(String).data
         elif topic == DIAGNOSTICS_TOPIC:
-            for status in deserialize_message(message.data, DiagnosticArray).status:
+            for status in message.decode(DiagnosticArray).status:
                 if node := CAMERA_NODE.match(status.name):
                     self.reports[node["camera"]].append(values_of(status))
         elif person := ROW_TOPIC.match(topic):
@@ -183,11 +180,6 @@ def _increase(reports: Sequence[Mapping[str, str]], keys: Sequence[str]) -> int 
     return int(np.where(steps >= 0, steps, totals[1:]).sum())
 
 
-def values_of(status: DiagnosticStatus) -> dict[str, str]:
-    """Return the values of a status by their keys."""
-    return {pair.key: pair.value for pair in status.values}
-
-
 def _rounded(value: Any) -> float:
     return round(float(value), ROUNDED)
 
@@ -200,22 +192,17 @@ _log = logging.getLogger("sagoma.takes")
 
 
 def finish_take(bag: Path, progress: Callable[[int], None] = lambda messages: None) -> Summary | None:
-    """Measure a bag that was just closed, and write its summary; None where that fails.
+    """Measure a bag that was just closed, and write (or replace) its take.yaml, whole; None where that fails.
 
     The recording is whole without it: a summary that cannot be made is made later, by `sagoma takes measure`.
     """
     try:
         summary = measure(bag, progress)
-        write_summary(bag, summary)
+        write_text(bag / SIDECAR_TAKE, yaml.safe_dump(summary.document(), sort_keys=False, allow_unicode=True))
     except Exception as error:  # a full disk, a foreign message: the bag itself is closed, and must be reported so
         _log.warning("%s is recorded, but its figures cannot be measured: %s", bag, error)
         return None
     return summary
-
-
-def write_summary(bag: Path, summary: Summary) -> None:
-    """Write (or replace) take.yaml, whole or not at all."""
-    write_text(bag / SIDECAR_TAKE, yaml.safe_dump(summary.document(), sort_keys=False, allow_unicode=True))
 
 
 def read_summary(bag: Path) -> Summary | None:
@@ -270,10 +257,10 @@ def _messages(bag: Path, progress: Callable[[int], None]) -> Iterator[Check]:
 
 
 def _rig(take: Take) -> Iterator[Check]:
-    if not (take.path / SIDECAR_RIG).is_file():
+    if (rig_file := rig_in(take.path)) is None:
         yield Check(WARNING, f"has no {SIDECAR_RIG}: where its cameras stood is not known (record with --rig)")
         return
-    unknown = set(cameras_in(take.topics)) - set(load_rig(take.path / SIDECAR_RIG).names)
+    unknown = set(cameras_in(take.topics)) - set(load_rig(rig_file).names)
     if unknown:
         yield Check(ERROR, f"{SIDECAR_RIG} does not know {', '.join(sorted(unknown))}")
     else:

@@ -236,28 +236,16 @@ def summary_lines(summary: Summary) -> Iterator[str]:
         f"{quality.rate_hz:g} Hz); {quality.incomplete} incomplete, {quality.unanswered} dropped{back}"
     )
     for name, person in summary.persons.items():
-        yield f"{name}: {_person_text(person)}"
+        yield (
+            f"{name}: {person.rows} poses, tracked in {100 * person.coverage:.1f} % of its time, doubtful in "
+            f"{100 * person.doubtful:.1f} %, lost in {100 * person.lost:.1f} %; standard deviation of a point "
+            f"{person.sd_mm:.0f} mm (median), {person.sd_95_mm:.0f} mm (95 %)"
+        )
     for name, camera in summary.cameras.items():
-        yield f"{name}: {_camera_text(camera)}"
+        lost = f", lost {camera.lost} of {camera.expected} frames" if camera.lost is not None else ""
+        what = " ".join(filter(None, (camera.model, camera.serial))) or "model and serial unknown"
+        yield f"{name}: {camera.frames} silhouettes{lost}; {what}"
         for background in camera.backgrounds:
-            yield f"    background: {_background_text(background)}"
-
-
-def _person_text(person: PersonRecord) -> str:
-    return (
-        f"{person.rows} poses, tracked in {100 * person.coverage:.1f} % of its time, doubtful in "
-        f"{100 * person.doubtful:.1f} %, lost in {100 * person.lost:.1f} %; standard deviation of a point "
-        f"{person.sd_mm:.0f} mm (median), {person.sd_95_mm:.0f} mm (95 %)"
-    )
-
-
-def _camera_text(camera: CameraRecord) -> str:
-    lost = f", lost {camera.lost} of {camera.expected} frames" if camera.lost is not None else ""
-    what = " ".join(filter(None, (camera.model, camera.serial))) or "model and serial unknown"
-    return f"{camera.frames} silhouettes{lost}; {what}"
-
-
-def _background_text(background: Background) -> str:
-    learned = f"; learned {background.learned}" if background.learned else ""
-    serial = f" of {background.serial}" if background.serial else ""
-    return f"{background.description}{learned}{serial}"
+            learned = f"; learned {background.learned}" if background.learned else ""
+            serial = f" of {background.serial}" if background.serial else ""
+            yield f"    background: {background.description}{learned}{serial}"

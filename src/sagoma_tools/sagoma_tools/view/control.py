@@ -7,7 +7,6 @@ import threading
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Concatenate, ParamSpec, TypeVar
 
 import viser
 from std_srvs.srv import Trigger
@@ -16,13 +15,13 @@ from capture_rig.errors import InputError
 from capture_rig.files import describe_os_error
 from capture_rig.verdict import REDO
 
-from ..graph.background_training import SERVICE, SERVICE_TYPE, camera_of, progress_of, train_backgrounds
+from ..graph.background_training import SERVICE, SERVICE_TYPE, progress_of, train_backgrounds
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
-from ..graph.ros_link import ANSWER_S, RosLink, call_all, our_nodes, owners_of
+from ..graph.ros_link import ANSWER_S, RosLink, call_all, label_of, our_nodes, owners_of
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 from ..recording.recorder import Recorder
-from ..takes.exporting import EXPORTS, FORMATS, VIDEO, Options, export_take, write_video
+from ..takes.exporting import EXPORTS, FORMATS, VIDEO, export_take, write_video
 from ..takes.folder import TakesFolder, trim
 from ..takes.measure import finish_take
 from ..takes.take import MIB
@@ -32,17 +31,6 @@ Tell = Callable[[str], None]
 Work = Callable[[Tell], str]
 Deliver = Callable[[str, bytes], None]
 """Gives a file of this name to who asked for it."""
-Owner = TypeVar("Owner")
-Asked = ParamSpec("Asked")
-
-
-def as_work(method: Callable[Concatenate[Owner, Tell, Asked], str]) -> Callable[Concatenate[Owner, Asked], Work]:
-    """Turn a method that does some work into one that returns the work, to be done when its turn comes."""
-
-    def asked(owner: Owner, /, *args: Asked.args, **options: Asked.kwargs) -> Work:
-        return lambda tell: method(owner, tell, *args, **options)
-
-    return asked
 
 
 class Jobs:
@@ -70,10 +58,6 @@ class Jobs:
         self.cancelled.clear()
         threading.Thread(target=self._run, args=(what, work), name=f"page: {what}", daemon=True).start()
         return True
-
-    def cancel(self) -> None:
-        """End a countdown."""
-        self.cancelled.set()
 
     def report(self, text: str) -> None:
         """Show this until something else is said."""
@@ -122,7 +106,7 @@ RESET, RESET_TYPE = "reset", "std_srvs/srv/Trigger"
 
 
 class Control:
-    """Makes the work that the graph's buttons ask for; a recording goes on between two requests."""
+    """Does what the graph's buttons ask for, each a Work; a recording goes on between two requests."""
 
     def __init__(self, link: RosLink, diagnostics: DiagnosticsTable, takes: TakesFolder, jobs: Jobs) -> None:
         """``takes`` : the folder into which recordings go. ``jobs`` : runs the work."""
@@ -138,14 +122,13 @@ class Control:
 
     def close(self) -> None:
         """Finish a recording under way."""
-        self._jobs.cancel()
+        self._jobs.cancelled.set()
         if self._recorder is not None:
             self.stop_recording(lambda text: None)
 
     # what can be asked for --------------------------------------------------------------------------------------------
 
-    @as_work
-    def bring(self, tell: Tell, goal: State, cameras_first: bool) -> str:
+    def bring(self, goal: State, cameras_first: bool, tell: Tell) -> str:
         """Bring every node to a lifecycle state."""
         names = sorted(our_nodes(self._link.node))
         if not names:
@@ -166,8 +149,7 @@ class Control:
             for service, reply in replies.items()
         )
 
-    @as_work
-    def learn_background(self, tell: Tell, countdown_s: int) -> str:
+    def learn_background(self, countdown_s: int, tell: Tell) -> str:
         """Count down while the person leaves the room, then train every camera."""
         names = sorted(owners_of(self._link.node, SERVICE, SERVICE_TYPE))
         if not names:
@@ -178,7 +160,7 @@ class Control:
                 return "cancelled: the background is as it was"
 
         def progress() -> bool:
-            done = ", ".join(f"{camera_of(name)} {progress_of(self._diagnostics, name) or '...'}" for name in names)
+            done = ", ".join(f"{label_of(name)} {progress_of(self._diagnostics, name) or '...'}" for name in names)
             tell(f"learning: {done}")
             return not self._jobs.cancelled.is_set()
 
@@ -188,16 +170,18 @@ class Control:
             return "; ".join(f"{outcome.camera}: {outcome.message}" for outcome in failed)
         return f"{len(outcomes)} cameras have learned their background"
 
-    @as_work
-    def start_recording(self, tell: Tell, name: str) -> str:
+    def start_recording(self, name: str, tell: Tell) -> str:
         """Record the graph's topics into a new take."""
         if self._recorder is not None:
             return f"{self.recording} is being recorded already"
         folder = self._takes.new_path(name)
         self._recorder = Recorder(
-            self._link.node, folder, [*OUTPUT_TOPICS, DIAGNOSTICS], on_failure=self._report_failure
+            self._link.node,
+            folder,
+            [*OUTPUT_TOPICS, DIAGNOSTICS],
+            on_failure=lambda error: self._jobs.report(f"{error} The capture goes on."),
         )
-        self._recorder.follow_graph()
+        self._recorder.follow()
         self._recording_to = folder
         return recording_text(folder.name)
 
@@ -211,9 +195,6 @@ class Control:
         finish_take(folder)
         early = f"; {failure}" if failure is not None else ""
         return f"recorded {folder.name}: {sum(counts.values())} messages{early}"
-
-    def _report_failure(self, error: InputError) -> None:
-        self._jobs.report(f"{error} The capture goes on.")
 
 
 def recording_text(name: str) -> str:
@@ -229,20 +210,18 @@ SHOWN_EVERY = 15  # frames of a video
 
 
 class TakeActions:
-    """Makes the work of the takes' buttons; every take is named by its name in one folder."""
+    """Does what the takes' buttons ask for, each a Work; every take is named by its name in one folder."""
 
     def __init__(self, takes: TakesFolder, recording: Callable[[], str]) -> None:
         """``recording`` : says the name of the take that is being recorded, which is left alone."""
         self._takes, self._recording = takes, recording
 
-    @as_work
-    def rename(self, tell: Tell, name: str, new_name: str) -> str:
+    def rename(self, name: str, new_name: str, tell: Tell) -> str:
         """Give a take another name."""
         self._check(name)
         return f"{name} is now {self._takes.rename(name, new_name).name}"
 
-    @as_work
-    def trim(self, tell: Tell, name: str, new_name: str, from_s: float, to_s: float) -> str:
+    def trim(self, name: str, new_name: str, from_s: float, to_s: float, tell: Tell) -> str:
         """Make a new take of a part."""
         self._check(name)
         if not new_name.strip():
@@ -250,8 +229,7 @@ class TakeActions:
         path = trim(self._takes, name, new_name, from_s, to_s)
         return f"made {path.name}: {from_s:.2f} s to {to_s:.2f} s of {name}"
 
-    @as_work
-    def delete(self, tell: Tell, name: str) -> str:
+    def delete(self, name: str, tell: Tell) -> str:
         """Move a take into the bin."""
         self._check(name)
         return f"{self._takes.delete(name).name} is in the bin: 'restore' brings it back"
@@ -261,18 +239,16 @@ class TakeActions:
         deleted = self._takes.deleted()
         return f"{self._takes.restore(deleted[0].path.name).name} is back" if deleted else "the bin is empty"
 
-    @as_work
-    def export(self, tell: Tell, name: str, kind: str, deliver: Deliver) -> str:
+    def export(self, name: str, kind: str, deliver: Deliver, tell: Tell) -> str:
         """Write files of other programs into the take's folder, and give them to who asked, several as one zip."""
         self._check(name)
         take = self._takes.find(name)
         formats = list(FORMATS) if kind == ALL_FORMATS else [kind]
-        files = export_take(take.path, take.path / EXPORTS, formats, Options(overwrite=True), tell)
+        files = export_take(take.path, take.path / EXPORTS, formats, overwrite=True, tell=tell)
         _deliver(files, f"{name}_{kind.replace(' ', '_')}.zip", deliver)
         return f"exported {', '.join(file.name for file in files)} into {take.name}/{EXPORTS}"
 
-    @as_work
-    def video(self, tell: Tell, name: str, deliver: Deliver) -> str:
+    def video(self, name: str, deliver: Deliver, tell: Tell) -> str:
         """Draw the take's video, unless it has been drawn, and give it to who asked."""
         self._check(name)
         take = self._takes.find(name)

@@ -23,7 +23,7 @@ from sagoma_ros.packets import read_packet, read_reference_points
 
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable, NodeReport
 from ..graph.lifecycle_client import State
-from ..graph.ros_link import RosLink, in_graph, is_in_graph, namespace_of, our_nodes, topics_of
+from ..graph.ros_link import RosLink, in_graph, is_camera, is_in_graph, label_of, namespace_of, our_nodes, topics_of
 from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class, persons_in
 from .control import Control, Jobs, Work, on_click
 from .scene import Figure
@@ -238,10 +238,10 @@ class GraphPanel:
 def _graph_buttons(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
     """Connect, start, suspend, stop, reset, and the countdown to learn the background."""
     transitions: dict[str, tuple[str, Work]] = {
-        "connect": ("connecting", control.bring(State.INACTIVE, False)),
-        "start": ("starting", control.bring(State.ACTIVE, False)),
-        "suspend": ("suspending", control.bring(State.INACTIVE, True)),
-        "stop": ("stopping", control.bring(State.UNCONFIGURED, True)),
+        "connect": ("connecting", partial(control.bring, State.INACTIVE, False)),
+        "start": ("starting", partial(control.bring, State.ACTIVE, False)),
+        "suspend": ("suspending", partial(control.bring, State.INACTIVE, True)),
+        "stop": ("stopping", partial(control.bring, State.UNCONFIGURED, True)),
     }
     nodes = gui.add_button_group("nodes", tuple(transitions))
     on_click(nodes, lambda: jobs.request(*transitions[nodes.value]))
@@ -250,8 +250,8 @@ def _graph_buttons(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
     seconds = gui.add_number("countdown, s", COUNTDOWN_S, min=0, max=120, step=1)
     background = gui.add_button_group("background", (LEARN, CANCEL))
     acts: dict[str, Callable[[], object]] = {
-        LEARN: lambda: jobs.request("learning", control.learn_background(int(seconds.value))),
-        CANCEL: jobs.cancel,
+        LEARN: lambda: jobs.request("learning", partial(control.learn_background, int(seconds.value))),
+        CANCEL: jobs.cancelled.set,
     }
     on_click(background, lambda: acts[background.value]())
 
@@ -261,7 +261,7 @@ def _recording_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None
     name = gui.add_text("name of the take", "", hint="by date and time without one")
     recording = gui.add_button_group("recording", (RECORD, FINISH))
     acts: dict[str, Callable[[], object]] = {
-        RECORD: lambda: jobs.request("recording", control.start_recording(name.value)),
+        RECORD: lambda: jobs.request("recording", partial(control.start_recording, name.value)),
         FINISH: lambda: jobs.request("finishing", control.stop_recording),
     }
     on_click(recording, lambda: acts[recording.value]())
@@ -282,16 +282,6 @@ NO_NODES = "no node is in the graph yet: `sagoma up SESSION` plays footage, docs
 UNHEARD = "has not been heard yet"
 MOST_TEXT = 400
 """Characters of what a node says: more than any of ours, and less than a panel."""
-
-
-def label_of(name: str) -> str:
-    """Return what to call a node: a camera client by its camera."""
-    return name.strip("/").removesuffix("/camera_client")
-
-
-def is_camera(name: str) -> bool:
-    """Is this the full name of a camera client?"""
-    return name.endswith("/camera_client")
 
 
 def trouble_of(report: NodeReport | None, now_s: float) -> str:

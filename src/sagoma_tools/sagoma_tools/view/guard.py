@@ -48,9 +48,8 @@ class Guard:
         """A token is made up where none is given and the page is open to other machines. Raises InputError."""
         if token is not None and not TOKEN.fullmatch(token):
             remedy = "Leave --token out to have one made, or give one of letters, digits, '-', '_', '.' and '~'."
-            raise InputError(
-                "an empty token" if not token.strip() else "this is no token", where="--token", remedy=remedy
-            )
+            what = "an empty token" if not token.strip() else "this is no token"
+            raise InputError(what, where="--token", remedy=remedy)
         if token is None and host not in LOOPBACK:
             token = secrets.token_urlsafe(TOKEN_BYTES)
         return cls(host, token)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from capture_rig.rig import Rig, load_rig
 from motion_export.isb_angles import isb_angles
 from motion_export.motion import NS_PER_S, Motion, point_deviations
 
-from ..recording.reader import SIDECAR_RIG
+from ..recording.reader import rig_in
 from ..recording.recorded_motion import recorded_motions
 from ..takes.take import Take
 from .scene import Figure
@@ -52,11 +53,8 @@ class Playback:
     def of(cls, take: Take) -> Playback:
         """Read a take. Raises InputError when it cannot be read or holds nobody."""
         rig = None
-        if (take.path / SIDECAR_RIG).exists():
-            try:
-                rig = load_rig(take.path / SIDECAR_RIG)
-            except InputError:
-                rig = None  # the motion can be seen without the cameras
+        with suppress(InputError):  # the motion can be seen without the cameras
+            rig = load_rig(rig_file) if (rig_file := rig_in(take.path)) is not None else None
         motions = recorded_motions(take.path)
         first_ns = min(map(first_pose_ns, motions.values()))
         last_ns = max(motion.start_ns + round(motion.times_s[-1] * 1e9) for motion in motions.values())
@@ -89,7 +87,11 @@ class Playback:
         if frames == self._shown:
             return None
         self._shown = frames
-        return {body_id: figure_of(self.motions[body_id], k) for body_id, k in frames.items() if k is not None}
+        shown = ((body_id, self.motions[body_id], frame) for body_id, frame in frames.items() if frame is not None)
+        return {
+            body_id: Figure(motion.points_world[k], point_deviations(motion.covariance[k]), str(motion.states[k]))
+            for body_id, motion, k in shown
+        }
 
     def plots(self, body_id: str) -> Iterator[tuple[str, Array, Array]]:
         """Yield title, times (n,) s and the curves (2, n) degrees of a person's left and right side, NaN in gaps."""
@@ -115,9 +117,3 @@ def last_frame(motion: Motion, stamp_ns: int) -> int | None:
     first = max(0, now - math.floor(HELD_S * motion.rate_hz))
     tracked = np.flatnonzero(motion.tracked[first : now + 1])
     return first + int(tracked[-1]) if len(tracked) else None
-
-
-def figure_of(motion: Motion, frame: int) -> Figure:
-    """Return a person as they were in one frame."""
-    sigma = point_deviations(motion.covariance[frame])
-    return Figure(motion.points_world[frame], sigma, str(motion.states[frame]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -70,14 +71,14 @@ class TakesPanel:
             BACK: leave or (lambda: None),
         }
         changes: dict[str, Callable[[], tuple[str, Work]]] = {
-            RENAME: lambda: ("renaming", self._changing(work.rename(self.chosen, self._new_name.value))),
-            TRIM: lambda: ("trimming", self._changing(self._trimming(work))),
-            DELETE: lambda: ("deleting", self._changing(work.delete(self.chosen))),
+            RENAME: lambda: ("renaming", self._changing(partial(work.rename, self.chosen, self._new_name.value))),
+            TRIM: lambda: ("trimming", self._changing(partial(work.trim, *self._part()))),
+            DELETE: lambda: ("deleting", self._changing(partial(work.delete, self.chosen))),
             RESTORE: lambda: ("restoring", self._changing(work.restore)),
         }
         made: dict[str, Callable[[Deliver], tuple[str, Work]]] = {
-            EXPORT: lambda send: ("exporting", work.export(self.chosen, self._format.value, send)),
-            VIDEO: lambda send: ("drawing", work.video(self.chosen, send)),
+            EXPORT: lambda send: ("exporting", partial(work.export, self.chosen, self._format.value, send)),
+            VIDEO: lambda send: ("drawing", partial(work.video, self.chosen, send)),
         }
 
     @property
@@ -121,8 +122,8 @@ class TakesPanel:
         if abs(self._position.value - playback.position_s) > 0.2:
             _set(self._position, round(playback.position_s, 2))
 
-    def _trimming(self, work: TakeActions) -> Work:
-        return work.trim(self.chosen, self._new_name.value, self._from.value, self._to.value)
+    def _part(self) -> tuple[str, str, float, float]:
+        return self.chosen, self._new_name.value, self._from.value, self._to.value
 
     def _changing(self, work: Work) -> Work:
         """The same work, after which the list is drawn anew before its outcome is told."""
