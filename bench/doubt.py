@@ -9,8 +9,8 @@ points under 100 mm. A part is called when its published state is doubtful or lo
 Columns: frames with a part over 200 mm, %; parts wrong, of them called, %; of them with all points inside their own
 95 % ellipsoids, %; clear frames, and those with any part called, %; parts called with all points inside, %; processor
 time of fit and filter, ms a set. The second table is the curve behind the choice of limb_filter.UNFOUND_LOG_PRIOR:
-what would be called if the probability of another place of a limb, or of none, alone decided, at that probability. The last line is
-JSON.
+what would be called if the probability of another place of a limb, or of none, alone decided, at that probability. The
+last line is JSON.
 """
 
 from __future__ import annotations

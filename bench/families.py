@@ -3,8 +3,8 @@
     python bench/families.py [NAME ...] [--products FOLDER] [--offsets] [--set NODE.PARAMETER=VALUE ...]
 
 Tracks the sets avatar_FAMILY_BODY_CLIP_RIG and avatar_held_... of `models/avatar_people.py` (those with a NAME in
-theirs) with automatic start and default settings. Makers put joints to different places: the constant offset of each point in the pelvis's
-frame says what they mean by it, and is taken out of all columns but the first.
+theirs) with automatic start and default settings. Makers put joints to different places: the constant offset of each
+point in the pelvis's frame says what they mean by it, and is taken out of all columns but the first.
 
 Columns: mean error of the 15 points, mm; without offsets; share of the tracked frames with a point over 200 mm; share
 tracked; errors inside the track's own 95 % ellipsoids, all and of the worst point of a row. --offsets prints the
@@ -90,7 +90,8 @@ def main() -> None:
         family = f"{words[2]}, held out" if words[1] == "held" else words[1]
         each.row(path.stem, *figures([errors]).values())
         own = ", own silhouettes" if path.stem.endswith("_own") else ""
-        by_row[f"{family}, {words[-1].strip('ringbhigh')} cameras{own}"].append(errors)
+        cameras = "".join(filter(str.isdigit, words[-1]))
+        by_row[f"{family}, {cameras} cameras{own}"].append(errors)
         by_family[family].append(errors)
     shown, table = Table(f"family:<31 | {columns}"), {}
     for name, several in by_row.items():

@@ -88,7 +88,7 @@ def _sets() -> dict[str, Set]:
             clip = ARMS_BEFORE_TRUNK[i % 2]
             found[f"{family}_{body}_{clip}_{FEW}"] = Set(family, body, clip, FEW, 1.3 * i)
     for i, (family, body) in enumerate(HELD_OUT):
-        rigs = HELD_OUT_RIGS[3 * (i % 2) :][:2] + (("ring4b", "ring3b")[i % 2],)
+        rigs = (*HELD_OUT_RIGS[3 * (i % 2) :][:2], ("ring4b", "ring3b")[i % 2])
         for j, rig in enumerate(rigs):
             clip = HELD_OUT_CLIPS[(2 * i + j) % len(HELD_OUT_CLIPS)]
             found[f"held_{family}_{body}_{clip}_{rig}"] = Set(family, body, clip, rig, 0.5 * i + 1.1 * j)

@@ -2,11 +2,11 @@
 
 All evidence is counted in independent samples, cells of the limb's surface whose rays a place, and nothing else of the
 body, explains; each is worth a nat. A limb in the wrong place explains a few by chance, a right one a dozen, with three
-cameras as with eight. The evidence for another place is what it explains beyond the tracked one; for a place that the search
-did not find, what is left over within reach, for there the limb must show; against "unseen" what the tracked one
-explains. Chance lasts as long as the body holds still, so that sets close to each other
-in time are one observation: log odds forget exponentially (Raftery, Karny & Ettler, Online prediction under model
-uncertainty via dynamic model averaging, Technometrics 52, 2010), by stamps, the same at any rate.
+cameras as with eight. The evidence for another place is what it explains beyond the tracked one; for a place that the
+search did not find, what is left over within reach, for there the limb must show; against "unseen" what the tracked one
+explains. Chance lasts as long as the body holds still, so that sets close to each other in time are one observation:
+log odds forget exponentially (Raftery, Karny & Ettler, Online prediction under model uncertainty via dynamic model
+averaging, Technometrics 52, 2010), by stamps, the same at any rate.
 """
 
 from __future__ import annotations
