@@ -117,7 +117,7 @@ class CameraNode(SagomaNode):
         )
         self._footage_clock = FootageClockTopic(self, name)
         self._awaited = len(load_rig(settings.rig_file).names) if settings.footage.wait_for_cameras else 0
-        self.source = connect_source(settings, self._accept, self._footage_clock.shared, self._topic_source)
+        self.source = connect_source(settings, known, self._accept, self._footage_clock.shared, self._topic_source)
         mask_png.warm_up()
         if not self.source.shape:
             self.processor.check_background_file()

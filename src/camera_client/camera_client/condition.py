@@ -96,7 +96,7 @@ class ConditionWatch:
     def __init__(self, pipeline: SilhouettePipeline, background: BackgroundModel) -> None:
         """``background`` : as it was learned."""
         self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S)
-        self._shape = background.shape[:2]
+        self._shape = pipeline.image_shape
         self._lasting: deque[tuple[int, Shares]] = deque()
         self._switches: deque[tuple[int, int]] = deque()
         self._things_known, self._places = (0, 0), ""

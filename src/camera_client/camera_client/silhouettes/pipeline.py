@@ -17,7 +17,7 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
-from capture_rig.region import MOST_PIXEL_M, Region, of_region, pixel_width_m
+from capture_rig.region import may_be_halved, of_shape
 from capture_rig.rig import Volume
 from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
@@ -94,14 +94,18 @@ class SilhouettePipeline:
         """``volume``: the capture volume; what may be floor far from it stays the person. ``alignment``: of pictures
         with the background, where there is one already."""
         settings, background_settings = settings or SilhouetteSettings(), background_settings or BackgroundSettings()
-        check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
-        self._camera, self._settings, self._image_shape = camera.name, settings, background.shape
-        self._undistorter, whole = BoxUndistorter(camera.undistorted_view()), camera
-        self.scale = 2 if volume is not None and 2 * pixel_width_m(camera, volume) <= MOST_PIXEL_M else 1
-        """Pixels of the image, in each direction, to one that is looked at."""
-        if self.scale > 1:
-            half = Region(2, 0, 0, -(-camera.width // 2), -(-camera.height // 2))
-            camera, background, alignment = of_region(camera, half), halved_background(background), None
+        whole, given = camera, of_shape(camera, background.shape)
+        check_shape(background, (given.height, given.width, *background.shape[2:]), f"camera {camera.name}")
+        self._camera, self._settings, self._frame_shape = camera.name, settings, background.shape
+        self.image_shape = camera.height, camera.width
+        """Of the camera (H, W): as large as masks are."""
+        self._undistorter = BoxUndistorter(camera.undistorted_view())
+        self._halves = given is camera and may_be_halved(camera, volume)
+        if self._halves:
+            background, alignment = halved_background(background), None
+        camera = of_shape(camera, background.shape)
+        self.scale = 1 if camera is whole else 2
+        """Pixels of the camera, in each direction, to one that is looked at."""
         self._shape = background.shape
         self.background: AdaptiveBackground | FixedBackground
         if background_settings.rule == "adaptive":
@@ -124,7 +128,7 @@ class SilhouettePipeline:
         least_px = majority_count()
         self._locator = ForegroundLocator(self._shape, min_area_px, least_px, self.background.step_px)
         self._distance, self._levels = np.zeros((2, *self._shape[:2]), np.uint8)
-        self._image_levels = np.zeros(self._image_shape[:2], np.uint8) if self.scale > 1 else self._levels
+        self._image_levels = np.zeros(self.image_shape, np.uint8) if self.scale > 1 else self._levels
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
@@ -143,7 +147,7 @@ class SilhouettePipeline:
     @property
     def background_pixels(self) -> Mask:
         """(H, W) 255 where the last frame showed the background, as far as it was looked at, else 0."""
-        return enlarged(self._locator.buffer, self.background.step_px * self.scale, self._image_shape)
+        return enlarged(self._locator.buffer, self.background.step_px * self.scale, self.image_shape)
 
     @property
     def certainty(self) -> Certainty:
@@ -163,7 +167,7 @@ class SilhouettePipeline:
         self._check(image)
         self._untimed_ns += round(1e9 / UNTIMED_HZ)
         now_ns = self._untimed_ns if stamp_ns is None else stamp_ns
-        image = halve(image) if self.scale > 1 else image
+        image = halve(image) if self._halves else image
         samples = samples_of(image)
         shows_scene = self._dark_room or not is_black(grid_sample(image))
         if shows_scene:  # a covered lens says nothing of light and noise
@@ -218,8 +222,8 @@ class SilhouettePipeline:
         return self._silhouette(found.stamp_ns, self._of_image(levels, box, cut), self._in_image(box), canvas)
 
     def _check(self, image: Image) -> None:
-        if image.shape != self._image_shape or image.dtype != np.uint8:
-            expected = shape_text(self._image_shape)
+        if image.shape != self._frame_shape or image.dtype != np.uint8:
+            expected = shape_text(self._frame_shape)
             raise InputError(
                 f"an image of {shape_text(image.shape)} {image.dtype} came, expected {expected} uint8",
                 remedy="The camera's region or pixel format has changed; configure again.",
@@ -287,7 +291,7 @@ class SilhouettePipeline:
     def _in_image(self, box: Box) -> Box:
         """Return a box of what is looked at in the image's own pixels."""
         top, left, bottom, right = (self.scale * side for side in box)
-        return Box(top, left, min(bottom, self._image_shape[0]), min(right, self._image_shape[1]))
+        return Box(top, left, min(bottom, self.image_shape[0]), min(right, self.image_shape[1]))
 
     def _of_image(self, levels: Mask, box: Box, cut: Mask) -> Mask:
         """Return the levels of a box in the image's own pixels; ``cut`` : 255 at those that are only background."""
@@ -316,7 +320,7 @@ class SilhouettePipeline:
 
     def _silhouette(self, stamp_ns: int | None, levels: Mask, box: Box, canvas: Mask) -> Silhouette:
         """Return the silhouette of the levels (h, w) in a box of the image, and on the canvas."""
-        image_mask = np.zeros(self._image_shape[:2], np.uint8)
+        image_mask = np.zeros(self.image_shape, np.uint8)
         image_mask[box.slices] = levels
         anything, person = 0, 0
         if levels.size:
@@ -353,9 +357,12 @@ LINE_PX = 2
 def outline(image: Image, mask: Mask) -> Image:
     """Draw the outlines of a silhouette into its image.
 
-    Gives the image (H, W[, 3]) at half size, BGR, the person's outline green, that of shadow candidates orange.
-    ``mask`` (H, W) is :attr:`mocap_packets.silhouette.Silhouette.image_mask`, of two or three levels.
+    Gives the image (H, W[, 3]), which may come at half size, at half size, BGR, the person's outline green, that of
+    shadow candidates orange. ``mask`` (H, W) is :attr:`mocap_packets.silhouette.Silhouette.image_mask`, of two or three
+    levels.
     """
+    if image.shape[:2] != mask.shape:
+        image = np.asarray(cv2.resize(image, mask.shape[::-1], interpolation=cv2.INTER_NEAREST))
     shown = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     for level, colour in ((SHADOW_CANDIDATE, CANDIDATE_BGR), (FOREGROUND, PERSON_BGR)):
         contours, _ = cv2.findContours(cv2.inRange(mask, level, level), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)

@@ -22,6 +22,7 @@ from camera_client.settings import AravisSettings, CameraClientSettings
 from camera_client.sources.aravis_source import AravisSource
 from camera_client.sources.footage_reader import open_footage
 from capture_rig.errors import InputError
+from capture_rig.region import of_shape
 from capture_rig.settings import build_settings
 from gige_vision import bootstrap
 from gige_vision.gvcp import PORT, AcknowledgePacket, Command, CommandPacket, DeviceRecord, MalformedPacket
@@ -154,7 +155,8 @@ def check_background(file: CameraFile) -> Iterator[Finding]:
         yield error("background.unusable", f"{problem}", f"Name the right file, or empty the parameter, and {learn}")
         return
     size = f"{path} is {shape[1]} x {shape[0]}, the camera {camera.width} x {camera.height} pixels"
-    if shape[:2] != (camera.height, camera.width):
+    given = of_shape(camera, shape) if len(shape) == 3 else camera  # of a mosaic's tiles
+    if shape[:2] != (given.height, given.width):
         yield error("background.size_differs", size, learn)
         return
     text = f"{path}, {age_s / 3600:.0f} h old; {model.provenance.frames} frames of {model.provenance.source}"
