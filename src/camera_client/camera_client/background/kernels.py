@@ -286,19 +286,21 @@ def robust_gain(seen, expected, precision, trust, start, prior, steps, reach, we
     at 0, in grey levels^-2. weight (n,) is written: each sample's at the end. Gives gain, offset and the scale of the
     residuals in sigmas (1: as the noise says).
     """
-    gain, offset, scale = start[0], start[1], 1.0
-    distance = np.empty(len(seen), np.float32)
+    gain, offset, scale = float(start[0]), float(start[1]), 1.0
+    distance, inverse_sigma = np.empty(len(seen), np.float32), np.sqrt(precision)
     for step in range(steps + 1):
+        slope, least = F32(gain), F32(offset)
         for i in range(len(seen)):
-            rest = seen[i] - (gain * expected[i] + offset)
-            distance[i] = abs(rest) * np.sqrt(precision[i])
+            distance[i] = abs(seen[i] - (slope * expected[i] + least)) * inverse_sigma[i]
         scale = max(HALF_MEDIAN * median_of(distance, trust, BIN_SIGMAS * (1.0 if step else 4.0)), 1.0)
+        near = F32(1.0 / (reach * scale))
+        for i in range(len(seen)):
+            share = distance[i] * near
+            down = F32(1) / (F32(1) + share * share)
+            weight[i] = trust[i] * down * down * precision[i]
         see = sxe = sx = se = sw = 0.0
         for i in range(len(seen)):
-            share = distance[i] / (reach * scale)
-            down = 1.0 / (1.0 + share * share)
-            w = trust[i] * down * down * precision[i]
-            weight[i] = w
+            w = float(weight[i])
             sw += w
             se += w * expected[i]
             see += w * expected[i] * expected[i]
@@ -328,6 +330,49 @@ def take_samples(samples, expected, inverse_sigma, at, doubted, out, trust):  # 
             out[0, c, i], out[1, c, i] = samples[c, k], expected[c, k]
             out[2, c, i] = inverse_sigma[c, k] * inverse_sigma[c, k]
         trust[i] = F32(DOUBTED) if doubted[at[1, i]] else F32(1)
+
+
+@njit(**OPTIONS)
+def take_triples(samples, expected, at, gain, offset, seen, rest):  # type: ignore[no-untyped-def]
+    """Write the levels of some samples, and by how much they differ from the background, both (3, C, n) float32.
+
+    samples (C, m) uint8, expected (C, m) : of :func:`refresh_samples`; at (3, n) : index of each; gain, offset (C,).
+    """
+    for k in range(3):
+        for c in range(len(samples)):
+            row, level, there, to, other = samples[c], expected[c], at[k], seen[k, c], rest[k, c]
+            for i in range(len(to)):
+                to[i] = row[there[i]]
+                other[i] = to[i] - level[there[i]] * gain[c] - offset[c]
+
+
+@njit(**OPTIONS)
+def square_differences(triples, used, squares):  # type: ignore[no-untyped-def]
+    """Write the squared differences of pixels to their neighbours, near and far, of those that are ``used``.
+
+    triples (3, C, n) : of a pixel, of one near and of one far; of colours, BGR, brightness and differences of colours
+    are compared. squares (2, C, n) float32 : written up to the number that is returned.
+    """
+    channels, count = triples.shape[1], 0
+    for i in range(triples.shape[2]):
+        if not used[i]:
+            continue
+        for k in range(2):
+            if channels == 1:
+                change = triples[0, 0, i] - triples[k + 1, 0, i]
+                squares[k, 0, count] = change * change
+                continue
+            blue, green, red = (
+                triples[0, 0, i] - triples[k + 1, 0, i],
+                triples[0, 1, i] - triples[k + 1, 1, i],
+                triples[0, 2, i] - triples[k + 1, 2, i],
+            )
+            grey = (blue + green + red) * F32(1 / 3)
+            squares[k, 0, count] = grey * grey
+            squares[k, 1, count] = (blue - green) * (blue - green)
+            squares[k, 2, count] = (red - green) * (red - green)
+        count += 1
+    return count
 
 
 @njit(**OPTIONS)
