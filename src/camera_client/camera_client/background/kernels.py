@@ -341,49 +341,6 @@ def take_samples(samples, expected, inverse_sigma, at, doubted, out, trust):  # 
 
 
 @njit(**OPTIONS)
-def take_triples(samples, expected, at, gain, offset, seen, rest):  # type: ignore[no-untyped-def]
-    """Write the levels of some samples, and by how much they differ from the background, both (3, C, n) float32.
-
-    samples (C, m) uint8, expected (C, m) : of :func:`refresh_samples`; at (3, n) : index of each; gain, offset (C,).
-    """
-    for k in range(3):
-        for c in range(len(samples)):
-            row, level, there, to, other = samples[c], expected[c], at[k], seen[k, c], rest[k, c]
-            for i in range(len(to)):
-                to[i] = row[there[i]]
-                other[i] = to[i] - level[there[i]] * gain[c] - offset[c]
-
-
-@njit(**OPTIONS)
-def square_differences(triples, used, squares):  # type: ignore[no-untyped-def]
-    """Write the squared differences of pixels to their neighbours, near and far, of those that are ``used``.
-
-    triples (3, C, n) : of a pixel, of one near and of one far; of colours, BGR, brightness and differences of colours
-    are compared. squares (2, C, n) float32 : written up to the number that is returned.
-    """
-    channels, count = triples.shape[1], 0
-    for i in range(triples.shape[2]):
-        if not used[i]:
-            continue
-        for k in range(2):
-            if channels == 1:
-                change = triples[0, 0, i] - triples[k + 1, 0, i]
-                squares[k, 0, count] = change * change
-                continue
-            blue, green, red = (
-                triples[0, 0, i] - triples[k + 1, 0, i],
-                triples[0, 1, i] - triples[k + 1, 1, i],
-                triples[0, 2, i] - triples[k + 1, 2, i],
-            )
-            grey = (blue + green + red) * F32(1 / 3)
-            squares[k, 0, count] = grey * grey
-            squares[k, 1, count] = (blue - green) * (blue - green)
-            squares[k, 2, count] = (red - green) * (red - green)
-        count += 1
-    return count
-
-
-@njit(**OPTIONS)
 def take_residuals(picture, mean, excess, field, at, doubted, now, out, trust):  # type: ignore[no-untyped-def]
     """Collect what the displacement is fitted to, at some places of the picture.
 

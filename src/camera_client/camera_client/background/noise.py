@@ -15,15 +15,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .kernels import HALF_MEDIAN, median, square_differences
+from .kernels import HALF_MEDIAN, median
 from .model import BackgroundModel
 
 # Thresholds: QUANTISATION from rounding, 1/12; else measured by python bench/rooms.py.
 QUANTISATION = 1 / 12  # variance of rounding to whole grey levels
 LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs smooth away
 MOST_VARIANCE = 150.0  # no camera is noisier, and a room that seems so must not hide a person
-LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups ...
-LEVEL_STEPS = 32  # ... to a fraction of a grey level: levels up to 2047 fit into 16 bits
+LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
 FEW_IN_BIN = 30
 TAIL_SHARE, TAIL_SIGMAS = (
     0.95,
@@ -125,8 +124,7 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
 
 def _fit(level: Floats, square: Floats, bins: int) -> tuple[float, float]:
     """Fit read and slope by the medians of the squares over pixels of similar level."""
-    steps = (LEVEL_STEPS * level).astype(np.uint16)  # whole numbers are sorted in a tenth of the time
-    order = np.array_split(np.argsort(steps, kind="stable"), bins)
+    order = np.array_split(np.argsort(level, kind="stable"), bins)
     parts = [part for part in order if len(part) >= FEW_IN_BIN] or [np.arange(len(level))]
     square = np.asarray(square, np.float32)
     x, y = np.array([(level[p].mean(), median(square[p])) for p in parts], float).T
@@ -151,6 +149,7 @@ LEAST_CHANGE = 0.02  # grey levels squared: less is the same picture again
 TAIL_OF_MEDIAN = 9.0  # squared differences beyond so many medians are cut off
 FEW = 100  # samples
 PASSING = 2.0  # times as coarse as what changes at most: codecs that predict frames spread noise less than they keep it
+OPPONENT = np.array([[1 / 3, 1, 0], [1 / 3, -1, -1], [1 / 3, 0, 1]], np.float32)  # BGR: brightness, B - G, R - G
 
 
 class NoiseCorrelationMeter:
@@ -168,14 +167,14 @@ class NoiseCorrelationMeter:
     def update(self, seen: Floats, rest: Floats, sure: npt.NDArray[np.bool_], step_s: float) -> float:
         """Take a frame, ``step_s`` after the last one taken; return the correlation.
 
-        seen, rest (3, C, n) float32 : grey levels at ``row``, ``column`` (3, n), and by how much they differ from the
+        seen, rest (3, n, C) : grey levels at ``row``, ``column`` (3, n), and by how much they differ from the
         background. sure (n,) : which samples show the background.
         """
         before, both = self._before, sure & self._sure_before
         self._before, self._sure_before = seen, sure
         if before is None:
             return self.spatial_correlation
-        found, passing = measured_correlation(rest, sure), measured_correlation(seen - before, both)
+        found, passing = measured_correlation(*rest[:, sure]), measured_correlation(*(seen - before)[:, both])
         self._passing.append(1.0 if passing is None else passing)  # only codecs show the same picture again
         if found is not None and len(self._passing) == self._passing.maxlen:
             share = 1 - math.exp(-step_s / FOLLOW_S) if self._known else 1.0
@@ -184,22 +183,18 @@ class NoiseCorrelationMeter:
         return self.spatial_correlation
 
 
-def measured_correlation(triples: Floats, used: npt.NDArray[np.bool_]) -> float | None:
+def measured_correlation(own: Floats, near: Floats, far: Floats) -> float | None:
     """Return which share of the noise neighbours have in common, on average over brightness and differences of colours.
 
-    triples (3, C, n) float32 : differences of pixels from what they were, and of those NEAR_PX and FAR_PX to their
-    right; what is common to all three, as light, counts little. used (n,) : which count. None when too little differs
-    to tell.
+    own, near, far (n, C) : differences of pixels from what they were, and of those NEAR_PX and FAR_PX to their right;
+    what is common to all three, as light, counts little. None when too little differs to tell.
     """
-    squares = np.empty((2, *triples.shape[1:]), np.float32)
-    count = square_differences(triples, used, squares)
-    if count < FEW:
+    if len(own) < FEW:
         return None
-    shares = []
-    for near2, far2 in squares[:, :, :count].transpose(1, 0, 2):
-        most = np.float32(TAIL_OF_MEDIAN * max(float(median(far2)), LEAST_VARIANCE))
-        near, far = (float(np.minimum(each, most).mean()) for each in (near2, far2))
-        if far < LEAST_CHANGE:
-            return None
-        shares.append(min(max(1 - near / far, 0.0), 1.0))
-    return float(np.mean(shares))
+    if own.shape[1] == 3:
+        own, near, far = (each @ OPPONENT for each in (own, near, far))
+    most = TAIL_OF_MEDIAN * np.maximum(np.median((own - far) ** 2, axis=0), LEAST_VARIANCE)
+    near2, far2 = (np.minimum((own - each) ** 2, most).mean(axis=0) for each in (near, far))
+    if (far2 < LEAST_CHANGE).any():
+        return None
+    return float(np.clip(1 - near2 / far2, 0.0, 1.0).mean())

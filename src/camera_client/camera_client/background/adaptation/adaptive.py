@@ -21,19 +21,7 @@ from scipy.special import chdtri
 from ...alignment import PictureAlignment
 from ...frame_source import Image, Mask
 from ...settings import BackgroundSettings
-from ..kernels import (
-    CLIPPED,
-    DOUBTED,
-    HIGHEST,
-    SCALE,
-    STEP_PX,
-    Bounds,
-    Today,
-    take_residuals,
-    take_samples,
-    take_triples,
-    thin_out,
-)
+from ..kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, STEP_PX, Bounds, Today, take_residuals, take_samples, thin_out
 from ..model import BackgroundModel
 from ..noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
 from .expected_image import Corners, ExpectedImage, Floats, Samples, SlowChanges
@@ -226,9 +214,8 @@ class AdaptiveBackground:
 
     def _update_correlation(self, sure: npt.NDArray[np.bool_]) -> float:
         at = self._sample_indices(self._coarseness.row, self._coarseness.column)
-        seen, rest = np.empty((2, 3, len(self._samples), at.shape[1]), np.float32)
-        samples, light = self._samples.reshape(len(self._samples), -1), self.light
-        take_triples(samples, self._image.samples[0], at, light.gain, light.offset, seen, rest)
+        seen = self._samples.reshape(len(self._samples), -1).T[at].astype(np.float32)
+        rest = seen - self._image.samples[0].T[at] * self.light.gain - self.light.offset
         return self._coarseness.update(seen, rest, sure, self._since_noise_s)
 
     def _follow_sudden_shift(self, picture: Image, edges: Edges, first: bool) -> bool:
