@@ -172,9 +172,9 @@ def _rate_hz(details: Mapping[str, str]) -> float:
 
 
 def check_size(source: FrameSource, camera: CameraModel) -> None:
-    """Raises InputError when the source's images are not as large as the camera was calibrated for, or half of it."""
+    """Raises InputError when the source's images are not as large as the camera was calibrated for."""
     height, width = source.shape[:2]
-    given = of_shape(camera, source.shape)
+    given = of_shape(camera, source.shape) if source.halved else camera
     if (width, height) != (given.width, given.height):
         raise InputError(
             f"gives images of {width} x {height} pixels, camera {camera.name} was calibrated at "

@@ -1,6 +1,7 @@
 """Bayer cameras that are finer than the hull: each tile of 2 x 2 pixels is one pixel of what is looked at."""
 
 import itertools
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from camera_pictures import iou, learned
 
 from camera_client.background.model import load_background
+from camera_client.configuration import check_size
 from camera_client.frame_processor import FrameProcessor
 from camera_client.frame_source import Frame
 from camera_client.gige.pixel_formats import to_image
@@ -121,3 +123,10 @@ def test_background_of_another_size_says_what_to_do(scene):
         processor.run(Frame(scene.empty(1, colour=True)[0], 0, 0, "test"))
     with pytest.raises(InputError, match="the background is 53 x 40 colour"):
         processor.use_background(learned([image[::3, ::3][:40, :53] for image in scene.empty(3, colour=True)]))
+
+
+def test_pictures_of_half_the_size_are_the_cameras_only_where_the_source_halved_them(scene):
+    source = SimpleNamespace(shape=(scene.height // 2, scene.width // 2, 3), description="cam01", halved=True)
+    check_size(source, scene.camera())
+    with pytest.raises(InputError, match="gives images of 80 x 60 pixels"):  # a part of the sensor, perhaps
+        check_size(SimpleNamespace(**vars(source) | {"halved": False}), scene.camera())

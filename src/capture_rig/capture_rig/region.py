@@ -47,9 +47,9 @@ def of_region(camera: CameraModel, region: Region) -> CameraModel:
 
 
 def of_shape(camera: CameraModel, shape: tuple[int, ...]) -> CameraModel:
-    """Return the camera whose pictures have a shape (H, W, ...): the given one, or it at half of its size."""
+    """Return the camera whose pictures have a shape (H, W[, 3]): the given one, or it at half of its size."""
     half = Region(2, 0, 0, -(-camera.width // 2), -(-camera.height // 2))
-    return of_region(camera, half) if tuple(shape[:2]) == (half.height, half.width) else camera
+    return of_region(camera, half) if shape[:2] == (half.height, half.width) else camera
 
 
 def may_be_halved(camera: CameraModel | None, volume: Volume | None) -> bool:

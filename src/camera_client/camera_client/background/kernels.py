@@ -294,21 +294,19 @@ def robust_gain(seen, expected, precision, trust, start, prior, steps, reach, we
     at 0, in grey levels^-2. weight (n,) is written: each sample's at the end. Gives gain, offset and the scale of the
     residuals in sigmas (1: as the noise says).
     """
-    gain, offset, scale = float(start[0]), float(start[1]), 1.0
-    distance, inverse_sigma = np.empty(len(seen), np.float32), np.sqrt(precision)
+    gain, offset, scale = start[0], start[1], 1.0
+    distance = np.empty(len(seen), np.float32)
     for step in range(steps + 1):
-        slope, least = F32(gain), F32(offset)
         for i in range(len(seen)):
-            distance[i] = abs(seen[i] - (slope * expected[i] + least)) * inverse_sigma[i]
+            rest = seen[i] - (gain * expected[i] + offset)
+            distance[i] = abs(rest) * np.sqrt(precision[i])
         scale = max(HALF_MEDIAN * median_of(distance, trust, BIN_SIGMAS * (1.0 if step else 4.0)), 1.0)
-        near = F32(1.0 / (reach * scale))
-        for i in range(len(seen)):
-            share = distance[i] * near
-            down = F32(1) / (F32(1) + share * share)
-            weight[i] = trust[i] * down * down * precision[i]
         see = sxe = sx = se = sw = 0.0
         for i in range(len(seen)):
-            w = float(weight[i])
+            share = distance[i] / (reach * scale)
+            down = 1.0 / (1.0 + share * share)
+            w = trust[i] * down * down * precision[i]
+            weight[i] = w
             sw += w
             se += w * expected[i]
             see += w * expected[i] * expected[i]

@@ -176,25 +176,13 @@ class SilhouettePipeline:
         box = self._find_foreground(image, samples, distance, now_ns if shows_scene else None)
         if shows_scene:
             self.background.note_foreground(self._locator.dense)
-        noise, moved, scene, spans = self.background.noise, self.moved, None, None
+        noise, scene, spans = self.background.noise, None, None
         if not box.empty:
             scene = Scene(image[box.slices], self._look(image, box), noise, box.slices)
             spans = self._locator.spans(box.slices, REACH_BLOCKS) if self._evidence is not None else None
-        return Difference(
-            stamp_ns,
-            now_ns,
-            shows_scene,
-            image,
-            samples,
-            distance,
-            noise,
-            box,
-            scene,
-            self._distance[box.slices].copy(),
-            spans,
-            None if moved is None else moved.likely,
-            None if moved is None else moved.seen_by_nobody,
-        )
+        things = (None, None) if self.moved is None else (self.moved.likely, self.moved.seen_by_nobody)
+        closely, known = self._distance[box.slices].copy(), (stamp_ns, now_ns, shows_scene)
+        return Difference(*known, image, samples, distance, noise, box, scene, closely, spans, *things)
 
     def segment(self, found: Difference) -> Silhouette:
         """Finish a frame, as :meth:`run` says: cut the silhouette out. On one thread, in the frames' order; the next
@@ -312,7 +300,8 @@ class SilhouettePipeline:
         image_levels, whole_image = self._image_levels, self._in_image(whole)
         if self.scale > 1:
             shape = whole_image.bottom - whole_image.top, whole_image.right - whole_image.left
-            image_levels[whole_image.slices] = enlarged(levels[whole.slices], self.scale, shape) if shape[0] else 0
+            if whole != box:
+                image_levels[whole_image.slices] = enlarged(levels[whole.slices], self.scale, shape)
             image_levels[self._in_image(box).slices] = self._of_image(levels[box.slices], box, cut)
         canvas = self._undistorter.undistort(image_levels, whole_image)
         image_levels[whole_image.slices], levels[whole.slices] = 0, 0  # as they were

@@ -157,6 +157,10 @@ class AravisSource(FrameSource):
         return image_shape(self._setup.pixel_format, self._setup.width, self._setup.height, self._setup.halved)
 
     @property
+    def halved(self) -> bool:
+        return self._setup is not None and self._setup.halved
+
+    @property
     def description(self) -> str:
         return str(self._wanted)
 
