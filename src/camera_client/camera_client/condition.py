@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import Silhouette
 
-from .background.model import BackgroundModel
 from .background.moved_things import STILL_S
 from .background.verdict import describe_regions, find_regions
 from .silhouettes.certainty import LEAST_PERSON, PERIOD_S
@@ -93,8 +92,7 @@ class ConditionWatch:
     :meth:`of_background` belongs to the thread that subtracts frames, :meth:`add` to the one that segments them.
     """
 
-    def __init__(self, pipeline: SilhouettePipeline, background: BackgroundModel) -> None:
-        """``background`` : as it was learned."""
+    def __init__(self, pipeline: SilhouettePipeline) -> None:
         self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S)
         self._shape = pipeline.image_shape
         self._lasting: deque[tuple[int, Shares]] = deque()

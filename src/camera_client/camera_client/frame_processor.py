@@ -199,5 +199,5 @@ class FrameProcessor:
             pipeline = SilhouettePipeline(
                 camera, model, silhouette, s.background_model, self._volume, alignment=moved.alignment
             )
-            condition = ConditionWatch(pipeline, model)
+            condition = ConditionWatch(pipeline)
         return _Stages(camera, checks, pipeline, model, moved, condition)
