@@ -7,6 +7,7 @@
     python bench/camera.py --fps 60 --plain                   # clients that send binary masks: cheaper
     python bench/camera.py --size 640x480 1920x1200 --colour  # silhouettes alone, in turns with OpenCV's MOG2
     python bench/camera.py --lab                              # ... in an ordinary laboratory, 1288 x 728 in colour
+    python bench/camera.py --size 1280x1024 --threads         # ... by the clock, in one thread and in two
 
 Every run is the real thing: one process serves the cameras (GigE Vision over loopback, 640 x 480 Mono8, a moving body
 in a room with noise and flicker and, with --shadow, strong shadows on the floor), each camera has a client process that
@@ -16,7 +17,8 @@ stamp (mid-exposure, PTP time of the simulated cameras, so the same clock) to th
 client's own, up to the publication. cpu_per_client is in shares of one core, client_ms_per_frame the processor time of
 everything in a client's process a frame delivered: Aravis's threads, silhouette, PNG, middleware, diagnostics. The last
 line is JSON: the first run's figures, and all runs under "runs". Of silhouettes alone it has a frame's processor time,
-ours and MOG2's on the same frames, and their ratio, for each kind of pictures; in one thread, after a warm-up.
+ours and MOG2's on the same frames, and their ratio, for each kind of pictures; in one thread, after a warm-up. With
+--threads it also has the time between two frames in one thread, and in two with two frames under way, in turns.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from itertools import islice, product
 from pathlib import Path
@@ -51,6 +54,7 @@ from capture_rig import Rig
 from capture_rig.errors import InputError
 from capture_rig.session import load_session
 from capture_rig.video import Video
+from mocap_packets.silhouette import Silhouette
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.session_footage import pipeline_of
 from sagoma_bringup.graph import ALL_CAMERAS, build_graph, select
@@ -67,7 +71,7 @@ from virtual_studio.recording.session import RenderSettings, write_session
 from virtual_studio.rig import ring
 
 PLAY_S, PLAY_FPS = 4.0, 60.0
-WARM_UP_FRAMES, ROUNDS = 15, 5
+WARM_UP_FRAMES, ROUNDS, CHUNK = 15, 5, 15
 """Of silhouettes alone: frames while compilers and caches warm up; times a clip is played there and back."""
 LAB_FRAMES, LAB_HZ, LABORATORY = 100, 10.0, SHARED / "lab_two_men"
 SETTLE_S = 3.0  # from the play's beginning until counting begins
@@ -258,7 +262,31 @@ def in_turns(chain: SilhouettePipeline, frames: list[np.ndarray], empty: Iterabl
     return 1e3 * np.array(times[WARM_UP_FRAMES:]).T
 
 
-def silhouettes(sizes: list[str], colour: bool, lab: bool, rounds: int) -> dict[str, Any]:
+def by_threads(size: str, colour: bool, rounds: int) -> tuple[float, float]:
+    """Return milliseconds a frame of the clock on the wall, in one thread and in two: medians of CHUNK frames, in
+    turns. Raises AssertionError where a byte differs."""
+    clip, one = studio_pictures(size, colour)
+    camera = clip.rig.names[0]
+    two = our_pipeline(clip, {}).cameras[camera]
+    frames = [*enumerate([*clip.there_and_back().take[camera]] * rounds)]
+    times = []
+    with ThreadPoolExecutor(1) as pool:
+        for first in range(0, len(frames), CHUNK):
+            chunk, under_way, begin = frames[first : first + CHUNK], list[Future[Silhouette]](), time.perf_counter()
+            alone = [one.run(image, EPOCH_NS + round(number * 1e9 / PLAY_FPS)) for number, image in chunk]
+            between = time.perf_counter()
+            for number, image in chunk:
+                found = two.subtract(image, EPOCH_NS + round(number * 1e9 / PLAY_FPS))
+                wait(under_way[-1:])
+                under_way.append(pool.submit(two.segment, found))
+            wait(under_way)
+            times.append((between - begin, time.perf_counter() - between))
+            assert all((a.mask == b.result().mask).all() for a, b in zip(alone, under_way, strict=True))
+    one_ms, two_ms = 1e3 * np.median(times[1:-1], axis=0) / CHUNK
+    return float(one_ms), float(two_ms)
+
+
+def silhouettes(sizes: list[str], colour: bool, lab: bool, rounds: int, threads: bool) -> dict[str, Any]:
     """Print and return milliseconds a frame of ours and of MOG2, and their ratio, by the kind of pictures."""
     table = Table(
         "pictures:<20 | ours ms:>8.2f | MOG2 ms:>8.2f | ratio:>6.2f", "silhouettes alone, one thread, in turns"
@@ -274,7 +302,16 @@ def silhouettes(sizes: list[str], colour: bool, lab: bool, rounds: int) -> dict[
         clip, chain = studio_pictures(size, coloured)
         camera = clip.rig.names[0]
         frames = [*clip.there_and_back().take[camera]] * rounds
-        show(f"{size} {'colour' if coloured else 'mono'}", in_turns(chain, frames, clip.empty[camera], PLAY_FPS))
+        name = f"{size} {'colour' if coloured else 'mono'}"
+        show(name, in_turns(chain, frames, clip.empty[camera], PLAY_FPS))
+        if threads:
+            one, two = by_threads(size, coloured, rounds)
+            figures[name] |= {"one_thread_ms": round(one, 2), "two_threads_ms": round(two, 2)}
+    if threads:
+        by_size = Table("pictures:<20 | one thread ms:>13.2f | two ms:>8.2f | ratio:>6.2f", "between two frames")
+        for name, figure in figures.items():
+            one, two = figure["one_thread_ms"], figure["two_threads_ms"]
+            by_size.row(name, one, two, one / two)
     if lab and LABORATORY.is_dir():
         session = load_session(LABORATORY)
         for name, chain in pipeline_of(session, Configuration.of({})).cameras.items():
@@ -296,11 +333,14 @@ def main() -> None:
     given.add_argument(
         "--size", nargs="+", metavar="WxH", default=[], help="silhouettes alone, pictures of these sizes"
     )
+    given.add_argument("--threads", action="store_true", help="with --size: in one thread and in two, too")
     given.add_argument("--colour", action="store_true", help="with --size: in colour, too")
     given.add_argument("--lab", action="store_true", help="silhouettes alone, of the laboratory of the test data")
     args = given.parse_args()
     if args.size or args.lab:
-        finish({"silhouettes": silhouettes(args.size, args.colour, args.lab, 1 if args.quick else ROUNDS)})
+        finish(
+            {"silhouettes": silhouettes(args.size, args.colour, args.lab, 1 if args.quick else ROUNDS, args.threads)}
+        )
         return
     seconds = 15.0 if args.quick else args.seconds
     runs = list[Run]()

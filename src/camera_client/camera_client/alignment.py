@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from capture_rig import lens
 from capture_rig.camera import CameraModel
+from capture_rig.region import of_shape
 from capture_rig.rigid import rotation_matrix, rotation_vector
 
 Array = npt.NDArray[np.float64]
@@ -61,7 +62,9 @@ class PictureAlignment:
     """Compares pictures with one reference. Not for two threads at a time."""
 
     def __init__(self, camera: CameraModel, mean: npt.NDArray[np.float32], sigma: float) -> None:
-        """``mean`` (H, W[, 3]) : the reference, grey levels. ``sigma`` : noise of a frame's pixel, grey levels."""
+        """``mean`` (H, W[, 3]) : the reference, grey levels, may have half of the camera's size, as all pictures then.
+        ``sigma`` : noise of a frame's pixel, grey levels."""
+        camera = of_shape(camera, mean.shape)
         self._K, self._D, self._reach = camera.K, camera.D, lens.reach_radius(camera.D)
         self._levels = choose_edge_points(camera, mean, sigma)
         self._chance = self._agree_by_chance(contrast_pyramid(mean)[0])

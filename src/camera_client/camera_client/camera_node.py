@@ -41,7 +41,7 @@ from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingR
 from .background.verdict import describe_background
 from .camera_ros import CameraReport, CameraTopics, FootageClockTopic, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
-from .frame_processor import FrameProcessor, FrameResult
+from .frame_processor import BegunFrame, FrameProcessor, FrameResult
 from .frame_source import Frame, FrameSource
 from .settings import CameraClientSettings
 from .silhouettes.warm_up import warm_up_silhouettes
@@ -60,8 +60,16 @@ SETTLE_S = 0.2  # from the first match until both ends of a new connection know 
 PUBLISH_DEPTH = 4  # frames of a live camera that may wait to be published: more were stale when they are sent
 
 
+class UnfinishedFrame(NamedTuple):
+    """A frame whose silhouette is still to be made; ``began_s`` : when work on it began, on the performance counter."""
+
+    frame: Frame
+    begun: BegunFrame
+    began_s: float
+
+
 class ProcessedFrame(NamedTuple):
-    """A frame with its results, to be published; ``began_s`` : when work on it began, on the performance counter."""
+    """A frame with its results, to be published; ``began_s`` as above."""
 
     frame: Frame
     seen: FrameResult
@@ -78,7 +86,9 @@ class CameraNode(SagomaNode):
         cv2.setNumThreads(1)
         self.source: FrameSource | None = None
         self.loop: GrabLoop | None = None
+        self._segmenter: Worker[UnfinishedFrame] | None = None
         self._outbox: Worker[ProcessedFrame] | None = None
+        self._finish_later: Callable[[UnfinishedFrame], None] = self._finish
         self._hand_over: Callable[[ProcessedFrame], None] = self._publish
         self.processor: FrameProcessor | None = None
         self.trainer = BackgroundTrainer(self._use_background)
@@ -107,7 +117,7 @@ class CameraNode(SagomaNode):
         )
         self._footage_clock = FootageClockTopic(self, name)
         self._awaited = len(load_rig(settings.rig_file).names) if settings.footage.wait_for_cameras else 0
-        self.source = connect_source(settings, self._accept, self._footage_clock.shared, self._topic_source)
+        self.source = connect_source(settings, known, self._accept, self._footage_clock.shared, self._topic_source)
         mask_png.warm_up()
         if not self.source.shape:
             self.processor.check_background_file()
@@ -135,11 +145,14 @@ class CameraNode(SagomaNode):
         live = self.settings.source != "footage"
         self._matched_s = None
         self._report = CameraReport(self.health, self.get_logger(), self.settings)
-        self._hand_over = self._publish  # of footage, every frame is sent before the next one is read
+        self._finish_later, self._hand_over = self._finish, self._publish  # footage is sent before more is read
         if live:
             lost, failed = partial(self.health.count, "frames_unpublished"), self._on_error
             self._outbox = Worker("publish", self._publish, PUBLISH_DEPTH, on_drop=lost, on_error=failed)
             self._hand_over = self._outbox.put
+        if live and self.settings.threads > 1:
+            self._segmenter = Worker("segment", self._finish, 1, on_drop=lost, on_error=failed)
+            self._finish_later = self._segmenter.put_blocking
         self.loop = GrabLoop(
             self.source,
             self._on_frame,
@@ -159,9 +172,10 @@ class CameraNode(SagomaNode):
         if self.loop is not None:
             self.loop.stop()
             self.loop = None
-        if self._outbox is not None:
-            self._outbox.close(finish=True)
-            self._outbox = None
+        for worker in (self._segmenter, self._outbox):
+            if worker is not None:
+                worker.close(finish=True)
+        self._segmenter = self._outbox = None
         self.trainer.cancel("the camera was suspended")
 
     def cleanup(self) -> None:
@@ -234,13 +248,17 @@ class CameraNode(SagomaNode):
         if not self.selector.keeps(frame.stamp_ns, time.monotonic_ns()):
             self.health.count("frames_thinned")
             return
-        seen = self.processor.run(frame)
-        self._last = (frame, seen)
+        self._finish_later(UnfinishedFrame(frame, self.processor.begin(frame), began_s))
+
+    # --- ... of a live camera on two others, so that its next frame does not wait for silhouette, encoder, middleware
+
+    def _finish(self, work: UnfinishedFrame) -> None:
+        assert self.processor is not None
+        seen = self.processor.finish(work.begun)
+        self._last = (work.frame, seen)
         for flag in seen.flags:
             self.health.count(f"{flag}_frames")
-        self._hand_over(ProcessedFrame(frame, seen, began_s))
-
-    # --- ... of a live camera on another one, so that its next frame does not wait for encoder and middleware -------
+        self._hand_over(ProcessedFrame(work.frame, seen, work.began_s))
 
     def _publish(self, done: ProcessedFrame) -> None:
         frame, seen = done.frame, done.seen

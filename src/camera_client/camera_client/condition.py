@@ -7,13 +7,12 @@ is said by :mod:`.background.causes`. No silhouette depends on either.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import Silhouette
 
-from .background.model import BackgroundModel
 from .background.moved_things import STILL_S
 from .background.verdict import describe_regions, find_regions
 from .silhouettes.certainty import LEAST_PERSON, PERIOD_S
@@ -88,35 +87,25 @@ class Shares(NamedTuple):
 
 
 class ConditionWatch:
-    """Collects the condition of one pipeline's background. Frames come on one thread; ``found`` may be read on any."""
+    """Collects the condition of one pipeline's background. ``found`` may be read on any thread.
 
-    def __init__(self, pipeline: SilhouettePipeline, background: BackgroundModel) -> None:
-        """``background`` : as it was learned."""
+    :meth:`of_background` belongs to the thread that subtracts frames, :meth:`add` to the one that segments them.
+    """
+
+    def __init__(self, pipeline: SilhouettePipeline) -> None:
         self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S)
-        self._shape = background.shape[:2]
-        self._last_ns = 0
-        self._restart()
+        self._shape = pipeline.image_shape
+        self._lasting: deque[tuple[int, Shares]] = deque()
+        self._switches: deque[tuple[int, int]] = deque()
         self._things_known, self._places = (0, 0), ""
         self.found = Condition()
 
-    def _restart(self) -> None:
-        """Forget what depends on the time, for instance when a clock was set back."""
-        self._lasting: deque[tuple[int, Shares]] = deque()
-        self._switches: deque[tuple[int, int]] = deque()
-
-    def update(self, stamp_ns: int, silhouette: Silhouette) -> None:
-        """Add the frame of ``stamp_ns``, the last one that the pipeline ran, if it is time to."""
-        if stamp_ns < self._last_ns:
-            self._restart()
-        self._last_ns = stamp_ns
-        if self._throttle.step_s(stamp_ns) > 0:
-            self.found = self._collected(stamp_ns, silhouette)
-
-    def _collected(self, stamp_ns: int, silhouette: Silhouette) -> Condition:
-        state, certainty = self._pipeline.background.state, self._pipeline.certainty
-        moved, anything = self._pipeline.moved, silhouette.foreground_fraction + silhouette.candidate_fraction
-        restless = 0.0 if moved is None else moved.dynamic_share
-        lasts = self._lasts(stamp_ns, Shares(restless, certainty.unexplained, certainty.faint or 0.0))
+    def of_background(self, stamp_ns: int) -> Condition | None:
+        """Return the figures of the background in the frame of ``stamp_ns``, the last one that the pipeline subtracted;
+        None where it is not yet time to."""
+        if self._throttle.step_s(stamp_ns) <= 0:
+            return None
+        state, moved = self._pipeline.background.state, self._pipeline.moved
         things = {} if moved is None else self._things(stamp_ns)
         return Condition(
             light_gain=state.light.brightness,
@@ -130,16 +119,28 @@ class ConditionWatch:
             displacement_px=self._pipeline.scale * state.displacement.most_px(self._shape),
             displacement_left_px=self._pipeline.scale * state.left_px,
             background_doubtful=state.doubtful,
+            restless_foreground=0.0 if moved is None else moved.dynamic_share,
+            **things,
+        )
+
+    def add(self, background: Condition, stamp_ns: int, silhouette: Silhouette) -> None:
+        """Add the silhouette of that frame, the last one that the pipeline segmented."""
+        certainty, anything = self._pipeline.certainty, silhouette.foreground_fraction + silhouette.candidate_fraction
+        now = Shares(background.restless_foreground or 0.0, certainty.unexplained, certainty.faint or 0.0)
+        lasts = self._lasts(stamp_ns, now)
+        self.found = replace(
+            background,
             restless_foreground=lasts.restless,
             unexplained_foreground=lasts.unexplained,
             person_faint=None if certainty.faint is None else lasts.faint,
             person_maybe_shadow=certainty.maybe_shadow,
             shadow_share=silhouette.candidate_fraction / anything if anything >= LEAST_PERSON else None,
-            **things,
         )
 
     def _lasts(self, stamp_ns: int, now: Shares) -> Shares:
         """Return the least of each share in the last STILL_S; 0 while that is not over."""
+        if self._lasting and stamp_ns < self._lasting[-1][0]:  # a clock was set back
+            self._lasting.clear()
         self._lasting.append((stamp_ns, now))
         while len(self._lasting) > 1 and (stamp_ns - self._lasting[1][0]) * NS >= STILL_S:
             self._lasting.popleft()
@@ -148,6 +149,8 @@ class ConditionWatch:
         return Shares(*map(min, zip(*(shares for _, shares in self._lasting), strict=True)))
 
     def _recent_switches(self, stamp_ns: int, switches: int) -> int:
+        if self._switches and stamp_ns < self._switches[-1][0]:
+            self._switches.clear()
         self._switches.append((stamp_ns, switches))
         while (stamp_ns - self._switches[0][0]) * NS > RECENT_S:
             self._switches.popleft()

@@ -13,6 +13,7 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info, read_camera_info
 from capture_rig.errors import InputError
+from capture_rig.region import may_be_halved, of_shape
 from capture_rig.rig import Volume, load_rig
 
 from .frame_source import FrameSource
@@ -85,7 +86,11 @@ def load_camera(settings: CameraClientSettings, name: str) -> tuple[CameraModel,
 
 
 def connect_source(
-    settings: CameraClientSettings, accept: Accept, clock: SharedClock, topic: Callable[[], FrameSource]
+    settings: CameraClientSettings,
+    calibration: Calibration,
+    accept: Accept,
+    clock: SharedClock,
+    topic: Callable[[], FrameSource],
 ) -> FrameSource:
     """Return the source that ``settings.source`` names, connected, and looked at by ``accept``. Raises InputError.
 
@@ -93,7 +98,8 @@ def connect_source(
     ``clock`` : the one that footage shares with the other cameras; ``topic`` : makes the source of source: topic.
     """
     if settings.source != "footage":
-        source: FrameSource = live_source(settings, accept, topic)
+        halve = not settings.publish_raw and may_be_halved(calibration.camera, calibration.volume)
+        source: FrameSource = live_source(settings, accept, topic, halve)
         source.connect()
         return source
     if not settings.footage.path:
@@ -111,11 +117,17 @@ def connect_source(
 
 
 def live_source(
-    settings: CameraClientSettings, accept: Accept, topic: Callable[[], FrameSource] | None = None
+    settings: CameraClientSettings,
+    accept: Accept,
+    topic: Callable[[], FrameSource] | None = None,
+    halve_mosaics: bool = False,
 ) -> SupervisedSource:
-    """Return the live camera of ``settings`` under supervision, not connected yet. Raises InputError."""
+    """Return the live camera of ``settings`` under supervision, not connected yet. Raises InputError.
+
+    ``halve_mosaics``: images of Bayer cameras at half of the size are fine enough.
+    """
     makers: dict[str, Callable[[], FrameSource] | None] = {
-        "aravis": lambda: AravisSource(settings.aravis, settings.channels),
+        "aravis": lambda: AravisSource(settings.aravis, settings.channels, halve_mosaics),
         "webcam": lambda: WebcamSource(settings.webcam, settings.channels),
         "topic": topic,
     }
@@ -162,7 +174,8 @@ def _rate_hz(details: Mapping[str, str]) -> float:
 def check_size(source: FrameSource, camera: CameraModel) -> None:
     """Raises InputError when the source's images are not as large as the camera was calibrated for."""
     height, width = source.shape[:2]
-    if (width, height) != (camera.width, camera.height):
+    given = of_shape(camera, source.shape) if source.halved else camera
+    if (width, height) != (given.width, given.height):
         raise InputError(
             f"gives images of {width} x {height} pixels, camera {camera.name} was calibrated at "
             f"{camera.width} x {camera.height}",

@@ -17,7 +17,7 @@ from .condition import Condition, ConditionWatch
 from .frame_source import Frame
 from .movement import CameraMovedDetector, Movement, carry_turn_over, turn_when_learned
 from .settings import CameraClientSettings
-from .silhouettes.pipeline import SilhouettePipeline
+from .silhouettes.pipeline import Difference, SilhouettePipeline
 from .sources.footage_reader import open_footage
 from .sources.frame_checks import NO_PICTURE_FLAGS, FrameChecks
 
@@ -46,6 +46,17 @@ class _Stages:
     background: BackgroundModel | None = None
     moved: CameraMovedDetector | None = None
     condition: ConditionWatch | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BegunFrame:
+    """A frame whose silhouette is not made yet, with the stages that will make it."""
+
+    stages: _Stages
+    stamp_ns: int
+    result: FrameResult
+    difference: Difference | None
+    condition: Condition | None
 
 
 class FrameProcessor:
@@ -147,18 +158,34 @@ class FrameProcessor:
 
     def run(self, frame: Frame) -> FrameResult:
         """Process one frame. Raises InputError for one of another size or type."""
+        return self.finish(self.begin(frame))
+
+    def begin(self, frame: Frame) -> BegunFrame:
+        """Do what the next frames need, as :meth:`run` says: all but the silhouette."""
         tools = self._stages
         canvas = None if tools.camera is None else tools.camera.undistorted_view().camera
-        silhouette, gain = None, 1.0
+        difference, gain, condition = None, 1.0, None
         if tools.pipeline is not None:
-            silhouette, gain = tools.pipeline.run(frame.image, frame.stamp_ns), tools.pipeline.gain
+            difference, gain = tools.pipeline.subtract(frame.image, frame.stamp_ns), tools.pipeline.gain
         flags = tools.checks.check(frame.image, frame.stamp_ns, gain)
-        if tools.condition is not None and silhouette is not None and not flags:
-            tools.condition.update(frame.stamp_ns, silhouette)
+        if tools.condition is not None and not flags:
+            condition = tools.condition.of_background(frame.stamp_ns)
         moved = tools.moved
         if moved is not None and not {*flags} & NO_PICTURE_FLAGS:
             moved.update(frame.image, frame.stamp_ns)
-        return FrameResult(canvas, flags, silhouette, None if moved is None else moved.movement)
+        result = FrameResult(canvas, flags, None, None if moved is None else moved.movement)
+        return BegunFrame(tools, frame.stamp_ns, result, difference, condition)
+
+    def finish(self, begun: BegunFrame) -> FrameResult:
+        """Make the silhouette of a frame that was begun. On one thread, in the frames' order; the next frames may be
+        begun on another one meanwhile, which changes nothing."""
+        tools = begun.stages
+        if tools.pipeline is None or begun.difference is None:
+            return begun.result
+        silhouette = tools.pipeline.segment(begun.difference)
+        if tools.condition is not None and begun.condition is not None:
+            tools.condition.add(begun.condition, begun.stamp_ns, silhouette)
+        return replace(begun.result, silhouette=silhouette)
 
     def _made(self, camera: CameraModel | None, model: BackgroundModel | None) -> _Stages:
         s = self._settings
@@ -172,5 +199,5 @@ class FrameProcessor:
             pipeline = SilhouettePipeline(
                 camera, model, silhouette, s.background_model, self._volume, alignment=moved.alignment
             )
-            condition = ConditionWatch(pipeline, model)
+            condition = ConditionWatch(pipeline)
         return _Stages(camera, checks, pipeline, model, moved, condition)

@@ -105,6 +105,11 @@ class FrameSource(ABC):
         """(H, W) or (H, W, 3): the shape of every image, known once connected."""
 
     @property
+    def halved(self) -> bool:
+        """Whether images are made at half of the size that the device sends."""
+        return False
+
+    @property
     @abstractmethod
     def description(self) -> str:
         """What this is, in words, for logs and the provenance of a background."""

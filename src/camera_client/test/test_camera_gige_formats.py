@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from camera_client.gige.pixel_formats import (
     LAYOUTS,
+    can_be_halved,
     choose_format,
     find_format,
     image_bytes,
@@ -99,6 +100,25 @@ def test_bayer_finds_red_where_the_name_says(name, red_at):
     raw[red_at[0] :: 2, red_at[1] :: 2] = 200
     blue, green, red = to_image(raw.tobytes(), name, 8, 8)[3:5, 3:5].reshape(-1, 3).mean(axis=0)
     assert red > 190 and blue < 10 and green < 10
+
+
+@pytest.mark.parametrize("name", ["BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8"])
+def test_tiles_of_a_mosaic_are_pixels_of_half_the_size(name):
+    rng = np.random.default_rng(7)
+    colours = rng.integers(0, 256, (3, 4, 3))  # of each tile, BGR
+    greens = colours[..., 1] + rng.integers(-9, 10, (3, 4))
+    raw = np.zeros((6, 8), np.uint8)
+    tiles = {"RG": "RGGB", "GR": "GRBG", "GB": "GBRG", "BG": "BGGR"}[name[5:7]]
+    green = iter((colours[..., 1], np.clip(greens, 0, 255)))
+    planes = {"R": colours[..., 2], "B": colours[..., 0]}
+    for place, colour in enumerate(tiles):
+        raw[place // 2 :: 2, place % 2 :: 2] = next(green) if colour == "G" else planes[colour]
+    image = to_image(raw.tobytes(), name, 8, 6, halved=True)
+    assert image.shape == image_shape(name, 8, 6, halved=True) == (3, 4, 3)
+    np.testing.assert_array_equal(image[..., ::2], colours[..., ::2])
+    mean = (colours[..., 1] + np.clip(greens, 0, 255)) / 2
+    assert np.abs(image[..., 1] - mean).max() <= 0.5
+    assert can_be_halved(name, 8, 6) and not can_be_halved(name, 7, 6) and not can_be_halved("BGR8", 8, 6)
 
 
 @pytest.mark.parametrize("name", PIXEL_FORMATS)

@@ -46,6 +46,17 @@ def of_region(camera: CameraModel, region: Region) -> CameraModel:
     return replace(camera, width=region.width, height=region.height, K=K)
 
 
+def of_shape(camera: CameraModel, shape: tuple[int, ...]) -> CameraModel:
+    """Return the camera whose pictures have a shape (H, W[, 3]): the given one, or it at half of its size."""
+    half = Region(2, 0, 0, -(-camera.width // 2), -(-camera.height // 2))
+    return of_region(camera, half) if shape[:2] == (half.height, half.width) else camera
+
+
+def may_be_halved(camera: CameraModel | None, volume: Volume | None) -> bool:
+    """Return whether pictures at half of the size are as fine as the hull needs them; not where that is unknown."""
+    return camera is not None and volume is not None and 2 * pixel_width_m(camera, volume) <= MOST_PIXEL_M
+
+
 def needed_region(camera: CameraModel, volume: Volume) -> Region:
     """Return the smallest region whose pixels' rays meet the volume, with some spare; the whole picture when none do.
 

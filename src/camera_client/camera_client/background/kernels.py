@@ -139,9 +139,21 @@ def _write_squares(rest, out):  # type: ignore[no-untyped-def]
 def _write_squares_of_planes(r0, r1, r2, rho, out):  # type: ignore[no-untyped-def]
     scale, common = F32(SCALE / (1.0 - rho)), F32(rho / (1.0 + 2.0 * rho))
     for i in range(len(out)):
-        whole = r0[i] + r1[i] + r2[i]
-        total = r0[i] * r0[i] + r1[i] * r1[i] + r2[i] * r2[i] - common * whole * whole
-        out[i] = np.uint8(min(total * scale, F32(HIGHEST)))
+        out[i] = _squared(r0[i], r1[i], r2[i], scale, common)
+
+
+@njit(**OPTIONS)
+def _write_squares_of_pixels(rest, rho, out):  # type: ignore[no-untyped-def]
+    scale, common = F32(SCALE / (1.0 - rho)), F32(rho / (1.0 + 2.0 * rho))
+    for i in range(len(out)):
+        out[i] = _squared(rest[3 * i], rest[3 * i + 1], rest[3 * i + 2], scale, common)
+
+
+@njit(**OPTIONS)
+def _squared(r0, r1, r2, scale, common):  # type: ignore[no-untyped-def]
+    whole = r0 + r1 + r2
+    total = r0 * r0 + r1 * r1 + r2 * r2 - common * whole * whole
+    return np.uint8(min(total * scale, F32(HIGHEST)))
 
 
 @njit(**OPTIONS)
@@ -167,28 +179,24 @@ def look_closely(image, learned, today, bounds, clipped, box, expected, distance
     read, slope = today.noise[0][begin:end], today.noise[1][begin:end]
     geometry, unevenness = today.noise[2][begin:end], today.noise[3][begin:end]
     gain, offset = today.light[0][begin:end], today.light[1][begin:end]
-    rest, variance = np.empty(end - begin, np.float32), np.empty(end - begin, np.float32)
-    planes = np.empty((3, right - left), np.float32)
+    rest = np.empty(end - begin, np.float32)
     for v in range(top, bottom):
         cell = min(int(today.down[v]), last)
         above, below = today.field[cell][begin:end], today.field[min(cell + 1, last)][begin:end]
+        share, row = today.down[v] - F32(cell), learned.mean[v][begin:end]
         steep, more = learned.steepness2[v][begin:end], learned.excess[v][begin:end]
         seen, to, out = image[v][begin:end], expected[v - top], distance[v][left:right]
-        _lit(learned.mean[v][begin:end], above, below, today.down[v] - F32(cell), to)
         for i in range(len(to)):
-            variance[i] = read[i] + slope[i] * to[i] + unevenness[i] * to[i] * to[i]
-        for i in range(len(to)):
-            variance[i] += geometry[i] * steep[i] + more[i]
-        for i in range(len(to)):
-            to[i] = min(max(gain[i] * to[i] + offset[i], F32(0)), F32(HIGHEST))
-        for i in range(len(to)):
-            rest[i] = (F32(seen[i]) - to[i]) / np.sqrt(variance[i])
+            level = row[i] * (above[i] + share * (below[i] - above[i]))
+            variance = read[i] + slope[i] * level + unevenness[i] * level * level
+            variance += geometry[i] * steep[i] + more[i]
+            level = min(max(gain[i] * level + offset[i], F32(0)), F32(HIGHEST))
+            to[i] = level
+            rest[i] = (F32(seen[i]) - level) / np.sqrt(variance)
         if channels == 1:
             _write_squares(rest, out)
         else:
-            for x in range(len(out)):
-                planes[0, x], planes[1, x], planes[2, x] = rest[3 * x], rest[3 * x + 1], rest[3 * x + 2]
-            _write_squares_of_planes(planes[0], planes[1], planes[2], bounds.rho, out)
+            _write_squares_of_pixels(rest, bounds.rho, out)
         kind = clipped[v][left:right]
         for x in range(len(out)):
             if kind[x] != 0 and _is_clipped(seen[channels * x : channels * (x + 1)], kind[x], bounds):

@@ -22,7 +22,7 @@ class CameraSetup:
     """How the camera takes pictures now.
 
     pixel_format : its standard name. exposure_us, frame_rate : None where the camera does not report it, or waits for
-    triggers. chunks : names of the chunks that each frame carries.
+    triggers. chunks : names of the chunks that each frame carries. halved : images are made at half of the size.
     """
 
     pixel_format: str
@@ -32,6 +32,7 @@ class CameraSetup:
     frame_rate: float | None
     chunks: tuple[str, ...]
     warnings: tuple[str, ...]
+    halved: bool = False
 
 
 def set_up_camera(features: Features, settings: AravisSettings, channels: str) -> CameraSetup:

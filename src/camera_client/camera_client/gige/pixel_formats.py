@@ -1,6 +1,8 @@
 """Pixel formats of GenICam cameras that we can take, and how each becomes an 8-bit mono or BGR image.
 
 Grey levels of 10 and 12 bits are cut to their upper 8: the background model, and everything after it, works on 8 bits.
+A Bayer mosaic is interpolated, or each tile of 2 x 2 pixels is one pixel of an image at half of the size, which invents
+nothing: silhouettes are better and cheaper so (test_camera_bayer.py).
 Source: EMVA Pixel Format Naming Convention 2.x; GigE Vision 1.x for the ``Packed`` formats.
 """
 
@@ -12,18 +14,23 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from capture_rig.kernel import kernel
+
 from ..frame_source import Image
 
 Bytes = np.ndarray  # (N,) uint8: a frame as it came
+Convert = Callable[[Bytes, int, int], Image]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """How a format lies in memory: bits that one pixel takes, whether it has colour, and how it becomes an image."""
+    """How a format lies in memory: bits that one pixel takes, whether it has colour, and how it becomes an image, or,
+    of a mosaic, one at half of the size."""
 
     bits_per_pixel: int
     colour: bool
-    convert: Callable[[Bytes, int, int], Image]
+    convert: Convert
+    halve: Convert | None = None
 
 
 def _mono8(raw: Bytes, width: int, height: int) -> Image:
@@ -88,13 +95,37 @@ def _yuv422(luma: int, blue: int, red: int) -> Callable[[Bytes, int, int], Image
     return convert
 
 
+def _bayer(code: int, red_row: int, red_column: int) -> Layout:
+    def halve(raw: Bytes, width: int, height: int) -> Image:
+        image = np.empty((height // 2, width // 2, 3), np.uint8)
+        halve_mosaic(raw.reshape(height, width), red_row, red_column, image)
+        return image
+
+    return Layout(8, True, _opencv(code, 1), halve)
+
+
+@kernel
+def halve_mosaic(mosaic, red_row, red_column, image):  # type: ignore[no-untyped-def]
+    """Write one pixel, BGR, for each tile of 2 x 2 pixels of a Bayer mosaic (2 h, 2 w) into ``image`` (h, w, 3).
+
+    red_row, red_column : of the red pixel in each tile; green is the mean of the two beside it, rounded.
+    """
+    for y in range(image.shape[0]):
+        to, with_red, with_blue = image[y], mosaic[2 * y + red_row], mosaic[2 * y + 1 - red_row]
+        for x in range(image.shape[1]):
+            red, blue = 2 * x + red_column, 2 * x + 1 - red_column
+            to[x, 0] = with_blue[blue]
+            to[x, 1] = (np.int32(with_red[blue]) + np.int32(with_blue[red]) + 1) >> 1
+            to[x, 2] = with_red[red]
+
+
 # in the order of preference, as settings.PIXEL_FORMATS;
 # OpenCV names a Bayer pattern by its second row, GenICam by its first: BayerRG8 is "BG"
 LAYOUTS: dict[str, Layout] = {
-    "BayerRG8": Layout(8, True, _opencv(cv2.COLOR_BayerBG2BGR, 1)),
-    "BayerGR8": Layout(8, True, _opencv(cv2.COLOR_BayerGB2BGR, 1)),
-    "BayerGB8": Layout(8, True, _opencv(cv2.COLOR_BayerGR2BGR, 1)),
-    "BayerBG8": Layout(8, True, _opencv(cv2.COLOR_BayerRG2BGR, 1)),
+    "BayerRG8": _bayer(cv2.COLOR_BayerBG2BGR, 0, 0),
+    "BayerGR8": _bayer(cv2.COLOR_BayerGB2BGR, 0, 1),
+    "BayerGB8": _bayer(cv2.COLOR_BayerGR2BGR, 1, 0),
+    "BayerBG8": _bayer(cv2.COLOR_BayerRG2BGR, 1, 1),
     "YUV422_8": Layout(16, True, _yuv422(luma=0, blue=1, red=3)),
     "YUV422_8_UYVY": Layout(16, True, _yuv422(luma=1, blue=0, red=2)),
     "BGR8": Layout(24, True, _opencv(None, 3)),
@@ -136,8 +167,15 @@ def find_format(wanted: str, available: list[str]) -> str | None:
     return next((name for name in available if standard_name(name) == standard_name(wanted)), None)
 
 
-def image_shape(name: str, width: int, height: int) -> tuple[int, ...]:
-    """Shape of the converted image: (H, W), or (H, W, 3) for colour."""
+def can_be_halved(name: str, width: int, height: int) -> bool:
+    """Whether it is a mosaic of whole tiles."""
+    return LAYOUTS[standard_name(name)].halve is not None and width % 2 == height % 2 == 0
+
+
+def image_shape(name: str, width: int, height: int, halved: bool = False) -> tuple[int, ...]:
+    """Shape of the converted image: (H, W), or (H, W, 3) for colour; ``halved``: of a mosaic, at half of the size."""
+    if halved:
+        return height // 2, width // 2, 3
     return (height, width, 3) if LAYOUTS[standard_name(name)].colour else (height, width)
 
 
@@ -146,13 +184,14 @@ def image_bytes(name: str, width: int, height: int) -> int:
     return -(-LAYOUTS[standard_name(name)].bits_per_pixel * width * height // 8)
 
 
-def to_image(data: bytes | Bytes, name: str, width: int, height: int) -> Image:
+def to_image(data: bytes | Bytes, name: str, width: int, height: int, halved: bool = False) -> Image:
     """Return the raw bytes of one frame as an image of its own memory: (H, W), or (H, W, 3) BGR; uint8.
 
-    Raises ValueError when the bytes are too few.
+    ``halved``: of a mosaic, (H / 2, W / 2, 3). Raises ValueError when the bytes are too few.
     """
     size = image_bytes(name, width, height)
     if len(data) < size:
         raise ValueError(f"{len(data)} bytes are too few for {width} x {height} {name}")
     raw = data[:size] if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8, size)
-    return LAYOUTS[standard_name(name)].convert(raw, width, height)
+    layout = LAYOUTS[standard_name(name)]
+    return (layout.halve if halved and layout.halve is not None else layout.convert)(raw, width, height)

@@ -252,28 +252,43 @@ def look_up(mask, top, left, bottom, right, place, low, high, canvas):  # type: 
     place (h, w) uint32 : index of the pixel that each pixel of the canvas shows, or _UNSEEN. low, high : of
     :func:`_canvas_of_cells`. canvas (h, w) uint8 : written, zeros before.
     """
-    pixels = mask.reshape(-1)
     for row in range(top // CELL_PX, -(-bottom // CELL_PX)):
-        first, last = right, left - 1  # columns that hold anything: arms make a person wide, but only in few rows
-        for y in range(max(top, row * CELL_PX), min(bottom, (row + 1) * CELL_PX)):
-            x = left
-            while x < first and mask[y, x] == 0:
-                x += 1
-            first, x = x, right - 1
-            while x > last and mask[y, x] == 0:
-                x -= 1
-            last = x
-        if last < first:
-            continue
-        v0, u0 = canvas.shape
-        v1, u1 = 0, 0
-        for cell in range(first // CELL_PX, last // CELL_PX + 1):
-            v0, u0 = min(v0, low[row, cell, 0]), min(u0, low[row, cell, 1])
-            v1, u1 = max(v1, high[row, cell, 0]), max(u1, high[row, cell, 1])
-        for v in range(v0, v1):
-            for u in range(u0, u1):
-                if place[v, u] != _UNSEEN:
-                    canvas[v, u] = pixels[place[v, u]]
+        y0, y1 = max(top, row * CELL_PX), min(bottom, (row + 1) * CELL_PX)
+        begin = -1
+        for cell in range(left // CELL_PX, -(-right // CELL_PX) + 1):  # runs of cells that hold anything
+            x0, x1 = max(left, cell * CELL_PX), min(right, (cell + 1) * CELL_PX)
+            holds = x0 < x1 and _holds_anything(mask[y0:y1, x0:x1])
+            if holds and begin < 0:
+                begin = cell
+            elif not holds and begin >= 0:
+                _look_up_cells(mask, low[row, begin:cell], high[row, begin:cell], place, canvas)
+                begin = -1
+
+
+@njit(**OPTIONS)
+def _holds_anything(part):  # type: ignore[no-untyped-def]
+    for y in range(part.shape[0]):
+        row, found = part[y], np.uint8(0)
+        for x in range(len(row)):
+            found |= row[x]
+        if found:
+            return True
+    return False
+
+
+@njit(**OPTIONS)
+def _look_up_cells(mask, low, high, place, canvas):  # type: ignore[no-untyped-def]
+    """Fill the rectangle of the canvas that looks into a run of cells; low, high (n, 2) : of each."""
+    v0, u0, v1, u1 = canvas.shape[0], canvas.shape[1], 0, 0
+    for cell in range(len(low)):
+        v0, u0 = min(v0, low[cell, 0]), min(u0, low[cell, 1])
+        v1, u1 = max(v1, high[cell, 0]), max(u1, high[cell, 1])
+    pixels = mask.reshape(-1)
+    for v in range(v0, v1):
+        to, looks_at = canvas[v, u0:u1], place[v, u0:u1]
+        for u in range(len(to)):
+            if looks_at[u] != _UNSEEN:
+                to[u] = pixels[looks_at[u]]
 
 
 def _canvas_of_cells(nearest: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -8,6 +8,7 @@ background looks like the people, undistort.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
-from capture_rig.region import MOST_PIXEL_M, Region, of_region, pixel_width_m
+from capture_rig.region import may_be_halved, of_shape
 from capture_rig.rig import Volume
 from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
@@ -26,6 +27,7 @@ from ..background.adaptation.expected_image import Corners, Samples
 from ..background.kernels import STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
+from ..background.noise import Noise
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
@@ -35,7 +37,7 @@ from .certainty import Certainty, CertaintyMeter
 from .codec_errors import codec_error_sigma
 from .components import PeopleRule, keep_people
 from .evidence import CLEAR, EvidenceFilter, least_evidence
-from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, majority, majority_count, trim_outline
+from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
 from .shadows import HALVED_NOISE, Scene, enlarged, halve, make_shadow_test
 
 EMPTY, FULL = "empty", "full"
@@ -45,6 +47,31 @@ TYPICAL_LEVEL = 128.0  # grey level at which one number stands for the noise
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps
 MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
 EMPTY_BELOW, FULL_ABOVE = 2e-4, 0.6  # share of foreground at which a mask is flagged: no person looks like that
+
+
+@dataclass(frozen=True, eq=False)
+class Difference:
+    """Where a frame differs from the background as it looked then: all that its silhouette is made of.
+
+    image : as it is looked at, (h, w[, 3]) uint8; samples, distance : of it, and how far each is from the background.
+    scene : what is in the ``box`` around all foreground, None where there is none; closely : how far each of its pixels
+    is from the background. spans : of it that is looked at; None: all. likely, nobody : ``likely`` and
+    ``seen_by_nobody`` of :class:`..background.moved_things.MovedThings` then.
+    """
+
+    stamp_ns: int | None
+    now_ns: int
+    shows_scene: bool
+    image: Image
+    samples: Samples
+    distance: Mask
+    noise: Noise
+    box: Box
+    scene: Scene | None
+    closely: Mask
+    spans: Spans | None
+    likely: Mask | None
+    nobody: npt.NDArray[np.bool_] | None
 
 
 class SilhouettePipeline:
@@ -67,14 +94,18 @@ class SilhouettePipeline:
         """``volume``: the capture volume; what may be floor far from it stays the person. ``alignment``: of pictures
         with the background, where there is one already."""
         settings, background_settings = settings or SilhouetteSettings(), background_settings or BackgroundSettings()
-        check_shape(background, (camera.height, camera.width, *background.shape[2:]), f"camera {camera.name}")
-        self._camera, self._settings, self._image_shape = camera.name, settings, background.shape
-        self._undistorter, whole = BoxUndistorter(camera.undistorted_view()), camera
-        self.scale = 2 if volume is not None and 2 * pixel_width_m(camera, volume) <= MOST_PIXEL_M else 1
-        """Pixels of the image, in each direction, to one that is looked at."""
-        if self.scale > 1:
-            half = Region(2, 0, 0, -(-camera.width // 2), -(-camera.height // 2))
-            camera, background, alignment = of_region(camera, half), halved_background(background), None
+        whole, given = camera, of_shape(camera, background.shape)
+        check_shape(background, (given.height, given.width, *background.shape[2:]), f"camera {camera.name}")
+        self._camera, self._settings, self._frame_shape = camera.name, settings, background.shape
+        self.image_shape = camera.height, camera.width
+        """Of the camera (H, W): as large as masks are."""
+        self._undistorter = BoxUndistorter(camera.undistorted_view())
+        self._halves = given is camera and may_be_halved(camera, volume)
+        if self._halves:
+            background, alignment = halved_background(background), None
+        camera = of_shape(camera, background.shape)
+        self.scale = 1 if camera is whole else 2
+        """Pixels of the camera, in each direction, to one that is looked at."""
         self._shape = background.shape
         self.background: AdaptiveBackground | FixedBackground
         if background_settings.rule == "adaptive":
@@ -97,7 +128,7 @@ class SilhouettePipeline:
         least_px = majority_count()
         self._locator = ForegroundLocator(self._shape, min_area_px, least_px, self.background.step_px)
         self._distance, self._levels = np.zeros((2, *self._shape[:2]), np.uint8)
-        self._image_levels = np.zeros(self._image_shape[:2], np.uint8) if self.scale > 1 else self._levels
+        self._image_levels = np.zeros(self.image_shape, np.uint8) if self.scale > 1 else self._levels
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
@@ -116,11 +147,11 @@ class SilhouettePipeline:
     @property
     def background_pixels(self) -> Mask:
         """(H, W) 255 where the last frame showed the background, as far as it was looked at, else 0."""
-        return enlarged(self._locator.buffer, self.background.step_px * self.scale, self._image_shape)
+        return enlarged(self._locator.buffer, self.background.step_px * self.scale, self.image_shape)
 
     @property
     def certainty(self) -> Certainty:
-        """How sure a silhouette of the last half second is."""
+        """How sure a silhouette of the last half second is; read where frames are segmented."""
         return self._certainty.found
 
     def run(self, image: Image, stamp_ns: int | None = None) -> Silhouette:
@@ -129,10 +160,14 @@ class SilhouettePipeline:
         What changes is followed by the frames' ``stamp_ns``, so that the same footage gives the same silhouettes at
         every speed; frames without one count as UNTIMED_HZ.
         """
+        return self.segment(self.subtract(image, stamp_ns))
+
+    def subtract(self, image: Image, stamp_ns: int | None = None) -> Difference:
+        """Begin a frame, as :meth:`run` says: follow the background, find where the image differs from it."""
         self._check(image)
         self._untimed_ns += round(1e9 / UNTIMED_HZ)
         now_ns = self._untimed_ns if stamp_ns is None else stamp_ns
-        image = halve(image) if self.scale > 1 else image
+        image = halve(image) if self._halves else image
         samples = samples_of(image)
         shows_scene = self._dark_room or not is_black(grid_sample(image))
         if shows_scene:  # a covered lens says nothing of light and noise
@@ -141,34 +176,42 @@ class SilhouettePipeline:
         box = self._find_foreground(image, samples, distance, now_ns if shows_scene else None)
         if shows_scene:
             self.background.note_foreground(self._locator.dense)
-        measured = self._certainty.is_due(now_ns)
-        if box.empty:
+        noise, scene, spans = self.background.noise, None, None
+        if not box.empty:
+            scene = Scene(image[box.slices], self._look(image, box), noise, box.slices)
+            spans = self._locator.spans(box.slices, REACH_BLOCKS) if self._evidence is not None else None
+        things = (None, None) if self.moved is None else (self.moved.likely, self.moved.seen_by_nobody)
+        closely, known = self._distance[box.slices].copy(), (stamp_ns, now_ns, shows_scene)
+        return Difference(*known, image, samples, distance, noise, box, scene, closely, spans, *things)
+
+    def segment(self, found: Difference) -> Silhouette:
+        """Finish a frame, as :meth:`run` says: cut the silhouette out. On one thread, in the frames' order; the next
+        frames may be subtracted on another one meanwhile, which changes nothing."""
+        measured, box, scene = self._certainty.is_due(found.now_ns), found.box, found.scene
+        if scene is None:
             self._certainty.note_nothing()
             nothing = np.zeros((0, 0), np.uint8)
-            canvas = self._canvas_levels(samples, distance, nothing, box, nothing)
-            return self._silhouette(stamp_ns, nothing, box, canvas)
-        expected = self._look(image, box)
-        part, noise = image[box.slices], self.background.noise
-        scene = Scene(part, expected, noise, box.slices, codec_error_sigma(part, expected, noise))
-        raw = self._decide(scene)
+            canvas = self._canvas_levels(found, nothing, nothing)
+            return self._silhouette(found.stamp_ns, nothing, box, canvas)
+        scene = replace(scene, codec_sigma=codec_error_sigma(scene.image, scene.expected, scene.noise))
+        raw = self._decide(found, scene)
         shadow = self._shadow.shadow(scene, raw)
-        kept = self._keep_person(cv2.subtract(raw, shadow), box)
+        kept = self._keep_person(cv2.subtract(raw, shadow), found)
         person, cut = self._trim_outline(kept, scene)
         marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
         if measured:
-            self._certainty.note(self._distance[box.slices], raw, kept, shadow, marked)
-        if self._colours is not None and shows_scene:
-            nobody = None if self.moved is None else self.moved.seen_by_nobody
-            self._colours.learn(image, marked, box, nobody, now_ns)
+            self._certainty.note(found.closely, raw, kept, shadow, marked)
+        if self._colours is not None and found.shows_scene:
+            self._colours.learn(found.image, marked, box, found.nobody, found.now_ns)
         levels = person
         if self._attenuation is not None:
             levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        canvas = self._canvas_levels(samples, distance, marked, box, cut)
-        return self._silhouette(stamp_ns, self._of_image(levels, box, cut), self._in_image(box), canvas)
+        canvas = self._canvas_levels(found, marked, cut)
+        return self._silhouette(found.stamp_ns, self._of_image(levels, box, cut), self._in_image(box), canvas)
 
     def _check(self, image: Image) -> None:
-        if image.shape != self._image_shape or image.dtype != np.uint8:
-            expected = shape_text(self._image_shape)
+        if image.shape != self._frame_shape or image.dtype != np.uint8:
+            expected = shape_text(self._frame_shape)
             raise InputError(
                 f"an image of {shape_text(image.shape)} {image.dtype} came, expected {expected} uint8",
                 remedy="The camera's region or pixel format has changed; configure again.",
@@ -209,19 +252,17 @@ class SilhouettePipeline:
         distance = self._distance[Box(*box).slices]
         return expected, np.asarray(cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1])
 
-    def _decide(self, scene: Scene) -> Mask:
+    def _decide(self, found: Difference, scene: Scene) -> Mask:
         """Return the foreground of a part, by its neighbourhood's evidence, or by the majority (the thesis's rules)."""
-        distance = self._distance[scene.at]
         if self._evidence is None:
-            mask = cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1]
+            mask = cv2.threshold(found.closely, self.background.threshold, 255, cv2.THRESH_BINARY)[1]
             return majority(mask)
-        spans = self._locator.spans(scene.at, REACH_BLOCKS)
-        return self._evidence.decide(distance, scene.image, scene.expected, scene.noise, scene.codec_sigma, spans)
+        noise, codec_sigma = scene.noise, scene.codec_sigma
+        return self._evidence.decide(found.closely, scene.image, scene.expected, noise, codec_sigma, found.spans)
 
-    def _keep_person(self, mask: Mask, box: Box) -> Mask:
+    def _keep_person(self, mask: Mask, found: Difference) -> Mask:
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, self._closing)
-        things = None if self.moved is None or self.moved.likely is None else self.moved.likely[box.slices]
-        return keep_people(mask, self._people, things)
+        return keep_people(mask, self._people, None if found.likely is None else found.likely[found.box.slices])
 
     def _trim_outline(self, kept: Mask, scene: Scene) -> tuple[Mask, Mask]:
         """Return the person, and which pixels of the image around them, where that is finer, are only background."""
@@ -238,7 +279,7 @@ class SilhouettePipeline:
     def _in_image(self, box: Box) -> Box:
         """Return a box of what is looked at in the image's own pixels."""
         top, left, bottom, right = (self.scale * side for side in box)
-        return Box(top, left, min(bottom, self._image_shape[0]), min(right, self._image_shape[1]))
+        return Box(top, left, min(bottom, self.image_shape[0]), min(right, self.image_shape[1]))
 
     def _of_image(self, levels: Mask, box: Box, cut: Mask) -> Mask:
         """Return the levels of a box in the image's own pixels; ``cut`` : 255 at those that are only background."""
@@ -248,19 +289,19 @@ class SilhouettePipeline:
         levels = enlarged(levels, self.scale, (bottom - top, right - left))
         return cv2.subtract(levels, cut[: bottom - top, : right - left])
 
-    def _canvas_levels(self, samples: Samples, distance: Mask, marked: Mask, box: Box, cut: Mask) -> Mask:
+    def _canvas_levels(self, found: Difference, marked: Mask, cut: Mask) -> Mask:
         """Return the levels on the canvas: those ``marked`` in the box, and where the camera is uncertain."""
-        levels, whole = self._levels, box
-        levels[box.slices] = marked
+        levels, box = self._levels, found.box
+        levels[box.slices], whole = marked, box
         if self._colours is not None:
-            noise = self.background.noise
-            least = least_evidence(noise.sigma(TYPICAL_LEVEL), noise)
-            uncertain = self._colours.mark_uncertain(samples, distance, levels, least, CLEAR * least)
+            least = least_evidence(found.noise.sigma(TYPICAL_LEVEL), found.noise)
+            uncertain = self._colours.mark_uncertain(found.samples, found.distance, levels, least, CLEAR * least)
             whole = box.joined(uncertain)
         image_levels, whole_image = self._image_levels, self._in_image(whole)
         if self.scale > 1:
             shape = whole_image.bottom - whole_image.top, whole_image.right - whole_image.left
-            image_levels[whole_image.slices] = enlarged(levels[whole.slices], self.scale, shape) if shape[0] else 0
+            if whole != box:
+                image_levels[whole_image.slices] = enlarged(levels[whole.slices], self.scale, shape)
             image_levels[self._in_image(box).slices] = self._of_image(levels[box.slices], box, cut)
         canvas = self._undistorter.undistort(image_levels, whole_image)
         image_levels[whole_image.slices], levels[whole.slices] = 0, 0  # as they were
@@ -268,7 +309,7 @@ class SilhouettePipeline:
 
     def _silhouette(self, stamp_ns: int | None, levels: Mask, box: Box, canvas: Mask) -> Silhouette:
         """Return the silhouette of the levels (h, w) in a box of the image, and on the canvas."""
-        image_mask = np.zeros(self._image_shape[:2], np.uint8)
+        image_mask = np.zeros(self.image_shape, np.uint8)
         image_mask[box.slices] = levels
         anything, person = 0, 0
         if levels.size:
@@ -305,9 +346,12 @@ LINE_PX = 2
 def outline(image: Image, mask: Mask) -> Image:
     """Draw the outlines of a silhouette into its image.
 
-    Gives the image (H, W[, 3]) at half size, BGR, the person's outline green, that of shadow candidates orange.
-    ``mask`` (H, W) is :attr:`mocap_packets.silhouette.Silhouette.image_mask`, of two or three levels.
+    Gives the image (H, W[, 3]), which may come at half size, at half size, BGR, the person's outline green, that of
+    shadow candidates orange. ``mask`` (H, W) is :attr:`mocap_packets.silhouette.Silhouette.image_mask`, of two or three
+    levels.
     """
+    if image.shape[:2] != mask.shape:
+        image = np.asarray(cv2.resize(image, mask.shape[::-1], interpolation=cv2.INTER_NEAREST))
     shown = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     for level, colour in ((SHADOW_CANDIDATE, CANDIDATE_BGR), (FOREGROUND, PERSON_BGR)):
         contours, _ = cv2.findContours(cv2.inRange(mask, level, level), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE)

@@ -37,7 +37,7 @@ def mean_of_channels(image, expected, grey, expected_grey):  # type: ignore[no-u
             other[x] = (level[x, 0] + level[x, 1] + level[x, 2]) * F32(1 / 3)
 
 
-@njit(**OPTIONS)
+@njit(**OPTIONS, crops=True)
 def find_darkened(image, expected, mask, noise, codec_variance, darkest, rule):  # type: ignore[no-untyped-def]
     """Return (h, w) uint8: 255 where the colour of 2 x 2 pixels is that of the darkened background, else 0.
 

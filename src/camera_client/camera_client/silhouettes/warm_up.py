@@ -10,6 +10,7 @@ from capture_rig.camera import CameraModel
 
 from ..background.kernels import clear_absorbed
 from ..background.model import BackgroundModel, Provenance
+from ..gige.pixel_formats import to_image
 from .pipeline import SilhouettePipeline
 
 WIDTH, HEIGHT = 160, 120
@@ -34,5 +35,7 @@ def warm_up_silhouettes(colour: bool) -> None:
         picture[20:100, 60:100] = 20.0
         image = np.rint(picture).clip(0, 255).astype(np.uint8)
         pipeline.run(image, frame * STEP_NS)
+    if colour:
+        to_image(np.zeros(WIDTH * HEIGHT, np.uint8), "BayerRG8", WIDTH, HEIGHT, halved=True)
     pixels, mask = image.reshape(HEIGHT, WIDTH, -1), np.zeros((HEIGHT, WIDTH), np.uint8)
     clear_absorbed(pixels, mean.reshape(pixels.shape), mask, mask, 1.0, 1, (0, 0, HEIGHT, WIDTH), mask)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from capture_rig.errors import InputError
@@ -22,7 +23,7 @@ from ..gige.camera_setup import CameraSetup, set_up_camera
 from ..gige.capture_time import PTP_IN_STEP, FrameTimes, TimeSource, choose_time_source
 from ..gige.discovery import CameraSelector, FoundCamera, find_camera
 from ..gige.features import DeviceRefusal, DeviceSilence, Features
-from ..gige.pixel_formats import image_shape
+from ..gige.pixel_formats import can_be_halved, image_shape
 from ..gige.triggers import ActionSender, TriggerSchedule, TriggerThread, enable_ptp, ptp_status, synchronise
 from ..settings import AravisSettings
 from .aravis_features import AravisFeatures, is_silence
@@ -55,9 +56,10 @@ class AravisSource(FrameSource):
     ``counters``: stamp_jumps, wrong_format, incomplete frames by cause, the stream's packets, triggers and actions.
     """
 
-    def __init__(self, settings: AravisSettings, channels: str = "auto") -> None:
+    def __init__(self, settings: AravisSettings, channels: str = "auto", halve_mosaics: bool = False) -> None:
+        """``halve_mosaics``: of Bayer cameras, images are made at half of the size."""
         super().__init__()
-        self._settings, self._channels = settings, channels
+        self._settings, self._channels, self._halve_mosaics = settings, channels, halve_mosaics
         self._clock = CaptureClock(settings.clock_speed)
         self._wanted = CameraSelector(settings.address, settings.serial, settings.user_id, settings.interface)
         self._found: FoundCamera | None = None
@@ -88,7 +90,9 @@ class AravisSource(FrameSource):
             with self._device_errors("while it was set up"):
                 self._open(self._found)
                 assert self._features is not None
-                self._setup = set_up_camera(self._features, self._settings, self._channels)
+                setup = set_up_camera(self._features, self._settings, self._channels)
+                halved = self._halve_mosaics and can_be_halved(setup.pixel_format, setup.width, setup.height)
+                self._setup = replace(setup, halved=halved)
                 self._prepare_time_and_triggers(self._features)
                 self._stream = AravisStream(self._Aravis, self._camera, self._settings, self._setup, self.statistics)
                 self._details = self._read_details(self._features)
@@ -150,7 +154,11 @@ class AravisSource(FrameSource):
     def shape(self) -> tuple[int, ...]:
         if self._setup is None:
             raise self._error("is not connected", "Call connect() first.")
-        return image_shape(self._setup.pixel_format, self._setup.width, self._setup.height)
+        return image_shape(self._setup.pixel_format, self._setup.width, self._setup.height, self._setup.halved)
+
+    @property
+    def halved(self) -> bool:
+        return self._setup is not None and self._setup.halved
 
     @property
     def description(self) -> str:

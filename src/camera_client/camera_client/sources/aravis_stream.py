@@ -126,7 +126,8 @@ class AravisStream:
             self._counts["wrong_format"] += 1
         else:
             setup = self._setup
-            image = to_image(buffer.memory[: self._image_bytes], setup.pixel_format, setup.width, setup.height)
+            size = setup.width, setup.height
+            image = to_image(buffer.memory[: self._image_bytes], setup.pixel_format, *size, setup.halved)
         self._statistics.add(frame_id, complete=image is not None)
         if image is None:
             return None

@@ -21,6 +21,7 @@ from camera_client.settings import AravisSettings, CameraClientSettings
 from camera_client.sources.aravis_source import AravisSource
 from camera_client.sources.footage_reader import open_footage
 from capture_rig.errors import InputError
+from capture_rig.region import of_shape
 from capture_rig.settings import build_settings
 from gige_vision import bootstrap
 from gige_vision.gvcp import PORT, AcknowledgePacket, Command, CommandPacket, DeviceRecord, MalformedPacket
@@ -148,7 +149,8 @@ def check_background(file: CameraFile) -> Finding | None:
     except (InputError, OSError) as problem:
         return error("background.unusable", f"{problem}", f"Name the right file, or empty the parameter, and {learn}")
     size = f"{path} is {shape[1]} x {shape[0]}, the camera {camera.width} x {camera.height} pixels"
-    if shape[:2] != (camera.height, camera.width):
+    given = of_shape(camera, shape) if len(shape) == 3 else camera  # of a mosaic's tiles
+    if shape[:2] != (given.height, given.width):
         return error("background.size_differs", size, learn)
     text = f"{path}, {age_s / 3600:.0f} h old; {model.provenance.frames} frames of {model.provenance.source}"
     return graded("background", text, (age_s > OLD_S, warning, "old", f"The light has changed since: {learn}"))

@@ -1,0 +1,111 @@
+"""Frames that are under way together, on two threads, give what one thread gives, byte for byte."""
+
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from camera_pictures import iou, learned
+from node_probe import SUCCESS
+
+from camera_client.frame_processor import FrameProcessor
+from camera_client.frame_source import Frame
+from camera_client.settings import CameraClientSettings
+from stick_figure.body import Body
+from virtual_studio.motions.catalogue import MOTIONS
+from virtual_studio.people import OUTFITS, VolumetricBody
+from virtual_studio.recording.session import FIRST_BACKGROUND_FRAME
+from virtual_studio.rendering.camera import Sensor, VirtualCamera
+from virtual_studio.rendering.capsules import floor_shadow
+from virtual_studio.rig import ring
+
+CAMERA, POSES, FRAMES, STEP_NS = 1, 6, 30, 10**8
+SENSOR = Sensor(noise=2.0, flicker=0.005, seed=13)
+
+
+class Take:
+    """Frames of a person who walks in a room whose lamps are turned down on the way, and its learned background."""
+
+    def __init__(self, colour):
+        self.rig = ring(4, size=(320, 240))
+        self.camera = self.rig.cameras[CAMERA]
+        eye, body = VirtualCamera(self.camera), Body.from_stature(1.75)
+        empty = eye.empty_room_colour() if colour else eye.empty_room()
+        poses = MOTIONS["walk"](body, 2.0, 15.0).poses[10 : 10 + POSES]
+        people, outfit = [VolumetricBody(body).place(pose) for pose in poses], OUTFITS["middle"]
+        seen = [
+            eye.render_colour(person, outfit.albedo_bgr(person), floor_shadow(person, 0.5))
+            if colour
+            else eye.render(outfit.dress(person), floor_shadow(person, 0.5))
+            for person in people
+        ]
+        shots = (SENSOR.expose(empty, CAMERA, FIRST_BACKGROUND_FRAME + k) for k in range(30))
+        self.background, self.truth = learned(shots), [mask for _, mask in seen]
+        self.order = ([*range(POSES), *reversed(range(POSES))] * FRAMES)[:FRAMES]
+        self.frames = []
+        for k, pose in enumerate(self.order):
+            light = np.float32(1.0 if k < FRAMES // 2 else 0.8) * seen[pose][0]
+            self.frames.append(Frame(SENSOR.expose(light, CAMERA, k), k * STEP_NS, k, "test"))
+
+    def processor(self):
+        processor = FrameProcessor(self.camera, CameraClientSettings(), self.rig.volume)
+        processor.use_background(self.background)
+        return processor
+
+
+def one_thread(processor, frames):
+    return [processor.run(frame) for frame in frames]
+
+
+def two_threads(processor, frames):
+    with ThreadPoolExecutor(1) as segmenting:
+        return [each.result() for each in [segmenting.submit(processor.finish, processor.begin(f)) for f in frames]]
+
+
+def three_threads(processor, frames):
+    """... the first of which runs ahead as far as it can."""
+    with ThreadPoolExecutor(1) as subtracting, ThreadPoolExecutor(1) as segmenting:
+        begun = [subtracting.submit(processor.begin, frame).result() for frame in frames]
+        return [segmenting.submit(processor.finish, each).result() for each in begun]
+
+
+@pytest.mark.parametrize("colour, pixel_m", [(False, 0.0), (True, 0.0), (True, 1.0)], ids=["mono", "colour", "halved"])
+def test_threads_change_no_byte_of_silhouettes_condition_and_background(colour, pixel_m, monkeypatch):
+    monkeypatch.setattr("capture_rig.region.MOST_PIXEL_M", pixel_m)
+    take, told = Take(colour), []
+    for run in (one_thread, two_threads, three_threads):
+        processor = take.processor()
+        results = run(processor, take.frames)
+        pipeline, state = processor.pipeline, processor.pipeline.background.state
+        assert pipeline.scale == (2 if pixel_m else 1) and 0.7 < pipeline.gain < 0.9  # the light is followed
+        assert iou(results[-1].silhouette.image_mask, take.truth[take.order[-1]]) > 0.7
+        told.append(
+            [each.silhouette.mask.tobytes() + each.silhouette.image_mask.tobytes() for each in results]
+            + [(each.flags, each.silhouette.foreground_fraction, each.movement.values()) for each in results]
+            + [pipeline.certainty, processor.condition, state.noise.read.tobytes(), state.displacement]
+            + [state.light.gain.tobytes(), state.light.field.tobytes(), pipeline.background_pixels.tobytes()]
+        )
+    assert told[0] == told[1] == told[2]
+    assert len(set(told[0][:FRAMES])) == FRAMES
+
+
+@pytest.mark.parametrize("threads, names", [(1, {"grab"}), (2, {"segment"})])
+def test_live_silhouettes_are_made_on_as_many_threads_as_are_given(bench, gige_camera, threads, names):
+    simulated, seen = gige_camera(), []
+    settings = {"camera_name": "cam01", "source": "aravis", "aravis.address": simulated.address, "threads": threads}
+    camera = bench(**settings)
+    assert camera.node.trigger_configure() == SUCCESS
+    finish = camera.node.processor.finish
+
+    def watched(begun):
+        seen.append((threading.current_thread().name, begun.stamp_ns))
+        return finish(begun)
+
+    camera.node.processor.finish = watched
+    assert camera.node.trigger_activate() == SUCCESS
+    loop = camera.node.loop
+    camera.until(lambda: len(seen) >= 20)
+    assert camera.node.trigger_deactivate() == SUCCESS
+    assert {name for name, _ in seen} == names
+    assert [stamp for _, stamp in seen] == sorted({stamp for _, stamp in seen})
+    assert len(seen) == loop.frames  # none is left behind
