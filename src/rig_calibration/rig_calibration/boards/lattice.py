@@ -22,7 +22,6 @@ from capture_rig.lens import Array
 MAX_SADDLES = 3000
 # Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
 MIN_STRENGTH = 0.02  # of the response of the image's 20th strongest saddle
-MIN_CURVATURE = 0.8  # grey levels per px^2: below it is noise
 NEIGHBOURS = 24
 MAX_SINE = 0.35  # of the angle between an edge and the way to the neighbour
 MIN_CORNERS = 6
@@ -67,7 +66,7 @@ def find_saddles(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float]
     xy = cv2.Sobel(smooth, cv2.CV_32F, 1, 1, ksize=3, scale=0.25)
     strength = xy * xy - xx * yy
     top = cv2.dilate(strength, np.ones((3, 3), np.uint8))
-    peak = (strength >= top) & (strength > MIN_CURVATURE**2 / max(smoothing_px) ** 2)
+    peak = (strength >= top) & (strength > 0)
     peak[:2], peak[-2:], peak[:, :2], peak[:, -2:] = False, False, False, False
     row, column = np.nonzero(peak)
     values = strength[row, column]
