@@ -15,6 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import CameraModel
 from capture_rig.lens import Array
@@ -218,8 +219,7 @@ def _fit_line(seen: Sequence[tuple[View, Array]], symmetries: Sequence[int]) -> 
     if len(found) < 2 or not np.isfinite(found).all():
         return None, np.inf
     points, model = np.array(found, float), shape.points[where]
-    along, direction = model[-1] - model[0], points[-1] - points[0]
-    R = _swing(along / np.linalg.norm(along), direction / np.linalg.norm(direction))
+    R = Rotation.align_vectors(points[-1] - points[0], model[-1] - model[0])[0].as_matrix()  # the smallest that does
     pose = transform(R, (points - model @ R.T).mean(0))
     return pose, float(
         np.mean([_miss(pose, view, T, symmetry) for (view, T), symmetry in zip(seen, symmetries, strict=True)])
@@ -233,13 +233,3 @@ def _miss(pose: Array, view: View, T_camera_root: Array, symmetry: int) -> float
     if np.any(seen[2] <= 0) or not np.isfinite(view.ideal).all():
         return np.inf
     return float(np.mean(np.linalg.norm(seen[:2] / seen[2] - view.ideal.T, axis=0)))
-
-
-def _swing(a: Array, b: Array) -> Array:
-    """Return the smallest rotation that takes unit vector a to b."""
-    axis, cosine = np.cross(a, b), float(a @ b)
-    if cosine < -1 + 1e-12:
-        across = np.linalg.svd(a[None])[2][1]
-        return 2 * np.outer(across, across) - np.eye(3)
-    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + K + K @ K / (1 + cosine)

@@ -100,7 +100,6 @@ STEP_M = 0.1
 LEVELS_M = np.arange(0.15, DEFAULT_HEIGHT_M, 0.25)  # heights at which a place on the floor is asked who sees it
 BODY_TOP_M = 1.7  # a person can be tracked at a place where enough cameras see every height up to this
 REACH = 2.0  # a camera counts up to so many times its distance from the rig's centre; beyond, its pixels are too coarse
-MIN_DISTANCE_M = 0.3
 MIN_SIDE_M, MAX_SIDE_M = 1.0, 8.0
 TIP_SHARE = 0.02
 """Of the places, so many may lie outside the box on each side: the tips of a star are not worth their voxels."""
@@ -171,16 +170,11 @@ def _cameras_seeing(cameras: Sequence[CameraModel], x: Array, y: Array) -> npt.N
     centre = np.array([x.mean(), y.mean(), 1.0])
     seeing = np.zeros(points.shape[:3], np.int64)
     for camera in cameras:
-        seeing += _sees(camera, points, REACH * float(np.linalg.norm(camera.centre_world - centre)))
+        pixels = camera.project(points)  # NaN: behind the camera, or beyond its lens
+        inside = ((pixels > -0.5) & (pixels < [camera.width - 0.5, camera.height - 0.5])).all(axis=-1)
+        reach_m = REACH * np.linalg.norm(camera.centre_world - centre)
+        seeing += inside & (np.linalg.norm(points - camera.centre_world, axis=-1) < reach_m)
     return seeing
-
-
-def _sees(camera: CameraModel, points_world: Array, reach_m: float) -> npt.NDArray[np.bool_]:
-    pixels = camera.project(points_world)
-    distance = np.linalg.norm(points_world - camera.centre_world, axis=-1)
-    with np.errstate(invalid="ignore"):  # NaN: behind the camera, or beyond its lens
-        inside = (pixels > -0.5).all(axis=-1) & (pixels < [camera.width - 0.5, camera.height - 0.5]).all(axis=-1)
-    return inside & (distance > MIN_DISTANCE_M) & (distance < reach_m)
 
 
 def _largest_piece(place: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
