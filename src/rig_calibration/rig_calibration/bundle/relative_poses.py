@@ -104,7 +104,6 @@ def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
 MIN_POINTS = 12  # the essential matrix needs five; with fewer than this, wrong labels cannot be told
 INLIER_PX, CONFIDENCE = 3.0, 0.9999
 LABELLING_ROUNDS = 5
-FRAME_SUPPORT = 0.5  # what a frame of a wand is worth beside a frame of a board
 
 Pair = tuple[Array, Array, Array]  # the same markers of a frame: ideal points (n, 2) in a and b, positions (n, 3)
 
@@ -129,7 +128,7 @@ def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b
         if labels == before:
             break
     fitting = [pair for pair in chosen if _epipolar_distance(E, pair).max() < tolerance]
-    return _with_scale(E, fitting, len(fitting) * FRAME_SUPPORT) if fitting else None
+    return _with_scale(E, fitting) if fitting else None
 
 
 def line_pose(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
@@ -179,7 +178,7 @@ def _epipolar_distance(E: Array, pair: Pair) -> Array:
     return np.abs((b * line_b).sum(1)) / np.maximum(slope, 1e-12)
 
 
-def _with_scale(E: Array, fitting: Sequence[Pair], support: float) -> RelativePose:
+def _with_scale(E: Array, fitting: Sequence[Pair]) -> RelativePose:
     points_a, points_b = (np.concatenate([pair[side] for pair in fitting]) for side in (0, 1))
     _, R, direction, _ = cv2.recoverPose(E, points_a, points_b, np.eye(3))
     T = transform(np.asarray(R, float), np.asarray(direction, float).reshape(3))
@@ -189,7 +188,7 @@ def _with_scale(E: Array, fitting: Sequence[Pair], support: float) -> RelativePo
         seen = [_triangulate([ideal_a[end], ideal_b[end]], [np.eye(4), T]) for end in ends]
         ratios.append(np.linalg.norm(points[ends[1]] - points[ends[0]]) / np.linalg.norm(seen[1] - seen[0]))
     T[:3, 3] *= np.median(ratios)
-    return RelativePose(T, support)
+    return RelativePose(T, len(fitting))
 
 
 def _triangulate(ideal: Sequence[Array], T_camera_root: Sequence[Array]) -> Array:
