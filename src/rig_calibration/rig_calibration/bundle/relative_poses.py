@@ -24,8 +24,7 @@ from capture_rig.rigid import angles_between, transform
 from .problem import DetectionPoses, View
 
 # Thresholds: judgement, no measurement.
-ANGLE_TOLERANCE = np.radians(5.0)  # of the rotation that one board tells
-DISTANCE_TOLERANCE = 0.05  # of the distance of the board
+TOLERANCE = 0.05  # of the rotation that one board tells, rad, and of the board's distance
 CANDIDATE_FRAMES, VOTING_FRAMES = 40, 80
 
 
@@ -69,7 +68,7 @@ def relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> Re
 
 def agreement_weight(angle: Array, distance_ratio: Array) -> Array:
     """Weigh how well two poses agree, 1 to 0, that differ by an angle (rad) and by a share of the distance."""
-    return 1 / (1 + (angle / ANGLE_TOLERANCE) ** 2 + (distance_ratio / DISTANCE_TOLERANCE) ** 2) ** 2
+    return 1 / (1 + (angle**2 + distance_ratio**2) / TOLERANCE**2) ** 2
 
 
 def _hypotheses(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> _Hypotheses:
