@@ -57,11 +57,6 @@ def board_in_world(corners_board: Array, choice: WorldChoice) -> Array:
     return T_world_board
 
 
-def world_from_floor(T_reference_board: Array, T_world_board: Array) -> Array:
-    """T_world_reference (4, 4), when the board lies at ``T_reference_board`` on the floor."""
-    return T_world_board @ inverse(T_reference_board)
-
-
 def world_of_level_camera(T_camera_reference: Array) -> Array:
     """T_world_reference (4, 4) when no floor is known: the camera is taken for level, world x is where it looks, and
     the world's origin is its centre. Directions and distances are right but for that tilt; heights mean nothing."""
@@ -149,11 +144,6 @@ def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
         y=y,
         standing=standing,
     )
-
-
-def centre_of(volume: Volume) -> Array:
-    """Return (3,) the middle of the box, world."""
-    return (volume.low + volume.high) / 2
 
 
 def _floor_grid(cameras: Sequence[CameraModel]) -> tuple[Array, Array]:
@@ -248,7 +238,8 @@ class RigFigures:
 
 def rig_figures(placed: PlacedRig, solution: RigSolution, floor: Mapping[str, FloorView]) -> RigFigures:
     """Compute all figures of the rig; ``floor`` for those that see the floor board."""
-    centre, cameras = centre_of(placed.rig.volume), placed.rig.cameras
+    volume, cameras = placed.rig.volume, placed.rig.cameras
+    centre = (volume.low + volume.high) / 2
     counts = Counter(detection.camera for detection in solution.detections)
     weights = np.array([counts[camera.name] for camera in cameras], float)
     squares = np.array([solution.rms_px[camera.name] ** 2 for camera in cameras])
