@@ -21,7 +21,7 @@ of all).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from report import Table, execute, finish, parser
@@ -100,27 +100,10 @@ def _turn(K: np.ndarray, rng: np.random.Generator, degrees: float) -> Callable[[
     return lambda mask: cv2.warpPerspective(mask, H, mask.shape[::-1], flags=cv2.INTER_NEAREST)
 
 
-class Masks(Mapping[str, Mask]):
-    """The masks of one frame set, unpacked and falsified only when they are asked for."""
-
-    def __init__(self, clip: Clip, frame: int, faulty: str = "", fault: Callable[[Mask], Mask] = lambda m: m) -> None:
-        self._clip, self._frame, self._faulty, self._fault = clip, frame, faulty, fault
-        self._known: dict[str, Mask] = {}
-
-    def __getitem__(self, camera: str) -> Mask:
-        if camera not in self._known:
-            mask = self._clip.mask(self._frame, camera)
-            self._known[camera] = self._fault(mask) if camera == self._faulty else mask
-        return self._known[camera]
-
-    def __contains__(self, camera: object) -> bool:
-        return camera in self._clip.rig.names
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._clip.rig.names)
-
-    def __len__(self) -> int:
-        return len(self._clip.rig.names)
+def falsified(clip: Clip, frame: int, camera: str, fault: Callable[[Mask], Mask]) -> dict[str, Mask]:
+    """The masks of one frame set, one camera's with a fault."""
+    masks = clip.masks(frame)
+    return masks | {camera: fault(masks[camera])}
 
 
 # --- drills
@@ -149,10 +132,11 @@ def drill(
 ) -> Drill:
     """Sound, faulty, sound again."""
     result, start = Drill(), START + 17 * clip.rig.names.index(faulty)  # another instant for every camera
-    falsified = fault(clip.mask(start + SOUND - 1, faulty), rng)
+    becomes = fault(clip.mask(start + SOUND - 1, faulty), rng)
     for frame in range(SOUND + FAULTY + AFTER):
         since = frame - SOUND
-        masks = Masks(clip, start + frame, faulty if 0 <= since < FAULTY else "", falsified)
+        is_faulty = 0 <= since < FAULTY
+        masks = falsified(clip, start + frame, faulty, becomes) if is_faulty else clip.masks(start + frame)
         verdict = detector.update(masks, round(frame / FPS * 1e9))
         result.wrong |= {name for name in verdict.left_out + verdict.suspects if name != faulty}
         if since >= 0 and result.named is None and faulty in verdict.left_out + verdict.suspects:
@@ -162,14 +146,16 @@ def drill(
         if since >= FAULTY and result.found is not None and result.back is None and faulty not in verdict.left_out:
             result.back = since - FAULTY
         if since in (FAULTY - 60, FAULTY - 30, FAULTY - 1):
-            _compare(carver, Masks(clip, start + frame), masks, verdict.left_out, result)
+            _compare(carver, clip.masks(start + frame), masks, verdict.left_out, result)
     return result
 
 
-def _compare(carver: CarveBackend, sound: Masks, falsified: Masks, left_out: tuple[str, ...], result: Drill) -> None:
-    used = {name: mask for name, mask in falsified.items() if name not in left_out}
+def _compare(
+    carver: CarveBackend, sound: dict[str, Mask], seen: dict[str, Mask], left_out: tuple[str, ...], result: Drill
+) -> None:
+    used = {name: mask for name, mask in seen.items() if name not in left_out}
     hulls = []
-    for masks in (dict(sound), dict(falsified), used):
+    for masks in (sound, seen, used):
         volume = carver.carve(masks, min_seeing(len(masks)))
         litres = volume.grid.voxel_volume_m3 * 1e3
         hulls.append(volume.to_dense())

@@ -33,19 +33,20 @@ from report import Table, execute, finish, parser
 
 import hosts_clients
 import psutil
-from hosts_camera import READY, write_clip
+from hosts_camera import write_clip
 from hosts_drill import (
-    DOMAIN,
-    JUMBO,
     NO_PROFILE,
-    OTHER_DOMAIN,
     SERVER,
-    SETTLE_S,
     NetworkDrill,
     Trial,
+    apart,
     cut,
     environment_of,
+    jumbo,
+    other_domain,
+    sender,
     steady,
+    vanish,
 )
 from hosts_witness import Row, Witness
 from namespaces import Condition, World, inside, is_inside, why_not
@@ -55,7 +56,7 @@ from capture_rig import save_rig
 
 CAMERAS, HZ, CLIP_S = 4, 60.0, 2.0
 SECONDS, QUICK_S = 8.0, 4.0
-START_S, ABSENT_S, WAY_S = 90.0, 6.0, 0.5
+START_S, WAY_S = 90.0, 0.5
 VOXEL_M = 0.08
 BENCH = Path(__file__).resolve().parent
 PROFILE = BENCH.parent / "config" / "dds" / "fastdds.xml"
@@ -65,16 +66,17 @@ QUICK = ("plain", "loss 5 %", "a host vanishes")
 class Drill(NetworkDrill):
     """Light senders and a hull server, all of them running."""
 
-    cut_s, recover_s = 3.0, 30.0
+    cut_s, absent_s, recover_s = 3.0, 6.0, 30.0
+    heavy = 0  # whose silhouettes are the largest
 
     def __init__(self, world: World, folder: Path, arguments: Any) -> None:
         self.world, self.folder, self.hz, self.seconds = world, folder, arguments.hz, arguments.seconds
-        self._environment = environment_of(world, folder, arguments)
+        self.environment = environment_of(world, folder, arguments)
         if arguments.profile != NO_PROFILE:
-            self._environment["RMW_FASTRTPS_USE_QOS_FROM_XML"] = "1"
+            self.environment["RMW_FASTRTPS_USE_QOS_FROM_XML"] = "1"
         self.witness = self._start_server(arguments.resend)
         for camera in self.cameras:
-            self.start_camera(camera)
+            self.switch_on(camera)
         self.wait("the first whole frame set", lambda: self.witness.whole_since(0.0), START_S)
 
     def _start_server(self, resend: bool) -> Witness:
@@ -91,16 +93,17 @@ class Drill(NetworkDrill):
         parameters = [word for key, value in values.items() for word in ("-p", f"{key}:={value}")]
         hull = [sys.executable, "-m", "hull_server.hull_node", "--ros-args", *parameters]
         host, log = self.world.hosts[SERVER], (self.folder / "hull_server.log").open("w")
-        host.start(hull, self._environment, stdout=log, stderr=log)
+        host.start(hull, self.environment, stdout=log, stderr=log)
         listener = [sys.executable, str(BENCH.parent / "tests/support/hosts_listener.py"), *self.cameras]
-        return Witness(host.start(listener, self._environment, stdout=subprocess.PIPE, text=True))
+        return Witness(host.start(listener, self.environment, stdout=subprocess.PIPE, text=True))
 
-    def start_camera(self, camera: str, *options: str, domain: str = DOMAIN) -> float:
-        """Start a camera's sender; returns when it had begun to send, s of the monotonic clock."""
-        command = [sys.executable, str(BENCH / "hosts_camera.py"), str(self.folder / "clip"), camera, f"{self.hz:g}"]
-        environment = {**self._environment, "ROS_DOMAIN_ID": domain}
-        sender = self.world.hosts[camera].start([*command, *options], environment, stdout=subprocess.PIPE, text=True)
-        assert sender.stdout.readline().strip() == READY, f"the sender of {camera} did not start"
+    def switch_off(self, camera: str) -> None:
+        """Kill a camera's sender."""
+        self.world.hosts[camera].kill()
+
+    def switch_on(self, camera: str, ahead_s: float = 0.0) -> float:
+        """Start a camera's sender; returns when it had begun to send."""
+        sender(self, camera, self.hz, "--clock", str(ahead_s))
         return time.monotonic()
 
     def measure(self, name: str, seconds: float | None = None, **times: float | None) -> Row:
@@ -118,68 +121,11 @@ class Drill(NetworkDrill):
         """As of the real clients' drill."""
         return self.witness.figures(name, begin_ns, seconds, self.hz, **times)
 
-    def restart(self, camera: str, *options: str) -> None:
-        """Start a camera's sender anew, with other options."""
-        self.world.hosts[camera].kill()
-        self.start_camera(camera, *options)
-
 
 def used_s(pid: int) -> float:
     """Processor time of a process so far, s."""
     times = psutil.Process(pid).cpu_times()
     return float(times.user + times.system)
-
-
-def vanish(drill: Drill, name: str) -> list[Row]:
-    """Take the power of the last camera's host, and give it again."""
-    camera = drill.cameras[-1]
-    drill.world.cables[camera].cut()
-    drill.world.hosts[camera].kill()
-    gone_s = time.monotonic()
-    time.sleep(SETTLE_S)
-    row = drill.measure(name, ABSENT_S)
-    lost_s = drill.wait("the graph's notice", lambda: drill.witness.lost_since(camera, gone_s))
-    drill.world.cables[camera].mend()
-    recovered_s = drill.since_whole(drill.start_camera(camera))
-    times = {"noticed_s": None if lost_s is None else lost_s - gone_s, "recovered_s": recovered_s}
-    return [Row(**{**asdict(row), **times})]
-
-
-def apart(seconds: float) -> Trial:
-    """Return the trial of a clock that is ahead by so much."""
-
-    def trial(drill: Drill, name: str) -> list[Row]:
-        camera = drill.cameras[-1]
-        drill.restart(camera, "--clock", str(seconds))
-        time.sleep(SETTLE_S)
-        row = drill.measure(name)
-        drill.restart(camera)
-        return [Row(**{**asdict(row), "recovered_s": drill.since_whole(time.monotonic())})]
-
-    return trial
-
-
-def other_domain(drill: Drill, name: str) -> list[Row]:
-    """Send another graph's silhouettes beside, from every camera host, in another ROS domain."""
-    for camera in drill.cameras:
-        drill.start_camera(camera, domain=OTHER_DOMAIN)
-    time.sleep(SETTLE_S)
-    row = drill.measure(name)
-    for camera in drill.cameras:
-        drill.restart(camera)
-    return [row]
-
-
-def jumbo(drill: Drill, name: str) -> list[Row]:
-    """Let the first camera's host, whose silhouettes are the largest, send packets that the bridge does not take."""
-    camera = drill.cameras[0]
-    drill.world.cables[camera].set_host_mtu(JUMBO)
-    drill.restart(camera)
-    time.sleep(SETTLE_S)
-    row = drill.measure(name)
-    drill.world.cables[camera].set_host_mtu(None)
-    drill.restart(camera)
-    return [row]
 
 
 CONDITIONS: dict[str, Trial] = {

@@ -25,7 +25,7 @@ from typing import Any
 from report import Table
 
 from hosts_camera import write_clip
-from hosts_drill import JUMBO, OTHER_DOMAIN, SERVER, SETTLE_S, NetworkDrill, Trial, cut, environment_of, steady
+from hosts_drill import SERVER, NetworkDrill, Trial, apart, cut, environment_of, jumbo, other_domain, steady, vanish
 from hosts_witness import Witness
 from namespaces import Condition, World
 from scenes import studio_clip
@@ -43,8 +43,7 @@ CLIENT_HZ, FPS = 10.0, ACTED_HZ / SLOWER
 SAGOMA = [sys.executable, "-m", "sagoma_tools.cli"]
 BENCH = Path(__file__).resolve().parent
 CAMERA_ADDRESS = "127.0.1.1"
-START_S, ABSENT_S, LATEST_S, DOCTOR_S = 300.0, 8.0, 1.0, 5.0
-NEIGHBOUR_HZ = 60.0
+START_S, LATEST_S, DOCTOR_S = 300.0, 1.0, 5.0
 STANDS_S, SECOND_NS = 5.0, 1_000_000_000  # in the T-pose, once tracked
 
 
@@ -130,7 +129,8 @@ class CameraPC:
 class ClientDrill(NetworkDrill):
     """Camera PCs, their backgrounds learned, a person tracked."""
 
-    cut_s, recover_s = 5.0, 120.0
+    cut_s, absent_s, recover_s = 5.0, 8.0, 120.0
+    heavy = -1
 
     def __init__(self, world: World, folder: Path, arguments: Any) -> None:
         self.world, self.folder, self.hz, self.seconds = world, folder, arguments.hz, arguments.seconds
@@ -156,6 +156,23 @@ class ClientDrill(NetworkDrill):
     def last(self) -> CameraPC:
         """The PC that suffers where one does."""
         return list(self.pcs.values())[-1]
+
+    def switch_off(self, camera: str) -> None:
+        """Take a camera PC's power."""
+        self.pcs[camera].vanish()
+
+    def switch_on(self, camera: str, ahead_s: float = 0.0) -> float:
+        """Start the programs of a camera PC; with another clock, wait for its client."""
+        if not ahead_s:
+            return self.pcs[camera].start()
+        library = self.folder / "clock.so"
+        if not library.exists():
+            source = str(BENCH / "hosts_clock.c")
+            subprocess.run(["cc", "-shared", "-fPIC", "-O2", "-o", str(library), source], check=True)
+        ahead = {"LD_PRELOAD": str(library), "SAGOMA_CLOCK_AHEAD_NS": str(round(ahead_s * 1e9))}
+        begun_s = self.pcs[camera].start(**ahead)
+        self.wait("its client", lambda: self.witness.known_since(camera, begun_s))
+        return begun_s
 
     def _sagoma(self, *words: str, log: str) -> Any:
         sink = (self.folder / f"server_{log}.log").open("a")
@@ -215,64 +232,6 @@ class ClientDrill(NetworkDrill):
         shares = (sets.complete, sets.formed, sets.p50_ms, sets.p95_ms, p50_ms, p95_ms, len(errors_mm) / exposed)
         noticed_s, recovered_s = times.get("noticed_s"), times.get("recovered_s")
         return ClientRow(name, *shares, error_mm, noticed_s, recovered_s, says, "")
-
-
-def vanish(drill: ClientDrill, name: str) -> list[ClientRow]:
-    """Take the power of the last camera PC, and give it again."""
-    pc = drill.last
-    drill.world.cables[pc.name].cut()
-    pc.vanish()
-    gone_s = time.monotonic()
-    lost_s = drill.wait("the graph's notice", lambda: drill.witness.lost_since(pc.name, gone_s))
-    row = drill.measure(name, ABSENT_S, noticed_s=None if lost_s is None else lost_s - gone_s)
-    drill.world.cables[pc.name].mend()
-    return [ClientRow(**{**asdict(row), "recovered_s": drill.since_whole(pc.start())})]
-
-
-def apart(seconds: float) -> Trial:
-    """Return the trial of a camera PC whose clock is ahead by so much; its camera exposes with the others."""
-
-    def trial(drill: ClientDrill, name: str) -> list[ClientRow]:
-        pc, library = drill.last, drill.folder / "clock.so"
-        if not library.exists():
-            source = str(BENCH / "hosts_clock.c")
-            subprocess.run(["cc", "-shared", "-fPIC", "-O2", "-o", str(library), source], check=True)
-        pc.vanish()
-        begun_s = pc.start(LD_PRELOAD=str(library), SAGOMA_CLOCK_AHEAD_NS=str(round(seconds * 1e9)))
-        drill.wait("its client", lambda: drill.witness.known_since(pc.name, begun_s))
-        time.sleep(SETTLE_S)
-        row = drill.measure(name)
-        pc.vanish()
-        return [ClientRow(**{**asdict(row), "recovered_s": drill.since_whole(pc.start())})]
-
-    return trial
-
-
-def other_domain(drill: ClientDrill, name: str) -> list[ClientRow]:
-    """Let a neighbour's cameras of the same names send at 60 Hz from every PC, in another ROS domain."""
-    senders = []
-    for camera, pc in drill.pcs.items():
-        command = [sys.executable, str(BENCH / "hosts_camera.py"), str(drill.folder / "clip"), camera]
-        environment = {**drill.environment, "ROS_DOMAIN_ID": OTHER_DOMAIN}
-        senders.append(pc.host.start([*command, f"{NEIGHBOUR_HZ:g}"], environment, stdout=subprocess.PIPE, text=True))
-        assert senders[-1].stdout.readline(), f"the neighbour's {camera} did not start"
-    time.sleep(SETTLE_S)
-    row = drill.measure(name)
-    for sender in senders:
-        sender.kill()
-        sender.wait()
-    return [row]
-
-
-def jumbo(drill: ClientDrill, name: str) -> list[ClientRow]:
-    """Let the last PC send packets that the bridge does not take, from its start on."""
-    pc = drill.last
-    drill.world.cables[pc.name].set_host_mtu(JUMBO)
-    pc.vanish()
-    recovered_s = drill.since_whole(pc.start())
-    row = drill.measure(name, recovered_s=recovered_s)
-    drill.world.cables[pc.name].set_host_mtu(None)
-    return [row]
 
 
 CONDITIONS: dict[str, Trial] = {

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +17,40 @@ from namespaces import Condition, World
 SERVER, DOMAIN, OTHER_DOMAIN = "server", "7", "8"
 JUMBO, NO_PROFILE = 9000, "none"
 SETTLE_S, LOOK_S = 1.5, 0.02
+NEIGHBOUR_HZ = 60.0
 
 
 class NetworkDrill(ABC):
-    """A world with a server and camera hosts in it; ``witness``: what the server's listener tells."""
+    """A world with a server and camera hosts in it; ``witness``: what the server's listener tells; ``heavy``: which of
+    the cameras suffers from packets that are too large."""
 
     world: World
     witness: Witness
+    folder: Path
+    environment: dict[str, str]
     hz: float
     cut_s: float
+    absent_s: float
     recover_s: float
+    heavy: int
 
     @property
     def cameras(self) -> list[str]:
         """The hosts of cameras; the last one suffers where one does."""
         return [name for name in self.world.hosts if name != SERVER]
+
+    @abstractmethod
+    def switch_off(self, camera: str) -> None:
+        """Take a camera host's power."""
+
+    @abstractmethod
+    def switch_on(self, camera: str, ahead_s: float = 0.0) -> float:
+        """Give it again, its clock ahead by so much; returns when, s of the monotonic clock."""
+
+    def restart(self, camera: str, ahead_s: float = 0.0) -> float:
+        """Switch a camera host off and on; returns when it was on, s of the monotonic clock."""
+        self.switch_off(camera)
+        return self.switch_on(camera, ahead_s)
 
     @abstractmethod
     def measure(self, name: str, seconds: float | None = None, **times: float | None) -> Any:
@@ -81,6 +103,63 @@ def cut(drill: NetworkDrill, name: str) -> list[Any]:
         recovered_s = drill.since_whole(time.monotonic())
         rows.append(drill.figures(f"{name}, of {host}", begin_ns, begin_s, drill.cut_s, recovered_s=recovered_s))
     return rows
+
+
+def vanish(drill: NetworkDrill, name: str) -> list[Any]:
+    """Take the power of the last camera's host, and give it again."""
+    camera = drill.cameras[-1]
+    drill.world.cables[camera].cut()
+    drill.switch_off(camera)
+    gone_s = time.monotonic()
+    lost_s = drill.wait("the graph's notice", lambda: drill.witness.lost_since(camera, gone_s))
+    row = drill.measure(name, drill.absent_s, noticed_s=None if lost_s is None else lost_s - gone_s)
+    drill.world.cables[camera].mend()
+    return [replace(row, recovered_s=drill.since_whole(drill.switch_on(camera)))]
+
+
+def apart(seconds: float) -> Trial:
+    """Return the trial of a host whose clock is ahead by so much; its camera exposes with the others."""
+
+    def trial(drill: NetworkDrill, name: str) -> list[Any]:
+        camera = drill.cameras[-1]
+        drill.restart(camera, seconds)
+        time.sleep(SETTLE_S)
+        row = drill.measure(name)
+        return [replace(row, recovered_s=drill.since_whole(drill.restart(camera)))]
+
+    return trial
+
+
+def sender(drill: NetworkDrill, camera: str, hz: float, *options: str, domain: str = DOMAIN) -> Any:
+    """Start a light sender on a camera's host; returns the process once it sends."""
+    program = str(Path(__file__).with_name("hosts_camera.py"))
+    command = [sys.executable, program, str(drill.folder / "clip"), camera, f"{hz:g}", *options]
+    environment = drill.environment | {"ROS_DOMAIN_ID": domain}
+    process = drill.world.hosts[camera].start(command, environment, stdout=subprocess.PIPE, text=True)
+    assert process.stdout.readline(), f"the sender of {camera} did not start"
+    return process
+
+
+def other_domain(drill: NetworkDrill, name: str) -> list[Any]:
+    """Let a neighbour's cameras of the same names send from every camera host, in another ROS domain."""
+    senders = [sender(drill, camera, NEIGHBOUR_HZ, domain=OTHER_DOMAIN) for camera in drill.cameras]
+    time.sleep(SETTLE_S)
+    row = drill.measure(name)
+    for process in senders:
+        process.kill()
+        process.wait()
+    return [row]
+
+
+def jumbo(drill: NetworkDrill, name: str) -> list[Any]:
+    """Let a host send packets that the bridge does not take, from its start on."""
+    camera = drill.cameras[drill.heavy]
+    drill.world.cables[camera].set_host_mtu(JUMBO)
+    recovered_s = drill.since_whole(drill.restart(camera))
+    row = drill.measure(name, recovered_s=recovered_s)
+    drill.world.cables[camera].set_host_mtu(None)
+    drill.restart(camera)
+    return [row]
 
 
 def environment_of(world: World, folder: Path, arguments: Any) -> dict[str, str]:

@@ -32,7 +32,7 @@ from report import execute, finish, parser
 
 import numpy as np
 from soak_faults import Fault, FaultInjector, random_faults
-from soak_probe import COUNTERS, SETTLED_S, ExposureProbe, Rows, folder_mib, resources
+from soak_probe import COUNTERS, SETTLED_S, ExposureProbe, Rows, resources
 from soak_report import report_on
 
 from capture_rig.errors import InputError
@@ -89,7 +89,7 @@ class Soak:
     """One soak under way: samples, injects faults, writes rows; see the module for the files."""
 
     def __init__(self, stage: Stage, out: Path, hz: float) -> None:
-        self._stage, self._supervisor, self._out, self._hz = stage, stage.supervisor, out, hz
+        self._stage, self._supervisor, self._hz = stage, stage.supervisor, hz
         supervisor = stage.supervisor
         self._probe = ExposureProbe(supervisor.node, hz)
         self._exposures = Rows(out / "exposures.csv", "number unix_s cameras missing age_ms tracked")
@@ -97,7 +97,6 @@ class Soak:
             out / "processes.csv", "unix_s process pid rss_mib uss_mib anon_mib shm_mib threads handles cpu_s"
         )
         self._counters = Rows(out / "counters.csv", "unix_s node pid " + " ".join(COUNTERS))
-        self._machine = Rows(out / "machine.csv", "unix_s load logs_mib")
         self._faults = Rows(out / "faults.csv", "kind target strength begun_s ended_s recovered_s")
         self._next_number: int | None = None
 
@@ -149,7 +148,6 @@ class Soak:
             report = self._supervisor.diagnostics.report(name)
             values = {} if report is None else report.values
             self._counters.add(f"{now_s:.1f}", name, pid, *(values.get(key, "") for key in COUNTERS))
-        self._machine.add(f"{now_s:.1f}", os.getloadavg()[0], folder_mib(self._out / "logs"))
 
     def _write_exposures(self, before_ns: int) -> None:
         """Write every exposure up to an instant, those too of which nothing has come."""

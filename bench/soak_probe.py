@@ -130,9 +130,6 @@ class Rows:
         self._writer.writerow([f"{value:.6g}" if isinstance(value, float) else value for value in values])
         self._file.flush()
 
-    def close(self) -> None:
-        self._file.close()
-
 
 def resources(pids: Mapping[str, int]) -> dict[str, tuple[int, float, float, float, float, int, int, float]]:
     """Label of each living process -> pid, memory (MiB), threads, file handles, CPU time (s).
@@ -161,8 +158,3 @@ def memory_parts(pid: int) -> tuple[float, float]:
         if name in kib:
             kib[name] = int(value.split()[0])
     return kib["RssAnon"] / 1024, kib["RssShmem"] / 1024
-
-
-def folder_mib(folder: Path) -> float:
-    """Return the size of all files below a folder, MiB."""
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file()) / 2**20

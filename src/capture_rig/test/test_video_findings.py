@@ -76,11 +76,6 @@ def test_time_stamps_in_whole_milliseconds_are_no_variable_rate() -> None:
     assert not list(video_findings(facts(shortest_s=0.0, longest_s=0.0)))  # a raw stream has none
 
 
-def test_rate_in_the_header_that_no_camera_has_is_none(tmp_path: Path) -> None:
-    with Video(write_clip(tmp_path / "cam01.mp4", scene(3), 1000.0)) as video:
-        assert (video.fps, video.header_fps) == (0.0, 1000.0)
-
-
 def test_first_frame_that_comes_twice_is_named_where_other_cameras_have_it_once(tmp_path: Path) -> None:
     images = scene(12)
     late = write_clip(tmp_path / "cam01.mkv", [images[0], *images], 50.0, "FFV1")

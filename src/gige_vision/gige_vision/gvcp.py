@@ -139,25 +139,15 @@ def decode_words(payload: bytes) -> tuple[int, ...]:
     return tuple(word for (word,) in _WORD.iter_unpack(payload))
 
 
-def encode_writes(writes: Iterable[tuple[int, int]]) -> bytes:
-    """Encode the payload of WRITEREG: pairs of address and value."""
-    return b"".join(_PAIR.pack(address, value) for address, value in writes)
-
-
 def decode_writes(payload: bytes) -> tuple[tuple[int, int], ...]:
-    """Decode pairs of address and value. Raises MalformedPacket unless the payload is one or more whole pairs."""
+    """Decode pairs of address and value: the payload of WRITEREG. Raises MalformedPacket unless they are whole."""
     if not payload or len(payload) % 8:
         raise MalformedPacket(f"{len(payload)} bytes are not pairs of address and value")
     return tuple(_PAIR.iter_unpack(payload))
 
 
-def encode_memory_read(address: int, count: int) -> bytes:
-    """Encode the payload of READMEM: the address and the number of bytes."""
-    return struct.pack(">IHH", address, 0, count)
-
-
 def decode_memory_read(payload: bytes) -> tuple[int, int]:
-    """Decode address and number of bytes. Raises MalformedPacket."""
+    """Decode the payload of READMEM: address and number of bytes. Raises MalformedPacket."""
     if len(payload) < 8:
         raise MalformedPacket(f"{len(payload)} bytes are no READMEM")
     address, _, count = struct.unpack_from(">IHH", payload)

@@ -35,11 +35,11 @@ def hexed(text):
             "0000 0081 0004 0007 00000002",
         ),
         (
-            CommandPacket(Command.WRITE_REGISTER, gvcp.encode_writes([(0x0A00, 2)]), 8),
+            CommandPacket(Command.WRITE_REGISTER, gvcp.encode_words([0x0A00, 2]), 8),
             "42 01 0082 0008 0008 00000A00 00000002",
         ),
         (
-            CommandPacket(Command.READ_MEMORY, gvcp.encode_memory_read(0x0200, 512), 9),
+            CommandPacket(Command.READ_MEMORY, gvcp.encode_words([0x0200, 512]), 9),
             "42 01 0084 0008 0009 00000200 0000 0200",
         ),
         (
@@ -105,9 +105,9 @@ def test_any_packet_comes_back_as_it_was(command, payload, request_id, status):
 @given(st.lists(words, min_size=1), st.lists(st.tuples(words, words), min_size=1), st.binary(), words, halves)
 def test_register_payloads_come_back_as_they_were(values, writes, data, address, count):
     assert gvcp.decode_words(gvcp.encode_words(values)) == tuple(values)
-    assert gvcp.decode_writes(gvcp.encode_writes(writes)) == tuple(writes)
+    assert gvcp.decode_writes(gvcp.encode_words(sum(writes, ()))) == tuple(writes)
     assert gvcp.decode_memory(gvcp.encode_memory(address, data)) == (address, data)
-    assert gvcp.decode_memory_read(gvcp.encode_memory_read(address, count)) == (address, count)
+    assert gvcp.decode_memory_read(gvcp.encode_words([address, count])) == (address, count)
 
 
 @given(

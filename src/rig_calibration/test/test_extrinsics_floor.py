@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from capture_rig.camera import CameraModel
+from capture_rig.camera import CameraModel, looking_at
 from capture_rig.errors import InputError
 from capture_rig.rigid import inverse
 from rig_calibration.boards.board import Checkerboard, TargetDetection
@@ -17,14 +17,16 @@ NOISE_PX = 0.2
 
 def looking_at_board(centre_board: np.ndarray) -> CameraModel:
     """A camera at a place in the board's frame, looking at the board's middle."""
-    forward = (MIDDLE_BOARD - centre_board) / np.linalg.norm(MIDDLE_BOARD - centre_board)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    T = np.eye(4)
-    T[:3, :3] = [right, np.cross(forward, right), forward]
-    T[:3, 3] = -T[:3, :3] @ centre_board
     K = np.array([[520.0, 0.0, 318.0], [0.0, 522.0, 243.0], [0.0, 0.0, 1.0]])
-    return CameraModel("cam01", 640, 480, K, "plumb_bob", np.array([-0.19, 0.08, 3e-4, -2e-4, 0.0]), T)
+    return CameraModel(
+        "cam01",
+        640,
+        480,
+        K,
+        "plumb_bob",
+        np.array([-0.19, 0.08, 3e-4, -2e-4, 0.0]),
+        looking_at(centre_board, MIDDLE_BOARD),
+    )
 
 
 def at_angle(angle_deg: float, distance_m: float = 3.0) -> CameraModel:

@@ -1,7 +1,6 @@
 """Where the world lies on the board, what cameras see in common, when a carried board lies on the floor, and what
 its carrier is told."""
 
-import cv2
 import numpy as np
 import pytest
 from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, camera_at, carried_poses, circle, on_floor, see_all
@@ -17,13 +16,7 @@ from rig_calibration.extrinsics.carried_board import (
     motion_progress,
     resting_around,
 )
-from rig_calibration.extrinsics.world import (
-    WorldChoice,
-    board_in_world,
-    common_volume,
-    world_from_floor,
-    world_of_level_camera,
-)
+from rig_calibration.extrinsics.world import WorldChoice, board_in_world, common_volume, world_of_level_camera
 
 
 def test_world_origin_is_the_boards_middle_below_its_thickness() -> None:
@@ -44,14 +37,6 @@ def test_world_origin_lies_where_it_is_asked_for(origin: str | tuple[float, floa
 def test_heading_turns_world_x_counterclockwise_from_the_rows() -> None:
     T = board_in_world(FLOOR_BOARD.corners_board, WorldChoice(heading=np.pi / 2))
     assert T[:3, :3] @ [0.0, 1.0, 0.0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-12), "the board's y is world x"
-
-
-def test_world_from_floor_undoes_any_reference_frame() -> None:
-    T_reference_board = np.eye(4)
-    T_reference_board[:3, :3] = cv2.Rodrigues(np.array([0.4, -2.0, 1.1]))[0]
-    T_reference_board[:3, 3] = [1.0, -2.0, 7.0]
-    T_world_board = board_in_world(FLOOR_BOARD.corners_board, WorldChoice(heading=0.3, thickness_m=0.01))
-    assert world_from_floor(T_reference_board, T_world_board) @ T_reference_board == pytest.approx(T_world_board)
 
 
 def test_level_camera_looks_along_world_x_with_z_up() -> None:

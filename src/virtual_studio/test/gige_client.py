@@ -160,7 +160,7 @@ class GvcpClient:
 
     def write(self, address, value):
         """The status of a register's write."""
-        return self.ask(Command.WRITE_REGISTER, gvcp_payloads.encode_writes([(address, value)])).status
+        return self.ask(Command.WRITE_REGISTER, gvcp_payloads.encode_words([address, value])).status
 
     def read(self, address):
         """The value of a register."""

@@ -10,7 +10,7 @@ import pytest
 from capture_rig.rigid import transform
 from rig_calibration.boards.board import CharucoBoard, Checkerboard
 from stick_figure.body import Body
-from virtual_studio.boards import FACING, PosedBoard, Wand, carry, hands, on_floor, person_with, print_of
+from virtual_studio.boards import FACING, PosedBoard, carry, hands, on_floor, person_with, print_of
 from virtual_studio.people import VolumetricBody
 from virtual_studio.rendering.board_camera import (
     BoardCamera,
@@ -193,19 +193,3 @@ def test_charuco_s_markers_are_read_in_the_picture():
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100))
     _, ids, _ = detector.detectMarkers(picture(EYE.render([held(T, print_of(board))])))
     assert sorted(np.ravel(ids)) == list(range(24))
-
-
-def test_balls_of_the_wand_are_round_spots_where_their_centres_project():
-    wand, T = Wand(), transform(np.roll(np.eye(3), 1, axis=0), np.array([-0.1, -0.2, 1.1]))  # along the world's y
-    image = EYE.render_wand(wand, T)
-    bright = image > 0.6
-    count, _, _, centroids = cv2.connectedComponentsWithStats(bright.astype(np.uint8))
-    assert count == 1 + len(wand.marks_m)
-    truth = CAMERA.project(wand.balls_world(T))
-    for pixel in truth:
-        assert np.linalg.norm(centroids[1:] - pixel, axis=1).min() < 0.5
-    x, y = np.rint(truth[0]).astype(int)
-    patch = np.clip(image[y - 8 : y + 9, x - 8 : x + 9] - 0.2, 0.0, None)
-    grid = np.mgrid[-8:9, -8:9]
-    centre = (grid * patch).sum(axis=(1, 2)) / patch.sum() + [y, x]
-    np.testing.assert_allclose(centre, truth[0][::-1], atol=0.1)

@@ -8,13 +8,13 @@ from capture_rig.rig import load_rig
 from capture_rig.video import Video
 from rig_calibration.boards.board import board_text, read_board
 from virtual_studio.__main__ import main
-from virtual_studio.boards import PosedBoard, Wand, carry, on_floor, print_of, swing, wave
+from virtual_studio.boards import PosedBoard, carry, on_floor, print_of, wave
 from virtual_studio.recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, read_truth_floor, write_setup
 from virtual_studio.rig import ring
 
 RIG = ring(5, ceiling=True)
 HAND, FLOOR = print_of(HAND_BOARD), print_of(FLOOR_BOARD)
-SMALL = FootagePlan(fps=1.0, moving_s=2.0, brief=True, wand=Wand())
+SMALL = FootagePlan(fps=1.0, moving_s=2.0, brief=True)
 
 
 def corners_px(camera, board, T_world_board):
@@ -80,15 +80,6 @@ def test_carried_board_is_shared_by_neighbours_and_by_the_camera_above():
     assert min(heights) > 0.3 and max(heights) < 2.2
 
 
-def test_wand_goes_through_the_volume_in_all_directions():
-    wand, path = Wand(), swing(20.0, 1)
-    balls = np.array([wand.balls_world(path(t)) for t in np.arange(0.0, 20.0, 0.2)])
-    np.testing.assert_allclose(np.linalg.norm(balls[:, 1] - balls[:, 0], axis=1), 0.25, atol=1e-9)
-    assert (np.ptp(balls[:, 0], axis=0) > 1.2).all() and balls[..., 2].min() > 0.0
-    along = balls[:, 2] - balls[:, 0]
-    assert np.linalg.eigvalsh(along.T @ along / len(along))[0] > 0.05 * 0.4**2  # no direction is left out
-
-
 @pytest.fixture(scope="module")
 def footage(tmp_path_factory):
     return write_setup(tmp_path_factory.mktemp("setup") / "a", ring(1, ceiling=False), SMALL, motion=None)
@@ -104,9 +95,8 @@ def test_folder_holds_footage_boards_and_the_truth_apart(footage):
         "setup.yaml",
         "truth_floor.yaml",
         "truth_rig.yaml",
-        "wand",
     ]
-    for part, count in (("intrinsics", 19), ("moving", 2), ("wand", 2)):
+    for part, count in (("intrinsics", 19), ("moving", 2)):
         with Video(footage / part / "cam01.mp4") as video:
             assert abs(video.frame_count - count) <= 2
     assert cv2.imread(str(footage / "floor" / "cam01.png"), cv2.IMREAD_UNCHANGED).shape == (480, 640)

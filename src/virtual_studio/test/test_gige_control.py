@@ -92,7 +92,7 @@ def test_any_command_of_the_controller_is_a_heartbeat(monkeypatch):
 
 def test_command_without_acknowledge_flag_is_obeyed_in_silence(camera, client):
     client.take_control()
-    client.send(Command.WRITE_REGISTER, gvcp_payloads.encode_writes([(bootstrap.HEARTBEAT_TIMEOUT_MS, 7000)]), flags=0)
+    client.send(Command.WRITE_REGISTER, gvcp_payloads.encode_words([bootstrap.HEARTBEAT_TIMEOUT_MS, 7000]), flags=0)
     assert client.is_silent()
     assert client.read(bootstrap.HEARTBEAT_TIMEOUT_MS) == 7000
 

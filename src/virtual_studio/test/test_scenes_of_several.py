@@ -42,11 +42,6 @@ def test_persons_of_the_crowd_keep_out_of_each_others_way():
     assert apart.min() > 0.5
 
 
-def test_one_motion_a_role():
-    with pytest.raises(ValueError, match="1 persons for 2 roles"):
-        TOGETHER["coming_later"].motions(PAIR[:1], 5.0)
-
-
 def test_parts_of_several_bodies_are_rendered_as_one(coming_later):
     poses = [motion.poses[0] for motion in coming_later]
     bodies = [person.place(pose) for person, pose in zip(PAIR, poses, strict=True)]

@@ -11,7 +11,7 @@ from stick_figure.kinematics import forward
 from stick_figure.skeleton import L_CALF, L_FOREARM, R_CALF, R_FOREARM
 from virtual_studio.motions.catalogue import HARD_CASES
 from virtual_studio.people import VolumetricBody
-from virtual_studio.rendering.camera import ExactSilhouettes, Sensor, VirtualCamera
+from virtual_studio.rendering.camera import ExactSilhouettes, VirtualCamera
 from virtual_studio.rig import ring
 
 FPS = 20
@@ -83,8 +83,6 @@ def test_a_filmed_room_shows_its_things_before_anybody_comes():
     assert np.count_nonzero(bare.empty_room() != empty.empty_room()) > 500
     light, mask = empty.render(person.place(motion.poses[0]), None)
     assert np.array_equal(light[mask == 0], empty.empty_room()[mask == 0])
-    sensor = Sensor(noise=0.0, flicker=0.0)
-    assert sensor.expose(light, 0, 0).shape == mask.shape
 
 
 def test_what_is_carried_belongs_to_the_person_from_when_it_is_taken():

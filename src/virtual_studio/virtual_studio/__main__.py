@@ -13,7 +13,6 @@ from capture_rig.number import FRAME_RATE, number
 from rig_calibration.boards.board import board_text, read_board
 from stick_figure.body import STATURES_M
 
-from .boards import Wand
 from .motions.catalogue import MOTIONS, MotionFunction
 from .motions.recorded import ReadingOptions, RecordedMotion, is_motion_file
 from .motions.together import TOGETHER
@@ -66,8 +65,7 @@ def _setup(options: argparse.Namespace) -> int:
     started = time.monotonic()
     rig = ring(options.cameras - options.ceiling, options.ceiling, options.size)
     hand, floor = read_board(options.board), read_board(options.floor_board)
-    wand = Wand() if options.wand else None
-    plan = FootagePlan(hand_board=hand, floor_board=floor, wand=wand, seed=options.seed, noise=options.noise)
+    plan = FootagePlan(hand_board=hand, floor_board=floor, seed=options.seed, noise=options.noise)
     if options.quick:
         plan = replace(plan, brief=True, fps=QUICK_FPS, moving_s=QUICK_MOVING_S)
     progress = _say if sys.stderr.isatty() else lambda what: None
@@ -138,7 +136,6 @@ def _setup_parser() -> argparse.ArgumentParser:
     parser.add_argument("--seconds", type=number("s", 0.1, 3600), default=6.0, help="length of the session, s")
     parser.add_argument("--board", default=board_text(HAND_BOARD), help="waved before each camera")
     parser.add_argument("--floor-board", default=board_text(FLOOR_BOARD), help="on the floor, and carried")
-    parser.add_argument("--wand", action="store_true", help="swing a wand of three balls, too")
     parser.add_argument("--quick", action="store_true", help="fewer places and frames of the boards")
     return parser
 

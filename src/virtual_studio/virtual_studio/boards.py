@@ -1,8 +1,7 @@
-"""Calibration targets as objects in the room, boards printed on stiff sheets and a wand of glowing balls, and how hands
-move them.
+"""Calibration boards as objects in the room, printed on stiff sheets, and how hands move them.
 
 A board is waved in front of one camera (for its intrinsics), laid on the floor, or carried through the volume (for
-extrinsics); a wand is swung. Every path has a hand's tremor.
+extrinsics). Every path has a hand's tremor.
 """
 
 from __future__ import annotations
@@ -38,11 +37,6 @@ TEXELS_PER_M = 1000.0
 """One a millimetre: edges of fields that measure whole millimetres lie between texels, which need no blending then."""
 FINE_TEXELS_PER_M = 3000.0
 """For markers, whose cells are small."""
-DIMMED = 0.2
-"""Of the room's light, while the wand is swung."""
-GLOW = 1.2
-"""Light of a ball; beyond what the sensor takes."""
-STICK_ALBEDO, STICK_RADIUS_M = 0.10, 0.008
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,23 +110,6 @@ class PosedBoard:
     def corners_world(self) -> Array:
         """(n, 3) the inner corners, m, in the middle of the exposure."""
         return self.print.board.corners_board @ self.middle[:3, :3].T + self.middle[:3, 3]
-
-
-@dataclass(frozen=True)
-class Wand:
-    """Balls on a straight stick: where along it, m from the first one's centre, and how large."""
-
-    marks_m: tuple[float, ...] = (0.0, 0.25, 0.4)
-    radius_m: float = 0.02
-
-    def balls_world(self, T_world_wand: Array) -> Array:
-        """Return (n, 3) the balls' centres, m; the wand's frame has its origin in the first ball, x along the stick."""
-        return np.multiply.outer(np.array(self.marks_m), T_world_wand[:3, 0]) + T_world_wand[:3, 3]
-
-    def stick(self, T_world_wand: Array) -> Capsules:
-        """Return the stick between the balls."""
-        balls = self.balls_world(T_world_wand)
-        return Capsules(balls[:1], balls[-1:], np.full((1, 2), STICK_RADIUS_M), np.array([STICK_ALBEDO]))
 
 
 # --- How hands move them, and the hands, or the person, that hold them.
@@ -250,19 +227,6 @@ def carry(board: BoardPrint, seconds: float, seed: int) -> PosePath:
         out = 0.45 + 0.35 * np.sin(2.0 * np.pi * 4.0 * u + phases[3])
         up = 1.15 + 0.35 * np.sin(2.0 * np.pi * 6.0 * u)
         return board.centred(transform(R, np.array([out * np.cos(heading), out * np.sin(heading), up])))
-
-    return with_tremor(at, seed)
-
-
-def swing(seconds: float, seed: int) -> PosePath:
-    """Swings a wand, its x axis along it, through the volume, in all directions."""
-    phases = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 6)
-
-    def at(t: float) -> Array:
-        u = 2.0 * np.pi * t / seconds
-        place = np.array([0.0, 0.0, 1.1]) + [0.8, 0.8, 0.7] * np.sin(np.array([3, 4, 5]) * u + phases[:3])
-        R = Rotation.from_euler("ZYX", [6 * u + phases[3], 1.1 * np.sin(7 * u + phases[4]), phases[5]]).as_matrix()
-        return transform(R, place)
 
     return with_tremor(at, seed)
 

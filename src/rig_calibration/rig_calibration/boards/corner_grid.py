@@ -101,9 +101,7 @@ def scatter_px(pixels: Array) -> float:
 # Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
 MIN_FIT = 0.7  # share of a window's variance that the model of a corner must explain
 MIN_QUADRANT_SIMILARITY = 0.4  # of opposite quadrants
-MIN_CONTRAST = 0.25  # of the board's median
 MAX_MOVE = 0.35  # of the shorter side of a field, from where a corner was expected
-MAX_SD = 0.12  # of the shorter side of a field
 MAX_OF_EXTRA_LINE = 0.67  # a line of which more is found is the board's own: then it is a larger board
 
 
@@ -156,7 +154,7 @@ def fitted(image: npt.NDArray[np.uint8], expected: Array, known: CornerGrid, mar
     along, down = steps(expected)
     wanted = ~known.found & np.all(np.isfinite(np.dstack([expected, along, down])), axis=2)
     corners = fit_x_corners(image, expected[wanted], along[wanted], down[wanted], marker_margin=marker_margin)
-    good = _is_good(corners, expected[wanted], along[wanted], down[wanted], known.contrast[known.found])
+    good = _is_good(corners, expected[wanted], along[wanted], down[wanted])
     values, kept = known.values.copy(), known.found
     values[wanted] = np.column_stack([corners.pixels, corners.contrast, corners.sd_px, corners.blur_px])
     kept[wanted] = good
@@ -201,15 +199,11 @@ def is_black_first(grid: CornerGrid) -> bool:
     return float(np.nansum(grid.contrast * parity(grid.contrast.shape))) < 0
 
 
-def _is_good(corners: XCorners, expected: Array, along: Array, down: Array, usual: Array) -> npt.NDArray[np.bool_]:
-    """Explained by the model, about as strong as the others, near where it was expected, well determined."""
+def _is_good(corners: XCorners, expected: Array, along: Array, down: Array) -> npt.NDArray[np.bool_]:
+    """Explained by the model, and near where it was expected."""
     side = np.minimum(np.linalg.norm(along, axis=1), np.linalg.norm(down, axis=1))
-    explained = (corners.fit > MIN_FIT) & (corners.quadrant_similarity > MIN_QUADRANT_SIMILARITY)
-    strength = np.abs(corners.contrast)
-    others = np.concatenate([np.abs(usual), strength[explained]])
-    typical = np.median(others) if len(others) else np.inf
     near = np.linalg.norm(corners.pixels - expected, axis=1) < np.maximum(MAX_MOVE * side, 1.0)
-    return explained & (strength > MIN_CONTRAST * typical) & near & (corners.sd_px < MAX_SD * side)
+    return (corners.fit > MIN_FIT) & (corners.quadrant_similarity > MIN_QUADRANT_SIMILARITY) & near
 
 
 def _has_right_colour(contrast: Array, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:

@@ -99,7 +99,6 @@ def _runs_right(grid: CornerGrid) -> tuple[float, float]:
 MIN_CHARUCO_CORNERS = 6
 MAX_FROM_PLANE = 0.4  # of a field: further from where a flat board would have it, a corner is another board's
 ROUNDS = 4
-SMALLEST_MARKER = 0.01  # perimeter over the image's longer side
 
 
 def find_charuco(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tuple[Variant, ...]) -> CornerGrid | None:
@@ -126,10 +125,8 @@ def _by_colours(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tup
 
 
 def charuco_detector(board: CharucoBoard) -> cv2.aruco.CharucoDetector:
-    """Make OpenCV's detector, for small markers too."""
-    charuco, marker = cv2.aruco.CharucoParameters(), cv2.aruco.DetectorParameters()
-    marker.minMarkerPerimeterRate = SMALLEST_MARKER
-    return cv2.aruco.CharucoDetector(opencv_board(board), charuco, marker)
+    """Make OpenCV's detector."""
+    return cv2.aruco.CharucoDetector(opencv_board(board))
 
 
 def marker_margin(board: CharucoBoard) -> float:

@@ -10,22 +10,20 @@ from __future__ import annotations
 import math
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import cv2
-import matplotlib
 import numpy as np
 import numpy.typing as npt
-from matplotlib.backends.backend_pdf import PdfPages
-from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
-from matplotlib.path import Path as Outline
 
 from capture_rig.errors import InputError
 from capture_rig.files import write_bytes
 from capture_rig.lens import Array
 
 from .board import METRES, Board, CharucoBoard, board_text, opencv_board
+
+if TYPE_CHECKING:  # matplotlib takes a second to load
+    from matplotlib.figure import Figure
 
 Pair = tuple[float, float]
 Rectangle = tuple[float, float, float, float]  # left, top, width, height, metres, y down from the print's upper left
@@ -122,6 +120,9 @@ def save_for_print(board: Board, path: str | Path, paper: str = "A4") -> list[Pa
         raise InputError(
             f"'{path.suffix}' is neither .svg nor .pdf", where=str(path), remedy="Name a .svg or .pdf file."
         )
+    import matplotlib
+    from matplotlib.backends.backend_pdf import PdfPages
+
     path.parent.mkdir(parents=True, exist_ok=True)
     if kind == ".pdf":
         document = BytesIO()
@@ -171,6 +172,10 @@ def _pages_needed(size: Pair, paper_mm: Pair) -> tuple[int, int]:
 
 def _page(black: Array, low: Pair, tile: Pair, paper_mm: Pair, title: str, marks: bool) -> Figure:
     """Draw what lies within ``tile`` from ``low`` on, in the middle of a page."""
+    from matplotlib.figure import Figure
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
     left, top = (MARGIN_MM + (room - side) / 2 for room, side in zip(_room(paper_mm), tile, strict=True))
     near = np.maximum(black[:, :2], low)
     sides = np.minimum(black[:, :2] + black[:, 2:], np.add(low, tile)) - near

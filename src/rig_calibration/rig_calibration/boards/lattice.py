@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -22,13 +21,11 @@ from capture_rig.lens import Array
 MAX_SADDLES = 3000
 # Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
 MIN_STRENGTH = 0.02  # of the response of the image's 20th strongest saddle
-MIN_CURVATURE = 0.8  # grey levels per px^2: below it is noise
 NEIGHBOURS = 24
 MAX_SINE = 0.35  # of the angle between an edge and the way to the neighbour
 MIN_CORNERS = 6
 RING = 2.0  # radius of the ring, over the smoothing
 MAX_UNLIKE = 0.5  # how unlike opposite quadrants may be turns the step between neighbouring ones down
-MAX_RATIO = 1.8  # of opposite sides of a field
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +64,7 @@ def find_saddles(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float]
     xy = cv2.Sobel(smooth, cv2.CV_32F, 1, 1, ksize=3, scale=0.25)
     strength = xy * xy - xx * yy
     top = cv2.dilate(strength, np.ones((3, 3), np.uint8))
-    peak = (strength >= top) & (strength > MIN_CURVATURE**2 / max(smoothing_px) ** 2)
+    peak = (strength >= top) & (strength > 0)
     peak[:2], peak[-2:], peak[:, :2], peak[:, -2:] = False, False, False, False
     row, column = np.nonzero(peak)
     values = strength[row, column]
@@ -116,7 +113,7 @@ def _is_crossing(
 
 
 def _in_quads(links: npt.NDArray[np.int64], pixels: Array) -> npt.NDArray[np.int64]:
-    """Return only the links that are sides of a closed, convex quadrilateral whose opposite sides are alike."""
+    """Return only the links that are sides of a closed, convex quadrilateral."""
     back = _back_slots(links)
     slots = np.arange(4)[None].repeat(len(links), 0)
     place, slot, path = np.arange(len(links))[:, None].repeat(4, 1), slots, []
@@ -126,7 +123,7 @@ def _in_quads(links: npt.NDArray[np.int64], pixels: Array) -> npt.NDArray[np.int
         alive = alive & (links[place, slot] >= 0)
         place, slot = links[place, slot], (back[place, slot] + 1) % 4
     alive &= place == np.arange(len(links))[:, None]
-    alive &= _quad_is_sound(pixels, [each for each, _ in path])
+    alive &= _is_convex(pixels, [each for each, _ in path])
     kept = np.zeros(links.shape, bool)
     for here, towards in path:
         kept[here[alive], towards[alive]] = True
@@ -142,17 +139,11 @@ def _answer(kept: npt.NDArray[np.bool_], links: npt.NDArray[np.int64], back: npt
     return kept[links, back] & (links >= 0)
 
 
-def _quad_is_sound(pixels: Array, corners: list[npt.NDArray[np.int64]]) -> npt.NDArray[np.bool_]:
+def _is_convex(pixels: Array, corners: list[npt.NDArray[np.int64]]) -> npt.NDArray[np.bool_]:
     a, b, c, d = (pixels[corner] for corner in corners)
     sides = [b - a, c - b, d - c, a - d]
     turns = np.stack([_cross(sides[k], sides[(k + 1) % 4]) for k in range(4)])
-    convex = np.all(turns > 0, axis=0) | np.all(turns < 0, axis=0)
-    lengths = [np.linalg.norm(side, axis=2) for side in sides]
-    alike = [
-        np.abs(np.log(np.maximum(lengths[k], 1e-9) / np.maximum(lengths[k + 2], 1e-9))) < np.log(MAX_RATIO)
-        for k in (0, 1)
-    ]
-    return convex & alike[0] & alike[1]
+    return np.asarray(np.all(turns > 0, axis=0) | np.all(turns < 0, axis=0))
 
 
 def _mutual_links(saddles: Saddles) -> npt.NDArray[np.int64]:
@@ -236,33 +227,18 @@ def _lattice(saddles: Saddles, cells: dict[int, tuple[int, int]]) -> Array:
 OWN_BLUR_PX = 0.6  # of an ordinary image: optics and pixel
 COMFORTABLE_PX = 900  # long side at which boards are found fast
 MAX_PIXELS = 8_000_000
-STRETCHES: tuple[tuple[Any, ...], ...] = (  # across, down, blur, equalised
-    (1, 2),
-    (1, 1, 1.0),
-    (1, 3),
-    (1, 4),
-    (2, 2),
-    (1, 1, 2.5),
-    (2, 4),
-    (2, 6),
-    (1, 2, 2.2),
-    (2, 1),
-    (1, 1, 1.35, True),
-    (0.5, 0.5),
-    (1, 1, 4.0),
-)
+STRETCHES = ((1, 2), (1, 3), (1, 4), (2, 2), (1, 2, 2.2), (2, 1), (2, 6), (0.5, 0.5))  # across, down, blur
 
 
 @dataclass(frozen=True)
 class Variant:
     """The image ``across`` times as wide and ``down`` times as high, to be smoothed so that its blur, its own included,
     becomes about ``blur_px`` in all directions (a blur that differs with the direction turns the edges that are seen at
-    a corner); ``equalised``: with its contrast levelled."""
+    a corner)."""
 
     across: float = 1.0
     down: float = 1.0
     blur_px: float = 1.35
-    equalised: bool = False
 
     @property
     def smoothing_px(self) -> tuple[float, float]:
@@ -273,8 +249,6 @@ class Variant:
 
     def make(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         """Return the scaled image."""
-        if self.equalised:
-            image = np.asarray(cv2.createCLAHE(clipLimit=4.0, tileGridSize=(8, 8)).apply(image), np.uint8)
         if self.across == self.down == 1.0:
             return image
         smaller = self.across < 1 and self.down < 1

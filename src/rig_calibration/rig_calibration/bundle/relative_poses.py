@@ -15,6 +15,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import CameraModel
 from capture_rig.lens import Array
@@ -23,8 +24,7 @@ from capture_rig.rigid import angles_between, transform
 from .problem import DetectionPoses, View
 
 # Thresholds: judgement, no measurement.
-ANGLE_TOLERANCE = np.radians(5.0)  # of the rotation that one board tells
-DISTANCE_TOLERANCE = 0.05  # of the distance of the board
+TOLERANCE = 0.05  # of the rotation that one board tells, rad, and of the board's distance
 CANDIDATE_FRAMES, VOTING_FRAMES = 40, 80
 
 
@@ -68,7 +68,7 @@ def relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> Re
 
 def agreement_weight(angle: Array, distance_ratio: Array) -> Array:
     """Weigh how well two poses agree, 1 to 0, that differ by an angle (rad) and by a share of the distance."""
-    return 1 / (1 + (angle / ANGLE_TOLERANCE) ** 2 + (distance_ratio / DISTANCE_TOLERANCE) ** 2) ** 2
+    return 1 / (1 + (angle**2 + distance_ratio**2) / TOLERANCE**2) ** 2
 
 
 def _hypotheses(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> _Hypotheses:
@@ -103,7 +103,6 @@ def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
 MIN_POINTS = 12  # the essential matrix needs five; with fewer than this, wrong labels cannot be told
 INLIER_PX, CONFIDENCE = 3.0, 0.9999
 LABELLING_ROUNDS = 5
-FRAME_SUPPORT = 0.5  # what a frame of a wand is worth beside a frame of a board
 
 Pair = tuple[Array, Array, Array]  # the same markers of a frame: ideal points (n, 2) in a and b, positions (n, 3)
 
@@ -128,7 +127,7 @@ def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b
         if labels == before:
             break
     fitting = [pair for pair in chosen if _epipolar_distance(E, pair).max() < tolerance]
-    return _with_scale(E, fitting, len(fitting) * FRAME_SUPPORT) if fitting else None
+    return _with_scale(E, fitting) if fitting else None
 
 
 def line_pose(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
@@ -178,7 +177,7 @@ def _epipolar_distance(E: Array, pair: Pair) -> Array:
     return np.abs((b * line_b).sum(1)) / np.maximum(slope, 1e-12)
 
 
-def _with_scale(E: Array, fitting: Sequence[Pair], support: float) -> RelativePose:
+def _with_scale(E: Array, fitting: Sequence[Pair]) -> RelativePose:
     points_a, points_b = (np.concatenate([pair[side] for pair in fitting]) for side in (0, 1))
     _, R, direction, _ = cv2.recoverPose(E, points_a, points_b, np.eye(3))
     T = transform(np.asarray(R, float), np.asarray(direction, float).reshape(3))
@@ -188,7 +187,7 @@ def _with_scale(E: Array, fitting: Sequence[Pair], support: float) -> RelativePo
         seen = [_triangulate([ideal_a[end], ideal_b[end]], [np.eye(4), T]) for end in ends]
         ratios.append(np.linalg.norm(points[ends[1]] - points[ends[0]]) / np.linalg.norm(seen[1] - seen[0]))
     T[:3, 3] *= np.median(ratios)
-    return RelativePose(T, support)
+    return RelativePose(T, len(fitting))
 
 
 def _triangulate(ideal: Sequence[Array], T_camera_root: Sequence[Array]) -> Array:
@@ -218,8 +217,7 @@ def _fit_line(seen: Sequence[tuple[View, Array]], symmetries: Sequence[int]) -> 
     if len(found) < 2 or not np.isfinite(found).all():
         return None, np.inf
     points, model = np.array(found, float), shape.points[where]
-    along, direction = model[-1] - model[0], points[-1] - points[0]
-    R = _swing(along / np.linalg.norm(along), direction / np.linalg.norm(direction))
+    R = Rotation.align_vectors(points[-1] - points[0], model[-1] - model[0])[0].as_matrix()  # the smallest that does
     pose = transform(R, (points - model @ R.T).mean(0))
     return pose, float(
         np.mean([_miss(pose, view, T, symmetry) for (view, T), symmetry in zip(seen, symmetries, strict=True)])
@@ -233,13 +231,3 @@ def _miss(pose: Array, view: View, T_camera_root: Array, symmetry: int) -> float
     if np.any(seen[2] <= 0) or not np.isfinite(view.ideal).all():
         return np.inf
     return float(np.mean(np.linalg.norm(seen[:2] / seen[2] - view.ideal.T, axis=0)))
-
-
-def _swing(a: Array, b: Array) -> Array:
-    """Return the smallest rotation that takes unit vector a to b."""
-    axis, cosine = np.cross(a, b), float(a @ b)
-    if cosine < -1 + 1e-12:
-        across = np.linalg.svd(a[None])[2][1]
-        return 2 * np.outer(across, across) - np.eye(3)
-    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.eye(3) + K + K @ K / (1 + cosine)

@@ -36,7 +36,6 @@ from .state import WARP, Bools, Ints, Layout, Linearised, Observations, State, l
 from .uncertainty import MIN_DOF, Covariance, covariance, first_tau, next_tau, pose_misfit, whitened
 
 RETURNS = 3
-SCALE_TOLERANCE = 0.005
 SYNC_ERROR_ROUNDS, GAUSS_NEWTON_STEPS = 4, 2
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
 
@@ -280,7 +279,7 @@ def _compare_sizes(fit: Fit) -> Fit:
         return fit
     sd = fit.covariance(fit.free(replace(fit.layout, with_lens=True))).scale
     ratio = fit.adjusted.state.scale
-    agree = np.abs(ratio - 1) <= np.maximum(HUBER * sd, SCALE_TOLERANCE)
+    agree = np.abs(ratio - 1) <= HUBER * sd
     names = list(fit.problem.shapes)
     scale_of = {names[k]: (float(ratio[k]), float(sd[k])) for k in np.flatnonzero(fit.free_scales)}
     state = replace(fit.adjusted.state, scale=np.where(agree, 1.0, ratio))

@@ -204,7 +204,8 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
     """Make the solution: poses, residuals, covariance relative to the reference, what was left out and why."""
     problem, state, used = fit.problem, fit.adjusted.state, fit.used
     names = list(problem.cameras)
-    T_camera = dict(zip(names, transform(state.R_camera, _origins_in_camera(state)), strict=True))
+    t_camera = -(state.R_camera @ state.centre[..., None])[..., 0]
+    T_camera = dict(zip(names, transform(state.R_camera, t_camera), strict=True))
     T_target = {
         key: transform(state.R_pose[row], _target_origin(problem, state, row))
         for row, key in enumerate(problem.keys)
@@ -231,10 +232,6 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
         scale_of=fit.scale_of,
         focal_of=_focal_ratios(fit),
     )
-
-
-def _origins_in_camera(state: State) -> Array:
-    return -(state.R_camera @ state.centre[..., None])[..., 0]
 
 
 def _free(fit: Fit, reference: int | None) -> FreeUnknowns:

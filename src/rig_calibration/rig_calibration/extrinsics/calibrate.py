@@ -11,6 +11,7 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.lens import Array
+from capture_rig.rigid import inverse
 
 from ..boards.board import Board, TargetDetection
 from ..boards.wand import WAND
@@ -18,7 +19,7 @@ from ..bundle.problem import symmetry_order_of
 from ..bundle.solve import RigSolution, solve_rig
 from .floor import FLOOR, floor_view
 from .verdict import RigCalibration, TapeMeasure
-from .world import WorldChoice, board_in_world, place_rig, rig_figures, world_from_floor, world_of_level_camera
+from .world import WorldChoice, board_in_world, place_rig, rig_figures, world_of_level_camera
 
 MOVING = "moving"
 """Name of a target, beside FLOOR and WAND."""
@@ -122,4 +123,4 @@ def _world(solution: RigSolution, floor: FloorTarget | None) -> Array:
     """T_world_reference."""
     if floor is None:
         return world_of_level_camera(solution.T_camera_reference[min(solution.T_camera_reference)])
-    return world_from_floor(solution.T_reference_target[FLOOR_POSE], floor.T_world_floor)
+    return floor.T_world_floor @ inverse(solution.T_reference_target[FLOOR_POSE])

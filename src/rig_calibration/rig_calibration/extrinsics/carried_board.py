@@ -29,7 +29,6 @@ Feature = tuple[str | int, ...]
 
 MAX_FRAMES = 120
 CELLS = 4  # an image is divided into so many cells along its width and along its height
-PAIR_WEIGHT = 2.0  # what two cameras share ties them together; where in the image it is helps less
 
 
 def group_by_frame(detections: Iterable[TargetDetection]) -> dict[int, list[TargetDetection]]:
@@ -109,7 +108,7 @@ def _cell(detection: TargetDetection) -> tuple[int, int]:
 
 
 def _gain(features: Sequence[Feature], seen: Counter[Feature]) -> float:
-    return sum((PAIR_WEIGHT if len(feature) == 2 else 1.0) / (1 + seen[feature]) for feature in features)
+    return sum(1.0 / (1 + seen[feature]) for feature in features)
 
 
 # --- When the board lies on the floor.

@@ -112,7 +112,6 @@ def _not_ruled_out(solutions: list[tuple[float, Array]], corners: int, sigma: fl
 # Thresholds: measured by python bench/calibration.py.
 SAME_PLACE_PX = 1.0  # corners that lie further apart (median over the board) belong to a board, or a camera, that moved
 OUTLIER_SDS = 4.0
-MIN_SCATTER_PX = 0.1  # a corner that strays less than OUTLIER_SDS times this is never an outlier
 MIN_SHARE = 1 / 3  # a corner counts when so many of the frames that agree show it
 LASTING_PX = 0.05  # not removed by averaging: compression, the grid of pixels and the lens err alike in every frame
 
@@ -140,9 +139,9 @@ def average_still_board(detections: Sequence[TargetDetection], board: Board, *, 
     pixels = _table(ordered, len(board.corners_board), board.half_turn_is_visible)  # (F, N, 2)
     together = _largest_group(pixels)
     chosen = pixels[together]
-    mean, count = _mean_without_outliers(chosen)
-    ids = np.flatnonzero(count >= max(1.0, MIN_SHARE * len(chosen)))
     single = float(np.median([ordered[index].sigma_px for index in np.flatnonzero(together)]))
+    mean, count = _mean_without_outliers(chosen, single)
+    ids = np.flatnonzero(count >= max(1.0, MIN_SHARE * len(chosen)))
     sigma = float(np.hypot(single / np.sqrt(np.median(count[ids])), LASTING_PX))
     averaged = replace(ordered[0], frame_index=0, target=target, ids=ids, pixels=mean[ids], sigma_px=sigma)
     frames = np.array([detection.frame_index for detection in ordered])
@@ -175,14 +174,15 @@ def _distance(one: Array, other: Array) -> float:
     return float(np.median(apart)) if apart.size else float("inf")
 
 
-def _mean_without_outliers(pixels: Array) -> tuple[Array, Array]:
-    """Mean (N, 2) and number of frames (N,) of each corner; median and MAD tell which frames stray."""
+def _mean_without_outliers(pixels: Array, sigma_px: float) -> tuple[Array, Array]:
+    """Mean (N, 2) and number of frames (N,) of each corner; median and MAD (their noise, where that is more) tell
+    which frames stray."""
     shown = np.isfinite(pixels[..., 0])
     seen = np.flatnonzero(shown.any(axis=0))
     median = np.full(pixels.shape[1:], np.nan)
     median[seen] = np.nanmedian(pixels[:, seen], axis=0)
     apart = np.linalg.norm(pixels - median, axis=2)
-    scatter = max(MIN_SCATTER_PX, 1.4826 * float(np.median(apart[shown])))
+    scatter = max(sigma_px, 1.4826 * float(np.median(apart[shown])))
     good = shown & (apart <= OUTLIER_SDS * scatter)
     count = good.sum(axis=0)
     mean = np.where(good[..., None], pixels, 0.0).sum(axis=0) / np.maximum(count, 1)[:, None]

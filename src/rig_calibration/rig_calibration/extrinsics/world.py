@@ -57,11 +57,6 @@ def board_in_world(corners_board: Array, choice: WorldChoice) -> Array:
     return T_world_board
 
 
-def world_from_floor(T_reference_board: Array, T_world_board: Array) -> Array:
-    """T_world_reference (4, 4), when the board lies at ``T_reference_board`` on the floor."""
-    return T_world_board @ inverse(T_reference_board)
-
-
 def world_of_level_camera(T_camera_reference: Array) -> Array:
     """T_world_reference (4, 4) when no floor is known: the camera is taken for level, world x is where it looks, and
     the world's origin is its centre. Directions and distances are right but for that tilt; heights mean nothing."""
@@ -100,7 +95,6 @@ STEP_M = 0.1
 LEVELS_M = np.arange(0.15, DEFAULT_HEIGHT_M, 0.25)  # heights at which a place on the floor is asked who sees it
 BODY_TOP_M = 1.7  # a person can be tracked at a place where enough cameras see every height up to this
 REACH = 2.0  # a camera counts up to so many times its distance from the rig's centre; beyond, its pixels are too coarse
-MIN_DISTANCE_M = 0.3
 MIN_SIDE_M, MAX_SIDE_M = 1.0, 8.0
 TIP_SHARE = 0.02
 """Of the places, so many may lie outside the box on each side: the tips of a star are not worth their voxels."""
@@ -152,11 +146,6 @@ def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
     )
 
 
-def centre_of(volume: Volume) -> Array:
-    """Return (3,) the middle of the box, world."""
-    return (volume.low + volume.high) / 2
-
-
 def _floor_grid(cameras: Sequence[CameraModel]) -> tuple[Array, Array]:
     """Coordinates x (nx,) and y (ny,) of the columns that are asked, whole multiples of the step."""
     box = default_volume(tuple(cameras))
@@ -171,16 +160,11 @@ def _cameras_seeing(cameras: Sequence[CameraModel], x: Array, y: Array) -> npt.N
     centre = np.array([x.mean(), y.mean(), 1.0])
     seeing = np.zeros(points.shape[:3], np.int64)
     for camera in cameras:
-        seeing += _sees(camera, points, REACH * float(np.linalg.norm(camera.centre_world - centre)))
+        pixels = camera.project(points)  # NaN: behind the camera, or beyond its lens
+        inside = ((pixels > -0.5) & (pixels < [camera.width - 0.5, camera.height - 0.5])).all(axis=-1)
+        reach_m = REACH * np.linalg.norm(camera.centre_world - centre)
+        seeing += inside & (np.linalg.norm(points - camera.centre_world, axis=-1) < reach_m)
     return seeing
-
-
-def _sees(camera: CameraModel, points_world: Array, reach_m: float) -> npt.NDArray[np.bool_]:
-    pixels = camera.project(points_world)
-    distance = np.linalg.norm(points_world - camera.centre_world, axis=-1)
-    with np.errstate(invalid="ignore"):  # NaN: behind the camera, or beyond its lens
-        inside = (pixels > -0.5).all(axis=-1) & (pixels < [camera.width - 0.5, camera.height - 0.5]).all(axis=-1)
-    return inside & (distance > MIN_DISTANCE_M) & (distance < reach_m)
 
 
 def _largest_piece(place: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -254,7 +238,8 @@ class RigFigures:
 
 def rig_figures(placed: PlacedRig, solution: RigSolution, floor: Mapping[str, FloorView]) -> RigFigures:
     """Compute all figures of the rig; ``floor`` for those that see the floor board."""
-    centre, cameras = centre_of(placed.rig.volume), placed.rig.cameras
+    volume, cameras = placed.rig.volume, placed.rig.cameras
+    centre = (volume.low + volume.high) / 2
     counts = Counter(detection.camera for detection in solution.detections)
     weights = np.array([counts[camera.name] for camera in cameras], float)
     squares = np.array([solution.rms_px[camera.name] ** 2 for camera in cameras])

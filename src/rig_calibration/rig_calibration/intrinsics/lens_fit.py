@@ -34,7 +34,6 @@ MIN_VIEWS = 3
 AGREEING_SHARE = 0.4  # of the views must agree, else it is open which of them are right
 FOCAL_TRIALS = np.geomspace(0.2, 5.0, 9)  # of the image's longer side: from a fisheye to a long lens
 TRIAL_VIEWS = 12
-UNEXPLAINED_PX = 1e4  # of a view to which no pose fits
 START = StopCriterion(40, 1e-5)
 
 
@@ -144,7 +143,7 @@ def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: 
 
     def typical_misfit(camera: CameraModel) -> float:
         poses = [view.poses for view in views_of(detections, {camera.name: camera}, shapes)]
-        return float(np.median([UNEXPLAINED_PX if found is None else found.rms_px[0] for found in poses]))
+        return float(np.median([np.inf if found is None else found.rms_px[0] for found in poses]))
 
     return min(trials, key=typical_misfit)
 

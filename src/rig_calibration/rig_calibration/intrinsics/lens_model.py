@@ -29,7 +29,6 @@ REFERENCE_WIDTH_PX = 640  # of images, for which limits in pixels are given
 # Thresholds: judgement, and outweighed by views (decisions); measured by python bench/calibration.py.
 # Standard deviations of what lenses and boards are like: views that tell outweigh them by far; where no view reaches,
 # the lens goes on as lenses do, instead of as a polynomial does
-FOCAL_PRIOR = 1.0  # of the focal length itself
 ASPECT_PRIOR = 0.02  # of fx / fy around 1
 CENTRE_PRIOR = 0.1  # of the image's longer side, around the middle
 # coefficient -> by how much its term moves the image's corner, as a share of the distance from the centre; and the
@@ -90,7 +89,7 @@ class LensModel:
         mean[start : start + LENS] = lens_of(self.camera("", focal_px, image_size))
         distortion = self.distortion_prior_sd(focal_px, image_size)
         warp = WARP_PRIOR * board_diagonal_m
-        sd = np.array([FOCAL_PRIOR * focal_px] * 2 + [CENTRE_PRIOR * max(image_size)] * 2 + [*distortion.values()])
+        sd = np.array([focal_px] * 2 + [CENTRE_PRIOR * max(image_size)] * 2 + [*distortion.values()])
         information[self.columns, self.columns] = np.r_[0.5, 0.5, np.ones(count)] * np.r_[sd, warp, warp] ** -2.0
         information[start : start + 2, start : start + 2] += (
             np.array([[1.0, -1.0], [-1.0, 1.0]]) / (ASPECT_PRIOR * focal_px) ** 2

@@ -26,7 +26,6 @@ from .lens_model import REFERENCE_WIDTH_PX, LensModel
 BLUR_PX, BLUR_FACTOR = 2.0, 2.0  # refused above: at 640 pixels of width, and of the sharpest views so far
 MOTION_PX = 3.0  # refused above, between neighbouring images, at 640 pixels of width
 ALIKE_PLACE, ALIKE_SIZE, ALIKE_LEAN_DEG, ALIKE_ROLL_DEG = 0.1, 0.2, 10.0, 25.0  # of the width; of its logarithm
-BETTER = 0.7  # an alike view takes another's place when it is that much stiller and sharper
 FIRST_FIT, GROWTH = 6, 1.3  # fits after so many views, then after so many times more
 PLENTY = 80  # views; more help little
 ENOUGH_VIEWS = 12
@@ -166,7 +165,7 @@ class ViewCollector:
         distances = [held.unlike(other) for other in self._held]
         if not self._every and distances and min(distances) < 1.0:
             nearest = int(np.argmin(distances))
-            if held.blur_and_motion_px >= BETTER * self._held[nearest].blur_and_motion_px:
+            if held.blur_and_motion_px >= self._held[nearest].blur_and_motion_px:
                 return "like one that is there already: show the board elsewhere or tilted otherwise"
             self._held[nearest] = held
         elif len(self._held) >= PLENTY:

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from capture_rig.errors import InputError
 from capture_rig.session import WRIST_FRACTION
 from stick_figure.body import Body
-from stick_figure.kinematics import forward, inverse
+from stick_figure.kinematics import inverse
 from stick_figure.pose import Pose
 from stick_figure.skeleton import L_CALF, L_THIGH, R_CALF, R_THIGH, T_POSE_ANGLES
 
@@ -65,12 +65,11 @@ class ReadingOptions:
 
 @dataclass(frozen=True, eq=False)
 class StickMotion:
-    """Poses of a body of its own at a steady rate; fit_error_m: mean distance of the file's points to the figure's."""
+    """Poses of a body of its own at a steady rate."""
 
     body: Body
     poses: tuple[Pose, ...]
     fps: float
-    fit_error_m: float
 
 
 def read_stick_motion(
@@ -89,8 +88,7 @@ def read_stick_motion(
     poses: list[Pose] = []
     for frame in points:
         poses.append(inverse(body, frame, poses[-1] if poses else None))
-    placed = np.array([forward(body, pose) for pose in poses])
-    return StickMotion(body, tuple(poses), rate, float(np.linalg.norm(placed - points, axis=2).mean()))
+    return StickMotion(body, tuple(poses), rate)
 
 
 def read_joints(path: str | Path) -> JointMotion:

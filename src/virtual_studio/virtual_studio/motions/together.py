@@ -90,8 +90,6 @@ class Scene:
 
     def motions(self, persons: Sequence[VolumetricBody], fps: float, seconds: float | None = None) -> list[Motion]:
         """Return one motion a person; ValueError unless there is one for every role."""
-        if len(persons) != len(self.roles):
-            raise ValueError(f"{len(persons)} persons for {len(self.roles)} roles")
         pairs = zip(self.roles, persons, strict=True)
         return [role.motion(person, seconds or self.seconds, fps) for role, person in pairs]
 

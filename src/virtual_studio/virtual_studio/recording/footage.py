@@ -1,6 +1,6 @@
 """Writes what setting up a room takes: footage for intrinsics, a board on the floor, a carried board, a person.
 
-intrinsics/camNN.mp4, floor/camNN.png, moving/camNN.mp4, [wand/camNN.mp4,] board.yaml (waved before each camera),
+intrinsics/camNN.mp4, floor/camNN.png, moving/camNN.mp4, board.yaml (waved before each camera),
 floor_board.yaml (the one on the floor, and carried), and session/ with camNN.mp4, camNN_background.mp4 and
 session.yaml: to be tracked, it lacks nothing but rig.yaml. For scoring only: truth_rig.yaml, truth_floor.yaml and
 truth.csv.
@@ -25,18 +25,18 @@ from capture_rig.yaml_file import read_mapping, save_mapping
 from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
 from stick_figure.body import Body
 
-from ..boards import Array, BoardPrint, Wand, carry, hands, on_floor, person_with, print_of, swing, wave
+from ..boards import Array, BoardPrint, carry, hands, on_floor, person_with, print_of, wave
 from ..people import VolumetricBody
 from ..rendering.board_camera import FilmingCamera, Optics
-from ..rendering.camera import Image, Sensor
+from ..rendering.camera import Sensor
 from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, atomic_folder, write_session
 
 DESCRIPTION = "setup.yaml"
-INTRINSICS, FLOOR, MOVING, WAND = "intrinsics", "floor", "moving", "wand"
+INTRINSICS, FLOOR, MOVING = "intrinsics", "floor", "moving"
 SESSION, TRUTH = "session", "truth.csv"
 BOARD_FILE, FLOOR_BOARD_FILE = "board.yaml", "floor_board.yaml"
 TRUTH_RIG_FILE, TRUTH_FLOOR_FILE = "truth_rig.yaml", "truth_floor.yaml"
-FIRST_FRAME = {INTRINSICS: 0, FLOOR: 100_000, MOVING: 200_000, WAND: 300_000}
+FIRST_FRAME = {INTRINSICS: 0, FLOOR: 100_000, MOVING: 200_000}
 """Numbers of the first frames as the sensor counts, so that no noise repeats."""
 HAND_BOARD = Checkerboard(9, 6, (0.04, 0.04))
 """An A3 print: waved before each camera."""
@@ -47,8 +47,6 @@ STATURE_M, SESSION_FPS = 1.75, 60.0
 """Of who carries the board and moves in the session; of its footage."""
 
 Progress = Callable[[str], None]
-Shot = Callable[[FilmingCamera, int], Image]
-"""Takes the picture of one instant with a camera; the number is the frame's as the sensor counts."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class FootagePlan:
 
     hand_board : waved before each camera; floor_board : lies on the floor, and is carried. fps : of the videos.
     brief : half the places in front of each camera. stills : there one picture at each place (camNN/*.png) instead of
-    a video. moving_s : how long the board is carried. wand : swung, too.
+    a video. moving_s : how long the board is carried.
     seed, noise, flicker : see `Sensor`.
     """
 
@@ -67,7 +65,6 @@ class FootagePlan:
     brief: bool = False
     stills: bool = False
     moving_s: float = 24.0
-    wand: Wand | None = None
     seed: int = 1
     noise: float = 3.0
     flicker: float = 0.005
@@ -164,11 +161,8 @@ def _film_boards(folder: Path, rig: Rig, plan: FootagePlan, progress: Progress) 
             progress(filmed)
         _film_floor(folder / FLOOR, cameras, floor)
         progress(FLOOR)
-        _film_moving(folder, MOVING, _carried(floor, plan), cameras, plan, pool)
+        _film_carried(folder / MOVING, cameras, floor, plan, pool)
         progress(MOVING)
-        if plan.wand is not None:
-            _film_moving(folder, WAND, _swung(plan.wand, plan), cameras, plan, pool)
-            progress(WAND)
 
 
 def _film_waved(folder: Path, camera: FilmingCamera, board: BoardPrint, plan: FootagePlan) -> str:
@@ -198,35 +192,17 @@ def _film_floor(folder: Path, cameras: Sequence[FilmingCamera], board: BoardPrin
         cv2.imwrite(str(folder / f"{camera.camera.name}.png"), picture)
 
 
-def _film_moving(
-    folder: Path,
-    part: str,
-    shot_at: Callable[[float], Shot],
-    cameras: Sequence[FilmingCamera],
-    plan: FootagePlan,
-    pool: ThreadPoolExecutor,
+def _film_carried(
+    folder: Path, cameras: Sequence[FilmingCamera], board: BoardPrint, plan: FootagePlan, pool: ThreadPoolExecutor
 ) -> None:
-    with _videos(folder / part, cameras, plan.fps) as videos:
+    path, person = carry(board, plan.moving_s, plan.seed), VolumetricBody(Body.from_stature(STATURE_M))
+    with _videos(folder, cameras, plan.fps) as videos:
         for frame in range(round(plan.moving_s * plan.fps)):
-            shot, number = shot_at((frame + 0.5) / plan.fps), FIRST_FRAME[part] + frame
-            pictures = pool.map(lambda camera, shot=shot, number=number: shot(camera, number), cameras)
+            t = (frame + 0.5) / plan.fps
+            shot = FIRST_FRAME[MOVING] + frame, board, path, t, person_with(person, board, path(t))
+            pictures = pool.map(lambda camera, shot=shot: camera.take(*shot), cameras)
             for video, picture in zip(videos, pictures, strict=True):
                 video.write(picture)
-
-
-def _carried(board: BoardPrint, plan: FootagePlan) -> Callable[[float], Shot]:
-    path, person = carry(board, plan.moving_s, plan.seed), VolumetricBody(Body.from_stature(STATURE_M))
-
-    def at(t: float) -> Shot:
-        holder = person_with(person, board, path(t))
-        return lambda camera, number: camera.take(number, board, path, t, holder)
-
-    return at
-
-
-def _swung(wand: Wand, plan: FootagePlan) -> Callable[[float], Shot]:
-    path = swing(plan.moving_s, plan.seed)
-    return lambda t: lambda camera, number: camera.take_wand(number, wand, path, t)
 
 
 @contextmanager

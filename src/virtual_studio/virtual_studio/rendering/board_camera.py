@@ -1,4 +1,4 @@
-"""Renders what one camera sees of calibration boards, wands and who holds them: lens, focus, exposure and noise."""
+"""Renders what one camera sees of calibration boards and who holds them: lens, focus, exposure and noise."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.kernel import njit
 from capture_rig.lens import Array
 
-from ..boards import BACK, BLACK, DIMMED, GLOW, WHITE, BoardPrint, PosedBoard, PosePath, Wand
+from ..boards import BACK, BLACK, WHITE, BoardPrint, PosedBoard, PosePath
 from ..people import Capsules
 from ..rig import view_room
 from .camera import Image, Light, Sensor
@@ -68,21 +68,8 @@ class BoardCamera:
             self._draw(board, depth, light, sample_offsets(samples))
         return _blurred(light, blur_px)
 
-    def render_wand(self, wand: Wand, T_world_wand: Array, blur_px: float = LENS_BLUR_PX) -> Light:
-        """Returns the light of a wand of glowing balls in the dimmed room; nobody holds it."""
-        light = DIMMED * self._with_people(wand.stick(T_world_wand))[0]
-        offsets = sample_offsets(SAMPLES)
-        for ball in wand.balls_world(T_world_wand):
-            centre = self.camera.R_camera_world @ ball + self.camera.t_camera_world
-            reach_px = 1.5 * self.camera.K[0, 0] * wand.radius_m / max(centre[2], NEAR_M)
-            pixel = self.camera.project(ball)
-            if np.isfinite(pixel).all():
-                box = self._box(pixel - reach_px - 1, pixel + reach_px + 2)
-                cast_ball(self._ideal, centre, wand.radius_m, GLOW, offsets, box, light)
-        return _blurred(light, blur_px)
-
     def _with_people(self, people: Capsules | None) -> tuple[Light, Light]:
-        """Light and depth along the ray, m, of the room with people, or a stick, in it."""
+        """Light and depth along the ray, m, of the room with people in it."""
         light = self._view.grey.copy()
         if people is None:
             return light, np.full(light.shape, np.inf, np.float32)
@@ -138,11 +125,6 @@ class FilmingCamera:
         light = self._renderer.render([posed], people, self._optics.blur_px)
         return self._optics.sensor.expose(light, self._number, frame)
 
-    def take_wand(self, frame: int, wand: Wand, path: PosePath, t: float) -> Image:
-        """Takes a picture (h, w) of a wand."""
-        light = self._renderer.render_wand(wand, path(t), self._optics.blur_px)
-        return self._optics.sensor.expose(light, self._number, frame)
-
 
 def exposure_poses(camera: CameraModel, board: BoardPrint, path: PosePath, t: float, exposure_s: float) -> Array:
     """Returns a board's poses (K, 4, 4) while the shutter is open, as many as its motion in the picture asks for."""
@@ -180,7 +162,7 @@ def _blurred(light: Light, blur_px: float) -> Light:
     return light
 
 
-# --- Kernels that draw flat prints and glowing balls: what share of each pixel they cover, and how bright it is there.
+# --- Kernels that draw flat prints: what share of each pixel they cover, and how bright it is there.
 #
 # Pixels that lie on one field, or beside the print, take one look-up; those on an edge are sampled. ``ideal``
 # (h + 1, w + 1, 2) are the normalised undistorted image coordinates of the pixels' corners.
@@ -292,23 +274,6 @@ def _sampled_pixel(homographies, greys, texture, offsets, corners):
 @njit(cache=True, nogil=True)
 def _grey(black_white, level):
     return black_white[0] + level / 255.0 * (black_white[1] - black_white[0])
-
-
-@njit(cache=True, nogil=True)
-def cast_ball(ideal, centre, radius, glow, offsets, box, light):
-    """Draws a glowing ball: ``centre`` (3,) camera frame, m; the other arguments as of ``cast_board``."""
-    corners = np.empty((4, 2))
-    c2 = centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2 - radius**2
-    for py in range(box[1], box[3]):
-        for px in range(box[0], box[2]):
-            _pixel_corners(ideal, px, py, corners)
-            covered = 0.0
-            for i in range(len(offsets)):
-                x, y = _inside_pixel(corners, offsets[i, 0], offsets[i, 1])
-                ahead = x * centre[0] + y * centre[1] + centre[2]
-                if ahead > 0.0 and ahead * ahead > c2 * (1.0 + x * x + y * y):
-                    covered += 1.0 / len(offsets)
-            light[py, px] = (1.0 - covered) * light[py, px] + covered * glow
 
 
 @njit(cache=True, nogil=True)
