@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.lens import Array
 
 from .board import Board, CharucoBoard, TargetDetection
-from .corner_grid import CornerGrid, empty_grid, fitted, is_black_first, predict, turned
+from .corner_grid import CornerGrid, empty_grid, fitted, is_black_first, predict, steps, turned
 from .detector import as_grey, complete, detection_of, marker_margin, possible_orders
+from .lattice import Variant, find_saddles
 
-# Thresholds: judgement.
+# Thresholds: MIN_FOUND, MAX_FROM_PLANE measured by python bench/calibration.py --boards; clicks: judgement.
+POINTING_ERROR_PX = 6.0
+POINTING_ERROR_FIELDS = 0.6
+CANDIDATES = 3  # saddles looked at near each click
+HIT_FIELDS, MIN_HIT_PX = 0.25, 1.0  # how near a saddle must lie to where a corner is expected
 MIN_FOUND = 0.5  # of a board's corners
 ROUNDS = 12
+VARIANTS = (Variant(), Variant(1, 2), Variant(1, 3), Variant(1, 1, 2.5))
 OUTER = ((0, 0, -1, -1), (0, -1, -1, 0))  # rows and columns of the outermost corners, in reading order
 ORDER = "Give the outermost inner corners in reading order: first, end of first row, last, start of last row."
 
@@ -63,7 +71,7 @@ def find_from_outer_corners(
     model: CameraModel | None = None,
 ) -> TargetDetection:
     """Find the board whose outermost inner corners lie near ``outer_px`` (4, 2) pixels, in the print's reading order:
-    first, end of the first row, last, start of the last row; up to half a field off.
+    first, end of the first row, last, start of the last row; up to 6 pixels or half a field off.
 
     ``model``: the camera, where its lens is known already: where the lens bends lines much, corners are expected in
     the right places then. The detection holds the corners that the image shows, to a part of a pixel; where the
@@ -76,7 +84,8 @@ def find_from_outer_corners(
     lens = None if model is None else replace(model, T_camera_world=np.eye(4))
     view = _View(board.corners_board[:, :2], shape, lens)
     margin = marker_margin(board) if isinstance(board, CharucoBoard) else 1.0
-    grid = _followed(grey, view, outer, margin)
+    snapped = _snapped(grey, view, outer)
+    grid = _followed(grey, view, snapped, margin)
     if grid.count < MIN_FOUND * grid.found.size:
         raise InputError(
             f"only {grid.count} of {grid.found.size} corners are seen where the four given ones put the board",
@@ -101,6 +110,45 @@ def _checked(outer_px: npt.ArrayLike, where: str) -> Array:
     if problem:
         raise InputError(problem, where=where, remedy=ORDER)
     return outer
+
+
+def _snapped(grey: npt.NDArray[np.uint8], view: _View, outer: Array) -> Array:
+    """Return the four saddles near the given corners with which most of the board's corners fall onto saddles."""
+    found = [variant.to_raw(find_saddles(variant.make(grey), variant.smoothing_px).pixels) for variant in VARIANTS]
+    saddles = np.concatenate([*found, outer])
+    tree = cKDTree(saddles)
+    expected = view.corners(view.outer, outer)
+    choices = []
+    for corner, field in zip(outer, _fields_px(expected)[OUTER], strict=True):
+        reach = max(POINTING_ERROR_PX, POINTING_ERROR_FIELDS * float(np.nan_to_num(field)))
+        distance, index = tree.query(corner, k=min(3 * CANDIDATES, len(saddles)), distance_upper_bound=reach)
+        choices.append([corner, *_distinct(saddles[index[np.isfinite(distance)]], corner)])
+    tries = [np.array(four) for four in product(*choices)]
+    return max(tries, key=lambda four: _hits(view, four, tree))
+
+
+def _distinct(saddles: Array, corner: Array) -> list[Array]:
+    """Return the nearest few, those that several looks show only once."""
+    kept: list[Array] = []
+    for saddle in saddles:
+        if all(np.hypot(*(saddle - other)) > 0.7 for other in [corner, *kept]):
+            kept.append(saddle)
+    return kept[:CANDIDATES]
+
+
+def _hits(view: _View, four: Array, tree: cKDTree) -> tuple[int, float]:
+    """Return how many corners fall onto saddles; and, less being better, how far from them they lie."""
+    expected = view.corners(view.outer, four)
+    near = np.maximum(HIT_FIELDS * _fields_px(expected), MIN_HIT_PX).ravel()
+    distance, _ = tree.query(np.nan_to_num(expected.reshape(-1, 2), nan=-1e6))
+    hit = distance < near
+    return int(hit.sum()), -float(distance[hit].mean()) if hit.any() else 0.0
+
+
+def _fields_px(corners: Array) -> Array:
+    """Return the shorter side of the field at each corner, px (rows, columns)."""
+    along, down = steps(corners)
+    return np.fmin(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))
 
 
 def _followed(grey: npt.NDArray[np.uint8], view: _View, outer: Array, margin: float) -> CornerGrid:
