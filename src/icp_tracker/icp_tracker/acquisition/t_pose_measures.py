@@ -10,12 +10,12 @@ from capture_rig.settings import setting
 from capture_rig.visibility import RigVisibility
 
 from .body_parts import Arm, Legs, facing, find_arms, find_legs
+from .truncation import TRUNK_REACH
 from .upright import FEWEST_OF_A_PART, FEWEST_VOXELS, PoseRejected, Upright, measure_upright, reject_leaning
 
 LEVEL, LOWERED = "level", "lowered"
 LOWERED_BY = np.pi / 4
 ARMPIT = (-0.10, -0.06)  # over the stature, from the arms' height: here the trunk's sides end
-TRUNK_REACH = 0.16  # over the stature: farther from the spine is no trunk
 # Thresholds: measured by python bench/acquisition.py (how many are found).
 LARGEST_TILT = 0.33  # rad, of an arm from where it should be
 LARGEST_SWEEP = 0.45  # rad, of both arms ahead or behind: elbows that are bent a little swing their forearms ahead

@@ -11,7 +11,7 @@ from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.skeleton import ANGLE_NAMES, L_CALF, L_THIGH, mirror_angles
+from stick_figure.skeleton import ANGLE_NAMES, L_CALF, L_THIGH, angles_of_sides
 
 from .body_sizes import ANKLE, MEAN_OVER_STATURE, estimate_body
 from .initial_pose import InitialPose
@@ -24,7 +24,6 @@ STILL_M_S = 0.25  # who moves faster does not stand still
 SURENESS = 5.0  # least log-likelihood ratio of the heading that was found against the opposite one
 JITTER_M = 0.03  # the middle of a hull's trunk jitters by so much though nobody moves
 TRUNK_HALF_WIDTH = 0.12  # over the stature
-RIGHT = np.array([name.startswith("right") for name in ANGLE_NAMES])
 
 
 class TPoseSource:
@@ -102,8 +101,7 @@ def pose_of(held: list[TPose], body: Body) -> Pose:
     sweep = float(np.median([0.5 * (m.arms[0].sweep + m.arms[1].sweep) for m in held]))
     elevations = np.median([[arm.elevation for arm in m.arms] for m in held], axis=0)
     spread = float(np.median([m.legs.spread for m in held]))
-    left, right = (_angles(elevation, sweep, spread) for elevation in elevations)
-    angles = np.where(RIGHT, mirror_angles(right), left)
+    angles = angles_of_sides(*(_angles(elevation, sweep, spread) for elevation in elevations))
     legs = MEAN_OVER_STATURE[ANKLE] * last.stature + (body.lengths[L_THIGH] + body.lengths[L_CALF]) * np.cos(spread)
     height = last.body.floor_world + legs + body.half_lengths[0]
     return Pose.from_angles(np.r_[_trunk_middle(last), height], R_world_torso, angles)

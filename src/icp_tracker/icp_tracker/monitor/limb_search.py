@@ -37,7 +37,7 @@ from stick_figure.least_squares.normal_equations import (
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.pose import Pose
 
-from .evidence import GATE_M, SLACK_M, match_to, ray_cost
+from .evidence import GATE_M, RAYS_PER_NAT, SLACK_M, match_to, ray_cost
 from .pose_library import Limb, LimbPoses
 from .unexplained_data import COARSE_GATE_M, part_of, unexplained_data
 
@@ -50,8 +50,6 @@ ANGLES = 4  # three of the ball joint, one of the hinge
 REFINE_GATE_M = 0.08
 STIFFNESS_M2 = 2.0 * 0.3**2  # rays that hold an angle at its guess, times their lever squared
 STEP_MOST = 0.4  # rad
-
-SAMPLE_RAYS = 2.0  # rays that show one cell of the surface for certain
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +124,7 @@ def _search(data, matched, state, figure, limb, library, known):
     for h in range(gains.shape[0]):
         state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
         _place_limb(placed, figure, limb)
-        gains[h] = _rays_gained(left, placed, costs) + SAMPLE_RAYS * keypoint_support(keypoints, placed, sticks)
+        gains[h] = _rays_gained(left, placed, costs) + RAYS_PER_NAT * keypoint_support(keypoints, placed, sticks)
     chosen = np.argsort(-gains)[:REFINED]
     count = known.flexion.shape[0] + chosen.shape[0]
     R, flexion = np.empty((count, 3, 3)), np.empty(count)
@@ -258,7 +256,7 @@ def _samples(left, placed, lower, costs):
     for i in range(costs.shape[0]):
         if costs[i] > 0.0:
             cell = cell_of_ray(placed, match.capsule[i], match.along[i], left.rays.rows, i)
-            shown[cell // CELLS, cell % CELLS] += costs[i] / SAMPLE_RAYS
+            shown[cell // CELLS, cell % CELLS] += costs[i] / RAYS_PER_NAT
     shown = np.minimum(shown, 1.0)
     return min(shown.sum(), 2.0 * shown[lower].sum())
 

@@ -17,6 +17,7 @@ from capture_rig.stamps import NS_PER_S
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.least_squares.free_ends import TURN_SD
+from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.trunk_bend import REST_SD
 
@@ -30,9 +31,7 @@ from .shape import BUILD, SIZE, ShapeModel, ShapePrior, body_of, figure_change
 # checked by the studio's bodies and rendered sessions of the package's README
 TURN = 0.2  # rad, by which some joint of a different pose has turned
 EXPLAINED = 0.93  # share of the rays, in a pose that counts
-SURFACE_SD_M = 0.01
 INDEPENDENT_RAYS = 18.0  # one for each capsule: the model's error is common to a capsule's
-FARTHEST_SD = 3.0
 RAYS = 400  # of a kept pose that are used
 # when no pose has reached the share that counts for so long, those count that explain about as much as the best so far:
 # of an average person's surface a stout one of 1.88 m explains 0.84 to 0.92 of the rays while walking
@@ -51,8 +50,8 @@ class RefinementSettings:
     turn : rad, a pose is different when some joint turned by this much against every kept one. explained : share of the
     rays that the surface must explain for a pose to count; less while no pose reaches it. surface_sd_m : distance of a
     body's surface from the capsules, where they fit well; independent_rays : what all rays of a pose count as.
-    farthest_sd : no size leaves what the T-pose said by more. least_change_m : of a size or a part of the surface, for
-    the tracker to take a body over; not more often than every pause_s.
+    least_change_m : of a size or a part of the surface, for the tracker to take a body over; not more often than every
+    pause_s.
     """
 
     keyframes: int = setting(64, "different poses that are kept; 0 leaves the body as it was measured", low=0, high=500)
@@ -66,7 +65,6 @@ class RefinementSettings:
     explained: float = EXPLAINED
     surface_sd_m: float = SURFACE_SD_M
     independent_rays: float = INDEPENDENT_RAYS
-    farthest_sd: float = FARTHEST_SD
     least_change_m: float = LEAST_CHANGE_M
     pause_s: float = PAUSE_S
 
@@ -192,7 +190,7 @@ class BodyRefiner:
         """Solve for the shape that prior and kept poses speak for."""
         self._known = None
         values = solve_shape(self._kept, len(self._rays), self._information, self._target)
-        self._values = self._prior.clipped(values, self._settings.farthest_sd)
+        self._values = self._prior.clipped(values)
 
     def _due(self, stamp_ns: int) -> Body | None:
         """Return the refined body, or None if nothing changed by least_change_m or the last one is too recent."""
