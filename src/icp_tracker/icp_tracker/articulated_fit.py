@@ -156,22 +156,6 @@ class FitResult:
     matched: RayMatch
 
 
-def fit_articulated(
-    body: Body,
-    start: Pose,
-    points_world: np.ndarray,
-    sigma_m: np.ndarray | float = 0.0,
-    voxels: VoxelSamples = NO_VOXELS,
-    settings: ArticulatedSettings | None = None,
-    contour_rays: ContourRays = NO_CONTOUR_RAYS,
-) -> FitResult:
-    """Fit the figure to points (n, 3) m with noise ``sigma_m`` (n,), voxels and contour rays, from ``start``."""
-    settings = settings or ArticulatedSettings()
-    data = make_data(points_world, sigma_m, voxels, settings, contour_rays)
-    pose, iterations, moved = minimise(body, start, data, settings)
-    return assess(body, pose, data, iterations, moved < TOLERANCE_M, settings)
-
-
 def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
     """Return the pose reached from ``start``, the iterations it took, and how far (m) the last one moved a point."""
     state, figure, weights = State.of(start), Figure.of(body), make_weights(data, settings)

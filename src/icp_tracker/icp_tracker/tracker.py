@@ -23,6 +23,7 @@ from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
+from .acquisition.body_sizes import BodyEstimate
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .acquisition.pose_source import make_pose_source
 from .articulated_fit import (
@@ -40,7 +41,7 @@ from .body_uncertainty import covariance_of_sizes, widen_hidden
 from .extrinsic_monitor import ContourResiduals
 from .monitor.evidence import SAME_M, evidence_of
 from .monitor.track_monitor import TrackAssessment, TrackMonitor
-from .refinement.body_refiner import BodyRefiner, RefinedBody, known_sizes, warm_up_refiner
+from .refinement.body_refiner import BodyRefiner, known_sizes, warm_up_refiner
 from .refinement.trunk_bend import TrunkBend
 from .settings import IcpNodeSettings, TrackerSettings
 from .thesis.hierarchical_icp import fit_hierarchical
@@ -139,7 +140,7 @@ class IcpTracker:
         self._monitor.reset()
 
     @property
-    def refined_body(self) -> RefinedBody | None:
+    def refined_sizes(self) -> BodyEstimate | None:
         """How well the sizes of a measured body are known by now; None for a body whose sizes were given."""
         return None if self._refiner is None else self._refiner.refined
 
@@ -228,8 +229,8 @@ class IcpTracker:
             patience = settings if iterations is None else replace(settings, max_iterations=iterations)
             pose, spent, moved = minimise(body, start, data, patience)
             return assess(body, pose, data, spent, moved < TOLERANCE_M, settings)
-        found = fit_hierarchical(body, start, data.points, self._settings.hierarchical)
-        return assess(body, found.pose, data, found.iterations, found.converged, settings)
+        pose, spent, converged = fit_hierarchical(body, start, data.points, self._settings.hierarchical)
+        return assess(body, pose, data, spent, converged, settings)
 
     def _refine_body(self, stamp_ns: int, fit: FitResult, data: Data) -> FitResult:
         """Return the fit, done again with a better known body when there is one."""

@@ -261,7 +261,7 @@ class MotionSource:
         evidence, certainty = evidence_of(figure, hypothesis.pose, data), data.contour_rays.information
         certainty = certainty / max(float(certainty.sum()), 1e-12)
         explained = evidence.costs < EXPLAINED_COST
-        hypothesis.cost += float(certainty @ evidence.costs) + evidence.beyond / max(evidence.rays, 1)
+        hypothesis.cost += float(certainty @ evidence.costs) + evidence.beyond / max(len(evidence.costs), 1)
         hypothesis.share += float(certainty @ explained)
         hypothesis.seen += self._share_seen(figure, hypothesis.pose, evidence, explained)
         hypothesis.sets += 1

@@ -47,13 +47,14 @@ class TPoseSource:
         if measured is None:
             self._held.clear()
             return InitialPose(reason=reason)
-        if self._held and _distance(self._held[-1][1], measured) > SAME_PLACE_M:
+        last = self._held[-1][1] if self._held else measured
+        if np.linalg.norm(last.body.centre_world - measured.body.centre_world) > SAME_PLACE_M:
             self._held.clear()
         self._held.append((seen.stamp_ns, measured))
         reason = self._not_yet()
         if reason:
             return InitialPose(reason=reason)
-        held = [m for _, m in _turned_alike(self._held)]
+        held = _turned_alike([m for _, m in self._held])
         self._held.clear()
         if self._known is not None:
             return InitialPose(pose_of(held, self._known), self._known)
@@ -130,10 +131,6 @@ def _trunk_middle(measured: TPose) -> np.ndarray:
     return body.centre_world + ahead * body.forward_world + across * left
 
 
-def _distance(first: TPose, second: TPose) -> float:
-    return float(np.linalg.norm(first.body.centre_world - second.body.centre_world))
-
-
 def _movement(held: deque[tuple[int, TPose]]) -> tuple[float, float]:
     """Speed of the trunk over the held sets, m/s, and the way it went, m: a straight line through its places."""
     stamps = np.array([stamp for stamp, _ in held], dtype=np.float64)
@@ -152,7 +149,7 @@ def _sureness(held: deque[tuple[int, TPose]]) -> float:
     return float(abs(np.mean(signed)))
 
 
-def _turned_alike(held: deque[tuple[int, TPose]]) -> list[tuple[int, TPose]]:
+def _turned_alike(held: list[TPose]) -> list[TPose]:
     """Return the sets, all turned to the heading that the evidence of all of them speaks for."""
-    total = sum(m.facing * m.body.forward_world for _, m in held)
-    return [(stamp, m if m.body.forward_world @ total > 0.0 else m.turned_round()) for stamp, m in held]
+    total = sum(m.facing * m.body.forward_world for m in held)
+    return [m if m.body.forward_world @ total > 0.0 else m.turned_round() for m in held]

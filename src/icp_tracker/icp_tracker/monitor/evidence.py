@@ -52,11 +52,6 @@ class Evidence:
     matched: RayMatch
 
     @property
-    def rays(self) -> int:
-        """Rays looked at."""
-        return len(self.costs)
-
-    @property
     def cost(self) -> float:
         """Of outlines and what is beyond, in rays; lower is better."""
         return float(self.costs.sum()) + self.beyond

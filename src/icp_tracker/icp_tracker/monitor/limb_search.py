@@ -75,8 +75,7 @@ class LimbPlaces:
     @cached_property
     def apart_m(self) -> np.ndarray:
         """How far (k,) elbow or hand, whichever is farther, would be from where it is tracked."""
-        apart: np.ndarray = _apart_from(self.ends, self.tracked)
-        return apart
+        return np.asarray(np.sqrt(((self.ends - self.tracked) ** 2).sum(axis=2).max(axis=1)))
 
 
 NO_POSES = LimbPoses(np.empty((0, 3, 3)), np.empty(0))
@@ -171,15 +170,6 @@ def _distinct(margins, ends, known):
 def farther_apart(ends, others):
     """Return how far apart (m) the farther ends of two places are."""
     return np.sqrt(((ends - others) ** 2).sum(axis=1).max())
-
-
-@njit(cache=True)
-def _apart_from(ends, tracked):
-    """Return how far apart (k,) m the farther ends of some places are from those of one place."""
-    apart = np.empty(ends.shape[0])
-    for k in range(apart.shape[0]):
-        apart[k] = farther_apart(ends[k], tracked)
-    return apart
 
 
 @njit(cache=True)

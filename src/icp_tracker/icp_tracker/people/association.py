@@ -186,16 +186,13 @@ def _rows_of(seen: HullProducts, parts: tuple[int, ...]) -> _Rows:
 
 def _of_person(rows: _Rows, own: _Distances, others: Sequence[_Distances]) -> _Rows:
     """Return the rows without those that are clearly another's; rays that may be either's are less certain."""
-    others_line = np.min([other.line for other in others], axis=0)
-    others_voxels = np.min([other.voxels for other in others], axis=0)
-    others_rays = np.min([other.rays for other in others], axis=0)
+    nearest = _Distances(*(np.min(kind, axis=0) for kind in zip(*others, strict=True)))
+    line, on_surface, rays = (~_is_others(mine, theirs) for mine, theirs in zip(own, nearest, strict=True))
+    either = np.abs(own.rays - nearest.rays)[rays] <= CLEARLY_M
+    either &= np.minimum(own.rays, nearest.rays)[rays] < EXPLAINED_M
     seen = rows.products
-    line = ~_is_others(own.line, others_line)
-    rays = ~_is_others(own.rays, others_rays)
-    either = np.abs(own.rays - others_rays)[rays] <= CLEARLY_M
-    either &= np.minimum(own.rays, others_rays)[rays] < EXPLAINED_M
     kept = seen.of_rows(line, np.ones(len(seen.voxels), bool), rays)
-    voxels = replace(seen.voxels, surface=seen.voxels.surface & ~_is_others(own.voxels, others_voxels))
+    voxels = replace(seen.voxels, surface=seen.voxels.surface & on_surface)
     sigma = kept.contour_rays.sigma
     unclear = np.hypot(sigma, UNCLEAR_SD_M)
     kept_rays = replace(kept.contour_rays, sigma=np.where(either, unclear, sigma))

@@ -24,7 +24,7 @@ from stick_figure.trunk_bend import REST_SD
 from ..acquisition.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
 from ..articulated_fit import LIMIT_SD, NECK_PITCH, NECK_SD, PRIOR
 from .keyframes import Keyframes, PosePrior, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
-from .shape import BUILD, SIZE, ShapeModel, ShapePrior, body_of, figure_change
+from .shape import BUILD, SIZE, ShapeArrays, ShapePrior, body_of, figure_change
 
 # Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION; PATIENT_S,
 # LEAST_SHARE, BELOW_BEST with stout people who walk in (python bench/acquisition.py).
@@ -77,15 +77,6 @@ def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> Ray
     return contour_rays.chosen(rows, information)
 
 
-@dataclass(frozen=True, eq=False)
-class RefinedBody:
-    """A body with the uncertainty of its sizes and how thick its limbs are, and the poses it is known from."""
-
-    estimate: BodyEstimate
-    build: np.ndarray
-    keyframes: int
-
-
 class BodyRefiner:
     """Collects poses and refines one body. Deterministic."""
 
@@ -107,7 +98,7 @@ class BodyRefiner:
         self._pose_prior = PosePrior(PRIOR, bends, NECK_SD**-2, NECK_PITCH, LIMIT_SD**-2, ends)
         self._information = np.linalg.inv(self._prior.covariance)
         self._target = self._information @ self._prior.mean
-        self._model, self._values = ShapeModel(self._prior.mean).arrays, self._prior.mean.copy()
+        self._model, self._values = ShapeArrays.of(self._prior.mean), self._prior.mean.copy()
         if build is not None:
             self._values[BUILD] = build
         self._given, self._given_ns, self._began_ns = self._values, -1, -1
@@ -148,15 +139,19 @@ class BodyRefiner:
     def sizes_covariance(self) -> np.ndarray:
         """Covariance (10, 10) m^2 of the sizes as they are known now."""
         if self._known is None:
-            self._known = self.refined.estimate.covariance
+            self._known = self.refined.covariance
         return self._known
 
     @property
-    def refined(self) -> RefinedBody:
-        """The body as it is known now."""
+    def refined(self) -> BodyEstimate:
+        """The sizes as they are known now."""
         covariance = np.linalg.inv(self._information + self._kept.information[: len(self._rays)].sum(axis=0))
-        estimate = BodyEstimate(self._values[SIZE], covariance[SIZE, SIZE])
-        return RefinedBody(estimate, self._values[BUILD], len(self._rays))
+        return BodyEstimate(self._values[SIZE], covariance[SIZE, SIZE])
+
+    @property
+    def keyframes(self) -> int:
+        """How many poses are kept."""
+        return len(self._rays)
 
     def _keep(self, pose: Pose, contour_rays: RayArrays, bend: np.ndarray) -> bool:
         """Keep the pose if it is a new one that the surface explains; return whether it is kept."""

@@ -49,7 +49,9 @@ class ShapeDerivatives(NamedTuple):
 
 
 class ShapeArrays(NamedTuple):
-    """A figure about ``centre`` (UNKNOWNS,), and its derivatives; ``bends`` : as its trunk bends.
+    """The figure as a linear function of the unknowns (UNKNOWNS,), sizes in metres, build in units of how people
+    differ: about ``centre``, with its derivatives; ``bends`` : as its trunk bends. Sizes alone enter linearly; a build
+    times a size is taken at the centre, which costs half a per cent of a radius where both are far off.
 
     stick (k,) : that each capsule is fixed to. capsules (k, 8), origins (10, 3), lengths (10,) : as in the
     derivatives.
@@ -63,29 +65,18 @@ class ShapeArrays(NamedTuple):
     derivatives: ShapeDerivatives
     bends: BendDerivatives
 
-
-class ShapeModel:
-    """The figure as a function of the unknowns (UNKNOWNS,): sizes in metres, build in units of how people
-    differ.
-
-    Linear about ``centre``. Sizes alone enter linearly; a build times a size is taken at the centre, which costs
-    half a per cent of a radius where both are far off.
-    """
-
-    def __init__(self, centre: np.ndarray) -> None:
+    @classmethod
+    def of(cls, centre: np.ndarray) -> ShapeArrays:
+        """Return the figure about its unknowns' values (UNKNOWNS,)."""
         parts, columns = _parts(centre), []
         for k in range(UNKNOWNS):
             values = centre.copy()
             values[k] += STEP
             columns.append([(there - here) / STEP for there, here in zip(_parts(values), parts, strict=True)])
         stacked = (np.ascontiguousarray(np.stack(part, axis=-1)) for part in zip(*columns, strict=True))
-        self.derivatives, body = ShapeDerivatives(*stacked), body_of(centre)
-        bends = bend_derivatives(body)
-        self.arrays = ShapeArrays(centre, BodySurface.of(body).stick, *parts, self.derivatives, bends)
-
-    def at(self, values: np.ndarray) -> Figure:
-        """Return the figure for other values."""
-        return figure_at(self.arrays, values)
+        body = body_of(centre)
+        stick, bends = BodySurface.of(body).stick, bend_derivatives(body)
+        return cls(centre, stick, *parts, ShapeDerivatives(*stacked), bends)
 
 
 @njit(cache=True)
