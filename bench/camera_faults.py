@@ -235,7 +235,7 @@ def main() -> None:
     played, wrong, alarms, update_ms, all_ms = [], 0, 0, [], []
     for clip in clips(options.quick, options.only):
         views, cameras = RigViews.from_rig(clip.rig), len(clip.rig.names)
-        carver = make_backend("cpu", views, VoxelGrid.covering(clip.rig.volume, VOXEL_M)).backend
+        carver = make_backend("cpu", views, VoxelGrid.covering(clip.rig.volume, VOXEL_M))[0]
         without_fault(clip, detector_of(clip, views), 30)  # compiles
         false, evaluated, spent = without_fault(clip, detector_of(clip, views))
         print(

@@ -62,7 +62,7 @@ def points_of(backend: CarveBackend, grid: VoxelGrid) -> Callable[[Masks], int]:
 
     def work(masks: Masks) -> int:
         volume = backend.carve(masks, min_seeing(len(masks)))
-        return len(find_centerline(slice_hull(volume).blobs, grid, BlobSettings()))
+        return len(find_centerline(slice_hull(volume)[0], grid, BlobSettings()))
 
     return work
 
@@ -72,7 +72,7 @@ def entries(views: RigViews, grid: VoxelGrid, wanted: list[str]) -> Iterator[tup
     for name in wanted:
         try:
             if name in OURS:
-                backend = make_backend(OURS[name], views, grid).backend
+                backend = make_backend(OURS[name], views, grid)[0]
                 yield name, Entry(points_of(backend, grid), backend.close)
             else:
                 yield name, Entry(BASELINES[name](views, grid))
@@ -128,7 +128,7 @@ def disagreement(poses: int) -> float:
     occupied, backends = 0, {}
     for kind in wrong:
         try:
-            backends[kind] = make_backend(kind, views, grid).backend
+            backends[kind] = make_backend(kind, views, grid)[0]
         except InputError as error:
             print(f"  without {kind}: {error}")
     for masks in frames:
@@ -181,7 +181,7 @@ def device() -> str:
     """The OpenGL device, for people."""
     rig, _ = scene(5, 2)
     try:
-        backend = make_backend("gl", RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.1)).backend
+        backend = make_backend("gl", RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.1))[0]
     except InputError as error:
         return f"none ({error})"
     backend.close()
@@ -232,7 +232,7 @@ def main() -> None:
 def auto_is_gl() -> bool:
     """Whether auto takes OpenGL here: only on hardware."""
     rig, _ = scene(5, 2)
-    backend = make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.1)).backend
+    backend = make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(VOLUME, 0.1))[0]
     backend.close()
     return backend.name == "gl"
 

@@ -30,10 +30,10 @@ from scenes import studio_clip
 
 from capture_rig.rigid import rotation_matrix
 from icp_tracker.tracker import TRACKING
-from mocap_packets.fit import FIRST_PERSON
-from mocap_packets.hull import HullProducts
+from mocap_packets.fit import FIRST_PERSON, Fit
+from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from mocap_packets.state import Tracking
-from mocap_pipeline.pipeline import MocapPipeline, Step
+from mocap_pipeline.pipeline import MocapPipeline, PersonStep, Step
 from sagoma_tools.arguments import parse_settings
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
@@ -43,6 +43,7 @@ from virtual_studio.motions.catalogue import HARD_CASES
 
 MOTION_S = 6.0
 MOTION_DRILLS = {"arm against the chest 2 s": "arm_on_chest", "left and came back": "leave_and_return"}
+WRONG_SD_M = 0.02  # of which a wrong pose is sure
 LEFT_HAND_POINT, NECK_POINT, ON_CHEST_M = 11, 2, 0.35
 DISTURBED_AT, SPREAD = 0.45, 0.15
 """Where in the clip the disturbance begins, as a share of its length, and how far several moments spread around it."""
@@ -161,8 +162,17 @@ def wrong_pose(wrong: Callable[[Body, Pose], Pose]) -> Disturb:
     """Tracker and filter take a wrong pose, made of the right one, for certain."""
 
     def disturb(pipeline: MocapPipeline, clip: Clip, frame: int, before: Pose) -> Answer:
-        body = pipeline.body.tracker.body_of(FIRST_PERSON)
-        return None if body is None else pipeline.body.restart_at(clip.stamp_ns(frame), wrong(body, before))
+        tracking, stamp_ns = pipeline.body, clip.stamp_ns(frame)
+        body = tracking.tracker.body_of(FIRST_PERSON)
+        if body is None:
+            return None
+        pose, covariance = wrong(body, before), np.tile(WRONG_SD_M**2 * np.eye(3), (15, 1, 1))
+        tracking.filters.of(FIRST_PERSON).reset()
+        seen = np.ones(15, dtype=bool)
+        fit = Fit(stamp_ns, TRACKING, "drill", "", 0, forward(body, pose), covariance, seen, pose, None)
+        step = Step((PersonStep(fit, tracking.filter((fit,))[FIRST_PERSON]),))
+        tracking.fit(HullProducts(stamp_ns, NO_CENTERLINE))  # a set without points leaves the tracker at the prediction
+        return step
 
     return disturb
 

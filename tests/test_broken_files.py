@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from file_fuzz import damage
+from pose_file import save_initial_pose
 from sensor_msgs.msg import CompressedImage
 from take_bags import write_take
 
@@ -24,7 +25,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig, save_rig
 from capture_rig.session import load_truth, stated_rate
 from capture_rig.yaml_file import save_mapping
-from icp_tracker.acquisition.initial_pose import load_initial_pose, save_initial_pose
+from icp_tracker.acquisition.initial_pose import load_initial_pose
 from rig_calibration.boards.board import read_board
 from sagoma_bringup.graph import camera_from_file
 from sagoma_tools.calibration.outer_corners import read_corners

@@ -20,7 +20,7 @@ from visualization_msgs.msg import MarkerArray
 from capture_rig import save_rig
 from capture_rig.session import footage_stamp_ns, load_session
 from ekf_tracker.ekf_node import EkfNode
-from ekf_tracker.urdf import body_urdf, link_name, link_of_point
+from ekf_tracker.urdf import body_urdf, link_name
 from hull_server.hull_node import HullNode
 from hull_server.hull_ros import camera_frames
 from mocap_packets.fit import FIRST_PERSON, ReferencePoints
@@ -39,6 +39,7 @@ from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, POINT_NAME
 from virtual_studio.rig import ring
 
 BODY_ID, RIG = "b0001", ring(3)
+LINK_OF_POINT = [link_name(BODY_ID, {"head": "head_top"}.get(name, name)) for name in POINT_NAMES]
 MM = 1e-3
 START_NS, FPS = 5_000_000_000, 30.0
 LIMBS = {
@@ -92,7 +93,7 @@ def test_forward_kinematics_of_the_urdf_by_the_joint_states_gives_the_figures_po
     joints = ElementTree.fromstring(text).findall("joint")
     assert sorted(joint.get("name") for joint in joints if joint.get("type") != "fixed") == sorted(ANGLE_NAMES)
     placed = urdf_frames(text, dict(zip(ANGLE_NAMES, angles, strict=True)), homogeneous(R, pose.position_world))
-    found = np.array([placed[link_name(BODY_ID, link_of_point(i))][:3, 3] for i in range(15)])
+    found = np.array([placed[LINK_OF_POINT[i]][:3, 3] for i in range(15)])
     np.testing.assert_allclose(found, forward(body, pose), atol=1e-6)
 
 
@@ -178,14 +179,14 @@ def test_links_on_tf_are_where_the_reference_points_are_over_the_track_of_a_movi
         ends = np.array([[end.x, end.y, end.z] for end in markers.markers[0].points[1::2]])  # of the ten sticks
         np.testing.assert_allclose(ends[1:], points[[1, *range(7, 15)]], atol=MM)
         placed = tree_of(transforms.transforms)
-        linked = {i: placed[link_name(BODY_ID, link_of_point(i))] for i in range(15)}
+        linked = {i: placed[LINK_OF_POINT[i]] for i in range(15)}
         for i, place in linked.items():
             assert np.linalg.norm(place[:3, 3] - points[i]) < MM, POINT_NAMES[i]
         torso = placed[link_name(BODY_ID, "torso")]
         rigid = urdf_frames(published.described, dict(zip(joints.name, joints.position, strict=True)), torso)
         for name, place in rigid.items():
             np.testing.assert_allclose(place[:3, :3], placed[name][:3, :3], atol=1e-6)
-        shifts = np.array([rigid[link_name(BODY_ID, link_of_point(i))] - linked[i] for i in range(15)])[:, :3, 3]
+        shifts = np.array([rigid[LINK_OF_POINT[i]] - linked[i] for i in range(15)])[:, :3, 3]
         np.testing.assert_allclose(shifts[LIMB_ENDS], shifts[LIMB_STARTS], atol=1e-6)
         off_rigid.append(np.linalg.norm(shifts, axis=1).max())
     assert 2 * MM < np.median(off_rigid) < 40 * MM  # 12 to 25 mm at the shoulders of other tracks: docs/ros.md

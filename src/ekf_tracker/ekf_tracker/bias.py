@@ -54,11 +54,9 @@ from stick_figure.trunk_bend import RATE_SD, REST_SD, bend_columns
 
 from .measurement import Measurement, add_information
 from .settings import MeasurementBiasSettings
+from .state import SMALLEST_VARIANCE
 
 N = 24
-# Thresholds: rounding from arithmetic.
-NEGLIGIBLE_M2 = 1e-12
-"""m^2: a micrometre squared. A bias below that is none."""
 
 # m; in the frame of the point's stick: torso, head, thigh, calf forward, left, up; arms with y along the arm
 _TORSO, _HEAD, _NECK = (0.018, 0.008, 0.009), (0.014, 0.010, 0.014), (0.029, 0.009, 0.012)
@@ -122,7 +120,7 @@ def add_measurement_bias(at, pose, lasting, joints, least_information, points, s
                 B[i, j] = lasting[point, i, j]
                 for k in range(3):
                     B[i, j] += frame[i, k] * joints[point, k] * frame[j, k]
-        if B[0, 0] + B[1, 1] + B[2, 2] > NEGLIGIBLE_M2:
+        if B[0, 0] + B[1, 1] + B[2, 2] > SMALLEST_VARIANCE:
             points[point] += B
             inverse3(B, weight)
             add_information(at, point, weight, unused, L, unused)

@@ -15,7 +15,6 @@ from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON, NOTHING_SEEN
 from mocap_packets.people import FittedPeople, PeoplePoints, Predictions
 from mocap_packets.state import BodyState, Tracking
-from sagoma_ros.health import ERROR, OK, WARN
 from sagoma_ros.inputs import InputWatchdog, StampOrder
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.messages import LATENCY_TOPIC, latency_message
@@ -27,8 +26,7 @@ from .filter import PeopleFilter, warm_up
 from .humans_ros import BodyFrames, HumansPublisher, Tracked
 from .people_ros import Answer, PeopleTopics, is_tracked
 from .settings import LINK_FRAMES, NO_FRAMES, EkfNodeSettings
-
-HEALTH = {Tracking.ACQUIRING: WARN, Tracking.TRACKING: OK, Tracking.DOUBTFUL: WARN, Tracking.LOST: ERROR}
+from .state_ros import LEVELS
 
 
 class EkfNode(SagomaNode):
@@ -114,7 +112,7 @@ class EkfNode(SagomaNode):
         if people.ages.hull and fitted_ns:
             ages = replace(people.ages, fitted=fitted_ns - stamp_ns, published=self._now_ns() - stamp_ns)
             self._latency.publish(latency_message, stamp_ns, ages)
-        self.health.status(max(HEALTH[answer.tracking] for answer in answers.values()), summary_of(answers))
+        self.health.status(max(LEVELS[answer.tracking] for answer in answers.values()), summary_of(answers))
         self.health.tick(stamp_ns)
 
     def _now_ns(self) -> int:
@@ -145,7 +143,7 @@ class EkfNode(SagomaNode):
             reason = f"no frame sets for {silent_s:.0f} s"
             state = self._topics.publish_stale(reason)
             self._update_bodies({}, self.get_clock().now().nanoseconds)
-            self.health.status(HEALTH[state], f"{state}: {reason}")
+            self.health.status(LEVELS[state], f"{state}: {reason}")
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self._answering:

@@ -8,7 +8,6 @@ summation, so equal inputs give equal bytes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,6 @@ import numpy as np
 from capture_rig.kernel import njit
 from capture_rig.small_matrices import inverse3, inverse_positive
 from stick_figure import kernels
-from stick_figure.body import Body
 from stick_figure.joint_limits import (
     add_joint_limits,
     flipped_limb_fits_better,
@@ -28,17 +26,7 @@ from stick_figure.kinematics import rates_of_angles
 from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 
 from .bias import add_measurement_bias
-from .measurement import (
-    Measurement,
-    Sizes,
-    add_information,
-    empty_linearised,
-    linearise,
-    moved,
-    point_covariance,
-    squared_distances,
-)
-from .motion_model import Transition
+from .measurement import add_information, empty_linearised, linearise, moved, point_covariance
 from .state import N, cap_joints, joseph, negate
 
 # Thresholds: rounding from arithmetic; STEP_LIMIT, LINEAR_M judgement.
@@ -50,8 +38,7 @@ LINEAR_M = 1e-3
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
+class Estimate(NamedTuple):
     """Mean and covariance of the state.
 
     arrays : the pose as `stick_figure.pose.Pose.arrays` names it
@@ -78,49 +65,14 @@ class UpdateOptions(NamedTuple):
     hinge_margin_rad: float = HINGE_MARGIN_RAD
 
 
-def predict_estimate(estimate: Estimate, transition: Transition, joint_sd_cap_rad: float) -> Estimate:
-    """Return the estimate one transition later (thesis Table 5.5, from the a-posteriori state and covariance).
+@njit(cache=True, nogil=True)
+def predict_estimate(estimate, transition, joint_sd_cap_rad):
+    """Return the estimate one `Transition` later (thesis Table 5.5, from the a-posteriori state and covariance).
 
     No joint's pose is left with a standard deviation above the cap (rad): see :func:`cap_joints`. Elbows and knees that
     come straight stop there; that moves the mean alone, as joint limits do.
     """
-    x = estimate
-    return Estimate(*predict_arrays(x.arrays, x.velocity, x.covariance, transition, joint_sd_cap_rad))
-
-
-def correct_estimate(
-    body: Body, prior: Estimate, z: Measurement, chosen: np.ndarray, options: UpdateOptions, start: Pose | None = None
-) -> Estimate:
-    """The estimate after the chosen points (15,) bool of z: iterated EKF update (thesis Table 5.7, relinearised).
-
-    Each iteration is one Gauss-Newton step on the sum of the points' and the prior's squared residuals (Bell &
-    Cathey 1993). ``start`` is the pose of the first linearisation; the prior's own by default. Joint limits move the
-    mean but are left out of the covariance: that an arm cannot be there does not say where it is. ValueError when the
-    prior's covariance is not positive definite.
-    """
-    first = prior.arrays if start is None else start.arrays
-    return Estimate(
-        *correct_arrays(prior.arrays, first, prior.velocity, prior.covariance, Sizes.of(body), z, chosen, options)
-    )
-
-
-def innovation_distances(body: Body, prior: Estimate, z: Measurement) -> np.ndarray:
-    """Return (15,) squared Mahalanobis distance of each visible point from its prediction; 0 for the others.
-
-    Each is chi-square with 3 degrees of freedom while model and covariances are right.
-    """
-    return squared_distances(prior.arrays, Sizes.of(body), prior.covariance, z)
-
-
-# --- kernels ---------------------------------------------------------------------------------------------------------
-
-
-@njit(cache=True, nogil=True)
-def predict_arrays(pose, velocity, P, transition, sd_cap):
-    """Pose, velocity and covariance (48, 48) one transition later (thesis Table 5.5).
-
-    ``transition`` is a `motion_model.Transition`.
-    """
+    pose, velocity, P = estimate
     f_cross, f_velocity, q_pose, q_cross, q_velocity = transition
     out = np.empty_like(P)
     for i in range(N):
@@ -134,24 +86,26 @@ def predict_arrays(pose, velocity, P, transition, sd_cap):
         out[i, N + i] += q_cross[i]
         out[N + i, i] += q_cross[i]
         out[N + i, N + i] += q_velocity[i]
-    cap_joints(out, sd_cap)
+    cap_joints(out, joint_sd_cap_rad)
     moved_pose = copied(pose)
     t0, R0, RJ, hinges = moved_pose
     before, moved_velocity = hinges.copy(), f_velocity * velocity
     kernels.retract(t0, R0, RJ, hinges, f_cross * velocity, 1.0)
     stop_at_straight(before, hinges, moved_velocity)
-    return moved_pose, moved_velocity, out
+    return Estimate(moved_pose, moved_velocity, out)
 
 
 @njit(cache=True, nogil=True)
-def correct_arrays(prior, start, velocity, P, sizes, z, chosen, options):
-    """Pose, velocity and covariance after the chosen points (15,) bool of z, a `Measurement` (thesis Table 5.7).
+def correct_estimate(sizes, prior, start, z, chosen, options):
+    """Return the estimate after the chosen points (15,) bool of z: iterated EKF update (thesis Table 5.7).
 
-    ``start`` is the pose of the first linearisation. Elbows and knees come out bent the right way. ValueError when P
-    (48, 48) has lost its positive definiteness.
+    Each iteration is one Gauss-Newton step on the sum of the points' and the prior's squared residuals (Bell &
+    Cathey 1993). ``start`` : arrays of the pose of the first linearisation. Joint limits move the mean but are left out
+    of the covariance: that an arm cannot be there does not say where it is. Elbows and knees come out bent the right
+    way. ValueError when the prior's covariance is not positive definite.
     """
-    pose = copied(start)
-    L, Y, V, offset = iterate_update(prior, pose, P, sizes, z, chosen, options)
+    (prior_pose, velocity, P), pose = prior, copied(start)
+    L, Y, V, offset = iterate_update(prior_pose, pose, P, sizes, z, chosen, options)
     P_vx = np.ascontiguousarray(P[N:, :N])
     moved_velocity = velocity + np.dot(P_vx, np.dot(Y, offset))  # the mean of v given x
     G = np.empty((2 * N, N))
@@ -161,7 +115,7 @@ def correct_arrays(prior, start, velocity, P, sizes, z, chosen, options):
     _canonicalise_hinges(pose, moved_velocity, posterior, options.hinge_margin_rad, options.limit_weight > 0.0)
     if options.limit_weight > 0.0:
         limit_rates(moved_velocity)
-    return pose, moved_velocity, posterior
+    return Estimate(pose, moved_velocity, posterior)
 
 
 @njit(cache=True)
@@ -178,12 +132,9 @@ def iterate_update(prior, pose, P, sizes, z, chosen, options):
     max_iterations, limit_weight, hinge_margin = options
     t0, R0, RJ, hinges = pose
     t0_prior, R0_prior, RJ_prior, hinges_prior = prior
-    Y, weights, at = (
-        inverse_positive(np.ascontiguousarray(P[:N, :N])),
-        _inverses(z.covariance, chosen),
-        empty_linearised(),
-    )
+    Y, weights = inverse_positive(np.ascontiguousarray(P[:N, :N])), _inverses(z.covariance, chosen)
     L, A, g, offset = np.empty((N, N)), np.zeros((N, N)), np.zeros(N), np.empty(N)
+    at = empty_linearised()
     linearise(pose, sizes, at)
     iteration, violated = 0, add_joint_limits(RJ, hinges, hinge_margin, 0.0, A, g)
     while True:
@@ -273,12 +224,13 @@ def copied(pose):
 
 
 @njit(cache=True, nogil=True)
-def report(pose, velocity, P, sizes, lasting, joints, least_information, angles):
+def report(estimate, sizes, lasting, joints, least_information, angles):
     """Points (15, 3), their covariances (15, 3, 3), the state's covariance (48, 48), rates (18,) of the angles (18,).
 
     Both covariances include the measurements' bias: ``lasting``, ``joints`` and ``least_information`` of
     `bias.add_measurement_bias`.
     """
+    pose, velocity, P = estimate
     at, points, state = empty_linearised(), np.empty((15, 3, 3)), P.copy()
     linearise(pose, sizes, at)
     for point in range(15):

@@ -190,8 +190,12 @@ def point_covariance(at, point, P, C):
 
 
 @njit(cache=True, nogil=True)
-def squared_distances(pose, sizes, P, z):
-    """Return (15,) squared Mahalanobis lengths of the innovations of the visible points; 0 for the others."""
+def squared_distances(estimate, sizes, z):
+    """Return (15,) squared Mahalanobis distance of each visible point from its prediction; 0 for the others.
+
+    Each is chi-square with 3 degrees of freedom while model and covariances are right.
+    """
+    pose, _, P = estimate
     distances, at = np.zeros(15), empty_linearised()
     linearise(pose, sizes, at)
     S, inverse, y = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)

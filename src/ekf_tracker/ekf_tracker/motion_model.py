@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,18 +85,6 @@ NO_TRANSITION = StateTransition(np.ones(24), np.zeros(24), np.ones(24))
 """F over no time."""
 
 
-class MotionModel(Protocol):
-    """Strategy for the prediction step."""
-
-    def transition(self, dt: float) -> Transition:
-        """F and Q over ``dt`` >= 0 seconds."""
-        ...
-
-    def velocity_variance(self) -> np.ndarray:
-        """(24,) variance of a velocity of which nothing is known yet, (m/s)^2 and (rad/s)^2."""
-        ...
-
-
 @dataclass(frozen=True)
 class DampedVelocity:
     """Constant velocity that fades: dv = -damping v dt + white acceleration, dx = v dt, solved in closed form.
@@ -115,7 +103,7 @@ class DampedVelocity:
 
     @lru_cache(maxsize=8)  # noqa: B019  (frozen, and stamps at a steady rate give the same few dt again and again)
     def transition(self, dt: float) -> Transition:
-        """F and Q: F and Q of (dt1 + dt2) are those of dt1 followed by dt2."""
+        """F and Q over ``dt`` >= 0 seconds: F and Q of (dt1 + dt2) are those of dt1 followed by dt2."""
         g = self._damping()
         fade = -math.expm1(-g * dt)  # 1 - e^(-g dt)
         density = self._density()
@@ -128,7 +116,7 @@ class DampedVelocity:
         )
 
     def velocity_variance(self) -> np.ndarray:
-        """Return the variance at which damping and white acceleration balance."""
+        """Return (24,) the variance, (m/s)^2 and (rad/s)^2, at which damping and white acceleration balance."""
         return self._density() / (2.0 * self._damping())
 
     def _damping(self) -> float:
@@ -166,6 +154,9 @@ class Identity:
     def velocity_variance(self) -> np.ndarray:
         """Return the squared rates."""
         return per_slot(*self.rates) ** 2
+
+
+MotionModel = DampedVelocity | Identity
 
 
 def _position_growth(g: float, dt: float) -> float:

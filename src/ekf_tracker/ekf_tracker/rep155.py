@@ -20,7 +20,7 @@ from capture_rig.errors import InputError
 from mocap_packets.fit import FIRST_PERSON
 from stick_figure.body import Body
 from stick_figure.pose import Pose
-from stick_figure.rotations import HINGE_SLACK_RAD
+from stick_figure.rotations import HINGE_SLACK_RAD, wrap_pi
 
 from .urdf import LinkJoint, Range, Segment, robot_urdf, segments
 
@@ -83,7 +83,7 @@ def hri_angles(pose: Pose, previous: np.ndarray | None = None) -> np.ndarray:
         angles[leg] = _hip(limbs[2 + side], outward)
     angles[[7, 11]] = -pose.hinges[:2]  # our elbows bend about +z of the arm, which hangs as +y
     angles[[15, 19]] = -pose.hinges[2:]
-    return angles if previous is None else previous + _wrapped(angles - previous)
+    return angles if previous is None else previous + wrap_pi(angles - previous)
 
 
 def hri_rates(pose: Pose, velocity: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -114,9 +114,9 @@ def _shoulder(R: np.ndarray, outward: float, previous: np.ndarray) -> np.ndarray
     if sine < SINGULAR_SINE:  # arm straight down (or up): only r -+ y is seen
         y = previous[0]
         turn = np.arctan2(R[1, 0], R[0, 0])
-        return np.array([y, p, _wrapped(turn + y if R[2, 2] > 0.0 else -turn - y)])
+        return np.array([y, p, wrap_pi(turn + y if R[2, 2] > 0.0 else -turn - y)])
     first = np.array([-np.arctan2(R[0, 2], -R[1, 2]), p, np.arctan2(R[2, 0], R[2, 1])])
-    second = np.array([_wrapped(first[0] + np.pi), -p, _wrapped(first[2] + np.pi)])
+    second = np.array([wrap_pi(first[0] + np.pi), -p, wrap_pi(first[2] + np.pi)])
     if second[1] < SHOULDER_PITCH_LOW or _distance(first, previous) <= _distance(second, previous):
         return first
     return second
@@ -129,11 +129,7 @@ def _hip(R: np.ndarray, outward: float) -> tuple[float, float, float]:
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.abs(_wrapped(a - b)).sum())
-
-
-def _wrapped(angle: np.ndarray) -> np.ndarray:
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+    return float(np.abs(wrap_pi(a - b)).sum())
 
 
 # --- The URDF of a tracked person for REP-155: names as in ROS4HRI's `human_description`, measured sizes.

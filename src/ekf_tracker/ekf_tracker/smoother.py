@@ -66,8 +66,7 @@ def smooth(sets: Iterable[Set], settings: EkfSettings | None = None) -> list[Bod
     """Return the state at every set, in order, from all sets before and after it. Stamps must rise."""
     answers, runs = _filter(sets, settings)
     for first, run in runs:
-        smoothed = _backwards([found.before for found in run], [found.after for found in run], [f.F for f in run])
-        answers[first : first + len(run)] = _states(run, smoothed)
+        answers[first : first + len(run)] = _states(run, _backwards(run))
     return answers
 
 
@@ -75,11 +74,8 @@ def _filter(
     sets: Iterable[Set], settings: EkfSettings | None
 ) -> tuple[list[BodyState | NoState], list[tuple[int, list[_Filtered]]]]:
     """Filter forwards; return the answers, and the uninterrupted runs of one track with the index of their first."""
-    ekf, answers, runs = (
-        ArticulatedEkf(None, settings),
-        list[BodyState | NoState](),
-        list[tuple[int, list[_Filtered]]](),
-    )
+    ekf, answers = ArticulatedEkf(None, settings), list[BodyState | NoState]()
+    runs = list[tuple[int, list[_Filtered]]]()
     for number, one in enumerate(sets):
         if one.body is not None:
             ekf.set_body(one.body)
@@ -96,12 +92,12 @@ def _filter(
     return answers, runs
 
 
-def _backwards(before: list[Estimate], after: list[Estimate], F: list[np.ndarray]) -> list[Estimate]:
+def _backwards(run: Sequence[_Filtered]) -> list[Estimate]:
     """Rauch-Tung-Striebel pass over the estimates before and after each set's points, F from the set before."""
-    smoothed = [after[-1]]
-    for k in range(len(after) - 2, -1, -1):
-        x, predicted, later = after[k], before[k + 1], smoothed[-1]
-        G = np.linalg.solve(predicted.covariance, F[k + 1] @ x.covariance).T
+    smoothed = [run[-1].after]
+    for found, following in zip(run[-2::-1], run[:0:-1], strict=True):
+        x, predicted, later = found.after, following.before, smoothed[-1]
+        G = np.linalg.solve(predicted.covariance, following.F @ x.covariance).T
         away = np.concatenate([later.pose.minus(predicted.pose), later.velocity - predicted.velocity])
         step = G @ away
         P = positive_definite(x.covariance + G @ (later.covariance - predicted.covariance) @ G.T)
@@ -119,20 +115,11 @@ def _states(run: Sequence[_Filtered], smoothed: Sequence[Estimate]) -> list[Body
         angles = pose.angles(angles)
         lasting = np.array([run[typical[k, i]].lasting[i] for i in points])
         joints = np.array([run[typical[k, i]].joints[i] for i in points])
-        at = (x.arrays, x.velocity, x.covariance, Sizes.of(found.body), lasting, joints, JOINT_SD_CAP_RAD**-2, angles)
-        points_world, point_covariance, covariance, rates = report(*at)
-        states.append(
-            replace(
-                found.state,
-                pose=pose,
-                velocity=x.velocity,
-                covariance=covariance,
-                angles=angles,
-                rates=rates,
-                points_world=points_world,
-                point_covariance=point_covariance,
-            )
-        )
+        reported = report(x, Sizes.of(found.body), lasting, joints, JOINT_SD_CAP_RAD**-2, angles)
+        points_world, point_covariance, covariance, rates = reported
+        known = {"pose": pose, "velocity": x.velocity, "covariance": covariance, "angles": angles, "rates": rates}
+        of_points = {"points_world": points_world, "point_covariance": point_covariance}
+        states.append(replace(found.state, **known, **of_points))
     return states
 
 

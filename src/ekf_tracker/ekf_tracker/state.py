@@ -22,7 +22,7 @@ DIMENSION = 48
 N = 24
 # Thresholds: rounding from arithmetic.
 SMALLEST_VARIANCE = 1e-12
-"""Eigenvalues below this (1 micrometre, 1 microradian) are rounding, not knowledge."""
+"""What is below this (1 micrometre, 1 microradian) is rounding, not knowledge."""
 _POINTS_OF_PART = np.bincount(PART_OF_POINT)
 
 

@@ -13,8 +13,8 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import TORSO_POINTS
 
 from .bias import MeasurementBias, TorsoBend
-from .kernels import Estimate, UpdateOptions, correct_estimate, innovation_distances, predict_estimate, report
-from .measurement import Measurement, Sizes, linearised
+from .kernels import Estimate, UpdateOptions, correct_estimate, predict_estimate, report
+from .measurement import Measurement, Sizes, linearised, squared_distances
 from .motion_model import (
     EXPECTED,
     LEVELS,
@@ -98,7 +98,7 @@ class Track:
         x, slots = self._estimate, np.arange(24)
         P = x.covariance.copy()
         P[slots, slots] += per_slot(RESIZE_SD_M, RESIZE_SD_RAD, RESIZE_SD_RAD, RESIZE_SD_RAD) ** 2
-        self._estimate = Estimate(x.arrays, x.velocity, P)
+        self._estimate = x._replace(covariance=P)
 
     def predict(self, stamp_ns: int) -> None:
         """Move the estimate to a later stamp (thesis Table 5.5).
@@ -144,7 +144,7 @@ class Track:
         points are errors, or it was lost.
         """
         quiet, factors = self._estimate, np.ones(LIMBS)
-        distances = innovation_distances(self.body, quiet, z)
+        distances = squared_distances(quiet, Sizes.of(self.body), z)
         unexplained = worst_of_limbs(distances) > EXPECTED
         if self._last_transition is None or not unexplained.any():
             return distances, False
@@ -165,23 +165,24 @@ class Track:
     def _raised(self, quiet: Estimate, factors: np.ndarray, z: Measurement) -> tuple[Estimate, np.ndarray]:
         assert self._last_transition is not None
         P = raised_covariance(quiet.covariance, self._last_transition, factors)
-        raised = Estimate(quiet.arrays, quiet.velocity, P)
-        return raised, innovation_distances(self.body, raised, z)
+        raised = quiet._replace(covariance=P)
+        return raised, squared_distances(raised, Sizes.of(self.body), z)
 
     def _correct(self, z: Measurement, accepted: np.ndarray, anew: np.ndarray, manoeuvre: bool) -> Estimate:
         """Return the estimate with the accepted points (15,); the limbs of those ``anew`` are elsewhere."""
-        prior, start = self._estimate, None
+        prior = self._estimate
         released = bool(anew.any())
         if released:
             prior = self._prior = self._release_limbs(prior, anew)
+        start = prior.arrays
         if manoeuvre or released:  # angles that turned far: the way there is not straight, so start at its end
-            start = pose_of_points(self.body, z, accepted, prior.pose)
+            start = pose_of_points(self.body, z, accepted, prior.pose).arrays
+        rest, sizes = (start, z, accepted, self._update_options), Sizes.of(self.body)
         try:
-            return correct_estimate(self.body, prior, z, accepted, self._update_options, start)
+            return correct_estimate(sizes, prior, *rest)
         except ValueError:
             self.repairs += 1
-            mended = Estimate(prior.arrays, prior.velocity, positive_definite(prior.covariance))
-            return correct_estimate(self.body, mended, z, accepted, self._update_options, start)
+            return correct_estimate(sizes, prior._replace(covariance=positive_definite(prior.covariance)), *rest)
 
     def _add_measured(self, z: Measurement, used: np.ndarray) -> None:
         self._bias.update(z.covariance, used)
@@ -200,7 +201,7 @@ class Track:
         slots, P = np.arange(24), self._estimate.covariance.copy()
         P[VELOCITY, :] = P[:, VELOCITY] = 0.0
         P[24 + slots, 24 + slots] = self._motion.velocity_variance()
-        self._estimate = Estimate(self._estimate.arrays, np.zeros(24), P)
+        self._estimate = self._estimate._replace(velocity=np.zeros(24), covariance=P)
         self._coasting = False
         self._F = self._F.keeping(ALL, ~ALL)
 
@@ -216,7 +217,7 @@ class Track:
         velocity = np.where(moves, 0.0, prior.velocity)
         self._F = self._F.keeping(~moves, ~moves)
         P = reset_slots(prior.covariance, slots, pose_variance, self._motion.velocity_variance()[slots])
-        return Estimate(prior.arrays, velocity, P)
+        return prior._replace(velocity=velocity, covariance=P)
 
     def state(
         self, z: Measurement, accepted: np.ndarray, gated: np.ndarray, doubtful: np.ndarray, distances: np.ndarray
@@ -227,16 +228,8 @@ class Track:
         """
         x, pose = self._estimate, self._estimate.pose
         self._angles = pose.angles(self._angles)
-        points_world, point_covariance, covariance, rates = report(
-            x.arrays,
-            x.velocity,
-            x.covariance,
-            Sizes.of(self.body),
-            self._bias.lasting,
-            self._bias.joints,
-            JOINT_SD_CAP_RAD**-2,
-            self._angles,
-        )
+        lasting = self._bias.lasting, self._bias.joints, JOINT_SD_CAP_RAD**-2
+        points_world, point_covariance, covariance, rates = report(x, Sizes.of(self.body), *lasting, self._angles)
         far = inflate_covariance_along(z.points_world - points_world, gated, point_covariance)
         tracking, reason = assess(accepted, gated, self.unmeasured_s, self.settings.lost_after_s)
         return BodyState(
@@ -292,7 +285,8 @@ def first_estimate(body: Body, z: Measurement, motion: MotionModel, options: Upd
     P = np.zeros((DIMENSION, DIMENSION))
     P[POSE, POSE] = JOINT_SD_CAP_RAD**2 * np.eye(24)
     P[VELOCITY, VELOCITY] = np.diag(motion.velocity_variance())
-    return correct_estimate(body, Estimate(pose.arrays, np.zeros(24), P), z, z.visible, options)
+    prior = Estimate(pose.arrays, np.zeros(24), P)
+    return correct_estimate(Sizes.of(body), prior, prior.arrays, z, z.visible, options)
 
 
 def pose_of_points(body: Body, z: Measurement, chosen: np.ndarray, otherwise: Pose) -> Pose:

@@ -29,7 +29,6 @@ from stick_figure.skeleton import (
     HINGE_ANGLES,
     HINGE_NAMES,
     PARENT,
-    POINT_NAMES,
     STICK_AXIS,
     STICK_NAMES,
     STICK_SIGN,
@@ -81,11 +80,6 @@ def link_joints(body: Body) -> Iterator[LinkJoint]:
 def link_name(body_id: str, part: str) -> str:
     """Return the name of a link, which is that of its frame on /tf: ``b0001_left_forearm``."""
     return f"{body_id}_{part}"
-
-
-def link_of_point(point: int) -> str:
-    """Return the link, without the body's id, whose origin is a reference point of `skeleton.POINT_NAMES`."""
-    return {"head": "head_top"}.get(POINT_NAMES[point], POINT_NAMES[point])
 
 
 def body_urdf(body: Body, body_id: str, mass_kg: float | None = None) -> str:

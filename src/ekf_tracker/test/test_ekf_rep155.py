@@ -12,22 +12,10 @@ from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, POINT_NAMES
 
-LINK_OF_POINT = {
-    "neck": "torso",
-    "head": "head",
-    "left_shoulder": "l_shoulder",
-    "right_shoulder": "r_shoulder",
-    "left_elbow": "l_elbow",
-    "right_elbow": "r_elbow",
-    "left_hand": "l_wrist",
-    "right_hand": "r_wrist",
-    "left_hip": "l_hip",
-    "right_hip": "r_hip",
-    "left_knee": "l_knee",
-    "right_knee": "r_knee",
-    "left_foot": "l_ankle",
-    "right_foot": "r_ankle",
-}
+SIDES = ("left", "right")
+PARTS = {"shoulder": "shoulder", "elbow": "elbow", "hand": "wrist", "hip": "hip", "knee": "knee", "foot": "ankle"}
+LINK_OF_POINT = {"neck": "torso", "head": "head"}
+LINK_OF_POINT |= {f"{side}_{point}": f"{side[0]}_{link}" for side in SIDES for point, link in PARTS.items()}
 
 
 def walk(urdf, angles, origin, R):
@@ -73,24 +61,18 @@ def test_limb_directions_follow_from_the_angles_with_the_axes_of_rep_155(body):
     """Left arm: -z turned by y about -z, p about +x, r about +z; right arm mirrored; legs y -z, p +-x, r -y."""
     rng = np.random.default_rng(1)
     points = {name: i for i, name in enumerate(POINT_NAMES)}
-    axes = {
-        "l_arm": ([0, 0, -1], [1, 0, 0], [0, 0, 1]),
-        "r_arm": ([0, 0, 1], [-1, 0, 0], [0, 0, -1]),
-        "l_leg": ([0, 0, -1], [1, 0, 0], [0, -1, 0]),
-        "r_leg": ([0, 0, -1], [-1, 0, 0], [0, -1, 0]),
-    }
     limbs = (
-        ("l_arm", 4, "left_shoulder", "left_elbow", "left_hand"),
-        ("r_arm", 8, "right_shoulder", "right_elbow", "right_hand"),
-        ("l_leg", 12, "left_hip", "left_knee", "left_foot"),
-        ("r_leg", 16, "right_hip", "right_knee", "right_foot"),
+        (4, ("left_shoulder", "left_elbow", "left_hand"), ([0, 0, -1], [1, 0, 0], [0, 0, 1])),
+        (8, ("right_shoulder", "right_elbow", "right_hand"), ([0, 0, 1], [-1, 0, 0], [0, 0, -1])),
+        (12, ("left_hip", "left_knee", "left_foot"), ([0, 0, -1], [1, 0, 0], [0, -1, 0])),
+        (16, ("right_hip", "right_knee", "right_foot"), ([0, 0, -1], [-1, 0, 0], [0, -1, 0])),
     )
     for _ in range(50):
         pose = random_pose(rng)
         angles, p = hri_angles(pose), forward(body, pose)
-        for limb, first, start, middle, end in limbs:
+        for first, (start, middle, end), axes in limbs:
             R = pose.R_world_torso
-            for axis, angle in zip(axes[limb], angles[first : first + 3], strict=True):
+            for axis, angle in zip(axes, angles[first : first + 3], strict=True):
                 R = R @ Rotation.from_rotvec(np.array(axis) * angle).as_matrix()
             lower = R @ Rotation.from_rotvec(np.array([0, -1, 0]) * angles[first + 3]).as_matrix()
             for rotation, a, b in ((R, start, middle), (lower, middle, end)):

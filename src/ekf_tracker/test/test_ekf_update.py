@@ -6,7 +6,7 @@ from ekf_person import ALL, NONE, Person, dense_matrices, isotropic
 from scipy.optimize import least_squares
 
 from capture_rig.errors import InputError
-from ekf_tracker.kernels import Estimate, UpdateOptions, correct_arrays, correct_estimate, predict_estimate
+from ekf_tracker.kernels import Estimate, UpdateOptions, correct_estimate, predict_estimate
 from ekf_tracker.measurement import Measurement, Sizes, linearised
 from ekf_tracker.motion_model import DampedVelocity, Identity
 from ekf_tracker.state import POSE, VELOCITY, cap_joints, joseph, positive_definite
@@ -33,6 +33,10 @@ def problem(body):
     R = np.array([random_spd(rng, 3, 0.02) for _ in range(15)])
     points = forward(body, pose.retract(0.02 * rng.standard_normal(24))) + 0.01 * rng.standard_normal((15, 3))
     return prior, Measurement.checked(points, R, ALL, 1e-6)
+
+
+def corrected(body, prior, z, chosen, options):
+    return correct_estimate(Sizes.of(body), prior, prior.arrays, z, chosen, options)
 
 
 def numeric_jacobian(body, pose, step=1e-6):
@@ -70,7 +74,7 @@ def test_one_iteration_equals_the_dense_textbook_update(body, problem, hidden):
     prior, z = problem
     visible = ALL.copy()
     visible[hidden] = False
-    posterior = correct_estimate(body, prior, z, visible, UpdateOptions(1))
+    posterior = corrected(body, prior, z, visible, UpdateOptions(1))
     x, P = dense_ekf(body, prior, z, visible)
     np.testing.assert_allclose(posterior.pose.minus(prior.pose), x[POSE], atol=1e-7)
     np.testing.assert_allclose(posterior.velocity, prior.velocity + x[VELOCITY], atol=1e-7)
@@ -88,10 +92,10 @@ def test_iterations_end_at_the_most_probable_pose(body, problem):
         return np.concatenate([np.einsum("iab,ia->ib", R_half, y).ravel(), P_half.T @ d])
 
     best = least_squares(residuals, np.zeros(24), xtol=1e-12, ftol=1e-12, gtol=1e-12).x
-    posterior = correct_estimate(body, prior, z, ALL, UpdateOptions(20))
+    posterior = corrected(body, prior, z, ALL, UpdateOptions(20))
     found = forward(body, posterior.pose)
     assert np.linalg.norm(found - forward(body, prior.pose.retract(best)), axis=1).max() < 5e-4
-    once = forward(body, correct_estimate(body, prior, z, ALL, UpdateOptions(1)).pose)
+    once = forward(body, corrected(body, prior, z, ALL, UpdateOptions(1)).pose)
     assert np.abs(found - once).max() > 1e-4  # there was something to iterate
 
 
@@ -99,7 +103,7 @@ def test_iterations_end_at_the_most_probable_pose(body, problem):
 def test_prediction_equals_dense_matrices_and_moves_the_pose_along_the_velocity(body, problem, model):
     prior, _ = problem
     F, Q = dense_matrices(model.transition(0.02))
-    ahead = predict_estimate(prior, model.transition(0.02), joint_sd_cap_rad=100.0)
+    ahead = predict_estimate(prior, model.transition(0.02), 100.0)
     np.testing.assert_allclose(ahead.covariance, F @ prior.covariance @ F.T + Q, atol=1e-12)
     np.testing.assert_array_equal(ahead.covariance, ahead.covariance.T)
     np.testing.assert_allclose(ahead.pose.minus(prior.pose), F[0, 24] * prior.velocity, atol=1e-9)
@@ -117,9 +121,9 @@ def test_prediction_stops_a_knee_at_straight_and_an_update_gives_no_hip_an_impos
     assert ahead.pose.hinges[2] == 0.0 and ahead.velocity[knee] == 0.0
     velocity[hip] = 0.0, 90.0, 0.0
     fast = Estimate(prior.arrays, velocity, prior.covariance)
-    limited = correct_estimate(body, fast, z, ALL, UpdateOptions(5, limit_weight=25.0))
+    limited = corrected(body, fast, z, ALL, UpdateOptions(5, limit_weight=25.0))
     assert np.linalg.norm(limited.velocity[hip]) == pytest.approx(BALL_RATES[3])
-    assert np.linalg.norm(correct_estimate(body, fast, z, ALL, UpdateOptions(5)).velocity[hip]) > 50.0
+    assert np.linalg.norm(corrected(body, fast, z, ALL, UpdateOptions(5)).velocity[hip]) > 50.0
 
 
 def test_joseph_form_stays_positive_and_right_where_the_short_form_is_neither():
@@ -168,9 +172,8 @@ def test_turned_hinge_leaves_points_and_their_covariance_as_they_were(body, hing
     before = Pose(pose.position_world, pose.R_world_torso, pose.R_joints, past)
     nothing = Measurement(np.zeros((15, 3)), isotropic(1.0), NONE)  # an update without points: description alone
     options = UpdateOptions(1, 0.0, 0.15)
-    arrays, turned_velocity, turned = correct_arrays(
-        before.arrays, before.arrays, velocity, P, Sizes.of(body), nothing, NONE, options
-    )
+    prior = Estimate(before.arrays, velocity, P)
+    arrays, turned_velocity, turned = corrected(body, prior, nothing, NONE, options)
     assert arrays[3][hinge] == pytest.approx(-past[hinge])
 
     (h0, H0), (h1, H1) = ((at.h, dense(at)) for at in (linearised(body, before), linearised(body, Pose(*arrays))))

@@ -32,18 +32,10 @@ from .silhouette_input_ros import SilhouetteInput
 
 
 @dataclass(frozen=True)
-class ClosedSet:
-    """A frame set on its way to the carver, and when it was closed, by the ROS clock."""
-
-    frame_set: FrameSet[Mask]
-    closed_ns: int
-
-
-@dataclass(frozen=True)
 class CarvedSet:
-    """A frame set on its way to the slicer, when its carve was begun and ended, by the ROS clock."""
+    """A frame set on its way to the slicer; when it was closed, its carve begun and ended, by the ROS clock."""
 
-    closed: ClosedSet
+    closed_ns: int
     begun_ns: int
     carved_ns: int
     pending: PendingHull
@@ -59,7 +51,7 @@ class HullNode(SagomaNode):
         super().__init__("hull_server", **options)
         self._pipeline: HullPipeline | None = None
         self.silhouettes: SilhouetteInput | None = None
-        self._carver: Worker[ClosedSet] | None = None  # one thread begins the next set ...
+        self._carver: Worker[tuple[FrameSet[Mask], int]] | None = None  # one thread begins the next set ...
         self._slicer: Worker[CarvedSet] | None = None  # ... while the other finishes and publishes this one
         self._mesh: SaveMeshService | None = None
         self._canvases: dict[str, CameraModel] = {}
@@ -157,19 +149,20 @@ class HullNode(SagomaNode):
         if self._carver is not None:
             closed_ns, stamp_ns = self.get_clock().now().nanoseconds, frame_set.stamp_ns
             self._thinning.add_closed(stamp_ns, frame_set.frames, closed_ns - stamp_ns, monotonic_ns())
-            self._carver.put(ClosedSet(frame_set, closed_ns))
+            self._carver.put((frame_set, closed_ns))
 
-    def _begin(self, closed: ClosedSet) -> None:
-        """Begin to carve one frame set, on the carver's thread."""
+    def _begin(self, closed: tuple[FrameSet[Mask], int]) -> None:
+        """Begin to carve one frame set, closed at a time, on the carver's thread."""
+        frame_set, closed_ns = closed
         assert self._pipeline is not None and self._slicer is not None
         begun_ns = self.get_clock().now().nanoseconds
-        pending = self._pipeline.begin(closed.frame_set)
-        self._slicer.put_blocking(CarvedSet(closed, begun_ns, self.get_clock().now().nanoseconds, pending))
+        pending = self._pipeline.begin(frame_set)
+        self._slicer.put_blocking(CarvedSet(closed_ns, begun_ns, self.get_clock().now().nanoseconds, pending))
 
     def _finish(self, carved: CarvedSet) -> None:
         """Finish, convert and publish one frame set, on the slicer's thread."""
         assert self._pipeline is not None and self._mesh is not None
-        frame_set, frame_id = carved.closed.frame_set, self.settings.frame_id
+        frame_set, frame_id = carved.pending.frame_set, self.settings.frame_id
         taken_ns = monotonic_ns()
         result = self._pipeline.finish(carved.pending)
         self._mesh.keep(result)
@@ -179,15 +172,15 @@ class HullNode(SagomaNode):
         products = result.products
         self._thinning.add_handed_over(products.stamp_ns, monotonic_ns())
         handed_over_ns = self.get_clock().now().nanoseconds
-        ages = SetAges(carved.closed.closed_ns - products.stamp_ns, handed_over_ns - products.stamp_ns)
+        ages = SetAges(carved.closed_ns - products.stamp_ns, handed_over_ns - products.stamp_ns)
         self._products.publish(replace(products, ages=ages), frame_id)
         for part, publisher in self._clouds.items():
             publisher.publish(packet_cloud, getattr(products, part), products.stamp_ns, frame_id)
         published_ns = self.get_clock().now().nanoseconds
         times_ms = {
             "spread_ms": frame_set.spread_ns / 1e6,
-            "received_ms": (carved.closed.closed_ns - frame_set.stamp_ns) / 1e6,  # capture to set closed
-            "queued_ms": (carved.begun_ns - carved.closed.closed_ns) / 1e6,
+            "received_ms": (carved.closed_ns - frame_set.stamp_ns) / 1e6,  # capture to set closed
+            "queued_ms": (carved.begun_ns - carved.closed_ns) / 1e6,
             "hull_ms": (published_ns - carved.begun_ns) / 1e6,
             "published_ms": (published_ns - frame_set.stamp_ns) / 1e6,  # capture to published
         }

@@ -90,8 +90,7 @@ class HullPipeline:
         self.settings, self._rig = settings, rig
         self.views = RigViews.from_rig(rig)
         self.grid = VoxelGrid.covering(rig.volume, settings.voxel_size_m)
-        choice = make_backend(settings.backend, self.views, self.grid)
-        self.backend, self.backend_reason = choice.backend, choice.reason
+        self.backend, self.backend_reason = make_backend(settings.backend, self.views, self.grid)
         self._faults = CameraFaultDetector(rig, self.views, settings.camera_fault, settings.min_seeing)
         # who is faulty has no say, so without that test there is no report
         self._support = SupportReporter(rig, self.views, settings.min_seeing) if settings.camera_fault.enabled else None
@@ -136,17 +135,17 @@ class HullPipeline:
         volume = self._shadows.without_shadows(self.backend.collect(pending.handle), pending.masks)
         watch.lap("collect")
         # connected components of all slices along x, y and z (3.2)
-        slices = slice_hull(volume, blob.growth_step_m)
+        blobs, runs = slice_hull(volume)
         watch.lap("slice")
-        bodies = self._bodies.step(frame_set.stamp_ns, slices.runs, self.grid)
+        bodies = self._bodies.step(frame_set.stamp_ns, runs, self.grid)
         whose = bodies.number_of_part
         # centroids of the blobs that look like a limb or trunk cut across (3.2)
-        centerline = find_centerline(slices.blobs, self.grid, blob, whose)
+        centerline = find_centerline(blobs, self.grid, blob, whose)
         watch.lap("filter")
-        voxels = sample_runs(slices.runs, self.grid, self.settings.max_voxels * max(len(bodies), 1), whose)
+        voxels = sample_runs(runs, self.grid, self.settings.max_voxels * max(len(bodies), 1), whose)
         watch.lap("sample")
         # rays along the silhouettes' contours: where the hull is wider than the body, they are still tangent to it
-        traced = self._contour.trace(pending.masks, slices.runs, frame_set.frames, whose)
+        traced = self._contour.trace(pending.masks, runs, frame_set.frames, whose)
         contour_rays = self._timed(traced, frame_set)
         watch.lap("contour_rays")
         return HullResult(

@@ -7,11 +7,7 @@ from dataclasses import dataclass
 from capture_rig.settings import setting
 
 BACKENDS = ("auto", "gl", "sweep", "cpu")
-# Thresholds: judgement; the growth's step with rendered bodies.
-GROWTH_STEP_M = 0.02  # of max_growth, in whole voxels
-MAX_JUMP_M = 0.5  # farthest that a body's centroid moves between two sets
-FORGET_S = 1.0  # a body that is not seen keeps its number for this long
-COMPARED_EVERY_S = 0.1  # cameras, with each other
+# Thresholds: judgement.
 PERSON_LITRES = 15.0  # a smaller hull is no person: cameras are not compared by it
 RAY_SPACING_PX = 3.0  # least distance of neighbouring rays along an outline
 
@@ -28,16 +24,13 @@ class BlobSettings:
     max_growth: float = setting(
         3.0, "largest ratio of the areas a step to either side to the blob's, as a limb continues; 0: any", low=0.0
     )
-    growth_step_m: float = GROWTH_STEP_M
 
 
 @dataclass(frozen=True)
 class BodySettings:
-    """Which parts of the hull are bodies, and how long a body keeps its number."""
+    """Which parts of the hull are bodies."""
 
     min_litres: float = setting(PERSON_LITRES, "smallest separate part that is a body", unit="litres", low=0.0)
-    max_jump_m: float = MAX_JUMP_M
-    forget_s: float = FORGET_S
 
 
 @dataclass(frozen=True)
@@ -56,7 +49,6 @@ class CameraFaultSettings:
 
     enabled: bool = setting(True, "leave out a camera that contradicts all others")
     reinstate_s: float = setting(2.0, "a camera that has agreed for this long is used again", unit="s", low=0.0)
-    period_s: float = COMPARED_EVERY_S
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,8 @@ MAX_OPEN_SETS = 8  # frame sets that wait for cameras
 SILENT_AFTER_NS = 1_000_000_000
 NEVER_NS = 1 << 62
 LOG_EVERY_S = 5.0
-COUNTER_KEYS = {name: name for name in ("frames", "restarts")} | {
-    name: f"sets_{name}" for name in ("complete", "incomplete")
-}  # the others are frames_NAME
+COUNTER_KEYS = {name: name for name in ("frames", "restarts")}  # of those whose key is not frames_NAME
+COUNTER_KEYS |= {name: f"sets_{name}" for name in ("complete", "incomplete")}
 
 
 class SilhouetteInput:

@@ -13,14 +13,13 @@ import ctypes
 
 import numpy as np
 
-from capture_rig import InputError
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 
 from .carving.pixel_boxes import pixel_projections
 from .grid import BrickVolume, VoxelGrid
 from .opengl.carve_shaders import PROJECT_EXACTLY
 from .opengl.egl import GlContext, NoGraphics
-from .opengl.gl_buffers import GL, MAX_GL_CAMERAS, StorageBuffer, make_program
+from .opengl.gl_buffers import GL, StorageBuffer, check_cameras, make_program
 from .views import Immediate, Masks, RigViews
 
 # axis swept: (axis along the frame buffer's columns, along its rows)
@@ -73,12 +72,7 @@ class PlaneSweepCarver(Immediate):
     name = "sweep"
 
     def __init__(self, views: RigViews, grid: VoxelGrid, hardware: bool | None = None) -> None:
-        if len(views.names) > MAX_GL_CAMERAS:
-            raise InputError(
-                f"{len(views.names)} cameras are too many for the sweep",
-                where="backend",
-                remedy=f"Use at most {MAX_GL_CAMERAS}, or choose backend 'cpu'.",
-            )
+        check_cameras(len(views.names))
         self.views, self.grid = views, grid
         self._foreground = np.zeros_like(views.seen)
         self._context = GlContext(hardware)

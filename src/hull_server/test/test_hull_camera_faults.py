@@ -15,7 +15,7 @@ from hull_server.settings import CameraFaultSettings, HullSettings
 from hull_server.views import RigViews, min_seeing
 from mocap_packets.frame_set import FrameSet
 
-PERIOD_S, SET_NS = 0.1, 100_000_000
+SET_NS = 100_000_000
 LAP = 16  # judged frame sets in which the person walks once round
 SIZE, FOCAL_PX = (208, 156), 152.0
 OF_SIX = {3: (0, 2, 4), 4: (0, 1, 3, 4), 5: (0, 1, 2, 3, 4), 6: (0, 1, 2, 3, 4, 5)}
@@ -41,7 +41,7 @@ def walking(cameras):
 
 
 def detector_of(rig, **settings):
-    return CameraFaultDetector(rig, RigViews.from_rig(rig), CameraFaultSettings(period_s=PERIOD_S, **settings))
+    return CameraFaultDetector(rig, RigViews.from_rig(rig), CameraFaultSettings(**settings))
 
 
 class Session:
@@ -177,7 +177,7 @@ def test_contradiction_that_cannot_be_blamed_on_anybody_is_a_warning():
 
 def test_as_many_cameras_remain_as_must_see_a_place():
     rig = rig_of(5)
-    detector = CameraFaultDetector(rig, RigViews.from_rig(rig), CameraFaultSettings(period_s=PERIOD_S), min_seeing=5)
+    detector = CameraFaultDetector(rig, RigViews.from_rig(rig), CameraFaultSettings(), min_seeing=5)
     for frame in range(8):
         masks = walking(5)[frame]
         faults = detector.update(masks | blank("cam02")(masks), frame * SET_NS)

@@ -23,7 +23,7 @@ BACKENDS = ["cpu", pytest.param("gl", marks=needs_gl), pytest.param("sweep", mar
 
 
 def carve(kind, rig, masks, voxel, needed):
-    backend = make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, voxel)).backend
+    backend = make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, voxel))[0]
     volume = backend.carve(masks, needed)
     backend.close()
     return volume
@@ -81,7 +81,7 @@ def test_carve_of_empty_silhouettes_and_of_one_camera_is_empty(kind):
 @needs_gl
 def test_sweep_gives_the_same_volume_whichever_axis_it_sweeps_along():
     rig, masks = scene(4, seed=7)
-    backend = make_backend("sweep", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.05)).backend
+    backend = make_backend("sweep", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.05))[0]
     across_x, across_y, across_z = (backend.sweep(masks, 3, axis) for axis in range(3))
     assert across_z.sum() > 0
     np.testing.assert_array_equal(across_x.transpose(1, 2, 0), across_z)  # (x, z, y) to (z, y, x)
@@ -89,31 +89,26 @@ def test_sweep_gives_the_same_volume_whichever_axis_it_sweeps_along():
     backend.close()
 
 
-def test_backend_auto_falls_back_to_the_cpu_with_a_reason_when_there_is_no_hardware(monkeypatch):
-    def no_gl(self, hardware=None):
-        raise NoGraphics("no device")
-
-    monkeypatch.setattr(GlContext, "__init__", no_gl)
-    rig = ring_rig(2)
-    choice = make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
-    assert isinstance(choice.backend, CpuCarver) and "no device" in choice.reason
+def backend_of(kind, cameras=2):
+    rig = ring_rig(cameras, size=(32, 24), focal_px=25.0, distortion=False)
+    return make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
 
 
-@pytest.mark.parametrize("kind", ["gl", "sweep"])
-def test_backend_asked_for_by_name_refuses_with_the_remedy_when_there_is_no_gl(kind, monkeypatch):
+def test_without_graphics_auto_falls_back_to_the_cpu_and_a_backend_by_name_refuses_with_the_remedy(monkeypatch):
     def no_gl(self, hardware=None):
         raise NoGraphics("libEGL.so.1 is not installed")
 
     monkeypatch.setattr(GlContext, "__init__", no_gl)
-    rig = ring_rig(2)
-    with pytest.raises(InputError, match=rf"backend = '{kind}' .*libEGL.so.1 is not installed.* Choose backend 'cpu'"):
-        make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
+    backend, reason = backend_of("auto")
+    assert isinstance(backend, CpuCarver) and "libEGL.so.1 is not installed" in reason
+    for kind in ("gl", "sweep"):
+        with pytest.raises(InputError, match=rf"backend = '{kind}' .*libEGL.so.1 is not .* Choose backend 'cpu'"):
+            backend_of(kind)
 
 
 def test_backend_of_an_unknown_name_is_refused():
-    rig = ring_rig(2)
     with pytest.raises(InputError, match=r"backend = 'cuda' is not known"):
-        make_backend("cuda", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
+        backend_of("cuda")
 
 
 def test_carve_counts_more_than_fifteen_cameras():
@@ -130,10 +125,9 @@ def test_carve_counts_more_than_fifteen_cameras():
 @needs_gl
 @pytest.mark.parametrize("kind", ["gl", "sweep"])
 def test_gl_backends_refuse_more_cameras_than_a_shader_word_has_bits(kind):
-    rig = ring_rig(33, size=(32, 24), focal_px=25.0, distortion=False)
     with pytest.raises(InputError, match=r"33 cameras .* backend 'cpu'"):
-        make_backend(kind, RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
-    assert make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1)).backend.name == "cpu"
+        backend_of(kind, 33)
+    assert backend_of("auto", 33)[0].name == "cpu"
 
 
 def test_auto_falls_back_to_the_cpu_when_pyopengl_finds_no_opengl_library(monkeypatch):
@@ -146,7 +140,5 @@ def test_auto_falls_back_to_the_cpu_when_pyopengl_finds_no_opengl_library(monkey
             raise AttributeError(name)
 
     monkeypatch.setitem(sys.modules, "hull_server.opengl.gl_carver", WithoutLibrary())
-    rig = ring_rig(3, size=(32, 24), focal_px=25.0, distortion=False)
-    choice = make_backend("auto", RigViews.from_rig(rig), VoxelGrid.covering(rig.volume, 0.1))
-    assert choice.backend.name == "cpu"
-    assert "apt install libopengl0" in choice.reason
+    backend, reason = backend_of("auto")
+    assert backend.name == "cpu" and "apt install libopengl0" in reason

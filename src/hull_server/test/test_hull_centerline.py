@@ -31,7 +31,7 @@ def upright_cylinder(radius: float = 7.0) -> np.ndarray:
 
 def test_centerline_of_an_upright_cylinder_is_its_axis():
     volume = volume_of(upright_cylinder())
-    line = find_centerline(slice_hull(volume).blobs, volume.grid, BlobSettings())
+    line = find_centerline(slice_hull(volume)[0], volume.grid, BlobSettings())
     assert (line.axis == 2).all()  # cut lengthwise it is four times as long as wide
     axis_world = volume.grid.centres_world([[19.5, 21.5, k] for k in range(1, 59)])  # all but the ends
     np.testing.assert_allclose(line.points_world, axis_world, atol=1e-9)
@@ -47,7 +47,7 @@ def test_centerline_filters_drop_small_long_and_concave_blobs():
     dense[40:70, 0:10] = True  # three times as long as wide
     dense[80:110, 0:4] = dense[80:84, 0:30] = True  # an L
     volume = volume_of(dense)
-    flat = across(slice_hull(volume).blobs, 2)
+    flat = across(slice_hull(volume)[0], 2)
     line = find_centerline(flat, volume.grid, SHAPE_ALONE)
     np.testing.assert_allclose(line.points_world, volume.grid.centres_world([[4.5, 4.5, 0], [30.5, 1, 0]]), atol=1e-9)
     assert len(find_centerline(flat, volume.grid, EVERYTHING)) == 5
@@ -60,7 +60,7 @@ def test_slices_off_a_ball_are_dropped_by_growth_and_not_by_shape(voxel):
     i, j, k = np.indices((size, size, size)) - (size - 1) / 2
     volume = volume_of(i**2 + j**2 + k**2 <= (0.095 / voxel) ** 2, voxel)
     middle = volume.grid.centres_world(np.full(3, (size - 1) / 2))
-    blobs = slice_hull(volume).blobs
+    blobs = slice_hull(volume)[0]
     by_shape, by_growth = (find_centerline(blobs, volume.grid, f) for f in (SHAPE_ALONE, BlobSettings()))
     farthest = [np.linalg.norm(line.points_world - middle, axis=1).max() for line in (by_shape, by_growth)]
     assert farthest[0] >= 0.0799 and farthest[1] <= farthest[0] - 0.015
@@ -72,7 +72,7 @@ def test_growth_drops_a_stump_on_a_wide_block_and_the_end_of_a_limb():
     dense[:, :, :10] = True  # 3600 cm2
     dense[12:18, 12:18, 10:30] = True  # 144 cm2
     volume = volume_of(dense)
-    kept = find_centerline(across(slice_hull(volume).blobs, 2), volume.grid, BlobSettings())
+    kept = find_centerline(across(slice_hull(volume)[0], 2), volume.grid, BlobSettings())
     layers = np.round((kept.points_world[:, 2] - 0.5) / 0.02 - 0.5).astype(int)
     assert layers.tolist() == [*range(1, 10), *range(11, 29)]
 
@@ -87,8 +87,8 @@ def test_centerline_of_carved_limbs_lies_on_their_axes_within_sigma(voxel):
     ]
     rig = ring_rig(8, size=(640, 480), focal_px=470.0, volume=Volume(np.full(3, -1.0), np.array([1.0, 1.0, 2.1])))
     grid = VoxelGrid.covering(rig.volume, voxel)
-    backend = make_backend("cpu", RigViews.from_rig(rig), grid).backend
-    line = find_centerline(slice_hull(backend.carve(silhouettes(rig, limbs), 5)).blobs, grid, BlobSettings())
+    backend = make_backend("cpu", RigViews.from_rig(rig), grid)[0]
+    line = find_centerline(slice_hull(backend.carve(silhouettes(rig, limbs), 5))[0], grid, BlobSettings())
     gaps = np.stack([distance(line.points_world, start, end) for start, end, _ in limbs])
     nearest, gap = gaps.argmin(axis=0), gaps.min(axis=0)
     assert gap.mean() < 0.008 and (gap > 0.06).mean() < 0.03

@@ -32,7 +32,7 @@ def hull_of(rig, masks, **settings):
 
 def traced(pipeline, masks, volume):
     """The contour rays of a hull that has not been sliced yet."""
-    return ContourTracer(pipeline.views, pipeline.grid, ContourSettings()).trace(masks, slice_hull(volume).runs)
+    return ContourTracer(pipeline.views, pipeline.grid, ContourSettings()).trace(masks, slice_hull(volume)[1])
 
 
 def centres_of(rig, rays):
@@ -204,7 +204,7 @@ def test_rays_carry_the_time_of_their_camera_and_of_their_row(rig, person):
 def test_rays_are_the_same_bytes_every_time_and_whatever_came_before(rig, person):
     _, masks, result = person
     views, grid = RigViews.from_rig(rig), result.volume.grid
-    tracer, runs = ContourTracer(views, grid, ContourSettings()), slice_hull(result.volume).runs
+    tracer, runs = ContourTracer(views, grid, ContourSettings()), slice_hull(result.volume)[1]
     mirrored = {name: np.ascontiguousarray(mask[:, ::-1]) for name, mask in masks.items()}
     for _ in range(50):  # 300 silhouettes: more than the scratch memory's marks
         tracer.trace(mirrored, runs)

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from hull_server.grid import BrickVolume, VoxelGrid
-from hull_server.slicing.skeletonisation import BlobTable, shape_of, slice_hull
+from hull_server.slicing.skeletonisation import GROWTH_STEP_M, BlobTable, shape_of, slice_hull
 from hull_server.slicing.voxel_runs import sample_runs
 
 
 def sample_voxels(volume, max_voxels):
-    return sample_runs(slice_hull(volume).runs, volume.grid, max_voxels)
+    return sample_runs(slice_hull(volume)[1], volume.grid, max_voxels)
 
 
 def volume_of(dense: np.ndarray, voxel: float = 0.02) -> BrickVolume:
@@ -52,13 +52,13 @@ def in_order(rows: np.ndarray) -> np.ndarray:
 )
 def test_blobs_equal_opencv_components_and_moments_on_random_volumes(shape, share, turned, seed):
     dense = np.random.default_rng(seed).random(shape[::-1] if turned else shape) < share
-    rows = as_rows(slice_hull(volume_of(dense)).blobs)
+    rows = as_rows(slice_hull(volume_of(dense))[0])
     np.testing.assert_allclose(in_order(rows), in_order(oracle_blobs(dense)), atol=1e-9)
 
 
 def test_blobs_are_ordered_and_repeatable():
     dense = np.random.default_rng(0).random((40, 30, 20)) < 0.2
-    first, second = slice_hull(volume_of(dense)).blobs, slice_hull(volume_of(dense)).blobs
+    first, second = slice_hull(volume_of(dense))[0], slice_hull(volume_of(dense))[0]
     assert as_rows(first).tobytes() == as_rows(second).tobytes()
     slices = first.centroid[np.arange(len(first)), first.axis]
     assert (np.diff(first.axis.astype(int)) >= 0).all()
@@ -66,8 +66,8 @@ def test_blobs_are_ordered_and_repeatable():
 
 
 def test_blobs_of_an_empty_volume_are_none():
-    slices = slice_hull(volume_of(np.zeros((9, 9, 9), bool)))
-    assert len(slices.blobs) == len(slices.runs.starts) == 0
+    blobs, runs = slice_hull(volume_of(np.zeros((9, 9, 9), bool)))
+    assert len(blobs) == len(runs.starts) == 0
 
 
 @settings(max_examples=25, deadline=None, derandomize=True)
@@ -80,7 +80,7 @@ def test_blobs_of_an_empty_volume_are_none():
 def test_growth_equals_that_of_labelled_slices(shape, share, step, seed):
     """The blob under the rounded centroid, ``step`` slices to either side, found in images of labels."""
     dense = np.random.default_rng(seed).random(shape) < share
-    blobs = slice_hull(volume_of(dense), step_m=step * 0.02).blobs
+    blobs = slice_hull(volume_of(dense, GROWTH_STEP_M / step))[0]
     labels = [label_slices(dense, axis) for axis in range(3)]
     for axis, area, centroid, growth in zip(blobs.axis, blobs.area, blobs.centroid, blobs.growth, strict=True):
         place = np.floor(centroid + 0.5).astype(int)
@@ -116,7 +116,7 @@ def test_parts_equal_scipy_components(shape, share, seed):
     pairs = set(zip(expected[tuple(voxels.T)].tolist(), samples.body.tolist(), strict=True))
     assert len(pairs) == count == len({part for _, part in pairs})
     label_of_part = {part: label for label, part in pairs}
-    blobs = slice_hull(volume).blobs
+    blobs = slice_hull(volume)[0]
     for axis in range(3):  # the label of any voxel of a blob's slice at its part is one of that part
         for part, centroid, area in zip(
             *(c[blobs.axis == axis] for c in (blobs.part, blobs.centroid, blobs.area)), strict=True
@@ -134,7 +134,7 @@ def ellipse_volume(a: float, b: float, turn: float) -> np.ndarray:
 
 @pytest.mark.parametrize(("a", "b", "turn"), [(20, 20, 0), (40, 20, 0.5), (30, 12, 1.2), (6, 6, 0)])
 def test_elongation_and_fill_of_an_ellipse(a, b, turn):
-    blobs = slice_hull(volume_of(ellipse_volume(a, b, turn))).blobs
+    blobs = slice_hull(volume_of(ellipse_volume(a, b, turn)))[0]
     index = np.flatnonzero(blobs.axis == 2)[0]
     elongation, fill = shape_of(blobs.area[index], *blobs.covariance[index])
     assert elongation == pytest.approx(a / b, rel=0.03)

@@ -30,16 +30,16 @@ from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import RayArrays, RayMatch, match_rays
 from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
 from stick_figure.least_squares.gauss_newton import Data, Scale, Stop, Weights
+from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 from stick_figure.least_squares.keypoint_factor import GATE_SIGMAS, NO_KEYPOINTS, Keypoints
 from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure, State, place
-from stick_figure.pose import Pose
+from stick_figure.pose import HINGE_MARGIN_RAD, Pose
 from stick_figure.trunk_bend import with_joint_centres
 
 # Thresholds: the former chosen with python bench/people.py --ablation SESSION, in steps of about a half, the last
 # four with covariance_coverage.py among the benches of commit d6079d2.
 # of the fit; checked by bench/people.py --ablation on rendered and real sessions
-HINGE_MARGIN = 0.15  # rad a hinge may stay on the wrong side of straight
 STEP_LIMIT = 0.5  # m, rad, largest component of one step
 POINT_GATE_M = 0.08  # distance at which a centerline point's weight has fallen to 1/4
 STICK_SD_M = 0.03  # of a perfect centerline point from its stick: a body is no stick figure
@@ -49,7 +49,6 @@ VOXEL_GATE_M = 0.06  # distance at which a voxel's weight has fallen to 1/4
 TIGHT_M = 0.025  # excess of the hull over the body at which the voxels' weight has fallen to a half
 SURFACE_SAMPLES, HULL_SAMPLES = 1000, 1000  # voxels of the surface, and with the interior, that stand for the hull
 RAYS = 1200  # contour rays that are used
-RAY_SURFACE_SD_M = 0.01  # of the model's surface from the body's: a ray less certain than that counts less
 CONTOUR_GATE_M = 0.06  # separation at which a ray's weight has fallen to 1/4
 # weight of 1200 rays of 9000 / m^2 over that of what they tell, 33 places of a centimetre (`independent_rows`); with 10
 # to 50 simulated detections (tests/support/simulated_detections.py) settle as many limbs
@@ -68,6 +67,7 @@ UNKNOWN_SD_M = 10.0  # standard deviation of a point about which nothing is know
 PRIOR_SD = np.repeat([POSITION_SD_M, ROTATION_SD, BALL_SD], [3, 3, TANGENT - 6])
 PRIOR_SD[kernels.HINGE_SLOT] = HINGE_SD
 PRIOR = PRIOR_SD**-2
+LONGEST_S = 0.1  # between two sets: after a longer gap motion and evidence are those of so long
 GUESS = 3.0  # so many times as wide is the prior of a fit that starts from a guess
 UNSEEN = np.full(TANGENT, UNSEEN_SD**-2)
 # sticks that meet at each reference point, one or two: torso centre, head tip, neck, shoulders, hips, elbows, knees,
@@ -113,7 +113,7 @@ class ArticulatedSettings:
     gate_m : distance at which a centerline point's weight has fallen to 1/4. model_sigma_m : distance of a perfect
     centerline point from its stick. correlation : centerline points that carry the information of one independent one.
     prior : how far a pose may leave its start where no datum says otherwise, over the PRIOR_SD. max_iterations : of
-    Gauss-Newton, which has converged when one moves no reference point farther than tolerance_m.
+    Gauss-Newton.
     """
 
     volume: VolumeSettings = setting(VolumeSettings, "the hull's voxels")
@@ -123,7 +123,6 @@ class ArticulatedSettings:
     correlation: float = NEIGHBOURS
     prior: float = 1.0
     max_iterations: int = 8
-    tolerance_m: float = TOLERANCE_M
 
     @classmethod
     def of_ideal_figure(cls) -> ArticulatedSettings:
@@ -157,26 +156,10 @@ class FitResult:
     matched: RayMatch
 
 
-def fit_articulated(
-    body: Body,
-    start: Pose,
-    points_world: np.ndarray,
-    sigma_m: np.ndarray | float = 0.0,
-    voxels: VoxelSamples = NO_VOXELS,
-    settings: ArticulatedSettings | None = None,
-    contour_rays: ContourRays = NO_CONTOUR_RAYS,
-) -> FitResult:
-    """Fit the figure to points (n, 3) m with noise ``sigma_m`` (n,), voxels and contour rays, from ``start``."""
-    settings = settings or ArticulatedSettings()
-    data = make_data(points_world, sigma_m, voxels, settings, contour_rays)
-    pose, iterations, moved = minimise(body, start, data, settings)
-    return assess(body, pose, data, iterations, moved < settings.tolerance_m, settings)
-
-
 def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
     """Return the pose reached from ``start``, the iterations it took, and how far (m) the last one moved a point."""
     state, figure, weights = State.of(start), Figure.of(body), make_weights(data, settings)
-    stop = Stop(settings.max_iterations, settings.tolerance_m, STEP_LIMIT, HINGE_MARGIN)
+    stop = Stop(settings.max_iterations, TOLERANCE_M, STEP_LIMIT, HINGE_MARGIN_RAD)
     iterations, moved = gauss_newton.minimise(data, state, figure, weights, stop)
     return state.pose(), iterations, moved
 
@@ -277,7 +260,7 @@ def rays_at_stamp(rays: ContourRays, body: Body, pose: Pose, velocity: np.ndarra
 
 def _contour_rays(rays: ContourRays, settings: ArticulatedSettings) -> RayArrays:
     """Lay out the rays with their share of the weight of all of them."""
-    trust = RAY_SURFACE_SD_M**2 / (RAY_SURFACE_SD_M**2 + rays.sigma**2)
+    trust = SURFACE_SD_M**2 / (SURFACE_SD_M**2 + rays.sigma**2)  # a ray less certain than the surface counts less
     information = trust * (settings.contour.weight / settings.model_sigma_m**2 / max(len(rays), 1))
     return ray_arrays(rays, information)
 

@@ -25,6 +25,7 @@ from capture_rig.settings import setting
 from capture_rig.stamps import NS_PER_S
 from mocap_packets.hull import ContourRays
 from stick_figure.least_squares.contour_factor import RayMatch
+from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 
 from .articulated_fit import CONTOUR_GATE_M
 from .refinement.trunk_bend import RAYS_OF_A_DATUM
@@ -44,7 +45,6 @@ ENOUGH_CAMERAS = 5  # fewer do not tell which of them has moved: the fit follows
 NEXT_WORST, NEXT_OF_FEW = 0.6, 0.4  # of the largest shift: what the others show of one camera's error, at most
 MISSING = 1.5  # times the limit while a camera is left out: the bodies' sizes may be learnt with its errors
 FEWEST_CAMERAS, FEWEST_RAYS = 3, 10  # of a set
-RAY_SD_M = 0.01
 CAMERA_SD = np.repeat([np.radians(1.0), 0.1, 0.003], [3, 3, 1])  # rad, m, and rad of growth: what befalls cameras
 CAMERA = 6  # numbers of a camera's motion; the growth of its silhouettes follows
 
@@ -193,7 +193,7 @@ class _Sums:
         if len(y) < FEWEST_RAYS or not (np.isfinite(y).all() and np.isfinite(J).all()):
             return
         # of a set that stands for a block all its data count, of neighbours in time their share
-        information = step_s / BLOCK_S / (RAYS_OF_A_DATUM * RAY_SD_M**2)
+        information = step_s / BLOCK_S / (RAYS_OF_A_DATUM * SURFACE_SD_M**2)
         self.A = self.A + information * (J * w[:, None]).T @ J
         self.b = self.b + information * (J * w[:, None]).T @ y
         self.of_rays = self.of_rays + J[:, :CAMERA].T @ J[:, :CAMERA]

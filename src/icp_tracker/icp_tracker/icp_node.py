@@ -34,7 +34,7 @@ from sagoma_ros.worker import Worker
 from stick_figure.body import Body, format_body
 
 from .extrinsic_monitor import ExtrinsicErrors
-from .icp_ros import FilterFeedback, KeypointInputs, SaveBodyService, SavedBody
+from .icp_ros import FilterFeedback, KeypointInputs, SaveBodyService
 from .people.people_tracker import PeopleTracker, make_people_tracker
 from .settings import IcpNodeSettings
 from .tracker import ACQUIRING, TRACKING, warm_up
@@ -194,7 +194,7 @@ class IcpNode(SagomaNode):
         changed = [person for person, body in bodies.items() if body is not self._published.get(person)]
         self._published = self._published | bodies
         for person in changed:
-            self._save_body.keep(person, SavedBody(stamp_ns, bodies[person]))
+            self._save_body.keep(person, stamp_ns, bodies[person])
         if FIRST_PERSON in changed:
             text = format_body(bodies[FIRST_PERSON], source="icp_tracker")
             self._body_publisher.publish(lambda: String(data=text))

@@ -6,7 +6,6 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -35,26 +34,18 @@ from .settings import SaveBodySettings
 KEPT_IMAGES = 64  # of each camera: detections may be a second early, where the hull is late
 
 
-@dataclass(frozen=True, eq=False)
-class SavedBody:
-    """What is kept of a body: its sizes and its build."""
-
-    stamp_ns: int
-    body: Body
-
-
 class SaveBodyService:
     """Answers ``~/save_body``: writes the bodies and names the files, ``FOLDER/body_STAMP.yaml``, STAMP in ns, of the
     first person, ``body_STAMP_personN.yaml`` of the others."""
 
     def __init__(self, node: Node, settings: SaveBodySettings) -> None:
         self._node, self._settings = node, settings
-        self._newest: dict[int, SavedBody] = {}
+        self._newest: dict[int, tuple[int, Body]] = {}  # by person, with the stamp of its first set
         self._service = node.create_service(Trigger, "~/save_body", self._on_save)
 
-    def keep(self, person: int, newest: SavedBody) -> None:
-        """Remember the body of a person who is followed; any thread."""
-        self._newest = self._newest | {person: newest}
+    def keep(self, person: int, stamp_ns: int, body: Body) -> None:
+        """Remember the body of a person who is followed, from a set on; any thread."""
+        self._newest = self._newest | {person: (stamp_ns, body)}
 
     def forget(self) -> None:
         """Forget everybody: nobody is followed any more; any thread."""
@@ -67,12 +58,12 @@ class SaveBodyService:
     def _on_save(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         newest, written = self._newest, list[str]()
         response.success, response.message = False, "no body is followed yet: hold a T-pose, then ask again"
-        for person, saved in sorted(newest.items()):
+        for person, (stamp_ns, body) in sorted(newest.items()):
             others = "" if person == FIRST_PERSON else f"_person{person}"
-            path = Path(self._settings.folder).expanduser().resolve() / f"body_{saved.stamp_ns}{others}.yaml"
+            path = Path(self._settings.folder).expanduser().resolve() / f"body_{stamp_ns}{others}.yaml"
             try:
                 make_folder(path.parent)
-                save_body(saved.body, path, source="icp_tracker")
+                save_body(body, path, source="icp_tracker")
             except InputError as error:
                 response.success, response.message = False, str(error)
                 break

@@ -17,20 +17,31 @@ from mocap_packets.fit import GOOD, LOST, PART_NAMES, UNKNOWN, Fit, Solution, Tr
 from mocap_packets.hull import NO_CENTERLINE, NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.state import Prediction
 from stick_figure.body import Body
-from stick_figure.kinematics import forward
+from stick_figure.kinematics import farthest_apart_m, forward
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.normal_equations import TANGENT
 from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import T_POSE_ANGLES, Pose
 
+from .acquisition.body_sizes import BodyEstimate
 from .acquisition.initial_pose import InitialPose, KnownPose, PoseSource
 from .acquisition.pose_source import make_pose_source
-from .articulated_fit import FitResult, assess, make_data, minimise, rays_at_stamp, rays_in_use, unknown_covariance
+from .articulated_fit import (
+    LONGEST_S,
+    TOLERANCE_M,
+    FitResult,
+    assess,
+    make_data,
+    minimise,
+    rays_at_stamp,
+    rays_in_use,
+    unknown_covariance,
+)
 from .body_uncertainty import covariance_of_sizes, widen_hidden
 from .extrinsic_monitor import ContourResiduals
-from .monitor.evidence import evidence_of
+from .monitor.evidence import SAME_M, evidence_of
 from .monitor.track_monitor import TrackAssessment, TrackMonitor
-from .refinement.body_refiner import BodyRefiner, RefinedBody, known_sizes, warm_up_refiner
+from .refinement.body_refiner import BodyRefiner, known_sizes, warm_up_refiner
 from .refinement.trunk_bend import TrunkBend
 from .settings import IcpNodeSettings, TrackerSettings
 from .thesis.hierarchical_icp import fit_hierarchical
@@ -38,9 +49,7 @@ from .thesis.hierarchical_icp import fit_hierarchical
 ACQUIRING, TRACKING = "acquiring", "tracking"
 FROM_NOTHING, FROM_INITIAL, FROM_OWN = "nothing", "initial", "own"
 # Thresholds: measured by python bench/recovery.py.
-AGREES_M = 0.1  # the filter has followed a recovered pose when all points of its prediction are so near to it
 FOLLOW_S = 0.25  # that the fit starts from its own pose at most, until the filter has followed
-EXTRAPOLATED_S = 0.1  # the predicted motion is followed for at most this long
 FEWEST_POINTS = 15  # fewer centerline points count as none
 FIRST_ITERATIONS = 30  # of the first fit
 FOLLOW_SETS = 7  # ... but so many sets at least: the filter believes a jump after five
@@ -131,14 +140,9 @@ class IcpTracker:
         self._monitor.reset()
 
     @property
-    def refined_body(self) -> RefinedBody | None:
+    def refined_sizes(self) -> BodyEstimate | None:
         """How well the sizes of a measured body are known by now; None for a body whose sizes were given."""
         return None if self._refiner is None else self._refiner.refined
-
-    @property
-    def needs_contour_rays(self) -> bool:
-        """Whether the next step uses the contour rays."""
-        return self._all_joints and self._settings.articulated.contour.weight > 0.0
 
     @property
     def _all_joints(self) -> bool:
@@ -161,7 +165,7 @@ class IcpTracker:
         """Fit a set to the body that is followed; ``pose`` is that of the set before."""
         start, started_from = self._start(body, pose, seen.stamp_ns, prediction)
         seen = seen.of_body_at(forward(body, start))
-        if reason := self._too_few(seen):
+        if reason := too_few_points(seen):
             self._pose = start
             self._monitor.mark_lost()
             return _not_seen(seen, LOST, started_from, f"nobody in the volume: {reason}", body, start)
@@ -195,8 +199,8 @@ class IcpTracker:
             return own, FROM_OWN
         predicted = self._predicted(stamp_ns, prediction, prediction.pose)
         if self._own is not None:
-            apart = np.linalg.norm(forward(body, predicted) - forward(body, own), axis=1).max()
-            self._own = self._own.next(stamp_ns) if apart > AGREES_M else None
+            agrees = farthest_apart_m(body, predicted, own) <= SAME_M  # then the filter has followed a recovered pose
+            self._own = None if agrees else self._own.next(stamp_ns)
             if self._own is not None:
                 return own, FROM_OWN
         return predicted, str(prediction.stamp_ns)
@@ -208,14 +212,8 @@ class IcpTracker:
         that starts from there stays there.
         """
         pose = Pose.from_angles(pose.position_world, pose.R_world_torso, pose.angles())
-        ahead_s = (stamp_ns - prediction.stamp_ns) / NS_PER_S
-        ahead_s = min(max(ahead_s, 0.0), EXTRAPOLATED_S)
+        ahead_s = min(max((stamp_ns - prediction.stamp_ns) / NS_PER_S, 0.0), LONGEST_S)
         return pose.retract(prediction.velocity * ahead_s)
-
-    def _too_few(self, seen: HullProducts) -> str:
-        """Return why a set has too few points to be fitted; empty when it has enough."""
-        points, needed = len(seen.centerline), FEWEST_POINTS
-        return f"{points} centerline points, {needed} needed" if points < needed else ""
 
     def _data(self, seen: HullProducts) -> Data:
         """Lay out what the fit uses."""
@@ -230,17 +228,15 @@ class IcpTracker:
         if self._all_joints:
             patience = settings if iterations is None else replace(settings, max_iterations=iterations)
             pose, spent, moved = minimise(body, start, data, patience)
-            return assess(body, pose, data, spent, moved < settings.tolerance_m, settings)
-        found = fit_hierarchical(body, start, data.points, self._settings.hierarchical)
-        return assess(body, found.pose, data, found.iterations, found.converged, settings)
+            return assess(body, pose, data, spent, moved < TOLERANCE_M, settings)
+        pose, spent, converged = fit_hierarchical(body, start, data.points, self._settings.hierarchical)
+        return assess(body, pose, data, spent, converged, settings)
 
     def _refine_body(self, stamp_ns: int, fit: FitResult, data: Data) -> FitResult:
         """Return the fit, done again with a better known body when there is one."""
-        body = (
-            None
-            if self._refiner is None
-            else self._refiner.step(stamp_ns, fit.pose, data.contour_rays, self._trunk.bend)
-        )
+        if self._refiner is None:
+            return fit
+        body = self._refiner.step(stamp_ns, fit.pose, data.contour_rays, self._trunk.bend)
         if body is None:
             return fit
         self._body = body
@@ -274,7 +270,7 @@ class IcpTracker:
         if found.pose is None or found.body is None:
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, found.reason)
         seen = seen.of_body_at(forward(found.body, found.pose))
-        if reason := self._too_few(seen):
+        if reason := too_few_points(seen):
             return _not_seen(seen, ACQUIRING, FROM_NOTHING, reason)
         fit = self._solve(found.body, found.pose, self._data(seen), FIRST_ITERATIONS)
         explained = fit.inliers / fit.points
@@ -290,16 +286,14 @@ class IcpTracker:
     def _new_refiner(self, found: InitialPose) -> BodyRefiner | None:
         """Return what refines the body that was found; of one whose sizes are given it learns the build, unless that
         is given too."""
-        settings, body = self._settings, found.body
-        if body is None or settings.refinement.keyframes == 0 or not self.needs_contour_rays:
+        refinement, contour, body = self._settings.refinement, self._settings.articulated.contour, found.body
+        if body is None or refinement.keyframes == 0 or not self._all_joints or contour.weight == 0.0:
             return None
-        contour = settings.articulated.contour
-        if found.estimate is None:
-            if body.build.any():
-                return None
-            return BodyRefiner(known_sizes(body), settings.refinement, body, contour.bend, contour.turn_sd)
-        bend, turn_sd, build = contour.bend, contour.turn_sd, body.build
-        return BodyRefiner(found.estimate, settings.refinement, bend=bend, turn_sd=turn_sd, build=build)
+        if found.estimate is not None:
+            return BodyRefiner(found.estimate, refinement, None, contour.bend, contour.turn_sd, body.build)
+        if body.build.any():
+            return None
+        return BodyRefiner(known_sizes(body), refinement, body, contour.bend, contour.turn_sd)
 
 
 def make_tracker(settings: IcpNodeSettings, visibility: RigVisibility | None = None) -> IcpTracker:
@@ -331,6 +325,12 @@ def warm_up(settings: TrackerSettings, visibility: RigVisibility | None = None) 
             trunk.look(k, body, pose, data.contour_rays, matched)
     if settings.refinement.keyframes > 0:
         warm_up_refiner(settings.refinement)
+
+
+def too_few_points(seen: HullProducts) -> str:
+    """Return why a set has too few points to be fitted; empty when it has enough."""
+    points = len(seen.centerline)
+    return "" if points >= FEWEST_POINTS else f"{points} centerline points, {FEWEST_POINTS} needed"
 
 
 def _solution(fit: FitResult) -> Solution:

@@ -4,10 +4,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from capture_rig.visibility import EVERYWHERE
+from icp_tracker.articulated_fit import TOLERANCE_M, ArticulatedSettings, assess, make_data, minimise
+from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS
 from stick_figure.kinematics import sticks
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.least_squares.gauss_newton import Data, Weights
-from stick_figure.least_squares.placed_figure import Figure, State, place
+from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
 
@@ -51,23 +53,27 @@ def stick_cloud(body, pose, rng, count=300, sigma=0.034):
     return clean + sigma * rng.normal(size=clean.shape)
 
 
+def fit(body, start, points, sigma_m=0.0, voxels=NO_VOXELS, settings=None, contour_rays=NO_CONTOUR_RAYS):
+    """The figure fitted to points (n, 3) m with noise ``sigma_m``, voxels and contour rays, from ``start``."""
+    settings = settings or ArticulatedSettings()
+    data = make_data(points, sigma_m, voxels, settings, contour_rays)
+    pose, iterations, moved = minimise(body, start, data, settings)
+    return assess(body, pose, data, iterations, moved < TOLERANCE_M, settings)
+
+
 def placed(body, pose):
     """The body of average build in a pose, as the kernels take it."""
     return place(State.of(pose), Figure.of(body))
 
 
 def voxels(body, pose, spacing=0.03):
-    """Grid points (m, 3) inside the body's surface, by a test of every capsule of its own."""
+    """Grid points (m, 3) inside the body's surface."""
     posed = placed(body, pose)
     P, Q = posed.P, posed.Q
     low, high = np.minimum(P, Q).min(0) - 0.15, np.maximum(P, Q).max(0) + 0.15
     axes = [np.arange(a, b, spacing) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    solid = np.zeros(len(grid), bool)
-    for p, q, (r0, r1) in zip(P, Q, posed.surface.radii, strict=True):
-        u = np.clip((grid - p) @ (q - p) / ((q - p) @ (q - p)), 0, 1)
-        solid |= np.linalg.norm(grid - p - u[:, None] * (q - p), axis=1) < r0 + u * (r1 - r0)
-    return grid[solid]
+    return grid[surface_distances(grid, posed)[2] < 0.0]
 
 
 NO_POINTS = np.empty((0, 3))

@@ -12,22 +12,13 @@ from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import Centerline, HullProducts
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_NAMES, mirror_angles
+from stick_figure.skeleton import ANGLE_NAMES
 from virtual_studio.people import Capsules, VolumetricBody
 from virtual_studio.rendering.camera import VirtualCamera
 from virtual_studio.rig import ring
 
 DOWN = -np.pi / 2  # of an arm's elevation
 SET_NS = 16_666_667
-
-
-def both_sides(**left):
-    """The angles (18,) of a symmetric pose, from the left side's; the T-pose's where not given."""
-    angles = np.zeros(18)
-    for name, value in left.items():
-        angles[ANGLE_NAMES.index(f"left_{name}")] = value
-    right = np.array([name.startswith("right") for name in ANGLE_NAMES])
-    return np.where(right, mirror_angles(angles), angles)
 
 
 def with_angles(angles, **changed):

@@ -5,9 +5,9 @@ import pytest
 import synthetic_people as synthetic
 
 from icp_tracker import articulated_fit
-from icp_tracker.articulated_fit import ArticulatedSettings, fit_articulated
+from icp_tracker.articulated_fit import ArticulatedSettings
 from stick_figure.kinematics import forward, sticks
-from stick_figure.least_squares.point_factor import add_points
+from stick_figure.least_squares.point_factor import add_point_residuals, match_points
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, HEAD
 
@@ -34,7 +34,8 @@ def nearest_on_sticks(ends, points):
 def normal_equations(body, pose, points, weight):
     """H and g of points that all count by their information: the gate is wide."""
     data = synthetic.data(points=points, information=weight, gate2=np.full(len(points), 1e12))
-    return synthetic.equations(add_points, data, synthetic.placed(body, pose))
+    placed = synthetic.placed(body, pose)
+    return synthetic.equations(add_point_residuals, points, match_points(data, placed), placed)
 
 
 def no_rest(monkeypatch):
@@ -80,8 +81,8 @@ def test_point_noise_weighs_the_points(body):
     points = synthetic.stick_cloud(body, truth, rng, 300, 0.01)
     bad = rng.random(len(points)) < 0.34
     points[bad] += [0.0, 0.06, 0.0]
-    equal = fit_articulated(body, truth, points, 0.0)
-    told = fit_articulated(body, truth, points, np.where(bad, 0.3, 0.0))
+    equal = synthetic.fit(body, truth, points, 0.0)
+    told = synthetic.fit(body, truth, points, np.where(bad, 0.3, 0.0))
     assert mean_error_mm(body, told.pose, truth) < 0.5 * mean_error_mm(body, equal.pose, truth)
 
 
@@ -94,7 +95,7 @@ def test_hinge_passes_straight_and_is_described_the_right_way_round(body, hinge)
     start = Pose.from_angles(np.array([0, 0, 1.2]), np.eye(3), angles)
     truth = start.retract(np.eye(24)[6 + slot] * -2 * angles[slot])  # bent the other way
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(12), 400, 0.005)
-    fit = fit_articulated(body, start, points, settings=ArticulatedSettings(max_iterations=12, prior=4.0))
+    fit = synthetic.fit(body, start, points, settings=ArticulatedSettings(max_iterations=12, prior=4.0))
     assert mean_error_mm(body, fit.pose, truth) < 10.0
     assert (fit.pose.hinges[:2] <= 0.15).all() and (fit.pose.hinges[2:] >= -0.15).all()
     assert np.abs(fit.pose.hinges).max() == pytest.approx(0.4, abs=0.05)
@@ -108,7 +109,7 @@ def test_head_returns_to_rest_only_with_the_neck_prior(body, monkeypatch):
     start = truth.retract(np.eye(24)[NECK_Y] * 1.2)
 
     def pitch():
-        fit = fit_articulated(body, start, points, settings=ArticulatedSettings(max_iterations=20, prior=4.0))
+        fit = synthetic.fit(body, start, points, settings=ArticulatedSettings(max_iterations=20, prior=4.0))
         assert not fit.visible[1]
         direction = fit.pose.R_joints[0, :, 2]
         return np.arctan2(direction[0], direction[2])
@@ -126,7 +127,7 @@ def test_covariance_of_independent_points_holds_what_it_says(body, monkeypatch):
     for seed in range(5):
         rng = np.random.default_rng(seed)
         for truth in synthetic.smooth_motion(60, seed):
-            fit = fit_articulated(body, truth, synthetic.stick_cloud(body, truth, rng, 300, SIGMA), settings=settings)
+            fit = synthetic.fit(body, truth, synthetic.stick_cloud(body, truth, rng, 300, SIGMA), settings=settings)
             error = fit.reference_points_world - forward(body, truth)
             inside.append(np.einsum("pi,pij,pj->p", error, np.linalg.inv(fit.covariance), error) < CHI2_95)
     share = np.mean(inside, axis=0)
@@ -138,7 +139,7 @@ def test_covariance_grows_where_the_points_do_not_fit(body):
     truth = synthetic.t_pose()
     settings = ArticulatedSettings(model_sigma_m=0.01, gate_m=0.3)
     small, large = (
-        fit_articulated(
+        synthetic.fit(
             body, truth, synthetic.stick_cloud(body, truth, np.random.default_rng(14), 300, noise), settings=settings
         )
         for noise in (0.01, 0.05)
@@ -152,7 +153,7 @@ def test_limb_without_points_is_invisible_and_uncertain(body):
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(15), 300, 0.01)
     stick, _, _ = nearest_on_sticks(sticks(body, truth), points)
     points = points[(stick != HEAD) & (stick != 6)]  # no head, no left forearm
-    fit = fit_articulated(body, truth, points, settings=ArticulatedSettings(prior=4.0))
+    fit = synthetic.fit(body, truth, points, settings=ArticulatedSettings(prior=4.0))
     assert not fit.visible[[1, 11]].any()
     assert fit.visible[[0, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 13, 14]].all()
     sd = np.sqrt(np.trace(fit.covariance, axis1=1, axis2=2))

@@ -5,16 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import refinement_rays as made
+import synthetic_people as synthetic
 
 from capture_rig.rigid import rotation_matrix
-from icp_tracker.articulated_fit import (
-    ArticulatedSettings,
-    ContourSettings,
-    VolumeSettings,
-    fit_articulated,
-    make_data,
-    minimise,
-)
+from icp_tracker.articulated_fit import ArticulatedSettings, ContourSettings, VolumeSettings, make_data, minimise
 from icp_tracker.monitor.evidence import match_to
 from icp_tracker.refinement.trunk_bend import TrunkBend
 from mocap_packets.hull import NO_VOXELS
@@ -86,7 +80,7 @@ def bent_ends():
 def fitted(bent_ends, settings):
     body, pose, rays = bent_ends
     points = np.zeros((1, 3))  # far from everything
-    return fit_articulated(body, pose, points, settings=settings, contour_rays=rays).reference_points_world
+    return synthetic.fit(body, pose, points, settings=settings, contour_rays=rays).reference_points_world
 
 
 def test_bent_hand_and_foot_leave_elbow_and_ankle_where_they_are(bent_ends):
@@ -109,6 +103,6 @@ def test_hand_tip_follows_the_hand(bent_ends):
 def test_reference_points_of_an_ideal_figure_are_those_of_its_pose(bent_ends):
     body, pose, rays = bent_ends
     for settings, rigid in ((ArticulatedSettings.of_ideal_figure(), True), (ArticulatedSettings(), False)):
-        fit = fit_articulated(body, pose, np.zeros((1, 3)), settings=settings, contour_rays=rays)
+        fit = synthetic.fit(body, pose, np.zeros((1, 3)), settings=settings, contour_rays=rays)
         off = np.linalg.norm(fit.reference_points_world - forward(body, fit.pose), axis=1)
         assert (off.max() < 1e-9) == rigid

@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from t_pose_studio import both_sides, person, standing, studio
+from t_pose_studio import person, standing, studio
 
 from icp_tracker.acquisition.body_sizes import MEAN_OVER_STATURE, SIZES, body_of_sizes, estimate_body, prior_sizes
 from icp_tracker.acquisition.t_pose_measures import measure_t_pose
 from stick_figure.body import Body
+from virtual_studio.motions.timeline import both_sides
 from virtual_studio.people import VolumetricBody
 
 SIX, THREE = (5, True), (3, False)

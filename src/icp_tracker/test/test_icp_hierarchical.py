@@ -29,7 +29,7 @@ def test_noiseless_sticks_are_found_from_a_fifth_of_a_radian_and_five_centimetre
     assert errors_mm(body, start, truth).max() > 80
     pose = start
     for _ in range(10):
-        pose = fit_hierarchical(body, pose, points).pose
+        pose = fit_hierarchical(body, pose, points)[0]
     assert errors_mm(body, pose, truth).mean() < 12.0  # descendants pull along
 
 
@@ -55,7 +55,7 @@ def test_stick_with_two_points_stays_where_its_parent_carries_it(body):
     head_tip = forward(body, truth)[1]
     points = points[points[:, 2] < forward(body, truth)[2, 2] - 0.02]
     points = np.vstack([points, head_tip + np.array([[0.1, 0, 0], [0.1, 0.01, 0]])])
-    pose = fit_hierarchical(body, truth, points).pose
+    pose = fit_hierarchical(body, truth, points)[0]
     assert np.linalg.norm(forward(body, pose)[1] - head_tip) < 0.02
 
 
@@ -64,8 +64,8 @@ def test_points_far_from_every_stick_do_not_pull(body):
     rng = np.random.default_rng(3)
     points = synthetic.stick_cloud(body, truth, rng, 300, 0.01)
     stray = forward(body, truth)[11] + [0.0, 0.5, 0.8] + 0.02 * rng.normal(size=(8, 3))
-    clean = fit_hierarchical(body, truth, points).pose
-    pose = fit_hierarchical(body, truth, np.vstack([points, stray])).pose
+    clean = fit_hierarchical(body, truth, points)[0]
+    pose = fit_hierarchical(body, truth, np.vstack([points, stray]))[0]
     assert np.linalg.norm(forward(body, pose) - forward(body, clean), axis=1).max() < 0.01
 
 
@@ -89,12 +89,3 @@ def test_x84_threshold_is_median_plus_three_and_a_half_sigma():
     expected = centre + 3.5 * 1.4826 * np.median(np.abs(distances - centre))
     assert x84_threshold(distances, 0.005) == pytest.approx(expected, rel=1e-12)
     assert x84_threshold(np.zeros(0), 0.005) == np.inf
-
-
-def test_x84_judges_each_group_on_its_own_and_drops_points_of_no_group():
-    distances = np.r_[np.full(20, 0.01), np.full(20, 0.2), 0.2, 0.01]
-    group = np.r_[np.zeros(20, int), np.ones(20, int), 0, 7]
-    kept = keep(distances, group)
-    assert kept[:40].all()  # 0.2 m is normal in its own group
-    assert not kept[40]  # and an outlier in the other
-    assert not kept[41]

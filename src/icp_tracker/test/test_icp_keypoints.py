@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import synthetic_people as synthetic
 from node_probe import NodeProbe
+from pose_file import save_initial_pose
 from refinement_rays import grazing_rays
 from sensor_msgs.msg import PointCloud2, PointField
 from test_icp_track_monitor import FOLDED, STANCE, moved, posed, seen, stamp, walked
 
 from capture_rig.rig import save_rig
-from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
+from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
 from icp_tracker.icp_node import IcpNode
 from icp_tracker.monitor.pose_library import LIMBS

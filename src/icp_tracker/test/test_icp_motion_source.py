@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from t_pose_studio import SET_NS, Studio, both_sides, box, person, standing
+from t_pose_studio import SET_NS, Studio, box, person, standing
 
 from icp_tracker.acquisition.body_sizes import sizes_of_body
 from icp_tracker.acquisition.motion_source import STEP_M, MotionSettings, MotionSource
@@ -16,6 +16,7 @@ from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from stick_figure.body_surface import build_of_girth
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import MOTIONS
+from virtual_studio.motions.timeline import both_sides
 from virtual_studio.people import person_of
 from virtual_studio.rig import ring, tilted, with_camera
 

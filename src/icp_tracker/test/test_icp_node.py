@@ -9,11 +9,12 @@ import pytest
 import synthetic_people as synthetic
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_probe import FAILURE, SUCCESS, NodeProbe, values_of
+from pose_file import save_initial_pose
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
-from icp_tracker.acquisition.initial_pose import KnownPose, save_initial_pose
+from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.extrinsic_monitor import ExtrinsicErrors
 from icp_tracker.icp_node import IcpNode, fit_message
 from icp_tracker.tracker import IcpTracker, fits_nothing

@@ -10,7 +10,7 @@ import rclpy
 from node_probe import Spinner
 from std_srvs.srv import Trigger
 
-from icp_tracker.icp_ros import FilterFeedback, SaveBodyService, SaveBodySettings, SavedBody
+from icp_tracker.icp_ros import FilterFeedback, SaveBodyService, SaveBodySettings
 from stick_figure.body import BUILD_NUMBERS, Body, load_body
 
 NAMESPACE = f"/test_body_desk_{os.getpid()}"
@@ -41,37 +41,26 @@ def counter(open_probe, tmp_path):
     return lambda folder=tmp_path / "bodies": open_probe(SavingProbe, folder)
 
 
-def test_body_is_saved_with_its_build(counter, tmp_path):
-    build = np.linspace(-1.0, 1.0, BUILD_NUMBERS)
-    asked, body = counter(), replace(Body.from_stature(1.68), build=build)
-    asked.service.keep(1, SavedBody(123, body))
-    answer = asked.ask()
-    path = tmp_path / "bodies" / "body_123.yaml"
-    assert answer.success and answer.message == str(path)
-    assert load_body(path).lengths == pytest.approx(body.lengths)
-    assert np.array_equal(load_body(path).build, build)
-
-
-def test_each_person_has_a_file_and_nobody_is_kept_who_was_forgotten(counter, tmp_path):
-    asked, folder = counter(), tmp_path / "bodies"
-    asked.service.keep(1, SavedBody(123, Body.from_stature(1.68)))
-    asked.service.keep(3, SavedBody(456, Body.from_stature(1.82)))
+def test_each_person_has_a_file_with_its_build_and_nobody_is_kept_who_was_forgotten(counter, tmp_path):
+    asked, folder, build = counter(), tmp_path / "bodies", np.linspace(-1.0, 1.0, BUILD_NUMBERS)
+    built, other = replace(Body.from_stature(1.68), build=build), Body.from_stature(1.82)
+    asked.service.keep(1, 123, built)
+    assert asked.ask().message == f"{folder}/body_123.yaml"
+    assert load_body(folder / "body_123.yaml").lengths == pytest.approx(built.lengths)
+    assert np.array_equal(load_body(folder / "body_123.yaml").build, build)
+    asked.service.keep(3, 456, other)
     answer = asked.ask()
     assert answer.success and answer.message == f"{folder}/body_123.yaml, {folder}/body_456_person3.yaml"
-    assert load_body(folder / "body_456_person3.yaml").stature == pytest.approx(Body.from_stature(1.82).stature)
+    assert load_body(folder / "body_456_person3.yaml").stature == pytest.approx(other.stature)
     asked.service.forget()
-    assert not asked.ask().success
-
-
-def test_before_anybody_is_followed_the_answer_says_so(counter):
-    answer = counter().ask()
+    answer = asked.ask()
     assert not answer.success and "no body is followed yet" in answer.message
 
 
 def test_folder_that_cannot_be_written_is_named(counter, tmp_path):
     (tmp_path / "file").write_text("")
     asked = counter(tmp_path / "file" / "bodies")
-    asked.service.keep(1, SavedBody(1, Body.from_stature(1.68)))
+    asked.service.keep(1, 1, Body.from_stature(1.68))
     answer = asked.ask()
     assert not answer.success and str(tmp_path / "file" / "bodies") in answer.message
 

@@ -2,13 +2,11 @@
 
 import re
 
-import cv2
 import numpy as np
 import pytest
-from t_pose_studio import DOWN, SET_NS, both_sides, box, person, standing, studio, with_angles
+from t_pose_studio import DOWN, SET_NS, box, person, standing, studio, with_angles
 
 from capture_rig import load_session
-from capture_rig.video import Video
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings, measure_t_pose
@@ -17,8 +15,10 @@ from icp_tracker.acquisition.upright import PoseRejected
 from icp_tracker.tracker import IcpTracker
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts, VoxelSamples
+from mocap_pipeline.session_footage import exact_silhouettes
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
+from virtual_studio.motions.timeline import both_sides
 
 BODY = Body.from_stature(1.75)
 LEVEL, HANGING = both_sides(), both_sides(shoulder_x=DOWN + 0.1)
@@ -32,6 +32,12 @@ def degrees_between(first, second):
 def find_pose(rig, *people):
     room = studio(*rig)
     return find_t_pose(room.render(*people), TPoseSettings(), room.visibility)
+
+
+def answer_to(voxels):
+    """What is made of one set that shows these voxels."""
+    cloud = VoxelSamples(voxels, np.ones(len(voxels), bool))
+    return TPoseSource(TPoseSettings(hold_sets=1)).find_pose(HullProducts.of_points(0, np.empty((0, 3)), voxels=cloud))
 
 
 # --- found -----------------------------------------------------------------------------------------------------------
@@ -65,11 +71,7 @@ def test_floor_shadow_on_one_side_makes_the_heading_unsure_rather_than_wrong():
         seen = studio(*SIX).render(person(BODY, standing(BODY, LEVEL, heading)))
         slab = rng.uniform([-0.6, -0.4, 0.0], [0.0, 0.2, 0.08], (300, 3))
         slab[:, 2] = 0.02 * np.round(slab[:, 2] / 0.02)
-        voxels = np.concatenate([seen.voxels.points_world, slab])
-        cloud = VoxelSamples(voxels, np.ones(len(voxels), bool))
-        answer = TPoseSource(TPoseSettings(hold_sets=1)).find_pose(
-            HullProducts.of_points(0, np.empty((0, 3)), voxels=cloud)
-        )
+        answer = answer_to(np.concatenate([seen.voxels.points_world, slab]))
         if answer.pose is None:
             assert "front and back look alike" in answer.reason
         else:
@@ -229,11 +231,7 @@ def test_somebody_else_starts_holding_anew(t_pose):
 
 
 def test_person_without_feet_cannot_tell_front_from_back(t_pose):
-    voxels = t_pose.voxels.points_world[t_pose.voxels.points_world[:, 2] > 0.12]
-    cloud = VoxelSamples(voxels, np.ones(len(voxels), bool))
-    answer = TPoseSource(TPoseSettings(hold_sets=1)).find_pose(
-        HullProducts.of_points(0, np.empty((0, 3)), voxels=cloud)
-    )
+    answer = answer_to(t_pose.voxels.points_world[t_pose.voxels.points_world[:, 2] > 0.12])
     assert answer.pose is None and "front and back look alike" in answer.reason
 
 
@@ -247,7 +245,10 @@ def test_t_pose_of_a_rendered_person_is_found_and_fitted(shared_data, name):
     session = load_session(shared_data("sessions", name))
     truth = session.truth.stick_figure_points()
     tracker = IcpTracker(TPoseSource(TPoseSettings()))
-    results = [tracker.step(seen) for seen in hulls(session, HELD_SETS)]
+    pipeline, masks = HullPipeline(session.rig, HullSettings(backend="cpu")), exact_silhouettes(session)
+    stamps_ns = [1 + round(frame * 1e9 / session.fps) for frame in range(HELD_SETS)]
+    sets = [FrameSet.of_instant(stamp_ns, next(masks)) for stamp_ns in stamps_ns]
+    results = [tracker.step(pipeline.run(one).products) for one in sets]
     assert [r.state for r in results] == ["acquiring"] * 4 + ["tracking"] * 2
     found, expected = results[-1].reference_points_world, truth[HELD_SETS - 1]
     error_mm = 1e3 * np.linalg.norm(found - expected, axis=1)
@@ -255,21 +256,3 @@ def test_t_pose_of_a_rendered_person_is_found_and_fitted(shared_data, name):
     assert error_mm.max() < 100  # left is left: the heading is not turned round
     across = [(points[3] - points[4])[:2] / np.linalg.norm((points[3] - points[4])[:2]) for points in (found, expected)]
     assert np.degrees(np.arccos(across[0] @ across[1])) < 8
-
-
-def hulls(session, count):
-    """What the hull shows of the first frame sets."""
-    pipeline = HullPipeline(session.rig, HullSettings(backend="cpu"))
-    videos = {name: Video(session.masks[name]) for name in session.rig.names}
-    for frame in range(count):
-        stamp_ns = 1 + round(frame * 1e9 / session.fps)
-        masks = {}
-        for name, video in videos.items():
-            grey = cv2.cvtColor(video.read(), cv2.COLOR_BGR2GRAY)
-            exact = np.where(grey > 127, 255, 0).astype(np.uint8)
-            masks[name] = session.rig.camera(name).undistorted_view().undistort_mask(exact)
-        hull = pipeline.run(FrameSet.of_instant(stamp_ns, masks))
-        voxels = VoxelSamples.checked(hull.products.voxels.points_world, hull.products.voxels.surface)
-        yield HullProducts.of_points(
-            stamp_ns, hull.products.centerline.points_world, hull.products.centerline.sigma, voxels
-        )

@@ -18,10 +18,11 @@ from icp_tracker.monitor.limb_filter import CHANCE_SAMPLES, ELSEWHERE_M
 from icp_tracker.monitor.limb_search import NO_POSES, other_places, with_limb
 from icp_tracker.monitor.pose_library import (
     LIMBS,
+    WITH_ARMS,
+    WITH_SIDES,
     LimbPoses,
-    arms_exchanged,
+    exchanged,
     limb_poses,
-    sides_exchanged,
     turned_around,
 )
 from icp_tracker.monitor.track_monitor import CHECKS, NEAR_M, RecoverySettings, TrackMonitor, reach_m
@@ -132,7 +133,7 @@ def data_in(hull):
 def test_the_true_pose_explains_the_outlines_and_no_joint_is_beyond_its_range(person):
     evidence = evidence_of(Figure.of(person.body), person.pose, data_of(person))
     assert evidence.share > 0.95
-    assert evidence.cost < 0.05 * evidence.rays
+    assert evidence.cost < 0.05 * len(evidence.costs)
     assert evidence.beyond < 1.0
     leg = LimbPoses.of(person.pose, LIMBS[2])
     through = with_limb(person.pose, LIMBS[2], leg.R[0], 3.6)  # the calf in the thigh
@@ -314,9 +315,9 @@ def test_a_good_track_is_left_alone(person):
     "wrong",
     [
         lambda pose: posed(FOLDED, pose),
-        lambda pose: sides_exchanged(Body.from_stature(1.75), pose),
+        lambda pose: exchanged(Body.from_stature(1.75), pose, WITH_SIDES),
         turned_around,
-        lambda pose: arms_exchanged(Body.from_stature(1.75), pose),
+        lambda pose: exchanged(Body.from_stature(1.75), pose, WITH_ARMS),
         lambda pose: replace(pose, position_world=pose.position_world + np.array([0.0, 0.4, 0.0])),
     ],
     ids=["arm folded", "sides exchanged", "about face", "arms exchanged", "0.4 m beside"],

@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from t_pose_studio import Studio, both_sides, person, standing
+from t_pose_studio import Studio, person, standing
 
 from icp_tracker.acquisition.body_parts import find_legs
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
@@ -19,6 +19,7 @@ from icp_tracker.acquisition.truncation import (
 )
 from icp_tracker.acquisition.upright import PoseRejected, Upright, stance_of
 from stick_figure.body import Body
+from virtual_studio.motions.timeline import both_sides
 from virtual_studio.rig import narrowed, ring, tilted, with_camera
 
 BODY = Body.from_stature(1.75)

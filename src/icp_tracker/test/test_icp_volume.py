@@ -4,7 +4,7 @@ import numpy as np
 import synthetic_people as synthetic
 
 from icp_tracker.acquisition.initial_pose import KnownPose
-from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, fit_articulated, make_data, make_weights
+from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, make_data, make_weights
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import HullProducts, VoxelSamples
 from stick_figure.body_surface import BodySurface
@@ -109,7 +109,7 @@ def test_hull_shows_the_heading_that_the_centerline_cannot(body):
     points = torso[0] + np.linspace(0, 1, 40)[:, None] * (torso[1] - torso[0])
 
     def heading_error(settings):
-        fit = fit_articulated(body, truth.retract(turn), points, 0.0, voxels, settings)
+        fit = synthetic.fit(body, truth.retract(turn), points, 0.0, voxels, settings)
         across = forward(body, fit.pose)[5] - forward(body, fit.pose)[6]
         return abs(np.arctan2(-across[0], across[1]))
 
@@ -150,7 +150,7 @@ def test_hull_rescues_an_arm_that_the_centerline_does_not_show(body):
 
     def hand_error(volume):
         settings = ArticulatedSettings(max_iterations=30, volume=volume)
-        fit = fit_articulated(body, start, points, 0.0, hull, settings)
+        fit = synthetic.fit(body, start, points, 0.0, hull, settings)
         return np.linalg.norm(fit.reference_points_world - forward(body, truth), axis=1)[LEFT_HAND]
 
     assert hand_error(VolumeSettings(weight=0.0)) > 0.15
@@ -177,8 +177,8 @@ def test_limb_that_only_the_hull_shows_is_visible(body):
     truth = synthetic.t_pose()
     points = synthetic.stick_cloud(body, truth, np.random.default_rng(7), 300, 0.01)
     points = points[points[:, 1] < 0.25]  # no left arm
-    hidden = fit_articulated(body, truth, points)
-    shown = fit_articulated(body, truth, points, 0.0, hull_of(body, truth))
+    hidden = synthetic.fit(body, truth, points)
+    shown = synthetic.fit(body, truth, points, 0.0, hull_of(body, truth))
     assert not hidden.visible[[LEFT_ELBOW, LEFT_HAND]].any()
     assert shown.visible.all()
 

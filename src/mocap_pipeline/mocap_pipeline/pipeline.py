@@ -22,16 +22,13 @@ from capture_rig.rig import Rig, Volume
 from ekf_tracker.filter import PeopleFilter
 from hull_server.hull_pipeline import HullPipeline
 from icp_tracker.people.people_tracker import PeopleTracker, make_people_tracker
-from icp_tracker.tracker import TRACKING
-from mocap_packets.fit import FIRST_PERSON, Fit
+from mocap_packets.fit import Fit
 from mocap_packets.frame_set import FrameSet
-from mocap_packets.hull import NO_CENTERLINE, HullProducts
+from mocap_packets.hull import HullProducts
 from mocap_packets.keypoints import Detections, keypoints_of
 from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_packets.silhouette import ForegroundSupport
 from mocap_packets.state import BodyState, NoState, Prediction
-from stick_figure.kinematics import forward
-from stick_figure.pose import Pose
 
 from .configuration import Configuration
 
@@ -171,21 +168,6 @@ class TrackingStage:
         if self._feeds_back:
             self._predictions = {person: answer.prediction for person, answer in answers.items()}
         return answers
-
-    def restart_at(self, stamp_ns: int, pose: Pose, sd_m: float = 0.02) -> Step:
-        """Start filter and tracker of the first person anew at this pose, right or wrong, sure of it to ``sd_m``.
-
-        A drill, to see how they recover. ValueError while no body is followed.
-        """
-        body = self.tracker.body_of(FIRST_PERSON)
-        if body is None:
-            raise ValueError("no body is followed yet")
-        self.filters.of(FIRST_PERSON).reset()
-        covariance, visible = np.tile(sd_m**2 * np.eye(3), (15, 1, 1)), np.ones(15, dtype=bool)
-        fit = Fit(stamp_ns, TRACKING, "drill", "", 0, forward(body, pose), covariance, visible, pose, None)
-        step = Step((PersonStep(fit, self.filter((fit,))[FIRST_PERSON]),))
-        self.fit(HullProducts(stamp_ns, NO_CENTERLINE))  # a set without points leaves the tracker at the prediction
-        return step
 
 
 def make_segmenter(

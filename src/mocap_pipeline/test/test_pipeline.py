@@ -53,17 +53,6 @@ def test_pipeline_finds_and_follows_a_person_in_a_t_pose(standing, t_pose):
     assert errors.max() < 0.12
 
 
-def test_pipeline_restarted_at_a_wrong_pose_believes_the_wrong_pose_and_starts_the_next_fit_from_it(standing):
-    pipeline, step, stamp_ns = standing
-    wrong = replace(step.state.pose, position_world=step.state.pose.position_world + np.array([0.0, 0.0, 0.3]))
-    restarted = pipeline.body.restart_at(stamp_ns, wrong)
-    body = pipeline.body.tracker.body_of(1)
-    np.testing.assert_allclose(restarted.state.points_world, forward(body, wrong), atol=5e-3)
-    unseen = pipeline.step_masks(stamp_ns + FRAME_NS, _no_masks(pipeline))
-    assert unseen.fit.started_from == str(stamp_ns)
-    np.testing.assert_allclose(unseen.fit.reference_points_world, forward(body, wrong), atol=0.02)
-
-
 def test_detections_of_a_folder_move_the_fit_and_are_refused_with_the_column_that_is_missing(
     standing, t_pose, tmp_path
 ):
@@ -88,13 +77,6 @@ def test_detections_of_a_folder_move_the_fit_and_are_refused_with_the_column_tha
         load_detections(tmp_path, rig)
     with pytest.raises(InputError, match="no table"):
         load_detections(tmp_path / "empty", rig)
-
-
-def test_restarting_while_no_body_is_followed_is_refused(t_pose):
-    pipeline = MocapPipeline(t_pose[0], Configuration.of({"hull_server.backend": "cpu"}))
-    pose = t_pose_only(BODY, 0.1, 60.0).poses[0]
-    with pytest.raises(ValueError, match="no body"):
-        pipeline.body.restart_at(0, pose)
 
 
 def test_pipeline_goes_on_with_a_camera_missing(standing, t_pose):

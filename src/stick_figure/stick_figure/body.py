@@ -113,7 +113,7 @@ class Body:
         if self.unbent is not None:
             from .trunk_bend import bend_derivatives
 
-            return self.unbent.stick_origins_torso + bend_derivatives(self.unbent)[0] @ self.bend
+            return self.unbent.stick_origins_torso + bend_derivatives(self.unbent).origins @ self.bend
         h, w = self.half_lengths[0], self.half_shoulder_width
         shoulder, hip = self.shoulder_height_ratio * h, self.hip_width_ratio * w
         origins = np.zeros((10, 3))
@@ -222,7 +222,9 @@ def save_body(body: Body, path: str | Path, source: str = "") -> None:
 
 def parse_body(text: str, where: str) -> Body:
     """Return the body of a body file's text. Raises InputError naming `where`, key, value and remedy."""
-    document = _mapping(text, where)
+    if len(text) > MOST_BODY_BYTES:
+        raise InputError(f"has {len(text)} characters, too many for a body", where=where, remedy=_REMEDY)
+    document = parse_mapping(text, where, _REMEDY)
     _check_keys(document, KEYS, OPTIONAL_KEYS, where)
     if document.get("units", "metres") != "metres":
         raise InputError(f"units is {document['units']!r}", where=where, remedy="Write all sizes in metres.")
@@ -260,12 +262,6 @@ def format_body(body: Body, source: str = "") -> str:
     if body.build.any():
         document["build"] = body.build.tolist()
     return format_mapping(document)
-
-
-def _mapping(text: str, where: str) -> Mapping[str, Any]:
-    if len(text) > MOST_BODY_BYTES:
-        raise InputError(f"has {len(text)} characters, too many for a body", where=where, remedy=_REMEDY)
-    return parse_mapping(text, where, _REMEDY)
 
 
 def _check_keys(given: Mapping[str, Any], needed: tuple[str, ...], optional: tuple[str, ...], where: str) -> None:

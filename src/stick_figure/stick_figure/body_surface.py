@@ -172,7 +172,7 @@ def capsule_numbers(body: Body) -> tuple[np.ndarray, np.ndarray]:
     """Return the stick (k,) of each capsule and its numbers (k, 8): start and end (3 each, m, in the stick's frame
     from its start), radii (m) at start and end."""
     table, stature = builds(), body.stature
-    shape = table.of_stature + table.slopes @ (_lengths(body) / stature - table.mean) + table.modes @ body.build
+    shape = table.of_stature + table.slopes @ (lengths_of(body) / stature - table.mean) + table.modes @ body.build
     return capsules_of(body, table.of_length, stature * shape)
 
 
@@ -209,8 +209,8 @@ def mirrored_axis(stick: int) -> int:
     return 2 if stick in _ARM_STICKS else 1  # arms' frames both have y along the arm
 
 
-def _lengths(body: Body) -> np.ndarray:
-    """The body's lengths (9,), m, in the order of LENGTHS."""
+def lengths_of(body: Body) -> np.ndarray:
+    """Return the body's lengths (9,), m, in the order of LENGTHS."""
     lengths, width = body.lengths, body.half_shoulder_width
     rise = (1.0 + body.shoulder_height_ratio) * body.half_lengths[TORSO]
     upper_arm, forearm = lengths[[L_UPPER_ARM, R_UPPER_ARM]].mean(), lengths[[L_FOREARM, R_FOREARM]].mean()

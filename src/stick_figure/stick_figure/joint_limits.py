@@ -20,7 +20,7 @@ import numpy as np
 from capture_rig.kernel import njit
 
 from .kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
-from .rotations import wrap_into_range
+from .rotations import excess_over_range, wrap_into_range
 from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE_ANGLES
 
 # Thresholds: rates from kicks and throws in the literature, hips checked by the spinning kicks of python
@@ -132,8 +132,7 @@ def ball_angles(ball, R, values):
         first = wrap_into_range(a, BALL_ANGLES[ball, 0])
         middle = wrap_into_range(b, BALL_ANGLES[ball, 1])
         last = wrap_into_range(c, BALL_ANGLES[ball, 2])
-        beyond = abs(beyond_range(first, BALL_ANGLES[ball, 0])) + abs(beyond_range(middle, BALL_ANGLES[ball, 1]))
-        beyond += abs(beyond_range(last, BALL_ANGLES[ball, 2]))
+        beyond = excess_over_range((first, middle, last), BALL_ANGLES[ball])
         if beyond < cost:
             cost = beyond
             values[0], values[1], values[2] = first, middle, last

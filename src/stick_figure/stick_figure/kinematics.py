@@ -1,4 +1,4 @@
-"""Forward and inverse kinematics of the stick figure and the Jacobians of its points (thesis 5.1, 5.2, corrected)."""
+"""Forward and inverse kinematics of the stick figure, and the rates of its angles (thesis 5.1, 5.2, corrected)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from . import kernels
 from .body import Body
 from .pose import Pose
 from .rotations import Array, ball_rates, ball_rotation, excess_over_range, wrap_into_range
-from .skeleton import BALL_ANGLES, HINGE_ANGLES, POINT_NAMES, POINT_STICK, T_POSE_ANGLES, TORSO_POINTS
+from .skeleton import BALL_ANGLES, HINGE_ANGLES, POINT_NAMES, T_POSE_ANGLES, TORSO_POINTS
 
 STRAIGHT_SINE = 1e-7
 """Below this bend the twist of the upper limb cannot be seen in the points."""
@@ -125,6 +125,11 @@ def forward(body: Body, pose: Pose) -> Array:
     return _points(pose.arrays, body.lengths, body.stick_origins_torso)
 
 
+def farthest_apart_m(body: Body, pose: Pose, other: Pose) -> float:
+    """Return how far apart, m, two poses' reference points are at most."""
+    return float(np.linalg.norm(forward(body, pose) - forward(body, other), axis=1).max())
+
+
 @njit(cache=True)
 def _points(pose, lengths, origins):
     _, _, A, B = kernels.place_sticks(pose, lengths, origins)
@@ -135,7 +140,7 @@ def _points(pose, lengths, origins):
 
 def sticks(body: Body, pose: Pose) -> Array:
     """Start and end of the ten sticks (10, 2, 3), world frame, metres."""
-    _, _, A, B = _placed(body, pose)
+    _, _, A, B = kernels.place_sticks(pose.arrays, body.lengths, body.stick_origins_torso)
     return np.stack([A, B], axis=1)
 
 
@@ -144,30 +149,6 @@ def stick_frames(pose: Pose) -> Array:
     G, axes = np.empty((10, 3, 3)), np.empty((18, 3))
     kernels.stick_frames(pose.R_world_torso, pose.R_joints, pose.hinges, G, axes)
     return G
-
-
-def jacobian(body: Body, pose: Pose) -> Array:
-    """Derivative (15, 3, 24) of the 15 points with respect to the pose's tangent (`Pose.retract`)."""
-    _, axes, A, B = _placed(body, pose)
-    return _points_jacobian(A, B, pose.position_world, axes)
-
-
-@njit(cache=True)
-def _points_jacobian(A, B, t0, axes):
-    """Return (15, 3, 24) derivative of the reference points for joints that turn about the world axes (18, 3)."""
-    result, points = np.zeros((15, 3, 24)), np.empty((15, 3))
-    columns, slots = np.empty((3, 11)), np.empty(11, np.int64)
-    kernels.reference_points(A, B, t0, points)
-    for p in range(15):
-        n = kernels.point_jacobian(POINT_STICK[p], points[p], t0, A, axes, columns, slots)
-        for k in range(n):
-            result[p, :, slots[k]] = columns[:, k]
-    return result
-
-
-def _placed(body: Body, pose: Pose) -> tuple[Array, Array, Array, Array]:
-    """Place the sticks: frames G (10, 3, 3), joint axes (18, 3), starts A and ends B (10, 3), all in the world."""
-    return kernels.place_sticks(pose.arrays, body.lengths, body.stick_origins_torso)
 
 
 @njit(cache=True)

@@ -79,6 +79,7 @@ HINGE_ANGLES = np.array([8, 9, 14, 15])
 
 _MIRROR_SLOT = np.array([0, 1, 3, 2, 5, 4, 7, 6, 9, 8, 11, 10, 13, 12, 15, 14, 17, 16])
 _MIRROR_SIGN = np.array([-1, 1, -1, -1, 1, 1, -1, -1, 1, 1, -1, -1, 1, 1, 1, 1, -1, -1.0])
+_IS_RIGHT = np.array([name.startswith("right") for name in ANGLE_NAMES])
 _MIRROR_OFFSET = np.zeros(18)
 _MIRROR_OFFSET[[2, 3]] = _PI
 
@@ -89,3 +90,8 @@ def mirror_angles(angles: np.ndarray) -> np.ndarray:
     theta4 = pi - theta3, theta8 = -theta7, theta12 = -theta11, theta1 -> -theta1, hip z -> -hip z, others equal.
     """
     return _MIRROR_OFFSET + _MIRROR_SIGN * np.asarray(angles, float)[..., _MIRROR_SLOT]
+
+
+def angles_of_sides(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Angles (18,) of a pose from its left side's and, as if they were the left's, its right side's (18,) each."""
+    return np.where(_IS_RIGHT, mirror_angles(right), left)

@@ -72,10 +72,18 @@ _TORSO, _NECK, _HIPS = (POINT_NAMES.index(name) for name in ("torso", "neck", "l
 _SHOULDERS = POINT_NAMES.index("left_shoulder")
 
 
+class BendDerivatives(NamedTuple):
+    """How starts of sticks, starts and ends of capsules, m, torso frame, follow from the bend: (10, 3, 7), (k, 3, 7),
+    (k, 3, 7); zero but for what is fixed to the torso."""
+
+    origins: np.ndarray
+    starts: np.ndarray
+    ends: np.ndarray
+
+
 @lru_cache(maxsize=8)
-def bend_derivatives(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return how starts of sticks (10, 3), starts and ends of the capsules (k, 3 each), m, torso frame, follow from
-    the bend: (10, 3, 7), (k, 3, 7), (k, 3, 7); zero but for what is fixed to the torso."""
+def bend_derivatives(body: Body) -> BendDerivatives:
+    """Return the derivatives of a body at rest."""
     surface, hip, half = BodySurface.of(body), body.hip_width_ratio * body.half_shoulder_width, body.half_shoulder_width
     origins = np.zeros((10, 3, BEND_NUMBERS))
     starts, ends = (np.zeros((len(surface.stick), 3, BEND_NUMBERS)) for _ in range(2))
@@ -99,7 +107,7 @@ def bend_derivatives(body: Body) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             ends[k] += _with_pelvis(surface.end[k, 1])
         elif part == "girdle":
             ends[k] += _with_shoulders(surface.end[k, 1] / half)
-    return origins, starts, ends
+    return BendDerivatives(origins, starts, ends)
 
 
 def _with_pelvis(y: float) -> np.ndarray:
@@ -126,7 +134,7 @@ def bend_columns(body: Body) -> np.ndarray:
     columns[:, :, :3] = np.eye(3)
     for axis in range(3):
         columns[:, :, 3 + axis] = np.cross(np.eye(3)[axis], base)
-    columns[:, :, 6:] = bend_derivatives(body)[0][1:6]
+    columns[:, :, 6:] = bend_derivatives(body).origins[1:6]
     return columns
 
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ekf_tracker.measurement import linearised
 from ekf_tracker.motion_model import DampedVelocity
 from stick_figure.body import Body
-from stick_figure.kinematics import jacobian
 from stick_figure.pose import Pose
 
 from .clips import FPS, Clip, SpreadPoints
@@ -122,7 +122,9 @@ def transition(dt: float) -> tuple[np.ndarray, np.ndarray]:
 
 def mean_error_mm(body: Body, pose: Pose, covariance: np.ndarray) -> float:
     """Mean length of the 15 points' errors, mm, for a Gaussian error of the pose with this covariance (24, 24)."""
-    J = jacobian(body, pose)
+    at, J = linearised(body, pose), np.zeros((15, 3, 24))
+    for point, n in enumerate(at.columns):
+        J[point][:, at.slots[point, :n]] = at.J[point, :, :n]
     variances = np.linalg.eigvalsh(np.einsum("pik,kl,pjl->pij", J, covariance, J))
     lengths = np.sqrt(np.maximum(variances, 0.0) @ (LENGTH_DRAWS**2).T)
     return 1e3 * float(lengths.mean())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from capture_rig import InputError
 
 from ..grid import VoxelGrid
@@ -13,34 +11,27 @@ from ..views import CarveBackend, RigViews
 from .cpu_carver import CpuCarver
 
 
-@dataclass(frozen=True)
-class Choice:
-    """The chosen backend, and the reason, a sentence for the log."""
+def make_backend(kind: str, views: RigViews, grid: VoxelGrid) -> tuple[CarveBackend, str]:
+    """Make backend ``kind``; also return the reason for it, a sentence for the log.
 
-    backend: CarveBackend
-    reason: str
-
-
-def make_backend(kind: str, views: RigViews, grid: VoxelGrid) -> Choice:
-    """Make backend ``kind``. "auto" takes OpenGL compute where hardware offers it, and the CPU otherwise.
-
-    Software OpenGL is several times slower than the CPU backend, so "auto" leaves it alone. Raises InputError for an
-    unknown kind, or when "gl" or "sweep" is asked for and no OpenGL 4.3 context can be had.
+    "auto" takes OpenGL compute where hardware offers it, and the CPU otherwise: software OpenGL is several times slower
+    than the CPU backend. Raises InputError for an unknown kind, or when "gl" or "sweep" is asked for and no OpenGL 4.3
+    context can be had.
     """
     if kind not in BACKENDS:
         raise InputError(f"backend = {kind!r} is not known", remedy=f"Choose one of {', '.join(BACKENDS)}.")
     if kind == "cpu":
-        return Choice(CpuCarver(views, grid), "the CPU backend was asked for")
+        return CpuCarver(views, grid), "the CPU backend was asked for"
     try:
         backend = _make_gl(kind, views, grid)
     except (NoGraphics, InputError) as error:
         if kind == "auto":
-            return Choice(CpuCarver(views, grid), f"the CPU backend, because of OpenGL: {error}")
+            return CpuCarver(views, grid), f"the CPU backend, because of OpenGL: {error}"
         raise InputError(
             f"backend = '{kind}' cannot be used: {error}",
             remedy="Choose backend 'cpu', which needs no OpenGL, or 'auto'.",
         ) from None
-    return Choice(backend, f"OpenGL on {backend.device}")
+    return backend, f"OpenGL on {backend.device}"
 
 
 def _make_gl(kind: str, views: RigViews, grid: VoxelGrid) -> CarveBackend:

@@ -25,6 +25,7 @@ from .silhouette_residuals import CameraResiduals, ResidualEstimator, Residuals
 # Thresholds: chosen with python bench/camera_faults.py (figures of sound cameras); three voters: of two that
 # contradict each other either may be right.
 VOXEL_M = 0.05  # of the coarse grid
+PERIOD_S = 0.1  # from one comparison to the next
 ENOUGH_VOTERS = 5  # each camera less makes the hull of the others looser: twice as much is allowed
 FEWEST_VOTERS = 3  # cameras that must remain: of two that contradict each other, either may be right
 FLOODED, FLOODED_TIMES = 0.25, 4.0  # coverage, and times the median coverage, beyond which foreground is no silhouette
@@ -75,7 +76,7 @@ class CameraFaultDetector:
         self.settings, self.names, self._views = settings, views.names, views
         self._estimator = ResidualEstimator(rig, views, VOXEL_M, min_seeing)
         self.occluders = OccluderMap(views, self._estimator)
-        self._throttle = StampThrottle(settings.period_s, early_share=EARLY)
+        self._throttle = StampThrottle(PERIOD_S, early_share=EARLY)
         self._fewest = max(FEWEST_VOTERS, min_seeing)
         self._records = [_CameraRecord() for _ in views.names]
         self._conflict = 0.0
@@ -121,7 +122,7 @@ class CameraFaultDetector:
         rest = [other for other in range(residuals.voters) if other != slot]
         next_veto = float(residuals.veto_fraction[rest].max(initial=0.0))
         lenience = 2.0 ** max(ENOUGH_VOTERS - residuals.voters, 0)
-        record.update_means(mine, _gain(step_s))
+        record.mean = record.mean.moved(mine, _gain(step_s))
         if not record.left_out:
             ratio = NEXT_WORST + lenience - 1.0
             fault = max(
@@ -191,9 +192,6 @@ class _CameraRecord:
     @property
     def severity(self) -> float:
         return self.faulty_mean.veto_fraction + self.faulty_mean.excess
-
-    def update_means(self, residuals: CameraResiduals, gain: float) -> None:
-        self.mean = self.mean.moved(residuals, gain)
 
     def add_fault(self, residuals: CameraResiduals, fault: float, step_s: float) -> None:
         """Add ``fault``, limited to -1 ... 1, to the sum, which stays between 0 and DETECTION_S."""

@@ -135,7 +135,8 @@ class ResidualEstimator:
         # the voxels that at most one voter vetoes
         shared = np.zeros((self._grid.brick_count, 8), np.uint64)
         hull = self._carver.carve({self._names[c]: self.cells[c] for c in voters}, needed)
-        without = [self._carver.carve_tabulated(v, self._needed(len(v))) for v in _all_but_one(cameras[: len(voters)])]
+        others_of = [np.delete(cameras[: len(voters)], slot) for slot in range(len(voters))]
+        without = [self._carver.carve_tabulated(rest, self._needed(len(rest))) for rest in others_of]
         for volume in (hull, *without):
             shared[volume.index] |= volume.leaves
         bricks = np.flatnonzero(shared.any(axis=1))
@@ -188,11 +189,6 @@ class ResidualEstimator:
             consistency=np.where(cells > 0, own / np.maximum(cells, 1), 1.0) * (1.0 - veto_fraction),
             unexplained=1.0 - float((own - np.diagonal(vetoed))[:voters].sum() / max(int(cells[:voters].sum()), 1)),
         )
-
-
-def _all_but_one(cameras: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
-    """Return the cameras (n,) without each of them."""
-    return [np.delete(cameras, slot) for slot in range(len(cameras))]
 
 
 def _focal_px(views: RigViews) -> Floats:

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig import InputError
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 
 from ..grid import BRICK_EDGE
@@ -30,6 +31,13 @@ LISTS_BYTES = LIST_BYTES * LISTS
 LENGTH_OF_BRICKS = 7  # word of the lists
 LEAST_GUESS = 1024  # bricks
 PATIENCE_NS = 10_000_000_000  # for the carve of one frame set
+
+
+def check_cameras(count: int) -> None:
+    """Raise InputError for more cameras than the shaders hold."""
+    if count > MAX_GL_CAMERAS:
+        what = f"{count} cameras are too many for OpenGL"
+        raise InputError(what, where="backend", remedy=f"Use at most {MAX_GL_CAMERAS}, or choose backend 'cpu'.")
 
 
 def make_program(**sources: str) -> int:

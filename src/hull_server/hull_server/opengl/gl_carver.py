@@ -25,7 +25,7 @@ from ..grid import BRICK_EDGE, BrickVolume, VoxelGrid
 from ..views import Boxes, Masks, RigViews
 from .carve_shaders import HEADER, KERNELS
 from .egl import GlContext, NoGraphics
-from .gl_buffers import GL, LIST_BYTES, MAX_GL_CAMERAS, BufferSet, FrameUpload, StorageBuffer, make_program
+from .gl_buffers import GL, LIST_BYTES, BufferSet, FrameUpload, StorageBuffer, check_cameras, make_program
 
 # Thresholds: from the rounding of single precision; python bench/hull.py --quick counts differences from float64.
 UNIT = float(np.finfo(np.float32).eps) / 2  # relative rounding of one operation
@@ -58,12 +58,7 @@ class GlCarver:
     name = "gl"
 
     def __init__(self, views: RigViews, grid: VoxelGrid, hardware: bool | None = None) -> None:
-        if len(views.names) > MAX_GL_CAMERAS:
-            raise InputError(
-                f"{len(views.names)} cameras are too many for the GL backend",
-                where="backend",
-                remedy=f"Use at most {MAX_GL_CAMERAS}, or choose backend 'cpu'.",
-            )
+        check_cameras(len(views.names))
         self.views, self.grid = views, grid
         self._upload, self._filling = FrameUpload(views), threading.Lock()
         self._context = GlContext(hardware)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.sparse.csgraph import connected_components
 
 from capture_rig.kernel import njit
+from capture_rig.stamps import NS_PER_S
 
 from ..grid import Array, VoxelGrid
 from ..settings import BodySettings
@@ -23,9 +24,9 @@ from .voxel_runs import HullRuns
 NOBODY = -1
 ABOVE_M = 0.5  # a person's parts, one above the other, have their middles no farther apart across the floor: a step
 BESIDE_M = 0.25  # ... and parts side by side: a chest's depth (ANSUR II, 95th percentile)
-FAR_M = (
-    0.5  # a hand cut off at the shoulder is nearer to the trunk; a leg that steps into the volume is another person's
-)
+FAR_M = 0.5  # a hand cut off at the shoulder is nearer to the trunk; a leg that steps in is another person's
+MAX_JUMP_M = 0.5  # farthest that a body's centroid moves between two sets
+FORGET_S = 1.0  # a body that is not seen keeps its number for this long
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +67,8 @@ class BodyTracker:
     """Numbers bodies consistently from set to set.
 
     Each set's bodies take the numbers of the nearest bodies before them, across the floor (whose legs a camera misses
-    is in the same place), the nearest pair first, none farther than ``max_jump_m``; the others take the lowest free
-    numbers, larger bodies first. A body that is not seen keeps its place and number for ``forget_s``.
+    is in the same place), the nearest pair first, none farther than MAX_JUMP_M; the others take the lowest free
+    numbers, larger bodies first. A body that is not seen keeps its place and number for FORGET_S.
 
     Two people who touch are one part of the hull, thus one body with one of their numbers. When they part, each gets
     the nearest number: the hull alone cannot tell them apart.
@@ -91,13 +92,8 @@ class BodyTracker:
             number_of_part = np.where(gap_m <= FAR_M, number[whose[nearest]], NOBODY).astype(np.int32)
         return Bodies(*bodies, number, number_of_part)
 
-    def reset(self) -> None:
-        """Forget all bodies."""
-        self._known.clear()
-
     def _numbers(self, stamp_ns: int, centroid_world: Array) -> npt.NDArray[np.int32]:
-        forget_ns = self._settings.forget_s * 1e9
-        self._known = {n: known for n, known in self._known.items() if 0 <= stamp_ns - known[0] <= forget_ns}
+        self._known = {n: known for n, known in self._known.items() if 0 <= stamp_ns - known[0] <= FORGET_S * NS_PER_S}
         numbers = np.full(len(centroid_world), NOBODY, np.int32)
         pairs = sorted(
             (float(np.linalg.norm((place - centroid_world[body])[:2])), number, body)
@@ -105,7 +101,7 @@ class BodyTracker:
             for body in range(len(centroid_world))
         )
         for distance, number, body in pairs:
-            if distance <= self._settings.max_jump_m and numbers[body] == NOBODY and number not in numbers:
+            if distance <= MAX_JUMP_M and numbers[body] == NOBODY and number not in numbers:
                 numbers[body] = number
         for newcomer in np.flatnonzero(numbers == NOBODY):
             numbers[newcomer] = next(n for n in count() if n not in self._known and n not in numbers)

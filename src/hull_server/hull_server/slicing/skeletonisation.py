@@ -21,6 +21,8 @@ from ..grid import Array, BrickVolume, VoxelGrid
 from ..settings import BlobSettings
 from .voxel_runs import HullRuns, brick_box, find_runs, join_in_slices, join_in_space, pack_rows, run_at
 
+GROWTH_STEP_M = 0.02  # least distance of the slices that a blob's growth compares; at least a voxel
+
 # Thresholds: fitted by maximum likelihood: chosen with centerline.py among the benches of commit d6079d2 (its column
 # "ratio").
 
@@ -58,24 +60,13 @@ class BlobTable:
         return len(self.axis)
 
 
-@dataclass(frozen=True, eq=False)
-class Slices:
-    """A hull as the blobs of its slices, and as runs of voxels."""
-
-    blobs: BlobTable
-    runs: HullRuns
-
-
-def slice_hull(volume: BrickVolume, step_m: float = BlobSettings.growth_step_m) -> Slices:
-    """Find all blobs of all slices across x, y and z, and the parts of the hull that they belong to.
-
-    step_m : least distance of the slices that ``growth`` compares; at least a voxel.
-    """
-    step_voxels = max(1, math.ceil(step_m / volume.grid.voxel_size - 1e-6))
+def slice_hull(volume: BrickVolume) -> tuple[BlobTable, HullRuns]:
+    """Find all blobs of all slices across x, y and z, and the runs of voxels that make up the hull."""
+    step_voxels = max(1, math.ceil(GROWTH_STEP_M / volume.grid.voxel_size - 1e-6))
     bricks_x, bricks_y, _ = volume.grid.brick_shape
     index, leaves = np.ascontiguousarray(volume.index), np.ascontiguousarray(volume.leaves)
     columns, runs = _slice(index, leaves, bricks_x, bricks_y, step_voxels)
-    return Slices(BlobTable(*columns), HullRuns(*runs))
+    return BlobTable(*columns), HullRuns(*runs)
 
 
 def find_centerline(

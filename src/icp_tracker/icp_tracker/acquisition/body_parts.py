@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .truncation import HEAD_FROM
 from .upright import FEET_TO, FEWEST_OF_A_PART, SHINS, PoseRejected, Upright
 
 # --- lines
@@ -102,7 +103,8 @@ def _measure(arm: np.ndarray, body: Upright) -> Arm:
     if off_up > BENT_UP * H or off_ahead > BENT_AHEAD * H:
         raise PoseRejected(f"an elbow is bent: the arm is {max(off_up, off_ahead):.2f} m off a straight line")
     near = np.abs(arm[:, 0] - x - dx * (arm[:, 1] - CLEARANCE * H)) < PHANTOMS_FROM * H
-    thickness = _thickness(arm[near], PIECE * H, body.pitch)
+    heights = [np.ptp(piece[:, 2]) + body.pitch / 2 for piece in _cut(arm[near], PIECE * H)]
+    thickness = float(np.median(heights)) if heights else 0.0
     if thickness > THICKEST * H:
         raise PoseRejected(f"no arms: what sticks out sideways is {thickness:.2f} m thick")
     return Arm(float(np.arctan(dz)), float(np.arctan(dx)), _tip(arm, body), float(z), float(x))
@@ -118,12 +120,6 @@ def _pieces(arm: np.ndarray, step: float, phantoms_from: float) -> np.ndarray:
     return np.array(middles).reshape(-1, 3)
 
 
-def _thickness(arm: np.ndarray, step: float, pitch: float) -> float:
-    """Return the median vertical thickness of an arm's pieces, metres; 0 without any."""
-    pieces = [np.ptp(piece[:, 2]) + pitch / 2 for piece in _cut(arm, step)]
-    return float(np.median(pieces)) if pieces else 0.0
-
-
 def _cut(arm: np.ndarray, step: float) -> list[np.ndarray]:
     """Return the pieces of an arm that hold enough voxels, spine to tip."""
     if len(arm) == 0:
@@ -135,11 +131,8 @@ def _cut(arm: np.ndarray, step: float) -> list[np.ndarray]:
 
 # --- legs
 
-LEGS_FROM, LEGS_TO, SLICE = (
-    0.10,
-    0.40,
-    0.025,
-)  # heights over the stature between which legs are looked at, and one slice
+# heights over the stature between which legs are looked at, and one slice
+LEGS_FROM, LEGS_TO, SLICE = 0.10, 0.40, 0.025
 KNEES = (0.25, 0.45)  # heights over the stature: bent knees and a seat's edge show here
 STRIDE, KNEES_AHEAD, DEEPEST = 0.14, 0.13, 0.32  # over the stature
 WIDEST = 0.35  # tangent of the largest angle of a leg from the vertical
@@ -206,7 +199,7 @@ FOOT_HALF_WIDTH, FOOT_REACH = 0.04, 0.17  # over the stature: a foot is 0.055 wi
 FOOT_LEAD, FOOT_LEAD_SD = 0.040, 0.020
 HEAD_LEAD, HEAD_LEAD_SD = 0.015, 0.017
 LONG_FOOT = 0.20  # longer than a foot in a hull: a shadow on the floor, which is seldom symmetrical
-HEAD_FROM, SHOULDER = 0.90, 0.10  # over the stature
+SHOULDER = 0.10  # over the stature
 
 
 def facing(body: Upright, arms: tuple[Arm, Arm]) -> float:

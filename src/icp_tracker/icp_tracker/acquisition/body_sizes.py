@@ -22,22 +22,12 @@ from functools import cached_property
 import numpy as np
 
 from stick_figure.body import Body
+from stick_figure.body_surface import LENGTHS, lengths_of
 from stick_figure.skeleton import HEAD, L_CALF, L_FOREARM, L_THIGH, L_UPPER_ARM, R_CALF, R_FOREARM, R_THIGH, R_UPPER_ARM
 
 from .t_pose_measures import TPose
 
-SIZES = (
-    "head",
-    "torso",
-    "shoulder_rise",
-    "half_shoulder_width",
-    "upper_arm",
-    "forearm",
-    "half_hip_width",
-    "thigh",
-    "calf",
-    "ankle_height",
-)
+SIZES = (*LENGTHS, "ankle_height")
 """Order of a vector of sizes (10,), metres: lengths of the sticks (the forearm's to the finger tips), the shoulders'
 height above the hips, half the joints' distances, and the ankles' height above the floor."""
 HEAD_, TORSO_, RISE, SHOULDER, UPPER_ARM, FOREARM, HIP, THIGH, CALF, ANKLE = range(len(SIZES))
@@ -63,16 +53,7 @@ def body_of_sizes(sizes_m: np.ndarray) -> Body:
 
 def sizes_of_body(body: Body) -> np.ndarray:
     """Return the sizes (10,) of a stick figure, metres: the reverse of :func:`body_of_sizes`, sides averaged."""
-    sizes, lengths = np.empty(len(SIZES)), body.lengths
-    sizes[[TORSO_, HEAD_]] = lengths[[0, HEAD]]
-    sizes[UPPER_ARM] = lengths[[L_UPPER_ARM, R_UPPER_ARM]].mean()
-    sizes[FOREARM] = lengths[[L_FOREARM, R_FOREARM]].mean()
-    sizes[THIGH], sizes[CALF] = lengths[[L_THIGH, R_THIGH]].mean(), lengths[[L_CALF, R_CALF]].mean()
-    sizes[RISE] = (1.0 + body.shoulder_height_ratio) * body.half_lengths[0]
-    sizes[SHOULDER] = body.half_shoulder_width
-    sizes[HIP] = body.hip_width_ratio * body.half_shoulder_width
-    sizes[ANKLE] = MEAN_OVER_STATURE[ANKLE] * body.stature
-    return sizes
+    return np.append(lengths_of(body), MEAN_OVER_STATURE[ANKLE] * body.stature)
 
 
 # --- sizes: what the hull of a T-pose shows, joined with what is known of people
@@ -90,7 +71,7 @@ STATURE_SD, ARM_SD, ARM_HEIGHT_SD, CHEST_SD, LEGS_SD = 0.006, 0.009, 0.009, 0.00
 class BodyEstimate:
     """Sizes of one body with their uncertainty.
 
-    sizes : (10,) m, in the order of :data:`.proportions.SIZES`. covariance : (10, 10) m^2.
+    sizes : (10,) m, in the order of SIZES. covariance : (10, 10) m^2.
     """
 
     sizes: np.ndarray

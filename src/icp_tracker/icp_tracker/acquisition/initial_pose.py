@@ -10,10 +10,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from capture_rig.errors import InputError
-from capture_rig.rigid import rotation_matrix, rotation_vector
-from capture_rig.yaml_file import read_mapping, save_mapping
+from capture_rig.rigid import rotation_matrix
+from capture_rig.yaml_file import read_mapping
 from mocap_packets.hull import HullProducts
-from stick_figure.body import Body, load_body, save_body
+from stick_figure.body import Body, load_body
 from stick_figure.kinematics import inverse
 from stick_figure.pose import Pose
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, T_POSE_ANGLES
@@ -79,21 +79,6 @@ def load_initial_pose(path: str | Path) -> tuple[Pose, Body | None]:
         torso_rotation = np.array([0.0, 0.0, _numbers([document.get("heading", 0.0)], "heading", 1, str(path))[0]])
     pose = Pose.from_angles(position, rotation_matrix(torso_rotation), _angles(document.get("angles"), str(path)))
     return pose, load_body(path.parent / str(document["body"])) if document.get("body") else None
-
-
-def save_initial_pose(pose: Pose, path: str | Path, body: Body | None = None) -> None:
-    """Write a pose so that :func:`load_initial_pose` reads it back; a body goes into a file of its own beside it."""
-    path = Path(path)
-    document: dict[str, Any] = {
-        "torso_position": [float(v) for v in pose.position_world],
-        "torso_rotation": rotation_vector(pose.R_world_torso).tolist(),
-        "angles": {name: float(v) for name, v in zip(ANGLE_NAMES, pose.angles(), strict=True)},
-    }
-    if body is not None:
-        body_path = path.with_name(path.stem + "_body.yaml")
-        save_body(body, body_path)
-        document["body"] = body_path.name
-    save_mapping(path, document)
 
 
 def pose_from_reference(

@@ -21,7 +21,7 @@ from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.body_surface import build_of_girth
-from stick_figure.kinematics import forward
+from stick_figure.kinematics import farthest_apart_m, forward
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.pose import Pose
@@ -30,16 +30,17 @@ from ..articulated_fit import GUESS, ArticulatedSettings, make_data, minimise, r
 from ..monitor.evidence import EXPLAINED_M, GATE_M, Evidence, evidence_of, ray_cost
 from ..monitor.pose_library import (
     OF_NEWCOMERS,
-    arms_exchanged,
-    legs_exchanged,
+    WITH_ARMS,
+    WITH_LEGS,
+    WITH_SIDES,
+    exchanged,
     natural_poses,
-    sides_exchanged,
     turned_around,
 )
 from .body_parts import evidence_of_feet
-from .body_sizes import BodyEstimate, sizes_of_stature
+from .body_sizes import STATURE_SPREAD_M, BodyEstimate, sizes_of_stature
 from .initial_pose import InitialPose
-from .truncation import FEET, HEAD, Stance, advice_text, cut_parts
+from .truncation import FEET, HEAD, TYPICAL_STATURE_M, Stance, advice_text, cut_parts
 from .upright import FEWEST_VOXELS, Upright, pitch_of, stance_of
 
 NO_HULL = "no hull"
@@ -52,10 +53,8 @@ SAME_M = 0.12  # poses whose points are so near to each other are one
 GAP_S = 1.0  # somebody of whom no set shows enough for so long is somebody new: people turn, and pass behind things
 LOOK_EVERY_S = 0.25  # how often other hypotheses are looked for
 PATIENT_S = 3.0  # somebody of whom a part is not seen has so long to step where it is
-# Thresholds: spread of adults' statures from surveys; the rest: judgement.
 BENT_WALK_SD_M = 0.015  # a walking person's crown is so much lower than a standing one's, and a hull's so uncertain
 FLOOR_SD_M = 0.03  # of a body whose feet are not seen: on what it stands
-STATURE_SD_M = 0.09  # of adults, where the head is not seen
 STEP_M, STEP_S = 0.4, 1.0  # way of about a second of somebody who walks, and does so forwards; slower, people shuffle
 # shares of the outlines that count as much: walking forwards, toes ahead of the ankles. Those who face
 # the right way explain 0.05 to 0.17 more than when turned round, on rendered walks: these decide where it is less
@@ -178,7 +177,7 @@ class MotionSource:
         if self._known is not None:
             return self._known if stance.stature > 0.75 * self._known.stature else None
         if HEAD in cut:
-            height, sd = max(stance.stature, 1.75), STATURE_SD_M
+            height, sd = max(stance.stature, TYPICAL_STATURE_M), STATURE_SPREAD_M
         else:
             height, sd = stance.stature, FLOOR_SD_M if FEET in cut else BENT_WALK_SD_M
         if not 0.75 * low <= height <= high:
@@ -201,10 +200,10 @@ class MotionSource:
         best = [pose for _, pose in sorted(costs, key=lambda pair: pair[0])[:STARTS]]
         fitted = [minimise(body, pose, data, free)[0] for pose in best]
         fitted.sort(key=lambda pose: evidence_of(figure, pose, data).cost)
-        others = [sides_exchanged(body, fitted[0]), turned_around(fitted[0])]
+        others = [exchanged(body, fitted[0], WITH_SIDES), turned_around(fitted[0])]
         if self._followed:  # legs and arms that passed each other
             best_pose = self._followed[0].pose
-            others += [legs_exchanged(body, best_pose), arms_exchanged(body, best_pose)]
+            others += [exchanged(body, best_pose, limbs) for limbs in (WITH_LEGS, WITH_ARMS)]
         around = [minimise(body, pose, data, free)[0] for pose in others]
         for pose in [fitted[0], *around, *fitted[1:]]:
             if self._is_new(body, pose):
@@ -222,7 +221,7 @@ class MotionSource:
             self._followed[-1] = elsewhere[0]
 
     def _is_new(self, body: Body, pose: Pose) -> bool:
-        return all(_apart_m(body, pose, other.pose) > SAME_M for other in self._followed)
+        return all(farthest_apart_m(body, pose, other.pose) > SAME_M for other in self._followed)
 
     def _follow(self, body: Body, data: Data, step_s: float) -> None:
         """Fit every hypothesis to this set too; those that have become one with a better one are dropped."""
@@ -262,7 +261,7 @@ class MotionSource:
         evidence, certainty = evidence_of(figure, hypothesis.pose, data), data.contour_rays.information
         certainty = certainty / max(float(certainty.sum()), 1e-12)
         explained = evidence.costs < EXPLAINED_COST
-        hypothesis.cost += float(certainty @ evidence.costs) + evidence.beyond / max(evidence.rays, 1)
+        hypothesis.cost += float(certainty @ evidence.costs) + evidence.beyond / max(len(evidence.costs), 1)
         hypothesis.share += float(certainty @ explained)
         hypothesis.seen += self._share_seen(figure, hypothesis.pose, evidence, explained)
         hypothesis.sets += 1
@@ -324,10 +323,6 @@ class MotionSource:
             for hypothesis in self._followed:
                 hypothesis.share *= tried[best].share / tried[0].share
                 hypothesis.seen *= tried[best].seen / max(tried[0].seen, 1e-12)
-
-
-def _apart_m(body: Body, pose: Pose, other: Pose) -> float:
-    return float(np.linalg.norm(forward(body, pose) - forward(body, other), axis=1).max())
 
 
 def _faces_elsewhere(pose: Pose, other: Pose) -> bool:

@@ -10,12 +10,12 @@ from capture_rig.settings import setting
 from capture_rig.visibility import RigVisibility
 
 from .body_parts import Arm, Legs, facing, find_arms, find_legs
+from .truncation import TRUNK_REACH
 from .upright import FEWEST_OF_A_PART, FEWEST_VOXELS, PoseRejected, Upright, measure_upright, reject_leaning
 
 LEVEL, LOWERED = "level", "lowered"
 LOWERED_BY = np.pi / 4
 ARMPIT = (-0.10, -0.06)  # over the stature, from the arms' height: here the trunk's sides end
-TRUNK_REACH = 0.16  # over the stature: farther from the spine is no trunk
 # Thresholds: measured by python bench/acquisition.py (how many are found).
 LARGEST_TILT = 0.33  # rad, of an arm from where it should be
 LARGEST_SWEEP = 0.45  # rad, of both arms ahead or behind: elbows that are bent a little swing their forearms ahead
@@ -86,13 +86,14 @@ def measure_t_pose(
     legs = find_legs(body)
     reject_leaning(body)
     arms = find_arms(body)
-    _refuse_arms(arms, body.stature, settings)
     width = _chest_half_width(body, arms) if settings.arms == LEVEL else NO_WIDTH
     measured = TPose(body, arms, legs, facing(body, arms), width)
+    _refuse_arms(measured, settings)
     return measured if measured.facing >= 0.0 else measured.turned_round()
 
 
-def _refuse_arms(arms: tuple[Arm, Arm], stature: float, settings: TPoseSettings) -> None:
+def _refuse_arms(measured: TPose, settings: TPoseSettings) -> None:
+    arms, stature, span = measured.arms, measured.stature, measured.span
     expected = 0.0 if settings.arms == LEVEL else -LOWERED_BY
     for arm in arms:
         if abs(arm.elevation - expected) > LARGEST_TILT:
@@ -101,7 +102,6 @@ def _refuse_arms(arms: tuple[Arm, Arm], stature: float, settings: TPoseSettings)
     ahead = 0.5 * (arms[0].sweep + arms[1].sweep)
     if abs(ahead) > LARGEST_SWEEP:
         raise PoseRejected(f"arms not straight sideways: they lie {np.degrees(abs(ahead)):.0f} degrees ahead or behind")
-    span = sum(arm.length_from(0.0) for arm in arms)
     if not SPAN[0] <= span / stature <= SPAN[1]:
         what = "arms not stretched" if span < stature else "more than one body, or not upright"
         raise PoseRejected(f"{what}: they span {span:.2f} m at a stature of {stature:.2f} m")

@@ -11,7 +11,7 @@ from capture_rig.visibility import RigVisibility
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.skeleton import ANGLE_NAMES, L_CALF, L_THIGH, mirror_angles
+from stick_figure.skeleton import ANGLE_NAMES, L_CALF, L_THIGH, angles_of_sides
 
 from .body_sizes import ANKLE, MEAN_OVER_STATURE, estimate_body
 from .initial_pose import InitialPose
@@ -24,7 +24,6 @@ STILL_M_S = 0.25  # who moves faster does not stand still
 SURENESS = 5.0  # least log-likelihood ratio of the heading that was found against the opposite one
 JITTER_M = 0.03  # the middle of a hull's trunk jitters by so much though nobody moves
 TRUNK_HALF_WIDTH = 0.12  # over the stature
-RIGHT = np.array([name.startswith("right") for name in ANGLE_NAMES])
 
 
 class TPoseSource:
@@ -48,13 +47,14 @@ class TPoseSource:
         if measured is None:
             self._held.clear()
             return InitialPose(reason=reason)
-        if self._held and _distance(self._held[-1][1], measured) > SAME_PLACE_M:
+        last = self._held[-1][1] if self._held else measured
+        if np.linalg.norm(last.body.centre_world - measured.body.centre_world) > SAME_PLACE_M:
             self._held.clear()
         self._held.append((seen.stamp_ns, measured))
         reason = self._not_yet()
         if reason:
             return InitialPose(reason=reason)
-        held = [m for _, m in _turned_alike(self._held)]
+        held = _turned_alike([m for _, m in self._held])
         self._held.clear()
         if self._known is not None:
             return InitialPose(pose_of(held, self._known), self._known)
@@ -102,8 +102,7 @@ def pose_of(held: list[TPose], body: Body) -> Pose:
     sweep = float(np.median([0.5 * (m.arms[0].sweep + m.arms[1].sweep) for m in held]))
     elevations = np.median([[arm.elevation for arm in m.arms] for m in held], axis=0)
     spread = float(np.median([m.legs.spread for m in held]))
-    left, right = (_angles(elevation, sweep, spread) for elevation in elevations)
-    angles = np.where(RIGHT, mirror_angles(right), left)
+    angles = angles_of_sides(*(_angles(elevation, sweep, spread) for elevation in elevations))
     legs = MEAN_OVER_STATURE[ANKLE] * last.stature + (body.lengths[L_THIGH] + body.lengths[L_CALF]) * np.cos(spread)
     height = last.body.floor_world + legs + body.half_lengths[0]
     return Pose.from_angles(np.r_[_trunk_middle(last), height], R_world_torso, angles)
@@ -132,10 +131,6 @@ def _trunk_middle(measured: TPose) -> np.ndarray:
     return body.centre_world + ahead * body.forward_world + across * left
 
 
-def _distance(first: TPose, second: TPose) -> float:
-    return float(np.linalg.norm(first.body.centre_world - second.body.centre_world))
-
-
 def _movement(held: deque[tuple[int, TPose]]) -> tuple[float, float]:
     """Speed of the trunk over the held sets, m/s, and the way it went, m: a straight line through its places."""
     stamps = np.array([stamp for stamp, _ in held], dtype=np.float64)
@@ -154,7 +149,7 @@ def _sureness(held: deque[tuple[int, TPose]]) -> float:
     return float(abs(np.mean(signed)))
 
 
-def _turned_alike(held: deque[tuple[int, TPose]]) -> list[tuple[int, TPose]]:
+def _turned_alike(held: list[TPose]) -> list[TPose]:
     """Return the sets, all turned to the heading that the evidence of all of them speaks for."""
-    total = sum(m.facing * m.body.forward_world for _, m in held)
-    return [(stamp, m if m.body.forward_world @ total > 0.0 else m.turned_round()) for stamp, m in held]
+    total = sum(m.facing * m.body.forward_world for m in held)
+    return [m if m.body.forward_world @ total > 0.0 else m.turned_round() for m in held]

@@ -29,8 +29,10 @@ ANKLES_APART, TOES, HEEL, SOLE, FINGERS, SHOULDERS, CROWN, DEEP = 0.07, 0.11, -0
 STEP_M, FARTHEST_M, DIRECTIONS = 0.1, 2.5, 16  # steps that are tried
 MARGIN_M = 0.10  # a place is seen with so much to spare: the hull of three cameras is so much wider than a hand
 SURE_FACING = 2.0  # log-likelihood ratio from which left and right are said
-WORDS = ("forwards", "forwards and left", "to the left of where you face", "backwards and left", "backwards")
-WORDS_RIGHT = ("backwards and right", "to the right of where you face", "forwards and right")
+WORDS = (
+    *("forwards", "forwards and left", "to the left of where you face", "backwards and left"),
+    *("backwards", "backwards and right", "to the right of where you face", "forwards and right"),
+)
 TYPICAL_STATURE_M = 1.75  # of somebody whose head is not seen
 
 
@@ -153,7 +155,7 @@ def smallest_translation_into_view(stance: Stance, visibility: RigVisibility) ->
 
 
 def _told(part: str, stance: Stance) -> str:
-    return HAND if part in (LEFT_HAND, RIGHT_HAND) and abs(stance.facing) < SURE_FACING else part
+    return HAND if part in HANDS and abs(stance.facing) < SURE_FACING else part
 
 
 def _listed(names: list[str]) -> str:
@@ -166,8 +168,7 @@ def _said(step: np.ndarray, stance: Stance, visibility: RigVisibility) -> str:
     if abs(stance.facing) >= SURE_FACING:
         forward = stance.forward_world * (1.0 if stance.facing > 0.0 else -1.0)
         ahead, left = step @ forward, step @ np.array([-forward[1], forward[0]])
-        words = (*WORDS, *WORDS_RIGHT)
-        return f"step {length:.1f} m {words[round(float(np.arctan2(left, ahead)) / (np.pi / 4)) % 8]}"
+        return f"step {length:.1f} m {WORDS[round(float(np.arctan2(left, ahead)) / (np.pi / 4)) % 8]}"
     ways = [(camera.centre_world[:2] - stance.place_world, camera.name) for camera in visibility.rig.cameras]
     along = {name: float(step @ way / max(np.linalg.norm(way), 1e-6)) for way, name in ways}
     toward, away = max(along, key=along.__getitem__), min(along, key=along.__getitem__)

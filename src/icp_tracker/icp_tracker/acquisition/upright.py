@@ -87,7 +87,11 @@ def measure_upright(
     if not stature_low_m <= stature <= stature_high_m:
         size = "small" if stature < stature_low_m else "large"
         raise PoseRejected(f"the hull is too {size}: {stature:.2f} m high")
-    body = _in_its_frame(voxels_world, floor, stature, pitch)
+    centre, axis = _arms_axis(voxels_world[:, :2], (voxels_world[:, 2] - floor) / stature)
+    forward = np.array([axis[1], -axis[0]])
+    flat = voxels_world[:, :2] - centre
+    local = np.column_stack([flat @ forward, flat @ axis, voxels_world[:, 2] - floor])
+    body = Upright(local, centre, forward, floor, stature, pitch)
     _refuse_several_heads(body)
     return body
 
@@ -95,14 +99,6 @@ def measure_upright(
 def _floor(lowest: float) -> float:
     """Return the floor's height, world, metres: the map's floor where the hull sags below it."""
     return 0.0 if -SAGGING_M < lowest < 0.0 else float(lowest)
-
-
-def _in_its_frame(voxels_world: np.ndarray, floor: float, stature: float, pitch: float) -> Upright:
-    centre, axis = _arms_axis(voxels_world[:, :2], (voxels_world[:, 2] - floor) / stature)
-    forward = np.array([axis[1], -axis[0]])
-    flat = voxels_world[:, :2] - centre
-    local = np.column_stack([flat @ forward, flat @ axis, voxels_world[:, 2] - floor])
-    return Upright(local, centre, forward, floor, stature, pitch)
 
 
 def pitch_of(voxels_world: np.ndarray) -> float:
@@ -162,11 +158,7 @@ def reject_leaning(body: Upright) -> None:
     feet = body.between(*SHINS)[:, :2]
     if len(feet) < FEWEST_OF_A_PART:
         raise PoseRejected("no feet in the hull")
-    lean = float(np.linalg.norm(np.median(body.between(HEAD_FROM, 2.0)[:, :2], axis=0) - _middle(feet)))
+    middle = np.percentile(feet, [5, 95], axis=0).mean(axis=0)  # halfway between the ends, stray points apart
+    lean = float(np.linalg.norm(np.median(body.between(HEAD_FROM, 2.0)[:, :2], axis=0) - middle))
     if lean > LEAN * body.stature:
         raise PoseRejected(f"not upright: the head is {lean:.2f} m off the feet")
-
-
-def _middle(points: np.ndarray) -> np.ndarray:
-    """Halfway between the ends, stray points apart."""
-    return np.percentile(points, [5, 95], axis=0).mean(axis=0)

@@ -15,13 +15,13 @@ import numpy as np
 from capture_rig.kernel import njit
 from stick_figure.body import Body
 from stick_figure.joint_limits import joint_excess
-from stick_figure.kinematics import forward
 from stick_figure.least_squares.contour_factor import RayMatch, match_rays
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.keypoint_factor import ALL_STICKS, keypoint_support
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
 
+from ..articulated_fit import CONTOUR_GATE_M as GATE_M
 from ..articulated_fit import CONTOUR_SLACK_M as SLACK_M
 from ..articulated_fit import GUESS, ArticulatedSettings, minimise
 
@@ -29,11 +29,10 @@ PARTS = 5
 TRUNK, LEFT_ARM, RIGHT_ARM, LEFT_LEG, RIGHT_LEG = range(PARTS)
 
 # Thresholds: measured by python bench/recovery.py.
-GATE_M = 0.06  # a ray this far off costs a half
 EXPLAINED_M = 0.04  # a ray this near to the surface is explained
 LOSS = 1.5  # a ray that another pose explains worse counts so much more than one that it explains better
 LIMIT_RAD = 0.5  # so far beyond a joint's range costs one ray, twice as far four
-RAYS_PER_NAT = 2.0  # of what another pose of the whole body explains, while that lasts
+RAYS_PER_NAT = 2.0  # that one independent sample, a cell of a limb's surface, shows for certain
 SAME_M = 0.10  # poses whose 15 points are so near to each other are one
 GUESS_ITERATIONS = 12  # of a fit that starts from a guess
 
@@ -51,11 +50,6 @@ class Evidence:
     beyond: float
     share: float
     matched: RayMatch
-
-    @property
-    def rays(self) -> int:
-        """Rays looked at."""
-        return len(self.costs)
 
     @property
     def cost(self) -> float:
@@ -109,10 +103,6 @@ class Observation:
         """Return the pose that the fit reaches from another one, more freely if that is only a guess."""
         settings = replace(self.settings, prior=GUESS, max_iterations=GUESS_ITERATIONS) if guess else self.settings
         return minimise(self.body, pose, self.data, settings)[0]
-
-    def apart_m(self, pose: Pose, other: Pose) -> float:
-        """Return how far apart (m) two poses' reference points are at most."""
-        return float(np.linalg.norm(forward(self.body, pose) - forward(self.body, other), axis=1).max())
 
 
 @njit(cache=True, nogil=True)

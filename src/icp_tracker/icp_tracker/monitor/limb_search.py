@@ -37,7 +37,7 @@ from stick_figure.least_squares.normal_equations import (
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.pose import Pose
 
-from .evidence import GATE_M, SLACK_M, match_to, ray_cost
+from .evidence import GATE_M, RAYS_PER_NAT, SLACK_M, match_to, ray_cost
 from .pose_library import Limb, LimbPoses
 from .unexplained_data import COARSE_GATE_M, part_of, unexplained_data
 
@@ -50,8 +50,6 @@ ANGLES = 4  # three of the ball joint, one of the hinge
 REFINE_GATE_M = 0.08
 STIFFNESS_M2 = 2.0 * 0.3**2  # rays that hold an angle at its guess, times their lever squared
 STEP_MOST = 0.4  # rad
-
-SAMPLE_RAYS = 2.0  # rays that show one cell of the surface for certain
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +75,7 @@ class LimbPlaces:
     @cached_property
     def apart_m(self) -> np.ndarray:
         """How far (k,) elbow or hand, whichever is farther, would be from where it is tracked."""
-        apart: np.ndarray = _apart_from(self.ends, self.tracked)
-        return apart
+        return np.asarray(np.sqrt(((self.ends - self.tracked) ** 2).sum(axis=2).max(axis=1)))
 
 
 NO_POSES = LimbPoses(np.empty((0, 3, 3)), np.empty(0))
@@ -126,7 +123,7 @@ def _search(data, matched, state, figure, limb, library, known):
     for h in range(gains.shape[0]):
         state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
         _place_limb(placed, figure, limb)
-        gains[h] = _rays_gained(left, placed, costs) + SAMPLE_RAYS * keypoint_support(keypoints, placed, sticks)
+        gains[h] = _rays_gained(left, placed, costs) + RAYS_PER_NAT * keypoint_support(keypoints, placed, sticks)
     chosen = np.argsort(-gains)[:REFINED]
     count = known.flexion.shape[0] + chosen.shape[0]
     R, flexion = np.empty((count, 3, 3)), np.empty(count)
@@ -173,15 +170,6 @@ def _distinct(margins, ends, known):
 def farther_apart(ends, others):
     """Return how far apart (m) the farther ends of two places are."""
     return np.sqrt(((ends - others) ** 2).sum(axis=1).max())
-
-
-@njit(cache=True)
-def _apart_from(ends, tracked):
-    """Return how far apart (k,) m the farther ends of some places are from those of one place."""
-    apart = np.empty(ends.shape[0])
-    for k in range(apart.shape[0]):
-        apart[k] = farther_apart(ends[k], tracked)
-    return apart
 
 
 @njit(cache=True)
@@ -258,7 +246,7 @@ def _samples(left, placed, lower, costs):
     for i in range(costs.shape[0]):
         if costs[i] > 0.0:
             cell = cell_of_ray(placed, match.capsule[i], match.along[i], left.rays.rows, i)
-            shown[cell // CELLS, cell % CELLS] += costs[i] / SAMPLE_RAYS
+            shown[cell // CELLS, cell % CELLS] += costs[i] / RAYS_PER_NAT
     shown = np.minimum(shown, 1.0)
     return min(shown.sum(), 2.0 * shown[lower].sum())
 

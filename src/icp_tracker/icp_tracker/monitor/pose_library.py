@@ -13,14 +13,14 @@ from mocap_packets.fit import PART_POINTS
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, inverse
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, HEAD, mirror_angles
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, HEAD, angles_of_sides
 
 from .evidence import LEFT_ARM, LEFT_LEG, RIGHT_ARM, RIGHT_LEG
 
 HEADINGS = 8  # a fit finds a trunk that is turned by half of an eighth
-_WITH_SIDES = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]  # left and right of every reference point
-_WITH_ARMS = [0, 1, 2, 3, 4, 5, 6, 8, 7, 9, 10, 12, 11, 13, 14]  # elbows and hands exchanged
-_WITH_LEGS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 9, 11, 12, 14, 13]
+WITH_SIDES = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]  # left and right of every reference point
+WITH_ARMS = [0, 1, 2, 3, 4, 5, 6, 8, 7, 9, 10, 12, 11, 13, 14]  # elbows and hands exchanged
+WITH_LEGS = [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 9, 11, 12, 14, 13]  # knees and feet
 HANG = -1.35  # rad, of an arm below the horizontal
 # angles of each side (rad); what is not named is the T-pose's. A step has the other side's arm in front.
 _STANDING = {"shoulder_x": HANG}
@@ -41,24 +41,14 @@ POSTURES: tuple[tuple[dict[str, float], dict[str, float]], ...] = (
 OF_NEWCOMERS = 6  # who comes in does one of the first
 
 
-def sides_exchanged(body: Body, pose: Pose) -> Pose:
-    """Left and right change names, limbs and trunk stay where they are: the body faces the other way."""
-    return inverse(body, forward(body, pose)[_WITH_SIDES], pose)
+def exchanged(body: Body, pose: Pose, points: list[int]) -> Pose:
+    """Points change names, limbs and trunk stay where they are: with both sides' the body faces the other way."""
+    return inverse(body, forward(body, pose)[points], pose)
 
 
 def turned_around(pose: Pose) -> Pose:
     """Return every limb where it is on the body, the body facing the other way."""
     return replace(pose, R_world_torso=rotation_matrix(np.pi * pose.R_world_torso[:, 2]) @ pose.R_world_torso)
-
-
-def arms_exchanged(body: Body, pose: Pose) -> Pose:
-    """Left elbow and hand where the right ones are, and the other way round."""
-    return inverse(body, forward(body, pose)[_WITH_ARMS], pose)
-
-
-def legs_exchanged(body: Body, pose: Pose) -> Pose:
-    """Left knee and foot where the right ones are, and the other way round."""
-    return inverse(body, forward(body, pose)[_WITH_LEGS], pose)
 
 
 def moved_to(pose: Pose, hull_world: np.ndarray) -> Pose:
@@ -85,14 +75,11 @@ def stances(body: Body, hull_world: np.ndarray) -> list[Pose]:
 
 def _both(left: dict[str, float], right: dict[str, float]) -> np.ndarray:
     """Return the angles (18,) of a posture."""
-    sides = []
-    for side in (left, right):
-        angles = T_POSE_ANGLES.copy()
+    sides = np.tile(T_POSE_ANGLES, (2, 1))
+    for angles, side in zip(sides, (left, right), strict=True):
         for name, value in side.items():
             angles[ANGLE_NAMES.index(f"left_{name}")] = value
-        sides.append(angles)
-    is_right = np.array([name.startswith("right") for name in ANGLE_NAMES])
-    return np.where(is_right, mirror_angles(sides[1]), sides[0])
+    return angles_of_sides(*sides)
 
 
 _ANGLES = tuple(_both(left, right) for left, right in POSTURES)

@@ -18,13 +18,13 @@ from capture_rig.settings import setting
 from capture_rig.stamps import NS_PER_S
 from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, UNKNOWN, TrackQuality, points_of_parts
 from stick_figure.body import Body
-from stick_figure.kinematics import forward
+from stick_figure.kinematics import farthest_apart_m, forward
 from stick_figure.least_squares.contour_factor import RayMatch
 from stick_figure.least_squares.gauss_newton import Data
 from stick_figure.least_squares.placed_figure import Figure
 from stick_figure.pose import Pose
 
-from ..articulated_fit import ArticulatedSettings
+from ..articulated_fit import LONGEST_S, ArticulatedSettings
 from . import limb_filter
 from .evidence import RAYS_PER_NAT, SAME_M, TRUNK, Evidence, Observation
 from .limb_filter import LimbBelief
@@ -32,12 +32,13 @@ from .limb_search import NO_POSES, other_places, with_limb
 from .pose_library import (
     LIMB_POINTS,
     LIMBS,
+    WITH_ARMS,
+    WITH_LEGS,
+    WITH_SIDES,
     LimbPoses,
-    arms_exchanged,
-    legs_exchanged,
+    exchanged,
     limb_poses,
     moved_to,
-    sides_exchanged,
     stances,
     turned_around,
 )
@@ -48,7 +49,6 @@ LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS: arms are lost more often than legs
 TURNED_EVERY = 8  # looks from one at the whole body turned round to the next, while the track is good
 CHECKS = 8  # of them, two more than there are kinds, until a body that was lost is believed
 STANCES_A_SET = 6
-LONGEST_S = 0.1  # the time between two sets counts for no more: where none came, nothing was compared
 MOST_M_S2, NEAR_M = 600.0, 0.1  # a boxer's fist stops with half of this (Walilko et al. 2005); what fits err by besides
 BODY_LOG_PRIOR = -3.0  # of another pose of the whole body, against the tracked one: a person seldom turns in a set
 BODY_DOUBTFUL = 0.4  # probability of another pose of the whole body
@@ -194,7 +194,7 @@ class TrackMonitor:
             fitted = seen.fitted(other.pose)
             found = seen.evidence_of(fitted)
             other = _updated(replace(other, pose=fitted), evidence.margin_of(found), seen.dt_s)
-            if other.log_odds < BODY_LOG_PRIOR - 1.0 or seen.apart_m(fitted, pose) < SAME_M:
+            if other.log_odds < BODY_LOG_PRIOR - 1.0 or farthest_apart_m(seen.body, fitted, pose) < SAME_M:
                 other = None
             elif other.log_odds > 0.0:
                 self._hypothesis, self._beliefs = None, [None] * len(LIMBS)
@@ -218,7 +218,7 @@ class TrackMonitor:
         fitted = seen.fitted(guess.pose, guess=True)
         margin = evidence.margin_of(seen.evidence_of(fitted))
         best = 0.0 if self._hypothesis is None else self._hypothesis.margin
-        if margin > best and seen.apart_m(fitted, pose) > SAME_M:
+        if margin > best and farthest_apart_m(seen.body, fitted, pose) > SAME_M:
             self._hypothesis = _updated(replace(guess, pose=fitted), margin, seen.dt_s)
 
     def _other_way_round(self, seen: Observation, pose: Pose) -> Hypothesis:
@@ -227,13 +227,13 @@ class TrackMonitor:
         self._kind += 1
         self._unchecked = max(self._unchecked - 1, 0)
         if kind in (0, 3):
-            return Hypothesis(sides_exchanged(body, pose), "left and right exchanged")
+            return Hypothesis(exchanged(body, pose, WITH_SIDES), "left and right exchanged")
         if kind == 1:
             return Hypothesis(turned_around(pose), "the body facing the other way")
         if kind == 2:
-            return Hypothesis(legs_exchanged(body, pose), "left and right leg exchanged")
+            return Hypothesis(exchanged(body, pose, WITH_LEGS), "left and right leg exchanged")
         if kind == 4 or self._last_good is None:
-            return Hypothesis(arms_exchanged(body, pose), "left and right arm exchanged")
+            return Hypothesis(exchanged(body, pose, WITH_ARMS), "left and right arm exchanged")
         return Hypothesis(moved_to(self._last_good, seen.data.hull), "the last good pose")
 
     def _stance(self, seen: Observation, turn: int) -> Hypothesis:
@@ -313,7 +313,7 @@ class TrackMonitor:
         limb = LIMBS[number]
         better = seen.fitted(with_limb(pose, limb, *belief.places.poses.at(place)))
         found = seen.evidence_of(better)
-        if seen.apart_m(better, pose) < SAME_M or evidence.margin_of(found) <= 0.0:
+        if farthest_apart_m(seen.body, better, pose) < SAME_M or evidence.margin_of(found) <= 0.0:
             self._beliefs[number] = belief.without(place)
             return None
         self._beliefs[number] = self._belief_after_move(seen, better, number, pose, log_odds)

@@ -22,7 +22,8 @@ from stick_figure.least_squares.keypoint_factor import Keypoints, offsets_m
 from stick_figure.least_squares.placed_figure import Figure, PlacedFigure, State, place, surface_distances
 from stick_figure.pose import Pose
 
-from ..articulated_fit import ray_arrays
+from ..articulated_fit import CONTOUR_SLACK_M, ray_arrays
+from ..monitor.evidence import EXPLAINED_M as GRAZED_M
 
 NEAR_M = 0.05  # a prediction errs by so much, and hulls of few cameras are wider than the body
 OWN_SHARE = 0.2  # of all that a person explains: a part of the hull that holds so much of it is the person's
@@ -35,9 +36,7 @@ ELSEWHERE_M = 0.15  # and so much nearer that it is not this person's lost limb 
 # which, and must not hold a hand that it caught (0.01 to 0.1 tried with bench/people.py together_ and the meeting as
 # footage; from 0.015 to 0.03 fewest hands stay on the other's outline)
 UNCLEAR_SD_M = 0.02
-SLACK_M = 0.05  # a body may touch a ray this far from the stretch where the ray touches the hull
-ANYWHERE_M = 100.0  # and as far as this when it is a line
-GRAZED_M = 0.04  # a line that passes a body's surface so near is a view of it: EXPLAINED_M of monitor/evidence.py
+ANYWHERE_M = 100.0  # a body may touch a ray this far from where the ray touches the hull: the ray is a line
 PHANTOM_SHARE = 0.85  # of a part's rays that graze persons elsewhere: of a phantom nearly all do
 PHANTOM_LEAST_RAYS = 20  # fewer say nothing
 
@@ -169,7 +168,7 @@ class _Distances(NamedTuple):
     @classmethod
     def of(cls, seen: HullProducts, placed: PlacedFigure) -> _Distances:
         rays = seen.contour_rays
-        separation = match_rays(ray_arrays(rays, np.ones(len(rays))), placed, SLACK_M).separation
+        separation = match_rays(ray_arrays(rays, np.ones(len(rays))), placed, CONTOUR_SLACK_M).separation
         points = np.ascontiguousarray(seen.voxels.points_world)
         line = np.ascontiguousarray(seen.centerline.points_world)
         return cls(surface_distances(line, placed)[2], surface_distances(points, placed)[2], separation)
@@ -187,16 +186,13 @@ def _rows_of(seen: HullProducts, parts: tuple[int, ...]) -> _Rows:
 
 def _of_person(rows: _Rows, own: _Distances, others: Sequence[_Distances]) -> _Rows:
     """Return the rows without those that are clearly another's; rays that may be either's are less certain."""
-    others_line = np.min([other.line for other in others], axis=0)
-    others_voxels = np.min([other.voxels for other in others], axis=0)
-    others_rays = np.min([other.rays for other in others], axis=0)
+    nearest = _Distances(*(np.min(kind, axis=0) for kind in zip(*others, strict=True)))
+    line, on_surface, rays = (~_is_others(mine, theirs) for mine, theirs in zip(own, nearest, strict=True))
+    either = np.abs(own.rays - nearest.rays)[rays] <= CLEARLY_M
+    either &= np.minimum(own.rays, nearest.rays)[rays] < EXPLAINED_M
     seen = rows.products
-    line = ~_is_others(own.line, others_line)
-    rays = ~_is_others(own.rays, others_rays)
-    either = np.abs(own.rays - others_rays)[rays] <= CLEARLY_M
-    either &= np.minimum(own.rays, others_rays)[rays] < EXPLAINED_M
     kept = seen.of_rows(line, np.ones(len(seen.voxels), bool), rays)
-    voxels = replace(seen.voxels, surface=seen.voxels.surface & ~_is_others(own.voxels, others_voxels))
+    voxels = replace(seen.voxels, surface=seen.voxels.surface & on_surface)
     sigma = kept.contour_rays.sigma
     unclear = np.hypot(sigma, UNCLEAR_SD_M)
     kept_rays = replace(kept.contour_rays, sigma=np.where(either, unclear, sigma))

@@ -68,31 +68,23 @@ class IdentityCheck:
         return Verdict.OPEN if len(self._margins) < MOST_LOOKS else Verdict.ALIKE
 
 
-@dataclass
-class _OcclusionEvent:
-    """Two persons who share, or shared, a part of the hull: from when until when."""
-
-    began_ns: int
-    until_ns: int
-
-
 class OcclusionEvents:
     """Which persons share, or shared a moment ago, a part of the hull."""
 
     def __init__(self) -> None:
-        self._events: dict[tuple[int, int], _OcclusionEvent] = {}
+        self._events: dict[tuple[int, int], tuple[int, int]] = {}  # from when until when, of each pair
 
     def update(self, stamp_ns: int, shared: Iterable[Sequence[int]]) -> list[IdentityCheck]:
         """Take note of the persons who share each part; return whom to compare now, some time after they parted."""
         for persons in shared:
             for pair in combinations(persons, 2):
-                event = self._events.setdefault(pair, _OcclusionEvent(stamp_ns, stamp_ns))
-                event.until_ns = stamp_ns
+                began_ns, _ = self._events.get(pair, (stamp_ns, stamp_ns))
+                self._events[pair] = began_ns, stamp_ns
         checks = []
-        for pair, event in sorted(self._events.items()):
-            if stamp_ns - event.until_ns >= APART_S * NS_PER_S:
+        for pair, (began_ns, until_ns) in sorted(self._events.items()):
+            if stamp_ns - until_ns >= APART_S * NS_PER_S:
                 del self._events[pair]
-                if event.until_ns - event.began_ns >= TOGETHER_S * NS_PER_S:
+                if until_ns - began_ns >= TOGETHER_S * NS_PER_S:
                     checks.append(IdentityCheck(*pair))
         return checks
 

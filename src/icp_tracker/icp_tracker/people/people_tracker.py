@@ -30,12 +30,11 @@ from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, m
 from .association import Association, Expected, associate_parts, associate_rows, associate_skeletons, is_phantom
 from .identity import ALIKE, IdentityCheck, OcclusionEvents, Verdict, sizes_apart
 
-GONE_AFTER_S = 1.0  # a person other than the first who has not been seen for so long has left
+GONE_AFTER_S = 1.0  # who has not been seen for so long, but the first person, has left; a newcomer, too
 AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
 BACK_S = 0.2  # so long a fit stays good before somebody is taken for a person who was away: a phantom's does not
 SAME_PLACE_M = 0.12  # two figures whose points are so near to each other on average are one person
 LOOK_PERIOD_S = 0.045  # from one look at a newcomer to the next while somebody is followed: fits do not wait for it
-KEPT_S = 1.0  # a newcomer whose part of the hull is missing for so long is gone
 NO_PART = -2  # is the number of no part of a hull
 
 
@@ -276,7 +275,7 @@ class PeopleTracker:
         newcomers = {
             part: tracker
             for part, tracker in self._newcomers.items()
-            if 0 <= stamp_ns - self._newcomer_ns.get(part, stamp_ns) < KEPT_S * NS_PER_S
+            if 0 <= stamp_ns - self._newcomer_ns.get(part, stamp_ns) < GONE_AFTER_S * NS_PER_S
         }
         spare = [part for part in newcomers if part not in free]
         for part in free:
@@ -300,11 +299,11 @@ class PeopleTracker:
 
     def _away_like(self, newcomer: IcpTracker) -> list[int]:
         """Return the persons who are away and of the newcomer's sizes, the likest first."""
-        measured, likeness = newcomer.refined_body, list[tuple[float, int]]()
+        measured, likeness = newcomer.refined_sizes, list[tuple[float, int]]()
         for number, person in sorted(self._persons.items()):
-            known = person.tracker.refined_body
+            known = person.tracker.refined_sizes
             if person.away and known is not None and measured is not None:
-                likeness.append((sizes_apart(known.estimate, measured.estimate), number))
+                likeness.append((sizes_apart(known, measured), number))
         return [number for apart, number in sorted(likeness) if apart < ALIKE]
 
     # --- who is who --------------------------------------------------------------------------------------------------

@@ -17,22 +17,21 @@ from capture_rig.stamps import NS_PER_S
 from stick_figure.body import BEND_NUMBERS, Body
 from stick_figure.least_squares.contour_factor import RayArrays
 from stick_figure.least_squares.free_ends import TURN_SD
+from stick_figure.least_squares.independent_rows import SURFACE_SD_M
 from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.trunk_bend import REST_SD
 
 from ..acquisition.body_sizes import SIZES, BodyEstimate, prior_sizes, sizes_of_body
 from ..articulated_fit import LIMIT_SD, NECK_PITCH, NECK_SD, PRIOR
 from .keyframes import Keyframes, PosePrior, differs_from_all, linearise_keyframe, put_keyframe, solve_shape
-from .shape import BUILD, SIZE, ShapeModel, ShapePrior, body_of, figure_change
+from .shape import BUILD, SIZE, ShapeArrays, ShapePrior, body_of, figure_change
 
 # Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION; PATIENT_S,
 # LEAST_SHARE, BELOW_BEST with stout people who walk in (python bench/acquisition.py).
 # checked by the studio's bodies and rendered sessions of the package's README
 TURN = 0.2  # rad, by which some joint of a different pose has turned
 EXPLAINED = 0.93  # share of the rays, in a pose that counts
-SURFACE_SD_M = 0.01
 INDEPENDENT_RAYS = 18.0  # one for each capsule: the model's error is common to a capsule's
-FARTHEST_SD = 3.0
 RAYS = 400  # of a kept pose that are used
 # when no pose has reached the share that counts for so long, those count that explain about as much as the best so far:
 # of an average person's surface a stout one of 1.88 m explains 0.84 to 0.92 of the rays while walking
@@ -51,8 +50,8 @@ class RefinementSettings:
     turn : rad, a pose is different when some joint turned by this much against every kept one. explained : share of the
     rays that the surface must explain for a pose to count; less while no pose reaches it. surface_sd_m : distance of a
     body's surface from the capsules, where they fit well; independent_rays : what all rays of a pose count as.
-    farthest_sd : no size leaves what the T-pose said by more. least_change_m : of a size or a part of the surface, for
-    the tracker to take a body over; not more often than every pause_s.
+    least_change_m : of a size or a part of the surface, for the tracker to take a body over; not more often than every
+    pause_s.
     """
 
     keyframes: int = setting(64, "different poses that are kept; 0 leaves the body as it was measured", low=0, high=500)
@@ -66,7 +65,6 @@ class RefinementSettings:
     explained: float = EXPLAINED
     surface_sd_m: float = SURFACE_SD_M
     independent_rays: float = INDEPENDENT_RAYS
-    farthest_sd: float = FARTHEST_SD
     least_change_m: float = LEAST_CHANGE_M
     pause_s: float = PAUSE_S
 
@@ -77,15 +75,6 @@ def _evenly_spread(contour_rays: RayArrays, settings: RefinementSettings) -> Ray
     rows = np.arange(count) if count <= RAYS else np.arange(RAYS) * count // RAYS
     information = np.full(len(rows), settings.independent_rays / settings.surface_sd_m**2 / max(len(rows), 1))
     return contour_rays.chosen(rows, information)
-
-
-@dataclass(frozen=True, eq=False)
-class RefinedBody:
-    """A body with the uncertainty of its sizes and how thick its limbs are, and the poses it is known from."""
-
-    estimate: BodyEstimate
-    build: np.ndarray
-    keyframes: int
 
 
 class BodyRefiner:
@@ -109,7 +98,7 @@ class BodyRefiner:
         self._pose_prior = PosePrior(PRIOR, bends, NECK_SD**-2, NECK_PITCH, LIMIT_SD**-2, ends)
         self._information = np.linalg.inv(self._prior.covariance)
         self._target = self._information @ self._prior.mean
-        self._model, self._values = ShapeModel(self._prior.mean).arrays, self._prior.mean.copy()
+        self._model, self._values = ShapeArrays.of(self._prior.mean), self._prior.mean.copy()
         if build is not None:
             self._values[BUILD] = build
         self._given, self._given_ns, self._began_ns = self._values, -1, -1
@@ -150,15 +139,19 @@ class BodyRefiner:
     def sizes_covariance(self) -> np.ndarray:
         """Covariance (10, 10) m^2 of the sizes as they are known now."""
         if self._known is None:
-            self._known = self.refined.estimate.covariance
+            self._known = self.refined.covariance
         return self._known
 
     @property
-    def refined(self) -> RefinedBody:
-        """The body as it is known now."""
+    def refined(self) -> BodyEstimate:
+        """The sizes as they are known now."""
         covariance = np.linalg.inv(self._information + self._kept.information[: len(self._rays)].sum(axis=0))
-        estimate = BodyEstimate(self._values[SIZE], covariance[SIZE, SIZE])
-        return RefinedBody(estimate, self._values[BUILD], len(self._rays))
+        return BodyEstimate(self._values[SIZE], covariance[SIZE, SIZE])
+
+    @property
+    def keyframes(self) -> int:
+        """How many poses are kept."""
+        return len(self._rays)
 
     def _keep(self, pose: Pose, contour_rays: RayArrays, bend: np.ndarray) -> bool:
         """Keep the pose if it is a new one that the surface explains; return whether it is kept."""
@@ -192,7 +185,7 @@ class BodyRefiner:
         """Solve for the shape that prior and kept poses speak for."""
         self._known = None
         values = solve_shape(self._kept, len(self._rays), self._information, self._target)
-        self._values = self._prior.clipped(values, self._settings.farthest_sd)
+        self._values = self._prior.clipped(values)
 
     def _due(self, stamp_ns: int) -> Body | None:
         """Return the refined body, or None if nothing changed by least_change_m or the last one is too recent."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 from stick_figure.body import BEND_NUMBERS, BUILD_NUMBERS, Body
 from stick_figure.body_surface import BodySurface
-from stick_figure.least_squares.contour_factor import BendDerivatives, bend_columns, match_rays, sum_rays
+from stick_figure.least_squares.contour_factor import bend_columns, match_rays, sum_rays
 from stick_figure.least_squares.free_ends import ANGLES, COUNT, end_of_capsule, turn_columns, turned_frame
 from stick_figure.least_squares.normal_equations import (
     CHAIN_COLUMNS,
@@ -24,6 +23,7 @@ from stick_figure.least_squares.normal_equations import (
 )
 from stick_figure.least_squares.placed_figure import STICKS, Figure
 from stick_figure.skeleton import STICK_AXIS, STICK_SIGN
+from stick_figure.trunk_bend import BendDerivatives, bend_derivatives
 
 from ..acquisition.body_sizes import SIZES, BodyEstimate, body_of_sizes
 
@@ -31,9 +31,8 @@ UNKNOWNS = len(SIZES) + BUILD_NUMBERS
 SIZE = slice(0, len(SIZES))
 BUILD = slice(len(SIZES), UNKNOWNS)
 BENT = TANGENT + BEND_NUMBERS
-POSE = (
-    BENT + COUNT * ANGLES
-)  # what a keyframe has of its own: its pose, how its trunk is bent, hands and feet are turned
+POSE = BENT + COUNT * ANGLES  # a keyframe's own: its pose, how its trunk is bent, its hands and feet are turned
+FARTHEST_SD = 3.0  # of what was known before: no size, and no bend, leaves it by more
 STEP = 1e-4  # of the differences that stand for derivatives, m and per unit
 
 
@@ -50,7 +49,9 @@ class ShapeDerivatives(NamedTuple):
 
 
 class ShapeArrays(NamedTuple):
-    """A figure about ``centre`` (UNKNOWNS,), and its derivatives; ``bends`` : as its trunk bends.
+    """The figure as a linear function of the unknowns (UNKNOWNS,), sizes in metres, build in units of how people
+    differ: about ``centre``, with its derivatives; ``bends`` : as its trunk bends. Sizes alone enter linearly; a build
+    times a size is taken at the centre, which costs half a per cent of a radius where both are far off.
 
     stick (k,) : that each capsule is fixed to. capsules (k, 8), origins (10, 3), lengths (10,) : as in the
     derivatives.
@@ -64,31 +65,18 @@ class ShapeArrays(NamedTuple):
     derivatives: ShapeDerivatives
     bends: BendDerivatives
 
-
-class ShapeModel:
-    """The figure as a function of the unknowns (UNKNOWNS,): sizes in metres, build in units of how people
-    differ.
-
-    Linear about ``centre``. Sizes alone enter linearly; a build times a size is taken at the centre, which costs
-    half a per cent of a radius where both are far off.
-    """
-
-    def __init__(self, centre: np.ndarray) -> None:
+    @classmethod
+    def of(cls, centre: np.ndarray) -> ShapeArrays:
+        """Return the figure about its unknowns' values (UNKNOWNS,)."""
         parts, columns = _parts(centre), []
         for k in range(UNKNOWNS):
             values = centre.copy()
             values[k] += STEP
             columns.append([(there - here) / STEP for there, here in zip(_parts(values), parts, strict=True)])
-        self.derivatives = ShapeDerivatives(
-            *(np.ascontiguousarray(np.stack(part, axis=-1)) for part in zip(*columns, strict=True))
-        )
-        self.arrays = ShapeArrays(
-            centre, BodySurface.of(body_of(centre)).stick, *parts, self.derivatives, BendDerivatives.of(body_of(centre))
-        )
-
-    def at(self, values: np.ndarray) -> Figure:
-        """Return the figure for other values."""
-        return figure_at(self.arrays, values)
+        stacked = (np.ascontiguousarray(np.stack(part, axis=-1)) for part in zip(*columns, strict=True))
+        body = body_of(centre)
+        stick, bends = BodySurface.of(body).stick, bend_derivatives(body)
+        return cls(centre, stick, *parts, ShapeDerivatives(*stacked), bends)
 
 
 @njit(cache=True)
@@ -161,14 +149,10 @@ class ShapePrior:
         covariance[SIZE, SIZE] = estimate.covariance
         return cls(np.concatenate([estimate.sizes, np.zeros(BUILD_NUMBERS)]), covariance)
 
-    def clipped(self, values: np.ndarray, farthest_sd: float) -> np.ndarray:
-        """Return the values, none farther from the mean than so many standard deviations."""
-        reach = farthest_sd * self._sd
+    def clipped(self, values: np.ndarray) -> np.ndarray:
+        """Return the values, none farther from the mean than FARTHEST_SD."""
+        reach = FARTHEST_SD * np.sqrt(np.diag(self.covariance))
         return np.minimum(np.maximum(values, self.mean - reach), self.mean + reach)
-
-    @cached_property
-    def _sd(self) -> np.ndarray:
-        return np.sqrt(np.diag(self.covariance))
 
 
 # --- what the contour rays of one pose say about the pose and the body's shape at once

@@ -8,23 +8,22 @@ from __future__ import annotations
 
 import numpy as np
 
+from capture_rig.stamps import NS
 from stick_figure.body import BEND_NUMBERS, Body
-from stick_figure.least_squares.contour_factor import BendDerivatives, RayArrays, RayMatch, bend_step
+from stick_figure.least_squares.contour_factor import RayArrays, RayMatch, bend_step
 from stick_figure.least_squares.placed_figure import Figure, State
 from stick_figure.pose import Pose
-from stick_figure.trunk_bend import RATE_SD, REST_SD
+from stick_figure.trunk_bend import RATE_SD, REST_SD, bend_derivatives
 
-from ..articulated_fit import CONTOUR_GATE_M, PRIOR, ArticulatedSettings
+from ..articulated_fit import CONTOUR_GATE_M, LONGEST_S, PRIOR, ArticulatedSettings
+from .shape import FARTHEST_SD
 
-NS = 1e-9
 # Thresholds: ranges of spine and collar bone (White & Panjabi; Inman et al. 1944), of three sizes the one that was
 # best on the mesh_fit_ sets; rays from the cells of a body's surface; measured by python bench/people.py --ablation
 # SESSION.
 RAYS_OF_A_DATUM = 25.0
 """Of the fit's rays (1200 of about 15000 / m^2) that count as one independent one of a centimetre: a set shows some 200
 cells of the body's surface, three of which are one datum (`independent_rows`)."""
-LONGEST_S = 0.1  # between two sets; after longer gaps it stands still all the same
-FARTHEST_SD = 3.0
 
 
 class TrunkBend:
@@ -53,20 +52,10 @@ class TrunkBend:
         if scale == 0.0 or len(rays.information) == 0 or since_ns < 0:
             return
         passed_s = min((stamp_ns - since_ns) * NS, LONGEST_S)
-        rest, walk = (
-            RAYS_OF_A_DATUM / (scale * REST_SD) ** 2,
-            RAYS_OF_A_DATUM / (scale * RATE_SD) ** 2 / max(passed_s, 1e-3),
-        )
-        step = bend_step(
-            rays,
-            match,
-            State(*pose.arrays),
-            Figure.of(self.of(body)),
-            BendDerivatives.of(body),
-            CONTOUR_GATE_M,
-            PRIOR,
-            rest + walk,
-            -rest * self._bend,
-        )
+        rest = RAYS_OF_A_DATUM / (scale * REST_SD) ** 2
+        walk = RAYS_OF_A_DATUM / (scale * RATE_SD) ** 2 / max(passed_s, 1e-3)
+        state, figure, derivatives = State(*pose.arrays), Figure.of(self.of(body)), bend_derivatives(body.straight)
+        known = (PRIOR, rest + walk, -rest * self._bend)
+        step = bend_step(rays, match, state, figure, derivatives, CONTOUR_GATE_M, *known)
         farthest = FARTHEST_SD * scale * REST_SD
         self._bend, self._bent = np.clip(self._bend + step, -farthest, farthest), None

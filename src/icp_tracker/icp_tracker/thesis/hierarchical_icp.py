@@ -66,26 +66,20 @@ class HierarchicalSettings:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class HierarchicalFit:
-    """Result of the hierarchical ICP: pose, whether every stick converged, and the total of its iterations."""
-
-    pose: Pose
-    converged: bool
-    iterations: int
-
-
 def fit_hierarchical(
     body: Body, start: Pose, points_world: np.ndarray, settings: HierarchicalSettings | None = None
-) -> HierarchicalFit:
-    """Fit the stick figure to ``points_world`` (n, 3) m, starting from ``start``."""
+) -> tuple[Pose, int, bool]:
+    """Fit the stick figure to ``points_world`` (n, 3) m, starting from ``start``.
+
+    Returns the pose, the total of the sticks' iterations, and whether every stick converged.
+    """
     settings = settings or HierarchicalSettings()
     state, figure = State.of(start), Figure.of(body)
     G, *_ = kernels.place_sticks(state, figure.lengths, figure.origins)
     points = np.ascontiguousarray(points_world, dtype=np.float64)
     iterations, converged = align_sticks(points, G, state.t0, figure, settings.descendant_weight)
     # every joint was free to turn in all directions; the nearest pose with hinges at elbows and knees has these points
-    return HierarchicalFit(inverse(body, _reference_points(G, state.t0, figure), start), converged, iterations)
+    return inverse(body, _reference_points(G, state.t0, figure), start), iterations, converged
 
 
 def _reference_points(G: np.ndarray, t0: np.ndarray, figure: Figure) -> np.ndarray:

@@ -24,9 +24,8 @@ import numpy as np
 from capture_rig.kernel import kernel, njit
 from capture_rig.small_matrices import solve_positive
 
-from ..body import BEND_NUMBERS, Body
+from ..body import BEND_NUMBERS
 from ..body_surface import CAPSULES, BodySurface
-from ..trunk_bend import bend_derivatives
 from .free_ends import CAPSULE as CAPSULE_OF_END
 from .free_ends import COUNT, STIFF, add_free_end, is_free_end
 from .normal_equations import (
@@ -70,13 +69,8 @@ class RayArrays(NamedTuple):
         information: np.ndarray,
     ) -> RayArrays:
         """Lay out rays given by their middles, unit directions and normals (n, 3), world frame, metres."""
-        rows = np.empty((ROWS, len(information)))
-        points, directions = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(directions, np.float64)
-        normals, half_lengths = (
-            np.ascontiguousarray(normals, np.float64),
-            np.ascontiguousarray(half_lengths, np.float64),
-        )
-        _lay_out(points, directions, normals, half_lengths, rows)
+        rows, columns = np.empty((ROWS, len(information))), (points, directions, normals, half_lengths)
+        _lay_out(*(np.ascontiguousarray(column, np.float64) for column in columns), rows)
         return RayArrays(rows, np.ascontiguousarray(information, dtype=np.float64))
 
     def chosen(self, which: np.ndarray, information: np.ndarray) -> RayArrays:
@@ -253,19 +247,6 @@ def match_capsule(k, start, end, r0, dr, slack, rows, best):
 
 
 # --- the trunk's bend
-
-
-class BendDerivatives(NamedTuple):
-    """As `bend_derivatives` has them: origins (10, 3, 7) of sticks, starts and ends (k, 3, 7) of capsules."""
-
-    origins: np.ndarray
-    starts: np.ndarray
-    ends: np.ndarray
-
-    @staticmethod
-    def of(body: Body) -> BendDerivatives:
-        """Of a body's rest."""
-        return BendDerivatives(*bend_derivatives(body.straight))
 
 
 @njit(cache=True, nogil=True)

@@ -31,7 +31,7 @@ from .independent_rows import add_independent_rows
 from .keypoint_factor import NO_KEYPOINTS, Keypoints, add_keypoints
 from .normal_equations import TANGENT, mirror_upper, point_covariances
 from .placed_figure import STICKS, place, reference_points, surface_distances
-from .point_factor import add_points, add_surface, match_points, summarise
+from .point_factor import add_point_residuals, add_surface, match_points, summarise
 
 LOOKS_AT_ENDS = 3  # until hands and feet of a given pose have turned to where the rays want them
 
@@ -92,17 +92,6 @@ class Scale(NamedTuple):
     unseen: np.ndarray
     voxel_share: float
     correlation: float
-
-
-@njit(cache=True, nogil=True)
-def minimise(data, state, figure, weights, stop):
-    """Fit in place over the state, from where it is: weigh the hull, iterate, bend the hinges the right way.
-
-    Returns what :func:`gauss_newton` does.
-    """
-    iterations, moved = gauss_newton(data, state, figure, weights, stop)
-    kernels.canonicalise_hinges(state.RJ, state.hinges, np.zeros(TANGENT), stop.hinge_margin)
-    return iterations, moved
 
 
 @njit(cache=True, nogil=True)
@@ -168,8 +157,8 @@ def loose_hull_weight(weights, distance):
 
 
 @njit(cache=True, nogil=True)
-def gauss_newton(data, state, figure, weights, stop):
-    """Minimise in place over the state, the surface voxels weighed by where it begins.
+def minimise(data, state, figure, weights, stop):
+    """Fit in place over the state, the surface voxels weighed by where it begins; bend the hinges the right way.
 
     Returns the iterations, and how far (m) the last one moved any of the 15 reference points. (Not the step itself: the
     twist of a straight limb may wander without moving anything.)
@@ -178,8 +167,8 @@ def gauss_newton(data, state, figure, weights, stop):
     H, g = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
     L, step = np.empty((TANGENT, TANGENT)), np.empty(TANGENT)
     placed, ends = place(state, figure), straight_ends(weights.ends)
-    after, moved, voxel = reference_points(placed), np.inf, 0.0
-    for iteration in range(stop.iterations):
+    after, moved, voxel, iteration = reference_points(placed), np.inf, 0.0, 0
+    while iteration < stop.iterations and not moved < stop.tolerance:
         nearest = surface_distances(data.voxels, placed)
         if iteration == 0:
             voxel = loose_hull_weight(weights, nearest[2])
@@ -195,9 +184,9 @@ def gauss_newton(data, state, figure, weights, stop):
         turn_ends(ends, placed)
         after = reference_points(placed)
         moved = np.sqrt(((after - before) ** 2).sum(axis=1).max())
-        if moved < stop.tolerance:
-            return iteration + 1, moved
-    return stop.iterations, moved
+        iteration += 1
+    kernels.canonicalise_hinges(state.RJ, state.hinges, np.zeros(TANGENT), stop.hinge_margin)
+    return iteration, moved
 
 
 @njit(cache=True, nogil=True)
@@ -206,7 +195,8 @@ def linearise(data, rays_match, nearest, placed, weights, voxel, ends, H, g):
     matched to; ``voxel`` : weight of a voxel, 1/m^2. Returns the points' match."""
     H[:] = 0.0
     g[:] = 0.0
-    match = add_points(data, placed, H, g)
+    match = match_points(data, placed)
+    add_point_residuals(data.points, match, placed, H, g)
     if voxel != 0.0:
         add_surface(data.voxels, nearest, placed, voxel, weights.voxel_gate, H, g)
     add_contour(data.contour_rays, rays_match, placed, weights, ends, H, g)

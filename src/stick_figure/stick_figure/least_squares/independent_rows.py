@@ -27,11 +27,10 @@ from .normal_equations import ENDS, add_pose_sums, add_to_sums, no_sums
 from .placed_figure import STICKS
 from .point_factor import add_point_residuals
 
-# Thresholds: SURFACE_SD_M as articulated.contour.surface_sd_m; else chosen with covariance_coverage.py among the
-# benches of commit d6079d2.
+# Thresholds: chosen with covariance_coverage.py among the benches of commit d6079d2.
 DIRECTIONS, HALVES = 6, 2
 CELLS = DIRECTIONS * HALVES  # of a capsule, or of the trunk
-CELLS_OF_A_DATUM = 3.0  # bench/covariance_coverage.py of commit d6079d2
+CELLS_OF_A_DATUM = 3.0
 SURFACE_SD_M = 0.01  # of the body's surface about the model's, in one cell, where it fits well
 PRIOR_CELLS = 4.0  # that this counts as against the measured ones: a limb shows 4 to 12
 

@@ -40,14 +40,6 @@ class PointMatch(NamedTuple):
 
 
 @njit(cache=True)
-def add_points(data, placed, H, g):
-    """Add the points' residuals to upper H and g; returns their match."""
-    match = match_points(data, placed)
-    add_point_residuals(data.points, match, placed, H, g)
-    return match
-
-
-@njit(cache=True)
 def match_points(data, placed):
     """Find each point's stick, its foot there, and how much it counts."""
     n = data.points.shape[0]
