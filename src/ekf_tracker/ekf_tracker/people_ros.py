@@ -197,9 +197,8 @@ class PeopleTopics:
 
     def publish_stale(self, reason: str) -> Tracking:
         """Publish that no sets come any more; returns the first person's state."""
-        for topics in self._persons.values():
-            topics.publish_stale(reason)
-        return self._first.publish_stale(reason)
+        states = [topics.publish_stale(reason) for topics in (self._first, *self._persons.values())]
+        return states[0]
 
     def clear(self) -> None:
         """Delete everybody's markers: stamps, or the tracking, begin anew."""
