@@ -116,12 +116,7 @@ class PersonTopics:
         self._description = publisher(String, "robot_description", LATCHED)
         self._body_id = body_id
         self._described: Body | None = None
-        self._answer: Answer | None = None
-
-    @property
-    def last(self) -> Answer | None:
-        """The person's last answer."""
-        return self._answer
+        self.last: Answer | None = None  # of the person's answers
 
     def publish_body(self, answer: Answer, body: Body | None) -> None:
         """Publish the body of an answer that has one; the lost one is but drawn, once."""
@@ -148,15 +143,15 @@ class PersonTopics:
 
     def publish_state(self, answer: Answer) -> None:
         """Publish how far to trust an answer."""
-        self._answer = answer
+        self.last = answer
         self._state.publish(state_message, answer, self._name)
 
-    def publish_stale(self, reason: str) -> None:
-        """Publish that no sets come any more: the body is lost, its markers go."""
-        last = self._answer
-        tracking = Tracking.LOST if isinstance(last, BodyState) else Tracking.ACQUIRING
-        self._skeleton.clear(0 if last is None else last.stamp_ns)
+    def publish_stale(self, reason: str) -> Tracking:
+        """Publish that no sets come any more: the body is lost, its markers go. Returns the person's state."""
+        tracking = Tracking.LOST if isinstance(self.last, BodyState) else Tracking.ACQUIRING
+        self._skeleton.clear(0 if self.last is None else self.last.stamp_ns)
         self._state.publish(silence_message, tracking, reason, self._name)
+        return tracking
 
     def close(self) -> None:
         """Take the topics back."""
@@ -202,9 +197,8 @@ class PeopleTopics:
 
     def publish_stale(self, reason: str) -> Tracking:
         """Publish that no sets come any more; returns the first person's state."""
-        for topics in (self._first, *self._persons.values()):
-            topics.publish_stale(reason)
-        return Tracking.LOST if isinstance(self._first.last, BodyState) else Tracking.ACQUIRING
+        states = [topics.publish_stale(reason) for topics in (self._first, *self._persons.values())]
+        return states[0]
 
     def clear(self) -> None:
         """Delete everybody's markers: stamps, or the tracking, begin anew."""

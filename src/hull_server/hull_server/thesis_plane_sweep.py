@@ -74,7 +74,6 @@ class PlaneSweepCarver(Immediate):
     def __init__(self, views: RigViews, grid: VoxelGrid, hardware: bool | None = None) -> None:
         check_cameras(len(views.names))
         self.views, self.grid = views, grid
-        self._foreground = np.zeros_like(views.seen)
         self._context = GlContext(hardware)
         self.device = self._context.renderer
         try:
@@ -95,12 +94,11 @@ class PlaneSweepCarver(Immediate):
     def sweep(self, masks: Masks, min_seeing: int, axis: int) -> np.ndarray:
         """Sweep along an axis (0 = x, 1 = y, 2 = z): slices (slices, rows, columns) uint8, nonzero = occupied."""
         present = self.views.present(masks)
-        self.views.foreground(masks, present, self._foreground)
         columns, rows = SLICE_AXES[axis]
         width, height, count = (self.grid.shape[a] for a in (columns, rows, axis))
         slices = np.empty((count, height, width), np.uint8)
         with self._context.current():
-            self._upload(present)
+            self._upload(masks, present)
             GL.glUniform1ui(self._at("present"), sum(1 << int(camera) for camera in present))
             GL.glUniform1i(self._at("min_seeing"), min_seeing)
             GL.glUniform3i(self._at("axes"), columns, rows, axis)
@@ -153,14 +151,14 @@ class PlaneSweepCarver(Immediate):
         GL.glUseProgram(self._program)
         GL.glUniform1i(self._at("silhouettes"), 0)
 
-    def _upload(self, present: np.ndarray) -> None:
+    def _upload(self, masks: Masks, present: np.ndarray) -> None:
         _, height, width = self.views.seen.shape
         for camera in present:
-            evidence, seen = self._foreground[camera], self.views.seen[camera]
-            foreground = evidence > SHADOW_CANDIDATE
-            certain = np.where(foreground | (evidence == 0), seen, 0)
-            texels = np.stack([np.where(foreground, 255, 0), certain], axis=-1)
-            texels = np.ascontiguousarray(texels, np.uint8)
+            mask, texels = masks[self.views.names[camera]], np.zeros((height, width, 2), np.uint8)
+            foreground, own = mask > SHADOW_CANDIDATE, texels[: mask.shape[0], : mask.shape[1]]
+            seen = self.views.seen[camera, : mask.shape[0], : mask.shape[1]]
+            own[..., 0] = np.where(foreground, 255, 0)
+            own[..., 1] = np.where(foreground | (mask == 0), seen, 0)  # certain
             GL.glTexSubImage3D(
                 GL.GL_TEXTURE_2D_ARRAY, 0, 0, 0, int(camera), width, height, 1, GL.GL_RG, GL.GL_UNSIGNED_BYTE, texels
             )

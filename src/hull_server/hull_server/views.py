@@ -96,12 +96,6 @@ class RigViews:
                 )
         return np.array([i for i, name in enumerate(self.names) if name in masks], np.int64)
 
-    def foreground(self, masks: Masks, present: npt.NDArray[np.int64], out: npt.NDArray[np.uint8]) -> None:
-        """Write each present camera's mask, as far as it sees, to ``out[camera]`` (H, W)."""
-        for index in present:
-            width, height = self.sizes[index]
-            np.bitwise_and(masks[self.names[index]], self.seen[index, :height, :width], out=out[index, :height, :width])
-
 
 # --- What every carving backend offers.
 
