@@ -69,6 +69,13 @@ class LimbBelief:
         return float(p[1:-2][self.places.apart_m > ELSEWHERE_M].sum() + p[-2:].sum())
 
     @property
+    def known_not_as_tracked(self) -> float:
+        """The same if it is not unfound: what speaks against learning from the limb, and for a wider covariance. In
+        torn silhouettes much is left over beside a limb that is right."""
+        unfound = float(self.probabilities[-2])
+        return (self.not_as_tracked - unfound) / (1.0 - unfound)
+
+    @property
     def likeliest_place(self) -> int | None:
         """Number of the place that is more probable than the tracked one, and than "unseen" in the last set: what
         explains no more than chance belongs to something else. None for no such place."""
