@@ -25,9 +25,9 @@ UNFOUND_LOG_PRIOR = 2.5  # of one that it did not find: part of it hides before 
 SET_NATS = 4.0  # one set in 50 is torn, so none says more than ln 50 for or against a place
 CHANCE_SAMPLES = 5.0  # independent samples that a limb explains wherever it is
 DOUBTFUL = 0.50  # probability of another place, or of none
-UNSEEN = 0.95  # probability of "unseen" against the tracked place at which a hand or foot is not published
+UNSEEN = 0.95  # probability of "unseen" at which a hand or foot is not published
 ELSEWHERE_M = 0.25  # a place whose elbow or hand is so far off is another one: the track may then be 0.2 m wrong
-UNSEEN_SD_M = 0.15  # of an unseen or unfound limb about its tracked place: half a forearm
+UNSEEN_SD_M = 0.15  # of an unseen limb about its tracked place: half a forearm
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,22 +58,23 @@ class LimbBelief:
 
     @property
     def probabilities(self) -> np.ndarray:
-        """(k + 3,) of the tracked place, the other places, unfound, unseen."""
-        odds = np.exp(np.concatenate([[0.0], self.log_odds, [self.unfound, self.unseen]]))
+        """(k + 2,) of the tracked place, the other places, unseen, if it is not unfound: what search, covariance and
+        learning go by, for in torn silhouettes much is left over beside a limb that is right."""
+        odds = np.exp(np.concatenate([[0.0], self.log_odds, [self.unseen]]))
         return np.asarray(odds / odds.sum())
+
+    @property
+    def known_elsewhere(self) -> float:
+        """Probability that elbow or hand is ELSEWHERE_M off, or unseen, if it is not unfound."""
+        p = self.probabilities
+        return float(p[1:-1][self.places.apart_m > ELSEWHERE_M].sum() + p[-1])
 
     @property
     def not_as_tracked(self) -> float:
         """Probability that elbow or hand is ELSEWHERE_M off, unfound, or unseen."""
-        p = self.probabilities
-        return float(p[1:-2][self.places.apart_m > ELSEWHERE_M].sum() + p[-2:].sum())
-
-    @property
-    def known_not_as_tracked(self) -> float:
-        """The same if it is not unfound: what speaks against learning from the limb, and for a wider covariance. In
-        torn silhouettes much is left over beside a limb that is right."""
-        unfound = float(self.probabilities[-2])
-        return (self.not_as_tracked - unfound) / (1.0 - unfound)
+        known = 1.0 + float(np.exp(self.log_odds).sum()) + math.exp(self.unseen)
+        unfound = math.exp(self.unfound)
+        return (unfound + known * self.known_elsewhere) / (unfound + known)
 
     @property
     def likeliest_place(self) -> int | None:
@@ -85,17 +86,17 @@ class LimbBelief:
 
     @property
     def is_unseen(self) -> bool:
-        """Whether nothing in the last sets shows the limb where it is tracked."""
-        return 1.0 / (1.0 + math.exp(-self.unseen)) > UNSEEN
+        """Whether nothing in the last sets shows where the limb is."""
+        return bool(self.probabilities[-1] > UNSEEN)
 
     @property
     def spread(self) -> np.ndarray:
         """Second moment (2, 3, 3) m^2 of elbow and hand about where they are tracked."""
         p, offsets = self.probabilities, self.places.ends - self.places.tracked
-        moment = np.einsum("k,kpi,kpj->pij", p[1:-2], offsets, offsets)
+        moment = np.einsum("k,kpi,kpj->pij", p[1:-1], offsets, offsets)
         lower = self.places.tracked[1] - self.places.tracked[0]
         anywhere = np.array([UNSEEN_SD_M**2, 2.0 / 3.0 * float(lower @ lower)])
-        return np.asarray(moment + p[-2:].sum() * anywhere[:, None, None] * np.eye(3))
+        return np.asarray(moment + p[-1] * anywhere[:, None, None] * np.eye(3))
 
     def without(self, number: int) -> LimbBelief:
         """Return the belief with one place refuted: the whole set does not agree."""

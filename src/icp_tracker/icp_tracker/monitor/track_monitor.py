@@ -296,7 +296,7 @@ class TrackMonitor:
             if p > limb_filter.DOUBTFUL and parts[part] == GOOD:
                 parts[part] = DOUBTFUL
                 reasons.append(f"{PART_NAMES[part]}: {_in_words(belief)}")
-        known = max((belief.known_not_as_tracked for belief in self._beliefs if belief is not None), default=0.0)
+        known = max((belief.known_elsewhere for belief in self._beliefs if belief is not None), default=0.0)
         state = DOUBTFUL if known > limb_filter.DOUBTFUL and quality.state == GOOD else quality.state
         return replace(quality, state=state, parts=tuple(parts), reason="; ".join(reasons), log_odds=tuple(log_odds))
 

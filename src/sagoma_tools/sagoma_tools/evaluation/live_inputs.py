@@ -7,6 +7,7 @@ import sys
 import tempfile
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -111,7 +112,7 @@ class StudioProcess:
         self.close()
 
 
-class LiveInput:
+class LiveInput(ABC):
     """Frames for a graph; a context manager, since it may run processes. ``clock`` is that of cameras which expose.
 
     in_real_time : whether a frame's stamp is the time of its exposure, so that its age is a latency.
@@ -123,13 +124,15 @@ class LiveInput:
     def __init__(self, session_folder: str | Path) -> None:
         self.session: Session = load_session(session_folder)
 
+    @abstractmethod
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
         """Return the nodes that process these frames."""
-        raise NotImplementedError
 
+    @abstractmethod
     def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
         """Prepare the active graph for the playback."""
 
+    @abstractmethod
     def settle(self, cancel: threading.Event) -> None:
         """Wait until the graph has found the rate that it holds."""
 
@@ -137,16 +140,18 @@ class LiveInput:
         """Return what its own processes use, by label: simulated cameras run beside the graph."""
         return {}
 
+    @abstractmethod
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock | None:
         """Play the session once through the active graph and wait for the answers.
 
         None where the input has no clock of its own: the first stamp is then that of frame 0.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def open(self, cancel: threading.Event) -> None:
         """Prepare the input; :meth:`close` undoes it."""
 
+    @abstractmethod
     def close(self) -> None:
         """End what :meth:`open` started."""
 
@@ -166,6 +171,18 @@ class FootageInput(LiveInput):
 
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
         return build_graph(session=self.session.folder, rate=self._rate, settings=settings)
+
+    def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
+        """Do nothing: files are read when they are played."""
+
+    def settle(self, cancel: threading.Event) -> None:
+        """Do nothing: files are played no faster than the graph answers."""
+
+    def open(self, cancel: threading.Event) -> None:
+        """Do nothing: files stay as they are."""
+
+    def close(self) -> None:
+        """Do nothing: no process was started."""
 
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> None:
         expected, seen = frame_count(self.session), -1
