@@ -229,7 +229,7 @@ class IcpTracker:
             patience = settings if iterations is None else replace(settings, max_iterations=iterations)
             pose, spent, moved = minimise(body, start, data, patience)
             return assess(body, pose, data, spent, moved < TOLERANCE_M, settings)
-        pose, spent, converged = fit_hierarchical(body, start, data.points, self._settings.hierarchical)
+        pose, spent, converged = fit_hierarchical(body, start, data.points, self._settings.descendant_weight)
         return assess(body, pose, data, spent, converged, settings)
 
     def _refine_body(self, stamp_ns: int, fit: FitResult, data: Data) -> FitResult:
