@@ -160,18 +160,15 @@ class TrackMonitor:
         quality = self._with_limbs(quality)
         if quality.state == GOOD:
             self._last_good = pose
-        if (changed := self._changed_body(seen, pose, evidence, quality, turns)) is not None:
-            return changed
-        if (changed := self._changed_limb(seen, pose, evidence)) is not None:
-            return changed
-        quality = self._with_hypothesis(quality)
         self._recent_share += (quality.explained - self._recent_share) * (1.0 - math.exp(-dt_s / MISFIT_S))
-        return TrackAssessment(
-            quality if self._recent_share > MISFIT_SHARE else _misfit(quality),
-            spread=self._spread(seen, pose, quality),
-            unseen=self._unseen_points(),
-            kept=None if pose is fitted else pose,
-        )
+        found = self._changed_body(seen, pose, evidence, quality, turns) or self._changed_limb(seen, pose, evidence)
+        if found is None:
+            quality = self._with_hypothesis(quality)
+            kept = None if pose is fitted else pose
+            found = TrackAssessment(
+                quality, spread=self._spread(seen, pose, quality), unseen=self._unseen_points(), kept=kept
+            )
+        return found if self._recent_share > MISFIT_SHARE else replace(found, quality=_misfit(found.quality))
 
     # --- what is believed of the whole body ---------------------------------------------------------------------------
 
@@ -324,7 +321,8 @@ class TrackMonitor:
             self._beliefs[number] = belief.without(place)
             return None
         self._beliefs[number] = self._belief_after_move(seen, better, number, pose, log_odds)
-        quality, moved = self._judge_body(found, 0.0), tuple(part == limb.part for part in range(len(PART_NAMES)))
+        quality = self._with_limbs(self._judge_body(found, 0.0))
+        moved = tuple(part == limb.part for part in range(len(PART_NAMES)))
         return TrackAssessment(quality, better, f"{PART_NAMES[limb.part]} elsewhere", moved)
 
     def _belief_after_move(
