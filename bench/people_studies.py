@@ -42,11 +42,9 @@ CHANGES: dict[str, dict[str, object]] = {
 """Row to fields of the configuration; not all of them are parameters."""
 KEYS = ("mean_mm", "over_200mm", "inside_95")
 TIPS = [POINT_NAMES.index(name) for name in ("left_hand", "right_hand", "left_foot", "right_foot")]
-BANDS = ((0.0, 1.0), (1.0, 3.0), (3.0, 5.0), (5.0, 8.0), (8.0, 30.0))
-"""Speeds, m/s."""
+BANDS = ((0.0, 1.0), (1.0, 3.0), (3.0, 5.0), (5.0, 8.0), (8.0, 30.0))  # speeds, m/s
 FAST_M_S = 5.0
-FEWEST = 10
-"""Of a band that is shown."""
+FEWEST = 10  # of a band that is shown
 JUMP_M = 0.1  # a larger third difference is a limb that was found again, and no jitter
 FIGURES = ("mean_mm", "jitter_mm", "inside_95", "worst_point_inside_95")
 
