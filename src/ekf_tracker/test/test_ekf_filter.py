@@ -185,6 +185,15 @@ def test_body_out_of_sight_stops_being_extrapolated(body, person):
     assert all(np.diff(spread[39:60]) > 0.0)
 
 
+def test_body_of_which_every_part_may_be_elsewhere_is_doubtful_and_goes_on(body, person):
+    ekf = ArticulatedEkf(body, IDEAL)
+    points = person.points(0.0)
+    states = [ekf.step(stamp(k), points, isotropic(0.02), ALL, ALL if k >= 5 else NONE) for k in range(10)]
+    assert states[4].tracking == Tracking.TRACKING
+    assert states[9].tracking == Tracking.DOUBTFUL and "every part" in states[9].reason
+    assert states[9].accepted.all()
+
+
 def test_state_goes_from_tracking_through_doubtful_and_lost_back_to_tracking(body, person):
     def visible(k):
         return NONE if 30 <= k < 110 else ALL
