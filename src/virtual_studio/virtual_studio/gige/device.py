@@ -27,9 +27,10 @@ LIGHTS_OFF = 0.06
 class CameraSettings:
     """A simulated GigE Vision camera. What a client sets by feature is only the value after power-on here.
 
-    vendor, model : their names. resend_frames : kept for resend requests. ptp_offset_ns : typical offset from the
-    master once in step. tai_minus_utc_s : leap seconds, for PTP counts TAI. seed : of noise, clock offset and packet
-    loss.
+    vendor, model : their names. nominal_exposure_us : at this exposure and 0 dB the picture is as bright as the scene
+    gives it. max_packet_size : bytes of the largest stream packet, IP header included. resend_frames : kept for resend
+    requests. ptp_offset_ns : typical offset from the master once in step. tai_minus_utc_s : leap seconds, for PTP
+    counts TAI. seed : of noise, clock offset and packet loss.
     """
 
     serial: str = setting("SIM00001", "Serial number, 15 bytes at most")
@@ -43,9 +44,7 @@ class CameraSettings:
     )
     frame_rate: float = setting(60.0, "Frame rate", unit="Hz", low=0.1, high=1000)
     exposure_us: float = setting(4000.0, "Exposure time", unit="us", low=10, high=1e6)
-    nominal_exposure_us: float = setting(
-        4000.0, "At this exposure and 0 dB the picture is as bright as the scene gives it", unit="us", low=10, high=1e6
-    )
+    nominal_exposure_us: float = 4000.0
     pixel_format: str = setting("auto", "Pixel format; auto: Mono8, or BayerRG8 where the scene has colour")
     auto_functions: str = setting(
         "Off", "ExposureAuto, GainAuto and BalanceWhiteAuto", choices=("Off", "Once", "Continuous")
@@ -53,9 +52,7 @@ class CameraSettings:
     noise: float = setting(
         0.0, "Sensor noise added to every picture (standard deviation)", unit="grey levels", low=0, high=50
     )
-    max_packet_size: int = setting(
-        16000, "Largest stream packet, IP header included", unit="bytes", low=576, high=65500
-    )
+    max_packet_size: int = 16000
     resend_frames: int = 8
     drift_ppm: float = setting(
         12.0, "How much faster the free-running clock is than UTC", unit="ppm", low=-1000, high=1000
