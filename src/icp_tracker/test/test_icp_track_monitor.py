@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from capture_rig.visibility import CELL_M, UnseenCells
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
+from icp_tracker.monitor.body_filter import CHECKS
 from icp_tracker.monitor.evidence import LEFT_ARM, SLACK_M, evidence_of
 from icp_tracker.monitor.limb_filter import CHANCE_SAMPLES, ELSEWHERE_M
 from icp_tracker.monitor.limb_search import NO_POSES, other_places, with_limb
@@ -25,7 +26,7 @@ from icp_tracker.monitor.pose_library import (
     limb_poses,
     turned_around,
 )
-from icp_tracker.monitor.track_monitor import CHECKS, NEAR_M, RecoverySettings, TrackMonitor, reach_m
+from icp_tracker.monitor.track_monitor import NEAR_M, RecoverySettings, TrackMonitor, reach_m
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, PART_POINTS
 from mocap_packets.hull import HullProducts, VoxelSamples
