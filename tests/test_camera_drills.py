@@ -10,14 +10,16 @@ import sys
 import time
 
 import pytest
-from camera_pc import ERROR, FPS, PATIENCE_S, WARN, CameraPC, GraphListener, end, save_rig_of
+from camera_pc import ERROR, FPS, HEIGHT, PATIENCE_S, WARN, WIDTH, CameraPC, GraphListener, end
 
 from camera_client.settings import AravisSettings
 from camera_client.sources.aravis_source import AravisSource, import_aravis
 from capture_rig.errors import InputError
+from capture_rig.rig import save_rig
 from sagoma_bringup.graph import CAMERA_NODE
 from sagoma_tools.graph.lifecycle_client import LifecycleClient, State, Transition
 from virtual_studio.gige import free_addresses
+from virtual_studio.rig import ring
 
 HULL = "/hull_server"
 DEAD_CAMERA_S = 2.4  # one access to a dead camera blocks longer
@@ -41,7 +43,9 @@ def listener():
 
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory):
-    return save_rig_of(["cam01", "cam02", "cam03"], tmp_path_factory.mktemp("rig") / "rig.yaml")
+    path = tmp_path_factory.mktemp("rig") / "rig.yaml"
+    save_rig(ring(3, False, size=(WIDTH, HEIGHT)), path)
+    return path
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,8 @@ import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
+from footage_clips import write_clip
 from scipy.optimize import brentq
 
 from capture_rig.camera import CameraModel
@@ -83,12 +83,7 @@ def write_mp(path: Path) -> Path:
 
 
 def write_avi(path: Path, images: list[Array]) -> Path:
-    h, w = images[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"XVID"), 60.0, (w, h), True)
-    for image in images:
-        writer.write(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-    writer.release()
-    return path
+    return write_clip(path, images, 60.0, "XVID")
 
 
 def joints_of(points: Array, R_torso: Array) -> dict[str, Array]:

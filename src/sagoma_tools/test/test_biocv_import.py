@@ -9,9 +9,6 @@ from capture_rig.rig import load_rig
 from capture_rig.session import WRIST_FRACTION, load_session
 from sagoma_tools.cli import main
 from sagoma_tools.importers.biocv import import_trial
-from stick_figure.body import Body
-from virtual_studio.recording.session import write_session
-from virtual_studio.rig import ring
 
 FPS, MOCAP_HZ, FRAMES = 20.0, 100.0, 12
 NAMES = ("cam01", "cam02", "cam03", "cam04")
@@ -49,9 +46,8 @@ def tracks_mm(points_world) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def known(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("studio") / "walk"
-    return load_session(write_session(folder, ring(3), Body.from_stature(1.75), "walk", FPS, FRAMES / FPS))
+def known(tour):
+    return load_session(tour)
 
 
 @pytest.fixture

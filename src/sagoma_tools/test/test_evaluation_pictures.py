@@ -12,17 +12,13 @@ from capture_rig.video import Video
 from sagoma_tools.evaluation.pictures import caption, draw_plots, draw_stills, sheets, unbridged, write_overlay
 from sagoma_tools.evaluation.track_evaluation import TrackEvaluation, evaluate_track
 from sagoma_tools.overlays import LEFT_BGR, TRUTH_BGR, Window, draw_skeleton, overlay
-from stick_figure.body import Body
-from virtual_studio.recording.session import write_session
-from virtual_studio.rig import ring
 
-FRAMES = 6
+FRAMES = 12
 
 
 @pytest.fixture(scope="module")
-def session(tmp_path_factory) -> Session:
-    folder = tmp_path_factory.mktemp("studio") / "session"
-    return load_session(write_session(folder, ring(2, False), Body.from_stature(1.75), "tour", fps=20.0, seconds=0.3))
+def session(tour) -> Session:
+    return load_session(tour)
 
 
 @pytest.fixture()
@@ -30,7 +26,7 @@ def evaluated(session) -> TrackEvaluation:
     """A track that is the truth moved up by 30 mm, its left hand 250 mm off in frame 4, without frame 0."""
     points = session.truth.points_world[1:] + np.array([0.0, 0.0, 0.03])
     points[3, 11] += [0.0, 0.0, 0.22]
-    states = ["acquiring", "tracking", "tracking", "doubtful", "tracking"]
+    states = ["acquiring", "tracking", "tracking", "doubtful", *["tracking"] * 7]
     track = track_of(points, states, first=1, sd_m=0.03, angles=session.truth.angles[1:].copy())
     return evaluate_track(session, FRAMES, track, thesis=track)
 
@@ -58,7 +54,7 @@ def test_no_line_bridges_missing_frames_or_a_full_turn():
 
 
 def test_the_caption_says_frame_time_state_and_error(evaluated):
-    assert caption(evaluated, 0) == ("session   frame 0   0.00 s   no body", None)
+    assert caption(evaluated, 0) == ("tour   frame 0   0.00 s   no body", None)
     assert "frame 4   0.20 s   doubtful   mean 45 mm   worst: left hand 250 mm" in caption(evaluated, 4)[0]
 
 
@@ -71,7 +67,7 @@ def test_the_overlay_video_has_every_frame(evaluated, tmp_path):
 def test_stills_show_frames_all_over_and_the_worst_one_and_work_without_a_truth(evaluated, tmp_path):
     assert [path.name for path in draw_stills(tmp_path, evaluated)] == ["overlay.png", "worst.png"]
     blind = evaluate_track(replace(evaluated.session, truth=None), FRAMES, evaluated.track)
-    assert caption(blind, 4) == ("session   frame 4   0.20 s   doubtful", False)
+    assert caption(blind, 4) == ("tour   frame 4   0.20 s   doubtful", False)
     assert [path.name for path in draw_stills(tmp_path / "blind", blind)] == ["overlay.png"]
     ((height, width, _),) = {sheet.shape for sheet in sheets(blind)}
     assert height % 2 == width % 2 == 0

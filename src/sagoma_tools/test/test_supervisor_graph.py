@@ -11,7 +11,7 @@ from rich.console import Console
 from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_tools.cli import main
 from sagoma_tools.graph.lifecycle_client import Verdict, places_of
-from sagoma_tools.graph.processes import Exit, ProcessSettings
+from sagoma_tools.graph.processes import Exit
 from sagoma_tools.graph.ros_link import RosLink, settled
 from sagoma_tools.graph.supervisor import GraphError, Supervisor
 
@@ -129,19 +129,6 @@ def test_nodes_of_the_same_names_are_refused_before_a_second_graph_starts_and_be
         assert late.context.ok()
     names = ["/hull_server", "/cam01/camera_client"]
     assert run.lifecycle.states(names) == dict.fromkeys(names, "unconfigured")
-
-
-@pytest.mark.slow
-def test_node_that_ignores_sigint_is_killed_and_its_shared_memory_removed(supervise):
-    run = supervise(tiny("deaf", "ignores_sigint"), tiny("good"), settings=ProcessSettings(grace_s=5.0))
-    run.configure()
-    pid = run.processes.pids()["/deaf"]
-    its_memory = segments_of(pid)
-    assert its_memory
-    exits = {ended.name: ended.exit for ended in run.stop()}
-    assert exits == {"deaf": Exit.KILLED, "good": Exit.CLEAN}
-    assert not psutil.pid_exists(pid)
-    assert not any(segment.exists() for segment in its_memory)
 
 
 def rendered(table):
