@@ -1,13 +1,10 @@
 """Graphs as users start them, by `sagoma up` and by ROS 2's launch: Ctrl-C ends them and everything they started."""
 
-import signal
-import subprocess
-import sys
-import threading
 from pathlib import Path
 
 import psutil
 import pytest
+from command_line import Graph
 from heard import Heard
 from launch_stand_in import launched, running
 from sensor_msgs.msg import JointState
@@ -20,37 +17,15 @@ PATIENCE_S = 120.0
 LAUNCH = Path(__file__).resolve().parents[1] / "src" / "sagoma_bringup" / "launch"
 
 
-@pytest.fixture()
-def up(built_in_session: Path, tmp_path: Path):
-    """Starts the command with more words, playing the session over and over."""
-    started: list[tuple[subprocess.Popen, threading.Timer]] = []
-
-    def start(*words: str) -> subprocess.Popen:
-        command = [sys.executable, "-m", "sagoma_tools.cli", "up", str(built_in_session), "--rate", "0", "--loop"]
-        command += ["--run-folder", str(tmp_path / "run"), "--set", "icp_tracker.initial_pose.source=t_pose"]
-        process = subprocess.Popen([*command, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        watchdog = threading.Timer(2 * PATIENCE_S, process.kill)
-        watchdog.start()
-        started.append((process, watchdog))
-        return process
-
-    yield start
-    for process, watchdog in started:
-        watchdog.cancel()
-        process.kill()
-        process.communicate()
-
-
 @pytest.mark.slow
-def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(up, built_in_session, tmp_path):
-    with RosLink("listener") as link:
+def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(built_in_session, tmp_path):
+    words = ("--rate", "0", "--loop", "--set", "icp_tracker.initial_pose.source=t_pose", "--record", tmp_path / "bag")
+    with RosLink("listener") as link, Graph(tmp_path / "up.log", built_in_session, *words) as graph:
         poses = Heard(link.node, JointState, "/mocap/joint_states", PATIENCE_S)
-        running = up("--record", str(tmp_path / "bag"))
-        assert poses.wait_for_more(10), running.stdout.read()
-        processes = psutil.Process(running.pid).children()
-        running.send_signal(signal.SIGINT)
-        said, _ = running.communicate(timeout=PATIENCE_S)
-    assert running.returncode == 0, said
+        assert poses.wait_for_more(10), graph.log.read_text()
+        processes = psutil.Process(graph.process.pid).children()
+    said = graph.log.read_text()
+    assert graph.process.returncode == 0, said
     assert "8 of 8 nodes are active" in said and "all 8 nodes stopped" in said
     assert len(processes) == 6 and not any(process.is_running() for process in processes)  # the server is one
     topics = bag_topics(tmp_path / "bag")

@@ -35,7 +35,7 @@ class Graph:
 
     def __init__(self, log: Path, *words: object) -> None:
         self.active, self.log = threading.Event(), log
-        self._process = subprocess.Popen(
+        self.process = subprocess.Popen(
             command("up", *words, "--run-folder", log.with_suffix("")),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -46,7 +46,7 @@ class Graph:
 
     def _read(self) -> None:
         with self.log.open("w") as log:
-            for line in self._process.stdout:
+            for line in self.process.stdout:
                 log.write(line)
                 log.flush()
                 if "nodes are active" in line:
@@ -56,6 +56,6 @@ class Graph:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self._process.send_signal(signal.SIGINT)
-        self._process.wait(60.0)
+        self.process.send_signal(signal.SIGINT)
+        self.process.wait(60.0)
         self._reader.join()
