@@ -163,32 +163,22 @@ RUNS = {
 """Name of the record, the command in it, and the words that start the bench."""
 
 
-@pytest.fixture(scope="module")
-def benched(tmp_path_factory):
-    """The folder of records, and the process that ran a bench of nothing once for each of RUNS."""
-    folder = tmp_path_factory.mktemp("records")
-    (folder / "bench_of_nothing.py").write_text(BENCH)
+def test_record_keeps_figures_with_command_commit_and_machine_and_a_bench_without_figures_refuses_it(tmp_path):
+    (tmp_path / "bench_of_nothing.py").write_text(BENCH)
     words = json.dumps([words for _, words in RUNS.values()])
-    command = [sys.executable, str(folder / "bench_of_nothing.py"), str(folder), words]
+    command = [sys.executable, str(tmp_path / "bench_of_nothing.py"), str(tmp_path), words]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT / "bench"), *sys.path])}
-    return folder, subprocess.run(command, capture_output=True, text=True, env=environment)
-
-
-def test_record_keeps_figures_with_command_commit_and_machine(benched):
-    folder, done = benched
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
     printed, head = done.stdout.splitlines(), git(ROOT, "rev-parse", "HEAD")
-    for name, (command, _) in list(RUNS.items())[:3]:
-        kept = json.loads((folder / f"{name}.json").read_text())
+    kept_of = {path.stem: json.loads(path.read_text()) for path in tmp_path.glob("*.json")}
+    assert set(kept_of) == set(list(RUNS)[:3])
+    for name, kept in kept_of.items():
+        command, _ = RUNS[name]
         assert kept["command"].startswith("python ") and kept["command"].endswith(f"bench_of_nothing.py {command}")
         assert kept["figures"] == json.loads(printed[3]) == {"off_mm": 1.5, "lost": None}
         assert kept["tables"][-1] == [line.split() for line in printed[1:3]] == [["way", "off"], ["there", "1.5"]]
         assert (kept["commit"] or "").partition("-")[0] == head
         assert kept["machine"]["cores"] >= 1 and kept["machine"]["processor"]
-
-
-def test_without_record_nothing_is_written_and_a_bench_without_figures_refuses_it(benched):
-    folder, done = benched
-    assert len(list(folder.glob("*.json"))) == 3 and done.stdout.count("there") == len(RUNS)
     assert done.returncode == 2 and "without a line of JSON" in done.stderr
 
 
