@@ -175,7 +175,8 @@ def test_killed_node_is_active_again_without_a_person_and_leaves_no_shared_memor
     log = run.processes.child_of(name).log_tail(100)
     assert "I am good" in death.log_tail and log.count("I am good") == 2  # the log goes on
     assert [status.returncode for status in run.stop()] == [0, 0]
-    assert its_memory and not any(segment.exists() for segment in its_memory)
+    assert its_memory
+    until(lambda: not any(segment.exists() for segment in its_memory))  # another graph's end may hold its lock
 
 
 def test_process_that_crashes_at_every_start_is_given_up_with_its_last_words(watched):
