@@ -98,7 +98,7 @@ def with_fault(fault, world, environment, rig):
     elif fault == "domain":
         restart(world, {**environment, "ROS_DOMAIN_ID": OTHER_DOMAIN})
     elif fault == "loss":
-        cable.set(Condition(loss=0.2))
+        cable.set(Condition(loss=0.1))
     elif fault == "MTU":
         world.cables[SERVER].set_host_mtu(9000)
     elif fault == "no multicast":
