@@ -61,14 +61,14 @@ def _fill_boxes(projections, sizes, seen_tables, shape, edge, pixels, visibility
         for block in range(nx * ny * nz):
             i, j, k = block % nx * edge, block // nx % ny * edge, block // (nx * ny) * edge
             high = (min(i + edge, shape[0]) - 1, min(j + edge, shape[1]) - 1, min(k + edge, shape[2]) - 1)
-            u0, v0, u1, v1, inside = _project_block(projections[camera], (i, j, k), high, sizes[camera])
+            u0, v0, u1, v1, inside = project_block(projections[camera], (i, j, k), high, sizes[camera])
             pixels[camera, block, 0], pixels[camera, block, 1] = u0, v0
             pixels[camera, block, 2], pixels[camera, block, 3] = u1, v1
             visibility[camera, block] = _classify_visibility(seen_tables, camera, u0, v0, u1, v1, inside)
 
 
 @kernel
-def _project_block(P, low, high, size):  # type: ignore[no-untyped-def]
+def project_block(P, low, high, size):  # type: ignore[no-untyped-def]
     """Return the clipped pixel box of the voxels ``low`` to ``high`` (inclusive), and whether nothing was clipped.
 
     A projection maps the convex hull of the eight corner centres to the convex hull of their images as long as all

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from capture_rig.kernel import kernel, njit
 
+from ..bitset import fill_bits
 from ..grid import VoxelGrid
 from ..slicing.voxel_runs import HullRuns, run_at
 
@@ -54,17 +55,8 @@ def widen(words, starts, ends, first):  # type: ignore[no-untyped-def]
             for run in range(first[s * rows + r], first[s * rows + r + 1]):
                 for layer in range(s + PAD - 1, s + PAD + 2):
                     for row in range(r + PAD - 1, r + PAD + 2):
-                        _fill_bits(wide[layer, row], starts[run] + PAD - 1, ends[run] + PAD + 1)
+                        fill_bits(wide[layer, row], starts[run] + PAD - 1, ends[run] + PAD + 1)
     return wide, size
-
-
-@kernel
-def _fill_bits(row, start, end):  # type: ignore[no-untyped-def]
-    """Set the bits from ``start`` up to but not including ``end``."""
-    for word in range(start >> 6, ((end - 1) >> 6) + 1):
-        low, high = max(start - 64 * word, 0), min(end - 64 * word, 64)
-        ones = ~np.uint64(0) >> np.uint64(64 - (high - low))
-        row[word] |= ones << np.uint64(low)
 
 
 @kernel
