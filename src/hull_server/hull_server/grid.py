@@ -8,6 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import InputError, Volume
+from capture_rig.kernel import kernel
+
+from .bitset import lowest_bit, popcount
 
 BRICK_EDGE = 8  # voxels along the edge of a brick
 MAX_BRICKS = 1 << 22  # two thousand million voxels; more is a typing error in the voxel size
@@ -72,9 +75,6 @@ class VoxelGrid:
         return P @ world_from_voxel
 
 
-_BITS_IN_BYTE = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1)
-
-
 @dataclass(frozen=True, eq=False)
 class BrickVolume:
     """The occupied voxels of a grid, as bricks of 8 x 8 x 8 voxels that hold at least one of them.
@@ -117,7 +117,7 @@ class BrickVolume:
     @property
     def count(self) -> int:
         """Number of occupied voxels."""
-        return int(_BITS_IN_BYTE[np.ascontiguousarray(self.leaves).view(np.uint8)].sum())
+        return int(_count_bits(np.ascontiguousarray(self.leaves)))
 
     @property
     def litres(self) -> float:
@@ -126,8 +126,9 @@ class BrickVolume:
 
     def voxels(self) -> npt.NDArray[np.int64]:
         """Return the indices (i, j, k) (count, 3) of the occupied voxels, in brick order."""
-        brick, z, y, x = np.nonzero(self._bits())
-        return self.brick_corners()[brick] + np.stack([x, y, z], axis=1)
+        found = np.empty((self.count, 3), np.int64)
+        _list_voxels(self.brick_corners(), np.ascontiguousarray(self.leaves), found)
+        return found
 
     def brick_corners(self) -> npt.NDArray[np.int64]:
         """Return the voxel indices (k, 3) of each brick's low corner."""
@@ -144,3 +145,29 @@ class BrickVolume:
         as_bytes = np.ascontiguousarray(self.leaves.astype("<u8")).view(np.uint8)
         bits = np.unpackbits(as_bytes, bitorder="little").view(bool)
         return bits.reshape(-1, BRICK_EDGE, BRICK_EDGE, BRICK_EDGE)
+
+
+@kernel
+def _count_bits(leaves):  # type: ignore[no-untyped-def]
+    """Count the occupied voxels of (k, 8)."""
+    count = 0
+    for leaf in leaves:
+        for layer in leaf:
+            count += popcount(layer)
+    return count
+
+
+@kernel
+def _list_voxels(corners, leaves, voxels):  # type: ignore[no-untyped-def]
+    """Write the indices (count, 3) of the occupied voxels of bricks with low corners (k, 3)."""
+    row = 0
+    for brick in range(leaves.shape[0]):
+        for layer in range(BRICK_EDGE):
+            left = leaves[brick, layer]
+            while left:
+                bit = lowest_bit(left)
+                left &= left - np.uint64(1)
+                voxels[row, 0] = corners[brick, 0] + (bit & 7)
+                voxels[row, 1] = corners[brick, 1] + (bit >> 3)
+                voxels[row, 2] = corners[brick, 2] + layer
+                row += 1

@@ -173,13 +173,14 @@ def store_block(word, octant, leaf):  # type: ignore[no-untyped-def]
 
 @kernel
 def count_votes(scene, low, octant, candidates, settled, mixed, partly_blind, work):  # type: ignore[no-untyped-def]
-    """Apply the rule: return the candidates that no undecided camera vetoes and that enough cameras see.
+    """Apply the rule: return the candidates that too few undecided cameras veto and enough cameras see.
 
     The block is the given octant of a brick, at voxel ``low``. Undecided are the cameras with the octant's bit in
     ``mixed`` (n,). Votes are counted for all 64 voxels at once, in binary: the bits of a voxel's count are its bits
     in ``ones``, ``twos``, ``fours`` and so on.
     """
     ones, twos, fours, eights, more = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0)
+    once = np.uint64(0) if scene.vetoes else ALL_BITS  # that one more veto empties
     for slot in range(scene.present.size):
         if mixed[slot] >> octant & 1:
             camera = scene.present[slot]
@@ -187,7 +188,8 @@ def count_votes(scene, low, octant, candidates, settled, mixed, partly_blind, wo
             foreground, blind = _look(scene.labels, camera, work.pixels, FOREGROUND), np.uint64(0)
             if partly_blind >> slot & 1 or scene.uncertain[camera]:
                 blind = _look(scene.labels, camera, work.pixels, BLIND)
-            candidates &= foreground | blind
+            candidates &= foreground | blind | ~once
+            once |= ~(foreground | blind)
             if candidates == 0:
                 break
             ones, twos, fours, eights, more = count_up(foreground, ones, twos, fours, eights, more)

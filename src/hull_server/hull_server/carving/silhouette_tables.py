@@ -30,7 +30,7 @@ class Scene(NamedTuple):
     is uncertain, UNSURE a pixel; from its corner, row after row without gaps (which takes a fraction of the memory
     pages that a canvas would). uncertain (N,): nonzero where the camera's silhouette has uncertain pixels.
     present (n,): cameras of this frame set, in the order in which they are tested; the result does not depend on it.
-    min_seeing: cameras that must see a voxel. shape (3,): the grid.
+    min_seeing: cameras that must see a voxel. vetoes: how many may veto it nevertheless, 0 or 1. shape (3,): the grid.
     """
 
     projections: npt.NDArray[np.float64]
@@ -45,6 +45,7 @@ class Scene(NamedTuple):
     uncertain: npt.NDArray[np.uint8]
     present: npt.NDArray[np.int64]
     min_seeing: int
+    vetoes: int
     shape: npt.NDArray[np.int64]
 
 
