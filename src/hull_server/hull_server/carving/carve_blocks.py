@@ -14,7 +14,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 
 from .pixel_boxes import count_in_box, foreground_in
-from .silhouette_tables import BLIND, FOREGROUND, SURE
+from .silhouette_tables import BLIND, FOREGROUND
 
 EVERY_OCTANT, ALL_BITS = 255, np.uint64(0xFFFFFFFFFFFFFFFF)
 # Thresholds: from the rounding of single precision; python bench/hull.py --quick counts differences from float64.
@@ -57,9 +57,9 @@ def classify_octants(scene, camera, corner, sees_all, work):  # type: ignore[no-
     some, whole, seen, unseen = 0, 0, EVERY_OCTANT, 0
     for octant in range(8):
         u0, v0, u1, v1 = box[octant], box[8 + octant], box[16 + octant], box[24 + octant]
-        filled = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
-        some |= (filled > 0) << octant
-        whole |= (filled == SURE * (u1 - u0) * (v1 - v0)) << octant
+        any_, all_ = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
+        some |= any_ << octant
+        whole |= all_ << octant
     if not sees_all:
         for octant in range(8):
             u0, v0, u1, v1 = box[octant], box[8 + octant], box[16 + octant], box[24 + octant]

@@ -30,7 +30,7 @@ from .carve_blocks import (
     voxel_steps,
 )
 from .pixel_boxes import SEEN, UNSEEN, BlockBoxes, block_boxes, foreground_in, pixel_projections, summed_area
-from .silhouette_tables import SURE, Scene, Tabulator
+from .silhouette_tables import Scene, Tabulator
 
 COARSE_EDGE, BRICK_EDGE = 32, 8
 EMPTY = -1
@@ -167,12 +167,12 @@ def _classify(scene, boxes, block, settled, undecided):  # type: ignore[no-untyp
             visibility = boxes.visibility[camera, block]
             u0, v0 = np.int64(boxes.pixels[camera, block, 0]), np.int64(boxes.pixels[camera, block, 1])
             u1, v1 = np.int64(boxes.pixels[camera, block, 2]), np.int64(boxes.pixels[camera, block, 3])
-            filled = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
-            vetoes += visibility == SEEN and filled == 0
+            some, whole = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
+            vetoes += visibility == SEEN and not some
             if vetoes > scene.vetoes:
                 return EMPTY, 0, 0
-            possible += filled > 0
-            all_foreground = visibility == SEEN and filled == SURE * (u1 - u0) * (v1 - v0)
+            possible += some
+            all_foreground = visibility == SEEN and whole
             settled += all_foreground
             undecided &= ~(bit * (all_foreground or visibility == UNSEEN))
             partly_blind |= bit * (visibility != SEEN)
