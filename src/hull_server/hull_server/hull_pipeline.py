@@ -119,7 +119,7 @@ class HullPipeline:
         # find the dark pixels that may be floor in shadow
         masks = self._shadows.resolve(used)
         # tell the camera clients where their foreground has no support, so that moved things become background
-        support = self._support.update(frames, masks, frame_set.stamp_ns) if self._support else ()
+        support = self._support.update(frames | masks, masks, frame_set.stamp_ns) if self._support else ()
         watch.lap("shadows")
         # carve: voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
         boxes = self._shadows.boxes(masks)
