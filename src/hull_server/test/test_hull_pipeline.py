@@ -45,6 +45,7 @@ def test_pipeline_finds_the_hull_and_the_centerline_of_a_person(scene):
         "consistency",
         "shadows",
         "carve",
+        "support",
         "collect",
         "slice",
         "filter",
