@@ -58,7 +58,6 @@ class CpuCarver(Immediate):
             stride=views.seen.shape[2],
             foreground_box=self._tabulator.box,
             foreground_table=self._tabulator.table,
-            uncertain=self._tabulator.uncertain,
             present=np.empty(0, np.int64),
             min_seeing=0,
             vetoes=0,
@@ -184,7 +183,6 @@ def _classify(scene, boxes, block, settled, undecided):  # type: ignore[no-untyp
 @kernel
 def _carve_brick(scene, corner, state, leaf, work):  # type: ignore[no-untyped-def]
     """Carve the brick at voxel ``corner`` into its eight words; return whether any voxel is occupied."""
-    _, _, partly_blind = state
     octants = octants_inside(corner, scene.shape) & _classify_octants(scene, corner, state, work)
     leaf[:] = 0
     occupied = False
@@ -192,7 +190,7 @@ def _carve_brick(scene, corner, state, leaf, work):  # type: ignore[no-untyped-d
         if octants >> octant & 1 and work.possible[octant] >= scene.min_seeing:
             low = (corner[0] + (octant & 1) * 4, corner[1] + (octant >> 1 & 1) * 4, corner[2] + (octant >> 2) * 4)
             inside, settled = inside_word(low, scene.shape), work.settled[octant]
-            word = count_votes(scene, low, octant, inside, settled, work.mixed, partly_blind, work)
+            word = count_votes(scene, low, octant, inside, settled, work.mixed, work)
             occupied |= word != 0
             store_block(word, octant, leaf)
     return occupied

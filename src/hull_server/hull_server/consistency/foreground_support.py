@@ -161,8 +161,8 @@ def mark_supported(boxes, coarse_boxes, pictures, votes, space, sure, half):  # 
     """
     agreed, ratio = 0, _COARSE_EDGE // _EDGE
     for at in range(space.coarse[0] * space.coarse[1] * space.coarse[2]):
-        near = _showing(coarse_boxes, pictures, votes.voters, at)
-        if near & (near - 1) == 0:
+        showing, _ = _look(coarse_boxes, pictures, votes, at)
+        if popcount(np.uint64(showing)) < 2:
             continue
         x0, y0 = at % space.coarse[0] * ratio, at // space.coarse[0] % space.coarse[1] * ratio
         z0 = at // (space.coarse[0] * space.coarse[1]) * ratio
@@ -171,37 +171,30 @@ def mark_supported(boxes, coarse_boxes, pictures, votes, space, sure, half):  # 
                 for x in range(x0, min(x0 + ratio, space.blocks[0])):
                     if _within(space.bodies, x, y, z) == votes.of_bodies:
                         block = (z * space.blocks[1] + y) * space.blocks[0] + x
-                        showing = _showing(boxes, pictures, near, block)
-                        if showing & (showing - 1):
-                            denying = _denying(boxes, pictures, votes.voters & votes.trusted & ~showing, block)
+                        showing, denying = _look(boxes, pictures, votes, block)
+                        if popcount(np.uint64(showing)) >= 2:
                             agreed |= _mark_block(boxes, block, (showing, denying), votes, sure, half)
     return agreed
 
 
 @kernel
-def _showing(boxes, pictures, cameras, block):  # type: ignore[no-untyped-def]
-    """Return the bits of those cameras (bits) that show foreground in a block."""
-    showing = 0
+def _look(boxes, pictures, votes, block):  # type: ignore[no-untyped-def]
+    """Return the bits of the voters that show foreground in a block, and of those that see all of it without any."""
+    showing, denying = 0, 0
     for camera in range(boxes.visibility.shape[0]):
-        if cameras >> camera & 1 and boxes.visibility[camera, block] != UNSEEN:
-            showing |= (_count(boxes, pictures.shown, camera, block) > 0) << camera
-    return showing
-
-
-@kernel
-def _denying(boxes, pictures, cameras, block):  # type: ignore[no-untyped-def]
-    """Return the bits of those cameras (bits) that see all of a block, and sent nothing there."""
-    denying = 0
-    for camera in range(boxes.visibility.shape[0]):
-        if cameras >> camera & 1 and boxes.visibility[camera, block] == SEEN:
-            denying |= (_count(boxes, pictures.sent, camera, block) == 0) << camera
-    return denying
-
-
-@kernel
-def _count(boxes, tables, camera, block):  # type: ignore[no-untyped-def]
-    box = boxes.pixels[camera, block]
-    return count_in_box(tables, camera, int(box[0]), int(box[1]), int(box[2]), int(box[3]))
+        if votes.voters >> camera & 1:
+            visibility, box = boxes.visibility[camera, block], boxes.pixels[camera, block]
+            if visibility != UNSEEN:
+                u0, v0, u1, v1 = int(box[0]), int(box[1]), int(box[2]), int(box[3])
+                if count_in_box(pictures.shown, camera, u0, v0, u1, v1) > 0:
+                    showing |= 1 << camera
+                elif (
+                    visibility == SEEN
+                    and votes.trusted >> camera & 1
+                    and count_in_box(pictures.sent, camera, u0, v0, u1, v1) == 0
+                ):
+                    denying |= 1 << camera
+    return showing, denying
 
 
 @kernel

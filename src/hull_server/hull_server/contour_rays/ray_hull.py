@@ -45,7 +45,7 @@ class Hull(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def widen(words, ends):  # type: ignore[no-untyped-def]
-    """Dilate a hull's voxels by their 26 neighbours: bits of rows along x of a box wider by PAD, and that box's size."""
+    """Dilate a hull by its 26 neighbours: bits of rows along x of a box wider by PAD, and that box's size."""
     layers, rows, width = words.shape
     wide = np.zeros((layers + 2 * PAD, rows + 2 * PAD, width + 1), np.uint64)
     size = (ends.max() + 2 * PAD, rows + 2 * PAD, layers + 2 * PAD)
