@@ -109,13 +109,9 @@ class BrickVolume:
 
     def to_dense(self) -> npt.NDArray[np.bool_]:
         """Unpack to (nx, ny, nz) bool, True where occupied."""
-        x, y, z = self.grid.brick_shape
-        blocks = np.zeros((z * y * x, BRICK_EDGE, BRICK_EDGE, BRICK_EDGE), bool)
-        blocks[self.index] = self._bits()
-        dense = blocks.reshape(z, y, x, *blocks.shape[1:]).transpose(0, 3, 1, 4, 2, 5)
-        nx, ny, nz = self.grid.shape
-        whole = dense.reshape(z * BRICK_EDGE, y * BRICK_EDGE, x * BRICK_EDGE)
-        return whole.transpose(2, 1, 0)[:nx, :ny, :nz]
+        dense = np.zeros(self.grid.shape, bool)
+        dense[tuple(self.voxels().T)] = True
+        return dense
 
     @property
     def count(self) -> int:
@@ -142,12 +138,6 @@ class BrickVolume:
     def centres_world(self) -> Array:
         """Return the centres (count, 3) of the occupied voxels, metres, map frame."""
         return self.grid.centres_world(self.voxels())
-
-    def _bits(self) -> npt.NDArray[np.bool_]:
-        """Unpack to one bool per voxel: (k, z, y, x)."""
-        as_bytes = np.ascontiguousarray(self.leaves.astype("<u8")).view(np.uint8)
-        bits = np.unpackbits(as_bytes, bitorder="little").view(bool)
-        return bits.reshape(-1, BRICK_EDGE, BRICK_EDGE, BRICK_EDGE)
 
 
 @kernel
