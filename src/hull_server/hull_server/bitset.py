@@ -82,12 +82,6 @@ def high_bytes(word):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def gather_bytes(word):  # type: ignore[no-untyped-def]
-    """Return the eight bits of a word whose bytes are 0 or 1, the first byte's lowest."""
-    return word * np.uint64(0x0102040810204080) >> np.uint64(56)
-
-
-@kernel
 def nonzero_span(row):  # type: ignore[no-untyped-def]
     """Return the first word of (n,) that is not zero, and the one after the last such; 0, 0 where all are zero."""
     filled = np.uint64(0)

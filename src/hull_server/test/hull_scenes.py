@@ -139,9 +139,7 @@ def _ray_hits_capsule(centre, rays, start, end, radius) -> np.ndarray:
     return (along > 0) & (np.einsum("ij,ij->i", gap, gap) <= radius**2)
 
 
-def carve_brute_force(
-    rig: Rig, masks: dict[str, np.ndarray], voxel: float, min_seeing: int, vetoes: int = 0
-) -> np.ndarray:
+def carve_brute_force(rig: Rig, masks: dict, voxel: float, min_seeing: int, vetoes: int = 0) -> np.ndarray:
     """The rule, voxel by voxel in float64, written for clarity: (nx, ny, nz) bool; ``vetoes`` : most of a voxel."""
     counts = np.ceil((rig.volume.high - rig.volume.low) / voxel - 1e-9).astype(int)
     axes = [rig.volume.low[a] + (np.arange(counts[a]) + 0.5) * voxel for a in range(3)]

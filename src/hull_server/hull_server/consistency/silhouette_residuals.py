@@ -24,7 +24,7 @@ from capture_rig import Rig
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, UNCERTAIN
 
-from ..bitset import fill_bits, gather_bytes, high_bytes, lowest_bit, popcount
+from ..bitset import fill_bits, lowest_bit, popcount
 from ..carving.cpu_carver import CpuCarver
 from ..carving.pixel_boxes import pixel_projections, project
 from ..grid import VoxelGrid
@@ -94,22 +94,14 @@ class CellViews(NamedTuple):
     floor_layers: int
 
 
-class Marks(NamedTuple):
-    """What the hulls explain of each image: bits of the cells, (H, W / 64) an image.
-
-    hull (N, H, W / 64) : what the voters' hull explains. own (N, N, H, W / 64) [image, camera] : of a voter, what the
-    voxels explain that it alone vetoes; of another camera, what the voters' hull explains less the voxels that it
-    vetoes.
-    """
-
-    hull: npt.NDArray[np.uint64]
-    own: npt.NDArray[np.uint64]
-
-
 class ResidualEstimator:
     """Estimates the residuals of frame sets; tables of the calibration are computed once. One thread at a time.
 
     cells (N, H, W) : of the last frame set, FOREGROUND, BACKGROUND, or UNCERTAIN, also where a camera does not see.
+
+    Cells that hulls explain are bits of words. by_hull (N, H, W / 64) : of each image, what the voters' hull explains.
+    by_own (N, N, H, W / 64) [image, camera] : of a voter, what the voxels explain that it alone vetoes; of another
+    camera, what the voters' hull explains less the voxels that it vetoes.
     """
 
     def __init__(self, rig: Rig, views: RigViews, voxel_size_m: float, requested_seeing: int = 0) -> None:
@@ -128,10 +120,8 @@ class ResidualEstimator:
         self.cells = np.full_like(cells.seen, UNCERTAIN)
         self._counts = np.zeros(len(views.names), np.int64)
         cameras, height, width = self.cells.shape
-        self._marks = Marks(
-            np.zeros((cameras, height, -(-width // 64)), np.uint64),
-            np.zeros((cameras, cameras, height, -(-width // 64)), np.uint64),
-        )
+        self._by_hull = np.zeros((cameras, height, width // 64), np.uint64)
+        self._by_own = np.zeros((cameras, *self._by_hull.shape), np.uint64)
         self._pixels = np.zeros((len(views.names), 6), np.int64)
         self._voxels, self._vetoes = np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
 
@@ -157,10 +147,11 @@ class ResidualEstimator:
         self._voxels = volume.voxels()
         # the foreground that they explain in each image, with and without each camera's veto
         self._vetoes, voting = np.empty(len(self._voxels), np.int64), (len(voters), needed)
-        found = self._voxels, self._vetoes, self._marks
-        mark_explained(self._views, self.cells, cameras, voting, *found, self._pixels)
+        found, marks = (self._voxels, self._vetoes), (self._by_hull, self._by_own)
+        mark_explained(self._views, self.cells, cameras, voting, *found, *marks, self._pixels)
         explained, vetoed = np.zeros((n, n), np.int64), np.zeros((n, n), np.int64)
-        count_explained(self.cells.view(np.uint64), cameras, len(voters), self._marks, explained, vetoed)
+        shown = np.packbits(self.cells == FOREGROUND, axis=2, bitorder="little").view(np.uint64)
+        count_explained(shown, cameras, len(voters), *marks, explained, vetoed)
         return self._shares(cameras, len(voters), explained, vetoed)
 
     def _needed(self, voters: int) -> int:
@@ -173,7 +164,7 @@ class ResidualEstimator:
         call of :meth:`estimate`.
         """
         cameras, denied = np.array(residuals.cameras, np.int64), np.zeros(self.cells.shape[1:], np.bool_)
-        explained = self._marks.hull if slot < residuals.voters else self._marks.own[:, slot]
+        explained = self._by_hull if slot < residuals.voters else self._by_own[:, slot]
         found = self._voxels, self._vetoes, residuals.voters
         mark_denied(self._views, self.cells, cameras, slot, *found, explained, denied, self._pixels)
         return denied
@@ -223,7 +214,7 @@ def _decimated(views: RigViews, stride: int) -> RigViews:
     P[:, :2] /= stride
     kept = views.seen[:, first::stride, first::stride]
     n, height, width = kept.shape
-    seen = np.zeros((n, height, -(-width // 32) * 32), np.uint8)
+    seen = np.zeros((n, height, -(-width // 64) * 64), np.uint8)
     seen[:, :, :width] = kept
     return RigViews(views.names, P, np.tile([seen.shape[2], height], (n, 1)), seen)
 
@@ -268,7 +259,7 @@ def _centre_level(cells, camera, own):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def mark_explained(views, cells, cameras, voting, voxels, vetoes, marks, pixels):  # type: ignore[no-untyped-def]
+def mark_explained(views, cells, cameras, voting, voxels, vetoes, by_hull, by_own, pixels):  # type: ignore[no-untyped-def]
     """Mark in every camera's cells which hulls lie behind them.
 
     voting : how many of the cameras vote, and must show a voxel. voxels (M, 3) : those of the hulls of all voters, and
@@ -277,8 +268,8 @@ def mark_explained(views, cells, cameras, voting, voxels, vetoes, marks, pixels)
     """
     (voters, needed), n = voting, cameras.size
     by_voters = (1 << voters) - 1
-    marks.hull[:n] = 0
-    marks.own[:n, :n] = 0
+    by_hull[:n] = 0
+    by_own[:n, :n] = 0
     for found in range(voxels.shape[0]):
         _project(views, cells, cameras, voxels[found], pixels)
         vetoes[found], vetoed, showing = SKIPPED, 0, 0
@@ -293,12 +284,12 @@ def mark_explained(views, cells, cameras, voting, voxels, vetoes, marks, pixels)
         vetoes[found] = 0 if next_to_floor else vetoed
         for image in range(n):
             if against:
-                _mark(marks.own[image, lowest_bit(np.uint64(against))], pixels[image])
+                _mark(by_own[image, lowest_bit(np.uint64(against))], pixels[image])
                 continue
-            _mark(marks.hull[image], pixels[image])
+            _mark(by_hull[image], pixels[image])
             for slot in range(voters, n):
                 if not vetoes[found] >> slot & 1:
-                    _mark(marks.own[image, slot], pixels[image])
+                    _mark(by_own[image, slot], pixels[image])
 
 
 @kernel
@@ -334,20 +325,17 @@ def mark_denied(views, cells, cameras, slot, voxels, vetoes, voters, explained, 
 
 
 @kernel
-def count_explained(cells, cameras, voters, marks, explained, vetoed):  # type: ignore[no-untyped-def]
-    """Count foreground cells (n, n) [image, camera whose veto is ignored]; cells (N, H, W / 8) : eight to a word.
+def count_explained(shown, cameras, voters, by_hull, by_own, explained, vetoed):  # type: ignore[no-untyped-def]
+    """Count foreground cells (n, n) [image, camera whose veto is ignored]; shown (N, H, W / 64) : bits of them.
 
     explained : by the hull without that camera's veto. vetoed : of these, those that the hull with its veto leaves.
     """
     for image in range(cameras.size):
-        for row in range(cells.shape[1]):
-            own_cells = cells[cameras[image], row]
-            for word in range(marks.hull.shape[2]):
-                hull, shown = marks.hull[image, row, word], np.uint64(0)
-                for part in range(min(8, own_cells.size - 8 * word)):
-                    shown |= gather_bytes(high_bytes(own_cells[8 * word + part])) << np.uint64(8 * part)
+        for row in range(by_hull.shape[1]):
+            for word in range(by_hull.shape[2]):
+                hull, here = by_hull[image, row, word], shown[cameras[image], row, word]
                 for slot in range(cameras.size):
-                    own = marks.own[image, slot, row, word]
+                    own = by_own[image, slot, row, word]
                     lost = own & ~hull if slot < voters else hull & ~own
-                    explained[image, slot] += popcount((hull | lost) & shown)
-                    vetoed[image, slot] += popcount(lost & shown)
+                    explained[image, slot] += popcount((hull | lost) & here)
+                    vetoed[image, slot] += popcount(lost & here)
