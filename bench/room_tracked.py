@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 from report import Table
@@ -132,36 +133,39 @@ def laboratory() -> dict[str, Any]:
     if not FOLDER.is_dir():
         print(f"{FOLDER} is not there: no laboratory")
         return {"rows": []}
-    table = Table("rig:<13 | tracked:<16 | first:<10 | switches:>8d | median mm:>9.0f | of head, shoulder, ...:<60")
+    table = Table("rig:<13 | tracked:<16 | first:<10 | switches:>8d | median mm:>9.0f | ms:>5.1f | of head, ...:<60")
     rows = []
     for name, way in WAYS.items():
-        tracks, warning = follow(*way)
-        row = {"rig": name, **score(tracks), "warning": warning}
+        tracks, warning, ms = follow(*way)
+        row = {"rig": name, **score(tracks), "warning": warning, "hull_ms": ms[0], "fit_ms": ms[1]}
         shares = ", ".join(f"{found} of {all_}" for found, all_ in row["tracked"])
         parts = " ".join(f"{part} {mm:.0f}" for part, mm in row["median_mm_of"].items())
-        table.row(name, shares, str(row["first_frames"]), row["switches"], row["median_mm"], parts)
+        table.row(name, shares, str(row["first_frames"]), row["switches"], row["median_mm"], sum(ms), parts)
         rows.append(row)
         if warning:
             print(f"  {warning}")
     return {"rows": rows}
 
 
-def follow(rig_file: str, first: int, brighter: float) -> tuple[dict[int, Track], str]:
-    """Track the clip with defaults; everybody who is not lost, by number, and the last warning about cameras."""
-    session = load_session(FOLDER)
-    session = replace(session, rig=load_rig(FOLDER / rig_file))
+def follow(rig_file: str, first: int, brighter: float) -> tuple[dict[int, Track], str, list[float]]:
+    """Track the clip with defaults; everybody who is not lost, by number, the last warning about cameras, and the
+    medians of the server's processor time a set, ms: hull, and tracker with filter."""
+    session = replace(load_session(FOLDER), rig=load_rig(FOLDER / rig_file))
     pipeline, tracks, warning = pipeline_of(session, Configuration.of({})), defaultdict[int, Track](dict), ""
+    ms: list[tuple[float, float]] = []
     for frame, (stamp_ns, taken) in islice(enumerate(frame_sets(session)), first, None):
         images = {name: np.clip(brighter * image, 0.0, 255.0).astype(np.uint8) for name, image in taken.items()}
-        hull = pipeline.hull.run(FrameSet.of_instant(stamp_ns, pipeline.segment(stamp_ns, images)))
-        pipeline.report_support(hull.support)
+        masks, began = pipeline.segment(stamp_ns, images), process_time()
+        hull, carved = pipeline.hull.run(FrameSet.of_instant(stamp_ns, masks)), process_time()
         step = pipeline.body.step(hull.products)
+        ms.append((1e3 * (carved - began), 1e3 * (process_time() - carved)))
+        pipeline.report_support(hull.support)
         for person in step.people:
             if person.fit.state in ("tracking", "doubtful"):
                 tracks[person.person][frame] = np.array(person.fit.reference_points_world)
         suspects = pipeline.body.tracker.extrinsic_errors.suspects
         warning = "; ".join(dict.fromkeys((*hull.camera_faults.reasons.values(), *suspects.values()))) or warning
-    return tracks, warning
+    return tracks, warning, np.median(ms, axis=0).tolist()
 
 
 def score(tracks: dict[int, Track]) -> dict[str, Any]:
@@ -198,11 +202,7 @@ def score(tracks: dict[int, Track]) -> dict[str, Any]:
 
 def _who(tracks: dict[int, Track], frame: int, place: np.ndarray) -> int | None:
     """Return the number of whoever is followed at a place (2,) m."""
-    apart = [
-        (float(np.linalg.norm(track[frame][0, :2] - place)), number)
-        for number, track in tracks.items()
-        if frame in track
-    ]
+    apart = [(float(np.linalg.norm(t[frame][0, :2] - place)), n) for n, t in tracks.items() if frame in t]
     nearest = min(apart, default=(np.inf, 0))
     return nearest[1] if nearest[0] < NEAR_M else None
 

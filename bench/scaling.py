@@ -60,7 +60,7 @@ SHADOW_M, SHADOW_LEVEL = 0.35, ATTENUATED_LEVELS[4]
 STAGES = {
     "decode": ("decode",),
     "consistency": ("consistency",),
-    "shadows": ("shadows",),
+    "shadows": ("shadows", "support"),
     "carve": ("carve", "collect"),
     "slice, sample": ("slice", "filter", "sample"),
     "contour rays": ("contour_rays",),

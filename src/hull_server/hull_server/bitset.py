@@ -14,7 +14,7 @@ from capture_rig.kernel import kernel, njit
 _U1 = np.uint64(1)
 HIGH_BITS = np.uint64(0x8080808080808080)  # of every byte: set in levels that are foreground, above 127
 FIRST_BITS = np.uint64(0x0101010101010101)  # of every byte
-_LOW_BITS = np.uint64(0x7F7F7F7F7F7F7F7F)  # all others
+LOW_BITS = np.uint64(0x7F7F7F7F7F7F7F7F)  # all others
 
 
 @intrinsic
@@ -72,7 +72,7 @@ def transpose8(word):  # type: ignore[no-untyped-def]
 @kernel
 def nonzero_bytes(word):  # type: ignore[no-untyped-def]
     """Return a word with 1 in every byte of ``word`` that is not zero."""
-    return ((word & _LOW_BITS) + _LOW_BITS | word) >> np.uint64(7) & FIRST_BITS
+    return ((word & LOW_BITS) + LOW_BITS | word) >> np.uint64(7) & FIRST_BITS
 
 
 @kernel
@@ -95,3 +95,12 @@ def nonzero_span(row):  # type: ignore[no-untyped-def]
     while row[last - 1] == 0:
         last -= 1
     return first, last
+
+
+@kernel
+def fill_bits(row, start, end):  # type: ignore[no-untyped-def]
+    """Set the bits of a row of words (n,) from ``start`` up to but not including ``end``, which is larger."""
+    for word in range(start >> 6, ((end - 1) >> 6) + 1):
+        low, high = max(start - 64 * word, 0), min(end - 64 * word, 64)
+        ones = ~np.uint64(0) >> np.uint64(64 - (high - low))
+        row[word] |= ones << np.uint64(low)

@@ -31,8 +31,8 @@ from capture_rig.mask_levels import (
     UNCERTAIN,
 )
 
-from .bitset import lowest_bit
-from .carving.pixel_boxes import pixel_projections, project
+from .bitset import FIRST_BITS, HIGH_BITS, LOW_BITS, lowest_bit
+from .carving.pixel_boxes import pixel_projections, project, project_block
 from .grid import BRICK_EDGE, BrickVolume, VoxelGrid
 from .silhouette_batch import BLIND, SilhouetteBatch
 from .views import Box, Masks, RigViews
@@ -44,6 +44,7 @@ LEAST_CENTRE_Z_M = 0.2  # a camera lower than this sees too little floor
 FLOOR_M = 0.08  # voxels lower than this may be floor in shadow: soles, and errors of floor and calibration
 
 UNSEEN, EMPTY, CANDIDATE, ATTENUATED, SURE = 0, 1, 2, 3, 4  # kinds of levels
+ABOVE_UNCERTAIN = FIRST_BITS * np.uint64(SHADOW_CANDIDATE - UNCERTAIN)  # added to every byte: carries into its high bit
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.uint8]
@@ -187,11 +188,15 @@ def _add_candidates(index, leaves, bricks, projections, camera, mask, once, twic
     index (k,), leaves, once, twice (k, 8) : of a BrickVolume. bricks (3,) : of the grid. projections (N, 3, 4) : voxels
     to pixels.
     """
-    height, width = mask.shape
+    (height, width), words, last = mask.shape, mask.view(np.uint64), BRICK_EDGE - 1
     for row in range(index.size):
         brick = np.int64(index[row])
         x0, y0 = brick % bricks[0] * BRICK_EDGE, brick // bricks[0] % bricks[1] * BRICK_EDGE
         z0 = brick // (bricks[0] * bricks[1]) * BRICK_EDGE
+        high = (x0 + last, y0 + last, z0 + last)
+        u0, v0, u1, v1, _ = project_block(projections[camera], (x0, y0, z0), high, (width, height))
+        if not _any_candidate(words[v0:v1, u0 // 8 : (u1 + 7) // 8]):
+            continue
         for layer in range(BRICK_EDGE):
             left, candidates = leaves[row, layer], np.uint64(0)
             while left:
@@ -203,6 +208,16 @@ def _add_candidates(index, leaves, bricks, projections, camera, mask, once, twic
                     candidates |= np.uint64(1) << np.uint64(bit)
             twice[row, layer] |= once[row, layer] & candidates
             once[row, layer] |= candidates
+
+
+@kernel
+def _any_candidate(words):  # type: ignore[no-untyped-def]
+    """Check whether any pixel of (h, w / 8) is a candidate."""
+    found = np.uint64(0)
+    for row in range(words.shape[0]):
+        for word in words[row]:
+            found |= (word & LOW_BITS) + ABOVE_UNCERTAIN & ~word
+    return found & HIGH_BITS != 0
 
 
 @kernel

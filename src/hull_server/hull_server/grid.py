@@ -8,6 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from capture_rig import InputError, Volume
+from capture_rig.kernel import kernel
+
+from .bitset import lowest_bit
 
 BRICK_EDGE = 8  # voxels along the edge of a brick
 MAX_BRICKS = 1 << 22  # two thousand million voxels; more is a typing error in the voxel size
@@ -106,13 +109,9 @@ class BrickVolume:
 
     def to_dense(self) -> npt.NDArray[np.bool_]:
         """Unpack to (nx, ny, nz) bool, True where occupied."""
-        x, y, z = self.grid.brick_shape
-        blocks = np.zeros((z * y * x, BRICK_EDGE, BRICK_EDGE, BRICK_EDGE), bool)
-        blocks[self.index] = self._bits()
-        dense = blocks.reshape(z, y, x, *blocks.shape[1:]).transpose(0, 3, 1, 4, 2, 5)
-        nx, ny, nz = self.grid.shape
-        whole = dense.reshape(z * BRICK_EDGE, y * BRICK_EDGE, x * BRICK_EDGE)
-        return whole.transpose(2, 1, 0)[:nx, :ny, :nz]
+        dense = np.zeros(self.grid.shape, bool)
+        dense[tuple(self.voxels().T)] = True
+        return dense
 
     @property
     def count(self) -> int:
@@ -126,8 +125,9 @@ class BrickVolume:
 
     def voxels(self) -> npt.NDArray[np.int64]:
         """Return the indices (i, j, k) (count, 3) of the occupied voxels, in brick order."""
-        brick, z, y, x = np.nonzero(self._bits())
-        return self.brick_corners()[brick] + np.stack([x, y, z], axis=1)
+        found = np.empty((self.count, 3), np.int64)
+        _list_voxels(self.brick_corners(), np.ascontiguousarray(self.leaves), found)
+        return found
 
     def brick_corners(self) -> npt.NDArray[np.int64]:
         """Return the voxel indices (k, 3) of each brick's low corner."""
@@ -139,8 +139,18 @@ class BrickVolume:
         """Return the centres (count, 3) of the occupied voxels, metres, map frame."""
         return self.grid.centres_world(self.voxels())
 
-    def _bits(self) -> npt.NDArray[np.bool_]:
-        """Unpack to one bool per voxel: (k, z, y, x)."""
-        as_bytes = np.ascontiguousarray(self.leaves.astype("<u8")).view(np.uint8)
-        bits = np.unpackbits(as_bytes, bitorder="little").view(bool)
-        return bits.reshape(-1, BRICK_EDGE, BRICK_EDGE, BRICK_EDGE)
+
+@kernel
+def _list_voxels(corners, leaves, voxels):  # type: ignore[no-untyped-def]
+    """Write the indices (count, 3) of the occupied voxels of bricks with low corners (k, 3)."""
+    row = 0
+    for brick in range(leaves.shape[0]):
+        for layer in range(BRICK_EDGE):
+            left = leaves[brick, layer]
+            while left:
+                bit = lowest_bit(left)
+                left &= left - np.uint64(1)
+                voxels[row, 0] = corners[brick, 0] + (bit & 7)
+                voxels[row, 1] = corners[brick, 1] + (bit >> 3)
+                voxels[row, 2] = corners[brick, 2] + layer
+                row += 1

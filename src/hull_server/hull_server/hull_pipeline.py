@@ -73,7 +73,6 @@ class PendingHull:
     masks: dict[str, Mask]
     blank: tuple[str, ...]
     camera_faults: CameraFaults
-    support: tuple[ForegroundSupport, ...]
     min_seeing: int
     handle: Any
     stage_ms: dict[str, float]
@@ -118,19 +117,21 @@ class HullPipeline:
         watch.lap("consistency")
         # find the dark pixels that may be floor in shadow
         masks = self._shadows.resolve(used)
-        # tell the camera clients where their foreground has no support, so that moved things become background
-        support = self._support.update(frames, masks, frame_set.stamp_ns) if self._support else ()
         watch.lap("shadows")
         # carve: voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
         boxes = self._shadows.boxes(masks)
         handle = self.backend.submit(masks, seeing, boxes)
         watch.lap("carve")
         blank = tuple(name for name, (left, _, right, _) in boxes.items() if left == right)
-        return PendingHull(frame_set, masks, blank, faults, support, seeing, handle, watch.laps_ms)
+        return PendingHull(frame_set, masks, blank, faults, seeing, handle, watch.laps_ms)
 
     def finish(self, pending: PendingHull) -> HullResult:
         """Wait for the carve, then slice, filter, sample, and trace the contour rays."""
         frame_set, blob, watch = pending.frame_set, self.settings.blob, _StageWatch()
+        # tell the camera clients where their foreground has no support, so that moved things become background
+        shown = frame_set.frames | pending.masks
+        support = self._support.update(shown, pending.masks, frame_set.stamp_ns) if self._support else ()
+        watch.lap("support")
         # ... and no voxel next to the floor that a camera shows as floor in shadow
         volume = self._shadows.without_shadows(self.backend.collect(pending.handle), pending.masks)
         watch.lap("collect")
@@ -157,7 +158,7 @@ class HullPipeline:
             missing=frame_set.missing,
             blank=pending.blank,
             camera_faults=pending.camera_faults,
-            support=pending.support,
+            support=support,
             min_seeing=pending.min_seeing,
             backend=self.backend.name,
             stage_ms=pending.stage_ms | watch.laps_ms,

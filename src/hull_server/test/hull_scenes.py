@@ -139,12 +139,12 @@ def _ray_hits_capsule(centre, rays, start, end, radius) -> np.ndarray:
     return (along > 0) & (np.einsum("ij,ij->i", gap, gap) <= radius**2)
 
 
-def carve_brute_force(rig: Rig, masks: dict[str, np.ndarray], voxel: float, min_seeing: int) -> np.ndarray:
-    """The rule, voxel by voxel in float64, written for clarity: (nx, ny, nz) bool."""
+def carve_brute_force(rig: Rig, masks: dict, voxel: float, min_seeing: int, vetoes: int = 0) -> np.ndarray:
+    """The rule, voxel by voxel in float64, written for clarity: (nx, ny, nz) bool; ``vetoes`` : most of a voxel."""
     counts = np.ceil((rig.volume.high - rig.volume.low) / voxel - 1e-9).astype(int)
     axes = [rig.volume.low[a] + (np.arange(counts[a]) + 0.5) * voxel for a in range(3)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    vetoed, seeing = np.zeros(len(points), bool), np.zeros(len(points), int)
+    vetoing, seeing = np.zeros((2, len(points)), int)
     for camera in rig.cameras:
         if camera.name not in masks:
             continue
@@ -158,6 +158,6 @@ def carve_brute_force(rig: Rig, masks: dict[str, np.ndarray], voxel: float, min_
         u, v = pixel[inside].astype(int).T
         voxels = in_front[inside]
         seen, level = view.seen[v, u], masks[camera.name][v, u]
-        vetoed[voxels[seen & (level == 0)]] = True
+        vetoing[voxels[seen & (level == 0)]] += 1
         seeing[voxels[seen & (level > 127)]] += 1  # what lies between is uncertain: no say
-    return (~vetoed & (seeing >= min_seeing)).reshape(counts)
+    return ((vetoing <= vetoes) & (seeing >= min_seeing)).reshape(counts)

@@ -136,7 +136,7 @@ def test_flooded_and_excluded_cameras_have_no_say(rig):
 def test_shadow_supports_nothing_and_denies_nothing(rig):
     masks = silhouettes(rig, capsule_person(0.4))
     shown, thing = with_thing(rig, masks, "cam02")
-    everywhere = {name: np.full_like(mask, 60) for name, mask in masks.items() if name != "cam02"}
+    everywhere = {name: np.maximum(mask, np.uint8(60)) for name, mask in masks.items() if name != "cam02"}
     reporter = Reports(rig).reporter
     (report,) = [r for r in reporter.update(shown | everywhere, masks, 2 * STEP_NS) if r.camera == "cam02"]
     assert levels_at(report, masks["cam02"]) == {BODY} and NOBODY not in levels_at(report, thing)

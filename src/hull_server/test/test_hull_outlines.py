@@ -17,7 +17,7 @@ def scratch():
     path, along = np.empty((cracks, 2), np.int16), np.empty(cracks)
     return Scratch(
         np.zeros((SIDE, SIDE), np.uint8),
-        np.zeros((SIDE + 2,) * 2, np.uint8),
+        np.zeros((SIDE + 2, SIDE + 16), np.uint8),
         np.empty(cracks // 4, np.int32),
         path,
         along,

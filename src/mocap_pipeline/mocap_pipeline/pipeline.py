@@ -117,12 +117,13 @@ class MocapPipeline:
         # leave out cameras that contradict the others, resolve what may be shadow, carve the voxels that all cameras
         # see as foreground (3.1; consistency/, floor_shadows.py, carving/ or opengl/)
         pending = self.hull.begin(frame_set)
-        # tell each camera where the others see a body: things that moved are seen by none, and become background
-        # (consistency/foreground_support.py; camera_client/background/moved_things/absorption.py)
-        self.report_support(pending.support)
         # slice the hull along x, y and z and keep the centroids of the slices that look like a limb (3.2; slicing/);
         # sample its voxels, and trace the rays that touch the body (slicing/voxel_runs.py, contour_rays/)
-        return self.hull.finish(pending).products
+        result = self.hull.finish(pending)
+        # tell each camera where the others see a body: things that moved are seen by none, and become background
+        # (consistency/foreground_support.py; camera_client/background/moved_things/absorption.py)
+        self.report_support(result.support)
+        return result.products
 
     def report_support(self, reports: tuple[ForegroundSupport, ...]) -> None:
         """Tell the cameras that are segmented here what the others see of their foreground."""

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 
 from .pixel_boxes import count_in_box, foreground_in
-from .silhouette_tables import BLIND, FOREGROUND, SURE
+from .silhouette_tables import FOREGROUND
 
 EVERY_OCTANT, ALL_BITS = 255, np.uint64(0xFFFFFFFFFFFFFFFF)
 # Thresholds: from the rounding of single precision; python bench/hull.py --quick counts differences from float64.
@@ -57,9 +57,9 @@ def classify_octants(scene, camera, corner, sees_all, work):  # type: ignore[no-
     some, whole, seen, unseen = 0, 0, EVERY_OCTANT, 0
     for octant in range(8):
         u0, v0, u1, v1 = box[octant], box[8 + octant], box[16 + octant], box[24 + octant]
-        filled = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
-        some |= (filled > 0) << octant
-        whole |= (filled == SURE * (u1 - u0) * (v1 - v0)) << octant
+        any_, all_ = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
+        some |= any_ << octant
+        whole |= all_ << octant
     if not sees_all:
         for octant in range(8):
             u0, v0, u1, v1 = box[octant], box[8 + octant], box[16 + octant], box[24 + octant]
@@ -172,22 +172,22 @@ def store_block(word, octant, leaf):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def count_votes(scene, low, octant, candidates, settled, mixed, partly_blind, work):  # type: ignore[no-untyped-def]
-    """Apply the rule: return the candidates that no undecided camera vetoes and that enough cameras see.
+def count_votes(scene, low, octant, candidates, settled, mixed, work):  # type: ignore[no-untyped-def]
+    """Apply the rule: return the candidates that too few undecided cameras veto and enough cameras see.
 
     The block is the given octant of a brick, at voxel ``low``. Undecided are the cameras with the octant's bit in
     ``mixed`` (n,). Votes are counted for all 64 voxels at once, in binary: the bits of a voxel's count are its bits
     in ``ones``, ``twos``, ``fours`` and so on.
     """
     ones, twos, fours, eights, more = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0)
+    once = np.uint64(0) if scene.vetoes else ALL_BITS  # that one more veto empties
     for slot in range(scene.present.size):
         if mixed[slot] >> octant & 1:
             camera = scene.present[slot]
             find_pixels(scene, scene.labels.shape[1] - 1, camera, low, work.pixels)
-            foreground, blind = _look(scene.labels, camera, work.pixels, FOREGROUND), np.uint64(0)
-            if partly_blind >> slot & 1 or scene.uncertain[camera]:
-                blind = _look(scene.labels, camera, work.pixels, BLIND)
-            candidates &= foreground | blind
+            foreground, blind = _look(scene.labels, camera, work.pixels)
+            candidates &= foreground | blind | ~once
+            once |= ~(foreground | blind)
             if candidates == 0:
                 break
             ones, twos, fours, eights, more = count_up(foreground, ones, twos, fours, eights, more)
@@ -239,9 +239,11 @@ def find_pixels(scene, outside, camera, low, pixels):  # type: ignore[no-untyped
 
 
 @kernel
-def _look(labels, camera, pixels, label):  # type: ignore[no-untyped-def]
-    """Return the voxels (one word) whose pixel has a label."""
-    word = np.uint64(0)
+def _look(labels, camera, pixels):  # type: ignore[no-untyped-def]
+    """Return the voxels (one word each) whose pixel is FOREGROUND, and those whose pixel is BLIND."""
+    foreground, blind = np.uint64(0), np.uint64(0)
     for voxel in range(63, -1, -1):
-        word += word + ((labels[camera, np.uint32(pixels[voxel])] >> np.uint64(label >> 1)) & np.uint64(1))
-    return word
+        label = np.uint64(labels[camera, np.uint32(pixels[voxel])])
+        foreground += foreground + (label & np.uint64(FOREGROUND))
+        blind += blind + (label >> np.uint64(1))
+    return foreground, blind

@@ -30,7 +30,7 @@ from .carve_blocks import (
     voxel_steps,
 )
 from .pixel_boxes import SEEN, UNSEEN, BlockBoxes, block_boxes, foreground_in, pixel_projections, summed_area
-from .silhouette_tables import SURE, Scene, Tabulator
+from .silhouette_tables import Scene, Tabulator
 
 COARSE_EDGE, BRICK_EDGE = 32, 8
 EMPTY = -1
@@ -58,36 +58,33 @@ class CpuCarver(Immediate):
             stride=views.seen.shape[2],
             foreground_box=self._tabulator.box,
             foreground_table=self._tabulator.table,
-            uncertain=self._tabulator.uncertain,
             present=np.empty(0, np.int64),
             min_seeing=0,
+            vetoes=0,
             shape=np.array(grid.shape, np.int64),
         )
         self._index = np.empty(grid.brick_count, np.uint32)
         self._leaves = np.empty((grid.brick_count, BRICK_EDGE), np.uint64)
         self._work = Work.make(len(views.names), self._coarse.visibility.shape[1])
 
-    def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
+    def carve(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None, vetoes: int = 0) -> BrickVolume:
         """Carve the silhouettes of one frame set, by the rule of :mod:`hull_server.views`.
 
-        masks : one canvas mask (h, w) uint8 a camera; absent cameras do not count.
+        masks : one canvas mask (h, w) uint8 a camera; absent cameras do not count. vetoes : how many cameras may veto a
+        voxel that is occupied nevertheless, 0 or 1.
         Raises InputError for an unknown camera or a mask of another size.
         """
-        return self.submit(masks, min_seeing)
-
-    def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
-        """Carve; see :meth:`hull_server.views.CarveBackend.submit`."""
         present, known = self.views.present(masks), boxes or {}
         names = [self.views.names[camera] for camera in present]
         filled = [self._tabulator.tabulate(c, masks[n], known.get(n)) for c, n in zip(present, names, strict=True)]
-        # cameras with little foreground empty most blocks
-        return self.carve_tabulated(present[np.argsort(filled, kind="stable")], min_seeing)
-
-    def carve_tabulated(self, cameras: npt.NDArray[np.int64], min_seeing: int) -> BrickVolume:
-        """Carve the silhouettes that were submitted last, of some of their cameras (n,), in this order."""
-        scene = self._scene._replace(present=cameras, min_seeing=min_seeing)
+        cameras = present[np.argsort(filled, kind="stable")]  # those with little foreground empty most blocks
+        scene = self._scene._replace(present=cameras, min_seeing=min_seeing, vetoes=vetoes)
         found = carve(scene, self._coarse, self._bricks, self._index, self._leaves, self._work)
         return BrickVolume(self.grid, self._index[:found].copy(), self._leaves[:found].copy())
+
+    def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
+        """Carve; see :meth:`hull_server.views.CarveBackend.submit`."""
+        return self.carve(masks, min_seeing, boxes)
 
     def close(self) -> None:
         """Nothing to release."""
@@ -162,18 +159,19 @@ def _classify(scene, boxes, block, settled, undecided):  # type: ignore[no-untyp
     Returns the number of cameras settled as foreground (or EMPTY), the bits of those undecided, and the bits of those
     that may be blind to some of its voxels.
     """
-    possible, partly_blind = settled, 0
+    possible, partly_blind, vetoes = settled, 0, 0
     for slot in range(scene.present.size):
         if undecided >> slot & 1:
             camera, bit = scene.present[slot], 1 << slot
             visibility = boxes.visibility[camera, block]
             u0, v0 = np.int64(boxes.pixels[camera, block, 0]), np.int64(boxes.pixels[camera, block, 1])
             u1, v1 = np.int64(boxes.pixels[camera, block, 2]), np.int64(boxes.pixels[camera, block, 3])
-            filled = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
-            if visibility == SEEN and filled == 0:
+            some, whole = foreground_in(scene.foreground_box, scene.foreground_table, camera, u0, v0, u1, v1)
+            vetoes += visibility == SEEN and not some
+            if vetoes > scene.vetoes:
                 return EMPTY, 0, 0
-            possible += filled > 0
-            all_foreground = visibility == SEEN and filled == SURE * (u1 - u0) * (v1 - v0)
+            possible += some
+            all_foreground = visibility == SEEN and whole
             settled += all_foreground
             undecided &= ~(bit * (all_foreground or visibility == UNSEEN))
             partly_blind |= bit * (visibility != SEEN)
@@ -185,7 +183,6 @@ def _classify(scene, boxes, block, settled, undecided):  # type: ignore[no-untyp
 @kernel
 def _carve_brick(scene, corner, state, leaf, work):  # type: ignore[no-untyped-def]
     """Carve the brick at voxel ``corner`` into its eight words; return whether any voxel is occupied."""
-    _, _, partly_blind = state
     octants = octants_inside(corner, scene.shape) & _classify_octants(scene, corner, state, work)
     leaf[:] = 0
     occupied = False
@@ -193,7 +190,7 @@ def _carve_brick(scene, corner, state, leaf, work):  # type: ignore[no-untyped-d
         if octants >> octant & 1 and work.possible[octant] >= scene.min_seeing:
             low = (corner[0] + (octant & 1) * 4, corner[1] + (octant >> 1 & 1) * 4, corner[2] + (octant >> 2) * 4)
             inside, settled = inside_word(low, scene.shape), work.settled[octant]
-            word = count_votes(scene, low, octant, inside, settled, work.mixed, partly_blind, work)
+            word = count_votes(scene, low, octant, inside, settled, work.mixed, work)
             occupied |= word != 0
             store_block(word, octant, leaf)
     return occupied
@@ -209,14 +206,15 @@ def _classify_octants(scene, corner, state, work):  # type: ignore[no-untyped-de
     settled, undecided, partly_blind = state
     work.possible[:] = settled
     work.settled[:] = settled
-    left = EVERY_OCTANT
+    left, once = EVERY_OCTANT, 0 if scene.vetoes else EVERY_OCTANT  # that one more veto empties
     for slot in range(scene.present.size):
         work.mixed[slot] = 0
         if undecided >> slot & 1:
             some, whole, seen, unseen = classify_octants(
                 scene, scene.present[slot], corner, not partly_blind >> slot & 1, work
             )
-            left &= ~(seen & ~some)
+            left &= ~(seen & ~some & once)
+            once |= seen & ~some
             if left == 0:
                 return left
             for octant in range(8):

@@ -15,6 +15,7 @@ from ..views import RigViews
 UNSEEN, SEEN, PARTLY_SEEN = 0, 1, 2  # none, all, perhaps some of a block's voxel centres are seen by a camera
 
 NEAR_M = 1e-9  # blocks nearer to the camera's plane than this get the whole canvas as their box
+ALL_SURE = 8  # what a square of 2 x 2 foreground pixels counts in a summed area
 MARGIN_PX = 1e-6  # rounding of a projected coordinate is a thousand times smaller
 
 
@@ -39,8 +40,18 @@ def pixel_projections(views: RigViews, grid: VoxelGrid) -> npt.NDArray[np.float6
 def summed_area(images: npt.NDArray[np.uint8]) -> npt.NDArray[np.int32]:
     """Return summed-area tables (N, H + 1, W + 1) of the nonzero pixels of (N, H, W) images."""
     tables = np.zeros((images.shape[0], images.shape[1] + 1, images.shape[2] + 1), np.int32)
-    np.cumsum(np.cumsum(images != 0, axis=1, dtype=np.int32), axis=2, out=tables[:, 1:, 1:])
+    _sum_areas(images, tables)
     return tables
+
+
+@kernel
+def _sum_areas(images, tables):  # type: ignore[no-untyped-def]
+    for image in range(images.shape[0]):
+        for row in range(images.shape[1]):
+            pixels, above, below, total = images[image, row], tables[image, row], tables[image, row + 1], 0
+            for column in range(pixels.size):
+                total += pixels[column] != 0
+                below[column + 1] = above[column + 1] + total
 
 
 def block_boxes(views: RigViews, grid: VoxelGrid, edge: int, seen_table: npt.NDArray[np.int32]) -> BlockBoxes:
@@ -61,14 +72,14 @@ def _fill_boxes(projections, sizes, seen_tables, shape, edge, pixels, visibility
         for block in range(nx * ny * nz):
             i, j, k = block % nx * edge, block // nx % ny * edge, block // (nx * ny) * edge
             high = (min(i + edge, shape[0]) - 1, min(j + edge, shape[1]) - 1, min(k + edge, shape[2]) - 1)
-            u0, v0, u1, v1, inside = _project_block(projections[camera], (i, j, k), high, sizes[camera])
+            u0, v0, u1, v1, inside = project_block(projections[camera], (i, j, k), high, sizes[camera])
             pixels[camera, block, 0], pixels[camera, block, 1] = u0, v0
             pixels[camera, block, 2], pixels[camera, block, 3] = u1, v1
             visibility[camera, block] = _classify_visibility(seen_tables, camera, u0, v0, u1, v1, inside)
 
 
 @kernel
-def _project_block(P, low, high, size):  # type: ignore[no-untyped-def]
+def project_block(P, low, high, size):  # type: ignore[no-untyped-def]
     """Return the clipped pixel box of the voxels ``low`` to ``high`` (inclusive), and whether nothing was clipped.
 
     A projection maps the convex hull of the eight corner centres to the convex hull of their images as long as all
@@ -128,9 +139,14 @@ def count_in_box(tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def
 
 @kernel
 def foreground_in(boxes, tables, camera, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
-    """Sum up the foreground in a pixel box; ``tables`` cover the foreground ``boxes``, from their corners."""
+    """Return whether there is any foreground in the squares of 2 x 2 pixels that a pixel box touches, and whether they
+    are all foreground; ``tables`` cover the squares of the foreground ``boxes``, from their corners.
+    """
     left, top = boxes[camera, 0], boxes[camera, 1]
-    width, height = boxes[camera, 2] - left, boxes[camera, 3] - top
-    a0, a1 = min(max(u0 - left, 0), width), min(max(u1 - left, 0), width)
-    b0, b1 = (width + 1) * min(max(v0 - top, 0), height), (width + 1) * min(max(v1 - top, 0), height)
-    return tables[camera, b1 + a1] - tables[camera, b0 + a1] - tables[camera, b1 + a0] + tables[camera, b0 + a0]
+    width, height = (boxes[camera, 2] - left) >> 1, (boxes[camera, 3] - top + 1) >> 1
+    a0, a1, b0, b1 = (u0 - left) >> 1, (u1 - left + 1) >> 1, (v0 - top) >> 1, (v1 - top + 1) >> 1
+    squares = (a1 - a0) * (b1 - b0)
+    a0, a1 = min(max(a0, 0), width), min(max(a1, 0), width)
+    b0, b1 = (width + 1) * min(max(b0, 0), height), (width + 1) * min(max(b1, 0), height)
+    filled = tables[camera, b1 + a1] - tables[camera, b0 + a1] - tables[camera, b1 + a0] + tables[camera, b0 + a0]
+    return filled > 0, filled == ALL_SURE * squares

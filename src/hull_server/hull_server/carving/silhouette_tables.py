@@ -14,8 +14,9 @@ from ..bitset import high_bytes, nonzero_bytes
 from ..views import Box
 
 BACKGROUND, FOREGROUND, BLIND = 0, 1, 2  # labels of pixels; blind are those that are uncertain, too
-SURE, UNSURE = 2, 1  # what a foreground and an uncertain pixel count in the summed areas
+SURE, UNSURE = 2, 1  # what a foreground and an uncertain pixel count in the summed areas; see also ALL_SURE
 
+EVEN_BYTES = np.uint64(0x00FF00FF00FF00FF)
 ONE_BYTES = np.uint64(0x0101010101010101)
 
 
@@ -26,11 +27,11 @@ class Scene(NamedTuple):
     voxel_steps (N, 3, 64), octant_steps (N, 3, 64): see :mod:`.carve_blocks`.
     labels (N, H * W + 8): BACKGROUND, FOREGROUND or BLIND for every pixel, and BLIND for all that lies outside.
     stride: W. foreground_box (N, 4): u, v from and to of a box that holds all foreground pixels.
-    foreground_table (N, (H + 1) * (W + 1)): summed areas inside that box of the foreground, SURE a pixel, and of what
-    is uncertain, UNSURE a pixel; from its corner, row after row without gaps (which takes a fraction of the memory
-    pages that a canvas would). uncertain (N,): nonzero where the camera's silhouette has uncertain pixels.
+    foreground_table (N, (H / 2 + 2) * (W / 2 + 1)): summed areas inside that box, in squares of 2 x 2 pixels, of the
+    foreground, SURE a pixel, and of what is uncertain, UNSURE a pixel; from its corner, row after row without gaps
+    (which takes a fraction of the memory pages that a canvas would).
     present (n,): cameras of this frame set, in the order in which they are tested; the result does not depend on it.
-    min_seeing: cameras that must see a voxel. shape (3,): the grid.
+    min_seeing: cameras that must see a voxel. vetoes: how many may veto it nevertheless, 0 or 1. shape (3,): the grid.
     """
 
     projections: npt.NDArray[np.float64]
@@ -42,16 +43,16 @@ class Scene(NamedTuple):
     stride: int
     foreground_box: npt.NDArray[np.int64]
     foreground_table: npt.NDArray[np.int32]
-    uncertain: npt.NDArray[np.uint8]
     present: npt.NDArray[np.int64]
     min_seeing: int
+    vetoes: int
     shape: npt.NDArray[np.int64]
 
 
 class Tabulator:
     """Tabulates labels and summed areas of silhouettes, one frame set after another.
 
-    seen (N, H, W) uint8, nonzero where a camera sees. labels, box, table, uncertain : see Scene; of the last silhouette
+    seen (N, H, W) uint8, nonzero where a camera sees. labels, box, table : see Scene; of the last silhouette
     of each camera.
     """
 
@@ -61,11 +62,10 @@ class Tabulator:
         self.labels = np.full((cameras, height * width + 8), BLIND, np.uint8)  # a word more, for all that is outside
         self.labels[:, :-8][seen.reshape(cameras, -1) > 0] = BACKGROUND
         label_words = self.labels.view(np.uint64)[:, :-1].reshape(seen_words.shape)
-        self.table = np.zeros((cameras, (height + 1) * (width + 1)), np.int32)
+        self.table = np.zeros((cameras, (height // 2 + 2) * (width // 2 + 1)), np.int32)
         self.box = np.zeros((cameras, 4), np.int64)
-        self.uncertain = np.zeros(cameras, np.uint8)
-        counts, sums = np.empty(width // 8, np.uint64), np.empty(width, np.int32)
-        scratch = counts, counts.view(np.uint8), sums
+        counts, sums = np.empty(width // 8, np.uint64), np.empty(width // 2, np.int32)
+        scratch = counts, counts.view(np.uint16), sums
         self._of_camera = [(seen_words[c], label_words[c], self.table[c], self.box[c], scratch) for c in range(cameras)]
 
     def tabulate(self, camera: int, mask: npt.NDArray[np.uint8], within: Box | None = None) -> int:
@@ -78,8 +78,7 @@ class Tabulator:
             left, top, width, height = cv2.boundingRect(mask)
             within = left, top, left + width, top + height
         part = within[0] // 8, within[1], -(-within[2] // 8), within[3]
-        total, self.uncertain[camera] = _tabulate(words, part, *self._of_camera[camera])
-        return int(total)
+        return int(_tabulate(words, part, *self._of_camera[camera]))
 
 
 @kernel
@@ -88,45 +87,42 @@ def _tabulate(mask_words, part, seen_words, label_words, table, box, scratch):  
 
     mask_words (h, w / 8), seen_words and label_words (H, W / 8): images of bytes, eight pixels to a word. label_words
     and box (4,) come with what the frame before left in them. part : words and rows from and to that hold all
-    foreground. scratch : counts (W / 8,), their bytes count_bytes (W,), and sums (W,). Returns the sum of the table,
-    and whether any pixel is uncertain.
+    foreground. scratch : counts (W / 8,), of squares their quarters (W / 2,), and sums (W / 2,). Returns the sum of the
+    table.
     """
-    counts, count_bytes, sums = scratch
-    uncertain = np.uint64(0)
+    counts, square_counts, sums = scratch
     left, top, right, bottom = part
     _forget(label_words, seen_words, box, left, top, right, bottom)
     box[0], box[1], box[2], box[3] = 8 * left, top, 8 * right, bottom
-    width = 8 * (right - left)
+    width = 4 * (right - left)
     for u in range(width):
         sums[u] = 0
     for u in range(width + 1):
         table[u] = 0
-    for row in range(bottom - top):
-        v = top + row
-        uncertain |= _label_row(
-            mask_words[v, left:right], seen_words[v, left:right], label_words[v, left:right], counts
-        )
-        _sum_row(count_bytes, sums, table[(row + 1) * (width + 1) : (row + 2) * (width + 1)])
-    return table[(bottom - top) * (width + 1) + width], uncertain != 0
+    for row in range((bottom - top + 1) // 2):
+        counts[: right - left] = 0
+        for v in range(top + 2 * row, min(top + 2 * row + 2, bottom)):
+            _label_row(mask_words[v, left:right], seen_words[v, left:right], label_words[v, left:right], counts)
+        for word in range(right - left):
+            counts[word] = (counts[word] & EVEN_BYTES) + (counts[word] >> np.uint64(8) & EVEN_BYTES)
+        _sum_row(square_counts, sums, table[(row + 1) * (width + 1) : (row + 2) * (width + 1)])
+    return table[(bottom - top + 1) // 2 * (width + 1) + width]
 
 
 @kernel
 def _label_row(mask_words, seen_words, label_words, counts):  # type: ignore[no-untyped-def]
-    """Label part of a row, and write what each pixel counts; return the bits of those that are uncertain."""
-    any_uncertain = np.uint64(0)
+    """Label part of a row, and add what each pixel counts."""
     for word in range(mask_words.size):
         pixels, seen = mask_words[word], seen_words[word]
         sure = high_bytes(pixels) & seen
         uncertain = (nonzero_bytes(pixels) & seen) ^ sure
-        counts[word] = (sure << np.uint64(1)) | uncertain  # SURE is 2, UNSURE 1
+        counts[word] += (sure << np.uint64(1)) | uncertain  # SURE is 2, UNSURE 1
         label_words[word] = _label(seen) | sure | uncertain << np.uint64(1)  # FOREGROUND is 1, BLIND 2
-        any_uncertain |= uncertain
-    return any_uncertain
 
 
 @kernel
 def _sum_row(row, sums, areas):  # type: ignore[no-untyped-def]
-    """Add a row of pixels to the sums of their columns, and write the summed areas down to it."""
+    """Add a row of squares to the sums of their columns, and write the summed areas down to it."""
     for u in range(areas.size - 1):
         sums[u] += row[u]
     total = np.int32(0)

@@ -10,6 +10,7 @@ others look at the whole stretch of its rays inside the volume.
 
 from __future__ import annotations
 
+from collections.abc import Container
 from typing import NamedTuple
 
 import cv2
@@ -21,7 +22,7 @@ from capture_rig.kernel import kernel
 from capture_rig.stamps import StampThrottle
 from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
-from ..bitset import HIGH_BITS, nonzero_bytes, popcount
+from ..bitset import high_bytes, nonzero_bytes, popcount
 from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summed_area
 from ..grid import VoxelGrid
 from ..views import Masks, RigViews, min_seeing
@@ -32,7 +33,6 @@ from .camera_fault_detector import FLOODED
 PERIOD_S = 0.25  # things are judged for seconds
 CELL_PX = 8  # a word of pixels, a divisor of every canvas's width; where camera clients look for foreground
 LEAST_PX = 4  # foreground pixels of a cell that count: noise leaves fewer
-ALL_BITS = np.uint64(0xFFFFFFFFFFFFFFFF)  # of a word: whatever is sent
 BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
 SURROUNDINGS_M = 1.5  # beside the volume, where people wait
 ARM_M = 0.5  # bodies in the volume reach out of it by so much; parts of a body so near to certain ones are hers
@@ -60,23 +60,21 @@ class SupportReporter:
         self._trusted = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
         self._judged: tuple[int, Cells] = (0, np.zeros(self._cells.seen.shape, np.uint8))
 
-    def update(self, masks: Masks, resolved: Masks, stamp_ns: int) -> tuple[ForegroundSupport, ...]:
+    def update(self, masks: Masks, used: Container[str], stamp_ns: int) -> tuple[ForegroundSupport, ...]:
         """Judge one frame set's canvas masks (h, w) uint8 once a period; else return nothing.
 
-        masks : as they were sent, nonzero = foreground, shadow or uncertain: only the rest denies a body. resolved :
-        without the shadows, of the cameras that are used; the others get a report and have no say. InputError for an
-        unknown camera or a wrong size.
+        masks : with shadows resolved, above 127 foreground; only background denies a body. used : the cameras that are
+        used; the others get a report and have no say. InputError for an unknown camera or a wrong size.
         """
         if self._throttle.step_s(stamp_ns) <= 0.0:
             return ()
         present, names = self._views.present(masks), self._views.names
         sent, shown = np.zeros((2, *self._cells.seen.shape), np.uint8)
         for camera in present:
-            _pool(np.ascontiguousarray(masks[names[camera]]).view(np.uint64), ALL_BITS, sent[camera])
-            if names[camera] in resolved:
-                _pool(np.ascontiguousarray(resolved[names[camera]]).view(np.uint64), HIGH_BITS, shown[camera])
+            words = np.ascontiguousarray(masks[names[camera]]).view(np.uint64)
+            _pool(words, names[camera] in used, sent[camera], shown[camera])
         covered = shown.mean(axis=(1, 2)) / 255
-        voting = [c for c in present if covered[c] <= FLOODED and names[c] in resolved]
+        voting = [c for c in present if covered[c] <= FLOODED and names[c] in used]
         levels = self._levels(shown, summed_area(sent), sum(1 << int(camera) for camera in voting))
         return tuple(self._report(int(camera), levels[camera], stamp_ns) for camera in present)
 
@@ -261,17 +259,20 @@ def _pooled_views(views: RigViews) -> RigViews:
 
 
 @kernel
-def _pool(mask_words, bits, cells):  # type: ignore[no-untyped-def]
-    """Write 255 to the cells (h, w) in which at least LEAST_PX pixels of a mask (H, W / 8) have any of these bits."""
-    for row in range(0, mask_words.shape[0], CELL_PX):
-        rows = mask_words[row : row + CELL_PX]
+def _pool(mask_words, is_used, sent, shown):  # type: ignore[no-untyped-def]
+    """Write 255 to the cells (h, w) in which at least LEAST_PX pixels of a mask (H, W / 8) are not background: to
+    ``sent``; and in which so many are foreground: to ``shown``, if the camera is used."""
+    for row in range(sent.shape[0]):
+        rows = mask_words[CELL_PX * row : CELL_PX * row + CELL_PX]
         for column in range(rows.shape[1]):
-            count = 0
+            any_, sure = 0, 0
             for v in range(rows.shape[0]):
-                word = rows[v, column] & bits
+                word = rows[v, column]
                 if word != 0:
-                    count += popcount(nonzero_bytes(word))
-            cells[row // CELL_PX, column] = 255 if count >= LEAST_PX else 0
+                    any_ += popcount(nonzero_bytes(word))
+                    sure += popcount(high_bytes(word))
+            sent[row, column] = 255 if any_ >= LEAST_PX else 0
+            shown[row, column] = 255 if is_used and sure >= LEAST_PX else 0
 
 
 def _reach_cells(P: npt.NDArray[np.float64], volume: Volume, reach_m: float) -> Cells:

@@ -41,27 +41,24 @@ class OccluderMap:
     def __init__(self, views: RigViews, estimator: ResidualEstimator) -> None:
         self._views, self._estimator = views, estimator
         self._hiding_s, self._showing_s = (np.zeros(estimator.cells.shape, np.float32) for _ in range(2))
+        self._hiding = np.zeros(estimator.cells.shape[1:], np.uint8)  # scratch memory
         self._hidden: dict[int, Hidden] = {}  # of the cameras that anything hides from
 
     def learn(self, residuals: Residuals, step_s: float) -> None:
         """Learn from the residuals of the estimator's last frame set."""
-        explained = residuals.explained_share
         for slot, camera in enumerate(residuals.cameras):
-            if explained[slot] < LEAST_EXPLAINED:
+            if residuals.explained_share[slot] < LEAST_EXPLAINED:
                 continue
-            hiding, showing = self._hiding_s[camera], self._showing_s[camera]
-            denied = self._estimator.denied_cells(residuals, slot)
-            _add_time(np.float32(step_s), denied, hiding)
-            _add_time(np.float32(step_s), self._estimator.cells[camera] == FOREGROUND, showing)
-            if not denied.any() and camera not in self._hidden:
-                continue
-            cells = ((hiding >= LEARNED_S) & (hiding > TIMES_SHOWN * showing)).view(np.uint8)
-            cells = np.asarray(cv2.morphologyEx(cells, cv2.MORPH_OPEN, LEAST_CELLS), np.uint8)
+            denied, cells = self._estimator.denied_cells(residuals, slot), self._estimator.cells[camera]
+            times = self._hiding_s[camera], self._showing_s[camera]
             known = self._hidden.pop(camera, None)
-            if known is not None and np.array_equal(known.cells, cells):
+            if not _learn(np.float32(step_s), denied, cells, *times, self._hiding):
+                continue
+            found = np.asarray(cv2.morphologyEx(self._hiding, cv2.MORPH_OPEN, LEAST_CELLS), np.uint8)
+            if known is not None and np.array_equal(known.cells, found):
                 self._hidden[camera] = known
-            elif cells.any():
-                self._hidden[camera] = Hidden(cells, self._levels(camera, cells))
+            elif found.any():
+                self._hidden[camera] = Hidden(found, self._levels(camera, found))
 
     def applied(self, masks: Masks) -> dict[str, npt.NDArray[np.uint8]]:
         """Return the masks (h, w) of one instant, uncertain where an occluder hides the background."""
@@ -83,9 +80,16 @@ class OccluderMap:
 
 
 @kernel
-def _add_time(step_s, where, time_s):  # type: ignore[no-untyped-def]
-    """Add a step to the times (H, W) of the cells that are positive in ``where``, up to MOST_S."""
-    for row in range(time_s.shape[0]):
-        times, cells = time_s[row], where[row]
-        for column in range(times.size):
-            times[column] = min(times[column] + step_s * np.float32(cells[column] > 0), np.float32(MOST_S))
+def _learn(step_s, denied, cells, hiding_s, showing_s, hiding):  # type: ignore[no-untyped-def]
+    """Add a step to the times (H, W) of the cells that are denied, and that show, up to MOST_S; write 1 to ``hiding``
+    for what is an occluder's. Returns whether any is."""
+    any_ = False
+    for row in range(cells.shape[0]):
+        for column in range(cells.shape[1]):
+            shows = np.float32(cells[row, column] == FOREGROUND)
+            hides = min(hiding_s[row, column] + step_s * np.float32(denied[row, column]), np.float32(MOST_S))
+            shown = min(showing_s[row, column] + step_s * shows, np.float32(MOST_S))
+            hiding_s[row, column], showing_s[row, column] = hides, shown
+            hiding[row, column] = (hides >= np.float32(LEARNED_S)) & (hides > np.float32(TIMES_SHOWN) * shown)
+            any_ |= hiding[row, column] != 0
+    return any_

@@ -24,9 +24,10 @@ from capture_rig import Rig
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, UNCERTAIN
 
+from ..bitset import fill_bits, lowest_bit, popcount
 from ..carving.cpu_carver import CpuCarver
 from ..carving.pixel_boxes import pixel_projections, project
-from ..grid import BrickVolume, VoxelGrid
+from ..grid import VoxelGrid
 from ..views import RigViews, min_seeing
 
 # Thresholds: measured by python bench/camera_faults.py.
@@ -97,6 +98,10 @@ class ResidualEstimator:
     """Estimates the residuals of frame sets; tables of the calibration are computed once. One thread at a time.
 
     cells (N, H, W) : of the last frame set, FOREGROUND, BACKGROUND, or UNCERTAIN, also where a camera does not see.
+
+    Cells that hulls explain are bits of words. by_hull (N, H, W / 64) : of each image, what the voters' hull explains.
+    by_own (N, N, H, W / 64) [image, camera] : of a voter, what the voxels explain that it alone vetoes; of another
+    camera, what the voters' hull explains less the voxels that it vetoes.
     """
 
     def __init__(self, rig: Rig, views: RigViews, voxel_size_m: float, requested_seeing: int = 0) -> None:
@@ -114,7 +119,9 @@ class ResidualEstimator:
         self._carver, self._names = CpuCarver(cells, grid), views.names
         self.cells = np.full_like(cells.seen, UNCERTAIN)
         self._counts = np.zeros(len(views.names), np.int64)
-        self._with_veto, self._without_veto = (np.zeros(self.cells.shape, np.int64) for _ in range(2))
+        cameras, height, width = self.cells.shape
+        self._by_hull = np.zeros((cameras, height, width // 64), np.uint64)
+        self._by_own = np.zeros((cameras, *self._by_hull.shape), np.uint64)
         self._pixels = np.zeros((len(views.names), 6), np.int64)
         self._voxels, self._vetoes = np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
 
@@ -132,26 +139,19 @@ class ResidualEstimator:
         None when too much is foreground: more than two cubic metres.
         """
         cameras, n, needed = np.array(voters + others, np.int64), len(voters + others), self._needed(len(voters))
-        # the voxels that at most one voter vetoes
-        shared = np.zeros((self._grid.brick_count, 8), np.uint64)
-        hull = self._carver.carve({self._names[c]: self.cells[c] for c in voters}, needed)
-        others_of = [np.delete(cameras[: len(voters)], slot) for slot in range(len(voters))]
-        without = [self._carver.carve_tabulated(rest, self._needed(len(rest))) for rest in others_of]
-        for volume in (hull, *without):
-            shared[volume.index] |= volume.leaves
-        bricks = np.flatnonzero(shared.any(axis=1))
-        volume = BrickVolume(self._grid, bricks.astype(np.uint32), shared[bricks])
+        # the voxels that at most one voter vetoes, and enough of the others show
+        silhouettes = {self._names[c]: self.cells[c] for c in voters}
+        volume = self._carver.carve(silhouettes, self._needed(len(voters) - 1), vetoes=1)
         if volume.count > MAX_SHARED_VOXELS:
             return None
         self._voxels = volume.voxels()
         # the foreground that they explain in each image, with and without each camera's veto
-        self._with_veto[:n] = self._without_veto[:n] = 0
-        marks = self._with_veto, self._without_veto
         self._vetoes, voting = np.empty(len(self._voxels), np.int64), (len(voters), needed)
-        found = self._voxels, self._vetoes
+        found, marks = (self._voxels, self._vetoes), (self._by_hull, self._by_own)
         mark_explained(self._views, self.cells, cameras, voting, *found, *marks, self._pixels)
         explained, vetoed = np.zeros((n, n), np.int64), np.zeros((n, n), np.int64)
-        count_explained(*marks, explained, vetoed)
+        shown = np.packbits(self.cells == FOREGROUND, axis=2, bitorder="little").view(np.uint64)
+        count_explained(shown, cameras, len(voters), *marks, explained, vetoed)
         return self._shares(cameras, len(voters), explained, vetoed)
 
     def _needed(self, voters: int) -> int:
@@ -164,8 +164,9 @@ class ResidualEstimator:
         call of :meth:`estimate`.
         """
         cameras, denied = np.array(residuals.cameras, np.int64), np.zeros(self.cells.shape[1:], np.bool_)
-        alone = self._vetoes & ((1 << residuals.voters) - 1 | 1 << slot) == 1 << slot
-        mark_denied(self._views, self.cells, cameras, slot, self._voxels[alone], self._with_veto, denied, self._pixels)
+        explained = self._by_hull if slot < residuals.voters else self._by_own[:, slot]
+        found = self._voxels, self._vetoes, residuals.voters
+        mark_denied(self._views, self.cells, cameras, slot, *found, explained, denied, self._pixels)
         return denied
 
     def _shares(self, cameras, voters, explained, vetoed) -> Residuals:  # type: ignore[no-untyped-def]
@@ -213,7 +214,7 @@ def _decimated(views: RigViews, stride: int) -> RigViews:
     P[:, :2] /= stride
     kept = views.seen[:, first::stride, first::stride]
     n, height, width = kept.shape
-    seen = np.zeros((n, height, -(-width // 32) * 32), np.uint8)
+    seen = np.zeros((n, height, -(-width // 64) * 64), np.uint8)
     seen[:, :, :width] = kept
     return RigViews(views.names, P, np.tile([seen.shape[2], height], (n, 1)), seen)
 
@@ -258,20 +259,21 @@ def _centre_level(cells, camera, own):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def mark_explained(views, cells, cameras, voting, voxels, vetoes, with_veto, without_veto, pixels):  # type: ignore[no-untyped-def]
-    """Mark in every camera's foreground cells which hulls lie behind them.
+def mark_explained(views, cells, cameras, voting, voxels, vetoes, by_hull, by_own, pixels):  # type: ignore[no-untyped-def]
+    """Mark in every camera's cells which hulls lie behind them.
 
     voting : how many of the cameras vote, and must show a voxel. voxels (M, 3) : those of the hulls of all voters, and
-    of all but one. vetoes (M,) : the bits of who vetoes each of them; SKIPPED where that is next to the floor.
-    with_veto, without_veto (n, H, W) : bit s of a cell is set for the voters' hull with and without the veto of camera
-    s. pixels (n, 6) : scratch memory.
+    of all but one. vetoes (M,) : the bits of who vetoes each of them; SKIPPED where that is next to the floor. pixels
+    (n, 6) : scratch memory.
     """
-    (voters, needed), everyone = voting, (1 << cameras.size) - 1
+    (voters, needed), n = voting, cameras.size
     by_voters = (1 << voters) - 1
+    by_hull[:n] = 0
+    by_own[:n, :n] = 0
     for found in range(voxels.shape[0]):
         _project(views, cells, cameras, voxels[found], pixels)
         vetoes[found], vetoed, showing = SKIPPED, 0, 0
-        for slot in range(cameras.size):
+        for slot in range(n):
             level = _centre_level(cells, cameras[slot], pixels[slot])
             vetoed |= (level == BACKGROUND) << slot
             showing += level == FOREGROUND and slot < voters
@@ -280,27 +282,41 @@ def mark_explained(views, cells, cameras, voting, voxels, vetoes, with_veto, wit
         if against & (against - 1) or (showing < needed if against == 0 else next_to_floor):
             continue
         vetoes[found] = 0 if next_to_floor else vetoed
-        kept = everyone & ~vetoes[found] if against == 0 else 0
-        reached = everyone if against == 0 else against
-        for slot in range(cameras.size):
-            own = pixels[slot]
-            for row in range(own[0], own[1]):
-                for column in range(own[2], own[3]):
-                    if cells[cameras[slot], row, column] == FOREGROUND:
-                        with_veto[slot, row, column] |= kept
-                        without_veto[slot, row, column] |= reached
+        for image in range(n):
+            if against:
+                _mark(by_own[image, lowest_bit(np.uint64(against))], pixels[image])
+                continue
+            _mark(by_hull[image], pixels[image])
+            for slot in range(voters, n):
+                if not vetoes[found] >> slot & 1:
+                    _mark(by_own[image, slot], pixels[image])
 
 
 @kernel
-def mark_denied(views, cells, cameras, slot, voxels, with_veto, denied, pixels):  # type: ignore[no-untyped-def]
-    """Mark a camera's background cells (H, W) of the voxels that it alone vetoes and two others' foreground needs."""
+def _mark(bits, own):  # type: ignore[no-untyped-def]
+    """Set the bits (H, W / 64) of the cells that a voxel covers, as :func:`_project` wrote them."""
+    if own[2] < own[3]:
+        for row in range(own[0], own[1]):
+            fill_bits(bits[row], own[2], own[3])
+
+
+@kernel
+def mark_denied(views, cells, cameras, slot, voxels, vetoes, voters, explained, denied, pixels):  # type: ignore[no-untyped-def]
+    """Mark a camera's background cells (H, W) of the voxels that it alone vetoes and two others' foreground needs.
+
+    vetoes (M,) : of :func:`mark_explained`. voters : how many of the cameras vote. explained (N, H, W / 64) : bits of
+    the cells that the hull with its veto explains in each image.
+    """
+    alone, others = 1 << slot, (1 << voters) - 1 & ~(1 << slot)
     for found in range(voxels.shape[0]):
+        if vetoes[found] & (alone | others) != alone:
+            continue
         _project(views, cells, cameras, voxels[found], pixels)
         needed_by = 0
         for other in range(cameras.size):
             own = pixels[other]
             if other != slot and _centre_level(cells, cameras[other], own) == FOREGROUND:
-                needed_by += with_veto[other, own[4], own[5]] >> slot & 1 == 0
+                needed_by += explained[other, own[4], own[5] >> 6] >> np.uint64(own[5] & 63) & np.uint64(1) == 0
         if needed_by >= NEEDED_BY:
             own = pixels[slot]
             for row in range(own[0], own[1]):
@@ -309,17 +325,17 @@ def mark_denied(views, cells, cameras, slot, voxels, with_veto, denied, pixels):
 
 
 @kernel
-def count_explained(with_veto, without_veto, explained, vetoed):  # type: ignore[no-untyped-def]
-    """Count foreground cells (n, n) [image, camera whose veto is ignored].
+def count_explained(shown, cameras, voters, by_hull, by_own, explained, vetoed):  # type: ignore[no-untyped-def]
+    """Count foreground cells (n, n) [image, camera whose veto is ignored]; shown (N, H, W / 64) : bits of them.
 
     explained : by the hull without that camera's veto. vetoed : of these, those that the hull with its veto leaves.
     """
-    for image in range(explained.shape[0]):
-        for row in range(with_veto.shape[1]):
-            for column in range(with_veto.shape[2]):
-                reached = without_veto[image, row, column]
-                if reached:
-                    lost = reached & ~with_veto[image, row, column]
-                    for slot in range(explained.shape[1]):
-                        explained[image, slot] += reached >> slot & 1
-                        vetoed[image, slot] += lost >> slot & 1
+    for image in range(cameras.size):
+        for row in range(by_hull.shape[1]):
+            for word in range(by_hull.shape[2]):
+                hull, here = by_hull[image, row, word], shown[cameras[image], row, word]
+                for slot in range(cameras.size):
+                    own = by_own[image, slot, row, word]
+                    lost = own & ~hull if slot < voters else hull & ~own
+                    explained[image, slot] += popcount((hull | lost) & here)
+                    vetoed[image, slot] += popcount(lost & here)

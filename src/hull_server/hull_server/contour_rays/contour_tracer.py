@@ -47,7 +47,7 @@ class ContourTracer:
         height, width = views.seen.shape[1:]
         cracks = 4 * (height * width // 2 + 1)  # a chessboard has most
         path, along, ends = np.empty((cracks, 2), np.int16), np.empty(cracks), np.empty(cracks // 4, np.int32)
-        filled = np.zeros((height + 2, width + 2), np.uint8)
+        filled = np.zeros((height + 2, width + 16), np.uint8)
         self._scratch = Scratch(np.zeros((height, width), np.uint8), filled, ends, path, along, 0)
 
     def trace(

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
 
-from ..bitset import HIGH_BITS
+from ..bitset import lowest_bit
 
 CORNER_PX = math.sqrt(0.5)  # from the middle of a crack to that of the next, around a corner; straight on it is 1
 # Thresholds: chosen with contour_rays.py among the benches of commit d6079d2 (spread, coverage).
@@ -30,6 +30,7 @@ RADIUS_PX, SHADOW_RADIUS_PX = 4, 2
 PLACE_BLUR_PX, NORMAL_BLUR_PX = 1.0, 2.0  # narrow for the place (curved edges shift less), wide for the normal
 LEAST_SLOPE = 0.6  # of a straight edge's gradient: less is a corner, or a thin or torn limb
 MOST_FILLED = 0.95  # a pixel whose surroundings are filled more is not at an edge
+STRETCH = 16  # words of a row that are looked at together
 QUANTILE_STEPS = 256
 QUANTILES = np.array(
     [NormalDist().inv_cdf(min(max(n, 1), QUANTILE_STEPS - 1) / QUANTILE_STEPS) for n in range(QUANTILE_STEPS + 1)]
@@ -45,11 +46,11 @@ def pick_contour_pixels(mask, box, scratch, limits, pixels):  # type: ignore[no-
     mask (h, w) uint8, foreground above 127. box (left, top, right, bottom), left and right multiples of 8; outside is
     background. limits : shortest outline, and least distance, in pixels; the distance grows if ``pixels`` is too small.
     scratch : marks (H, W) uint8, none of which equals stamp; ends, path and along as in :func:`_find_outlines`; filled
-    (H + 2, W + 2) uint8.
+    (H + 2, W + 16) uint8.
     """
     (shortest_px, spacing_px), n, begin = limits, 0, 0
     _copy_box(mask, box, scratch.filled)
-    count, total = _find_outlines(mask, box, scratch, shortest_px)
+    count, total = _find_outlines(box, scratch, shortest_px)
     step = max(spacing_px, total / pixels.shape[0])
     for outline in range(count):
         end = scratch.ends[outline]
@@ -61,27 +62,33 @@ def pick_contour_pixels(mask, box, scratch, limits, pixels):  # type: ignore[no-
 
 
 @kernel
-def _find_outlines(mask, box, scratch, shortest_px):  # type: ignore[no-untyped-def]
+def _find_outlines(box, scratch, shortest_px):  # type: ignore[no-untyped-def]
     """Find all outlines in a box; return how many, and their length.
 
     Writes their foreground pixels to ``path`` (m, 2), the distance up to the end of each pixel's crack to ``along``
     (m,), and the row at which each outline ends to ``ends``.
     """
-    (left, top, right, bottom), words = box, mask.view(np.uint64)
+    (left, top, right, bottom), words = box, scratch.filled.view(np.uint64)
     count, total, begin = 0, 0.0, 0
     for v in range(top, bottom):
-        for word in range(left // 8, right // 8):
-            above = words[v - 1, word] if v > top else np.uint64(0)
-            if words[v, word] & ~above & HIGH_BITS == 0:
+        for first in range(left // 8, right // 8, STRETCH):
+            last = min(first + STRETCH, right // 8)
+            row, above, any_ = words[v + 1, first + 1 : last + 1], words[v, first + 1 : last + 1], np.uint64(0)
+            for word in range(row.size):  # no branch inside: the compiler does several words at a time
+                any_ |= row[word] & ~above[word]
+            if any_ == 0:
                 continue
-            for u in range(8 * word, 8 * word + 8):
-                is_top = mask[v, u] > SHADOW_CANDIDATE and (v == top or mask[v - 1, u] <= SHADOW_CANDIDATE)
-                if is_top and scratch.marks[v, u] != scratch.stamp:
-                    end = _follow(scratch, u, v, begin)
-                    if scratch.along[end - 1] >= shortest_px:
-                        total += scratch.along[end - 1]
-                        scratch.ends[count] = begin = end
-                        count += 1
+            for word in range(row.size):
+                tops = row[word] & ~above[word]
+                while tops:
+                    u = 8 * (first + word) + (lowest_bit(tops) >> 3)
+                    tops &= tops - np.uint64(1)
+                    if scratch.marks[v, u] != scratch.stamp:
+                        end = _follow(scratch, u, v, begin)
+                        if scratch.along[end - 1] >= shortest_px:
+                            total += scratch.along[end - 1]
+                            scratch.ends[count] = begin = end
+                            count += 1
     return count, total
 
 
@@ -114,17 +121,17 @@ def _follow(scratch, u, v, n):  # type: ignore[no-untyped-def]
 @kernel
 def _filled(filled, u, v):  # type: ignore[no-untyped-def]
     """Return 1 for foreground, else 0."""
-    return np.int64(filled[np.uint64(v + 1), np.uint64(u + 1)])
+    return np.int64(filled[np.uint64(v + 1), np.uint64(u + 8)])
 
 
 @kernel
 def _copy_box(mask, box, filled):  # type: ignore[no-untyped-def]
-    """Write the box of a mask, 1 for foreground, in a margin of background: pixel (u, v) at row v + 1, column u + 1."""
+    """Write the box of a mask, 1 for foreground, in a margin of background: pixel (u, v) at row v + 1, column u + 8."""
     left, top, right, bottom = box
-    filled[top, left : right + 2] = 0
-    filled[bottom + 1, left : right + 2] = 0
+    filled[top, left + 7 : right + 9] = 0
+    filled[bottom + 1, left + 7 : right + 9] = 0
     for v in range(top, bottom):
-        row, pixels = filled[v + 1, left : right + 2], mask[v, left:right]
+        row, pixels = filled[v + 1, left + 7 : right + 9], mask[v, left:right]
         row[0], row[row.size - 1] = 0, 0
         for u in range(pixels.size):
             row[u + 1] = pixels[u] > SHADOW_CANDIDATE

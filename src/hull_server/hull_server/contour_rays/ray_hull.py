@@ -1,6 +1,6 @@
 """Intersection of rays with a hull of voxels: the interval of a ray in which it can touch the body.
 
-The hull is its runs of voxels, dilated by a voxel, as bits of rows along x; a ray marches through them in fixed point.
+The hull is its voxels, dilated by a voxel, as bits of rows along x; a ray marches through them in fixed point.
 """
 
 from __future__ import annotations
@@ -37,34 +37,33 @@ class Hull(NamedTuple):
     @classmethod
     def of(cls, runs: HullRuns, grid: VoxelGrid) -> Hull:
         """Return the hull of these runs."""
-        wide, size = widen(runs.words, runs.starts, runs.ends, runs.first)
+        wide, size = widen(runs.words, runs.ends)
         corner = grid.origin + (runs.low - PAD) * grid.voxel_size
         lines = runs.starts, runs.ends, runs.first, runs.part, runs.words.shape
         return cls(wide, size, corner, grid.voxel_size, lines, bool(runs.part.any()))
 
 
 @njit(cache=True, nogil=True)
-def widen(words, starts, ends, first):  # type: ignore[no-untyped-def]
-    """Dilate a hull's runs by their 26 neighbours: bits of rows along x of a box wider by PAD, and that box's size."""
+def widen(words, ends):  # type: ignore[no-untyped-def]
+    """Dilate a hull by its 26 neighbours: bits of rows along x of a box wider by PAD, and that box's size."""
     layers, rows, width = words.shape
     wide = np.zeros((layers + 2 * PAD, rows + 2 * PAD, width + 1), np.uint64)
     size = (ends.max() + 2 * PAD, rows + 2 * PAD, layers + 2 * PAD)
     for s in range(layers):
         for r in range(rows):
-            for run in range(first[s * rows + r], first[s * rows + r + 1]):
+            for w in range(width):
+                word = words[s, r, w]
+                if word == 0:
+                    continue
+                low, high = np.uint64(0), np.uint64(0)
+                for shift in range(PAD - 1, PAD + 2):
+                    low |= word << np.uint64(shift)
+                    high |= word >> np.uint64(64 - shift)
                 for layer in range(s + PAD - 1, s + PAD + 2):
                     for row in range(r + PAD - 1, r + PAD + 2):
-                        _fill_bits(wide[layer, row], starts[run] + PAD - 1, ends[run] + PAD + 1)
+                        wide[layer, row, w] |= low
+                        wide[layer, row, w + 1] |= high
     return wide, size
-
-
-@kernel
-def _fill_bits(row, start, end):  # type: ignore[no-untyped-def]
-    """Set the bits from ``start`` up to but not including ``end``."""
-    for word in range(start >> 6, ((end - 1) >> 6) + 1):
-        low, high = max(start - 64 * word, 0), min(end - 64 * word, 64)
-        ones = ~np.uint64(0) >> np.uint64(64 - (high - low))
-        row[word] |= ones << np.uint64(low)
 
 
 @kernel

@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse.csgraph import connected_components
 
 from capture_rig.kernel import njit
 from capture_rig.stamps import NS_PER_S
@@ -109,17 +108,21 @@ class BodyTracker:
         return numbers
 
 
-def _whose(parts: Parts, chosen: npt.NDArray[np.int64]) -> npt.NDArray[np.int32]:
+def _whose(parts: Parts, chosen: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Return to which person (m,) 0, 1, ... each of the chosen parts belongs, in the order of the persons' first."""
     low, high = parts.low_world[chosen, 2], parts.high_world[chosen, 2]
     middle, height = parts.centroid_world[chosen, :2], high - low
     apart_m = np.linalg.norm(middle[:, None] - middle, axis=-1)
     shared_m = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
     is_above = shared_m < 0.5 * np.minimum(height[:, None], height)
-    return np.asarray(connected_components(apart_m < np.where(is_above, ABOVE_M, BESIDE_M), directed=False)[1])
+    joined = apart_m < np.where(is_above, ABOVE_M, BESIDE_M)
+    for through in range(len(chosen)):  # transitive closure (Warshall 1962)
+        joined |= joined[:, through, None] & joined[through]
+    first = np.where(joined, np.arange(len(chosen)), len(chosen)).min(axis=1, initial=len(chosen))
+    return np.asarray(np.unique(first, return_inverse=True)[1])
 
 
-def _joined(parts: Parts, chosen: npt.NDArray[np.int64], whose: npt.NDArray[np.int32]) -> Parts:
+def _joined(parts: Parts, chosen: npt.NDArray[np.int64], whose: npt.NDArray[np.int64]) -> Parts:
     """Return the persons that the chosen parts make up."""
     persons, mine = int(whose.max(initial=-1)) + 1, parts.litres[chosen]
     litres = np.bincount(whose, mine, persons).astype(np.float64)
