@@ -41,10 +41,9 @@ from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingR
 from .background.verdict import describe_background
 from .camera_ros import CameraReport, CameraTopics, FootageClockTopic, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
-from .frame_processor import BegunFrame, FrameProcessor, FrameResult
+from .frame_processor import BegunFrame, FrameProcessor, FrameResult, warm_up_silhouettes
 from .frame_source import Frame, FrameSource
 from .settings import CameraClientSettings
-from .silhouettes.warm_up import warm_up_silhouettes
 from .sources.grab_loop import GrabLoop, GrabState
 from .sources.topic_source_ros import TopicSource
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from camera_pictures import learned
 
-from camera_client.background.adaptation.adaptive import AdaptiveBackground, samples_of
+from camera_client.background.adaptive import AdaptiveBackground, samples_of
 from camera_client.background.noise import assumed_noise, measured_correlation
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
-from camera_client.silhouettes.codec_errors import FINE_GRAIN, codec_error_sigma
+from camera_client.silhouettes.evidence import FINE_GRAIN, codec_error_sigma
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from virtual_studio.rig import ring
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from camera_client.background.adaptation.adaptive import FixedBackground
+from camera_client.background.adaptive import FixedBackground
 from camera_client.background.model import BackgroundModel, Provenance
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people

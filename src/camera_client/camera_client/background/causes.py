@@ -17,7 +17,7 @@ from typing import Any
 
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
 
-from .adaptation.light import MOST_GAIN
+from .light import MOST_GAIN
 from .model import Provenance
 
 KEY = "findings"  # of the diagnostics: what speaks against the background in use, as JSON, the worst first

@@ -22,7 +22,7 @@ from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import ForegroundSupport
 
 from ..frame_source import Image, Mask
-from .adaptation.expected_image import Corners, Samples
+from .expected_image import Corners, Samples
 from .kernels import STEP_PX, clear_absorbed, follow_running
 from .moved_evidence import Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 

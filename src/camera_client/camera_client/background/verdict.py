@@ -18,7 +18,7 @@ from capture_rig.verdict import Finding, Verdict, judge
 
 from ..settings import BackgroundSettings
 from ..sources.frame_checks import WHITE_LEVEL
-from .adaptation.adaptive import AdaptiveBackground, samples_of
+from .adaptive import AdaptiveBackground, samples_of
 from .causes import find_causes
 from .kernels import STEP_PX
 from .model import BackgroundModel, Provenance

@@ -19,7 +19,7 @@ from capture_rig.kernel import kernel, njit
 from capture_rig.mask_levels import BACKGROUND, FOREGROUND, UNCERTAIN
 from capture_rig.stamps import StampThrottle
 
-from ..background.adaptation.expected_image import Samples
+from ..background.expected_image import Samples
 from ..background.kernels import OPTIONS, SCALE, STEP_PX
 from ..frame_source import Image, Mask
 from .masks import BLOCK_PX, Box

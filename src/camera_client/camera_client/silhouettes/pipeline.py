@@ -22,8 +22,8 @@ from capture_rig.rig import Volume
 from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
 from ..alignment import PictureAlignment
-from ..background.adaptation.adaptive import AdaptiveBackground, FixedBackground, samples_of
-from ..background.adaptation.expected_image import Corners, Samples
+from ..background.adaptive import AdaptiveBackground, FixedBackground, samples_of
+from ..background.expected_image import Corners, Samples
 from ..background.kernels import STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
@@ -34,9 +34,8 @@ from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
 from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .certainty import Certainty, CertaintyMeter
-from .codec_errors import codec_error_sigma
 from .components import PeopleRule, keep_people
-from .evidence import CLEAR, EvidenceFilter, least_evidence
+from .evidence import CLEAR, EvidenceFilter, codec_error_sigma, least_evidence
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
 from .shadows import HALVED_NOISE, Scene, enlarged, halve, make_shadow_test
 

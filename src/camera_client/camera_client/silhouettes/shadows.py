@@ -21,8 +21,7 @@ from capture_rig.rig import Volume
 from ..background.noise import Noise
 from ..frame_source import Image, Mask
 from ..settings import SilhouetteSettings
-from .codec_errors import COLOUR_SHARE
-from .evidence import typical_level
+from .evidence import COLOUR_SHARE, typical_level
 from .masks import Box
 from .shadow_kernels import DarkenedRule, find_darkened, find_rims, mean_of_channels, shadow_sums
 

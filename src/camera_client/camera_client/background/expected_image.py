@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...frame_source import Image, Mask
-from ..kernels import BLACK, STEP_PX, WHITE, Bounds, Learned, Today, distance_of_samples, look_closely, refresh_samples
-from ..model import BackgroundModel
-from ..noise import Noise
+from ..frame_source import Image, Mask
+from .kernels import BLACK, STEP_PX, WHITE, Bounds, Learned, Today, distance_of_samples, look_closely, refresh_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light
+from .model import BackgroundModel
+from .noise import Noise
 from .shift import Displacement, gradients, steepness2
 
 # Thresholds: measured by python bench/rooms.py.
@@ -143,7 +143,7 @@ class ExpectedImage:
         refresh_samples(self._thinned, today, first, end, *(each.reshape(shape) for each in self.samples))
 
     def _noise(self, noise: Noise, left_px: float) -> Floats:
-        """Return read, slope, geometry and light (4, C) of a pixel's variance; see :class:`..kernels.Today`."""
+        """Return read, slope, geometry and light (4, C) of a pixel's variance; see :class:`.kernels.Today`."""
         ones = np.ones(self.shape[2])
         read = np.maximum(noise.read, self._least_variance)
         return np.stack([read, noise.slope, left_px**2 * ones, UNEVEN_LIGHT**2 * ones]).astype(np.float32)

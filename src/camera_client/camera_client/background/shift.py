@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...alignment import strongest
-from ..kernels import BIN_SIGMAS, HALF_MEDIAN, median_of, robust_shift
+from ..alignment import strongest
+from .kernels import BIN_SIGMAS, HALF_MEDIAN, median_of, robust_shift
 
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
 STEPS, REACH = 4, 2.5  # of the robust fit; sigmas

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..kernels import follow_cells, leave_residuals, robust_gain, sum_by_cell, weigh_samples
+from .kernels import follow_cells, leave_residuals, robust_gain, sum_by_cell, weigh_samples
 
 FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
 # Thresholds: measured by python bench/rooms.py.

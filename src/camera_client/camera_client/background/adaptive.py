@@ -18,14 +18,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
-from ...alignment import PictureAlignment
-from ...frame_source import Image, Mask
-from ...settings import BackgroundSettings
-from ..kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, STEP_PX, Bounds, Today, take_residuals, take_samples, thin_out
-from ..model import BackgroundModel
-from ..noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
+from ..alignment import PictureAlignment
+from ..frame_source import Image, Mask
+from ..settings import BackgroundSettings
 from .expected_image import Corners, ExpectedImage, Floats, Samples, SlowChanges
+from .kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, STEP_PX, Bounds, Today, take_residuals, take_samples, thin_out
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
+from .model import BackgroundModel
+from .noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
 from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
 
 # Thresholds: SAMPLES from the error of a mean, 1/sqrt(n); else measured by python bench/rooms.py.
