@@ -235,4 +235,4 @@ def warm_up_silhouettes(colour: bool) -> None:
     if colour:
         to_image(np.zeros(WIDTH * HEIGHT, np.uint8), "BayerRG8", WIDTH, HEIGHT, halved=True)
     pixels, mask = image.reshape(HEIGHT, WIDTH, -1), np.zeros((HEIGHT, WIDTH), np.uint8)
-    clear_absorbed(pixels, mean.reshape(pixels.shape), mask, mask, 1.0, 1, (0, 0, HEIGHT, WIDTH), mask)
+    clear_absorbed(pixels, mean.reshape(pixels.shape), mask, mask, (1.0, 1, 0, 0), (0, 0, HEIGHT, WIDTH), mask)

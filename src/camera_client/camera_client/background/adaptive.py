@@ -21,7 +21,7 @@ from scipy.special import chdtri
 from ..alignment import PictureAlignment
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
-from .expected_image import Corners, ExpectedImage, Floats, Samples, SlowChanges
+from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples, SlowChanges, whole_rows
 from .kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, STEP_PX, Bounds, Today, take_residuals, take_samples, thin_out
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
@@ -32,7 +32,7 @@ from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
 SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
 RENEWAL_S = 0.03  # some rows of the expected image are renewed, not more often
 BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames are rare: light's field takes as long
-NOISE_FRAMES, NOISE_S = 4, 0.12  # the noise is measured in every so many frames, and not more often
+NOISE_S = 0.35  # the noise is not measured more often, but for a codec to be known: its time constant is a second
 SHIFT_S = 0.03  # the displacement is not measured more often: what is taken over has lasted for a quarter of a second
 FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
 MOST_STEPS = 6  # of a displacement that is taken over at once, each damped
@@ -106,8 +106,7 @@ class AdaptiveBackground:
         self._last_ns: int | None = None
         self._next_row, self._next_band, self._sweep_s, self._last_sweep_s = 0, 0, 0.0, 0.0
         self._band_px = -(-height // (BANDS * block_px)) * block_px
-        self._frames, self._since_noise_s, self._since_shift_s, self._since_renewal_s = 0, 0.0, 0.0, 0.0
-        self._today: Today | None = None
+        self._since_noise_s = self._since_shift_s = self._since_renewal_s = 0.0
         self._place()
 
     # --- the frame's answer
@@ -141,12 +140,10 @@ class AdaptiveBackground:
         """Return how far every ``step_px``-th pixel is from the background: min(255, SCALE z^2), (h, w) uint8."""
         return self._image.distance(samples, self.light, self._bounds)
 
-    def look(self, image: Image, box: Corners, distance: Mask) -> Floats:
-        """Return a part of the background as it looks now, (h, w) or (h, w, 3), grey levels; write into ``distance``
-        (H, W) uint8 how far the image is from it there."""
-        if self._today is None:
-            self._today = self._image.today(self.light, self._noise, self._shift.left_px)
-        return self._image.look(image, box, self._today, self._bounds, distance)
+    def look(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
+        """Return a part of the background as it looks now, (h, w) or (h, w, 3), grey levels; and (2, h, w) uint8 how
+        far the image is from it: min(255, SCALE z^2), and grey levels. ``rows`` : what is looked at."""
+        return self._image.look(image, box, self._today, self._bounds, rows)
 
     @property
     def _bounds(self) -> Bounds:
@@ -162,7 +159,7 @@ class AdaptiveBackground:
 
     def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
         """Take one frame (H, W) or (H, W, 3) of ``stamp_ns``, and its samples, into account."""
-        self._samples, self._today = samples, None
+        self._samples = samples
         first = self._last_ns is None
         step_s = FIRST_STEP_S if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
         step_s, self._last_ns = min(max(step_s, 0.0), MOST_STEP_S), stamp_ns
@@ -185,7 +182,6 @@ class AdaptiveBackground:
         if first or self.light.switched:
             self._renew(slice(0, self._image.shape[0]))
         self._renew_next(image, step_s)
-        self._frames += 1
 
     def _follow_light(self, step_s: float) -> Floats:
         """Return what is left of the samples (n, C), grey levels."""
@@ -198,7 +194,7 @@ class AdaptiveBackground:
     def _follow_noise(self, rest: Floats, step_s: float, first: bool) -> None:
         """Measure the noise on what shows the background; it is never less than when the room was empty."""
         self._since_noise_s += step_s
-        if not first and (self._frames % NOISE_FRAMES or self._since_noise_s < NOISE_S):
+        if not first and self._since_noise_s < (NOISE_S if self._coarseness.known else NOISE_S / 3):
             return
         level = self._image.samples[0][:, self._sampled[0]].T * self.light.gain
         sure = (self._trust(self._row, self._column) >= 1) & (level + rest < CLIPPED).all(axis=1)
@@ -290,11 +286,14 @@ class AdaptiveBackground:
         self._shift.place(*self._image.place(self._shift.total, self._slow.local))
         self._steep = self._indices(self._shift.row, self._shift.column)
         self._cell_weights = self._image.cell_weights(self._shift.row, self._shift.column)
-        self._today = None
         self._renew(slice(0, self._image.shape[0]))
 
+    @property
+    def _today(self) -> Today:
+        return self._image.today(self.light, self._noise, self._shift.left_px)
+
     def _renew(self, rows: slice) -> None:
-        self._image.renew(rows, self.light, self._noise, self._shift.left_px)
+        self._image.renew(rows, self._today)
 
     def _renew_next(self, image: Image, step_s: float) -> None:
         """Renew the next rows, which may have changed slowly."""
@@ -315,10 +314,10 @@ class AdaptiveBackground:
         (height, width, _), band_px = self._image.shape, self._band_px
         rows = slice(self._next_band, min(self._next_band + band_px, height))
         if self._slow.quiet_anywhere(rows, self._last_ns or 0):
-            distance, box = np.empty((height, width), np.uint8), (rows.start, 0, rows.stop, width)
-            rest = image[rows] - self.look(image, box, distance)
-            within = distance[rows] <= SCALE * WITHIN_SIGMAS**2
-            step = rest.reshape(-1, *self._image.shape[1:])
+            whole = whole_rows(rows.stop - rows.start, width)
+            expected, (distance, _) = self.look(image, (rows.start, 0, rows.stop, width), whole)
+            within = distance <= SCALE * WITHIN_SIGMAS**2
+            step = (image[rows] - expected).reshape(-1, *self._image.shape[1:])
             self._image.change(rows, self._slow.follow(rows, step, within, self._last_ns or 0, self._last_sweep_s))
         self._next_band = rows.stop % height
         if self._next_band == 0:
@@ -358,10 +357,11 @@ class FixedBackground:
         """Return 0 (H, W) where the image keeps the limits of 6.3, else 255."""
         return self._limits.subtract(image)
 
-    def look(self, image: Image, box: Corners, distance: Mask) -> npt.NDArray[np.float32]:
-        """Return a part of the background, (h, w) or (h, w, 3), grey levels; write 0 into ``distance`` (H, W) there
-        where the image keeps the limits of 6.3, else 255."""
+    def look(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
+        """Return a part of the background, (h, w) or (h, w, 3), grey levels; and (2, h, w) uint8: 0 where the image
+        keeps the limits of 6.3, else 255, and by how many grey levels it differs."""
         top, left, bottom, right = box
         at = slice(top, bottom), slice(left, right)
-        distance[at] = self._limits.subtract(image, at)
-        return self._mean[at]
+        change = cv2.absdiff(image[at], cv2.convertScaleAbs(self._mean[at]))
+        change = change if change.ndim == 2 else change.max(axis=2)
+        return self._mean[at], np.stack([self._limits.subtract(image, at), change])

@@ -29,6 +29,8 @@ Samples = npt.NDArray[np.uint8]
 """Every STEP_PX-th row and column of an image, (C, h, w)."""
 Corners = tuple[int, int, int, int]
 """Of a part of the picture: top, left, bottom, right, the last two excluded."""
+Rows = npt.NDArray[np.int64]
+"""Of each row of a part (h, 2): the first column that is looked at, and the one after the last."""
 
 
 class ExpectedImage:
@@ -82,23 +84,20 @@ class ExpectedImage:
         return out
 
     def today(self, light: Light, noise: Noise, left_px: float) -> Today:
-        """Return light and noise of every column and row; ``left_px`` : displacement that is left."""
-        height, width, _ = self.shape
-        field = _across(light, width).reshape(FIELD_DOWN, -1)
-        now = np.tile(self._noise(noise, left_px), width), np.tile(np.stack([light.gain, light.offset]), width)
-        return Today(field, _in_cells(np.arange(height), height, FIELD_DOWN), *now)
+        """Return light and noise; ``left_px`` : displacement that is left."""
+        ones = np.ones(self.shape[2])
+        variances = np.maximum(noise.read, self._least_variance), noise.slope, left_px**2 * ones, UNEVEN_LIGHT**2 * ones
+        return Today(light.field, np.stack(variances).astype(np.float32), np.stack([light.gain, light.offset]))
 
-    def look(self, image: Image, box: Corners, today: Today, bounds: Bounds, distance: Mask) -> Floats:
-        """Return the grey levels of a box: (h, w), of colour images (h, w, 3); write how far ``image`` is from them.
-
-        distance (H, W) uint8 : min(255, SCALE z^2), written within the box.
-        """
+    def look(self, image: Image, box: Corners, today: Today, bounds: Bounds, rows: Rows) -> tuple[Floats, Mask]:
+        """Return what :func:`.kernels.look_closely` finds in a box: the grey levels (h, w), of colour images (h, w, 3);
+        and (2, h, w) uint8 by how much ``image`` differs."""
         (top, left, bottom, right), (height, _, channels) = box, self.shape
         out = np.empty((bottom - top, (right - left) * channels), np.float32)
+        found = np.empty((2, bottom - top, right - left), np.uint8)
         flat = Learned(*(each.reshape(height, -1) for each in self._whole))
-        part = top, left, bottom, right  # plain, whatever kind of tuple came: each kind would be compiled
-        look_closely(image.reshape(height, -1), flat, today, bounds, self._clipped, part, out, distance)
-        return out if channels == 1 else out.reshape(bottom - top, right - left, channels)
+        look_closely(image.reshape(height, -1), flat, today, bounds, self._clipped, (top, left), rows, out, found)
+        return out if channels == 1 else out.reshape(bottom - top, right - left, channels), found
 
     def cell_weights(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
         """Return the weight of each of the light's cells (n, cells) at some pixels."""
@@ -133,26 +132,16 @@ class ExpectedImage:
         thinned = slice(rows.start // STEP_PX, -(-rows.stop // STEP_PX))
         self._thinned.mean[:, thinned] = self._whole.mean[rows][::STEP_PX, ::STEP_PX].transpose(2, 0, 1)
 
-    def renew(self, rows: slice, light: Light, noise: Noise, left_px: float) -> None:
-        """Renew the samples in some rows for the light and noise of now; ``left_px`` : displacement that is left."""
+    def renew(self, rows: slice, today: Today) -> None:
+        """Renew the samples in some rows for the light and noise of now."""
         shape = self._thinned.mean.shape
         first, end = rows.start // STEP_PX, -(-rows.stop // STEP_PX)
-        planes = np.ascontiguousarray(_across(light, shape[2]).transpose(2, 0, 1))
-        down = _in_cells(np.arange(shape[1]), shape[1], FIELD_DOWN)
-        today = Today(planes, down, self._noise(noise, left_px), np.stack([light.gain, light.offset]))
         refresh_samples(self._thinned, today, first, end, *(each.reshape(shape) for each in self.samples))
 
-    def _noise(self, noise: Noise, left_px: float) -> Floats:
-        """Return read, slope, geometry and light (4, C) of a pixel's variance; see :class:`.kernels.Today`."""
-        ones = np.ones(self.shape[2])
-        read = np.maximum(noise.read, self._least_variance)
-        return np.stack([read, noise.slope, left_px**2 * ones, UNEVEN_LIGHT**2 * ones]).astype(np.float32)
 
-
-def _across(light: Light, width: int) -> Floats:
-    """Return the light's field (FIELD_DOWN, width, C) in the middle rows of its cells."""
-    field = cv2.resize(light.field, (width, FIELD_DOWN), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(field, np.float32).reshape(FIELD_DOWN, width, -1)
+def whole_rows(height: int, width: int) -> Rows:
+    """Return that all of a part is looked at."""
+    return np.tile([0, width], (height, 1))
 
 
 def _in_cells(at: npt.NDArray[np.intp], size: int, cells: int) -> Floats:

@@ -49,7 +49,7 @@ COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the
 
 Look = Callable[[Image, Corners], tuple[npt.NDArray[np.float32], Mask]]
 """Gives of a part of an image (top, left, bottom, right; the last two excluded) the background's picture in today's
-light, and 255 where the image differs from it."""
+light, and (h, w) 255 where the image differs from it."""
 
 
 class MovedThings:
@@ -137,16 +137,16 @@ class MovedThings:
         """Write 0 into ``values``, of every ``step_px``-th row and column, where the frame looks as it was absorbed.
 
         brightness : how many times brighter than when the background was learned the scene is now. box : top, left,
-        bottom, right of the part that matters; all without one.
+        bottom, right of the part that ``values`` are of; all without one.
         """
         if self._box is None:
             return
-        top, left, bottom, right = self._box
+        part, (v, u) = self._box, (0, 0)
         if box is not None:
-            top, left, bottom, right = max(top, box[0]), max(left, box[1]), min(bottom, box[2]), min(right, box[3])
+            v, u = box[:2]
+            part = (max(part[0], v), max(part[1], u), min(part[2], box[2]), min(part[3], box[3]))
         pixels, mean = (each.reshape(*self._shape, -1) for each in (image, self.mean))
-        part = (top, left, bottom, right)
-        clear_absorbed(pixels, mean, self.replaced, self._limit, brightness, step_px, part, values)
+        clear_absorbed(pixels, mean, self.replaced, self._limit, (brightness, step_px, v, u), part, values)
 
     def is_due(self, stamp_ns: int) -> bool:
         """Whether :meth:`update` would look at a frame of this stamp."""
@@ -254,10 +254,8 @@ class MovedThings:
         part = slice(top, bottom), slice(left, right)
         near = self._to_pixels(cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[part]
         background, foreground = look(whole, (top, left, bottom, right))
-        image, unexplained = whole[part], np.zeros(self._shape, np.uint8)
-        unexplained[part] = foreground
-        self.clear_absorbed(whole, unexplained, self._brightness, box=(top, left, bottom, right))
-        foreground = unexplained[part]
+        image = whole[part]
+        self.clear_absorbed(whole, foreground, self._brightness, box=(top, left, bottom, right))
         own = np.where(near, foreground, np.uint8(0))
         if not was_taken_away(own, foreground, image, background, self._noise):
             return False

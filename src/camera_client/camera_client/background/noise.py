@@ -33,6 +33,8 @@ MOST_TAIL = 2.5
 FOLLOW_S = 1.0  # time constant
 MOST_CORRELATION = 0.6  # beyond, small errors of the colour would count as much as a person
 
+GREY_POWER = sum(weight**2 for weight in (0.299, 0.587, 0.114))  # of a brightness, by BT.601
+
 Floats = npt.NDArray[np.floating]
 
 
@@ -54,9 +56,9 @@ class Noise(NamedTuple):
             return self.read[0] + self.slope[0] * level
         return self.read + self.slope * level
 
-    def of_mean(self) -> Noise:
-        """Return the noise of the mean of the channels."""
-        share = (1.0 + (len(self.read) - 1) * self.correlation) / len(self.read)
+    def of_grey(self) -> Noise:
+        """Return the noise of a colour's brightness, in BT.601's weights."""
+        share = self.correlation + (1.0 - self.correlation) * GREY_POWER
         return self._replace(read=share * self.read.mean(keepdims=True), slope=share * self.slope.mean(keepdims=True))
 
     def sigma(self, level: float) -> float:
@@ -153,7 +155,7 @@ OPPONENT = np.array([[1 / 3, 1, 0], [1 / 3, -1, -1], [1 / 3, 0, 1]], np.float32)
 
 
 class NoiseCorrelationMeter:
-    """Measures it at sampled pixels. ``spatial_correlation`` : 0 until it is known."""
+    """Measures it at sampled pixels. ``spatial_correlation`` : 0 until it is ``known``."""
 
     def __init__(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp], width: int) -> None:
         """Sample at ``row``, ``column`` (n,) of a picture of this width."""
@@ -162,7 +164,7 @@ class NoiseCorrelationMeter:
         self._before: Floats | None = None
         self._sure_before = np.zeros(len(row), bool)
         self._passing: deque[float] = deque(maxlen=2)
-        self._known, self.spatial_correlation = False, 0.0
+        self.known, self.spatial_correlation = False, 0.0
 
     def update(self, seen: Floats, rest: Floats, sure: npt.NDArray[np.bool_], step_s: float) -> float:
         """Take a frame, ``step_s`` after the last one taken; return the correlation.
@@ -177,9 +179,9 @@ class NoiseCorrelationMeter:
         found, passing = measured_correlation(*rest[:, sure]), measured_correlation(*(seen - before)[:, both])
         self._passing.append(1.0 if passing is None else passing)  # only codecs show the same picture again
         if found is not None and len(self._passing) == self._passing.maxlen:
-            share = 1 - math.exp(-step_s / FOLLOW_S) if self._known else 1.0
+            share = 1 - math.exp(-step_s / FOLLOW_S) if self.known else 1.0
             self.spatial_correlation += share * (min(found, PASSING * min(self._passing)) - self.spatial_correlation)
-            self._known = True
+            self.known = True
         return self.spatial_correlation
 
 

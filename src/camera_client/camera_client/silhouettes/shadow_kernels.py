@@ -28,16 +28,6 @@ class DarkenedRule(NamedTuple):
 
 
 @njit(**OPTIONS, crops=True)
-def mean_of_channels(image, expected, grey, expected_grey):  # type: ignore[no-untyped-def]
-    """Write the mean of three channels of an image (h, w, 3) uint8, rounded, and of what is expected, float32."""
-    for y in range(grey.shape[0]):
-        row, level, to, other = image[y], expected[y], grey[y], expected_grey[y]
-        for x in range(grey.shape[1]):
-            to[x] = (np.int64(row[x, 0]) + row[x, 1] + row[x, 2] + 1) // 3
-            other[x] = (level[x, 0] + level[x, 1] + level[x, 2]) * F32(1 / 3)
-
-
-@njit(**OPTIONS, crops=True)
 def find_darkened(image, expected, mask, noise, codec_variance, darkest, rule):  # type: ignore[no-untyped-def]
     """Return (h, w) uint8: 255 where the colour of 2 x 2 pixels is that of the darkened background, else 0.
 

@@ -7,8 +7,6 @@ The thresholds were set with ``bench/silhouette.py`` of commit d6079d2 on its cl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import cv2
@@ -18,12 +16,11 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Volume
 
-from ..background.noise import Noise
-from ..frame_source import Image, Mask
+from ..frame_source import Mask
 from ..settings import SilhouetteSettings
-from .evidence import COLOUR_SHARE, typical_level
+from .evidence import COLOUR_SHARE, Scene, typical_level
 from .masks import Box
-from .shadow_kernels import DarkenedRule, find_darkened, find_rims, mean_of_channels, shadow_sums
+from .shadow_kernels import DarkenedRule, find_darkened, find_rims, shadow_sums
 
 # Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
 # with python bench/rooms.py.
@@ -57,38 +54,6 @@ _ALL_BYTES: dict[int, np.unsignedinteger] = {
     4: np.uint32(0x01010101),
     8: np.uint64(0x0101010101010101),
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """A part of a frame, and what the background looks like there now.
-
-    image (h, w[, 3]) uint8; expected (h, w[, 3]) float32, grey levels; noise : of a pixel; at : rows and columns of the
-    part, which begins at multiples of the tests' ``alignment_px`` and ends there or where the image ends.
-    codec_sigma (h, w) float32 : standard deviation of a codec's errors, None without one.
-    """
-
-    image: Image
-    expected: npt.NDArray[np.float32]
-    noise: Noise
-    at: tuple[slice, slice]
-    codec_sigma: npt.NDArray[np.float32] | None = None
-
-    def part(self, box: Box) -> Scene:
-        """Return a part of it; ``box`` counts from its own corner."""
-        top, left = self.at[0].start, self.at[1].start
-        at = slice(top + box.top, top + box.bottom), slice(left + box.left, left + box.right)
-        codec_sigma = None if self.codec_sigma is None else self.codec_sigma[box.slices]
-        return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, codec_sigma)
-
-    @cached_property
-    def grey(self) -> Scene:
-        """The same of the mean of the channels."""
-        if self.image.ndim == 2:
-            return self
-        image, expected = np.empty(self.image.shape[:2], np.uint8), np.empty(self.image.shape[:2], np.float32)
-        mean_of_channels(self.image, self.expected, image, expected)
-        return replace(self, image=image, expected=expected, noise=self.noise.of_mean())
 
 
 class ShadowTest(Protocol):
