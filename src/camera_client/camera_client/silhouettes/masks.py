@@ -57,9 +57,13 @@ class Box(NamedTuple):
 
     def grown(self, by_px: int, shape: tuple[int, ...], multiple: int = 1) -> Box:
         """Larger by ``by_px`` on all sides, then to multiples of ``multiple``, but within an image of ``shape``."""
-        top, left = (max(start - by_px, 0) // multiple * multiple for start in self[:2])
-        bottom, right = (-(-(end + by_px) // multiple) * multiple for end in self[2:])
-        return Box(top, left, min(bottom, shape[0]), min(right, shape[1]))
+        (top, left), side = (max(self.top - by_px, 0), max(self.left - by_px, 0)), multiple
+        bottom, right = -(-(self.bottom + by_px) // side) * side, -(-(self.right + by_px) // side) * side
+        return Box(top - top % side, left - left % side, min(bottom, shape[0]), min(right, shape[1]))
+
+    def divided(self, by: int) -> Box:
+        """Return the same box in pixels ``by`` times as large: it begins at multiples of them."""
+        return Box(self.top // by, self.left // by, -(-self.bottom // by), -(-self.right // by))
 
     def joined(self, other: Box) -> Box:
         """Return the smallest box that holds both."""
