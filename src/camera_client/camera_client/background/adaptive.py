@@ -22,7 +22,7 @@ from ..alignment import PictureAlignment
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples, SlowChanges, whole_rows
-from .kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, STEP_PX, Bounds, Today, take_residuals, take_samples, thin_out
+from .kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, STEP_PX, Today, take_residuals, take_samples, thin_out
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
 from .noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
@@ -107,6 +107,7 @@ class AdaptiveBackground:
         self._next_row, self._next_band, self._sweep_s, self._last_sweep_s = 0, 0, 0.0, 0.0
         self._band_px = -(-height // (BANDS * block_px)) * block_px
         self._since_noise_s = self._since_shift_s = self._since_renewal_s = 0.0
+        self._made_of: tuple[Light | None, Noise | None, float] = None, None, 0.0
         self._place()
 
     # --- the frame's answer
@@ -138,16 +139,12 @@ class AdaptiveBackground:
 
     def distance(self, image: Image, samples: Samples) -> Mask:
         """Return how far every ``step_px``-th pixel is from the background: min(255, SCALE z^2), (h, w) uint8."""
-        return self._image.distance(samples, self.light, self._bounds)
+        return self._image.distance(samples, self._today)
 
     def look(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
         """Return a part of the background as it looks now, (h, w) or (h, w, 3), grey levels; and (2, h, w) uint8 how
         far the image is from it: min(255, SCALE z^2), and grey levels. ``rows`` : what is looked at."""
-        return self._image.look(image, box, self._today, self._bounds, rows)
-
-    @property
-    def _bounds(self) -> Bounds:
-        return self._image.bounds(self.light, self._noise.correlation)
+        return self._image.look(image, box, self._today, rows)
 
     # --- following
 
@@ -290,7 +287,10 @@ class AdaptiveBackground:
 
     @property
     def _today(self) -> Today:
-        return self._image.today(self.light, self._noise, self._shift.left_px)
+        light, noise, left_px = now = self.light, self._noise, self._shift.left_px
+        if any(a is not b for a, b in zip(now, self._made_of, strict=True)):
+            self._made_of, self._made = now, self._image.today(light, noise, left_px)
+        return self._made
 
     def _renew(self, rows: slice) -> None:
         self._image.renew(rows, self._today)

@@ -67,36 +67,31 @@ class ExpectedImage:
 
     # --- what it looks like now
 
-    def bounds(self, light: Light, rho: float) -> Bounds:
-        """Return what clipped pixels look like now: what was white may be brighter, what was black darker.
-
-        rho : correlation of two channels' noise.
-        """
+    def today(self, light: Light, noise: Noise, left_px: float) -> Today:
+        """Return light and noise, and what clipped pixels look like now: what was white may be brighter, what was black
+        darker. ``left_px`` : displacement that is left."""
+        variances = np.empty((4, self.shape[2]), np.float32)
+        variances[0], variances[1] = np.maximum(noise.read, self._least_variance), noise.slope
+        variances[2], variances[3] = left_px**2, UNEVEN_LIGHT**2
         gain = light.brightness
         white = WHITE_LEVEL * gain if gain < 1 else math.inf
-        return Bounds(white, BLACK_LEVEL * (1 + gain) + max(float(light.offset.max()), 0.0), rho)
+        bounds = Bounds(white, BLACK_LEVEL * (1 + gain) + max(*light.offset.tolist(), 0.0), noise.correlation)
+        return Today(light.field, variances, np.stack([light.gain, light.offset]), bounds)
 
-    def distance(self, samples: Samples, light: Light, bounds: Bounds) -> Mask:
+    def distance(self, samples: Samples, today: Today) -> Mask:
         """Return how far each sample of (C, h, w) uint8 is from the background: min(255, SCALE z^2), (h, w) uint8."""
-        out, now = np.empty(samples.shape[1:], np.uint8), np.stack([light.gain, light.offset])
-        looks = (each.reshape(samples.shape) for each in self.samples)
-        distance_of_samples(samples, *looks, now, bounds, self._clipped_samples, out)
+        out, looks = np.empty(samples.shape[1:], np.uint8), (each.reshape(samples.shape) for each in self.samples)
+        distance_of_samples(samples, *looks, today, self._clipped_samples, out)
         return out
 
-    def today(self, light: Light, noise: Noise, left_px: float) -> Today:
-        """Return light and noise; ``left_px`` : displacement that is left."""
-        ones = np.ones(self.shape[2])
-        variances = np.maximum(noise.read, self._least_variance), noise.slope, left_px**2 * ones, UNEVEN_LIGHT**2 * ones
-        return Today(light.field, np.stack(variances).astype(np.float32), np.stack([light.gain, light.offset]))
-
-    def look(self, image: Image, box: Corners, today: Today, bounds: Bounds, rows: Rows) -> tuple[Floats, Mask]:
+    def look(self, image: Image, box: Corners, today: Today, rows: Rows) -> tuple[Floats, Mask]:
         """Return what :func:`.kernels.look_closely` finds in a box: the grey levels (h, w), of colour images (h, w, 3);
         and (2, h, w) uint8 by how much ``image`` differs."""
         (top, left, bottom, right), (height, _, channels) = box, self.shape
         out = np.empty((bottom - top, (right - left) * channels), np.float32)
         found = np.empty((2, bottom - top, right - left), np.uint8)
         flat = Learned(*(each.reshape(height, -1) for each in self._whole))
-        look_closely(image.reshape(height, -1), flat, today, bounds, self._clipped, (top, left), rows, out, found)
+        look_closely(image.reshape(height, -1), flat, today, self._clipped, (top, left), rows, out, found)
         return out if channels == 1 else out.reshape(bottom - top, right - left, channels), found
 
     def cell_weights(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:

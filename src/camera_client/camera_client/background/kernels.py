@@ -38,6 +38,16 @@ class Learned(NamedTuple):
     steepness2: npt.NDArray[np.float32]
 
 
+class Bounds(NamedTuple):
+    """Clipped backgrounds are as expected from level ``white`` on, and up to ``black``. rho : correlation of any two
+    channels' noise, whose covariance has the inverse (1 - common) / (1 - rho), common = rho / (1 + 2 rho) in every
+    place of the matrix."""
+
+    white: float
+    black: float
+    rho: float
+
+
 class Today(NamedTuple):
     """The light and the noise of now, float32.
 
@@ -48,16 +58,7 @@ class Today(NamedTuple):
     field: npt.NDArray[np.float32]
     noise: npt.NDArray[np.float32]
     light: npt.NDArray[np.float32]
-
-
-class Bounds(NamedTuple):
-    """Clipped backgrounds are as expected from level ``white`` on, and up to ``black``. rho : correlation of any two
-    channels' noise, whose covariance has the inverse (1 - common) / (1 - rho), common = rho / (1 + 2 rho) in every
-    place of the matrix."""
-
-    white: float
-    black: float
-    rho: float
+    bounds: Bounds
 
 
 @njit(**OPTIONS)
@@ -117,13 +118,13 @@ def _between_rows(field, y, height):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def distance_of_samples(samples, expected, inverse_sigma, light, bounds, clipped, out):  # type: ignore[no-untyped-def]
+def distance_of_samples(samples, expected, inverse_sigma, today, clipped, out):  # type: ignore[no-untyped-def]
     """Write min(255, SCALE z^2) of every sample, z its distance from what is expected, of colours Mahalanobis's.
 
     What would be brighter than white is white, whatever the light. samples (C, h, w) uint8; expected, inverse_sigma
-    (C, h, w) : of :func:`refresh_samples`; light (2, C); clipped (h, w) : WHITE, BLACK or 0; out (h, w) uint8.
+    (C, h, w) : of :func:`refresh_samples`; clipped (h, w) : WHITE, BLACK or 0; out (h, w) uint8.
     """
-    gain, offset, (height, width) = light[0], light[1], out.shape
+    gain, offset, bounds, (height, width) = today.light[0], today.light[1], today.bounds, out.shape
     rest = np.empty((len(samples), width), np.float32)
     for y in range(height):
         for c in range(len(samples)):
@@ -183,7 +184,7 @@ def _is_clipped(pixel, kind, bounds):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
-def look_closely(image, learned, today, bounds, clipped, at, rows, expected, found):  # type: ignore[no-untyped-def]
+def look_closely(image, learned, today, clipped, at, rows, expected, found):  # type: ignore[no-untyped-def]
     """Write what is expected in a part of the picture, and how far the picture is from it.
 
     image (H, W C) uint8, learned (H, W C), clipped (H, W) uint8 : of the whole picture. at : top and left of the part;
@@ -225,10 +226,10 @@ def look_closely(image, learned, today, bounds, clipped, at, rows, expected, fou
         if channels == 1:
             _write_squares(rest, out)
         else:
-            _write_squares_of_pixels(rest, bounds.rho, out)
+            _write_squares_of_pixels(rest, today.bounds.rho, out)
         _write_largest(own, to, change)
         for x in range(len(out)):
-            if kind[x] != 0 and _is_clipped(own[channels * x : channels * (x + 1)], kind[x], bounds):
+            if kind[x] != 0 and _is_clipped(own[channels * x : channels * (x + 1)], kind[x], today.bounds):
                 out[x] = 0
 
 

@@ -81,8 +81,7 @@ class LightEstimator:
         """``cell`` (n,) : the field's cell of each sample."""
         self._cell, self.light = cell, Light.unchanged(channels)
         self._outliers, self._switched_s = 0.0, math.inf
-        self._usual_gain: Floats = np.ones(channels, np.float32)
-        self._last_gain = self._usual_gain
+        self._usual_gain = self._last_gain = [1.0] * channels
         self._trust_before = np.ones(len(cell), np.float32)
         self._first, self.switches, self.flicker2 = True, 0, 0.0
         self._before: dict[str, Any] = {}
@@ -102,7 +101,7 @@ class LightEstimator:
         given = samples, self._trust_before, self._cell, light.field, share
         scale, outliers = fit_light(*given, now, usable, rest, field)
         gain, offset = now
-        self._note_switch(outliers, max(scale, self._jump(gain, step_s)), step_s)
+        self._note_switch(outliers, max(scale, self._jump(gain.tolist(), step_s)), step_s)
         switched = self._switched_s < SWITCHED_S
         if switched:
             field = self._refit(samples[0] - offset[:, None], gain[:, None] * samples[1], usable, light.field)
@@ -115,15 +114,17 @@ class LightEstimator:
         """Forget the last frame: its samples were compared with a background that lay elsewhere."""
         vars(self).update(self._before)
 
-    def _jump(self, gain: Floats, step_s: float) -> float:
+    def _jump(self, gain: list[float], step_s: float) -> float:
         """Return a scale beyond SWITCHED_SCALE when the gain departs from its mean over the last second."""
         if self._first:
             self._usual_gain = self._last_gain = gain
             return 1.0
-        change, step = (float(np.abs(gain / other - 1).max()) for other in (self._usual_gain, self._last_gain))
+        usual, last = self._usual_gain, self._last_gain
+        change, step = (max(abs(now / was - 1) for now, was in zip(gain, a, strict=True)) for a in (usual, last))
         least = max(SWITCHED_GAIN, SWITCHED_FLICKERS * math.sqrt(self.flicker2))
         share = 1 - math.exp(-step_s / OUTLIER_S)
-        self._usual_gain, self._last_gain = self._usual_gain + np.float32(share) * (gain - self._usual_gain), gain
+        self._usual_gain = [was + share * (now - was) for now, was in zip(gain, usual, strict=True)]
+        self._last_gain = gain
         if step < least:
             self.flicker2 += share * (0.5 * step * step - self.flicker2)
         return 2 * SWITCHED_SCALE if change > least else 1.0

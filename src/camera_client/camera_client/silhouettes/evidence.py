@@ -28,7 +28,7 @@ from .masks import Box, Spans
 REACH_OF_HEIGHT = 0.012  # standard deviation of the neighbourhood: half of a forearm
 EDGE_SIGMAS = 8.0  # a step of the difference of so many sigmas of the noise counts as a distance of the whole reach
 CLEAR = 2.4  # times the least evidence is as sure as a pixel can be: a bright speck must not outvote its surroundings
-PASSES = 2
+PASSES = 2  # each way; the second one's reach is half of the first's
 TYPICAL_SAMPLES = 1000
 STEP_TABLE = 256
 STEPS_PER_SIGMA = 8.0
@@ -55,6 +55,11 @@ class Scene:
         at = slice(top + box.top, top + box.bottom), slice(left + box.left, left + box.right)
         codec_sigma = None if self.codec_sigma is None else self.codec_sigma[box.slices]
         return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, codec_sigma)
+
+    @cached_property
+    def sigma(self) -> float:
+        """The noise's standard deviation at the part's typical level, grey levels."""
+        return self.noise.sigma(typical_level(self.expected))
 
     @cached_property
     def grey(self) -> Scene:
@@ -84,8 +89,7 @@ class EvidenceFilter:
         """
         height, width = distance.shape
         rows, columns = spans
-        sigma = scene.noise.sigma(typical_level(scene.expected))
-        least = least_evidence(sigma, scene.noise)
+        least = least_evidence(scene.sigma, scene.noise)
         most = min(int(2 * SCALE * CLEAR * least), 255)
         evidence: np.ndarray = np.zeros((height, width), np.float32)
         across, down = np.zeros((2, height, width), np.uint8)
@@ -93,16 +97,16 @@ class EvidenceFilter:
         channels = len(scene.noise.read)
         weigh_pixels(distance, most, change, errors, channels, rows, evidence)
         pixels, expected = (each.reshape(height, -1) for each in (scene.image, scene.expected))
-        steps_between(pixels, expected, np.float32(STEPS_PER_SIGMA / sigma), rows, across, down)
-        # what is taken over from a neighbour in the first pass; in the second, of half the reach, the square of it
+        steps_between(pixels, expected, np.float32(STEPS_PER_SIGMA / scene.sigma), rows, across, down)
+        # what is taken over from a neighbour in the first pass; in the second, of half the reach, its square. Down and
+        # across, then across and down, so that the picture is turned but twice
         along, below = cv2.LUT(cv2.transpose(across), self._table), cv2.LUT(down, self._table)
-        for number in range(PASSES):
-            if number:
-                along, below = cv2.multiply(along, along), cv2.multiply(below, below)
-            turned = cv2.transpose(evidence)
-            smooth_columns(turned, along, columns)
-            evidence = cv2.transpose(turned)
-            smooth_columns(evidence, below, rows)
+        smooth_columns(evidence, below, rows)
+        turned = cv2.transpose(evidence)
+        smooth_columns(turned, along, columns)
+        smooth_columns(turned, cv2.multiply(along, along), columns)
+        evidence = cv2.transpose(turned)
+        smooth_columns(evidence, cv2.multiply(below, below), rows)
         return (evidence > np.float32(least)).view(np.uint8) * np.uint8(255)  # np.where takes fifty times as long
 
 

@@ -17,7 +17,7 @@ from capture_rig.rig import Volume
 
 from ..frame_source import Image, Mask
 from ..settings import SilhouetteSettings
-from .evidence import COLOUR_SHARE, Scene, typical_level
+from .evidence import COLOUR_SHARE, Scene
 from .masks import Box
 from .shadow_kernels import (
     DarkenedRule,
@@ -125,11 +125,11 @@ class FloorShadow:
         if not inner.empty:
             inner = inner.grown(self._block, mask.shape, self._block)
             at = inner.slices
-            found[at] = self._patches(scene.grey.part(inner), mask[at], looked_at[at])
+            grey = scene.grey
+            found[at] = self._patches(grey.part(inner), mask[at], looked_at[at], grey.sigma)
         return found
 
-    def _patches(self, scene: Scene, mask: Mask, looked_at: Mask) -> Mask:
-        sigma = scene.noise.sigma(typical_level(scene.expected))
+    def _patches(self, scene: Scene, mask: Mask, looked_at: Mask, sigma: float) -> Mask:
         sides, limits = (self._window, self._block), (FLOOR_DARKEST, LIGHTEST)
         dark, sums = shadow_sums(scene.image, scene.expected, looked_at, *sides, *limits)
         found, blocks = np.zeros_like(mask), self._large_patches(sigma, sums)
@@ -258,7 +258,7 @@ class ColourShadow:
         box = box.grown(TEXTURE_WINDOW_PX, found.shape)
         part, both = found[box.slices], tuple(slice(2 * side.start, 2 * side.stop) for side in box.slices)
         image, expected = scene.grey.image[both], scene.grey.expected[both]
-        variance = HALVED_NOISE * scene.noise.sigma(typical_level(expected)) ** 2
+        variance = HALVED_NOISE * scene.sigma**2
         sums = np.zeros((4, *part.shape), np.float32)
         lose_texture(image, expected, part, TEXTURE_WINDOW_PX, TEXTURE_SIGMAS**2 * variance, TEXTURE_LEFT, sums)
         count, labels = cv2.connectedComponents(part, connectivity=4)
