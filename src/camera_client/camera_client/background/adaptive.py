@@ -21,8 +21,9 @@ from scipy.special import chdtri
 from ..alignment import PictureAlignment
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
+from ..sources.frame_checks import WHITE_LEVEL
 from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples, SlowChanges, whole_rows
-from .kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, STEP_PX, Today, take_residuals, take_samples, thin_out
+from .kernels import BEYOND_NOISE, DOUBTED, HIGHEST, SCALE, STEP_PX, Today, take_residuals, take_samples, thin_out
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
 from .noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
@@ -30,13 +31,11 @@ from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
 
 # Thresholds: SAMPLES from the error of a mean, 1/sqrt(n); else measured by python bench/rooms.py.
 SAMPLES = 1500  # on a regular grid: the light to a thousandth
-RENEWAL_S = 0.03  # some rows of the expected image are renewed, not more often
+TURN_S = 0.03  # some rows of the expected image are renewed, and the displacement is measured, not more often
 BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames are rare: light's field takes as long
 NOISE_S = 0.35  # the noise is not measured more often, but for a codec to be known: its time constant is a second
-SHIFT_S = 0.03  # the displacement is not measured more often: what is taken over has lasted for a quarter of a second
 FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
 MOST_STEPS = 6  # of a displacement that is taken over at once, each damped
-WITHIN_SIGMAS = 4.0  # a pixel that is nearer shows the background, for its slow changes
 
 
 def samples_of(image: Image) -> Samples:
@@ -163,7 +162,7 @@ class AdaptiveBackground:
         picture = image.reshape(self._image.shape)
         rest = self._follow_light(step_s)
         self._since_shift_s += step_s
-        measured = self._shift.measurable and (first or self._since_shift_s >= SHIFT_S)
+        measured = self._shift.measurable and (first or self._since_shift_s >= TURN_S)
         edges = self._edges(picture) if measured else None
         at_once = edges is not None and self._follow_sudden_shift(picture, edges, first)
         if at_once:
@@ -194,7 +193,7 @@ class AdaptiveBackground:
         if not first and self._since_noise_s < (NOISE_S if self._coarseness.known else NOISE_S / 3):
             return
         level = self._image.samples[0][:, self._sampled[0]].T * self.light.gain
-        sure = (self._trust(self._row, self._column) >= 1) & (level + rest < CLIPPED).all(axis=1)
+        sure = (self._trust(self._row, self._column) >= 1) & (level + rest < WHITE_LEVEL).all(axis=1)
         spatial = self._update_correlation(sure)
         level = level[sure]
         found = measured_noise(level, rest[sure], foreground_known=self._dense is not None)
@@ -298,7 +297,7 @@ class AdaptiveBackground:
     def _renew_next(self, image: Image, step_s: float) -> None:
         """Renew the next rows, which may have changed slowly."""
         self._since_renewal_s += step_s
-        if self._since_renewal_s < RENEWAL_S:
+        if self._since_renewal_s < TURN_S:
             return
         height, step_s, self._since_renewal_s = self._image.shape[0], self._since_renewal_s, 0.0
         self._sweep_s += step_s
@@ -316,7 +315,7 @@ class AdaptiveBackground:
         if self._slow.quiet_anywhere(rows, self._last_ns or 0):
             whole = whole_rows(rows.stop - rows.start, width)
             expected, (distance, _) = self.look(image, (rows.start, 0, rows.stop, width), whole)
-            within = distance <= SCALE * WITHIN_SIGMAS**2
+            within = distance <= SCALE * BEYOND_NOISE**2
             step = (image[rows] - expected).reshape(-1, *self._image.shape[1:])
             self._image.change(rows, self._slow.follow(rows, step, within, self._last_ns or 0, self._last_sweep_s))
         self._next_band = rows.stop % height

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..frame_source import Image, Mask
+from ..sources.frame_checks import WHITE_LEVEL
 from .kernels import BLACK, STEP_PX, WHITE, Bounds, Learned, Today, distance_of_samples, look_closely, refresh_samples
 from .light import FIELD_ACROSS, FIELD_DOWN, Light
 from .model import BackgroundModel
@@ -22,7 +23,7 @@ from .shift import Displacement, gradients, steepness2
 
 # Thresholds: measured by python bench/rooms.py.
 UNEVEN_LIGHT = 0.004  # relative standard deviation of what a smooth field of light does not hold
-WHITE_LEVEL, BLACK_LEVEL = 250.0, 3.0  # grey levels beyond which a background pixel tells one bound only
+BLACK_LEVEL = 3  # grey levels; a background pixel beyond this or WHITE_LEVEL tells one bound only
 
 Floats = npt.NDArray[np.float32]
 Samples = npt.NDArray[np.uint8]

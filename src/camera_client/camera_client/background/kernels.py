@@ -5,6 +5,7 @@ The whole picture is looked at in samples, every STEP_PX-th row and column, that
 
 from __future__ import annotations
 
+from statistics import NormalDist
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,19 +13,21 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 
+from ..sources.frame_checks import WHITE_LEVEL
+
 OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 SCALE = 4.0  # steps of the squared distance's uint8 image: a quarter of a variance, so that 255 is 8 sigmas
-HIGHEST = 255.0
+HIGHEST = float(np.iinfo(np.uint8).max)
 STEP_PX = 2  # the whole picture is looked at in every second row and column, all of it where somebody may be
 WHITE, BLACK = 1, 2  # kinds of a background that is clipped
 F32 = np.float32
 
-# Thresholds: measured by python bench/rooms.py.
+# Thresholds: BEYOND_NOISE from the normal distribution; else measured by python bench/rooms.py.
+BEYOND_NOISE = 4.0  # standard deviations: 1 in 16000 by noise alone, as few pixels as a picture may lose
 DOUBTED = 0.02  # weight of samples that were foreground a frame ago
-CLIPPED = 250.0  # grey levels from which a sample tells nothing of noise and displacement
 BINS = 256
 BIN_SIGMAS = 0.125  # of the histogram that a median is read from
-HALF_MEDIAN = 1.4826  # standard deviations of a normal distribution in a median absolute deviation
+HALF_MEDIAN = 1 / NormalDist().inv_cdf(0.75)  # normal standard deviations in a median absolute deviation
 
 
 class Learned(NamedTuple):
@@ -353,7 +356,7 @@ def take_residuals(picture, mean, excess, field, at, doubted, now, out, trust): 
     picture (H W, C) uint8, mean, excess (H W, C) float32; field (n, C) : of the light there; at (2, n) : index of each
     place, and of its block in ``doubted`` (blocks,) uint8. now (4, C) : gain and offset of the light, read and slope of
     the noise. out (2, n, C) float32 : written: picture - gain field mean - offset, and the variance of that. trust (n,)
-    float32 : written: DOUBTED where the block is doubted, 0 from the level CLIPPED on, else 1.
+    float32 : written: DOUBTED where the block is doubted, 0 from WHITE_LEVEL on, else 1.
     """
     for i in range(at.shape[1]):
         k = at[0, i]
@@ -362,5 +365,5 @@ def take_residuals(picture, mean, excess, field, at, doubted, now, out, trust): 
             level = F32(now[0, c]) * field[i, c] * mean[k, c]
             out[0, i, c] = picture[k, c] - level - F32(now[1, c])
             out[1, i, c] = now[2, c] + now[3, c] * level + excess[k, c]
-            if picture[k, c] >= CLIPPED:
+            if picture[k, c] >= WHITE_LEVEL:
                 trust[i] = F32(0)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 
-from .kernels import BIN_SIGMAS, F32, HALF_MEDIAN, OPTIONS, median_of
+from .kernels import BEYOND_NOISE, BIN_SIGMAS, F32, HALF_MEDIAN, OPTIONS, median_of
 
 FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
 # Thresholds: measured by python bench/rooms.py.
@@ -27,12 +27,11 @@ OFFSET_PRIOR = 0.02  # holds the offset at zero as much as a fiftieth of the sam
 SWITCHED_SCALE = 2.5  # half of the picture differs by more sigmas: no person, but other lights
 SWITCHED_SHARE = 0.15  # ... or so much of it more than before: a lamp lights a part of the room
 SWITCHED_S = 0.5  # the field is found anew for so long
-OUTLIER_SIGMAS, OUTLIER_S = 4.0, 1.0
+OUTLIER_S = 1.0  # time constant of what is usual
 WEAK, WEAK_SIGMAS = 0.5, 6.0  # weight at least of foreground that differs by fewer sigmas
 MOST_GAIN = 4.0  # beyond, nothing of the picture is left to compare
 FIELD_REACH = 0.04  # relative: a cell that departs further from its surroundings is covered by something
 LIT_SPREAD, LIT_REACH = 0.05, 0.35  # relative: a cell's samples agree on their ratio; how far it may depart then
-MOST_FIELD = 3.0
 FIELD_PRIOR = 0.1  # holds a cell to its neighbours as a tenth of a typical cell's samples would
 FEW_IN_CELL = 8
 SWITCHED_GAIN, SWITCHED_FLICKERS = 0.06, 5.0  # ... or is brighter or darker by so much, and so many times its flicker
@@ -105,7 +104,7 @@ class LightEstimator:
         switched = self._switched_s < SWITCHED_S
         if switched:
             field = self._refit(samples[0] - offset[:, None], gain[:, None] * samples[1], usable, light.field)
-            field = np.clip(field / field.mean(axis=(0, 1)), np.float32(1 / MOST_FIELD), np.float32(MOST_FIELD))
+            field = np.clip(field / field.mean(axis=(0, 1)), np.float32(1 / MOST_GAIN), np.float32(MOST_GAIN))
         self.light = Light(gain, offset, field, scale, switched and not self._first)
         self._first = False
         return rest
@@ -150,8 +149,8 @@ class LightEstimator:
                 if len(mine) >= FEW_IN_CELL:
                     at = cell // FIELD_ACROSS, cell % FIELD_ACROSS, c
                     ratio[at] = np.median(mine)
-                    spread[at] = np.median(np.abs(mine - ratio[at])) / max(ratio[at], 1 / MOST_FIELD)
-        ratio = np.log(np.clip(ratio, 1 / MOST_FIELD, MOST_FIELD))
+                    spread[at] = np.median(np.abs(mine - ratio[at])) / max(ratio[at], 1 / MOST_GAIN)
+        ratio = np.log(np.clip(ratio, 1 / MOST_GAIN, MOST_GAIN))
         v, u = np.meshgrid(np.linspace(-1, 1, FIELD_DOWN), np.linspace(-1, 1, FIELD_ACROSS), indexing="ij")
         basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
         smooth = np.zeros_like(ratio)
@@ -176,7 +175,7 @@ class LightEstimator:
 @njit(**OPTIONS)
 def fit_light(samples, trust, cell, before, share, now, usable, rest, field):  # type: ignore[no-untyped-def]
     """Fit gain and offset ``now`` (2, C), and let the light's field follow; return scale of the residuals in sigmas and
-    share of the samples that differ by more than OUTLIER_SIGMAS.
+    share of the samples that differ by more than BEYOND_NOISE.
 
     samples (3, C, n), trust (n,) : of :meth:`LightEstimator.update`; cell (n,) : of each sample; before (down, across,
     C) : the field until now, which moves by ``share``. Written: usable (C, n) : each sample's weight for the fit; rest
@@ -198,7 +197,7 @@ def fit_light(samples, trust, cell, before, share, now, usable, rest, field):  #
             rest[c, i] = left
             if usable[c, i] >= 1:
                 most = max(most, left * left * precision[c, i])
-        beyond += most > OUTLIER_SIGMAS**2
+        beyond += most > BEYOND_NOISE**2
     for c in range(len(seen)):
         _follow_cells(before[:, :, c], share, (cell, now[0, c], expected[c], weight[c], rest[c]), field[:, :, c])
     return scale, beyond / seen.shape[1]
@@ -283,4 +282,4 @@ def _follow_cells(before, share, samples, field):  # type: ignore[no-untyped-def
             total += field[y, x]
     for y in range(down):
         for x in range(across):
-            field[y, x] = min(max(field[y, x] * down * across / total, 1 / MOST_FIELD), MOST_FIELD)
+            field[y, x] = min(max(field[y, x] * down * across / total, 1 / MOST_GAIN), MOST_GAIN)

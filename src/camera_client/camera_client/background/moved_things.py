@@ -23,22 +23,21 @@ from mocap_packets.silhouette import ForegroundSupport
 
 from ..frame_source import Image, Mask
 from .expected_image import Corners, Samples
-from .kernels import STEP_PX, clear_absorbed, follow_running
+from .kernels import BEYOND_NOISE, STEP_PX, clear_absorbed, follow_running
 from .moved_evidence import Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
-# Thresholds: NOISE_SIGMAS from the normal distribution; else chosen with the rooms of test_camera_moved_things.py.
+# Thresholds: chosen with the rooms of test_camera_moved_things.py.
 SAMPLE_S = 0.2  # blocks are looked at so often
 BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
 RESTLESS_SHARE = 24  # of 255: two samples of a block that differ: an edge of a person moved by a fraction of a pixel
-NOISE_SIGMAS = 4.0  # a pixel changed, or differs from what was absorbed: 1 in 16000 by noise
-FOLLOW_S = 1.0  # time constant of the picture that blocks are compared with: slower than sway, faster than daylight
 STILL_S = 3.0  # nobody sees it, and it keeps still, for so long: it is a thing
 OUTSIDE_STILL_S = 12.0  # the same of what may be a person beside the volume: nobody holds each limb still for so long
-REST_S = 1.0  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen
-WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands move while a trunk does not
+REST_S = 1.0  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen;
+# also the time constant of the picture that blocks are compared with: slower than sway, faster than daylight
+WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands move while a trunk does not; in the rest
+# others may see something: rays of other things that cross
 LEAST_UNSEEN = 0.5  # ... that nobody else sees, so that those may be absorbed
-MOST_BODY = 0.2  # share of a blob where others see something: rays of other things that cross, not a person
 REVERT_S = 2.0  # as it was learned for so long: what was absorbed is forgotten
 MOST_BLOBS = 8  # looked at a time: bounds the work
 MOST_ABSORBED = 0.5  # share of the picture; more is another room
@@ -210,7 +209,7 @@ class MovedThings:
         """Follow the samples by a running mean, and begin anew in blocks that changed by more than noise."""
         if self._running is None:
             self._running = samples.astype(np.float32)
-        share = 1.0 - float(np.exp(-step_s / FOLLOW_S))
+        share = 1.0 - float(np.exp(-step_s / REST_S))
         differs = np.empty(samples.shape[1:], np.uint8)
         follow_running(samples, self._running, self._limit_of_samples, share, differs)
         restless = self._blocks_of(differs) >= RESTLESS_SHARE
@@ -228,7 +227,7 @@ class MovedThings:
             for blob in _blobs(shown, unseen):
                 keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
                 nobody = (blob & unseen).sum() >= LEAST_UNSEEN * blob.sum()
-                if keeps_still and nobody and (blob & body).sum() <= MOST_BODY * blob.sum():
+                if keeps_still and nobody and (blob & body).sum() <= (1 - WHOLE) * blob.sum():
                     self._take_over(image, blob & unseen, stamp_ns)
         rested = shown & (np.minimum(self._still_s, self._shown_s) >= REST_S)
         if self._samples % round(REST_S / SAMPLE_S) == 0 and rested.any():
@@ -297,9 +296,9 @@ class MovedThings:
             self.reverted += int(cv2.connectedComponents(back.astype(np.uint8), connectivity=8)[0]) - 1
             self._note_change()
         # light moves on
-        follows = self._to_pixels(matched & ~back & (self._still_s >= FOLLOW_S))
+        follows = self._to_pixels(matched & ~back & (self._still_s >= REST_S))
         if follows.any():
-            share = np.float32(1.0 - np.exp(-step_s / FOLLOW_S))
+            share = np.float32(1.0 - np.exp(-step_s / REST_S))
             self.mean[follows] += share * (image[follows] / self._brightness - self.mean[follows])
 
     # --- pixels and blocks
@@ -327,4 +326,4 @@ def _blobs(blocks: Blocks, of_interest: Blocks) -> list[Blocks]:
 
 def _noise_limit(sigma: npt.NDArray[np.float32]) -> Mask:
     """Return by how many grey levels (H, W) uint8 noise of ``sigma`` makes a pixel differ at most."""
-    return np.ceil(NOISE_SIGMAS * sigma + 1.0).clip(0, 255).astype(np.uint8)
+    return np.ceil(BEYOND_NOISE * sigma + 1.0).clip(0, 255).astype(np.uint8)

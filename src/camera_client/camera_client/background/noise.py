@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from .kernels import HALF_MEDIAN, median
-from .model import BackgroundModel
+from .model import NOISE_MAX_SIGMA, BackgroundModel
 
 # Thresholds: QUANTISATION from rounding, 1/12; else measured by python bench/rooms.py.
 QUANTISATION = 1 / 12  # variance of rounding to whole grey levels
 LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs smooth away
-MOST_VARIANCE = 150.0  # no camera is noisier, and a room that seems so must not hide a person
+MOST_VARIANCE = NOISE_MAX_SIGMA**2  # no camera is noisier, and a room that seems so must not hide a person
 LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
 FEW_IN_BIN = 30
 TAIL_SHARE, TAIL_SIGMAS = (

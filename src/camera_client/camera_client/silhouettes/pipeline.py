@@ -24,7 +24,7 @@ from mocap_packets.silhouette import ForegroundSupport, Silhouette
 from ..alignment import PictureAlignment
 from ..background.adaptive import AdaptiveBackground, FixedBackground, samples_of
 from ..background.expected_image import Corners, Samples, whole_rows
-from ..background.kernels import STEP_PX
+from ..background.kernels import HIGHEST, STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
 from ..background.noise import Noise
@@ -42,7 +42,7 @@ from .shadows import HALVED_NOISE, Scene, enlarged, halve, make_shadow_test
 EMPTY, FULL = "empty", "full"
 # Thresholds: MIN_AREA from the size of a hand at 10 m, REACH_BLOCKS from the reach of the evidence; else judgement.
 REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: three times the evidence's reach
-TYPICAL_LEVEL = 128.0  # grey level at which one number stands for the noise
+TYPICAL_LEVEL = HIGHEST / 2  # grey level at which one number stands for the noise
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps
 MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
 EMPTY_BELOW, FULL_ABOVE = 2e-4, 0.6  # share of foreground at which a mask is flagged: no person looks like that

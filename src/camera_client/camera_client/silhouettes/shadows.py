@@ -50,8 +50,7 @@ MIN_PATCH_WINDOWS = 10  # fewer windows agree by chance
 SHADOW_REACH_M = 1.5  # around the capture volume: a person's shadow by a lamp at 50 degrees
 WALL_DARKEST = 0.6  # a shadow off the floor leaves more: a hole in the person costs more than a shadow beside them
 TEXTURE_WINDOW_PX = 9  # of the halved image
-TEXTURE_SIGMAS = 3.0  # a texture that noise and codec do not hide; ...
-TEXTURE_LEFT = 0.1  # ... the share of it that shows it still there
+TEXTURE_LEFT = 0.1  # of a texture that noise does not hide, the share that shows it still there
 HALVED_NOISE = 0.5  # of the variance is left in a mean of four pixels: neighbours are not independent (Bayer, codecs)
 PATCH_SIGMAS, PATCH_LEFT = 2.0, 0.5  # half of its texture tells a shadow from none when it stands out by so many sigmas
 LEAST_PATCH = 8e-4  # share of height^2, about a forearm: smaller patches are shadow only near larger ones
@@ -260,7 +259,7 @@ class ColourShadow:
         image, expected = scene.grey.image[both], scene.grey.expected[both]
         variance = HALVED_NOISE * scene.sigma**2
         sums = np.zeros((4, *part.shape), np.float32)
-        lose_texture(image, expected, part, TEXTURE_WINDOW_PX, TEXTURE_SIGMAS**2 * variance, TEXTURE_LEFT, sums)
+        lose_texture(image, expected, part, TEXTURE_WINDOW_PX, SHADOW_SIGMAS**2 * variance, TEXTURE_LEFT, sums)
         count, labels = cv2.connectedComponents(part, connectivity=4)
         area, _, shared, power = per_label = np.zeros((4, count))
         sum_by_label(labels, sums, tuple(per_label))
