@@ -63,9 +63,7 @@ class Noise(NamedTuple):
 
     def sigma(self, level: float) -> float:
         """Return the standard deviation at a grey level, the channels together."""
-        if len(self.read) == 1:
-            return math.sqrt(self.read[0] + self.slope[0] * level)
-        return math.sqrt(float((self.read + self.slope * level).mean()))
+        return math.sqrt((sum(self.read.tolist()) + level * sum(self.slope.tolist())) / len(self.read))
 
     def moved(self, target: Noise, share: float) -> Noise:
         """Return the noise moved by ``share`` of the way to ``target``."""
@@ -92,8 +90,7 @@ def learned_noise(model: BackgroundModel) -> Noise:
     every = max(1, model.mean.size // channels // 20000)
     level = model.mean.reshape(-1, channels)[::every].astype(float)
     variance = model.sigma.reshape(-1, channels)[::every].astype(float) ** 2
-    lines = [_fit(level[:, c], variance[:, c], LEARNED_BINS) for c in range(channels)]
-    return Noise(*np.array(lines).T)
+    return Noise(*_fit(level, variance, LEARNED_BINS))
 
 
 def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -> Noise | None:
@@ -105,8 +102,7 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
     if len(level) < 4 * FEW_IN_BIN:
         return None
     channels = level.shape[1]
-    lines = [_fit(level[:, c], (HALF_MEDIAN * rest[:, c]) ** 2, FRAME_BINS) for c in range(channels)]
-    noise = Noise(*np.array(lines).T)
+    noise = Noise(*_fit(level, (HALF_MEDIAN * rest) ** 2, FRAME_BINS))
     scaled = rest / np.sqrt(noise.variance(level))
     tail = 1.0
     if foreground_known:
@@ -124,23 +120,26 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
     return noise._replace(correlation=float(np.clip(rho, 0.0, MOST_CORRELATION)))
 
 
-def _fit(level: Floats, square: Floats, bins: int) -> tuple[float, float]:
-    """Fit read and slope by the medians of the squares over pixels of similar level."""
-    order = np.array_split(np.argsort(level, kind="stable"), bins)
+def _fit(level: Floats, square: Floats, bins: int) -> tuple[Floats, Floats]:
+    """Fit read and slope (C,) by the medians of the squares (n, C) over pixels of similar level (n, C)."""
+    order = np.array_split(np.argsort(level.sum(axis=1), kind="stable"), bins)
     parts = [part for part in order if len(part) >= FEW_IN_BIN] or [np.arange(len(level))]
-    square = np.asarray(square, np.float32)
-    x, y = np.array([(level[p].mean(), median(square[p])) for p in parts], float).T
+    columns = np.ascontiguousarray(square.T, np.float32)
+    x = np.array([level[part].mean(axis=0) for part in parts], float)
+    y = np.array([[median(column[part]) for column in columns] for part in parts], float)
     weight = 1 / np.maximum(y, LEAST_VARIANCE)
-    sw, sx, sy = (weight**2).sum(), (weight**2 * x).sum(), (weight**2 * y).sum()
-    sxx, sxy = (weight**2 * x * x).sum(), (weight**2 * x * y).sum()
+    w2 = weight**2
+    sw, sx, sy, sxx, sxy = (each.sum(axis=0) for each in (w2, w2 * x, w2 * y, w2 * x * x, w2 * x * y))
     det = sw * sxx - sx * sx
-    slope = (sw * sxy - sx * sy) / det if det > 1e-9 * sw * sxx else 0.0
+    slope = np.where(det > 1e-9 * sw * sxx, (sw * sxy - sx * sy) / np.maximum(det, 1e-300), 0.0)
     read = (sy - slope * sx) / sw
-    if slope < 0 or read < 0:  # neither can be: the better of the two lines with one of them 0
-        flat, through = sy / sw, sxy / sxx
-        error = [((weight * (y - flat)) ** 2).sum(), ((weight * (y - through * x)) ** 2).sum()]
-        read, slope = (flat, 0.0) if error[0] <= error[1] else (0.0, through)
-    return min(max(read + QUANTISATION, LEAST_VARIANCE), MOST_VARIANCE), slope
+    # neither can be less than 0: else the better of the two lines with one of them 0
+    flat, through = sy / sw, sxy / np.maximum(sxx, 1e-300)
+    is_flat = ((weight * (y - flat)) ** 2).sum(axis=0) <= ((weight * (y - through * x)) ** 2).sum(axis=0)
+    unfit = (slope < 0) | (read < 0)
+    read = np.where(unfit, np.where(is_flat, flat, 0.0), read)
+    slope = np.where(unfit, np.where(is_flat, 0.0, through), slope)
+    return np.clip(read + QUANTISATION, LEAST_VARIANCE, MOST_VARIANCE), slope
 
 
 # --- how coarse it is: a sensor's noise is as fine as its pixels, a codec's as coarse as its blocks

@@ -96,8 +96,8 @@ class EvidenceFilter:
         errors = np.zeros((0, 0), np.float32) if scene.codec_sigma is None else scene.codec_sigma
         channels = len(scene.noise.read)
         weigh_pixels(distance, most, change, errors, channels, rows, evidence)
-        pixels, expected = (each.reshape(height, -1) for each in (scene.image, scene.expected))
-        steps_between(pixels, expected, np.float32(STEPS_PER_SIGMA / scene.sigma), rows, across, down)
+        grey = scene.grey
+        steps_between(grey.image, grey.expected, np.float32(STEPS_PER_SIGMA / grey.sigma), rows, across, down)
         # what is taken over from a neighbour in the first pass; in the second, of half the reach, its square. Down and
         # across, then across and down, so that the picture is turned but twice
         along, below = cv2.LUT(cv2.transpose(across), self._table), cv2.LUT(down, self._table)
@@ -155,38 +155,26 @@ def weigh_pixels(distance, most, change, codec_sigma, channels, rows, evidence):
 
 @njit(**OPTIONS, crops=True)
 def steps_between(image, expected, scale, rows, across, down):  # type: ignore[no-untyped-def]
-    """Write the largest step of any channel from each pixel to the one left of it, and above it: uint8, 255 at most.
+    """Write the step of the difference from each pixel to the one left of it, and above it: uint8, 255 at most.
 
-    image (h, w C) uint8, expected (h, w C) float32 : of their difference. scale : what it is multiplied by; rows (h, 2)
-    : spans; across, down (h, w) uint8, whose first column and row stay, and everything outside of ``rows``.
+    image (h, w) uint8, expected (h, w) float32 : of their difference. scale : what it is multiplied by; rows (h, 2) :
+    spans; across, down (h, w) uint8, whose first column and row stay, and everything outside of ``rows``.
     """
     height, width = across.shape
-    channels = expected.shape[1] // width
-    rest, step = np.zeros((2, expected.shape[1]), np.float32), np.zeros(expected.shape[1], np.float32)
+    rest, most = np.zeros((2, width), np.float32), np.float32(255)
     for y in range(height):
-        row, before, first, end = rest[y % 2], rest[1 - y % 2], rows[y, 0], rows[y, 1]
+        row, first, end = rest[y % 2], rows[y, 0], rows[y, 1]
         seen, level = image[y], expected[y]
-        for i in range(len(row)):
-            row[i] = (np.float32(seen[i]) - level[i]) * scale
+        for x in range(width):
+            row[x] = (np.float32(seen[x]) - level[x]) * scale
         begin = max(first, 1)
-        _write_steps(row, channels * begin, channels * end, row, channels, step, across[y][begin:end])
+        own, left, out = row[begin:end], row[begin - 1 : max(end - 1, 0)], across[y][begin:end]
+        for x in range(len(out)):
+            out[x] = np.uint8(min(abs(own[x] - left[x]), most))
         if y > 0:
-            _write_steps(row, channels * first, channels * end, before, 0, step, down[y][first:end])
-
-
-@njit(**OPTIONS)
-def _write_steps(row, first, end, other, back, step, out):  # type: ignore[no-untyped-def]
-    """Write the largest difference of any channel between a row and another, ``back`` places before: 255 at most."""
-    own, neighbour, change = row[first:end], other[first - back : end - back], step[: max(end - first, 0)]
-    for k in range(len(change)):
-        change[k] = abs(own[k] - neighbour[k])
-    most = np.float32(255)
-    if len(change) == len(out):
-        for x in range(len(out)):
-            out[x] = np.uint8(min(change[x], most))
-    else:
-        for x in range(len(out)):
-            out[x] = np.uint8(min(max(max(change[3 * x], change[3 * x + 1]), change[3 * x + 2]), most))
+            own, above, out = row[first:end], rest[1 - y % 2][first:end], down[y][first:end]
+            for x in range(len(out)):
+                out[x] = np.uint8(min(abs(own[x] - above[x]), most))
 
 
 @njit(**OPTIONS)
