@@ -58,8 +58,9 @@ class Noise(NamedTuple):
 
     def of_grey(self) -> Noise:
         """Return the noise of a colour's brightness, in BT.601's weights."""
-        share = self.correlation + (1.0 - self.correlation) * GREY_POWER
-        return self._replace(read=share * self.read.mean(keepdims=True), slope=share * self.slope.mean(keepdims=True))
+        share = (self.correlation + (1.0 - self.correlation) * GREY_POWER) / len(self.read)
+        read, slope = (np.array([share * sum(each.tolist())]) for each in (self.read, self.slope))
+        return self._replace(read=read, slope=slope)
 
     def sigma(self, level: float) -> float:
         """Return the standard deviation at a grey level, the channels together."""

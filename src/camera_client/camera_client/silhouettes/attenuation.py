@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.kernel import njit
 from capture_rig.mask_levels import (
     ATTENUATED_LEVELS,
     FLOOR_REACH_M,
@@ -16,9 +16,10 @@ from capture_rig.mask_levels import (
 )
 from capture_rig.rig import Volume
 
+from ..background.kernels import OPTIONS
 from ..frame_source import Mask
-from .masks import Box
-from .shadows import Scene, enlarged, floor_pixels, halve
+from .evidence import Scene
+from .shadows import floor_pixels
 
 RATIO_SCALE = 200.0  # grey levels that stand for an unchanged brightness: steps of half a percent
 ALIGNMENT_PX = 2
@@ -37,26 +38,44 @@ class AttenuationMarker:
         """``volume``: the capture volume; pixels whose ray meets the floor far from it stay the person."""
         self._floor = floor_pixels(camera, volume, FLOOR_REACH_M)
         steps = [attenuation_step(ratio / RATIO_SCALE) for ratio in range(256)]
-        self._attenuated = np.array([FOREGROUND if s is None else ATTENUATED_LEVELS[s] for s in steps], np.uint8)
-        self._candidate = np.array([SHADOW_CANDIDATE if s is None else candidate_level(s) for s in steps], np.uint8)
+        attenuated = [FOREGROUND if step is None else ATTENUATED_LEVELS[step] for step in steps]
+        candidate = [SHADOW_CANDIDATE if step is None else candidate_level(step) for step in steps]
+        self._levels = np.array([attenuated, candidate], np.uint8)
 
     def mark(self, scene: Scene, person: Mask, candidates: Mask) -> Mask:
         """Return the levels (h, w) of ``person`` and ``candidates``, both 0 or 255; what is both is the person."""
-        ambiguous = cv2.bitwise_and(person, self._floor[scene.at])
-        levels = person.copy()
-        inner = Box.around(cv2.bitwise_or(ambiguous, candidates))
-        if inner.empty:
-            return levels
-        inner = inner.grown(2 * ALIGNMENT_PX, person.shape, ALIGNMENT_PX)
-        part = inner.slices
-        ratio, shape = _brightness(scene.grey.part(inner)), levels[part].shape
-        cv2.copyTo(enlarged(cv2.LUT(ratio, self._candidate), 2, shape), candidates[part], levels[part])
-        levels = cv2.max(levels, person)
-        cv2.copyTo(enlarged(cv2.LUT(ratio, self._attenuated), 2, shape), ambiguous[part], levels[part])
+        grey, levels = scene.grey, person.copy()
+        mark_attenuation(grey.image, grey.expected, person, candidates, self._floor[scene.at], self._levels, levels)
         return levels
 
 
-def _brightness(grey: Scene) -> np.ndarray:
-    """Return the brightness of halved pixels (uint8): RATIO_SCALE times what it is when the room is empty."""
-    background = np.maximum(halve(grey.expected), np.float32(1.0))
-    return cv2.convertScaleAbs(cv2.divide(halve(grey.image).astype(np.float32), background, scale=RATIO_SCALE))
+@njit(**OPTIONS, crops=True)
+def mark_attenuation(image, expected, person, candidates, floor, levels, out):  # type: ignore[no-untyped-def]
+    """Write levels into ``out`` (h, w) at candidates and where the person may be floor, by 2 x 2 pixels' brightness.
+
+    image (h, w) uint8, expected (h, w) float32, the part's first row and column being even; person, candidates, floor
+    (h, w) uint8 : not 0. levels (2, 256) : of the person and of candidates, RATIO_SCALE times as bright as expected.
+    """
+    height, width = person.shape
+    for y in range(0, height, ALIGNMENT_PX):
+        bottom = min(y + ALIGNMENT_PX, height)
+        for x in range(0, width, ALIGNMENT_PX):
+            right, wanted = min(x + ALIGNMENT_PX, width), False
+            for v in range(y, bottom):
+                for u in range(x, right):
+                    wanted |= (candidates[v, u] | (person[v, u] & floor[v, u])) != 0
+            if not wanted:
+                continue
+            seen = there = np.float32(0)
+            for v in range(y, bottom):
+                for u in range(x, right):
+                    seen += np.float32(image[v, u])
+                    there += expected[v, u]
+            least = np.float32((bottom - y) * (right - x))  # a grey level each
+            ratio = int(min(np.float32(RATIO_SCALE) * seen / max(there, least) + np.float32(0.5), np.float32(255)))
+            for v in range(y, bottom):
+                for u in range(x, right):
+                    if person[v, u] and floor[v, u]:
+                        out[v, u] = levels[0, ratio]
+                    elif candidates[v, u] and not person[v, u]:
+                        out[v, u] = levels[1, ratio]
