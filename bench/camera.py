@@ -49,6 +49,7 @@ from room_methods import our_pipeline
 from scenes import SHARED
 from sensor_msgs.msg import CompressedImage
 
+from camera_client.frame_processor import warm_up_silhouettes
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from capture_rig import Rig
 from capture_rig.errors import InputError
@@ -298,6 +299,8 @@ def silhouettes(sizes: list[str], colour: bool, lab: bool, rounds: int, threads:
         table.row(name, ours, rival, ours / rival)
         figures[name] = {"ours_ms": round(ours, 2), "mog2_ms": round(rival, 2), "ratio": round(ours / rival, 3)}
 
+    for coloured in (False, True):
+        warm_up_silhouettes(coloured)  # as a node does before its first frame
     for size, coloured in product(sizes, (False, True) if colour else (False,)):
         clip, chain = studio_pictures(size, coloured)
         camera = clip.rig.names[0]

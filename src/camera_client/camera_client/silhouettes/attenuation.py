@@ -57,25 +57,21 @@ def mark_attenuation(image, expected, person, candidates, floor, levels, out):  
     (h, w) uint8 : not 0. levels (2, 256) : of the person and of candidates, RATIO_SCALE times as bright as expected.
     """
     height, width = person.shape
+    wanted = np.empty(width, np.uint8)
     for y in range(0, height, ALIGNMENT_PX):
-        bottom = min(y + ALIGNMENT_PX, height)
+        z = min(y + 1, height - 1)
+        above, below = candidates[y], candidates[z]
+        for x in range(width):
+            wanted[x] = above[x] | below[x] | (person[y, x] & floor[y, x]) | (person[z, x] & floor[z, x])
         for x in range(0, width, ALIGNMENT_PX):
-            right, wanted = min(x + ALIGNMENT_PX, width), False
-            for v in range(y, bottom):
-                for u in range(x, right):
-                    wanted |= (candidates[v, u] | (person[v, u] & floor[v, u])) != 0
-            if not wanted:
+            w = min(x + 1, width - 1)
+            if wanted[x] | wanted[w] == 0:
                 continue
-            seen = there = np.float32(0)
-            for v in range(y, bottom):
-                for u in range(x, right):
-                    seen += np.float32(image[v, u])
-                    there += expected[v, u]
-            least = np.float32((bottom - y) * (right - x))  # a grey level each
-            ratio = int(min(np.float32(RATIO_SCALE) * seen / max(there, least) + np.float32(0.5), np.float32(255)))
-            for v in range(y, bottom):
-                for u in range(x, right):
-                    if person[v, u] and floor[v, u]:
-                        out[v, u] = levels[0, ratio]
-                    elif candidates[v, u] and not person[v, u]:
-                        out[v, u] = levels[1, ratio]
+            seen = np.float32(image[y, x]) + np.float32(image[y, w]) + np.float32(image[z, x]) + np.float32(image[z, w])
+            there = max(expected[y, x] + expected[y, w] + expected[z, x] + expected[z, w], np.float32(4))
+            ratio = int(min(np.float32(RATIO_SCALE) * seen / there + np.float32(0.5), np.float32(255)))
+            for v, u in ((y, x), (y, w), (z, x), (z, w)):
+                if person[v, u]:
+                    out[v, u] = levels[0, ratio] if floor[v, u] else FOREGROUND
+                elif candidates[v, u]:
+                    out[v, u] = levels[1, ratio]
