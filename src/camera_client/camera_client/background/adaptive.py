@@ -22,8 +22,8 @@ from ..alignment import PictureAlignment
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from ..sources.frame_checks import WHITE_LEVEL
-from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples, SlowChanges, whole_rows
-from .kernels import BEYOND_NOISE, DOUBTED, HIGHEST, SCALE, STEP_PX, Today, take_residuals, take_samples, thin_out
+from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples
+from .kernels import DOUBTED, HIGHEST, SCALE, STEP_PX, Today, take_residuals, take_samples, thin_out
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
 from .noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
@@ -96,15 +96,14 @@ class AdaptiveBackground:
         self._light = LightEstimator(cell, channels)
         self._coarseness = NoiseCorrelationMeter(self._row, self._column, width)
         self._shift, self._aligner = ShiftEstimator((height, width)), aligner
-        self._slow, self._block_px = SlowChanges(self._image.shape, block_px), block_px
+        self._block_px = block_px
         self._blocks = -(-height // block_px), -(-width // block_px)
         self._sampled = self._indices(self._row, self._column)
         self._sampled[0] = self._sample_indices(self._row, self._column)
         self._dense: Mask | None = None
         self._nowhere = np.zeros(math.prod(self._blocks), np.uint8)
         self._last_ns: int | None = None
-        self._next_row, self._next_band, self._sweep_s, self._last_sweep_s = 0, 0, 0.0, 0.0
-        self._band_px = -(-height // (BANDS * block_px)) * block_px
+        self._next_row = 0
         self._since_noise_s = self._since_shift_s = self._since_renewal_s = 0.0
         self._made_of: tuple[Light | None, Noise | None, float] = None, None, 0.0
         self._place()
@@ -150,8 +149,6 @@ class AdaptiveBackground:
     def note_foreground(self, dense: Mask) -> None:
         """Take the blocks of this frame (one pixel each, not 0 where foreground is): they count little in the next."""
         self._dense = cv2.dilate(dense, np.ones((3, 3), np.uint8))
-        if self._last_ns is not None:
-            self._slow.note_foreground(dense, self._last_ns)
 
     def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
         """Take one frame (H, W) or (H, W, 3) of ``stamp_ns``, and its samples, into account."""
@@ -177,7 +174,7 @@ class AdaptiveBackground:
             edges = self._edges(picture) if steps else None
         if first or self.light.switched:
             self._renew(slice(0, self._image.shape[0]))
-        self._renew_next(image, step_s)
+        self._renew_next(step_s)
 
     def _follow_light(self, step_s: float) -> Floats:
         """Return what is left of the samples (n, C), grey levels."""
@@ -237,11 +234,9 @@ class AdaptiveBackground:
         """Move the background; False where edges fit no better there, or the camera is not followed so far."""
         if not self._shift.move(by):
             return False
-        local, self._slow.local = self._slow.local, by.moved(self._slow.local)
         self._place()
         if self._shift.misfit(self._edges(picture)) < self._shift.misfit(edges):
             return True
-        self._slow.local = local
         self._shift.move(Displacement().relative_to(by))
         self._place()
         return False
@@ -279,7 +274,7 @@ class AdaptiveBackground:
 
     def _place(self) -> None:
         """Move the background to where the camera looks now, and renew everything."""
-        self._shift.place(*self._image.place(self._shift.total, self._slow.local))
+        self._shift.place(*self._image.place(self._shift.total))
         self._steep = self._indices(self._shift.row, self._shift.column)
         self._cell_weights = self._image.cell_weights(self._shift.row, self._shift.column)
         self._renew(slice(0, self._image.shape[0]))
@@ -294,33 +289,16 @@ class AdaptiveBackground:
     def _renew(self, rows: slice) -> None:
         self._image.renew(rows, self._today)
 
-    def _renew_next(self, image: Image, step_s: float) -> None:
-        """Renew the next rows, which may have changed slowly."""
+    def _renew_next(self, step_s: float) -> None:
+        """Renew the next rows."""
         self._since_renewal_s += step_s
         if self._since_renewal_s < TURN_S:
             return
-        height, step_s, self._since_renewal_s = self._image.shape[0], self._since_renewal_s, 0.0
-        self._sweep_s += step_s
-        share = max(1 / BANDS, min(step_s / SWEEP_S, 1.0))
+        height = self._image.shape[0]
+        share, self._since_renewal_s = max(1 / BANDS, min(self._since_renewal_s / SWEEP_S, 1.0)), 0.0
         end = min(self._next_row + math.ceil(height * share / STEP_PX) * STEP_PX, height)
         self._renew(slice(self._next_row, end))
         self._next_row = end % height
-        if self._next_row == 0:
-            self._follow_slowly(image)
-
-    def _follow_slowly(self, image: Image) -> None:
-        """Follow the slow changes of the next band of rows."""
-        (height, width, _), band_px = self._image.shape, self._band_px
-        rows = slice(self._next_band, min(self._next_band + band_px, height))
-        if self._slow.quiet_anywhere(rows, self._last_ns or 0):
-            whole = whole_rows(rows.stop - rows.start, width)
-            expected, (distance, _) = self.look(image, (rows.start, 0, rows.stop, width), whole)
-            within = distance <= SCALE * BEYOND_NOISE**2
-            step = (image[rows] - expected).reshape(-1, *self._image.shape[1:])
-            self._image.change(rows, self._slow.follow(rows, step, within, self._last_ns or 0, self._last_sweep_s))
-        self._next_band = rows.stop % height
-        if self._next_band == 0:
-            self._last_sweep_s, self._sweep_s = self._sweep_s, 0.0
 
 
 FOREGROUND_DISTANCE = 255

@@ -1,15 +1,14 @@
 """What an empty room looks like to its camera now, and how surely: levels and 1 / sigma of each, pixel by pixel.
 
-The learned background, displaced as the camera is, changed where single places changed, under the light of now:
-level = gain field (learned + local) + offset. Its variance adds up noise, what a pixel varied by beyond that when it
-was learned (a screen, a plant), the displacement that is left times the picture's slope, and a little uneven light.
+The learned background, displaced as the camera is, under the light of now: level = gain field learned + offset. Its
+variance adds up noise, what a pixel varied by beyond that when it was learned (a screen, a plant), the displacement
+that is left times the picture's slope, and a little uneven light.
 """
 
 from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -54,7 +53,7 @@ class ExpectedImage:
         levels, inverse_sigma = np.empty((2, self.shape[2], down * across), np.float32)
         self.samples: tuple[Floats, Floats] = levels, inverse_sigma
         """Level / gain, without the offset, and 1 / sigma of every sample, both (C, n)."""
-        self.place(Displacement(), None)
+        self.place(Displacement())
 
     @property
     def doubtful(self) -> float:
@@ -106,27 +105,19 @@ class ExpectedImage:
 
     # --- changes
 
-    def place(self, displacement: Displacement, local: Floats | None) -> tuple[Floats, Floats]:
+    def place(self, displacement: Displacement) -> tuple[Floats, Floats]:
         """Move the learned background to where the camera looks now; return its slopes right and down, levels / px.
 
-        ``local`` (H, W, C) : departures from it, there. All rows have to be renewed then.
+        All rows have to be renewed then.
         """
         mean, excess = (np.maximum(displacement.moved(each), 0) for each in (self._learned, self._excess_learned))
         white, black = (mean >= WHITE_LEVEL).any(axis=2), (mean <= BLACK_LEVEL).all(axis=2)
         self._clipped = np.where(white, np.uint8(WHITE), np.where(black, np.uint8(BLACK), np.uint8(0)))
         self._clipped_samples = np.ascontiguousarray(self._clipped[::STEP_PX, ::STEP_PX])
-        if local is not None:
-            mean += local
         self._whole = Learned(mean, excess, steepness2(mean))
         thinned = (each[::STEP_PX, ::STEP_PX].transpose(2, 0, 1) for each in self._whole)
         self._thinned = Learned(*map(np.ascontiguousarray, thinned))
         return gradients(mean)
-
-    def change(self, rows: slice, by: Floats) -> None:
-        """Add to the background's levels (h, W, C) of some rows; the first is even."""
-        self._whole.mean[rows] += by
-        thinned = slice(rows.start // STEP_PX, -(-rows.stop // STEP_PX))
-        self._thinned.mean[:, thinned] = self._whole.mean[rows][::STEP_PX, ::STEP_PX].transpose(2, 0, 1)
 
     def renew(self, rows: slice, today: Today) -> None:
         """Renew the samples in some rows for the light and noise of now."""
@@ -143,61 +134,3 @@ def whole_rows(height: int, width: int) -> Rows:
 def _in_cells(at: npt.NDArray[np.intp], size: int, cells: int) -> Floats:
     """Return where rows or columns of a picture of that ``size`` lie between the middles of the light's cells."""
     return ((at + 0.5) * cells / size - 0.5).clip(0, cells - 1).astype(np.float32)
-
-
-# --- what changes slowly in single places: sun that creeps over a wall, dust, a lamp that warms up
-
-# Thresholds: chosen with the rooms of test_camera_light.py.
-MOST_CHANGE = 12.0  # grey levels by which a single pixel may depart from how it was learned
-FOLLOW_S = 60.0  # time constant
-QUIET_S = 30.0  # a pixel is followed when no foreground has been near for so long ...
-NEAR_OF_HEIGHT = 0.06  # ... within this share of the image height
-
-
-class SlowChanges:
-    """The departure of each pixel from the learned background, grey levels: ``local`` (H, W, C) float32."""
-
-    def __init__(self, shape: tuple[int, ...], block_px: int) -> None:
-        """``shape`` : (H, W, C). block_px : side of the blocks of :meth:`note_foreground`."""
-        self.local = np.zeros(shape, np.float32)
-        self._block_px = block_px
-        self._disturbed_ns: npt.NDArray[np.int64] | None = None
-        reach = 2 * -(-int(NEAR_OF_HEIGHT * shape[0]) // block_px) + 1
-        self._reach = np.ones((reach, reach), np.uint8)
-
-    def note_foreground(self, dense: Mask, stamp_ns: int) -> None:
-        """Take the blocks of a frame, one pixel each, that are foreground (not 0)."""
-        if self._disturbed_ns is None or (self._disturbed_ns > stamp_ns).any():  # the first, or a clock set back
-            self._disturbed_ns = np.full(dense.shape, stamp_ns, np.int64)
-        self._disturbed_ns[cv2.dilate(dense, self._reach) > 0] = stamp_ns
-
-    def quiet_anywhere(self, rows: slice, stamp_ns: int) -> bool:
-        """Whether some pixels of these rows may be followed."""
-        return self._disturbed_ns is not None and bool(self._quiet_blocks(rows, stamp_ns).any())
-
-    def follow(
-        self, rows: slice, rest: Floats, background: npt.NDArray[np.bool_], stamp_ns: int, step_s: float
-    ) -> Floats:
-        """Follow some rows; return by how much their pixels changed (h, W, C).
-
-        rest (h, W, C) : image minus background. background (h, W) : where the image shows the background. step_s :
-        since these rows' last turn.
-        """
-        follows = (self._quiet(rows, stamp_ns) & background)[..., None]
-        local = self.local[rows]
-        step = np.float32(min(step_s / FOLLOW_S, 1.0)) * rest * follows
-        moved = np.clip(local + step, -MOST_CHANGE, MOST_CHANGE)
-        self.local[rows] = moved
-        return np.asarray(moved - local, np.float32)
-
-    def _quiet_blocks(self, rows: slice, stamp_ns: int) -> npt.NDArray[np.bool_]:
-        assert self._disturbed_ns is not None
-        blocks = self._disturbed_ns[rows.start // self._block_px : -(-rows.stop // self._block_px)]
-        return np.asarray(stamp_ns - blocks >= int(QUIET_S * 1e9))
-
-    def _quiet(self, rows: slice, stamp_ns: int) -> npt.NDArray[np.bool_]:
-        """Return (h, W) pixels that no foreground has been near for QUIET_S."""
-        side, width = self._block_px, self.local.shape[1]
-        pixels = self._quiet_blocks(rows, stamp_ns).repeat(side, axis=0).repeat(side, axis=1)
-        top = rows.start % side
-        return np.asarray(pixels[top : top + rows.stop - rows.start, :width])

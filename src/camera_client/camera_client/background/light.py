@@ -197,7 +197,8 @@ def fit_light(samples, trust, cell, before, share, now, usable, rest, field):  #
             rest[c, i] = left
             if usable[c, i] >= 1:
                 most = max(most, left * left * precision[c, i])
-        beyond += most > BEYOND_NOISE**2
+        if most > BEYOND_NOISE**2:
+            beyond += 1
     for c in range(len(seen)):
         _follow_cells(before[:, :, c], share, (cell, now[0, c], expected[c], weight[c], rest[c]), field[:, :, c])
     return scale, beyond / seen.shape[1]

@@ -121,7 +121,7 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
     return noise._replace(correlation=float(np.clip(rho, 0.0, MOST_CORRELATION)))
 
 
-def _fit(level: Floats, square: Floats, bins: int) -> tuple[Floats, Floats]:
+def _fit(level: Floats, square: Floats, bins: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Fit read and slope (C,) by the medians of the squares (n, C) over pixels of similar level (n, C)."""
     order = np.array_split(np.argsort(level.sum(axis=1), kind="stable"), bins)
     parts = [part for part in order if len(part) >= FEW_IN_BIN] or [np.arange(len(level))]

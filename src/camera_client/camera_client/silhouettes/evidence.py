@@ -72,7 +72,8 @@ class Scene:
         """The same of one weighted sum of the channels."""
         if self.image.ndim == 2:
             return self
-        image, expected = (cv2.cvtColor(each, cv2.COLOR_BGR2GRAY) for each in (self.image, self.expected))
+        image = np.asarray(cv2.cvtColor(self.image, cv2.COLOR_BGR2GRAY), np.uint8)
+        expected = np.asarray(cv2.cvtColor(self.expected, cv2.COLOR_BGR2GRAY), np.float32)
         return replace(self, image=image, expected=expected, noise=self.noise.of_grey())
 
 
@@ -113,7 +114,7 @@ class EvidenceFilter:
         smooth_columns(turned, cv2.multiply(along, along), columns)
         evidence = cv2.transpose(turned)
         smooth_columns(evidence, cv2.multiply(below, below), rows)
-        return np.asarray(cv2.compare(evidence, least, cv2.CMP_GT), np.uint8)
+        return np.asarray(cv2.inRange(evidence, least, math.inf), np.uint8)
 
 
 def least_evidence(sigma: float, noise: Noise) -> float:
