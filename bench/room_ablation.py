@@ -49,9 +49,9 @@ class Row:
     replaced: AbstractContextManager[Any] = field(default_factory=nullcontext)
 
 
-def no_light(self: LightEstimator, seen: Any, expected: Any, *_: Any) -> Any:
+def no_light(self: LightEstimator, samples: Any, *_: Any) -> Any:
     """Keep the light that the background was learned in."""
-    return seen - expected
+    return samples[0] - samples[1]
 
 
 def each_pixel(self: EvidenceFilter, distance: Any, *_: Any) -> Any:

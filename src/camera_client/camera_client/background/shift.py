@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from statistics import median
 from typing import NamedTuple
 
 import cv2
@@ -160,7 +161,7 @@ class ShiftEstimator:
         lasts = len(self._recent) >= FEWEST and self._time_s - self._recent[0][0] >= SETTLED_SHARE * SETTLE_S
         if not (at_once or lasts):
             return Displacement()
-        lasting = Displacement(*np.median([each for _, each in self._recent], axis=0).tolist())
+        lasting = Displacement(*map(median, zip(*(each for _, each in self._recent), strict=True)))
         if lasting.most_px(self._shape) < FOLLOW_PX:
             return Displacement()
         return Displacement(*(DAMPING * each for each in lasting))
