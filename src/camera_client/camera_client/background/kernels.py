@@ -209,12 +209,12 @@ def look_closely(image, learned, today, clipped, at, rows, expected, found):  # 
     for y in range(height):
         v, first, end = top + y, rows[y, 0], rows[y, 1]
         seen, to = image[v][left * channels :][:n], expected[y]
-        for i in range(n):
-            to[i] = F32(seen[i])
         found[0, y] = 0
         found[1, y] = 0
         above, below, share = _between_rows(field, v, len(image))
         a, b, begin = channels * first, channels * end, channels * left
+        to[:a] = seen[:a]
+        to[b:] = seen[b:]
         read, slope, geometry, unevenness = noise[0][a:b], noise[1][a:b], noise[2][a:b], noise[3][a:b]
         mean, steep = learned.mean[v][begin + a : begin + b], learned.steepness2[v][begin + a : begin + b]
         excess, gain, offset = learned.excess[v][begin + a : begin + b], light[0][a:b], light[1][a:b]
