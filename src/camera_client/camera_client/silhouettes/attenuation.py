@@ -30,8 +30,8 @@ class AttenuationMarker:
 
     A single camera cannot tell a dark sock from the shadow beside it. Several can: shadow lies on the floor, where all
     cameras see the same place equally dark. So every shadow candidate, and every pixel of the person whose ray meets
-    the floor, says how bright it is, as a share of what the background was, in few steps. Brightness is the mean
-    of 2 x 2 pixels and of the channels: wider windows would mix legs with the shadow beside them.
+    the floor, says how bright it is, as a share of what the background was, in few steps. Brightness is the mean of
+    2 x 2 pixels, of colours with BT.601's weights: wider windows would mix legs with the shadow beside them.
     """
 
     def __init__(self, camera: CameraModel, volume: Volume | None = None) -> None:
