@@ -49,6 +49,7 @@ from room_methods import our_pipeline
 from scenes import SHARED
 from sensor_msgs.msg import CompressedImage
 
+from camera_client.frame_processor import warm_up_silhouettes
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from capture_rig import Rig
 from capture_rig.errors import InputError
@@ -263,8 +264,7 @@ def in_turns(chain: SilhouettePipeline, frames: list[np.ndarray], empty: Iterabl
 
 
 def by_threads(size: str, colour: bool, rounds: int) -> tuple[float, float]:
-    """Return milliseconds a frame of the clock on the wall, in one thread and in two: medians of CHUNK frames, in
-    turns. Raises AssertionError where a byte differs."""
+    """Return ms a frame by the clock, in one thread and in two: medians of chunks. AssertionError if bytes differ."""
     clip, one = studio_pictures(size, colour)
     camera = clip.rig.names[0]
     two = our_pipeline(clip, {}).cameras[camera]
@@ -288,9 +288,8 @@ def by_threads(size: str, colour: bool, rounds: int) -> tuple[float, float]:
 
 def silhouettes(sizes: list[str], colour: bool, lab: bool, rounds: int, threads: bool) -> dict[str, Any]:
     """Print and return milliseconds a frame of ours and of MOG2, and their ratio, by the kind of pictures."""
-    table = Table(
-        "pictures:<20 | ours ms:>8.2f | MOG2 ms:>8.2f | ratio:>6.2f", "silhouettes alone, one thread, in turns"
-    )
+    title = "silhouettes alone, one thread, in turns"
+    table = Table("pictures:<20 | ours ms:>8.2f | MOG2 ms:>8.2f | ratio:>6.2f", title)
     figures: dict[str, Any] = {}
 
     def show(name: str, times: np.ndarray) -> None:
@@ -299,6 +298,7 @@ def silhouettes(sizes: list[str], colour: bool, lab: bool, rounds: int, threads:
         figures[name] = {"ours_ms": round(ours, 2), "mog2_ms": round(rival, 2), "ratio": round(ours / rival, 3)}
 
     for size, coloured in product(sizes, (False, True) if colour else (False,)):
+        warm_up_silhouettes(coloured)  # as a node does before its first frame
         clip, chain = studio_pictures(size, coloured)
         camera = clip.rig.names[0]
         frames = [*clip.there_and_back().take[camera]] * rounds
@@ -313,6 +313,7 @@ def silhouettes(sizes: list[str], colour: bool, lab: bool, rounds: int, threads:
             one, two = figure["one_thread_ms"], figure["two_threads_ms"]
             by_size.row(name, one, two, one / two)
     if lab and LABORATORY.is_dir():
+        warm_up_silhouettes(True)
         session = load_session(LABORATORY)
         for name, chain in pipeline_of(session, Configuration.of({})).cameras.items():
             with Video(session.videos[name]) as video:
@@ -338,9 +339,8 @@ def main() -> None:
     given.add_argument("--lab", action="store_true", help="silhouettes alone, of the laboratory of the test data")
     args = given.parse_args()
     if args.size or args.lab:
-        finish(
-            {"silhouettes": silhouettes(args.size, args.colour, args.lab, 1 if args.quick else ROUNDS, args.threads)}
-        )
+        rounds = 1 if args.quick else ROUNDS
+        finish({"silhouettes": silhouettes(args.size, args.colour, args.lab, rounds, args.threads)})
         return
     seconds = 15.0 if args.quick else args.seconds
     runs = list[Run]()

@@ -21,9 +21,9 @@ import numpy as np
 from clips import session_with_truth
 from scenes import SHARED
 
-from camera_client.background.adaptation.light import LightEstimator
-from camera_client.background.adaptation.shift import ShiftEstimator
 from camera_client.background.kernels import SCALE
+from camera_client.background.light import LightEstimator
+from camera_client.background.shift import ShiftEstimator
 from camera_client.silhouettes.evidence import EvidenceFilter
 from camera_client.silhouettes.masks import majority
 from capture_rig.errors import InputError
@@ -49,9 +49,9 @@ class Row:
     replaced: AbstractContextManager[Any] = field(default_factory=nullcontext)
 
 
-def no_light(self: LightEstimator, seen: Any, expected: Any, *_: Any) -> Any:
+def no_light(self: LightEstimator, samples: Any, *_: Any) -> Any:
     """Keep the light that the background was learned in."""
-    return seen - expected
+    return samples[0] - samples[1]
 
 
 def each_pixel(self: EvidenceFilter, distance: Any, *_: Any) -> Any:
@@ -64,7 +64,7 @@ ROWS = (
     Row("without following the light", replaced=patch.object(LightEstimator, "update", no_light)),
     Row(
         "without measuring the noise",
-        replaced=patch("camera_client.background.adaptation.adaptive.measured_noise", lambda *_, **__: None),
+        replaced=patch("camera_client.background.adaptive.measured_noise", lambda *_, **__: None),
     ),
     Row(
         "without following the camera",

@@ -24,6 +24,8 @@ from capture_rig.camera import CameraModel
 from capture_rig.region import of_shape
 from capture_rig.rigid import rotation_matrix, rotation_vector
 
+from .background.kernels import BEYOND_NOISE
+
 Array = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.float32]
 
@@ -242,9 +244,8 @@ SURROUNDINGS = 1 / 6  # of the picture's longer side: brightness is taken relati
 DARK_LEVEL = 8.0  # grey levels; keeps noise in black places small
 # Thresholds: SMOOTHED from the filter (1 2 1)/4; else, in standard deviations of the pixels' noise, measured by
 # python bench/camera_movement.py.
-SMOOTHED = 0.375  # what a smoothing by (1 2 1) / 4, across and down, leaves of the noise
+SMOOTHED = (1 + 4 + 1) / 16  # what a smoothing by (1 2 1) / 4, across and down, leaves of the noise
 LEAST_NOISE = 0.4  # grey levels at working size: codecs smooth noise away, and what they leave is no signal
-CLEAR_OF_NOISE = 4.0  # an edge rises by so many standard deviations of the noise a pixel
 FLAT = 0.012  # an edge that rises by less than this share of the brightness a pixel is none
 TINY_TURN_RAD = 1e-4
 
@@ -327,7 +328,7 @@ def choose_edge_points(camera: CameraModel, mean: npt.NDArray[np.float32], sigma
 def _choose(camera: CameraModel, picture: Picture, scale: float, noise: float) -> EdgePoints:
     gradient = np.stack([cv2.Scharr(picture, cv2.CV_32F, *d) / 32 for d in ((1, 0), (0, 1))], axis=-1)
     steepness = np.hypot(gradient[..., 0], gradient[..., 1])
-    row, column, cell = strongest(steepness, max(CLEAR_OF_NOISE * noise, FLAT), CELLS_ACROSS, POINTS_IN_CELL)
+    row, column, cell = strongest(steepness, max(BEYOND_NOISE * noise, FLAT), CELLS_ACROSS, POINTS_IN_CELL)
     pixels = scale * np.column_stack([column, row]) + (scale - 1) / 2
     rays = camera.rays_world(pixels)
     moves = np.stack(

@@ -41,16 +41,14 @@ from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingR
 from .background.verdict import describe_background
 from .camera_ros import CameraReport, CameraTopics, FootageClockTopic, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
-from .frame_processor import BegunFrame, FrameProcessor, FrameResult
-from .frame_source import Frame, FrameSource
+from .frame_processor import BegunFrame, FrameProcessor, FrameResult, warm_up_silhouettes
+from .frame_source import REPORT_PERIOD_S, Frame, FrameSource
 from .settings import CameraClientSettings
-from .silhouettes.warm_up import warm_up_silhouettes
 from .sources.grab_loop import GrabLoop, GrabState
 from .sources.topic_source_ros import TopicSource
 
 T = TypeVar("T")
 
-REPORT_PERIOD_S = 0.5
 TRAINING_GRACE_S = 10.0  # a training goes on when the camera comes back sooner
 SUPPORT_TOPIC = "silhouette/support"  # from the hull server; without it the client works as well
 PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details

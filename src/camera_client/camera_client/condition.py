@@ -14,8 +14,8 @@ from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import Silhouette
 
 from .background.moved_things import STILL_S
-from .background.verdict import describe_regions, find_regions
-from .silhouettes.certainty import LEAST_PERSON, PERIOD_S
+from .background.verdict import LEAST_PERSON, describe_regions, find_regions
+from .frame_source import REPORT_PERIOD_S
 from .silhouettes.pipeline import TYPICAL_LEVEL, SilhouettePipeline
 
 CHANNELS = ("blue", "green", "red")
@@ -93,7 +93,7 @@ class ConditionWatch:
     """
 
     def __init__(self, pipeline: SilhouettePipeline) -> None:
-        self._pipeline, self._throttle = pipeline, StampThrottle(PERIOD_S)
+        self._pipeline, self._throttle = pipeline, StampThrottle(REPORT_PERIOD_S)
         self._shape = pipeline.image_shape
         self._lasting: deque[tuple[int, Shares]] = deque()
         self._switches: deque[tuple[int, int]] = deque()

@@ -21,6 +21,10 @@ from capture_rig.stamps import NS_PER_S
 
 Image = np.ndarray  # (H, W) or (H, W, 3) uint8, BGR
 Mask = np.ndarray  # (H, W) uint8, 0 or 255
+# Thresholds: judgement, no measurement.
+REPORT_PERIOD_S = 0.5  # figures for people are measured, and published, so often
+POLL_S = 0.05  # what wakes nobody is asked so often
+RELEASE_S = 1.0  # a living device gives its resources back within this, a thread that served it ends
 
 
 class SourceUnavailable(InputError):

@@ -19,8 +19,9 @@ from capture_rig.rigid import rotation_matrix, rotation_vector
 from capture_rig.stamps import StampThrottle
 
 from .alignment import Alignment, Array, PictureAlignment
+from .background.kernels import BEYOND_NOISE
 from .background.model import BackgroundModel, Provenance
-from .frame_source import Image
+from .frame_source import REPORT_PERIOD_S, Image
 from .settings import CameraMovedSettings
 
 # Thresholds: chosen with python bench/camera_movement.py.
@@ -29,8 +30,6 @@ MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on 
 MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved
 LOST = 0.1  # when fewer agree on anything, the picture is another one ...
 SEARCH_S = 3.0  # ... for so long; a search, which costs as much as ten comparisons, is not made more often
-PERIOD_S = 0.5  # a frame is compared with the background so often
-SIGMAS = 4.0
 SEVERE_FACTOR = 2.5  # limits from which it is an error, and not only a warning
 
 
@@ -117,7 +116,7 @@ class CameraMovedDetector:
         self.alignment = PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
         self._since = rotation_matrix(np.zeros(3) if since_rad is None else since_rad)
         self._samples: deque[Alignment] = deque(maxlen=SAMPLES)
-        self._throttle = StampThrottle(PERIOD_S)
+        self._throttle = StampThrottle(REPORT_PERIOD_S)
         self._searched_ns, self._unlike_s = -(10**18), 0.0
         self.movement = Movement()
 
@@ -156,7 +155,7 @@ class CameraMovedDetector:
         R = rotation_matrix(turn_rad) @ self._since
         total_rad = rotation_vector(R)
         limit_rad = np.radians(self._settings.limit_deg)
-        beyond = np.linalg.norm(total_rad) - SIGMAS * sd_rad > limit_rad
+        beyond = np.linalg.norm(total_rad) - BEYOND_NOISE * sd_rad > limit_rad
         if np.linalg.norm(turn_rad) > limit_rad and gained < MIN_AGREEMENT_GAIN:
             return Movement()
         return Movement(

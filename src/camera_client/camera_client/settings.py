@@ -72,8 +72,6 @@ class AravisSettings:
     action_device_key: int = setting(
         1, "sync action: key of the cameras, another one for each rig of a network", low=0, high=0xFFFFFFFF
     )
-    action_lead_ms: float = setting(100.0, "sync action: sent so long ahead", unit="ms", low=1, high=10000)
-    ptp_wait_s: float = setting(10.0, "PTP: longest wait for the camera to be in step", unit="s", low=0, high=600)
 
     stamp_source: str = setting(
         "auto",
@@ -88,11 +86,6 @@ class AravisSettings:
         low=1 / 32,
         high=1,
     )
-    camera_stamps: str = setting(
-        "exposure_start",
-        "Which instant the camera stamps; ours is always mid-exposure",
-        choices=("exposure_start", "exposure_middle", "exposure_end"),
-    )
     tai_utc_offset_s: int = setting(
         37,
         "By how much the PTP clock is ahead of UTC: 37 for TAI, 0 where the grandmaster gives UTC",
@@ -105,8 +98,12 @@ class AravisSettings:
     packet_size: int = setting(0, "Bytes of a stream packet; 0: the largest that gets through", low=0, high=16404)
     packet_delay_ns: int = setting(-1, "Pause between the packets of a frame", unit="ns", low=-1, high=10**9)
     frame_retention_ms: float = setting(40.0, "An incomplete frame is given up after this", unit="ms", low=5, high=5000)
-    buffers: int = setting(16, "Frame buffers in the pool", low=2, high=256)
     socket_buffer_bytes: int = setting(4 << 20, "Receive buffer of the stream's socket", unit="bytes", low=65536)
+
+    action_lead_ms: float = 100.0  # sync action: commands are sent so long ahead
+    ptp_wait_s: float = 10.0  # longest wait for the camera to be in step by PTP
+    camera_stamps: str = "exposure_start"  # or _middle, _end: the instant that the camera stamps; ours is mid-exposure
+    buffers: int = 16  # of frames, in the pool
 
 
 @dataclass(frozen=True)
@@ -121,13 +118,8 @@ class TopicSettings:
     stamp_offset_ms: float = setting(
         0.0, "From the header's stamp to mid-exposure: what the driver's stamps lack", unit="ms", low=-1000, high=1000
     )
-    stamp_uncertainty_ms: float = setting(
-        2.0,
-        "Standard deviation of the stamps that way, as of drivers that stamp the arrival",
-        unit="ms",
-        low=0,
-        high=1000,
-    )
+
+    stamp_uncertainty_ms: float = 2.0  # standard deviation of the stamps that way, of drivers that stamp the arrival
 
 
 @dataclass(frozen=True)
@@ -143,7 +135,8 @@ class WebcamSettings:
     stamp_offset_ms: float = setting(
         -15.0, "From the driver's stamp (first byte) to mid-exposure", unit="ms", low=-1000, high=1000
     )
-    stamp_uncertainty_ms: float = setting(8.0, "Standard deviation of the stamps that way", unit="ms", low=0, high=1000)
+
+    stamp_uncertainty_ms: float = 8.0  # standard deviation of the stamps that way
 
 
 @dataclass(frozen=True)
@@ -168,10 +161,11 @@ class BackgroundSettings:
     risk: float = setting(
         1e-4, "A background pixel is called foreground this often (each channel)", low=1e-12, high=0.5
     )
-    sigma_floor: float = setting(1.0, "Smallest standard deviation of a pixel", unit="grey levels", low=0.1, high=64)
     moved_things: bool = setting(
         True, "Things that moved or were taken away become background: what no other camera sees, and keeps still"
     )
+
+    sigma_floor: float = 1.0  # smallest standard deviation of a pixel, grey levels
 
 
 @dataclass(frozen=True)

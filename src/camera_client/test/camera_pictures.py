@@ -1,5 +1,7 @@
 """What tests of camera_client share: a learned background, the frames of a source, how well a mask fits."""
 
+import numpy as np
+
 from camera_client.background.model import BackgroundLearner
 
 PATIENCE = 20  # silent seconds, only ever used up by a failing test
@@ -37,3 +39,9 @@ def taken(source, count=30):
     with source:
         source.start()
         return frames_of(source, count)
+
+
+def change_of(image, mean):
+    """By how many whole grey levels (h, w) uint8 two pictures differ in the channel that differs most."""
+    difference = np.abs(np.rint(image.astype(float) - mean))
+    return (difference if difference.ndim == 2 else difference.max(axis=2)).astype(np.uint8)

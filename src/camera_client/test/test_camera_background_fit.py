@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from camera_pictures import learned
 
-from camera_client.background.adaptation.adaptive import samples_of
+from camera_client.background.adaptive import samples_of
 from camera_client.background.causes import age_h, find_causes, other_setting, unfit
 from camera_client.background.kernels import STEP_PX
 from camera_client.background.model import Provenance, read_background

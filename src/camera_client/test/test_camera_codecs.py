@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from camera_pictures import learned
 
-from camera_client.background.adaptation.adaptive import AdaptiveBackground, samples_of
+from camera_client.background.adaptive import AdaptiveBackground, samples_of
 from camera_client.background.noise import assumed_noise, measured_correlation
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
-from camera_client.silhouettes.codec_errors import FINE_GRAIN, codec_error_sigma
+from camera_client.silhouettes.evidence import FINE_GRAIN, codec_error_sigma
 from camera_client.silhouettes.pipeline import SilhouettePipeline
 from virtual_studio.rig import ring
 
@@ -55,11 +55,10 @@ def test_grain_is_what_neighbours_share_and_the_same_picture_again_tells_none():
 
 
 def test_codec_errors_reach_a_block_far_and_are_there_with_codecs_only():
-    expected = np.full((60, 80), 100, np.float32)
-    image = expected.astype(np.uint8)
-    image[:, 60:] = 200
-    assert codec_error_sigma(image, expected, assumed_noise(2.0, 1)) is None
-    codec_sigma = codec_error_sigma(image, expected, assumed_noise(2.0, 1)._replace(spatial_correlation=0.6))
+    change = np.zeros((60, 80), np.uint8)
+    change[:, 60:] = 100
+    assert codec_error_sigma(change, assumed_noise(2.0, 1)) is None
+    codec_sigma = codec_error_sigma(change, assumed_noise(2.0, 1)._replace(spatial_correlation=0.6))
     assert (codec_sigma[:, 52:] > 2).all() and (codec_sigma[:, :52] == 0).all()
 
 

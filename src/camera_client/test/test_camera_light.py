@@ -139,19 +139,6 @@ def test_person_who_stands_still_for_ten_minutes_stays_whole_and_leaves_no_ghost
     assert room.see(0.8).foreground_fraction < 0.001  # the place behind the person dimmed, too
 
 
-def test_sunlight_that_creeps_over_a_wall_is_followed_up_to_the_bound(scene):
-    room = Room(scene)
-
-    def sun(by):
-        return lambda image: np.where(np.arange(160) < 50, np.clip(image + by, 0, 255), image).astype(np.uint8)
-
-    for by in np.linspace(0, 4, 240):  # a grey level a minute
-        assert room.see(sun=sun(by)).foreground_fraction < 0.002
-    for by in np.linspace(4, 60, 80):
-        last = room.see(sun=sun(by))
-    assert last.foreground_fraction > 0.1  # beyond 12 grey levels it is a thing, not a drift
-
-
 def test_thing_put_down_beside_the_person_stays_foreground(scene):
     room = Room(scene)
     for _ in range(50):

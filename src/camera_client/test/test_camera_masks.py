@@ -3,12 +3,12 @@
 import cv2
 import numpy as np
 import pytest
-from camera_pictures import learned
+from camera_pictures import change_of, learned
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from camera_client.background.adaptation.adaptive import FixedBackground
+from camera_client.background.adaptive import FixedBackground
 from camera_client.background.model import BackgroundModel, Provenance
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
@@ -91,7 +91,8 @@ def whole_image(camera, background, image, settings):
     side, area = 2 * round(settings.closing * height / 2) + 1, height**2
     person = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
     person = keep_people(person, PeopleRule(MIN_AREA * area, settings.near * height, settings.max_hole * area))
-    person = trim_outline(person, image, background.mean, settings.outline_contrast)
+    change = change_of(image, background.mean)
+    person = trim_outline(person, change, settings.outline_contrast, colour=image.ndim == 3)
     return np.maximum(person, np.minimum(shadow, SHADOW_CANDIDATE))
 
 

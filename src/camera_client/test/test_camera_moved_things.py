@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_client.background.adaptation.adaptive import samples_of
+from camera_client.background.adaptive import samples_of
 from camera_client.background.kernels import STEP_PX
 from camera_client.background.moved_evidence import APPLY_AFTER_S, CanvasCells, is_calm_inside, was_taken_away
 from camera_client.background.moved_things import BLOCK_PX, OUTSIDE_STILL_S, STILL_S, MovedThings

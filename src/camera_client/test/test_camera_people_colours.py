@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from camera_client.background.adaptation.adaptive import samples_of
+from camera_client.background.adaptive import samples_of
 from camera_client.background.kernels import STEP_PX
 from camera_client.background.model import BackgroundModel, Provenance
 from camera_client.settings import SilhouetteSettings

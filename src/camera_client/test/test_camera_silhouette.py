@@ -12,11 +12,11 @@ from numba.core.registry import CPUDispatcher as Dispatcher
 from camera_client.background import kernels as kernels_of_background
 from camera_client.background.model import read_background
 from camera_client.background.noise import assumed_noise, learned_noise
+from camera_client.frame_processor import warm_up_silhouettes
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes import evidence, shadow_kernels
 from camera_client.silhouettes.pipeline import CANDIDATE_BGR, EMPTY, FULL, PERSON_BGR, SilhouettePipeline, outline
 from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene, floor_pixels
-from camera_client.silhouettes.warm_up import warm_up_silhouettes
 from camera_client.sources.footage_reader import open_footage
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import LEVELS, SHADOW_CANDIDATE

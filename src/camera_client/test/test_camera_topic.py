@@ -106,7 +106,7 @@ def started(topic):
 
 def test_driver_is_a_camera_of_the_graph(bench, session, scene, driver):
     driver().start([image_message(scene.with_person(image), 0, "usb_cam") for image in scene.empty(5, seed=4)])
-    topic = {"source": "topic", "topic.name": TOPIC, "topic.stamp_offset_ms": -7.5, "topic.stamp_uncertainty_ms": 3.0}
+    topic = {"source": "topic", "topic.name": TOPIC, "topic.stamp_offset_ms": -7.5}
     camera = bench(**{**session.parameters, **topic}).start()
     camera.until(lambda: len(camera.masks) >= 5)
     canvas = scene.camera().undistorted_view().camera

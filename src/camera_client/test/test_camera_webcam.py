@@ -115,7 +115,7 @@ def test_skipped_pictures_count_as_lost_and_an_unplugged_webcam_is_lost(monkeypa
 
 
 def test_a_webcam_that_hangs_is_not_released_under_its_reader_and_not_started_again(monkeypatch):
-    monkeypatch.setattr(webcam_source, "JOIN_S", 0.01)
+    monkeypatch.setattr(webcam_source, "RELEASE_S", 0.01)
     capture, hung, go_on = Capture(), threading.Event(), threading.Event()
     source = webcam(capture)
     source.connect()

@@ -74,7 +74,7 @@ def compile_hull() -> None:
 
 def compile_cameras() -> None:
     """Compile segmentation of mono images, and PNG; the client of a colour camera compiles its own at its start."""
-    from camera_client.silhouettes.warm_up import warm_up_silhouettes
+    from camera_client.frame_processor import warm_up_silhouettes
     from sagoma_ros import mask_png
 
     warm_up_silhouettes(colour=False)

@@ -1,1 +1,1 @@
-"""The background of one camera: model, noise, training, verdict, causes; its adaptation; things that moved."""
+"""The background of one camera: model, light, noise, displacement, training, verdict, causes; things that moved."""

@@ -17,7 +17,8 @@ from typing import Any
 
 from capture_rig.verdict import GOOD, REDO, USABLE, Finding
 
-from .adaptation.light import MOST_GAIN
+from ..gige.features import FLOAT_TOLERANCE
+from .light import MOST_GAIN
 from .model import Provenance
 
 KEY = "findings"  # of the diagnostics: what speaks against the background in use, as JSON, the worst first
@@ -264,7 +265,6 @@ def read_findings(text: str) -> tuple[Finding, ...]:
 
 # --- where a background comes from: another camera or setting, long ago
 
-SAME_NUMBER = 0.01  # cameras give back what was set with so much error, relative
 UNITS = {"exposure_us": " us", "gain": ""}
 
 
@@ -305,7 +305,7 @@ def other_setting(
     for key, unit in UNITS.items():
         then, now, name = getattr(provenance, key), camera.get(key, ""), key.partition("_")[0]
         off, size = abs(_number(now) - _number(then)), max(abs(_number(now)), abs(_number(then)), 1.0)
-        if not then or not now or then == now or off <= SAME_NUMBER * size:
+        if not then or not now or then == now or off <= FLOAT_TOLERANCE * size:
             continue
         what = f"the {name} is {now}{unit}, the background was learned at {then}{unit}"
         if corrected is not None:

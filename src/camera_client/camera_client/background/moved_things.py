@@ -22,23 +22,22 @@ from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import ForegroundSupport
 
 from ..frame_source import Image, Mask
-from .adaptation.expected_image import Corners, Samples
-from .kernels import STEP_PX, clear_absorbed, follow_running
+from .expected_image import Corners, Samples
+from .kernels import BEYOND_NOISE, STEP_PX, clear_absorbed, follow_running
 from .moved_evidence import Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
-# Thresholds: NOISE_SIGMAS from the normal distribution; else chosen with the rooms of test_camera_moved_things.py.
+# Thresholds: chosen with the rooms of test_camera_moved_things.py.
 SAMPLE_S = 0.2  # blocks are looked at so often
 BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
 RESTLESS_SHARE = 24  # of 255: two samples of a block that differ: an edge of a person moved by a fraction of a pixel
-NOISE_SIGMAS = 4.0  # a pixel changed, or differs from what was absorbed: 1 in 16000 by noise
-FOLLOW_S = 1.0  # time constant of the picture that blocks are compared with: slower than sway, faster than daylight
 STILL_S = 3.0  # nobody sees it, and it keeps still, for so long: it is a thing
 OUTSIDE_STILL_S = 12.0  # the same of what may be a person beside the volume: nobody holds each limb still for so long
-REST_S = 1.0  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen
-WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands move while a trunk does not
+REST_S = 1.0  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen;
+# also the time constant of the picture that blocks are compared with: slower than sway, faster than daylight
+WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands move while a trunk does not; in the rest
+# others may see something: rays of other things that cross
 LEAST_UNSEEN = 0.5  # ... that nobody else sees, so that those may be absorbed
-MOST_BODY = 0.2  # share of a blob where others see something: rays of other things that cross, not a person
 REVERT_S = 2.0  # as it was learned for so long: what was absorbed is forgotten
 MOST_BLOBS = 8  # looked at a time: bounds the work
 MOST_ABSORBED = 0.5  # share of the picture; more is another room
@@ -49,7 +48,7 @@ COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the
 
 Look = Callable[[Image, Corners], tuple[npt.NDArray[np.float32], Mask]]
 """Gives of a part of an image (top, left, bottom, right; the last two excluded) the background's picture in today's
-light, and 255 where the image differs from it."""
+light, and (h, w) 255 where the image differs from it."""
 
 
 class MovedThings:
@@ -137,16 +136,16 @@ class MovedThings:
         """Write 0 into ``values``, of every ``step_px``-th row and column, where the frame looks as it was absorbed.
 
         brightness : how many times brighter than when the background was learned the scene is now. box : top, left,
-        bottom, right of the part that matters; all without one.
+        bottom, right of the part that ``values`` are of; all without one.
         """
         if self._box is None:
             return
-        top, left, bottom, right = self._box
+        part, (v, u) = self._box, (0, 0)
         if box is not None:
-            top, left, bottom, right = max(top, box[0]), max(left, box[1]), min(bottom, box[2]), min(right, box[3])
+            v, u = box[:2]
+            part = (max(part[0], v), max(part[1], u), min(part[2], box[2]), min(part[3], box[3]))
         pixels, mean = (each.reshape(*self._shape, -1) for each in (image, self.mean))
-        part = (top, left, bottom, right)
-        clear_absorbed(pixels, mean, self.replaced, self._limit, brightness, step_px, part, values)
+        clear_absorbed(pixels, mean, self.replaced, self._limit, (brightness, step_px, v, u), part, values)
 
     def is_due(self, stamp_ns: int) -> bool:
         """Whether :meth:`update` would look at a frame of this stamp."""
@@ -210,7 +209,7 @@ class MovedThings:
         """Follow the samples by a running mean, and begin anew in blocks that changed by more than noise."""
         if self._running is None:
             self._running = samples.astype(np.float32)
-        share = 1.0 - float(np.exp(-step_s / FOLLOW_S))
+        share = 1.0 - float(np.exp(-step_s / REST_S))
         differs = np.empty(samples.shape[1:], np.uint8)
         follow_running(samples, self._running, self._limit_of_samples, share, differs)
         restless = self._blocks_of(differs) >= RESTLESS_SHARE
@@ -228,7 +227,7 @@ class MovedThings:
             for blob in _blobs(shown, unseen):
                 keeps_still = (blob & calm).sum() >= WHOLE * blob.sum()
                 nobody = (blob & unseen).sum() >= LEAST_UNSEEN * blob.sum()
-                if keeps_still and nobody and (blob & body).sum() <= MOST_BODY * blob.sum():
+                if keeps_still and nobody and (blob & body).sum() <= (1 - WHOLE) * blob.sum():
                     self._take_over(image, blob & unseen, stamp_ns)
         rested = shown & (np.minimum(self._still_s, self._shown_s) >= REST_S)
         if self._samples % round(REST_S / SAMPLE_S) == 0 and rested.any():
@@ -254,10 +253,8 @@ class MovedThings:
         part = slice(top, bottom), slice(left, right)
         near = self._to_pixels(cv2.dilate(blob.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0)[part]
         background, foreground = look(whole, (top, left, bottom, right))
-        image, unexplained = whole[part], np.zeros(self._shape, np.uint8)
-        unexplained[part] = foreground
-        self.clear_absorbed(whole, unexplained, self._brightness, box=(top, left, bottom, right))
-        foreground = unexplained[part]
+        image = whole[part]
+        self.clear_absorbed(whole, foreground, self._brightness, box=(top, left, bottom, right))
         own = np.where(near, foreground, np.uint8(0))
         if not was_taken_away(own, foreground, image, background, self._noise):
             return False
@@ -299,9 +296,9 @@ class MovedThings:
             self.reverted += int(cv2.connectedComponents(back.astype(np.uint8), connectivity=8)[0]) - 1
             self._note_change()
         # light moves on
-        follows = self._to_pixels(matched & ~back & (self._still_s >= FOLLOW_S))
+        follows = self._to_pixels(matched & ~back & (self._still_s >= REST_S))
         if follows.any():
-            share = np.float32(1.0 - np.exp(-step_s / FOLLOW_S))
+            share = np.float32(1.0 - np.exp(-step_s / REST_S))
             self.mean[follows] += share * (image[follows] / self._brightness - self.mean[follows])
 
     # --- pixels and blocks
@@ -329,4 +326,4 @@ def _blobs(blocks: Blocks, of_interest: Blocks) -> list[Blocks]:
 
 def _noise_limit(sigma: npt.NDArray[np.float32]) -> Mask:
     """Return by how many grey levels (H, W) uint8 noise of ``sigma`` makes a pixel differ at most."""
-    return np.ceil(NOISE_SIGMAS * sigma + 1.0).clip(0, 255).astype(np.uint8)
+    return np.ceil(BEYOND_NOISE * sigma + 1.0).clip(0, 255).astype(np.uint8)

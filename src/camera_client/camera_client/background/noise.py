@@ -16,12 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from .kernels import HALF_MEDIAN, median
-from .model import BackgroundModel
+from .model import NOISE_MAX_SIGMA, BackgroundModel
 
 # Thresholds: QUANTISATION from rounding, 1/12; else measured by python bench/rooms.py.
 QUANTISATION = 1 / 12  # variance of rounding to whole grey levels
 LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs smooth away
-MOST_VARIANCE = 150.0  # no camera is noisier, and a room that seems so must not hide a person
+MOST_VARIANCE = NOISE_MAX_SIGMA**2  # no camera is noisier, and a room that seems so must not hide a person
 LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
 FEW_IN_BIN = 30
 TAIL_SHARE, TAIL_SIGMAS = (
@@ -32,6 +32,8 @@ TAIL_ALLOWED = 0.2  # times more is still normal: shadows and things that are no
 MOST_TAIL = 2.5
 FOLLOW_S = 1.0  # time constant
 MOST_CORRELATION = 0.6  # beyond, small errors of the colour would count as much as a person
+
+GREY_POWER = sum(weight**2 for weight in (0.299, 0.587, 0.114))  # of a brightness, by BT.601
 
 Floats = npt.NDArray[np.floating]
 
@@ -54,16 +56,15 @@ class Noise(NamedTuple):
             return self.read[0] + self.slope[0] * level
         return self.read + self.slope * level
 
-    def of_mean(self) -> Noise:
-        """Return the noise of the mean of the channels."""
-        share = (1.0 + (len(self.read) - 1) * self.correlation) / len(self.read)
-        return self._replace(read=share * self.read.mean(keepdims=True), slope=share * self.slope.mean(keepdims=True))
+    def of_grey(self) -> Noise:
+        """Return the noise of a colour's brightness, in BT.601's weights."""
+        share = (self.correlation + (1.0 - self.correlation) * GREY_POWER) / len(self.read)
+        read, slope = (np.array([share * sum(each.tolist())]) for each in (self.read, self.slope))
+        return self._replace(read=read, slope=slope)
 
     def sigma(self, level: float) -> float:
         """Return the standard deviation at a grey level, the channels together."""
-        if len(self.read) == 1:
-            return math.sqrt(self.read[0] + self.slope[0] * level)
-        return math.sqrt(float((self.read + self.slope * level).mean()))
+        return math.sqrt((sum(self.read.tolist()) + level * sum(self.slope.tolist())) / len(self.read))
 
     def moved(self, target: Noise, share: float) -> Noise:
         """Return the noise moved by ``share`` of the way to ``target``."""
@@ -90,8 +91,7 @@ def learned_noise(model: BackgroundModel) -> Noise:
     every = max(1, model.mean.size // channels // 20000)
     level = model.mean.reshape(-1, channels)[::every].astype(float)
     variance = model.sigma.reshape(-1, channels)[::every].astype(float) ** 2
-    lines = [_fit(level[:, c], variance[:, c], LEARNED_BINS) for c in range(channels)]
-    return Noise(*np.array(lines).T)
+    return Noise(*_fit(level, variance, LEARNED_BINS))
 
 
 def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -> Noise | None:
@@ -103,8 +103,7 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
     if len(level) < 4 * FEW_IN_BIN:
         return None
     channels = level.shape[1]
-    lines = [_fit(level[:, c], (HALF_MEDIAN * rest[:, c]) ** 2, FRAME_BINS) for c in range(channels)]
-    noise = Noise(*np.array(lines).T)
+    noise = Noise(*_fit(level, (HALF_MEDIAN * rest) ** 2, FRAME_BINS))
     scaled = rest / np.sqrt(noise.variance(level))
     tail = 1.0
     if foreground_known:
@@ -122,23 +121,26 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
     return noise._replace(correlation=float(np.clip(rho, 0.0, MOST_CORRELATION)))
 
 
-def _fit(level: Floats, square: Floats, bins: int) -> tuple[float, float]:
-    """Fit read and slope by the medians of the squares over pixels of similar level."""
-    order = np.array_split(np.argsort(level, kind="stable"), bins)
+def _fit(level: Floats, square: Floats, bins: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Fit read and slope (C,) by the medians of the squares (n, C) over pixels of similar level (n, C)."""
+    order = np.array_split(np.argsort(level.sum(axis=1), kind="stable"), bins)
     parts = [part for part in order if len(part) >= FEW_IN_BIN] or [np.arange(len(level))]
-    square = np.asarray(square, np.float32)
-    x, y = np.array([(level[p].mean(), median(square[p])) for p in parts], float).T
+    columns = np.ascontiguousarray(square.T, np.float32)
+    x = np.array([level[part].mean(axis=0) for part in parts], float)
+    y = np.array([[median(column[part]) for column in columns] for part in parts], float)
     weight = 1 / np.maximum(y, LEAST_VARIANCE)
-    sw, sx, sy = (weight**2).sum(), (weight**2 * x).sum(), (weight**2 * y).sum()
-    sxx, sxy = (weight**2 * x * x).sum(), (weight**2 * x * y).sum()
+    w2 = weight**2
+    sw, sx, sy, sxx, sxy = (each.sum(axis=0) for each in (w2, w2 * x, w2 * y, w2 * x * x, w2 * x * y))
     det = sw * sxx - sx * sx
-    slope = (sw * sxy - sx * sy) / det if det > 1e-9 * sw * sxx else 0.0
+    slope = np.where(det > 1e-9 * sw * sxx, (sw * sxy - sx * sy) / np.maximum(det, 1e-300), 0.0)
     read = (sy - slope * sx) / sw
-    if slope < 0 or read < 0:  # neither can be: the better of the two lines with one of them 0
-        flat, through = sy / sw, sxy / sxx
-        error = [((weight * (y - flat)) ** 2).sum(), ((weight * (y - through * x)) ** 2).sum()]
-        read, slope = (flat, 0.0) if error[0] <= error[1] else (0.0, through)
-    return min(max(read + QUANTISATION, LEAST_VARIANCE), MOST_VARIANCE), slope
+    # neither can be less than 0: else the better of the two lines with one of them 0
+    flat, through = sy / sw, sxy / np.maximum(sxx, 1e-300)
+    is_flat = ((weight * (y - flat)) ** 2).sum(axis=0) <= ((weight * (y - through * x)) ** 2).sum(axis=0)
+    unfit = (slope < 0) | (read < 0)
+    read = np.where(unfit, np.where(is_flat, flat, 0.0), read)
+    slope = np.where(unfit, np.where(is_flat, 0.0, through), slope)
+    return np.clip(read + QUANTISATION, LEAST_VARIANCE, MOST_VARIANCE), slope
 
 
 # --- how coarse it is: a sensor's noise is as fine as its pixels, a codec's as coarse as its blocks
@@ -153,7 +155,7 @@ OPPONENT = np.array([[1 / 3, 1, 0], [1 / 3, -1, -1], [1 / 3, 0, 1]], np.float32)
 
 
 class NoiseCorrelationMeter:
-    """Measures it at sampled pixels. ``spatial_correlation`` : 0 until it is known."""
+    """Measures it at sampled pixels. ``spatial_correlation`` : 0 until it is ``known``."""
 
     def __init__(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp], width: int) -> None:
         """Sample at ``row``, ``column`` (n,) of a picture of this width."""
@@ -162,7 +164,7 @@ class NoiseCorrelationMeter:
         self._before: Floats | None = None
         self._sure_before = np.zeros(len(row), bool)
         self._passing: deque[float] = deque(maxlen=2)
-        self._known, self.spatial_correlation = False, 0.0
+        self.known, self.spatial_correlation = False, 0.0
 
     def update(self, seen: Floats, rest: Floats, sure: npt.NDArray[np.bool_], step_s: float) -> float:
         """Take a frame, ``step_s`` after the last one taken; return the correlation.
@@ -177,9 +179,9 @@ class NoiseCorrelationMeter:
         found, passing = measured_correlation(*rest[:, sure]), measured_correlation(*(seen - before)[:, both])
         self._passing.append(1.0 if passing is None else passing)  # only codecs show the same picture again
         if found is not None and len(self._passing) == self._passing.maxlen:
-            share = 1 - math.exp(-step_s / FOLLOW_S) if self._known else 1.0
+            share = 1 - math.exp(-step_s / FOLLOW_S) if self.known else 1.0
             self.spatial_correlation += share * (min(found, PASSING * min(self._passing)) - self.spatial_correlation)
-            self._known = True
+            self.known = True
         return self.spatial_correlation
 
 

@@ -20,7 +20,8 @@ from capture_rig.verdict import REDO, Finding, judge
 
 from ..frame_source import Image
 from ..sources.frame_checks import MIN_LIT_LEVEL, grid_sample
-from .model import SOFTWARE, BackgroundLearner, BackgroundModel, Provenance
+from .kernels import BEYOND_NOISE, HALF_MEDIAN
+from .model import MOVING_SIGMAS, SOFTWARE, BackgroundLearner, BackgroundModel, Provenance
 from .verdict import describe_background, judge_background, turn_findings
 
 KEY = "background_training"  # of the diagnostics: the last report
@@ -195,10 +196,8 @@ class _Training:
 # noise is as large as the spread of all that was seen, so that a difference there says little.
 
 FEWEST_FRAMES = 20
-SAME_SIGMAS = 4.0  # a level so near to the background's is the background's
 CERTAIN_SHARE = 2 / 3  # of the time a background that is certain was seen
-HALF_OF_NORMAL = 1.349  # sigmas that the middle half of a normal distribution spans
-MOST_NOISY = 3.0  # times the typical noise: what varies more has several levels
+HALF_OF_NORMAL = 2 / HALF_MEDIAN  # sigmas that the middle half of a normal distribution spans
 BAND_ROWS = 64  # looked at together, so that memory stays small
 
 
@@ -244,7 +243,7 @@ def _most_frequent(
     width = np.take_along_axis(widths, first, axis=0)[0]
     middle = 0.5 * (np.take_along_axis(ordered, first, axis=0) + np.take_along_axis(ordered, first + half, axis=0))[0]
     typical = max(float(np.median(width)) / HALF_OF_NORMAL, 0.5)
-    near = np.abs(grey - middle) <= SAME_SIGMAS * np.clip(width / HALF_OF_NORMAL, typical, MOST_NOISY * typical)
+    near = np.abs(grey - middle) <= BEYOND_NOISE * np.clip(width / HALF_OF_NORMAL, typical, MOVING_SIGMAS * typical)
     uncertain = near.mean(axis=0) < CERTAIN_SHARE
     weight = near.astype(np.float32)
     if levels.ndim == 4:

@@ -18,17 +18,18 @@ from capture_rig.verdict import Finding, Verdict, judge
 
 from ..settings import BackgroundSettings
 from ..sources.frame_checks import WHITE_LEVEL
-from .adaptation.adaptive import AdaptiveBackground, samples_of
+from .adaptive import AdaptiveBackground, samples_of
 from .causes import find_causes
 from .kernels import STEP_PX
 from .model import BackgroundModel, Provenance
 from .moved_things import BLOCK_PX
+from .noise import QUANTISATION
 
 # Thresholds: chosen with the rooms of test_camera_background_verdict.py.
 BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
-LOW_NOISE = 0.3  # grey levels, of the typical pixel
+LOW_NOISE = QUANTISATION**0.5  # grey levels, of the typical pixel: rounding alone makes as much
 THIN_OF_HEIGHT = 1 / 60  # narrower changes are edges that shifted a little
-SMALLEST_CHANGE = 2e-3  # of the pixels; a person who is far away covers more
+LEAST_PERSON = 2e-3  # of the pixels; a person who is far away covers more
 MOST_CHANGED = 0.3  # of the pixels; more is no person, but other lights or a camera that was moved
 
 
@@ -121,7 +122,7 @@ def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[Ima
     foreground = (background.distance(frame, samples) > background.threshold).astype(np.uint8)
     side = max(2 * round(THIN_OF_HEIGHT * len(foreground) / 2) + 1, 3)
     changed = cv2.morphologyEx(foreground, cv2.MORPH_OPEN, np.ones((side, side), np.uint8)) > 0
-    return [] if changed.mean() > MOST_CHANGED else find_regions(np.asarray(changed), SMALLEST_CHANGE, STEP_PX)
+    return [] if changed.mean() > MOST_CHANGED else find_regions(np.asarray(changed), LEAST_PERSON, STEP_PX)
 
 
 # --- regions of the image: boxes around marked pixels, and words for them

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from capture_rig.errors import InputError
 
 from ..settings import PIXEL_FORMATS, AravisSettings
-from .features import Features
+from .features import FLOAT_TOLERANCE, Features
 from .pixel_formats import choose_format, find_format, standard_name
 from .triggers import switch_triggers_off
 
 AUTO_FUNCTIONS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
-# Thresholds: judgement, no measurement.
-RATE_SHORTFALL = 0.01  # relative; a camera that is slower than its setting by more gets a warning
 CHUNKS = ("Timestamp", "ExposureTime")
 
 
@@ -115,7 +113,7 @@ def _set_rate(features: Features, settings: AravisSettings) -> tuple[str, ...]:
         features.switch(switch, True, "aravis.frame_rate")
     features.set("AcquisitionFrameRate", settings.frame_rate, "aravis.frame_rate")
     reached = features.number("ResultingFrameRate")
-    if reached is None or reached >= (1 - RATE_SHORTFALL) * settings.frame_rate:
+    if reached is None or reached >= (1 - FLOAT_TOLERANCE) * settings.frame_rate:
         return ()
     return (
         f"{features.where} reaches only {reached:g} of {settings.frame_rate:g} Hz: shorten the exposure, make the "

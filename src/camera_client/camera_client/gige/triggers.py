@@ -16,13 +16,13 @@ from fractions import Fraction
 from capture_rig.errors import InputError
 from gige_vision.gvcp import PORT, AcknowledgePacket, Action, Command, MalformedPacket, Status
 
+from ..frame_source import POLL_S, RELEASE_S
 from ..settings import AravisSettings
 from .camera_clock import SECOND
 from .capture_time import PTP_IN_STEP
 from .features import Features
 
 FRAME_TRIGGER = "FrameStart"
-PTP_POLL_S = 0.05
 TIMER_LEAD_NS = SECOND // 5  # from arming a free-run timer to its first exposure
 ACTION_GROUP = 1  # key and mask of the one group that all cameras of a rig belong to
 PERIODIC_SIGNAL = "PeriodicSignal1"
@@ -86,7 +86,7 @@ def enable_ptp(
     features.switch("PtpEnable", True, "aravis.sync and aravis.stamp_source")
     deadline_s = clock() + wait_s
     while (status := ptp_status(features)) not in PTP_IN_STEP and clock() < deadline_s:
-        sleep(PTP_POLL_S)
+        sleep(POLL_S)
     return status
 
 
@@ -159,7 +159,6 @@ def _arm_timer(features: Features, rate_hz: float, ptp_now_ns: int) -> None:
 # --- when to trigger: at whole multiples of the period of a common clock, so that camera PCs need no coordinator
 
 FINEST_RATE = 10**6  # the rate is taken as a fraction with at most this denominator: 59.94 is 2997/50
-JOIN_TIMEOUT_S = 3.0
 
 
 class TriggerSchedule:
@@ -228,7 +227,7 @@ class TriggerThread:
     def stop(self) -> None:
         """End the thread; waits for a trigger that is on its way."""
         self._stopping.set()
-        self._thread.join(JOIN_TIMEOUT_S)
+        self._thread.join(RELEASE_S)
 
     def _run(self) -> None:
         while not self._stopping.wait(self._schedule.wait_ns(self._clock()) / SECOND):

@@ -13,14 +13,9 @@ from scipy.special import chdtri, ndtr
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from capture_rig.stamps import StampThrottle
 
-from ..background.kernels import SCALE
-from ..frame_source import Mask
-
-PERIOD_S = 0.5
-# Thresholds: FAINT_SIGMAS from the noise of a picture of 16000 pixels; else judgement (test_camera_condition.py
-# states cases).
-FAINT_SIGMAS = 4.0  # evidence of single pixels below this is as likely as noise in a whole picture: 1 in 16000
-LEAST_PERSON = 0.002  # of the picture: below, there is nobody whose clothes could be judged
+from ..background.kernels import BEYOND_NOISE, SCALE
+from ..background.verdict import LEAST_PERSON
+from ..frame_source import REPORT_PERIOD_S, Mask
 
 
 @dataclass(frozen=True)
@@ -28,7 +23,7 @@ class Certainty:
     """What a silhouette leaves open.
 
     unexplained : share of the picture that is foreground, but neither the person nor a shadow that was found. faint :
-    share of the person's pixels that differ from the background by less than FAINT_SIGMAS. maybe_shadow : share of the
+    share of the person's pixels that differ from the background by less than BEYOND_NOISE. maybe_shadow : share of the
     person's pixels that may be floor in shadow as well. None where nobody is found, or nothing measures it.
     """
 
@@ -38,12 +33,12 @@ class Certainty:
 
 
 class CertaintyMeter:
-    """Measures one silhouette in PERIOD_S. ``found`` is the last result; frames come on one thread."""
+    """Measures one silhouette in REPORT_PERIOD_S. ``found`` is the last result; frames come on one thread."""
 
     def __init__(self, picture_px: int, channels: int, distances: bool) -> None:
         """``distances`` : the background tells how far a pixel is from it, not only on which side."""
-        self._picture_px, self._throttle = picture_px, StampThrottle(PERIOD_S)
-        level = 2.0 * float(ndtr(-FAINT_SIGMAS))
+        self._picture_px, self._throttle = picture_px, StampThrottle(REPORT_PERIOD_S)
+        level = 2.0 * float(ndtr(-BEYOND_NOISE))
         self._faint = min(round(SCALE * float(chdtri(channels, level))), 254) if distances else None
         self.found = Certainty()
 

@@ -10,6 +10,8 @@ begins (recursive filter of Gastal and Oliveira, "Domain transform for edge-awar
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -19,17 +21,60 @@ from capture_rig.kernel import njit
 
 from ..background.kernels import OPTIONS, SCALE, median
 from ..background.noise import Noise
-from ..frame_source import Mask
-from .masks import Spans, whole_spans
+from ..frame_source import Image, Mask
+from .masks import Box, Spans
 
 # Thresholds: the threshold itself follows from the likelihood ratio; else measured by python bench/rooms.py.
 REACH_OF_HEIGHT = 0.012  # standard deviation of the neighbourhood: half of a forearm
 EDGE_SIGMAS = 8.0  # a step of the difference of so many sigmas of the noise counts as a distance of the whole reach
 CLEAR = 2.4  # times the least evidence is as sure as a pixel can be: a bright speck must not outvote its surroundings
-PASSES = 2
+PASSES = 2  # each way; the second one's reach is half of the first's
 TYPICAL_SAMPLES = 1000
 STEP_TABLE = 256
 STEPS_PER_SIGMA = 8.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A part of a frame, and what the background looks like there now.
+
+    image (h, w[, 3]) uint8; expected (h, w[, 3]) float32, grey levels; noise : of a pixel; at : rows and columns of the
+    part, which begins at multiples of the tests' ``alignment_px`` and ends there or where the image ends.
+    codec_sigma (h, w) float32 : standard deviation of a codec's errors, None without one.
+    """
+
+    image: Image
+    expected: npt.NDArray[np.float32]
+    noise: Noise
+    at: tuple[slice, slice]
+    codec_sigma: npt.NDArray[np.float32] | None = None
+
+    def part(self, box: Box) -> Scene:
+        """Return a part of it; ``box`` counts from its own corner."""
+        top, left = self.at[0].start, self.at[1].start
+        at = slice(top + box.top, top + box.bottom), slice(left + box.left, left + box.right)
+        codec_sigma = None if self.codec_sigma is None else self.codec_sigma[box.slices]
+        return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, codec_sigma)
+
+    @cached_property
+    def sigma(self) -> float:
+        """The noise's standard deviation at the part's typical brightness, grey levels."""
+        return self.noise.sigma(self.grey.level)
+
+    @cached_property
+    def level(self) -> float:
+        """The median grey level of about a thousand pixels of a mono part."""
+        every = max(1, math.isqrt(self.expected.size // TYPICAL_SAMPLES))
+        return float(median(self.expected[every // 2 :: every, every // 2 :: every].reshape(-1)))
+
+    @cached_property
+    def grey(self) -> Scene:
+        """The same of one weighted sum of the channels."""
+        if self.image.ndim == 2:
+            return self
+        image = np.asarray(cv2.cvtColor(self.image, cv2.COLOR_BGR2GRAY), np.uint8)
+        expected = np.asarray(cv2.cvtColor(self.expected, cv2.COLOR_BGR2GRAY), np.float32)
+        return replace(self, image=image, expected=expected, noise=self.noise.of_grey())
 
 
 class EvidenceFilter:
@@ -43,48 +88,33 @@ class EvidenceFilter:
         first = reach * math.sqrt(3) * 2 ** (PASSES - 1) / math.sqrt(4**PASSES - 1)
         self._table = np.exp(-math.sqrt(2) * length / first).astype(np.float32)
 
-    def decide(
-        self,
-        distance: Mask,
-        image: Mask,
-        expected: npt.NDArray[np.float32],
-        noise: Noise,
-        codec_sigma: npt.NDArray[np.float32] | None = None,
-        spans: Spans | None = None,
-    ) -> Mask:
+    def decide(self, distance: Mask, change: Mask, scene: Scene, spans: Spans) -> Mask:
         """Return (h, w) uint8: 255 where the neighbourhood is foreground, else 0.
 
-        distance (h, w) uint8 : SCALE z^2. image, expected (h, w[, 3]) : the part of the frame, and of the background.
-        codec_sigma (h, w) : of a codec's errors, grey levels; None without one. spans : what of each row and column is
-        looked at, all without.
+        distance, change (h, w) uint8 : of :func:`..background.kernels.look_closely`. spans : what of each row and
+        column is looked at.
         """
         height, width = distance.shape
-        rows, columns = whole_spans(height, width) if spans is None else spans
-        sigma = noise.sigma(typical_level(expected))
-        least = least_evidence(sigma, noise)
+        rows, columns = spans
+        least = least_evidence(scene.sigma, scene.noise)
         most = min(int(2 * SCALE * CLEAR * least), 255)
-        rest = cv2.subtract(image, expected, dtype=cv2.CV_32F).reshape(height, -1)
         evidence: np.ndarray = np.zeros((height, width), np.float32)
         across, down = np.zeros((2, height, width), np.uint8)
-        errors = np.zeros((0, 0), np.float32) if codec_sigma is None else codec_sigma
-        weigh_pixels(distance, most, rest, errors, rows, evidence)
-        steps_between(rest, np.float32(STEPS_PER_SIGMA / sigma), rows, across, down)
-        # what is taken over from a neighbour in the first pass; in the second, of half the reach, the square of it
+        errors = np.zeros((0, 0), np.float32) if scene.codec_sigma is None else scene.codec_sigma
+        channels = len(scene.noise.read)
+        weigh_pixels(distance, most, change, errors, channels, rows, evidence)
+        grey = scene.grey
+        steps_between(grey.image, grey.expected, np.float32(STEPS_PER_SIGMA / grey.sigma), rows, across, down)
+        # what is taken over from a neighbour in the first pass; in the second, of half the reach, its square. Down and
+        # across, then across and down, so that the picture is turned but twice
         along, below = cv2.LUT(cv2.transpose(across), self._table), cv2.LUT(down, self._table)
-        for number in range(PASSES):
-            if number:
-                along, below = cv2.multiply(along, along), cv2.multiply(below, below)
-            turned = cv2.transpose(evidence)
-            smooth_columns(turned, along, columns)
-            evidence = cv2.transpose(turned)
-            smooth_columns(evidence, below, rows)
-        return (evidence > np.float32(least)).view(np.uint8) * np.uint8(255)  # np.where takes fifty times as long
-
-
-def typical_level(expected: npt.NDArray[np.float32]) -> float:
-    """Return the median grey level of about a thousand pixels of a part (h, w[, 3])."""
-    every = max(1, math.isqrt(expected.shape[0] * expected.shape[1] // TYPICAL_SAMPLES))
-    return float(median(expected[every // 2 :: every, every // 2 :: every].reshape(-1)))
+        smooth_columns(evidence, below, rows)
+        turned = cv2.transpose(evidence)
+        smooth_columns(turned, along, columns)
+        smooth_columns(turned, cv2.multiply(along, along), columns)
+        evidence = cv2.transpose(turned)
+        smooth_columns(evidence, cv2.multiply(below, below), rows)
+        return np.asarray(cv2.inRange(evidence, least, math.inf), np.uint8)
 
 
 def least_evidence(sigma: float, noise: Noise) -> float:
@@ -103,71 +133,49 @@ def least_squared_distance(sigma: float, correlation: float, channels: int) -> f
 
 
 @njit(**OPTIONS, crops=True)
-def weigh_pixels(distance, most, rest, codec_sigma, rows, evidence):  # type: ignore[no-untyped-def]
+def weigh_pixels(distance, most, change, codec_sigma, channels, rows, evidence):  # type: ignore[no-untyped-def]
     """Write each pixel's own ``evidence`` (h, w) float32, z^2 / 2, with a codec's errors added to the noise's variance.
 
-    distance (h, w) uint8 : SCALE z^2 by the noise alone, of which no more than ``most`` counts. rest (h, w C) float32 :
-    image minus background, of which the channel counts that differs most. codec_sigma (h, w) float32 : of those
-    errors in each channel, or (0, 0). rows (h, 2) : spans; the rest stays.
+    distance (h, w) uint8 : SCALE z^2 by the noise alone, of which no more than ``most`` counts. change (h, w) uint8 :
+    image minus background, of the channel that differs most. codec_sigma (h, w) float32 : of those errors in each
+    channel, or (0, 0). rows (h, 2) : spans; the rest stays.
     """
-    height, width = distance.shape
-    channels = rest.shape[1] // width
-    change, scale = np.empty(width, np.float32), np.float32(0.5 / SCALE)
-    half = np.float32(0.5 * channels)
-    for y in range(height):
-        first, end = (
-            rows[y, 0],
-            rows[y, 1],
-        )  # slices instead of places, so that the compiler does eight pixels at a time
-        to, own = evidence[y][first:end], distance[y, first:end]
+    scale, half = np.float32(0.5 / SCALE), np.float32(0.5 * channels)
+    for y in range(len(distance)):
+        first, end = rows[y, 0], rows[y, 1]  # slices, so that the compiler does eight pixels at a time
+        to, own = evidence[y][first:end], distance[y][first:end]
         for x in range(len(to)):
             to[x] = np.float32(min(np.int64(own[x]), most)) * scale
         if codec_sigma.size == 0:
             continue
-        row, error = rest[y][channels * first : channels * end], codec_sigma[y][first:end]
-        most_changed = change[first:end]
-        if channels == 1:
-            for x in range(len(to)):
-                most_changed[x] = abs(row[x])
-        else:
-            for x in range(len(to)):
-                most_changed[x] = max(max(abs(row[3 * x]), abs(row[3 * x + 1])), abs(row[3 * x + 2]))
+        differs, error = change[y][first:end], codec_sigma[y][first:end]
         for x in range(len(to)):
-            by_codec = most_changed[x] * most_changed[x] * half
+            by_codec = np.float32(differs[x]) * np.float32(differs[x]) * half
             to[x] = to[x] * by_codec / max(by_codec + to[x] * error[x] * error[x], np.float32(1e-6))
 
 
-@njit(**OPTIONS)
-def steps_between(rest, scale, rows, across, down):  # type: ignore[no-untyped-def]
-    """Write the largest step of any channel from each pixel to the one left of it, and above it: uint8, 255 at most.
+@njit(**OPTIONS, crops=True)
+def steps_between(image, expected, scale, rows, across, down):  # type: ignore[no-untyped-def]
+    """Write the step of the difference from each pixel to the one left of it, and above it: uint8, 255 at most.
 
-    rest (h, w C) float32, scale : what it is multiplied by; rows (h, 2) : spans; across, down (h, w)
-    uint8, whose first column and row stay, and everything outside of ``rows``.
+    image (h, w) uint8, expected (h, w) float32 : of their difference. scale : what it is multiplied by; rows (h, 2) :
+    spans; across, down (h, w) uint8, whose first column and row stay, and everything outside of ``rows``.
     """
     height, width = across.shape
-    channels = rest.shape[1] // width
-    step = np.zeros(rest.shape[1], np.float32)
+    rest, most = np.zeros((2, width), np.float32), np.float32(255)
     for y in range(height):
-        row, first, end = rest[y], rows[y, 0], rows[y, 1]
+        row, first, end = rest[y % 2], rows[y, 0], rows[y, 1]
+        seen, level = image[y], expected[y]
+        for x in range(width):
+            row[x] = (np.float32(seen[x]) - level[x]) * scale
         begin = max(first, 1)
-        _write_steps(row, channels * begin, channels * end, row, channels, scale, step, across[y][begin:end])
+        own, left, out = row[begin:end], row[begin - 1 : max(end - 1, 0)], across[y][begin:end]
+        for x in range(len(out)):
+            out[x] = np.uint8(min(abs(own[x] - left[x]), most))
         if y > 0:
-            _write_steps(row, channels * first, channels * end, rest[y - 1], 0, scale, step, down[y][first:end])
-
-
-@njit(**OPTIONS)
-def _write_steps(row, first, end, other, back, scale, step, out):  # type: ignore[no-untyped-def]
-    """Write the largest difference of any channel between a row and another, ``back`` places before: 255 at most."""
-    own, neighbour, change = row[first:end], other[first - back : end - back], step[: max(end - first, 0)]
-    for k in range(len(change)):
-        change[k] = abs(own[k] - neighbour[k]) * scale
-    most = np.float32(255)
-    if len(change) == len(out):
-        for x in range(len(out)):
-            out[x] = np.uint8(min(change[x], most))
-    else:
-        for x in range(len(out)):
-            out[x] = np.uint8(min(max(max(change[3 * x], change[3 * x + 1]), change[3 * x + 2]), most))
+            own, above, out = row[first:end], rest[1 - y % 2][first:end], down[y][first:end]
+            for x in range(len(out)):
+                out[x] = np.uint8(min(abs(own[x] - above[x]), most))
 
 
 @njit(**OPTIONS)
@@ -189,3 +197,28 @@ def _take_over(values, weight, first, end, out):  # type: ignore[no-untyped-def]
     other, share, own = values[first:end], weight[first:end], out[first:end]
     for x in range(len(own)):
         own[x] += share[x] * (other[x] - own[x])
+
+
+# --- a codec's errors beside what it had to draw anew
+#
+# A codec draws an empty room once, and well; but where somebody comes, the blocks around them are drawn anew, coarsely:
+# the background beside a person differs from what it was by a share of the contrast within the block. That a codec is
+# there shows in its noise, which is as coarse as its blocks (``Noise.spatial_correlation``).
+
+# Thresholds: BLOCK_REACH_PX from the blocks of codecs; else measured by python bench/rooms.py, test_camera_codecs.py.
+BLOCK_REACH_PX = 8  # a block of brightness: JPEG, MPEG-4, H.264; colour's are twice as wide, but hardly seen beyond
+OF_CONTRAST = 0.12  # of the contrast, standard deviation 2 to 8 px beside people through bench/rooms.py's codecs
+FINE_GRAIN = 0.2  # light and displacements that are known inexactly have as much
+COLOUR_SHARE = 0.5  # of the errors' standard deviation is left when their brightness is taken away (same bench)
+
+
+def codec_error_sigma(change: Mask, noise: Noise) -> npt.NDArray[np.float32] | None:
+    """Return the standard deviation (h, w) float32 of a codec's errors beside what changed; None without a codec.
+
+    change (h, w) uint8 : grey levels between frame and background.
+    """
+    if noise.spatial_correlation <= FINE_GRAIN:
+        return None
+    around = cv2.dilate(change, np.ones((2 * BLOCK_REACH_PX + 1, 2 * BLOCK_REACH_PX + 1), np.uint8))
+    share = OF_CONTRAST * (noise.spatial_correlation - FINE_GRAIN) / (1 - FINE_GRAIN)
+    return np.asarray(around * np.float32(share), np.float32)

@@ -17,7 +17,7 @@ from capture_rig.camera import UndistortedView
 from capture_rig.kernel import njit
 
 from ..background.kernels import OPTIONS
-from ..frame_source import Image, Mask
+from ..frame_source import Mask
 
 BLOCK_PX = 8
 MOST_IN_BLOCK_PX = 8
@@ -57,9 +57,13 @@ class Box(NamedTuple):
 
     def grown(self, by_px: int, shape: tuple[int, ...], multiple: int = 1) -> Box:
         """Larger by ``by_px`` on all sides, then to multiples of ``multiple``, but within an image of ``shape``."""
-        top, left = (max(start - by_px, 0) // multiple * multiple for start in self[:2])
-        bottom, right = (-(-(end + by_px) // multiple) * multiple for end in self[2:])
-        return Box(top, left, min(bottom, shape[0]), min(right, shape[1]))
+        (top, left), side = (max(self.top - by_px, 0), max(self.left - by_px, 0)), multiple
+        bottom, right = -(-(self.bottom + by_px) // side) * side, -(-(self.right + by_px) // side) * side
+        return Box(top - top % side, left - left % side, min(bottom, shape[0]), min(right, shape[1]))
+
+    def divided(self, by: int) -> Box:
+        """Return the same box in pixels ``by`` times as large: it begins at multiples of them."""
+        return Box(self.top // by, self.left // by, -(-self.bottom // by), -(-self.right // by))
 
     def joined(self, other: Box) -> Box:
         """Return the smallest box that holds both."""
@@ -144,11 +148,6 @@ def find_spans(blocks, top, left, rows, columns):  # type: ignore[no-untyped-def
                 columns[x, 1] = y1
 
 
-def whole_spans(height: int, width: int) -> Spans:
-    """Return the spans of everything."""
-    return np.tile([0, width], (height, 1)), np.tile([0, height], (width, 1))
-
-
 # --- filters: which parts of a raw mask belong to the person
 
 
@@ -179,7 +178,7 @@ _DISC_PX = 7
 _DISC = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_DISC_PX, _DISC_PX)), np.uint8)
 
 
-def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: float, times: int = 1) -> Mask:
+def trim_outline(person: Mask, change: Mask, least_share: float, colour: bool, times: int = 1) -> Mask:
     """Return ``person`` (h, w) without pixels of its outline that are mostly background.
 
     A pixel on the edge is a blend, and lens, codec and noise filter spread it over its neighbours; a background test
@@ -187,15 +186,15 @@ def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: flo
     that touches the background stays only if it differs from it by ``least_share`` of the largest difference around.
     Colour is measured at half the resolution (Bayer sensors, 4:2:0 video), which spreads it further: what is around
     reaches to where the colour is whole.
-    ``image`` and ``mean`` (h, w[, 3]) uint8: the same part of the frame, and of the background. times : how many times
-    finer the result is: there the share is interpolated, and the outline lies between the pixels.
+    change (h, w) uint8 : grey levels between frame and background, in the channel that differs most. times : how many
+    times finer the result is: there the share is interpolated, and the outline lies between the pixels.
     """
-    around, trimmed = _CROSS if image.ndim == 2 else _DISC, np.zeros([times * n for n in person.shape], np.uint8)
+    around, trimmed = _DISC if colour else _CROSS, np.zeros([times * n for n in person.shape], np.uint8)
     part = Box.around(person).grown(_DISC_PX, person.shape).slices
-    person, image, mean = person[part], image[part], mean[part]
+    person = person[part]
     if person.size == 0:
         return trimmed
-    difference = cv2.bitwise_and(largest_difference(image, mean), person)
+    difference = cv2.bitwise_and(change[part], person)
     inside = cv2.erode(person, _CROSS, borderType=cv2.BORDER_CONSTANT, borderValue=255)
     most = cv2.dilate(difference, around)
     if times > 1:
@@ -207,15 +206,6 @@ def trim_outline(person: Mask, image: Image, mean: npt.NDArray, least_share: flo
     wanted = cv2.convertScaleAbs(most, alpha=least_share)
     trimmed[part] = cv2.bitwise_or(inside, cv2.bitwise_and(person, cv2.compare(difference, wanted, cv2.CMP_GE)))
     return trimmed
-
-
-def largest_difference(image: Image, mean: npt.NDArray) -> Mask:
-    """Return by how many whole grey levels (h, w) image and background differ in the channel that differs most."""
-    difference = cv2.absdiff(image, cv2.convertScaleAbs(mean))
-    if difference.ndim == 2:
-        return np.asarray(difference, np.uint8)
-    blue, green, red = cv2.split(difference)
-    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
 
 
 # --- undistortion of a part of the image, without looking at the rest of the canvas

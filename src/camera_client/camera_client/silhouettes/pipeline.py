@@ -22,9 +22,9 @@ from capture_rig.rig import Volume
 from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
 from ..alignment import PictureAlignment
-from ..background.adaptation.adaptive import AdaptiveBackground, FixedBackground, samples_of
-from ..background.adaptation.expected_image import Corners, Samples
-from ..background.kernels import STEP_PX
+from ..background.adaptive import AdaptiveBackground, FixedBackground, samples_of
+from ..background.expected_image import Corners, Samples, whole_rows
+from ..background.kernels import HIGHEST, STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
 from ..background.noise import Noise
@@ -34,16 +34,15 @@ from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
 from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .certainty import Certainty, CertaintyMeter
-from .codec_errors import codec_error_sigma
 from .components import PeopleRule, keep_people
-from .evidence import CLEAR, EvidenceFilter, least_evidence
+from .evidence import CLEAR, EvidenceFilter, codec_error_sigma, least_evidence
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
 from .shadows import HALVED_NOISE, Scene, enlarged, halve, make_shadow_test
 
 EMPTY, FULL = "empty", "full"
 # Thresholds: MIN_AREA from the size of a hand at 10 m, REACH_BLOCKS from the reach of the evidence; else judgement.
 REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: three times the evidence's reach
-TYPICAL_LEVEL = 128.0  # grey level at which one number stands for the noise
+TYPICAL_LEVEL = HIGHEST / 2  # grey level at which one number stands for the noise
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps
 MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
 EMPTY_BELOW, FULL_ABOVE = 2e-4, 0.6  # share of foreground at which a mask is flagged: no person looks like that
@@ -55,8 +54,8 @@ class Difference:
 
     image : as it is looked at, (h, w[, 3]) uint8; samples, distance : of it, and how far each is from the background.
     scene : what is in the ``box`` around all foreground, None where there is none; closely : how far each of its pixels
-    is from the background. spans : of it that is looked at; None: all. likely, nobody : ``likely`` and
-    ``seen_by_nobody`` of :class:`..background.moved_things.MovedThings` then.
+    is from the background, change : in whole grey levels of the channel that differs most. spans : of it that is looked
+    at. likely, nobody : ``likely`` and ``seen_by_nobody`` of :class:`..background.moved_things.MovedThings` then.
     """
 
     stamp_ns: int | None
@@ -69,7 +68,8 @@ class Difference:
     box: Box
     scene: Scene | None
     closely: Mask
-    spans: Spans | None
+    change: Mask
+    spans: Spans
     likely: Mask | None
     nobody: npt.NDArray[np.bool_] | None
 
@@ -106,7 +106,7 @@ class SilhouettePipeline:
         camera = of_shape(camera, background.shape)
         self.scale = 1 if camera is whole else 2
         """Pixels of the camera, in each direction, to one that is looked at."""
-        self._shape = background.shape
+        self._shape, self._colour = background.shape, len(background.shape) == 3
         self.background: AdaptiveBackground | FixedBackground
         if background_settings.rule == "adaptive":
             alignment = alignment or PictureAlignment(camera, background.mean, float(np.median(background.sigma)))
@@ -127,7 +127,7 @@ class SilhouettePipeline:
         self._people = PeopleRule(min_area_px, settings.near * height, settings.max_hole * height**2)
         least_px = majority_count()
         self._locator = ForegroundLocator(self._shape, min_area_px, least_px, self.background.step_px)
-        self._distance, self._levels = np.zeros((2, *self._shape[:2]), np.uint8)
+        self._levels = np.zeros(self._shape[:2], np.uint8)
         self._image_levels = np.zeros(self.image_shape, np.uint8) if self.scale > 1 else self._levels
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
@@ -176,13 +176,17 @@ class SilhouettePipeline:
         box = self._find_foreground(image, samples, distance, now_ns if shows_scene else None)
         if shows_scene:
             self.background.note_foreground(self._locator.dense)
-        noise, scene, spans = self.background.noise, None, None
+        noise, scene = self.background.noise, None
+        closely = change = np.zeros((0, 0), np.uint8)
+        spans = self._locator.spans(box.slices, REACH_BLOCKS)
         if not box.empty:
-            scene = Scene(image[box.slices], self._look(image, box), noise, box.slices)
-            spans = self._locator.spans(box.slices, REACH_BLOCKS) if self._evidence is not None else None
+            expected, (closely, change) = self.background.look(image, box, spans[0])
+            if self.moved is not None:
+                self.moved.clear_absorbed(image, closely, self.background.light.brightness, box=box)
+            scene = Scene(image[box.slices], expected, noise, box.slices)
         things = (None, None) if self.moved is None else (self.moved.likely, self.moved.seen_by_nobody)
-        closely, known = self._distance[box.slices].copy(), (stamp_ns, now_ns, shows_scene)
-        return Difference(*known, image, samples, distance, noise, box, scene, closely, spans, *things)
+        known = stamp_ns, now_ns, shows_scene
+        return Difference(*known, image, samples, distance, noise, box, scene, closely, change, spans, *things)
 
     def segment(self, found: Difference) -> Silhouette:
         """Finish a frame, as :meth:`run` says: cut the silhouette out. On one thread, in the frames' order; the next
@@ -193,11 +197,11 @@ class SilhouettePipeline:
             nothing = np.zeros((0, 0), np.uint8)
             canvas = self._canvas_levels(found, nothing, nothing)
             return self._silhouette(found.stamp_ns, nothing, box, canvas)
-        scene = replace(scene, codec_sigma=codec_error_sigma(scene.image, scene.expected, scene.noise))
+        scene = replace(scene, codec_sigma=codec_error_sigma(found.change, scene.noise))
         raw = self._decide(found, scene)
         shadow = self._shadow.shadow(scene, raw)
         kept = self._keep_person(cv2.subtract(raw, shadow), found)
-        person, cut = self._trim_outline(kept, scene)
+        person, cut = self._trim_outline(kept, found.change)
         marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
         if measured:
             self._certainty.note(found.closely, raw, kept, shadow, marked)
@@ -239,17 +243,10 @@ class SilhouettePipeline:
             return Box(0, 0, 0, 0)
         return dense.grown(BLOCK_PX + self._margin_px, self._shape, self._alignment_px)
 
-    def _look(self, image: Image, box: Box) -> npt.NDArray[np.float32]:
-        """Return what is expected in a box, and measure there how far every pixel is from it."""
-        expected = self.background.look(image, box, self._distance)
-        if self.moved is not None:
-            self.moved.clear_absorbed(image, self._distance, self.background.light.brightness, box=box)
-        return expected
-
     def _look_at(self, image: Image, box: Corners) -> tuple[npt.NDArray[np.float32], Mask]:
         """Return what is expected in a box, and the foreground of every pixel, that was absorbed as well."""
-        expected = self.background.look(image, box, self._distance)
-        distance = self._distance[Box(*box).slices]
+        whole = whole_rows(box[2] - box[0], box[3] - box[1])
+        expected, (distance, _) = self.background.look(image, box, whole)
         return expected, np.asarray(cv2.threshold(distance, self.background.threshold, 255, cv2.THRESH_BINARY)[1])
 
     def _decide(self, found: Difference, scene: Scene) -> Mask:
@@ -257,23 +254,22 @@ class SilhouettePipeline:
         if self._evidence is None:
             mask = cv2.threshold(found.closely, self.background.threshold, 255, cv2.THRESH_BINARY)[1]
             return majority(mask)
-        noise, codec_sigma = scene.noise, scene.codec_sigma
-        return self._evidence.decide(found.closely, scene.image, scene.expected, noise, codec_sigma, found.spans)
+        return self._evidence.decide(found.closely, found.change, scene, found.spans)
 
     def _keep_person(self, mask: Mask, found: Difference) -> Mask:
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, self._closing)
         return keep_people(mask, self._people, None if found.likely is None else found.likely[found.box.slices])
 
-    def _trim_outline(self, kept: Mask, scene: Scene) -> tuple[Mask, Mask]:
+    def _trim_outline(self, kept: Mask, change: Mask) -> tuple[Mask, Mask]:
         """Return the person, and which pixels of the image around them, where that is finer, are only background."""
         least = self._settings.outline_contrast
         if self.scale == 1:
-            person = trim_outline(kept, scene.image, scene.expected, least) if least > 0 else kept
+            person = trim_outline(kept, change, least, self._colour) if least > 0 else kept
             return person, np.zeros((0, 0), np.uint8)
         shape = self.scale * kept.shape[0], self.scale * kept.shape[1]
         if least <= 0:
             return kept, np.zeros(shape, np.uint8)
-        fine = trim_outline(kept, scene.image, scene.expected, least, self.scale)
+        fine = trim_outline(kept, change, least, self._colour, self.scale)
         return kept, cv2.subtract(enlarged(kept, self.scale, shape), fine)
 
     def _in_image(self, box: Box) -> Box:

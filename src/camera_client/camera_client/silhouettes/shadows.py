@@ -7,24 +7,27 @@ The thresholds were set with ``bench/silhouette.py`` of commit d6079d2 on its cl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Volume
 
-from ..background.noise import Noise
 from ..frame_source import Image, Mask
 from ..settings import SilhouetteSettings
-from .codec_errors import COLOUR_SHARE
-from .evidence import typical_level
+from .evidence import COLOUR_SHARE, Scene
 from .masks import Box
-from .shadow_kernels import DarkenedRule, find_darkened, find_rims, mean_of_channels, shadow_sums
+from .shadow_kernels import (
+    DarkenedRule,
+    blocks_that_fit,
+    find_darkened,
+    find_rims,
+    lose_texture,
+    shadow_sums,
+    sum_by_label,
+)
 
 # Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
 # with python bench/rooms.py.
@@ -47,8 +50,7 @@ MIN_PATCH_WINDOWS = 10  # fewer windows agree by chance
 SHADOW_REACH_M = 1.5  # around the capture volume: a person's shadow by a lamp at 50 degrees
 WALL_DARKEST = 0.6  # a shadow off the floor leaves more: a hole in the person costs more than a shadow beside them
 TEXTURE_WINDOW_PX = 9  # of the halved image
-TEXTURE_SIGMAS = 3.0  # a texture that noise and codec do not hide; ...
-TEXTURE_LEFT = 0.1  # ... the share of it that shows it still there
+TEXTURE_LEFT = 0.1  # of a texture that noise does not hide, the share that shows it still there
 HALVED_NOISE = 0.5  # of the variance is left in a mean of four pixels: neighbours are not independent (Bayer, codecs)
 PATCH_SIGMAS, PATCH_LEFT = 2.0, 0.5  # half of its texture tells a shadow from none when it stands out by so many sigmas
 LEAST_PATCH = 8e-4  # share of height^2, about a forearm: smaller patches are shadow only near larger ones
@@ -58,38 +60,6 @@ _ALL_BYTES: dict[int, np.unsignedinteger] = {
     4: np.uint32(0x01010101),
     8: np.uint64(0x0101010101010101),
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """A part of a frame, and what the background looks like there now.
-
-    image (h, w[, 3]) uint8; expected (h, w[, 3]) float32, grey levels; noise : of a pixel; at : rows and columns of the
-    part, which begins at multiples of the tests' ``alignment_px`` and ends there or where the image ends.
-    codec_sigma (h, w) float32 : standard deviation of a codec's errors, None without one.
-    """
-
-    image: Image
-    expected: npt.NDArray[np.float32]
-    noise: Noise
-    at: tuple[slice, slice]
-    codec_sigma: npt.NDArray[np.float32] | None = None
-
-    def part(self, box: Box) -> Scene:
-        """Return a part of it; ``box`` counts from its own corner."""
-        top, left = self.at[0].start, self.at[1].start
-        at = slice(top + box.top, top + box.bottom), slice(left + box.left, left + box.right)
-        codec_sigma = None if self.codec_sigma is None else self.codec_sigma[box.slices]
-        return Scene(self.image[box.slices], self.expected[box.slices], self.noise, at, codec_sigma)
-
-    @cached_property
-    def grey(self) -> Scene:
-        """The same of the mean of the channels."""
-        if self.image.ndim == 2:
-            return self
-        image, expected = np.empty(self.image.shape[:2], np.uint8), np.empty(self.image.shape[:2], np.float32)
-        mean_of_channels(self.image, self.expected, image, expected)
-        return replace(self, image=image, expected=expected, noise=self.noise.of_mean())
 
 
 class ShadowTest(Protocol):
@@ -154,44 +124,46 @@ class FloorShadow:
         if not inner.empty:
             inner = inner.grown(self._block, mask.shape, self._block)
             at = inner.slices
-            found[at] = self._patches(scene.grey.part(inner), mask[at], looked_at[at])
+            grey = scene.grey
+            found[at] = self._patches(grey.part(inner), mask[at], looked_at[at], grey.sigma)
         return found
 
-    def _patches(self, scene: Scene, mask: Mask, looked_at: Mask) -> Mask:
-        sigma = scene.noise.sigma(typical_level(scene.expected))
+    def _patches(self, scene: Scene, mask: Mask, looked_at: Mask, sigma: float) -> Mask:
         sides, limits = (self._window, self._block), (FLOOR_DARKEST, LIGHTEST)
         dark, sums = shadow_sums(scene.image, scene.expected, looked_at, *sides, *limits)
-        blocks = self._large_patches(sigma, *sums)
-        if not blocks.any():
-            return np.zeros_like(mask)
-        candidates = cv2.bitwise_and(enlarged(dark, 2, mask.shape), looked_at)
-        patches = cv2.bitwise_and(enlarged(blocks, self._block, mask.shape), candidates)
+        found, blocks = np.zeros_like(mask), self._large_patches(sigma, sums)
+        box = Box.around(blocks)
+        if box.empty:
+            return found
+        box = Box(*(self._block * side for side in box)).grown(2 * len(self._border), mask.shape, self._block)
+        part, halved, blocks = box.slices, box.divided(2).slices, blocks[box.divided(self._block).slices]
+        looked_at, shape = looked_at[part], looked_at[part].shape
+        candidates = cv2.bitwise_and(enlarged(dark[halved], 2, shape), looked_at)
+        patches = cv2.bitwise_and(enlarged(blocks, self._block, shape), candidates)
         patches = cv2.morphologyEx(patches, cv2.MORPH_OPEN, _THREE)
-        patches = cv2.bitwise_or(patches, self._borders(patches, candidates, mask))
-        return cv2.bitwise_or(patches, self._rims(scene, patches, looked_at, sigma))
+        patches = cv2.bitwise_or(patches, self._borders(patches, candidates, mask[part]))
+        rims = self._rims(scene.image[part], scene.expected[part], patches, looked_at, sigma)
+        found[part] = cv2.bitwise_or(patches, rims)
+        return found
 
-    def _rims(self, scene: Scene, patches: Mask, looked_at: Mask, sigma: float) -> Mask:
+    def _rims(self, image: Image, expected: np.ndarray, patches: Mask, looked_at: Mask, sigma: float) -> Mask:
         """Pixels beside a patch that are as dark, against the floor, as the patch is near them: windows that reach into
         the body fit nothing."""
-        reach = len(self._border)
-        rims, at = np.zeros_like(patches), Box.around(patches).grown(reach, patches.shape).slices
-        patch = patches[at]
-        beside = cv2.bitwise_and(looked_at[at], cv2.subtract(cv2.dilate(patch, self._border), patch))
-        fits, limit = np.empty_like(patch), np.float32(SHADOW_SIGMAS * sigma)
-        find_rims(scene.image[at], scene.expected[at], patch, beside, 2 * (reach // 2) + 1, limit, fits)
-        fits = cv2.morphologyEx(cv2.bitwise_or(fits, patch), cv2.MORPH_OPEN, _THREE)
-        rims[at] = cv2.bitwise_and(fits, looked_at[at])
-        return rims
+        beside = cv2.bitwise_and(looked_at, cv2.subtract(cv2.dilate(patches, self._border), patches))
+        fits, limit = np.empty_like(patches), np.float32(SHADOW_SIGMAS * sigma)
+        find_rims(image, expected, patches, beside, 2 * (len(self._border) // 2) + 1, limit, fits)
+        fits = cv2.morphologyEx(cv2.bitwise_or(fits, patches), cv2.MORPH_OPEN, _THREE)
+        return cv2.bitwise_and(fits, looked_at)
 
-    def _large_patches(
-        self, sigma: float, count: np.ndarray, rest: np.ndarray, shared: np.ndarray, power: np.ndarray
-    ) -> Mask:
+    def _large_patches(self, sigma: float, sums: np.ndarray) -> Mask:
         """255 at the blocks of patches that are large and, as a whole, keep the floor's texture beyond chance."""
-        quiet = _near(rest) <= _near(count) * np.float32((SHADOW_SIGMAS * sigma) ** 2)
-        fits = quiet & (_around(shared) >= np.float32(PERSISTENCE) * _around(power)) & (2 * count >= self._block**2)
-        patches, labels = cv2.connectedComponents(fits.astype(np.uint8), connectivity=4)
-        sums = (np.bincount(labels.reshape(-1), v.reshape(-1), patches) for v in (count, rest, shared, power))
-        area_px, left, kept, there = sums
+        limit, least_px = (SHADOW_SIGMAS * sigma) ** 2, 0.5 * self._block**2
+        fits = blocks_that_fit(sums, limit, np.float32(PERSISTENCE), least_px, TEXTURE_BLOCKS // 2)
+        patches, labels = cv2.connectedComponents(fits, connectivity=4)
+        if patches == 1:
+            return fits
+        area_px, left, kept, there = np.zeros((4, patches))
+        sum_by_label(labels, sums, (area_px, left, kept, there))
         least, most = PATCH_PERSISTENCE
         chance = np.sqrt(there * left / np.maximum(area_px, 1))  # standard deviation of `kept` if nothing were shared
         large = (area_px >= self._min_area_px) & (kept >= least * there) & (kept <= most * there)
@@ -201,13 +173,9 @@ class FloorShadow:
 
     def _borders(self, patches: Mask, candidates: Mask, mask: Mask) -> Mask:
         """Candidates beside a patch that are too thin to be a part of a body."""
-        reach = len(self._border)
-        at = Box.around(patches).grown(reach, mask.shape).slices
-        rest = cv2.subtract(mask[at], patches[at])
+        rest = cv2.subtract(mask, patches)
         thin = cv2.subtract(rest, cv2.morphologyEx(rest, cv2.MORPH_OPEN, self._border))
-        borders = np.zeros_like(mask)
-        borders[at] = cv2.bitwise_and(cv2.bitwise_and(thin, candidates[at]), cv2.dilate(patches[at], self._border))
-        return borders
+        return cv2.bitwise_and(cv2.bitwise_and(thin, candidates), cv2.dilate(patches, self._border))
 
 
 def enlarged(small: Mask, times: int, shape: tuple[int, ...]) -> Mask:
@@ -217,14 +185,6 @@ def enlarged(small: Mask, times: int, shape: tuple[int, ...]) -> Mask:
     else:
         wide = np.repeat(small, times, axis=1)
     return np.ascontiguousarray(np.repeat(wide, times, axis=0)[: shape[0], : shape[1]])
-
-
-def _near(blocks: np.ndarray) -> np.ndarray:
-    return cv2.GaussianBlur(blocks, (3, 3), 0, borderType=cv2.BORDER_CONSTANT)
-
-
-def _around(blocks: np.ndarray) -> np.ndarray:
-    return cv2.blur(blocks, (TEXTURE_BLOCKS, TEXTURE_BLOCKS), borderType=cv2.BORDER_CONSTANT)
 
 
 def floor_pixels(camera: CameraModel, volume: Volume | None = None, reach_m: float = 0.0) -> Mask:
@@ -284,53 +244,35 @@ class ColourShadow:
             codec_variance = np.square(np.float32(COLOUR_SHARE) * halve(scene.codec_sigma))
         found = find_darkened(scene.image, scene.expected, half, noise, codec_variance, darkest, self._rule)
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
-        found = cv2.bitwise_and(found, self._texture_persists(scene, found))
+        self._drop_lost_texture(scene, found)
         found = cv2.bitwise_and(enlarged(found, 2, mask.shape), mask)
         return cv2.bitwise_or(found, self._floor_shadow.shadow(scene, mask))
 
-    def _texture_persists(self, scene: Scene, found: Mask) -> Mask:
-        """Return 0 where the background has a texture that the image has lost: something stands before it."""
+    def _drop_lost_texture(self, scene: Scene, found: Mask) -> None:
+        """Write 0 into ``found`` where the background has a texture that the image lost, at a pixel or in a patch as
+        a whole: something stands before it; and where a patch is small and alone."""
         box = Box.around(found)
-        keeps = np.full(found.shape, 255, np.uint8)
         if box.empty:
-            return keeps
+            return
         box = box.grown(TEXTURE_WINDOW_PX, found.shape)
-        part, both = box.slices, tuple(slice(2 * side.start, 2 * side.stop) for side in box.slices)
-        window = (TEXTURE_WINDOW_PX, TEXTURE_WINDOW_PX)
-        own = (found[part] > 0).astype(np.float32)
-        grey, expected = (halve(each[both]) for each in (scene.grey.image, scene.grey.expected))
-        x, mean = (cv2.multiply(each.astype(np.float32), own) for each in (grey, expected))
-        count = np.maximum(cv2.blur(own, window), np.float32(1e-3))
-        X, M = cv2.blur(x, window) / count, cv2.blur(mean, window) / count
-        darker = X / np.maximum(M, 1)
-        shared = darker * (cv2.blur(x * mean, window) / count - X * M)
-        power = darker**2 * (cv2.blur(mean * mean, window) / count - M * M)
-        variance = HALVED_NOISE * scene.noise.sigma(typical_level(expected)) ** 2
-        lost = (power > TEXTURE_SIGMAS**2 * variance) & (shared < TEXTURE_LEFT * power)
-        keeps[part][lost] = 0
-        detail, expected_detail = x - X * own, darker * (mean - M * own)
-        patches = cv2.bitwise_and(found[part], keeps[part])
-        keeps[part][self._no_shadow(patches, detail, expected_detail, variance)] = 0
-        return keeps
-
-    def _no_shadow(
-        self, patches: Mask, detail: np.ndarray, expected: np.ndarray, variance: float
-    ) -> npt.NDArray[np.bool_]:
-        """Return the pixels (h, w) of patches that, as a whole, lack the background's texture, or are small and alone.
-
-        detail, expected (h, w) : what is left of the image, and of the darkened background, without their means around.
-        """
-        count, labels = cv2.connectedComponents(patches, connectivity=4)
-        at = np.flatnonzero(patches)
-        label, detail, expected = (each.reshape(-1)[at] for each in (labels, detail, expected))
-        shared, power = (np.bincount(label, each * expected, count) for each in (detail, expected))
+        part, both = found[box.slices], tuple(slice(2 * side.start, 2 * side.stop) for side in box.slices)
+        image, expected = scene.grey.image[both], scene.grey.expected[both]
+        variance = HALVED_NOISE * scene.sigma**2
+        sums = np.zeros((4, *part.shape), np.float32)
+        lose_texture(image, expected, part, TEXTURE_WINDOW_PX, SHADOW_SIGMAS**2 * variance, TEXTURE_LEFT, sums)
+        count, labels = cv2.connectedComponents(part, connectivity=4)
+        area, _, shared, power = per_label = np.zeros((4, count))
+        sum_by_label(labels, sums, tuple(per_label))
         lost = (power > (PATCH_SIGMAS / PATCH_LEFT) ** 2 * variance) & (shared < PATCH_LEFT * power)
-        large = ~lost & (np.bincount(label, minlength=count) >= LEAST_PATCH * self._darkest.shape[0] ** 2)
-        large[0] = False  # what is in no patch
-        near = cv2.dilate(large[labels].astype(np.uint8), self._near).reshape(-1)[at]
-        lost |= np.bincount(label, near, count) == 0
-        lost[0] = False
-        return np.asarray(lost[labels])
+        large = ~lost & (area >= LEAST_PATCH * self._darkest.shape[0] ** 2)
+        large[0] = True  # what is in no patch
+        if large.all():
+            return
+        large[0] = False
+        near = cv2.dilate(large.view(np.uint8)[labels], self._near)
+        beside = np.zeros(count, bool)
+        beside[labels[near > 0]] = True
+        part[(lost | ~beside)[labels]] = 0
 
 
 def halve(image: np.ndarray) -> np.ndarray:

@@ -222,7 +222,7 @@ class AravisSource(FrameSource):
             raise SourceUnavailable(
                 f"is not in step by PTP after {s.ptp_wait_s:g} s (status {status}), which {needed_by} needs",
                 where=self.description,
-                remedy="Is a PTP grandmaster on the network? Or raise aravis.ptp_wait_s.",
+                remedy="Is a PTP grandmaster on the network?",
             )
 
     def _check_scheduled_actions(self) -> None:

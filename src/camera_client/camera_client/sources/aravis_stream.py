@@ -23,7 +23,6 @@ FIRST_ID = 1  # GigE Vision: block ids begin at 1, 0 is reserved
 COUNTER_PERIOD_S = 0.25
 US_TO_NS = 1000
 # Thresholds: measured by python bench/camera.py --loss 0 0.0005 0.005.
-RESEND_SHARE = 1.0  # of a frame's packets may be asked for again
 FIRST_PACKET_TIMEOUT_US = 1000  # a missing packet is asked for after this
 PACKET_TIMEOUT_US = 5000  # ... and again after this
 
@@ -206,7 +205,7 @@ class AravisStream:
             warnings.append("the camera cannot send lost packets again: every lost packet costs a frame")
         resend = Aravis.GvStreamPacketResend
         stream.set_property("packet-resend", resend.ALWAYS if able else resend.NEVER)
-        stream.set_property("packet-request-ratio", RESEND_SHARE)
+        stream.set_property("packet-request-ratio", 1.0)  # all of a frame's packets may be asked for again
         stream.set_property("initial-packet-timeout", FIRST_PACKET_TIMEOUT_US)
         stream.set_property("packet-timeout", PACKET_TIMEOUT_US)
         stream.set_property("frame-retention", round(s.frame_retention_ms * 1000 / s.clock_speed))

@@ -9,10 +9,9 @@ from enum import Enum
 
 from capture_rig.errors import InputError
 
-from ..frame_source import EndOfFootage, Frame, FrameSource
+from ..frame_source import POLL_S, EndOfFootage, Frame, FrameSource
 
 READ_TIMEOUT_S = 0.2
-READY_POLL_S = 0.02
 STOP_TIMEOUT_S = 10.0
 
 
@@ -89,7 +88,7 @@ class GrabLoop:
     def _wait_until_ready(self) -> None:
         deadline_s = time.monotonic() + self._ready_timeout_s
         while not self._ready() and time.monotonic() < deadline_s:
-            if self._stopping.wait(READY_POLL_S):
+            if self._stopping.wait(POLL_S):
                 return
 
     def _step(self) -> None:

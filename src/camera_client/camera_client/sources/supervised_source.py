@@ -15,14 +15,22 @@ from typing import TypeVar
 
 from capture_rig.errors import InputError
 
-from ..frame_source import Connection, ConnectionState, Downtime, Frame, FrameSource, FrameStatistics, SourceUnavailable
+from ..frame_source import (
+    RELEASE_S,
+    Connection,
+    ConnectionState,
+    Downtime,
+    Frame,
+    FrameSource,
+    FrameStatistics,
+    SourceUnavailable,
+)
 from ..settings import SupervisionSettings
 
 # Thresholds: judgement, no measurement.
 CONNECT_WAIT_S = 5.0  # at configure: a camera that is there is set up within this, unless it waits for PTP
 START_S = 2.0  # a living camera starts within this
 STOP_S = 0.5  # ... stops within this
-RELEASE_S = 1.0  # ... and gives its resources back within this
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.25, 2.0  # the pauses after attempts that fail double from one to the other
 ROUNDING_S = 1e-3
 

@@ -24,7 +24,7 @@ from sagoma_ros.images import decode_image
 from sagoma_ros.messages import NS_PER_S, to_ns
 from sagoma_ros.raw import read_message
 
-from ..frame_source import Frame, FrameNumbers, FrameSource, SourceUnavailable
+from ..frame_source import POLL_S, RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
 from ..settings import TopicSettings
 from .footage_reader import convert_channels
 
@@ -36,7 +36,6 @@ CLOCK = "header of the topic"
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rclpy's name of a node of which only a publisher was discovered so far
 # Thresholds: judgement, no measurement.
 PATIENCE_S = 3.0  # for a publisher to be found, and for its first two images, which tell size and rate
-POLL_S = 0.05  # of discovery, which wakes nobody
 DEPTH = 4  # images that may wait: older ones make room, and count as lost
 
 
@@ -192,15 +191,15 @@ class TopicSource(FrameSource):
             return
         self._running = False
         assert self._executor is not None and self._spinner is not None and self._node is not None
-        self._executor.shutdown(timeout_sec=1.0)
-        self._spinner.join(1.0)
+        self._executor.shutdown(timeout_sec=RELEASE_S)
+        self._spinner.join(RELEASE_S)
         self._executor = SingleThreadedExecutor(context=self._context)  # one that was shut down spins no more
         self._executor.add_node(self._node)
 
     def close(self) -> None:
         self.stop()
         if self._executor is not None:
-            self._executor.shutdown(timeout_sec=1.0)
+            self._executor.shutdown(timeout_sec=RELEASE_S)
         if self._node is not None:
             self._node.destroy_node()
         self._node = self._executor = None

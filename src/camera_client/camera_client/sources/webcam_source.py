@@ -13,14 +13,13 @@ import cv2
 from capture_rig.errors import InputError
 from capture_rig.stamps import NS_PER_S
 
-from ..frame_source import Frame, FrameNumbers, FrameSource, SourceUnavailable
+from ..frame_source import RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
 from ..settings import WebcamSettings
 from .footage_reader import convert_channels
 
 # Thresholds: judgement, no measurement.
 DEPTH = 2  # pictures that may wait: older ones make room, and count as lost
 MOST_AGE_S = 1.0  # a driver's stamp is older than this: it is of another clock than this machine's monotonic one
-JOIN_S = 1.0
 
 
 def open_device(device: str) -> Any:
@@ -126,7 +125,7 @@ class WebcamSource(FrameSource):
     def stop(self) -> None:
         self._stopping.set()
         if self._thread is not None:
-            self._thread.join(JOIN_S)  # a dead device may hold it for seconds: it ends by itself
+            self._thread.join(RELEASE_S)  # a dead device may hold it for seconds: it ends by itself
             self._thread = self._thread if self._thread.is_alive() else None
 
     def close(self) -> None:

@@ -15,7 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..kernels import follow_cells, leave_residuals, robust_gain, sum_by_cell, weigh_samples
+from capture_rig.kernel import njit
+
+from .kernels import BEYOND_NOISE, BIN_SIGMAS, F32, HALF_MEDIAN, OPTIONS, median_of
 
 FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
 # Thresholds: measured by python bench/rooms.py.
@@ -25,12 +27,11 @@ OFFSET_PRIOR = 0.02  # holds the offset at zero as much as a fiftieth of the sam
 SWITCHED_SCALE = 2.5  # half of the picture differs by more sigmas: no person, but other lights
 SWITCHED_SHARE = 0.15  # ... or so much of it more than before: a lamp lights a part of the room
 SWITCHED_S = 0.5  # the field is found anew for so long
-OUTLIER_SIGMAS, OUTLIER_S = 4.0, 1.0
+OUTLIER_S = 1.0  # time constant of what is usual
 WEAK, WEAK_SIGMAS = 0.5, 6.0  # weight at least of foreground that differs by fewer sigmas
 MOST_GAIN = 4.0  # beyond, nothing of the picture is left to compare
 FIELD_REACH = 0.04  # relative: a cell that departs further from its surroundings is covered by something
 LIT_SPREAD, LIT_REACH = 0.05, 0.35  # relative: a cell's samples agree on their ratio; how far it may depart then
-MOST_FIELD = 3.0
 FIELD_PRIOR = 0.1  # holds a cell to its neighbours as a tenth of a typical cell's samples would
 FEW_IN_CELL = 8
 SWITCHED_GAIN, SWITCHED_FLICKERS = 0.06, 5.0  # ... or is brighter or darker by so much, and so many times its flicker
@@ -79,8 +80,7 @@ class LightEstimator:
         """``cell`` (n,) : the field's cell of each sample."""
         self._cell, self.light = cell, Light.unchanged(channels)
         self._outliers, self._switched_s = 0.0, math.inf
-        self._usual_gain: Floats = np.ones(channels, np.float32)
-        self._last_gain = self._usual_gain
+        self._usual_gain = self._last_gain = [1.0] * channels
         self._trust_before = np.ones(len(cell), np.float32)
         self._first, self.switches, self.flicker2 = True, 0, 0.0
         self._before: dict[str, Any] = {}
@@ -92,46 +92,38 @@ class LightEstimator:
         trust (n,) : 1, less where foreground is likely. step_s : since the frame before.
         """
         self._before = vars(self) | {"_before": {}}
-        light, (seen, expected, precision) = self.light, samples
-        gain, offset, scale = light.gain.copy(), light.offset.copy(), 1.0
-        usable, weight, rest = np.empty((3, *seen.shape), np.float32)
+        light, rest, usable = self.light, np.empty_like(samples[0]), np.empty_like(samples[0])
         if self._switched_s > SWITCHED_S:
             self._trust_before = trust  # what foreground is just after a switch is not known: it is as it was before
-        # light that is wrong a little looks like foreground
-        weigh_samples(samples, self._trust_before, gain, offset, WEAK, WEAK_SIGMAS**2, usable)
-        for c, start in enumerate(np.stack([gain, offset], axis=1)):
-            fitted = seen[c], expected[c], precision[c], usable[c], start, OFFSET_PRIOR, STEPS, REACH, weight[c]
-            gain[c], offset[c], found = robust_gain(*fitted)
-            scale = max(scale, found)
-        sound = (gain > 1 / MOST_GAIN) & (gain < MOST_GAIN) & np.isfinite(offset)
-        if not sound.all():
-            gain, offset = np.where(sound, gain, light.gain), np.where(sound, offset, light.offset)
-        outliers = leave_residuals(samples, usable, gain, offset, OUTLIER_SIGMAS**2, rest)
-        self._note_switch(outliers, max(scale, self._jump(gain, step_s)), step_s)
-        field = light.field
-        if self._switched_s < SWITCHED_S:
-            field = self._refit(seen - offset[:, None], gain[:, None] * expected, usable, field)
-        else:
-            field = self._follow(rest, gain, expected, weight, field, step_s)
-        field = np.clip(field / field.mean(axis=(0, 1)), np.float32(1 / MOST_FIELD), np.float32(MOST_FIELD))
-        switched = self._switched_s < SWITCHED_S and not self._first
+        now, field = np.stack([light.gain, light.offset]), np.empty_like(light.field)
+        share = 1 - math.exp(-step_s / FIELD_S)
+        given = samples, self._trust_before, self._cell, light.field, share
+        scale, outliers = fit_light(*given, now, usable, rest, field)
+        gain, offset = now
+        self._note_switch(outliers, max(scale, self._jump(gain.tolist(), step_s)), step_s)
+        switched = self._switched_s < SWITCHED_S
+        if switched:
+            field = self._refit(samples[0] - offset[:, None], gain[:, None] * samples[1], usable, light.field)
+            field = np.clip(field / field.mean(axis=(0, 1)), np.float32(1 / MOST_GAIN), np.float32(MOST_GAIN))
+        self.light = Light(gain, offset, field, scale, switched and not self._first)
         self._first = False
-        self.light = Light(gain, offset, field, scale, switched)
         return rest
 
     def rollback(self) -> None:
         """Forget the last frame: its samples were compared with a background that lay elsewhere."""
         vars(self).update(self._before)
 
-    def _jump(self, gain: Floats, step_s: float) -> float:
+    def _jump(self, gain: list[float], step_s: float) -> float:
         """Return a scale beyond SWITCHED_SCALE when the gain departs from its mean over the last second."""
         if self._first:
             self._usual_gain = self._last_gain = gain
             return 1.0
-        change, step = (float(np.abs(gain / other - 1).max()) for other in (self._usual_gain, self._last_gain))
+        usual, last = self._usual_gain, self._last_gain
+        change, step = (max(abs(now / was - 1) for now, was in zip(gain, a, strict=True)) for a in (usual, last))
         least = max(SWITCHED_GAIN, SWITCHED_FLICKERS * math.sqrt(self.flicker2))
         share = 1 - math.exp(-step_s / OUTLIER_S)
-        self._usual_gain, self._last_gain = self._usual_gain + np.float32(share) * (gain - self._usual_gain), gain
+        self._usual_gain = [was + share * (now - was) for now, was in zip(gain, usual, strict=True)]
+        self._last_gain = gain
         if step < least:
             self.flicker2 += share * (0.5 * step * step - self.flicker2)
         return 2 * SWITCHED_SCALE if change > least else 1.0
@@ -143,19 +135,6 @@ class LightEstimator:
         self._switched_s = 0.0 if sudden else self._switched_s + step_s
         share = 1 - math.exp(-step_s / OUTLIER_S)
         self._outliers += (1.0 if self._first else share) * (outliers - self._outliers)
-
-    def _follow(
-        self, rest: Floats, gain: Floats, expected: Floats, weight: Floats, field: Floats, step_s: float
-    ) -> Floats:
-        """Move each cell of the field towards what its own samples say; where they say little, towards its neighbours.
-
-        What neighbours lack is not added up in a cell without samples: it would drift away behind a person.
-        """
-        sums = np.zeros((2, field.shape[2], FIELD_DOWN * FIELD_ACROSS))
-        sum_by_cell(self._cell, weight, expected, gain, rest, sums[0], sums[1])
-        found = np.empty_like(field)
-        follow_cells(field, sums[0], sums[1], FIELD_PRIOR, 1 - math.exp(-step_s / FIELD_S), found)
-        return found
 
     def _refit(self, seen: Floats, expected: Floats, usable: Floats, field: Floats) -> Floats:
         """Find the field anew: medians of the cells' ratios, smooth over the picture, robust against what covers some.
@@ -170,8 +149,8 @@ class LightEstimator:
                 if len(mine) >= FEW_IN_CELL:
                     at = cell // FIELD_ACROSS, cell % FIELD_ACROSS, c
                     ratio[at] = np.median(mine)
-                    spread[at] = np.median(np.abs(mine - ratio[at])) / max(ratio[at], 1 / MOST_FIELD)
-        ratio = np.log(np.clip(ratio, 1 / MOST_FIELD, MOST_FIELD))
+                    spread[at] = np.median(np.abs(mine - ratio[at])) / max(ratio[at], 1 / MOST_GAIN)
+        ratio = np.log(np.clip(ratio, 1 / MOST_GAIN, MOST_GAIN))
         v, u = np.meshgrid(np.linspace(-1, 1, FIELD_DOWN), np.linspace(-1, 1, FIELD_ACROSS), indexing="ij")
         basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
         smooth = np.zeros_like(ratio)
@@ -191,3 +170,117 @@ class LightEstimator:
         most = np.where(spread < LIT_SPREAD, LIT_REACH, 2 * FIELD_REACH)
         near = np.abs(ratio - smooth) < most  # never where nothing is known
         return np.asarray(field * np.exp(np.where(near, ratio, smooth)), np.float32)
+
+
+@njit(**OPTIONS)
+def fit_light(samples, trust, cell, before, share, now, usable, rest, field):  # type: ignore[no-untyped-def]
+    """Fit gain and offset ``now`` (2, C), and let the light's field follow; return scale of the residuals in sigmas and
+    share of the samples that differ by more than BEYOND_NOISE.
+
+    samples (3, C, n), trust (n,) : of :meth:`LightEstimator.update`; cell (n,) : of each sample; before (down, across,
+    C) : the field until now, which moves by ``share``. Written: usable (C, n) : each sample's weight for the fit; rest
+    (C, n) : seen - gain expected - offset; field.
+    """
+    seen, expected, precision = samples[0], samples[1], samples[2]
+    weight, scale = np.empty_like(rest), 1.0
+    _weigh_samples(samples, trust, now, usable)
+    for c in range(len(seen)):
+        gain, offset, found = robust_gain(seen[c], expected[c], precision[c], usable[c], now[:, c], weight[c])
+        scale = max(scale, found)
+        if 1 / MOST_GAIN < gain < MOST_GAIN and np.isfinite(offset):
+            now[0, c], now[1, c] = gain, offset
+    beyond = 0
+    for i in range(seen.shape[1]):
+        most = F32(0)
+        for c in range(len(seen)):
+            left = seen[c, i] - now[0, c] * expected[c, i] - now[1, c]
+            rest[c, i] = left
+            if usable[c, i] >= 1:
+                most = max(most, left * left * precision[c, i])
+        if most > BEYOND_NOISE**2:
+            beyond += 1
+    for c in range(len(seen)):
+        _follow_cells(before[:, :, c], share, (cell, now[0, c], expected[c], weight[c], rest[c]), field[:, :, c])
+    return scale, beyond / seen.shape[1]
+
+
+@njit(**OPTIONS)
+def robust_gain(seen, expected, precision, trust, start, weight):  # type: ignore[no-untyped-def]
+    """Fit seen = gain expected + offset by iteratively reweighted least squares (Geman and McClure).
+
+    seen, expected, precision, trust (n,) float32; trust : 0 for samples that say nothing, less than 1 for doubtful
+    ones. start (2,) : gain and offset to begin with. weight (n,) is written: each sample's at the end. Gives gain,
+    offset and the scale of the residuals in sigmas (1: as the noise says).
+    """
+    gain, offset, scale = start[0], start[1], 1.0
+    distance = np.empty(len(seen), np.float32)
+    for step in range(STEPS + 1):
+        for i in range(len(seen)):
+            rest = seen[i] - (gain * expected[i] + offset)
+            distance[i] = abs(rest) * np.sqrt(precision[i])
+        scale = max(HALF_MEDIAN * median_of(distance, trust, BIN_SIGMAS * (1.0 if step else 4.0)), 1.0)
+        see = sxe = sx = se = sw = 0.0
+        for i in range(len(seen)):
+            share = distance[i] / (REACH * scale)
+            down = 1.0 / (1.0 + share * share)
+            w = trust[i] * down * down * precision[i]
+            weight[i] = w
+            sw += w
+            se += w * expected[i]
+            see += w * expected[i] * expected[i]
+            sx += w * seen[i]
+            sxe += w * seen[i] * expected[i]
+        if step == STEPS:
+            break
+        held = sw * (1.0 + OFFSET_PRIOR)
+        det = see * held - se * se
+        if sw <= 0.0 or det <= 1e-9 * see * held:
+            break
+        gain, offset = (sxe * held - sx * se) / det, (see * sx - se * sxe) / det
+    return gain, offset, scale
+
+
+@njit(**OPTIONS)
+def _weigh_samples(samples, trust, now, usable):  # type: ignore[no-untyped-def]
+    """Write each sample's weight for the fit: light that is wrong a little looks like foreground."""
+    seen, expected, precision = samples[0], samples[1], samples[2]
+    for i in range(len(trust)):
+        most = F32(0)
+        for c in range(len(seen)):
+            rest = seen[c, i] - now[0, c] * expected[c, i] - now[1, c]
+            most = max(most, rest * rest * precision[c, i])
+        share = max(trust[i], F32(WEAK)) if most < WEAK_SIGMAS**2 else trust[i]
+        for c in range(len(seen)):
+            bounded = seen[c, i] < 250 and 3 < expected[c, i] < 245
+            usable[c, i] = share if bounded else F32(0)
+
+
+@njit(**OPTIONS)
+def _follow_cells(before, share, samples, field):  # type: ignore[no-untyped-def]
+    """Move each cell of one channel's field (down, across) by a ``share`` towards what its own samples say; where they
+    say little, towards the mean of the 3 x 3 cells around it. The whole stays 1 on average.
+
+    What neighbours lack is not added up in a cell without samples: it would drift away behind a person.
+    """
+    cell, gain, expected, weight, rest = samples
+    down, across = before.shape
+    change, known = np.zeros(down * across), np.zeros(down * across)
+    for i in range(len(cell)):
+        level = gain * expected[i]
+        power = weight[i] * level
+        change[cell[i]] += power * rest[i]
+        known[cell[i]] += power * level
+    held, total = FIELD_PRIOR * np.median(known) + 1e-9, 0.0
+    for y in range(down):
+        for x in range(across):
+            around = 0.0
+            for v in range(y - 1, y + 2):
+                for u in range(x - 1, x + 2):
+                    around += before[min(max(v, 0), down - 1), min(max(u, 0), across - 1)]
+            own, k = before[y, x], y * across + x
+            found = (own * change[k] + held * (around / 9.0 - own)) / (known[k] + held)
+            field[y, x] = own + share * found
+            total += field[y, x]
+    for y in range(down):
+        for x in range(across):
+            field[y, x] = min(max(field[y, x] * down * across / total, 1 / MOST_GAIN), MOST_GAIN)

@@ -18,25 +18,24 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import chdtri
 
-from ...alignment import PictureAlignment
-from ...frame_source import Image, Mask
-from ...settings import BackgroundSettings
-from ..kernels import CLIPPED, DOUBTED, HIGHEST, SCALE, STEP_PX, Bounds, Today, take_residuals, take_samples, thin_out
-from ..model import BackgroundModel
-from ..noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
-from .expected_image import Corners, ExpectedImage, Floats, Samples, SlowChanges
+from ..alignment import PictureAlignment
+from ..frame_source import Image, Mask
+from ..settings import BackgroundSettings
+from ..sources.frame_checks import WHITE_LEVEL
+from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples
+from .kernels import DOUBTED, HIGHEST, SCALE, STEP_PX, Today, take_residuals, take_samples, thin_out
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
+from .model import BackgroundModel
+from .noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
 from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
 
 # Thresholds: SAMPLES from the error of a mean, 1/sqrt(n); else measured by python bench/rooms.py.
-SAMPLES = 3000  # on a regular grid: the light to a thousandth, in a tenth of a millisecond
-RENEWAL_S = 0.03  # some rows of the expected image are renewed, not more often
+SAMPLES = 1500  # on a regular grid: the light to a thousandth
+TURN_S = 0.03  # some rows of the expected image are renewed, and the displacement is measured, not more often
 BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames are rare: light's field takes as long
-NOISE_FRAMES, NOISE_S = 4, 0.12  # the noise is measured in every so many frames, and not more often
-SHIFT_S = 0.03  # the displacement is not measured more often: what is taken over has lasted for a quarter of a second
+NOISE_S = 0.35  # the noise is not measured more often, but for a codec to be known: its time constant is a second
 FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
 MOST_STEPS = 6  # of a displacement that is taken over at once, each damped
-WITHIN_SIGMAS = 4.0  # a pixel that is nearer shows the background, for its slow changes
 
 
 def samples_of(image: Image) -> Samples:
@@ -97,17 +96,16 @@ class AdaptiveBackground:
         self._light = LightEstimator(cell, channels)
         self._coarseness = NoiseCorrelationMeter(self._row, self._column, width)
         self._shift, self._aligner = ShiftEstimator((height, width)), aligner
-        self._slow, self._block_px = SlowChanges(self._image.shape, block_px), block_px
+        self._block_px = block_px
         self._blocks = -(-height // block_px), -(-width // block_px)
         self._sampled = self._indices(self._row, self._column)
         self._sampled[0] = self._sample_indices(self._row, self._column)
         self._dense: Mask | None = None
         self._nowhere = np.zeros(math.prod(self._blocks), np.uint8)
         self._last_ns: int | None = None
-        self._next_row, self._next_band, self._sweep_s, self._last_sweep_s = 0, 0, 0.0, 0.0
-        self._band_px = -(-height // (BANDS * block_px)) * block_px
-        self._frames, self._since_noise_s, self._since_shift_s, self._since_renewal_s = 0, 0.0, 0.0, 0.0
-        self._today: Today | None = None
+        self._next_row = 0
+        self._since_noise_s = self._since_shift_s = self._since_renewal_s = 0.0
+        self._made_of: tuple[Light | None, Noise | None, float] = None, None, 0.0
         self._place()
 
     # --- the frame's answer
@@ -139,37 +137,29 @@ class AdaptiveBackground:
 
     def distance(self, image: Image, samples: Samples) -> Mask:
         """Return how far every ``step_px``-th pixel is from the background: min(255, SCALE z^2), (h, w) uint8."""
-        return self._image.distance(samples, self.light, self._bounds)
+        return self._image.distance(samples, self._today)
 
-    def look(self, image: Image, box: Corners, distance: Mask) -> Floats:
-        """Return a part of the background as it looks now, (h, w) or (h, w, 3), grey levels; write into ``distance``
-        (H, W) uint8 how far the image is from it there."""
-        if self._today is None:
-            self._today = self._image.today(self.light, self._noise, self._shift.left_px)
-        return self._image.look(image, box, self._today, self._bounds, distance)
-
-    @property
-    def _bounds(self) -> Bounds:
-        return self._image.bounds(self.light, self._noise.correlation)
+    def look(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
+        """Return a part of the background as it looks now, (h, w) or (h, w, 3), grey levels; and (2, h, w) uint8 how
+        far the image is from it: min(255, SCALE z^2), and grey levels. ``rows`` : what is looked at."""
+        return self._image.look(image, box, self._today, rows)
 
     # --- following
 
     def note_foreground(self, dense: Mask) -> None:
         """Take the blocks of this frame (one pixel each, not 0 where foreground is): they count little in the next."""
         self._dense = cv2.dilate(dense, np.ones((3, 3), np.uint8))
-        if self._last_ns is not None:
-            self._slow.note_foreground(dense, self._last_ns)
 
     def follow(self, image: Image, samples: Samples, stamp_ns: int) -> None:
         """Take one frame (H, W) or (H, W, 3) of ``stamp_ns``, and its samples, into account."""
-        self._samples, self._today = samples, None
+        self._samples = samples
         first = self._last_ns is None
         step_s = FIRST_STEP_S if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
         step_s, self._last_ns = min(max(step_s, 0.0), MOST_STEP_S), stamp_ns
         picture = image.reshape(self._image.shape)
         rest = self._follow_light(step_s)
         self._since_shift_s += step_s
-        measured = self._shift.measurable and (first or self._since_shift_s >= SHIFT_S)
+        measured = self._shift.measurable and (first or self._since_shift_s >= TURN_S)
         edges = self._edges(picture) if measured else None
         at_once = edges is not None and self._follow_sudden_shift(picture, edges, first)
         if at_once:
@@ -184,8 +174,7 @@ class AdaptiveBackground:
             edges = self._edges(picture) if steps else None
         if first or self.light.switched:
             self._renew(slice(0, self._image.shape[0]))
-        self._renew_next(image, step_s)
-        self._frames += 1
+        self._renew_next(step_s)
 
     def _follow_light(self, step_s: float) -> Floats:
         """Return what is left of the samples (n, C), grey levels."""
@@ -198,10 +187,10 @@ class AdaptiveBackground:
     def _follow_noise(self, rest: Floats, step_s: float, first: bool) -> None:
         """Measure the noise on what shows the background; it is never less than when the room was empty."""
         self._since_noise_s += step_s
-        if not first and (self._frames % NOISE_FRAMES or self._since_noise_s < NOISE_S):
+        if not first and self._since_noise_s < (NOISE_S if self._coarseness.known else NOISE_S / 3):
             return
         level = self._image.samples[0][:, self._sampled[0]].T * self.light.gain
-        sure = (self._trust(self._row, self._column) >= 1) & (level + rest < CLIPPED).all(axis=1)
+        sure = (self._trust(self._row, self._column) >= 1) & (level + rest < WHITE_LEVEL).all(axis=1)
         spatial = self._update_correlation(sure)
         level = level[sure]
         found = measured_noise(level, rest[sure], foreground_known=self._dense is not None)
@@ -245,11 +234,9 @@ class AdaptiveBackground:
         """Move the background; False where edges fit no better there, or the camera is not followed so far."""
         if not self._shift.move(by):
             return False
-        local, self._slow.local = self._slow.local, by.moved(self._slow.local)
         self._place()
         if self._shift.misfit(self._edges(picture)) < self._shift.misfit(edges):
             return True
-        self._slow.local = local
         self._shift.move(Displacement().relative_to(by))
         self._place()
         return False
@@ -287,42 +274,31 @@ class AdaptiveBackground:
 
     def _place(self) -> None:
         """Move the background to where the camera looks now, and renew everything."""
-        self._shift.place(*self._image.place(self._shift.total, self._slow.local))
+        self._shift.place(*self._image.place(self._shift.total))
         self._steep = self._indices(self._shift.row, self._shift.column)
         self._cell_weights = self._image.cell_weights(self._shift.row, self._shift.column)
-        self._today = None
         self._renew(slice(0, self._image.shape[0]))
 
-    def _renew(self, rows: slice) -> None:
-        self._image.renew(rows, self.light, self._noise, self._shift.left_px)
+    @property
+    def _today(self) -> Today:
+        light, noise, left_px = now = self.light, self._noise, self._shift.left_px
+        if any(a is not b for a, b in zip(now, self._made_of, strict=True)):
+            self._made_of, self._made = now, self._image.today(light, noise, left_px)
+        return self._made
 
-    def _renew_next(self, image: Image, step_s: float) -> None:
-        """Renew the next rows, which may have changed slowly."""
+    def _renew(self, rows: slice) -> None:
+        self._image.renew(rows, self._today)
+
+    def _renew_next(self, step_s: float) -> None:
+        """Renew the next rows."""
         self._since_renewal_s += step_s
-        if self._since_renewal_s < RENEWAL_S:
+        if self._since_renewal_s < TURN_S:
             return
-        height, step_s, self._since_renewal_s = self._image.shape[0], self._since_renewal_s, 0.0
-        self._sweep_s += step_s
-        share = max(1 / BANDS, min(step_s / SWEEP_S, 1.0))
+        height = self._image.shape[0]
+        share, self._since_renewal_s = max(1 / BANDS, min(self._since_renewal_s / SWEEP_S, 1.0)), 0.0
         end = min(self._next_row + math.ceil(height * share / STEP_PX) * STEP_PX, height)
         self._renew(slice(self._next_row, end))
         self._next_row = end % height
-        if self._next_row == 0:
-            self._follow_slowly(image)
-
-    def _follow_slowly(self, image: Image) -> None:
-        """Follow the slow changes of the next band of rows."""
-        (height, width, _), band_px = self._image.shape, self._band_px
-        rows = slice(self._next_band, min(self._next_band + band_px, height))
-        if self._slow.quiet_anywhere(rows, self._last_ns or 0):
-            distance, box = np.empty((height, width), np.uint8), (rows.start, 0, rows.stop, width)
-            rest = image[rows] - self.look(image, box, distance)
-            within = distance[rows] <= SCALE * WITHIN_SIGMAS**2
-            step = rest.reshape(-1, *self._image.shape[1:])
-            self._image.change(rows, self._slow.follow(rows, step, within, self._last_ns or 0, self._last_sweep_s))
-        self._next_band = rows.stop % height
-        if self._next_band == 0:
-            self._last_sweep_s, self._sweep_s = self._sweep_s, 0.0
 
 
 FOREGROUND_DISTANCE = 255
@@ -358,10 +334,11 @@ class FixedBackground:
         """Return 0 (H, W) where the image keeps the limits of 6.3, else 255."""
         return self._limits.subtract(image)
 
-    def look(self, image: Image, box: Corners, distance: Mask) -> npt.NDArray[np.float32]:
-        """Return a part of the background, (h, w) or (h, w, 3), grey levels; write 0 into ``distance`` (H, W) there
-        where the image keeps the limits of 6.3, else 255."""
+    def look(self, image: Image, box: Corners, rows: Rows) -> tuple[Floats, Mask]:
+        """Return a part of the background, (h, w) or (h, w, 3), grey levels; and (2, h, w) uint8: 0 where the image
+        keeps the limits of 6.3, else 255, and by how many grey levels it differs."""
         top, left, bottom, right = box
         at = slice(top, bottom), slice(left, right)
-        distance[at] = self._limits.subtract(image, at)
-        return self._mean[at]
+        change = cv2.absdiff(image[at], cv2.convertScaleAbs(self._mean[at]))
+        change = change if change.ndim == 2 else change.max(axis=2)
+        return self._mean[at], np.stack([self._limits.subtract(image, at), change])

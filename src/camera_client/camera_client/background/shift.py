@@ -9,19 +9,24 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from statistics import median
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...alignment import strongest
-from ..kernels import BIN_SIGMAS, HALF_MEDIAN, median_of, robust_shift
+from capture_rig.kernel import njit
+from capture_rig.small_matrices import solve_positive
+
+from ..alignment import strongest
+from .kernels import BIN_SIGMAS, HALF_MEDIAN, OPTIONS, median_of
 
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
 STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
 # Thresholds: LINEAR_PX from edges that are a pixel or two wide; else measured by python bench/rooms.py.
 PRIOR_INFORMATION = 30.0  # that the displacement is zero, px^-2: a picture without edges does not move
+LEVER_PX = 200.0  # how far from the middle a roll shows: about half of a picture
 FOLLOW_PX = 0.1  # a larger displacement is taken over ...
 LINEAR_PX = 0.5  # edges are a pixel or two wide: a fit to their slopes is right within this
 SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the first time at once
@@ -145,7 +150,7 @@ class ShiftEstimator:
         gain (C,) : of the light. at_once : this frame alone counts.
         """
         slopes = self._right * gain, self._down * gain, self._turned * gain
-        found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust, STEPS, REACH, PRIOR_INFORMATION)
+        found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust)
         instant, left_px = Displacement(*found[:3]), float(found[3])
         share = 1.0 if at_once else 1 - math.exp(-step_s / LEFT_S)
         self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
@@ -156,7 +161,7 @@ class ShiftEstimator:
         lasts = len(self._recent) >= FEWEST and self._time_s - self._recent[0][0] >= SETTLED_SHARE * SETTLE_S
         if not (at_once or lasts):
             return Displacement()
-        lasting = Displacement(*np.median([each for _, each in self._recent], axis=0).tolist())
+        lasting = Displacement(*map(median, zip(*(each for _, each in self._recent), strict=True)))
         if lasting.most_px(self._shape) < FOLLOW_PX:
             return Displacement()
         return Displacement(*(DAMPING * each for each in lasting))
@@ -169,3 +174,56 @@ class ShiftEstimator:
         self.total = total
         self._recent.clear()
         return True
+
+
+@njit(**OPTIONS)
+def robust_shift(rest, right, down, turned, variance, trust):  # type: ignore[no-untyped-def]
+    """Fit rest = -right dx - down dy - turned roll: by how much the picture moved.
+
+    rest, right, down, turned, variance (n, C) float32: residuals, their change for a pixel to the right, downwards, and
+    a radian clockwise about the middle, the noise's variance. trust (n,) float32. Gives dx, dy,
+    roll, and the displacement that is left, a robust standard deviation in pixels.
+    """
+    n, channels = rest.shape
+    x, factor = np.zeros(3), np.zeros((3, 3))
+    distance, J = np.empty(n, np.float32), np.empty(3)
+    for step in range(STEPS + 1):
+        for i in range(n):
+            total = 0.0
+            for c in range(channels):
+                left = rest[i, c] + right[i, c] * x[0] + down[i, c] * x[1] + turned[i, c] * x[2]
+                total += left * left / variance[i, c]
+            distance[i] = np.sqrt(total / channels)
+        if step == STEPS:
+            break
+        scale = max(HALF_MEDIAN * median_of(distance, trust, BIN_SIGMAS), 1.0)
+        A, b = np.zeros((3, 3)), np.zeros(3)
+        A[0, 0] = A[1, 1] = PRIOR_INFORMATION
+        A[2, 2] = PRIOR_INFORMATION * LEVER_PX * LEVER_PX
+        for i in range(n):
+            share = distance[i] / (REACH * scale)
+            bounded = 1.0 / (1.0 + share * share)
+            for c in range(channels):
+                w = trust[i] * bounded * bounded / variance[i, c]
+                J[0], J[1], J[2] = right[i, c], down[i, c], turned[i, c]
+                for j in range(3):
+                    b[j] -= w * J[j] * rest[i, c]
+                    for k in range(j + 1):
+                        A[j, k] += w * J[j] * J[k]
+        if not solve_positive(A, b, factor, x):
+            x[:] = 0.0
+            break
+    # the displacement along each place's steepest channel, and the part of it that noise explains
+    apparent, noise, clear = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32)
+    for i in range(n):
+        most, steepest = 0.0, 0
+        for c in range(channels):
+            steep2 = right[i, c] * right[i, c] + down[i, c] * down[i, c]
+            if steep2 > most:
+                most, steepest = steep2, c
+        if trust[i] >= 1.0 and most > 0.0:
+            c = steepest
+            left = rest[i, c] + right[i, c] * x[0] + down[i, c] * x[1] + turned[i, c] * x[2]
+            apparent[i], noise[i], clear[i] = abs(left) / np.sqrt(most), np.sqrt(variance[i, c] / most), 1.0
+    left_px, noise_px = HALF_MEDIAN * median_of(apparent, clear, 0.01), median_of(noise, clear, 0.01)
+    return x[0], x[1], x[2], np.sqrt(max(left_px * left_px - noise_px * noise_px, 0.0))

@@ -1,1 +1,0 @@
-"""Background adaptation: the expected image follows light, noise, displacement and slow changes, frame by frame."""
