@@ -86,6 +86,11 @@ class AravisSettings:
         low=1 / 32,
         high=1,
     )
+    camera_stamps: str = setting(
+        "exposure_start",
+        "Which instant the camera stamps; ours is always mid-exposure",
+        choices=("exposure_start", "exposure_middle", "exposure_end"),
+    )
     tai_utc_offset_s: int = setting(
         37,
         "By how much the PTP clock is ahead of UTC: 37 for TAI, 0 where the grandmaster gives UTC",
@@ -102,7 +107,6 @@ class AravisSettings:
 
     action_lead_ms: float = 100.0  # sync action: commands are sent so long ahead
     ptp_wait_s: float = 10.0  # longest wait for the camera to be in step by PTP
-    camera_stamps: str = "exposure_start"  # or _middle, _end: the instant that the camera stamps; ours is mid-exposure
     buffers: int = 16  # of frames, in the pool
 
 
