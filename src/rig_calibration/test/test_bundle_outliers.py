@@ -2,21 +2,21 @@
 
 from dataclasses import replace
 
+import bundle_studio as studio
 import numpy as np
 import pytest
-from bundle_studio import ON_FLOOR, T_WORLD_FLOOR, TARGETS, carried_and_floor, detections_of, errors, ring, truth, worst
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import TargetDetection
 from rig_calibration.bundle.outliers import ODD_ONE, PAIR, SINGLE
 from rig_calibration.bundle.solve import RigSolution, solve_rig
 
-CAMERAS = ring(4)
+CAMERAS = studio.ring(4)
 SHIFT_PX = np.array([12.0, 5.0])
 
 
 def scene(seed: int = 1, frames: int = 20) -> list[TargetDetection]:
-    return carried_and_floor(CAMERAS, np.random.default_rng(seed), frames)
+    return studio.carried_and_floor(CAMERAS, np.random.default_rng(seed), frames)
 
 
 def seen_by(detections: list[TargetDetection], cameras: int) -> list[int]:
@@ -29,9 +29,9 @@ def seen_by(detections: list[TargetDetection], cameras: int) -> list[int]:
 
 
 def solved(detections: list[TargetDetection]) -> tuple[RigSolution, set[tuple[str, str, int, str]]]:
-    solution = solve_rig(CAMERAS, detections, TARGETS, reference=ON_FLOOR)
+    solution = solve_rig(CAMERAS, detections, studio.TARGETS, reference=studio.ON_FLOOR)
     left_out = {(o.detection.camera, o.detection.target, o.detection.frame_index, o.reason) for o in solution.left_out}
-    centre_mm, rotation_deg = worst(errors(solution, truth(CAMERAS)))
+    centre_mm, rotation_deg = studio.worst(studio.errors(solution, studio.truth(CAMERAS)))
     assert centre_mm < 6 and rotation_deg < 0.12  # no worse than without the bad detections
     return solution, left_out
 
@@ -114,11 +114,11 @@ def test_every_sixth_detection_wrong_leaves_a_good_rig():
 
 def test_camera_whose_every_view_contradicts_is_an_error_with_the_reason():
     rng = np.random.default_rng(0)
-    detections = detections_of(CAMERAS, {0: T_WORLD_FLOOR}, "floor", rng, max_tilt_deg=85)
+    detections = studio.detections_of(CAMERAS, {0: studio.T_WORLD_FLOOR}, "floor", rng, max_tilt_deg=85)
     detections += [replace(s, frame_index=1, target="second") for s in detections]
     for row, s in enumerate(detections):
         if s.camera == "cam04":
             order = np.random.default_rng(row).permutation(len(s))
             detections[row] = replace(s, pixels=s.pixels[order])
     with pytest.raises(InputError, match=r"cam04: no picture.*Left out for cam04: its corners"):
-        solve_rig(CAMERAS, detections, {"floor": TARGETS["floor"], "second": TARGETS["floor"]})
+        solve_rig(CAMERAS, detections, {"floor": studio.TARGETS["floor"], "second": studio.TARGETS["floor"]})

@@ -1,10 +1,12 @@
 """A camera's pose from a board on the floor, against poses that OpenCV's projection was given."""
 
-import cv2
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from extrinsics_room import NOISE_PX, camera_at, see
 
-from capture_rig.camera import CameraModel, looking_at
+from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.rigid import inverse
 from rig_calibration.boards.board import Checkerboard, TargetDetection
@@ -12,39 +14,22 @@ from rig_calibration.extrinsics.floor import average_still_board, floor_view
 
 BOARD = Checkerboard(9, 6, (0.1, 0.1))
 MIDDLE_BOARD = np.array([0.4, -0.25, 0.0])
-NOISE_PX = 0.2
-
-
-def looking_at_board(centre_board: np.ndarray) -> CameraModel:
-    """A camera at a place in the board's frame, looking at the board's middle."""
-    K = np.array([[520.0, 0.0, 318.0], [0.0, 522.0, 243.0], [0.0, 0.0, 1.0]])
-    return CameraModel(
-        "cam01",
-        640,
-        480,
-        K,
-        "plumb_bob",
-        np.array([-0.19, 0.08, 3e-4, -2e-4, 0.0]),
-        looking_at(centre_board, MIDDLE_BOARD),
-    )
 
 
 def at_angle(angle_deg: float, distance_m: float = 3.0) -> CameraModel:
+    """A camera that sees the board's middle at an angle from the board's normal, which is the world's z."""
     angle = np.deg2rad(angle_deg)
-    return looking_at_board(
-        MIDDLE_BOARD + distance_m * np.array([0.3 * np.sin(angle), -0.954 * np.sin(angle), np.cos(angle)])
-    )
+    away = np.array([0.3 * np.sin(angle), -0.954 * np.sin(angle), np.cos(angle)])
+    return camera_at("cam01", MIDDLE_BOARD + distance_m * away, MIDDLE_BOARD)
 
 
 def seen(
-    camera: CameraModel, seed: int, noise_px: float = NOISE_PX, board: Checkerboard = BOARD, frame_index: int = 0
+    camera: CameraModel, frame_index: int, noise_px: float = NOISE_PX, board: Checkerboard = BOARD
 ) -> TargetDetection:
-    """What the camera sees of the board, projected by OpenCV."""
-    corners = board.corners_board
-    R, t = camera.R_camera_world, camera.t_camera_world
-    pixels = cv2.projectPoints(corners, cv2.Rodrigues(R)[0], t, camera.K, camera.D)[0].reshape(-1, 2)
-    pixels = pixels + noise_px * np.random.default_rng(seed).standard_normal(pixels.shape)
-    return TargetDetection(camera.name, frame_index, np.arange(len(corners)), pixels, (640, 480), sigma_px=noise_px)
+    """What the camera sees of the board in a frame, with noise of that frame's own."""
+    detection = see(camera, board, np.eye(4), "", frame_index, noise_px)
+    assert detection is not None
+    return detection
 
 
 @pytest.mark.parametrize("angle_deg", [10.0, 45.0, 70.0, 80.0])
@@ -59,7 +44,7 @@ def test_camera_is_placed_at_any_angle(angle_deg: float) -> None:
 
 def test_second_solution_is_kept_when_the_board_is_small_and_far() -> None:
     small = Checkerboard(4, 3, (0.05, 0.05))
-    camera = looking_at_board(np.array([0.0, -2.0, 5.0]))
+    camera = camera_at("cam01", np.array([0.0, -2.0, 5.0]), MIDDLE_BOARD)
     view = floor_view(seen(camera, 1, board=small), small.corners_board, camera)
     assert view.other is not None
     normals = view.T_camera_board[:3, 2], view.other[:3, 2]
@@ -74,7 +59,7 @@ def test_second_solution_is_ruled_out_when_the_board_is_large() -> None:
 def test_board_in_a_mirror_is_refused_with_a_remedy() -> None:
     camera = at_angle(40.0)
     detection = seen(camera, 2)
-    mirrored = TargetDetection("cam01", 0, detection.ids.reshape(6, 9)[:, ::-1].ravel(), detection.pixels, (640, 480))
+    mirrored = replace(detection, ids=detection.ids.reshape(6, 9)[:, ::-1].ravel())
     with pytest.raises(InputError, match=r"cam01: .*mirror.*print upwards"):
         floor_view(mirrored, BOARD.corners_board, camera)
 
@@ -82,7 +67,7 @@ def test_board_in_a_mirror_is_refused_with_a_remedy() -> None:
 def test_three_corners_are_refused() -> None:
     camera = at_angle(40.0)
     detection = seen(camera, 2)
-    three = TargetDetection("cam01", 0, detection.ids[:3], detection.pixels[:3], (640, 480))
+    three = replace(detection, ids=detection.ids[:3], pixels=detection.pixels[:3])
     with pytest.raises(InputError, match="only 3 corners"):
         floor_view(three, BOARD.corners_board, camera)
 
@@ -90,14 +75,10 @@ def test_three_corners_are_refused() -> None:
 def test_averaged_corners_are_better_than_one_frame_and_leave_hands_and_moved_frames_out() -> None:
     camera, moved = at_angle(50.0), at_angle(55.0)
     truth = seen(camera, 0, noise_px=0.0).pixels
-    frames = [seen(camera, seed, frame_index=seed) for seed in range(12)]
-    hand = frames[4].pixels.copy()
-    hand[7] += [9.0, -4.0]  # one corner on a finger
-    frames[4] = TargetDetection("cam01", 4, frames[4].ids, hand, (640, 480), sigma_px=NOISE_PX)
-    frames[6] = TargetDetection(
-        "cam01", 6, frames[6].ids[9:], frames[6].pixels[9:], (640, 480), sigma_px=NOISE_PX
-    )  # an arm
-    frames += [seen(moved, seed, frame_index=seed) for seed in (12, 13)]
+    frames = [seen(camera, frame) for frame in range(12)]
+    frames[4].pixels[7] += [9.0, -4.0]  # one corner on a finger
+    frames[6] = replace(frames[6], ids=frames[6].ids[9:], pixels=frames[6].pixels[9:])  # an arm
+    frames += [seen(moved, frame) for frame in (12, 13)]
     still = average_still_board(frames[::-1], BOARD, target="floor")
     errors = still.detection.pixels - truth
     assert still.frames == tuple(range(12)) and still.moved_frames == (12, 13)
@@ -109,8 +90,8 @@ def test_averaged_corners_are_better_than_one_frame_and_leave_hands_and_moved_fr
 def test_frames_that_count_a_symmetric_board_from_either_end_are_averaged_in_one_order() -> None:
     board = Checkerboard(8, 6, (0.1, 0.1))
     camera = at_angle(50.0)
-    frames = [seen(camera, seed, board=board, frame_index=seed) for seed in range(4)]
-    frames[2] = TargetDetection("cam01", 2, frames[2].ids[::-1].copy(), frames[2].pixels, (640, 480))
+    frames = [seen(camera, frame, board=board) for frame in range(4)]
+    frames[2] = replace(frames[2], ids=frames[2].ids[::-1].copy())
     still = average_still_board(frames, board, target="floor")
     assert len(still.frames) == 4
     assert np.abs(still.detection.pixels - seen(camera, 0, 0.0, board).pixels).max() < 4 * NOISE_PX / 2

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 import yaml
+from poses import random_pose
 
 from capture_rig.errors import InputError
 from stick_figure.body import Body, load_body, save_body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, STICK_NAMES, T_POSE_ANGLES
+from stick_figure.skeleton import STICK_NAMES, T_POSE_ANGLES
 
 
 def test_average_body_has_published_heights_when_standing():
@@ -29,23 +30,14 @@ def test_impossible_stature_is_refused(stature):
 
 
 def test_measured_body_equals_the_one_that_made_the_points():
-    rng = np.random.default_rng(1)
-    body = Body.from_stature(1.68)
-    points = np.array(
-        [
-            forward(body, Pose.from_angles(rng.normal(size=3), np.eye(3), rng.uniform(ANGLE_LOW, ANGLE_HIGH)))
-            for _ in range(20)
-        ]
-    )
+    rng, body = np.random.default_rng(1), Body.from_stature(1.68)
+    points = np.array([forward(body, random_pose(rng)) for _ in range(20)])
     points[3:6, 8] = np.nan
     points[0] = np.nan
     measured = Body.from_points(points)
     np.testing.assert_allclose(measured.half_lengths, body.half_lengths, atol=1e-12)
-    np.testing.assert_allclose(
-        [measured.half_shoulder_width, measured.shoulder_height_ratio, measured.hip_width_ratio],
-        [body.half_shoulder_width, body.shoulder_height_ratio, body.hip_width_ratio],
-        atol=1e-12,
-    )
+    for ratio in ("half_shoulder_width", "shoulder_height_ratio", "hip_width_ratio"):
+        assert getattr(measured, ratio) == pytest.approx(getattr(body, ratio), abs=1e-12)
 
 
 def test_measured_body_pools_left_and_right_and_ignores_outliers():
@@ -74,23 +66,21 @@ def test_body_file_round_trip_keeps_every_number(tmp_path):
     assert (loaded.half_shoulder_width, loaded.shoulder_height_ratio, loaded.hip_width_ratio) == (0.17, 0.83, 0.61)
 
 
-def broken_files():
-    def change(key, value):
-        return lambda d: d.__setitem__(key, value)
-
-    yield "missing", lambda d: d.pop("shoulder_width"), ["shoulder_width", "missing"]
-    yield "missing length", lambda d: d["lengths"].pop("head"), ["lengths", "head"]
-    yield "negative", lambda d: d["lengths"].update(torso=-0.5), ["lengths.torso", "-0.5"]
-    yield "word", lambda d: d["lengths"].update(torso="long"), ["lengths.torso", "long"]
-    yield "bool", change("hip_width_ratio", True), ["hip_width_ratio", "True"]
-    yield "millimetres", lambda d: d["lengths"].update(torso=540.0), ["lengths.torso", "540", "metres"]
-    yield "nan", change("shoulder_width", float("nan")), ["shoulder_width", "nan"]
-    yield "unknown", change("beard", 1), ["beard", "not known"]
-    yield "units", change("units", "mm"), ["units", "mm", "metres"]
-    yield "list", change("lengths", [1, 2]), ["lengths", "[1, 2]"]
+SPOILT = {
+    "missing": (lambda d: d.pop("shoulder_width"), ["shoulder_width", "missing"]),
+    "missing length": (lambda d: d["lengths"].pop("head"), ["lengths", "head"]),
+    "negative": (lambda d: d["lengths"].update(torso=-0.5), ["lengths.torso", "-0.5"]),
+    "word": (lambda d: d["lengths"].update(torso="long"), ["lengths.torso", "long"]),
+    "bool": (lambda d: d.update(hip_width_ratio=True), ["hip_width_ratio", "True"]),
+    "millimetres": (lambda d: d["lengths"].update(torso=540.0), ["lengths.torso", "540", "metres"]),
+    "nan": (lambda d: d.update(shoulder_width=float("nan")), ["shoulder_width", "nan"]),
+    "unknown": (lambda d: d.update(beard=1), ["beard", "not known"]),
+    "units": (lambda d: d.update(units="mm"), ["units", "mm", "metres"]),
+    "list": (lambda d: d.update(lengths=[1, 2]), ["lengths", "[1, 2]"]),
+}
 
 
-@pytest.mark.parametrize(("spoil", "words"), [pytest.param(*case, id=name) for name, *case in broken_files()])
+@pytest.mark.parametrize(("spoil", "words"), SPOILT.values(), ids=SPOILT)
 def test_bad_body_file_names_file_key_and_value(tmp_path, spoil, words):
     path = tmp_path / "body.yaml"
     save_body(Body.from_stature(1.75), path)
@@ -99,19 +89,20 @@ def test_bad_body_file_names_file_key_and_value(tmp_path, spoil, words):
     path.write_text(yaml.safe_dump(document))
     with pytest.raises(InputError) as error:
         load_body(path)
-    for word in ["body.yaml", *words]:
-        assert word in str(error.value)
+    assert all(word in str(error.value) for word in ["body.yaml", *words])
 
 
-def test_body_refuses_lengths_that_are_not_positive():
-    lengths = np.full(10, 0.2)
-    lengths[4] = 0.0
-    with pytest.raises(InputError, match="left_thigh"):
-        Body(lengths, 0.2)
-    with pytest.raises(InputError, match="half_shoulder_width"):
-        Body(np.full(10, 0.2), float("inf"))
-    with pytest.raises(InputError, match="10 stick lengths"):
-        Body(np.full(9, 0.2), 0.2)
+@pytest.mark.parametrize(
+    ("lengths", "half_shoulder_width", "says"),
+    [
+        ([0.2] * 4 + [0.0] + [0.2] * 5, 0.2, "left_thigh"),
+        ([0.2] * 10, float("inf"), "half_shoulder_width"),
+        ([0.2] * 9, 0.2, "10 stick lengths"),
+    ],
+)
+def test_body_of_impossible_lengths_is_refused(lengths, half_shoulder_width, says):
+    with pytest.raises(InputError, match=says):
+        Body(np.array(lengths), half_shoulder_width)
 
 
 def test_thickness_of_an_older_body_file_is_left_aside(tmp_path):

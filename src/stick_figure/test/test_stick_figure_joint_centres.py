@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
+from poses import MIRRORED_POINTS, angles_with
 
 from capture_rig.rigid import rotation_matrix
 from stick_figure import trunk_bend
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.skeleton import POINT_NAMES, mirror_angles
+from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, mirror_angles
 from stick_figure.trunk_bend import with_joint_centres
 
 BODY = Body.from_stature(1.75)
-MIRRORED_POINTS = [0, 1, 2, 4, 3, 6, 5, 8, 7, 10, 9, 12, 11, 14, 13]
 SIDES, ENDS = ("left", "right"), ("elbow", "hand", "knee", "foot")
 FIXED = [POINT_NAMES.index(f"{side}_{joint}") for side in SIDES for joint in ENDS]
 UPRIGHT = np.eye(3)
@@ -47,7 +47,9 @@ def test_the_trunks_bend_is_mirrored_too() -> None:
 
 
 def test_a_shoulder_rises_with_its_arm() -> None:
-    heights = [_raised(angle)[POINT_NAMES.index("left_shoulder"), 2] for angle in (-1.4, 0.0, 1.4)]
+    level = T_POSE_ANGLES[ANGLE_NAMES.index("left_shoulder_x")]
+    raised = [moved_m(angles_with(left_shoulder_x=level + angle)) for angle in (-1.4, 0.0, 1.4)]
+    heights = [moved[POINT_NAMES.index("left_shoulder"), 2] for moved in raised]
     assert 0.01 < heights[1] - heights[0] < 0.05
     assert 0.01 < heights[2] - heights[1] < 0.05
 
@@ -73,10 +75,3 @@ def test_a_table_of_other_columns_is_refused(tmp_path, monkeypatch) -> None:
     with pytest.raises(ValueError, match="columns"):
         trunk_bend.joint_centres()
     trunk_bend.joint_centres.cache_clear()
-
-
-def _raised(angle: float) -> np.ndarray:
-    """Displacements with the left arm raised from level by an angle, rad."""
-    angles = T_POSE_ANGLES.copy()
-    angles[2] += angle
-    return moved_m(angles)

@@ -1,7 +1,10 @@
 """Joint limits: nothing inside the ranges, and residuals whose derivatives are those of the angles themselves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from poses import angles_with, pose_with
 from scipy.spatial.transform import Rotation
 
 from stick_figure.joint_limits import (
@@ -13,11 +16,11 @@ from stick_figure.joint_limits import (
     stop_at_straight,
 )
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
-from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.pose import T_POSE_ANGLES
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, HINGE_ANGLES
 
 MARGIN, STEP = 0.15, 1e-6
-PLACE = (np.array([0.0, 0.0, 1.1]), np.eye(3))
+
 BENT = T_POSE_ANGLES.copy()
 BENT[HINGE_ANGLES] = -0.9, -0.9, 0.8, 0.8
 
@@ -29,11 +32,9 @@ def limits_of(pose, margin=MARGIN):
     return count, information, gradient
 
 
-def pose_with(**angles):
-    values = BENT.copy()
-    for name, value in angles.items():
-        values[ANGLE_NAMES.index(name)] = value
-    return Pose.from_angles(*PLACE, values)
+def bent(**angles):
+    """Elbows and knees bent, other angles by name."""
+    return pose_with(BENT, **angles)
 
 
 def test_no_pose_within_the_ranges_meets_a_limit():
@@ -41,7 +42,7 @@ def test_no_pose_within_the_ranges_meets_a_limit():
     for _ in range(500):
         angles = rng.uniform(ANGLE_LOW + inside, ANGLE_HIGH - inside)
         angles[HINGE_ANGLES] = np.clip(angles[HINGE_ANGLES], -LARGEST_FLEXION, LARGEST_FLEXION)
-        assert limits_of(Pose.from_angles(*PLACE, angles))[0] == 0
+        assert limits_of(pose_with(angles))[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -63,7 +64,7 @@ def test_no_pose_within_the_ranges_meets_a_limit():
 def test_residual_is_the_part_beyond_the_range_and_its_row_the_angles_derivative(name, value, excess):
     """Against finite differences of the angle itself along every tangent slot."""
     gentle = {"left_hip_y": -0.3, "right_hip_y": -0.3, "left_shoulder_z": 0.2, "right_shoulder_z": 0.2, "neck_y": 0.3}
-    pose = pose_with(**(gentle | {name: value}))
+    pose = bent(**(gentle | {name: value}))
     count, information, gradient = limits_of(pose)
     assert count == 1
     variances, axes = np.linalg.eigh(information)
@@ -71,20 +72,16 @@ def test_residual_is_the_part_beyond_the_range_and_its_row_the_angles_derivative
     residual = -gradient @ row / (row @ row)
     assert abs(residual) == pytest.approx(abs(excess), abs=1e-6)
     row *= np.sign(residual * excess)
-    slot, step = ANGLE_NAMES.index(name), 1e-6
-    reference = BENT.copy()
-    for key, angle in (gentle | {name: value}).items():
-        reference[ANGLE_NAMES.index(key)] = angle
-    numeric = [
-        (pose.retract(step * e).angles(reference)[slot] - pose.retract(-step * e).angles(reference)[slot]) / (2 * step)
-        for e in np.eye(24)
-    ]
-    np.testing.assert_allclose(row, numeric, atol=1e-5)
+    slot, reference = ANGLE_NAMES.index(name), angles_with(BENT, **(gentle | {name: value}))
+    ahead, behind = (
+        np.array([pose.retract(sign * STEP * e).angles(reference)[slot] for e in np.eye(24)]) for sign in (1, -1)
+    )
+    np.testing.assert_allclose(row, (ahead - behind) / (2 * STEP), atol=1e-5)
 
 
 def test_several_limits_push_back_along_the_slope_of_their_squared_excess():
     angles = {"left_hip_z": 1.5, "right_shoulder_y": 2.0, "left_knee": 2.9, "right_shoulder_x": 2.6, "left_hip_x": 0.3}
-    pose = pose_with(**angles)
+    pose = bent(**angles)
     count, H, g = limits_of(pose)
 
     def cost(x):
@@ -101,7 +98,7 @@ def test_several_limits_push_back_along_the_slope_of_their_squared_excess():
 
 
 def test_an_infinite_margin_lets_hinges_pass_straight():
-    pose = Pose(*PLACE, pose_with().R_joints, np.array([-0.9, -0.9, -0.3, 0.8]))
+    pose = replace(bent(), hinges=np.array([-0.9, -0.9, -0.3, 0.8]))
     assert limits_of(pose, margin=np.inf)[0] == 0
     assert limits_of(pose)[0] == 1
 
