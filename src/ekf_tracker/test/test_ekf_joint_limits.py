@@ -1,30 +1,27 @@
 """Joint limits in the filter: nothing inside the ranges, and no pose that stays outside them."""
 
-import dataclasses
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from ekf_person import ALL, BENT_ANGLES, IDEAL, Person, isotropic, run, stamp
+from poses import pose_with
 from scipy.spatial.transform import Rotation
 
 from ekf_tracker.filter import ArticulatedEkf
 from stick_figure.joint_limits import add_joint_limits
 from stick_figure.kinematics import forward
-from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_NAMES
+
 
 MARGIN = 0.15
 NO_LIMITS = replace(IDEAL, limit_sd_rad=0.0)
 TIGHT = replace(IDEAL, limit_sd_rad=0.05)
-PLACE = (np.array([0.0, 0.0, 1.1]), np.eye(3))
 
 
-def pose_with(**angles):
-    values = BENT_ANGLES.copy()
-    for name, value in angles.items():
-        values[ANGLE_NAMES.index(name)] = value
-    return Pose.from_angles(*PLACE, values)
+
+def bent(**angles):
+    """Elbows and knees bent, other angles by name."""
+    return pose_with(BENT_ANGLES, **angles)
 
 
 def excess_rad(pose):
@@ -57,14 +54,14 @@ def test_a_person_within_the_ranges_is_estimated_to_the_same_bytes_as_without_li
 )
 def test_impossible_points_are_answered_with_a_pose_near_the_limit(body, angles):
     """Points of a limb 0.5 to 0.6 rad out of range: without limits the filter believes them."""
-    pose = pose_with(**angles)
+    pose = bent(**angles)
     assert excess_rad(follow(body, pose, NO_LIMITS).pose) > 0.4
     assert excess_rad(follow(body, pose, TIGHT).pose) < 0.25
 
 
 def test_knee_that_seems_to_bend_forward_stays_near_straight_and_the_thigh_unturned(body):
     """Noise bends a straight knee 0.3 rad the wrong way: its other description, a thigh turned by pi, is impossible."""
-    pose = dataclasses.replace(pose_with(), hinges=np.array([-0.9, -0.9, -0.3, 0.8]))
+    pose = replace(bent(), hinges=np.array([-0.9, -0.9, -0.3, 0.8]))
     limited, free = follow(body, pose, TIGHT), follow(body, pose, NO_LIMITS)
     assert excess_rad(limited.pose) < 0.1
     assert limited.pose.hinges[2] > -MARGIN - 0.1
@@ -73,14 +70,14 @@ def test_knee_that_seems_to_bend_forward_stays_near_straight_and_the_thigh_untur
 
 def test_elbow_on_the_wrong_side_is_turned_round_where_the_shoulder_allows_it(body):
     """Upper arm started turned by pi: limits must not keep the arm there."""
-    truth = pose_with(left_shoulder_y=2.2)
+    truth = bent(left_shoulder_y=2.2)
     turned = truth.R_joints.copy()
     turned[1] = turned[1] @ Rotation.from_rotvec([0.0, np.pi, 0.0]).as_matrix()
-    wrong = dataclasses.replace(truth, R_joints=turned, hinges=truth.hinges * [0.0, 1.0, 1.0, 1.0])
+    wrong = replace(truth, R_joints=turned, hinges=truth.hinges * [0.0, 1.0, 1.0, 1.0])
     ekf = ArticulatedEkf(body, IDEAL)
     for k in range(60):
         bend = min(k / 30.0, 1.0)
-        pose = dataclasses.replace(truth, hinges=truth.hinges * [bend, 1.0, 1.0, 1.0])
+        pose = replace(truth, hinges=truth.hinges * [bend, 1.0, 1.0, 1.0])
         points = forward(body, wrong if k == 0 else pose)
         state = ekf.step(stamp(k), points, isotropic(0.01), ALL)
     assert 1e3 * np.linalg.norm(state.points_world - forward(body, truth), axis=1).max() < 20.0
@@ -88,7 +85,7 @@ def test_elbow_on_the_wrong_side_is_turned_round_where_the_shoulder_allows_it(bo
 
 
 def test_limits_leave_the_covariance_to_the_measured_points(body):
-    pose = pose_with(left_shoulder_y=3 * np.pi / 4 + 0.6)
+    pose = bent(left_shoulder_y=3 * np.pi / 4 + 0.6)
     limited, free = follow(body, pose, TIGHT), follow(body, pose, NO_LIMITS)
     sd = [np.sqrt(np.diag(s.covariance)[[8, 12, 10]]) for s in (limited, free)]
     np.testing.assert_allclose(sd[0], sd[1], rtol=0.5)

@@ -44,6 +44,8 @@ def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene
     stages = ("carve", "slice", "filter", "sample", "contour_rays", "hull", "queued")
     assert {f"{stage}_ms" for stage in stages} <= values.keys()
     assert values["bodies"] == "1" and values["bodies_numbers"] == "0"
+    assert values["left_out"] == "" and "cam02=" in values["veto_fraction"]
+    assert 0.9 < float(values["consistency_cam02"]) <= 1.0
     (place,) = expected.bodies.centroid_world
     assert [float(v) for v in values["bodies_at"].split(",")] == pytest.approx(place, abs=0.01)
 

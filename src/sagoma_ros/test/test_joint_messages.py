@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from geometry_msgs.msg import Quaternion
+from poses import random_pose
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import MultiDOFJointState
 
@@ -16,17 +17,15 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import covariance_cloud, joint_state_message
 from stick_figure.kinematics import stick_frames
 from stick_figure.pose import JOINT_NAMES, Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, PARENT, TANGENT_NAMES
+from stick_figure.skeleton import ANGLE_NAMES, PARENT, TANGENT_NAMES
 
 STAMP = 1_700_000_000_123_456_789
 TOPIC = "ekf/prediction"
 
 
-def random_pose(seed: int) -> Pose:
-    rng = np.random.default_rng(seed)
-    margin = 0.05  # clear of the ranges' ends, where two triples of angles describe one rotation
-    angles = rng.uniform(ANGLE_LOW + margin, ANGLE_HIGH - margin)
-    return Pose.from_angles(rng.normal(size=3), Rotation.from_quat(rng.normal(size=4)).as_matrix(), angles)
+def pose_of(seed: int) -> Pose:
+    """Clear of the ranges' ends, where two triples of angles describe one rotation."""
+    return random_pose(np.random.default_rng(seed), margin=0.05)
 
 
 def message_of(prediction: Prediction) -> MultiDOFJointState:
@@ -34,7 +33,7 @@ def message_of(prediction: Prediction) -> MultiDOFJointState:
 
 
 def good_message() -> MultiDOFJointState:
-    return message_of(Prediction.of(STAMP, random_pose(0), np.arange(24) / 10))
+    return message_of(Prediction.of(STAMP, pose_of(0), np.arange(24) / 10))
 
 
 def test_joint_state_has_names_angles_and_rates() -> None:
@@ -46,7 +45,7 @@ def test_joint_state_has_names_angles_and_rates() -> None:
 
 
 def test_everybodys_prediction_comes_back_as_the_same_pose_and_velocity() -> None:
-    poses = {person: random_pose(person) for person in (1, 3, 4, 7)}
+    poses = {person: pose_of(person) for person in (1, 3, 4, 7)}
     velocities = {person: np.random.default_rng(person).normal(size=24) for person in poses}
     sent = {person: Prediction.of(STAMP, pose, velocities[person]) for person, pose in poses.items()}
     message = predictions_message(Predictions(STAMP, sent))
@@ -63,7 +62,7 @@ def test_everybodys_prediction_comes_back_as_the_same_pose_and_velocity() -> Non
 
 
 def test_prediction_message_holds_each_joint_in_the_axes_of_its_carrier() -> None:
-    pose, velocity = random_pose(5), np.random.default_rng(5).normal(size=24)
+    pose, velocity = pose_of(5), np.random.default_rng(5).normal(size=24)
     message = message_of(Prediction.of(STAMP, pose, velocity))
     assert tuple(message.joint_names) == JOINT_NAMES and message.header.frame_id == "map"
     torso = message.transforms[0].translation
