@@ -12,11 +12,9 @@ from ekf_tracker.filter import ArticulatedEkf
 from stick_figure.joint_limits import add_joint_limits
 from stick_figure.kinematics import forward
 
-
 MARGIN = 0.15
 NO_LIMITS = replace(IDEAL, limit_sd_rad=0.0)
 TIGHT = replace(IDEAL, limit_sd_rad=0.05)
-
 
 
 def bent(**angles):

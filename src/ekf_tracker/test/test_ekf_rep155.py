@@ -39,8 +39,6 @@ def walk(urdf, angles, origin, R):
     return frames
 
 
-
-
 def largest_error(body, pose, angles):
     frames = walk(human_urdf(body, "b7"), angles, *body_frame(pose, body.half_lengths[0]))
     points = forward(body, pose)

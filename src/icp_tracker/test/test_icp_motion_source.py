@@ -40,6 +40,10 @@ def walk(tilt=0.0, build=1.0, seconds=0.7):
     return sets, poses, studio.visibility
 
 
+def source_of(watch_s, visibility, known=None):
+    return MotionSource(MotionSettings(watch_s=watch_s), visibility, known=known)
+
+
 def found_in(source, sets):
     """The first answer with a pose, and the number of its set; else the last answer."""
     for number, seen in enumerate(sets):
@@ -52,7 +56,7 @@ def found_in(source, sets):
 @pytest.fixture(scope="module")
 def walker():
     sets, poses, visibility = walk()
-    answer, number = found_in(MotionSource(MotionSettings(watch_s=0.5), visibility), sets)
+    answer, number = found_in(source_of(0.5, visibility), sets)
     assert number is not None, answer.reason
     return answer, poses[number]
 
@@ -67,21 +71,16 @@ def test_who_walks_in_is_found_the_right_way_round(walker):
 
 def test_stout_person_is_found_when_a_body_of_average_girth_explains_too_little():
     sets, poses, visibility = walk(build=1.5)
-    source, answers = MotionSource(MotionSettings(watch_s=0.5), visibility), []
-    for seen in sets:
-        answers.append(source.find_pose(seen))
-        if answers[-1].pose is not None:
-            break
-    found = answers[-1]
+    found, number = found_in(source_of(0.5, visibility), sets)
     assert found.pose is not None and (found.body.build == build_of_girth(1.3)).all()
-    assert found.pose.R_world_torso[:, 0] @ poses[len(answers) - 1].R_world_torso[:, 0] > 0.8
+    assert found.pose.R_world_torso[:, 0] @ poses[number].R_world_torso[:, 0] > 0.8
 
 
 def test_slower_walk_counts_less_as_walking_forwards():
     sets, _, visibility = walk(seconds=1.3)
     ways = []
     for times in (1, 6):
-        source = MotionSource(MotionSettings(watch_s=30.0), visibility)
+        source = source_of(30.0, visibility)
         for k, seen in enumerate(sets):
             source.find_pose(replace(seen, stamp_ns=10**9 + k * times * EVERY * SET_NS))
         ways.append(max(hypothesis.way for hypothesis in source._followed))
@@ -95,26 +94,29 @@ def test_sizes_of_who_walks_in_are_as_uncertain_as_they_are_wrong(walker):
     assert abs(answer.estimate.stature - BODY.stature) < 0.05
 
 
-def test_it_must_have_watched_for_so_long():
+def test_it_must_have_watched_for_so_long_and_anew_after_a_long_gap():
     sets, _, visibility = walk()
-    answer, number = found_in(MotionSource(MotionSettings(watch_s=30.0), visibility), sets)
+    answer, number = found_in(source_of(30.0, visibility), sets)
     assert number is None and answer.reason.startswith("somebody is here: watched for")
+    source = source_of(0.5, visibility)
+    assert source.find_pose(sets[0]).pose is None
+    later = replace(sets[1], stamp_ns=sets[1].stamp_ns + round(3e9))
+    assert source.find_pose(later).reason.endswith("watched for 0.0 of 0.5 s")
 
 
 def test_known_body_keeps_its_sizes():
     sets, _, visibility = walk()
-    answer, _ = found_in(MotionSource(MotionSettings(watch_s=0.3), visibility, known=BODY), sets)
+    answer, _ = found_in(source_of(0.3, visibility, known=BODY), sets)
     assert answer.body is BODY and answer.estimate is None
 
 
 def test_cart_and_nobody_are_not_followed():
     sets, _, visibility = walk()
-    cart = [room().render(box((-0.3, -0.25, 0.0), (0.3, 0.25, 1.6)), apart_ns=EVERY * SET_NS)]
-    source = MotionSource(MotionSettings(watch_s=0.0), visibility)
-    answer, number = found_in(source, cart)
+    source = source_of(0.0, visibility)
+    cart = room().render(box((-0.3, -0.25, 0.0), (0.3, 0.25, 1.6)), apart_ns=EVERY * SET_NS)
+    answer, number = found_in(source, [cart])
     assert number is None and answer.reason
-    empty = sets[0].of_body(7)
-    assert source.find_pose(empty).reason == "no hull"
+    assert source.find_pose(sets[0].of_body(7)).reason == "no hull"
 
 
 @pytest.mark.slow
@@ -128,7 +130,7 @@ def test_post_that_explains_itself_is_nobody():
 
 def test_feet_that_are_not_seen_are_told_first_and_not_measured():
     sets, _, visibility = walk(tilt=0.30, seconds=0.0)
-    answer = MotionSource(MotionSettings(watch_s=0.0), visibility).find_pose(sets[0])
+    answer = source_of(0.0, visibility).find_pose(sets[0])
     assert answer.pose is None and answer.reason.startswith("cam03 does not see your feet")
 
 
@@ -148,19 +150,7 @@ def test_t_pose_that_is_held_decides_alone():
 
 def test_a_gap_of_sets_does_not_begin_the_watch_anew():
     sets, _, visibility = walk()
-    source = MotionSource(MotionSettings(watch_s=0.5), visibility)
-    for number, seen in enumerate(sets):  # every third set shows nothing: somebody passes behind a cupboard
-        hidden = number % 3 == 2
-        answer = source.find_pose(HullProducts(seen.stamp_ns, NO_CENTERLINE) if hidden else seen)
-        assert not hidden or answer.pose is None
-        if answer.pose is not None:
-            break
-    assert answer.pose is not None, answer.reason
-
-
-def test_after_a_long_gap_somebody_is_watched_anew():
-    sets, _, visibility = walk()
-    source = MotionSource(MotionSettings(watch_s=0.5), visibility)
-    assert source.find_pose(sets[0]).pose is None
-    later = replace(sets[1], stamp_ns=sets[1].stamp_ns + round(3e9))
-    assert source.find_pose(later).reason.endswith("watched for 0.0 of 0.5 s")
+    hidden = range(2, len(sets), 3)  # every third set shows nothing: somebody passes behind a cupboard
+    shown = [HullProducts(s.stamp_ns, NO_CENTERLINE) if k in hidden else s for k, s in enumerate(sets)]
+    answer, number = found_in(source_of(0.5, visibility), shown)
+    assert number is not None and number not in hidden, answer.reason

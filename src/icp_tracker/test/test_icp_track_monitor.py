@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import synthetic_people as synthetic
+from poses import angles_with, pose_with
 from refinement_rays import grazing_rays
 from scipy.spatial.transform import Rotation
 
@@ -34,7 +35,7 @@ from stick_figure.kinematics import forward
 from stick_figure.least_squares.contour_factor import match_rays
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, T_POSE_ANGLES
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES
 
 FPS = 60.0
 LEFT_HAND, RIGHT_FOOT = 11, 14
@@ -53,11 +54,9 @@ FOLDED = {"left_shoulder_x": -1.4, "left_shoulder_z": 0.0, "left_shoulder_y": 0.
 
 
 def posed(angles, otherwise=None):
-    values = T_POSE_ANGLES.copy() if otherwise is None else otherwise.angles()
-    for name, value in angles.items():
-        values[ANGLE_NAMES.index(name)] = value
-    place = (np.array([0.0, 0.0, 1.2]), np.eye(3)) if otherwise is None else otherwise.arrays[:2]
-    return Pose.from_angles(*place, values)
+    if otherwise is None:
+        return pose_with(at=(0.0, 0.0, 1.2), **angles)
+    return Pose.from_angles(*otherwise.arrays[:2], angles_with(otherwise.angles(), **angles))
 
 
 @pytest.fixture(scope="module")
