@@ -35,6 +35,14 @@ def carried_detections(cameras: dict[str, CameraModel], count: int = 40) -> list
     return made.see_all(cameras, made.CARRIED_BOARD, made.carried_poses(count), MOVING)
 
 
+def both_boards(
+    cameras: dict[str, CameraModel], floor: Checkerboard = made.FLOOR_BOARD, carried: Checkerboard = made.CARRIED_BOARD
+) -> RigCalibration:
+    """The rig from pictures of both boards, which are stated to be these."""
+    targets = {FLOOR: FloorTarget.of_board(floor, WorldChoice()), MOVING: Target.of(carried)}
+    return calibrate_rig(cameras, floor_detections(cameras) + carried_detections(cameras), targets)
+
+
 def findings(calibrated: RigCalibration) -> str:
     return "\n".join(f"{f.grade}: {f.what} -> {f.remedy}" for f in calibrated.verdict.findings)
 
@@ -94,9 +102,7 @@ def test_camera_that_never_sees_the_floor_board_is_placed_by_the_carried_one(roo
 
 
 def test_wrong_square_size_of_one_board_shows_as_a_ratio(room: dict[str, CameraModel]) -> None:
-    wrong = Checkerboard(7, 4, (0.126, 0.126))  # stated 5 % too large
-    targets = {FLOOR: FloorTarget.of_board(wrong, WorldChoice()), MOVING: TARGETS[MOVING]}
-    calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room), targets)
+    calibrated = both_boards(room, floor=Checkerboard(7, 4, (0.126, 0.126)))  # stated 5 % too large
     ratio, sd = calibrated.scales[FLOOR]
     assert ratio == pytest.approx(1 / 1.05, abs=4 * sd) and sd < 0.005
     assert calibrated.verdict.grade == REDO
@@ -154,7 +160,7 @@ def test_cameras_that_look_at_each_other_are_named() -> None:
     opposite = -cameras["cam01"].centre_world * [1, 1, -1]
     cameras["cam04"] = made.camera_at("cam04", opposite, np.array([0.0, 0.0, opposite[2]]))
     cameras["cam01"] = made.camera_at("cam01", cameras["cam01"].centre_world, np.array([0.0, 0.0, opposite[2]]))
-    calibrated = calibrate_rig(cameras, floor_detections(cameras) + carried_detections(cameras), TARGETS)
+    calibrated = both_boards(cameras)
     facing = calibrated.figures.facing_deg["cam01", "cam04"]
     assert facing > 165.0
     assert ("cam01 and cam04 look at each other" in findings(calibrated)) == (facing > 170.0)
