@@ -190,15 +190,11 @@ def test_rendered_truth_gives_frames_and_points_in_order(tmp_path: Path) -> None
     assert truth.points_world.shape == (3, 15, 3)
     head = 1 + columns.index("head_top_x")
     assert truth.points_world[2, 1].tolist() == rows[2][head : head + 3]
+    points = truth.points_world[0]  # the torso's centre is half way from the neck to the middle of the hips
+    assert points[0] == pytest.approx((points[2] + (points[5] + points[6]) / 2) / 2)
     right_foot = 1 + columns.index("r_ankle_x")
     assert truth.points_world[1, 14].tolist() == rows[1][right_foot : right_foot + 3]
     assert truth.angles is None
-
-
-def test_torso_centre_is_half_way_from_neck_to_mid_hips(tmp_path: Path) -> None:
-    columns = columns_of(RENDERED)
-    points = load_truth(write(tmp_path / "truth.csv", columns, [numbers(columns)])).points_world[0]
-    assert points[0] == pytest.approx((points[2] + (points[5] + points[6]) / 2) / 2)
 
 
 def test_empty_cells_are_unknown_points(tmp_path: Path) -> None:
@@ -235,15 +231,6 @@ def test_stick_figure_of_a_wrist_reference_ends_at_the_finger_tips(tmp_path: Pat
         wrist_m, tip_m = (np.linalg.norm(points[hand] - points[elbow]) for points in (reference, stick_figure))
         assert wrist_m / tip_m == pytest.approx(0.146 / 0.254)  # forearm, and forearm with hand, of stature
     assert truth.comparable(stick_figure) == pytest.approx(reference)
-
-
-def test_shared_reference_is_a_person_of_plausible_size(shared_data: Callable[..., Path]) -> None:
-    truth = load_truth(shared_data("real_4cam", "reference_first50.csv"))
-    points = truth.stick_figure_points()
-    assert truth.frames.tolist() == list(range(50))
-    thigh_m = np.linalg.norm(points[:, 9] - points[:, 5], axis=1)
-    assert 0.35 < np.nanmedian(thigh_m) < 0.5
-    assert (np.nanmedian(points[:, 1, 2]) > np.nanmedian(points[:, [5, 6], 2])).all()  # head above hips: z is up
 
 
 def test_shared_sessions_have_the_torso_centroid_where_the_renderer_put_it(shared_data: Callable[..., Path]) -> None:

@@ -29,14 +29,6 @@ def fitted(k, people, bodies=BODIES):
     return FittedPeople(k * FRAME_NS, PeoplePoints(people), {p: bodies[p] for p in people if p in bodies})
 
 
-def test_person_who_is_not_measured_goes_and_begins_anew_when_measured_again():
-    people = PeopleFilter()
-    people.step(fitted(1, {1: measured(1), 2: measured(2)}))
-    assert list(people.step(fitted(2, {1: measured(1)}))) == [1]
-    back = people.step(fitted(3, {1: measured(1), 2: measured(2, 3.0)}))
-    np.testing.assert_allclose(back[2].points_world, measured(2, 3.0).points_world, atol=0.01)
-
-
 def test_points_of_one_that_cannot_be_used_move_nobodys_filter():
     people, spoilt = PeopleFilter(), replace(measured(2), covariance=-np.tile(np.eye(3), (15, 1, 1)))
     with pytest.raises(InputError):

@@ -81,10 +81,8 @@ def test_node_ignores_silhouettes_while_suspended_and_resumes(bench, scene):
         ({"rig_file": ""}, "rig_file is not set"),
         ({"rig_file": "/nowhere/rig.yaml"}, "/nowhere/rig.yaml: cannot be read"),
         ({"voxel_size_m": 0.5}, "voxel_size_m = 0.5 m is out of range"),
-        ({"voxel_sise_m": 0.02}, "unknown key 'voxel_sise_m'. Did you mean 'voxel_size_m'?"),
-        ({"backend": "cuda"}, "backend = 'cuda' is not one of"),
     ],
-    ids=["no rig file", "no such file", "out of range", "misspelt", "unknown backend"],
+    ids=["no rig file", "no such file", "out of range"],
 )
 def test_node_refuses_to_configure_with_a_clear_error(make_bench, parameters, text):
     bench = make_bench(**parameters)

@@ -1,9 +1,7 @@
 """A simulated camera's control channel, spoken to in bare GVCP."""
 
-import io
 import struct
 import xml.etree.ElementTree as ElementTree
-import zipfile
 from collections import Counter
 from types import SimpleNamespace
 
@@ -19,7 +17,7 @@ from gige_vision.gvcp import Action, Command, DeviceRecord, Status
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
 from virtual_studio.gige.device import OLD, SFNC, Device, Faults
 from virtual_studio.gige.feature_table import feature_table
-from virtual_studio.gige.genicam_xml import genicam_xml, zipped
+from virtual_studio.gige.genicam_xml import genicam_xml
 from virtual_studio.gige.gvcp_server import ControlPrivilege
 from virtual_studio.gige.loop import Timer
 from virtual_studio.gige.registers import FILE_SPACE, Kind, RegisterError, Registers
@@ -214,21 +212,6 @@ def test_description_refers_to_what_it_describes_and_to_readable_registers(gener
     for node in registers:
         address, length = int(node.findtext(NAMESPACE + "Address"), 16), int(node.findtext(NAMESPACE + "Length"))
         assert len(memory.read(address, length)) == length, node.get("Name")
-
-
-def test_generations_differ_in_names_and_agree_in_keys():
-    new, old = ({f.key: f.name for f in features_of(g) if f.name} for g in (SFNC, OLD))
-    assert set(new) == set(old)
-    assert (new["ExposureTime"], old["ExposureTime"]) == ("ExposureTime", "ExposureTimeAbs")
-    assert (new["PtpEnable"], old["PtpEnable"]) == ("PtpEnable", "GevIEEE1588")
-
-
-def test_zipped_description_is_whole_words_and_unpacks_to_the_same():
-    xml = genicam_xml(features_of(), "V", "M")
-    packed = zipped(xml)
-    assert len(packed) % 4 == 0
-    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
-        assert archive.read(archive.namelist()[0]).decode() == xml
 
 
 def test_accesses_are_refused_with_the_status_that_says_why():

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from footage_clips import write_clip
 from gige_client import eventually
 
 from capture_rig.errors import InputError
@@ -44,28 +45,14 @@ def test_pattern_too_small_for_its_numbers_is_refused():
         PatternScene(64, 48)
 
 
-def write_video(path, frames, colour=False):
-    height, width = frames[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"FFV1"), FPS, (width, height), colour)
-    assert writer.isOpened()
-    for frame in frames:
-        writer.write(frame)
-    writer.release()
-
-
-def grey_frames(base):
-    return [np.full((480, 640), base + 10 * i, np.uint8) for i in range(FRAMES)]
-
-
 @pytest.fixture
 def session(tmp_path):
     """Two cameras whose frames tell their number by their grey level; cam02 is in colour."""
     save_rig(ring(2, ceiling=False), tmp_path / "rig.yaml")
-    write_video(tmp_path / "cam01.mkv", grey_frames(20))
-    tinted = [cv2.merge([g // 2, g, g]) for g in grey_frames(20)]
-    write_video(tmp_path / "cam02.mkv", tinted, colour=True)
-    cv2.imwrite(str(tmp_path / "cam01_background.png"), np.full((480, 640), 7, np.uint8))
-    cv2.imwrite(str(tmp_path / "cam02_background.png"), np.full((480, 640), 7, np.uint8))
+    greys = [np.full((480, 640), 20 + 10 * i, np.uint8) for i in range(FRAMES)]
+    for name, images in (("cam01", greys), ("cam02", [cv2.merge([grey // 2, grey, grey]) for grey in greys])):
+        write_clip(tmp_path / f"{name}.mkv", images, FPS, "FFV1")
+        cv2.imwrite(str(tmp_path / f"{name}_background.png"), np.full((480, 640), 7, np.uint8))
     return load_session(tmp_path)
 
 
