@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gige_vision import gvcp
+from gige_vision import gvcp, gvsp
 from gige_vision.gvcp import (
     AcknowledgePacket,
     Action,
@@ -15,15 +15,6 @@ from gige_vision.gvcp import (
     ResendRequest,
     Status,
     encode_text,
-)
-from gige_vision.gvsp import (
-    Content,
-    ImageLeader,
-    ImageTrailer,
-    PacketHeader,
-    encode_chunk,
-    next_block_id,
-    payload_capacity,
 )
 from gige_vision.pixel_formats import PixelFormat
 
@@ -55,14 +46,14 @@ def hexed(text):
             Action(0x11, 0x22, 0x4, time_ns=0x0123_4567_89AB_CDEF).command(),
             "42 81 0100 0014 0001 00000011 00000022 00000004 0123456789ABCDEF",
         ),
-        (PacketHeader(Content.PAYLOAD, 0x0102, 0x030405), "0000 0102 03 030405"),
-        (PacketHeader(Content.LEADER, 1, 0, Status.PACKET_RESEND), "0100 0001 01 000000"),
+        (gvsp.PacketHeader(gvsp.Content.PAYLOAD, 0x0102, 0x030405), "0000 0102 03 030405"),
+        (gvsp.PacketHeader(gvsp.Content.LEADER, 1, 0, Status.PACKET_RESEND), "0100 0001 01 000000"),
         (
-            ImageLeader(0x0000_0001_0000_0002, PixelFormat.Mono8, 640, 480, 16, 8),
+            gvsp.ImageLeader(0x0000_0001_0000_0002, PixelFormat.Mono8, 640, 480, 16, 8),
             "0000 0001 0000000100000002 01080001 00000280 000001E0 00000010 00000008 0000 0000",
         ),
-        (ImageTrailer(480), "0000 0001 000001E0"),
-        (ImageTrailer(480, 0x100), "0000 4001 00000100 000001E0 00000000"),
+        (gvsp.ImageTrailer(480), "0000 0001 000001E0"),
+        (gvsp.ImageTrailer(480, 0x100), "0000 4001 00000100 000001E0 00000000"),
     ],
     ids=str,
 )
@@ -145,7 +136,7 @@ def test_texts_are_cut_at_a_character_and_always_end_with_zero(text, size):
         (CommandPacket.decode, hexed("41 01 0002 0000 0001"), "begins with 0x42"),
         (CommandPacket.decode, hexed("42 01 0080 0008 0001 00000000"), "promises 8 bytes, 4 follow"),
         *((d, bytes(n), None) for d in (gvcp.decode_words, gvcp.decode_writes, DeviceRecord.decode) for n in (0, 3, 6)),
-        *((kind.decode, bytes(3), None) for kind in (PacketHeader, ImageLeader, ImageTrailer)),
+        *((kind.decode, bytes(3), None) for kind in (gvsp.PacketHeader, gvsp.ImageLeader, gvsp.ImageTrailer)),
     ],
 )
 def test_packet_of_a_wrong_length_or_that_contradicts_itself_is_malformed(decode, data, reason):
@@ -157,9 +148,9 @@ def test_packet_of_a_wrong_length_or_that_contradicts_itself_is_malformed(decode
 
 
 def test_capacity_leaves_room_for_headers_and_block_ids_of_16_bits_start_again_at_one():
-    assert payload_capacity(1500) == 1464
-    assert next_block_id(0xFFFF) == 1
-    assert encode_chunk(0x0A01, b"\1\2\3\4") == hexed("01020304 00000A01 00000004")
+    assert gvsp.payload_capacity(1500) == 1464
+    assert gvsp.next_block_id(0xFFFF) == 1
+    assert gvsp.encode_chunk(0x0A01, b"\1\2\3\4") == hexed("01020304 00000A01 00000004")
 
 
 @pytest.mark.parametrize(
@@ -186,15 +177,15 @@ def test_packed_image_with_an_odd_number_of_pixels_ends_with_two_bytes():
     assert PixelFormat.Mono12Packed.image_bytes(3, 1) == 5
 
 
-@given(st.sampled_from(Content), st.integers(0, 2**16 - 1), st.integers(0, 2**24 - 1))
+@given(st.sampled_from(gvsp.Content), st.integers(0, 2**16 - 1), st.integers(0, 2**24 - 1))
 def test_any_packet_header_comes_back_as_it_was(content, block_id, packet_id):
-    header = PacketHeader(content, block_id, packet_id, Status.SUCCESS)
-    assert PacketHeader.decode(header.encode() + b"rest") == (header, b"rest")
+    header = gvsp.PacketHeader(content, block_id, packet_id, Status.SUCCESS)
+    assert gvsp.PacketHeader.decode(header.encode() + b"rest") == (header, b"rest")
 
 
 @given(
-    st.builds(ImageLeader, st.integers(0, 2**64 - 1), *[words] * 5, payload=st.sampled_from([1, 0x4001]))
-    | st.builds(ImageTrailer, words, st.none() | words)
+    st.builds(gvsp.ImageLeader, st.integers(0, 2**64 - 1), *[words] * 5, payload=st.sampled_from([1, 0x4001]))
+    | st.builds(gvsp.ImageTrailer, words, st.none() | words)
 )
 def test_any_leader_and_trailer_comes_back_as_it_was(packet):
     assert type(packet).decode(packet.encode()) == packet

@@ -7,20 +7,13 @@ import numpy as np
 import pytest
 from t_pose_studio import SET_NS, Studio, box, person, standing
 
+from icp_tracker.acquisition import truncation
 from icp_tracker.acquisition.body_parts import find_legs
 from icp_tracker.acquisition.body_sizes import sizes_of_body
 from icp_tracker.acquisition.motion_source import STEP_M, MotionSettings, MotionSource
 from icp_tracker.acquisition.pose_source import CombinedPoseSource
 from icp_tracker.acquisition.t_pose_measures import TPoseSettings
 from icp_tracker.acquisition.t_pose_source import TPoseSource, find_t_pose
-from icp_tracker.acquisition.truncation import (
-    FEET,
-    LEFT_HAND,
-    Stance,
-    advice_text,
-    cut_parts,
-    smallest_translation_into_view,
-)
 from icp_tracker.acquisition.upright import PoseRejected, Upright, stance_of
 from mocap_packets.hull import NO_CENTERLINE, HullProducts
 from stick_figure.body import Body
@@ -218,8 +211,8 @@ def test_cut_off_person_is_told_what_is_missing_and_where_to_go(up, place, headi
     studio = rig_of(up)
     told = told_at(studio, place, heading)
     assert told.startswith(starts), told
-    stance = Stance(np.array(place), np.array([np.cos(heading), np.sin(heading)]), 0.0, MAN.stature)
-    step = smallest_translation_into_view(stance, studio.visibility)
+    stance = truncation.Stance(np.array(place), np.array([np.cos(heading), np.sin(heading)]), 0.0, MAN.stature)
+    step = truncation.smallest_translation_into_view(stance, studio.visibility)
     assert abs(np.linalg.norm(step) - step_of(told)) <= 0.2
     there = np.array(place) + step  # whoever obeys is measured, or asked for a short step more: hulls are wide
     left = told_at(studio, tuple(there), heading)
@@ -234,22 +227,24 @@ def step_of(told):
 def test_step_is_said_about_where_the_person_faces_when_that_is_known():
     visibility = rig_of().visibility
     for facing, word in (((1.0, 0.0), " right"), ((-1.0, 0.0), " left")):
-        stance = Stance(np.array([0.0, 0.95]), np.array(facing), 0.0, 1.75, facing=5.0)
-        told = advice_text((LEFT_HAND,), stance, visibility)
+        stance = truncation.Stance(np.array([0.0, 0.95]), np.array(facing), 0.0, 1.75, facing=5.0)
+        told = truncation.advice_text((truncation.LEFT_HAND,), stance, visibility)
         assert "left hand" in told and word in told
 
 
 def test_without_a_place_a_camera_is_to_be_turned():
-    stance = Stance(np.zeros(2), np.array([1.0, 0.0]), 0.0, 1.75)
-    assert advice_text((FEET,), stance, rig_of(0.6).visibility) == (
+    stance = truncation.Stance(np.zeros(2), np.array([1.0, 0.0]), 0.0, 1.75)
+    assert truncation.advice_text((truncation.FEET,), stance, rig_of(0.6).visibility) == (
         "cam03 does not see your feet: no place in the volume is seen by 3 cameras; turn cam03 down"
     )
-    assert "you do not fit into its picture" in advice_text((FEET,), stance, rig_of(0.0, 2.2).visibility)
+    assert "you do not fit into its picture" in truncation.advice_text(
+        (truncation.FEET,), stance, rig_of(0.0, 2.2).visibility
+    )
 
 
 def test_whole_body_near_the_border_is_not_called_cut():
     """The hull of hands and feet a few voxels inside the border is whole."""
     studio = rig_of()
     voxels = studio.render(person(MAN, standing(MAN, T_POSE, 0.0, (0.0, 0.35)))).voxels.points_world
-    stance = Stance(np.array([0.0, 0.35]), np.array([1.0, 0.0]), 0.0, MAN.stature)
-    assert cut_parts(voxels, stance, 0.02, studio.visibility) == ()
+    stance = truncation.Stance(np.array([0.0, 0.35]), np.array([1.0, 0.0]), 0.0, MAN.stature)
+    assert truncation.cut_parts(voxels, stance, 0.02, studio.visibility) == ()

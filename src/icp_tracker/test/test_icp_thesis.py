@@ -5,13 +5,8 @@ import pytest
 import synthetic_people as synthetic
 from scipy.spatial.transform import Rotation
 
+from icp_tracker.thesis import procrustes
 from icp_tracker.thesis.hierarchical_icp import fit_hierarchical, weight_points, x84_keep, x84_threshold
-from icp_tracker.thesis.procrustes import (
-    swing_rotation,
-    weighted_extended_procrustes,
-    weighted_procrustes_about,
-    weighted_swing_about,
-)
 from stick_figure.kinematics import forward
 
 
@@ -103,13 +98,13 @@ def test_x84_threshold_is_median_plus_three_and_a_half_sigma():
 
 def extended(a, b, w):
     R, t = np.empty((3, 3)), np.empty(3)
-    angle = weighted_extended_procrustes(a, b, w, R, t)
+    angle = procrustes.weighted_extended_procrustes(a, b, w, R, t)
     return R, t, angle
 
 
 def about(joint, a, b, w):
     R = np.empty((3, 3))
-    weighted_procrustes_about(joint, a, b, w, R)
+    procrustes.weighted_procrustes_about(joint, a, b, w, R)
     return R
 
 
@@ -166,7 +161,7 @@ def test_lone_stick_swings_without_twist():
     along = rng.uniform(0.05, 0.4, 30)
     a, b = joint + along[:, None] * direction, joint + along[:, None] * target
     R = np.empty((3, 3))
-    angle = weighted_swing_about(joint, direction, a, b, np.ones(30), R)
+    angle = procrustes.weighted_swing_about(joint, direction, a, b, np.ones(30), R)
     rotation = Rotation.from_matrix(R).as_rotvec()
     assert np.abs(R @ direction - target).max() < 1e-12
     assert angle == pytest.approx(np.arctan2(0.6, 0.8), abs=1e-12)
@@ -179,7 +174,7 @@ def test_lone_stick_swings_without_twist():
 @pytest.mark.parametrize("direction", np.vstack([np.eye(3), [[1.0, 2.0, -3.0]]]))
 def test_swing_to_the_opposite_direction_is_a_half_turn(direction):
     R = np.empty((3, 3))
-    angle = swing_rotation(direction, -2.0 * direction, R)
+    angle = procrustes.swing_rotation(direction, -2.0 * direction, R)
     assert angle == pytest.approx(np.pi)
     assert np.abs(R @ direction + direction).max() < 1e-12
     assert np.linalg.det(R) == pytest.approx(1.0)

@@ -7,14 +7,7 @@ import pytest
 from poses import angles_with, pose_with
 from scipy.spatial.transform import Rotation
 
-from stick_figure.joint_limits import (
-    BALL_RATES,
-    HINGE_RATES,
-    LARGEST_FLEXION,
-    add_joint_limits,
-    limit_rates,
-    stop_at_straight,
-)
+from stick_figure import joint_limits
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
 from stick_figure.pose import T_POSE_ANGLES
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, HINGE_ANGLES
@@ -28,7 +21,7 @@ BENT[HINGE_ANGLES] = -0.9, -0.9, 0.8, 0.8
 def limits_of(pose, margin=MARGIN):
     """Number of angles out of range, and the residuals' information and gradient for unit weight."""
     information, gradient = np.zeros((24, 24)), np.zeros(24)
-    count = add_joint_limits(pose.R_joints, pose.hinges, margin, 1.0, information, gradient)
+    count = joint_limits.add_joint_limits(pose.R_joints, pose.hinges, margin, 1.0, information, gradient)
     return count, information, gradient
 
 
@@ -41,7 +34,9 @@ def test_no_pose_within_the_ranges_meets_a_limit():
     rng, inside = np.random.default_rng(0), 1e-6
     for _ in range(500):
         angles = rng.uniform(ANGLE_LOW + inside, ANGLE_HIGH - inside)
-        angles[HINGE_ANGLES] = np.clip(angles[HINGE_ANGLES], -LARGEST_FLEXION, LARGEST_FLEXION)
+        angles[HINGE_ANGLES] = np.clip(
+            angles[HINGE_ANGLES], -joint_limits.LARGEST_FLEXION, joint_limits.LARGEST_FLEXION
+        )
         assert limits_of(pose_with(angles))[0] == 0
 
 
@@ -88,7 +83,11 @@ def test_several_limits_push_back_along_the_slope_of_their_squared_excess():
         moved = pose.retract(x)
         leg = Rotation.from_matrix(moved.R_joints[3]).as_euler("XYZ")[2]
         arm = Rotation.from_matrix(moved.R_joints[2]).as_euler("XZY")[2]
-        excess = max(leg - np.pi / 3, 0), max(arm - np.pi / 2, 0), max(moved.hinges[2] - LARGEST_FLEXION, 0)
+        excess = (
+            max(leg - np.pi / 3, 0),
+            max(arm - np.pi / 2, 0),
+            max(moved.hinges[2] - joint_limits.LARGEST_FLEXION, 0),
+        )
         return 0.5 * np.sum(np.square(excess))
 
     slope = np.array([(cost(STEP * e) - cost(-STEP * e)) / (2 * STEP) for e in np.eye(24)])
@@ -108,9 +107,9 @@ def test_rates_beyond_what_joints_reach_are_shortened_and_keep_their_direction()
     velocity[SLOT_OF_JOINT_AXIS[3]] = 60.0, -80.0, 0.0  # the left thigh, at 100 rad/s
     velocity[HINGE_SLOT[3]] = -90.0
     limited = velocity.copy()
-    limit_rates(limited)
-    np.testing.assert_allclose(limited[SLOT_OF_JOINT_AXIS[3]], BALL_RATES[3] * np.array([0.6, -0.8, 0.0]))
-    assert limited[HINGE_SLOT[3]] == -HINGE_RATES[3]
+    joint_limits.limit_rates(limited)
+    np.testing.assert_allclose(limited[SLOT_OF_JOINT_AXIS[3]], joint_limits.BALL_RATES[3] * np.array([0.6, -0.8, 0.0]))
+    assert limited[HINGE_SLOT[3]] == -joint_limits.HINGE_RATES[3]
     others = np.setdiff1d(np.arange(24), [*SLOT_OF_JOINT_AXIS[3], *SLOT_OF_JOINT_AXIS[4], HINGE_SLOT[3]])
     np.testing.assert_array_equal(limited[others], velocity[others])
 
@@ -128,7 +127,7 @@ def test_rates_beyond_what_joints_reach_are_shortened_and_keep_their_direction()
 def test_hinges_stop_where_they_come_straight(hinge, before, after, stops_at):
     first, hinges, velocity = np.zeros(4), np.zeros(4), np.ones(24)
     first[hinge], hinges[hinge] = before, after
-    stop_at_straight(first, hinges, velocity)
+    joint_limits.stop_at_straight(first, hinges, velocity)
     expected = np.ones(24)
     if stops_at is not None:
         expected[HINGE_SLOT[hinge]] = 0.0
