@@ -1,4 +1,5 @@
-"""Files appear whole or not at all, also when the disk is full or the writer is killed."""
+"""Files appear whole or not at all, also when the disk is full or the writer is killed; damaged or hostile YAML is an
+error with file, line and remedy, and is found at once."""
 
 import os
 import signal

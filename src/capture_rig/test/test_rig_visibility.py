@@ -1,4 +1,4 @@
-"""The region of a sensor that a volume needs, against points of the volume that are projected one by one."""
+"""What a rig can show: the region of a sensor that a volume needs, and where a body is seen, by the carver's rule."""
 
 from dataclasses import replace
 

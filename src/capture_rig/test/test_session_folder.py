@@ -1,4 +1,4 @@
-"""Session folders: what a good one gives, and what each defect says."""
+"""Session folders and their reference data: what good ones give, and what each defect says."""
 
 from collections.abc import Callable
 from pathlib import Path

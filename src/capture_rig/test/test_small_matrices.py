@@ -1,4 +1,4 @@
-"""Rotations and rigid fits against SciPy, which finds them another way."""
+"""Rotations and rigid fits against SciPy, small positive definite matrices against LAPACK."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""Covariances that include errors which last: against simulated biases, and against the gain that must not change."""
+"""Covariances that include errors which last: against simulated biases, and against the gain that must not change; the
+trunk's bend, from the torso's measured points."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Frame sets that are missing, limbs that jump, and rates: what a consumer of the joint states sees."""
+"""Frame sets that are missing, limbs that jump, rates, and joint limits: what a consumer of the joint states sees."""
 
 from dataclasses import replace
 

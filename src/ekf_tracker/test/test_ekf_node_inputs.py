@@ -1,4 +1,4 @@
-"""The filter node over real topics: sets it cannot use, stamps that go back, bad parameters."""
+"""The filter node over real topics: sets it cannot use, stamps that go back, bad parameters, several persons."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""One prediction and one correction against an independent dense EKF written from the textbook."""
+"""One prediction and one correction against an independent dense EKF written from the textbook, and the prediction's
+matrices against integration of the process they stand for."""
 
 import numpy as np
 import pytest

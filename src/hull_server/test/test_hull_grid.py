@@ -1,4 +1,4 @@
-"""The voxel grid, the brick format, and the rule how many cameras must see a voxel."""
+"""The voxel grid, the brick format, and the hull's mesh against shapes whose volume is known."""
 
 import numpy as np
 import pytest

@@ -18,7 +18,7 @@ from sagoma_ros.messages import read_thinning, to_ns
 from sagoma_ros.qos import LATCHED
 
 
-def test_node_answers_an_incomplete_set_at_its_deadline_and_names_the_missing_camera(make_bench, scene):
+def test_node_answers_an_incomplete_set_at_its_deadline_and_mixes_what_is_late_into_no_other(make_bench, scene):
     _, rig, masks = scene
     bench = make_bench().start(rig)
     bench.send({name: masks[name] for name in ("cam01", "cam02", "cam04")}, 0)
@@ -28,6 +28,10 @@ def test_node_answers_an_incomplete_set_at_its_deadline_and_names_the_missing_ca
     assert int(values["voxels"]) > 0
     assert "nothing in time from cam03" in bench.heard["hull/frame_set"][0].status[0].message
     bench.until_values(sets_incomplete="1", frames_missing="1")
+    bench.send({"cam03": masks["cam03"]}, 0)
+    bench.until_values(frames_late="1")
+    bench.send(masks, 1)
+    assert [values["missing"] for values in bench.answers(2)] == ["cam03", ""]
 
 
 def test_node_waits_for_no_frame_that_a_replay_says_there_is_not(bench, scene):
@@ -38,18 +42,6 @@ def test_node_waits_for_no_frame_that_a_replay_says_there_is_not(bench, scene):
         bench.images[rig.names[3]].publish(absence_message(stamp(k)))
     bench.send(masks, 2)  # back at once, for it has not been waited for in vain
     assert [answer["missing"] for answer in bench.answers(3)] == [rig.names[3], rig.names[3], ""]
-
-
-def test_node_never_mixes_a_late_frame_into_another_set(make_bench, scene):
-    _, rig, masks = scene
-    bench = make_bench().start(rig)
-    bench.send({name: masks[name] for name in ("cam01", "cam02", "cam04")}, 0)
-    bench.let_the_deadline_pass(frames=3)
-    bench.answers(1)
-    bench.send({"cam03": masks["cam03"]}, 0)
-    bench.until_values(frames_late="1")
-    bench.send(masks, 1)
-    assert [values["missing"] for values in bench.answers(2)] == ["cam03", ""]
 
 
 def test_node_counts_duplicate_stamps_and_stamps_that_go_back(bench, scene):

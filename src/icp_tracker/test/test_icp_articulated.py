@@ -1,4 +1,5 @@
-"""The all-joints solve: derivatives against finite differences, accuracy, soft constraints, honest covariance."""
+"""The all-joints solve on centerline points and contour rays: derivatives against finite differences, accuracy, soft
+constraints, honest covariance."""
 
 from dataclasses import replace
 

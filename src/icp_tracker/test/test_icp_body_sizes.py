@@ -1,4 +1,5 @@
-"""Sizes of a body from its T-pose, against the bodies that the hulls were carved from."""
+"""Sizes of a body from its T-pose, against the bodies that the hulls were carved from; what the rig does not show is as
+uncertain as the lengths and directions that lead there."""
 
 import numpy as np
 from t_pose_studio import person, standing, studio

@@ -1,4 +1,5 @@
-"""Somebody who walks in without a T-pose: found, the right way round, with honest sizes; carts and nobody are not."""
+"""Somebody who walks in without a T-pose: found, the right way round, with honest sizes; carts and nobody are not. Whom
+a rig does not show whole is told what to do."""
 
 from dataclasses import replace
 from functools import lru_cache

@@ -1,4 +1,4 @@
-"""The hierarchical articulated ICP of thesis 4.3."""
+"""The hierarchical articulated ICP of thesis 4.3, and its weighted Procrustes against the SVD and geometry."""
 
 import numpy as np
 import pytest

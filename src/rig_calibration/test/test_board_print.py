@@ -1,3 +1,5 @@
+"""Boards as text, as files and on paper."""
+
 import re
 import xml.etree.ElementTree as ElementTree
 import zlib

@@ -1,4 +1,4 @@
-"""Detections that contradict the rest are left out by name, and the rig is the same as without them."""
+"""Detections that contradict the rest are left out by name, sizes are compared, and what that says of the footage."""
 
 from dataclasses import replace
 

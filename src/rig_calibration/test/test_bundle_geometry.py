@@ -1,4 +1,4 @@
-"""The solver's projection against OpenCV's, and its derivatives against differences."""
+"""The solver's projection against OpenCV's, its derivatives against differences; one picture's poses and hidden turns."""
 
 from dataclasses import replace
 

@@ -1,4 +1,5 @@
-"""A camera's pose from a board on the floor, against poses that OpenCV's projection was given."""
+"""A camera's pose from a board on the floor; where the world lies on it; when a carried board lies on the floor, and
+what its carrier is told."""
 
 from dataclasses import replace
 

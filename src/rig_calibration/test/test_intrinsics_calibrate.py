@@ -1,4 +1,5 @@
-"""A lens from corners of a board: against the lens that the corners were projected with, and against OpenCV."""
+"""A lens from corners of a board: against the lens that the corners were projected with, and against OpenCV; views that
+are wrong are left out and named."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Wide lenses as opticians design them, which no polynomial describes exactly."""
+"""Wide lenses: as opticians design them, fisheyes, and lenses whose own polynomial turns back in the corners."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""PointCloud2: our layouts there and back, what other publishers send, and what is refused."""
+"""Clouds, joint states and predictions: our layouts there and back, what others send, and what is refused."""
 
 from __future__ import annotations
 

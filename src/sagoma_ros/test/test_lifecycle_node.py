@@ -1,4 +1,4 @@
-"""What a node reports on /diagnostics."""
+"""What a node reports on /diagnostics, and its lifecycle: failing transitions say why and release what they took."""
 
 from __future__ import annotations
 

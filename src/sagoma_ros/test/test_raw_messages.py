@@ -1,4 +1,4 @@
-"""Messages read from their bytes: the same as rclpy reads, and whatever bytes come."""
+"""Messages read from their bytes, stamps without loss, the rule of thinning, and what delivery rests on."""
 
 from __future__ import annotations
 

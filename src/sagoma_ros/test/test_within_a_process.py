@@ -1,4 +1,5 @@
-"""The worker thread: order, dropping, errors and both ways of closing. Events, not sleeps, order the threads."""
+"""Within a process: the worker thread's order, dropping and closing, and packets in memory, which are messages outside
+it. Events, not sleeps, order the threads."""
 
 from __future__ import annotations
 

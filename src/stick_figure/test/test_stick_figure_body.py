@@ -1,4 +1,4 @@
-"""Body sizes: anthropometry, measuring, YAML and its errors."""
+"""Body sizes: anthropometry, measuring, YAML and its errors; joint centres that follow the pose."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A simulated camera's control channel, spoken to in bare GVCP."""
+"""A simulated camera's control channel, spoken to in bare GVCP; its registers and their GenICam description."""
 
 import struct
 import xml.etree.ElementTree as ElementTree

@@ -1,4 +1,4 @@
-"""What simulated cameras see: the pattern, a session's footage, the rendered room."""
+"""What simulated cameras see: the pattern, a session's footage, the rendered room, a set-up served live."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""The hard cases: possible movements, on the floor, of a body that does not pass through itself."""
+"""The hard cases: possible movements, on the floor, of a body that passes through neither itself nor the things there."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""The built-in person's motion and the studio's rigs."""
+"""The built-in person's motion, the studio's rigs, and scenes of several persons."""
 
 from functools import cache
 

@@ -1,4 +1,5 @@
-"""Session folders: what is in them, repeatability, and what happens when they cannot be written."""
+"""Session folders and footage for a calibration: what is in them, repeatability, and what happens when they cannot be
+written."""
 
 import cv2
 import numpy as np
