@@ -1,4 +1,4 @@
-"""The solver's projection against OpenCV's, its derivatives against differences; one picture's poses and hidden turns."""
+"""The solver's projection against OpenCV's, its derivatives against differences; one picture's poses."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The hard cases: possible movements, on the floor, of a body that passes through neither itself nor the things there."""
+"""The hard cases: possible movements of a body that passes through neither itself nor the floor, and things there."""
 
 from functools import cache
 
