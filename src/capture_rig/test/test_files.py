@@ -97,7 +97,6 @@ def test_a_pipe_that_nobody_writes_into_is_refused_at_once(tmp_path) -> None:
 
 # --- YAML within limits -----------------------------------------------------------------------------------------------
 
-
 REMEDY = "Mend it."
 ALIASES = "a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "\n".join(
     f"{name}: &{name} [{', '.join(['*' + before] * 9)}]" for before, name in zip("abcdefgh", "bcdefghi", strict=True)

@@ -74,7 +74,6 @@ def test_whole_picture_is_kept_where_the_volume_is_not_in_view():
 
 # --- where a rig can show a body --------------------------------------------------------------------------------------
 
-
 RING = ring(3, ceiling=False)
 VISIBILITY = RigVisibility(with_camera(RING, 2, tilted(RING.cameras[2], 0.24)))
 FEET, CHEST = np.array([[0.0, 0.0, 0.02]]), np.array([[0.0, 0.0, 1.2]])

@@ -164,7 +164,6 @@ def test_stamps_of_cameras_that_are_not_in_step_are_those_of_the_file(folder: Pa
 
 # --- reference data ---------------------------------------------------------------------------------------------------
 
-
 ANGLES = [f"angle{k}_rad" for k in range(ANGLE_COUNT)]
 
 
@@ -182,6 +181,20 @@ def numbers(columns: list[str], frame: int = 0) -> list[object]:
     return [frame, *(np.random.default_rng(frame).normal(size=len(columns)).round(5).tolist())]
 
 
+@pytest.fixture
+def table(tmp_path: Path) -> Callable[..., tuple[list[str], list[object], Truth]]:
+    """table(kind, cells): columns, the row and what is read of a table of one row with some cells replaced."""
+
+    def make(kind, *more: str, **cells: str) -> tuple[list[str], list[object], Truth]:
+        columns = [*columns_of(kind), *more]
+        row = numbers(columns)
+        for name, text in cells.items():
+            row[1 + columns.index(name)] = text
+        return columns, row, load_truth(write(tmp_path / "truth.csv", columns, [row]))
+
+    return make
+
+
 def test_rendered_truth_gives_frames_and_points_in_order(tmp_path: Path) -> None:
     columns = columns_of(RENDERED)
     rows = [numbers(columns, frame) for frame in (0, 1, 5)]
@@ -197,35 +210,25 @@ def test_rendered_truth_gives_frames_and_points_in_order(tmp_path: Path) -> None
     assert truth.angles is None
 
 
-def test_empty_cells_are_unknown_points(tmp_path: Path) -> None:
-    columns = columns_of(RENDERED)
-    row = numbers(columns)
-    row[1 + columns.index("l_knee_y")] = ""
-    points = load_truth(write(tmp_path / "truth.csv", columns, [row])).points_world[0]
-    assert np.isnan(points[9, 1])
-    assert np.isfinite(np.delete(points, 9, axis=0)).all()
+def test_empty_cells_are_unknown_points(table) -> None:
+    points = table(RENDERED, l_knee_y="")[2].points_world[0]
+    assert np.isnan(points[9, 1]) and np.isfinite(np.delete(points, 9, axis=0)).all()
 
 
-def test_eighteen_angle_columns_are_read_as_angles(tmp_path: Path) -> None:
-    columns = [*columns_of(RENDERED), *ANGLES, "torso_rx_rad"]
-    row = numbers(columns)
-    truth = load_truth(write(tmp_path / "truth.csv", columns, [row]))
-    assert truth.angles is not None
-    assert truth.angles.tolist() == [row[-1 - ANGLE_COUNT : -1]]
+def test_eighteen_angle_columns_are_read_as_angles(table) -> None:
+    _, row, truth = table(RENDERED, *ANGLES, "torso_rx_rad")
+    assert truth.angles is not None and truth.angles.tolist() == [row[-1 - ANGLE_COUNT : -1]]
 
 
-def test_pose_network_reference_ends_at_the_wrist(tmp_path: Path) -> None:
-    columns = columns_of(POSE_NETWORK)
-    row = numbers(columns)
-    truth = load_truth(write(tmp_path / "reference.csv", columns, [row]))
+def test_pose_network_reference_ends_at_the_wrist(table) -> None:
+    columns, row, truth = table(POSE_NETWORK)
     wrist = 1 + columns.index("LWrist_x")
     assert truth.points_world[0, 11].tolist() == row[wrist : wrist + 3]
     assert truth.wrist_fraction == WRIST_FRACTION
 
 
-def test_stick_figure_of_a_wrist_reference_ends_at_the_finger_tips(tmp_path: Path) -> None:
-    columns = columns_of(POSE_NETWORK)
-    truth = load_truth(write(tmp_path / "reference.csv", columns, [numbers(columns)]))
+def test_stick_figure_of_a_wrist_reference_ends_at_the_finger_tips(table) -> None:
+    _, _, truth = table(POSE_NETWORK)
     reference, stick_figure = truth.points_world[0], truth.stick_figure_points()[0]
     for elbow, hand in ((7, 11), (8, 12)):
         wrist_m, tip_m = (np.linalg.norm(points[hand] - points[elbow]) for points in (reference, stick_figure))

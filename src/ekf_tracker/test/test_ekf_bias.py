@@ -131,7 +131,6 @@ def test_slots_that_no_point_bears_on_are_not_widened(body, person):
 
 # --- the trunk's bend -------------------------------------------------------------------------------------------------
 
-
 BODY = Body.from_stature(1.75)
 POSE = Pose.from_angles([1.0, 2.0, 1.0], rotation_matrix(np.array([0.3, -0.2, 1.0])), T_POSE_ANGLES)
 BEND = np.zeros(BEND_NUMBERS)

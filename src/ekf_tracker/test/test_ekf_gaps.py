@@ -141,7 +141,6 @@ def test_a_torso_that_was_found_elsewhere_starts_the_track_anew(body, person):
 
 # --- joint limits -----------------------------------------------------------------------------------------------------
 
-
 MARGIN = 0.15
 NO_LIMITS = replace(IDEAL, limit_sd_rad=0.0)
 TIGHT = replace(IDEAL, limit_sd_rad=0.05)

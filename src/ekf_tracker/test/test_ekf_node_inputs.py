@@ -92,35 +92,13 @@ def test_bad_parameter_fails_the_configuration_with_a_clear_error(bench, paramet
 
 # --- several persons --------------------------------------------------------------------------------------------------
 
-
 BESIDE = np.array([2.0, 0.0, 0.0])
 SECOND = "mocap/bodies/b0002/"
 
 
-class Couple:
-    """The bench with two persons: one message a set holds both."""
-
-    def __init__(self, bench, person):
-        self.bench, self.person = bench, person
-
-    def fit(self, k, others=(2,), visible=ALL):
-        """Send set k with the first person and these others, 2 m beside; what was published until its answer and all
-        states have come."""
-        beside = self.person.points(k / 60) + BESIDE
-        people = {1: ReferencePoints(self.person.points(k / 60), isotropic(0.01), ALL)}
-        people |= {number: ReferencePoints(beside, isotropic(0.01), visible) for number in others}
-        begin = len(self.bench.arrived)
-        self.bench.send_people(stamp(k), people)
-        states = {"mocap/state", *(f"mocap/bodies/b000{number}/state" for number in others if number == 2)}
-        self.bench.until(
-            lambda: self.bench.answers(stamp(k), begin) and states <= {t for t, _ in self.bench.arrived[begin:]}
-        )
-        return self.bench.arrived[begin:]
-
-
 @pytest.fixture
 def couple(bench, person):
-    """couple(parameter=value, ...): a started bench with two persons; the topics of the second are listened to."""
+    """couple(parameter=value, ...): a started bench that listens to the topics of two persons, and what sends a set."""
 
     def start(**parameters):
         b = bench(skeleton_rate_hz=0.0, **parameters)
@@ -129,17 +107,27 @@ def couple(bench, person):
                 b.listen(kind, topic.replace("mocap/", SECOND))
         b.listen(MarkerArray, "mocap/skeletons")
         b.start()
-        return Couple(b, person)
+
+        def fit(k, others=(2,)):
+            """Send set k of the first person and others, 2 m beside; what was published until all was answered."""
+            people = {1: ReferencePoints(person.points(k / 60), isotropic(0.01), ALL)}
+            people |= {n: ReferencePoints(person.points(k / 60) + BESIDE, isotropic(0.01), ALL) for n in others}
+            begin, states = len(b.arrived), {"mocap/state", *(f"{SECOND}state" for n in others if n == 2)}
+            b.send_people(stamp(k), people)
+            b.until(lambda: b.answers(stamp(k), begin) and states <= {t for t, _ in b.arrived[begin:]})
+            return b.arrived[begin:]
+
+        return b, fit
 
     return start
 
 
 def test_two_persons_have_topics_each_and_one_answer_a_set(couple, body, person):
     """A publisher that comes with a person finds listeners that were there before: nothing is lost."""
-    pair, published = couple(), {}
+    (b, fit), published = couple(), {}
     references = {"mocap/": ArticulatedEkf(body), SECOND: ArticulatedEkf(body)}
     for k in range(3):
-        for topic, message in pair.fit(k):
+        for topic, message in fit(k):
             published.setdefault(topic, []).append(message)
         for prefix, reference in references.items():
             points = person.points(k / 60) + (BESIDE if prefix == SECOND else 0.0)
@@ -152,26 +140,26 @@ def test_two_persons_have_topics_each_and_one_answer_a_set(couple, body, person)
     predictions = read_predictions(published["ekf/prediction"][-1], "test").of
     apart = predictions[2].pose.position_world - predictions[1].pose.position_world
     np.testing.assert_allclose(apart, BESIDE, atol=0.01)
-    pair.bench.until_said("2 persons: 1 tracking, 2 tracking")
+    b.until_said("2 persons: 1 tracking, 2 tracking")
 
 
 def test_markers_of_each_person_have_a_namespace_and_a_colour_of_their_own(couple):
-    pair = couple()
-    pair.fit(0)
-    shown = [m for t, m in pair.bench.arrived if t == "mocap/skeletons"]
+    b, fit = couple()
+    fit(0)
+    shown = [m for t, m in b.arrived if t == "mocap/skeletons"]
     sticks = {one.ns: (one.color.r, one.color.g, one.color.b) for m in shown for one in m.markers if "sticks" in one.ns}
     assert set(sticks) == {"b0001/sticks", "b0002/sticks"} and len(set(sticks.values())) == 2
-    assert [m.ns for m in pair.bench.latest("mocap/skeleton").markers] == ["sticks", "joints"]
+    assert [m.ns for m in b.latest("mocap/skeleton").markers] == ["sticks", "joints"]
     assert all(one.lifetime.sec == 1 for m in shown for one in m.markers)
 
 
 def test_person_who_leaves_is_lost_then_gone_with_the_markers_and_the_topics_in_the_end(couple):
-    pair = couple()
-    pair.fit(0)
-    begin = len(pair.bench.arrived)
-    pair.fit(1, others=())
-    pair.bench.until(lambda: {t for t, _ in pair.bench.arrived[begin:]} >= {f"{SECOND}state", f"{SECOND}skeleton"})
-    got = pair.bench.arrived[begin:]
+    b, fit = couple()
+    fit(0)
+    begin = len(b.arrived)
+    fit(1, others=())
+    b.until(lambda: {t for t, _ in b.arrived[begin:]} >= {f"{SECOND}state", f"{SECOND}skeleton"})
+    got = b.arrived[begin:]
     said = {t.removeprefix(SECOND): m for t, m in got if t.startswith(SECOND)}
     assert set(said) == {"state", "skeleton"}
     assert said["state"].message == "lost" and said["state"].values[0].value == "has left"
@@ -180,11 +168,11 @@ def test_person_who_leaves_is_lost_then_gone_with_the_markers_and_the_topics_in_
         ("b0002/joints", Marker.DELETE),
     }
     state = "/mocap/bodies/b0002/state"
-    pair.fit(300, others=())
-    assert pair.bench.node.count_publishers(state) == 1  # comes back within ten seconds, maybe
-    pair.fit(700, others=())
-    pair.bench.until(lambda: pair.bench.node.count_publishers(state) == 0)
-    got = pair.fit(701)  # the same number
+    fit(300, others=())
+    assert b.node.count_publishers(state) == 1  # comes back within ten seconds, maybe
+    fit(700, others=())
+    b.until(lambda: b.node.count_publishers(state) == 0)
+    got = fit(701)  # the same number
     assert [m.message for t, m in got if t == "mocap/bodies/b0002/state"] == ["tracking"]
 
 
@@ -192,34 +180,34 @@ def test_everybody_tracked_is_listed_with_hri_msgs_and_nobody_once_sets_stop(cou
     """A stand-in of hri_msgs/IdsList, which is not in the wheels: a message with a header and a list of names."""
     monkeypatch.setattr("ekf_tracker.humans_ros.IdsList", JointState)
     monkeypatch.setattr("ekf_tracker.humans_ros._ids_message", lambda ids, stamp_ns: JointState(name=ids))
-    pair = couple(publish_humans=True, stale_after_s=0.1)
-    pair.bench.listen(JointState, "/humans/bodies/tracked")
-    pair.bench.listen(JointState, "/humans/bodies/b0002/joint_states")
-    pair.bench.until(lambda: pair.bench.node.count_subscribers("/humans/bodies/tracked") == 1)
-    pair.bench.until(lambda: pair.bench.node.count_subscribers("/humans/bodies/b0002/joint_states") == 1)
-    pair.bench.until(lambda: pair.bench.node._bodies[0]._tracked.is_wanted)
+    b, fit = couple(publish_humans=True, stale_after_s=0.1)
+    b.listen(JointState, "/humans/bodies/tracked")
+    b.listen(JointState, "/humans/bodies/b0002/joint_states")
+    b.until(lambda: b.node.count_subscribers("/humans/bodies/tracked") == 1)
+    b.until(lambda: b.node.count_subscribers("/humans/bodies/b0002/joint_states") == 1)
+    b.until(lambda: b.node._bodies[0]._tracked.is_wanted)
 
     def tracked():
-        return [list(m.name) for t, m in pair.bench.arrived if t == "/humans/bodies/tracked"]
+        return [list(m.name) for t, m in b.arrived if t == "/humans/bodies/tracked"]
 
-    pair.fit(0)
-    pair.fit(1)
-    pair.bench.until(lambda: ["b0001", "b0002"] in tracked())
-    pair.fit(2, others=())
-    pair.bench.until(lambda: ["b0001"] in tracked())
-    pair.bench.until(lambda: tracked()[-1] == [])
-    assert pair.bench.latest("/humans/bodies/b0002/joint_states").name[0] == "waist_b0002"
+    fit(0)
+    fit(1)
+    b.until(lambda: ["b0001", "b0002"] in tracked())
+    fit(2, others=())
+    b.until(lambda: ["b0001"] in tracked())
+    b.until(lambda: tracked()[-1] == [])
+    assert b.latest("/humans/bodies/b0002/joint_states").name[0] == "waist_b0002"
 
 
 def test_silence_is_reported_and_the_markers_go(couple):
-    pair = couple(stale_after_s=0.1)
-    pair.fit(0)
-    begin = len(pair.bench.arrived)
-    pair.bench.until(lambda: [t for t, _ in pair.bench.arrived[begin:]].count("mocap/bodies/b0002/state"))
-    said = dict(pair.bench.arrived[begin:])
+    b, fit = couple(stale_after_s=0.1)
+    fit(0)
+    begin = len(b.arrived)
+    b.until(lambda: [t for t, _ in b.arrived[begin:]].count("mocap/bodies/b0002/state"))
+    said = dict(b.arrived[begin:])
     for prefix in ("mocap/", SECOND):
         assert said[f"{prefix}state"].message == "lost" and said[f"{prefix}state"].level == DiagnosticStatus.ERROR
         assert "no frame sets" in said[f"{prefix}state"].values[0].value
         assert {one.action for one in said[f"{prefix}skeleton"].markers} == {Marker.DELETE}
-    pair.bench.until_said("lost: no frame sets")
-    assert "tracking" in [m.message for t, m in pair.fit(1) if t == "mocap/state"]
+    b.until_said("lost: no frame sets")
+    assert "tracking" in [m.message for t, m in fit(1) if t == "mocap/state"]

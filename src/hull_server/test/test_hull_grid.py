@@ -59,7 +59,6 @@ def test_views_refuse_a_rig_with_one_camera_and_masks_that_do_not_fit():
 
 # --- the mesh ---------------------------------------------------------------------------------------------------------
 
-
 GRID = VoxelGrid(np.array([-0.5, 0.2, 0.1]), 0.02, (60, 50, 70))
 CENTRE_WORLD, RADIUS_M = np.array([0.1, 0.7, 0.8]), 0.3
 

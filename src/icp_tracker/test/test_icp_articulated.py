@@ -173,7 +173,6 @@ def test_limb_without_points_is_invisible_and_uncertain(body):
 
 # --- contour rays -----------------------------------------------------------------------------------------------------
 
-
 NO_CENTERLINE = np.empty((0, 3))
 RAYS_ALONE = ArticulatedSettings(volume=VolumeSettings(weight=0.0), max_iterations=30)
 

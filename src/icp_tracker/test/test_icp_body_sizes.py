@@ -57,7 +57,6 @@ def test_claimed_uncertainty_shrinks_where_the_hull_speaks_and_not_where_it_is_s
 
 # --- what the rig does not show ---------------------------------------------------------------------------------------
 
-
 BODY = Body.from_stature(1.75)
 POSE = Pose.from_angles(np.array([0.0, 0.0, 1.2]), np.eye(3), T_POSE_ANGLES)
 POINTS = forward(BODY, POSE)

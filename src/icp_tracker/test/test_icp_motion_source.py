@@ -163,7 +163,6 @@ def test_a_gap_of_sets_does_not_begin_the_watch_anew():
 
 # --- whom a rig does not show whole -----------------------------------------------------------------------------------
 
-
 MAN = Body.from_stature(1.75)
 T_POSE = both_sides()
 RING = ring(3, ceiling=False)

@@ -171,7 +171,6 @@ def test_found_board_and_dark_image_are_told_apart(plain_view):
 
 # --- outer corners that a user gives ----------------------------------------------------------------------------------
 
-
 FLOOR_BOARD = read_board("checkerboard 6x5 100mm")
 FLOOR_LENS = camera(D=(-0.25, 0.1, 0.001, -0.001, 0.0))
 OUTER = [0, 5, 29, 24]

@@ -87,7 +87,6 @@ def test_half_turn_is_visible_where_the_opposite_outer_fields_differ(columns, ro
 
 # --- on paper ---------------------------------------------------------------------------------------------------------
 
-
 CHECKERBOARD = read_board("checkerboard 9x6 25mm")
 CHARUCO = read_board("charuco 5x7 30mm 21mm DICT_5X5_100")
 

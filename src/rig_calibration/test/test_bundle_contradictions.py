@@ -192,13 +192,8 @@ def test_good_footage_has_no_findings():
 
 def test_board_carried_fast_before_cameras_that_are_not_synchronous_is_said():
     rng = np.random.default_rng(0)
-    detections = []
     poses = studio.carried(rng, 30)
-    for late, (name, camera) in enumerate(CAMERAS.items()):
-        moved = {frame_index: T.copy() for frame_index, T in poses.items()}
-        for frame_index, T in moved.items():
-            T[:3, 3] += 0.008 * late * np.array([np.sin(frame_index), np.cos(frame_index), 0])
-        detections += studio.detections_of({name: camera}, moved, "moving", rng)
+    detections = studio.carried_late(CAMERAS, poses, lambda k: 0.008 * np.array([np.sin(k), np.cos(k), 0]), rng)
     found = list(footage_findings(solve_rig(CAMERAS, detections, {"moving": studio.TARGETS["moving"]})))
     assert [finding.grade for finding in found] == [USABLE]
     assert "mm apart" in found[0].what and "synchronise" in found[0].remedy

@@ -27,14 +27,10 @@ def with_wrong_lenses(rng: np.random.Generator) -> dict[str, CameraModel]:
 def not_synchronous(rng: np.random.Generator, delay_s: float = 0.005, speed_m_s: float = 0.5) -> list[TargetDetection]:
     """A board carried at that speed in all directions; each camera exposes a little later than the one before."""
     poses = studio.carried(rng, 40)
-    velocity = {frame_index: rng.normal(size=3) for frame_index in poses}
+    ways = rng.normal(size=(len(poses), 3))
+    step_m = speed_m_s * delay_s / 2 * ways / np.linalg.norm(ways, axis=1, keepdims=True)
     found = studio.detections_of(CAMERAS, {0: studio.T_WORLD_FLOOR}, "floor", rng, max_tilt_deg=85)
-    for late, (name, camera) in enumerate(CAMERAS.items()):
-        moved = {frame_index: T.copy() for frame_index, T in poses.items()}
-        for frame_index, T in moved.items():
-            T[:3, 3] += velocity[frame_index] / np.linalg.norm(velocity[frame_index]) * speed_m_s * delay_s * late / 2
-        found += studio.detections_of({name: camera}, moved, "moving", rng)
-    return found
+    return found + studio.carried_late(CAMERAS, poses, step_m.__getitem__, rng)
 
 
 def in_sds(runs: int, wrong_lenses: bool = False, delayed: bool = False, **options: object) -> np.ndarray:

@@ -14,15 +14,6 @@ UNEVEN, EVEN, TWO = (0.0, 0.25, 0.4), (0.0, 0.2, 0.4), (0.0, 0.4)
 CAMERA = studio.camera_at("cam01", (3, 0, 1.5))
 
 
-def waved(rng: np.random.Generator, frames: int) -> dict[int, np.ndarray]:
-    poses = {}
-    for frame_index in range(frames):
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = studio.rotation(2 * rng.normal(size=3)), rng.uniform([-1, -1, 0.3], [1, 1, 1.9])
-        poses[frame_index] = T
-    return poses
-
-
 def picture(pixels: np.ndarray, rng: np.random.Generator, radius_px: float = 3.0, room: float = 12.0) -> np.ndarray:
     """Discs with soft edges in a dark, slightly noisy image."""
     image = np.full((studio.SIZE[1], studio.SIZE[0]), room)
@@ -36,7 +27,7 @@ def picture(pixels: np.ndarray, rng: np.random.Generator, radius_px: float = 3.0
 def wand_detections(marks: tuple[float, ...], frames: int, seed: int) -> list[TargetDetection]:
     """Markers with 0.1 px of noise; of a wand that looks the same from both ends, numbered at random."""
     rng, found = np.random.default_rng(seed), []
-    for frame_index, T in waved(rng, frames).items():
+    for frame_index, T in studio.waved(rng, frames).items():
         for name, camera in studio.ring(4).items():
             pixels = studio.project(camera, T, wand_points(marks))
             if np.all((pixels > 2) & (pixels < np.array(studio.SIZE) - 3)):
@@ -100,7 +91,7 @@ def test_wand_is_found_before_a_lit_room_with_its_background():
 
 def test_uneven_wand_is_numbered_right_among_stray_lights():
     rng, right, found = np.random.default_rng(2), 0, 0
-    for T in waved(rng, 30).values():
+    for T in studio.waved(rng, 30).values():
         pixels = studio.project(CAMERA, T, wand_points(UNEVEN))
         length = np.linalg.norm(pixels[-1] - pixels[0])
         if not np.all((pixels > 10) & (pixels < np.array(studio.SIZE) - 10)) or length < 40:

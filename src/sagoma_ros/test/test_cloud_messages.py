@@ -169,7 +169,6 @@ def test_cloud_of_a_former_version_is_of_one_body_and_nothing_in_it_is_doubtful(
 
 # --- joint states and predictions -------------------------------------------------------------------------------------
 
-
 PREDICTION_TOPIC = "ekf/prediction"
 
 

@@ -88,7 +88,6 @@ def test_message_is_stamped_again_and_again() -> None:
 
 # --- stamps, thinning and quality of service --------------------------------------------------------------------------
 
-
 RULE = FrameDecimation(
     1_790_000_000_123_456_789, 1_790_000_000_200_000_000, 1_789_999_999_000_000_001, 16_666_666.667, 9, 20
 )

@@ -154,7 +154,6 @@ def test_patient_put_does_not_outlast_the_worker() -> None:
 
 # --- packets ----------------------------------------------------------------------------------------------------------
 
-
 STAMP_NS = 1_700_000_000_123_456_789
 HULL = HullProducts.of_points(STAMP_NS, np.array([[0.1, 0.2, 0.3]]), 0.01)
 

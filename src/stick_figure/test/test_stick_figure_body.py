@@ -117,7 +117,6 @@ def test_thickness_of_an_older_body_file_is_left_aside(tmp_path):
 
 # --- joint centres ----------------------------------------------------------------------------------------------------
 
-
 BODY = Body.from_stature(1.75)
 SIDES, ENDS = ("left", "right"), ("elbow", "hand", "knee", "foot")
 FIXED = [POINT_NAMES.index(f"{side}_{joint}") for side in SIDES for joint in ENDS]

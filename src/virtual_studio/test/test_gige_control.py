@@ -178,7 +178,6 @@ def test_free_addresses_are_free_and_all_different():
 
 # --- registers and their description ----------------------------------------------------------------------------------
 
-
 NAMESPACE = "{http://www.genicam.org/GenApi/Version_1_1}"
 
 

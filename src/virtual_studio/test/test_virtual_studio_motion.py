@@ -131,7 +131,6 @@ def test_every_camera_sees_the_whole_person_all_the_time():
 
 # --- several persons --------------------------------------------------------------------------------------------------
 
-
 PAIR = people_of_sizes(2)
 RIGHT_HAND = 12
 

@@ -162,7 +162,6 @@ def test_command_line_writes_a_session_and_says_what_or_what_is_wrong_in_one_lin
 
 # --- footage for a calibration ----------------------------------------------------------------------------------------
 
-
 SIX = ring(5, ceiling=True)
 HAND, FLOOR = print_of(HAND_BOARD), print_of(FLOOR_BOARD)
 SMALL = FootagePlan(fps=1.0, moving_s=2.0, brief=True)
