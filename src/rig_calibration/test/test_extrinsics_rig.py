@@ -5,6 +5,7 @@ from dataclasses import replace
 import extrinsics_room as made
 import numpy as np
 import pytest
+from bundle_studio import camera_at
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -80,7 +81,7 @@ def test_figures_are_those_of_the_true_rig(room: dict[str, CameraModel], whole: 
         place = camera.centre_world
         assert figures.height_m == pytest.approx(place[2], abs=0.005)
         assert figures.distance_m == pytest.approx(distance, abs=0.01)
-        assert figures.mm_per_px == pytest.approx(1e3 * distance / 471.0, rel=0.01)
+        assert figures.mm_per_px == pytest.approx(1e3 * distance / 600.3, rel=0.01)
         assert figures.floor_angle_deg == pytest.approx(
             np.rad2deg(np.arccos(place[2] / np.linalg.norm(place))), abs=0.3
         )
@@ -150,7 +151,7 @@ def test_floor_view_that_contradicts_the_rest_is_named_redo(room: dict[str, Came
 
 def test_grazing_view_of_the_floor_board_is_named_with_its_angle() -> None:
     cameras = made.circle(3)
-    cameras["cam04"] = made.camera_at("cam04", np.array([-2.0, 1.0, 0.45]), np.array([0.0, 0.0, 0.4]))
+    cameras["cam04"] = camera_at("cam04", np.array([-2.0, 1.0, 0.45]), np.array([0.0, 0.0, 0.4]))
     calibrated = calibrate_rig(cameras, floor_detections(cameras), FLOOR_ONLY)
     assert "cam04 sees the board at 79 degrees from its normal -> Raise the camera" in findings(calibrated)
 
@@ -158,8 +159,8 @@ def test_grazing_view_of_the_floor_board_is_named_with_its_angle() -> None:
 def test_cameras_that_look_at_each_other_are_named() -> None:
     cameras = made.circle(3)
     opposite = -cameras["cam01"].centre_world * [1, 1, -1]
-    cameras["cam04"] = made.camera_at("cam04", opposite, np.array([0.0, 0.0, opposite[2]]))
-    cameras["cam01"] = made.camera_at("cam01", cameras["cam01"].centre_world, np.array([0.0, 0.0, opposite[2]]))
+    cameras["cam04"] = camera_at("cam04", opposite, np.array([0.0, 0.0, opposite[2]]))
+    cameras["cam01"] = camera_at("cam01", cameras["cam01"].centre_world, np.array([0.0, 0.0, opposite[2]]))
     calibrated = both_boards(cameras)
     facing = calibrated.figures.facing_deg["cam01", "cam04"]
     assert facing > 165.0

@@ -6,6 +6,7 @@ from dataclasses import replace
 import extrinsics_room as made
 import numpy as np
 import pytest
+from bundle_studio import camera_at
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -23,7 +24,7 @@ def at_angle(angle_deg: float, distance_m: float = 3.0) -> CameraModel:
     """A camera that sees the board's middle at an angle from the board's normal, which is the world's z."""
     angle = np.deg2rad(angle_deg)
     away = np.array([0.3 * np.sin(angle), -0.954 * np.sin(angle), np.cos(angle)])
-    return made.camera_at("cam01", MIDDLE_BOARD + distance_m * away, MIDDLE_BOARD)
+    return camera_at("cam01", MIDDLE_BOARD + distance_m * away, MIDDLE_BOARD)
 
 
 def seen(
@@ -47,7 +48,7 @@ def test_camera_is_placed_at_any_angle(angle_deg: float) -> None:
 
 def test_second_solution_is_kept_when_the_board_is_small_and_far() -> None:
     small = Checkerboard(4, 3, (0.05, 0.05))
-    camera = made.camera_at("cam01", np.array([0.0, -2.0, 5.0]), MIDDLE_BOARD)
+    camera = camera_at("cam01", np.array([0.0, -2.0, 5.0]), MIDDLE_BOARD)
     view = floor_view(seen(camera, 1, board=small), small.corners_board, camera)
     assert view.other is not None
     normals = view.T_camera_board[:3, 2], view.other[:3, 2]
@@ -156,7 +157,7 @@ def test_common_volume_of_cameras_looking_down_is_the_pyramids_cut() -> None:
 
 def test_common_volume_says_when_nobody_can_stand_in_it() -> None:
     low = [
-        made.camera_at(f"cam{i}", np.array([np.cos(a), np.sin(a), 0.2]), np.array([0.0, 0.0, 0.2]))
+        camera_at(f"cam{i}", np.array([np.cos(a), np.sin(a), 0.2]), np.array([0.0, 0.0, 0.2]))
         for i, a in enumerate((0, 2, 4))
     ]
     common = common_volume(low)
