@@ -28,8 +28,7 @@ TOLERANCE_S = 0.001  # the player gives all silhouettes of an instant one stamp,
 PROCESSES: Mapping[str, tuple[str, ...]] = {
     "one": ("mocap_pipeline.server_node",),
     "three": ("hull_server.hull_node", "icp_tracker.icp_node", "ekf_tracker.ekf_node"),
-}
-"""Modules to run, one a process."""
+}  # modules to run, one a process
 
 
 @dataclass(frozen=True)

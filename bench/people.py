@@ -1,6 +1,6 @@
 """One table over everybody there is to track: test data, the studio's people, hard cases, rendered mesh people.
 
-    python bench/people.py [NAME ...] [--products FOLDER] [--pictures FOLDER] [--set NODE.PARAMETER=VALUE ...]
+    python bench/people.py [NAME ...] [--products FOLDER] [--set NODE.PARAMETER=VALUE ...]
     python bench/people.py --ablation | --fast | --smoothed [NAME ...]        # other tables of the same sets
 
 Tracks every set (those with a NAME in theirs) with automatic start and default settings: each session of the test data
@@ -16,14 +16,11 @@ of errors inside the track's own 95 % ellipsoids, all and of the worst point; pr
 (with the start, and compiled code that is loaded in the first sets); identity switches and tracks of nobody where there
 are several persons (all persons' together; below, each person's mean error and ms a set by the number of persons). A
 second table holds the covariances point by point over all sets. The last line is JSON.
---pictures draws the worst frame of every set with a point over 200 mm from the first person's side: silhouettes, which
-must lie in FOLDER/../clips as `models/mesh_people.py` writes them, truth in white, track in colour.
 What is called doubtful: `bench/doubt.py`.
 """
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -31,9 +28,8 @@ from typing import Any
 
 from report import Table, add_settings, execute, finish, parser
 
-import cv2
 import numpy as np
-from clips import Clip, Recorded
+from clips import Recorded
 from people_sets import KEPT, Followed, followed, recorded
 from people_studies import ablation, fast_motion, smoothed
 from scenes import inside_volume
@@ -43,12 +39,10 @@ from sagoma_tools.arguments import parse_settings
 from sagoma_tools.evaluation.scores import covariance_coverage
 from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import score_people
-from sagoma_tools.overlays import Window, montage, overlay
 from stick_figure import metrics
 from stick_figure.skeleton import POINT_NAMES
 
 BAD_MM = 1e3 * metrics.LARGE_ERROR_M
-CLOSE_UP_PX = 240
 COLUMNS = 10  # of the table; a row of figures holds more
 
 
@@ -131,30 +125,6 @@ def coverage_of_people(found: list[Figures]) -> None:
     shown.row("all points", np.nanmean(inside), np.nanmin(inside), None, np.nanmean(nees))
 
 
-def draw(what: Recorded, clip: Clip, track: Track, path: Path) -> None:
-    """Draws the worst frame of the first person's track, close up, in every camera."""
-    aligned = track.at(np.arange(len(what.truths[0])))
-    distances = np.linalg.norm(aligned.points_world - what.truths[0], axis=2).max(axis=1)
-    frame = int(np.nanargmax(distances))
-    if 1e3 * distances[frame] <= BAD_MM:
-        return
-    estimate, truth = aligned.points_world[frame], what.truths[0][frame]
-    pictures = []
-    for camera in (model.undistorted_view().camera for model in what.rig.cameras):
-        window = Window.around(camera, np.concatenate([estimate, truth]), CLOSE_UP_PX)
-        image = np.where(clip.mask(frame, camera.name) > 0, np.uint8(140), np.uint8(40))
-        pictures.append(overlay(camera, image, estimate, truth, window))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), montage(pictures, columns=len(pictures)))
-    print(f"{path}: frame {frame}, {POINT_NAMES[int(np.argmax(np.linalg.norm(estimate - truth, axis=1)))]}")
-
-
-def _number_of_first(what: Recorded, tracks: dict[int, Track]) -> int:
-    """The number under which the first person is followed."""
-    truths = [Truth(np.arange(len(t)), t, None, 1.0, Path(what.name)) for t in what.truths]
-    return next(iter(score_people(tracks, truths, what.fps).persons[0].numbers), min(tracks))
-
-
 def _without_offsets(track: Track, truth: np.ndarray) -> np.ndarray:
     rows = np.isfinite(track.points_world).all(axis=(1, 2))
     centred = metrics.without_offsets(track.points_world[rows], truth[rows])
@@ -171,7 +141,6 @@ def main() -> None:
     given = parser(__doc__)
     given.add_argument("names", nargs="*", help="parts of names of sets; default: all")
     given.add_argument("--products", type=Path, default=KEPT, help="where hulls are kept, and mesh people lie")
-    given.add_argument("--pictures", type=Path, help="folder for the worst frames")
     given.add_argument("--ablation", action="store_true", help="what each part of the tracker is worth, set by set")
     given.add_argument("--fast", action="store_true", help="error and lag of hands and feet, by their speed")
     given.add_argument("--smoothed", action="store_true", help="filter and smoother beside each other")
@@ -186,25 +155,18 @@ def main() -> None:
     elif arguments.smoothed:
         finish(smoothed(chosen, settings))
     else:
-        finish(whole_table(chosen, settings, arguments.products.parent / "clips", arguments.pictures))
+        finish(whole_table(chosen, settings))
 
 
-def whole_table(
-    chosen: Iterable[Recorded], settings: dict[str, Any], clips: Path, pictures: Path | None
-) -> dict[str, dict[str, Any]]:
-    """Track and judge the sets; draw their worst frames into the folder ``pictures`` if there is one."""
+def whole_table(chosen: Iterable[Recorded], settings: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Track and judge the sets."""
     shown = Table(
         "set:<40 | frames:>7d | mean:>6.1f | -offset:>8.1f | > 200:>7.1% | tracked:>8.0%"
         " | inside:>7.1% | worst:>6.0% | ms:>5.2f | switches:>9d | ghosts:>7d"
     )
     table, every = dict[str, dict[str, Any]](), list[Figures]()
     for what in chosen:
-        found = followed(what, settings)
-        figures = judged(what, found)
-        silhouettes = clips / f"{what.name}.pkl"
-        if pictures and found.tracks and silhouettes.is_file():
-            track = found.tracks[_number_of_first(what, found.tracks)]
-            draw(what, pickle.loads(silhouettes.read_bytes()), track, pictures / f"{what.name}.png")
+        figures = judged(what, followed(what, settings))
         every.append(figures)
         table[what.name] = asdict(figures)
         shown.row(what.name, *list(table[what.name].values())[:COLUMNS])

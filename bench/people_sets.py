@@ -30,8 +30,7 @@ TOGETHER = {
     "crowd": (4, (8,)),
 }
 """Scene of several people: how many, and with how many cameras it is seen."""
-SETTLED = 20
-"""Sets with as many persons that are not timed: compiled code is loaded."""
+SETTLED = 20  # sets with as many persons that are not timed: compiled code is loaded
 
 
 def sets() -> Iterator[tuple[str, Callable[[], Clip]]]:

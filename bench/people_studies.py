@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -18,32 +20,31 @@ from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.state import BodyState, NoState
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import TrackingStage
-from sagoma_tools.evaluation.in_process import OURS, SOLVE, ablation_rows
+from sagoma_tools.evaluation.in_process import OURS, ablation_rows
 from sagoma_tools.evaluation.scores import Scores, covariance_coverage, score
 from sagoma_tools.evaluation.track import Track
 from stick_figure.skeleton import POINT_NAMES
 
 CHANGES: dict[str, dict[str, object]] = {
-    "ours without the hull's surface": {SOLVE + "volume.weight": 0.0},
-    "ours without contour rays": {SOLVE + "contour.weight": 0.0},
-    "ours without the search for better poses": {"icp_tracker.recovery.search": False},
-    "ours without refined sizes": {"icp_tracker.refinement.keyframes": 0},
-    "ours, build of the average": {"icp_tracker.refinement.build_sd": 1e-6},
-    "ours, a rigid trunk": {SOLVE + "contour.bend": 0.0, "ekf_tracker.filter.bend": 0.0},
-    "ours, hands and feet stiff": {SOLVE + "contour.turn_sd": 0.0},
-    "ours, joint centres of the figure": {SOLVE + "contour.joint_centres": False},
-    "ours, loose prior": {SOLVE + "prior": 4.0},
-    "ours, identity model": {"ekf_tracker.motion_model": "identity"},
-    "ours, every error new in every set": {"ekf_tracker.filter.measurement_bias.share": 0.0},
-    "ours, joints known for certain": {"ekf_tracker.filter.measurement_bias.joints": 0.0},
+    "ours without the hull's surface": {"icp.articulated.volume.weight": 0.0},
+    "ours without contour rays": {"icp.articulated.contour.weight": 0.0},
+    "ours without the search for better poses": {"icp.recovery.search": False},
+    "ours without refined sizes": {"icp.refinement.keyframes": 0},
+    "ours, build of the average": {"icp.refinement.build_sd": 1e-6},
+    "ours, a rigid trunk": {"icp.articulated.contour.bend": 0.0, "ekf.bend": 0.0},
+    "ours, hands and feet stiff": {"icp.articulated.contour.turn_sd": 0.0},
+    "ours, joint centres of the figure": {"icp.articulated.contour.joint_centres": False},
+    "ours, loose prior": {"icp.articulated.prior": 4.0},
+    "ours, identity model": {"ekf.motion_model": "identity"},
+    "ours, every error new in every set": {"ekf.measurement_bias.share": 0.0},
+    "ours, joints known for certain": {"ekf.measurement_bias.joints": 0.0},
 }
+"""Row to fields of the configuration; not all of them are parameters."""
 KEYS = ("mean_mm", "over_200mm", "inside_95")
 TIPS = [POINT_NAMES.index(name) for name in ("left_hand", "right_hand", "left_foot", "right_foot")]
-BANDS = ((0.0, 1.0), (1.0, 3.0), (3.0, 5.0), (5.0, 8.0), (8.0, 30.0))
-"""Speeds, m/s."""
+BANDS = ((0.0, 1.0), (1.0, 3.0), (3.0, 5.0), (5.0, 8.0), (8.0, 30.0))  # speeds, m/s
 FAST_M_S = 5.0
-FEWEST = 10
-"""Of a band that is shown."""
+FEWEST = 10  # of a band that is shown
 JUMP_M = 0.1  # a larger third difference is a limb that was found again, and no jitter
 FIGURES = ("mean_mm", "jitter_mm", "inside_95", "worst_point_inside_95")
 
@@ -69,10 +70,15 @@ def ablation(sets: Iterable[Recorded]) -> dict[str, Any]:
 
 def rows_of(start: Mapping[str, Any]) -> dict[str, Configuration]:
     """Every row's configuration, ours first."""
-    settings = {**start, "hull_server.backend": "cpu"}
-    rows = ablation_rows(settings)
-    rows |= {name: Configuration.of(settings | change) for name, change in CHANGES.items()}
+    rows = ablation_rows({**start, "hull_server.backend": "cpu"})
+    rows |= {name: reduce(with_field, change.items(), rows[OURS]) for name, change in CHANGES.items()}
     return {OURS: rows[OURS]} | rows
+
+
+def with_field(whole: Any, change: tuple[str, object]) -> Any:
+    """A nested dataclass with one field changed, by its dotted name."""
+    name, _, rest = change[0].partition(".")
+    return replace(whole, **{name: with_field(getattr(whole, name), (rest, change[1])) if rest else change[1]})
 
 
 def scores_of(what: Recorded) -> dict[str, Scores | None]:

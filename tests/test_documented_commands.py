@@ -5,6 +5,7 @@ import re
 import shlex
 from collections.abc import Iterator
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 from sagoma_tools.cli import build_parser
@@ -15,16 +16,6 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *sorted((ROO
 GENERATED = {"commands.md"}  # from the parser itself
 BLOCK = re.compile(r"^```[a-z]*\n(.*?)^```|((?:^    \S.*\n)+)", re.M | re.S)
 SHORTENED = re.compile(r"\.\.\.|[|\[\]<>]")  # notation, not a command as it is typed
-
-
-def names_in(program: Path) -> set[str]:
-    """What a file defines, assigns or imports."""
-    nodes = [*ast.walk(ast.parse(program.read_text(encoding="utf-8")))]
-    names = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    names |= {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
-    return names | {
-        alias.asname or alias.name for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names
-    }
 
 
 def commands_of(page: Path) -> Iterator[tuple[str, bool]]:
@@ -89,29 +80,24 @@ def test_every_make_target_exists():
     assert not {(page, target) for page, target in named if target not in targets}
 
 
-def source_of(module: str) -> Path | None:
-    """The file of a module of ours: of a package, or of a bench or model that others import."""
-    package, *parts = module.split(".")
-    below = ROOT.joinpath("src", package, package, *parts)
-    places = (
-        below.with_suffix(".py"),
-        below / "__init__.py",
-        *(ROOT / f / f"{module}.py" for f in ("bench", "models")),
-    )
-    return next((place for place in places if place.is_file()), None)
+def names_of_ours(program: Path) -> Iterator[tuple[str, str]]:
+    """The modules of ours, of benches too, that a program imports from, and the names."""
+    ours = {path.name for path in (ROOT / "src").iterdir()} | {path.stem for path in PROGRAMS}
+    for node in ast.walk(ast.parse(program.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.partition(".")[0] in ours:
+            yield from ((node.module, alias.name) for alias in node.names)
 
 
-def test_what_benches_and_models_import_of_ours_is_there_and_models_import_no_bench():
-    packages, named, wrong = {path.name for path in (ROOT / "src").iterdir()}, cache(names_in), []
+def test_what_benches_and_models_import_of_ours_is_there_and_models_import_no_bench(monkeypatch):
+    wrong = []
+    for folder in ("bench", "models"):
+        monkeypatch.syspath_prepend(ROOT / folder)
     for program in PROGRAMS:
-        tree = ast.parse(program.read_text(encoding="utf-8"))
-        for node in (n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module):
-            source = source_of(node.module)
-            if source is None:
-                wrong += [f"{program.name}: {node.module}"] if node.module.split(".")[0] in packages else []
-                continue
-            names = [alias.name for alias in node.names if source_of(f"{node.module}.{alias.name}") is None]
-            wrong += [f"{program.name}: {node.module}.{name}" for name in names if name not in named(source)]
-            if (program.parent.name, source.parent.name) == ("models", "bench"):
-                wrong.append(f"{program.name} imports {source.name}")
+        for module, name in names_of_ours(program):
+            try:
+                there = hasattr(import_module(module), name) or import_module(f"{module}.{name}")
+            except ImportError:
+                there = False
+            if not there or (program.parent.name == "models" and (ROOT / "bench" / f"{module}.py").is_file()):
+                wrong.append(f"{program.name}: {module}.{name}")
     assert wrong == []

@@ -59,12 +59,14 @@ def test_camera_of_the_file_is_in_the_rig_that_it_names(path, monkeypatch):
     assert load_camera(settings, settings.camera_name)[0].name == path.stem
 
 
-def test_example_rig_with_its_cameras_and_body():
+def test_example_rig_with_its_cameras_and_body_makes_one_graph():
     graph = build_graph(rig=RIG, cameras=CONFIG / "camera", body=CONFIG / "body/default.yaml")
-    settings = accepted(graph)
-    assert settings["cam02"].aravis.address == "192.168.1.12"
-    assert len({settings[f"cam0{k}"].aravis.address for k in (1, 2, 3, 4)}) == 4
-    assert settings["hull_server"].rig_file.endswith("ring4.yaml")
+    settings, cameras = accepted(graph), ["cam01", "cam02", "cam03", "cam04"]
+    assert [node.label for node in graph] == ["hull_server", "icp_tracker", "ekf_tracker", *cameras]
+    assert [settings[name].aravis.address for name in cameras] == [f"192.168.1.1{k}" for k in (1, 2, 3, 4)]
+    assert {settings[name].rig_file for name in (*cameras, "hull_server")} == {str(RIG)}
+    assert not any(node.parameters["autostart"] for node in graph[3:])  # driven by whoever starts the graph
+    assert settings["icp_tracker"].body_file and "body_file" not in graph[2].parameters  # fits bring it to the filter
 
 
 def test_lossless_settings():

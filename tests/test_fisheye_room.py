@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import run
+from command_line import calibrated, run
 
 from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, load_rig, save_rig
@@ -29,18 +29,15 @@ def test_fisheye_room_is_calibrated_by_boards_and_a_person_tracked_in_it(tmp_pat
     rig = Rig(tuple(map(fisheye, rig.cameras)), rig.volume)
     plan = FootagePlan(stills=True, fps=2.0, moving_s=20.0)
     filmed = write_setup(tmp_path / "room", rig, plan, motion="tour", seconds=3.0)
-    lenses, found = tmp_path / "lenses", tmp_path / "rig.yaml"
-    run("calibrate", "intrinsics", filmed / "intrinsics", "--board", filmed / "board.yaml", "--output", lenses)
-    given = ("--intrinsics", lenses, "--board", filmed / "floor_board.yaml", "--output", found)
-    run("calibrate", "extrinsics", *given, "--floor", filmed / "floor", "--moving", filmed / "moving")
+    found = calibrated(filmed, tmp_path)
     T_floor_world, session = np.linalg.inv(read_truth_floor(filmed)), filmed / "session"
-    calibrated = [
+    placed = [
         replace(camera, T_camera_world=camera.T_camera_world @ T_floor_world) for camera in load_rig(found).cameras
     ]
-    for camera in calibrated:
+    for camera in placed:
         assert camera.distortion_model == "equidistant"
         assert np.linalg.norm(camera.centre_world - rig.camera(camera.name).centre_world) < 0.003
-    save_rig(Rig(tuple(calibrated), rig.volume), session / "rig.yaml")
+    save_rig(Rig(tuple(placed), rig.volume), session / "rig.yaml")
     shutil.copy(filmed / "truth.csv", session)
     score = json.loads(run("evaluate", session, "--json"))
     assert score["tracked"] > 0.8 * score["frames"]

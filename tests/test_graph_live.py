@@ -5,10 +5,10 @@ import signal
 import threading
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from footage_clips import write_clip
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CompressedImage, JointState
 
@@ -164,16 +164,13 @@ CAMERA, PLACE = "cam02", (slice(80, 150), slice(500, 560))  # away from the pers
 
 def put_thing(path: Path) -> None:
     """Write the video anew, lossless, with a thing of changing noise in it."""
-    rng, writer = np.random.default_rng(0), None
+    rng = np.random.default_rng(0)
     with Video(path) as video:
-        while (image := video.read()) is not None:
-            if writer is None:
-                size, code = image.shape[1::-1], cv2.VideoWriter_fourcc(*"FFV1")
-                writer = cv2.VideoWriter(str(path.with_suffix(".avi")), cv2.CAP_FFMPEG, code, FPS, size)
-            shape = image[PLACE].shape[:2]
-            image[PLACE] = np.rint(200 + rng.normal(size=(*shape, 1))).astype(np.uint8)
-            writer.write(image)
-    writer.release()
+        images = list(video)
+    for image in images:
+        shape = image[PLACE].shape[:2]
+        image[PLACE] = np.rint(200 + rng.normal(size=(*shape, 1))).astype(np.uint8)
+    write_clip(path.with_suffix(".avi"), images, FPS, "FFV1")
     path.unlink()
 
 

@@ -12,11 +12,10 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from heard import Heard
 from silhouette_bag import write_silhouette_bag
 
-from capture_rig.errors import InputError
 from capture_rig.session import load_session
 from mocap_pipeline.session_footage import exact_silhouettes
 from sagoma_bringup.graph import LOSSLESS_SETTINGS, build_graph
-from sagoma_tools.commands.recording import check_replay, replay_timed
+from sagoma_tools.commands.recording import replay_timed
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.supervisor import Supervisor
 
@@ -96,15 +95,6 @@ def test_bag_played_twice_and_looped_in_simulated_time_is_tracked_each_time(bag,
         # a busy machine may lose silhouettes of a bag played in real time, never a whole round
         assert min(tracked) > 10, tracked
         assert table.wait_until(lambda: reported("restarts") == said(), PATIENCE_S), said()  # each says it once a jump
-
-
-@pytest.mark.parametrize(
-    ("given", "text"),
-    [({"lockstep": True, "clock": 100.0}, "keeps no time"), ({"lockstep": True, "loop": True}, "keeps no time")],
-)
-def test_replay_refuses_a_clock_that_means_nothing(given, text):
-    with pytest.raises(InputError, match=text):
-        check_replay(arguments(Path("bag"), **given))
 
 
 def node_files() -> list[Path]:

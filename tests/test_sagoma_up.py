@@ -1,89 +1,37 @@
 """Graphs as users start them, by `sagoma up` and by ROS 2's launch: Ctrl-C ends them and everything they started."""
 
-import signal
-import subprocess
-import sys
-import threading
 from pathlib import Path
 
 import psutil
 import pytest
+from command_line import Graph
 from heard import Heard
 from launch_stand_in import launched, running
 from sensor_msgs.msg import JointState
 
-from capture_rig.rig import save_rig
-from sagoma_tools.graph.lifecycle_client import LifecycleClient, State
 from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, camera_topics
 from sagoma_tools.recording.reader import bag_topics, read_messages
-from virtual_studio.rig import ring
 
 PATIENCE_S = 120.0
 LAUNCH = Path(__file__).resolve().parents[1] / "src" / "sagoma_bringup" / "launch"
-SERVER = ("/hull_server", "/icp_tracker", "/ekf_tracker")
-
-
-def poses_of(link: RosLink) -> Heard:
-    return Heard(link.node, JointState, "/mocap/joint_states", PATIENCE_S)
-
-
-@pytest.fixture()
-def up(built_in_session: Path, tmp_path: Path):
-    """Starts the command with more words, playing the session over and over."""
-    started: list[tuple[subprocess.Popen, threading.Timer]] = []
-
-    def start(*words: str) -> subprocess.Popen:
-        command = [sys.executable, "-m", "sagoma_tools.cli", "up", str(built_in_session), "--rate", "0", "--loop"]
-        command += ["--run-folder", str(tmp_path / "run"), "--set", "icp_tracker.initial_pose.source=t_pose"]
-        process = subprocess.Popen([*command, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-        watchdog = threading.Timer(2 * PATIENCE_S, process.kill)
-        watchdog.start()
-        started.append((process, watchdog))
-        return process
-
-    yield start
-    for process, watchdog in started:
-        watchdog.cancel()
-        process.kill()
-        process.communicate()
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(up, built_in_session, tmp_path):
-    with RosLink("listener") as link:
-        poses, running = poses_of(link), up("--record", str(tmp_path / "bag"))
-        assert poses.wait_for_more(10), running.stdout.read()
-        processes = psutil.Process(running.pid).children()
-        running.send_signal(signal.SIGINT)
-        said, _ = running.communicate(timeout=PATIENCE_S)
-    assert running.returncode == 0, said
+def test_ctrl_c_ends_every_node_and_leaves_a_readable_bag(built_in_session, tmp_path):
+    words = ("--rate", "0", "--loop", "--set", "icp_tracker.initial_pose.source=t_pose", "--record", tmp_path / "bag")
+    with RosLink("listener") as link, Graph(tmp_path / "up.log", built_in_session, *words) as graph:
+        poses = Heard(link.node, JointState, "/mocap/joint_states", PATIENCE_S)
+        assert poses.wait_for_more(10), graph.log.read_text()
+        processes = psutil.Process(graph.process.pid).children()
+    said = graph.log.read_text()
+    assert graph.process.returncode == 0, said
     assert "8 of 8 nodes are active" in said and "all 8 nodes stopped" in said
     assert len(processes) == 6 and not any(process.is_running() for process in processes)  # the server is one
     topics = bag_topics(tmp_path / "bag")
     assert {topic.name for k in range(1, 6) for topic in camera_topics(f"cam{k:02d}")} <= set(topics)
     assert sum(1 for _ in read_messages(tmp_path / "bag", PREDICTION_TOPIC.__eq__)) >= 10
     assert (tmp_path / "bag" / "rig.yaml").read_text() == (built_in_session / "rig.yaml").read_text()
-
-
-@pytest.mark.slow
-def test_second_up_beside_a_running_graph_is_refused_and_the_first_one_goes_on(up, tmp_path):
-    save_rig(ring(3), tmp_path / "other.yaml")
-    second = [sys.executable, "-m", "sagoma_tools.cli", "up", "--rig", str(tmp_path / "other.yaml"), "--seconds", "1"]
-    second += ["--run-folder", str(tmp_path / "second")]
-    with RosLink("listener") as link:
-        poses, running = poses_of(link), up()
-        assert poses.wait_for_more(10), running.stdout.read()
-        refused = subprocess.run(second, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-        assert refused.returncode == 1, refused.stdout + refused.stderr
-        assert "/ekf_tracker, /hull_server, /icp_tracker run already in this ROS domain" in refused.stderr
-        assert "on this machine. End that graph, or give this one another ROS_DOMAIN_ID" in refused.stderr
-        assert set(LifecycleClient(link.node).states(SERVER, PATIENCE_S).values()) == {State.ACTIVE.value}
-        assert poses.wait_for_more(20)
-        running.send_signal(signal.SIGINT)
-        said, _ = running.communicate(timeout=PATIENCE_S)
-    assert running.returncode == 0, said
-    assert "died" not in said
 
 
 @pytest.mark.slow

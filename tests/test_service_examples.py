@@ -68,10 +68,3 @@ def test_image_is_set_up_where_the_services_look_for_it_and_without_this_checkou
     assert {".venv", ".git", "output"} <= set((ROOT / ".dockerignore").read_text().split())
     container = json.loads((ROOT / ".devcontainer/devcontainer.json").read_text())
     assert (ROOT / ".devcontainer" / container["build"]["dockerfile"]).resolve() == ROOT / "Dockerfile"
-
-
-def test_every_target_that_the_workflow_makes_is_there():
-    (job,) = yaml.safe_load((ROOT / ".github/workflows/jazzy.yaml").read_text())["jobs"].values()
-    made = re.findall(r"make (\S+)", "\n".join(step.get("run", "") for step in job["steps"]))
-    assert {"test", "colcon"} == set(made) and job["container"] in (ROOT / "Dockerfile").read_text()
-    assert all(f"\n{target}:" in (ROOT / "Makefile").read_text() for target in made)

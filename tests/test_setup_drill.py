@@ -9,7 +9,6 @@ from command_line import Graph, run
 
 from capture_rig.rig import load_rig
 from sagoma_bringup.graph import build_graph
-from sagoma_tools.cli import main as sagoma
 from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
 from sagoma_tools.evaluation.track import tracks_from_bag
 from sagoma_tools.graph.supervisor import Supervisor
@@ -17,34 +16,9 @@ from sagoma_tools.recording.recorder import GraphRecorder
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import MOTIONS
-from virtual_studio.recording.footage import FootagePlan, camera_errors, read_truth_floor, write_setup
-from virtual_studio.rig import ring
+from virtual_studio.recording.footage import camera_errors, read_truth_floor
 
 CAMERAS = ("cam01", "cam02", "cam03")
-
-
-@pytest.fixture(scope="module")
-def footage(tmp_path_factory) -> Path:
-    plan = FootagePlan(stills=True, brief=True, fps=2.0, moving_s=10.0)
-    return write_setup(tmp_path_factory.mktemp("setup") / "footage", ring(2, ceiling=True), plan, motion=None)
-
-
-@pytest.mark.slow
-def test_filmed_cameras_are_calibrated_to_the_truth(footage, tmp_path):
-    lenses, rig = str(tmp_path / "lenses"), str(tmp_path / "rig.yaml")
-    filmed = {path.stem: str(path) for path in footage.iterdir()}
-    given = ["--board", filmed["board"], "--output", lenses]
-    assert sagoma(["calibrate", "intrinsics", filmed["intrinsics"], *given]) == 0
-    given = ["--board", filmed["floor_board"], "--floor", filmed["floor"], "--moving", filmed["moving"]]
-    assert sagoma(["calibrate", "extrinsics", "--intrinsics", lenses, *given, "--output", rig]) == 0
-    truth, T_world_floor = load_rig(footage / "truth_rig.yaml"), read_truth_floor(footage)
-    errors = camera_errors(load_rig(rig), truth, T_world_floor)
-    assert [camera.name for camera in errors] == list(CAMERAS)
-    for camera in errors:
-        assert camera.focal_percent < 0.2
-        assert camera.principal_px < 1.5
-        assert camera.centre_mm < 8.0
-        assert camera.rotation_deg < 0.2
 
 
 def calibrate_lens(name: str, board: Path, lenses: Path) -> None:

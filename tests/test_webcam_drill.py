@@ -5,7 +5,7 @@ from pathlib import Path
 import film_webcam
 import numpy as np
 import pytest
-from command_line import Graph, run
+from command_line import Graph, calibrated, run
 from film_webcam import let_in
 from heard import Heard
 from sensor_msgs.msg import JointState
@@ -17,7 +17,7 @@ from sagoma_tools.graph.ros_link import RosLink
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import MOTIONS
-from virtual_studio.recording.footage import FootagePlan, read_truth_floor, write_setup
+from virtual_studio.recording.footage import FootagePlan, camera_errors, read_truth_floor, write_setup
 from virtual_studio.rig import ring
 
 RATE_HZ, FILM_HZ, FILM_S = 10.0, 60.0, 6.0  # the film is seen in slow motion, so that a busy machine keeps up
@@ -53,10 +53,10 @@ def write_cameras(folder: Path, rig: Path, session: Path) -> Path:
 @pytest.mark.slow
 def test_webcams_without_a_trigger_are_set_up_and_a_person_is_tracked(filmed, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(Path(film_webcam.__file__).parent), prepend=":")
-    lenses, rig, bag = tmp_path / "lenses", tmp_path / "rig.yaml", tmp_path / "bag"
-    run("calibrate", "intrinsics", filmed / "intrinsics", "--board", filmed / "board.yaml", "--output", lenses)
-    given = ("--intrinsics", lenses, "--board", filmed / "floor_board.yaml", "--output", rig)
-    run("calibrate", "extrinsics", *given, "--floor", filmed / "floor", "--moving", filmed / "moving")
+    rig, bag, T_world_floor = calibrated(filmed, tmp_path), tmp_path / "bag", read_truth_floor(filmed)
+    for camera in camera_errors(load_rig(rig), load_rig(filmed / "truth_rig.yaml"), T_world_floor):
+        assert camera.focal_percent < 0.2 and camera.principal_px < 1.5
+        assert camera.centre_mm < 8.0 and camera.rotation_deg < 0.2
     cameras = write_cameras(tmp_path / "cameras", rig, filmed / "session")
     words = ("--rig", rig, "--cameras", cameras, "--record", bag, *UNSYNCHRONISED)
     with RosLink("listener") as link, Graph(tmp_path / "up.log", *words) as graph:
@@ -66,7 +66,7 @@ def test_webcams_without_a_trigger_are_set_up_and_a_person_is_tracked(filmed, tm
         began_s = let_in(filmed / "session", 2.0)
         assert poses.wait_for_more(SETS), graph.log.read_text()
     track = tracks_from_bag(bag, lambda stamp_ns: round((1e-9 * stamp_ns - began_s) * RATE_HZ))[1]
-    body, T_world_floor = Body.from_stature(1.75), read_truth_floor(filmed)
+    body = Body.from_stature(1.75)
     motion = MOTIONS["tour"](body, FILM_S, FILM_HZ)
     shown = (track.frames >= 0) & (track.frames < len(motion.poses))
     truth = np.stack([forward(body, motion.poses[frame]) for frame in track.frames[shown]])

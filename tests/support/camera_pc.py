@@ -16,8 +16,6 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import CompressedImage
 
-from capture_rig.camera import CameraModel, looking_at
-from capture_rig.rig import Rig, Volume, save_rig
 from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
 from sagoma_tools.graph.ros_link import RosLink
@@ -46,18 +44,6 @@ class Room:
 
     def image(self, instant_ns: int) -> np.ndarray:
         return self._image
-
-
-def rig_of(names: list[str]) -> Rig:
-    """Cameras on a circle of 3 m, looking at its centre from 1.2 m above the floor."""
-    cameras = []
-    K = np.array([[250.0, 0, WIDTH / 2 - 0.5], [0, 250.0, HEIGHT / 2 - 0.5], [0, 0, 1]])
-    for k, name in enumerate(names):
-        angle = 2 * np.pi * k / max(len(names), 3)
-        centre = np.array([3 * np.cos(angle), 3 * np.sin(angle), 1.2])
-        T = looking_at(centre, np.array([0.0, 0.0, 1.2]))
-        cameras.append(CameraModel(name, WIDTH, HEIGHT, K, "plumb_bob", np.zeros(5), T))
-    return Rig(tuple(cameras), Volume(np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 2.2])))
 
 
 class GraphListener:
@@ -202,8 +188,3 @@ def end(*processes: subprocess.Popen) -> None:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-
-
-def save_rig_of(names: list[str], path: Path) -> Path:
-    save_rig(rig_of(names), path)
-    return path

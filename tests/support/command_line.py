@@ -21,12 +21,21 @@ def run(*words: object) -> str:
     return done.stdout
 
 
+def calibrated(filmed: Path, folder: Path) -> Path:
+    """The rig file of cameras whose boards were filmed (virtual_studio's ``write_setup``)."""
+    lenses, rig = folder / "lenses", folder / "rig.yaml"
+    run("calibrate", "intrinsics", filmed / "intrinsics", "--board", filmed / "board.yaml", "--output", lenses)
+    given = ("--intrinsics", lenses, "--board", filmed / "floor_board.yaml", "--output", rig)
+    run("calibrate", "extrinsics", *given, "--floor", filmed / "floor", "--moving", filmed / "moving")
+    return rig
+
+
 class Graph:
     """``sagoma up`` as a process; its end is asked for as by Ctrl-C. ``active`` : set when it says that nodes are."""
 
     def __init__(self, log: Path, *words: object) -> None:
         self.active, self.log = threading.Event(), log
-        self._process = subprocess.Popen(
+        self.process = subprocess.Popen(
             command("up", *words, "--run-folder", log.with_suffix("")),
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -37,7 +46,7 @@ class Graph:
 
     def _read(self) -> None:
         with self.log.open("w") as log:
-            for line in self._process.stdout:
+            for line in self.process.stdout:
                 log.write(line)
                 log.flush()
                 if "nodes are active" in line:
@@ -47,6 +56,6 @@ class Graph:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self._process.send_signal(signal.SIGINT)
-        self._process.wait(60.0)
+        self.process.send_signal(signal.SIGINT)
+        self.process.wait(60.0)
         self._reader.join()

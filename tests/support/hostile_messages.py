@@ -32,11 +32,13 @@ class Attack:
     """Something to send on every topic that it applies to.
 
     make : (valid message, generator) -> what to send: messages, or bytes; None where it does not apply.
-    repeat : how often; floods are sent as fast as ``per_second`` says.
+    counter : a pattern of the counters that tell of it; others are survived: clouds that only strangers subscribe to,
+    texts that mean nothing. repeat : how often; floods are sent as fast as ``per_second`` says.
     """
 
     name: str
     make: Callable[[Any, np.random.Generator], Any]
+    counter: str = ""
     repeat: int = 3
     per_second: float = 200.0
 
@@ -47,19 +49,25 @@ def attacks(now_ns: Callable[[], int]) -> list[Attack]:
     def stamped(offset_s: float) -> Callable[[Any, Any], Any]:
         return lambda valid, rng: with_stamp(valid, max(now_ns() + round(offset_s * 1e9), 0))
 
+    def not_a_number(valid: Any, rng: np.random.Generator) -> Any:
+        return _mapped(valid, lambda v: float("nan") if isinstance(v, float) else v, np.nan)
+
+    def path(valid: Any, rng: np.random.Generator) -> Any:
+        return _text(valid, PATHS[int(rng.integers(len(PATHS)))])
+
     return [
-        Attack("cut in the middle", lambda valid, rng: _cut(serialize_message(valid))),
+        Attack("cut in the middle", lambda valid, rng: _cut(serialize_message(valid)), "bad_images"),
         Attack("random bytes", lambda valid, rng: b"\0\1\0\0" + rng.bytes(600)),
         Attack("lengths of 4 GiB", _lying),
-        Attack("stamp in 100 years", stamped(3.15e9)),
-        Attack("NaN", lambda valid, rng: _mapped(valid, lambda v: float("nan") if isinstance(v, float) else v, np.nan)),
-        Attack("a million elements", _enlarged, repeat=2),
-        Attack("picture bomb", _bomb),
-        Attack("wrong encoding", _wrong_encoding),
+        Attack("stamp in 100 years", stamped(3.15e9), "frames_(ahead|backwards)"),  # of most cameras, a new beginning
+        Attack("NaN", not_a_number, "bad_predictions"),
+        Attack("a million elements", _enlarged, "bad_hulls", repeat=2),
+        Attack("picture bomb", _bomb, "bad_images"),
+        Attack("wrong encoding", _wrong_encoding, "bad_images"),
         Attack("a cloud of a million points", _large_cloud, repeat=3),
-        Attack("a cloud of NaN", _nan_cloud),
-        Attack("YAML bomb", lambda valid, rng: _text(valid, YAML_BOMB)),
-        Attack("path traversal", lambda valid, rng: _text(valid, PATHS[int(rng.integers(len(PATHS)))]), repeat=12),
+        Attack("a cloud of NaN", _nan_cloud, "bad_keypoints"),
+        Attack("YAML bomb", lambda valid, rng: _text(valid, YAML_BOMB), "bad_rules"),
+        Attack("path traversal", path, repeat=12),
     ]
 
 

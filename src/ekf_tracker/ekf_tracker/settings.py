@@ -8,42 +8,37 @@ from capture_rig.settings import setting
 
 from .motion_model import DampedVelocity, Identity, MotionModel
 
+BIAS_SHARE = 0.95  # of a point's error, that the next set has too
+LIMIT_SD_RAD = 0.2  # beyond its range, of what people do with a joint
 NO_FRAMES, TORSO_FRAME, LINK_FRAMES = TF_CHOICES = ("none", "torso", "links")
 
 
 @dataclass(frozen=True)
 class MeasurementBiasSettings:
-    """Time-correlated bias of the measured points; see `bias`."""
+    """Time-correlated bias of the measured points; see `bias`.
 
-    share: float = setting(
-        0.95,
-        "share of a measured point's covariance that is bias (0: independent noise in every set)",
-        low=0.0,
-        high=1.0,
-    )
-    joints: float = setting(
-        1.0, "how far a person's joints lie from the figure's, over what is usual (0: nowhere else)", low=0.0, high=10.0
-    )
+    share : of a measured point's covariance (0: independent noise in every set). joints : how far a person's joints
+    lie from the figure's, over what is usual (0: nowhere else).
+    """
+
+    share: float = BIAS_SHARE
+    joints: float = 1.0
 
 
 @dataclass(frozen=True)
 class EkfSettings:
-    """Everything about the filter that a user may change."""
+    """Everything about the filter that can be changed, from Python where it is no parameter.
+
+    bend : how far the trunk bends, over what is usual in daily movement (0: a rigid torso). limit_sd_rad : of an angle
+    outside its joint's range, as a soft cost beyond the range alone (0: no limits).
+    """
 
     motion_model: str = setting(
         "constant_velocity", "how the body moves between two sets", choices=("constant_velocity", "identity")
     )
     measurement_bias: MeasurementBiasSettings = field(default_factory=MeasurementBiasSettings)
-    bend: float = setting(
-        1.0, "how far the trunk bends, over what is usual in daily movement (0: a rigid torso)", low=0.0, high=10.0
-    )
-    limit_sd_rad: float = setting(
-        0.2,
-        "an angle outside its joint's range, as a soft cost beyond the range alone (0: no limits)",
-        unit="rad",
-        low=0.0,
-        high=10.0,
-    )
+    bend: float = 1.0
+    limit_sd_rad: float = LIMIT_SD_RAD
     lost_after_s: float = setting(
         1.0,
         "without measurements for longer than this, the body is lost; the next good set starts anew",

@@ -35,8 +35,10 @@ def per_slot(torso_position: float, torso_rotation: float, ball_joints: float, h
     return values
 
 
-def assess(accepted: np.ndarray, gated: np.ndarray, unmeasured_s: float, lost_after_s: float) -> tuple[Tracking, str]:
-    """Trust in the estimate, from the points used and left out (15,) and the seconds since any was used."""
+def assess(
+    accepted: np.ndarray, gated: np.ndarray, doubtful: np.ndarray, unmeasured_s: float, lost_after_s: float
+) -> tuple[Tracking, str]:
+    """Trust in the estimate, from the points used, left out, and doubtful (15,) and the seconds since any was used."""
     used, left_out = np.count_nonzero(accepted), np.count_nonzero(gated)
     if unmeasured_s > lost_after_s:
         return Tracking.LOST, f"no usable point for {unmeasured_s:.2f} s"
@@ -45,6 +47,8 @@ def assess(accepted: np.ndarray, gated: np.ndarray, unmeasured_s: float, lost_af
     names = ", ".join(POINT_NAMES[i] for i in np.flatnonzero(gated)) if left_out else ""
     if left_out >= used:
         return Tracking.DOUBTFUL, f"{left_out} of {used + left_out} visible points contradict the prediction: {names}"
+    if doubtful.all():
+        return Tracking.DOUBTFUL, f"{used} points used, every part of the body may be elsewhere"
     if left_out:
         return Tracking.TRACKING, f"{used} points used, left out: {names}"
     return Tracking.TRACKING, f"{used} points used"

@@ -231,7 +231,8 @@ class Track:
         lasting = self._bias.lasting, self._bias.joints, JOINT_SD_CAP_RAD**-2
         points_world, point_covariance, covariance, rates = report(x, Sizes.of(self.body), *lasting, self._angles)
         far = inflate_covariance_along(z.points_world - points_world, gated, point_covariance)
-        tracking, reason = assess(accepted, gated, self.unmeasured_s, self.settings.lost_after_s)
+        doubtful = doubtful_points(doubtful, far)
+        tracking, reason = assess(accepted, gated, doubtful, self.unmeasured_s, self.settings.lost_after_s)
         return BodyState(
             stamp_ns=self._stamp_ns,
             pose=pose,
@@ -246,7 +247,7 @@ class Track:
             accepted=accepted,
             gated=gated,
             distances=distances,
-            doubtful=doubtful_points(doubtful, far),
+            doubtful=doubtful,
             tracking=tracking,
             reason=reason,
         )

@@ -9,21 +9,24 @@ from capture_rig.settings import setting
 BACKENDS = ("auto", "gl", "sweep", "cpu")
 # Thresholds: judgement.
 PERSON_LITRES = 15.0  # a smaller hull is no person: cameras are not compared by it
+MIN_FILL = 0.9  # of rendered bodies' limbs
+SMOOTHING_VOXELS = 0.8  # standard deviation: half of a step between layers
 RAY_SPACING_PX = 3.0  # least distance of neighbouring rays along an outline
 
 
 @dataclass(frozen=True)
 class BlobSettings:
-    """Which blobs become centerline points (thesis 3.2; the limits were tuned on rendered bodies)."""
+    """Which blobs become centerline points (thesis 3.2; the limits were tuned on rendered bodies).
+
+    max_elongation : largest ratio of a blob's principal axes. min_fill : smallest ratio of its area to its ellipse's:
+    less is two limbs merged. max_growth : largest ratio of the areas a step to either side to its own, as a limb
+    continues; 0: any.
+    """
 
     min_area_m2: float = setting(0.002, "smallest blob that counts: a wrist has about this area", unit="m2", low=0.0)
-    max_elongation: float = setting(3.0, "largest ratio of a blob's principal axes", low=1.0)
-    min_fill: float = setting(
-        0.9, "smallest ratio of a blob's area to its ellipse's: less is two limbs merged", low=0.0, high=1.5
-    )
-    max_growth: float = setting(
-        3.0, "largest ratio of the areas a step to either side to the blob's, as a limb continues; 0: any", low=0.0
-    )
+    max_elongation: float = 3.0
+    min_fill: float = MIN_FILL
+    max_growth: float = 3.0
 
 
 @dataclass(frozen=True)
@@ -35,20 +38,21 @@ class BodySettings:
 
 @dataclass(frozen=True)
 class MeshSettings:
-    """The hull's surface as a file, on request."""
+    """The hull's surface as a file, on request.
+
+    smoothing_voxels : standard deviation of the smoothing of the voxels' steps; 0: none.
+    """
 
     folder: str = setting("output/meshes", "folder that ~/save_mesh writes hull_STAMP.ply to")
-    smoothing_voxels: float = setting(
-        0.8, "standard deviation of the smoothing of the voxels' steps; 0: none", unit="voxels", low=0.0, high=10.0
-    )
+    smoothing_voxels: float = SMOOTHING_VOXELS
 
 
 @dataclass(frozen=True)
 class CameraFaultSettings:
-    """When a camera that contradicts the others is excluded, and reinstated."""
+    """When a camera that contradicts the others is excluded, and after how long in agreement reinstated."""
 
     enabled: bool = setting(True, "leave out a camera that contradicts all others")
-    reinstate_s: float = setting(2.0, "a camera that has agreed for this long is used again", unit="s", low=0.0)
+    reinstate_s: float = 2.0
 
 
 @dataclass(frozen=True)

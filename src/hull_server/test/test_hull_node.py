@@ -108,7 +108,7 @@ def test_node_hands_on_one_packet_a_set_with_all_that_the_clouds_hold_and_its_ag
 
 def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):
     _, rig, masks = scene
-    bench = make_bench(**{"mesh.folder": str(tmp_path), "mesh.smoothing_voxels": 0.0}).start(rig)
+    bench = make_bench(**{"mesh.folder": str(tmp_path)}).start(rig)
     bench.send(masks, 0)
     bench.send(masks, 1)
     values = bench.answers(2)[1]
@@ -121,7 +121,7 @@ def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):
     for axis in range(3):  # the centerline runs inside the mesh
         assert vertices[axis].min() < line[:, axis].min() and line[:, axis].max() < vertices[axis].max()
     said_litres = float(answer.message.split(",")[-1].removesuffix("litres"))
-    assert said_litres == pytest.approx(float(values["litres"]), rel=0.1)
+    assert said_litres == pytest.approx(float(values["litres"]), rel=0.2)  # the surface is smoothed
 
 
 @pytest.mark.parametrize(("sets", "why"), [(0, "no frame set"), (1, "the hull is empty")])

@@ -139,7 +139,7 @@ def test_node_leaves_out_a_covered_camera_by_name_and_takes_it_back(make_bench, 
     save_rig(rig, rig_file)
     masks = silhouettes(rig, capsule_person(0.3))
     covered = masks | {"cam04": np.zeros_like(masks["cam04"])}
-    bench = make_bench(rig_file=str(rig_file), **{"camera_fault.reinstate_s": 0.5}).start(load_rig(rig_file))
+    bench = make_bench(rig_file=str(rig_file)).start(load_rig(rig_file))
     shown = []
 
     def send_until(wanted, masks_of_camera):

@@ -87,23 +87,19 @@ class VolumeSettings:
 
 @dataclass(frozen=True)
 class ContourSettings:
-    """The contour rays against the body's surface."""
+    """The contour rays against the body's surface.
+
+    turn_sd : rad, how far hands at the wrist and feet at the ankle turn from straight; 0 holds them. bend : how far the
+    trunk bends, over what is usual in daily movement (0: a rigid torso). joint_centres : reference points of shoulders,
+    hips and neck at a person's joint centres; else at the figure's.
+    """
 
     weight: float = setting(
         10000.0, "all contour rays together, in centerline points; 0 leaves the rays out", low=0.0, high=1e6
     )
-    turn_sd: float = setting(
-        TURN_SD,
-        "how far hands at the wrist and feet at the ankle turn from straight; 0 holds them",
-        unit="rad",
-        low=0.0,
-    )
-    bend: float = setting(
-        1.0, "how far the trunk bends, over what is usual in daily movement (0: a rigid torso)", low=0.0, high=10.0
-    )
-    joint_centres: bool = setting(
-        True, "reference points of shoulders, hips and neck at a person's joint centres; else at the figure's"
-    )
+    turn_sd: float = TURN_SD
+    bend: float = 1.0
+    joint_centres: bool = True
 
 
 @dataclass(frozen=True)

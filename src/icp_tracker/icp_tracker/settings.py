@@ -11,7 +11,7 @@ from .articulated_fit import ArticulatedSettings
 from .extrinsic_monitor import CalibrationSettings
 from .monitor.track_monitor import RecoverySettings
 from .refinement.body_refiner import RefinementSettings
-from .thesis.hierarchical_icp import HierarchicalSettings
+from .thesis.hierarchical_icp import DESCENDANT_WEIGHT
 
 FIRST_INLIERS = 0.4  # share of the points; judgement
 
@@ -21,6 +21,7 @@ class TrackerSettings:
     """How the figure is fitted, set after set.
 
     acquire_inliers : share of the points that a first fit must explain, unless the person was watched.
+    descendant_weight : of the hierarchical ICP, of a descendant's point against one of the stick's own.
     """
 
     method: str = setting(
@@ -29,10 +30,10 @@ class TrackerSettings:
         choices=("articulated", "hierarchical"),
     )
     articulated: ArticulatedSettings = setting(ArticulatedSettings, "the all-joints solve")
-    hierarchical: HierarchicalSettings = setting(HierarchicalSettings, "the hierarchical ICP")
     refinement: RefinementSettings = setting(RefinementSettings, "a measured body's sizes, while it moves")
     recovery: RecoverySettings = setting(RecoverySettings, "how a lost track is noticed and found again")
     acquire_inliers: float = FIRST_INLIERS
+    descendant_weight: float = DESCENDANT_WEIGHT
 
 
 MOST_PERSONS = 4  # in one volume: more hide each other from most cameras of a ring

@@ -13,7 +13,7 @@ import numpy as np
 
 from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
-from mocap_packets.fit import GOOD, LOST, PART_NAMES, UNKNOWN, Fit, Solution, TrackQuality
+from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, UNKNOWN, Fit, Solution, TrackQuality
 from mocap_packets.hull import NO_CENTERLINE, NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, HullProducts, VoxelSamples
 from mocap_packets.state import Prediction
 from stick_figure.body import Body
@@ -229,7 +229,7 @@ class IcpTracker:
             patience = settings if iterations is None else replace(settings, max_iterations=iterations)
             pose, spent, moved = minimise(body, start, data, patience)
             return assess(body, pose, data, spent, moved < TOLERANCE_M, settings)
-        pose, spent, converged = fit_hierarchical(body, start, data.points, self._settings.hierarchical)
+        pose, spent, converged = fit_hierarchical(body, start, data.points, self._settings.descendant_weight)
         return assess(body, pose, data, spent, converged, settings)
 
     def _refine_body(self, stamp_ns: int, fit: FitResult, data: Data) -> FitResult:
@@ -250,7 +250,8 @@ class IcpTracker:
         visible = fit.visible if quality.state != LOST else np.zeros(15, dtype=bool)
         if found.unseen is not None:
             visible = visible & ~found.unseen
-        state = TRACKING if quality.state == GOOD else quality.state
+        of_parts = TRACKING if GOOD in quality.parts else DOUBTFUL
+        state = of_parts if quality.state == GOOD else quality.state
         return Fit(
             *(stamp_ns, state, started_from, quality.reason, 0, fit.reference_points_world, covariance, visible),
             *(fit.pose, _solution(fit), quality, found.change, found.moved),

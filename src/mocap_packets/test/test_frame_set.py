@@ -112,13 +112,6 @@ def test_stamp_that_goes_back_and_frame_that_comes_twice_are_refused():
     assert (collector.counters.backwards, collector.counters.duplicate) == (1, 1)
 
 
-def test_complete_set_does_not_overtake_an_older_one():
-    collector = make_collector()
-    send(collector, [0], ["cam01"])
-    assert send(collector, [1], ["cam02", "cam01"]) == []  # instant 0 still waits for cam03
-    assert instants_of(send(collector, [1], ["cam03"])) == [0, 1]
-
-
 @pytest.mark.parametrize("give_up", [0, 1])
 def test_camera_of_half_the_rate_delays_no_set_by_a_deadline_and_is_never_given_up(give_up):
     collector = make_collector(deadline_ns=HOUR, give_up=give_up)

@@ -108,27 +108,21 @@ def test_pause_of_all_cameras_loses_nothing():
     assert collector.counters.restarts == 0
 
 
-def send_with_lag(collector, instants, lag):
-    """The frames of the third camera arrive so many periods after those of the others."""
-    sets = []
-    for k in instants:
+@pytest.mark.parametrize(
+    ("lag", "options", "whole"),
+    [(120, {}, 0), (30, {"deadline_ns": SECOND, "max_open": 100}, 170)],
+    ids=["by seconds: its frames are late", "by less than the deadline: they still join"],
+)
+def test_camera_that_lags_moves_no_time_and_joins_within_the_deadline(lag, options, whole):
+    collector, sets = make_collector(**options), []
+    for k in range(200):
         sets += send(collector, [k], TWO)
         if k >= lag:
             sets += send(collector, [k - lag], ["cam03"], later=lag + 0.5)
-    return sets
-
-
-def test_camera_lagging_by_seconds_is_late():
-    collector = make_collector()
-    sets = send_with_lag(collector, range(200), 120) + collector.flush()
+    sets += collector.flush()
     assert instants_of(sets) == list(range(200))
-    assert (collector.counters.late, collector.counters.restarts) == (80, 0)
-
-
-def test_camera_lagging_less_than_the_deadline_still_joins():
-    sets = send_with_lag(make_collector(deadline_ns=SECOND, max_open=100), range(130), 30)
-    assert instants_of(sets) == list(range(100))
-    assert all(not each.missing for each in sets)
+    assert [each.missing for each in sets] == [()] * whole + [("cam03",)] * (200 - whole)
+    assert (collector.counters.late, collector.counters.restarts) == (200 - lag - whole, 0)
 
 
 def test_camera_that_lags_with_few_frames_has_not_jumped():

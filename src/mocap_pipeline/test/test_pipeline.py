@@ -137,10 +137,3 @@ def test_two_who_pass_shake_hands_hug_and_part_are_followed_without_being_exchan
         assert len(set(from_each.argmin(axis=1))) == 1  # always the same one
         assert from_each.min(axis=1).mean() < 25.0
     assert {int(np.argmin(rows[0])) for rows in errors.values()} == {0, 1}
-
-
-def _no_masks(pipeline):
-    return {
-        name: np.zeros((height, width), np.uint8)
-        for name, (width, height) in zip(pipeline.hull.views.names, pipeline.hull.views.sizes, strict=True)
-    }

@@ -65,15 +65,6 @@ def test_only_one_camera_is_picked_by_its_name(session):
     assert [n.label for n in build_graph(session=session, only="cameras")] == ["cam01", "cam02"]
 
 
-def test_example_rig_and_camera_files_make_one_graph():
-    graph = build_graph(rig=RING4, cameras=CONFIG / "camera", body=CONFIG / "body" / "default.yaml")
-    assert [node.label for node in graph[3:]] == ["cam01", "cam02", "cam03", "cam04"]
-    assert graph[3].parameters["aravis.address"] == "192.168.1.11"
-    assert not any(node.parameters["autostart"] for node in graph[3:])  # driven by whoever starts the graph
-    assert {node.parameters["rig_file"] for node in graph[3:]} == {str(RING4)}
-    assert graph[1].parameters["body_file"] and "body_file" not in graph[2].parameters  # fits bring it to the filter
-
-
 @pytest.mark.parametrize(("clock_speed", "lossless"), [(1.0, False), (0.25, True)])
 def test_server_leaves_nothing_out_for_cameras_in_slow_motion(tmp_path, clock_speed, lossless):
     for name in ("cam01", "cam02", "cam03", "cam04"):

@@ -1,5 +1,4 @@
-"""Pictures of boards through cameras with lens distortion, for tests of the calibration's commands: every pixel looks
-through the lens at the board's plane."""
+"""Pictures of boards through cameras with lens distortion, for tests of the calibration's commands."""
 
 from __future__ import annotations
 
@@ -9,18 +8,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from capture_rig.camera import CameraModel, looking_at
 from capture_rig.camera_info_file import save_camera_info
 from rig_calibration.boards.board import Board
-from rig_calibration.boards.drawing import draw_board
+from virtual_studio.boards import BoardPrint, PosedBoard, print_of
+from virtual_studio.rendering.board_camera import BoardCamera
+from virtual_studio.rendering.camera import Sensor
 
 SIZE = (640, 480)
-TEXELS_PER_M = 1000.0
-FINER = 2
-COARSE_PX = 16
-FLOOR_GREY, NOISE_GREY = 95.0, 1.5
+SENSOR = Sensor(noise=1.5, flicker=0.0)
 
 
 def camera_at(name: str, place: tuple[float, float, float], look_at: tuple[float, float, float]) -> CameraModel:
@@ -70,34 +67,19 @@ def before(
 
 
 @cache
-def ideal_places(camera: CameraModel) -> np.ndarray:
-    """(h, w, 2) where the parts of pixels look, without distortion: a smooth surface through some of them."""
-    ticks = [np.arange(-COARSE_PX, size + 2 * COARSE_PX, COARSE_PX) for size in SIZE]
-    grid = np.stack(np.meshgrid(*ticks), axis=-1).reshape(-1, 2).astype(float)
-    rays = camera.rays_world(grid) @ camera.R_camera_world.T
-    coarse = (rays[:, :2] / rays[:, 2:]).reshape(len(ticks[1]), len(ticks[0]), 2)
-    u, v = (((np.arange(size * FINER) + 0.5) / FINER - 0.5) / COARSE_PX + 1.0 for size in SIZE)
-    places = np.meshgrid(v, u, indexing="ij")
-    return np.stack([map_coordinates(coarse[..., axis], places, order=3) for axis in (0, 1)], axis=-1)
+def filming(camera: CameraModel) -> BoardCamera:
+    return BoardCamera(camera)
 
 
 @cache
-def texture_of(board: Board) -> tuple[np.ndarray, np.ndarray]:
-    """The print as grey levels (r, c), and (3, 3) from the board's x, y, 1 to its column, row, 1."""
-    texture, T_texel_board = draw_board(board, TEXELS_PER_M)
-    return 25.0 + 0.75 * cv2.GaussianBlur(texture, (0, 0), 1.0).astype(np.float32), np.asarray(T_texel_board)
+def printed(board: Board) -> BoardPrint:
+    return print_of(board)
 
 
 def picture(camera: CameraModel, board: Board, T_world_board: np.ndarray, seed: int = 0) -> np.ndarray:
-    """(H, W) uint8: the board before an even ground, with a little noise."""
-    texture, T_texel_board = texture_of(board)
-    T = camera.T_camera_world @ T_world_board
-    T_texel_ideal = T_texel_board @ np.linalg.inv(T[:3, [0, 1, 3]])
-    texels = cv2.perspectiveTransform(ideal_places(camera), T_texel_ideal).astype(np.float32)
-    light = cv2.remap(texture, texels, None, cv2.INTER_LINEAR, borderValue=FLOOR_GREY)
-    light = light.reshape(SIZE[1], FINER, SIZE[0], FINER).mean(axis=(1, 3))
-    noise = NOISE_GREY * np.random.default_rng([seed, *camera.name.encode()]).standard_normal(light.shape)
-    return np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)
+    """(H, W) uint8: the board in the studio's room, with a little noise."""
+    light = filming(camera).render([PosedBoard(printed(board), T_world_board[None])])
+    return SENSOR.expose(light, sum(camera.name.encode()), seed)
 
 
 def corner_pixels(camera: CameraModel, board: Board, T_world_board: np.ndarray) -> np.ndarray:

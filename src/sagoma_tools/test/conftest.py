@@ -9,6 +9,7 @@ import pytest
 import take_bags
 from graph_timeouts import graphs_start_within
 
+from capture_rig.session import Session, load_session
 from sagoma_bringup.graph import NodeSpec
 from sagoma_tools.graph.ros_link import RosLink, settled
 from sagoma_tools.graph.supervisor import Supervisor
@@ -60,6 +61,11 @@ def tour(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session of twelve frames at 20 Hz: somebody in the T-pose and at the first steps, seen by four cameras."""
     folder = tmp_path_factory.mktemp("studio") / "tour"
     return write_session(folder, ring(3, True), Body.from_stature(1.75), "tour", fps=20.0, seconds=0.6)
+
+
+@pytest.fixture(scope="session")
+def toured(tour: Path) -> Session:
+    return load_session(tour)
 
 
 @pytest.fixture(scope="session")

@@ -7,11 +7,11 @@ points are found from the joints by trigonometry, one limb at a time, so that th
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
+from footage_clips import write_clip
 from scipy.optimize import brentq
 
 from capture_rig.camera import CameraModel
@@ -83,12 +83,7 @@ def write_mp(path: Path) -> Path:
 
 
 def write_avi(path: Path, images: list[Array]) -> Path:
-    h, w = images[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"XVID"), 60.0, (w, h), True)
-    for image in images:
-        writer.write(image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
-    writer.release()
-    return path
+    return write_clip(path, images, 60.0, "XVID")
 
 
 def joints_of(points: Array, R_torso: Array) -> dict[str, Array]:
@@ -219,7 +214,7 @@ def write_data_set(root: Path) -> DataSet:
         return np.array([forward(body, pose) for pose in poses]), np.array([pose.R_world_torso for pose in poses])
 
     _write_mocap(folders["Mocap_Data"], *state([pose_at(m) for m in range(1, MOCAP_FRAMES + 1)]))
-    cameras = dict(zip(OFFSETS, map(_half_size, ring(4, ceiling=False).cameras), strict=True))
+    cameras = dict(zip(OFFSETS, ring(4, ceiling=False, size=(320, 240)).cameras, strict=True))
     sensor, volumetric = Sensor(1.5, 0.0, 3), VolumetricBody(body)
     for number, (name, camera) in enumerate(cameras.items()):
         image, mocap, scale = OFFSETS[name]
@@ -241,15 +236,6 @@ def write_data_set(root: Path) -> DataSet:
         found = joints_of(*state([pose_at(FIRST_MOCAP + 2 * (frame - 1))]))
         truth[frame] = {name: point[0] for name, point in found.items()}
     return DataSet(root, cameras, truth)
-
-
-def _half_size(camera: CameraModel) -> CameraModel:
-    """The same camera with pixels twice as large."""
-    K = camera.K.copy()
-    K[:2, 2] += 0.5  # from pixel centres to the image's corner, and back
-    K[:2] /= 2
-    K[:2, 2] -= 0.5
-    return replace(camera, width=camera.width // 2, height=camera.height // 2, K=K)
 
 
 def _tint(image: Array, name: str) -> Array:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from footage_clips import write_clip
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.task import Future
 from rich.console import Console
@@ -203,15 +204,14 @@ def test_noise_of_a_colour_background_is_that_of_its_noisiest_channel():
 
 
 def test_footage_with_people_gives_a_background_and_says_where_it_is_uncertain(tmp_path, capsys):
-    rng, video = np.random.default_rng(0), tmp_path / "cam01.mp4"
-    writer = cv2.VideoWriter(str(video), cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (160, 120))
+    rng, pictures = np.random.default_rng(0), []
     for k in range(40):
-        picture = np.full((120, 160, 3), 120, np.uint8)
+        picture = np.full((120, 160), 120, np.uint8)
         picture[60:, 3 * k : 3 * k + 16] = 20  # somebody crosses
         if k % 5 < 2:
             picture[:48, 96:144] = 240  # somebody lingers
-        writer.write(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
-    writer.release()
+        pictures.append(np.clip(picture + rng.normal(0, 2, picture.shape), 0, 255).astype(np.uint8))
+    video = write_clip(tmp_path / "cam01.mp4", pictures, 10.0)
     assert main(["background", "--from-footage", str(video)]) == 1  # an eighth of the picture is uncertain
     said = capsys.readouterr().out
     model = load_background(tmp_path / "cam01_background.npz")

@@ -1,6 +1,5 @@
 """A recording survives kill -9, a power cut and a full disk with at most a second lost."""
 
-import contextlib
 import errno
 import os
 import select
@@ -137,18 +136,6 @@ def test_a_disk_without_room_for_a_bag_is_refused_at_once(small_disk):
     with pytest.raises(InputError, match=r"no bag can be written \(No space left on device\)\. Free space"):
         BagWriter(small_disk / "bag")
     assert not (small_disk / "bag").exists()
-
-
-def test_a_disk_that_is_full_even_at_the_end_says_how_to_go_on(small_disk):
-    writer = opened(small_disk / "bag")
-    fill(writer)
-    with (small_disk / "other").open("wb", buffering=0) as file, contextlib.suppress(OSError):
-        while file.write(bytes(4096)) == 4096:  # somebody else takes the room
-            pass
-    with pytest.raises(InputError, match=r"end cannot be written .*are saved.*sagoma recover"):
-        writer.close()
-    (small_disk / "other").unlink()
-    assert recover_bag(small_disk / "bag", small_disk.parent / "mended").counts == {TOPIC: writer.counts[TOPIC]}
 
 
 def test_a_disk_that_fails_ends_the_bag_and_what_was_there_is_recovered(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""A trial in BioCV's formats about a person we know, imported and held against what is known."""
+"""A trial in BioCV's formats about a person we know, imported and held against what is toured."""
 
 import numpy as np
 import pytest
@@ -9,9 +9,6 @@ from capture_rig.rig import load_rig
 from capture_rig.session import WRIST_FRACTION, load_session
 from sagoma_tools.cli import main
 from sagoma_tools.importers.biocv import import_trial
-from stick_figure.body import Body
-from virtual_studio.recording.session import write_session
-from virtual_studio.rig import ring
 
 FPS, MOCAP_HZ, FRAMES = 20.0, 100.0, 12
 NAMES = ("cam01", "cam02", "cam03", "cam04")
@@ -48,34 +45,28 @@ def tracks_mm(points_world) -> dict[str, np.ndarray]:
     return tracks
 
 
-@pytest.fixture(scope="module")
-def known(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("studio") / "walk"
-    return load_session(write_session(folder, ring(3), Body.from_stature(1.75), "walk", FPS, FRAMES / FPS))
-
-
 @pytest.fixture
-def trial(known, tmp_path):
+def trial(toured, tmp_path):
     folder = tmp_path / "P03" / "P03_WALK_01"
     calibration = folder.parent / "calib_02"
     folder.mkdir(parents=True)
     calibration.mkdir()
-    for number, camera in enumerate(known.rig.cameras):
-        video = known.videos[camera.name]
+    for number, camera in enumerate(toured.rig.cameras):
+        video = toured.videos[camera.name]
         (folder / f"{number:02d}{video.suffix}").write_bytes(video.read_bytes())
         (calibration / f"{number:02d}.mp4.calib").write_text(calibration_text(camera))
-    write_c3d(folder / "markers.c3d", tracks_mm(known.truth.points_world), MOCAP_HZ, prefix="P03:")
+    write_c3d(folder / "markers.c3d", tracks_mm(toured.truth.points_world), MOCAP_HZ, prefix="P03:")
     return folder
 
 
-def test_rig_points_and_rate_come_back(known, trial, tmp_path):
+def test_rig_points_and_rate_come_back(toured, trial, tmp_path):
     summary = import_trial(trial, tmp_path / "session")
     session = load_session(tmp_path / "session")
     assert (summary.frames, session.fps, list(session.videos)) == (FRAMES, FPS, [*NAMES])
-    for mine, true in zip(session.rig.cameras, known.rig.cameras, strict=True):
-        points = known.truth.points_world[0]
+    for mine, true in zip(session.rig.cameras, toured.rig.cameras, strict=True):
+        points = toured.truth.points_world[0]
         np.testing.assert_allclose(mine.project(points), true.project(points), atol=0.01)
-    expected = known.truth.points_world.copy()
+    expected = toured.truth.points_world.copy()
     for elbow, hand in ((7, 11), (8, 12)):
         expected[:, hand] = expected[:, elbow] + WRIST_FRACTION * (expected[:, hand] - expected[:, elbow])
     assert np.abs(session.truth.points_world - expected).max() < 1e-3
@@ -83,8 +74,8 @@ def test_rig_points_and_rate_come_back(known, trial, tmp_path):
     assert summary.markers["LKnee"] == ("LKNE", "LKNEM") and summary.frames_with_truth == FRAMES
 
 
-def test_a_marker_that_was_not_seen_leaves_its_point_unknown(known, trial, tmp_path):
-    tracks = tracks_mm(known.truth.points_world)
+def test_a_marker_that_was_not_seen_leaves_its_point_unknown(toured, trial, tmp_path):
+    tracks = tracks_mm(toured.truth.points_world)
     tracks["LKNE"][:5] = 0.0
     write_c3d(trial / "markers.c3d", tracks, MOCAP_HZ)
     summary = import_trial(trial, tmp_path / "session")
@@ -92,15 +83,15 @@ def test_a_marker_that_was_not_seen_leaves_its_point_unknown(known, trial, tmp_p
     assert unknown[0] and not unknown[-1] and summary.frames_with_truth == FRAMES - unknown.sum()
 
 
-def test_motion_capture_that_began_later_is_moved_in_time(known, trial, tmp_path):
+def test_motion_capture_that_began_later_is_moved_in_time(toured, trial, tmp_path):
     import_trial(trial, tmp_path / "session", mocap_delay_s=2.0 / FPS)
     found = load_session(tmp_path / "session").truth.points_world[:, 9]
     assert np.isnan(found[:2]).all()
-    np.testing.assert_allclose(found[2:], known.truth.points_world[:-2, 9], atol=1e-3)
+    np.testing.assert_allclose(found[2:], toured.truth.points_world[:-2, 9], atol=1e-3)
 
 
-def test_markers_by_other_names_are_listed_and_can_be_given(known, trial, tmp_path):
-    tracks = {name.replace("SJC", "_glen"): track for name, track in tracks_mm(known.truth.points_world).items()}
+def test_markers_by_other_names_are_listed_and_can_be_given(toured, trial, tmp_path):
+    tracks = {name.replace("SJC", "_glen"): track for name, track in tracks_mm(toured.truth.points_world).items()}
     write_c3d(trial / "markers.c3d", tracks, MOCAP_HZ)
     with pytest.raises(InputError, match=r"no markers for LShoulder, RShoulder .* L_glen"):
         import_trial(trial, tmp_path / "session")

@@ -67,26 +67,21 @@ def calibrated(capsys, *arguments):
     return status, json.loads(printed.out.splitlines()[-1]), printed.err
 
 
-def test_stills_give_the_lens_and_files_that_read_back(stills, tmp_path, capsys):
-    status, figures, _ = calibrated(capsys, stills, "--board", BOARD_TEXT, "--output", tmp_path)
+@pytest.mark.parametrize("kind", ["stills", "film"])
+def test_footage_gives_the_lens_and_files_that_read_back(kind, stills, shown, tmp_path, capsys):
+    footage, output = stills, tmp_path / "lens"
+    if kind == "film":
+        footage = write_clip(tmp_path / "cam01.AVI", [image for image in shown for _ in range(2)], 25.0, "XVID")
+    status, figures, _ = calibrated(capsys, footage, "--board", BOARD_TEXT, "--output", output)
     (camera,) = figures["cameras"]
     assert status == 0 and camera["camera"] == "cam01" and camera["views"] >= 12
-    assert camera["values"]["fx"] == pytest.approx(CAMERA.K[0, 0], rel=0.003)
-    assert abs(camera["values"]["cx"] - CAMERA.K[0, 2]) < 1.0 and abs(camera["values"]["cy"] - CAMERA.K[1, 2]) < 1.0
-    read = read_camera_info(tmp_path / "cam01.yaml")
+    read = read_camera_info(output / "cam01.yaml")
     assert read.name == "cam01" and read.K[0, 0] == pytest.approx(camera["values"]["fx"], abs=1e-5)
-    report = yaml.safe_load((tmp_path / "cam01.report.yaml").read_text())
+    assert np.abs(read.K.diagonal()[:2] / CAMERA.K.diagonal()[:2] - 1).max() < 2e-3
+    assert np.abs(read.K[:2, 2] - CAMERA.K[:2, 2]).max() < 1.0
+    report = yaml.safe_load((output / "cam01.report.yaml").read_text())
     assert report["verdict"] == camera["verdict"] and report["board"] == BOARD_TEXT
-    assert cv2.imread(str(tmp_path / "cam01.png")).shape[0] > 500
-
-
-def test_film_gives_the_lens_too(shown, tmp_path, capsys):
-    film = write_clip(tmp_path / "cam01.AVI", [image for image in shown for _ in range(2)], 25.0, "XVID")
-    status, figures, _ = calibrated(capsys, film, "--board", BOARD_TEXT, "--output", tmp_path / "lens")
-    found = read_camera_info(tmp_path / "lens" / "cam01.yaml")
-    assert status == 0 and [camera["camera"] for camera in figures["cameras"]] == ["cam01"]
-    assert np.abs(found.K.diagonal()[:2] / CAMERA.K.diagonal()[:2] - 1).max() < 2e-3
-    assert np.abs(found.K[:2, 2] - CAMERA.K[:2, 2]).max() < 1.0
+    assert cv2.imread(str(output / "cam01.png")).shape[0] > 500
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from footage_clips import write_clip
 
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.rig import Rig, Volume, load_rig, save_rig
@@ -183,10 +184,8 @@ def test_footage_of_another_size_is_an_error(examined, tmp_path):
     session.mkdir()
     for camera in GOOD.cameras:
         size = (320, 240) if camera.name == "cam02" else (640, 480)
-        writer = cv2.VideoWriter(str(session / f"{camera.name}.mp4"), cv2.VideoWriter_fourcc(*"mp4v"), 10.0, size)
-        for _ in range(3 if camera.name != "cam04" else 2):
-            writer.write(np.full((size[1], size[0], 3), 90, np.uint8))
-        writer.release()
+        frames = 2 if camera.name == "cam04" else 3
+        write_clip(session / f"{camera.name}.mp4", [np.full(size[::-1], 90, np.uint8)] * frames, 10.0)
         cv2.imwrite(str(session / f"{camera.name}_background.png"), np.zeros((480, 640), np.uint8))
     (session / "cam05.mp4").unlink()
     status, found = examined(GOOD, "--session", session)

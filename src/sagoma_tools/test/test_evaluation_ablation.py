@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from capture_rig.session import Session, load_session
+from capture_rig.session import Session
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import exact_silhouettes
@@ -21,11 +21,6 @@ from sagoma_tools.evaluation.in_process import (
     track_people,
     track_session,
 )
-
-
-@pytest.fixture(scope="module")
-def session(tour) -> Session:
-    return load_session(tour)
 
 
 def started(session: Session, **changes) -> Configuration:
@@ -59,30 +54,30 @@ def test_every_row_adds_exactly_one_part():
         assert changed == switched | (set() if part.feedback else {"feedback"})
 
 
-def test_a_configuration_tracks_the_same_alone_and_beside_others_which_share_one_carving(session, monkeypatch):
-    alone = track_session(session, started(session), exact_masks=True)
+def test_a_configuration_tracks_the_same_alone_and_beside_others_which_share_one_carving(toured, monkeypatch):
+    alone = track_session(toured, started(toured), exact_masks=True)
     carved = []
     carve = MocapPipeline.carve_set
     monkeypatch.setattr(MocapPipeline, "carve_set", lambda *args: carved.append(args[1].stamp_ns) or carve(*args))
-    both = {"a": started(session), "b": started(session, feedback=False)}
-    beside = {name: people[1] for name, people in track_people(session, both, exact_masks=True).items()}
+    both = {"a": started(toured), "b": started(toured, feedback=False)}
+    beside = {name: people[1] for name, people in track_people(toured, both, exact_masks=True).items()}
     assert len(carved) == len(set(carved)) == 12
     assert alone.points_world.tobytes() == beside["a"].points_world.tobytes()
     assert not np.array_equal(beside["a"].points_world, beside["b"].points_world)
 
 
-def test_variants_that_need_other_hulls_are_refused(session):
-    other = started(session)
+def test_variants_that_need_other_hulls_are_refused(toured):
+    other = started(toured)
     other = replace(other, hull=replace(other.hull, voxel_size_m=0.03))
     with pytest.raises(ValueError, match="differ in the settings of cameras or hull"):
-        track_people(session, {"a": started(session), "b": other}, exact_masks=True)
+        track_people(toured, {"a": started(toured), "b": other}, exact_masks=True)
 
 
-def test_without_feedback_every_fit_starts_from_the_fit_before(session):
-    graph = MocapPipeline(session.rig, started(session))
-    closed, opened = graph.body, TrackingStage.of(started(session, feedback=False))
+def test_without_feedback_every_fit_starts_from_the_fit_before(toured):
+    graph = MocapPipeline(toured.rig, started(toured))
+    closed, opened = graph.body, TrackingStage.of(started(toured, feedback=False))
     starts: dict[str, list[str]] = {"closed": [], "opened": []}
-    for frame, masks in enumerate(exact_silhouettes(session)):
+    for frame, masks in enumerate(exact_silhouettes(toured)):
         clouds = graph.carve(1_000_000_000 + 50_000_000 * frame, masks)
         starts["closed"].append(closed.step(clouds).fit.started_from)
         starts["opened"].append(opened.step(clouds).fit.started_from)

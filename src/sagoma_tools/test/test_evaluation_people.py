@@ -26,27 +26,25 @@ def test_each_track_belongs_to_the_truth_that_it_is_nearest_to_in_its_first_seco
     assert people.persons[1].scores.mean_mm == pytest.approx(10.0 * np.sqrt(3.0))
 
 
-def test_two_persons_taken_for_each_other_are_two_switches():
-    half = FRAMES // 2 + 10
-    tracks = {
-        1: track_of(np.concatenate([FIRST[:half], SECOND[half:]])),
-        2: track_of(np.concatenate([SECOND[:half], FIRST[half:]])),
-    }
-    assert score_people(tracks, TRUTHS, FPS).switches == 2
+def parts_of(*pieces):
+    """A track of points of other persons one after the other."""
+    return track_of(np.concatenate(pieces))
 
 
-def test_new_number_of_a_person_counts_as_a_switch():
-    tracks = {1: track_of(FIRST[:60]), 3: track_of(FIRST[60:], first=60), 2: track_of(SECOND)}
+@pytest.mark.parametrize(
+    ("tracks", "numbers", "switches", "ghosts"),
+    [
+        ({1: parts_of(FIRST[:70], SECOND[70:]), 2: parts_of(SECOND[:70], FIRST[70:])}, [(1,), (2,)], 2, ()),
+        ({1: track_of(FIRST[:60]), 3: track_of(FIRST[60:], first=60), 2: track_of(SECOND)}, [(1, 3), (2,)], 1, ()),
+        ({1: track_of(FIRST), 2: track_of(FIRST + 5.0 * ASIDE_M)}, [(1,), ()], 0, (2,)),
+    ],
+    ids=["two taken for each other", "a new number", "a track of nobody is a ghost"],
+)
+def test_switches_of_numbers_and_tracks_of_nobody_are_counted(tracks, numbers, switches, ghosts):
     people = score_people(tracks, TRUTHS, FPS)
-    assert people.persons[0].numbers == (1, 3)
-    assert people.persons[0].switches == 1
-
-
-def test_track_of_nobody_is_a_ghost():
-    people = score_people({1: track_of(FIRST), 2: track_of(FIRST + 5.0 * ASIDE_M)}, TRUTHS, FPS)
-    assert people.ghosts == (2,)
-    assert people.ghost_frames == FRAMES
-    assert people.persons[1].scores is None
+    assert [person.numbers for person in people.persons] == numbers
+    assert (people.switches, people.ghosts, people.ghost_frames) == (switches, ghosts, FRAMES * len(ghosts))
+    assert [person.scores is None for person in people.persons] == [not each for each in numbers]
 
 
 def test_what_a_track_calls_lost_is_not_looked_at():

@@ -14,9 +14,6 @@ from sagoma_tools.cli import main
 from sagoma_tools.evaluation.reasons import ELSE, WAIT, explain, rank_reasons, reasons_of_bag, remedy_of
 from sagoma_tools.evaluation.track import tracks_from_bag
 from sagoma_tools.recording.writer import BagWriter
-from stick_figure.body import Body
-from virtual_studio.recording.session import write_session
-from virtual_studio.rig import ring
 
 WATCHED = "somebody is here: watched for {:.1f} of 1.0 s"
 BELOW = "cam02 does not see your feet: step 0.4 m away from cam02"
@@ -93,12 +90,10 @@ def test_a_bag_of_a_tracked_person_without_the_topics_asks_for_these(tmp_path):
         tracks_from_bag(bag, lambda stamp_ns: stamp_ns)[1]
 
 
-def test_evaluate_ends_with_the_reasons_of_a_session_in_which_nobody_is_found(tmp_path, capsys):
-    body = Body.from_stature(1.75)
-    folder = write_session(tmp_path / "s", ring(3, False), body, "t_pose_only", fps=20.0, seconds=0.2)
+def test_evaluate_ends_with_the_reasons_of_a_session_in_which_nobody_is_found(tour, capsys):
     settings = ("hull_server.backend=cpu", "icp_tracker.initial_pose.t_pose.stature_high_m=1.4")
     arguments = ["--exact-masks", "--json", *(word for one in settings for word in ("--set", one))]
-    assert main(["evaluate", str(folder), *arguments]) == 2
+    assert main(["evaluate", str(tour), *arguments]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "no body was found in any frame: of 4 frame sets the tracker said" in said
+    assert "no body was found in any frame: of 12 frame sets the tracker said" in said
     assert "Start from a T-pose" not in said

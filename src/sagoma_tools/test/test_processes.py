@@ -161,22 +161,22 @@ def watched(supervise):
     return start
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGSEGV, marks=pytest.mark.slow)])
-def test_killed_node_is_active_again_without_a_person_and_leaves_no_shared_memory(watched, number):
+def test_killed_node_is_active_again_without_a_person_and_leaves_no_shared_memory(watched):
     run, told = watched(tiny("hull_server"), camera("cam01"))
     name = "/cam01/camera_client"
     before = run.processes.pids()[name]
     its_memory = segments_of(before)
-    os.kill(before, number)
+    os.kill(before, signal.SIGKILL)
     death, back = told.get(timeout=PATIENCE_S), told.get(timeout=PATIENCE_S)
     assert isinstance(death, ProcessExited) and death.process.label == "cam01" and death.pid == before
-    assert f"killed by {number.name}" in str(death) and "restart in 0.1 s" in str(death)
+    assert "killed by SIGKILL" in str(death) and "restart in 0.1 s" in str(death)
     assert isinstance(back, ProcessRecovered) and back.pid == run.processes.pids()[name] != before
     assert run.states() == {"/hull_server": "active", name: "active"}
     log = run.processes.child_of(name).log_tail(100)
     assert "I am good" in death.log_tail and log.count("I am good") == 2  # the log goes on
     assert [status.returncode for status in run.stop()] == [0, 0]
-    assert its_memory and not any(segment.exists() for segment in its_memory)
+    assert its_memory
+    until(lambda: not any(segment.exists() for segment in its_memory))  # another graph's end may hold its lock
 
 
 def test_process_that_crashes_at_every_start_is_given_up_with_its_last_words(watched):

@@ -1,27 +1,37 @@
-"""Recording and replaying over real ROS topics, with a fake EKF at the far end."""
+"""Recording and replaying over real ROS topics, with a fake EKF at the far end: what is asked for, of whatever nodes,
+byte for byte, in step with who answers."""
 
 import re
+import struct
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 import yaml
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import CompressedImage, MultiDOFJointState
+from sensor_msgs.msg import CompressedImage, Image, JointState, MultiDOFJointState
+from std_msgs.msg import String
 from tools_waiting import until
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
+from sagoma_ros.messages import to_stamp
+from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, camera_topics
-from sagoma_tools.recording.reader import BagMessage, read_messages
-from sagoma_tools.recording.recorder import Recorder, has_header
+from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, Topic, camera_topics
+from sagoma_tools.recording import recorder as recorder_module
+from sagoma_tools.recording.reader import TYPES, BagMessage, read_messages, read_provenance
+from sagoma_tools.recording.recorder import AskedTopics, Recorder, TimeJumpDetector, has_header, is_known, matches_any
 from sagoma_tools.recording.replayer import Answers, InputPublishers, play_lockstep, play_timed, timed_by_exposures
 
 CAMERAS = ("cam01", "cam02")
 SILHOUETTE = "sensor_msgs/msg/CompressedImage"
 EPOCH_NS = 1_700_000_000_000_000_000
 PERIOD_NS = 20_000_000
+PATIENCE_S = 30.0
+BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 def silhouette_topic(camera):
@@ -192,7 +202,7 @@ def test_recorded_bytes_equal_the_published_ones(link, far_link, tmp_path):
         assert [m.data for m in read if m.topic == silhouette_topic(camera)] == sent
         assert counts[f"/{camera}/camera_info"] == 0
     assert (tmp_path / "bag" / "rig.yaml").read_text() == rig.read_text()
-    document = yaml.safe_load((tmp_path / "bag" / "sagoma.yaml").read_text())
+    document = read_provenance(tmp_path / "bag")
     assert document["graph"]["/hull_server"]["voxel_mm"] == 20.0 and "rosbags" in document["software"]
     metadata = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert metadata["storage_identifier"] == "mcap" and metadata["message_count"] == len(published)
@@ -200,6 +210,7 @@ def test_recorded_bytes_equal_the_published_ones(link, far_link, tmp_path):
     (described,) = [topic for topic in described if topic["name"] == silhouette_topic("cam01")]
     announced = far_link.node.get_publishers_info_by_topic(silhouette_topic("cam01"))[0].topic_type_hash
     assert described["type_description_hash"] == str(announced)  # as ROS itself has it
+    assert str(announced) in hashes_in((tmp_path / "bag" / "bag.mcap").read_bytes())
     assert described["offered_qos_profiles"][0]["reliability"] == "reliable"
     assert re.fullmatch(r"\d+\.\d+\.\d+( \([0-9a-f]{12}(, modified)?\))?", document["software"]["sagoma"])
 
@@ -218,3 +229,99 @@ def test_every_output_topic_has_a_message_class_and_most_carry_a_stamp():
     unstamped = {topic.name for topic in OUTPUT_TOPICS} - stamped
     texts = {"/icp/body", "/icp/bodies", "/mocap/point_names", "/mocap/robot_description"}
     assert unstamped == texts | {"/mocap/skeleton", "/mocap/state"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "taken"),
+    [
+        (["/tf"], {"/tf"}),  # not /tf_static, which only begins alike
+        (["humans"], {"/humans/bodies/tracked", "/humans/bodies/b0001/joint_states"}),
+        (["/cam01/", "/tf_static"], {"/cam01/camera_info", "/tf_static"}),
+    ],
+)
+def test_names_stand_for_a_topic_or_for_all_below(asked, taken):
+    graph = ["/tf", "/tf_static", "/humans/bodies/tracked", "/humans/bodies/b0001/joint_states", "/cam01/camera_info"]
+    assert set(filter(matches_any(asked), graph)) == taken
+
+
+def test_asked_topics_are_recorded_as_they_are_offered_and_nothing_else(link, far_link, tmp_path):
+    kept = far_link.node.create_publisher(String, "/humans/bodies/b0001/urdf", LATCHED)
+    kept.publish(String(data="said before the recording"))
+    far_link.node.create_publisher(JointState, "/mocap/joint_states", RESULT)
+    recorder = Recorder(link.node, tmp_path / "bag", ())
+
+    def asked():
+        return AskedTopics(link.node, matches_any(["/humans", "/cam01"]), lambda topic, kind: None)
+
+    recorder.follow(asked().new)
+    assert recorder.wait_for_count("/humans/bodies/b0001/urdf", 1, PATIENCE_S)
+    late = far_link.node.create_publisher(Image, "/cam01/image_raw", BEST_EFFORT)  # as camera drivers publish
+    assert not recorder.wait_for_publishers(["/cam01/image_raw"], PATIENCE_S)
+    late.publish(Image(height=1, width=2, step=2, encoding="mono8", data=b"\1\2"))
+    assert recorder.wait_for_count("/cam01/image_raw", 1, PATIENCE_S)
+    assert set(recorder.close()) == {"/humans/bodies/b0001/urdf", "/cam01/image_raw"}
+    qos = {topic.name: topic for topic in asked().new()}
+    assert qos["/humans/bodies/b0001/urdf"].qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert qos["/cam01/image_raw"].qos.reliability == ReliabilityPolicy.BEST_EFFORT
+    assert sum(1 for _ in read_messages(tmp_path / "bag")) == 2
+
+
+def test_topic_whose_type_is_not_installed_is_named_once_and_left_out(link, far_link, monkeypatch):
+    far_link.node.create_publisher(String, "/tf", RESULT)
+    monkeypatch.setattr(recorder_module, "is_known", lambda msgtype: False)
+    left_out = []
+    asked = AskedTopics(link.node, matches_any(["/tf"]), lambda *what: left_out.append(what))
+    while not left_out:
+        assert asked.new() == []
+    assert asked.new() == [] and left_out == [("/tf", "std_msgs/msg/String")]
+
+
+def test_definition_of_a_type_that_is_installed_is_learned(tmp_path, monkeypatch):
+    """A stand-in of hri_msgs: a package with a message of its own, in an installation of ROS."""
+    (tmp_path / "share/ament_index/resource_index/packages").mkdir(parents=True)
+    (tmp_path / "share/ament_index/resource_index/packages/crowd_msgs").touch()
+    (tmp_path / "share/crowd_msgs/msg").mkdir(parents=True)
+    (tmp_path / "share/crowd_msgs/msg/Ids.msg").write_text(
+        "std_msgs/Header header\nstring[] ids\ncrowd_msgs/Size[] sizes\n"
+    )
+    (tmp_path / "share/crowd_msgs/msg/Size.msg").write_text("float64 metres\n")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
+    assert not is_known("crowd_msgs/msg/Ids")  # there, but not its Python module
+    module = SimpleNamespace(Ids=object, Size=object)
+    monkeypatch.setitem(sys.modules, "crowd_msgs", SimpleNamespace(msg=module))
+    monkeypatch.setitem(sys.modules, "crowd_msgs.msg", module)
+    assert is_known("crowd_msgs/msg/Ids") and "crowd_msgs/msg/Size" in TYPES.fielddefs
+    assert TYPES.hash_rihs01("crowd_msgs/msg/Ids").startswith("RIHS01_")
+
+
+def hashes_in(data: bytes) -> set[str]:
+    """The values of the key topic_type_hash in an mcap file: a length of four bytes before each text."""
+    key, found, at = b"topic_type_hash", set(), 0
+    while (at := data.find(key, at)) >= 0:
+        at += len(key)
+        (length,) = struct.unpack_from("<I", data, at)
+        found.add(data[at + 4 : at + 4 + length].decode())
+    return found
+
+
+def test_stamps_that_go_back_are_told_once_and_counted_in_the_bag(link, far_link, tmp_path, capfd):
+    names = ("/probe/one", "/probe/two")
+    publishers = [far_link.node.create_publisher(JointState, name, LOSSLESS) for name in names]
+    recorder = Recorder(link.node, tmp_path / "bag", [Topic(name, "sensor_msgs/msg/JointState") for name in names])
+    assert not recorder.wait_for_publishers(names, PATIENCE_S)
+    for count, stamp_s in enumerate([10, 11, 12, 10, 11, 12], 1):
+        for publisher in publishers:
+            message = JointState()
+            message.header.stamp = to_stamp(stamp_s * 1_000_000_000)
+            publisher.publish(message)
+        assert all(recorder.wait_for_count(name, count, PATIENCE_S) for name in names)
+    assert recorder.beginnings == 2
+    recorder.close()
+    assert read_provenance(tmp_path / "bag")["beginnings"] == 2
+    assert capfd.readouterr().err.count("stamps went back by 2.000 s") == 1
+
+
+def test_a_late_message_is_no_time_jump():
+    jumps = TimeJumpDetector()
+    assert [jumps.observe("/x", ns) for ns in (1_000_000_000, 900_000_000, 1_100_000_000)] == [None] * 3
+    assert jumps.count == 0

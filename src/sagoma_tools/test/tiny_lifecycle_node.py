@@ -17,8 +17,6 @@ class TinyNode(LifecycleNode):
         self.behaviour = self.declare_parameter("behaviour", "good").value
         self.publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.timer = self.create_timer(0.05, self.publish)
-        if self.behaviour == "ignores_sigint":
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
         print(f"I am {self.behaviour}", flush=True)
 
     def publish(self):

@@ -12,7 +12,7 @@ from ekf_tracker.settings import EkfSettings
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings
 from icp_tracker.people.people_tracker import PeopleTracker
-from icp_tracker.thesis.hierarchical_icp import HierarchicalSettings
+from icp_tracker.thesis.hierarchical_icp import DESCENDANT_WEIGHT
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import NO_VOXELS, HullProducts, VoxelSamples
 from mocap_packets.state import BodyState
@@ -47,14 +47,14 @@ class Run:
     inside: np.ndarray
 
 
-def thesis(descendant_weight: float = 0.2) -> Method:
+def thesis(descendant_weight: float = DESCENDANT_WEIGHT) -> Method:
     """Hierarchical ICP from the pose before, and a filter whose model is that nothing moves (thesis 4.3, 5.2).
 
     The weight of the descendants' points, the thesis's epsilon, is "chosen heuristically" and not told.
     """
     return Method(
         f"thesis, epsilon {descendant_weight:g}",
-        TrackerSettings(method="hierarchical", hierarchical=HierarchicalSettings(descendant_weight=descendant_weight)),
+        TrackerSettings(method="hierarchical", descendant_weight=descendant_weight),
         EkfSettings(motion_model="identity"),
         feedback=False,
     )

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -56,20 +57,20 @@ class LimbBelief:
             unseen = unseen if hidden else before.unseen + gain * (unseen - before.unseen)
         return LimbBelief(places, log_odds, unfound, unseen)
 
-    @property
+    @cached_property
     def probabilities(self) -> np.ndarray:
         """(k + 2,) of the tracked place, the other places, unseen, if it is not unfound: what search, covariance and
         learning go by, for in torn silhouettes much is left over beside a limb that is right."""
         odds = np.exp(np.concatenate([[0.0], self.log_odds, [self.unseen]]))
         return np.asarray(odds / odds.sum())
 
-    @property
+    @cached_property
     def known_elsewhere(self) -> float:
         """Probability that elbow or hand is ELSEWHERE_M off, or unseen, if it is not unfound."""
         p = self.probabilities
         return float(p[1:-1][self.places.apart_m > ELSEWHERE_M].sum() + p[-1])
 
-    @property
+    @cached_property
     def not_as_tracked(self) -> float:
         """Probability that elbow or hand is ELSEWHERE_M off, unfound, or unseen."""
         known = 1.0 + float(np.exp(self.log_odds).sum()) + math.exp(self.unseen)

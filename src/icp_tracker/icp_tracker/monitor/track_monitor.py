@@ -26,35 +26,16 @@ from stick_figure.pose import Pose
 
 from ..articulated_fit import LONGEST_S, ArticulatedSettings
 from . import limb_filter
-from .evidence import RAYS_PER_NAT, SAME_M, TRUNK, Evidence, Observation
+from .body_filter import BodyFilter
+from .evidence import SAME_M, TRUNK, Evidence, Observation
 from .limb_filter import LimbBelief
 from .limb_search import NO_POSES, other_places, with_limb
-from .pose_library import (
-    LIMB_POINTS,
-    LIMBS,
-    WITH_ARMS,
-    WITH_LEGS,
-    WITH_SIDES,
-    LimbPoses,
-    exchanged,
-    limb_poses,
-    moved_to,
-    stances,
-    turned_around,
-)
+from .pose_library import LIMB_POINTS, LIMBS, LimbPoses, limb_poses
 
 # Thresholds: chosen with python bench/recovery.py.
 LOOKS_HZ, LOOKS_A_SET = 60.0, 4  # looks at one limb elsewhere: so many a second, so many a set at most
 LIMB_TURNS = (0, 1, 2, 0, 1, 3)  # of LIMBS: arms are lost more often than legs
-TURNED_EVERY = 8  # looks from one at the whole body turned round to the next, while the track is good
-CHECKS = 8  # of them, two more than there are kinds, until a body that was lost is believed
-STANCES_A_SET = 6
 MOST_M_S2, NEAR_M = 600.0, 0.1  # a boxer's fist stops with half of this (Walilko et al. 2005); what fits err by besides
-BODY_LOG_PRIOR = -3.0  # of another pose of the whole body, against the tracked one: a person seldom turns in a set
-BODY_DOUBTFUL = 0.4  # probability of another pose of the whole body
-LOST_SHARE, DOUBTFUL_SHARE = 0.35, 0.60  # of the contour rays explained: what wrong poses explain, what clothes leave
-LOST_DROP, DOUBTFUL_DROP = 0.30, 0.15  # below the share that this body usually explains: cameras and shadows differ
-USUAL_S = 5.0  # over which the usual share is averaged
 NOTHING_MOVED, ALL_PARTS = (False,) * len(PART_NAMES), (True,) * len(PART_NAMES)
 
 
@@ -84,20 +65,6 @@ class TrackAssessment:
     kept: Pose | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Another pose of the whole body, in words what differs, and its log odds against the tracked one."""
-
-    pose: Pose
-    why: str
-    log_odds: float = BODY_LOG_PRIOR
-    margin: float = 0.0
-
-    @property
-    def probability(self) -> float:
-        return 1.0 / (1.0 + math.exp(-self.log_odds))
-
-
 class TrackMonitor:
     """Judges and repairs the track of one body. Deterministic; its work is bounded at every frame set."""
 
@@ -109,16 +76,14 @@ class TrackMonitor:
         """Forget what is believed of the body."""
         self._beliefs: list[LimbBelief | None] = [None] * len(LIMBS)
         self._hidden = np.zeros(len(LIMBS), bool)  # limbs that reach beyond what the cameras show
-        self._hypothesis: Hypothesis | None = None
-        self._usual_share: float | None = None
-        self._last_good: Pose | None = None
+        self._body = BodyFilter()
         self._last_stamp_ns: int | None = None
-        self._turn = self._kind = self._unchecked = 0
+        self._turn = 0
         self._looks = [0] * len(LIMBS)
 
     def mark_lost(self) -> None:
         """Note a set that shows nobody: who is found after it is not believed before other poses have been tried."""
-        self._unchecked = CHECKS
+        self._body.mark_lost()
 
     def assess(
         self,
@@ -144,7 +109,7 @@ class TrackMonitor:
         if expected is not None and self._settings.search:
             pose, jumped = _without_jumps(seen, pose, expected)
         evidence = seen.evidence_of(pose, matched if pose is fitted else None)
-        quality = self._judge_body(evidence, dt_s)
+        quality = self._body.judge(evidence, dt_s)
         if quality.state == LOST:
             self.mark_lost()
         if not self._settings.search:
@@ -153,111 +118,29 @@ class TrackMonitor:
         self._turn = turns.stop
         self._update_limbs(seen, pose, evidence, turns, jumped)
         quality = self._with_limbs(quality)
-        if quality.state == GOOD:
-            self._last_good = pose
-        if (changed := self._changed_body(seen, pose, evidence, quality, turns)) is not None:
-            return changed
-        if (changed := self._changed_limb(seen, pose, evidence)) is not None:
-            return changed
-        quality = self._with_hypothesis(quality)
-        return TrackAssessment(
-            quality,
-            spread=self._spread(seen, pose, quality),
-            unseen=self._unseen_points(),
-            kept=None if pose is fitted else pose,
-        )
-
-    # --- what is believed of the whole body ---------------------------------------------------------------------------
-
-    def _judge_body(self, evidence: Evidence, dt_s: float) -> TrackQuality:
-        """Return the quality by the share of the contour rays that the body explains, itself and against its usual."""
-        share = evidence.share
-        usual = share if self._usual_share is None else self._usual_share
-        reason = f"the body explains {100 * share:.0f} % of the outlines, {100 * usual:.0f} % is usual"
-        if share < LOST_SHARE or usual - share > LOST_DROP:
-            return TrackQuality(LOST, reason, (LOST,) * len(PART_NAMES), share)
-        if share < DOUBTFUL_SHARE or usual - share > DOUBTFUL_DROP:
-            return TrackQuality(DOUBTFUL, reason, (DOUBTFUL,) * len(PART_NAMES), share)
-        self._usual_share = usual + (share - usual) * dt_s / (USUAL_S + dt_s)
-        return TrackQuality(GOOD, "", (GOOD,) * len(PART_NAMES), share)
+        self._body.mark_set(pose, quality, dt_s)
+        found = self._changed_body(seen, pose, evidence, quality, turns) or self._changed_limb(seen, pose, evidence)
+        if found is None:
+            quality = self._body.with_other(quality)
+            kept = None if pose is fitted else pose
+            found = TrackAssessment(
+                quality, spread=self._spread(seen, pose, quality), unseen=self._unseen_points(), kept=kept
+            )
+        return replace(found, quality=self._body.with_misfit(found.quality))
 
     def _changed_body(
         self, seen: Observation, pose: Pose, evidence: Evidence, quality: TrackQuality, turns: range
     ) -> TrackAssessment | None:
-        """Follow the other pose of the whole body, or look for one; return the change-over to one that is more
-        probable."""
+        """Return the change-over to another pose of the whole body that is more probable."""
         if self._hidden.sum() > 1:
-            self._hypothesis = None  # what is left of the body does not tell which way it faces
+            self._body.other = None  # what is left of the body does not tell which way it faces
             return None
-        other = self._hypothesis
-        if other is not None:
-            fitted = seen.fitted(other.pose)
-            found = seen.evidence_of(fitted)
-            other = _updated(replace(other, pose=fitted), evidence.margin_of(found), seen.dt_s)
-            if other.log_odds < BODY_LOG_PRIOR - 1.0 or farthest_apart_m(seen.body, fitted, pose) < SAME_M:
-                other = None
-            elif other.log_odds > 0.0:
-                self._hypothesis, self._beliefs = None, [None] * len(LIMBS)
-                return TrackAssessment(self._judge_body(found, 0.0), other.pose, other.why, ALL_PARTS)
-            self._hypothesis = other
-        if other is None or self._unchecked:
-            for turn in turns:
-                self._look_for_another(seen, pose, evidence, quality, turn)
-        return None
-
-    def _look_for_another(
-        self, seen: Observation, pose: Pose, evidence: Evidence, quality: TrackQuality, turn: int
-    ) -> None:
-        """Try one other pose of the whole body, if it is its turn; one that explains more is followed."""
-        if quality.state == LOST and turn % 2:
-            guess = self._stance(seen, turn // 2)
-        elif turn % (1 if quality.state == LOST or self._unchecked or quality.parts[TRUNK] != GOOD else TURNED_EVERY):
-            return
-        else:
-            guess = self._other_way_round(seen, pose)
-        fitted = seen.fitted(guess.pose, guess=True)
-        margin = evidence.margin_of(seen.evidence_of(fitted))
-        best = 0.0 if self._hypothesis is None else self._hypothesis.margin
-        if margin > best and farthest_apart_m(seen.body, fitted, pose) > SAME_M:
-            self._hypothesis = _updated(replace(guess, pose=fitted), margin, seen.dt_s)
-
-    def _other_way_round(self, seen: Observation, pose: Pose) -> Hypothesis:
-        """Return the body turned or exchanged, one way after another."""
-        body, kind = seen.body, self._kind % 6
-        self._kind += 1
-        self._unchecked = max(self._unchecked - 1, 0)
-        if kind in (0, 3):
-            return Hypothesis(exchanged(body, pose, WITH_SIDES), "left and right exchanged")
-        if kind == 1:
-            return Hypothesis(turned_around(pose), "the body facing the other way")
-        if kind == 2:
-            return Hypothesis(exchanged(body, pose, WITH_LEGS), "left and right leg exchanged")
-        if kind == 4 or self._last_good is None:
-            return Hypothesis(exchanged(body, pose, WITH_ARMS), "left and right arm exchanged")
-        return Hypothesis(moved_to(self._last_good, seen.data.hull), "the last good pose")
-
-    def _stance(self, seen: Observation, turn: int) -> Hypothesis:
-        """Return the best of a few stances; others at the next set."""
-        every = stances(seen.body, seen.data.hull)
-        parts = len(every) // STANCES_A_SET
-        best = min(every[turn % parts :: parts], key=lambda pose: seen.evidence_of(pose).cost)
-        return Hypothesis(best, "the body found anew")
-
-    def _with_hypothesis(self, quality: TrackQuality) -> TrackQuality:
-        """Return the quality with everything doubtful beside another pose of the body that may be right, or before
-        other poses of a body that was lost have been tried."""
-        other, reasons = self._hypothesis, [quality.reason] if quality.reason else []
-        if other is not None:
-            quality = replace(quality, hypothesis_margin=other.margin)
-        if quality.state == LOST:
-            return quality
-        if other is not None and other.probability > BODY_DOUBTFUL:
-            reasons.append(f"{other.why} would explain {other.margin:.0f} rays more")
-        elif self._unchecked > 0:
-            reasons.append("found again, other poses are being tried")
-        else:
-            return quality
-        return replace(quality, state=DOUBTFUL, parts=(DOUBTFUL,) * len(PART_NAMES), reason="; ".join(reasons))
+        changed = self._body.update(seen, pose, evidence, quality, turns)
+        if changed is None:
+            return None
+        self._beliefs = [None] * len(LIMBS)
+        other, found = changed
+        return TrackAssessment(self._body.judge(found, 0.0), other.pose, other.why, ALL_PARTS)
 
     # --- what is believed of each limb --------------------------------------------------------------------------------
 
@@ -318,7 +201,8 @@ class TrackMonitor:
             self._beliefs[number] = belief.without(place)
             return None
         self._beliefs[number] = self._belief_after_move(seen, better, number, pose, log_odds)
-        quality, moved = self._judge_body(found, 0.0), tuple(part == limb.part for part in range(len(PART_NAMES)))
+        quality = self._with_limbs(self._body.judge(found, 0.0))
+        moved = tuple(part == limb.part for part in range(len(PART_NAMES)))
         return TrackAssessment(quality, better, f"{PART_NAMES[limb.part]} elsewhere", moved)
 
     def _belief_after_move(
@@ -348,9 +232,9 @@ class TrackMonitor:
         for limb, points, belief in zip(LIMBS, LIMB_POINTS, self._beliefs, strict=True):
             if belief is not None and quality.parts[limb.part] == DOUBTFUL:
                 spread[points] = belief.spread
-        if self._hypothesis is not None and quality.parts[TRUNK] != GOOD:
-            d = forward(seen.body, self._hypothesis.pose) - forward(seen.body, pose)
-            spread += self._hypothesis.probability * d[:, :, None] * d[:, None, :]
+        if self._body.other is not None and quality.parts[TRUNK] != GOOD:
+            d = forward(seen.body, self._body.other.pose) - forward(seen.body, pose)
+            spread += self._body.other.probability * d[:, :, None] * d[:, None, :]
         elif quality.parts[TRUNK] != GOOD:
             spread[points_of_parts([part == TRUNK for part in range(len(PART_NAMES))])] += (
                 limb_filter.UNSEEN_SD_M** 2 * np.eye(3)
@@ -377,14 +261,6 @@ def _without_jumps(seen: Observation, pose: Pose, expected: Pose) -> tuple[Pose,
             pose = with_limb(pose, limb, *there.poses.at(0))
             jumped[number] = LimbPoses.of(fitted, limb)
     return pose, jumped
-
-
-def _updated(other: Hypothesis, margin: float, dt_s: float) -> Hypothesis:
-    """Return the hypothesis after a set in which it explained so many rays (margin) more than the tracked pose."""
-    gain = 1.0 - math.exp(-dt_s / limb_filter.MEMORY_S)
-    most = 2.0 * limb_filter.SET_NATS  # of a whole body: a tear reaches one part of it
-    nats = min(max(margin / RAYS_PER_NAT, -most), most)
-    return replace(other, log_odds=other.log_odds + gain * (BODY_LOG_PRIOR + nats - other.log_odds), margin=margin)
 
 
 def _in_words(belief: LimbBelief) -> str:

@@ -47,6 +47,7 @@ GIVEN_SD_M = 0.001  # sizes that were given are kept
 class RefinementSettings:
     """Sizes and build of a body that was measured or guessed, from the contour rays of the poses that follow.
 
+    build_sd : how people differ in build, over the spread of the table of builds; small: all have the average build.
     turn : rad, a pose is different when some joint turned by this much against every kept one. explained : share of the
     rays that the surface must explain for a pose to count; less while no pose reaches it. surface_sd_m : distance of a
     body's surface from the capsules, where they fit well; independent_rays : what all rays of a pose count as.
@@ -55,12 +56,7 @@ class RefinementSettings:
     """
 
     keyframes: int = setting(64, "different poses that are kept; 0 leaves the body as it was measured", low=0, high=500)
-    build_sd: float = setting(
-        1.0,
-        "how people differ in build, over the spread of the table of builds; small: all have the average build",
-        low=1e-6,
-        high=10.0,
-    )
+    build_sd: float = 1.0
     turn: float = TURN
     explained: float = EXPLAINED
     surface_sd_m: float = SURFACE_SD_M

@@ -14,12 +14,9 @@ a few millimetres.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from capture_rig.kernel import njit
-from capture_rig.settings import setting
 from stick_figure import kernels
 from stick_figure.body import Body
 from stick_figure.kinematics import inverse
@@ -36,6 +33,7 @@ OWN, DESCENDANT, OTHER = 0, 1, 2
 MAX_ITERATIONS = 30  # of a stick
 MIN_OWN_POINTS = 3  # a stick with fewer points of its own stays where it is
 ROTATION_TOLERANCE, SHIFT_TOLERANCE_M = 1e-3, 1e-4  # rad, m: a stick, the torso, is done below this increment
+DESCENDANT_WEIGHT = 0.2  # the thesis's epsilon
 CUT = 3.5  # standard deviations
 MAD_TO_SIGMA = 1.4826  # a Gaussian's standard deviation over its median absolute deviation
 SIGMA_FLOOR_M = 0.005
@@ -57,27 +55,19 @@ _ORDER = np.array(PREORDER)
 _LEAF = np.array([not below.any() for below in DESCENDANTS])
 
 
-@dataclass(frozen=True)
-class HierarchicalSettings:
-    """Settings of the hierarchical articulated ICP."""
-
-    descendant_weight: float = setting(
-        0.2, "weight of a descendant's point against one of the stick's own (the thesis's epsilon)", low=0.0, high=1.0
-    )
-
-
 def fit_hierarchical(
-    body: Body, start: Pose, points_world: np.ndarray, settings: HierarchicalSettings | None = None
+    body: Body, start: Pose, points_world: np.ndarray, descendant_weight: float = DESCENDANT_WEIGHT
 ) -> tuple[Pose, int, bool]:
     """Fit the stick figure to ``points_world`` (n, 3) m, starting from ``start``.
 
+    ``descendant_weight`` : of a descendant's point against one of the stick's own.
+
     Returns the pose, the total of the sticks' iterations, and whether every stick converged.
     """
-    settings = settings or HierarchicalSettings()
     state, figure = State.of(start), Figure.of(body)
     G, *_ = kernels.place_sticks(state, figure.lengths, figure.origins)
     points = np.ascontiguousarray(points_world, dtype=np.float64)
-    iterations, converged = align_sticks(points, G, state.t0, figure, settings.descendant_weight)
+    iterations, converged = align_sticks(points, G, state.t0, figure, descendant_weight)
     # every joint was free to turn in all directions; the nearest pose with hinges at elbows and knees has these points
     return inverse(body, _reference_points(G, state.t0, figure), start), iterations, converged
 

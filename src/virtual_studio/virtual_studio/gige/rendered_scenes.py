@@ -34,6 +34,7 @@ KEPT_SETS = 3
 LONGEST_STEP_NS = 200_000_000
 """The next exposure of cameras that expose less often is not predicted."""
 POSES_PER_S = 60.0
+RENDER_HZ = 20  # live renderings at most
 EMPTY, INTRINSICS, FLOOR, MOVING, PERSON = PHASES = ("empty", "intrinsics", "floor", "moving", "person")
 NEXT = "next"
 CARRIED_S = 30.0
@@ -154,7 +155,12 @@ class RoomScene(LiveScene):
     """A person who moves in the room, seen by all cameras of a rig."""
 
     def __init__(
-        self, rig: Rig, motion: str = "tour", seconds: float = 20.0, most_hz: float = 20.0, clock: CaptureClock = UTC
+        self,
+        rig: Rig,
+        motion: str = "tour",
+        seconds: float = 20.0,
+        most_hz: float = RENDER_HZ,
+        clock: CaptureClock = UTC,
     ) -> None:
         body = Body.from_stature(1.75)
         self._person = VolumetricBody(body)
@@ -180,7 +186,7 @@ class SetupScene(RoomScene):
         rig: Rig,
         motion: str = "tour",
         seconds: float = 20.0,
-        most_hz: float = 20.0,
+        most_hz: float = RENDER_HZ,
         clock: CaptureClock = UTC,
         hand_board: Board = HAND_BOARD,
         floor_board: Board = FLOOR_BOARD,

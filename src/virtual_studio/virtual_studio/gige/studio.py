@@ -12,7 +12,7 @@ from pathlib import Path
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.session import load_session
-from capture_rig.settings import build_settings, setting
+from capture_rig.settings import setting
 from capture_rig.stamps import CaptureClock
 from rig_calibration.boards.board import Board, board_text, read_board
 
@@ -21,7 +21,7 @@ from ..rig import ring
 from .camera import SimulatedCamera
 from .device import CameraSettings, consecutive_addresses
 from .loop import ControlServer, EventLoop, Request
-from .rendered_scenes import PERSON, LiveScene, RoomScene, SetupScene
+from .rendered_scenes import PERSON, RENDER_HZ, LiveScene, RoomScene, SetupScene
 from .scenes import CameraScene, PatternScene, Playback, load_session_scene
 from .timing import TriggerWire
 
@@ -46,7 +46,6 @@ class StudioSettings:
         1.0, "Of the cameras' clock and of all that moves; below 1: slow motion", unit="s a second", low=1 / 32, high=1
     )
     motion: str = setting("tour", "What the built-in person does", choices=("tour", "walk", "t_pose_only"))
-    render_hz: float = setting(20.0, "At most so many live renderings", unit="Hz", low=0.1, high=1000)
     memory_mb: float = setting(800.0, "Memory for a session's pictures", unit="MB", low=1)
     hand_board: str = setting(board_text(HAND_BOARD), "Of a set-up: the board that is waved before each camera")
     floor_board: str = setting(board_text(FLOOR_BOARD), "Of a set-up: the board on the floor, which is also carried")
@@ -82,11 +81,9 @@ def make_studio_scene(settings: StudioSettings) -> StudioScene:
     if settings.pattern:
         return StudioScene(rig, {camera.name: PatternScene(camera.width, camera.height) for camera in rig.cameras})
     if settings.scene != SETUP_SCENE:
-        return _rendered(RoomScene(rig, settings.motion, most_hz=settings.render_hz, clock=clock), rig, settings)
+        return _rendered(RoomScene(rig, settings.motion, clock=clock), rig, settings)
     hand, floor = read_board(settings.hand_board), read_board(settings.floor_board)
-    setup = SetupScene(
-        rig, settings.motion, most_hz=settings.render_hz, clock=clock, hand_board=hand, floor_board=floor
-    )
+    setup = SetupScene(rig, settings.motion, clock=clock, hand_board=hand, floor_board=floor)
     return replace(_rendered(setup, rig, settings), phases=setup)
 
 
@@ -96,7 +93,7 @@ def built_in_rig(cameras: int) -> Rig:
 
 
 def _rendered(scene: LiveScene, rig: Rig, settings: StudioSettings) -> StudioScene:
-    note = f"rendered live, at most {settings.render_hz:g} times a second: pictures in between are repeated"
+    note = f"rendered live, at most {RENDER_HZ:g} times a second: pictures in between are repeated"
     return StudioScene(rig, scene.views, scene.playback, True, (note,), scene.start, scene.close, scene.counters)
 
 
@@ -202,14 +199,14 @@ class Studio:
 
     def _camera_settings(self, number: int, name: str) -> CameraSettings:
         given = self.settings.camera
-        changes = {
-            "serial": f"STUDIO{number:03d}",
-            "user_id": name,
-            "seed": given.seed + number,
-            "frame_rate": self.frame_rate,
-            "drift_ppm": given.drift_ppm + 3.0 * number,
-        }
-        return build_settings(CameraSettings, {**vars(given), **changes}, f"camera {name}")
+        return replace(
+            given,
+            serial=f"STUDIO{number:03d}",
+            user_id=name,
+            seed=given.seed + number,
+            frame_rate=self.frame_rate,
+            drift_ppm=given.drift_ppm + 3.0 * number,
+        )
 
     def _chosen(self, request: Request) -> list[SimulatedCamera]:
         """Return the cameras that a request names; all, where it names none."""
