@@ -111,6 +111,14 @@ def open_probe(ros_context: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ca
 
 
 @pytest.fixture(scope="session")
+def body() -> Any:
+    """A man of 1.75 m."""
+    from stick_figure.body import Body
+
+    return Body.from_stature(1.75)
+
+
+@pytest.fixture(scope="session")
 def shared_data() -> Callable[..., Path]:
     """``shared_data("sessions", "walk_ring5top")``: a path in the test data; skips the test where it is absent.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import cv2
 import numpy as np
@@ -96,6 +96,33 @@ def carried_and_floor(
         *detections_of(cameras, carried(rng, frames), "moving", rng, noise_px),
         *detections_of(cameras, {0: T_WORLD_FLOOR}, "floor", rng, noise_px, max_tilt_deg=85),
     ]
+
+
+def carried_late(
+    cameras: Mapping[str, CameraModel],
+    poses: Mapping[int, np.ndarray],
+    shift_m: Callable[[int], np.ndarray],
+    rng: np.random.Generator,
+) -> list[TargetDetection]:
+    """A carried board before cameras that are not synchronous: each sees it shifted once more than the one before, by
+    ``shift_m(moment)`` (3,)."""
+    found = []
+    for late, (name, camera) in enumerate(cameras.items()):
+        moved = {moment: T.copy() for moment, T in poses.items()}
+        for moment, T in moved.items():
+            T[:3, 3] += late * shift_m(moment)
+        found += detections_of({name: camera}, moved, "moving", rng)
+    return found
+
+
+def waved(rng: np.random.Generator, frames: int) -> dict[int, np.ndarray]:
+    """T_world_target (4, 4) of a wand that is waved about, by moment."""
+    poses = {}
+    for frame_index in range(frames):
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = rotation(2 * rng.normal(size=3)), rng.uniform([-1, -1, 0.3], [1, 1, 1.9])
+        poses[frame_index] = T
+    return poses
 
 
 def truth(cameras: Mapping[str, CameraModel], reference: str = "floor") -> dict[str, np.ndarray]:

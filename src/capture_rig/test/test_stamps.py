@@ -7,26 +7,20 @@ from capture_rig.stamps import SLOW_ORIGIN_NS, UTC, CaptureClock, StampThrottle
 MS = 1_000_000
 
 
-def picked(throttle: StampThrottle, stamps_ms: list[float]) -> list[float]:
-    return [round(throttle.step_s(round(stamp * MS)), 6) for stamp in stamps_ms]
-
-
-def test_one_frame_a_period_is_due_and_stands_for_the_time_since_the_last() -> None:
+@pytest.mark.parametrize(
+    ("throttle", "stamps_ms", "steps_s"),
+    [
+        (StampThrottle(0.5), [0, 100, 499, 500, 700, 1050, 1549], [0.5, 0, 0, 0.5, 0, 0.55, 0]),
+        (StampThrottle(0.5, early_share=0.1), [0, 449, 450, 905], [0.5, 0, 0.45, 0.455]),
+        (StampThrottle(0.5), [0, 60_000], [0.5, 1.0]),
+        (StampThrottle(0.5, longest_s=2.0), [0, 60_000], [0.5, 2.0]),
+        (StampThrottle(0.5), [10_000, 3_000, 3_100, 3_600], [0.5, 0.5, 0, 0.6]),
+    ],
+    ids=["one a period", "a little early where stamps jitter", "a pause", "a pause of 2 s at most", "stamps go back"],
+)
+def test_frame_that_is_due_stands_for_the_time_since_the_last(throttle, stamps_ms, steps_s) -> None:
     """A first stamp of 0 is a stamp as any other."""
-    assert picked(StampThrottle(0.5), [0, 100, 499, 500, 700, 1050, 1549]) == [0.5, 0, 0, 0.5, 0, 0.55, 0]
-
-
-def test_frame_that_comes_a_little_early_is_due_where_stamps_jitter() -> None:
-    assert picked(StampThrottle(0.5, early_share=0.1), [0, 449, 450, 905]) == [0.5, 0, 0.45, 0.455]
-
-
-@pytest.mark.parametrize(("longest_s", "counted_s"), [(None, 1.0), (2.0, 2.0)])
-def test_pause_counts_as_the_longest_step(longest_s: float | None, counted_s: float) -> None:
-    assert picked(StampThrottle(0.5, longest_s=longest_s), [0, 60_000]) == [0.5, counted_s]
-
-
-def test_stamps_that_go_back_begin_anew() -> None:
-    assert picked(StampThrottle(0.5), [10_000, 3_000, 3_100, 3_600]) == [0.5, 0.5, 0, 0.6]
+    assert [round(throttle.step_s(stamp * MS), 6) for stamp in stamps_ms] == steps_s
 
 
 def test_capture_clock_at_full_speed_is_utc_to_the_nanosecond() -> None:

@@ -1,48 +1,58 @@
-"""Video files: what is in them, in order, and what is said of a file that is none."""
+"""Footage as people have it: codecs, rates, sizes, grey stored as colour, and files that are cut off or uneven."""
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from footage_clips import CODECS, cut_off, place_of_square, scene, with_late_frames, write_clip
 
 from capture_rig.errors import InputError
-from capture_rig.video import Video
+from capture_rig.verdict import REDO, USABLE
+from capture_rig.video import (
+    PassedFrames,
+    Video,
+    VideoFacts,
+    ended_findings,
+    examine_video,
+    is_grey,
+    session_findings,
+    video_findings,
+)
 
-LEVELS = (10, 60, 110, 160, 210)
+PLACES = 69.5 + 6 * np.arange(20)
+"""Columns of the scene's square."""
 
 
-@pytest.fixture
-def clip(tmp_path: Path) -> Path:
-    path = tmp_path / "clip.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 25.0, (64, 48))
-    for level in LEVELS:
-        writer.write(np.full((48, 64, 3), level, np.uint8))
-    writer.release()
-    return path
+def facts(path: str = "cam01.avi", frames: int = 100, header: int = 100, **passed: float) -> VideoFacts:
+    return VideoFacts(Path(path), header, 50.0, (644, 486), PassedFrames(frames, **passed))
 
 
-def levels(video: Video) -> list[int]:
-    return [round(float(image.mean())) for image in video]
+def places(video: Video) -> list[float]:
+    return [place_of_square(image) for image in video]
 
 
 @pytest.mark.parametrize("threads", [0, 1])
-def test_frames_come_in_order_with_what_the_header_says(clip: Path, threads: int) -> None:
-    with Video(clip, threads=threads) as video:
-        assert (video.fps, video.frame_count, video.size_px) == (25.0, 5, (64, 48))
-        assert levels(video) == pytest.approx(LEVELS, abs=2)
-        assert video.read() is None
-        video.rewind()
-        assert levels(video) == pytest.approx(LEVELS, abs=2)
+@pytest.mark.parametrize(("codec", "fps"), [*((codec, 59.94) for codec in CODECS), ("mp4v", 25.0), ("MJPG", 60.0)])
+def test_every_codec_gives_all_frames_in_order_at_its_rate(
+    tmp_path: Path, codec: str, fps: float, threads: int
+) -> None:
+    path = write_clip(tmp_path / f"cam01{CODECS[codec]}", scene(20), fps, codec)
+    with Video(path, threads=threads) as video:
+        assert (video.size_px, video.frame_count) == ((644, 486), 20)
+        assert video.fps == pytest.approx(fps, rel=1e-4)
+        assert places(video) == pytest.approx(PLACES, abs=1.0)
+        assert video.passed.frames == 20 and video.read() is None
+        assert [video.passed.shortest_s, video.passed.longest_s] == pytest.approx([1 / fps, 1 / fps], abs=2e-3)
+    assert list(video_findings(examine_video(path))) == []
 
 
-def test_frames_are_skipped_exactly_and_only_those_that_exist(clip: Path) -> None:
-    with Video(clip) as video:
+def test_frames_are_skipped_exactly_and_only_those_that_exist(tmp_path: Path) -> None:
+    with Video(write_clip(tmp_path / "cam01.avi", scene(5), 25.0, "MJPG")) as video:
         assert video.skip(3) == 3
-        assert levels(video) == pytest.approx(LEVELS[3:], abs=2)
+        assert places(video) == pytest.approx(PLACES[3:5], abs=1.0)
         assert video.skip(3) == 0
         video.rewind()
-        assert video.skip(9) == len(LEVELS)
+        assert video.skip(9) == 5
 
 
 @pytest.mark.parametrize("content", [None, b"no video"])
@@ -55,8 +65,100 @@ def test_file_that_is_no_video_is_an_input_error_with_the_remedy(tmp_path: Path,
     assert (caught.value.where, caught.value.remedy) == (str(path), "Copy it again.")
 
 
-def test_file_that_went_away_is_noticed_when_it_is_rewound(clip: Path) -> None:
-    with Video(clip) as video:
-        clip.unlink()
+def test_file_that_went_away_is_noticed_when_it_is_rewound(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "cam01.avi", scene(2), 25.0, "MJPG")
+    with Video(path) as video:
+        path.unlink()
         with pytest.raises(InputError):
             video.rewind()
+
+
+@pytest.mark.parametrize("codec", ["XVID", "MJPG"])
+def test_recording_that_was_cut_off_says_how_many_frames_there_are(tmp_path: Path, codec: str) -> None:
+    path = cut_off(write_clip(tmp_path / "cam01.avi", scene(20), 50.0, codec), 0.7)
+    seen = examine_video(path)
+    assert 8 <= seen.passed.frames < 20
+    (finding,) = video_findings(seen)
+    assert f"ends after {seen.passed.frames} frames, its header promises 20" in finding.what
+
+
+def test_mp4_that_was_cut_off_cannot_be_opened_and_the_remedy_says_what_to_try(tmp_path: Path) -> None:
+    path = cut_off(write_clip(tmp_path / "cam01.mp4", scene(10)), 0.9)
+    with pytest.raises(InputError, match=r"cam01.mp4: cannot be opened as a video.*ffmpeg -i FILE -c copy"):
+        examine_video(path)
+
+
+def test_truncated_last_frame_costs_only_that_frame(tmp_path: Path) -> None:
+    path = write_clip(tmp_path / "cam01.avi", scene(20), 50.0, "MJPG")
+    content = path.read_bytes()
+    index = content.rindex(b"idx1")
+    path.write_bytes(content[: index - 300])  # the last frame lacks its end, the file its index
+    seen = examine_video(path)
+    assert seen.passed.frames in (19, 20)
+    with Video(path) as video:
+        assert places(video)[:19] == pytest.approx(PLACES[:19], abs=1.0)
+
+
+def test_variable_frame_rate_is_named_with_both_intervals_and_a_remedy(tmp_path: Path) -> None:
+    path = with_late_frames(write_clip(tmp_path / "cam01.mp4", scene(20)), 15, 5)
+    (finding,) = video_findings(examine_video(path))
+    assert "variable frame rate: its frames are 20 to 40 ms apart" in finding.what
+    assert "ffmpeg -i cam01.mp4 -fps_mode cfr" in finding.remedy
+
+
+def test_time_stamps_in_whole_milliseconds_are_no_variable_rate() -> None:
+    assert not list(video_findings(facts(shortest_s=0.016, longest_s=0.017)))
+    assert not list(video_findings(facts(shortest_s=0.0, longest_s=0.0)))  # a raw stream has none
+
+
+def test_first_frame_that_comes_twice_is_named_where_other_cameras_have_it_once(tmp_path: Path) -> None:
+    images = scene(12)
+    late = write_clip(tmp_path / "cam01.mkv", [images[0], *images], 50.0, "FFV1")
+    others = [write_clip(tmp_path / f"cam0{n}.mkv", images, 50.0, "FFV1") for n in (2, 3)]
+    seen = {path.stem: examine_video(path) for path in (late, *others)}
+    assert [one.passed.twice for one in seen.values()] == [True, False, False]
+    (finding,) = session_findings(seen)
+    assert finding.what.startswith("the first frame of cam01.mkv comes twice") and "select" in finding.remedy
+    assert not list(session_findings({name: seen["cam01"] for name in seen}))  # all alike: nobody is late
+
+
+def test_video_without_a_frame_must_be_done_again() -> None:
+    (finding,) = video_findings(facts(frames=0))
+    assert finding.grade == REDO
+
+
+def test_shortest_of_videos_read_in_step_is_named_and_the_others_promise_nothing() -> None:
+    seen = {"cam01": facts("cam01.avi", 94, 100), "cam02": facts("cam02.avi", 93, 100)}
+    cut, first = ended_findings(seen)
+    assert cut.what.startswith("cam02.avi: ends after 93 frames, its header promises 100")
+    assert first.what.startswith("cam02.avi ended after 93 frames, before the others")
+    assert cut.grade == first.grade == USABLE
+    assert not list(ended_findings({"cam01": facts(), "cam02": facts()}))
+
+
+def test_video_with_far_fewer_frames_than_its_header_or_the_others_say_must_be_done_again() -> None:
+    (damaged,) = video_findings(facts(frames=5, header=240))
+    assert damaged.grade == REDO and "ends after 5 frames, its header promises 240" in damaged.what
+    (short,) = ended_findings({"cam01": facts("cam01.avi", 5, 5), "cam02": facts("cam02.avi", 6, 240)})
+    assert short.grade == REDO and "cam01.avi ended after 5 frames, before the others (up to 240)" in short.what
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_grey_camera_stored_as_colour_is_grey_and_a_colour_camera_is_not(tmp_path: Path, codec: str) -> None:
+    images = scene(4)
+    with Video(write_clip(tmp_path / f"grey{CODECS[codec]}", images, 50.0, codec)) as video:
+        assert all(is_grey(image) for image in video)
+    coloured = [np.stack([image, image, image], axis=-1) for image in images]
+    for image in coloured:
+        image[200:230, 300:330, 2] = 200  # somebody's red shirt: 0.3 % of the picture
+    with Video(write_clip(tmp_path / f"colour{CODECS[codec]}", coloured, 50.0, codec)) as video:
+        assert not any(is_grey(image) for image in video)
+
+
+def test_grey_with_chroma_quantised_by_one_step_is_grey() -> None:
+    grey = np.full((48, 64, 3), 100, np.uint8)
+    grey[:24] += np.array([4, 0, 0], np.uint8)  # 2 levels of chroma are 3.5 of blue
+    grey[0, 0] = (90, 100, 140)  # one damaged pixel in 3072
+    assert is_grey(grey) and is_grey(grey[..., 0])
+    grey[:, :8] += np.array([9, 0, 0], np.uint8)
+    assert not is_grey(grey)

@@ -3,13 +3,6 @@
 import pytest
 from ekf_probe import EkfProbe
 
-from stick_figure.body import Body
-
-
-@pytest.fixture(scope="session")
-def body():
-    return Body.from_stature(1.75)
-
 
 @pytest.fixture(scope="session")
 def person(body):

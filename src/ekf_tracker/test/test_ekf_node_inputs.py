@@ -1,12 +1,18 @@
-"""The filter node over real topics: sets it cannot use, stamps that go back, bad parameters."""
+"""The filter node over real topics: sets it cannot use, stamps that go back, bad parameters, several persons."""
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from ekf_person import ALL, isotropic, stamp
+from ekf_probe import OUTPUTS
 from node_probe import FAILURE
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker, MarkerArray
 
+from ekf_tracker.filter import ArticulatedEkf
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.people import FittedPeople, PeoplePoints
+from sagoma_ros.joint_motion import read_predictions
 from sagoma_ros.packets import tables_message
 
 
@@ -82,3 +88,126 @@ def test_bad_parameter_fails_the_configuration_with_a_clear_error(bench, paramet
     assert b.node.trigger_configure() == FAILURE
     b.until_said(words)
     b.until(lambda: b.node.count_publishers("/ekf/prediction") == 0)
+
+
+# --- several persons --------------------------------------------------------------------------------------------------
+
+BESIDE = np.array([2.0, 0.0, 0.0])
+SECOND = "mocap/bodies/b0002/"
+
+
+@pytest.fixture
+def couple(bench, person):
+    """couple(parameter=value, ...): a started bench that listens to the topics of two persons, and what sends a set."""
+
+    def start(**parameters):
+        b = bench(skeleton_rate_hz=0.0, **parameters)
+        for topic, kind in OUTPUTS.items():
+            if topic.startswith("mocap/"):
+                b.listen(kind, topic.replace("mocap/", SECOND))
+        b.listen(MarkerArray, "mocap/skeletons")
+        b.start()
+
+        def fit(k, others=(2,)):
+            """Send set k of the first person and others, 2 m beside; what was published until all was answered."""
+            people = {1: ReferencePoints(person.points(k / 60), isotropic(0.01), ALL)}
+            people |= {n: ReferencePoints(person.points(k / 60) + BESIDE, isotropic(0.01), ALL) for n in others}
+            begin, states = len(b.arrived), {"mocap/state", *(f"{SECOND}state" for n in others if n == 2)}
+            b.send_people(stamp(k), people)
+            b.until(lambda: b.answers(stamp(k), begin) and states <= {t for t, _ in b.arrived[begin:]})
+            return b.arrived[begin:]
+
+        return b, fit
+
+    return start
+
+
+def test_two_persons_have_topics_each_and_one_answer_a_set(couple, body, person):
+    """A publisher that comes with a person finds listeners that were there before: nothing is lost."""
+    (b, fit), published = couple(), {}
+    references = {"mocap/": ArticulatedEkf(body), SECOND: ArticulatedEkf(body)}
+    for k in range(3):
+        for topic, message in fit(k):
+            published.setdefault(topic, []).append(message)
+        for prefix, reference in references.items():
+            points = person.points(k / 60) + (BESIDE if prefix == SECOND else 0.0)
+            expected = reference.step(stamp(k), points, isotropic(0.01), ALL)
+            np.testing.assert_array_equal(published[f"{prefix}joint_states"][k].position, expected.angles)
+    assert {topic.removeprefix(SECOND) for topic in published if topic.startswith(SECOND)} == {
+        *("joint_states", "torso", "joint_rotations", "joint_covariance", "reference_points", "skeleton", "state")
+    }
+    assert all(len(messages) == 3 for topic, messages in published.items() if topic != "mocap/skeletons")
+    predictions = read_predictions(published["ekf/prediction"][-1], "test").of
+    apart = predictions[2].pose.position_world - predictions[1].pose.position_world
+    np.testing.assert_allclose(apart, BESIDE, atol=0.01)
+    b.until_said("2 persons: 1 tracking, 2 tracking")
+
+
+def test_markers_of_each_person_have_a_namespace_and_a_colour_of_their_own(couple):
+    b, fit = couple()
+    fit(0)
+    shown = [m for t, m in b.arrived if t == "mocap/skeletons"]
+    sticks = {one.ns: (one.color.r, one.color.g, one.color.b) for m in shown for one in m.markers if "sticks" in one.ns}
+    assert set(sticks) == {"b0001/sticks", "b0002/sticks"} and len(set(sticks.values())) == 2
+    assert [m.ns for m in b.latest("mocap/skeleton").markers] == ["sticks", "joints"]
+    assert all(one.lifetime.sec == 1 for m in shown for one in m.markers)
+
+
+def test_person_who_leaves_is_lost_then_gone_with_the_markers_and_the_topics_in_the_end(couple):
+    b, fit = couple()
+    fit(0)
+    begin = len(b.arrived)
+    fit(1, others=())
+    b.until(lambda: {t for t, _ in b.arrived[begin:]} >= {f"{SECOND}state", f"{SECOND}skeleton"})
+    got = b.arrived[begin:]
+    said = {t.removeprefix(SECOND): m for t, m in got if t.startswith(SECOND)}
+    assert set(said) == {"state", "skeleton"}
+    assert said["state"].message == "lost" and said["state"].values[0].value == "has left"
+    assert {(m.ns, m.action) for m in said["skeleton"].markers} == {
+        ("b0002/sticks", Marker.DELETE),
+        ("b0002/joints", Marker.DELETE),
+    }
+    state = "/mocap/bodies/b0002/state"
+    fit(300, others=())
+    assert b.node.count_publishers(state) == 1  # comes back within ten seconds, maybe
+    fit(700, others=())
+    b.until(lambda: b.node.count_publishers(state) == 0)
+    got = fit(701)  # the same number
+    assert [m.message for t, m in got if t == "mocap/bodies/b0002/state"] == ["tracking"]
+
+
+def test_everybody_tracked_is_listed_with_hri_msgs_and_nobody_once_sets_stop(couple, monkeypatch):
+    """A stand-in of hri_msgs/IdsList, which is not in the wheels: a message with a header and a list of names."""
+    monkeypatch.setattr("ekf_tracker.humans_ros.IdsList", JointState)
+    monkeypatch.setattr("ekf_tracker.humans_ros._ids_message", lambda ids, stamp_ns: JointState(name=ids))
+    b, fit = couple(publish_humans=True, stale_after_s=0.1)
+    b.listen(JointState, "/humans/bodies/tracked")
+    b.listen(JointState, "/humans/bodies/b0002/joint_states")
+    b.until(lambda: b.node.count_subscribers("/humans/bodies/tracked") == 1)
+    b.until(lambda: b.node.count_subscribers("/humans/bodies/b0002/joint_states") == 1)
+    b.until(lambda: b.node._bodies[0]._tracked.is_wanted)
+
+    def tracked():
+        return [list(m.name) for t, m in b.arrived if t == "/humans/bodies/tracked"]
+
+    fit(0)
+    fit(1)
+    b.until(lambda: ["b0001", "b0002"] in tracked())
+    fit(2, others=())
+    b.until(lambda: ["b0001"] in tracked())
+    b.until(lambda: tracked()[-1] == [])
+    assert b.latest("/humans/bodies/b0002/joint_states").name[0] == "waist_b0002"
+
+
+def test_silence_is_reported_and_the_markers_go(couple):
+    b, fit = couple(stale_after_s=0.1)
+    fit(0)
+    begin = len(b.arrived)
+    b.until(lambda: [t for t, _ in b.arrived[begin:]].count("mocap/bodies/b0002/state"))
+    said = dict(b.arrived[begin:])
+    for prefix in ("mocap/", SECOND):
+        assert said[f"{prefix}state"].message == "lost" and said[f"{prefix}state"].level == DiagnosticStatus.ERROR
+        assert "no frame sets" in said[f"{prefix}state"].values[0].value
+        assert {one.action for one in said[f"{prefix}skeleton"].markers} == {Marker.DELETE}
+    b.until_said("lost: no frame sets")
+    assert "tracking" in [m.message for t, m in fit(1) if t == "mocap/state"]

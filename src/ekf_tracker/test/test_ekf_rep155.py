@@ -5,12 +5,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from ekf_person import Person
+from poses import pose_with, random_pose
 from scipy.spatial.transform import Rotation
 
 from ekf_tracker.rep155 import HRI_JOINT_NAMES, body_frame, body_id_of, hri_angles, human_urdf
 from stick_figure.kinematics import forward
-from stick_figure.pose import T_POSE_ANGLES, Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, POINT_NAMES
+from stick_figure.pose import Pose
+from stick_figure.skeleton import POINT_NAMES
 
 SIDES = ("left", "right")
 PARTS = {"shoulder": "shoulder", "elbow": "elbow", "hand": "wrist", "hip": "hip", "knee": "knee", "foot": "ankle"}
@@ -36,11 +37,6 @@ def walk(urdf, angles, origin, R):
             turn = Rotation.from_rotvec(axis * angles[HRI_JOINT_NAMES.index(name)]).as_matrix()
         frames[child] = (t_parent + R_parent @ offset, R_parent @ turn)
     return frames
-
-
-def random_pose(rng):
-    angles = rng.uniform(ANGLE_LOW, ANGLE_HIGH)
-    return Pose.from_angles(rng.normal(size=3), Rotation.random(random_state=rng).as_matrix(), angles)
 
 
 def largest_error(body, pose, angles):
@@ -81,16 +77,13 @@ def test_limb_directions_follow_from_the_angles_with_the_axes_of_rep_155(body):
 
 
 def test_zero_pose_is_a_person_who_stands_with_hanging_arms():
-    hanging = T_POSE_ANGLES.copy()
-    hanging[2], hanging[3] = -np.pi / 2, 1.5 * np.pi
-    pose = Pose.from_angles(np.zeros(3), np.eye(3), hanging)
-    np.testing.assert_allclose(hri_angles(pose), 0.0, atol=1e-12)
+    hanging = pose_with(left_shoulder_x=-np.pi / 2, right_shoulder_x=1.5 * np.pi)
+    np.testing.assert_allclose(hri_angles(hanging), 0.0, atol=1e-12)
 
 
 def test_raised_arms_bent_elbows_and_knees_have_the_signs_of_rep_155():
-    angles = T_POSE_ANGLES.copy()
-    angles[8:10], angles[14:16] = -0.7, 0.9
-    named = dict(zip(HRI_JOINT_NAMES, hri_angles(Pose.from_angles(np.zeros(3), np.eye(3), angles)), strict=True))
+    pose = pose_with(left_elbow=-0.7, right_elbow=-0.7, left_knee=0.9, right_knee=0.9)
+    named = dict(zip(HRI_JOINT_NAMES, hri_angles(pose), strict=True))
     for side in "lr":
         assert named[f"{side}_p_shoulder"] == pytest.approx(np.pi / 2)  # abducted
         assert named[f"{side}_elbow"] == pytest.approx(0.7)

@@ -7,6 +7,10 @@ import numpy as np
 
 from capture_rig import CameraModel, Rig, Volume
 from capture_rig.camera import looking_at
+from hull_server.grid import BrickVolume, VoxelGrid
+from virtual_studio.people import Capsules
+from virtual_studio.rendering.capsules import silhouette
+from virtual_studio.rig import pixel_rays
 
 VOLUME = Volume(np.array([-1.0, -1.0, -0.05]), np.array([1.0, 1.0, 2.1]))
 
@@ -95,48 +99,30 @@ def ring_rig(
 
 def silhouettes(rig: Rig, body: list[tuple[np.ndarray, np.ndarray, float]]) -> dict[str, np.ndarray]:
     """The exact silhouettes (h, w) uint8 0/255 of a capsule body on every camera's canvas, 0 where unseen."""
-    middle = np.mean([start + end for start, end, _ in body], axis=0) / 2
-    reach = max(np.linalg.norm(end - middle) + radius for *ends, radius in body for end in ends)
+    starts, ends, radii = (np.array(part, float) for part in zip(*body, strict=True))
+    capsules = Capsules(starts, ends, np.column_stack([radii, radii]), np.ones(len(radii)))
     masks = {}
     for camera in rig.cameras:
-        seen, all_rays = _rays(camera)
-        near_body = _near(camera.centre_world, all_rays, middle, reach)
-        rays, hit = all_rays[near_body], np.zeros(len(near_body), bool)
-        for start, end, radius in body:
-            around = (start + end) / 2, np.linalg.norm(end - start) / 2 + radius
-            near = _near(camera.centre_world, rays, *around)
-            hit[near] |= _ray_hits_capsule(camera.centre_world, rays[near], start, end, radius)
-        mask = np.zeros(seen.shape, np.uint8)
-        mask.flat[near_body[hit]] = 255
-        masks[camera.name] = np.where(seen, mask, np.uint8(0))
+        view = camera.undistorted_view()
+        masks[camera.name] = np.where(view.seen, silhouette(view.camera, _rays(view.camera), capsules), np.uint8(0))
     return masks
 
 
-@lru_cache(maxsize=16)
-def _rays(camera: CameraModel) -> tuple[np.ndarray, np.ndarray]:
-    """Which pixels (h, w) of its canvas a camera sees, and the unit rays (h w, 3) of all in the world."""
-    view = camera.undistorted_view()
-    h, w = view.seen.shape
-    u, v = np.meshgrid(np.arange(w, dtype=float), np.arange(h, dtype=float))
-    rays = np.linalg.solve(view.camera.K, np.stack([u.ravel(), v.ravel(), np.ones(u.size)])).T
-    rays = rays @ camera.R_camera_world
-    return view.seen, rays / np.linalg.norm(rays, axis=1, keepdims=True)
+def volume_of(dense: np.ndarray, voxel: float = 0.02) -> BrickVolume:
+    """A hull of the voxels (x, y, z) bool that are set."""
+    return BrickVolume.from_dense(VoxelGrid(np.array([-1.0, -2.0, 0.5]), voxel, dense.shape), dense)
 
 
-def _near(centre, rays, middle, reach) -> np.ndarray:
-    """Which rays (n, 3) from ``centre``, or the lines that they are on, come within ``reach`` of a point."""
-    offset = middle - centre
-    return np.flatnonzero(offset @ offset - (rays @ offset) ** 2 <= reach**2 * 1.01)
+_rays = lru_cache(maxsize=16)(pixel_rays)
 
 
-def _ray_hits_capsule(centre, rays, start, end, radius) -> np.ndarray:
-    """Whether rays (n, 3) from ``centre`` pass within ``radius`` of the segment (closest points of two lines)."""
-    e, w = end - start, centre - start
-    b, c, d, f = rays @ e, e @ e, rays @ w, e @ w
-    s = np.clip((f - b * d) / np.maximum(c - b * b, 1e-12), 0, 1)
-    along = s * b - d
-    gap = w + along[:, None] * rays - s[:, None] * e
-    return (along > 0) & (np.einsum("ij,ij->i", gap, gap) <= radius**2)
+def distance_to_axes(points: np.ndarray, body: list[tuple[np.ndarray, np.ndarray, float]]) -> np.ndarray:
+    """(parts, n) distance of points (n, 3) from the axis of each capsule."""
+    distances = []
+    for start, end, _ in body:
+        along = np.clip((points - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+        distances.append(np.linalg.norm(points - start - along[:, None] * (end - start), axis=1))
+    return np.array(distances)
 
 
 def carve_brute_force(rig: Rig, masks: dict, voxel: float, min_seeing: int, vetoes: int = 0) -> np.ndarray:

@@ -9,11 +9,8 @@ from hull_scenes import capsule_person, carve_brute_force, look_at, ring_rig, ro
 
 from capture_rig import Rig
 from hull_server.consistency.camera_fault_detector import CameraFaultDetector
-from hull_server.hull_pipeline import HullPipeline
-from hull_server.hull_ros import frame_set_message
-from hull_server.settings import CameraFaultSettings, HullSettings
+from hull_server.settings import CameraFaultSettings
 from hull_server.views import RigViews, min_seeing
-from mocap_packets.frame_set import FrameSet
 
 SET_NS = 100_000_000
 LAP = 16  # judged frame sets in which the person walks once round
@@ -252,12 +249,3 @@ def test_consistency_is_near_one_for_sound_cameras_and_low_for_one_that_shows_wh
     assert min(session.show(LAP).consistency.values()) > 0.9
     found = session.show(4 * LAP, lambda masks: {"cam03": np.ascontiguousarray(masks["cam03"][:, ::-1])}).consistency
     assert found["cam03"] < 0.6 < min(share for name, share in found.items() if name != "cam03")
-
-
-def test_message_of_a_frame_set_tells_how_well_each_camera_agrees():
-    pipeline = HullPipeline(rig_of(6), HullSettings(voxel_size_m=0.04, backend="cpu"))
-    result = pipeline.run(FrameSet.of_instant(0, walking(6)[0]))
-    pipeline.close()
-    values = {pair.key: pair.value for pair in frame_set_message(result, {}).status[0].values}
-    assert values["left_out"] == "" and "cam02=" in values["veto_fraction"]
-    assert 0.9 < float(values["consistency_cam02"]) <= 1.0

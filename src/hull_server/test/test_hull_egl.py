@@ -9,6 +9,7 @@ import pytest
 import hull_server.opengl.egl
 from hull_server.opengl.egl import Display, Egl, GlContext, NoGraphics
 
+DEVICE = Display(1, "EGL device 0")
 NVIDIA, LLVMPIPE = "NVIDIA GeForce RTX 4070/PCIe/SSE2", "llvmpipe (LLVM 15.0.6, 256 bits)"
 
 
@@ -70,11 +71,15 @@ def hidden(kept):
     return Hiding
 
 
-def open_or_skip():
+@pytest.fixture
+def context():
+    """A real context; skips where there is none."""
     try:
-        return GlContext()
+        context = GlContext()
     except NoGraphics as error:
         pytest.skip(f"not on this machine: {error}")
+    yield context
+    context.close()
 
 
 def assert_draws(context):
@@ -87,7 +92,7 @@ def assert_draws(context):
 
 
 def test_context_takes_hardware_before_software_and_says_what_it_is(open_on):
-    egl = FakeEgl({Display(1, "EGL device 0"): NVIDIA, Display(2, "EGL device 1", software=True): LLVMPIPE})
+    egl = FakeEgl({DEVICE: NVIDIA, Display(2, "EGL device 1", software=True): LLVMPIPE})
     context = open_on(egl)
     assert context.renderer == NVIDIA and context.is_hardware
     software = open_on(FakeEgl(egl.offers), hardware=False)
@@ -96,18 +101,14 @@ def test_context_takes_hardware_before_software_and_says_what_it_is(open_on):
 
 @pytest.mark.parametrize("broken", [["EGL device 0"], ["EGL device 0", "surfaceless EGL"]])
 def test_context_takes_the_next_display_when_one_cannot_be_initialised(open_on, broken):
-    displays = [Display(1, "EGL device 0"), Display(2, "surfaceless EGL"), Display(3, "default EGL display")]
+    displays = [DEVICE, Display(2, "surfaceless EGL"), Display(3, "default EGL display")]
     offers = dict(zip(displays, (NVIDIA, LLVMPIPE, "AMD Radeon"), strict=True))
     assert open_on(FakeEgl(offers, broken=broken)).renderer == (LLVMPIPE if len(broken) == 1 else "AMD Radeon")
 
 
 def test_context_that_cannot_be_had_leaves_nothing_behind_and_names_what_was_tried_and_the_remedy(open_on):
-    displays = [
-        Display(1, "EGL device 0"),
-        Display(2, "EGL device 1", True),
-        Display(3, "surfaceless EGL"),
-        Display(4, "default EGL display"),
-    ]
+    software = Display(2, "EGL device 1", True)
+    displays = [DEVICE, software, Display(3, "surfaceless EGL"), Display(4, "default EGL display")]
     egl = FakeEgl(dict(zip(displays, (None, LLVMPIPE, LLVMPIPE, NVIDIA), strict=True)), broken=["default EGL display"])
     with pytest.raises(NoGraphics) as caught:
         open_on(egl, hardware=True)
@@ -121,7 +122,7 @@ def test_context_that_cannot_be_had_leaves_nothing_behind_and_names_what_was_tri
 def test_context_without_any_display_or_surface_says_so(open_on):
     with pytest.raises(NoGraphics, match="EGL knows no device"):
         open_on(FakeEgl({}))
-    stubborn = FakeEgl({Display(1, "EGL device 0"): NVIDIA}, surfaceless=False)
+    stubborn = FakeEgl({DEVICE: NVIDIA}, surfaceless=False)
     with pytest.raises(NoGraphics, match=r"EGL device 0: its context cannot be made current \(EGL_BAD_MATCH\)"):
         open_on(stubborn)
     assert stubborn.alive == set()
@@ -143,15 +144,12 @@ def test_context_without_libegl_says_what_to_install(monkeypatch):
 
 
 @pytest.mark.parametrize("way", ["EGL device", "surfaceless EGL", "default EGL display"])
-def test_context_on_one_way_alone_works_where_the_driver_offers_it(monkeypatch, way):
+def test_context_on_one_way_alone_works_where_the_driver_offers_it(monkeypatch, request, way):
     monkeypatch.setattr(hull_server.opengl.egl, "Egl", hidden(lambda display: display.description.startswith(way)))
-    context = open_or_skip()
-    assert_draws(context)
-    context.close()
+    assert_draws(request.getfixturevalue("context"))
 
 
-def test_context_asked_for_hardware_is_hardware_or_says_why_not():
-    context = open_or_skip()
+def test_context_asked_for_hardware_is_hardware_or_says_why_not(context):
     if context.is_hardware:
         with_hardware = GlContext(hardware=True)
         assert with_hardware.is_hardware
@@ -159,11 +157,9 @@ def test_context_asked_for_hardware_is_hardware_or_says_why_not():
     else:
         with pytest.raises(NoGraphics, match=r"no hardware OpenGL 4.3 context \(.*software"):
             GlContext(hardware=True)
-    context.close()
 
 
-def test_context_may_be_entered_twice_and_closed_twice_but_not_used_afterwards():
-    context = open_or_skip()
+def test_context_may_be_entered_twice_and_closed_twice_but_not_used_afterwards(context):
     from OpenGL import GL
 
     with context.current():
@@ -176,8 +172,8 @@ def test_context_may_be_entered_twice_and_closed_twice_but_not_used_afterwards()
         pass
 
 
-def test_context_serves_threads_one_at_a_time():
-    context, busy, overlaps = open_or_skip(), threading.Lock(), []
+def test_context_serves_threads_one_at_a_time(context):
+    busy, overlaps = threading.Lock(), []
 
     def work():
         for _ in range(20):
@@ -192,11 +188,9 @@ def test_context_serves_threads_one_at_a_time():
     for thread in threads:
         thread.join()
     assert len(overlaps) == 60 and not any(overlaps)
-    context.close()
 
 
-def test_storage_buffer_gives_back_what_was_written():
-    context = open_or_skip()
+def test_storage_buffer_gives_back_what_was_written(context):
     from hull_server.opengl.gl_buffers import StorageBuffer
 
     data = np.arange(1000, dtype=np.uint32)
@@ -207,11 +201,9 @@ def test_storage_buffer_gives_back_what_was_written():
         with pytest.raises(ValueError, match=r"4004 bytes do not fit a buffer of 4000"):
             buffer.read(np.uint32, 1001)
     assert np.array_equal(found[:10], data[:10] + 7) and np.array_equal(found[10:], data[10:])
-    context.close()
 
 
-def test_storage_buffer_for_which_there_is_no_room_is_no_graphics(monkeypatch):
-    context = open_or_skip()
+def test_storage_buffer_for_which_there_is_no_room_is_no_graphics(context, monkeypatch):
     from hull_server.opengl.gl_buffers import GL, StorageBuffer
 
     def out_of_memory(*args):
@@ -220,13 +212,10 @@ def test_storage_buffer_for_which_there_is_no_room_is_no_graphics(monkeypatch):
     monkeypatch.setattr(GL, "glBufferData", out_of_memory)
     with context.current(), pytest.raises(NoGraphics, match=r"no room for 4000 bytes"):
         StorageBuffer(4000)
-    context.close()
 
 
-def test_shader_that_does_not_compile_is_an_error_with_the_drivers_words():
-    context = open_or_skip()
+def test_shader_that_does_not_compile_is_an_error_with_the_drivers_words(context):
     from hull_server.opengl.gl_buffers import make_program
 
     with context.current(), pytest.raises(NoGraphics, match=r"(?s)the driver rejects a compute shader: .*nonsense"):
         make_program(compute="#version 430\nlayout(local_size_x = 1) in;\nvoid main() { nonsense(); }\n")
-    context.close()

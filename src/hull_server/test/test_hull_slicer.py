@@ -3,21 +3,17 @@
 import cv2
 import numpy as np
 import pytest
+from hull_scenes import volume_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from hull_server.grid import BrickVolume, VoxelGrid
 from hull_server.slicing.skeletonisation import GROWTH_STEP_M, BlobTable, shape_of, slice_hull
 from hull_server.slicing.voxel_runs import sample_runs
 
 
 def sample_voxels(volume, max_voxels):
     return sample_runs(slice_hull(volume)[1], volume.grid, max_voxels)
-
-
-def volume_of(dense: np.ndarray, voxel: float = 0.02) -> BrickVolume:
-    return BrickVolume.from_dense(VoxelGrid(np.array([-1.0, -2.0, 0.5]), voxel, dense.shape), dense)
 
 
 def oracle_blobs(dense: np.ndarray) -> np.ndarray:

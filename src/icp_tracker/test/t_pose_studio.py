@@ -9,24 +9,14 @@ from capture_rig.visibility import RigVisibility
 from hull_server.hull_pipeline import HullPipeline
 from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
-from mocap_packets.hull import Centerline, HullProducts
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_NAMES
 from virtual_studio.people import Capsules, VolumetricBody
 from virtual_studio.rendering.camera import VirtualCamera
 from virtual_studio.rig import ring
 
 DOWN = -np.pi / 2  # of an arm's elevation
 SET_NS = 16_666_667
-
-
-def with_angles(angles, **changed):
-    """The angles with some of them changed, by name."""
-    angles = angles.copy()
-    for name, value in changed.items():
-        angles[ANGLE_NAMES.index(name)] = value
-    return angles
 
 
 def standing(body, angles, heading=0.0, place=(0.0, 0.0), lean=0.0):
@@ -68,9 +58,7 @@ class Studio:
         for name, eye, view in self._eyes:
             seen = [eye.render(parts, None)[1] for parts in people]
             masks[name] = view.undistort_mask(np.maximum.reduce(seen))
-        hull = self._pipeline.run(FrameSet.of_instant(self._stamp_ns, masks))
-        line = Centerline.of_points(hull.products.centerline.points_world, 0.0, hull.products.centerline.body)
-        return HullProducts(self._stamp_ns, line, hull.products.voxels, hull.products.contour_rays)
+        return self._pipeline.run(FrameSet.of_instant(self._stamp_ns, masks)).products
 
 
 @lru_cache

@@ -42,15 +42,6 @@ def test_it_takes_the_same_time_at_any_rate():
     assert slow == pytest.approx(fast, abs=1 / 15)
 
 
-def test_what_explains_no_more_than_its_prior_never_moves_the_limb_however_long_it_lasts():
-    assert after(*[places((-PLACE_LOG_PRIOR, FAR, 0))] * 1000).likeliest_place is None
-
-
-def test_one_torn_set_moves_nothing():
-    right, torn = places((-20.0, FAR, 0)), places((1000.0, FAR, 0))
-    assert after(*[right] * 10, torn).likeliest_place is None
-
-
 def test_a_place_about_as_good_makes_doubtful_only_when_it_is_elsewhere():
     assert after(*[places((2.0, FAR, 0))] * 30).not_as_tracked > DOUBTFUL
     assert after(*[places((2.0, NEAR, 0))] * 30).not_as_tracked < 0.1
@@ -70,9 +61,18 @@ def test_as_much_left_over_as_explained_makes_doubtful_though_no_other_place_was
     assert not after(*[places(left_over=2.0 * SHOWN)] * 30).is_unseen
 
 
-def test_a_limb_is_moved_only_to_what_explains_more_than_nothing_would():
-    assert after(*[places((CHANCE_SAMPLES + 3.0, FAR, 0), samples=0.0)] * 60).likeliest_place == 0
-    assert after(*[places((CHANCE_SAMPLES - 1.0, FAR, 0), samples=0.0)] * 60).likeliest_place is None
+@pytest.mark.parametrize(
+    ("sets", "moved_to"),
+    [
+        ([places((-PLACE_LOG_PRIOR, FAR, 0))] * 1000, None),
+        ([places((-20.0, FAR, 0))] * 10 + [places((1000.0, FAR, 0))], None),
+        ([places((CHANCE_SAMPLES - 1.0, FAR, 0), samples=0.0)] * 60, None),
+        ([places((CHANCE_SAMPLES + 3.0, FAR, 0), samples=0.0)] * 60, 0),
+    ],
+    ids=["no more than its prior for long", "one torn set", "less than chance", "more than chance"],
+)
+def test_a_limb_is_moved_only_to_what_explains_more_for_a_while(sets, moved_to):
+    assert after(*sets).likeliest_place == moved_to
 
 
 def test_a_place_that_is_followed_keeps_its_odds_and_a_refuted_or_new_one_starts_anew():

@@ -215,6 +215,14 @@ def test_stamps_that_go_back_far_begin_anew_at_once_and_are_logged_once(bench, w
     answers = [node.answer(hull(walk.clouds[k], k)) for k in range(4)]
     assert [answer.started_from for answer in answers] == ["initial", "own", "own", "own"]
     assert {answer.state for answer in answers} == {"tracking"}
+    damaged = prediction_message(stamp(3), walk.poses[3])
+    damaged.joint_names[3] = "nonsense"
+    late = prediction_message(stamp(41), walk.poses[5])  # of before: it comes behind the answer to the new set
+    for message in (prediction_message(stamp(3), walk.poses[3]), late, damaged):
+        node.predictions.publish(message)
+    node.until(lambda: node.node.health.counter("bad_predictions") == 1)
+    for k in (4, 5):  # the newest state serves where that of the set before does not come in time
+        assert node.answer(hull(walk.clouds[k], k)).started_from == str(stamp(3))
     assert node.node.health.counter("restarts") == 1
     assert capfd.readouterr().err.count("stamps went back by 1.025 s: a new beginning") == 1
 

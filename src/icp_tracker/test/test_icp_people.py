@@ -4,24 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import t_pose_studio
 
-from capture_rig.rigid import rotation_matrix
 from capture_rig.visibility import RigVisibility
-from hull_server.hull_pipeline import HullPipeline
-from hull_server.settings import HullSettings
 from icp_tracker.people.association import UNCLEAR_SD_M, Expected, associate_parts, associate_rows, is_phantom
 from icp_tracker.people.identity import IdentityCheck, Verdict
 from icp_tracker.people.people_tracker import GONE_AFTER_S, PeopleTracker, make_people_tracker
 from icp_tracker.settings import IcpNodeSettings
 from icp_tracker.tracker import make_tracker
-from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import HullProducts
 from stick_figure.kinematics import forward
-from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.pose import T_POSE_ANGLES
 from virtual_studio.motions.everyday import STANDING
-from virtual_studio.people import ANKLE_HEIGHT, VolumetricBody, person_of, together
-from virtual_studio.rendering.camera import ExactSilhouettes
-from virtual_studio.rig import ring
+from virtual_studio.people import VolumetricBody, person_of
 
 FRAME_NS = 16_666_667
 TALL, SHORT = VolumetricBody(person_of(1.80)), VolumetricBody(person_of(1.62), 0.95)
@@ -30,34 +25,25 @@ FOUND_SETS = 25
 """Sets after which two persons in a T-pose have been found."""
 
 
-def standing(person, x, y, heading=0.0, angles=T_POSE_ANGLES):
+def standing(person, x, heading=0.0, angles=T_POSE_ANGLES):
     """A pose with the feet on the floor."""
-    pose = Pose.from_angles(np.zeros(3), rotation_matrix(np.array([0.0, 0.0, heading])), angles)
-    ankles = forward(person.body, pose)[13:15, 2].min()
-    return replace(pose, position_world=np.array([x, y, ANKLE_HEIGHT * person.body.stature - ankles]))
+    return t_pose_studio.standing(person.body, angles, heading, (x, 0.0))
 
 
-TALL_AT, SHORT_AT = standing(TALL, -0.7, 0.0), standing(SHORT, 0.7, 0.0, np.pi)
-CLOSE = standing(TALL, -0.18, 0.0, 0.0, STANDING), standing(SHORT, 0.18, 0.0, np.pi, STANDING)
+TALL_AT, SHORT_AT = standing(TALL, -0.7), standing(SHORT, 0.7, np.pi)
+CLOSE = standing(TALL, -0.18, 0.0, STANDING), standing(SHORT, 0.18, np.pi, STANDING)
 
 
 @pytest.fixture(scope="module")
 def hulls():
     """Hull products by scene, carved once."""
-    rig = ring(5)
-    eyes = ExactSilhouettes(rig)
-
-    def carved(*placed):
-        pipeline = HullPipeline(rig, HullSettings(backend="cpu"))
-        masks = eyes.render(together(*(person.place(pose) for person, pose in placed)))
-        return pipeline.run(FrameSet.of_instant(1, masks, ())).products
-
+    studio, tall, short = t_pose_studio.studio(), TALL.place(TALL_AT), SHORT.place(SHORT_AT)
     return {
-        "both": carved((TALL, TALL_AT), (SHORT, SHORT_AT)),
-        "tall": carved((TALL, TALL_AT)),
-        "short": carved((SHORT, SHORT_AT)),
-        "close": carved((TALL, CLOSE[0]), (SHORT, CLOSE[1])),
-        "rig": rig,
+        "both": studio.render(tall, short),
+        "tall": studio.render(tall),
+        "short": studio.render(short),
+        "close": studio.render(TALL.place(CLOSE[0]), SHORT.place(CLOSE[1])),
+        "rig": studio.rig,
     }
 
 
@@ -168,16 +154,20 @@ def test_check_of_persons_at_their_own_places_says_that_they_are_right(hulls):
     assert verdict == Verdict.RIGHT
 
 
-def expected_close():
-    return [Expected(1, TALL.body, CLOSE[0]), Expected(2, SHORT.body, CLOSE[1])]
+EXPECTED_CLOSE = [Expected(1, TALL.body, CLOSE[0]), Expected(2, SHORT.body, CLOSE[1])]
+
+
+def rows_of(seen):
+    """Each person's rows of a set in which both are one part."""
+    return associate_rows(seen, associate_parts(seen, seen.numbers(), EXPECTED_CLOSE), EXPECTED_CLOSE)
 
 
 def test_part_of_two_persons_who_touch_belongs_to_both_and_its_rows_to_who_explains_them(hulls):
     seen = hulls["close"]
-    (part,), expected = seen.numbers(), expected_close()
-    association = associate_parts(seen, [part], expected)
+    (part,) = seen.numbers()
+    association = associate_parts(seen, [part], EXPECTED_CLOSE)
     assert association.shared == {part: (1, 2)} and association.sharers(1) == (2,)
-    rows = associate_rows(seen, association, expected)
+    rows = rows_of(seen)
     for person, side in ((1, -1.0), (2, 1.0)):  # they stand on either side of x = 0, 0.36 m apart
         own = rows[person]
         assert len(own.contour_rays) > 0.3 * len(seen.contour_rays)
@@ -188,7 +178,7 @@ def test_part_of_two_persons_who_touch_belongs_to_both_and_its_rows_to_who_expla
 
 def test_rays_that_both_explain_are_less_certain_than_those_of_one(hulls):
     seen = hulls["close"]
-    rows = associate_rows(seen, associate_parts(seen, seen.numbers(), expected_close()), expected_close())
+    rows = rows_of(seen)
     measured, of_1, of_2 = (sigma_of_rays(hull) for hull in (seen, rows[1], rows[2]))
     both, alone = of_1.keys() & of_2.keys(), of_1.keys() ^ of_2.keys()
     assert len(both) > 10 and len(alone) > 100
@@ -206,10 +196,7 @@ def test_ray_that_nobody_explains_is_left_to_both(hulls):
     seen = hulls["close"]
     rays = seen.contour_rays
     lost = replace(rays, points_world=rays.points_world + np.array([0.0, 0.6, 0.0]))  # as far from either
-    seen = replace(seen, contour_rays=lost)
-    rows = associate_rows(seen, associate_parts(seen, seen.numbers(), expected_close()), expected_close())
-    kept = {person: len(own.contour_rays) for person, own in rows.items()}
-    assert kept[1] + kept[2] > 1.4 * len(rays)
+    assert sum(len(own.contour_rays) for own in rows_of(replace(seen, contour_rays=lost)).values()) > 1.4 * len(rays)
 
 
 def test_volume_behind_a_person_whose_outline_bounds_it_in_every_picture_is_a_phantom(hulls):

@@ -9,19 +9,8 @@ import refinement_rays as made
 from icp_tracker.acquisition.body_sizes import FOREARM, SIZES, THIGH, UPPER_ARM, BodyEstimate, prior_sizes
 from icp_tracker.acquisition.initial_pose import InitialPose
 from icp_tracker.monitor.track_monitor import RecoverySettings
+from icp_tracker.refinement import shape as shapes
 from icp_tracker.refinement.body_refiner import BodyRefiner, RefinementSettings
-from icp_tracker.refinement.shape import (
-    BENT,
-    BUILD,
-    FARTHEST_SD,
-    POSE,
-    SIZE,
-    ShapeArrays,
-    ShapePrior,
-    body_of,
-    contour_system,
-    figure_at,
-)
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.hull import HullProducts
 from stick_figure.body import BEND_NUMBERS
@@ -41,13 +30,13 @@ EXACT = RefinementSettings(
 def wrong_start(rng):
     """A prior and a body drawn from it."""
     estimate = prior_sizes(H)
-    prior = ShapePrior.of(estimate, 1.0)
+    prior = shapes.ShapePrior.of(estimate, 1.0)
     truth = prior.mean + rng.normal(size=len(prior.mean)) * np.sqrt(np.diag(prior.covariance)) * 0.8
     return estimate, truth
 
 
 def refined_by(estimate, truth, poses, settings, rng, sd_m=0.0, rounds=4, each=12):
-    refiner, body = BodyRefiner(estimate, settings), body_of(truth)
+    refiner, body = BodyRefiner(estimate, settings), shapes.body_of(truth)
     surface, given, stamp = BodySurface.of(body), [], 0
     sets = [(pose, made.tangent_rays(body, surface, pose, rng, each, sd_m)) for pose in poses]
     for _ in range(rounds):
@@ -58,14 +47,14 @@ def refined_by(estimate, truth, poses, settings, rng, sd_m=0.0, rounds=4, each=1
 
 
 def error(refiner, truth):
-    return refiner.refined.sizes - truth[SIZE]
+    return refiner.refined.sizes - truth[shapes.SIZE]
 
 
 def test_sizes_converge_to_the_body_that_made_the_rays_when_all_joints_bend():
     rng = np.random.default_rng(3)
     estimate, truth = wrong_start(rng)
     refiner, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], EXACT, rng)
-    before, after = np.abs(estimate.sizes - truth[SIZE])[SEEN], np.abs(error(refiner, truth))[SEEN]
+    before, after = np.abs(estimate.sizes - truth[shapes.SIZE])[SEEN], np.abs(error(refiner, truth))[SEEN]
     assert before.mean() > 0.008
     assert after.mean() < 0.6 * before.mean()  # build, turns of hands and feet and the back are told from the same rays
     assert after.max() < 0.025  # shoulders that may move leave the head and trunk less certain
@@ -75,7 +64,7 @@ def test_split_of_a_straight_arm_stays_with_the_prior_while_bent_elbows_tell_it(
     rng = np.random.default_rng(4)
     estimate = prior_sizes(H)
     straight = Pose.from_angles([0.0, 0.0, 1.1], np.eye(3), T_POSE_ANGLES)
-    truth = ShapePrior.of(estimate, 1.0).mean
+    truth = shapes.ShapePrior.of(estimate, 1.0).mean
     coarse = RefinementSettings(keyframes=12, turn=0.05, independent_rays=24.0)
     held, _ = refined_by(estimate, truth, [straight], coarse, rng)
     moved, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(12)], coarse, rng)
@@ -107,20 +96,20 @@ def test_covariance_is_honest_over_bodies_drawn_from_the_prior():
 def test_no_size_leaves_the_prior_by_more_than_its_limit_when_rims_are_of_somebody_else():
     rng = np.random.default_rng(5)
     estimate = prior_sizes(H)
-    truth = ShapePrior.of(estimate, 1.0).mean
+    truth = shapes.ShapePrior.of(estimate, 1.0).mean
     truth[THIGH] += 9.0 * estimate.sd[THIGH]
     settings = RefinementSettings(keyframes=6, turn=0.05, explained=0.0, independent_rays=400.0)
     refiner, _ = refined_by(estimate, truth, [made.moving_pose(rng) for _ in range(6)], settings, rng)
     off = np.abs(refiner.refined.sizes - estimate.sizes) / estimate.sd
-    assert off.max() <= FARTHEST_SD + 1e-9
+    assert off.max() <= shapes.FARTHEST_SD + 1e-9
     assert off[THIGH] > 1.0
 
 
 def test_pose_whose_arm_the_flesh_does_not_explain_has_no_say():
     rng = np.random.default_rng(6)
     estimate = prior_sizes(H)
-    truth = ShapePrior.of(estimate, 1.0).mean
-    body, pose = body_of(truth), made.moving_pose(rng)
+    truth = shapes.ShapePrior.of(estimate, 1.0).mean
+    body, pose = shapes.body_of(truth), made.moving_pose(rng)
     contour_rays = made.tangent_rays(body, BodySurface.of(body), pose, rng)
     angles = pose.angles()
     angles[3] += 1.5  # the left arm is fitted elsewhere
@@ -136,15 +125,15 @@ def test_body_far_from_the_average_is_learnt_though_no_pose_explains_the_share_t
     """A tall, stout person who walked in is taken for average at first; after a moment the best poses count."""
     rng = np.random.default_rng(10)
     estimate = prior_sizes(H)
-    truth = ShapePrior.of(estimate, 1.0).mean
-    truth[SIZE] *= 1.06
-    truth[BUILD] = build_of_girth(1.4)
+    truth = shapes.ShapePrior.of(estimate, 1.0).mean
+    truth[shapes.SIZE] *= 1.06
+    truth[shapes.BUILD] = build_of_girth(1.4)
     settings = replace(EXACT, pause_s=0.0)
     poses = [made.moving_pose(rng) for _ in range(12)]
     hasty, _ = refined_by(estimate, truth, poses[:4], settings, rng, rounds=1)  # in less than a fifth of a second
     assert hasty.keyframes == 0
     refiner, _ = refined_by(estimate, truth, poses, settings, rng, rounds=10)
-    before, after = np.abs(estimate.sizes - truth[SIZE])[SEEN], np.abs(error(refiner, truth))[SEEN]
+    before, after = np.abs(estimate.sizes - truth[shapes.SIZE])[SEEN], np.abs(error(refiner, truth))[SEEN]
     assert after.mean() < 0.2 * before.mean()
 
 
@@ -172,22 +161,22 @@ def test_gradient_is_that_of_the_rays_distances_from_capsules_placed_one_by_one(
     rng, turns = np.random.default_rng(10), np.zeros((COUNT, ANGLES))
     turns[:, 0] = turn
     estimate, truth = wrong_start(rng)
-    body, pose = body_of(truth), made.moving_pose(rng)
+    body, pose = shapes.body_of(truth), made.moving_pose(rng)
     contour_rays = made.tangent_rays(body, BodySurface.of(body), pose, rng, each=6)
-    values = ShapePrior.of(estimate, 1.0).mean
-    model, n = ShapeArrays.of(values), POSE + len(values)
+    values = shapes.ShapePrior.of(estimate, 1.0).mean
+    model, n = shapes.ShapeArrays.of(values), shapes.POSE + len(values)
     H_, g = np.empty((n, n)), np.empty(n)
     wide = (1e3, 0.05, 0.06)  # all rays weigh the same, so that the cost is a plain sum of squares
-    contour_system(contour_rays, turned(pose, figure_at(model, values), turns), turns, model, wide, H_, g)
+    shapes.contour_system(contour_rays, turned(pose, shapes.figure_at(model, values), turns), turns, model, wide, H_, g)
 
     matches = matched(contour_rays, *capsules_at(values, pose, np.zeros(BEND_NUMBERS), turns))
 
     def cost(step):
-        bend, more = step[24:BENT], step[BENT:POSE].reshape(COUNT, ANGLES)
-        moved = capsules_at(values + step[POSE:], pose.retract(step[:24]), bend, turns + more)
+        bend, more = step[24 : shapes.BENT], step[shapes.BENT : shapes.POSE].reshape(COUNT, ANGLES)
+        moved = capsules_at(values + step[shapes.POSE :], pose.retract(step[:24]), bend, turns + more)
         return sum_of_squares(contour_rays, matches, *moved)
 
-    about_second = range(BENT + 1, POSE, ANGLES)  # linear about straight alone
+    about_second = range(shapes.BENT + 1, shapes.POSE, ANGLES)  # linear about straight alone
     for k in set(range(n)) - set(about_second if turn else ()):
         step = np.zeros(n)
         step[k] = 1e-6
@@ -203,7 +192,7 @@ def turned(pose, figure, turns):
 
 
 def capsules_at(values, pose, bend, turns):
-    figure = Figure.of(body_of(values).bent(bend))
+    figure = Figure.of(shapes.body_of(values).bent(bend))
     placed = turned(pose, figure, turns)
     return placed.P, placed.Q, figure.surface.radii
 
@@ -257,7 +246,7 @@ class FixedSource:
 def test_tracker_takes_over_better_sizes_of_a_measured_body_and_the_build_alone_of_a_given_one(was_measured):
     rng = np.random.default_rng(12)
     estimate, truth = wrong_start(rng)
-    body, first = body_of(truth), made.moving_pose(rng)
+    body, first = shapes.body_of(truth), made.moving_pose(rng)
     surface = BodySurface.of(body)
     source = FixedSource(InitialPose(first, estimate.body, "", estimate if was_measured else None))
     refinement = replace(EXACT, pause_s=0.1, explained=0.5)

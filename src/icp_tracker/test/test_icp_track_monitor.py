@@ -7,25 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import synthetic_people as synthetic
+from poses import angles_with, pose_with
 from refinement_rays import grazing_rays
 from scipy.spatial.transform import Rotation
 
 from capture_rig.visibility import CELL_M, UnseenCells
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, make_data, minimise
+from icp_tracker.monitor import pose_library
 from icp_tracker.monitor.body_filter import CHECKS
 from icp_tracker.monitor.evidence import LEFT_ARM, SLACK_M, evidence_of
 from icp_tracker.monitor.limb_filter import CHANCE_SAMPLES, ELSEWHERE_M
 from icp_tracker.monitor.limb_search import NO_POSES, other_places, with_limb
-from icp_tracker.monitor.pose_library import (
-    LIMBS,
-    WITH_ARMS,
-    WITH_SIDES,
-    LimbPoses,
-    exchanged,
-    limb_poses,
-    turned_around,
-)
 from icp_tracker.monitor.track_monitor import NEAR_M, RecoverySettings, TrackMonitor, reach_m
 from icp_tracker.tracker import IcpTracker, TrackerSettings
 from mocap_packets.fit import DOUBTFUL, GOOD, LOST, PART_NAMES, PART_POINTS
@@ -35,7 +28,7 @@ from stick_figure.kinematics import forward
 from stick_figure.least_squares.contour_factor import match_rays
 from stick_figure.least_squares.placed_figure import Figure, State, place
 from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, BALL_ANGLES, T_POSE_ANGLES
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES
 
 FPS = 60.0
 LEFT_HAND, RIGHT_FOOT = 11, 14
@@ -54,11 +47,9 @@ FOLDED = {"left_shoulder_x": -1.4, "left_shoulder_z": 0.0, "left_shoulder_y": 0.
 
 
 def posed(angles, otherwise=None):
-    values = T_POSE_ANGLES.copy() if otherwise is None else otherwise.angles()
-    for name, value in angles.items():
-        values[ANGLE_NAMES.index(name)] = value
-    place = (np.array([0.0, 0.0, 1.2]), np.eye(3)) if otherwise is None else otherwise.arrays[:2]
-    return Pose.from_angles(*place, values)
+    if otherwise is None:
+        return pose_with(at=(0.0, 0.0, 1.2), **angles)
+    return Pose.from_angles(*otherwise.arrays[:2], angles_with(otherwise.angles(), **angles))
 
 
 @pytest.fixture(scope="module")
@@ -136,17 +127,17 @@ def test_the_true_pose_explains_the_outlines_and_no_joint_is_beyond_its_range(pe
     assert evidence.share > 0.95
     assert evidence.cost < 0.05 * len(evidence.costs)
     assert evidence.beyond < 1.0
-    leg = LimbPoses.of(person.pose, LIMBS[2])
-    through = with_limb(person.pose, LIMBS[2], leg.R[0], 3.6)  # the calf in the thigh
+    leg = pose_library.LimbPoses.of(person.pose, pose_library.LIMBS[2])
+    through = with_limb(person.pose, pose_library.LIMBS[2], leg.R[0], 3.6)  # the calf in the thigh
     assert evidence_of(Figure.of(person.body), through, data_of(person)).beyond > 3.0
 
 
 # --- where limbs can be -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("limb", LIMBS, ids=lambda limb: PART_NAMES[limb.part])
+@pytest.mark.parametrize("limb", pose_library.LIMBS, ids=lambda limb: PART_NAMES[limb.part])
 def test_the_library_holds_possible_limbs_only(limb):
-    library = limb_poses(limb)
+    library = pose_library.limb_poses(limb)
     assert len(library.flexion) > 100
     rest = posed({})
     for R, flexion in zip(library.R[::7], library.flexion[::7], strict=True):
@@ -157,13 +148,13 @@ def test_the_library_holds_possible_limbs_only(limb):
         assert (angles[checked] <= ANGLE_HIGH[checked] + 0.21).all()
 
 
-@pytest.mark.parametrize("limb", LIMBS[:2], ids=lambda limb: PART_NAMES[limb.part])
+@pytest.mark.parametrize("limb", pose_library.LIMBS[:2], ids=lambda limb: PART_NAMES[limb.part])
 def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
     data = data_of(person)
     astray = with_limb(
         person.pose, limb, posed({"left_shoulder_x": -1.5, "right_shoulder_x": np.pi + 1.5}).R_joints[limb.ball], -0.1
     )
-    places = other_places(Figure.of(person.body), astray, limb, data, limb_poses(limb))
+    places = other_places(Figure.of(person.body), astray, limb, data, pose_library.limb_poses(limb))
     assert places.margins[0] > 5.0 and places.apart_m[0] > ELSEWHERE_M
     assert (np.diff(places.margins) <= 0.0).all()
     found = with_limb(astray, limb, places.poses.R[0], places.poses.flexion[0])
@@ -177,17 +168,17 @@ def test_a_misplaced_arm_is_found_where_its_rays_are(person, limb):
     assert np.linalg.norm(forward(person.body, fitted) - truth, axis=1).max() < 0.06
 
 
-@pytest.mark.parametrize("limb", LIMBS, ids=lambda limb: PART_NAMES[limb.part])
+@pytest.mark.parametrize("limb", pose_library.LIMBS, ids=lambda limb: PART_NAMES[limb.part])
 def test_a_limb_in_full_view_has_no_other_place(person, limb):
-    places = other_places(Figure.of(person.body), person.pose, limb, data_of(person), limb_poses(limb))
+    places = other_places(Figure.of(person.body), person.pose, limb, data_of(person), pose_library.limb_poses(limb))
     assert places.samples > 1.8 * CHANCE_SAMPLES
     assert (places.margins < -1.5).all()
 
 
 def test_a_place_that_is_known_is_found_again_without_the_library(person):
-    data, limb, figure = data_of(person), LIMBS[0], Figure.of(person.body)
+    data, limb, figure = data_of(person), pose_library.LIMBS[0], Figure.of(person.body)
     astray = posed(FOLDED, person.pose)
-    known = other_places(figure, astray, limb, data, limb_poses(limb)).poses
+    known = other_places(figure, astray, limb, data, pose_library.limb_poses(limb)).poses
     places = other_places(figure, astray, limb, data, NO_POSES, known)
     assert places.origins[0] == 0  # it is the first of the known ones
     found = with_limb(astray, limb, places.poses.R[0], places.poses.flexion[0])
@@ -245,7 +236,7 @@ def test_a_body_that_explains_the_outlines_badly_as_a_whole_is_doubtful_in_every
 
 
 def test_a_limb_that_no_ray_shows_is_doubtful_at_once_in_the_first_set_and_its_end_not_published(person):
-    limb = LIMBS[3]
+    limb = pose_library.LIMBS[3]
     found = assessed(person, [person.pose] * 3, [without_rays_of(person, [limb.upper, limb.lower])] * 3)
     assert found[-1].quality.parts == (GOOD, GOOD, GOOD, GOOD, DOUBTFUL)
     assert "independent samples show it" in found[-1].quality.reason
@@ -274,7 +265,7 @@ def test_an_arm_that_leaves_the_volume_is_doubtful_at_once_and_is_not_moved_to_w
     cells = np.zeros((80, 80, 50), bool)  # nothing is seen from the middle of the left forearm on
     cells[:, round((0.5 * (points[7, 1] + points[LEFT_HAND, 1]) + 2.0) / CELL_M) :] = True
     wall = UnseenCells(np.array([-2.0, -2.0, 0.0]), cells)
-    gone = without_rays_of(person, [LIMBS[0].upper, LIMBS[0].lower])
+    gone = without_rays_of(person, [pose_library.LIMBS[0].upper, pose_library.LIMBS[0].lower])
     gone = gone._replace(unseen=wall)
     for found in assessed(person, [person.pose] * 20, [whole] * 10 + [gone] * 10, person.pose)[10:]:
         assert found.quality.parts[LEFT_ARM] == DOUBTFUL and found.unseen[LEFT_HAND]
@@ -326,9 +317,9 @@ def test_a_good_track_is_left_alone(person):
     "wrong",
     [
         lambda pose: posed(FOLDED, pose),
-        lambda pose: exchanged(Body.from_stature(1.75), pose, WITH_SIDES),
-        turned_around,
-        lambda pose: exchanged(Body.from_stature(1.75), pose, WITH_ARMS),
+        lambda pose: pose_library.exchanged(Body.from_stature(1.75), pose, pose_library.WITH_SIDES),
+        pose_library.turned_around,
+        lambda pose: pose_library.exchanged(Body.from_stature(1.75), pose, pose_library.WITH_ARMS),
         lambda pose: replace(pose, position_world=pose.position_world + np.array([0.0, 0.4, 0.0])),
     ],
     ids=["arm folded", "sides exchanged", "about face", "arms exchanged", "0.4 m beside"],
@@ -341,7 +332,7 @@ def test_a_wrong_pose_is_replaced_within_a_second(person, wrong):
 
 def test_without_the_search_a_body_turned_round_stays_so(person):
     settings = TrackerSettings(acquire_inliers=0.0, recovery=RecoverySettings(search=False))
-    results, truths = follow(person, 65, wrong_at=5, wrong=turned_around, settings=settings)
+    results, truths = follow(person, 65, wrong_at=5, wrong=pose_library.turned_around, settings=settings)
     assert worst_m(results[-1], truths[-1]) > 0.2
 
 
@@ -377,7 +368,7 @@ def test_a_stale_prediction_does_not_undo_a_recovery(person):
 
 def test_the_same_sets_give_the_same_bytes(person):
     def run():
-        results, _ = follow(person, 20, wrong_at=3, wrong=turned_around)
+        results, _ = follow(person, 20, wrong_at=3, wrong=pose_library.turned_around)
         return [(r.reference_points_world.tobytes(), r.covariance.tobytes(), r.state, r.reason) for r in results]
 
     assert run() == run()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import synthetic_people as synthetic
+from poses import pose_with
 
 from icp_tracker.acquisition.initial_pose import KnownPose
 from icp_tracker.articulated_fit import ArticulatedSettings, VolumeSettings, make_data, make_weights
@@ -12,8 +13,6 @@ from stick_figure.kinematics import forward, sticks
 from stick_figure.least_squares.gauss_newton import loose_hull_weight
 from stick_figure.least_squares.placed_figure import Figure, State, place, surface_distances
 from stick_figure.least_squares.point_factor import add_surface
-from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_NAMES
 
 STEP = 1e-6
 WIDE_M = 1e6  # a gate this wide makes Geman-McClure plain least squares
@@ -48,13 +47,6 @@ def surface_of(body, pose, rng, count=1500):
     points = P[capsule] + u[:, None] * (Q - P)[capsule] + radius[:, None] * across
     outside = signed_distances(points, P, Q, radii).min(1) > -1e-6
     return points[outside][:count]
-
-
-def bent(pose, **angles):
-    values = pose.angles()
-    for name, value in angles.items():
-        values[ANGLE_NAMES.index(name)] = value
-    return Pose.from_angles(pose.position_world, pose.R_world_torso, values)
 
 
 def test_flesh_of_an_adult_weighs_what_an_adult_does(body):
@@ -101,7 +93,7 @@ def voxel_equations(body, pose, voxels):
 def test_hull_shows_the_heading_that_the_centerline_cannot(body):
     """Arms hang down: the torso's stick and its slices say nothing of where it faces, its flat surface does."""
     rng = np.random.default_rng(5)
-    truth = bent(synthetic.t_pose(), left_shoulder_x=-1.45, right_shoulder_x=np.pi + 1.45)
+    truth = pose_with(at=(0.0, 0.0, 1.2), left_shoulder_x=-1.45, right_shoulder_x=np.pi + 1.45)
     turn = np.zeros(24)
     turn[5] = 0.35
     voxels = VoxelSamples.checked(surface_of(body, truth, rng), np.ones(1500, bool))

@@ -1,22 +1,15 @@
 """A room for tests: cameras on a circle, a board on the floor, a board carried about; OpenCV projects the corners."""
 
-import cv2
 import numpy as np
+from bundle_studio import SIZE, camera_at, project, rotation
 
-from capture_rig.camera import CameraModel, looking_at
+from capture_rig.camera import CameraModel
+from capture_rig.rigid import rotation_vector, transform
 from rig_calibration.boards.board import Board, Checkerboard, TargetDetection
 
 FLOOR_BOARD = Checkerboard(7, 4, (0.12, 0.12))
 CARRIED_BOARD = Checkerboard(9, 6, (0.08, 0.08))
 NOISE_PX = 0.2
-SIZE = (640, 480)
-
-
-def camera_at(name: str, centre_world: np.ndarray, look_at_world: np.ndarray) -> CameraModel:
-    """A camera with barrel distortion, level, that looks at a place."""
-    T = looking_at(centre_world, look_at_world)
-    K = np.array([[470.0, 0.0, 318.0], [0.0, 472.0, 241.0], [0.0, 0.0, 1.0]])
-    return CameraModel(name, *SIZE, K, "plumb_bob", np.array([-0.19, 0.08, 3e-4, -2e-4, 0.0]), T)
 
 
 def circle(count: int, radius_m: float = 3.0) -> dict[str, CameraModel]:
@@ -31,10 +24,8 @@ def circle(count: int, radius_m: float = 3.0) -> dict[str, CameraModel]:
 
 def on_floor(board: Board, x: float = 0.0, y: float = 0.0, turn: float = 0.0) -> np.ndarray:
     """T_world_board of a board that lies on the floor, its middle at (x, y), its rows turned from world x."""
-    T = np.eye(4)
-    T[:3, :3] = cv2.Rodrigues(np.array([0.0, 0.0, turn]))[0]
-    T[:3, 3] = [x, y, 0.0] - T[:3, :3] @ board.corners_board.mean(axis=0)
-    return T
+    R = rotation([0.0, 0.0, turn])
+    return transform(R, [x, y, 0.0] - R @ board.corners_board.mean(axis=0))
 
 
 def carried_poses(count: int, seed: int = 3) -> list[np.ndarray]:
@@ -42,13 +33,9 @@ def carried_poses(count: int, seed: int = 3) -> list[np.ndarray]:
     rng = np.random.default_rng(seed)
     poses = []
     for _ in range(count):
-        T = np.eye(4)
-        facing = rng.uniform(0, 2 * np.pi)
-        upright = cv2.Rodrigues(np.array([np.pi / 2, 0.0, 0.0]))[0]
-        lean = cv2.Rodrigues(rng.normal(0.0, 0.35, 3))[0]
-        T[:3, :3] = lean @ cv2.Rodrigues(np.array([0.0, 0.0, facing]))[0] @ upright
-        T[:3, 3] = [*rng.uniform(-0.9, 0.9, 2), rng.uniform(0.5, 1.7)]
-        poses.append(T)
+        facing, lean = rng.uniform(0, 2 * np.pi), rng.normal(0.0, 0.35, 3)
+        R = rotation(lean) @ rotation([0.0, 0.0, facing]) @ rotation([np.pi / 2, 0.0, 0.0])
+        poses.append(transform(R, np.array([*rng.uniform(-0.9, 0.9, 2), rng.uniform(0.5, 1.7)])))
     return poses
 
 
@@ -62,15 +49,12 @@ def see(
 ) -> TargetDetection | None:
     """What the camera sees of the board; None where its back or a part beyond the image is seen."""
     T = camera.T_camera_world @ T_world_board
-    points = board.corners_board
-    if T[:3, 2] @ T[:3, 3] >= 0 or (points @ T[2, :3] + T[2, 3]).min() < 0.3:
-        return None
-    pixels = cv2.projectPoints(points, cv2.Rodrigues(T[:3, :3])[0], T[:3, 3], camera.K, camera.D)[0].reshape(-1, 2)
-    if (pixels < 3).any() or (pixels > np.array(SIZE) - 4).any():
+    pixels = project(camera, T_world_board, board.corners_board)
+    if T[:3, 2] @ T[:3, 3] >= 0 or not ((pixels > 3) & (pixels < np.array(SIZE) - 4)).all():
         return None
     seed = [frame_index, sum(camera.name.encode()), sum(target.encode())]
     pixels = pixels + noise_px * np.random.default_rng(seed).standard_normal(pixels.shape)
-    return TargetDetection(camera.name, frame_index, np.arange(len(points)), pixels, SIZE, target, noise_px)
+    return TargetDetection(camera.name, frame_index, np.arange(len(pixels)), pixels, SIZE, target, noise_px)
 
 
 def see_all(
@@ -83,5 +67,5 @@ def see_all(
 
 def pose_errors(found: CameraModel, truth: CameraModel) -> tuple[float, float]:
     """Distance of the centres, mm, and angle between the orientations, degrees."""
-    turn = cv2.Rodrigues(found.R_camera_world @ truth.R_camera_world.T)[0]
+    turn = rotation_vector(found.R_camera_world @ truth.R_camera_world.T)
     return 1e3 * float(np.linalg.norm(found.centre_world - truth.centre_world)), float(np.rad2deg(np.linalg.norm(turn)))

@@ -6,7 +6,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import CameraModel
+from capture_rig.verdict import Finding
 from rig_calibration.boards.board import Board, Checkerboard, TargetDetection
+from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
+from rig_calibration.intrinsics.result import Intrinsics
 
 BOARD = Checkerboard(9, 6, (0.025, 0.025))
 FACING = np.diag([1.0, -1.0, -1.0])
@@ -17,11 +20,6 @@ def lens(D=(-0.185, 0.084, 3e-4, -2e-4, 0.0), model="plumb_bob", focal=467.0):
     """A wide lens of 640 x 480 with its principal point off the middle."""
     K = np.array([[focal, 0, 324.5], [0, focal * 0.999, 245.4], [0, 0, 1]])
     return CameraModel("cam01", 640, 480, K, model, np.array(D), np.eye(4))
-
-
-def parameters(camera: CameraModel) -> np.ndarray:
-    """fx fy cx cy and the distortion coefficients."""
-    return np.array([*camera.K.diagonal()[:2], *camera.K[:2, 2], *camera.D])
 
 
 def shown(
@@ -75,6 +73,27 @@ def folding_lens(D=(-0.4, 0.15, 0.0, 0.0, -0.03), focal=418.0):
     """644 x 486 pixels, about 100 degrees across, whose radial polynomial turns back before the image's corners."""
     K = np.array([[focal, 0, 326.8], [0, focal, 239.4], [0, 0, 1]])
     return CameraModel("cam01", 644, 486, K, "plumb_bob", np.array(D), np.eye(4))
+
+
+def found(detections, board: Board = BOARD, model: str = "plumb_bob") -> Intrinsics:
+    """The lens that the corners show."""
+    return calibrate_intrinsics(detections, board, name="cam01", model=model)
+
+
+def lens_errors(result: Intrinsics, camera: CameraModel) -> np.ndarray:
+    """What was found less the truth: fx fy cx cy and the distortion coefficients."""
+    truth = np.array([*camera.K.diagonal()[:2], *camera.K[:2, 2], *camera.D])
+    return np.array(list(result.values.values())) - truth
+
+
+def errors_in_sds(result: Intrinsics, camera: CameraModel) -> np.ndarray:
+    """The same in the standard deviations that the result claims."""
+    return lens_errors(result, camera) / np.array(list(result.sd.values()))
+
+
+def said(result: Intrinsics, text: str) -> list[Finding]:
+    """The verdict's findings with a text."""
+    return [finding for finding in result.verdict.findings if text in finding.what]
 
 
 def pixel_errors(found: CameraModel, truth, step_px: int = 6) -> np.ndarray:

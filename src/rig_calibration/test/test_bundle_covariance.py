@@ -2,27 +2,16 @@
 
 from dataclasses import replace
 
+import bundle_studio as studio
 import numpy as np
 import pytest
-from bundle_studio import (
-    BOARD,
-    ON_FLOOR,
-    T_WORLD_FLOOR,
-    TARGETS,
-    carried,
-    carried_and_floor,
-    detections_of,
-    errors,
-    ring,
-    truth,
-)
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import TargetDetection
 from rig_calibration.bundle.solve import solve_rig
 
-CAMERAS = ring(3)
+CAMERAS = studio.ring(3)
 LENS_SD = np.array([1.0, 1.0, 1.5, 1.5, 0.002, 0.004, 2e-4, 2e-4, 0.0])
 
 
@@ -37,15 +26,11 @@ def with_wrong_lenses(rng: np.random.Generator) -> dict[str, CameraModel]:
 
 def not_synchronous(rng: np.random.Generator, delay_s: float = 0.005, speed_m_s: float = 0.5) -> list[TargetDetection]:
     """A board carried at that speed in all directions; each camera exposes a little later than the one before."""
-    poses = carried(rng, 40)
-    velocity = {frame_index: rng.normal(size=3) for frame_index in poses}
-    found = detections_of(CAMERAS, {0: T_WORLD_FLOOR}, "floor", rng, max_tilt_deg=85)
-    for late, (name, camera) in enumerate(CAMERAS.items()):
-        moved = {frame_index: T.copy() for frame_index, T in poses.items()}
-        for frame_index, T in moved.items():
-            T[:3, 3] += velocity[frame_index] / np.linalg.norm(velocity[frame_index]) * speed_m_s * delay_s * late / 2
-        found += detections_of({name: camera}, moved, "moving", rng)
-    return found
+    poses = studio.carried(rng, 40)
+    ways = rng.normal(size=(len(poses), 3))
+    step_m = speed_m_s * delay_s / 2 * ways / np.linalg.norm(ways, axis=1, keepdims=True)
+    found = studio.detections_of(CAMERAS, {0: studio.T_WORLD_FLOOR}, "floor", rng, max_tilt_deg=85)
+    return found + studio.carried_late(CAMERAS, poses, step_m.__getitem__, rng)
 
 
 def in_sds(runs: int, wrong_lenses: bool = False, delayed: bool = False, **options: object) -> np.ndarray:
@@ -53,12 +38,12 @@ def in_sds(runs: int, wrong_lenses: bool = False, delayed: bool = False, **optio
     normalised = []
     for run in range(runs):
         rng = np.random.default_rng(run)
-        detections = not_synchronous(rng) if delayed else carried_and_floor(CAMERAS, rng, 15)
+        detections = not_synchronous(rng) if delayed else studio.carried_and_floor(CAMERAS, rng, 15)
         cameras = with_wrong_lenses(rng) if wrong_lenses else CAMERAS
-        solution = solve_rig(cameras, detections, TARGETS, reference=ON_FLOOR, **options)  # type: ignore[arg-type]
+        solution = solve_rig(cameras, detections, studio.TARGETS, reference=studio.ON_FLOOR, **options)  # type: ignore[arg-type]
         normalised += [
             error / np.sqrt(np.diag(solution.covariance[name]))
-            for name, error in errors(solution, truth(CAMERAS)).items()
+            for name, error in studio.errors(solution, studio.truth(CAMERAS)).items()
         ]
     return np.array(normalised)
 
@@ -85,9 +70,11 @@ def test_errors_lie_within_three_standard_deviations():
 
 
 def test_uncertain_lenses_enlarge_the_covariance():
-    detections = carried_and_floor(CAMERAS, np.random.default_rng(0), 15)
-    exact = solve_rig(CAMERAS, detections, TARGETS, reference=ON_FLOOR)
-    doubted = solve_rig(CAMERAS, detections, TARGETS, reference=ON_FLOOR, intrinsics_sd=dict.fromkeys(CAMERAS, LENS_SD))
+    detections = studio.carried_and_floor(CAMERAS, np.random.default_rng(0), 15)
+    exact = solve_rig(CAMERAS, detections, studio.TARGETS, reference=studio.ON_FLOOR)
+    doubted = solve_rig(
+        CAMERAS, detections, studio.TARGETS, reference=studio.ON_FLOOR, intrinsics_sd=dict.fromkeys(CAMERAS, LENS_SD)
+    )
     for name in CAMERAS:
         more = doubted.covariance[name] - exact.covariance[name]
         assert np.linalg.eigvalsh(more).min() > -1e-12 and np.trace(more) > np.trace(exact.covariance[name])
@@ -96,12 +83,12 @@ def test_uncertain_lenses_enlarge_the_covariance():
 
 def test_refining_lenses_brings_focal_lengths_nearer_the_truth():
     cameras = with_wrong_lenses(np.random.default_rng(3))
-    detections = carried_and_floor(CAMERAS, np.random.default_rng(0), 40)
+    detections = studio.carried_and_floor(CAMERAS, np.random.default_rng(0), 40)
     refined = solve_rig(
         cameras,
         detections,
-        TARGETS,
-        reference=ON_FLOOR,
+        studio.TARGETS,
+        reference=studio.ON_FLOOR,
         refine_intrinsics=True,
         intrinsics_sd=dict.fromkeys(CAMERAS, LENS_SD),
     )
@@ -109,18 +96,23 @@ def test_refining_lenses_brings_focal_lengths_nearer_the_truth():
     after = [refined.cameras[name].K - CAMERAS[name].K for name in CAMERAS]
     assert np.linalg.norm(after) < 0.7 * np.linalg.norm(before)
     with pytest.raises(InputError, match="cam01, cam02, cam03 are to be refined"):
-        solve_rig(cameras, detections, TARGETS, refine_intrinsics=True)
+        solve_rig(cameras, detections, studio.TARGETS, refine_intrinsics=True)
 
 
 def test_delays_of_a_moving_board_are_noticed_and_cost_little():
-    late = solve_rig(CAMERAS, not_synchronous(np.random.default_rng(1)), TARGETS, reference=ON_FLOOR)
-    prompt = solve_rig(CAMERAS, not_synchronous(np.random.default_rng(1), delay_s=0.0), TARGETS, reference=ON_FLOOR)
+    late = solve_rig(CAMERAS, not_synchronous(np.random.default_rng(1)), studio.TARGETS, reference=studio.ON_FLOOR)
+    prompt = solve_rig(
+        CAMERAS, not_synchronous(np.random.default_rng(1), delay_s=0.0), studio.TARGETS, reference=studio.ON_FLOOR
+    )
     assert prompt.sync_error_m == 0.0
     assert 0.0002 < late.sync_error_m < 0.005  # up to 5 ms at 0.5 m/s
-    rms = [np.sqrt(np.mean([e[3:] @ e[3:] for e in errors(s, truth(CAMERAS)).values()])) for s in (late, prompt)]
+    rms = [
+        np.sqrt(np.mean([e[3:] @ e[3:] for e in studio.errors(s, studio.truth(CAMERAS)).values()]))
+        for s in (late, prompt)
+    ]
     assert rms[0] < rms[1] + 0.004
 
 
 def test_deviations_of_wrong_shape_are_refused():
     with pytest.raises(InputError, match=r"camera 'cam01' have shape \(7,\)"):
-        solve_rig(CAMERAS, [], {"": BOARD.corners_board}, intrinsics_sd={"cam01": np.ones(7)})
+        solve_rig(CAMERAS, [], {"": studio.BOARD.corners_board}, intrinsics_sd={"cam01": np.ones(7)})

@@ -2,24 +2,10 @@
 
 from dataclasses import replace
 
+import bundle_studio as studio
 import cv2
 import numpy as np
 import pytest
-from bundle_studio import (
-    BOARD,
-    ON_FLOOR,
-    SIZE,
-    T_WORLD_FLOOR,
-    TARGETS,
-    carried,
-    carried_and_floor,
-    detections_of,
-    errors,
-    ring,
-    seen_from,
-    truth,
-    worst,
-)
 from scipy.optimize import least_squares
 
 from capture_rig.errors import InputError
@@ -30,31 +16,36 @@ from rig_calibration.bundle.solve import RigSolution, solve_rig
 @pytest.fixture(scope="module")
 def noisy() -> RigSolution:
     """Four cameras, a carried board, a board on the floor; corners with 0.2 px of noise."""
-    cameras = ring(4)
-    return solve_rig(cameras, carried_and_floor(cameras, np.random.default_rng(1), 100), TARGETS, reference=ON_FLOOR)
+    cameras = studio.ring(4)
+    return solve_rig(
+        cameras,
+        studio.carried_and_floor(cameras, np.random.default_rng(1), 100),
+        studio.TARGETS,
+        reference=studio.ON_FLOOR,
+    )
 
 
 def test_exact_corners_give_the_exact_rig():
-    cameras = ring(3)
-    detections = carried_and_floor(cameras, np.random.default_rng(0), 8, noise_px=0.0)
-    solution = solve_rig(cameras, detections, TARGETS, reference=ON_FLOOR)
-    centre_mm, rotation_deg = worst(errors(solution, truth(cameras)))
+    cameras = studio.ring(3)
+    detections = studio.carried_and_floor(cameras, np.random.default_rng(0), 8, noise_px=0.0)
+    solution = solve_rig(cameras, detections, studio.TARGETS, reference=studio.ON_FLOOR)
+    centre_mm, rotation_deg = studio.worst(studio.errors(solution, studio.truth(cameras)))
     assert centre_mm < 1e-3 and rotation_deg < 1e-4
     assert solution.left_out == () and max(solution.rms_px.values()) < 1e-4
 
 
 def test_noisy_corners_give_centres_within_5_mm_a_tenth_of_a_degree_and_figures_of_their_noise(noisy: RigSolution):
-    centre_mm, rotation_deg = worst(errors(noisy, truth(ring(4))))
+    centre_mm, rotation_deg = studio.worst(studio.errors(noisy, studio.truth(studio.ring(4))))
     assert centre_mm < 5 and rotation_deg < 0.1
     assert all(rms == pytest.approx(0.2 * np.sqrt(2), rel=0.15) for rms in noisy.rms_px.values())
     assert noisy.inflation < 1.5 and noisy.sync_error_m == 0.0
 
 
 def test_targets_are_placed_in_their_own_frames(noisy: RigSolution):
-    poses = carried(np.random.default_rng(1), 100)
+    poses = studio.carried(np.random.default_rng(1), 100)
     np.testing.assert_allclose(noisy.T_reference_target["floor", 0], np.eye(4), atol=1e-12)
     errors_m = [
-        np.linalg.norm((T_WORLD_FLOOR @ T)[:3, 3] - poses[frame_index][:3, 3])
+        np.linalg.norm((studio.T_WORLD_FLOOR @ T)[:3, 3] - poses[frame_index][:3, 3])
         for (target, frame_index), T in noisy.T_reference_target.items()
         if target == "moving"
     ]
@@ -62,28 +53,28 @@ def test_targets_are_placed_in_their_own_frames(noisy: RigSolution):
 
 
 def test_gauge_changes_neither_residuals_nor_relative_poses(noisy: RigSolution):
-    cameras = ring(4)
-    detections = carried_and_floor(cameras, np.random.default_rng(1), 100)
-    other = solve_rig(cameras, detections, TARGETS)
+    cameras = studio.ring(4)
+    detections = studio.carried_and_floor(cameras, np.random.default_rng(1), 100)
+    other = solve_rig(cameras, detections, studio.TARGETS)
     (root,) = [name for name, covariance in other.covariance.items() if not covariance.any()]
     np.testing.assert_allclose(other.T_camera_reference[root], np.eye(4), atol=1e-12)
-    for name, T in seen_from(noisy, root).items():
+    for name, T in studio.seen_from(noisy, root).items():
         np.testing.assert_allclose(other.T_camera_reference[name], T, atol=1e-9)
     for a, b in zip(noisy.residuals_px, other.residuals_px, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-7)
 
 
 def test_same_bytes_in_whatever_order_the_input_comes():
-    cameras = ring(3)
-    detections = carried_and_floor(cameras, np.random.default_rng(2), 10)
+    cameras = studio.ring(3)
+    detections = studio.carried_and_floor(cameras, np.random.default_rng(2), 10)
     covariance = {name: np.array([1, 1, 1, 1, 1e-3, 1e-3, 1e-4, 1e-4, 1e-3]) for name in cameras}
-    first = solve_rig(cameras, detections, TARGETS, intrinsics_sd=covariance)
+    first = solve_rig(cameras, detections, studio.TARGETS, intrinsics_sd=covariance)
     shuffled = [detections[i] for i in np.random.default_rng(0).permutation(len(detections))]
     upset = [replace(s, ids=s.ids[::-1].copy(), pixels=s.pixels[::-1].copy()) for s in shuffled]
     second = solve_rig(
         dict(reversed(cameras.items())),
         upset,
-        dict(reversed(TARGETS.items())),
+        dict(reversed(studio.TARGETS.items())),
         intrinsics_sd=dict(reversed(covariance.items())),
     )
     for a, b in ((first.T_camera_reference, second.T_camera_reference), (first.covariance, second.covariance)):
@@ -92,10 +83,10 @@ def test_same_bytes_in_whatever_order_the_input_comes():
 
 
 def test_minimum_is_that_of_scipy_least_squares():
-    cameras = ring(3)
+    cameras = studio.ring(3)
     rng = np.random.default_rng(5)
-    detections = [s for s in carried_and_floor(cameras, rng, 6) if s.target == "floor" or s.frame_index < 6]
-    solution = solve_rig(cameras, detections, TARGETS, reference=ON_FLOOR)
+    detections = [s for s in studio.carried_and_floor(cameras, rng, 6) if s.target == "floor" or s.frame_index < 6]
+    solution = solve_rig(cameras, detections, studio.TARGETS, reference=studio.ON_FLOOR)
     names, keys = sorted(cameras), sorted(key for key in solution.T_reference_target if key != ("floor", 0))
 
     def residuals(x: np.ndarray) -> np.ndarray:
@@ -104,7 +95,7 @@ def test_minimum_is_that_of_scipy_least_squares():
         rows = []
         for s in detections:
             pose = target.get((s.target, s.frame_index), np.zeros(6))
-            points = TARGETS[s.target][s.ids] @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
+            points = studio.TARGETS[s.target][s.ids] @ cv2.Rodrigues(pose[:3])[0].T + pose[3:]
             w, model = camera[s.camera], cameras[s.camera]
             pixels, _ = cv2.projectPoints(points.reshape(-1, 1, 3), w[:3], w[3:], model.K, model.D)
             rows.append((pixels.reshape(-1, 2) - s.pixels).ravel() / s.sigma_px)
@@ -126,15 +117,17 @@ def test_minimum_is_that_of_scipy_least_squares():
 
 
 def test_rig_is_found_when_each_pair_shares_views_but_nobody_sees_all():
-    cameras = ring(6)
-    detections = detections_of(cameras, carried(np.random.default_rng(6), 60), "moving", np.random.default_rng(0))
-    solution = solve_rig(cameras, detections, {"moving": BOARD.corners_board})
-    centre_mm, rotation_deg = worst(errors(solution, truth(cameras, "cam01"), "cam01"))
+    cameras = studio.ring(6)
+    detections = studio.detections_of(
+        cameras, studio.carried(np.random.default_rng(6), 60), "moving", np.random.default_rng(0)
+    )
+    solution = solve_rig(cameras, detections, {"moving": studio.BOARD.corners_board})
+    centre_mm, rotation_deg = studio.worst(studio.errors(solution, studio.truth(cameras, "cam01"), "cam01"))
     assert centre_mm < 15 and rotation_deg < 0.2
 
 
 def detection(**changed: object) -> TargetDetection:
-    return replace(TargetDetection("cam01", 0, np.arange(30), np.ones((30, 2)), SIZE, "moving"), **changed)  # type: ignore
+    return replace(TargetDetection("cam01", 0, np.arange(30), np.ones((30, 2)), studio.SIZE, "moving"), **changed)  # type: ignore
 
 
 @pytest.mark.parametrize(
@@ -151,10 +144,15 @@ def detection(**changed: object) -> TargetDetection:
 )
 def test_detections_that_do_not_fit_are_named(detections: list[TargetDetection], said: str):
     with pytest.raises(InputError, match=said):
-        solve_rig(ring(3), detections, TARGETS)
+        solve_rig(studio.ring(3), detections, studio.TARGETS)
 
 
 def test_reference_that_was_not_seen_is_refused():
-    cameras = ring(3)
+    cameras = studio.ring(3)
     with pytest.raises(InputError, match="'ceiling' was not seen in frame 0"):
-        solve_rig(cameras, carried_and_floor(cameras, np.random.default_rng(0), 8), TARGETS, reference=("ceiling", 0))
+        solve_rig(
+            cameras,
+            studio.carried_and_floor(cameras, np.random.default_rng(0), 8),
+            studio.TARGETS,
+            reference=("ceiling", 0),
+        )

@@ -1,22 +1,9 @@
 """A wand of bright markers: found in images, numbered, and a rig calibrated with nothing else."""
 
+import bundle_studio as studio
 import cv2
 import numpy as np
 import pytest
-from bundle_studio import (
-    ON_FLOOR,
-    SIZE,
-    T_WORLD_FLOOR,
-    TARGETS,
-    camera_at,
-    detections_of,
-    errors,
-    project,
-    ring,
-    rotation,
-    truth,
-)
-from bundle_studio import worst as worst_of
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import TargetDetection
@@ -24,21 +11,12 @@ from rig_calibration.boards.wand import WAND, find_blobs, find_wand, wand_points
 from rig_calibration.bundle.solve import solve_rig
 
 UNEVEN, EVEN, TWO = (0.0, 0.25, 0.4), (0.0, 0.2, 0.4), (0.0, 0.4)
-CAMERA = camera_at("cam01", (3, 0, 1.5))
-
-
-def waved(rng: np.random.Generator, frames: int) -> dict[int, np.ndarray]:
-    poses = {}
-    for frame_index in range(frames):
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = rotation(2 * rng.normal(size=3)), rng.uniform([-1, -1, 0.3], [1, 1, 1.9])
-        poses[frame_index] = T
-    return poses
+CAMERA = studio.camera_at("cam01", (3, 0, 1.5))
 
 
 def picture(pixels: np.ndarray, rng: np.random.Generator, radius_px: float = 3.0, room: float = 12.0) -> np.ndarray:
     """Discs with soft edges in a dark, slightly noisy image."""
-    image = np.full((SIZE[1], SIZE[0]), room)
+    image = np.full((studio.SIZE[1], studio.SIZE[0]), room)
     for u, v in pixels:
         left, top = int(u - radius_px) - 2, int(v - radius_px) - 2
         rows, columns = np.mgrid[top : top + int(2 * radius_px) + 6, left : left + int(2 * radius_px) + 6]
@@ -49,13 +27,13 @@ def picture(pixels: np.ndarray, rng: np.random.Generator, radius_px: float = 3.0
 def wand_detections(marks: tuple[float, ...], frames: int, seed: int) -> list[TargetDetection]:
     """Markers with 0.1 px of noise; of a wand that looks the same from both ends, numbered at random."""
     rng, found = np.random.default_rng(seed), []
-    for frame_index, T in waved(rng, frames).items():
-        for name, camera in ring(4).items():
-            pixels = project(camera, T, wand_points(marks))
-            if np.all((pixels > 2) & (pixels < np.array(SIZE) - 3)):
+    for frame_index, T in studio.waved(rng, frames).items():
+        for name, camera in studio.ring(4).items():
+            pixels = studio.project(camera, T, wand_points(marks))
+            if np.all((pixels > 2) & (pixels < np.array(studio.SIZE) - 3)):
                 ids = np.arange(len(marks))[:: rng.choice([1, -1]) if wand_symmetry_order(marks) == 2 else 1].copy()
                 noisy = pixels + 0.1 * rng.normal(size=pixels.shape)
-                found.append(TargetDetection(name, frame_index, ids, noisy, SIZE, WAND, 0.1))
+                found.append(TargetDetection(name, frame_index, ids, noisy, studio.SIZE, WAND, 0.1))
     return found
 
 
@@ -96,11 +74,11 @@ def test_dark_image_has_no_blobs_and_streaks_are_none():
 
 def test_wand_is_found_before_a_lit_room_with_its_background():
     rng = np.random.default_rng(1)
-    room = np.tile(np.linspace(40, 150, SIZE[0]), (SIZE[1], 1))
+    room = np.tile(np.linspace(40, 150, studio.SIZE[0]), (studio.SIZE[1], 1))
     room[100:200, 300:330] = 245  # a window
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = rotation([0, 0, 1.3]), (0.2, 0.1, 1.1)
-    pixels = project(CAMERA, T, wand_points(UNEVEN))
+    T[:3, :3], T[:3, 3] = studio.rotation([0, 0, 1.3]), (0.2, 0.1, 1.1)
+    pixels = studio.project(CAMERA, T, wand_points(UNEVEN))
     lamps = picture(pixels, rng, room=0.0).astype(float)
     noise = 2 * rng.normal(size=(2, *room.shape))
     image, background = (np.clip(i, 0, 255).astype(np.uint8) for i in (room + lamps + noise[0], room + noise[1]))
@@ -113,12 +91,12 @@ def test_wand_is_found_before_a_lit_room_with_its_background():
 
 def test_uneven_wand_is_numbered_right_among_stray_lights():
     rng, right, found = np.random.default_rng(2), 0, 0
-    for T in waved(rng, 30).values():
-        pixels = project(CAMERA, T, wand_points(UNEVEN))
+    for T in studio.waved(rng, 30).values():
+        pixels = studio.project(CAMERA, T, wand_points(UNEVEN))
         length = np.linalg.norm(pixels[-1] - pixels[0])
-        if not np.all((pixels > 10) & (pixels < np.array(SIZE) - 10)) or length < 40:
+        if not np.all((pixels > 10) & (pixels < np.array(studio.SIZE) - 10)) or length < 40:
             continue
-        strays = rng.uniform([10, 10], np.array(SIZE) - 10, size=(2, 2))
+        strays = rng.uniform([10, 10], np.array(studio.SIZE) - 10, size=(2, 2))
         detection = find_wand(picture(np.concatenate([pixels, strays]), rng), UNEVEN, CAMERA, frame_index=3)
         if detection is not None:
             found += 1
@@ -135,7 +113,7 @@ def test_spots_that_are_no_wand_are_not_taken_for_one():
 
 @pytest.mark.parametrize("marks", [UNEVEN, EVEN])
 def test_rig_from_a_wand_alone(marks: tuple[float, ...]):
-    cameras = ring(4)
+    cameras = studio.ring(4)
     solution = solve_rig(
         cameras,
         wand_detections(marks, 30, seed=1),
@@ -144,24 +122,24 @@ def test_rig_from_a_wand_alone(marks: tuple[float, ...]):
     )
     others = [name for name in cameras if solution.covariance[name].any()]
     (root,) = set(cameras) - set(others)
-    found = errors(solution, truth(cameras, root), root)
-    centre_mm, rotation_deg = worst_of(found)
+    found = studio.errors(solution, studio.truth(cameras, root), root)
+    centre_mm, rotation_deg = studio.worst(found)
     assert centre_mm < 5 and rotation_deg < 0.1
     normalised = np.array([found[name] / np.sqrt(np.diag(solution.covariance[name])) for name in others])
     assert 0.5 < np.sqrt(np.mean(normalised**2)) < 1.7
 
 
 def test_wand_and_floor_board_together_give_the_world():
-    cameras = ring(4)
-    floor = detections_of(cameras, {0: T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
+    cameras = studio.ring(4)
+    floor = studio.detections_of(cameras, {0: studio.T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
     solution = solve_rig(
         cameras,
         wand_detections(TWO, 40, seed=2) + floor,
-        {WAND: wand_points(TWO), "floor": TARGETS["floor"]},
-        reference=ON_FLOOR,
+        {WAND: wand_points(TWO), "floor": studio.TARGETS["floor"]},
+        reference=studio.ON_FLOOR,
         symmetry_orders={WAND: 2},
     )
-    centre_mm, rotation_deg = worst_of(errors(solution, truth(cameras)))
+    centre_mm, rotation_deg = studio.worst(studio.errors(solution, studio.truth(cameras)))
     assert centre_mm < 7 and rotation_deg < 0.12
     ratio, sd = solution.scale_of["floor"]
     assert abs(ratio - 1) < 3 * sd
@@ -169,7 +147,7 @@ def test_wand_and_floor_board_together_give_the_world():
 
 def test_too_few_views_of_a_wand_are_an_error_that_names_the_cameras():
     with pytest.raises(InputError, match=r"too few common views of the wand"):
-        solve_rig(ring(4), wand_detections(UNEVEN, 3, seed=1), {WAND: wand_points(UNEVEN)})
+        solve_rig(studio.ring(4), wand_detections(UNEVEN, 3, seed=1), {WAND: wand_points(UNEVEN)})
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bundle_studio import waved
 from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, carried_poses, circle, on_floor, pose_errors
 
 from rig_calibration.boards.board import TargetDetection
@@ -93,12 +94,8 @@ def test_camera_that_sees_the_board_only_in_a_folded_corner_is_named():
 
 
 def test_wand_places_folding_lenses_to_each_other():
-    rig, rng, detections = cameras(), np.random.default_rng(5), []
-    for frame in range(80):
-        T = np.eye(4)
-        T[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        T[:3, :3] *= np.sign(np.linalg.det(T[:3, :3]))
-        T[:3, 3] = rng.uniform([-0.9, -0.9, 0.3], [0.9, 0.9, 1.8])
+    rig, detections = cameras(), []
+    for frame, T in waved(np.random.default_rng(5), 80).items():
         for camera in rig.values():
             detections += seen(camera, wand_points(MARKS), T, WAND, frame)
     solution = solve_rig(rig, detections, {WAND: wand_points(MARKS)})

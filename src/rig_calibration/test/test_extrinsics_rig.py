@@ -2,20 +2,10 @@
 
 from dataclasses import replace
 
+import extrinsics_room as made
 import numpy as np
 import pytest
-from extrinsics_room import (
-    CARRIED_BOARD,
-    FLOOR_BOARD,
-    NOISE_PX,
-    camera_at,
-    carried_poses,
-    circle,
-    on_floor,
-    pose_errors,
-    see,
-    see_all,
-)
+from bundle_studio import camera_at
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -27,14 +17,14 @@ from rig_calibration.extrinsics.floor import average_still_board
 from rig_calibration.extrinsics.verdict import TapeMeasure
 from rig_calibration.extrinsics.world import WorldChoice
 
-TARGETS = {FLOOR: FloorTarget.of_board(FLOOR_BOARD, WorldChoice()), MOVING: Target.of(CARRIED_BOARD)}
+TARGETS = {FLOOR: FloorTarget.of_board(made.FLOOR_BOARD, WorldChoice()), MOVING: Target.of(made.CARRIED_BOARD)}
 FLOOR_ONLY = {FLOOR: TARGETS[FLOOR]}
 FRAMES = 15
 
 
-def floor_detections(cameras: dict[str, CameraModel], board: Checkerboard = FLOOR_BOARD) -> list[TargetDetection]:
+def floor_detections(cameras: dict[str, CameraModel], board: Checkerboard = made.FLOOR_BOARD) -> list[TargetDetection]:
     """Fifteen frames of the board on the floor, averaged."""
-    seen = see_all(cameras, board, [on_floor(board)] * FRAMES, FLOOR)
+    seen = made.see_all(cameras, board, [made.on_floor(board)] * FRAMES, FLOOR)
     return [
         average_still_board([s for s in seen if s.camera == name], board, target=FLOOR).detection
         for name in cameras
@@ -43,7 +33,15 @@ def floor_detections(cameras: dict[str, CameraModel], board: Checkerboard = FLOO
 
 
 def carried_detections(cameras: dict[str, CameraModel], count: int = 40) -> list[TargetDetection]:
-    return see_all(cameras, CARRIED_BOARD, carried_poses(count), MOVING)
+    return made.see_all(cameras, made.CARRIED_BOARD, made.carried_poses(count), MOVING)
+
+
+def both_boards(
+    cameras: dict[str, CameraModel], floor: Checkerboard = made.FLOOR_BOARD, carried: Checkerboard = made.CARRIED_BOARD
+) -> RigCalibration:
+    """The rig from pictures of both boards, which are stated to be these."""
+    targets = {FLOOR: FloorTarget.of_board(floor, WorldChoice()), MOVING: Target.of(carried)}
+    return calibrate_rig(cameras, floor_detections(cameras) + carried_detections(cameras), targets)
 
 
 def findings(calibrated: RigCalibration) -> str:
@@ -52,7 +50,7 @@ def findings(calibrated: RigCalibration) -> str:
 
 @pytest.fixture(scope="module")
 def room() -> dict[str, CameraModel]:
-    return circle(4)
+    return made.circle(4)
 
 
 @pytest.fixture(scope="module")
@@ -67,11 +65,11 @@ def test_cameras_are_placed_within_5_mm_and_a_tenth_of_a_degree(
     room: dict[str, CameraModel], whole: RigCalibration
 ) -> None:
     for camera in whole.placed.rig.cameras:
-        place_mm, turn_deg = pose_errors(camera, room[camera.name])
+        place_mm, turn_deg = made.pose_errors(camera, room[camera.name])
         figures = whole.figures.camera(camera.name)
         assert place_mm < 5.0 and turn_deg < 0.1
         assert place_mm < 3 * np.sqrt(3) * figures.sd_centre_mm and turn_deg < 3 * np.sqrt(3) * figures.sd_rotation_deg
-        assert figures.rms_px == pytest.approx(NOISE_PX * np.sqrt(2), rel=0.1), "of distances"
+        assert figures.rms_px == pytest.approx(made.NOISE_PX * np.sqrt(2), rel=0.1), "of distances"
     assert whole.verdict.grade == GOOD, findings(whole)
 
 
@@ -83,7 +81,7 @@ def test_figures_are_those_of_the_true_rig(room: dict[str, CameraModel], whole: 
         place = camera.centre_world
         assert figures.height_m == pytest.approx(place[2], abs=0.005)
         assert figures.distance_m == pytest.approx(distance, abs=0.01)
-        assert figures.mm_per_px == pytest.approx(1e3 * distance / 471.0, rel=0.01)
+        assert figures.mm_per_px == pytest.approx(1e3 * distance / 600.3, rel=0.01)
         assert figures.floor_angle_deg == pytest.approx(
             np.rad2deg(np.arccos(place[2] / np.linalg.norm(place))), abs=0.3
         )
@@ -93,21 +91,19 @@ def test_figures_are_those_of_the_true_rig(room: dict[str, CameraModel], whole: 
 def test_floor_board_alone_places_all_cameras_within_their_uncertainty(room: dict[str, CameraModel]) -> None:
     calibrated = calibrate_rig(room, floor_detections(room), FLOOR_ONLY)
     for camera in calibrated.placed.rig.cameras:
-        place_mm, _ = pose_errors(camera, room[camera.name])
+        place_mm, _ = made.pose_errors(camera, room[camera.name])
         assert place_mm < 3 * np.sqrt(3) * calibrated.figures.camera(camera.name).sd_centre_mm < 60.0
 
 
 def test_camera_that_never_sees_the_floor_board_is_placed_by_the_carried_one(room: dict[str, CameraModel]) -> None:
     without = [detection for detection in floor_detections(room) if detection.camera != "cam02"]
     calibrated = calibrate_rig(room, without + carried_detections(room), TARGETS)
-    assert pose_errors(calibrated.placed.rig.camera("cam02"), room["cam02"])[0] < 8.0
+    assert made.pose_errors(calibrated.placed.rig.camera("cam02"), room["cam02"])[0] < 8.0
     assert calibrated.figures.camera("cam02").floor_angle_deg is None
 
 
 def test_wrong_square_size_of_one_board_shows_as_a_ratio(room: dict[str, CameraModel]) -> None:
-    wrong = Checkerboard(7, 4, (0.126, 0.126))  # stated 5 % too large
-    targets = {FLOOR: FloorTarget.of_board(wrong, WorldChoice()), MOVING: TARGETS[MOVING]}
-    calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room), targets)
+    calibrated = both_boards(room, floor=Checkerboard(7, 4, (0.126, 0.126)))  # stated 5 % too large
     ratio, sd = calibrated.scales[FLOOR]
     assert ratio == pytest.approx(1 / 1.05, abs=4 * sd) and sd < 0.005
     assert calibrated.verdict.grade == REDO
@@ -138,44 +134,44 @@ def test_carried_board_tells_which_way_round_a_symmetric_floor_board_lies(room: 
     seen[1] = replace(seen[1], ids=(len(even.corners_board) - 1 - seen[1].ids)[::-1], pixels=seen[1].pixels[::-1])
     targets = {FLOOR: FloorTarget.of_board(even, WorldChoice()), MOVING: TARGETS[MOVING]}
     calibrated = calibrate_rig(room, seen + carried_detections(room), targets)
-    turned = {name: pose_errors(calibrated.placed.rig.camera(name), room[name])[0] for name in room}
+    turned = {name: made.pose_errors(calibrated.placed.rig.camera(name), room[name])[0] for name in room}
     assert max(turned.values()) < 8.0, turned
 
 
 def test_floor_view_that_contradicts_the_rest_is_named_redo(room: dict[str, CameraModel]) -> None:
     """The board was turned by a quarter before cam03 took its picture."""
     seen = [detection for detection in floor_detections(room) if detection.camera != "cam03"]
-    moved = see(room["cam03"], FLOOR_BOARD, on_floor(FLOOR_BOARD, 0.1, 0.2, 0.7), FLOOR, 0)
+    moved = made.see(room["cam03"], made.FLOOR_BOARD, made.on_floor(made.FLOOR_BOARD, 0.1, 0.2, 0.7), FLOOR, 0)
     assert moved is not None
     calibrated = calibrate_rig(room, [*seen, moved, *carried_detections(room)], TARGETS)
-    assert pose_errors(calibrated.placed.rig.camera("cam03"), room["cam03"])[0] < 8.0, "by the carried board"
+    assert made.pose_errors(calibrated.placed.rig.camera("cam03"), room["cam03"])[0] < 8.0, "by the carried board"
     assert calibrated.verdict.grade == REDO
     assert "cam03 sees the floor board otherwise than the rest" in findings(calibrated)
 
 
 def test_grazing_view_of_the_floor_board_is_named_with_its_angle() -> None:
-    cameras = circle(3)
+    cameras = made.circle(3)
     cameras["cam04"] = camera_at("cam04", np.array([-2.0, 1.0, 0.45]), np.array([0.0, 0.0, 0.4]))
     calibrated = calibrate_rig(cameras, floor_detections(cameras), FLOOR_ONLY)
     assert "cam04 sees the board at 79 degrees from its normal -> Raise the camera" in findings(calibrated)
 
 
 def test_cameras_that_look_at_each_other_are_named() -> None:
-    cameras = circle(3)
+    cameras = made.circle(3)
     opposite = -cameras["cam01"].centre_world * [1, 1, -1]
     cameras["cam04"] = camera_at("cam04", opposite, np.array([0.0, 0.0, opposite[2]]))
     cameras["cam01"] = camera_at("cam01", cameras["cam01"].centre_world, np.array([0.0, 0.0, opposite[2]]))
-    calibrated = calibrate_rig(cameras, floor_detections(cameras) + carried_detections(cameras), TARGETS)
+    calibrated = both_boards(cameras)
     facing = calibrated.figures.facing_deg["cam01", "cam04"]
     assert facing > 165.0
     assert ("cam01 and cam04 look at each other" in findings(calibrated)) == (facing > 170.0)
 
 
 def test_carried_board_laid_down_at_the_end_gives_the_floor(room: dict[str, CameraModel]) -> None:
-    poses = [*carried_poses(50), *[on_floor(CARRIED_BOARD, 0.2, 0.1)] * 5]
-    moving = see_all(room, CARRIED_BOARD, poses, MOVING)
-    lying = frames_on_floor(room, moving, CARRIED_BOARD, "lowest")
-    assert lying == frames_on_floor(room, moving, CARRIED_BOARD, "last") == tuple(range(50, 55))
+    poses = [*made.carried_poses(50), *[made.on_floor(made.CARRIED_BOARD, 0.2, 0.1)] * 5]
+    moving = made.see_all(room, made.CARRIED_BOARD, poses, MOVING)
+    lying = frames_on_floor(room, moving, made.CARRIED_BOARD, "lowest")
+    assert lying == frames_on_floor(room, moving, made.CARRIED_BOARD, "last") == tuple(range(50, 55))
 
 
 def test_without_a_floor_distances_are_right_and_the_verdict_says_what_is_missing(room: dict[str, CameraModel]) -> None:

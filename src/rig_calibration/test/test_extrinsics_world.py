@@ -1,26 +1,113 @@
-"""Where the world lies on the board, what cameras see in common, when a carried board lies on the floor, and what
-its carrier is told."""
+"""A camera's pose from a board on the floor; where the world lies on it; when a carried board lies on the floor, and
+what its carrier is told."""
 
+from dataclasses import replace
+
+import extrinsics_room as made
 import numpy as np
 import pytest
-from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, camera_at, carried_poses, circle, on_floor, see_all
+from bundle_studio import camera_at
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from rig_calibration.extrinsics.carried_board import (
-    ENOUGH_CELLS,
-    ENOUGH_FRAMES,
-    ENOUGH_SHARED,
-    choose_frames,
-    find_resting_frames,
-    motion_progress,
-    resting_around,
-)
+from capture_rig.rigid import inverse
+from rig_calibration.boards.board import Checkerboard, TargetDetection
+from rig_calibration.extrinsics import carried_board
+from rig_calibration.extrinsics.floor import average_still_board, floor_view
 from rig_calibration.extrinsics.world import WorldChoice, board_in_world, common_volume, world_of_level_camera
+
+BOARD = Checkerboard(9, 6, (0.1, 0.1))
+MIDDLE_BOARD = np.array([0.4, -0.25, 0.0])
+
+
+def at_angle(angle_deg: float, distance_m: float = 3.0) -> CameraModel:
+    """A camera that sees the board's middle at an angle from the board's normal, which is the world's z."""
+    angle = np.deg2rad(angle_deg)
+    away = np.array([0.3 * np.sin(angle), -0.954 * np.sin(angle), np.cos(angle)])
+    return camera_at("cam01", MIDDLE_BOARD + distance_m * away, MIDDLE_BOARD)
+
+
+def seen(
+    camera: CameraModel, frame_index: int, noise_px: float = made.NOISE_PX, board: Checkerboard = BOARD
+) -> TargetDetection:
+    """What the camera sees of the board in a frame, with noise of that frame's own."""
+    detection = made.see(camera, board, np.eye(4), "", frame_index, noise_px)
+    assert detection is not None
+    return detection
+
+
+@pytest.mark.parametrize("angle_deg", [10.0, 45.0, 70.0, 80.0])
+def test_camera_is_placed_at_any_angle(angle_deg: float) -> None:
+    camera = at_angle(angle_deg)
+    views = [floor_view(seen(camera, seed), BOARD.corners_board, camera) for seed in range(10)]
+    errors_m = [np.linalg.norm(inverse(view.T_camera_board)[:3, 3] - camera.centre_world) for view in views]
+    assert max(errors_m) < (0.06 if angle_deg < 30 else 0.015)  # a board seen from above tells little of the tilt
+    assert np.rad2deg(views[0].angle) == pytest.approx(angle_deg, abs=0.5)
+    assert np.mean([view.rms_px for view in views]) == pytest.approx(made.NOISE_PX, rel=0.1)
+
+
+def test_second_solution_is_kept_when_the_board_is_small_and_far() -> None:
+    small = Checkerboard(4, 3, (0.05, 0.05))
+    camera = camera_at("cam01", np.array([0.0, -2.0, 5.0]), MIDDLE_BOARD)
+    view = floor_view(seen(camera, 1, board=small), small.corners_board, camera)
+    assert view.other is not None
+    normals = view.T_camera_board[:3, 2], view.other[:3, 2]
+    assert np.rad2deg(np.arccos(normals[0] @ normals[1])) > 5.0
+
+
+def test_second_solution_is_ruled_out_when_the_board_is_large() -> None:
+    camera = at_angle(60.0)
+    assert floor_view(seen(camera, 1), BOARD.corners_board, camera).other is None
+
+
+def test_board_in_a_mirror_is_refused_with_a_remedy() -> None:
+    camera = at_angle(40.0)
+    detection = seen(camera, 2)
+    mirrored = replace(detection, ids=detection.ids.reshape(6, 9)[:, ::-1].ravel())
+    with pytest.raises(InputError, match=r"cam01: .*mirror.*print upwards"):
+        floor_view(mirrored, BOARD.corners_board, camera)
+
+
+def test_three_corners_are_refused() -> None:
+    camera = at_angle(40.0)
+    detection = seen(camera, 2)
+    three = replace(detection, ids=detection.ids[:3], pixels=detection.pixels[:3])
+    with pytest.raises(InputError, match="only 3 corners"):
+        floor_view(three, BOARD.corners_board, camera)
+
+
+def test_averaged_corners_are_better_than_one_frame_and_leave_hands_and_moved_frames_out() -> None:
+    camera, moved = at_angle(50.0), at_angle(55.0)
+    truth = seen(camera, 0, noise_px=0.0).pixels
+    frames = [seen(camera, frame) for frame in range(12)]
+    frames[4].pixels[7] += [9.0, -4.0]  # one corner on a finger
+    frames[6] = replace(frames[6], ids=frames[6].ids[9:], pixels=frames[6].pixels[9:])  # an arm
+    frames += [seen(moved, frame) for frame in (12, 13)]
+    still = average_still_board(frames[::-1], BOARD, target="floor")
+    errors = still.detection.pixels - truth
+    assert still.frames == tuple(range(12)) and still.moved_frames == (12, 13)
+    assert np.sqrt((errors**2).mean()) < 1.2 * made.NOISE_PX / np.sqrt(12)
+    assert np.abs(errors[7]).max() < 4 * made.NOISE_PX / np.sqrt(11)
+    assert (
+        still.detection.target == "floor" and made.NOISE_PX / np.sqrt(12) < still.detection.sigma_px < made.NOISE_PX / 2
+    )
+
+
+def test_frames_that_count_a_symmetric_board_from_either_end_are_averaged_in_one_order() -> None:
+    board = Checkerboard(8, 6, (0.1, 0.1))
+    camera = at_angle(50.0)
+    frames = [seen(camera, frame, board=board) for frame in range(4)]
+    frames[2] = replace(frames[2], ids=frames[2].ids[::-1].copy())
+    still = average_still_board(frames, board, target="floor")
+    assert len(still.frames) == 4
+    assert np.abs(still.detection.pixels - seen(camera, 0, 0.0, board).pixels).max() < 4 * made.NOISE_PX / 2
+
+
+# --- the world, and a carried board -----------------------------------------------------------------------------------
 
 
 def test_world_origin_is_the_boards_middle_below_its_thickness() -> None:
-    corners = FLOOR_BOARD.corners_board
+    corners = made.FLOOR_BOARD.corners_board
     T = board_in_world(corners, WorldChoice(thickness_m=0.005))
     corners_world = corners @ T[:3, :3].T + T[:3, 3]
     assert corners_world.mean(axis=0) == pytest.approx([0.0, 0.0, 0.005], abs=1e-12)
@@ -29,13 +116,13 @@ def test_world_origin_is_the_boards_middle_below_its_thickness() -> None:
 
 @pytest.mark.parametrize("origin, corner", [("first-corner", 0), ((0.12, -0.24), 2 * 7 + 1)])
 def test_world_origin_lies_where_it_is_asked_for(origin: str | tuple[float, float], corner: int) -> None:
-    corners = FLOOR_BOARD.corners_board
+    corners = made.FLOOR_BOARD.corners_board
     T = board_in_world(corners, WorldChoice(origin))  # type: ignore[arg-type]
     assert T[:3, :3] @ corners[corner] + T[:3, 3] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
 
 
 def test_heading_turns_world_x_counterclockwise_from_the_rows() -> None:
-    T = board_in_world(FLOOR_BOARD.corners_board, WorldChoice(heading=np.pi / 2))
+    T = board_in_world(made.FLOOR_BOARD.corners_board, WorldChoice(heading=np.pi / 2))
     assert T[:3, :3] @ [0.0, 1.0, 0.0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-12), "the board's y is world x"
 
 
@@ -79,35 +166,35 @@ def test_common_volume_says_when_nobody_can_stand_in_it() -> None:
 
 
 def test_carried_board_is_found_lying_at_the_place_where_nothing_was_below_it() -> None:
-    poses = dict(enumerate(carried_poses(60)))
-    lying = on_floor(CARRIED_BOARD, 0.3, -0.2, 0.5)
+    poses = dict(enumerate(made.carried_poses(60)))
+    lying = made.on_floor(made.CARRIED_BOARD, 0.3, -0.2, 0.5)
     poses |= {frame_index: lying for frame_index in range(60, 66)}
-    poses[70] = on_floor(CARRIED_BOARD, -0.5, 0.4)  # put down elsewhere, for a frame
-    centres = [camera.centre_world for camera in circle(4).values()]
-    assert find_resting_frames(poses, CARRIED_BOARD.corners_board, centres) == tuple(range(60, 66))
+    poses[70] = made.on_floor(made.CARRIED_BOARD, -0.5, 0.4)  # put down elsewhere, for a frame
+    centres = [camera.centre_world for camera in made.circle(4).values()]
+    assert carried_board.find_resting_frames(poses, made.CARRIED_BOARD.corners_board, centres) == tuple(range(60, 66))
 
 
 def test_board_that_never_lies_on_the_floor_is_refused_with_the_ways_out() -> None:
-    poses = dict(enumerate(carried_poses(60)))
-    centres = [camera.centre_world for camera in circle(4).values()]
+    poses = dict(enumerate(made.carried_poses(60)))
+    centres = [camera.centre_world for camera in made.circle(4).values()]
     with pytest.raises(InputError, match="--floor-at"):
-        find_resting_frames(poses, CARRIED_BOARD.corners_board, centres)
+        carried_board.find_resting_frames(poses, made.CARRIED_BOARD.corners_board, centres)
 
 
 def test_frames_around_a_named_one_count_while_the_board_rests() -> None:
-    lying = on_floor(CARRIED_BOARD)
-    poses = [*carried_poses(4), lying, lying, lying, *carried_poses(3, seed=5)]
-    detections = see_all(circle(4), CARRIED_BOARD, poses, "moving", noise_px=0.1)
-    assert resting_around(detections, 5) == (4, 5, 6)
+    lying = made.on_floor(made.CARRIED_BOARD)
+    poses = [*made.carried_poses(4), lying, lying, lying, *made.carried_poses(3, seed=5)]
+    detections = made.see_all(made.circle(4), made.CARRIED_BOARD, poses, "moving", noise_px=0.1)
+    assert carried_board.resting_around(detections, 5) == (4, 5, 6)
     with pytest.raises(InputError, match="no camera shows the board in frame 77"):
-        resting_around(detections, 77)
+        carried_board.resting_around(detections, 77)
 
 
 def test_chosen_frames_are_shared_spread_and_independent_of_order() -> None:
-    cameras = circle(4)
-    detections = see_all(cameras, CARRIED_BOARD, carried_poses(200), "moving")
-    chosen = choose_frames(detections, most=30)
-    assert chosen == choose_frames(detections[::-1], most=30) and len(chosen) == 30
+    cameras = made.circle(4)
+    detections = made.see_all(cameras, made.CARRIED_BOARD, made.carried_poses(200), "moving")
+    chosen = carried_board.choose_frames(detections, most=30)
+    assert chosen == carried_board.choose_frames(detections[::-1], most=30) and len(chosen) == 30
     seen_by = {m: {s.camera for s in detections if s.frame_index == m} for m in chosen}
     assert min(map(len, seen_by.values())) >= 2
     pairs = {(a, b) for names in seen_by.values() for a in names for b in names if a < b}
@@ -121,17 +208,17 @@ def test_chosen_frames_are_shared_spread_and_independent_of_order() -> None:
 
 
 def test_frames_of_a_board_at_rest_are_preferred_to_those_of_one_that_is_swung() -> None:
-    cameras = circle(3)
-    slow = [on_floor(CARRIED_BOARD, 0.0, 0.002 * step) for step in range(20)]
-    fast = [on_floor(CARRIED_BOARD, 0.0, 0.5 - 0.05 * step) for step in range(20)]
-    chosen = choose_frames(see_all(cameras, CARRIED_BOARD, slow + fast, "moving"), most=10)
+    cameras = made.circle(3)
+    slow = [made.on_floor(made.CARRIED_BOARD, 0.0, 0.002 * step) for step in range(20)]
+    fast = [made.on_floor(made.CARRIED_BOARD, 0.0, 0.5 - 0.05 * step) for step in range(20)]
+    chosen = carried_board.choose_frames(made.see_all(cameras, made.CARRIED_BOARD, slow + fast, "moving"), most=10)
     assert sum(frame_index < 20 for frame_index in chosen) >= 7
 
 
 # --- while the board is carried ---------------------------------------------------------------------------------------
 
-CAMERAS = circle(3)
-DETECTIONS = see_all(CAMERAS, CARRIED_BOARD, carried_poses(400), "moving")
+CAMERAS = made.circle(3)
+DETECTIONS = made.see_all(CAMERAS, made.CARRIED_BOARD, made.carried_poses(400), "moving")
 
 
 def pair_only(one: str, other: str, count: int) -> list:
@@ -142,25 +229,31 @@ def pair_only(one: str, other: str, count: int) -> list:
 
 
 def test_cameras_without_a_common_view_are_named_with_where_to_go() -> None:
-    progress = motion_progress(tuple(CAMERAS), pair_only("cam01", "cam02", ENOUGH_SHARED))
+    progress = carried_board.motion_progress(tuple(CAMERAS), pair_only("cam01", "cam02", carried_board.ENOUGH_SHARED))
     assert progress.groups == (("cam01", "cam02"), ("cam03",))
     assert progress.advice == "cam01 and cam03 share no view: carry the board where both see it"
 
 
 def test_pair_that_shares_too_little_is_told_how_much_is_missing() -> None:
     seen = {(s.camera, s.frame_index): s for s in pair_only("cam01", "cam02", 30) + pair_only("cam02", "cam03", 3)}
-    progress = motion_progress(tuple(CAMERAS), list(seen.values()))
-    assert progress.advice == f"cam02 and cam03 share 3 of {ENOUGH_SHARED} frames: carry the board where both see it"
+    progress = carried_board.motion_progress(tuple(CAMERAS), list(seen.values()))
+    assert (
+        progress.advice
+        == f"cam02 and cam03 share 3 of {carried_board.ENOUGH_SHARED} frames: carry the board where both see it"
+    )
 
 
 def test_nothing_is_missing_when_all_cameras_share_many_frames_all_over_their_images() -> None:
-    progress = motion_progress(tuple(CAMERAS), DETECTIONS)
-    assert progress.shared_frames >= ENOUGH_FRAMES and min(progress.cells.values()) >= ENOUGH_CELLS
+    progress = carried_board.motion_progress(tuple(CAMERAS), DETECTIONS)
+    assert (
+        progress.shared_frames >= carried_board.ENOUGH_FRAMES
+        and min(progress.cells.values()) >= carried_board.ENOUGH_CELLS
+    )
     assert len(progress.groups) == 1 and progress.advice == ""
 
 
 def test_few_frames_are_not_enough_even_when_every_pair_shares_some() -> None:
     pairs = [("cam01", "cam02"), ("cam02", "cam03"), ("cam01", "cam03")]
-    some = {(s.camera, s.frame_index): s for pair in pairs for s in pair_only(*pair, ENOUGH_SHARED)}
-    progress = motion_progress(tuple(CAMERAS), list(some.values()))
-    assert progress.advice.startswith("carry on: ") and f"of {ENOUGH_FRAMES} frames" in progress.advice
+    some = {(s.camera, s.frame_index): s for pair in pairs for s in pair_only(*pair, carried_board.ENOUGH_SHARED)}
+    progress = carried_board.motion_progress(tuple(CAMERAS), list(some.values()))
+    assert progress.advice.startswith("carry on: ") and f"of {carried_board.ENOUGH_FRAMES} frames" in progress.advice

@@ -1,31 +1,25 @@
-"""A lens from corners of a board: against the lens that the corners were projected with, and against OpenCV."""
+"""A lens from corners of a board: against the lens that the corners were projected with, and against OpenCV; views that
+are wrong are left out and named."""
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from intrinsics_views import BOARD, lens, parameters, shown, with_pixels
+from intrinsics_views import BOARD, errors_in_sds, found, lens, lens_errors, said, shown, with_pixels
 
-from rig_calibration.boards.board import CharucoBoard
-from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
+from capture_rig.errors import InputError
+from rig_calibration.boards.board import CharucoBoard, Checkerboard
 
 RATIONAL = (0.3, -0.05, 3e-4, -2e-4, 0.01, 0.5, 0.02, 0.01)
-
-
-def found(detections, board=BOARD, model="plumb_bob"):
-    return calibrate_intrinsics(detections, board, name="cam01", model=model)
-
-
-def errors_in_sds(result, camera):
-    return (np.array(list(result.values.values())) - parameters(camera)) / np.array(list(result.sd.values()))
 
 
 def test_lens_is_found_within_its_own_standard_deviations():
     noise_px = 0.3
     camera = lens()
     result = found(shown(camera, 40, noise_px, seed=1))
-    error = np.array(list(result.values.values())) - parameters(camera)
-    assert np.abs(error[:2] / camera.K[0, 0]).max() < 0.002
-    assert np.abs(error[2:4]).max() < 1.0
+    error = lens_errors(result, camera)
+    assert np.abs(error[:2] / camera.K[0, 0]).max() < 0.002 and np.abs(error[2:4]).max() < 1.0
     assert np.abs(errors_in_sds(result, camera)).max() < 3.0
     assert result.rms_px == pytest.approx(noise_px * np.sqrt(2), rel=0.1)
     assert result.sigma_px == pytest.approx(noise_px, rel=0.1)
@@ -107,7 +101,7 @@ def test_bent_board_is_measured_and_does_not_spoil_the_lens():
     result = found(detections)
     assert result.warp_m[0] == pytest.approx(0.002, abs=3e-4) and abs(result.warp_m[1]) < 2e-4
     assert np.abs(errors_in_sds(result, camera)).max() < 3.5
-    assert any("bent along its rows" in finding.what for finding in result.verdict.findings)
+    assert said(result, "bent along its rows")
 
 
 def test_partial_views_of_a_charuco_board_serve():
@@ -138,3 +132,86 @@ def test_auto_takes_the_rational_model_for_a_lens_that_needs_it():
     rich = found(shown(strong, 40, 0.05, seed=11, sizes=(0.3, 0.9)), model="auto")
     assert rich.choice.rms_px["rational_polynomial"] < 0.5 * rich.choice.rms_px["plumb_bob"]
     assert rich.camera.distortion_model == "rational_polynomial"
+
+
+# --- views that are wrong ---------------------------------------------------------------------------------------------
+
+
+def assert_lens(result, camera):
+    assert np.abs(errors_in_sds(result, camera)).max() < 3.5
+
+
+def test_view_with_shifted_corners_is_left_out_and_named():
+    camera = lens()
+    detections = shown(camera, 20, 0.2, seed=1)
+    moved = detections[7].pixels.copy()
+    moved[:27] += [6.0, -4.0]  # half of the board, as if it had moved while the rows were read
+    detections[7] = with_pixels(detections[7], moved)
+    result = found(detections)
+    assert [entry.detection.frame_index for entry in result.left_out if entry.whole] == [7]
+    assert "where the other views' lens puts them" in result.left_out[0].reason
+    assert_lens(result, camera)
+
+
+def test_single_wrong_corners_are_left_out_and_the_view_stays():
+    camera = lens()
+    detections = shown(camera, 20, 0.2, seed=2)
+    pixels = detections[3].pixels.copy()
+    pixels[[10, 40]] += 8.0
+    detections[3] = with_pixels(detections[3], pixels)
+    result = found(detections)
+    assert [(entry.detection.frame_index, entry.corners) for entry in result.left_out] == [(3, (10, 40))]
+    assert len(result.views) == 20 and len(result.views[3].ids) == 52
+    assert_lens(result, camera)
+
+
+def test_board_upside_down_in_some_views_does_no_harm():
+    camera = lens()
+    detections = shown(camera, 20, 0.2, seed=3)
+    for i in (2, 5, 11):  # corners named as if the board had been turned by half a turn
+        detections[i] = replace(detections[i], ids=detections[i].ids[::-1].copy())
+    result = found(detections)
+    assert not result.left_out and result.verdict.grade != "redo"
+    assert_lens(result, camera)
+
+
+def test_few_views_of_another_board_are_left_out():
+    camera = lens()
+    other = shown(camera, 4, 0.2, seed=5, board=Checkerboard(9, 6, (0.025, 0.030)))
+    detections = shown(camera, 16, 0.2, seed=6) + [replace(s, frame_index=16 + s.frame_index) for s in other]
+    result = found(detections)
+    assert {entry.detection.frame_index for entry in result.left_out if entry.whole} == {16, 17, 18, 19}
+    assert_lens(result, camera)
+
+
+def test_boards_mixed_half_and_half_are_no_calibration():
+    camera = lens()
+    other = shown(camera, 8, 0.2, seed=5, board=Checkerboard(9, 6, (0.025, 0.032)))
+    detections = shown(camera, 8, 0.2, seed=6) + [replace(s, frame_index=8 + s.frame_index) for s in other]
+    try:
+        verdict = found(detections).verdict
+    except InputError as refused:
+        assert "contradict each other" in str(refused)
+    else:
+        assert verdict.grade != "good" and verdict.findings
+
+
+def test_images_of_several_sizes_are_refused():
+    detections = shown(lens(), 8, 0.2, seed=7)
+    detections[5] = replace(detections[5], image_size=(1280, 960))
+    with pytest.raises(InputError, match=r"cam01: the images have several sizes: 640 x 480 .* 1280 x 960 .*frame 5"):
+        found(detections)
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_too_few_views_are_refused(count):
+    with pytest.raises(InputError, match=f"{count} views of the board can be used, 3 are the least.*20 or more"):
+        found(shown(lens(), count, 0.2, seed=8))
+
+
+def test_views_that_show_one_row_only_are_left_out():
+    detections = shown(lens(), 12, 0.2, seed=10)
+    detections[4] = replace(detections[4], ids=np.arange(9), pixels=detections[4].pixels[:9])
+    detections[6] = replace(detections[6], ids=np.arange(5), pixels=detections[6].pixels[:5])
+    reasons = {entry.detection.frame_index: entry.reason for entry in found(detections).left_out}
+    assert reasons == {4: "shows corners on one line only", 6: "shows 5 corners only"}

@@ -3,76 +3,58 @@
 import numpy as np
 import pytest
 import yaml
-from intrinsics_views import BOARD, lens, shown, with_pixels
+from intrinsics_views import found, lens, said, shown, with_pixels
 
-from rig_calibration.intrinsics.calibrate import calibrate_intrinsics
 from rig_calibration.intrinsics.picture import draw
 from rig_calibration.intrinsics.result import report_of
 
-
-def verdict(detections, model="plumb_bob"):
-    return calibrate_intrinsics(detections, BOARD, name="cam01", model=model).verdict
+TILTS, CORNERS = "tilt the board by 30 to 45 degrees", "bring the board into the image's corners"
 
 
-def said(verdict, text):
-    return [finding for finding in verdict.findings if text in finding.what]
-
-
-def test_board_that_was_never_tilted_must_be_filmed_again():
-    judged = verdict(shown(lens(), 20, 0.2, seed=1, tilt_deg=2.0))
-    assert judged.grade == "redo"
-    assert "tilt the board by 30 to 45 degrees" in said(judged, "are tilted by less than")[0].remedy
-
-
-def test_focal_length_that_is_not_determined_must_be_measured_again():
-    judged = verdict(shown(lens(), 20, 0.3, seed=2, tilt_deg=4.0, sizes=(0.2, 0.25)))
-    assert said(judged, "the focal length is known to")[0].grade == "redo"
-
-
-@pytest.mark.parametrize("count, grade", [(4, "redo"), (9, "usable")])
-def test_few_views_are_named(count, grade):
-    judged = verdict(shown(lens(), count, 0.2, seed=3))
-    assert said(judged, f"only {count} views")[0].grade == grade
-
-
-def test_distortion_beyond_the_corners_is_called_a_guess():
-    judged = verdict(shown(lens(), 25, 0.2, seed=4, reach=0.3, sizes=(0.25, 0.35)))
-    finding = said(judged, "% of the way to the image's corners")[0]
-    assert "bring the board into the image's corners" in finding.remedy
+@pytest.mark.parametrize(
+    ("count", "noise_px", "how", "what", "grade", "remedy"),
+    [
+        (20, 0.2, {"tilt_deg": 2.0}, "are tilted by less than", "redo", TILTS),
+        (20, 0.3, {"tilt_deg": 4.0, "sizes": (0.2, 0.25)}, "the focal length is known to", "redo", ""),
+        (4, 0.2, {}, "only 4 views", "redo", ""),
+        (9, 0.2, {}, "only 9 views", "usable", ""),
+        (25, 0.2, {"reach": 0.3, "sizes": (0.25, 0.35)}, "% of the way to the image's corners", "redo", CORNERS),
+    ],
+    ids=["never tilted", "focal length not determined", "four views", "nine views", "corners never reached"],
+)
+def test_views_that_say_too_little_are_named_with_grade_and_remedy(count, noise_px, how, what, grade, remedy):
+    finding = said(found(shown(lens(), count, noise_px, seed=1, **how)), what)[0]
+    assert finding.grade == grade and remedy in finding.remedy
 
 
 def test_corners_that_are_much_less_exact_than_sharp_are_suspicious():
     detections, rng = shown(lens(), 25, 0.05, seed=5), np.random.default_rng(5)
     shaken = [with_pixels(s, s.pixels + rng.normal(0, 1.0, s.pixels.shape)) for s in detections]
-    finding = said(verdict(shaken), "corners miss their places by")[0]
-    assert "board not flat" in finding.remedy
+    assert "board not flat" in said(found(shaken), "corners miss their places by")[0].remedy
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift", "what"),
+    [((1.0, 1.06), (0.0, 0.0), "fx and fy differ by"), ((1.0, 1.0), (90.0, 0.0), "the principal point lies 9")],
+    ids=["fields not as given", "principal point far from the centre"],
+)
+def test_picture_that_is_stretched_or_cut_is_reported(scale, shift, what):
+    views = shown(lens(), 40, 0.1, seed=8, reach=0.6)
+    changed = [with_pixels(s, s.pixels * scale + np.array(shift)) for s in views]
+    assert said(found([s for s in changed if (s.pixels.max(axis=0) < (639, 479)).all()]), what)
 
 
 def test_rational_model_that_the_views_do_not_determine_is_refused():
-    judged = verdict(shown(lens(), 12, 0.3, seed=6, reach=0.5), "rational_polynomial")
-    assert judged.grade == "redo"
+    judged = found(shown(lens(), 12, 0.3, seed=6, reach=0.5), model="rational_polynomial")
+    assert judged.verdict.grade == "redo"
     assert "--model plumb_bob" in said(judged, "the views do not determine")[0].remedy
-
-
-def test_fields_that_are_not_as_given_show_in_the_aspect_ratio():
-    camera = lens()
-    stretched = [with_pixels(s, s.pixels * [1.0, 1.06]) for s in shown(camera, 30, 0.1, seed=7, reach=0.8)]
-    inside = [s for s in stretched if s.pixels[:, 1].max() < 479]
-    assert said(verdict(inside), "fx and fy differ by")
-
-
-def test_principal_point_far_from_the_centre_is_reported():
-    camera = lens()
-    cut = [with_pixels(s, s.pixels + np.array([90.0, 0.0])) for s in shown(camera, 40, 0.1, seed=8, reach=0.6)]
-    inside = [s for s in cut if s.pixels[:, 0].max() < 639]
-    assert said(verdict(inside), "the principal point lies 9")
 
 
 @pytest.fixture(scope="module")
 def result():
     detections = shown(lens(), 15, 0.2, seed=1)
     detections[4] = with_pixels(detections[4], detections[4].pixels + np.random.default_rng(0).normal(0, 9, (54, 2)))
-    return calibrate_intrinsics(detections, BOARD, name="cam01")
+    return found(detections)
 
 
 def test_report_reads_back_with_values_deviations_and_what_was_left_out(result):

@@ -1,21 +1,32 @@
-"""PointCloud2: our layouts there and back, what other publishers send, and what is refused."""
+"""Clouds, joint states and predictions: our layouts there and back, what others send, and what is refused."""
 
 from __future__ import annotations
 
 import array
 import struct
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Quaternion, Transform, Twist, Vector3
 from numpy.lib.recfunctions import repack_fields
-from sensor_msgs.msg import PointCloud2, PointField
+from poses import random_pose
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2, PointField
 
 from capture_rig.errors import InputError
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
+from mocap_packets.people import Predictions
+from mocap_packets.state import Prediction
 from sagoma_ros.clouds import from_cloud, to_cloud
+from sagoma_ros.joint_motion import predictions_message, read_predictions
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import packet_cloud, read_packet, read_reference_points
+from stick_figure.kinematics import stick_frames
+from stick_figure.pose import JOINT_NAMES, Pose
+from stick_figure.skeleton import PARENT
 
 STAMP = 1_700_000_000_123_456_789
 TOPIC = "hull/voxels"
@@ -44,14 +55,6 @@ def foreign_cloud(rows: list[tuple], pattern: str, fields: list[tuple[str, int, 
 
 def floats(*names: str) -> list[tuple[str, int, int]]:
     return [(name, 4 * index, PointField.FLOAT32) for index, name in enumerate(names)]
-
-
-@pytest.mark.parametrize("count", [0, 1000])
-def test_cloud_comes_back_with_stamp_frame_and_points(count: int) -> None:
-    points = random_points(CENTERLINE, count)
-    cloud = to_cloud(points, STAMP, "map")
-    assert (to_ns(cloud.header.stamp), cloud.header.frame_id) == (STAMP, "map")
-    assert np.array_equal(from_cloud(cloud, CENTERLINE, TOPIC), points)
 
 
 def test_cloud_is_laid_out_as_its_fields_say() -> None:
@@ -140,21 +143,14 @@ def test_packet_comes_back_with_the_same_table_in_double_precision(kind) -> None
     table = random_points(kind.LAYOUT, 15)
     for name in {"axis", "body", "camera", "surface", "visible", "doubtful", "moved"} & set(table.dtype.names):
         table[name] = np.arange(15) % 2
-    packet = read_packet(packet_cloud(kind.from_table(table), STAMP, "map"), kind, TOPIC)
+    cloud = packet_cloud(kind.from_table(table), STAMP, "map")
+    assert (to_ns(cloud.header.stamp), cloud.header.frame_id) == (STAMP, "map")
+    packet = read_packet(cloud, kind, TOPIC)
     assert packet.points_world.dtype == np.float64
     assert packet.points_world[1].tolist() == [table["x"][1], table["y"][1], table["z"][1]]
     assert np.array_equal(packet.to_table(), table)
-
-
-def test_reference_points_keep_covariance_and_visibility() -> None:
-    rng = np.random.default_rng(2)
-    roots = rng.normal(size=(15, 3, 3)) * 0.02
-    sent = ReferencePoints(rng.normal(size=(15, 3)), roots @ roots.transpose(0, 2, 1), rng.random(15) > 0.3)
-    again = read_reference_points(packet_cloud(sent, STAMP, "map"), "icp/reference_points")
-    assert again.points_world == pytest.approx(sent.points_world, abs=1e-6)  # float32 on the wire: a micrometre
-    assert again.covariance == pytest.approx(sent.covariance, rel=1e-6)
-    assert np.array_equal(again.covariance, again.covariance.transpose(0, 2, 1))
-    assert np.array_equal(again.visible, sent.visible)
+    if kind is not ReferencePoints:
+        assert len(read_packet(packet_cloud(kind.from_table(table[:0]), STAMP, "map"), kind, TOPIC)) == 0
 
 
 def test_another_number_of_reference_points_is_refused() -> None:
@@ -169,3 +165,98 @@ def test_cloud_of_a_former_version_is_of_one_body_and_nothing_in_it_is_doubtful(
     assert (from_cloud(to_cloud(points, STAMP, "map"), layout, TOPIC)[name] == 1.0).all()
     read = from_cloud(to_cloud(former, STAMP, "map"), layout, TOPIC)
     assert (read[name] == 0.0).all() and np.array_equal(read["z"], points["z"])
+
+
+# --- joint states and predictions -------------------------------------------------------------------------------------
+
+PREDICTION_TOPIC = "ekf/prediction"
+
+
+def pose_of(seed: int) -> Pose:
+    """Clear of the ranges' ends, where two triples of angles describe one rotation."""
+    return random_pose(np.random.default_rng(seed), margin=0.05)
+
+
+def message_of(prediction: Prediction) -> MultiDOFJointState:
+    return predictions_message(Predictions(STAMP, {1: prediction}))
+
+
+def test_everybodys_prediction_comes_back_as_the_same_pose_and_velocity() -> None:
+    poses = {person: pose_of(person) for person in (1, 3, 4, 7)}
+    velocities = {person: np.random.default_rng(person).normal(size=24) for person in poses}
+    sent = {person: Prediction.of(STAMP, pose, velocities[person]) for person, pose in poses.items()}
+    message = predictions_message(Predictions(STAMP, sent))
+    assert message.joint_names[10] == "person_3/torso"
+    found = read_predictions(message, PREDICTION_TOPIC).of
+    assert list(found) == list(poses)
+    for person, prediction in found.items():
+        assert prediction.stamp_ns == STAMP
+        assert np.abs(prediction.pose.minus(poses[person])).max() < 1e-12
+        assert np.array_equal(prediction.velocity, velocities[person])
+        # the same bytes, whether it went over the wire or not
+        for there, here in zip(prediction.pose.arrays, sent[person].pose.arrays, strict=True):
+            assert np.array_equal(there, here)
+
+
+def test_prediction_message_holds_each_joint_in_the_axes_of_its_carrier() -> None:
+    pose, velocity = pose_of(5), np.random.default_rng(5).normal(size=24)
+    message = message_of(Prediction.of(STAMP, pose, velocity))
+    assert tuple(message.joint_names) == JOINT_NAMES and message.header.frame_id == "map"
+    torso = message.transforms[0].translation
+    assert [torso.x, torso.y, torso.z] == pose.position_world.tolist()
+    assert all((t.translation.x, t.translation.y, t.translation.z) == (0, 0, 0) for t in message.transforms[1:])
+    frames, step_s = stick_frames(pose), 1e-6
+    moved = stick_frames(pose.retract(velocity * step_s))
+    for k, (transform, twist) in enumerate(zip(message.transforms, message.twist, strict=True)):
+        carrier = np.eye(3) if PARENT[k] < 0 else frames[PARENT[k]]
+        carrier_moved = np.eye(3) if PARENT[k] < 0 else moved[PARENT[k]]
+        q = transform.rotation
+        turned = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        np.testing.assert_allclose(carrier @ turned, frames[k], atol=1e-9)
+        after = carrier_moved.T @ moved[k]
+        rate = Rotation.from_matrix(after @ turned.T).as_rotvec() / step_s
+        found = np.array([twist.angular.x, twist.angular.y, twist.angular.z])
+        if k != 1:  # the neck's third degree of freedom follows from the other two
+            np.testing.assert_allclose(found, rate, atol=1e-4)
+
+
+def refusal(**changes: Any) -> str:
+    """What is said of the message of a prediction some of whose members were replaced."""
+    message = message_of(Prediction.of(STAMP, pose_of(0), np.arange(24) / 10))
+    for name, change in changes.items():
+        setattr(message, name, change(getattr(message, name)))
+    with pytest.raises(InputError) as caught:
+        read_predictions(message, PREDICTION_TOPIC)
+    assert str(caught.value).startswith(f"{PREDICTION_TOPIC}: ") and caught.value.remedy
+    return str(caught.value)
+
+
+def twice(rows: list) -> list:
+    return [*rows, *rows]
+
+
+def with_rotation(row: int, **quaternion: float) -> Callable[[list[Transform]], list[Transform]]:
+    def change(transforms: list[Transform]) -> list[Transform]:
+        transforms[row].rotation = Quaternion(**quaternion)
+        return transforms
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"transforms": with_rotation(7, y=float("inf"))}, "not finite"),
+        ({"twist": lambda twists: [Twist(angular=Vector3(x=float("nan"))), *twists[1:]]}, "not finite"),
+        ({"transforms": with_rotation(3, w=0.0)}, "length 1"),
+        ({"joint_names": lambda names: [*names[:-1], "tail"]}, "names"),
+        ({"joint_names": lambda names: names[::-1]}, "names"),
+        ({"joint_names": twice, "transforms": twice, "twist": twice}, "names"),
+        ({"transforms": lambda rows: rows[:9]}, "lengths"),
+        ({"twist": lambda rows: rows[:9]}, "lengths"),
+        ({"transforms": lambda rows: [], "twist": lambda rows: []}, "lengths"),
+    ],
+    ids=["infinite", "nan", "no rotation", "other joint", "other order", "twice", "short", "few twists", "empty"],
+)
+def test_prediction_that_cannot_be_read_is_refused(changes, says: str) -> None:
+    assert says in refusal(**changes)

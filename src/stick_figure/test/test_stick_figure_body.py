@@ -1,14 +1,18 @@
-"""Body sizes: anthropometry, measuring, YAML and its errors."""
+"""Body sizes: anthropometry, measuring, YAML and its errors; joint centres that follow the pose."""
 
 import numpy as np
 import pytest
 import yaml
+from poses import MIRRORED_POINTS, angles_with, random_pose
 
 from capture_rig.errors import InputError
+from capture_rig.rigid import rotation_matrix
+from stick_figure import trunk_bend
 from stick_figure.body import Body, load_body, save_body
 from stick_figure.kinematics import forward
-from stick_figure.pose import Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, STICK_NAMES, T_POSE_ANGLES
+from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, STICK_NAMES, mirror_angles
+from stick_figure.trunk_bend import with_joint_centres
 
 
 def test_average_body_has_published_heights_when_standing():
@@ -29,23 +33,14 @@ def test_impossible_stature_is_refused(stature):
 
 
 def test_measured_body_equals_the_one_that_made_the_points():
-    rng = np.random.default_rng(1)
-    body = Body.from_stature(1.68)
-    points = np.array(
-        [
-            forward(body, Pose.from_angles(rng.normal(size=3), np.eye(3), rng.uniform(ANGLE_LOW, ANGLE_HIGH)))
-            for _ in range(20)
-        ]
-    )
+    rng, body = np.random.default_rng(1), Body.from_stature(1.68)
+    points = np.array([forward(body, random_pose(rng)) for _ in range(20)])
     points[3:6, 8] = np.nan
     points[0] = np.nan
     measured = Body.from_points(points)
     np.testing.assert_allclose(measured.half_lengths, body.half_lengths, atol=1e-12)
-    np.testing.assert_allclose(
-        [measured.half_shoulder_width, measured.shoulder_height_ratio, measured.hip_width_ratio],
-        [body.half_shoulder_width, body.shoulder_height_ratio, body.hip_width_ratio],
-        atol=1e-12,
-    )
+    for ratio in ("half_shoulder_width", "shoulder_height_ratio", "hip_width_ratio"):
+        assert getattr(measured, ratio) == pytest.approx(getattr(body, ratio), abs=1e-12)
 
 
 def test_measured_body_pools_left_and_right_and_ignores_outliers():
@@ -74,23 +69,21 @@ def test_body_file_round_trip_keeps_every_number(tmp_path):
     assert (loaded.half_shoulder_width, loaded.shoulder_height_ratio, loaded.hip_width_ratio) == (0.17, 0.83, 0.61)
 
 
-def broken_files():
-    def change(key, value):
-        return lambda d: d.__setitem__(key, value)
-
-    yield "missing", lambda d: d.pop("shoulder_width"), ["shoulder_width", "missing"]
-    yield "missing length", lambda d: d["lengths"].pop("head"), ["lengths", "head"]
-    yield "negative", lambda d: d["lengths"].update(torso=-0.5), ["lengths.torso", "-0.5"]
-    yield "word", lambda d: d["lengths"].update(torso="long"), ["lengths.torso", "long"]
-    yield "bool", change("hip_width_ratio", True), ["hip_width_ratio", "True"]
-    yield "millimetres", lambda d: d["lengths"].update(torso=540.0), ["lengths.torso", "540", "metres"]
-    yield "nan", change("shoulder_width", float("nan")), ["shoulder_width", "nan"]
-    yield "unknown", change("beard", 1), ["beard", "not known"]
-    yield "units", change("units", "mm"), ["units", "mm", "metres"]
-    yield "list", change("lengths", [1, 2]), ["lengths", "[1, 2]"]
+SPOILT = {
+    "missing": (lambda d: d.pop("shoulder_width"), ["shoulder_width", "missing"]),
+    "missing length": (lambda d: d["lengths"].pop("head"), ["lengths", "head"]),
+    "negative": (lambda d: d["lengths"].update(torso=-0.5), ["lengths.torso", "-0.5"]),
+    "word": (lambda d: d["lengths"].update(torso="long"), ["lengths.torso", "long"]),
+    "bool": (lambda d: d.update(hip_width_ratio=True), ["hip_width_ratio", "True"]),
+    "millimetres": (lambda d: d["lengths"].update(torso=540.0), ["lengths.torso", "540", "metres"]),
+    "nan": (lambda d: d.update(shoulder_width=float("nan")), ["shoulder_width", "nan"]),
+    "unknown": (lambda d: d.update(beard=1), ["beard", "not known"]),
+    "units": (lambda d: d.update(units="mm"), ["units", "mm", "metres"]),
+    "list": (lambda d: d.update(lengths=[1, 2]), ["lengths", "[1, 2]"]),
+}
 
 
-@pytest.mark.parametrize(("spoil", "words"), [pytest.param(*case, id=name) for name, *case in broken_files()])
+@pytest.mark.parametrize(("spoil", "words"), SPOILT.values(), ids=SPOILT)
 def test_bad_body_file_names_file_key_and_value(tmp_path, spoil, words):
     path = tmp_path / "body.yaml"
     save_body(Body.from_stature(1.75), path)
@@ -99,19 +92,20 @@ def test_bad_body_file_names_file_key_and_value(tmp_path, spoil, words):
     path.write_text(yaml.safe_dump(document))
     with pytest.raises(InputError) as error:
         load_body(path)
-    for word in ["body.yaml", *words]:
-        assert word in str(error.value)
+    assert all(word in str(error.value) for word in ["body.yaml", *words])
 
 
-def test_body_refuses_lengths_that_are_not_positive():
-    lengths = np.full(10, 0.2)
-    lengths[4] = 0.0
-    with pytest.raises(InputError, match="left_thigh"):
-        Body(lengths, 0.2)
-    with pytest.raises(InputError, match="half_shoulder_width"):
-        Body(np.full(10, 0.2), float("inf"))
-    with pytest.raises(InputError, match="10 stick lengths"):
-        Body(np.full(9, 0.2), 0.2)
+@pytest.mark.parametrize(
+    ("lengths", "half_shoulder_width", "says"),
+    [
+        ([0.2] * 4 + [0.0] + [0.2] * 5, 0.2, "left_thigh"),
+        ([0.2] * 10, float("inf"), "half_shoulder_width"),
+        ([0.2] * 9, 0.2, "10 stick lengths"),
+    ],
+)
+def test_body_of_impossible_lengths_is_refused(lengths, half_shoulder_width, says):
+    with pytest.raises(InputError, match=says):
+        Body(np.array(lengths), half_shoulder_width)
 
 
 def test_thickness_of_an_older_body_file_is_left_aside(tmp_path):
@@ -119,3 +113,70 @@ def test_thickness_of_an_older_body_file_is_left_aside(tmp_path):
     save_body(body, path)
     path.write_text(path.read_text() + "thickness: {upper_arm: 1.1}\n")
     np.testing.assert_array_equal(load_body(path).half_lengths, body.half_lengths)
+
+
+# --- joint centres ----------------------------------------------------------------------------------------------------
+
+BODY = Body.from_stature(1.75)
+SIDES, ENDS = ("left", "right"), ("elbow", "hand", "knee", "foot")
+FIXED = [POINT_NAMES.index(f"{side}_{joint}") for side in SIDES for joint in ENDS]
+UPRIGHT = np.eye(3)
+
+
+def moved_m(angles: np.ndarray, body: Body = BODY, R: np.ndarray = UPRIGHT, at=(0.3, -0.2, 1.0)) -> np.ndarray:
+    """Displacements (15, 3) of the reference points, torso frame."""
+    pose = Pose.from_angles(np.array(at), R, angles)
+    points = forward(body, pose)
+    return (with_joint_centres(body, pose, points) - points) @ R
+
+
+def some_pose(seed: int) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return T_POSE_ANGLES + random.uniform(-0.5, 0.5, 18)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_mirrored_pose_has_the_mirrored_centres(seed: int) -> None:
+    angles = some_pose(seed)
+    mirrored = moved_m(mirror_angles(angles))[MIRRORED_POINTS] * [1.0, -1.0, 1.0]
+    assert mirrored == pytest.approx(moved_m(angles), abs=1e-9)
+    assert np.linalg.norm(moved_m(angles)[[2, 3, 4, 5, 6]], axis=1).min() > 1e-4
+
+
+def test_the_trunks_bend_is_mirrored_too() -> None:
+    bent, other = BODY.bent(np.array([0.1, 0.05, 0, 0, 0, 0, 0.2])), BODY.bent(np.array([-0.1, -0.05, 0, 0, 0, 0, 0.2]))
+    angles = some_pose(5)
+    mirrored = moved_m(mirror_angles(angles), other)[MIRRORED_POINTS] * [1.0, -1.0, 1.0]
+    assert mirrored == pytest.approx(moved_m(angles, bent), abs=1e-9)
+    assert np.abs(moved_m(angles, bent) - moved_m(angles)).max() > 1e-3
+
+
+def test_a_shoulder_rises_with_its_arm() -> None:
+    level = T_POSE_ANGLES[ANGLE_NAMES.index("left_shoulder_x")]
+    raised = [moved_m(angles_with(left_shoulder_x=level + angle)) for angle in (-1.4, 0.0, 1.4)]
+    heights = [moved[POINT_NAMES.index("left_shoulder"), 2] for moved in raised]
+    assert 0.01 < heights[1] - heights[0] < 0.05
+    assert 0.01 < heights[2] - heights[1] < 0.05
+
+
+def test_limbs_ends_stay_and_the_torso_is_between_neck_and_hips() -> None:
+    moved = moved_m(some_pose(7))
+    assert not moved[FIXED].any()
+    assert moved[0] == pytest.approx(0.5 * moved[2] + 0.25 * (moved[5] + moved[6]))
+
+
+def test_centres_turn_with_the_body_and_grow_with_it() -> None:
+    angles = some_pose(9)
+    turned = moved_m(angles, R=rotation_matrix(np.array([0.4, -0.9, 1.3])), at=(2.0, 1.0, 0.5))
+    assert turned == pytest.approx(moved_m(angles), abs=1e-9)
+    assert moved_m(angles, Body.from_stature(1.4)) == pytest.approx(0.8 * moved_m(angles), abs=1e-9)
+
+
+def test_a_table_of_other_columns_is_refused(tmp_path, monkeypatch) -> None:
+    other = tmp_path / "joint_centres.csv"
+    other.write_text(trunk_bend.TABLE.read_text().replace("pelvis_yaw", "pelvis_tilt"))
+    monkeypatch.setattr(trunk_bend, "TABLE", other)
+    trunk_bend.joint_centres.cache_clear()
+    with pytest.raises(ValueError, match="columns"):
+        trunk_bend.joint_centres()
+    trunk_bend.joint_centres.cache_clear()

@@ -1,23 +1,19 @@
 """Joint limits: nothing inside the ranges, and residuals whose derivatives are those of the angles themselves."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from poses import angles_with, pose_with
 from scipy.spatial.transform import Rotation
 
-from stick_figure.joint_limits import (
-    BALL_RATES,
-    HINGE_RATES,
-    LARGEST_FLEXION,
-    add_joint_limits,
-    limit_rates,
-    stop_at_straight,
-)
+from stick_figure import joint_limits
 from stick_figure.kernels import HINGE_SLOT, SLOT_OF_JOINT_AXIS
-from stick_figure.pose import T_POSE_ANGLES, Pose
+from stick_figure.pose import T_POSE_ANGLES
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, HINGE_ANGLES
 
 MARGIN, STEP = 0.15, 1e-6
-PLACE = (np.array([0.0, 0.0, 1.1]), np.eye(3))
+
 BENT = T_POSE_ANGLES.copy()
 BENT[HINGE_ANGLES] = -0.9, -0.9, 0.8, 0.8
 
@@ -25,23 +21,23 @@ BENT[HINGE_ANGLES] = -0.9, -0.9, 0.8, 0.8
 def limits_of(pose, margin=MARGIN):
     """Number of angles out of range, and the residuals' information and gradient for unit weight."""
     information, gradient = np.zeros((24, 24)), np.zeros(24)
-    count = add_joint_limits(pose.R_joints, pose.hinges, margin, 1.0, information, gradient)
+    count = joint_limits.add_joint_limits(pose.R_joints, pose.hinges, margin, 1.0, information, gradient)
     return count, information, gradient
 
 
-def pose_with(**angles):
-    values = BENT.copy()
-    for name, value in angles.items():
-        values[ANGLE_NAMES.index(name)] = value
-    return Pose.from_angles(*PLACE, values)
+def bent(**angles):
+    """Elbows and knees bent, other angles by name."""
+    return pose_with(BENT, **angles)
 
 
 def test_no_pose_within_the_ranges_meets_a_limit():
     rng, inside = np.random.default_rng(0), 1e-6
     for _ in range(500):
         angles = rng.uniform(ANGLE_LOW + inside, ANGLE_HIGH - inside)
-        angles[HINGE_ANGLES] = np.clip(angles[HINGE_ANGLES], -LARGEST_FLEXION, LARGEST_FLEXION)
-        assert limits_of(Pose.from_angles(*PLACE, angles))[0] == 0
+        angles[HINGE_ANGLES] = np.clip(
+            angles[HINGE_ANGLES], -joint_limits.LARGEST_FLEXION, joint_limits.LARGEST_FLEXION
+        )
+        assert limits_of(pose_with(angles))[0] == 0
 
 
 @pytest.mark.parametrize(
@@ -63,7 +59,7 @@ def test_no_pose_within_the_ranges_meets_a_limit():
 def test_residual_is_the_part_beyond_the_range_and_its_row_the_angles_derivative(name, value, excess):
     """Against finite differences of the angle itself along every tangent slot."""
     gentle = {"left_hip_y": -0.3, "right_hip_y": -0.3, "left_shoulder_z": 0.2, "right_shoulder_z": 0.2, "neck_y": 0.3}
-    pose = pose_with(**(gentle | {name: value}))
+    pose = bent(**(gentle | {name: value}))
     count, information, gradient = limits_of(pose)
     assert count == 1
     variances, axes = np.linalg.eigh(information)
@@ -71,27 +67,27 @@ def test_residual_is_the_part_beyond_the_range_and_its_row_the_angles_derivative
     residual = -gradient @ row / (row @ row)
     assert abs(residual) == pytest.approx(abs(excess), abs=1e-6)
     row *= np.sign(residual * excess)
-    slot, step = ANGLE_NAMES.index(name), 1e-6
-    reference = BENT.copy()
-    for key, angle in (gentle | {name: value}).items():
-        reference[ANGLE_NAMES.index(key)] = angle
-    numeric = [
-        (pose.retract(step * e).angles(reference)[slot] - pose.retract(-step * e).angles(reference)[slot]) / (2 * step)
-        for e in np.eye(24)
-    ]
-    np.testing.assert_allclose(row, numeric, atol=1e-5)
+    slot, reference = ANGLE_NAMES.index(name), angles_with(BENT, **(gentle | {name: value}))
+    ahead, behind = (
+        np.array([pose.retract(sign * STEP * e).angles(reference)[slot] for e in np.eye(24)]) for sign in (1, -1)
+    )
+    np.testing.assert_allclose(row, (ahead - behind) / (2 * STEP), atol=1e-5)
 
 
 def test_several_limits_push_back_along_the_slope_of_their_squared_excess():
     angles = {"left_hip_z": 1.5, "right_shoulder_y": 2.0, "left_knee": 2.9, "right_shoulder_x": 2.6, "left_hip_x": 0.3}
-    pose = pose_with(**angles)
+    pose = bent(**angles)
     count, H, g = limits_of(pose)
 
     def cost(x):
         moved = pose.retract(x)
         leg = Rotation.from_matrix(moved.R_joints[3]).as_euler("XYZ")[2]
         arm = Rotation.from_matrix(moved.R_joints[2]).as_euler("XZY")[2]
-        excess = max(leg - np.pi / 3, 0), max(arm - np.pi / 2, 0), max(moved.hinges[2] - LARGEST_FLEXION, 0)
+        excess = (
+            max(leg - np.pi / 3, 0),
+            max(arm - np.pi / 2, 0),
+            max(moved.hinges[2] - joint_limits.LARGEST_FLEXION, 0),
+        )
         return 0.5 * np.sum(np.square(excess))
 
     slope = np.array([(cost(STEP * e) - cost(-STEP * e)) / (2 * STEP) for e in np.eye(24)])
@@ -101,7 +97,7 @@ def test_several_limits_push_back_along_the_slope_of_their_squared_excess():
 
 
 def test_an_infinite_margin_lets_hinges_pass_straight():
-    pose = Pose(*PLACE, pose_with().R_joints, np.array([-0.9, -0.9, -0.3, 0.8]))
+    pose = replace(bent(), hinges=np.array([-0.9, -0.9, -0.3, 0.8]))
     assert limits_of(pose, margin=np.inf)[0] == 0
     assert limits_of(pose)[0] == 1
 
@@ -111,9 +107,9 @@ def test_rates_beyond_what_joints_reach_are_shortened_and_keep_their_direction()
     velocity[SLOT_OF_JOINT_AXIS[3]] = 60.0, -80.0, 0.0  # the left thigh, at 100 rad/s
     velocity[HINGE_SLOT[3]] = -90.0
     limited = velocity.copy()
-    limit_rates(limited)
-    np.testing.assert_allclose(limited[SLOT_OF_JOINT_AXIS[3]], BALL_RATES[3] * np.array([0.6, -0.8, 0.0]))
-    assert limited[HINGE_SLOT[3]] == -HINGE_RATES[3]
+    joint_limits.limit_rates(limited)
+    np.testing.assert_allclose(limited[SLOT_OF_JOINT_AXIS[3]], joint_limits.BALL_RATES[3] * np.array([0.6, -0.8, 0.0]))
+    assert limited[HINGE_SLOT[3]] == -joint_limits.HINGE_RATES[3]
     others = np.setdiff1d(np.arange(24), [*SLOT_OF_JOINT_AXIS[3], *SLOT_OF_JOINT_AXIS[4], HINGE_SLOT[3]])
     np.testing.assert_array_equal(limited[others], velocity[others])
 
@@ -131,7 +127,7 @@ def test_rates_beyond_what_joints_reach_are_shortened_and_keep_their_direction()
 def test_hinges_stop_where_they_come_straight(hinge, before, after, stops_at):
     first, hinges, velocity = np.zeros(4), np.zeros(4), np.ones(24)
     first[hinge], hinges[hinge] = before, after
-    stop_at_straight(first, hinges, velocity)
+    joint_limits.stop_at_straight(first, hinges, velocity)
     expected = np.ones(24)
     if stops_at is not None:
         expected[HINGE_SLOT[hinge]] = 0.0

@@ -12,12 +12,9 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 
 def turning_truth(frames=40):
     body, turns = Body.from_stature(1.75), np.linspace(0, 5, frames)
-    return np.array(
-        [
-            forward(body, Pose.from_angles(np.array([t, 0, 1]), Rotation.from_euler("z", t).as_matrix(), T_POSE_ANGLES))
-            for t in turns
-        ]
-    ), Rotation.from_rotvec(np.outer(turns, [0, 0, 1])).as_matrix()
+    rotations = Rotation.from_rotvec(np.outer(turns, [0, 0, 1])).as_matrix()
+    poses = [Pose.from_angles(np.array([t, 0, 1]), R, T_POSE_ANGLES) for t, R in zip(turns, rotations, strict=True)]
+    return np.array([forward(body, pose) for pose in poses]), rotations
 
 
 def test_rmse_is_root_mean_square_of_distances():

@@ -61,7 +61,7 @@ def clearance(origin, rays, starts, ends, radii):
     return np.minimum(depth(0.5 * (low + high)), np.minimum(depth(low * 0), depth(low * 0 + 1)))
 
 
-@pytest.mark.parametrize("frame", [0, pytest.param(9, marks=pytest.mark.slow), 17])
+@pytest.mark.parametrize("frame", [0, 17])
 def test_mask_equals_brute_force_rays_against_parts(frame):
     camera = cameras()[frame % 3].camera
     capsules = PERSON.place(motion().poses[frame])
@@ -218,13 +218,6 @@ def test_open_door_is_dark_and_as_large_as_a_door():
     assert (pixels >= 0).all() and (pixels < [640, 480]).all()
     np.testing.assert_allclose([[x.min(), y.min()], [x.max(), y.max()]], [pixels.min(0), pixels.max(0)], atol=6.0)
     np.testing.assert_array_equal(open_door(camera, view, 0.0).grey, view.grey)
-
-
-def test_rays_of_the_view_project_back_onto_their_pixels():
-    camera = cameras()[0].camera
-    y, x = np.mgrid[0:480:37, 0:640:41]
-    pixels = camera.project(camera.centre_world + 3.0 * cameras()[0]._view.rays[y, x])
-    np.testing.assert_allclose(pixels, np.stack([x, y], -1), atol=1e-3)
 
 
 def test_room_looks_the_same_place_by_place_from_two_cameras():

@@ -1,9 +1,11 @@
-"""The hierarchical articulated ICP of thesis 4.3."""
+"""The hierarchical articulated ICP of thesis 4.3, and its weighted Procrustes against the SVD and geometry."""
 
 import numpy as np
 import pytest
 import synthetic_people as synthetic
+from scipy.spatial.transform import Rotation
 
+from icp_tracker.thesis import procrustes
 from icp_tracker.thesis.hierarchical_icp import fit_hierarchical, weight_points, x84_keep, x84_threshold
 from stick_figure.kinematics import forward
 
@@ -89,3 +91,59 @@ def test_x84_threshold_is_median_plus_three_and_a_half_sigma():
     expected = centre + 3.5 * 1.4826 * np.median(np.abs(distances - centre))
     assert x84_threshold(distances, 0.005) == pytest.approx(expected, rel=1e-12)
     assert x84_threshold(np.zeros(0), 0.005) == np.inf
+
+
+# --- weighted Procrustes ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flatness", [1.0, 0.0], ids=["solid", "flat"])
+@pytest.mark.parametrize("seed", range(6))
+def test_weighted_rotations_equal_the_svd_with_determinant_repair(seed, flatness):
+    """Thesis eq. 4.8-4.9 in row convention; of points in a plane the plain SVD gives a reflection half of the time."""
+    rng, R, t = np.random.default_rng(100 + seed), np.empty((3, 3)), np.empty(3)
+    a, w = rng.normal(size=(6, 3)) * [1.0, 0.7, 0.4 * flatness], rng.uniform(0.1, 3.0, 6)
+    b = a @ Rotation.from_rotvec(rng.normal(size=3)).as_matrix().T + rng.normal(size=3) + 0.1 * rng.normal(size=a.shape)
+
+    def svd_rotation(centre_a, centre_b):
+        U, _, Vt = np.linalg.svd((a - centre_a).T @ ((b - centre_b) * w[:, None]))
+        return Vt.T @ np.diag([1.0, 1.0, np.linalg.det(Vt.T @ U.T)]) @ U.T
+
+    ca, cb, joint = w @ a / w.sum(), w @ b / w.sum(), rng.normal(size=3)
+    expected, about = svd_rotation(ca, cb), np.empty((3, 3))
+    angle = procrustes.weighted_extended_procrustes(a, b, w, R, t)
+    assert np.abs(R - expected).max() < 1e-11 and np.abs(t - (cb - expected @ ca)).max() < 1e-11
+    assert angle == pytest.approx(Rotation.from_matrix(expected).magnitude(), abs=1e-7)
+    procrustes.weighted_procrustes_about(joint, a, b, w, about)
+    assert np.abs(about - svd_rotation(joint, joint)).max() < 1e-11
+
+
+def test_zero_weights_leave_the_model_where_it_is():
+    R, t = np.empty((3, 3)), np.empty(3)
+    assert procrustes.weighted_extended_procrustes(np.ones((3, 3)), np.zeros((3, 3)), np.zeros(3), R, t) == 0.0
+    assert np.array_equal(R, np.eye(3)) and not t.any()
+
+
+def test_lone_stick_swings_without_twist():
+    rng = np.random.default_rng(7)
+    joint, direction = np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.0, 1.0])
+    target = np.array([0.6, 0.0, 0.8])
+    along = rng.uniform(0.05, 0.4, 30)
+    a, b = joint + along[:, None] * direction, joint + along[:, None] * target
+    R = np.empty((3, 3))
+    angle = procrustes.weighted_swing_about(joint, direction, a, b, np.ones(30), R)
+    rotation = Rotation.from_matrix(R).as_rotvec()
+    assert np.abs(R @ direction - target).max() < 1e-12
+    assert angle == pytest.approx(np.arctan2(0.6, 0.8), abs=1e-12)
+    assert abs(rotation @ direction) < 1e-12  # the axis is across the stick: no twist
+    # the Procrustes problem of the same points is rank one: its twist is arbitrary
+    S = (a - joint).T @ (b - joint)
+    assert np.linalg.svd(S, compute_uv=False)[1] < 1e-12
+
+
+@pytest.mark.parametrize("direction", np.vstack([np.eye(3), [[1.0, 2.0, -3.0]]]))
+def test_swing_to_the_opposite_direction_is_a_half_turn(direction):
+    R = np.empty((3, 3))
+    angle = procrustes.swing_rotation(direction, -2.0 * direction, R)
+    assert angle == pytest.approx(np.pi)
+    assert np.abs(R @ direction + direction).max() < 1e-12
+    assert np.linalg.det(R) == pytest.approx(1.0)

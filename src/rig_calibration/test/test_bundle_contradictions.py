@@ -1,0 +1,232 @@
+"""Detections that contradict the rest are left out by name, sizes are compared, and what that says of the footage."""
+
+from dataclasses import replace
+
+import bundle_studio as studio
+import numpy as np
+import pytest
+
+from capture_rig.errors import InputError
+from capture_rig.verdict import REDO, USABLE
+from rig_calibration.boards.board import Checkerboard, TargetDetection
+from rig_calibration.bundle.initial_poses import comparable_targets
+from rig_calibration.bundle.outliers import ODD_ONE, PAIR, SINGLE
+from rig_calibration.bundle.problem import target_shape
+from rig_calibration.bundle.solve import RigSolution, solve_rig
+from rig_calibration.extrinsics.verdict import common_pose_counts, footage_findings
+
+CAMERAS = studio.ring(4)
+SHIFT_PX = np.array([12.0, 5.0])
+
+
+def scene(seed: int = 1, frames: int = 20) -> list[TargetDetection]:
+    return studio.carried_and_floor(CAMERAS, np.random.default_rng(seed), frames)
+
+
+def seen_by(detections: list[TargetDetection], cameras: int) -> list[int]:
+    """Rows of the first frame of the carried board that so many cameras see."""
+    for frame_index in range(100):
+        rows = [i for i, s in enumerate(detections) if (s.target, s.frame_index) == ("moving", frame_index)]
+        if len(rows) == cameras:
+            return rows
+    raise AssertionError("no such frame")
+
+
+def solved(detections: list[TargetDetection]) -> tuple[RigSolution, set[tuple[str, str, int, str]]]:
+    solution = solve_rig(CAMERAS, detections, studio.TARGETS, reference=studio.ON_FLOOR)
+    left_out = {(o.detection.camera, o.detection.target, o.detection.frame_index, o.reason) for o in solution.left_out}
+    centre_mm, rotation_deg = studio.worst(studio.errors(solution, studio.truth(CAMERAS)))
+    assert centre_mm < 6 and rotation_deg < 0.12  # no worse than without the bad detections
+    return solution, left_out
+
+
+def named(detection: TargetDetection, reason: str) -> tuple[str, str, int, str]:
+    return detection.camera, detection.target, detection.frame_index, reason
+
+
+def upside_down(detection: TargetDetection) -> TargetDetection:
+    return replace(detection, ids=detection.ids[::-1].copy())
+
+
+def shifted(detection: TargetDetection) -> TargetDetection:
+    return replace(detection, pixels=detection.pixels + SHIFT_PX)
+
+
+@pytest.mark.parametrize(
+    ("camera", "target", "spoilt"), [(1, "moving", upside_down), (2, "floor", upside_down), (0, "moving", shifted)]
+)
+def test_one_view_of_several_that_is_upside_down_or_moved_is_named(camera: int, target: str, spoilt):
+    detections = scene()
+    on_floor = [i for i, s in enumerate(detections) if s.target == "floor"]
+    row = (on_floor if target == "floor" else seen_by(detections, 3))[camera]
+    detections[row] = spoilt(detections[row])
+    assert solved(detections)[1] == {named(detections[row], ODD_ONE)}
+
+
+def test_board_seen_upside_down_by_one_of_two_cameras_does_no_harm():
+    detections = scene()
+    rows = seen_by(detections, 2)
+    detections[rows[0]] = upside_down(detections[rows[0]])
+    left_out = {place[:3] for place in solved(detections)[1]}  # at least one of them: what is left ties nothing
+    assert left_out and left_out <= {named(detections[row], "")[:3] for row in rows}
+
+
+def test_both_views_go_when_the_board_moved_between_two_exposures():
+    detections = scene(frames=30)
+    rows = [i for i, s in enumerate(detections) if (s.target, s.frame_index) == ("moving", 19)]
+    detections[rows[0]] = shifted(detections[rows[0]])
+    assert solved(detections)[1] == {named(detections[row], PAIR) for row in rows}
+
+
+def test_corners_in_wrong_order_are_blamed_on_their_own_view():
+    detections = scene()
+    row = seen_by(detections, 2)[1]
+    order = np.random.default_rng(0).permutation(30)
+    detections[row] = replace(detections[row], pixels=detections[row].pixels[order])
+    assert solved(detections)[1] == {named(detections[row], SINGLE)}
+
+
+def test_one_wrong_corner_does_not_cost_the_view():
+    detections = scene()
+    row = seen_by(detections, 2)[0]
+    pixels = detections[row].pixels.copy()
+    pixels[7] += [25, -16]
+    detections[row] = replace(detections[row], pixels=pixels)
+    solution, left_out = solved(detections)
+    assert left_out == set() and len(solution.detections) == len(detections)
+
+
+def test_every_sixth_detection_wrong_leaves_a_good_rig():
+    detections, rng, wrong = scene(2, 40), np.random.default_rng(5), set()
+    for row in rng.choice(len(detections), len(detections) // 6, replace=False):
+        if detections[row].target == "moving":
+            detections[row] = replace(detections[row], pixels=detections[row].pixels + 25 * rng.normal(size=2))
+            wrong.add((detections[row].camera, detections[row].frame_index))
+    solution, left_out = solved(detections)
+    alone = {
+        s.frame_index
+        for s in detections
+        if sum(o.frame_index == s.frame_index and o.target == "moving" for o in detections) == 1
+    }
+    assert {w for w in wrong if w[1] not in alone} <= {(camera, frame_index) for camera, _, frame_index, _ in left_out}
+    assert max(solution.rms_px.values()) < 0.35
+
+
+def test_camera_whose_every_view_contradicts_is_an_error_with_the_reason():
+    rng = np.random.default_rng(0)
+    detections = studio.detections_of(CAMERAS, {0: studio.T_WORLD_FLOOR}, "floor", rng, max_tilt_deg=85)
+    detections += [replace(s, frame_index=1, target="second") for s in detections]
+    for row, s in enumerate(detections):
+        if s.camera == "cam04":
+            order = np.random.default_rng(row).permutation(len(s))
+            detections[row] = replace(s, pixels=s.pixels[order])
+    with pytest.raises(InputError, match=r"cam04: no picture.*Left out for cam04: its corners"):
+        solve_rig(CAMERAS, detections, {"floor": studio.TARGETS["floor"], "second": studio.TARGETS["floor"]})
+
+
+# --- sizes, and turns that a picture does not show --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.05, 1.25])
+def test_size_of_the_floor_board_is_measured_by_that_of_the_board_seen_most(factor: float):
+    detections = studio.carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
+    given = {**studio.TARGETS, "floor": studio.TARGETS["floor"] * factor}
+    solution = solve_rig(CAMERAS, detections, given, reference=studio.ON_FLOOR)
+    ratio, sd = solution.scale_of["floor"]
+    assert ratio * factor == pytest.approx(1.0, abs=3 * sd * factor) and sd * factor < 0.002
+    assert solution.scale_base == "moving" and solution.left_out == ()
+    assert (
+        studio.worst(studio.errors(solution, studio.truth(CAMERAS)))[0] < 6
+    )  # the size of the board seen most is the one believed
+
+
+def test_target_seen_only_where_no_other_links_the_cameras_is_not_compared():
+    detections = studio.carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
+    apart = [s for s in detections if s.target == "floor" or s.camera in ("cam01", "cam02")]
+    assert comparable_targets(apart, ["floor", "moving"], "moving").tolist() == [True, False]
+    apart = [s for s in apart if s.target == "moving" or s.camera in ("cam03", "cam04", "cam02")]
+    assert not comparable_targets(apart, ["floor", "moving"], "moving").any()
+
+
+def test_hidden_half_turns_are_settled_by_what_cameras_agree_on():
+    rng = np.random.default_rng(3)
+    detections = studio.carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
+    upset = [s.target == "moving" and rng.random() < 0.5 for s in detections]
+    mixed = [replace(s, ids=s.ids[::-1].copy()) if u else s for s, u in zip(detections, upset, strict=True)]
+    expected = solve_rig(CAMERAS, detections, studio.TARGETS, reference=studio.ON_FLOOR)
+    found = solve_rig(CAMERAS, mixed, studio.TARGETS, reference=studio.ON_FLOOR, symmetry_orders={"moving": 2})
+    assert found.undecided == () and found.left_out == ()
+    for name in CAMERAS:
+        np.testing.assert_allclose(found.T_camera_reference[name], expected.T_camera_reference[name], atol=1e-7)
+
+
+def test_quarter_turns_of_a_square_board_are_settled():
+    board = Checkerboard(6, 6, (0.07, 0.07))
+
+    symmetries = target_shape("", board.corners_board, 4).symmetries
+    rng = np.random.default_rng(2)
+    detections = studio.detections_of(CAMERAS, studio.carried(rng, 30), "moving", rng, points=board.corners_board)
+    mixed = [replace(s, ids=symmetries[rng.integers(4)].permutation[s.ids]) for s in detections]
+    found = solve_rig(CAMERAS, mixed, {"moving": board.corners_board}, symmetry_orders={"moving": 4})
+    assert studio.worst(studio.errors(found, studio.truth(CAMERAS, "cam01"), "cam01"))[0] < 10
+
+
+def test_half_turn_that_a_single_floor_board_cannot_tell_is_said_to_be_undecided():
+    floor = studio.detections_of(CAMERAS, {0: studio.T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
+    told = solve_rig(CAMERAS, floor, {"floor": studio.TARGETS["floor"]}, reference=studio.ON_FLOOR)
+    hidden = solve_rig(
+        CAMERAS, floor, {"floor": studio.TARGETS["floor"]}, reference=studio.ON_FLOOR, symmetry_orders={"floor": 2}
+    )
+    assert told.undecided == () and hidden.undecided == tuple(CAMERAS)
+    assert studio.worst(studio.errors(hidden, studio.truth(CAMERAS)))[0] < 20  # the numbering is left as it came
+
+
+# --- what is said of the footage --------------------------------------------------------------------------------------
+
+
+def test_good_footage_has_no_findings():
+    solution = solve_rig(CAMERAS, studio.carried_and_floor(CAMERAS, np.random.default_rng(1), 30), studio.TARGETS)
+    assert not list(footage_findings(solution)) and solution.left_out == ()
+    assert all(count > 3 for count in common_pose_counts(solution).values())
+
+
+def test_board_carried_fast_before_cameras_that_are_not_synchronous_is_said():
+    rng = np.random.default_rng(0)
+    poses = studio.carried(rng, 30)
+    detections = studio.carried_late(CAMERAS, poses, lambda k: 0.008 * np.array([np.sin(k), np.cos(k), 0]), rng)
+    found = list(footage_findings(solve_rig(CAMERAS, detections, {"moving": studio.TARGETS["moving"]})))
+    assert [finding.grade for finding in found] == [USABLE]
+    assert "mm apart" in found[0].what and "synchronise" in found[0].remedy
+
+
+def test_camera_with_the_wrong_focal_length_is_named_with_the_right_one():
+    wrong = dict(CAMERAS)
+    wrong["cam03"] = replace(CAMERAS["cam03"], K=CAMERAS["cam03"].K @ np.diag([1.04, 1.04, 1.0]))
+    solution = solve_rig(wrong, studio.carried_and_floor(CAMERAS, np.random.default_rng(1), 30), studio.TARGETS)
+    ratio, sd = solution.focal_of["cam03"]
+    assert abs(ratio * 1.04 - 1) < 3 * sd and sd < 0.01
+    found = [finding for finding in footage_findings(solution) if "focal" in finding.what]
+    assert len(found) == 1 and "cam03" in found[0].what and "intrinsics of cam03" in found[0].remedy
+
+
+def test_cameras_tied_by_the_floor_board_alone_are_named():
+    floor = studio.detections_of(CAMERAS, {0: studio.T_WORLD_FLOOR}, "floor", np.random.default_rng(0), max_tilt_deg=85)
+    found = footage_findings(solve_rig(CAMERAS, floor, {"floor": studio.TARGETS["floor"]}))
+    assert [finding.what.split()[0] for finding in found] == list(CAMERAS)
+    assert all("tied to the other cameras by 1 position" in finding.what for finding in found)
+
+
+def test_camera_moved_in_the_middle_of_the_footage_asks_to_record_again():
+    rng = np.random.default_rng(1)
+    poses = studio.carried(rng, 40)
+    T = np.eye(4)
+    T[:3, 3] = 0.2, 0.1, 0.0
+    moved = {n: replace(c, T_camera_world=T @ c.T_camera_world) if n == "cam02" else c for n, c in CAMERAS.items()}
+    early, late = ({m: T for m, T in poses.items() if (m < 20) == half} for half in (True, False))
+    detections = studio.detections_of(CAMERAS, early, "moving", rng) + studio.detections_of(moved, late, "moving", rng)
+    solution = solve_rig(CAMERAS, detections, {"moving": studio.TARGETS["moving"]})
+    touched = {out.detection.frame_index for out in solution.left_out}
+    assert touched and (max(touched) < 20 or min(touched) >= 20)  # one of the two places of cam02 is believed
+    assert any(finding.grade == REDO for finding in footage_findings(solution)) == (
+        len(solution.left_out) > 0.3 * (len(solution.left_out) + len(solution.detections))
+    )
