@@ -128,4 +128,4 @@ def test_camera_that_was_turned_away_is_left_to_the_watch(studio):
     pipeline = studio.pipeline()
     for k in range(4, 12):
         pipeline.run(moved(SENSOR.expose(studio.light, CAMERA, k), 15.0, 13.0), k * FRAME_NS)
-    assert pipeline.background.state.displacement.most_px(studio.light.shape) < 0.6
+    assert pipeline.background.state.displacement.most_px(studio.light.shape) < 1.0  # of twenty

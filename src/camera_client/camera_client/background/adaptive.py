@@ -30,8 +30,8 @@ from .noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learne
 from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
 
 # Thresholds: SAMPLES from the error of a mean, 1/sqrt(n); else measured by python bench/rooms.py.
-# ... the grid: the laboratory is 5 to 15 mm better with this one than with 1500, 4000 or 6000, of which all measure less
-# correlation of the noise (0.25 to 0.4 of 0.3 to 0.5)
+# ... this grid: two men in a laboratory are tracked 5 to 15 mm better than with 1500, 4000 or 6000, by all of which the
+# noise's correlation is measured lower (0.25 to 0.4 for 0.3 to 0.5)
 SAMPLES = 3000  # on a regular grid: the light to a thousandth
 TURN_S = 0.03  # some rows of the expected image are renewed, and the displacement is measured, not more often
 BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames are rare: light's field takes as long
