@@ -186,13 +186,12 @@ class SetupScene(RoomScene):
         rig: Rig,
         motion: str = "tour",
         seconds: float = 20.0,
-        most_hz: float = RENDER_HZ,
         clock: CaptureClock = UTC,
         hand_board: Board = HAND_BOARD,
         floor_board: Board = FLOOR_BOARD,
         seed: int = 1,
     ) -> None:
-        super().__init__(rig, motion, seconds, most_hz, clock)
+        super().__init__(rig, motion, seconds, clock=clock)
         self._board_cameras = {camera.name: BoardCamera(camera) for camera in rig.cameras}
         self._hand, self._floor = print_of(hand_board), print_of(floor_board)
         self._waves = {c.name: wave(c, self._hand, seed + number) for number, c in enumerate(rig.cameras)}
