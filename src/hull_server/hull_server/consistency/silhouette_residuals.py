@@ -165,8 +165,8 @@ class ResidualEstimator:
         """
         cameras, denied = np.array(residuals.cameras, np.int64), np.zeros(self.cells.shape[1:], np.bool_)
         explained = self._by_hull if slot < residuals.voters else self._by_own[:, slot]
-        found = self._voxels, self._vetoes, residuals.voters
-        mark_denied(self._views, self.cells, cameras, slot, *found, explained, denied, self._pixels)
+        alone = self._vetoes & ((1 << residuals.voters) - 1 | 1 << slot) == 1 << slot
+        mark_denied(self._views, self.cells, cameras, slot, self._voxels[alone], explained, denied, self._pixels)
         return denied
 
     def _shares(self, cameras, voters, explained, vetoed) -> Residuals:  # type: ignore[no-untyped-def]
@@ -301,16 +301,13 @@ def _mark(bits, own):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def mark_denied(views, cells, cameras, slot, voxels, vetoes, voters, explained, denied, pixels):  # type: ignore[no-untyped-def]
-    """Mark a camera's background cells (H, W) of the voxels that it alone vetoes and two others' foreground needs.
+def mark_denied(views, cells, cameras, slot, voxels, explained, denied, pixels):  # type: ignore[no-untyped-def]
+    """Mark a camera's background cells (H, W) of the voxels that two others' foreground needs.
 
-    vetoes (M,) : of :func:`mark_explained`. voters : how many of the cameras vote. explained (N, H, W / 64) : bits of
-    the cells that the hull with its veto explains in each image.
+    voxels (M, 3) : those that it alone vetoes. explained (N, H, W / 64) : bits of the cells that the hull with its veto
+    explains in each image.
     """
-    alone, others = 1 << slot, (1 << voters) - 1 & ~(1 << slot)
     for found in range(voxels.shape[0]):
-        if vetoes[found] & (alone | others) != alone:
-            continue
         _project(views, cells, cameras, voxels[found], pixels)
         needed_by = 0
         for other in range(cameras.size):

@@ -3,7 +3,7 @@
 A fit finds the nearest explanation of the hull, which need not be the best: an arm that was lost in a wide hull, a body
 that faces backward, both are local optima that no prior leaves. So other poses are tried, a few every frame set: places
 of one limb, the body turned round, and when all is lost, stances anywhere in the hull. Each limb has a discrete Bayes
-filter over its places (:mod:`.limb_filter`), and so has the whole body over the pose that is followed and another one.
+filter over its places (:mod:`.limb_filter`), and so has the whole body over its pose and another (:mod:`.body_filter`).
 What is more probable than the tracked pose takes over; what is nearly as probable makes the track doubtful.
 """
 
