@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from capture_rig.settings import setting
 
@@ -266,12 +266,12 @@ class CameraClientSettings:
     publish_preview: bool = setting(
         True, "Offer preview/compressed: the image with the silhouette's outline, sent while somebody subscribes"
     )
-    footage: FootageSettings = setting(FootageSettings, "Footage source")
-    aravis: AravisSettings = setting(AravisSettings, "GigE Vision source")
-    topic: TopicSettings = setting(TopicSettings, "Images from a topic")
-    webcam: WebcamSettings = setting(WebcamSettings, "Webcam source")
-    plugin: PluginSettings = setting(PluginSettings, "Source of the user's own")
-    supervision: SupervisionSettings = setting(SupervisionSettings, "Stalls and reconnections of a live camera")
-    background_model: BackgroundSettings = setting(BackgroundSettings, "Background model")
-    silhouette: SilhouetteSettings = setting(SilhouetteSettings, "Silhouette")
-    camera_moved: CameraMovedSettings = setting(CameraMovedSettings, "When the camera was moved")
+    footage: FootageSettings = field(default_factory=FootageSettings)
+    aravis: AravisSettings = field(default_factory=AravisSettings)
+    topic: TopicSettings = field(default_factory=TopicSettings)
+    webcam: WebcamSettings = field(default_factory=WebcamSettings)
+    plugin: PluginSettings = field(default_factory=PluginSettings)
+    supervision: SupervisionSettings = field(default_factory=SupervisionSettings)
+    background_model: BackgroundSettings = field(default_factory=BackgroundSettings)
+    silhouette: SilhouetteSettings = field(default_factory=SilhouetteSettings)
+    camera_moved: CameraMovedSettings = field(default_factory=CameraMovedSettings)

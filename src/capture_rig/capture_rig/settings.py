@@ -1,8 +1,8 @@
 """Typed configuration: one frozen dataclass serves ROS parameters, YAML files and plain Python alike.
 
 A settings class is a frozen dataclass whose fields come from :func:`setting`; a field may itself be a settings
-class, and is then written with dotted keys (``blob.min_area_m2``) or as a nested mapping. A plain field is no setting:
-Python code may give it, users need not decide it.
+class, and is then written with dotted keys (``blob.min_area_m2``) or as a nested mapping. Another plain field is no
+setting: Python code may give it, users need not decide it.
 """
 
 from __future__ import annotations
@@ -34,12 +34,10 @@ def setting(
 ) -> Any:
     """Return a dataclass field with a default, one line of help, its unit and its allowed values.
 
-    A settings class or a list as default becomes a default factory, so that instances never share it.
+    A list as default becomes a default factory, so that instances never share it.
     is_name : a text that ROS takes as a name, as of a frame; the default, which may be empty, is one.
     """
     metadata = {"help": help, "unit": unit, "low": low, "high": high, "choices": choices, "is_name": is_name}
-    if isinstance(default, type):
-        return dataclasses.field(default_factory=default, metadata=metadata)
     if isinstance(default, list):
         return dataclasses.field(default_factory=lambda: list(default), metadata=metadata)
     return dataclasses.field(default=default, metadata=metadata)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
@@ -27,7 +27,7 @@ class Example:
     low: list[float] = setting([0.0, 0.0], "corner", unit="m", low=-10, high=10)
     ids: list[int] = setting([], "numbers")
     frame: str = setting("map", "a frame", is_name=True)
-    blob: Blob = setting(Blob, "blob filter")
+    blob: Blob = field(default_factory=Blob)
 
 
 def refusal(values: dict[str, Any]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from capture_rig.settings import setting
 
@@ -75,10 +75,10 @@ class HullSettings:
         0, "cameras that must see a place before it can be occupied; 0: by the number of cameras", low=0, high=63
     )
     max_voxels: int = setting(3000, "size of the decimated voxel cloud, for each body", low=0, high=1_000_000)
-    blob: BlobSettings = setting(BlobSettings, "blob filters")
-    body: BodySettings = setting(BodySettings, "separate bodies")
-    contour: ContourSettings = setting(ContourSettings, "rays along the silhouettes' contours")
-    camera_fault: CameraFaultSettings = setting(CameraFaultSettings, "cameras that contradict the others")
+    blob: BlobSettings = field(default_factory=BlobSettings)
+    body: BodySettings = field(default_factory=BodySettings)
+    contour: ContourSettings = field(default_factory=ContourSettings)
+    camera_fault: CameraFaultSettings = field(default_factory=CameraFaultSettings)
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class NodeSettings(HullSettings):
     """The parameters of the hull node."""
 
     rig_file: str = setting("", "path of the rig YAML file: cameras, calibration, volume")
-    mesh: MeshSettings = setting(MeshSettings, "the hull's mesh")
+    mesh: MeshSettings = field(default_factory=MeshSettings)
     frame_id: str = setting("map", "frame of the published clouds: the rig file's world", is_name=True)
     publish_tf: bool = setting(True, "publish the cameras' places on /tf_static, where tf2_msgs is installed")
     tolerance_s: float = setting(

@@ -17,7 +17,7 @@ alike, keypoints (of whoever has a detector) do not, so the weight of one is OVE
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -112,8 +112,8 @@ class ArticulatedSettings:
     Gauss-Newton.
     """
 
-    volume: VolumeSettings = setting(VolumeSettings, "the hull's voxels")
-    contour: ContourSettings = setting(ContourSettings, "the contour rays")
+    volume: VolumeSettings = field(default_factory=VolumeSettings)
+    contour: ContourSettings = field(default_factory=ContourSettings)
     gate_m: float = POINT_GATE_M
     model_sigma_m: float = STICK_SD_M
     correlation: float = NEIGHBOURS

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from capture_rig.settings import setting
 
@@ -29,9 +29,9 @@ class TrackerSettings:
         "the fit: all joints at once, or the thesis's hierarchical ICP",
         choices=("articulated", "hierarchical"),
     )
-    articulated: ArticulatedSettings = setting(ArticulatedSettings, "the all-joints solve")
-    refinement: RefinementSettings = setting(RefinementSettings, "a measured body's sizes, while it moves")
-    recovery: RecoverySettings = setting(RecoverySettings, "how a lost track is noticed and found again")
+    articulated: ArticulatedSettings = field(default_factory=ArticulatedSettings)
+    refinement: RefinementSettings = field(default_factory=RefinementSettings)
+    recovery: RecoverySettings = field(default_factory=RecoverySettings)
     acquire_inliers: float = FIRST_INLIERS
     descendant_weight: float = DESCENDANT_WEIGHT
 
@@ -58,10 +58,10 @@ class IcpNodeSettings(TrackerSettings):
     """Parameters of the node."""
 
     body_file: str = setting("", "body (YAML); empty: the one that comes with the first pose")
-    initial_pose: InitialPoseSettings = setting(InitialPoseSettings, "where the first pose comes from")
-    people: PeopleSettings = setting(PeopleSettings, "how many persons are followed")
-    calibration: CalibrationSettings = setting(CalibrationSettings, "cameras that moved from their calibration")
-    bodies: SaveBodySettings = setting(SaveBodySettings, "where bodies are saved")
+    initial_pose: InitialPoseSettings = field(default_factory=InitialPoseSettings)
+    people: PeopleSettings = field(default_factory=PeopleSettings)
+    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
+    bodies: SaveBodySettings = field(default_factory=SaveBodySettings)
     prediction_wait_s: float = setting(
         0.05, "a fit waits at most this long for the filter's state after the previous set", unit="s", low=0.0
     )

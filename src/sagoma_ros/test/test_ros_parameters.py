@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +36,7 @@ class Settings:
     axes: list[str] = setting(["x", "y"], "slicing directions")
     low: list[float] = setting([0.0, 0.0], "corner", unit="m")
     ids: list[int] = setting([], "numbers")
-    blob: Blob = setting(Blob, "blob filter")
+    blob: Blob = field(default_factory=Blob)
 
 
 def make_node(ros: Spinner, overrides: dict[str, Any] | None = None, arguments: list[str] | None = None) -> Node:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
@@ -45,8 +45,8 @@ class InitialPoseSettings:
         "", "rig (YAML) of the hulls: where its cameras and volume can show a body; empty: taken as everywhere"
     )
     min_seeing: int = setting(0, "the hull server's parameter of this name, with rig_file", low=0, high=63)
-    t_pose: TPoseSettings = setting(TPoseSettings, "what counts as a T-pose")
-    motion: MotionSettings = setting(MotionSettings, "who is followed without one")
+    t_pose: TPoseSettings = field(default_factory=TPoseSettings)
+    motion: MotionSettings = field(default_factory=MotionSettings)
 
 
 def make_pose_source(

@@ -6,7 +6,7 @@ The scene is a session's footage, the built-in room with a person or a set-up in
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from capture_rig.errors import InputError
@@ -49,7 +49,7 @@ class StudioSettings:
     memory_mb: float = setting(800.0, "Memory for a session's pictures", unit="MB", low=1)
     hand_board: str = setting(board_text(HAND_BOARD), "Of a set-up: the board that is waved before each camera")
     floor_board: str = setting(board_text(FLOOR_BOARD), "Of a set-up: the board on the floor, which is also carried")
-    camera: CameraSettings = setting(CameraSettings, "Every camera; serial and user id are given by the studio")
+    camera: CameraSettings = field(default_factory=CameraSettings)
 
 
 @dataclass(frozen=True, eq=False)
