@@ -29,9 +29,7 @@ from .bias import add_measurement_bias
 from .measurement import add_information, empty_linearised, linearise, moved, point_covariance
 from .state import N, cap_joints, joseph, negate
 
-# Thresholds: rounding from arithmetic; STEP_LIMIT, LINEAR_M judgement.
-STEP_LIMIT = 0.5
-"""rad and m: a longer Gauss-Newton step is outside the region where the linearisation holds."""
+# Thresholds: rounding from arithmetic; LINEAR_M judgement.
 LINEAR_M = 1e-3
 """When every point is this close to where the linearisation said, linearising again is not worth it."""
 
@@ -148,7 +146,7 @@ def iterate_update(prior, pose, P, sizes, z, chosen, options):
             A[:] = Y + L
             add_joint_limits(RJ, hinges, hinge_margin, limit_weight, A, g)
             step = np.dot(inverse_positive(A), g)
-        step *= min(1.0, STEP_LIMIT / max(np.abs(step).max(), STEP_LIMIT))
+        step *= kernels.scale_of_step(step)
         offset += step
         t0[:], R0[:], RJ[:], hinges[:] = t0_prior, R0_prior, RJ_prior, hinges_prior
         kernels.retract(t0, R0, RJ, hinges, offset, 1.0)

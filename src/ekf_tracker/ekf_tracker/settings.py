@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from capture_rig.settings import setting
+from mocap_packets.fit import GONE_AFTER_S
+from stick_figure.joint_limits import LIMIT_SD_RAD
 
 from .motion_model import DampedVelocity, Identity, MotionModel
 
 BIAS_SHARE = 0.95  # of a point's error, that the next set has too
-LIMIT_SD_RAD = 0.2  # beyond its range, of what people do with a joint
 NO_FRAMES, TORSO_FRAME, LINK_FRAMES = TF_CHOICES = ("none", "torso", "links")
 
 
@@ -40,7 +41,7 @@ class EkfSettings:
     bend: float = 1.0
     limit_sd_rad: float = LIMIT_SD_RAD
     lost_after_s: float = setting(
-        1.0,
+        GONE_AFTER_S,
         "without measurements for longer than this, the body is lost; the next good set starts anew",
         unit="s",
         low=0.01,

@@ -26,6 +26,7 @@ from capture_rig.visibility import EVERYWHERE, RigVisibility
 from mocap_packets.hull import NO_CONTOUR_RAYS, NO_VOXELS, ContourRays, VoxelSamples
 from stick_figure import kernels
 from stick_figure.body import Body
+from stick_figure.joint_limits import LIMIT_SD_RAD
 from stick_figure.least_squares import gauss_newton
 from stick_figure.least_squares.contour_factor import RayArrays, RayMatch, match_rays
 from stick_figure.least_squares.free_ends import CORRELATED, TURN_SD
@@ -40,7 +41,6 @@ from stick_figure.trunk_bend import with_joint_centres
 # Thresholds: the former chosen with python bench/people.py --ablation SESSION, in steps of about a half, the last
 # four with covariance_coverage.py among the benches of commit d6079d2.
 # of the fit; checked by bench/people.py --ablation on rendered and real sessions
-STEP_LIMIT = 0.5  # m, rad, largest component of one step
 POINT_GATE_M = 0.08  # distance at which a centerline point's weight has fallen to 1/4
 STICK_SD_M = 0.03  # of a perfect centerline point from its stick: a body is no stick figure
 NEIGHBOURS = 4.0  # centerline points that carry the information of one independent one: they share voxels
@@ -57,9 +57,8 @@ CONTOUR_SLACK_M = 0.05  # the body may touch a ray this far from the stretch whe
 # of what is known without data; twice and three times as wide loses arms of stylised people (bench/families.py)
 POSITION_SD_M, ROTATION_SD, BALL_SD, HINGE_SD = 0.1, 0.2, 0.15, 0.2  # m, rad, about the start
 NECK_SD, NECK_PITCH = 0.25, 0.1  # rad, of the head about its rest, forward of the torso's axis; not in the covariance
-LIMIT_SD = 0.2  # rad, joint limits, as a soft cost beyond the range; not in the covariance
 # of its covariance and visibility; checked by bench/covariance_coverage.py of commit d6079d2
-UNSEEN_SD = 0.5  # m, rad, of what no row bears on: a forearm that nothing shows may be 15 cm off
+UNSEEN_SD = 0.5  # m, rad, of what no row bears on, about a joint's free range to either side: a forearm's 15 cm
 COVARIANCE_SHARE = 0.05  # of their weight with which voxels enter the covariance: their errors are common to many
 SUPPORT_POINTS = 3  # inliers that make a reference point visible
 SUPPORT_VOXELS = 5  # surface voxels on the body near a point's stick that make it visible without inliers
@@ -155,7 +154,7 @@ class FitResult:
 def minimise(body: Body, start: Pose, data: Data, settings: ArticulatedSettings) -> tuple[Pose, int, float]:
     """Return the pose reached from ``start``, the iterations it took, and how far (m) the last one moved a point."""
     state, figure, weights = State.of(start), Figure.of(body), make_weights(data, settings)
-    stop = Stop(settings.max_iterations, TOLERANCE_M, STEP_LIMIT, HINGE_MARGIN_RAD)
+    stop = Stop(settings.max_iterations, TOLERANCE_M, HINGE_MARGIN_RAD)
     iterations, moved = gauss_newton.minimise(data, state, figure, weights, stop)
     return state.pose(), iterations, moved
 
@@ -278,7 +277,7 @@ def make_weights(data: Data, settings: ArticulatedSettings) -> Weights:
         contour_slack=CONTOUR_SLACK_M,
         neck=NECK_SD**-2,
         neck_pitch=NECK_PITCH,
-        limit=LIMIT_SD**-2,
+        limit=LIMIT_SD_RAD**-2,
         ends=CORRELATED * _information(settings.contour.turn_sd),
         keypoint=OVERCOUNTED,
     )

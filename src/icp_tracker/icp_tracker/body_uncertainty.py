@@ -16,6 +16,7 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import POINT_STICK
 
 from .acquisition.body_sizes import CALF, FOREARM, HEAD_, HIP, RISE, SHOULDER, SIZES, THIGH, TORSO_, UPPER_ARM
+from .articulated_fit import UNSEEN_SD
 
 # point: sizes that place it in the frame of its stick, each as (coordinate axis, size, share of the size's error); the
 # torso's centre is half its length from either end
@@ -40,8 +41,6 @@ CHAINS: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = (
     ((6, 10, 14), (THIGH, CALF)),
 )
 """Reference points from the trunk outwards, and the sizes of the sticks between them."""
-# Thresholds: judgement, no measurement.
-DIRECTION_SD = 0.5  # rad, of a stick of which nothing is seen: about a joint's free range to either side
 
 
 def _shares() -> np.ndarray:
@@ -93,7 +92,7 @@ def widen_hidden(
             length = float(np.linalg.norm(stick))
             along = stick / max(length, 1e-9)
             if not supported[far]:
-                before += (DIRECTION_SD * length) ** 2 * (np.eye(3) - np.outer(along, along))
+                before += (UNSEEN_SD * length) ** 2 * (np.eye(3) - np.outer(along, along))
             wide[far] += before
             if size_sd_m is not None:
                 before += size_sd_m[size] ** 2 * np.outer(along, along)

@@ -22,7 +22,7 @@ from capture_rig.rig import Rig, load_rig
 from mocap_packets.fit import FIRST_PERSON, PART_NAMES, Fit
 from mocap_packets.hull import HullProducts
 from mocap_packets.people import FittedPeople, PeoplePoints, Predictions, format_bodies
-from sagoma_ros.health import OK, WARN
+from sagoma_ros.health import OK, PERIOD_S, WARN
 from sagoma_ros.inputs import InputWatchdog, StampOrder
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.messages import key_values, to_stamp
@@ -38,8 +38,6 @@ from .icp_ros import FilterFeedback, KeypointInputs, SaveBodyService
 from .people.people_tracker import PeopleTracker, make_people_tracker
 from .settings import IcpNodeSettings
 from .tracker import ACQUIRING, TRACKING, warm_up
-
-LOG_PERIOD_S = 1.0  # people read, and states and reasons may change with every set
 
 
 class IcpNode(SagomaNode):
@@ -229,15 +227,15 @@ class IcpNode(SagomaNode):
         return {"calibration_suspects": ",".join(self._errors.suspects), "calibration_shift_mm": shifts}
 
     def _log_state(self, fit: Fit) -> None:
-        """Log how it stands with a person when that has changed, once in LOG_PERIOD_S at most."""
+        """Log how it stands with a person when that has changed, once in PERIOD_S at most."""
         who = "" if fit.person == FIRST_PERSON else f"person {fit.person}: "
         # while looking for a first pose every new reason tells the person what to do; later ones hold changing figures
         state = _state_of(fit) if fit.state == ACQUIRING else fit.state
         now_s = time.monotonic()
-        logged, logged_s = self._logged.get(fit.person, ("", now_s - LOG_PERIOD_S))
+        logged, logged_s = self._logged.get(fit.person, ("", now_s - PERIOD_S))
         if fit.recovered:
             self.health.count("recoveries")
-        if (state != logged or fit.recovered) and now_s - logged_s >= LOG_PERIOD_S:
+        if (state != logged or fit.recovered) and now_s - logged_s >= PERIOD_S:
             self._logged[fit.person] = state, now_s
             found = f"; found again: {fit.recovered}" if fit.recovered else ""
             self.get_logger().info(f"{who}{_state_of(fit)}{found}")

@@ -49,7 +49,7 @@ def normal_equations(body, pose, points, weight):
 
 def no_rest(monkeypatch):
     """The head has no rest and joints no limits."""
-    for sd in ("NECK_SD", "LIMIT_SD"):
+    for sd in ("NECK_SD", "LIMIT_SD_RAD"):
         monkeypatch.setattr(articulated_fit, sd, 1e9)
 
 

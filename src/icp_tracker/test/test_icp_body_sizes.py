@@ -8,7 +8,8 @@ from capture_rig.rig import Rig, Volume
 from capture_rig.visibility import RigVisibility
 from icp_tracker.acquisition import body_sizes
 from icp_tracker.acquisition.t_pose_measures import measure_t_pose
-from icp_tracker.body_uncertainty import DIRECTION_SD, covariance_of_sizes, widen_hidden
+from icp_tracker.articulated_fit import UNSEEN_SD
+from icp_tracker.body_uncertainty import covariance_of_sizes, widen_hidden
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import T_POSE_ANGLES, Pose
@@ -105,5 +106,5 @@ def test_direction_is_unknown_too_where_no_datum_bears_on_a_stick():
     supported = SEEN.copy()
     supported[HAND] = False
     wide = widen_hidden(NARROW, POINTS, supported, None, visibility_without(1, 0.5 * (elbow + hand))) - NARROW
-    assert np.isclose(np.sqrt(wide[HAND, 2, 2]), DIRECTION_SD * (hand - elbow), rtol=0.01)
+    assert np.isclose(np.sqrt(wide[HAND, 2, 2]), UNSEEN_SD * (hand - elbow), rtol=0.01)
     assert wide[HAND, 1, 1] < 1e-12  # a body of given sizes

@@ -24,6 +24,8 @@ PART_OF_POINT = np.array([next(part for part, own in enumerate(PART_POINTS) if p
 """(15,) the part that holds each reference point."""
 FIRST_PERSON = 1
 """The person whose topics are those of a single one; the others are 2, 3, ..."""
+GONE_AFTER_S = 1.0
+"""Who has not been seen for so long has left: people turn, and pass behind things."""
 
 
 @dataclass(frozen=True, eq=False)

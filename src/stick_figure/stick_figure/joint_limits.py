@@ -25,6 +25,7 @@ from .skeleton import ANGLE_HIGH, ANGLE_LOW, BALL_ANGLES, BALL_EULER_AXES, HINGE
 
 # Thresholds: rates from kicks and throws in the literature, hips checked by the spinning kicks of python
 # bench/people.py (35 rad/s lets some feet jump, 15 to 25 none); else judgement.
+LIMIT_SD_RAD = 0.2  # beyond its range, of what people do with a joint
 LARGEST_FLEXION = 2.6  # rad, where forearm meets upper arm and calf meets thigh
 FLATTEST = 0.2
 """Cosine of a limb's second angle below which its first and third turn about almost the same axis: no limit there."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.camera import MIN_DEPTH_M, ROUNDING_PX
 from capture_rig.kernel import kernel
 
 from ..grid import VoxelGrid
@@ -14,9 +15,7 @@ from ..views import RigViews
 
 UNSEEN, SEEN, PARTLY_SEEN = 0, 1, 2  # none, all, perhaps some of a block's voxel centres are seen by a camera
 
-NEAR_M = 1e-9  # blocks nearer to the camera's plane than this get the whole canvas as their box
 ALL_SURE = 8  # what a square of 2 x 2 foreground pixels counts in a summed area
-MARGIN_PX = 1e-6  # rounding of a projected coordinate is a thousand times smaller
 
 
 class BlockBoxes(NamedTuple):
@@ -99,9 +98,9 @@ def project_block(P, low, high, size):  # type: ignore[no-untyped-def]
         low_u, high_u, low_v, high_v = min(low_u, u), max(high_u, u), min(low_v, v), max(high_v, v)
     if farthest <= 0:
         return 0, 0, 0, 0, False
-    if nearest <= NEAR_M:
+    if nearest <= MIN_DEPTH_M:  # at the camera's plane: the whole canvas
         return 0, 0, int(width), int(height), False
-    low_u, low_v, high_u, high_v = low_u - MARGIN_PX, low_v - MARGIN_PX, high_u + MARGIN_PX, high_v + MARGIN_PX
+    low_u, low_v, high_u, high_v = low_u - ROUNDING_PX, low_v - ROUNDING_PX, high_u + ROUNDING_PX, high_v + ROUNDING_PX
     inside = low_u >= 0 and low_v >= 0 and high_u < width and high_v < height
     u0, v0 = int(min(max(low_u, 0.0), width)), int(min(max(low_v, 0.0), height))
     u1, v1 = int(min(max(high_u + 1, 0.0), width)), int(min(max(high_v + 1, 0.0), height))

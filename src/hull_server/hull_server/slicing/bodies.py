@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 from capture_rig.stamps import NS_PER_S
+from mocap_packets.fit import GONE_AFTER_S
 
 from ..grid import Array, VoxelGrid
 from ..settings import BodySettings
@@ -25,7 +26,6 @@ ABOVE_M = 0.5  # a person's parts, one above the other, have their middles no fa
 BESIDE_M = 0.25  # ... and parts side by side: a chest's depth (ANSUR II, 95th percentile)
 FAR_M = 0.5  # a hand cut off at the shoulder is nearer to the trunk; a leg that steps in is another person's
 MAX_JUMP_M = 0.5  # farthest that a body's centroid moves between two sets
-FORGET_S = 1.0  # a body that is not seen keeps its number for this long
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class BodyTracker:
 
     Each set's bodies take the numbers of the nearest bodies before them, across the floor (whose legs a camera misses
     is in the same place), the nearest pair first, none farther than MAX_JUMP_M; the others take the lowest free
-    numbers, larger bodies first. A body that is not seen keeps its place and number for FORGET_S.
+    numbers, larger bodies first. A body that is not seen keeps its place and number for GONE_AFTER_S.
 
     Two people who touch are one part of the hull, thus one body with one of their numbers. When they part, each gets
     the nearest number: the hull alone cannot tell them apart.
@@ -92,7 +92,9 @@ class BodyTracker:
         return Bodies(*bodies, number, number_of_part)
 
     def _numbers(self, stamp_ns: int, centroid_world: Array) -> npt.NDArray[np.int32]:
-        self._known = {n: known for n, known in self._known.items() if 0 <= stamp_ns - known[0] <= FORGET_S * NS_PER_S}
+        self._known = {
+            n: known for n, known in self._known.items() if 0 <= stamp_ns - known[0] <= GONE_AFTER_S * NS_PER_S
+        }
         numbers = np.full(len(centroid_world), NOBODY, np.int32)
         pairs = sorted(
             (float(np.linalg.norm((place - centroid_world[body])[:2])), number, body)

@@ -18,6 +18,7 @@ import numpy as np
 from capture_rig.settings import setting
 from capture_rig.stamps import NS_PER_S
 from capture_rig.visibility import RigVisibility
+from mocap_packets.fit import GONE_AFTER_S
 from mocap_packets.hull import HullProducts
 from stick_figure.body import Body
 from stick_figure.body_surface import build_of_girth
@@ -27,7 +28,7 @@ from stick_figure.least_squares.placed_figure import STICKS, Figure, State, plac
 from stick_figure.pose import Pose
 
 from ..articulated_fit import GUESS, ArticulatedSettings, make_data, minimise, rays_in_use
-from ..monitor.evidence import EXPLAINED_M, GATE_M, Evidence, evidence_of, ray_cost
+from ..monitor.evidence import EXPLAINED_M, GATE_M, SAME_M, Evidence, evidence_of, ray_cost
 from ..monitor.pose_library import (
     OF_NEWCOMERS,
     WITH_ARMS,
@@ -49,8 +50,6 @@ NO_HULL = "no hull"
 # times: judgement.
 FIRST_ITERATIONS, STARTS = 20, 12  # of the first fits, of which there are so many
 HYPOTHESES = 5  # hypotheses that are followed
-SAME_M = 0.12  # poses whose points are so near to each other are one
-GAP_S = 1.0  # somebody of whom no set shows enough for so long is somebody new: people turn, and pass behind things
 LOOK_EVERY_S = 0.25  # how often other hypotheses are looked for
 PATIENT_S = 3.0  # somebody of whom a part is not seen has so long to step where it is
 BENT_WALK_SD_M = 0.015  # a walking person's crown is so much lower than a standing one's, and a hull's so uncertain
@@ -144,7 +143,7 @@ class MotionSource:
     def find_pose(self, seen: HullProducts) -> InitialPose:
         """Return the pose of the best hypothesis once it is clear, or why it is not."""
         voxels = seen.voxels.points_world
-        if not 0 <= seen.stamp_ns - self._last_ns <= GAP_S * NS_PER_S:
+        if not 0 <= seen.stamp_ns - self._last_ns <= GONE_AFTER_S * NS_PER_S:
             self.reset()
         if len(voxels) < FEWEST_VOXELS or len(seen.contour_rays) == 0:
             return InitialPose(reason=NO_HULL)

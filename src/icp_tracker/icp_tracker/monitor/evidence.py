@@ -33,7 +33,7 @@ EXPLAINED_M = 0.04  # a ray this near to the surface is explained
 LOSS = 1.5  # a ray that another pose explains worse counts so much more than one that it explains better
 LIMIT_RAD = 0.5  # so far beyond a joint's range costs one ray, twice as far four
 RAYS_PER_NAT = 2.0  # rays worth a nat: so many show an independent sample, a cell of a limb's surface, for certain
-SAME_M = 0.10  # poses whose 15 points are so near to each other are one
+SAME_M = 0.12  # poses whose points, and places whose joints, are so near to each other are one: the width of a limb
 GUESS_ITERATIONS = 12  # of a fit that starts from a guess
 
 

@@ -37,19 +37,17 @@ from stick_figure.least_squares.normal_equations import (
 from stick_figure.least_squares.placed_figure import STICKS, Figure, State, place
 from stick_figure.pose import Pose
 
-from .evidence import GATE_M, RAYS_PER_NAT, SLACK_M, match_to, ray_cost
+from .evidence import GATE_M, RAYS_PER_NAT, SAME_M, SLACK_M, match_to, ray_cost
 from .pose_library import Limb, LimbPoses
 from .unexplained_data import COARSE_GATE_M, part_of, unexplained_data
 
 # Thresholds: measured by python bench/recovery.py.
-APART_M = 0.12  # hands or feet (and elbows or knees) so near to each other are the same place
 REFINED = 6  # poses of the library that are refined
 KEPT = 3  # other places that are followed from set to set
 ITERATIONS = 4
 ANGLES = 4  # three of the ball joint, one of the hinge
 REFINE_GATE_M = 0.08
 STIFFNESS_M2 = 2.0 * 0.3**2  # rays that hold an angle at its guess, times their lever squared
-STEP_MOST = 0.4  # rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +136,7 @@ def _search(data, matched, state, figure, limb, library, known):
             state.RJ[limb.ball], state.hinges[limb.hinge] = library.R[h], library.flexion[h]
         _refine_limb(left.rays, placed, figure, limb)
         R[m], flexion[m], ends[m] = state.RJ[limb.ball], state.hinges[limb.hinge], _ends(placed, limb)
-        if farther_apart(ends[m], tracked) > APART_M:
+        if farther_apart(ends[m], tracked) > SAME_M:
             found = _samples(left, placed, lower, costs) + keypoint_support(keypoints, placed, sticks)
             margins[m] = found - samples
     kept, origins = _distinct(margins, ends, known.flexion.shape[0])
@@ -154,7 +152,7 @@ def _distinct(margins, ends, known):
         if margins[m] == -np.inf:
             break
         same = 0
-        while same < count and farther_apart(ends[m], ends[kept[same]]) > APART_M:
+        while same < count and farther_apart(ends[m], ends[kept[same]]) > SAME_M:
             same += 1
         if same == KEPT:
             continue
@@ -195,7 +193,7 @@ def _refine_limb(rays, placed, figure, limb):
         solve_positive(own, pull, L, turn)
         for i in range(ANGLES):
             step[limb.slots[i]] = turn[i]
-        scale = min(1.0, STEP_MOST / max(np.abs(turn).max(), 1e-12))
+        scale = kernels.scale_of_step(turn)
         kernels.turn_limb(limb.ball, limb.hinge, placed.RJ, placed.hinges, step, scale)
         _place_limb(placed, figure, limb)
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from capture_rig.rig import FARTHEST_M
 from mocap_packets.hull import REACH_M, HullProducts
 from stick_figure.body import Body
 from stick_figure.least_squares.contour_factor import match_rays
@@ -36,7 +37,6 @@ ELSEWHERE_M = 0.15  # and so much nearer that it is not this person's lost limb 
 # which, and must not hold a hand that it caught (0.01 to 0.1 tried with bench/people.py together_ and the meeting as
 # footage; from 0.015 to 0.03 fewest hands stay on the other's outline)
 UNCLEAR_SD_M = 0.02
-ANYWHERE_M = 100.0  # a body may touch a ray this far from where the ray touches the hull: the ray is a line
 PHANTOM_SHARE = 0.85  # of a part's rays that graze persons elsewhere: of a phantom nearly all do
 PHANTOM_LEAST_RAYS = 20  # fewer say nothing
 
@@ -116,14 +116,14 @@ def is_phantom(seen: HullProducts, part: int, expected: Sequence[Expected]) -> b
     """Whether a part of the hull has no outline of its own: nearly all of its contour rays graze persons elsewhere.
 
     Where silhouettes of two persons cross, few cameras leave a volume that all of them see as foreground; but what
-    bounds it in every picture is the outline of somebody in front of it or behind it.
+    bounds it in every picture is the outline of somebody in front of it or behind it: anywhere along the ray.
     """
     rays = seen.of_body(part).contour_rays
     if not expected or len(rays) < PHANTOM_LEAST_RAYS:
         return False
     arrays, grazed = ray_arrays(rays, np.ones(len(rays))), np.zeros(len(rays), bool)
     for one in expected:
-        grazed |= match_rays(arrays, one.placed, ANYWHERE_M).separation < GRAZED_M
+        grazed |= match_rays(arrays, one.placed, FARTHEST_M).separation < GRAZED_M
     return bool(grazed.mean() >= PHANTOM_SHARE)
 
 

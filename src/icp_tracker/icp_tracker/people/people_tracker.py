@@ -16,7 +16,7 @@ import numpy as np
 
 from capture_rig.rig import Rig, load_rig
 from capture_rig.visibility import RigVisibility
-from mocap_packets.fit import FIRST_PERSON, LOST, Fit
+from mocap_packets.fit import FIRST_PERSON, GONE_AFTER_S, LOST, Fit
 from mocap_packets.hull import HullProducts
 from mocap_packets.state import Prediction
 from stick_figure.body import Body
@@ -25,15 +25,14 @@ from stick_figure.least_squares.keypoint_factor import NO_KEYPOINTS, Keypoints
 from ..acquisition.pose_source import HULL_SOURCES
 from ..acquisition.upright import reasons_of_bodies
 from ..extrinsic_monitor import ExtrinsicErrors, ExtrinsicMonitor
+from ..monitor.evidence import SAME_M
 from ..settings import MOST_PERSONS, IcpNodeSettings
 from ..tracker import ACQUIRING, NS_PER_S, TRACKING, IcpTracker, fits_nothing, make_tracker
 from .association import Association, Expected, associate_parts, associate_rows, associate_skeletons, is_phantom
 from .identity import ALIKE, IdentityCheck, OcclusionEvents, Verdict, sizes_apart
 
-GONE_AFTER_S = 1.0  # who has not been seen for so long, but the first person, has left; a newcomer, too
 AWAY_AFTER_S = 0.3  # after so long a person is no longer expected where they were seen last
 BACK_S = 0.2  # so long a fit stays good before somebody is taken for a person who was away: a phantom's does not
-SAME_PLACE_M = 0.12  # two figures whose points are so near to each other on average are one person
 LOOK_PERIOD_S = 0.045  # from one look at a newcomer to the next while somebody is followed: fits do not wait for it
 NO_PART = -2  # is the number of no part of a hull
 
@@ -227,7 +226,7 @@ class PeopleTracker:
             places = [fits[number].reference_points_world for number in (first, second)]
             if any(self._persons[number].away for number in (first, second)):
                 continue
-            if np.linalg.norm(places[0] - places[1], axis=1).mean() < SAME_PLACE_M:
+            if np.linalg.norm(places[0] - places[1], axis=1).mean() < SAME_M:
                 explained = [fits[number].quality.explained for number in (first, second)]
                 self._persons[first if explained[0] < explained[1] else second].away = True
 

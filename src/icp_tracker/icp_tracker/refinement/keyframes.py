@@ -24,7 +24,6 @@ from .shape import BENT, POSE, UNKNOWNS, contour_system, figure_at
 
 # Thresholds: chosen with rendered bodies of our mesh; measured by python bench/people.py --ablation SESSION.
 GATE_M, SLACK_M, EXPLAINED_M = 0.04, 0.05, 0.06  # see `contour_system`
-LARGEST_STEP = 0.3  # m, rad
 FIRST_JOINT_SLOT = 6
 
 
@@ -128,7 +127,7 @@ def _follow_shape(through, change, state, bend, turns):
     for k in range(POSE):
         for s in range(change.shape[0]):
             step[k] += through[k, s] * change[s]
-    scale = min(1.0, LARGEST_STEP / max(np.abs(step[:BENT]).max(), LARGEST_STEP))
+    scale = kernels.scale_of_step(step[:BENT])
     kernels.retract(state.t0, state.R0, state.RJ, state.hinges, step[:TANGENT], scale)
     bend += scale * step[TANGENT:BENT]
     for e in range(COUNT):

@@ -74,11 +74,10 @@ class Weights(NamedTuple):
 
 class Stop(NamedTuple):
     """When to stop: iterations at most, converged when no reference point moves farther than ``tolerance`` (m) in one;
-    largest step allowed (m, rad); rad that a hinge may stay on the wrong side of straight."""
+    rad that a hinge may stay on the wrong side of straight."""
 
     iterations: int
     tolerance: float
-    step_limit: float
     hinge_margin: float
 
 
@@ -177,7 +176,7 @@ def minimise(data, state, figure, weights, stop):
         regularise(start, placed, weights, H, g)
         mirror_upper(H)
         solve_positive(H, g, L, step)
-        scale = min(1.0, stop.step_limit / max(np.abs(step).max(), 1e-300))
+        scale = kernels.scale_of_step(step)
         kernels.retract(state.t0, state.R0, state.RJ, state.hinges, step, scale)
         follow(ends, step, scale)
         placed, before = place(state, figure), after
