@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from capture_rig.errors import InputError
-from capture_rig.number import FRAME_RATE, number
+from capture_rig.settings import FRAME_RATE, number
 from rig_calibration.boards.board import board_text, read_board
 from stick_figure.body import STATURES_M
 

@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
-from capture_rig.number import number
 from capture_rig.rig import save_rig
-from capture_rig.settings import build_settings, leaves
+from capture_rig.settings import build_settings, leaves, number
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.yaml_file import parse_value, save_mapping
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gige_vision.gvcp import Status
-from gige_vision.gvsp import encode_chunk
-from gige_vision.pixel_formats import PixelFormat
+from gige_vision.gvsp import PixelFormat, encode_chunk
 
 from ..rendering.camera import Image
 from .device import OLD, CameraSettings, Device
