@@ -57,7 +57,6 @@ class CameraSettings:
     drift_ppm: float = setting(
         12.0, "How much faster the free-running clock is than UTC", unit="ppm", low=-1000, high=1000
     )
-    ptp_grandmaster: bool = setting(True, "A PTP grandmaster is on the network")
     ptp_settle_s: float = setting(0.4, "Time from PtpEnable to status Slave", unit="s", low=0, high=600)
     ptp_offset_ns: int = 80
     tai_minus_utc_s: int = 37
@@ -78,7 +77,7 @@ class Faults:
     wrong_format : leaders announce another pixel format than the one that was set.
     no_resend : the camera neither offers nor answers packet resends.
     slow_control_ms : every command is answered "pending" first, and only then.
-    ptp_lost : the grandmaster is gone: the status goes back to Listening.
+    ptp_lost : there is no grandmaster on the network (any more): the status is Listening.
     """
 
     packet_loss: float = 0.0

@@ -30,7 +30,7 @@ STEPS_GRID_HZ = 120.0
 """The same for steps."""
 WEIGHT_SHIFT_S = 0.05
 """Smoothing of the torso's speed: over how long the weight passes from foot to foot; the feet slide that much."""
-OVERRUN_S = 0.25
+OVERRUN_S = 5 * WEIGHT_SHIFT_S
 """How far the steps go on past the end, so that the smoothing does not see it."""
 HEIGHT_SMOOTHING_S = 0.025
 """Smoothing of its height: feet may sink by millimetres where one takes over from the other."""

@@ -19,6 +19,7 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import L_CALF, L_THIGH, R_CALF, R_THIGH, T_POSE_ANGLES
 
 from ..people import ANKLE_HEIGHT, VolumetricBody
+from ..rig import VOLUME
 from .bvh import Array, JointMotion, joints_by_role, load_joints_by_role, read_bvh
 from .timeline import T_POSE_S, Motion, ease, frame_count
 
@@ -45,7 +46,7 @@ BLEND_S = 1.0
 """From the T-pose into the first frame; longer than between activities, because a file may begin with anything."""
 FLOOR_PERCENTILE = 2.0
 """So many percent of the frames may have a foot in the floor: recorded feet are not exact."""
-ROOM_M = 1.4
+ROOM_M = float(VOLUME.high[0])
 """Half the width of the room that the studio's cameras see."""
 _LEGS = [L_THIGH, R_THIGH, L_CALF, R_CALF]
 

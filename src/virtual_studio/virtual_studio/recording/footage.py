@@ -27,7 +27,7 @@ from stick_figure.body import Body
 
 from ..boards import Array, BoardPrint, carry, hands, on_floor, person_with, print_of, wave
 from ..people import VolumetricBody
-from ..rendering.board_camera import FilmingCamera, Optics
+from ..rendering.board_camera import FilmingCamera
 from ..rendering.camera import Sensor
 from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, atomic_folder, write_session
 
@@ -54,8 +54,7 @@ class FootagePlan:
     """What is filmed, and how.
 
     hand_board : waved before each camera; floor_board : lies on the floor, and is carried. fps : of the videos.
-    brief : half the places in front of each camera. stills : there one picture at each place (camNN/*.png) instead of
-    a video. moving_s : how long the board is carried.
+    brief : half the places in front of each camera. moving_s : how long the board is carried.
     seed, noise, flicker : see `Sensor`.
     """
 
@@ -63,7 +62,6 @@ class FootagePlan:
     floor_board: Board = FLOOR_BOARD
     fps: float = 10.0
     brief: bool = False
-    stills: bool = False
     moving_s: float = 24.0
     seed: int = 1
     noise: float = 3.0
@@ -154,9 +152,9 @@ def _film_boards(folder: Path, rig: Rig, plan: FootagePlan, progress: Progress) 
     hand, floor = print_of(plan.hand_board), print_of(plan.floor_board)
     save_truth(rig, plan.hand_board, plan.floor_board, folder)
     _write_description(folder / DESCRIPTION, plan)
-    optics = Optics(Sensor(plan.noise, plan.flicker, plan.seed))
+    sensor = Sensor(plan.noise, plan.flicker, plan.seed)
     with ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)) as pool:
-        cameras = list(pool.map(lambda job: FilmingCamera(job[1], job[0], optics), enumerate(rig.cameras)))
+        cameras = list(pool.map(lambda job: FilmingCamera(job[1], job[0], sensor), enumerate(rig.cameras)))
         for filmed in pool.map(lambda camera: _film_waved(folder, camera, hand, plan), cameras):
             progress(filmed)
         _film_floor(folder / FLOOR, cameras, floor)
@@ -168,19 +166,11 @@ def _film_boards(folder: Path, rig: Rig, plan: FootagePlan, progress: Progress) 
 def _film_waved(folder: Path, camera: FilmingCamera, board: BoardPrint, plan: FootagePlan) -> str:
     name = camera.camera.name
     waved = wave(camera.camera, board, plan.seed + sum(name.encode()), plan.brief)
-    frames = (np.arange(round(waved.duration_s * plan.fps)) + 0.5) / plan.fps
-    pictures = (
-        camera.take(FIRST_FRAME[INTRINSICS] + frame, board, waved.path, t, hands(board, waved.path(t)))
-        for frame, t in enumerate(waved.rests_s if plan.stills else frames)
-    )
-    if plan.stills:
-        (folder / INTRINSICS / name).mkdir(parents=True)
-        for number, picture in enumerate(pictures, start=1):
-            cv2.imwrite(str(folder / INTRINSICS / name / f"{number:03d}.png"), picture)
-    else:
-        with _videos(folder / INTRINSICS, [camera], plan.fps) as (video,):
-            for picture in pictures:
-                video.write(picture)
+    with _videos(folder / INTRINSICS, [camera], plan.fps) as (video,):
+        for frame in range(round(waved.duration_s * plan.fps)):
+            t = (frame + 0.5) / plan.fps
+            shot = FIRST_FRAME[INTRINSICS] + frame, board, waved.path, t, hands(board, waved.path(t))
+            video.write(camera.take(*shot))
     return f"{INTRINSICS}/{name}"
 
 
