@@ -30,8 +30,7 @@ from ..frame_source import SourceUnavailable
 
 DISCOVERY = CommandPacket(Command.DISCOVERY)
 ANSWER_TIMEOUT_S, ATTEMPTS = 0.3, 3
-# Thresholds: judgement, no measurement.
-LISTEN_S = 0.5  # to a broadcast's answers: the standard gives a device up to 1 s, those we met took milliseconds
+LISTEN_S = ATTEMPTS * ANSWER_TIMEOUT_S  # to a broadcast's answers: the standard gives a device up to 1 s
 BROADCAST = "255.255.255.255"
 
 

@@ -20,7 +20,7 @@ from gige_vision import bootstrap
 from ..frame_source import Frame, FrameSource, SourceUnavailable
 from ..gige.camera_clock import ClockReading, read_clock
 from ..gige.camera_setup import CameraSetup, set_up_camera
-from ..gige.capture_time import PTP_IN_STEP, FrameTimes, TimeSource, choose_time_source
+from ..gige.capture_time import PTP_IN_STEP, FrameTimes, TimeSource, after_last, choose_time_source
 from ..gige.discovery import CameraSelector, FoundCamera, find_camera
 from ..gige.features import DeviceRefusal, DeviceSilence, Features
 from ..gige.pixel_formats import can_be_halved, image_shape
@@ -76,6 +76,7 @@ class AravisSource(FrameSource):
         self._time: TimeSource | None = None
         self._streaming = False
         self._lost = False
+        self._last_stamp_ns = 0
         self._details: dict[str, str] = {}
         # all names at once, so that the dictionary can be read on other threads
         own = {"software": TRIGGER_COUNTERS, "action": (*ACTION_COUNTERS, "triggers_missed")}.get(settings.sync, ())
@@ -108,7 +109,7 @@ class AravisSource(FrameSource):
             return
         with self._device_errors("when it was started"):
             reading = read_clock(self._registers, self._clock.now_ns)
-            self._time = self._time_source(self._features, reading)
+            self._time, self._last_stamp_ns = self._time_source(self._features, reading), 0
             self._stream.restart()
             self._camera.start_acquisition()
         self._streaming = True
@@ -125,7 +126,8 @@ class AravisSource(FrameSource):
         arrival_ns = self._clock.at_utc(grabbed.arrival_ns)
         stamp = time_source.stamp(FrameTimes(grabbed.camera_ns, arrival_ns, grabbed.exposure_ns))
         self.counters["stamp_jumps"] = time_source.jumps
-        return Frame(grabbed.image, stamp.ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
+        self._last_stamp_ns = after_last(stamp.ns, self._last_stamp_ns)
+        return Frame(grabbed.image, self._last_stamp_ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
 
     def stop(self) -> None:
         if not self._streaming:
