@@ -30,15 +30,11 @@ READY = "sending"
 
 def write_clip(path: Path, rig: Rig, frames: list[dict[str, Any]]) -> int:
     """Write the serialised messages of every camera's masks; return the median size of a silhouette, bytes."""
-    messages = {}
+    document = {}
     for camera in rig.cameras:
         canvas, frame_id = camera.undistorted_view().camera, f"{camera.name}_optical"
-        masks = [silhouette_message(masks[camera.name], 0, frame_id) for masks in frames]
-        messages[camera.name] = (camera_info_message(canvas, 0, frame_id), masks)
-    document = {
-        name: (serialize_message(info), [serialize_message(mask) for mask in masks])
-        for name, (info, masks) in messages.items()
-    }
+        masks = [serialize_message(silhouette_message(masks[camera.name], 0, frame_id)) for masks in frames]
+        document[camera.name] = serialize_message(camera_info_message(canvas, 0, frame_id)), masks
     path.write_bytes(pickle.dumps(document))
     sizes = sorted(len(mask) for _, masks in document.values() for mask in masks)
     return sizes[len(sizes) // 2]

@@ -15,7 +15,7 @@ from capture_rig.session import load_session
 from stick_figure.body import Body
 from virtual_studio.boards import PosedBoard, on_floor, print_of
 from virtual_studio.gige import Studio, StudioSettings, free_addresses
-from virtual_studio.gige.command import request_from, write_rig_files
+from virtual_studio.gige.__main__ import request_from, write_rig_files
 from virtual_studio.gige.rendered_scenes import PHASES, RenderedSet, RoomScene, SetupScene
 from virtual_studio.gige.scenes import PatternScene, load_session_scene
 from virtual_studio.motions.catalogue import MOTIONS

@@ -22,7 +22,7 @@ from capture_rig.rig import load_rig
 from capture_rig.settings import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
-from virtual_studio.gige import command as studio
+from virtual_studio.gige import __main__ as studio
 
 from ..arguments import (
     NODES,

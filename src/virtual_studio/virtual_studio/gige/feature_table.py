@@ -34,7 +34,6 @@ CAPABILITIES = (
     Capability.CONCATENATION
     | Capability.WRITE_MEMORY
     | Capability.PACKET_RESEND
-    | Capability.PENDING_ACK
     | Capability.ACTION
     | Capability.SCHEDULED_ACTION
     | Capability.PTP
@@ -118,7 +117,6 @@ def _bootstrap(s: CameraSettings, address: str) -> list[Feature]:
         hidden("TimestampHigh", bootstrap.TIMESTAMP_HIGH),
         hidden("TimestampLow", bootstrap.TIMESTAMP_LOW),
         hidden("GvcpConfiguration", bootstrap.GVCP_CONFIGURATION, writable=True),
-        hidden("PendingTimeout", bootstrap.PENDING_TIMEOUT_MS, 1000),
         hidden("ControlPrivilege", bootstrap.CONTROL_PRIVILEGE, writable=True),
         hidden("PrimaryPort", bootstrap.PRIMARY_PORT),
         hidden("PrimaryAddress", bootstrap.PRIMARY_ADDRESS),

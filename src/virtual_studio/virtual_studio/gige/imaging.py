@@ -64,7 +64,7 @@ class ImagingPipeline:
     def _exposed(self, scene: Image) -> Image:
         if self._faults.lens_cap:
             return np.zeros_like(scene)
-        factor = self.exposure.factor * self._faults.brightness
+        factor = self.exposure.factor * self._faults.light
         if factor == 1.0:
             return scene
         table = np.clip(np.rint(np.arange(256) * factor), 0, 255).astype(np.uint8)

@@ -23,7 +23,7 @@ from stick_figure.body import Body
 from ..boards import BoardPrint, PosePath, carry, hands, on_floor, person_with, print_of, wave
 from ..motions.catalogue import MOTIONS
 from ..people import REFERENCE_STATURE_M, Capsules, VolumetricBody
-from ..recording.footage import FLOOR_BOARD, HAND_BOARD
+from ..recording.footage import FLOOR_BOARD, HAND_BOARD, SESSION_FPS
 from ..rendering.board_camera import BoardCamera
 from ..rendering.camera import WHITE, Image, Light, VirtualCamera
 from ..rendering.capsules import floor_shadow
@@ -32,7 +32,6 @@ from .scenes import SECOND_NS, SWITCH_AFTER_NS, Playback, StudioScene
 KEPT_SETS = 3
 LONGEST_STEP_NS = 200_000_000
 """The next exposure of cameras that expose less often is not predicted."""
-POSES_PER_S = 60.0
 RENDER_HZ = 20  # live renderings at most
 EMPTY, INTRINSICS, FLOOR, MOVING, PERSON = PHASES = ("empty", "intrinsics", "floor", "moving", "person")
 NEXT = "next"
@@ -69,12 +68,12 @@ class RoomScene(StudioScene):
     ) -> None:
         body = Body.from_stature(REFERENCE_STATURE_M)
         self._person = VolumetricBody(body)
-        self._poses = MOTIONS[motion](body, seconds, POSES_PER_S).poses
+        self._poses = MOTIONS[motion](body, seconds, SESSION_FPS).poses
         self._cameras = {camera.name: VirtualCamera(camera) for camera in rig.cameras}
         self._empty = {name: _picture(camera.empty_room()) for name, camera in self._cameras.items()}
         views = {name: LiveView(self, name) for name in rig.names}
         note = f"rendered live, at most {RENDER_HZ:g} times a second: pictures in between are repeated"
-        super().__init__(rig, views, Playback(len(self._poses), POSES_PER_S, clock), True, (note,), Counter())
+        super().__init__(rig, views, Playback(len(self._poses), SESSION_FPS, clock), True, (note,), Counter())
         self._shortest_ns = round(1e9 / most_hz)
         self._sets: deque[RenderedSet] = deque(maxlen=KEPT_SETS)
         self._asked: deque[int] = deque(maxlen=2)  # the last two instants that cameras asked for

@@ -18,7 +18,7 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
-from ..people import ANKLE_HEIGHT, VolumetricBody
+from ..people import ANKLE_HEIGHT, REFERENCE_STATURE_M, VolumetricBody
 from . import everyday, hard_cases
 from .timeline import FADE_S, T_POSE_S, Array, BlendedActivity, Motion, Things, Timeline, frame_count
 
@@ -70,7 +70,7 @@ class HardCase:
     @property
     def duration_s(self) -> float:
         """Seconds from the T-pose through all activities once."""
-        activities = self.activities(VolumetricBody(Body.from_stature(1.75))).activities
+        activities = self.activities(VolumetricBody(Body.from_stature(REFERENCE_STATURE_M))).activities
         return T_POSE_S + sum(activity.duration_s for activity in activities) - self.cut_s
 
 

@@ -26,7 +26,7 @@ from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
 from stick_figure.body import Body
 
 from ..boards import Array, BoardPrint, carry, hands, on_floor, person_with, print_of, wave
-from ..people import VolumetricBody
+from ..people import REFERENCE_STATURE_M, VolumetricBody
 from ..rendering.board_camera import FilmingCamera
 from ..rendering.camera import Sensor
 from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, atomic_folder, write_session
@@ -43,8 +43,8 @@ HAND_BOARD = Checkerboard(9, 6, (0.04, 0.04))
 FLOOR_BOARD = Checkerboard(7, 4, (0.12, 0.12))
 """An A0 print: large enough for cameras 3 m away that see it at 70 degrees from its normal."""
 
-STATURE_M, SESSION_FPS = 1.75, 60.0
-"""Of who carries the board and moves in the session; of its footage."""
+SESSION_FPS = 60.0
+"""Of the footage of who moves in the session."""
 
 Progress = Callable[[str], None]
 
@@ -94,7 +94,7 @@ def write_setup(
 
 def _film_session(folder: Path, rig: Rig, plan: FootagePlan, motion: str, seconds: float) -> None:
     """Films the empty room and the person; what is unknown before the calibration does not stay there."""
-    session, body = folder / SESSION, Body.from_stature(STATURE_M)
+    session, body = folder / SESSION, Body.from_stature(REFERENCE_STATURE_M)
     settings = RenderSettings(seed=plan.seed, noise=plan.noise, flicker=plan.flicker)
     write_session(session, rig, body, motion, SESSION_FPS, seconds, settings)
     (session / TRUTH).rename(folder / TRUTH)
@@ -185,7 +185,7 @@ def _film_floor(folder: Path, cameras: Sequence[FilmingCamera], board: BoardPrin
 def _film_carried(
     folder: Path, cameras: Sequence[FilmingCamera], board: BoardPrint, plan: FootagePlan, pool: ThreadPoolExecutor
 ) -> None:
-    path, person = carry(board, plan.moving_s, plan.seed), VolumetricBody(Body.from_stature(STATURE_M))
+    path, person = carry(board, plan.moving_s, plan.seed), VolumetricBody(Body.from_stature(REFERENCE_STATURE_M))
     with _videos(folder, cameras, plan.fps) as videos:
         for frame in range(round(plan.moving_s * plan.fps)):
             t = (frame + 0.5) / plan.fps
