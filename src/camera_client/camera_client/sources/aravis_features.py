@@ -12,7 +12,7 @@ ERROR_DOMAIN = "arv-device-error-quark"
 
 
 class AravisFeatures:
-    """FeatureAccess and RegisterAccess of an Aravis.Device; ``Aravis`` and ``GLib`` are the modules.
+    """DeviceAccess of an Aravis.Device; ``Aravis`` and ``GLib`` are the modules.
 
     Bounds and increments that a device does not describe are None.
     """

@@ -21,7 +21,7 @@ from ..frame_source import Frame, FrameSource, SourceUnavailable
 from ..gige.camera_clock import ClockReading, read_clock
 from ..gige.camera_setup import CameraSetup, set_up_camera
 from ..gige.capture_time import PTP_IN_STEP, FrameTimes, TimeSource, after_last, choose_time_source
-from ..gige.discovery import CameraSelector, FoundCamera, find_camera
+from ..gige.discovery import FoundCamera, described, find_camera
 from ..gige.features import DeviceRefusal, DeviceSilence, Features
 from ..gige.pixel_formats import can_be_halved, image_shape
 from ..gige.triggers import ActionSender, TriggerSchedule, TriggerThread, enable_ptp, ptp_status, synchronise
@@ -61,7 +61,6 @@ class AravisSource(FrameSource):
         super().__init__()
         self._settings, self._channels, self._halve_mosaics = settings, channels, halve_mosaics
         self._clock = CaptureClock(settings.clock_speed)
-        self._wanted = CameraSelector(settings.address, settings.serial, settings.user_id, settings.interface)
         self._found: FoundCamera | None = None
         self._camera: Any = None
         self._device: Any = None
@@ -87,7 +86,7 @@ class AravisSource(FrameSource):
     def connect(self) -> None:
         self._Aravis, self._Gio, self._GLib = import_aravis()
         try:
-            self._found = find_camera(self._wanted)
+            self._found = find_camera(self._settings)
             with self._device_errors("while it was set up"):
                 self._open(self._found)
                 assert self._features is not None
@@ -164,7 +163,7 @@ class AravisSource(FrameSource):
 
     @property
     def description(self) -> str:
-        return str(self._wanted)
+        return described(self._settings)
 
     @property
     def details(self) -> dict[str, str]:

@@ -59,16 +59,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="in the built-in room: a person moves "
         "(default), or a set-up from the empty room over boards to the person, in phases",
     )
-    parser.add_argument("--pattern", action="store_true", help="show a test pattern")
+    parser.add_argument("--pattern", action="store_true", default=None, help="show a test pattern")
     parser.add_argument(
-        "--fps", type=_number("frame_rate"), help="frame rate at power-on (default: the session's, else 60)"
+        "--fps",
+        dest="frame_rate",
+        type=_number("frame_rate"),
+        help="frame rate at power-on (default: the session's, else 60)",
     )
     parser.add_argument(
         "--speed", type=speed_argument, help="of the cameras' clock, as 0.25 or 1/4: slow motion (default: 1)"
     )
     parser.add_argument("--address", help="loopback address of the first camera (default: 127.0.1.1)")
     parser.add_argument(
-        "--memory", type=_number("memory_mb"), metavar="MB", help="memory for a session's pictures (default: 800)"
+        "--memory",
+        dest="memory_mb",
+        type=_number("memory_mb"),
+        metavar="MB",
+        help="memory for a session's pictures (default: 800)",
     )
     parser.add_argument("--empty", action="store_true", help="begin with the empty room")
     parser.add_argument("--write", metavar="FOLDER", help="write rig.yaml and cameras/*.yaml for `sagoma up` into it")
@@ -109,17 +116,8 @@ def run(args: argparse.Namespace) -> int:
 
 def settings_from(args: argparse.Namespace) -> StudioSettings:
     """Builds the settings of the studio that the arguments describe. Raises InputError."""
-    named = {
-        "session": args.session,
-        "cameras": args.cameras,
-        "frame_rate": args.fps,
-        "address": args.address,
-        "speed": args.speed,
-        "memory_mb": args.memory,
-        "scene": args.scene,
-        "pattern": args.pattern or None,
-    }
-    given = {key: value for key, value in named.items() if value is not None}
+    keys = (leaf.key for leaf in leaves(StudioSettings))
+    given = {key: value for key in keys if (value := getattr(args, key, None)) is not None}
     # the built-in room is rendered without noise: it comes from the cameras' sensors
     noise = {} if args.session or args.pattern else {"camera.noise": 2.0}
     return build_settings(StudioSettings, {**noise, **given, **_pairs(args.settings)}, "sagoma studio")

@@ -44,14 +44,10 @@ class CameraClock:
 
     def __init__(self, settings: CameraSettings, faults: Faults, clock: CaptureClock = UTC) -> None:
         self._settings, self._faults, self._now_ns = settings, faults, clock.now_ns
-        self._rng = random.Random(settings.seed)
-        self.power_on()
-
-    def power_on(self) -> None:
-        """Starts the counter anew, PTP off."""
-        self._zero_ns = self._now_ns() - self._rng.randrange(2_000_000_000)  # it counted while the camera booted
+        rng = random.Random(settings.seed)
+        self._zero_ns = self._now_ns() - rng.randrange(2_000_000_000)  # it counted while the camera booted
         self._ptp_since_ns: int | None = None
-        self._residual_ns = round(self._rng.uniform(-1, 1) * self._settings.ptp_offset_ns)
+        self._residual_ns = round(rng.uniform(-1, 1) * settings.ptp_offset_ns)
 
     def enable_ptp(self, enabled: bool) -> None:
         if enabled != (self._ptp_since_ns is not None):
