@@ -11,12 +11,9 @@ x_camera = R x_world + T; the world is Vicon's, z up.
 from __future__ import annotations
 
 import csv
-import os
 import re
-import shutil
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,27 +32,6 @@ from ..recording.writer import own_version
 
 SIDE_MARGIN_M, TOP_MARGIN_M = 0.4, 0.3
 """From the outermost markers to the sides of the capture volume: body surface and hands lie beyond them."""
-
-
-@contextmanager
-def new_session_folder(folder: str | Path) -> Iterator[Path]:
-    """An empty folder beside ``folder`` to write into; it becomes ``folder`` when the block ends without an error.
-
-    Raises InputError when ``folder`` exists and is not empty.
-    """
-    folder = Path(folder)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        remedy = "Give the path of a new folder, or remove this one yourself."
-        raise InputError("exists and is not an empty folder", where=str(folder), remedy=remedy)
-    partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
-    partial.mkdir(parents=True)
-    try:
-        yield partial
-        if folder.exists():
-            folder.rmdir()
-        partial.rename(folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def volume_around(points_world: np.ndarray) -> Volume:

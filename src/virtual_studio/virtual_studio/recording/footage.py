@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, save_rig
 from capture_rig.rigid import rotation_vector, transform
 from capture_rig.yaml_file import read_mapping, save_mapping
@@ -29,7 +30,7 @@ from ..boards import Array, BoardPrint, carry, hands, on_floor, person_with, pri
 from ..people import REFERENCE_STATURE_M, VolumetricBody
 from ..rendering.board_camera import FilmingCamera
 from ..rendering.camera import Sensor
-from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, atomic_folder, write_session
+from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, is_own, write_session
 
 DESCRIPTION = "setup.yaml"
 INTRINSICS, FLOOR, MOVING = "intrinsics", "floor", "moving"
@@ -84,7 +85,7 @@ def write_setup(
     anything else, and as `write_session` does.
     """
     folder, plan = Path(folder), plan or FootagePlan()
-    with atomic_folder(folder, DESCRIPTION) as partial:
+    with replaced_folder(folder, lambda found: is_own(found, DESCRIPTION)) as partial:
         _film_boards(partial, rig, plan, progress)
         if motion is not None:
             _film_session(partial, rig, plan, motion, seconds)
