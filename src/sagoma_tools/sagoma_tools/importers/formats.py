@@ -10,10 +10,9 @@ x_camera = R x_world + T; the world is Vicon's, z up.
 
 from __future__ import annotations
 
-import csv
 import re
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +25,7 @@ from capture_rig.errors import InputError
 from capture_rig.files import read_text
 from capture_rig.rig import FLOOR_MARGIN_M, Volume
 from capture_rig.rigid import nearest_rotation
+from capture_rig.session import write_table
 from capture_rig.yaml_file import save_mapping
 
 from ..recording.writer import own_version
@@ -50,15 +50,6 @@ def write_truth_file(path: Path, frames: np.ndarray, points_world: Mapping[str, 
     """
     names = [f"{name}_{axis}" for name in points_world for axis in "xyz"]
     write_table(path, names, frames, np.hstack(list(points_world.values())), 6)
-
-
-def write_table(path: Path, names: Sequence[str], frames: np.ndarray, values: np.ndarray, digits: int) -> None:
-    """Write a row a frame, its number (F,), then the values (F, n) called ``names``; what is not finite stays empty."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["frame", *names])
-        for frame, row in zip(frames, values, strict=True):
-            writer.writerow([int(frame), *(f"{value:.{digits}f}" if np.isfinite(value) else "" for value in row)])
 
 
 def save_description(folder: Path, fps: float, source: str, kind: str, **more: Any) -> None:

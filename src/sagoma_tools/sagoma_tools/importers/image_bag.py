@@ -22,14 +22,14 @@ from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
 from capture_rig.files import replaced_folder
 from capture_rig.rig import CAMERA_NAME, load_rig, save_rig
-from capture_rig.session import STAMPS
+from capture_rig.session import STAMPS, write_table
 from capture_rig.stamps import NS_PER_S
 from sagoma_ros.images import decode_image
 
 from ..graph.topics import IMAGE_TYPES, image_topics
 from ..overlays import VideoFile
 from ..recording.reader import BagMessage, bag_topics, read_messages
-from .formats import save_description, write_table
+from .formats import save_description
 
 LENSES, VIDEO = "lenses", ".mkv"
 GREY_BITS = TopicSettings().bits

@@ -7,7 +7,6 @@ Everything follows from the arguments: the same seed gives the same pictures. Th
 
 from __future__ import annotations
 
-import csv
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,6 +23,7 @@ from capture_rig.errors import InputError
 from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, save_rig
 from capture_rig.rigid import rotation_vector
+from capture_rig.session import write_table
 from capture_rig.yaml_file import read_mapping, save_mapping
 from stick_figure.body import Body, save_body
 from stick_figure.kinematics import forward
@@ -177,18 +177,15 @@ def _of_all(name: str, values: list[float]) -> dict[str, object]:
 
 def write_truth(path: Path, body: Body, motion: Motion) -> None:
     """Writes truth.csv, one row a frame: reference points (m; left is the person's left), torso pose, 18 angles."""
-    names = ["pelvis", *POINT_COLUMNS]
-    header = ["frame", *(f"{name}_{axis}" for name in names for axis in "xyz"), *TORSO_COLUMNS]
-    header += [f"{name}_rad" for name in ANGLE_NAMES]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for frame, (pose, angles) in enumerate(zip(motion.poses, motion.angles, strict=True)):
-            points = forward(body, pose)
-            pelvis = 0.5 * (points[5] + points[6])
-            rows = np.vstack([pelvis, points[list(POINT_COLUMNS.values())], pose.position_world])
-            numbers = np.concatenate([rows.ravel(), rotation_vector(pose.R_world_torso), angles])
-            writer.writerow([frame, *(f"{value:.7f}" for value in numbers)])
+    names = [f"{name}_{axis}" for name in ("pelvis", *POINT_COLUMNS) for axis in "xyz"]
+    rows = []
+    for pose, angles in zip(motion.poses, motion.angles, strict=True):
+        points = forward(body, pose)
+        pelvis = 0.5 * (points[5] + points[6])
+        places = np.vstack([pelvis, points[list(POINT_COLUMNS.values())], pose.position_world])
+        rows.append(np.concatenate([places.ravel(), rotation_vector(pose.R_world_torso), angles]))
+    names += [*TORSO_COLUMNS, *(f"{name}_rad" for name in ANGLE_NAMES)]
+    write_table(path, names, range(len(rows)), np.array(rows), 7)
 
 
 def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSettings, progress: Progress) -> None:
