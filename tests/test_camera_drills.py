@@ -217,10 +217,14 @@ def test_second_controller_is_refused_with_a_clear_error_and_the_first_goes_on(p
 
 @pytest.mark.parametrize(
     ("fault", "flag", "remedy"),
-    [("frozen", "frozen", ""), ("lens_cap", "dark", "lens cap"), ("lights_off", "lights", "switch the lights back")],
+    [
+        ({"frozen": True}, "frozen", ""),
+        ({"lens_cap": True}, "dark", "lens cap"),
+        ({"light": 0.06}, "lights", "switch the lights back"),
+    ],
 )
 def test_picture_that_is_wrong_is_noticed_and_counted(pc, fault, flag, remedy):
-    setattr(pc.camera.faults, fault, True)
+    pc.camera.faults.update(fault)
     pc.until_said(WARN, f"{flag}: ")
     assert remedy in pc.listener.level(pc.node)[1]
     assert pc.until_number(f"{flag}_frames", 0) > 0

@@ -30,7 +30,7 @@ from mocap_packets.fit import FIRST_PERSON, ReferencePoints
 from mocap_packets.people import FittedPeople, PeoplePoints
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline
-from sagoma_ros import frames
+from sagoma_ros import poses
 from sagoma_ros.images import camera_info_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import FITTED_PEOPLE, read_reference_points, tables_message
@@ -138,8 +138,8 @@ class TFMessage:
 def taken(monkeypatch):
     """What goes to /tf and /tf_static: the publishers, in the order in which they were made."""
     PUBLISHERS.clear()
-    monkeypatch.setattr(frames, "TFMessage", TFMessage)
-    monkeypatch.setattr(frames, "LazyPublisher", Taken)
+    monkeypatch.setattr(poses, "TFMessage", TFMessage)
+    monkeypatch.setattr(poses, "LazyPublisher", Taken)
     return PUBLISHERS
 
 

@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 from capture_rig import lens
 from capture_rig.camera import CameraModel
-from capture_rig.region import of_shape
 from capture_rig.rigid import rotation_matrix, rotation_vector
+from capture_rig.visibility import of_shape
 
 from .background.kernels import BEYOND_NOISE
 

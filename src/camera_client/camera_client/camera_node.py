@@ -28,13 +28,12 @@ from capture_rig.rig import load_rig
 from mocap_packets.thinning import FrameSelector
 from sagoma_ros import mask_png
 from sagoma_ros.images import read_support
+from sagoma_ros.inputs import Worker
 from sagoma_ros.messages import HOST, THINNING_TOPIC, read_thinning, to_ns
 from sagoma_ros.middleware import release_free_memory
-from sagoma_ros.names import graph_topic
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.process import run_node
-from sagoma_ros.qos import LATCHED, RESULT
-from sagoma_ros.worker import Worker
+from sagoma_ros.qos import LATCHED, RESULT, graph_topic
 
 from .background.model import BackgroundModel
 from .background.training import KEY, PROGRESS_KEY, BackgroundTrainer, TrainingRequest

@@ -17,13 +17,10 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, TimeReference
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import with_intrinsics
 from mocap_packets.silhouette import Silhouette
-from sagoma_ros import mask_png
 from sagoma_ros.health import NodeHealth
-from sagoma_ros.images import SILHOUETTE_FORMAT, camera_info_message, image_message, preview_message
+from sagoma_ros.images import camera_info_message, image_message, preview_message, silhouette_message
 from sagoma_ros.messages import to_ns, to_stamp
-from sagoma_ros.names import graph_topic
-from sagoma_ros.qos import LATCHED, LATCHED_BY_MANY, RESULT, SILHOUETTE_PUBLISHER
-from sagoma_ros.raw import CompressedImageWriter, StampedMessage
+from sagoma_ros.qos import LATCHED, LATCHED_BY_MANY, RESULT, SILHOUETTE_PUBLISHER, graph_topic
 
 from .background.causes import KEY as FINDINGS_KEY
 from .background.causes import findings_text
@@ -79,8 +76,7 @@ class CameraTopics:
         offered = settings.publish_raw or to_calibrate
         self._raws = create(Image, "image_raw", SILHOUETTE_PUBLISHER) if offered else None
         self._previews = create(CompressedImage, "preview/compressed", RESULT) if settings.publish_preview else None
-        self._info: tuple[CameraModel, StampedMessage] | None = None
-        self._writer = CompressedImageWriter(frame_id, SILHOUETTE_FORMAT)
+        self._info: tuple[CameraModel, CameraInfo] | None = None
         self._last_preview_s = -np.inf
 
     @property
@@ -110,8 +106,8 @@ class CameraTopics:
     def publish_silhouette(self, frame: Frame, seen: FrameResult, silhouette: Silhouette) -> None:
         """Publish the silhouette and its camera_info under one stamp; now and then a preview, while somebody looks."""
         assert seen.canvas is not None
-        self._infos.publish(self._info_of(seen.canvas).at(frame.stamp_ns))
-        self._silhouettes.publish(self._writer.write(frame.stamp_ns, mask_png.encode(silhouette.mask)))
+        self._infos.publish(self._info_of(seen.canvas, frame.stamp_ns))
+        self._silhouettes.publish(silhouette_message(silhouette.mask, frame.stamp_ns, self._frame_id))
         now_s = time.monotonic()
         if now_s - self._last_preview_s >= PREVIEW_PERIOD_S and self._preview_has_listener:
             assert self._previews is not None
@@ -119,11 +115,13 @@ class CameraTopics:
             outlined = outline(frame.image, silhouette.image_mask)
             self._previews.publish(preview_message(outlined, frame.stamp_ns, self._frame_id))
 
-    def _info_of(self, canvas: CameraModel) -> StampedMessage:
-        """Return its camera_info, made once a canvas: setting and serialising its arrays costs more than all else."""
+    def _info_of(self, canvas: CameraModel, stamp_ns: int) -> CameraInfo:
+        """Return its camera_info, made once a canvas and stamped anew: setting its arrays costs more than all else."""
         if self._info is None or self._info[0] is not canvas:
-            self._info = (canvas, StampedMessage(camera_info_message(canvas, 0, self._frame_id)))
-        return self._info[1]
+            self._info = (canvas, camera_info_message(canvas, stamp_ns, self._frame_id))
+        info = self._info[1]
+        info.header.stamp = to_stamp(stamp_ns)
+        return info
 
     def publish_background(self, model: BackgroundModel) -> None:
         """Publish the mean of the background in use."""

@@ -13,8 +13,8 @@ import numpy as np
 from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info, read_camera_info
 from capture_rig.errors import InputError
-from capture_rig.region import may_be_halved, of_shape
 from capture_rig.rig import Volume, load_rig
+from capture_rig.visibility import may_be_halved, of_shape
 
 from .frame_source import FrameSource
 from .settings import CameraClientSettings

@@ -14,7 +14,8 @@ import threading
 import time
 
 from camera_client.gige import discovery
-from camera_client.gige.discovery import CameraSelector, find_camera
+from camera_client.gige.discovery import find_camera
+from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
 from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket, DeviceRecord
 
@@ -96,7 +97,7 @@ def serve_cameras():
 
 def outcome(interface="here", **wanted):
     try:
-        found = find_camera(CameraSelector(**wanted, interface=interface))
+        found = find_camera(AravisSettings(**wanted, interface=interface))
     except InputError as error:
         return f"{type(error).__name__}: {error}"
     return f"{found.device.address} from {found.host}"

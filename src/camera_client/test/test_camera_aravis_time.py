@@ -94,7 +94,9 @@ def test_ptp_clock_of_another_time_is_refused_when_demanded_and_left_when_not(gi
 
 
 def test_camera_that_is_never_in_step_is_unavailable_when_ptp_is_demanded(gige_camera):
-    source = source_of(gige_camera(ptp_grandmaster=False), stamp_source="ptp", ptp_wait_s=0.2)
+    camera = gige_camera()
+    camera.faults.ptp_lost = True
+    source = source_of(camera, stamp_source="ptp", ptp_wait_s=0.2)
     with pytest.raises(SourceUnavailable, match=r"not in step by PTP after 0\.2 s \(status Listening\)"):
         source.connect()
 

@@ -48,7 +48,7 @@ def mosaic(image):
 
 @pytest.mark.parametrize("outfit", ["middle", "dark"])
 def test_tiles_give_better_silhouettes_than_the_interpolated_mosaic_at_half_the_size(outfit, monkeypatch):
-    monkeypatch.setattr("capture_rig.region.MOST_PIXEL_M", ANY_PIXEL_M)
+    monkeypatch.setattr("capture_rig.visibility.MOST_PIXEL_M", ANY_PIXEL_M)
     rig, body = ring(4, size=(640, 480)), Body.from_stature(1.75)
     camera, found = rig.cameras[1], {}
     eye = VirtualCamera(camera)
@@ -98,7 +98,7 @@ def test_camera_that_turns_is_found_in_pictures_of_half_the_size():
 def test_client_makes_whole_images_only_where_somebody_takes_them(
     raw, bench, gige_camera, scene, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("capture_rig.region.MOST_PIXEL_M", ANY_PIXEL_M)
+    monkeypatch.setattr("capture_rig.visibility.MOST_PIXEL_M", ANY_PIXEL_M)
     simulated = gige_camera(StillRoom(scene.empty(50, colour=True)))
     saved = tmp_path / "background.npz"
     settings = {"source": "aravis", "aravis.address": simulated.address, "publish_raw": raw}

@@ -13,14 +13,8 @@ import pytest
 
 from camera_client.frame_source import SourceUnavailable
 from camera_client.gige import discovery
-from camera_client.gige.discovery import (
-    CameraSelector,
-    discover_at,
-    enlarge_receive_buffer,
-    find_camera,
-    interfaces,
-    select_interfaces,
-)
+from camera_client.gige.discovery import discover_at, enlarge_receive_buffer, find_camera, interfaces, select_interfaces
+from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
 from gige_vision.gvcp import PORT, AcknowledgePacket, CommandPacket, DeviceRecord
 from virtual_studio.gige import free_addresses
@@ -91,20 +85,20 @@ def test_answer_that_is_no_discovery_record_is_no_camera(listener):
 @pytest.mark.parametrize("address", ["cam01", "300.1.1.1", "224.0.0.1", "0.0.0.0", "192.168.1.255"])
 def test_address_that_is_not_one_device_is_refused(address):
     with pytest.raises(InputError, match=r"aravis\.address") as raised:
-        find_camera(CameraSelector(address=address))
+        find_camera(AravisSettings(address=address))
     assert not isinstance(raised.value, SourceUnavailable)
 
 
 def test_camera_must_be_chosen():
     with pytest.raises(InputError, match=r"aravis\.address, aravis\.serial or aravis\.user_id"):
-        find_camera(CameraSelector())
+        find_camera(AravisSettings())
 
 
 def test_search_without_an_interface_is_refused_with_those_there_are():
     with pytest.raises(InputError, match=r"needs an interface.*lo \(127\.0\.0\.1/8\)"):
-        find_camera(CameraSelector(serial="S7"))
+        find_camera(AravisSettings(serial="S7"))
     with pytest.raises(InputError, match=r"no interface 'eth77'.*lo \(127\.0\.0\.1/8\)"):
-        find_camera(CameraSelector(serial="S7", interface="eth77"))
+        find_camera(AravisSettings(serial="S7", interface="eth77"))
 
 
 def test_interfaces_are_chosen_by_name_or_own_address():

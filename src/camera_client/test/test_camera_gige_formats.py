@@ -10,12 +10,12 @@ from camera_client.gige.pixel_formats import (
     can_be_halved,
     choose_format,
     find_format,
-    image_bytes,
     image_shape,
     standard_name,
     to_image,
 )
 from camera_client.settings import PIXEL_FORMATS
+from gige_vision.gvsp import PixelFormat
 
 
 def test_settings_offer_every_format_that_is_converted_in_the_order_of_preference():
@@ -64,7 +64,7 @@ def test_deep_mono_keeps_the_upper_eight_bits(name, bits, encode, shape, seed):
     height, width = shape
     values = np.random.default_rng(seed).integers(0, 1 << bits, height * width)
     data = encode([int(value) for value in values], bits)
-    assert len(data) == image_bytes(name, width, height)
+    assert len(data) == PixelFormat[standard_name(name)].image_bytes(width, height)
     image = to_image(data, name, width, height)
     assert image.dtype == np.uint8
     np.testing.assert_array_equal(image, (values >> (bits - 8)).reshape(height, width))
@@ -123,14 +123,14 @@ def test_tiles_of_a_mosaic_are_pixels_of_half_the_size(name):
 
 @pytest.mark.parametrize("name", PIXEL_FORMATS)
 def test_image_has_memory_of_its_own_and_more_bytes_do_no_harm_and_too_few_are_no_image(name):
-    data = np.full(image_bytes(name, 8, 4) + 100, 100, np.uint8)
+    data = np.full(PixelFormat[standard_name(name)].image_bytes(8, 4) + 100, 100, np.uint8)
     image = to_image(data, name, 8, 4)
     before = image.copy()
     data[:] = 0
     np.testing.assert_array_equal(image, before)
     assert image.shape == image_shape(name, 8, 4) and image.flags.c_contiguous
     with pytest.raises(ValueError, match="too few"):
-        to_image(bytes(image_bytes(name, 8, 4) - 1), name, 8, 4)
+        to_image(bytes(PixelFormat[standard_name(name)].image_bytes(8, 4) - 1), name, 8, 4)
 
 
 def test_choice_follows_the_channels_wanted_and_the_fewest_bytes():

@@ -71,7 +71,7 @@ def three_threads(processor, frames):
 
 @pytest.mark.parametrize("colour, pixel_m", [(False, 0.0), (True, 0.0), (True, 1.0)], ids=["mono", "colour", "halved"])
 def test_threads_change_no_byte_of_silhouettes_condition_and_background(colour, pixel_m, monkeypatch):
-    monkeypatch.setattr("capture_rig.region.MOST_PIXEL_M", pixel_m)
+    monkeypatch.setattr("capture_rig.visibility.MOST_PIXEL_M", pixel_m)
     take, told = Take(colour), []
     for run in (one_thread, two_threads, three_threads):
         processor = take.processor()

@@ -17,12 +17,11 @@ import numpy as np
 from .camera import CameraModel
 from .errors import InputError
 from .lens import Array
-from .rig import camera_from_mapping
+from .rig import ROTATION_TOLERANCE, camera_from_mapping
 from .yaml_file import read_mapping, save_mapping
 
 MATRICES = {"camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
 KEYS = ("image_width", "image_height", "camera_name", "distortion_model", "distortion_coefficients", *MATRICES)
-RECTIFIED = 1e-6  # a rectification matrix may depart from the identity by so much
 _REMEDY = "Give a camera_info YAML, as camera_calibration writes it, or leave camera_info_file empty."
 
 
@@ -92,7 +91,7 @@ def with_intrinsics(
             where=where,
             remedy="Calibrate at the size that the camera delivers, or set the camera's region.",
         )
-    if not np.allclose(R, np.eye(3), atol=RECTIFIED):
+    if not np.allclose(R, np.eye(3), atol=ROTATION_TOLERANCE):
         raise InputError(
             "rectification_matrix is not the identity",
             where=where,

@@ -9,8 +9,9 @@ from __future__ import annotations
 import errno
 import os
 import secrets
+import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -121,6 +122,30 @@ def replaced_file(path: str | Path) -> Iterator[BinaryIO]:
 
 def _open_new(path: Path) -> BinaryIO:
     return open(path, "xb", opener=lambda name, flags: os.open(name, flags, _READABLE))
+
+
+@contextmanager
+def replaced_folder(folder: str | Path, may_replace: Callable[[Path], bool] = lambda folder: False) -> Iterator[Path]:
+    """An empty folder beside ``folder`` to write into; it becomes ``folder`` when the block ends without an error.
+
+    A ``folder`` that holds something is replaced only where ``may_replace`` says so of it, and goes when the new one is
+    there. Raises InputError otherwise.
+    """
+    folder = Path(folder)
+    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not may_replace(folder))):
+        remedy = "Give the path of a new folder, or remove this one yourself."
+        raise InputError("exists and is not an empty folder", where=str(folder), remedy=remedy)
+    partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
+    partial.mkdir(parents=True)
+    old = partial.with_suffix(".old")
+    try:
+        yield partial
+        if folder.exists():
+            folder.rename(old)
+        partial.rename(folder)
+    finally:
+        for left in (partial, old):
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def make_folder(folder: str | Path) -> Path:

@@ -28,7 +28,6 @@ LEAST_SLOPE = 0.03
 # of a fisheye, off the axis: a plane before the camera, on which ideal points lie, goes no farther. Boards are seen
 # there; the undistorted canvas ends sooner
 LARGEST_ANGLE_RAD = np.deg2rad(88.0)
-SMALL = 1e-12  # radius^2 below which a fisheye is a pinhole
 
 
 def distort(points: Array, D: Array) -> Array:
@@ -140,8 +139,8 @@ def _distort(points: Array, D: Array) -> tuple[Array, tuple[Array, Array, Array]
 
 
 def _radius_and_angle(points: Array) -> tuple[Array, Array]:
-    """Radius of ideal points, not 0, and their angle off the axis."""
-    radius = np.sqrt(np.maximum((points * points).sum(axis=-1), SMALL))
+    """Radius of ideal points, not 0 (below CONVERGED a fisheye is a pinhole), and their angle off the axis."""
+    radius = np.sqrt(np.maximum((points * points).sum(axis=-1), CONVERGED**2))
     return radius, np.arctan(radius)
 
 
@@ -173,7 +172,7 @@ def _distort_fisheye(points: Array, D: Array) -> tuple[Array, tuple[Array, Array
 
 
 def _undistort_fisheye(points: Array, D: Array) -> Array:
-    radius = np.sqrt(np.maximum((points * points).sum(axis=-1), SMALL))
+    radius = np.sqrt(np.maximum((points * points).sum(axis=-1), CONVERGED**2))
     last = _largest_angle(D)
     angle = np.minimum(radius, last)
     for _ in range(NEWTON_STEPS):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count, takewhile
 from pathlib import Path
@@ -129,6 +129,15 @@ def read_table(path: Path) -> tuple[list[str], Array]:
             remedy="Give the 0-based video frame of each row.",
         )
     return header, rows
+
+
+def write_table(path: Path, names: Sequence[str], frames: Iterable[int], values: Array, digits: int) -> None:
+    """Write a row a frame, its number (F,), then the values (F, n) called ``names``; what is not finite stays empty."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["frame", *names])
+        for frame, row in zip(frames, values, strict=True):
+            writer.writerow([int(frame), *(f"{value:.{digits}f}" if np.isfinite(value) else "" for value in row)])
 
 
 def _point(rows: Array, column: dict[str, int], parts: tuple[str, ...], path: Path) -> Array:

@@ -7,13 +7,14 @@ setting: Python code may give it, users need not decide it.
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import difflib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar, get_type_hints
 
-from .errors import InputError
+from .errors import InputError, shortened
 
 T = TypeVar("T")
 
@@ -182,3 +183,30 @@ def _fits(value: Any, kind: type) -> bool:
     if isinstance(value, bool):
         return kind is bool
     return isinstance(value, (int, float) if kind is float else kind)
+
+
+# --- numbers on a command line: finite, whole where they must be, in a range, of a unit that the message names
+
+
+def number(unit: str, low: float, high: float, *, whole: bool = False) -> Callable[[str], float]:
+    """Return a ``type`` for argparse: the number from ``low`` to ``high`` that a text says, an int where ``whole``.
+
+    unit : as it stands behind the number ("s", "Hz", "cameras"), "" for none. What is no such number, NaN and infinity
+    among it, is an argparse error that names what is allowed.
+    """
+
+    def read(text: str) -> float:
+        try:
+            value = int(text) if whole else float(text)
+            if low <= value <= high:  # NaN is in no range
+                return value
+        except ValueError:
+            pass
+        allowed = f"{'a whole number' if whole else 'a number'} from {low:.12g} to {high:.12g} {unit}".rstrip()
+        raise argparse.ArgumentTypeError(f"'{shortened(text, 40)}' cannot be used; give {allowed}")
+
+    return read
+
+
+SECONDS, FRAME_RATE = number("s", 0, 1e7), number("Hz", 0.1, 1000)
+PLAYING_SPEED = number("times real time", 0, 100)  # of footage

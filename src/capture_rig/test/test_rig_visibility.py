@@ -6,9 +6,18 @@ import numpy as np
 import pytest
 
 from capture_rig.camera import CameraModel, looking_at
-from capture_rig.region import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
 from capture_rig.rig import Volume
-from capture_rig.visibility import CELL_M, EVERYWHERE, RigVisibility, min_seeing
+from capture_rig.visibility import (
+    CELL_M,
+    EVERYWHERE,
+    MOST_PIXEL_M,
+    Region,
+    RigVisibility,
+    min_seeing,
+    needed_region,
+    of_region,
+    pixel_width_m,
+)
 from virtual_studio.rig import ring, tilted, with_camera
 
 VOLUME = Volume(np.array([-1.0, -1.0, 0.0]), np.array([1.0, 1.0, 2.0]))

@@ -16,10 +16,10 @@ from std_msgs.msg import String
 
 from capture_rig.rigid import quaternion_of
 from mocap_packets.state import BodyState
-from sagoma_ros.frames import FramePublisher, about_axis, frame
 from sagoma_ros.intra_process import LazyPublisher
 from sagoma_ros.messages import to_stamp
 from sagoma_ros.packets import joint_state_message
+from sagoma_ros.poses import FramePublisher, about_axis, frame
 from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
 from stick_figure.skeleton import ANGLE_NAMES, STICK_NAMES, TORSO

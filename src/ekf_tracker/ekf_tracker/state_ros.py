@@ -16,8 +16,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from capture_rig.rigid import quaternion_of
 from mocap_packets.fit import DOUBTFUL, FIRST_PERSON, PART_NAMES, PART_OF_POINT
 from mocap_packets.state import BodyState, NoState, Tracking
-from sagoma_ros.joint_motion import motion_message
 from sagoma_ros.messages import key_values, to_stamp
+from sagoma_ros.poses import motion_message
 from stick_figure.body import Body
 from stick_figure.kinematics import sticks
 from stick_figure.pose import JointMotion

@@ -17,9 +17,9 @@ from visualization_msgs.msg import Marker
 
 from ekf_tracker.filter import ArticulatedEkf
 from mocap_packets.table import AGE_POINTS, SetAges
-from sagoma_ros.joint_motion import read_motions, read_predictions
 from sagoma_ros.messages import LATENCY_TOPIC, to_ns
 from sagoma_ros.packets import read_reference_points
+from sagoma_ros.poses import read_motions, read_predictions
 from sagoma_ros.qos import LATCHED
 from stick_figure.body import Body
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES, TANGENT_NAMES

@@ -12,8 +12,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ekf_tracker.filter import ArticulatedEkf
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.people import FittedPeople, PeoplePoints
-from sagoma_ros.joint_motion import read_predictions
 from sagoma_ros.packets import tables_message
+from sagoma_ros.poses import read_predictions
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,6 @@ class Command(IntEnum):
     WRITE_REGISTER = 0x0082
     READ_MEMORY = 0x0084
     WRITE_MEMORY = 0x0086
-    PENDING = 0x0088  # exists as acknowledge only
     ACTION = 0x0100
 
     @property

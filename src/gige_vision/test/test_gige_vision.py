@@ -16,7 +16,7 @@ from gige_vision.gvcp import (
     Status,
     encode_text,
 )
-from gige_vision.pixel_formats import PixelFormat
+from gige_vision.gvsp import PixelFormat
 
 words = st.integers(0, 2**32 - 1)
 halves = st.integers(0, 2**16 - 1)

@@ -15,14 +15,14 @@ from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import PARTS
 from mocap_packets.table import SetAges
 from sagoma_ros import mask_png
-from sagoma_ros.frames import FramePublisher
 from sagoma_ros.health import WARN
 from sagoma_ros.images import support_message
+from sagoma_ros.inputs import Worker
 from sagoma_ros.intra_process import LazyPublisher, PacketPublisher
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import HULL_PRODUCTS, packet_cloud
+from sagoma_ros.poses import FramePublisher
 from sagoma_ros.process import run_node
-from sagoma_ros.worker import Worker
 
 from .hull_pipeline import HullPipeline, HullResult, Mask, PendingHull
 from .hull_ros import OverloadControl, SaveMeshService, camera_frames, camera_values, frame_set_message, summarise

@@ -20,11 +20,11 @@ from std_srvs.srv import Trigger
 from capture_rig import InputError, Rig
 from capture_rig.camera import CameraModel
 from mocap_packets.people import Predictions
-from sagoma_ros.frames import frame
 from sagoma_ros.intra_process import Delivery, PacketSubscription
 from sagoma_ros.messages import HOST, THINNING_TOPIC, key_values, thinning_message, to_stamp
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import PREDICTIONS
+from sagoma_ros.poses import frame
 from sagoma_ros.qos import LATCHED
 
 from .hull_pipeline import HullResult

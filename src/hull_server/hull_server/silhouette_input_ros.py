@@ -15,10 +15,10 @@ from capture_rig.mask_levels import SHADOW_CANDIDATE
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from sagoma_ros.health import ERROR, WARN
 from sagoma_ros.images import ABSENT, decode_silhouette
-from sagoma_ros.limits import check_mask_bytes
+from sagoma_ros.limits import check_mask_bytes, read_message, same_but_for_stamp
+from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER, SILHOUETTE_SUBSCRIBER
-from sagoma_ros.raw import read_compressed_image, read_message, same_but_for_stamp
 
 from .hull_pipeline import Mask
 from .hull_ros import calibration_mismatch
@@ -107,23 +107,24 @@ class SilhouetteInput:
             self._node.health.count("frames_refused")
             return
         try:
-            image, canvas = read_compressed_image(message), self._canvases[camera]
+            check_mask_bytes(len(message), topic)
+            image, canvas = read_message(message, CompressedImage), self._canvases[camera]
         except InputError as error:
             self._refuse_image(error)
             return
+        stamp_ns = to_ns(image.header.stamp)
         if self._settings.reliable and image.format == ABSENT:
-            self._dispatch(self._collector.add_absence(camera, image.stamp_ns, now_ns))
+            self._dispatch(self._collector.add_absence(camera, stamp_ns, now_ns))
             return
-        if not self._thinning.admits(camera, image.stamp_ns, now_ns):
+        if not self._thinning.admits(camera, stamp_ns, now_ns):
             self._node.health.count("frames_thinned")
             return
         try:
-            check_mask_bytes(len(message), topic)
             mask = decode_silhouette(image, canvas.width, canvas.height, topic, candidates=SHADOW_CANDIDATE)
         except InputError as error:
             self._refuse_image(error)
             return
-        self._dispatch(self._collector.add(camera, image.stamp_ns, mask, now_ns))
+        self._dispatch(self._collector.add(camera, stamp_ns, mask, now_ns))
         self._poll_at_deadline(now_ns)
 
     def _refuse_image(self, error: InputError) -> None:

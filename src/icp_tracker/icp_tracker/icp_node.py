@@ -23,14 +23,13 @@ from mocap_packets.fit import FIRST_PERSON, PART_NAMES, Fit
 from mocap_packets.hull import HullProducts
 from mocap_packets.people import FittedPeople, PeoplePoints, Predictions, format_bodies
 from sagoma_ros.health import OK, PERIOD_S, WARN
-from sagoma_ros.inputs import InputWatchdog, StampOrder
+from sagoma_ros.inputs import InputWatchdog, StampOrder, Worker
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.messages import key_values, to_stamp
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import FITTED_PEOPLE, HULL_PRODUCTS, PREDICTIONS, people_cloud
 from sagoma_ros.process import run_node
 from sagoma_ros.qos import LATCHED
-from sagoma_ros.worker import Worker
 from stick_figure.body import Body, format_body
 
 from .extrinsic_monitor import ExtrinsicErrors

@@ -21,10 +21,10 @@ from mocap_packets.fit import FIRST_PERSON
 from mocap_packets.keypoints import NUMBERS, Detections, keypoints_of
 from mocap_packets.people import Predictions
 from mocap_packets.state import Prediction
-from sagoma_ros.clouds import vectors_of_cloud
 from sagoma_ros.limits import oversize
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
+from sagoma_ros.packets import vectors_of_cloud
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from stick_figure.body import Body, save_body
 from stick_figure.least_squares.keypoint_factor import Keypoints

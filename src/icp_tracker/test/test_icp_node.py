@@ -21,9 +21,9 @@ from icp_tracker.tracker import IcpTracker, fits_nothing
 from mocap_packets.hull import NO_VOXELS, Centerline, HullProducts, VoxelSamples
 from mocap_packets.people import Predictions, parse_bodies
 from mocap_packets.state import Prediction
-from sagoma_ros.joint_motion import predictions_message
 from sagoma_ros.messages import to_ns
 from sagoma_ros.packets import HULL_PRODUCTS, read_people_points, read_reference_points, tables_message
+from sagoma_ros.poses import predictions_message
 from sagoma_ros.qos import LATCHED, RESULT
 from stick_figure.kinematics import forward
 

@@ -15,10 +15,10 @@ from std_msgs.msg import Header
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
 from mocap_packets.fit import FIRST_PERSON, ReferencePoints
-from sagoma_ros.joint_motion import read_motions
 from sagoma_ros.messages import to_ns
 from sagoma_ros.node import SagomaNode
 from sagoma_ros.packets import read_reference_points
+from sagoma_ros.poses import read_motions
 from sagoma_ros.qos import DEPTH, RESULT
 from stick_figure.kinematics import stick_frames
 from stick_figure.pose import JointMotion

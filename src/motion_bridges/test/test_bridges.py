@@ -14,9 +14,9 @@ from motion_bridges.isb_node import ContinuousAngles, IsbAngles
 from motion_bridges.lsl_node import LslBridge
 from motion_bridges.vmc_node import BONES, RIGID, VmcBridge
 from motion_export.joint_tree import JOINTS
-from sagoma_ros.joint_motion import motion_message
 from sagoma_ros.messages import to_ns, to_stamp
 from sagoma_ros.packets import packet_cloud
+from sagoma_ros.poses import motion_message
 from sagoma_ros.qos import RESULT
 from stick_figure.body import Body
 from stick_figure.kinematics import forward, stick_frames

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
-from capture_rig.number import PLAYING_SPEED, SECONDS
 from capture_rig.session import Session, load_session
+from capture_rig.settings import PLAYING_SPEED, SECONDS
 from capture_rig.yaml_file import read_mapping
 
 from .graph import (

@@ -19,7 +19,7 @@ from launch_ros.actions import Node
 
 from capture_rig.errors import InputError
 from capture_rig.yaml_file import format_mapping, read_mapping
-from sagoma_ros.names import SCHEME, package_path, resolve_packages
+from sagoma_ros.middleware import SCHEME, package_path, resolve_packages
 
 from .graph import ProcessSpec
 from .launch_arguments import ARGUMENTS, LaunchRequest, read_request

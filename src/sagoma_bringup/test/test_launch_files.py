@@ -139,7 +139,7 @@ def test_rviz_that_is_not_installed_is_refused_before_anything_starts(monkeypatc
 def test_rviz_shows_the_topics_of_the_namespace(monkeypatch):
     installed = {"rviz2": "/opt/ros/jazzy", "sagoma_bringup": str(PACKAGE)}
     monkeypatch.setattr("ament_index_python.packages.get_package_prefix", installed.__getitem__)
-    monkeypatch.setattr("sagoma_ros.names.get_package_share_directory", installed.__getitem__)
+    monkeypatch.setattr("ament_index_python.packages.get_package_share_directory", installed.__getitem__)
     *_, rviz = launched(LAUNCH / "all_in_one.launch.py", rig=RIG, cameras=CAMERAS, rviz="true", namespace="studio")
     assert (rviz.package, rviz.full_namespace) == ("rviz2", "/studio")
     assert ("/mocap/skeletons", "mocap/skeletons") in rviz.remappings

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import array
-from functools import cache
 
 import cv2
 import numpy as np
@@ -12,14 +11,13 @@ from std_msgs.msg import Header
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.mask_levels import BACKGROUND, FOREGROUND, SHADOW_CANDIDATE
+from capture_rig.mask_levels import BACKGROUND
 from mocap_packets import silhouette
 from mocap_packets.silhouette import ForegroundSupport
 
 from . import mask_png
 from .limits import check_pixels, compressed_size
 from .messages import to_ns, to_stamp
-from .raw import RawImage
 
 SILHOUETTE_FORMAT = "mono8; png compressed mono8"
 MONO_PNG = ((1, 0), (2, 0), (4, 0), (8, 0))  # bits a pixel, colour type
@@ -74,7 +72,7 @@ def preview_message(image: np.ndarray, stamp_ns: int, frame_id: str) -> Compress
 
 
 def decode_silhouette(
-    message: CompressedImage | RawImage, width: int, height: int, where: str, candidates: int = BACKGROUND
+    message: CompressedImage, width: int, height: int, where: str, candidates: int = BACKGROUND
 ) -> np.ndarray:
     """Return the mask (height, width) uint8, 0 or 255, of a silhouette message.
 
@@ -101,7 +99,7 @@ def decode_silhouette(
     other = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE)  # another program wrote it
     if other is None or other.shape != (height, width):
         raise _damaged(where)
-    return cv2.LUT(other, _levels(candidates))
+    return cv2.LUT(other, mask_png.levels_of_greys(header.depth, candidates))
 
 
 def _damaged(where: str) -> InputError:
@@ -126,14 +124,6 @@ def camera_info_message(camera: CameraModel, stamp_ns: int, frame_id: str) -> Ca
     info.r = np.eye(3).reshape(9)
     info.p = np.hstack([camera.K, np.zeros((3, 1))]).reshape(12)
     return info
-
-
-@cache
-def _levels(candidates: int) -> np.ndarray:
-    """Return what each of the 256 grey levels of a mask stands for, shadow candidates being ``candidates``."""
-    table = np.full(256, FOREGROUND, np.uint8)
-    table[BACKGROUND], table[SHADOW_CANDIDATE] = BACKGROUND, candidates
-    return table
 
 
 def _bytes(values: np.ndarray) -> array.array:

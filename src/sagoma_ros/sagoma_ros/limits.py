@@ -1,20 +1,26 @@
-"""What a message may hold at most, for every node: what is larger is refused and counted before memory is taken for it.
+"""Messages as they come: what they may hold at most, and how they are read from their bytes.
 
-The middleware keeps up to a queue (`qos.DEPTH`) of what was sent, whatever its size; these limits bound what the nodes
-keep and work on.
+What is larger is refused and counted before memory is taken for it: a subscription with ``raw=True`` hands over a
+message's bytes. The middleware keeps up to a queue (`qos.DEPTH`) of what was sent, whatever its size; these limits
+bound what the nodes keep and work on.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, TypeVar
+
+from rclpy.serialization import deserialize_message
 
 from capture_rig.errors import InputError
+
+T = TypeVar("T")
 
 MOST_CLOUD_BYTES = 8 << 20  # a hull of 5 mm voxels on five cameras sends less than 1 MB
 MOST_TEXT_BYTES = 1 << 20  # the bodies of 250 persons have a quarter of it
 MOST_JOINTS = 10_000  # 250 persons have 24 numbers each
 MOST_MASK_BYTES = 4 << 20  # a mask of noise of 20 megapixels at one bit a pixel; those of people have 2 to 6 KB
 MOST_PIXELS = 1 << 27  # 134 megapixels: more than any machine-vision sensor
+AFTER_STAMP = 4 + 8  # bytes: what leads in, and the stamp of a header (CDR: OMG DDS-XTypes 1.3, 7.4.3)
 _COUNTED = {"position": MOST_JOINTS, "name": MOST_JOINTS, "joint_names": MOST_JOINTS, "transforms": MOST_JOINTS}
 
 
@@ -63,3 +69,17 @@ def compressed_size(data: bytes) -> tuple[int, int] | None:
             )
         place += 1 if kind == 0xFF else 2 + int.from_bytes(data[place + 2 : place + 4], "big")
     return None
+
+
+def read_message(message: bytes, kind: type[T]) -> T:
+    """Read a serialised message of any type. Raises InputError for bytes that are none."""
+    try:
+        return deserialize_message(message, kind)
+    except Exception as error:  # whatever the middleware raises
+        what = f"{len(message)} bytes are no {kind.__name__} ({error})"
+        raise InputError(what, remedy="The message is damaged; check the network and its publisher.") from None
+
+
+def same_but_for_stamp(message: bytes, other: bytes | None) -> bool:
+    """Whether two serialised messages that start with a header are equal but for their stamps."""
+    return other is not None and message[AFTER_STAMP:] == other[AFTER_STAMP:]

@@ -1,8 +1,7 @@
 """Masks of two, three or sixteen levels as PNG of one, two or four bits a pixel, a tenth of a general encoder's work.
 
-The files are plain PNG (ISO/IEC 15948): grey, no row filters, deflated run by run (:mod:`.run_deflate`). Files of the
-same kind by any other deflate are read, too, as recordings of former versions are; what else there is, is left to
-OpenCV.
+The files are plain PNG (ISO/IEC 15948): grey, no row filters, deflated run by run (:mod:`.run_deflate`). What else is
+there, as in recordings of former versions, is left to OpenCV: see :func:`levels_of_greys`.
 """
 
 from __future__ import annotations
@@ -65,13 +64,19 @@ def decode(data: bytes, candidates: int = BACKGROUND) -> npt.NDArray[np.uint8] |
     value, count = np.empty(len(packed), np.uint8), np.empty(len(packed), np.int64)
     runs = inflate(packed, run_code(depth), *match_lengths(), value, count)
     cells = np.empty((height, row_bytes), _cells(depth, candidates).dtype)
-    if runs >= 0:
-        sound = paint_runs(value[:runs], count[:runs], _cells(depth, candidates), cells)
-    else:
-        rows = _inflated(stream, height, row_bytes)
-        sound = rows is not None and paint_rows(rows, _cells(depth, candidates), cells)
-    mask = cells.view(np.uint8)
-    return np.ascontiguousarray(mask[:, :width]) if sound else None
+    if runs < 0 or not paint_runs(value[:runs], count[:runs], _cells(depth, candidates), cells):
+        return None
+    return np.ascontiguousarray(cells.view(np.uint8)[:, :width])
+
+
+@cache
+def levels_of_greys(depth: int, candidates: int) -> npt.NDArray[np.uint8]:
+    """Return the levels (256,) of the greys that other programs show for a PNG of 1, 2, 4 or 8 bits a pixel."""
+    if depth in DEPTHS:
+        return _levels(depth, candidates)[np.arange(256) // (255 // ((1 << depth) - 1))]
+    levels = np.full(256, FOREGROUND, np.uint8)
+    levels[BACKGROUND], levels[SHADOW_CANDIDATE] = BACKGROUND, candidates
+    return levels
 
 
 class Header(NamedTuple):
@@ -212,17 +217,6 @@ def paint_runs(value, count, cells_of_byte, cells):  # type: ignore[no-untyped-d
     return y == height and x < 0
 
 
-@njit(**OPTIONS)
-def paint_rows(rows, cells_of_byte, cells):  # type: ignore[no-untyped-def]
-    """Paint as :func:`paint_runs`, from the rows (h, 1 + row_bytes) uint8 themselves."""
-    for y in range(len(rows)):
-        if rows[y, 0] != 0:
-            return False
-        for x in range(cells.shape[1]):
-            cells[y, x] = cells_of_byte[rows[y, x + 1]]
-    return True
-
-
 # --- tables of levels
 
 
@@ -246,19 +240,24 @@ def _packed_pairs(depth: int) -> npt.NDArray[np.uint8]:
     return np.asarray(places[pair[:, 0]] << depth | places[pair[:, 1]], np.uint8)
 
 
+def _levels(depth: int, candidates: int) -> npt.NDArray[np.uint8]:
+    """Return the level of each value of a pixel."""
+    if depth < 4:
+        return np.array({1: [0, FOREGROUND], 2: [0, candidates, FOREGROUND, FOREGROUND]}[depth], np.uint8)
+    levels = np.array(LEVELS, np.uint8)
+    if candidates != SHADOW_CANDIDATE:
+        levels[np.isin(levels, CANDIDATE_LEVELS)] = candidates
+        levels[levels == UNCERTAIN] = BACKGROUND
+        levels[levels > SHADOW_CANDIDATE] = FOREGROUND
+    return levels
+
+
 @cache
 def _cells(depth: int, candidates: int) -> npt.NDArray[np.unsignedinteger]:
     """Return the pixels (256,) that a byte of some depth stands for, 8, 4 or 2 levels as one number."""
-    if depth == 4:
-        levels = np.array(LEVELS, np.uint8)
-        if candidates != SHADOW_CANDIDATE:
-            levels[np.isin(levels, CANDIDATE_LEVELS)] = candidates
-            levels[levels == UNCERTAIN] = BACKGROUND
-            levels[levels > SHADOW_CANDIDATE] = FOREGROUND
-    else:
-        levels = np.array({1: [0, FOREGROUND], 2: [0, candidates, FOREGROUND, FOREGROUND]}[depth], np.uint8)
     places = np.arange(256)[:, None] >> np.arange(8 - depth, -1, -depth) & (1 << depth) - 1
-    return np.ascontiguousarray(levels[places]).view({1: np.uint64, 2: np.uint32, 4: np.uint16}[depth]).reshape(256)
+    pixels = np.ascontiguousarray(_levels(depth, candidates)[places])
+    return pixels.view({1: np.uint64, 2: np.uint32, 4: np.uint16}[depth]).reshape(256)
 
 
 # --- files
@@ -273,16 +272,6 @@ def _whole_words(mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
         return padded
     mask = np.require(mask, np.uint8, ["C", "W"])
     return mask if mask.ctypes.data % _WORD_PX == 0 else mask.copy()
-
-
-def _inflated(stream: bytes, height: int, row_bytes: int) -> npt.NDArray[np.uint8] | None:
-    """Return the rows (height, 1 + row_bytes) of a zlib stream, filters first; None when it holds anything else."""
-    size, unpacker = height * (1 + row_bytes), zlib.decompressobj()
-    try:
-        rows = np.frombuffer(bytearray(unpacker.decompress(stream, size)), np.uint8)
-    except zlib.error:
-        return None
-    return rows.reshape(height, -1) if unpacker.eof and rows.size == size else None
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:

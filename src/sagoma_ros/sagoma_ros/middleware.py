@@ -1,4 +1,4 @@
-"""Settings of the middleware: bounds of what a node's process keeps, and whom a graph on several machines hears.
+"""What a process finds around it: bounds of what the middleware keeps, whom it hears, and files of packages.
 
 Environment variables are read when a process first touches ROS, and its children inherit them. Without the bounds, one
 message of 16 MiB on each topic costs a process hundreds of megabytes until it ends (docs/faults.md): ROS has Fast DDS
@@ -9,10 +9,12 @@ and glibc learns from large blocks that are freed to keep such blocks.
 from __future__ import annotations
 
 import ctypes
+import importlib.util
 import ipaddress
 import os
 from collections.abc import MutableMapping
 from pathlib import Path
+from typing import Any
 
 from capture_rig.errors import InputError
 
@@ -76,8 +78,6 @@ def use_peers(text: str, environment: MutableMapping[str, str] = os.environ) -> 
 
 def profile_file() -> Path:
     """Return our Fast DDS profile, in the share folder of an installed sagoma_bringup, or in the tree."""
-    from .names import package_path  # loads ROS
-
     return package_path("package://sagoma_bringup/config/dds/fastdds.xml").resolve()
 
 
@@ -87,3 +87,33 @@ def _address(word: str) -> str:
     except ValueError:
         remedy = "Write --peers ADDRESS,ADDRESS with the machines' IPv4 addresses, as 192.168.1.7."
         raise InputError(f"'{word}' is no IPv4 address", where="--peers", remedy=remedy) from None
+
+
+# files in the share folder of a package -------------------------------------------------------------------------------
+
+SCHEME = "package://"
+
+
+def resolve_packages(value: Any) -> Any:
+    """Return texts that begin with ``package://`` as paths (also those of a list), everything else as it is."""
+    if isinstance(value, list):
+        return [resolve_packages(one) for one in value]
+    return str(package_path(value)) if isinstance(value, str) and value.startswith(SCHEME) else value
+
+
+def package_path(uri: str) -> Path:
+    """Return the path of ``package://PACKAGE/FILE``: in the share folder of an installed package, else in its sources.
+
+    Raises InputError for a package that is not there.
+    """
+    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory  # loads ROS
+
+    package, _, file = uri.removeprefix(SCHEME).partition("/")
+    try:
+        return Path(get_package_share_directory(package)) / file
+    except (PackageNotFoundError, OSError, ValueError):  # not there, nothing sourced at all, no name of a package
+        found = importlib.util.find_spec(package) if package.isidentifier() else None
+    if found is None or found.origin is None:
+        remedy = "Source the workspace that has it, or give the file's path."
+        raise InputError(f"there is no package '{package}'", where=uri, remedy=remedy)
+    return Path(found.origin).parents[1] / file

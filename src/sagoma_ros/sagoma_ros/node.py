@@ -25,7 +25,7 @@ from capture_rig.errors import InputError
 from capture_rig.settings import Leaf, build_settings, leaves, setting
 
 from .health import ERROR, OK, NodeHealth
-from .names import resolve_packages
+from .middleware import resolve_packages
 
 T = TypeVar("T")
 

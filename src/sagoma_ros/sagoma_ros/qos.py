@@ -1,10 +1,13 @@
-"""Quality of service of every topic of the graph, in one place.
+"""Quality of service of every topic of the graph, and the name that the graph has for it, in one place.
 
 Publishers are reliable (REP-2003), so that recorders miss nothing; the live hull server listens best effort, because
 a lost silhouette costs one view of one frame set while a repeated one would delay them all, unless heartbeats come as
 often as our DDS profile has them (parameter resend, docs/hosts.md). Queues are bounded: a dead reader costs nothing.
 """
 
+from __future__ import annotations
+
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 DEPTH = 20  # below this, five cameras at 100 frames a second lose messages on a busy machine
@@ -25,3 +28,13 @@ LATCHED_BY_MANY = _profile(  # to hear every publisher's: depth 1 would keep the
     ReliabilityPolicy.RELIABLE, depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 TF = _profile(ReliabilityPolicy.RELIABLE, depth=100)  # as tf2_ros offers it
+
+
+def graph_topic(node: Node, topic: str) -> str:
+    """Return ``topic`` as the whole graph has it; a camera's node stands in a namespace of its own below the graph's.
+
+    "hull/thinning" for /studio/cam01/camera_client is "/studio/hull/thinning"; an absolute topic stays as it is.
+    """
+    if topic.startswith("/"):
+        return topic
+    return f"{node.get_namespace().rpartition('/')[0]}/{topic}"

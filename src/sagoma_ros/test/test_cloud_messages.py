@@ -20,10 +20,9 @@ from mocap_packets.fit import ReferencePoints
 from mocap_packets.hull import Centerline, ContourRays, VoxelSamples
 from mocap_packets.people import Predictions
 from mocap_packets.state import Prediction
-from sagoma_ros.clouds import from_cloud, to_cloud
-from sagoma_ros.joint_motion import predictions_message, read_predictions
 from sagoma_ros.messages import to_ns
-from sagoma_ros.packets import packet_cloud, read_packet, read_reference_points
+from sagoma_ros.packets import from_cloud, packet_cloud, read_packet, read_reference_points, to_cloud
+from sagoma_ros.poses import predictions_message, read_predictions
 from stick_figure.kinematics import stick_frames
 from stick_figure.pose import JOINT_NAMES, Pose
 from stick_figure.skeleton import PARENT

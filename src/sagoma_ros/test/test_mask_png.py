@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from sensor_msgs.msg import CompressedImage
 
 from capture_rig.mask_levels import BACKGROUND, CANDIDATE_LEVELS, FOREGROUND, LEVELS, SHADOW_CANDIDATE
 from sagoma_ros import mask_png
+from sagoma_ros.images import decode_silhouette
 from sagoma_ros.run_deflate import deflate, inflate, match_lengths, most_bytes, run_code
 
 mask_png.warm_up()
@@ -95,7 +97,10 @@ def test_stream_is_what_zlib_reads_and_no_longer_than_its_own_by_half(depth: int
 def test_files_of_former_versions_and_blank_and_full_masks_are_read(depth: int, width: int) -> None:
     mask = np.random.default_rng(width).choice(np.array(KINDS[depth], np.uint8), (5, width))
     mask[0, 0] = {1: FOREGROUND, 2: SHADOW_CANDIDATE, 4: LEVELS[1]}[depth]
-    assert np.array_equal(mask_png.decode(written_by_zlib(mask, depth), SHADOW_CANDIDATE), mask)
+    former = CompressedImage(data=written_by_zlib(mask, depth))
+    for candidates in (BACKGROUND, FOREGROUND, SHADOW_CANDIDATE):
+        read = decode_silhouette(former, width, 5, "test", candidates)
+        assert np.array_equal(read, mask_png.decode(mask_png.encode(mask), candidates))
     for level in (BACKGROUND, KINDS[depth][1], FOREGROUND):
         even = np.full((5, width), level, np.uint8)
         assert np.array_equal(mask_png.decode(mask_png.encode(even), SHADOW_CANDIDATE), even)

@@ -12,8 +12,9 @@ from rclpy.parameter import Parameter
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
-from sagoma_ros.names import graph_topic, package_path, resolve_packages
+from sagoma_ros.middleware import package_path, resolve_packages
 from sagoma_ros.node import declare_parameters, read_declared, read_parameters
+from sagoma_ros.qos import graph_topic
 
 if TYPE_CHECKING:
     from node_probe import Spinner

@@ -16,10 +16,10 @@ from std_msgs.msg import Float64MultiArray, String
 
 from capture_rig.errors import InputError
 from mocap_packets.hull import HullProducts
+from sagoma_ros.inputs import Worker
 from sagoma_ros.intra_process import Delivery, LazyPublisher, PacketPublisher, PacketSubscription
 from sagoma_ros.packets import HULL_PRODUCTS, tables_message
 from sagoma_ros.qos import LATCHED, RESULT
-from sagoma_ros.worker import Worker
 
 PATIENCE_S = 20.0
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from capture_rig.errors import InputError
-from capture_rig.number import PLAYING_SPEED, number
 from capture_rig.session import load_session
+from capture_rig.settings import PLAYING_SPEED, number
 from capture_rig.yaml_file import parse_value
 from sagoma_bringup.graph import ALL_CAMERAS, ONE_PROCESS, SERVER_LAYOUTS, NodeSpec, Role, apply_settings, build_graph
 from sagoma_bringup.launch_arguments import AUTO_START, STARTS, start_settings

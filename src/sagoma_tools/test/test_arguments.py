@@ -8,7 +8,7 @@ import pytest
 
 import virtual_studio.__main__ as rendering
 from capture_rig.errors import InputError
-from capture_rig.number import number
+from capture_rig.settings import number
 from sagoma_bringup.graph import Role, camera_node
 from sagoma_tools.arguments import in_step, start_instant_ns
 from sagoma_tools.cli import build_parser

@@ -15,7 +15,6 @@ from virtual_studio.people import VolumetricBody
 from virtual_studio.rendering.board_camera import (
     BoardCamera,
     FilmingCamera,
-    Optics,
     cast_board,
     exposure_poses,
     ideal_corners,
@@ -183,7 +182,7 @@ def test_exposure_has_as_many_moments_as_the_motion_asks_for_and_the_middle_is_o
 
 def test_the_same_frame_is_taken_again_bit_for_bit():
     path, sensor = carry(FLOOR, 20.0, 3), Sensor(3.0, 0.005, 1)
-    first, second = (FilmingCamera(CAMERA, 0, Optics(sensor)).take(5, FLOOR, path, 2.0) for _ in range(2))
+    first, second = (FilmingCamera(CAMERA, 0, sensor).take(5, FLOOR, path, 2.0) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 

@@ -109,14 +109,6 @@ def test_garbage_is_counted_and_an_unknown_command_is_answered_not_implemented(c
     assert camera.counters["malformed_commands"] == 2
 
 
-def test_slow_camera_says_pending_first(camera, client):
-    camera.faults.slow_control_ms = 50
-    first = client.ask(Command.DISCOVERY)
-    assert first.acknowledge == 0x89
-    assert gvcp_payloads.decode_words(first.payload)[0] == 550
-    assert client.receive().acknowledge == 3
-
-
 def test_unplugged_camera_is_silent_and_keeps_its_settings(camera, client):
     client.take_control()
     client.write(bootstrap.HEARTBEAT_TIMEOUT_MS, 60_000)

@@ -20,8 +20,7 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from gige_vision.gvcp import Command, DeviceRecord
 from virtual_studio.gige import Studio, StudioSettings, free_addresses
-from virtual_studio.gige.__main__ import main
-from virtual_studio.gige.command import request_from, speed_argument, write_rig_files
+from virtual_studio.gige.__main__ import main, request_from, speed_argument, write_rig_files
 from virtual_studio.gige.device import consecutive_addresses, is_free
 from virtual_studio.gige.loop import ask
 

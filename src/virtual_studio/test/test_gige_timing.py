@@ -66,15 +66,15 @@ def test_counter_of_slow_motion_counts_the_studio_s_seconds(now):
     assert clock.stamp(slow.now_ns()) - before == 2 * SECOND_NS
 
 
-def test_ptp_goes_through_listening_and_uncalibrated_to_slave_and_then_counts_tai(now):
+def test_ptp_goes_through_listening_to_slave_and_then_counts_tai(now):
     clock = CameraClock(CameraSettings(ptp_settle_s=1.0, ptp_offset_ns=50), Faults())
     assert clock.ptp_state == 3
     clock.enable_ptp(True)
     states = []
-    for ms in (100, 300, 500, 900, 1100):
+    for ms in (100, 900, 1100):
         now.ns = NOW_NS + ms * 1_000_000
         states.append(clock.ptp_state)
-    assert states == [4, 4, 8, 8, 9]
+    assert states == [4, 4, 9]
     assert abs(clock.stamp(now.ns) - now.ns - TAI_NS) <= 50
     clock.enable_ptp(False)
     assert clock.stamp(now.ns) < 10 * SECOND_NS

@@ -97,7 +97,7 @@ def test_same_seed_gives_the_same_bytes_of_every_frame(session_folder, tmp_path)
 def test_folder_of_someone_else_is_refused_and_left_alone(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "session.yaml").write_text("fps: 60\n")
-    with pytest.raises(InputError, match="not empty"):
+    with pytest.raises(InputError, match="not an empty folder"):
         write_session(tmp_path, **SETTINGS)
     assert (tmp_path / "notes.txt").read_text() == "mine"
     with pytest.raises(InputError, match=r"notes\.txt"):

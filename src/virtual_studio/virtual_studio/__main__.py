@@ -9,14 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from capture_rig.errors import InputError
-from capture_rig.number import FRAME_RATE, number
+from capture_rig.settings import FRAME_RATE, number
 from rig_calibration.boards.board import board_text, read_board
 from stick_figure.body import STATURES_M
 
 from .motions.catalogue import MOTIONS, MotionFunction
 from .motions.recorded import ReadingOptions, RecordedMotion, is_motion_file
 from .motions.together import TOGETHER
-from .people import OUTFITS, people_of_sizes, person_of
+from .people import OUTFITS, REFERENCE_STATURE_M, people_of_sizes, person_of
 from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
 from .recording.session import RenderSettings, write_scene, write_session
 from .rig import HEIGHT_PX, WIDTH_PX, ring
@@ -111,7 +111,9 @@ def _session_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--motion-up", default="y", help="the file's axis that points up")
     parser.add_argument("--motion-joints", type=Path, help="YAML that maps joints of the figure to the file's")
-    parser.add_argument("--stature", type=number("m", *STATURES_M), default=1.75, help="standing height, m")
+    parser.add_argument(
+        "--stature", type=number("m", *STATURES_M), default=REFERENCE_STATURE_M, help="standing height, m"
+    )
     parser.add_argument(
         "--build", type=PROPORTION, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy"
     )

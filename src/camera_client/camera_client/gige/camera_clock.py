@@ -13,11 +13,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
-from typing import Protocol
 
 from gige_vision import bootstrap
 
-from .features import DeviceRefusal
+from .features import DeviceAccess, DeviceRefusal
 
 MS, SECOND = 1_000_000, 1_000_000_000
 BUCKET_NS, BUCKETS = 250 * MS, 64  # the envelope: the least delayed frame of each quarter of a second, for 16 s
@@ -137,14 +136,6 @@ def _orientation(a: tuple[int, int], b: tuple[int, int], c: tuple[int, int]) -> 
 READINGS = 5
 
 
-class RegisterAccess(Protocol):
-    """A device's 32-bit registers; raises DeviceRefusal or DeviceSilence."""
-
-    def read_register(self, address: int) -> int: ...
-
-    def write_register(self, address: int, value: int) -> None: ...
-
-
 @dataclass(frozen=True)
 class ClockReading:
     """The camera's clock showed ``camera_ns`` within ``uncertainty_ns`` of the host's ``host_ns`` (UTC)."""
@@ -159,7 +150,7 @@ class ClockReading:
         return self.host_ns - self.camera_ns
 
 
-def read_clock(registers: RegisterAccess, host_clock: Callable[[], int]) -> ClockReading | None:
+def read_clock(registers: DeviceAccess, host_clock: Callable[[], int]) -> ClockReading | None:
     """Return the best of a few readings; None for a device without a clock that can be read.
 
     The clock is latched by a register write, so that the instant lies between command and acknowledge: the middle is
@@ -175,7 +166,7 @@ def read_clock(registers: RegisterAccess, host_clock: Callable[[], int]) -> Cloc
     return min(readings, key=lambda reading: reading.uncertainty_ns)
 
 
-def _read_once(registers: RegisterAccess, host_clock: Callable[[], int], ticks_a_second: int) -> ClockReading:
+def _read_once(registers: DeviceAccess, host_clock: Callable[[], int], ticks_a_second: int) -> ClockReading:
     before_ns = host_clock()
     registers.write_register(bootstrap.TIMESTAMP_CONTROL, bootstrap.TIMESTAMP_LATCH)
     after_ns = host_clock()
@@ -184,5 +175,5 @@ def _read_once(registers: RegisterAccess, host_clock: Callable[[], int], ticks_a
     return ClockReading(ticks * SECOND // ticks_a_second, before_ns + half_ns, half_ns + SECOND // ticks_a_second)
 
 
-def _long(registers: RegisterAccess, high: int, low: int) -> int:
+def _long(registers: DeviceAccess, high: int, low: int) -> int:
     return registers.read_register(high) << 32 | registers.read_register(low)

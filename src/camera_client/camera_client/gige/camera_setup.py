@@ -76,20 +76,20 @@ def _set_region(features: Features, settings: AravisSettings) -> None:
     if settings.binning > 0:
         for name in ("BinningHorizontal", "BinningVertical"):
             features.set(name, settings.binning, "aravis.binning")
-    for size, offset, wanted_size, wanted_offset in (
-        ("Width", "OffsetX", settings.width, settings.offset_x),
-        ("Height", "OffsetY", settings.height, settings.offset_y),
+    for size, offset, key, wanted_size, wanted_offset in (
+        ("Width", "OffsetX", "aravis.offset_x", settings.width, settings.offset_x),
+        ("Height", "OffsetY", "aravis.offset_y", settings.height, settings.offset_y),
     ):
         if wanted_size < 0 and wanted_offset < 0:
             continue
         if features.find(offset) is not None:
-            features.set(offset, 0, f"aravis.{_key(offset)}")
+            features.set(offset, 0, key)
         largest = _largest(features, size)
         if wanted_size >= 0:
             features.set(size, wanted_size or largest, f"aravis.{size.lower()}")
         left = largest - _integer(features, size)
         if features.find(offset) is not None and (wanted_offset > 0 or left > 0):
-            features.set(offset, left // 2 if wanted_offset < 0 else wanted_offset, f"aravis.{_key(offset)}")
+            features.set(offset, left // 2 if wanted_offset < 0 else wanted_offset, key)
 
 
 def _set_exposure(features: Features, settings: AravisSettings) -> None:
@@ -149,7 +149,3 @@ def _integer(features: Features, name: str) -> int:
     if value is None:
         raise InputError(f"does not tell its {name}", where=features.where, remedy="Use another camera.")
     return int(value)
-
-
-def _key(offset: str) -> str:
-    return {"OffsetX": "offset_x", "OffsetY": "offset_y"}[offset]

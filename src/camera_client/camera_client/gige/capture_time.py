@@ -5,7 +5,7 @@ Each strategy turns what a frame carries into the stamp of mid-exposure and a bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 from capture_rig.errors import InputError
@@ -43,7 +43,7 @@ class Stamp:
 
 
 class TimeSource(Protocol):
-    """Stamps the frames of one run, in the order of their arrival."""
+    """Stamps the frames of one run, in the order of their arrival; see :func:`after_last`."""
 
     @property
     def name(self) -> str:
@@ -57,19 +57,6 @@ class TimeSource(Protocol):
         """Return when the frame was exposed, and how far that may be off."""
 
 
-class _Increasing:
-    """Keeps stamps from going back, but for clocks that were set back: from then on they go with the clock."""
-
-    def __init__(self) -> None:
-        self._last_ns: int | None = None
-
-    def after_last(self, stamp_ns: int) -> int:
-        """Return ``stamp_ns``, or a nanosecond after the last one if that is later by less than a clock is set by."""
-        earlier = self._last_ns is not None and 0 <= self._last_ns - stamp_ns < TIME_JUMP_NS
-        self._last_ns = self._last_ns + 1 if earlier and self._last_ns is not None else stamp_ns
-        return self._last_ns
-
-
 class ArrivalTime:
     """The host's clock at the first packet, less half the exposure: cameras send once the exposure is over.
 
@@ -80,11 +67,11 @@ class ArrivalTime:
 
     def __init__(self) -> None:
         self.jumps = 0
-        self._increasing = _Increasing()
 
     def stamp(self, times: FrameTimes) -> Stamp:
-        stamp_ns = self._increasing.after_last(times.arrival_ns - times.exposure_ns // 2)
-        return Stamp(stamp_ns, times.exposure_ns // 2 + ARRIVAL_UNCERTAINTY_NS, self.name)
+        return Stamp(
+            times.arrival_ns - times.exposure_ns // 2, times.exposure_ns // 2 + ARRIVAL_UNCERTAINTY_NS, self.name
+        )
 
 
 class CameraTime:
@@ -104,7 +91,6 @@ class CameraTime:
         self._reading, self._camera_stamps = reading, camera_stamps
         self._clock = CameraClock()
         self._delay_ns: int | None = None
-        self._increasing = _Increasing()
 
     @property
     def jumps(self) -> int:
@@ -121,8 +107,8 @@ class CameraTime:
             unsure_ns += UNSEEN_DELAY_NS
         else:
             unsure_ns += round(USUAL_DRIFT * self._clock.span_ns)
-        stamp_ns = self._increasing.after_last(host_ns - delay_ns + to_middle_ns)
-        return Stamp(stamp_ns, unsure_ns + round(2 * self._clock.spread_ns), self.name)
+        unsure_ns += round(2 * self._clock.spread_ns)
+        return Stamp(host_ns - delay_ns + to_middle_ns, unsure_ns, self.name)
 
     def _smallest_delay(self, times: FrameTimes) -> int:
         """From the instant that the camera stamps to the arrival of the least delayed frame."""
@@ -149,7 +135,6 @@ class PtpTime:
         self._ahead_ns, self._camera_stamps = tai_utc_offset_s * SECOND, camera_stamps
         self._uncertainty_ns, self._fallback = uncertainty_ns, fallback
         self._in_step = True
-        self._increasing = _Increasing()
         self.jumps = 0
 
     def stamp(self, times: FrameTimes) -> Stamp:
@@ -158,8 +143,12 @@ class PtpTime:
         in_step = abs(taken_ns - mapped.ns) <= PTP_TOLERANCE_NS
         self.jumps += self._in_step and not in_step
         self._in_step = in_step
-        stamp = Stamp(taken_ns, self._uncertainty_ns, self.name) if in_step else mapped
-        return replace(stamp, ns=self._increasing.after_last(stamp.ns))
+        return Stamp(taken_ns, self._uncertainty_ns, self.name) if in_step else mapped
+
+
+def after_last(stamp_ns: int, last_ns: int) -> int:
+    """Return ``stamp_ns``, or a nanosecond after the last one if that is later by less than a clock is set by."""
+    return last_ns + 1 if 0 <= last_ns - stamp_ns < TIME_JUMP_NS else stamp_ns
 
 
 def choose_time_source(

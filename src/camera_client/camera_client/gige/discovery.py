@@ -5,15 +5,15 @@ Aravis's own discovery broadcasts on every interface of the machine, the office 
 
 from __future__ import annotations
 
-import fcntl
 import ipaddress
 import os
 import socket
 import stat
-import struct
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+
+import psutil
 
 from capture_rig.errors import InputError
 from gige_vision.gvcp import (
@@ -27,11 +27,11 @@ from gige_vision.gvcp import (
 )
 
 from ..frame_source import SourceUnavailable
+from ..settings import AravisSettings
 
 DISCOVERY = CommandPacket(Command.DISCOVERY)
 ANSWER_TIMEOUT_S, ATTEMPTS = 0.3, 3
-# Thresholds: judgement, no measurement.
-LISTEN_S = 0.5  # to a broadcast's answers: the standard gives a device up to 1 s, those we met took milliseconds
+LISTEN_S = ATTEMPTS * ANSWER_TIMEOUT_S  # to a broadcast's answers: the standard gives a device up to 1 s
 BROADCAST = "255.255.255.255"
 
 
@@ -43,25 +43,14 @@ class FoundCamera:
     host: str
 
 
-@dataclass(frozen=True)
-class CameraSelector:
-    """Which camera: at an address, or with a serial number or user-defined name on an interface; "" is any.
-
-    ``interface``: names or own addresses of interfaces, separated by commas.
-    """
-
-    address: str = ""
-    serial: str = ""
-    user_id: str = ""
-    interface: str = ""
-
-    def __str__(self) -> str:
-        named = {"serial": self.serial, "user id": self.user_id}
-        words = [f"{name} {value}" for name, value in named.items() if value]
-        return "camera " + (self.address or " and ".join(words) or "(not chosen)")
+def described(wanted: AravisSettings) -> str:
+    """Return which camera is wanted, in words: the one at an address, or with a serial number or user-defined name."""
+    named = {"serial": wanted.serial, "user id": wanted.user_id}
+    words = [f"{name} {value}" for name, value in named.items() if value]
+    return "camera " + (wanted.address or " and ".join(words) or "(not chosen)")
 
 
-def find_camera(wanted: CameraSelector) -> FoundCamera:
+def find_camera(wanted: AravisSettings) -> FoundCamera:
     """Return the one camera that is ``wanted``.
 
     With an address, the discovery command goes to this address alone. Without, it is broadcast on the interfaces named,
@@ -152,7 +141,7 @@ def select_interfaces(names: str) -> tuple[Interface, ...]:
 
 
 def _single_match(
-    answers: list[tuple[Interface, DeviceRecord]], wanted: CameraSelector, searched: tuple[Interface, ...]
+    answers: list[tuple[Interface, DeviceRecord]], wanted: AravisSettings, searched: tuple[Interface, ...]
 ) -> FoundCamera:
     fitting = [(link, device) for link, device in answers if _fits(device, wanted)]
     on = ", ".join(map(str, searched))
@@ -160,37 +149,37 @@ def _single_match(
         others = ", ".join(_named(device) for _, device in answers) or "no camera"
         raise SourceUnavailable(
             f"does not answer on {on}; {others} did",
-            where=str(wanted),
+            where=described(wanted),
             remedy="Check power and cable, and the serial number or user id.",
         )
     link, device = fitting[0]
     if any(other.mac != device.mac for _, other in fitting):
         raise InputError(
             f"is not one camera but {len(fitting)} on {on}: {', '.join(_named(d) for _, d in fitting)}",
-            where=str(wanted),
+            where=described(wanted),
             remedy="Choose by aravis.serial or aravis.address.",
         )
     reachable = [other for other, _ in fitting if ipaddress.IPv4Address(device.address) in other.address.network]
     if not reachable:
         raise InputError(
             f"answers on {link}, but its own address {device.address}/{device.subnet_mask} is in another subnet",
-            where=str(wanted),
+            where=described(wanted),
             remedy=f"Give the camera a free address in {link.address.network} (its maker's IP tool, or DHCP), or this "
             "interface one in the camera's subnet.",
         )
     return FoundCamera(device, reachable[0].host)
 
 
-def _verify(device: DeviceRecord, wanted: CameraSelector) -> None:
+def _verify(device: DeviceRecord, wanted: AravisSettings) -> None:
     if not _fits(device, wanted):
         raise InputError(
             f"is {_named(device)}, not serial {wanted.serial or '(any)'} and user id {wanted.user_id or '(any)'}",
-            where=str(wanted),
+            where=described(wanted),
             remedy="Correct aravis.address, or aravis.serial and aravis.user_id.",
         )
 
 
-def _fits(device: DeviceRecord, wanted: CameraSelector) -> bool:
+def _fits(device: DeviceRecord, wanted: AravisSettings) -> bool:
     return (not wanted.serial or device.serial == wanted.serial) and (
         not wanted.user_id or device.user_id == wanted.user_id
     )
@@ -248,9 +237,6 @@ def _record(packet: bytes) -> DeviceRecord | None:
 
 # --- the host's side: network interfaces, and a receive buffer that is large enough to stream through
 
-_SIOCGIFADDR, _SIOCGIFNETMASK = 0x8915, 0x891B
-_IFREQ = struct.Struct("256s")
-
 
 @dataclass(frozen=True)
 class Interface:
@@ -270,19 +256,10 @@ class Interface:
 def interfaces() -> tuple[Interface, ...]:
     """Return this machine's interfaces that have an IPv4 address."""
     found = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
-        for _, name in socket.if_nameindex():
-            try:
-                address, mask = (_interface_address(any_socket, what, name) for what in (_SIOCGIFADDR, _SIOCGIFNETMASK))
-            except OSError:  # it has none
-                continue
-            found.append(Interface(name, ipaddress.IPv4Interface(f"{address}/{mask}")))
+    for name, entries in psutil.net_if_addrs().items():
+        for entry in [entry for entry in entries if entry.family == socket.AF_INET][:1]:
+            found.append(Interface(name, ipaddress.IPv4Interface(f"{entry.address}/{entry.netmask or 32}")))
     return tuple(found)
-
-
-def _interface_address(any_socket: socket.socket, what: int, name: str) -> str:
-    answer = fcntl.ioctl(any_socket.fileno(), what, _IFREQ.pack(name.encode()))
-    return socket.inet_ntoa(answer[20:24])
 
 
 def enlarge_receive_buffer(port: int, wanted_bytes: int) -> str:

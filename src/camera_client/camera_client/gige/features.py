@@ -37,8 +37,8 @@ class Kind(Enum):
     COMMAND = "command"
 
 
-class FeatureAccess(Protocol):
-    """A device's features by their exact names.
+class DeviceAccess(Protocol):
+    """A device's features by their exact names, and its 32-bit registers.
 
     Every method may raise DeviceSilence when the device does not answer, and DeviceRefusal when it refuses.
     """
@@ -61,6 +61,10 @@ class FeatureAccess(Protocol):
     def choices(self, name: str) -> tuple[str, ...]:
         """Return the entries of an enumeration that are to be had now."""
 
+    def read_register(self, address: int) -> int: ...
+
+    def write_register(self, address: int, value: int) -> None: ...
+
 
 class Features:
     """Features of one device by any generation's name, with every write checked.
@@ -68,7 +72,7 @@ class Features:
     ``where`` begins every error: which camera this is.
     """
 
-    def __init__(self, access: FeatureAccess, where: str) -> None:
+    def __init__(self, access: DeviceAccess, where: str) -> None:
         self.access, self.where = access, where
 
     def find(self, name: str) -> str | None:

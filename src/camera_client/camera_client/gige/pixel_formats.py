@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from capture_rig.kernel import kernel
+from gige_vision.gvsp import PixelFormat
 
 from ..frame_source import Image
 
@@ -24,11 +25,8 @@ Convert = Callable[[Bytes, int, int], Image]
 
 @dataclass(frozen=True)
 class Layout:
-    """How a format lies in memory: bits that one pixel takes, whether it has colour, and how it becomes an image, or,
-    of a mosaic, one at half of the size."""
+    """How a frame of a format becomes an image, or, of a mosaic, one at half of the size."""
 
-    bits_per_pixel: int
-    colour: bool
     convert: Convert
     halve: Convert | None = None
 
@@ -101,7 +99,7 @@ def _bayer(code: int, red_row: int, red_column: int) -> Layout:
         halve_mosaic(raw.reshape(height, width), red_row, red_column, image)
         return image
 
-    return Layout(8, True, _opencv(code, 1), halve)
+    return Layout(_opencv(code, 1), halve)
 
 
 @kernel
@@ -126,17 +124,17 @@ LAYOUTS: dict[str, Layout] = {
     "BayerGR8": _bayer(cv2.COLOR_BayerGB2BGR, 0, 1),
     "BayerGB8": _bayer(cv2.COLOR_BayerGR2BGR, 1, 0),
     "BayerBG8": _bayer(cv2.COLOR_BayerRG2BGR, 1, 1),
-    "YUV422_8": Layout(16, True, _yuv422(luma=0, blue=1, red=3)),
-    "YUV422_8_UYVY": Layout(16, True, _yuv422(luma=1, blue=0, red=2)),
-    "BGR8": Layout(24, True, _opencv(None, 3)),
-    "RGB8": Layout(24, True, _opencv(cv2.COLOR_RGB2BGR, 3)),
-    "Mono8": Layout(8, False, _mono8),
-    "Mono10p": Layout(10, False, _row_of_bits(10, 4)),
-    "Mono12p": Layout(12, False, _row_of_bits(12, 2)),
-    "Mono10Packed": Layout(12, False, _packed),
-    "Mono12Packed": Layout(12, False, _packed),
-    "Mono10": Layout(16, False, _upper_byte_of(10)),
-    "Mono12": Layout(16, False, _upper_byte_of(12)),
+    "YUV422_8": Layout(_yuv422(luma=0, blue=1, red=3)),
+    "YUV422_8_UYVY": Layout(_yuv422(luma=1, blue=0, red=2)),
+    "BGR8": Layout(_opencv(None, 3)),
+    "RGB8": Layout(_opencv(cv2.COLOR_RGB2BGR, 3)),
+    "Mono8": Layout(_mono8),
+    "Mono10p": Layout(_row_of_bits(10, 4)),
+    "Mono12p": Layout(_row_of_bits(12, 2)),
+    "Mono10Packed": Layout(_packed),
+    "Mono12Packed": Layout(_packed),
+    "Mono10": Layout(_upper_byte_of(10)),
+    "Mono12": Layout(_upper_byte_of(12)),
 }
 _OLD_NAMES = {
     "BGR8Packed": "BGR8",
@@ -158,7 +156,7 @@ def choose_format(available: list[str], channels: str) -> str | None:
     ``channels``: "mono", "colour", or "auto" for either (colour first). Fewer bytes a pixel come before more.
     """
     spelled = {standard_name(name): name for name in reversed(available)}
-    fits = (name for name, layout in LAYOUTS.items() if channels == "auto" or layout.colour == (channels == "colour"))
+    fits = (n for n in LAYOUTS if channels == "auto" or PixelFormat[n].is_colour == (channels == "colour"))
     return next((spelled[name] for name in fits if name in spelled), None)
 
 
@@ -176,12 +174,7 @@ def image_shape(name: str, width: int, height: int, halved: bool = False) -> tup
     """Shape of the converted image: (H, W), or (H, W, 3) for colour; ``halved``: of a mosaic, at half of the size."""
     if halved:
         return height // 2, width // 2, 3
-    return (height, width, 3) if LAYOUTS[standard_name(name)].colour else (height, width)
-
-
-def image_bytes(name: str, width: int, height: int) -> int:
-    """Bytes that one frame takes; an image that ends within a byte fills it up."""
-    return -(-LAYOUTS[standard_name(name)].bits_per_pixel * width * height // 8)
+    return (height, width, 3) if PixelFormat[standard_name(name)].is_colour else (height, width)
 
 
 def to_image(data: bytes | Bytes, name: str, width: int, height: int, halved: bool = False) -> Image:
@@ -189,7 +182,7 @@ def to_image(data: bytes | Bytes, name: str, width: int, height: int, halved: bo
 
     ``halved``: of a mosaic, (H / 2, W / 2, 3). Raises ValueError when the bytes are too few.
     """
-    size = image_bytes(name, width, height)
+    size = PixelFormat[standard_name(name)].image_bytes(width, height)
     if len(data) < size:
         raise ValueError(f"{len(data)} bytes are too few for {width} x {height} {name}")
     raw = data[:size] if isinstance(data, np.ndarray) else np.frombuffer(data, np.uint8, size)

@@ -17,8 +17,8 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
-from capture_rig.region import may_be_halved, of_shape
 from capture_rig.rig import Volume
+from capture_rig.visibility import may_be_halved, of_shape
 from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
 from ..alignment import PictureAlignment

@@ -12,7 +12,7 @@ ERROR_DOMAIN = "arv-device-error-quark"
 
 
 class AravisFeatures:
-    """FeatureAccess and RegisterAccess of an Aravis.Device; ``Aravis`` and ``GLib`` are the modules.
+    """DeviceAccess of an Aravis.Device; ``Aravis`` and ``GLib`` are the modules.
 
     Bounds and increments that a device does not describe are None.
     """
@@ -39,18 +39,11 @@ class AravisFeatures:
             return self._kinds[name] if self._device.is_feature_available(name) else None
 
     def read(self, name: str) -> Value:
-        d, kind = self._device, self.kind(name)
-        readers: dict[Kind | None, Callable[[str], Value]] = {
-            Kind.BOOLEAN: d.get_boolean_feature_value,
-            Kind.INTEGER: d.get_integer_feature_value,
-            Kind.FLOAT: d.get_float_feature_value,
-            Kind.ENUMERATION: d.get_string_feature_value,
-            Kind.STRING: d.get_string_feature_value,
-        }
-        if kind not in readers:
+        read = self._method("get_{}_feature_value", name)
+        if read is None:
             raise DeviceRefusal(f"{name} cannot be read")
         with self._errors():
-            return readers[kind](name)
+            return read(name)
 
     def code(self, name: str) -> int:
         """Return the number behind an enumeration's entry."""
@@ -58,35 +51,22 @@ class AravisFeatures:
             return self._device.get_integer_feature_value(name)
 
     def write(self, name: str, value: Value) -> None:
-        d, kind = self._device, self.kind(name)
-        writers: dict[Kind | None, Callable[[str, Any], None]] = {
-            Kind.BOOLEAN: d.set_boolean_feature_value,
-            Kind.INTEGER: d.set_integer_feature_value,
-            Kind.FLOAT: d.set_float_feature_value,
-            Kind.ENUMERATION: d.set_string_feature_value,
-            Kind.STRING: d.set_string_feature_value,
-        }
-        if kind not in writers:
+        write = self._method("set_{}_feature_value", name)
+        if write is None:
             raise DeviceRefusal(f"{name} cannot be written")
         with self._errors():
-            writers[kind](name, value)
+            write(name, value)
 
     def execute(self, name: str) -> None:
         with self._errors():
             self._device.execute_command(name)
 
     def limits(self, name: str) -> tuple[float, float] | None:
-        d, kind = self._device, self.kind(name)
-        bounds: Any = {Kind.INTEGER: d.get_integer_feature_bounds, Kind.FLOAT: d.get_float_feature_bounds}.get(
-            kind or Kind.COMMAND
-        )
+        bounds = self._method("get_{}_feature_bounds", name, Kind.INTEGER, Kind.FLOAT)
         return None if bounds is None else self._described(lambda: tuple(bounds(name)))
 
     def step(self, name: str) -> float | None:
-        d, kind = self._device, self.kind(name)
-        step: Any = {Kind.INTEGER: d.get_integer_feature_increment, Kind.FLOAT: d.get_float_feature_increment}.get(
-            kind or Kind.COMMAND
-        )
+        step = self._method("get_{}_feature_increment", name, Kind.INTEGER, Kind.FLOAT)
         value = None if step is None else self._described(lambda: step(name))
         return value if value is not None and 0 < value < 1e12 else None  # Aravis gives the least double for "none"
 
@@ -101,6 +81,13 @@ class AravisFeatures:
     def write_register(self, address: int, value: int) -> None:
         with self._errors():
             self._device.write_register(address, value)
+
+    def _method(self, method: str, name: str, *kinds: Kind) -> Callable[..., Any] | None:
+        """Return the device's method for what a feature holds (by default: any value); None where it is of no kind."""
+        kind = self.kind(name)
+        if kind is None or kind not in (kinds or set(Kind) - {Kind.COMMAND}):
+            return None
+        return getattr(self._device, method.format("string" if kind is Kind.ENUMERATION else kind.value))
 
     def _described(self, ask: Callable[[], Any]) -> Any:
         """Return what ``ask`` gives; None where the device's description has no such thing."""

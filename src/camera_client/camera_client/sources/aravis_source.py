@@ -20,8 +20,8 @@ from gige_vision import bootstrap
 from ..frame_source import Frame, FrameSource, SourceUnavailable
 from ..gige.camera_clock import ClockReading, read_clock
 from ..gige.camera_setup import CameraSetup, set_up_camera
-from ..gige.capture_time import PTP_IN_STEP, FrameTimes, TimeSource, choose_time_source
-from ..gige.discovery import CameraSelector, FoundCamera, find_camera
+from ..gige.capture_time import PTP_IN_STEP, FrameTimes, TimeSource, after_last, choose_time_source
+from ..gige.discovery import FoundCamera, described, find_camera
 from ..gige.features import DeviceRefusal, DeviceSilence, Features
 from ..gige.pixel_formats import can_be_halved, image_shape
 from ..gige.triggers import ActionSender, TriggerSchedule, TriggerThread, enable_ptp, ptp_status, synchronise
@@ -61,7 +61,6 @@ class AravisSource(FrameSource):
         super().__init__()
         self._settings, self._channels, self._halve_mosaics = settings, channels, halve_mosaics
         self._clock = CaptureClock(settings.clock_speed)
-        self._wanted = CameraSelector(settings.address, settings.serial, settings.user_id, settings.interface)
         self._found: FoundCamera | None = None
         self._camera: Any = None
         self._device: Any = None
@@ -76,6 +75,7 @@ class AravisSource(FrameSource):
         self._time: TimeSource | None = None
         self._streaming = False
         self._lost = False
+        self._last_stamp_ns = 0
         self._details: dict[str, str] = {}
         # all names at once, so that the dictionary can be read on other threads
         own = {"software": TRIGGER_COUNTERS, "action": (*ACTION_COUNTERS, "triggers_missed")}.get(settings.sync, ())
@@ -86,7 +86,7 @@ class AravisSource(FrameSource):
     def connect(self) -> None:
         self._Aravis, self._Gio, self._GLib = import_aravis()
         try:
-            self._found = find_camera(self._wanted)
+            self._found = find_camera(self._settings)
             with self._device_errors("while it was set up"):
                 self._open(self._found)
                 assert self._features is not None
@@ -108,7 +108,7 @@ class AravisSource(FrameSource):
             return
         with self._device_errors("when it was started"):
             reading = read_clock(self._registers, self._clock.now_ns)
-            self._time = self._time_source(self._features, reading)
+            self._time, self._last_stamp_ns = self._time_source(self._features, reading), 0
             self._stream.restart()
             self._camera.start_acquisition()
         self._streaming = True
@@ -125,7 +125,8 @@ class AravisSource(FrameSource):
         arrival_ns = self._clock.at_utc(grabbed.arrival_ns)
         stamp = time_source.stamp(FrameTimes(grabbed.camera_ns, arrival_ns, grabbed.exposure_ns))
         self.counters["stamp_jumps"] = time_source.jumps
-        return Frame(grabbed.image, stamp.ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
+        self._last_stamp_ns = after_last(stamp.ns, self._last_stamp_ns)
+        return Frame(grabbed.image, self._last_stamp_ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
 
     def stop(self) -> None:
         if not self._streaming:
@@ -162,7 +163,7 @@ class AravisSource(FrameSource):
 
     @property
     def description(self) -> str:
-        return str(self._wanted)
+        return described(self._settings)
 
     @property
     def details(self) -> dict[str, str]:

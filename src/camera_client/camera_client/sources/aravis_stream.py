@@ -10,17 +10,17 @@ import numpy as np
 
 from capture_rig.errors import InputError
 from gige_vision import bootstrap
+from gige_vision.gvsp import PixelFormat
 
-from ..frame_source import FrameStatistics, Image
+from ..frame_source import REPORT_PERIOD_S, FrameStatistics, Image
 from ..gige.camera_clock import SECOND
 from ..gige.camera_setup import CameraSetup
 from ..gige.discovery import enlarge_receive_buffer
 from ..gige.features import spellings
-from ..gige.pixel_formats import image_bytes, to_image
+from ..gige.pixel_formats import to_image
 from ..settings import AravisSettings
 
 FIRST_ID = 1  # GigE Vision: block ids begin at 1, 0 is reserved
-COUNTER_PERIOD_S = 0.25
 US_TO_NS = 1000
 # Thresholds: measured by python bench/camera.py --loss 0 0.0005 0.005.
 FIRST_PACKET_TIMEOUT_US = 1000  # a missing packet is asked for after this
@@ -70,7 +70,7 @@ class AravisStream:
         self._device = camera.get_device()
         self._format_code = camera.get_pixel_format()
         self._exposure_ns = round((setup.exposure_us or 0.0) * US_TO_NS)
-        self._image_bytes = image_bytes(setup.pixel_format, setup.width, setup.height)
+        self._image_bytes = PixelFormat[setup.pixel_format].image_bytes(setup.width, setup.height)
         self._chunks = camera.create_chunk_parser() if setup.chunks else None
         self._ticks_per_second = self._device.get_timestamp_tick_frequency() or SECOND
         self._exposure_chunk = self._chunk_name("ExposureTime")
@@ -104,11 +104,11 @@ class AravisStream:
             self._give_back(buffer)
 
     def update_counters(self, counters: dict[str, int], now: bool = False) -> None:
-        """Write all counts into ``counters``; four times a second at most, unless ``now``."""
+        """Write all counts into ``counters``; once in REPORT_PERIOD_S at most, unless ``now``."""
         now_s = time.monotonic()
         if not now and now_s < self._next_update_s:
             return
-        self._next_update_s = now_s + COUNTER_PERIOD_S
+        self._next_update_s = now_s + REPORT_PERIOD_S
         for info, name in self._infos.items():
             self._counts[name] = self._stream.get_info_uint64_by_name(info)
         counters.update(self._counts)

@@ -11,7 +11,6 @@ from capture_rig.errors import InputError
 
 from ..frame_source import POLL_S, EndOfFootage, Frame, FrameSource
 
-READ_TIMEOUT_S = 0.2
 STOP_TIMEOUT_S = 10.0
 
 
@@ -92,7 +91,7 @@ class GrabLoop:
                 return
 
     def _step(self) -> None:
-        frame = self._source.read(READ_TIMEOUT_S)
+        frame = self._source.read(POLL_S)
         if frame is None:
             return
         self.frames += 1

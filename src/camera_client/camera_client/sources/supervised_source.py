@@ -30,7 +30,6 @@ from ..settings import SupervisionSettings
 # Thresholds: judgement, no measurement.
 CONNECT_WAIT_S = 5.0  # at configure: a camera that is there is set up within this, unless it waits for PTP
 START_S = 2.0  # a living camera starts within this
-STOP_S = 0.5  # ... stops within this
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.25, 2.0  # the pauses after attempts that fail double from one to the other
 ROUNDING_S = 1e-3
 
@@ -129,7 +128,7 @@ class SupervisedSource(FrameSource):
         if source is None or self._state is not ConnectionState.STREAMING:
             return
         stopping = in_background(source.stop)
-        if is_over(stopping, STOP_S):
+        if is_over(stopping, RELEASE_S):
             self._state = ConnectionState.CONNECTED
         else:
             self._release(after=stopping)

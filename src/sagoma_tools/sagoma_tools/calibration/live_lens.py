@@ -31,9 +31,9 @@ from rig_calibration.intrinsics.coverage import Coverage
 from rig_calibration.intrinsics.result import Intrinsics
 from rig_calibration.intrinsics.selection import BoardImageProcessor, ImageResult, ViewCollector
 from sagoma_ros.images import camera_info_message, decode_image, preview_message
+from sagoma_ros.inputs import Worker
 from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
-from sagoma_ros.worker import Worker
 
 from ..console import LOG_EVERY_S, REFRESH_S
 from ..graph.ros_link import DISCOVERY_S, RosLink, call_all

@@ -26,9 +26,9 @@ from rig_calibration.boards.detector import find_board
 from rig_calibration.extrinsics.calibrate import MOVING
 from rig_calibration.extrinsics.carried_board import ENOUGH_SHARED, MotionProgress, motion_progress
 from sagoma_ros.images import decode_image
+from sagoma_ros.inputs import Worker
 from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
-from sagoma_ros.worker import Worker
 
 from ..graph.ros_link import DISCOVERY_S, PATIENCE_S, settled
 from .live_lens import reports

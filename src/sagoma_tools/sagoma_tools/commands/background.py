@@ -27,8 +27,8 @@ from camera_client.background.verdict import find_regions, judge_background, tur
 from camera_client.sources.footage_reader import VideoReader
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder, write_bytes
-from capture_rig.number import SECONDS, number
 from capture_rig.session import load_session
+from capture_rig.settings import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 

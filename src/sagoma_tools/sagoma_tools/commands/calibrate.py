@@ -12,7 +12,7 @@ from rich.console import Console
 
 from capture_rig.errors import InputError
 from capture_rig.lens import COEFFICIENTS
-from capture_rig.number import SECONDS, number
+from capture_rig.settings import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
 from rig_calibration.boards.board import board_text, read_board

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from capture_rig.number import FRAME_RATE, PLAYING_SPEED
 from capture_rig.session import load_session
+from capture_rig.settings import FRAME_RATE, PLAYING_SPEED
 from capture_rig.stop_signals import StopOnSignal
 from stick_figure.body import Body
-from virtual_studio.gige.command import speed_argument
+from virtual_studio.gige.__main__ import speed_argument
 from virtual_studio.recording.session import write_session
 from virtual_studio.rig import ring
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from capture_rig.errors import InputError
-from capture_rig.number import number
 from capture_rig.rig import load_rig, save_rig
+from capture_rig.settings import number
 from capture_rig.stop_signals import StopOnSignal
 
 from ..console import command_console, doing, until_stopped

@@ -18,11 +18,11 @@ from rich.console import Console
 from rich.live import Live
 
 from capture_rig.errors import InputError
-from capture_rig.number import SECONDS, number
 from capture_rig.rig import load_rig
+from capture_rig.settings import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
-from virtual_studio.gige import command as studio
+from virtual_studio.gige import __main__ as studio
 
 from ..arguments import (
     NODES,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from capture_rig.number import number
+from capture_rig.settings import number
 
 from ..console import command_console, doing
 from ..importers import biocv, image_bag

@@ -8,8 +8,8 @@ import threading
 from pathlib import Path
 
 from capture_rig.errors import InputError
-from capture_rig.number import SECONDS, number
 from capture_rig.rig import load_rig
+from capture_rig.settings import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
 
 from ..arguments import add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings

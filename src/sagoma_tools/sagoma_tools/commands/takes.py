@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.text import Text
 
 from capture_rig.errors import InputError
-from capture_rig.number import FRAME_RATE, SECONDS, number
+from capture_rig.settings import FRAME_RATE, SECONDS, number
 from ekf_tracker.rep155 import body_id_of, human_urdf
 from ekf_tracker.urdf import body_urdf
 from mocap_packets.fit import FIRST_PERSON

@@ -21,13 +21,13 @@ from camera_client.settings import AravisSettings, CameraClientSettings
 from camera_client.sources.aravis_source import AravisSource
 from camera_client.sources.footage_reader import open_footage
 from capture_rig.errors import InputError
-from capture_rig.region import of_shape
 from capture_rig.settings import build_settings
+from capture_rig.visibility import of_shape
 from gige_vision import bootstrap
 from gige_vision.gvcp import PORT, AcknowledgePacket, Command, CommandPacket, DeviceRecord, MalformedPacket
-from gige_vision.pixel_formats import PixelFormat
+from gige_vision.gvsp import PixelFormat
 from sagoma_bringup.graph import camera_from_file
-from sagoma_ros.names import resolve_packages
+from sagoma_ros.middleware import resolve_packages
 
 from .findings import Finding, about, error, graded, note, ok, warning
 from .machine import Interface, check_buffer, examine_node_host, interface_to

@@ -17,11 +17,11 @@ from capture_rig.camera import CameraModel
 from capture_rig.camera_info_file import load_camera_info
 from capture_rig.errors import InputError
 from capture_rig.lens import is_fisheye
-from capture_rig.region import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
 from capture_rig.rig import Rig, load_rig
 from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES, find_footage, stated_rate
 from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video import VideoFacts, examine_video, session_findings
+from capture_rig.visibility import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 

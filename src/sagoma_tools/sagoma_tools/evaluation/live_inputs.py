@@ -25,7 +25,7 @@ from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_bringup.graph import NodeSpec, build_graph
 from sagoma_ros.messages import THINNING_TOPIC, read_thinning
 from sagoma_ros.qos import LATCHED
-from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
+from virtual_studio.gige.__main__ import CAMERA_FOLDER, RIG_FILE
 from virtual_studio.gige.device import consecutive_addresses, is_free
 from virtual_studio.gige.loop import ask
 

@@ -10,13 +10,9 @@ x_camera = R x_world + T; the world is Vicon's, z up.
 
 from __future__ import annotations
 
-import csv
-import os
 import re
-import shutil
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,33 +25,13 @@ from capture_rig.errors import InputError
 from capture_rig.files import read_text
 from capture_rig.rig import FLOOR_MARGIN_M, Volume
 from capture_rig.rigid import nearest_rotation
+from capture_rig.session import write_table
 from capture_rig.yaml_file import save_mapping
 
 from ..recording.writer import own_version
 
 SIDE_MARGIN_M, TOP_MARGIN_M = 0.4, 0.3
 """From the outermost markers to the sides of the capture volume: body surface and hands lie beyond them."""
-
-
-@contextmanager
-def new_session_folder(folder: str | Path) -> Iterator[Path]:
-    """An empty folder beside ``folder`` to write into; it becomes ``folder`` when the block ends without an error.
-
-    Raises InputError when ``folder`` exists and is not empty.
-    """
-    folder = Path(folder)
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        remedy = "Give the path of a new folder, or remove this one yourself."
-        raise InputError("exists and is not an empty folder", where=str(folder), remedy=remedy)
-    partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
-    partial.mkdir(parents=True)
-    try:
-        yield partial
-        if folder.exists():
-            folder.rmdir()
-        partial.rename(folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
 
 
 def volume_around(points_world: np.ndarray) -> Volume:
@@ -74,15 +50,6 @@ def write_truth_file(path: Path, frames: np.ndarray, points_world: Mapping[str, 
     """
     names = [f"{name}_{axis}" for name in points_world for axis in "xyz"]
     write_table(path, names, frames, np.hstack(list(points_world.values())), 6)
-
-
-def write_table(path: Path, names: Sequence[str], frames: np.ndarray, values: np.ndarray, digits: int) -> None:
-    """Write a row a frame, its number (F,), then the values (F, n) called ``names``; what is not finite stays empty."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["frame", *names])
-        for frame, row in zip(frames, values, strict=True):
-            writer.writerow([int(frame), *(f"{value:.{digits}f}" if np.isfinite(value) else "" for value in row)])
 
 
 def save_description(folder: Path, fps: float, source: str, kind: str, **more: Any) -> None:

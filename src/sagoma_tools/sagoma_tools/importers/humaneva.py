@@ -14,6 +14,7 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, Volume, default_volume, save_rig
 from capture_rig.video import Video
 
@@ -24,7 +25,6 @@ from .formats import (
     CommonTime,
     Mocap,
     common_time,
-    new_session_folder,
     read_c3d,
     read_cal,
     read_ofs,
@@ -143,7 +143,7 @@ def import_trial(request: Request, folder: Path, progress: Callable[[int], None]
     beside = trial.mocap.with_name("Static.c3d"), trial.mocap.with_name(f"{trial.subject}.mp")
     sizes = measures(read_c3d(beside[0]), beside[1]) if request.with_truth else None
     fps = _frame_rate(sources, time, mocap)
-    with new_session_folder(folder) as partial:
+    with replaced_folder(folder) as partial:
         count, empty_rooms = copy_footage(sources, request.count, partial, fps, progress)
         frames = np.arange(request.first_frame, request.first_frame + count)
         with_truth = 0

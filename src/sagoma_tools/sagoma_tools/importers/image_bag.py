@@ -20,15 +20,16 @@ from camera_client.configuration import unplaced_camera
 from camera_client.settings import TopicSettings
 from capture_rig.camera_info_file import save_camera_info
 from capture_rig.errors import InputError
+from capture_rig.files import replaced_folder
 from capture_rig.rig import CAMERA_NAME, load_rig, save_rig
-from capture_rig.session import STAMPS
+from capture_rig.session import STAMPS, write_table
 from capture_rig.stamps import NS_PER_S
 from sagoma_ros.images import decode_image
 
 from ..graph.topics import IMAGE_TYPES, image_topics
 from ..overlays import VideoFile
 from ..recording.reader import BagMessage, bag_topics, read_messages
-from .formats import new_session_folder, save_description, write_table
+from .formats import save_description
 
 LENSES, VIDEO = "lenses", ".mkv"
 GREY_BITS = TopicSettings().bits
@@ -65,7 +66,7 @@ def import_bag(
     stamps_ns = _stamps(bag, found)
     sets_ns, period_ns = frame_sets(list(stamps_ns.values()))
     fps = NS_PER_S / period_ns
-    with new_session_folder(folder) as partial:
+    with replaced_folder(folder) as partial:
         _copy_images(bag, found, partial, "", fps, sets_ns, progress)
         if background is not None:
             rooms_ns = _stamps(background, found)

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gige_vision.gvcp import Action, Status
-from gige_vision.gvsp import ImageLeader, ImageTrailer, Payload, encode_chunk, next_block_id
-from gige_vision.pixel_formats import PixelFormat
+from gige_vision.gvsp import ImageLeader, ImageTrailer, Payload, PixelFormat, encode_chunk, next_block_id
 
 from .device import Device
-from .feature_table import ACQUISITION_MODES, CHUNKS, IMAGE_CHUNK
+from .feature_table import CHUNKS, IMAGE_CHUNK
 from .imaging import ImagingPipeline, pixel_bytes
 from .loop import Timer
 from .registers import RegisterError, Value
@@ -43,8 +42,7 @@ class Acquisition:
         self._now_ns = device.loop.clock.now_ns
         self.running = False
         self.lateness_ns: deque[int] = deque(maxlen=REMEMBERED)
-        self._block_id = self._frames_left = 0
-        self._busy_until_ns = 0
+        self._block_id = self._busy_until_ns = 0
         self._timers: list[Timer] = []
         self._registers.writes["AcquisitionStart"] = self.start
         self._registers.writes["AcquisitionStop"] = self.stop
@@ -60,12 +58,6 @@ class Acquisition:
             return
         self._stream.discard_blocks()
         self.running, self._block_id = True, 0
-        mode = self._registers.integer("AcquisitionMode")
-        wanted = {
-            ACQUISITION_MODES["SingleFrame"]: 1,
-            ACQUISITION_MODES["MultiFrame"]: self._registers.integer("AcquisitionFrameCount"),
-        }
-        self._frames_left = wanted.get(mode, 0)
         self._busy_until_ns = self._now_ns()
         self._rearm()
 
@@ -125,11 +117,6 @@ class Acquisition:
         self._counters["frames_exposed"] += 1
         if not self._faults.stall:
             self._send(start_ns, exposure_ns)
-        if self._frames_left:
-            self._frames_left -= 1
-            if not self._frames_left:
-                self.stop()
-                return
         if self._timing.is_periodic:
             after_ns = start_ns
             if late_ns > LONGEST_BACKLOG_NS:

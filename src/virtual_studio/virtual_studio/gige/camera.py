@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections import Counter
 
 import numpy as np
@@ -23,8 +21,6 @@ from .scenes import CameraScene
 from .stream import StreamChannel
 from .timing import CameraClock, Timing, TriggerWire
 
-STEADY_C, SWING_C, SWING_S = 42.0, 1.5, 120.0
-"""The device's mean temperature, and amplitude and period of its swing."""
 KEPT_BY_USER_SET = (
     *("FirstUrl", "DeviceUserID", "PtpClockID", "ControlPrivilege", "PrimaryPort", "PrimaryAddress"),
     *("GevHeartbeatTimeout", "PacketSizeWord", "GevSCPHostPort", "GevSCDA", "GevSCSP", "GevSCPD"),
@@ -179,7 +175,6 @@ class _PoweredCamera:
 
     def _hook_device_features(self) -> None:
         r, clock = self.registers, self._clock
-        r.reads["DeviceTemperature"] = lambda: STEADY_C + SWING_C * math.sin(2 * math.pi * time.time() / SWING_S)
         r.reads["GvcpCapability"] = self._capability
         r.reads["PtpStatus"] = lambda: clock.ptp_state
         r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))

@@ -19,8 +19,6 @@ from .loop import EventLoop
 from .registers import Registers
 
 SFNC, OLD = "sfnc", "old"
-LIGHTS_OFF = 0.06
-"""Share of the light that is left when the lamps are off."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,6 @@ class CameraSettings:
     drift_ppm: float = setting(
         12.0, "How much faster the free-running clock is than UTC", unit="ppm", low=-1000, high=1000
     )
-    ptp_grandmaster: bool = setting(True, "A PTP grandmaster is on the network")
     ptp_settle_s: float = setting(0.4, "Time from PtpEnable to status Slave", unit="s", low=0, high=600)
     ptp_offset_ns: int = 80
     tai_minus_utc_s: int = 37
@@ -73,12 +70,11 @@ class Faults:
     unplugged : the cable is out: nothing is answered and nothing is sent, but the camera keeps its state.
     frozen : the picture does not change any more; stamps and ids go on.
     lens_cap : black pictures (with the sensor's noise).
-    lights_off : the scene is much darker; light : the same by degrees, as a factor.
+    light : a factor on the light of the scene; 0.06: the lamps are off.
     stamp_jump_ns : added to the camera's clock.
     wrong_format : leaders announce another pixel format than the one that was set.
     no_resend : the camera neither offers nor answers packet resends.
-    slow_control_ms : every command is answered "pending" first, and only then.
-    ptp_lost : the grandmaster is gone: the status goes back to Listening.
+    ptp_lost : there is no grandmaster on the network (any more): the status is Listening.
     """
 
     packet_loss: float = 0.0
@@ -86,18 +82,11 @@ class Faults:
     unplugged: bool = False
     frozen: bool = False
     lens_cap: bool = False
-    lights_off: bool = False
     light: float = 1.0
     stamp_jump_ns: int = 0
     wrong_format: bool = False
     no_resend: bool = False
-    slow_control_ms: float = 0.0
     ptp_lost: bool = False
-
-    @property
-    def brightness(self) -> float:
-        """Factor on the scene's light."""
-        return self.light * (LIGHTS_OFF if self.lights_off else 1.0)
 
     def update(self, changes: Mapping[str, Any], where: str = "faults") -> None:
         """Sets several faults by name, all or none. Raises InputError for an unknown name or an impossible value."""

@@ -8,7 +8,7 @@ import ipaddress
 from capture_rig.errors import InputError
 from gige_vision import bootstrap
 from gige_vision.bootstrap import Capability
-from gige_vision.pixel_formats import PixelFormat
+from gige_vision.gvsp import PixelFormat
 
 from .device import OLD, CameraSettings
 from .registers import Feature, boolean, choice, command, hidden, integer, placed, real, text
@@ -27,7 +27,6 @@ PTP_STATES = {
 }  # fmt: skip
 """Port states of IEEE 1588-2008, table 8."""
 TRIGGER_SOURCES = {"Software": 0, "Line1": 1, "Action1": 2, "PeriodicSignal1": 3}
-ACQUISITION_MODES = {"Continuous": 0, "SingleFrame": 1, "MultiFrame": 2}
 AUTO = {"Off": 0, "Once": 1, "Continuous": 2}
 CHUNKS = {"Timestamp": 0x0A01, "ExposureTime": 0x0A02}
 IMAGE_CHUNK = 0x0A00
@@ -35,7 +34,6 @@ CAPABILITIES = (
     Capability.CONCATENATION
     | Capability.WRITE_MEMORY
     | Capability.PACKET_RESEND
-    | Capability.PENDING_ACK
     | Capability.ACTION
     | Capability.SCHEDULED_ACTION
     | Capability.PTP
@@ -119,7 +117,6 @@ def _bootstrap(s: CameraSettings, address: str) -> list[Feature]:
         hidden("TimestampHigh", bootstrap.TIMESTAMP_HIGH),
         hidden("TimestampLow", bootstrap.TIMESTAMP_LOW),
         hidden("GvcpConfiguration", bootstrap.GVCP_CONFIGURATION, writable=True),
-        hidden("PendingTimeout", bootstrap.PENDING_TIMEOUT_MS, 1000),
         hidden("ControlPrivilege", bootstrap.CONTROL_PRIVILEGE, writable=True),
         hidden("PrimaryPort", bootstrap.PRIMARY_PORT),
         hidden("PrimaryAddress", bootstrap.PRIMARY_ADDRESS),
@@ -136,7 +133,7 @@ def _device(s: CameraSettings) -> list[Feature]:
         text("DeviceVersion", where, "1.0", 32, address=bootstrap.DEVICE_VERSION, writable=False),
         text("DeviceSerialNumber", where, s.serial, 16, address=bootstrap.SERIAL_NUMBER, writable=False),
         text("DeviceUserID", where, s.user_id, 16, address=bootstrap.USER_NAME, help="Kept over power cycles"),
-        real("DeviceTemperature", where, 42.0, writable=False, volatile=True, unit="C"),
+        real("DeviceTemperature", where, 42.0, writable=False, unit="C"),
         command("UserSetLoad", where, help="Back to the values after power-on"),
     ]
 
@@ -173,8 +170,7 @@ def _image(s: CameraSettings, width: int, height: int, colour: bool) -> list[Fea
 def _acquisition(s: CameraSettings) -> list[Feature]:
     where = "AcquisitionControl"
     return [
-        choice("AcquisitionMode", where, ACQUISITION_MODES),
-        integer("AcquisitionFrameCount", where, 1, low=1, high=65535),
+        choice("AcquisitionMode", where, {"Continuous": 0}),
         command("AcquisitionStart", where),
         command("AcquisitionStop", where),
         boolean("AcquisitionFrameRateEnable", where, True),

@@ -138,17 +138,8 @@ class GvcpServer:
                 self._on_resend(ResendRequest.decode(packet))
             return
         answer = self._answer(packet, peer)
-        if answer is None or not packet.wants_answer:
-            return
-        delay_ms = self._faults.slow_control_ms
-        if not delay_ms:
+        if answer is not None and packet.wants_answer:
             self._send(answer, peer)
-            return
-        pending = AcknowledgePacket(
-            Command.PENDING.acknowledge, encode_words([round(delay_ms) + 500]), packet.request_id
-        )
-        self._send(pending, peer)
-        self._loop.call_later(round(delay_ms * 1e6), lambda: self._send(answer, peer))
 
     def _is_owners(self, peer: Peer) -> bool:
         """Stream receivers ask for resends from a socket of their own, on the owner's machine."""

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gige_vision.gvcp import Status
-from gige_vision.gvsp import encode_chunk
-from gige_vision.pixel_formats import PixelFormat
+from gige_vision.gvsp import PixelFormat, encode_chunk
 
 from ..rendering.camera import Image
 from .device import OLD, CameraSettings, Device
@@ -65,7 +64,7 @@ class ImagingPipeline:
     def _exposed(self, scene: Image) -> Image:
         if self._faults.lens_cap:
             return np.zeros_like(scene)
-        factor = self.exposure.factor * self._faults.brightness
+        factor = self.exposure.factor * self._faults.light
         if factor == 1.0:
             return scene
         table = np.clip(np.rint(np.arange(256) * factor), 0, 255).astype(np.uint8)

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import functools
 import json
 import os
 import socket
 import threading
 import time
-from collections.abc import Callable
-from concurrent.futures import CancelledError, Future
+from collections.abc import Callable, Coroutine
+from concurrent.futures import Future
+from contextlib import suppress
 from pathlib import Path
-from socketserver import StreamRequestHandler, ThreadingUnixStreamServer
 from typing import Any, TypeVar
 
 from capture_rig.errors import InputError
@@ -60,8 +59,14 @@ class EventLoop:
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join()
+        for task in asyncio.all_tasks(self._loop):
+            task.cancel()
         self._loop.run_until_complete(asyncio.sleep(0))  # calls that came while it ended
         self._loop.close()
+
+    def run(self, coroutine: Coroutine[Any, Any, T]) -> T:
+        """Runs a coroutine in the loop and returns what it returns; from any other thread."""
+        return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result()
 
     def add_reader(self, sock: socket.socket, callback: Callable[[], object]) -> None:
         """Calls back whenever ``sock`` can be read. Only from within the loop, or before it starts."""
@@ -118,8 +123,6 @@ class EventLoop:
 Request = dict[str, Any]
 LONGEST_LINE = 1 << 16
 ANSWER_TIMEOUT_S = 10.0
-POLL_S = 0.05
-"""How long the server takes to notice that it is to end."""
 
 
 def default_path() -> Path:
@@ -135,24 +138,20 @@ class ControlServer:
     """
 
     def __init__(self, path: Path, loop: EventLoop, handle: Callable[[Request], Request]) -> None:
-        self._path = path
-
-        class Connection(StreamRequestHandler):
-            def handle(self) -> None:
-                while (line := self.rfile.readline(LONGEST_LINE)).endswith(b"\n"):
-                    try:
-                        answer = loop.call(functools.partial(_answer, line, handle))
-                        self.wfile.write(json.dumps(answer).encode() + b"\n")
-                    except (OSError, RuntimeError, CancelledError):  # the client has gone, or the studio ends
-                        return
-
-        self._server = _listening(path, Connection)
-        threading.Thread(target=self._server.serve_forever, args=(POLL_S,), name="control", daemon=True).start()
+        self._path, self._handle = path, handle
+        listening = _bound(path)
+        loop.run(asyncio.start_unix_server(self._serve, sock=listening, limit=LONGEST_LINE))
 
     def close(self) -> None:
-        self._server.shutdown()
-        self._server.server_close()
+        """Takes the socket's name back; connections end with the loop."""
         self._path.unlink(missing_ok=True)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with suppress(OSError, ValueError):  # the client has gone, or sends no lines
+            while (line := await reader.readline()).endswith(b"\n"):
+                writer.write(json.dumps(_answer(line, self._handle)).encode() + b"\n")
+                await writer.drain()
+        writer.close()
 
 
 def ask(request: Request, path: str | Path | None = None) -> Request:
@@ -187,21 +186,19 @@ def _answer(line: bytes, handle: Callable[[Request], Request]) -> Request:
         return {"error": str(error)}
 
 
-def _listening(path: Path, connection: type[StreamRequestHandler]) -> ThreadingUnixStreamServer:
-    server = ThreadingUnixStreamServer(str(path), connection, bind_and_activate=False)
-    server.daemon_threads = True
+def _bound(path: Path) -> socket.socket:
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_socket() and not _is_served(path):
             path.unlink()  # a studio that was killed left it behind
-        server.server_bind()
+        sock.bind(str(path))
         path.chmod(0o600)
-        server.server_activate()
     except OSError as error:
-        server.server_close()
+        sock.close()
         remedy = "Another studio may be there: end it, or choose another --control."
         raise InputError(f"cannot listen ({error.strerror or error})", where=str(path), remedy=remedy) from None
-    return server
+    return sock
 
 
 def _is_served(path: Path) -> bool:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,19 +20,18 @@ from capture_rig.stamps import UTC, CaptureClock
 from rig_calibration.boards.board import Board
 from stick_figure.body import Body
 
-from ..boards import BoardPrint, PosedBoard, PosePath, carry, hands, on_floor, person_with, print_of, wave
+from ..boards import BoardPrint, PosePath, carry, hands, on_floor, person_with, print_of, wave
 from ..motions.catalogue import MOTIONS
-from ..people import Capsules, VolumetricBody
-from ..recording.footage import FLOOR_BOARD, HAND_BOARD
-from ..rendering.board_camera import EXPOSURE_S, LENS_BLUR_PX, BoardCamera, exposure_poses
+from ..people import REFERENCE_STATURE_M, Capsules, VolumetricBody
+from ..recording.footage import FLOOR_BOARD, HAND_BOARD, SESSION_FPS
+from ..rendering.board_camera import BoardCamera
 from ..rendering.camera import WHITE, Image, Light, VirtualCamera
 from ..rendering.capsules import floor_shadow
-from .scenes import SECOND_NS, SWITCH_AFTER_NS, Playback
+from .scenes import SECOND_NS, SWITCH_AFTER_NS, Playback, StudioScene
 
 KEPT_SETS = 3
 LONGEST_STEP_NS = 200_000_000
 """The next exposure of cameras that expose less often is not predicted."""
-POSES_PER_S = 60.0
 RENDER_HZ = 20  # live renderings at most
 EMPTY, INTRINSICS, FLOOR, MOVING, PERSON = PHASES = ("empty", "intrinsics", "floor", "moving", "person")
 NEXT = "next"
@@ -49,18 +47,34 @@ class RenderedSet:
     pictures: Mapping[str, Image]
 
 
-class LiveScene(ABC):
-    """Renders for all cameras of a rig while they look. start() begins to render, close() ends it.
+class RoomScene(StudioScene):
+    """A person who moves in the room, rendered live for all cameras of a rig while they look.
 
     One thread renders the room for the instants at which cameras will expose next. It is rarely as fast as they are:
     a camera that looks meanwhile sees the newest picture once more, and so do the others that look at that instant.
-    ``views`` by camera name. ``counters``: sets_rendered, and how many of the views were fresh or repeated.
+    ``counters``: sets_rendered, and how many of the views were fresh or repeated.
     """
 
-    def __init__(self, playback: Playback, empty: Mapping[str, Image], most_hz: float) -> None:
-        self.playback, self._empty, self._shortest_ns = playback, empty, round(1e9 / most_hz)
-        self.views = {name: LiveView(self, name) for name in empty}
-        self.counters = Counter[str]()
+    playback: Playback
+    counters: Counter[str]
+
+    def __init__(
+        self,
+        rig: Rig,
+        motion: str = "tour",
+        seconds: float = 20.0,
+        most_hz: float = RENDER_HZ,
+        clock: CaptureClock = UTC,
+    ) -> None:
+        body = Body.from_stature(REFERENCE_STATURE_M)
+        self._person = VolumetricBody(body)
+        self._poses = MOTIONS[motion](body, seconds, SESSION_FPS).poses
+        self._cameras = {camera.name: VirtualCamera(camera) for camera in rig.cameras}
+        self._empty = {name: _picture(camera.empty_room()) for name, camera in self._cameras.items()}
+        views = {name: LiveView(self, name) for name in rig.names}
+        note = f"rendered live, at most {RENDER_HZ:g} times a second: pictures in between are repeated"
+        super().__init__(rig, views, Playback(len(self._poses), SESSION_FPS, clock), True, (note,), Counter())
+        self._shortest_ns = round(1e9 / most_hz)
         self._sets: deque[RenderedSet] = deque(maxlen=KEPT_SETS)
         self._asked: deque[int] = deque(maxlen=2)  # the last two instants that cameras asked for
         self._chosen: RenderedSet | None = None  # what is seen at the last of them
@@ -68,9 +82,11 @@ class LiveScene(ABC):
         self._running = False
         self._thread = threading.Thread(target=self._run, name="room", daemon=True)
 
-    @abstractmethod
     def render(self, instant_ns: int) -> Mapping[str, Image]:
         """Renders what each camera sees at an instant while the room is occupied."""
+        capsules = self._person.place(self._poses[self.playback.frame_at(instant_ns)])
+        shadow = floor_shadow(capsules)
+        return {name: _picture(camera.render(capsules, shadow)[0]) for name, camera in self._cameras.items()}
 
     def start(self) -> None:
         """Renders the first set, then goes on in a thread."""
@@ -134,7 +150,7 @@ class LiveScene(ABC):
 class LiveView:
     """One camera's view of the room."""
 
-    def __init__(self, scene: LiveScene, name: str) -> None:
+    def __init__(self, scene: RoomScene, name: str) -> None:
         self._scene, self._name = scene, name
         self._last_ns = 0
 
@@ -149,30 +165,6 @@ class LiveView:
         self._scene.counters["views_repeated" if newest.instant_ns == self._last_ns else "views_fresh"] += 1
         self._last_ns = newest.instant_ns
         return newest.pictures[self._name]
-
-
-class RoomScene(LiveScene):
-    """A person who moves in the room, seen by all cameras of a rig."""
-
-    def __init__(
-        self,
-        rig: Rig,
-        motion: str = "tour",
-        seconds: float = 20.0,
-        most_hz: float = RENDER_HZ,
-        clock: CaptureClock = UTC,
-    ) -> None:
-        body = Body.from_stature(1.75)
-        self._person = VolumetricBody(body)
-        self._poses = MOTIONS[motion](body, seconds, POSES_PER_S).poses
-        self._cameras = {camera.name: VirtualCamera(camera) for camera in rig.cameras}
-        empty = {name: _picture(camera.empty_room()) for name, camera in self._cameras.items()}
-        super().__init__(Playback(len(self._poses), POSES_PER_S, clock), empty, most_hz)
-
-    def render(self, instant_ns: int) -> Mapping[str, Image]:
-        capsules = self._person.place(self._poses[self.playback.frame_at(instant_ns)])
-        shadow = floor_shadow(capsules)
-        return {name: _picture(camera.render(capsules, shadow)[0]) for name, camera in self._cameras.items()}
 
 
 class SetupScene(RoomScene):
@@ -212,11 +204,8 @@ class SetupScene(RoomScene):
             remedy = f"It shows {', '.join(PHASES)}, or the next one: {NEXT}."
             raise InputError(f"there is no phase '{phase}'", where="studio", remedy=remedy)
         if phase != EMPTY:
-            self._before, self._phase, self._since_ns = (
-                self._phase,
-                phase,
-                self.playback.clock.now_ns() + SWITCH_AFTER_NS,
-            )
+            self._before, self._phase = self._phase, phase
+            self._since_ns = self.playback.clock.now_ns() + SWITCH_AFTER_NS
         self.playback.occupy(phase != EMPTY)
         return phase
 
@@ -239,9 +228,7 @@ class SetupScene(RoomScene):
         return self._render_board(name, self._hand, waved.path, t, hands(self._hand, waved.path(t)))
 
     def _render_board(self, name: str, board: BoardPrint, path: PosePath, t: float, people: Capsules | None) -> Image:
-        camera = self._board_cameras[name]
-        posed = PosedBoard(board, exposure_poses(camera.camera, board, path, t, EXPOSURE_S))
-        return _picture(camera.render([posed], people, LENS_BLUR_PX, SAMPLES))
+        return _picture(self._board_cameras[name].film(board, path, t, people, SAMPLES))
 
 
 def _picture(light: Light) -> Image:

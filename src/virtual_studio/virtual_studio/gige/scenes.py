@@ -3,6 +3,7 @@ and the playback that a rig shares."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,6 +14,7 @@ import cv2
 import numpy as np
 
 from capture_rig.errors import InputError
+from capture_rig.rig import Rig
 from capture_rig.session import STILL_SUFFIXES, Session
 from capture_rig.stamps import UTC, CaptureClock
 from capture_rig.video import Video, is_grey
@@ -35,6 +37,27 @@ class CameraScene(Protocol):
 
     def image(self, instant_ns: int) -> Image:
         """Returns the picture at an instant (studio's clock, ns), uint8; nobody changes it later. Must be quick."""
+
+
+@dataclass(eq=False)
+class StudioScene:
+    """What the cameras of a rig see: their ``views`` by name, the ``playback`` behind them (None: a test pattern).
+
+    can_be_empty : the empty room can be shown. notes : for people. counters : of what was rendered, where it is.
+    """
+
+    rig: Rig
+    views: Mapping[str, CameraScene]
+    playback: Playback | None = None
+    can_be_empty: bool = False
+    notes: tuple[str, ...] = ()
+    counters: Mapping[str, int] | None = None
+
+    def start(self) -> None:
+        """Begins to render, where that is done live."""
+
+    def close(self) -> None:
+        """Ends that."""
 
 
 class PatternScene:
@@ -170,22 +193,10 @@ class SessionView:
         return self.frames[self.playback.frame_at(instant_ns)]
 
 
-@dataclass(frozen=True, eq=False)
-class SessionScene:
-    """A session as a scene: views by camera name; of total_frames in the footage playback.frames are shown."""
-
-    playback: Playback
-    views: dict[str, SessionView]
-    total_frames: int
-
-    @property
-    def can_be_empty(self) -> bool:
-        """True when every camera knows what the empty room looks like."""
-        return all(view.background for view in self.views.values())
-
-
-def load_session_scene(session: Session, memory_mb: float = 800.0, clock: CaptureClock = UTC) -> SessionScene:
+def load_session_scene(session: Session, memory_mb: float = 800.0, clock: CaptureClock = UTC) -> StudioScene:
     """Decodes a session into memory; no more frames than fit into ``memory_mb``, the same number for each camera.
+
+    Of frames that do not fit a note says so.
 
     Raises InputError when not even one frame a camera fits, or a video cannot be read.
     """
@@ -204,7 +215,9 @@ def load_session_scene(session: Session, memory_mb: float = 800.0, clock: Captur
     for name, frames in zip(names, footage, strict=True):
         with Video(session.videos[name]) as video:
             lengths.append(max(video.frame_count, len(frames)))  # a raw stream's header does not tell
-    return SessionScene(playback, views, min(lengths))
+    cut = f"only the first {count} of {min(lengths)} frames fit into {memory_mb:g} MB and are shown (--memory)"
+    can_be_empty = all(view.background for view in views.values())
+    return StudioScene(session.rig, views, playback, can_be_empty, (cut,) if count < min(lengths) else ())
 
 
 def _background(session: Session, name: str, budget: float) -> list[Image]:

@@ -5,7 +5,6 @@ The scene is a session's footage, the built-in room with a person or a set-up in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -21,8 +20,8 @@ from ..rig import ring
 from .camera import SimulatedCamera
 from .device import CameraSettings, consecutive_addresses
 from .loop import ControlServer, EventLoop, Request
-from .rendered_scenes import PERSON, RENDER_HZ, LiveScene, RoomScene, SetupScene
-from .scenes import CameraScene, PatternScene, Playback, load_session_scene
+from .rendered_scenes import PERSON, RoomScene, SetupScene
+from .scenes import PatternScene, Playback, StudioScene, load_session_scene
 from .timing import TriggerWire
 
 PERSON_SCENE, SETUP_SCENE = "person", "setup"
@@ -52,49 +51,23 @@ class StudioSettings:
     camera: CameraSettings = field(default_factory=CameraSettings)
 
 
-@dataclass(frozen=True, eq=False)
-class StudioScene:
-    """What the cameras see: their views by name, the playback behind them, what to start and to end with it."""
-
-    rig: Rig
-    views: Mapping[str, CameraScene]
-    playback: Playback | None = None
-    can_be_empty: bool = False
-    notes: tuple[str, ...] = ()
-    start: Callable[[], None] = lambda: None
-    close: Callable[[], None] = lambda: None
-    counters: Mapping[str, int] | None = None
-    phases: SetupScene | None = None
-
-
 def make_studio_scene(settings: StudioSettings) -> StudioScene:
     """Makes the scene that the settings name. Raises InputError for a session or board that cannot be read."""
     clock = CaptureClock(settings.speed)
     if settings.session and not settings.pattern:
-        session = load_session(settings.session)
-        scene = load_session_scene(session, settings.memory_mb, clock)
-        frames, total = scene.playback.frames, scene.total_frames
-        cut = f"only the first {frames} of {total} frames fit into {settings.memory_mb:g} MB and are shown (--memory)"
-        notes = () if frames >= total else (cut,)
-        return StudioScene(session.rig, scene.views, scene.playback, scene.can_be_empty, notes)
+        return load_session_scene(load_session(settings.session), settings.memory_mb, clock)
     rig = built_in_rig(settings.cameras)
     if settings.pattern:
         return StudioScene(rig, {camera.name: PatternScene(camera.width, camera.height) for camera in rig.cameras})
     if settings.scene != SETUP_SCENE:
-        return _rendered(RoomScene(rig, settings.motion, clock=clock), rig, settings)
+        return RoomScene(rig, settings.motion, clock=clock)
     hand, floor = read_board(settings.hand_board), read_board(settings.floor_board)
-    setup = SetupScene(rig, settings.motion, clock=clock, hand_board=hand, floor_board=floor)
-    return replace(_rendered(setup, rig, settings), phases=setup)
+    return SetupScene(rig, settings.motion, clock=clock, hand_board=hand, floor_board=floor)
 
 
 def built_in_rig(cameras: int) -> Rig:
     """Returns a ring of so many cameras, the last one on the ceiling; a single one stands."""
     return ring(cameras - 1, ceiling=True) if cameras > 1 else ring(1, ceiling=False)
-
-
-def _rendered(scene: LiveScene, rig: Rig, settings: StudioSettings) -> StudioScene:
-    note = f"rendered live, at most {RENDER_HZ:g} times a second: pictures in between are repeated"
-    return StudioScene(rig, scene.views, scene.playback, True, (note,), scene.start, scene.close, scene.counters)
 
 
 class Studio:
@@ -130,9 +103,14 @@ class Studio:
         return self.scene.playback
 
     @property
+    def setup(self) -> SetupScene | None:
+        """The set-up that is shown, if one is."""
+        return self.scene if isinstance(self.scene, SetupScene) else None
+
+    @property
     def is_calibrated(self) -> bool:
         """False for a set-up: its cameras are still to be calibrated."""
-        return self.scene.phases is None
+        return self.setup is None
 
     @property
     def boards(self) -> tuple[Board, Board]:
@@ -222,8 +200,8 @@ class Studio:
         if self.playback is not None:
             keys = ("occupied", "epoch_ns", "frames", "fps", "loop")
             state["playback"] = {key: getattr(self.playback, key) for key in keys}
-        if self.scene.phases is not None:
-            state["shows"] = self.scene.phases.phase
+        if self.setup is not None:
+            state["shows"] = self.setup.phase
         return state | ({"room": dict(self.scene.counters)} if self.scene.counters is not None else {})
 
     def _set(self, request: Request) -> Request:
@@ -257,17 +235,17 @@ class Studio:
 
     def _play(self, request: Request) -> Request:
         playback = self._required_playback()
-        if self.scene.phases is not None:
-            self.scene.phases.show(PERSON)
+        if self.setup is not None:
+            self.setup.show(PERSON)
         epoch_ns = playback.play(request.get("at_ns"), bool(request.get("loop", True)))
         if not playback.occupied:
             playback.occupy(True)
         return {"epoch_ns": epoch_ns, "frames": playback.frames, "fps": playback.fps}
 
     def _switch(self, request: Request) -> Request:
-        if self.scene.phases is None:
+        if self.setup is None:
             raise InputError("it shows no set-up", where="studio", remedy="Start one: sagoma studio --scene setup.")
-        return {"shows": self.scene.phases.show(str(request.get("phase")))}
+        return {"shows": self.setup.show(str(request.get("phase")))}
 
     def _hold(self, request: Request) -> Request:
         self._required_playback().hold()

@@ -19,7 +19,6 @@ from .imaging import ExposureControl
 from .loop import EventLoop, Timer
 from .registers import Registers
 
-LISTENING_SHARE = 0.4  # of the time it takes PTP to settle
 SECOND_NS = 1_000_000_000
 MOST_HZ = 1000.0
 _RATE_GRAIN = 1000  # rates are taken to 1/1000 Hz
@@ -45,14 +44,10 @@ class CameraClock:
 
     def __init__(self, settings: CameraSettings, faults: Faults, clock: CaptureClock = UTC) -> None:
         self._settings, self._faults, self._now_ns = settings, faults, clock.now_ns
-        self._rng = random.Random(settings.seed)
-        self.power_on()
-
-    def power_on(self) -> None:
-        """Starts the counter anew, PTP off."""
-        self._zero_ns = self._now_ns() - self._rng.randrange(2_000_000_000)  # it counted while the camera booted
+        rng = random.Random(settings.seed)
+        self._zero_ns = self._now_ns() - rng.randrange(2_000_000_000)  # it counted while the camera booted
         self._ptp_since_ns: int | None = None
-        self._residual_ns = round(self._rng.uniform(-1, 1) * self._settings.ptp_offset_ns)
+        self._residual_ns = round(rng.uniform(-1, 1) * settings.ptp_offset_ns)
 
     def enable_ptp(self, enabled: bool) -> None:
         if enabled != (self._ptp_since_ns is not None):
@@ -83,12 +78,8 @@ class CameraClock:
     def ptp_state(self) -> int:
         if self._ptp_since_ns is None:
             return PTP_STATES["Disabled"]
-        if self._faults.ptp_lost or not self._settings.ptp_grandmaster:
-            return PTP_STATES["Listening"]
-        waited = (time.monotonic_ns() - self._ptp_since_ns) * 1e-9
-        if waited < LISTENING_SHARE * self._settings.ptp_settle_s:
-            return PTP_STATES["Listening"]
-        return PTP_STATES["Uncalibrated" if waited < self._settings.ptp_settle_s else "Slave"]
+        settled = (time.monotonic_ns() - self._ptp_since_ns) * 1e-9 >= self._settings.ptp_settle_s
+        return PTP_STATES["Slave" if settled and not self._faults.ptp_lost else "Listening"]
 
     @property
     def offset_from_master_ns(self) -> int:
@@ -215,8 +206,7 @@ class TriggerWire:
             self._timer = None
 
     def _schedule(self, rate: Fraction) -> None:
-        period_ns = 1_000_000_000 / rate
-        when_ns = int((self._loop.clock.now_ns() // period_ns + 1) * period_ns)
+        when_ns = next_multiple(self._loop.clock.now_ns(), SECOND_NS / rate)
         self._timer = self._loop.call_at(when_ns, lambda: self._tick(when_ns, rate))
 
     def _tick(self, when_ns: int, rate: Fraction) -> None:

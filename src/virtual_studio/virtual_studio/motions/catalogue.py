@@ -18,7 +18,7 @@ from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from stick_figure.pose import Pose
 
-from ..people import ANKLE_HEIGHT, VolumetricBody
+from ..people import ANKLE_HEIGHT, REFERENCE_STATURE_M, VolumetricBody
 from . import everyday, hard_cases
 from .timeline import FADE_S, T_POSE_S, Array, BlendedActivity, Motion, Things, Timeline, frame_count
 
@@ -30,7 +30,7 @@ STEPS_GRID_HZ = 120.0
 """The same for steps."""
 WEIGHT_SHIFT_S = 0.05
 """Smoothing of the torso's speed: over how long the weight passes from foot to foot; the feet slide that much."""
-OVERRUN_S = 0.25
+OVERRUN_S = 5 * WEIGHT_SHIFT_S
 """How far the steps go on past the end, so that the smoothing does not see it."""
 HEIGHT_SMOOTHING_S = 0.025
 """Smoothing of its height: feet may sink by millimetres where one takes over from the other."""
@@ -70,7 +70,7 @@ class HardCase:
     @property
     def duration_s(self) -> float:
         """Seconds from the T-pose through all activities once."""
-        activities = self.activities(VolumetricBody(Body.from_stature(1.75))).activities
+        activities = self.activities(VolumetricBody(Body.from_stature(REFERENCE_STATURE_M))).activities
         return T_POSE_S + sum(activity.duration_s for activity in activities) - self.cut_s
 
 

@@ -19,6 +19,7 @@ from stick_figure.pose import Pose
 from stick_figure.skeleton import L_CALF, L_THIGH, R_CALF, R_THIGH, T_POSE_ANGLES
 
 from ..people import ANKLE_HEIGHT, VolumetricBody
+from ..rig import VOLUME
 from .bvh import Array, JointMotion, joints_by_role, load_joints_by_role, read_bvh
 from .timeline import T_POSE_S, Motion, ease, frame_count
 
@@ -45,7 +46,7 @@ BLEND_S = 1.0
 """From the T-pose into the first frame; longer than between activities, because a file may begin with anything."""
 FLOOR_PERCENTILE = 2.0
 """So many percent of the frames may have a foot in the floor: recorded feet are not exact."""
-ROOM_M = 1.4
+ROOM_M = float(VOLUME.high[0])
 """Half the width of the room that the studio's cameras see."""
 _LEGS = [L_THIGH, R_THIGH, L_CALF, R_CALF]
 
@@ -63,19 +64,10 @@ class ReadingOptions:
     start_s: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class StickMotion:
-    """Poses of a body of its own at a steady rate."""
-
-    body: Body
-    poses: tuple[Pose, ...]
-    fps: float
-
-
 def read_stick_motion(
     path: str | Path, leg_m: float, fps: float | None = None, options: ReadingOptions | None = None
-) -> StickMotion:
-    """Reads the stick figure's motion from a BVH file, at ``fps`` frames a second (None: the file's own).
+) -> tuple[Body, tuple[Pose, ...]]:
+    """Reads a stick figure of its own and its poses from a BVH file, at ``fps`` frames a second (None: the file's own).
 
     leg_m : how long the person's legs are to be, hip to ankle; the file's unit does not matter.
     World frame: z up, metres; origin and heading are the file's. Raises InputError for anything that cannot be read.
@@ -84,11 +76,11 @@ def read_stick_motion(
     motion = read_joints(path)
     points = reference_points(motion, leg_m, options)[_first_frame(motion, options.start_s) :]
     body = Body.from_points(points)
-    points, rate = (points, motion.fps) if fps is None else (resampled(points, motion.fps, fps), fps)
+    points = points if fps is None else resampled(points, motion.fps, fps)
     poses: list[Pose] = []
     for frame in points:
         poses.append(inverse(body, frame, poses[-1] if poses else None))
-    return StickMotion(body, tuple(poses), rate)
+    return body, tuple(poses)
 
 
 def read_joints(path: str | Path) -> JointMotion:
@@ -195,15 +187,13 @@ class RecordedMotion:
         if frames < 1:
             late = f"{seconds:g} s end before the recorded motion begins, at {T_POSE_S + BLEND_S:g} s"
             raise InputError(late, remedy="Give a longer time.")
-        poses = _placed(person, self._poses(body, fps)[:frames], self.path)
+        _, played = read_stick_motion(self.path, float(body.lengths[_LEGS].sum() / 2.0), fps, self.options)
+        poses = _placed(person, played[:frames], self.path)
         poses = [*_opening(person, poses[0], fps, opening), *poses]
         angles: list[np.ndarray] = []
         for pose in poses:
             angles.append(pose.angles(angles[-1] if angles else None))
         return Motion(tuple(poses), np.array(angles), fps)
-
-    def _poses(self, body: Body, fps: float) -> tuple[Pose, ...]:
-        return read_stick_motion(self.path, float(body.lengths[_LEGS].sum() / 2.0), fps, self.options).poses
 
     def __str__(self) -> str:
         return self.path.name

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, save_rig
 from capture_rig.rigid import rotation_vector, transform
 from capture_rig.yaml_file import read_mapping, save_mapping
@@ -26,10 +27,10 @@ from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
 from stick_figure.body import Body
 
 from ..boards import Array, BoardPrint, carry, hands, on_floor, person_with, print_of, wave
-from ..people import VolumetricBody
-from ..rendering.board_camera import FilmingCamera, Optics
+from ..people import REFERENCE_STATURE_M, VolumetricBody
+from ..rendering.board_camera import FilmingCamera
 from ..rendering.camera import Sensor
-from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, atomic_folder, write_session
+from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, is_own, write_session
 
 DESCRIPTION = "setup.yaml"
 INTRINSICS, FLOOR, MOVING = "intrinsics", "floor", "moving"
@@ -43,8 +44,8 @@ HAND_BOARD = Checkerboard(9, 6, (0.04, 0.04))
 FLOOR_BOARD = Checkerboard(7, 4, (0.12, 0.12))
 """An A0 print: large enough for cameras 3 m away that see it at 70 degrees from its normal."""
 
-STATURE_M, SESSION_FPS = 1.75, 60.0
-"""Of who carries the board and moves in the session; of its footage."""
+SESSION_FPS = 60.0
+"""Of the footage of who moves in the session."""
 
 Progress = Callable[[str], None]
 
@@ -54,8 +55,7 @@ class FootagePlan:
     """What is filmed, and how.
 
     hand_board : waved before each camera; floor_board : lies on the floor, and is carried. fps : of the videos.
-    brief : half the places in front of each camera. stills : there one picture at each place (camNN/*.png) instead of
-    a video. moving_s : how long the board is carried.
+    brief : half the places in front of each camera. moving_s : how long the board is carried.
     seed, noise, flicker : see `Sensor`.
     """
 
@@ -63,7 +63,6 @@ class FootagePlan:
     floor_board: Board = FLOOR_BOARD
     fps: float = 10.0
     brief: bool = False
-    stills: bool = False
     moving_s: float = 24.0
     seed: int = 1
     noise: float = 3.0
@@ -86,7 +85,7 @@ def write_setup(
     anything else, and as `write_session` does.
     """
     folder, plan = Path(folder), plan or FootagePlan()
-    with atomic_folder(folder, DESCRIPTION) as partial:
+    with replaced_folder(folder, lambda found: is_own(found, DESCRIPTION)) as partial:
         _film_boards(partial, rig, plan, progress)
         if motion is not None:
             _film_session(partial, rig, plan, motion, seconds)
@@ -96,7 +95,7 @@ def write_setup(
 
 def _film_session(folder: Path, rig: Rig, plan: FootagePlan, motion: str, seconds: float) -> None:
     """Films the empty room and the person; what is unknown before the calibration does not stay there."""
-    session, body = folder / SESSION, Body.from_stature(STATURE_M)
+    session, body = folder / SESSION, Body.from_stature(REFERENCE_STATURE_M)
     settings = RenderSettings(seed=plan.seed, noise=plan.noise, flicker=plan.flicker)
     write_session(session, rig, body, motion, SESSION_FPS, seconds, settings)
     (session / TRUTH).rename(folder / TRUTH)
@@ -154,9 +153,9 @@ def _film_boards(folder: Path, rig: Rig, plan: FootagePlan, progress: Progress) 
     hand, floor = print_of(plan.hand_board), print_of(plan.floor_board)
     save_truth(rig, plan.hand_board, plan.floor_board, folder)
     _write_description(folder / DESCRIPTION, plan)
-    optics = Optics(Sensor(plan.noise, plan.flicker, plan.seed))
+    sensor = Sensor(plan.noise, plan.flicker, plan.seed)
     with ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)) as pool:
-        cameras = list(pool.map(lambda job: FilmingCamera(job[1], job[0], optics), enumerate(rig.cameras)))
+        cameras = list(pool.map(lambda job: FilmingCamera(job[1], job[0], sensor), enumerate(rig.cameras)))
         for filmed in pool.map(lambda camera: _film_waved(folder, camera, hand, plan), cameras):
             progress(filmed)
         _film_floor(folder / FLOOR, cameras, floor)
@@ -168,19 +167,11 @@ def _film_boards(folder: Path, rig: Rig, plan: FootagePlan, progress: Progress) 
 def _film_waved(folder: Path, camera: FilmingCamera, board: BoardPrint, plan: FootagePlan) -> str:
     name = camera.camera.name
     waved = wave(camera.camera, board, plan.seed + sum(name.encode()), plan.brief)
-    frames = (np.arange(round(waved.duration_s * plan.fps)) + 0.5) / plan.fps
-    pictures = (
-        camera.take(FIRST_FRAME[INTRINSICS] + frame, board, waved.path, t, hands(board, waved.path(t)))
-        for frame, t in enumerate(waved.rests_s if plan.stills else frames)
-    )
-    if plan.stills:
-        (folder / INTRINSICS / name).mkdir(parents=True)
-        for number, picture in enumerate(pictures, start=1):
-            cv2.imwrite(str(folder / INTRINSICS / name / f"{number:03d}.png"), picture)
-    else:
-        with _videos(folder / INTRINSICS, [camera], plan.fps) as (video,):
-            for picture in pictures:
-                video.write(picture)
+    with _videos(folder / INTRINSICS, [camera], plan.fps) as (video,):
+        for frame in range(round(waved.duration_s * plan.fps)):
+            t = (frame + 0.5) / plan.fps
+            shot = FIRST_FRAME[INTRINSICS] + frame, board, waved.path, t, hands(board, waved.path(t))
+            video.write(camera.take(*shot))
     return f"{INTRINSICS}/{name}"
 
 
@@ -195,7 +186,7 @@ def _film_floor(folder: Path, cameras: Sequence[FilmingCamera], board: BoardPrin
 def _film_carried(
     folder: Path, cameras: Sequence[FilmingCamera], board: BoardPrint, plan: FootagePlan, pool: ThreadPoolExecutor
 ) -> None:
-    path, person = carry(board, plan.moving_s, plan.seed), VolumetricBody(Body.from_stature(STATURE_M))
+    path, person = carry(board, plan.moving_s, plan.seed), VolumetricBody(Body.from_stature(REFERENCE_STATURE_M))
     with _videos(folder, cameras, plan.fps) as videos:
         for frame in range(round(plan.moving_s * plan.fps)):
             t = (frame + 0.5) / plan.fps

@@ -7,12 +7,10 @@ Everything follows from the arguments: the same seed gives the same pictures. Th
 
 from __future__ import annotations
 
-import csv
 import os
-import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,8 +20,10 @@ from numpy.typing import NDArray
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, save_rig
 from capture_rig.rigid import rotation_vector
+from capture_rig.session import write_table
 from capture_rig.yaml_file import read_mapping, save_mapping
 from stick_figure.body import Body, save_body
 from stick_figure.kinematics import forward
@@ -151,7 +151,7 @@ def _write(
     recipe: dict[str, object],
     progress: Progress,
 ) -> Path:
-    with atomic_folder(folder, "session.yaml") as partial:
+    with replaced_folder(folder, is_own) as partial:
         save_rig(rig, partial / "rig.yaml")
         for number, actor in enumerate(actors, 1):
             tail, body = "" if number == 1 else f"_{number}", actor.person.body
@@ -177,18 +177,15 @@ def _of_all(name: str, values: list[float]) -> dict[str, object]:
 
 def write_truth(path: Path, body: Body, motion: Motion) -> None:
     """Writes truth.csv, one row a frame: reference points (m; left is the person's left), torso pose, 18 angles."""
-    names = ["pelvis", *POINT_COLUMNS]
-    header = ["frame", *(f"{name}_{axis}" for name in names for axis in "xyz"), *TORSO_COLUMNS]
-    header += [f"{name}_rad" for name in ANGLE_NAMES]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for frame, (pose, angles) in enumerate(zip(motion.poses, motion.angles, strict=True)):
-            points = forward(body, pose)
-            pelvis = 0.5 * (points[5] + points[6])
-            rows = np.vstack([pelvis, points[list(POINT_COLUMNS.values())], pose.position_world])
-            numbers = np.concatenate([rows.ravel(), rotation_vector(pose.R_world_torso), angles])
-            writer.writerow([frame, *(f"{value:.7f}" for value in numbers)])
+    names = [f"{name}_{axis}" for name in ("pelvis", *POINT_COLUMNS) for axis in "xyz"]
+    rows = []
+    for pose, angles in zip(motion.poses, motion.angles, strict=True):
+        points = forward(body, pose)
+        pelvis = 0.5 * (points[5] + points[6])
+        places = np.vstack([pelvis, points[list(POINT_COLUMNS.values())], pose.position_world])
+        rows.append(np.concatenate([places.ravel(), rotation_vector(pose.R_world_torso), angles]))
+    names += [*TORSO_COLUMNS, *(f"{name}_rad" for name in ANGLE_NAMES)]
+    write_table(path, names, range(len(rows)), np.array(rows), 7)
 
 
 def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSettings, progress: Progress) -> None:
@@ -241,51 +238,12 @@ def _write_description(path: Path, fps: float, recipe: dict) -> None:
     save_mapping(path, document)
 
 
-# --- Videos, and folders that appear whole or not at all and replace only what the virtual studio wrote itself.
-
-
-@contextmanager
-def atomic_folder(folder: Path, description: str) -> Iterator[Path]:
-    """Gives a folder to write into, which takes the place of ``folder`` when all went well.
-
-    ``description`` names the YAML file in it that says ``made_by: virtual_studio``.
-    Raises InputError when ``folder`` is no folder, or holds something that the studio did not write.
-    """
-    _check(folder, description)
-    partial = folder.parent / f".{folder.name}.{os.getpid()}.partial"
-    partial.mkdir(parents=True)
+def is_own(folder: Path, description: str = "session.yaml") -> bool:
+    """Tells whether the virtual studio wrote a folder, by what its ``description`` says."""
     try:
-        yield partial
-        _put_in_place(partial, folder)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
-
-
-def _check(folder: Path, description: str) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise InputError("is not a folder", where=str(folder), remedy="Give the path of a new folder.")
-    if folder.is_dir() and any(folder.iterdir()) and not _is_own(folder / description):
-        raise InputError(
-            "is not empty and was not written by the virtual studio",
-            where=str(folder),
-            remedy="Give a new folder, or empty this one yourself.",
-        )
-
-
-def _is_own(description: Path) -> bool:
-    try:
-        return read_mapping(description, "").get("made_by") == MADE_BY
+        return read_mapping(folder / description, "").get("made_by") == MADE_BY
     except InputError:
         return False
-
-
-def _put_in_place(partial: Path, folder: Path) -> None:
-    """Swaps the finished folder in; an older one goes only when the new one is there."""
-    old = partial.with_suffix(".old")
-    if folder.exists():
-        folder.rename(old)
-    partial.rename(folder)
-    shutil.rmtree(old, ignore_errors=True)
 
 
 class VideoFile:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from capture_rig.camera import CameraModel
 from capture_rig.kernel import njit
@@ -19,26 +17,15 @@ from ..boards import BACK, BLACK, WHITE, BoardPrint, PosedBoard, PosePath
 from ..people import Capsules
 from ..rig import view_room
 from .camera import Image, Light, Sensor
-from .capsules import draw_capsules, lambert
+from .capsules import boxes_around, draw_capsules, lambert
 
 SAMPLES = 48
 LENS_BLUR_PX, EXPOSURE_S = 0.6, 0.008
 """Standard deviation of a point's picture in a lens that is in focus."""
 OUTLINE_POINTS = 16
-BOX_MARGIN_PX = 2
-NEAR_M = 0.02
 STILL_PX = 0.1
 """Motion below this, while the shutter is open, is not drawn."""
 MOST_INSTANTS = 9
-
-
-@dataclass(frozen=True)
-class Optics:
-    """How pictures are taken. blur_px: of a lens in focus, standard deviation; exposure_s: the shutter's time."""
-
-    sensor: Sensor
-    blur_px: float = LENS_BLUR_PX
-    exposure_s: float = EXPOSURE_S
 
 
 class BoardCamera:
@@ -68,6 +55,13 @@ class BoardCamera:
             self._draw(board, depth, light, sample_offsets(samples))
         return _blurred(light, blur_px)
 
+    def film(
+        self, board: BoardPrint, path: PosePath, t: float, people: Capsules | None, samples: int = SAMPLES
+    ) -> Light:
+        """Returns the light of a board on its path while the shutter is open: ``t`` is the middle of that, s."""
+        posed = PosedBoard(board, exposure_poses(self.camera, board, path, t, EXPOSURE_S))
+        return self.render([posed], people, samples=samples)
+
     def _with_people(self, people: Capsules | None) -> tuple[Light, Light]:
         """Light and depth along the ray, m, of the room with people in it."""
         light = self._view.grey.copy()
@@ -76,10 +70,12 @@ class BoardCamera:
         return light, draw_capsules(self.camera, self._view.rays, people, light)[0]
 
     def _draw(self, board: PosedBoard, depth: Light, light: Light, offsets: Array) -> None:
-        box = self._box_of(board)
+        printed = board.print
+        outline = _outline(printed.sheet_board)  # while the shutter is open
+        places = np.concatenate([outline @ T[:3, :3].T + T[:3, 3] for T in board.T_world_board])
+        (box,) = boxes_around(self.camera, places[None])
         if (box[2:] <= box[:2]).any():
             return
-        printed = board.print
         homographies = np.array([_homography(self.camera.T_camera_world @ T, printed) for T in board.T_world_board])
         greys = np.array([self._greys(T) for T in board.T_world_board])
         cast_board(self._ideal, homographies, greys, printed.texture, printed.edge_distance, offsets, box, depth, light)
@@ -91,22 +87,6 @@ class BoardCamera:
         normal = T_world_board[:3, 2] if in_front else -T_world_board[:3, 2]
         return lambert(*normal) * np.array([BLACK, WHITE] if in_front else [BACK, BACK])
 
-    def _box_of(self, board: PosedBoard) -> NDArray[np.int64]:
-        """Pixels x0, y0, x1, y1 (end excluded) that the sheet may cover while the shutter is open."""
-        outline = _outline(board.print.sheet_board)
-        points = np.concatenate([outline @ T[:3, :3].T + T[:3, 3] for T in board.T_world_board])
-        depth = points @ self.camera.R_camera_world[2] + self.camera.t_camera_world[2]
-        if depth.max() < NEAR_M:
-            return np.zeros(4, np.int64)
-        pixels = self.camera.project(points)
-        if depth.min() < NEAR_M or np.isnan(pixels).any():  # around the camera, or beyond its lens
-            return np.array([0, 0, self.camera.width, self.camera.height], np.int64)
-        return self._box(pixels.min(0) - BOX_MARGIN_PX, pixels.max(0) + BOX_MARGIN_PX + 1)
-
-    def _box(self, low: Array, high: Array) -> NDArray[np.int64]:
-        size = np.array([self.camera.width, self.camera.height])
-        return np.concatenate([np.clip(np.floor(low), 0, size), np.clip(np.ceil(high), 0, size)]).astype(np.int64)
-
     def _distance(self, board: PosedBoard) -> float:
         middle = board.middle[:3, :3] @ board.print.middle_board + board.middle[:3, 3]
         return float(np.linalg.norm(middle - self.camera.centre_world))
@@ -115,15 +95,13 @@ class BoardCamera:
 class FilmingCamera:
     """Takes one camera's pictures; ``number`` and the frame's number determine the noise."""
 
-    def __init__(self, camera: CameraModel, number: int, optics: Optics) -> None:
-        self.camera, self._number, self._optics = camera, number, optics
+    def __init__(self, camera: CameraModel, number: int, sensor: Sensor) -> None:
+        self.camera, self._number, self._sensor = camera, number, sensor
         self._renderer = BoardCamera(camera)
 
     def take(self, frame: int, board: BoardPrint, path: PosePath, t: float, people: Capsules | None = None) -> Image:
         """Takes a picture (h, w) of a board on its path at time ``t`` (the middle of the exposure), s."""
-        posed = PosedBoard(board, exposure_poses(self.camera, board, path, t, self._optics.exposure_s))
-        light = self._renderer.render([posed], people, self._optics.blur_px)
-        return self._optics.sensor.expose(light, self._number, frame)
+        return self._sensor.expose(self._renderer.film(board, path, t, people), self._number, frame)
 
 
 def exposure_poses(camera: CameraModel, board: BoardPrint, path: PosePath, t: float, exposure_s: float) -> Array:

@@ -60,11 +60,15 @@ def silhouette(camera: CameraModel, rays: NDArray[np.float64], capsules: Capsule
 
 
 def boxes_px(camera: CameraModel, capsules: Capsules) -> NDArray[np.int64]:
-    """Returns a pixel box (P, 4) x0, y0, x1, y1 (end excluded) around each capsule: its spheres' cubes, projected."""
+    """Returns a pixel box (P, 4) around each capsule: its spheres' cubes, projected."""
     cubes = np.stack([capsules.starts, capsules.ends], 1)[:, :, None] + capsules.radii[:, :, None, None] * _CUBE
-    corners = cubes.reshape(len(cubes), -1, 3)
-    pixels = camera.project(corners)
-    depth = corners @ camera.R_camera_world[2] + camera.t_camera_world[2]
+    return boxes_around(camera, cubes.reshape(len(cubes), -1, 3))
+
+
+def boxes_around(camera: CameraModel, points_world: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Returns a pixel box (n, 4) x0, y0, x1, y1 (end excluded) around each row of points (n, k, 3), m."""
+    pixels = camera.project(points_world)
+    depth = points_world @ camera.R_camera_world[2] + camera.t_camera_world[2]
     size = np.array([camera.width, camera.height])
     low, high = pixels.min(1) - BOX_MARGIN_PX, pixels.max(1) + BOX_MARGIN_PX + 1
     unbounded = ~(depth.min(1) > NEAR_M) | np.isnan(pixels).any((1, 2))  # around the camera or beyond its lens
