@@ -286,35 +286,6 @@ def clear_absorbed(image, mean, replaced, limit, now, box, values):  # type: ign
 
 
 @njit(**OPTIONS)
-def median(values):  # type: ignore[no-untyped-def]
-    """Return the median of values (n,) float32, as numpy's: it takes ten times as long for a thousand."""
-    own, n = values.copy(), len(values)
-    upper, low, high = n // 2, 0, n - 1
-    while low < high:  # Hoare's selection
-        pivot, i, j = own[(low + high) // 2], low, high
-        while i <= j:
-            while own[i] < pivot:
-                i += 1
-            while own[j] > pivot:
-                j -= 1
-            if i <= j:
-                own[i], own[j] = own[j], own[i]
-                i, j = i + 1, j - 1
-        if upper <= j:
-            high = j
-        elif upper >= i:
-            low = i
-        else:
-            break
-    if n % 2:
-        return own[upper]
-    most = own[0]
-    for k in range(1, upper):
-        most = max(most, own[k])
-    return F32(0.5) * (most + own[upper])
-
-
-@njit(**OPTIONS)
 def median_of(values, used, unit):  # type: ignore[no-untyped-def]
     """Return the median of the ``values`` >= 0 with ``used`` > 0, read from a histogram of steps of ``unit``."""
     counts = np.zeros(BINS, np.int64)

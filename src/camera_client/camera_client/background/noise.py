@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .kernels import HALF_MEDIAN, median
+from .kernels import HALF_MEDIAN
 from .model import NOISE_MAX_SIGMA, BackgroundModel
 
 # Thresholds: QUANTISATION from rounding, 1/12; else measured by python bench/rooms.py.
@@ -114,9 +114,8 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
     noise = Noise(noise.read * tail**2, noise.slope * tail**2)
     if channels == 1:
         return noise
-    together = (
-        HALF_MEDIAN * float(median(np.abs(scaled.sum(axis=1), dtype=np.float32)))
-    ) ** 2  # channels (1 + (channels - 1) rho)
+    total = np.abs(scaled.sum(axis=1), dtype=np.float32)
+    together = (HALF_MEDIAN * float(np.median(total))) ** 2  # channels (1 + (channels - 1) rho)
     rho = (together / channels - 1) / (channels - 1)
     return noise._replace(correlation=float(np.clip(rho, 0.0, MOST_CORRELATION)))
 
@@ -125,9 +124,8 @@ def _fit(level: Floats, square: Floats, bins: int) -> tuple[npt.NDArray[np.float
     """Fit read and slope (C,) by the medians of the squares (n, C) over pixels of similar level (n, C)."""
     order = np.array_split(np.argsort(level.sum(axis=1), kind="stable"), bins)
     parts = [part for part in order if len(part) >= FEW_IN_BIN] or [np.arange(len(level))]
-    columns = np.ascontiguousarray(square.T, np.float32)
     x = np.array([level[part].mean(axis=0) for part in parts], float)
-    y = np.array([[median(column[part]) for column in columns] for part in parts], float)
+    y = np.array([np.median(square[part].astype(np.float32), axis=0) for part in parts], float)
     weight = 1 / np.maximum(y, LEAST_VARIANCE)
     w2 = weight**2
     sw, sx, sy, sxx, sxy = (each.sum(axis=0) for each in (w2, w2 * x, w2 * y, w2 * x * x, w2 * x * y))
