@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -33,7 +34,6 @@ from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
 from .appearance import PeopleColours
 from .attenuation import ALIGNMENT_PX, AttenuationMarker
-from .certainty import Certainty, CertaintyMeter
 from .components import PeopleRule, keep_people
 from .evidence import CLEAR, EvidenceFilter, codec_error_sigma, least_evidence
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
@@ -72,6 +72,20 @@ class Difference:
     spans: Spans
     likely: Mask | None
     nobody: npt.NDArray[np.bool_] | None
+
+
+class Parts(NamedTuple):
+    """What a silhouette was made of, all (h, w) uint8 in a box around all foreground.
+
+    distance : SCALE z^2 of each pixel from the background. foreground : all of it, 255; person, shadow : what was made
+    of it, 255. levels : of the person with its attenuation (``capture_rig.mask_levels``).
+    """
+
+    distance: Mask
+    foreground: Mask
+    person: Mask
+    shadow: Mask
+    levels: Mask
 
 
 class SilhouettePipeline:
@@ -117,9 +131,9 @@ class SilhouettePipeline:
         if background_settings.moved_things:
             sigma = np.maximum(background.sigma, background_settings.sigma_floor)
             self.moved = MovedThings(whole, sigma, self.scale)
-        channels = len(background.shape[2:]) * 3 or 1
-        self._shadow = make_shadow_test(camera, channels, settings, volume)
-        self._certainty = CertaintyMeter(camera.width * camera.height, channels, background_settings.rule == "adaptive")
+        self.channels = len(background.shape[2:]) * 3 or 1
+        self.looked_at_px = camera.width * camera.height
+        self._shadow = make_shadow_test(camera, self.channels, settings, volume)
         self._attenuation = AttenuationMarker(camera, volume) if settings.shadow == "mark" else None
         self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
         height = camera.height
@@ -132,10 +146,13 @@ class SilhouettePipeline:
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
-        adaptive = background_settings.rule == "adaptive"
-        self._evidence = EvidenceFilter(camera.height) if adaptive else None
-        graded = adaptive and settings.evidence == "graded"
+        self.measures_distance = background_settings.rule == "adaptive"
+        """Whether the background says how far a pixel is from it, not only on which side."""
+        self._evidence = EvidenceFilter(camera.height) if self.measures_distance else None
+        graded = self.measures_distance and settings.evidence == "graded"
         self._colours = PeopleColours(self._shape) if graded else None
+        self.parts: Parts | None = None
+        """Of the last silhouette, on the thread that segments; None without foreground."""
         self._untimed_ns = 0
         self._dark_room = is_black(grid_sample(background.mean))
 
@@ -148,11 +165,6 @@ class SilhouettePipeline:
     def background_pixels(self) -> Mask:
         """(H, W) 255 where the last frame showed the background, as far as it was looked at, else 0."""
         return enlarged(self._locator.buffer, self.background.step_px * self.scale, self.image_shape)
-
-    @property
-    def certainty(self) -> Certainty:
-        """How sure a silhouette of the last half second is; read where frames are segmented."""
-        return self._certainty.found
 
     def run(self, image: Image, stamp_ns: int | None = None) -> Silhouette:
         """Return the silhouette in ``image`` (H, W) or (H, W, 3) uint8. Raises InputError for another size or type.
@@ -191,9 +203,8 @@ class SilhouettePipeline:
     def segment(self, found: Difference) -> Silhouette:
         """Finish a frame, as :meth:`run` says: cut the silhouette out. On one thread, in the frames' order; the next
         frames may be subtracted on another one meanwhile, which changes nothing."""
-        measured, box, scene = self._certainty.is_due(found.now_ns), found.box, found.scene
+        self.parts, box, scene = None, found.box, found.scene
         if scene is None:
-            self._certainty.note_nothing()
             nothing = np.zeros((0, 0), np.uint8)
             canvas = self._canvas_levels(found, nothing, nothing)
             return self._silhouette(found.stamp_ns, nothing, box, canvas)
@@ -203,8 +214,7 @@ class SilhouettePipeline:
         kept = self._keep_person(cv2.subtract(raw, shadow), found)
         person, cut = self._trim_outline(kept, found.change)
         marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
-        if measured:
-            self._certainty.note(found.closely, raw, kept, shadow, marked)
+        self.parts = Parts(found.closely, raw, kept, shadow, marked)
         if self._colours is not None and found.shows_scene:
             self._colours.learn(found.image, marked, box, found.nobody, found.now_ns)
         levels = person
