@@ -19,7 +19,7 @@ from mocap_packets.silhouette import Silhouette
 
 from .background.kernels import BEYOND_NOISE, HIGHEST, SCALE
 from .background.moved_things import STILL_S
-from .background.verdict import LEAST_PERSON, describe_regions, find_regions
+from .background.verdict import PERSON, describe_regions, find_regions
 from .frame_source import REPORT_PERIOD_S
 from .silhouettes.pipeline import TYPICAL_LEVEL, Parts, SilhouettePipeline
 
@@ -91,7 +91,7 @@ def measured_certainty(parts: Parts | None, picture_px: int, faint_below: int | 
     explained = cv2.bitwise_or(parts.person, parts.shadow)
     found = {"unexplained_foreground": cv2.countNonZero(cv2.subtract(parts.foreground, explained)) / picture_px}
     pixels = cv2.countNonZero(parts.person)
-    if pixels < LEAST_PERSON * picture_px:
+    if pixels < PERSON * picture_px:
         return found
     if faint_below is not None:
         near = cv2.threshold(parts.distance, faint_below, 255, cv2.THRESH_BINARY_INV)[1]
@@ -151,7 +151,7 @@ class ConditionWatch:
             unexplained_foreground=unexplained,
             person_faint=faint if "person_faint" in found else None,
             person_maybe_shadow=found.get("person_maybe_shadow"),
-            shadow_share=silhouette.candidate_fraction / anything if anything >= LEAST_PERSON else None,
+            shadow_share=silhouette.candidate_fraction / anything if anything >= PERSON else None,
         )
 
     def _lasts(self, stamp_ns: int, now: tuple[float, ...]) -> tuple[float, ...]:

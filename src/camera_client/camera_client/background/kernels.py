@@ -25,6 +25,7 @@ F32 = np.float32
 # Thresholds: BEYOND_NOISE from the normal distribution; else measured by python bench/rooms.py.
 BEYOND_NOISE = 4.0  # standard deviations: 1 in 16000 by noise alone, as few pixels as a picture may lose
 DOUBTED = 0.02  # weight of samples that were foreground a frame ago
+USUAL_S = 1.0  # time constant of what is usual: noise, outliers, flicker, edges' misfit, a picture at rest
 BINS = 256
 BIN_SIGMAS = 0.125  # of the histogram that a median is read from
 HALF_MEDIAN = 1 / NormalDist().inv_cdf(0.75)  # normal standard deviations in a median absolute deviation

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 
-from .kernels import BEYOND_NOISE, BIN_SIGMAS, F32, HALF_MEDIAN, OPTIONS, median_of
+from .kernels import BEYOND_NOISE, BIN_SIGMAS, F32, HALF_MEDIAN, OPTIONS, USUAL_S, median_of
 
 FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
 # Thresholds: measured by python bench/rooms.py.
@@ -27,7 +27,6 @@ OFFSET_PRIOR = 0.02  # holds the offset at zero as much as a fiftieth of the sam
 SWITCHED_SCALE = 2.5  # half of the picture differs by more sigmas: no person, but other lights
 SWITCHED_SHARE = 0.15  # ... or so much of it more than before: a lamp lights a part of the room
 SWITCHED_S = 0.5  # the field is found anew for so long
-OUTLIER_S = 1.0  # time constant of what is usual
 WEAK, WEAK_SIGMAS = 0.5, 6.0  # weight at least of foreground that differs by fewer sigmas
 MOST_GAIN = 4.0  # beyond, nothing of the picture is left to compare
 FIELD_REACH = 0.04  # relative: a cell that departs further from its surroundings is covered by something
@@ -121,7 +120,7 @@ class LightEstimator:
         usual, last = self._usual_gain, self._last_gain
         change, step = (max(abs(now / was - 1) for now, was in zip(gain, a, strict=True)) for a in (usual, last))
         least = max(SWITCHED_GAIN, SWITCHED_FLICKERS * math.sqrt(self.flicker2))
-        share = 1 - math.exp(-step_s / OUTLIER_S)
+        share = 1 - math.exp(-step_s / USUAL_S)
         self._usual_gain = [was + share * (now - was) for now, was in zip(gain, usual, strict=True)]
         self._last_gain = gain
         if step < least:
@@ -133,7 +132,7 @@ class LightEstimator:
         sudden = outliers > self._outliers + SWITCHED_SHARE or scale > SWITCHED_SCALE
         self.switches += sudden and self._switched_s > SWITCHED_S and not self._first
         self._switched_s = 0.0 if sudden else self._switched_s + step_s
-        share = 1 - math.exp(-step_s / OUTLIER_S)
+        share = 1 - math.exp(-step_s / USUAL_S)
         self._outliers += (1.0 if self._first else share) * (outliers - self._outliers)
 
     def _refit(self, seen: Floats, expected: Floats, usable: Floats, field: Floats) -> Floats:

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .kernels import HALF_MEDIAN
-from .model import NOISE_MAX_SIGMA, BackgroundModel
+from .kernels import HALF_MEDIAN, USUAL_S
+from .model import MOVING_SIGMAS, NOISIEST, BackgroundModel
 
 # Thresholds: QUANTISATION from rounding, 1/12; else measured by python bench/rooms.py.
 QUANTISATION = 1 / 12  # variance of rounding to whole grey levels
 LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs smooth away
-MOST_VARIANCE = NOISE_MAX_SIGMA**2  # no camera is noisier, and a room that seems so must not hide a person
+MOST_VARIANCE = (MOVING_SIGMAS * NOISIEST) ** 2  # a room that seems noisier must not hide a person
 LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
 FEW_IN_BIN = 30
 TAIL_SHARE, TAIL_SIGMAS = (
@@ -30,7 +30,6 @@ TAIL_SHARE, TAIL_SIGMAS = (
 )  # a normal distribution has so much within so many sigmas; codecs change whole blocks
 TAIL_ALLOWED = 0.2  # times more is still normal: shadows and things that are not foreground yet
 MOST_TAIL = 2.5
-FOLLOW_S = 1.0  # time constant
 MOST_CORRELATION = 0.6  # beyond, small errors of the colour would count as much as a person
 
 GREY_POWER = sum(weight**2 for weight in (0.299, 0.587, 0.114))  # of a brightness, by BT.601
@@ -177,7 +176,7 @@ class NoiseCorrelationMeter:
         found, passing = measured_correlation(*rest[:, sure]), measured_correlation(*(seen - before)[:, both])
         self._passing.append(1.0 if passing is None else passing)  # only codecs show the same picture again
         if found is not None and len(self._passing) == self._passing.maxlen:
-            share = 1 - math.exp(-step_s / FOLLOW_S) if self.known else 1.0
+            share = 1 - math.exp(-step_s / USUAL_S) if self.known else 1.0
             self.spatial_correlation += share * (min(found, PASSING * min(self._passing)) - self.spatial_correlation)
             self.known = True
         return self.spatial_correlation

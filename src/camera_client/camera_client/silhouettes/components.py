@@ -12,10 +12,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ..background.verdict import HAND, PERSON
 from ..frame_source import Mask
 from .masks import Box
-
-PERSON = 15.0  # times the least area, a hand's: a person seen from the side, half hidden, is so large
 
 
 class PeopleRule(NamedTuple):
@@ -73,7 +72,7 @@ def _people(large: Sequence[np.ndarray], mask: Mask, rule: PeopleRule, things: M
     clear = [k for k, box in enumerate(boxes) if things is None or not _lies_on(mask, things, box)]
     left = clear or list(range(len(large)))
     largest = max(left, key=lambda k: (areas[k], -boxes[k].top))
-    kept = {largest} | {k for k in left if areas[k] >= PERSON * rule.min_area_px}
+    kept = {largest} | {k for k in left if areas[k] * HAND >= PERSON * rule.min_area_px}
     grown = True
     while grown:
         near = {k for k in left if any(_gap2_px(boxes[k], boxes[other]) <= rule.near_px**2 for other in kept)}

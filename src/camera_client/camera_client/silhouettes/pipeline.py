@@ -29,6 +29,7 @@ from ..background.kernels import HIGHEST, STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
 from ..background.noise import Noise
+from ..background.verdict import HAND
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
@@ -40,12 +41,11 @@ from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majo
 from .shadows import HALVED_NOISE, Scene, enlarged, halve, make_shadow_test
 
 EMPTY, FULL = "empty", "full"
-# Thresholds: MIN_AREA from the size of a hand at 10 m, REACH_BLOCKS from the reach of the evidence; else judgement.
+# Thresholds: REACH_BLOCKS from the reach of the evidence; else judgement.
 REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: three times the evidence's reach
 TYPICAL_LEVEL = HIGHEST / 2  # grey level at which one number stands for the noise
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps
-MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
-EMPTY_BELOW, FULL_ABOVE = 2e-4, 0.6  # share of foreground at which a mask is flagged: no person looks like that
+FULL_ABOVE = 0.6  # share of foreground at which a mask is flagged: no person looks like that
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +137,7 @@ class SilhouettePipeline:
         self._attenuation = AttenuationMarker(camera, volume) if settings.shadow == "mark" else None
         self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
         height = camera.height
-        min_area_px = MIN_AREA * height**2
+        min_area_px = HAND * height**2
         self._people = PeopleRule(min_area_px, settings.near * height, settings.max_hole * height**2)
         least_px = majority_count()
         self._locator = ForegroundLocator(self._shape, min_area_px, least_px, self.background.step_px)
@@ -327,7 +327,7 @@ class SilhouettePipeline:
         return Silhouette(canvas, image_mask, fraction, flags, candidates, self._camera, stamp_ns)
 
     def _flags(self, fraction: float) -> tuple[str, ...]:
-        if fraction < EMPTY_BELOW:
+        if fraction < HAND:
             return (EMPTY,)
         return (FULL,) if fraction > FULL_ABOVE else ()
 

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.mask_levels import ATTENUATION_EDGES
 from capture_rig.rig import Volume
 
 from ..frame_source import Image, Mask
@@ -31,18 +32,17 @@ from .shadow_kernels import (
 
 # Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
 # with python bench/rooms.py.
-FLOOR_DARKEST, COLOUR_DARKEST = 0.45, 0.4  # a shadow leaves at least this share of the brightness
+FLOOR_DARKEST, COLOUR_DARKEST = 0.45, ATTENUATION_EDGES[0]  # a shadow leaves at least this share of the brightness,
+LIGHTEST = ATTENUATION_EDGES[-1]  # ... and at most this: less cannot be told from noise
 SHADOW_SIGMAS = 3.0  # in a shadow, image and darkened background differ by no more, on average (texture, colour)
 PERSISTENCE = 0.3  # in a shadow at least this share of the floor's texture is still seen; smooth clothes show none
 MIN_AREA = 0.0015  # share of height^2; smaller patches are not taken for shadow
 TINT = 0.05  # share of the light that it lost by which a shadow is tinted: other lamps and walls have other colours
 MIN_CONTRAST = 20.0  # sigmas; a background hardly brighter than black looks like dark clothes: colour tells nothing
-LIGHTEST = 0.97  # a shadow leaves at most this share of the brightness: less cannot be told from noise
 GRID_PX = 8  # the floor's outline in the image needs no finer grid
 MAX_FLOOR_DISTANCE_M = 20.0
-WINDOW_OF_HEIGHT = 0.0105  # side of the window that tells texture from brightness
-MIN_WINDOW_PX = 5  # 3 x 3 pixels hold too little texture to tell anything apart
 BLOCK_OF_HEIGHT = 1 / 120  # sums are formed over square blocks of this share of the image height
+MIN_WINDOW_PX = 5  # a window a pixel larger tells texture from brightness; 3 x 3 pixels hold too little texture
 TEXTURE_BLOCKS = 7  # a square of so many blocks decides whether texture persists
 PATCH_PERSISTENCE = 0.4, 1.5  # the whole patch keeps a share of it between these, ...
 MIN_EVIDENCE_SIGMAS = 10.0  # ... and not by chance: a floor so plain that its texture could not be seen proves nothing
@@ -110,9 +110,8 @@ class FloorShadow:
 
     def __init__(self, camera: CameraModel, volume: Volume | None = None) -> None:
         """``volume``: the capture volume; far from it rays meet walls before the floor."""
-        side = max(2 * round((WINDOW_OF_HEIGHT * camera.height - 1) / 2) + 1, MIN_WINDOW_PX)
-        self._window = side
         self.alignment_px = self._block = max(2 * round(BLOCK_OF_HEIGHT * camera.height / 2), 2)
+        self._window = side = max(self._block + 1, MIN_WINDOW_PX)
         self._border = np.ones((2 * side + 1, 2 * side + 1), np.uint8)
         self._floor = floor_pixels(camera, volume, SHADOW_REACH_M)
         self._min_area_px = max(MIN_AREA * camera.height**2, MIN_PATCH_WINDOWS * side**2)
