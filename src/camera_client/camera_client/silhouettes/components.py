@@ -41,10 +41,12 @@ def keep_people(mask: Mask, rule: PeopleRule, things: Mask | None = None) -> Mas
     contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     if not contours:
         return kept
-    inner = hierarchy[0, :, 3] >= 0
-    large = [each for each, hole in zip(contours, inner, strict=True) if not hole and _area(each) >= rule.min_area_px]
+    inner, points = hierarchy[0, :, 3] >= 0, np.array([len(each) for each in contours])
+    most = points**2 / 8 + points / 2 + 1  # that so many can enclose, with their own: specks are not measured
+    outer = [contours[k] for k in np.flatnonzero(~inner & (most >= rule.min_area_px)).tolist()]
+    large = [each for each in outer if _area(each) >= rule.min_area_px]
     _fill(kept, _people(large, mask, rule, things))
-    holes = [each for each, hole in zip(contours, inner, strict=True) if hole and kept[each[0, 0, 1], each[0, 0, 0]]]
+    holes = [contours[k] for k in np.flatnonzero(inner).tolist() if kept[contours[k][0, 0, 1], contours[k][0, 0, 0]]]
     kept = np.asarray(cv2.bitwise_and(kept, mask), np.uint8)
     _fill(kept, [each for each in holes if _area(each, inside=True) < rule.max_hole_px])
     return kept

@@ -217,6 +217,7 @@ def trim_outline(person: Mask, change: Mask, least_share: float, colour: bool, t
 # --- undistortion of a part of the image, without looking at the rest of the canvas
 
 CELL_PX = 16
+_UNSEEN = np.uint32(0xFFFFFFFF)
 
 
 class BoxUndistorter:
@@ -225,25 +226,38 @@ class BoxUndistorter:
 
     def __init__(self, view: UndistortedView) -> None:
         rows, columns = np.indices(view.image_shape, np.int16)
-        self._nearest = np.stack([view.undistort_mask(columns), view.undistort_mask(rows)], axis=2)
-        self._nearest[~view.seen] = -1
-        row, column = np.nonzero(view.seen)
+        column, row = (view.undistort_mask(each).astype(np.uint32) for each in (columns, rows))
+        self._place = np.where(view.seen, row * np.uint32(view.image_shape[1]) + column, _UNSEEN)
+        """Index of the pixel that each pixel of the canvas shows."""
+        cell = row[view.seen] // CELL_PX, column[view.seen] // CELL_PX
         shape = tuple(-(-n // CELL_PX) for n in view.image_shape)
-        cell = tuple(self._nearest[row, column, ::-1].T // CELL_PX)
         self._low = np.full((*shape, 2), np.iinfo(np.int32).max, np.int32)
         """First row and column of the canvas that show each cell; ``_high``: the ones after the last."""
         self._high = np.zeros((*shape, 2), np.int32)
-        for axis, place in enumerate((row, column)):
+        for axis, place in enumerate(np.nonzero(view.seen)):
             np.minimum.at(self._low[..., axis], cell, place.astype(np.int32))
             np.maximum.at(self._high[..., axis], cell, place.astype(np.int32) + 1)
 
     def undistort(self, mask: Mask, box: Box) -> Mask:
         """Map ``mask`` (H, W) uint8, 0 outside ``box``, to the canvas (h, w): nearest pixel, 0 where unseen."""
-        canvas = np.zeros(self._nearest.shape[:2], np.uint8)
+        canvas = np.zeros(self._place.shape, np.uint8)
         if not box.empty:
             cells = box.divided(CELL_PX).slices
             low, high = self._low[cells].min(axis=(0, 1)), self._high[cells].max(axis=(0, 1))
-            if (low < high).all():
-                at, unused = (slice(low[0], high[0]), slice(low[1], high[1])), np.empty(0, np.uint16)
-                canvas[at] = cv2.remap(mask, self._nearest[at], unused, cv2.INTER_NEAREST)
+            look_up(mask, self._place, (low[0], low[1], high[0], high[1]), canvas)
         return canvas
+
+
+@njit(**OPTIONS)
+def look_up(mask, place, part, canvas):  # type: ignore[no-untyped-def]
+    """Fill a part (top, left, bottom, right) of the canvas (h, w) with the pixels of ``mask`` (H, W) that it shows.
+
+    place (h, w) uint32 : index of the pixel that each pixel of the canvas shows, or _UNSEEN.
+    """
+    top, left, bottom, right = part
+    pixels = mask.reshape(-1)
+    for v in range(top, bottom):
+        to, looks_at = canvas[v, left:right], place[v, left:right]
+        for u in range(len(to)):
+            if looks_at[u] != _UNSEEN:
+                to[u] = pixels[looks_at[u]]

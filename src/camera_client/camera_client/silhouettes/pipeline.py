@@ -38,7 +38,8 @@ from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .components import PeopleRule, keep_people
 from .evidence import CLEAR, EvidenceFilter, codec_error_sigma, least_evidence
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
-from .shadows import HALVED_NOISE, Scene, enlarged, halve, make_shadow_test
+from .shadows import HALVED_NOISE, Scene, enlarged, make_shadow_test
+from .texture import halve
 
 EMPTY, FULL = "empty", "full"
 # Thresholds: REACH_BLOCKS from the reach of the evidence; else judgement.
