@@ -18,13 +18,12 @@ from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import Silhouette
 
 from .background.kernels import BEYOND_NOISE, HIGHEST, SCALE
-from .background.moved_things import STILL_S
 from .background.verdict import PERSON, describe_regions, find_regions
-from .frame_source import REPORT_PERIOD_S
+from .frame_source import LASTING_S, REPORT_PERIOD_S
 from .silhouettes.pipeline import TYPICAL_LEVEL, Parts, SilhouettePipeline
 
 CHANNELS = ("blue", "green", "red")
-# Threshold: judgement (test_camera_condition.py states cases); what lasts for STILL_S counts.
+# Threshold: judgement (test_camera_condition.py states cases); what lasts for LASTING_S counts.
 RECENT_S = 30.0  # switches of the light within this count together
 
 
@@ -155,13 +154,13 @@ class ConditionWatch:
         )
 
     def _lasts(self, stamp_ns: int, now: tuple[float, ...]) -> tuple[float, ...]:
-        """Return the least of each share in the last STILL_S; 0 while that is not over."""
+        """Return the least of each share in the last LASTING_S; 0 while that is not over."""
         if self._lasting and stamp_ns < self._lasting[-1][0]:  # a clock was set back
             self._lasting.clear()
         self._lasting.append((stamp_ns, now))
-        while len(self._lasting) > 1 and (stamp_ns - self._lasting[1][0]) * NS >= STILL_S:
+        while len(self._lasting) > 1 and (stamp_ns - self._lasting[1][0]) * NS >= LASTING_S:
             self._lasting.popleft()
-        if (stamp_ns - self._lasting[0][0]) * NS < STILL_S:
+        if (stamp_ns - self._lasting[0][0]) * NS < LASTING_S:
             return (0.0,) * len(now)
         return tuple(map(min, zip(*(shares for _, shares in self._lasting), strict=True)))
 

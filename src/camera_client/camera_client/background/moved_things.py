@@ -21,7 +21,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import ForegroundSupport
 
-from ..frame_source import Image, Mask
+from ..frame_source import LASTING_S, Image, Mask
 from .expected_image import Corners, Samples
 from .kernels import BEYOND_NOISE, STEP_PX, USUAL_S, clear_absorbed, follow_running
 from .moved_evidence import Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
@@ -31,7 +31,9 @@ SAMPLE_S = 0.2  # blocks are looked at so often
 BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
 RESTLESS_SHARE = 24  # of 255: two samples of a block that differ: an edge of a person moved by a fraction of a pixel
-STILL_S = 3.0  # nobody sees it, and it keeps still, for so long: it is a thing; as learned for so long: it is none
+STILL_S = (
+    LASTING_S  # nobody sees it, and it keeps still, for so long: it is a thing; as learned for so long: it is none
+)
 OUTSIDE_STILL_S = 4 * STILL_S  # ... of what may be a person beside the volume: nobody holds each limb still so long
 REST_S = USUAL_S  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen;
 # also the time constant of the picture that blocks are compared with: slower than sway, faster than daylight

@@ -33,7 +33,6 @@ DAMPING = 0.5  # slopes are measured over two pixels, which makes fine edges see
 MOST_OF_WIDTH = 0.012  # beyond that share of the width the camera was moved, and is not followed
 MOST_LEFT_PX = 0.8
 RESTLESS = 1.5  # edges that fit worse than in the second before, by such a factor, may have moved at once
-LEFT_S = 0.5  # time constant of what is left
 FEW_PLACES = 40
 FEWEST = 3  # frames whose median counts
 LEAST_STEEPNESS = 1.5  # grey levels a pixel
@@ -151,7 +150,7 @@ class ShiftEstimator:
         slopes = self._right * gain, self._down * gain, self._turned * gain
         found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust, math.hypot(*self._shape) / 4)
         instant, left_px = Displacement(*found[:3]), float(found[3])
-        share = 1.0 if at_once else 1 - math.exp(-step_s / LEFT_S)
+        share = 1.0 if at_once else 1 - math.exp(-step_s / USUAL_S)
         self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
         self._time_s += step_s
         self._recent.append((self._time_s, instant))

@@ -18,6 +18,7 @@ from capture_rig.mask_levels import ATTENUATION_EDGES
 from capture_rig.rig import Volume
 
 from ..background.kernels import F32, OPTIONS
+from ..background.verdict import HAND, PERSON
 from ..frame_source import Image, Mask
 from ..settings import SilhouetteSettings
 from .evidence import COLOUR_SHARE, Scene
@@ -30,7 +31,7 @@ FLOOR_DARKEST, COLOUR_DARKEST = 0.45, ATTENUATION_EDGES[0]  # a shadow leaves at
 LIGHTEST = ATTENUATION_EDGES[-1]  # ... and at most this: less cannot be told from noise
 SHADOW_SIGMAS = 3.0  # in a shadow, image and darkened background differ by no more, on average (texture, colour)
 PERSISTENCE = 0.3  # in a shadow at least this share of the floor's texture is still seen; smooth clothes show none
-MIN_AREA = 0.0015  # share of height^2; smaller patches are not taken for shadow
+MIN_AREA = PERSON / 2  # share of height^2; smaller patches are not taken for shadow
 TINT = 0.05  # share of the light that it lost by which a shadow is tinted: other lamps and walls have other colours
 MIN_CONTRAST = 20.0  # sigmas; a background hardly brighter than black looks like dark clothes: colour tells nothing
 GRID_PX = 8  # the floor's outline in the image needs no finer grid
@@ -47,7 +48,7 @@ TEXTURE_WINDOW_PX = 9  # of the halved image
 TEXTURE_LEFT = 0.1  # of a texture that noise does not hide, the share that shows it still there
 HALVED_NOISE = 0.5  # of the variance is left in a mean of four pixels: neighbours are not independent (Bayer, codecs)
 PATCH_SIGMAS, PATCH_LEFT = 2.0, 0.5  # half of its texture tells a shadow from none when it stands out by so many sigmas
-LEAST_PATCH = 8e-4  # share of height^2, about a forearm: smaller patches are shadow only near larger ones
+LEAST_PATCH = 4 * HAND  # share of height^2, about a forearm: smaller patches are shadow only near larger ones
 _THREE = np.ones((3, 3), np.uint8)
 _ALL_BYTES: dict[int, np.unsignedinteger] = {
     2: np.uint16(0x0101),
