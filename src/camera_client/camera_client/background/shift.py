@@ -32,6 +32,7 @@ SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the f
 DAMPING = 0.5  # slopes are measured over two pixels, which makes fine edges seem to move further than they did
 MOST_OF_WIDTH = 0.012  # beyond that share of the width the camera was moved, and is not followed
 MOST_LEFT_PX = 0.8
+LEFT_S = 0.5  # time constant of what is left
 RESTLESS = 1.5  # edges that fit worse than in the second before, by such a factor, may have moved at once
 FEW_PLACES = 40
 FEWEST = 3  # frames whose median counts
@@ -150,7 +151,7 @@ class ShiftEstimator:
         slopes = self._right * gain, self._down * gain, self._turned * gain
         found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust, math.hypot(*self._shape) / 4)
         instant, left_px = Displacement(*found[:3]), float(found[3])
-        share = 1.0 if at_once else 1 - math.exp(-step_s / USUAL_S)
+        share = 1.0 if at_once else 1 - math.exp(-step_s / LEFT_S)
         self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
         self._time_s += step_s
         self._recent.append((self._time_s, instant))

@@ -22,8 +22,8 @@ from ..background.verdict import HAND, PERSON
 from ..frame_source import Image, Mask
 from ..settings import SilhouetteSettings
 from .evidence import COLOUR_SHARE, Scene
-from .masks import Box
-from .texture import blocks_that_fit, drop_lost_texture, find_rims, halve, shadow_sums, sum_by_label
+from .masks import Box, majority
+from .texture import as_dark_as_near, blocks_that_fit, drop_lost_texture, halve, shadow_sums, sum_by_label
 
 # Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
 # with python bench/rooms.py.
@@ -144,8 +144,8 @@ class FloorShadow:
         """Pixels beside a patch that are as dark, against the floor, as the patch is near them: windows that reach into
         the body fit nothing."""
         beside = cv2.bitwise_and(looked_at, cv2.subtract(cv2.dilate(patches, self._border), patches))
-        near = find_rims(image, expected, patches, len(self._border), SHADOW_SIGMAS * sigma)
-        fits = cv2.bitwise_and(enlarged(near, 2, patches.shape), beside)
+        near = as_dark_as_near(image, expected, patches, len(self._border), SHADOW_SIGMAS * sigma)
+        fits = majority(cv2.bitwise_and(enlarged(near, 2, patches.shape), beside), 3)
         fits = cv2.morphologyEx(cv2.bitwise_or(fits, patches), cv2.MORPH_OPEN, _THREE)
         return cv2.bitwise_and(fits, looked_at)
 

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ..frame_source import Image, Mask
-from .masks import majority
 
 Floats = npt.NDArray[np.floating]
 
@@ -84,16 +83,16 @@ def sum_by_label(labels: np.ndarray, values: Floats, count: int) -> npt.NDArray[
     return np.stack([np.bincount(label, each.reshape(-1)[at], count) for each in values])
 
 
-def find_rims(image: Image, expected: Floats, patch: Mask, window: int, limit: float) -> Mask:
-    """Return (ceil(h / 2), ceil(w / 2)) uint8: 255 where most of every second pixel are as dark as the patch near them.
+def as_dark_as_near(image: Image, expected: Floats, patch: Mask, window: int, limit: float) -> Mask:
+    """Return (ceil(h / 2), ceil(w / 2)) uint8: 255 where every second pixel is as dark as the patch near it.
 
-    patch (h, w) : not 0 where shadow was found, near : within ``window`` such pixels. limit : grey levels by which one
-    differs at most from the background, made as dark as the patch is near it.
+    patch (h, w) : not 0 where shadow was found, near : within ``window`` such pixels. limit : grey levels by which a
+    pixel differs at most from the background, made as dark as the patch is near it.
     """
-    own, *seen = patch[::2, ::2] > 0, image[::2, ::2], expected[::2, ::2]
-    X, M = (_mean_around(np.where(own, each, np.float32(0)), window) for each in seen)
-    off = X / np.maximum(M, np.float32(1e-3)) * seen[1] - seen[0]
-    return majority(np.where(np.abs(off) <= limit, np.uint8(255), np.uint8(0)), 3)
+    own, seen, there = patch[::2, ::2] > 0, image[::2, ::2], expected[::2, ::2]
+    X, M = (_mean_around(np.where(own, each, np.float32(0)), window) for each in (seen, there))
+    off = X / np.maximum(M, np.float32(1e-3)) * there - seen
+    return np.where(np.abs(off) <= limit, np.uint8(255), np.uint8(0))
 
 
 def _mean_around(values: Image | Floats, window: int) -> Floats:
