@@ -16,10 +16,10 @@ import numpy as np
 from room_clips import PERSON_PX, RoomClip
 
 from camera_client.background.model import BackgroundLearner
+from camera_client.background.verdict import HAND
 from camera_client.settings import SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import majority
-from camera_client.silhouettes.pipeline import MIN_AREA
 from hull_server.hull_pipeline import HullPipeline, PendingHull
 from mocap_packets.frame_set import FrameSet
 from mocap_pipeline.configuration import Configuration
@@ -178,7 +178,7 @@ def tidy(mask: np.ndarray) -> np.ndarray:
     """A rival's mask (H, W), 0 or 255, through our majority filter and component rules."""
     settings, height = SilhouetteSettings(), len(mask)
     filtered, area = majority(mask), height * height
-    return keep_people(filtered, PeopleRule(MIN_AREA * area, settings.near * height, settings.max_hole * area))
+    return keep_people(filtered, PeopleRule(HAND * area, settings.near * height, settings.max_hole * area))
 
 
 def best_of(scores: Iterable[Score]) -> Score:

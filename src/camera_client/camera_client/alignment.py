@@ -37,8 +37,8 @@ AGREES_PX = 0.5  # a place agrees when its edge lies within so much (of a pixel 
 FEW_POINTS, FEW_CELLS = 60, 12
 WELL_KNOWN = 0.5  # when so many agree there is no need to search
 BY_CHANCE = 0.5  # a place that agrees as often as this with turns that are wrong is not used
+SINGULAR = np.sqrt(np.finfo(float).eps)  # half of the digits are left
 WRONG_TURNS_RAD = np.radians([(a, b, c) for a in (-5, 0, 4) for b in (-4, 0, 5) for c in (-2, 1) if a or b])
-SINGULAR = 1e-9
 
 Weights = Callable[[Array, "EdgePoints"], npt.NDArray]
 
@@ -247,7 +247,7 @@ DARK_LEVEL = 8.0  # grey levels; keeps noise in black places small
 SMOOTHED = (1 + 4 + 1) / 16  # what a smoothing by (1 2 1) / 4, across and down, leaves of the noise
 LEAST_NOISE = 0.4  # grey levels at working size: codecs smooth noise away, and what they leave is no signal
 FLAT = 0.012  # an edge that rises by less than this share of the brightness a pixel is none
-TINY_TURN_RAD = 1e-4
+TINY_TURN_RAD = np.cbrt(np.finfo(float).eps)  # of a difference quotient
 
 
 @dataclass(frozen=True, eq=False)

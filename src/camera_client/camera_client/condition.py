@@ -8,18 +8,22 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from typing import Any
 
+import cv2
+from scipy.special import chdtri, ndtr
+
+from capture_rig.mask_levels import FOREGROUND, SHADOW_CANDIDATE
 from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import Silhouette
 
-from .background.moved_things import STILL_S
-from .background.verdict import LEAST_PERSON, describe_regions, find_regions
-from .frame_source import REPORT_PERIOD_S
-from .silhouettes.pipeline import TYPICAL_LEVEL, SilhouettePipeline
+from .background.kernels import BEYOND_NOISE, HIGHEST, SCALE
+from .background.verdict import PERSON, describe_regions, find_regions
+from .frame_source import LASTING_S, REPORT_PERIOD_S
+from .silhouettes.pipeline import TYPICAL_LEVEL, Parts, SilhouettePipeline
 
 CHANNELS = ("blue", "green", "red")
-# Threshold: judgement (test_camera_condition.py states cases); what lasts for STILL_S counts.
+# Threshold: judgement (test_camera_condition.py states cases); what lasts for LASTING_S counts.
 RECENT_S = 30.0  # switches of the light within this count together
 
 
@@ -78,12 +82,21 @@ class Condition:
         return figures | {"shadow_share": shadow, "maybe_shadow": maybe, "most_shadow": max(shadow, maybe)}
 
 
-class Shares(NamedTuple):
-    """Shares of the picture and of the person that count when they last; as in :class:`Condition`."""
-
-    restless: float = 0.0
-    unexplained: float = 0.0
-    faint: float = 0.0
+def measured_certainty(parts: Parts | None, picture_px: int, faint_below: int | None) -> dict[str, float]:
+    """Return what a silhouette leaves open, by the fields of :class:`Condition`: without a person only what is
+    unexplained. ``faint_below`` : distance of a pixel that hardly differs; None where distances are not measured."""
+    if parts is None:
+        return {"unexplained_foreground": 0.0}
+    explained = cv2.bitwise_or(parts.person, parts.shadow)
+    found = {"unexplained_foreground": cv2.countNonZero(cv2.subtract(parts.foreground, explained)) / picture_px}
+    pixels = cv2.countNonZero(parts.person)
+    if pixels < PERSON * picture_px:
+        return found
+    if faint_below is not None:
+        near = cv2.threshold(parts.distance, faint_below, 255, cv2.THRESH_BINARY_INV)[1]
+        found["person_faint"] = cv2.countNonZero(cv2.bitwise_and(near, parts.person)) / pixels
+    doubted = cv2.inRange(parts.levels, SHADOW_CANDIDATE + 1, FOREGROUND - 1)
+    return found | {"person_maybe_shadow": cv2.countNonZero(doubted) / pixels}
 
 
 class ConditionWatch:
@@ -95,7 +108,9 @@ class ConditionWatch:
     def __init__(self, pipeline: SilhouettePipeline) -> None:
         self._pipeline, self._throttle = pipeline, StampThrottle(REPORT_PERIOD_S)
         self._shape = pipeline.image_shape
-        self._lasting: deque[tuple[int, Shares]] = deque()
+        beyond = round(SCALE * float(chdtri(pipeline.channels, 2 * ndtr(-BEYOND_NOISE))))
+        self._faint_below = min(beyond, int(HIGHEST) - 1) if pipeline.measures_distance else None
+        self._lasting: deque[tuple[int, tuple[float, ...]]] = deque()
         self._switches: deque[tuple[int, int]] = deque()
         self._things_known, self._places = (0, 0), ""
         self.found = Condition()
@@ -125,28 +140,29 @@ class ConditionWatch:
 
     def add(self, background: Condition, stamp_ns: int, silhouette: Silhouette) -> None:
         """Add the silhouette of that frame, the last one that the pipeline segmented."""
-        certainty, anything = self._pipeline.certainty, silhouette.foreground_fraction + silhouette.candidate_fraction
-        now = Shares(background.restless_foreground or 0.0, certainty.unexplained, certainty.faint or 0.0)
-        lasts = self._lasts(stamp_ns, now)
+        found = measured_certainty(self._pipeline.parts, self._pipeline.looked_at_px, self._faint_below)
+        anything = silhouette.foreground_fraction + silhouette.candidate_fraction
+        now = (background.restless_foreground or 0.0, found["unexplained_foreground"], found.get("person_faint", 0.0))
+        restless, unexplained, faint = self._lasts(stamp_ns, now)
         self.found = replace(
             background,
-            restless_foreground=lasts.restless,
-            unexplained_foreground=lasts.unexplained,
-            person_faint=None if certainty.faint is None else lasts.faint,
-            person_maybe_shadow=certainty.maybe_shadow,
-            shadow_share=silhouette.candidate_fraction / anything if anything >= LEAST_PERSON else None,
+            restless_foreground=restless,
+            unexplained_foreground=unexplained,
+            person_faint=faint if "person_faint" in found else None,
+            person_maybe_shadow=found.get("person_maybe_shadow"),
+            shadow_share=silhouette.candidate_fraction / anything if anything >= PERSON else None,
         )
 
-    def _lasts(self, stamp_ns: int, now: Shares) -> Shares:
-        """Return the least of each share in the last STILL_S; 0 while that is not over."""
+    def _lasts(self, stamp_ns: int, now: tuple[float, ...]) -> tuple[float, ...]:
+        """Return the least of each share in the last LASTING_S; 0 while that is not over."""
         if self._lasting and stamp_ns < self._lasting[-1][0]:  # a clock was set back
             self._lasting.clear()
         self._lasting.append((stamp_ns, now))
-        while len(self._lasting) > 1 and (stamp_ns - self._lasting[1][0]) * NS >= STILL_S:
+        while len(self._lasting) > 1 and (stamp_ns - self._lasting[1][0]) * NS >= LASTING_S:
             self._lasting.popleft()
-        if (stamp_ns - self._lasting[0][0]) * NS < STILL_S:
-            return Shares()
-        return Shares(*map(min, zip(*(shares for _, shares in self._lasting), strict=True)))
+        if (stamp_ns - self._lasting[0][0]) * NS < LASTING_S:
+            return (0.0,) * len(now)
+        return tuple(map(min, zip(*(shares for _, shares in self._lasting), strict=True)))
 
     def _recent_switches(self, stamp_ns: int, switches: int) -> int:
         if self._switches and stamp_ns < self._switches[-1][0]:

@@ -14,12 +14,11 @@ from capture_rig.verdict import GOOD, Finding
 
 from .background.causes import age_h, find_causes, other_setting, worst_first
 from .frame_processor import FrameProcessor, FrameResult
-from .frame_source import Connection, ConnectionState, Frame, FrameSource, FrameStatistics
+from .frame_source import LASTING_S, Connection, ConnectionState, Frame, FrameSource, FrameStatistics
 from .settings import CameraClientSettings
 from .sources.frame_checks import LIGHTS, REMEDIES
 from .sources.grab_loop import GrabState
 
-LOSS_WINDOW_S = 3.0  # frames lost within this degrade the camera's level
 CONNECTION_COUNTERS = ("reconnects", "stalls", "control_losses", "failed_attempts")
 UNCALIBRATED = "uncalibrated: no silhouettes; run sagoma calibrate"
 NO_BACKGROUND = "no background: run sagoma background (or call ~/learn_background while the scene is empty)"
@@ -149,7 +148,7 @@ def frame_values(frame: Frame, result: FrameResult) -> dict[str, object]:
 class RecentStatistics:
     """Statistics of the frames of the last few seconds, from totals sampled now and then."""
 
-    def __init__(self, window_s: float = LOSS_WINDOW_S) -> None:
+    def __init__(self, window_s: float = LASTING_S) -> None:
         self._window_s = window_s
         self._totals: deque[tuple[float, FrameStatistics]] = deque()
 

@@ -21,15 +21,15 @@ from capture_rig.stamps import StampThrottle
 from .alignment import Alignment, Array, PictureAlignment
 from .background.kernels import BEYOND_NOISE
 from .background.model import BackgroundModel, Provenance
-from .frame_source import REPORT_PERIOD_S, Image
+from .frame_source import LASTING_S, REPORT_PERIOD_S, Image
 from .settings import CameraMovedSettings
 
 # Thresholds: chosen with python bench/camera_movement.py.
 SAMPLES = 3  # whose median counts: something that springs back, or one bad picture, is no movement
 MIN_AGREEMENT = 0.2  # share of the edges, beyond chance, that have to agree on a turn
 MIN_AGREEMENT_GAIN = 0.08  # ... and more of them than agree that nothing moved
-LOST = 0.1  # when fewer agree on anything, the picture is another one ...
-SEARCH_S = 3.0  # ... for so long; a search, which costs as much as ten comparisons, is not made more often
+LOST = MIN_AGREEMENT / 2  # when fewer agree on anything for LASTING_S, the picture is another one; a search, which
+# costs as much as ten comparisons, is not made more often
 SEVERE_FACTOR = 2.5  # limits from which it is an error, and not only a warning
 
 
@@ -129,7 +129,7 @@ class CameraMovedDetector:
         step_s = self._throttle.step_s(stamp_ns)
         if step_s == 0.0 or not self.enabled:
             return self.movement
-        search = stamp_ns - self._searched_ns >= SEARCH_S * 1e9 or not self._samples
+        search = stamp_ns - self._searched_ns >= LASTING_S * 1e9 or not self._samples
         start_rad = self._samples[-1].turn_rad if self._samples else np.zeros(3)
         found = self.alignment.align(image, start_rad, search)
         if found is not None and found.agreeing >= MIN_AGREEMENT:
@@ -140,7 +140,7 @@ class CameraMovedDetector:
         if search:
             self._searched_ns = stamp_ns
         self._unlike_s = self._unlike_s + step_s if found is None or found.agreeing < LOST else 0.0
-        if self._unlike_s >= SEARCH_S:
+        if self._unlike_s >= LASTING_S:
             self._samples.clear()
             self.movement = Movement(MovementState.LOST, severe=True)
         return self.movement

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from camera_client.background.model import STILL_SIGMA, BackgroundModel, Provenance, load_background, read_background
+from camera_client.background.model import NOISIEST, BackgroundModel, Provenance, load_background, read_background
 from camera_client.background.training import FEWEST_FRAMES, background_of_footage
 from camera_client.settings import BackgroundSettings
 from capture_rig.errors import InputError
@@ -166,8 +166,8 @@ def test_background_from_one_still_assumes_a_noise(tmp_path, scene):
     path = scene.write_video(tmp_path / "one.avi", scene.empty(1))
     model = read_background(path, (scene.height, scene.width), BackgroundSettings())
     assert np.array_equal(model.mean, scene.empty(1)[0])
-    assert (model.sigma == STILL_SIGMA).all()
-    assert (model.provenance.frames, model.provenance.mean_noise) == (1, STILL_SIGMA)
+    assert (model.sigma == NOISIEST).all()
+    assert (model.provenance.frames, model.provenance.mean_noise) == (1, NOISIEST)
 
 
 @pytest.mark.parametrize("shape, text", [((480, 640), "640 x 480 mono"), ((120, 160, 3), "160 x 120 colour")])

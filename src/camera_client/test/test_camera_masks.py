@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from camera_client.background.adaptive import FixedBackground
 from camera_client.background.model import BackgroundModel, Provenance
+from camera_client.background.verdict import HAND
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
 from camera_client.silhouettes.components import PeopleRule, keep_people
 from camera_client.silhouettes.masks import (
@@ -21,7 +22,7 @@ from camera_client.silhouettes.masks import (
     majority_count,
     trim_outline,
 )
-from camera_client.silhouettes.pipeline import MIN_AREA, SilhouettePipeline
+from camera_client.silhouettes.pipeline import SilhouettePipeline
 from camera_client.silhouettes.shadows import Scene, make_shadow_test
 from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import SHADOW_CANDIDATE
@@ -90,7 +91,7 @@ def whole_image(camera, background, image, settings):
     height = len(image)
     side, area = 2 * round(settings.closing * height / 2) + 1, height**2
     person = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
-    person = keep_people(person, PeopleRule(MIN_AREA * area, settings.near * height, settings.max_hole * area))
+    person = keep_people(person, PeopleRule(HAND * area, settings.near * height, settings.max_hole * area))
     change = change_of(image, background.mean)
     person = trim_outline(person, change, settings.outline_contrast, colour=image.ndim == 3)
     return np.maximum(person, np.minimum(shadow, SHADOW_CANDIDATE))
@@ -240,7 +241,7 @@ def test_limb_survives_that_is_cut_off_as(cut):
     mask[cut] = 0
     settings = SilhouetteSettings()
     area = mask.shape[0] ** 2
-    kept = keep_people(mask, PeopleRule(MIN_AREA * area, settings.near * mask.shape[0], settings.max_hole * area))
+    kept = keep_people(mask, PeopleRule(HAND * area, settings.near * mask.shape[0], settings.max_hole * area))
     assert cv2.connectedComponents(mask)[0] > 2  # it is cut off
     assert np.array_equal(kept, mask)
 

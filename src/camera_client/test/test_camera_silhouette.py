@@ -14,7 +14,8 @@ from camera_client.background.model import read_background
 from camera_client.background.noise import assumed_noise, learned_noise
 from camera_client.frame_processor import warm_up_silhouettes
 from camera_client.settings import BackgroundSettings, SilhouetteSettings
-from camera_client.silhouettes import evidence, shadow_kernels
+from camera_client.silhouettes import evidence
+from camera_client.silhouettes import shadows as shadow_tests
 from camera_client.silhouettes.pipeline import CANDIDATE_BGR, EMPTY, FULL, PERSON_BGR, SilhouettePipeline, outline
 from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene, floor_pixels
 from camera_client.sources.footage_reader import open_footage
@@ -316,7 +317,7 @@ def test_person_and_shadow_candidates_are_outlined_in_two_colours(shape):
 def test_after_the_warm_up_no_kernel_of_a_silhouette_is_compiled(scene, colour):
     warm_up_silhouettes.cache_clear()
     warm_up_silhouettes(colour)
-    kernels = [each for module in (kernels_of_background, evidence, shadow_kernels) for each in vars(module).values()]
+    kernels = [each for module in (kernels_of_background, evidence, shadow_tests) for each in vars(module).values()]
     kernels = [each for each in kernels if isinstance(each, Dispatcher)]
     before = [len(kernel.signatures) for kernel in kernels]
     pipeline = SilhouettePipeline(scene.camera(), learned(scene.empty(30, colour=colour)))

@@ -82,7 +82,7 @@ def test_threads_change_no_byte_of_silhouettes_condition_and_background(colour, 
         told.append(
             [each.silhouette.mask.tobytes() + each.silhouette.image_mask.tobytes() for each in results]
             + [(each.flags, each.silhouette.foreground_fraction, each.movement.values()) for each in results]
-            + [pipeline.certainty, processor.condition, state.noise.read.tobytes(), state.displacement]
+            + [processor.condition, state.noise.read.tobytes(), state.displacement]
             + [state.light.gain.tobytes(), state.light.field.tobytes(), pipeline.background_pixels.tobytes()]
         )
     assert told[0] == told[1] == told[2]

@@ -23,10 +23,10 @@ from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from ..sources.frame_checks import WHITE_LEVEL
 from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples
-from .kernels import DOUBTED, HIGHEST, SCALE, STEP_PX, Today, take_residuals, take_samples, thin_out
+from .kernels import DOUBTED, HIGHEST, SCALE, STEP_PX, USUAL_S, Today, take_residuals, take_samples, thin_out
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
-from .noise import FOLLOW_S, Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
+from .noise import Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
 from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
 
 # Thresholds: SAMPLES from the error of a mean, 1/sqrt(n); else measured by python bench/rooms.py.
@@ -36,7 +36,6 @@ SAMPLES = 3000  # on a regular grid: the light to a thousandth
 TURN_S = 0.03  # some rows of the expected image are renewed, and the displacement is measured, not more often
 BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames are rare: light's field takes as long
 NOISE_S = 0.35  # the noise is not measured more often, but for a codec to be known: its time constant is a second
-FIRST_STEP_S, MOST_STEP_S = 1.0, 1.0  # the first frame counts as so long, a gap between frames at most
 MOST_STEPS = 6  # of a displacement that is taken over at once, each damped
 
 
@@ -156,8 +155,8 @@ class AdaptiveBackground:
         """Take one frame (H, W) or (H, W, 3) of ``stamp_ns``, and its samples, into account."""
         self._samples = samples
         first = self._last_ns is None
-        step_s = FIRST_STEP_S if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
-        step_s, self._last_ns = min(max(step_s, 0.0), MOST_STEP_S), stamp_ns
+        step_s = USUAL_S if self._last_ns is None else (stamp_ns - self._last_ns) * 1e-9
+        step_s, self._last_ns = min(max(step_s, 0.0), USUAL_S), stamp_ns
         picture = image.reshape(self._image.shape)
         rest = self._follow_light(step_s)
         self._since_shift_s += step_s
@@ -199,7 +198,7 @@ class AdaptiveBackground:
         if found is None:
             return
         found = found.at_least(self._least_noise, float(np.median(level)))
-        share = 1 - math.exp(-self._since_noise_s / FOLLOW_S)
+        share = 1 - math.exp(-self._since_noise_s / USUAL_S)
         self._noise = self._noise.moved(found, share)._replace(spatial_correlation=spatial)
         self._since_noise_s = 0.0
 

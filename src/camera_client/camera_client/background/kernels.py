@@ -25,6 +25,7 @@ F32 = np.float32
 # Thresholds: BEYOND_NOISE from the normal distribution; else measured by python bench/rooms.py.
 BEYOND_NOISE = 4.0  # standard deviations: 1 in 16000 by noise alone, as few pixels as a picture may lose
 DOUBTED = 0.02  # weight of samples that were foreground a frame ago
+USUAL_S = 1.0  # time constant of what is usual: noise, outliers, flicker, edges' misfit, a picture at rest
 BINS = 256
 BIN_SIGMAS = 0.125  # of the histogram that a median is read from
 HALF_MEDIAN = 1 / NormalDist().inv_cdf(0.75)  # normal standard deviations in a median absolute deviation
@@ -283,35 +284,6 @@ def clear_absorbed(image, mean, replaced, limit, now, box, values):  # type: ign
                 most = max(most, abs(F32(image[v, u, c]) - min(F32(brightness) * mean[v, u, c], F32(HIGHEST))))
             if most <= limit[v, u]:
                 values[y, x] = 0
-
-
-@njit(**OPTIONS)
-def median(values):  # type: ignore[no-untyped-def]
-    """Return the median of values (n,) float32, as numpy's: it takes ten times as long for a thousand."""
-    own, n = values.copy(), len(values)
-    upper, low, high = n // 2, 0, n - 1
-    while low < high:  # Hoare's selection
-        pivot, i, j = own[(low + high) // 2], low, high
-        while i <= j:
-            while own[i] < pivot:
-                i += 1
-            while own[j] > pivot:
-                j -= 1
-            if i <= j:
-                own[i], own[j] = own[j], own[i]
-                i, j = i + 1, j - 1
-        if upper <= j:
-            high = j
-        elif upper >= i:
-            low = i
-        else:
-            break
-    if n % 2:
-        return own[upper]
-    most = own[0]
-    for k in range(1, upper):
-        most = max(most, own[k])
-    return F32(0.5) * (most + own[upper])
 
 
 @njit(**OPTIONS)

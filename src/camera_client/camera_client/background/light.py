@@ -17,23 +17,23 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 
-from .kernels import BEYOND_NOISE, BIN_SIGMAS, F32, HALF_MEDIAN, OPTIONS, median_of
+from .kernels import BEYOND_NOISE, BIN_SIGMAS, F32, HALF_MEDIAN, OPTIONS, USUAL_S, median_of
 
 FIELD_DOWN, FIELD_ACROSS = 6, 8  # cells of the field: a lamp's light changes slowly over the picture
 # Thresholds: measured by python bench/rooms.py.
 FIELD_S = 0.3  # time constant of the field
 STEPS, REACH = 3, 2.5  # of the robust fit; sigmas
 OFFSET_PRIOR = 0.02  # holds the offset at zero as much as a fiftieth of the samples would
-SWITCHED_SCALE = 2.5  # half of the picture differs by more sigmas: no person, but other lights
-SWITCHED_SHARE = 0.15  # ... or so much of it more than before: a lamp lights a part of the room
+SWITCHED_SHARE = 0.15  # so much more of the picture than before differs: no person, but a lamp in a part of the room
 SWITCHED_S = 0.5  # the field is found anew for so long
-OUTLIER_S = 1.0  # time constant of what is usual
 WEAK, WEAK_SIGMAS = 0.5, 6.0  # weight at least of foreground that differs by fewer sigmas
 MOST_GAIN = 4.0  # beyond, nothing of the picture is left to compare
-FIELD_REACH = 0.04  # relative: a cell that departs further from its surroundings is covered by something
-LIT_SPREAD, LIT_REACH = 0.05, 0.35  # relative: a cell's samples agree on their ratio; how far it may depart then
+LIT_SPREAD, LIT_REACH = 0.05, 0.35  # relative: a cell's samples agree on their ratio; how far that departs at most
 FIELD_PRIOR = 0.1  # holds a cell to its neighbours as a tenth of a typical cell's samples would
 FEW_IN_CELL = 8
+_CELLS = np.indices((FIELD_DOWN, FIELD_ACROSS)).reshape(2, -1)
+NEARNESS = 1 / np.maximum(((_CELLS[:, :, None] - _CELLS[:, None]) ** 2).sum(axis=0), 1)
+"""Weight (cells, cells) of one cell for another: one over their squared distance."""
 SWITCHED_GAIN, SWITCHED_FLICKERS = 0.06, 5.0  # ... or is brighter or darker by so much, and so many times its flicker
 
 Floats = npt.NDArray[np.float32]
@@ -100,9 +100,9 @@ class LightEstimator:
         given = samples, self._trust_before, self._cell, light.field, share
         scale, outliers = fit_light(*given, now, usable, rest, field)
         gain, offset = now
-        self._note_switch(outliers, max(scale, self._jump(gain.tolist(), step_s)), step_s)
+        self._note_switch(outliers, self._jumps(gain.tolist(), step_s), step_s)
         switched = self._switched_s < SWITCHED_S
-        if switched:
+        if switched and outliers > SWITCHED_SHARE:
             field = self._refit(samples[0] - offset[:, None], gain[:, None] * samples[1], usable, light.field)
             field = np.clip(field / field.mean(axis=(0, 1)), np.float32(1 / MOST_GAIN), np.float32(MOST_GAIN))
         self.light = Light(gain, offset, field, scale, switched and not self._first)
@@ -113,63 +113,46 @@ class LightEstimator:
         """Forget the last frame: its samples were compared with a background that lay elsewhere."""
         vars(self).update(self._before)
 
-    def _jump(self, gain: list[float], step_s: float) -> float:
-        """Return a scale beyond SWITCHED_SCALE when the gain departs from its mean over the last second."""
+    def _jumps(self, gain: list[float], step_s: float) -> bool:
+        """Return whether the gain departs from its mean over the last second by more than it flickers."""
         if self._first:
             self._usual_gain = self._last_gain = gain
-            return 1.0
+            return False
         usual, last = self._usual_gain, self._last_gain
         change, step = (max(abs(now / was - 1) for now, was in zip(gain, a, strict=True)) for a in (usual, last))
         least = max(SWITCHED_GAIN, SWITCHED_FLICKERS * math.sqrt(self.flicker2))
-        share = 1 - math.exp(-step_s / OUTLIER_S)
+        share = 1 - math.exp(-step_s / USUAL_S)
         self._usual_gain = [was + share * (now - was) for now, was in zip(gain, usual, strict=True)]
         self._last_gain = gain
         if step < least:
             self.flicker2 += share * (0.5 * step * step - self.flicker2)
-        return 2 * SWITCHED_SCALE if change > least else 1.0
+        return change > least
 
-    def _note_switch(self, outliers: float, scale: float, step_s: float) -> None:
-        """Notice that half of the picture, or suddenly much more of it than before, departs from the background."""
-        sudden = outliers > self._outliers + SWITCHED_SHARE or scale > SWITCHED_SCALE
+    def _note_switch(self, outliers: float, jumps: bool, step_s: float) -> None:
+        """Notice that the gain jumps, or that suddenly much more of the picture than before departs from it."""
+        sudden = jumps or outliers > self._outliers + SWITCHED_SHARE
         self.switches += sudden and self._switched_s > SWITCHED_S and not self._first
         self._switched_s = 0.0 if sudden else self._switched_s + step_s
-        share = 1 - math.exp(-step_s / OUTLIER_S)
+        share = 1 - math.exp(-step_s / USUAL_S)
         self._outliers += (1.0 if self._first else share) * (outliers - self._outliers)
 
     def _refit(self, seen: Floats, expected: Floats, usable: Floats, field: Floats) -> Floats:
-        """Find the field anew: medians of the cells' ratios, smooth over the picture, robust against what covers some.
-
-        First a quadratic surface, then the cells themselves where they are near it.
-        """
-        ratio, spread = np.full_like(field, np.nan), np.zeros_like(field)
+        """Find the field anew: the median of a cell's ratios where its samples agree on it, as they do where a lamp
+        lights it and not where something covers it; elsewhere from the cells around (Shepard 1968)."""
+        factor, n = np.ones_like(field), FIELD_DOWN * FIELD_ACROSS
         for c in range(field.shape[2]):
+            ratio, known = np.ones(n), np.zeros(n, bool)
             each = seen[c] / np.maximum(expected[c], 1.0)
-            for cell in range(FIELD_DOWN * FIELD_ACROSS):
+            for cell in range(n):
                 mine = each[(self._cell == cell) & (usable[c] >= 1)]
                 if len(mine) >= FEW_IN_CELL:
-                    at = cell // FIELD_ACROSS, cell % FIELD_ACROSS, c
-                    ratio[at] = np.median(mine)
-                    spread[at] = np.median(np.abs(mine - ratio[at])) / max(ratio[at], 1 / MOST_GAIN)
-        ratio = np.log(np.clip(ratio, 1 / MOST_GAIN, MOST_GAIN))
-        v, u = np.meshgrid(np.linspace(-1, 1, FIELD_DOWN), np.linspace(-1, 1, FIELD_ACROSS), indexing="ij")
-        basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=-1).reshape(-1, 6)
-        smooth = np.zeros_like(ratio)
-        for c in range(field.shape[2]):
-            y, known = np.nan_to_num(ratio[..., c].reshape(-1)), np.isfinite(ratio[..., c].reshape(-1)) * 1.0
-            if not known.any():  # a lens that was covered: all was foreground just before, the field stays
-                continue
-            weight = known
-            for _ in range(6):
-                A = (basis * weight[:, None]).T @ basis + 1e-3 * np.diag([0, 1, 1, 1, 1, 1])
-                surface = basis @ np.linalg.solve(A, (basis * weight[:, None]).T @ y)
-                off = np.abs(y - surface)
-                reach = max(3 * float(np.median(off[known > 0])), FIELD_REACH)
-                weight = known / (1 + (off / reach) ** 2) ** 2
-            smooth[..., c] = surface.reshape(FIELD_DOWN, FIELD_ACROSS)
-        # nearer lamps light a place by more than a smooth surface says; what covers it would not keep its texture
-        most = np.where(spread < LIT_SPREAD, LIT_REACH, 2 * FIELD_REACH)
-        near = np.abs(ratio - smooth) < most  # never where nothing is known
-        return np.asarray(field * np.exp(np.where(near, ratio, smooth)), np.float32)
+                    ratio[cell] = np.clip(np.median(mine), 1 / MOST_GAIN, MOST_GAIN)
+                    known[cell] = np.median(np.abs(mine / ratio[cell] - 1)) < LIT_SPREAD
+            if known.any():  # else a lens that was covered: all was foreground just before, the field stays
+                known &= np.abs(np.log(ratio / np.median(ratio[known]))) < LIT_REACH
+                weight = NEARNESS * known
+                factor[..., c] = np.where(known, ratio, weight @ ratio / weight.sum(axis=1)).reshape(field.shape[:2])
+        return field * factor
 
 
 @njit(**OPTIONS)

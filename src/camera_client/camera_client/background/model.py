@@ -26,10 +26,9 @@ from ..sources.frame_checks import MIN_LIT_LEVEL, grid_sample
 MOST_BACKGROUND_BYTES = 2 << 30  # two images of floats, of the largest sensors in colour (65 megapixels)
 FORMAT = "sagoma background 1"
 # Thresholds: judgement, no measurement.
-MOVING_SIGMAS = 3.0  # a pixel moved when it varied by this many times the median noise ...
-MOVING_MIN_SIGMA = 3.0  # ... and by this many grey levels
-NOISE_MAX_SIGMA = 12.0  # no camera is as noisy as this: it moved, even when most other pixels did, too
-STILL_SIGMA = 4.0  # grey levels, of a background that is a single still: its noise is not known
+MOVING_SIGMAS = 3.0  # a pixel moved when it varied by this many times the median noise
+NOISIEST = 4.0  # grey levels: no camera is noisier, it moved; of a single still, whose noise is not known, so much is
+# assumed
 SQRT_2_PI = math.sqrt(2 * math.pi)
 WHOLE = (slice(None), slice(None))
 
@@ -89,7 +88,7 @@ class BackgroundModel:
     def moving_pixels(self) -> npt.NDArray[np.bool_]:
         """(H, W) pixels that varied much more than the rest: something moved while the background was learned."""
         spread = self.sigma if self.sigma.ndim == 2 else self.sigma.max(axis=2)
-        limit = np.clip(MOVING_SIGMAS * float(np.median(spread)), MOVING_MIN_SIGMA, NOISE_MAX_SIGMA)
+        limit = MOVING_SIGMAS * np.clip(float(np.median(spread)), BackgroundSettings.sigma_floor, NOISIEST)
         return np.asarray(spread > limit)
 
     @cached_property
@@ -255,7 +254,7 @@ def read_background(path: str | Path, shape: tuple[int, ...], settings: Backgrou
     """Return the background at ``path`` for images of ``shape``. Raises InputError naming the file.
 
     A ``.npz`` is loaded; several images are learned from; a single one is taken as the mean, with the noise that
-    STILL_SIGMA assumes.
+    NOISIEST assumes.
     """
     path = Path(path)
     if path.suffix == ".npz":
@@ -283,5 +282,5 @@ def _learn(reader: FootageReader, settings: BackgroundSettings) -> BackgroundMod
         last = image
         learner.add(image)
     if last is not None and learner.frames == 1:
-        return background_from_still(last, STILL_SIGMA, str(reader.path), software=SOFTWARE)
+        return background_from_still(last, NOISIEST, str(reader.path), software=SOFTWARE)
     return learner.model(str(reader.path), software=SOFTWARE)

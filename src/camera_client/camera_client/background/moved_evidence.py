@@ -22,9 +22,9 @@ from ..frame_source import Image, Mask
 
 # Thresholds: APPLY_AFTER_S from the latency of the graph; else chosen with
 # the rooms of test_camera_moved_things.py.
-APPLY_AFTER_S = 0.5  # a report counts for frames so much later, when it is there, live and in lockstep
-SILENT_S = 2.0  # without a report for so long, nothing is known of the others
-LONGEST_STEP_S = 0.5  # a report stands for no more time than this: twice the reports' period
+APPLY_AFTER_S = 0.5  # a report counts for frames so much later, when it is there, live and in lockstep: twice the
+# reports' period, and no report stands for more time
+SILENT_S = 4 * APPLY_AFTER_S  # without a report for so long, nothing is known of the others
 
 Seconds = npt.NDArray[np.float32]
 Blocks = npt.NDArray[np.bool_]
@@ -63,7 +63,7 @@ class SupportHistory:
         due_ns = stamp_ns - round(APPLY_AFTER_S / NS)
         while self._reports and self._reports[0].stamp_ns <= due_ns:
             report = self._reports.popleft()
-            step_s = min(max((report.stamp_ns - self._report_ns) * NS, 0.0), LONGEST_STEP_S)
+            step_s = min(max((report.stamp_ns - self._report_ns) * NS, 0.0), APPLY_AFTER_S)
             self._report_ns = report.stamp_ns
             levels = self._cells.levels(report)
             self.unseen_s = counted(self.unseen_s, (levels == NOBODY) | (levels == OUTSIDE), step_s, self._most_s)

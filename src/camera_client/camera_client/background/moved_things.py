@@ -21,9 +21,9 @@ from capture_rig.camera import CameraModel
 from capture_rig.stamps import NS, StampThrottle
 from mocap_packets.silhouette import ForegroundSupport
 
-from ..frame_source import Image, Mask
+from ..frame_source import LASTING_S, Image, Mask
 from .expected_image import Corners, Samples
-from .kernels import BEYOND_NOISE, STEP_PX, clear_absorbed, follow_running
+from .kernels import BEYOND_NOISE, STEP_PX, USUAL_S, clear_absorbed, follow_running
 from .moved_evidence import Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
 # Thresholds: chosen with the rooms of test_camera_moved_things.py.
@@ -31,17 +31,17 @@ SAMPLE_S = 0.2  # blocks are looked at so often
 BLOCK_PX = 8
 BLOCK_SHARE = 64  # of 255: a quarter of a block is foreground; noise fills no such part
 RESTLESS_SHARE = 24  # of 255: two samples of a block that differ: an edge of a person moved by a fraction of a pixel
-STILL_S = 3.0  # nobody sees it, and it keeps still, for so long: it is a thing
-OUTSIDE_STILL_S = 12.0  # the same of what may be a person beside the volume: nobody holds each limb still for so long
-REST_S = 1.0  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen;
+STILL_S = (
+    LASTING_S  # nobody sees it, and it keeps still, for so long: it is a thing; as learned for so long: it is none
+)
+OUTSIDE_STILL_S = 4 * STILL_S  # ... of what may be a person beside the volume: nobody holds each limb still so long
+REST_S = USUAL_S  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen;
 # also the time constant of the picture that blocks are compared with: slower than sway, faster than daylight
 WHOLE = 0.8  # share of a blob's blocks that must keep still: heads and hands move while a trunk does not; in the rest
 # others may see something: rays of other things that cross
 LEAST_UNSEEN = 0.5  # ... that nobody else sees, so that those may be absorbed
-REVERT_S = 2.0  # as it was learned for so long: what was absorbed is forgotten
 MOST_BLOBS = 8  # looked at a time: bounds the work
 MOST_ABSORBED = 0.5  # share of the picture; more is another room
-OVERFLOW_S = 5.0  # it is called so for so long
 STATIC_S, ALWAYS = 300.0, 0.9  # foreground that kept still for so long, in nine tenths of the time, is static
 STATIC_RATE = math.log(1 - ALWAYS) / STATIC_S  # 1 / s, of its running mean
 COUNTED_S = STILL_S + SAMPLE_S  # times are counted up to a little more than the longest that is asked for
@@ -109,7 +109,7 @@ class MovedThings:
     @property
     def overflowed(self) -> bool:
         """Whether more moved in the last seconds than may be absorbed."""
-        return self._overflow_ns is not None and self._last_ns - self._overflow_ns <= OVERFLOW_S / NS
+        return self._overflow_ns is not None and self._last_ns - self._overflow_ns <= STILL_S / NS
 
     @property
     def static(self) -> Blocks:
@@ -120,11 +120,6 @@ class MovedThings:
     def newest_ns(self) -> int:
         """Stamp at which the newest thing was absorbed; 0 without one."""
         return int(self._since_ns.max())
-
-    @property
-    def seen_by_nobody(self) -> npt.NDArray[np.bool_]:
-        """Blocks in which the other cameras see nobody, as far as they say."""
-        return self._others.unseen_s > 0
 
     def take_report(self, report: ForegroundSupport) -> None:
         """Take what the others see, for frames some time after its stamp. From any thread."""
@@ -287,7 +282,7 @@ class MovedThings:
         self._learned_s = np.where(absorbed & ~unlike_learned, self._learned_s + np.float32(step_s), np.float32(0))
         # a thing's own neighbours look as learned all the time; they go when the whole thing does
         beside = cv2.dilate((absorbed & unlike_learned).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-        back = absorbed & (self._learned_s >= REVERT_S) & ~beside
+        back = absorbed & (self._learned_s >= STILL_S) & ~beside
         self._denied_s = counted(self._denied_s, matched & self._others.sees_body & ~self._gone, step_s, COUNTED_S)
         back |= self._denied_s >= STILL_S
         if back.any():

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .kernels import HALF_MEDIAN, median
-from .model import NOISE_MAX_SIGMA, BackgroundModel
+from .kernels import HALF_MEDIAN, USUAL_S
+from .model import MOVING_SIGMAS, NOISIEST, BackgroundModel
 
 # Thresholds: QUANTISATION from rounding, 1/12; else measured by python bench/rooms.py.
 QUANTISATION = 1 / 12  # variance of rounding to whole grey levels
 LEAST_VARIANCE = 0.35  # of any pixel: rounding of the frame and of what codecs smooth away
-MOST_VARIANCE = NOISE_MAX_SIGMA**2  # no camera is noisier, and a room that seems so must not hide a person
+MOST_VARIANCE = (MOVING_SIGMAS * NOISIEST) ** 2  # a room that seems noisier must not hide a person
 LEARNED_BINS, FRAME_BINS = 12, 6  # pixels are sorted by level into so many groups
 FEW_IN_BIN = 30
 TAIL_SHARE, TAIL_SIGMAS = (
@@ -30,7 +30,6 @@ TAIL_SHARE, TAIL_SIGMAS = (
 )  # a normal distribution has so much within so many sigmas; codecs change whole blocks
 TAIL_ALLOWED = 0.2  # times more is still normal: shadows and things that are not foreground yet
 MOST_TAIL = 2.5
-FOLLOW_S = 1.0  # time constant
 MOST_CORRELATION = 0.6  # beyond, small errors of the colour would count as much as a person
 
 GREY_POWER = sum(weight**2 for weight in (0.299, 0.587, 0.114))  # of a brightness, by BT.601
@@ -114,9 +113,8 @@ def measured_noise(level: Floats, rest: Floats, foreground_known: bool = True) -
     noise = Noise(noise.read * tail**2, noise.slope * tail**2)
     if channels == 1:
         return noise
-    together = (
-        HALF_MEDIAN * float(median(np.abs(scaled.sum(axis=1), dtype=np.float32)))
-    ) ** 2  # channels (1 + (channels - 1) rho)
+    total = np.abs(scaled.sum(axis=1), dtype=np.float32)
+    together = (HALF_MEDIAN * float(np.median(total))) ** 2  # channels (1 + (channels - 1) rho)
     rho = (together / channels - 1) / (channels - 1)
     return noise._replace(correlation=float(np.clip(rho, 0.0, MOST_CORRELATION)))
 
@@ -125,9 +123,8 @@ def _fit(level: Floats, square: Floats, bins: int) -> tuple[npt.NDArray[np.float
     """Fit read and slope (C,) by the medians of the squares (n, C) over pixels of similar level (n, C)."""
     order = np.array_split(np.argsort(level.sum(axis=1), kind="stable"), bins)
     parts = [part for part in order if len(part) >= FEW_IN_BIN] or [np.arange(len(level))]
-    columns = np.ascontiguousarray(square.T, np.float32)
     x = np.array([level[part].mean(axis=0) for part in parts], float)
-    y = np.array([[median(column[part]) for column in columns] for part in parts], float)
+    y = np.array([np.median(square[part].astype(np.float32), axis=0) for part in parts], float)
     weight = 1 / np.maximum(y, LEAST_VARIANCE)
     w2 = weight**2
     sw, sx, sy, sxx, sxy = (each.sum(axis=0) for each in (w2, w2 * x, w2 * y, w2 * x * x, w2 * x * y))
@@ -179,7 +176,7 @@ class NoiseCorrelationMeter:
         found, passing = measured_correlation(*rest[:, sure]), measured_correlation(*(seen - before)[:, both])
         self._passing.append(1.0 if passing is None else passing)  # only codecs show the same picture again
         if found is not None and len(self._passing) == self._passing.maxlen:
-            share = 1 - math.exp(-step_s / FOLLOW_S) if self.known else 1.0
+            share = 1 - math.exp(-step_s / USUAL_S) if self.known else 1.0
             self.spatial_correlation += share * (min(found, PASSING * min(self._passing)) - self.spatial_correlation)
             self.known = True
         return self.spatial_correlation

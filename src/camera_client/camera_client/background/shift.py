@@ -20,21 +20,20 @@ from capture_rig.kernel import njit
 from capture_rig.small_matrices import solve_positive
 
 from ..alignment import strongest
-from .kernels import BIN_SIGMAS, HALF_MEDIAN, OPTIONS, median_of
+from .kernels import BIN_SIGMAS, HALF_MEDIAN, OPTIONS, USUAL_S, median_of
 
 CELLS_ACROSS, IN_CELL = 28, 2  # steep places: so many in every cell of the picture
 STEPS, REACH = 4, 2.5  # of the robust fit; sigmas
 # Thresholds: LINEAR_PX from edges that are a pixel or two wide; else measured by python bench/rooms.py.
 PRIOR_INFORMATION = 30.0  # that the displacement is zero, px^-2: a picture without edges does not move
-LEVER_PX = 200.0  # how far from the middle a roll shows: about half of a picture
 FOLLOW_PX = 0.1  # a larger displacement is taken over ...
 LINEAR_PX = 0.5  # edges are a pixel or two wide: a fit to their slopes is right within this
 SETTLE_S, SETTLED_SHARE = 0.25, 0.8  # ... when it has lasted for so long, the first time at once
 DAMPING = 0.5  # slopes are measured over two pixels, which makes fine edges seem to move further than they did
 MOST_OF_WIDTH = 0.012  # beyond that share of the width the camera was moved, and is not followed
 MOST_LEFT_PX = 0.8
-RESTLESS, USUAL_S = 1.5, 1.0  # edges that fit worse than in the second before, by such a factor, may have moved at once
 LEFT_S = 0.5  # time constant of what is left
+RESTLESS = 1.5  # edges that fit worse than in the second before, by such a factor, may have moved at once
 FEW_PLACES = 40
 FEWEST = 3  # frames whose median counts
 LEAST_STEEPNESS = 1.5  # grey levels a pixel
@@ -150,7 +149,7 @@ class ShiftEstimator:
         gain (C,) : of the light. at_once : this frame alone counts.
         """
         slopes = self._right * gain, self._down * gain, self._turned * gain
-        found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust)
+        found = robust_shift(edges.rest, *slopes, edges.variance, edges.trust, math.hypot(*self._shape) / 4)
         instant, left_px = Displacement(*found[:3]), float(found[3])
         share = 1.0 if at_once else 1 - math.exp(-step_s / LEFT_S)
         self.left_px += share * (min(left_px, MOST_LEFT_PX) - self.left_px)
@@ -177,12 +176,13 @@ class ShiftEstimator:
 
 
 @njit(**OPTIONS)
-def robust_shift(rest, right, down, turned, variance, trust):  # type: ignore[no-untyped-def]
+def robust_shift(rest, right, down, turned, variance, trust, lever_px):  # type: ignore[no-untyped-def]
     """Fit rest = -right dx - down dy - turned roll: by how much the picture moved.
 
     rest, right, down, turned, variance (n, C) float32: residuals, their change for a pixel to the right, downwards, and
-    a radian clockwise about the middle, the noise's variance. trust (n,) float32. Gives dx, dy,
-    roll, and the displacement that is left, a robust standard deviation in pixels.
+    a radian clockwise about the middle, the noise's variance. trust (n,) float32. lever_px : how far from the middle
+    a roll shows, half of the picture about. Gives dx, dy, roll, and the displacement that is left, a robust standard
+    deviation in pixels.
     """
     n, channels = rest.shape
     x, factor = np.zeros(3), np.zeros((3, 3))
@@ -199,7 +199,7 @@ def robust_shift(rest, right, down, turned, variance, trust):  # type: ignore[no
         scale = max(HALF_MEDIAN * median_of(distance, trust, BIN_SIGMAS), 1.0)
         A, b = np.zeros((3, 3)), np.zeros(3)
         A[0, 0] = A[1, 1] = PRIOR_INFORMATION
-        A[2, 2] = PRIOR_INFORMATION * LEVER_PX * LEVER_PX
+        A[2, 2] = PRIOR_INFORMATION * lever_px * lever_px
         for i in range(n):
             share = distance[i] / (REACH * scale)
             bounded = 1.0 / (1.0 + share * share)

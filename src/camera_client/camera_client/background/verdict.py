@@ -29,7 +29,6 @@ from .noise import QUANTISATION
 BLACK_LEVEL, DIM_LEVEL = 16.0, 35.0  # grey levels of the brightest hundredth, of the typical pixel
 LOW_NOISE = QUANTISATION**0.5  # grey levels, of the typical pixel: rounding alone makes as much
 THIN_OF_HEIGHT = 1 / 60  # narrower changes are edges that shifted a little
-LEAST_PERSON = 2e-3  # of the pixels; a person who is far away covers more
 MOST_CHANGED = 0.3  # of the pixels; more is no person, but other lights or a camera that was moved
 
 
@@ -122,13 +121,14 @@ def changed_regions(model: BackgroundModel, before: BackgroundModel) -> list[Ima
     foreground = (background.distance(frame, samples) > background.threshold).astype(np.uint8)
     side = max(2 * round(THIN_OF_HEIGHT * len(foreground) / 2) + 1, 3)
     changed = cv2.morphologyEx(foreground, cv2.MORPH_OPEN, np.ones((side, side), np.uint8)) > 0
-    return [] if changed.mean() > MOST_CHANGED else find_regions(np.asarray(changed), LEAST_PERSON, STEP_PX)
+    return [] if changed.mean() > MOST_CHANGED else find_regions(np.asarray(changed), PERSON, STEP_PX)
 
 
 # --- regions of the image: boxes around marked pixels, and words for them
 
 BRIDGE_OF_HEIGHT = 1 / 30  # marked pixels this near to each other are one region
-SMALLEST_REGION = 2e-4  # of the pixels; fewer are marked by chance
+HAND = 2e-4  # of the squared image height, or of the pixels: a hand at 10 m is larger
+PERSON = 15 * HAND  # a person seen from the side, half hidden, is larger
 MAX_REGIONS = 3
 
 
@@ -152,9 +152,7 @@ class ImageRegion:
         return f"{row} {column}".strip() or "in the middle"
 
 
-def find_regions(
-    marked: npt.NDArray[np.bool_], smallest: float = SMALLEST_REGION, step_px: int = 1
-) -> list[ImageRegion]:
+def find_regions(marked: npt.NDArray[np.bool_], smallest: float = HAND, step_px: int = 1) -> list[ImageRegion]:
     """Return where ``marked`` (h, w) is true, the largest region first.
 
     smallest : share of the pixels below which a region is left out.

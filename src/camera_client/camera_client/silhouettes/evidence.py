@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 
-from ..background.kernels import OPTIONS, SCALE, median
+from ..background.kernels import OPTIONS, SCALE
 from ..background.noise import Noise
 from ..frame_source import Image, Mask
 from .masks import Box, Spans
@@ -65,7 +65,7 @@ class Scene:
     def level(self) -> float:
         """The median grey level of about a thousand pixels of a mono part."""
         every = max(1, math.isqrt(self.expected.size // TYPICAL_SAMPLES))
-        return float(median(self.expected[every // 2 :: every, every // 2 :: every].reshape(-1)))
+        return float(np.median(self.expected[every // 2 :: every, every // 2 :: every]))
 
     @cached_property
     def grey(self) -> Scene:

@@ -1,14 +1,14 @@
 """Segments a frame: the silhouette of the person on the undistorted canvas (thesis 6.1, 6.3).
 
 :meth:`SilhouettePipeline.run` is the recipe: follow the background, measure every pixel's distance from it, decide with
-the neighbourhood, find shadow, keep the person, trim the outline, mark what may be floor in shadow, mark where the
-background looks like the people, undistort.
+the neighbourhood, find shadow, keep the person, trim the outline, mark what may be floor in shadow, undistort.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -27,51 +27,55 @@ from ..background.expected_image import Corners, Samples, whole_rows
 from ..background.kernels import HIGHEST, STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
-from ..background.noise import Noise
+from ..background.verdict import HAND
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
-from .appearance import PeopleColours
 from .attenuation import ALIGNMENT_PX, AttenuationMarker
-from .certainty import Certainty, CertaintyMeter
 from .components import PeopleRule, keep_people
-from .evidence import CLEAR, EvidenceFilter, codec_error_sigma, least_evidence
+from .evidence import EvidenceFilter, codec_error_sigma
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
-from .shadows import HALVED_NOISE, Scene, enlarged, halve, make_shadow_test
+from .shadows import HALVED_NOISE, Scene, enlarged, make_shadow_test
+from .texture import halve
 
 EMPTY, FULL = "empty", "full"
-# Thresholds: MIN_AREA from the size of a hand at 10 m, REACH_BLOCKS from the reach of the evidence; else judgement.
+# Thresholds: REACH_BLOCKS from the reach of the evidence; else judgement.
 REACH_BLOCKS = 2  # around blocks of foreground, a person's thin ends may be: three times the evidence's reach
 TYPICAL_LEVEL = HIGHEST / 2  # grey level at which one number stands for the noise
 UNTIMED_HZ = 60.0  # rate of frames that come without stamps
-MIN_AREA = 2e-4  # of the squared image height; smaller components are dropped: a hand at 10 m is larger
-EMPTY_BELOW, FULL_ABOVE = 2e-4, 0.6  # share of foreground at which a mask is flagged: no person looks like that
+FULL_ABOVE = 0.6  # share of foreground at which a mask is flagged: no person looks like that
 
 
 @dataclass(frozen=True, eq=False)
 class Difference:
     """Where a frame differs from the background as it looked then: all that its silhouette is made of.
 
-    image : as it is looked at, (h, w[, 3]) uint8; samples, distance : of it, and how far each is from the background.
     scene : what is in the ``box`` around all foreground, None where there is none; closely : how far each of its pixels
     is from the background, change : in whole grey levels of the channel that differs most. spans : of it that is looked
-    at. likely, nobody : ``likely`` and ``seen_by_nobody`` of :class:`..background.moved_things.MovedThings` then.
+    at. likely : of :class:`..background.moved_things.MovedThings` then.
     """
 
     stamp_ns: int | None
-    now_ns: int
-    shows_scene: bool
-    image: Image
-    samples: Samples
-    distance: Mask
-    noise: Noise
     box: Box
     scene: Scene | None
     closely: Mask
     change: Mask
     spans: Spans
     likely: Mask | None
-    nobody: npt.NDArray[np.bool_] | None
+
+
+class Parts(NamedTuple):
+    """What a silhouette was made of, all (h, w) uint8 in a box around all foreground.
+
+    distance : SCALE z^2 of each pixel from the background. foreground : all of it, 255; person, shadow : what was made
+    of it, 255. levels : of the person with its attenuation (``capture_rig.mask_levels``).
+    """
+
+    distance: Mask
+    foreground: Mask
+    person: Mask
+    shadow: Mask
+    levels: Mask
 
 
 class SilhouettePipeline:
@@ -117,25 +121,25 @@ class SilhouettePipeline:
         if background_settings.moved_things:
             sigma = np.maximum(background.sigma, background_settings.sigma_floor)
             self.moved = MovedThings(whole, sigma, self.scale)
-        channels = len(background.shape[2:]) * 3 or 1
-        self._shadow = make_shadow_test(camera, channels, settings, volume)
-        self._certainty = CertaintyMeter(camera.width * camera.height, channels, background_settings.rule == "adaptive")
+        self.channels = len(background.shape[2:]) * 3 or 1
+        self.looked_at_px = camera.width * camera.height
+        self._shadow = make_shadow_test(camera, self.channels, settings, volume)
         self._attenuation = AttenuationMarker(camera, volume) if settings.shadow == "mark" else None
         self._alignment_px = math.lcm(self._shadow.alignment_px, ALIGNMENT_PX)
         height = camera.height
-        min_area_px = MIN_AREA * height**2
+        min_area_px = HAND * height**2
         self._people = PeopleRule(min_area_px, settings.near * height, settings.max_hole * height**2)
         least_px = majority_count()
         self._locator = ForegroundLocator(self._shape, min_area_px, least_px, self.background.step_px)
-        self._levels = np.zeros(self._shape[:2], np.uint8)
-        self._image_levels = np.zeros(self.image_shape, np.uint8) if self.scale > 1 else self._levels
+        self._image_levels = np.zeros(self.image_shape, np.uint8)
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
-        adaptive = background_settings.rule == "adaptive"
-        self._evidence = EvidenceFilter(camera.height) if adaptive else None
-        graded = adaptive and settings.evidence == "graded"
-        self._colours = PeopleColours(self._shape) if graded else None
+        self.measures_distance = background_settings.rule == "adaptive"
+        """Whether the background says how far a pixel is from it, not only on which side."""
+        self._evidence = EvidenceFilter(camera.height) if self.measures_distance else None
+        self.parts: Parts | None = None
+        """Of the last silhouette, on the thread that segments; None without foreground."""
         self._untimed_ns = 0
         self._dark_room = is_black(grid_sample(background.mean))
 
@@ -148,11 +152,6 @@ class SilhouettePipeline:
     def background_pixels(self) -> Mask:
         """(H, W) 255 where the last frame showed the background, as far as it was looked at, else 0."""
         return enlarged(self._locator.buffer, self.background.step_px * self.scale, self.image_shape)
-
-    @property
-    def certainty(self) -> Certainty:
-        """How sure a silhouette of the last half second is; read where frames are segmented."""
-        return self._certainty.found
 
     def run(self, image: Image, stamp_ns: int | None = None) -> Silhouette:
         """Return the silhouette in ``image`` (H, W) or (H, W, 3) uint8. Raises InputError for another size or type.
@@ -176,26 +175,24 @@ class SilhouettePipeline:
         box = self._find_foreground(image, samples, distance, now_ns if shows_scene else None)
         if shows_scene:
             self.background.note_foreground(self._locator.dense)
-        noise, scene = self.background.noise, None
+        scene = None
         closely = change = np.zeros((0, 0), np.uint8)
         spans = self._locator.spans(box.slices, REACH_BLOCKS)
         if not box.empty:
             expected, (closely, change) = self.background.look(image, box, spans[0])
             if self.moved is not None:
                 self.moved.clear_absorbed(image, closely, self.background.light.brightness, box=box)
-            scene = Scene(image[box.slices], expected, noise, box.slices)
-        things = (None, None) if self.moved is None else (self.moved.likely, self.moved.seen_by_nobody)
-        known = stamp_ns, now_ns, shows_scene
-        return Difference(*known, image, samples, distance, noise, box, scene, closely, change, spans, *things)
+            scene = Scene(image[box.slices], expected, self.background.noise, box.slices)
+        likely = None if self.moved is None else self.moved.likely
+        return Difference(stamp_ns, box, scene, closely, change, spans, likely)
 
     def segment(self, found: Difference) -> Silhouette:
         """Finish a frame, as :meth:`run` says: cut the silhouette out. On one thread, in the frames' order; the next
         frames may be subtracted on another one meanwhile, which changes nothing."""
-        measured, box, scene = self._certainty.is_due(found.now_ns), found.box, found.scene
+        self.parts, box, scene = None, found.box, found.scene
         if scene is None:
-            self._certainty.note_nothing()
             nothing = np.zeros((0, 0), np.uint8)
-            canvas = self._canvas_levels(found, nothing, nothing)
+            canvas = self._canvas_levels(box, nothing, nothing)
             return self._silhouette(found.stamp_ns, nothing, box, canvas)
         scene = replace(scene, codec_sigma=codec_error_sigma(found.change, scene.noise))
         raw = self._decide(found, scene)
@@ -203,14 +200,11 @@ class SilhouettePipeline:
         kept = self._keep_person(cv2.subtract(raw, shadow), found)
         person, cut = self._trim_outline(kept, found.change)
         marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
-        if measured:
-            self._certainty.note(found.closely, raw, kept, shadow, marked)
-        if self._colours is not None and found.shows_scene:
-            self._colours.learn(found.image, marked, box, found.nobody, found.now_ns)
+        self.parts = Parts(found.closely, raw, kept, shadow, marked)
         levels = person
         if self._attenuation is not None:
             levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        canvas = self._canvas_levels(found, marked, cut)
+        canvas = self._canvas_levels(box, marked, cut)
         return self._silhouette(found.stamp_ns, self._of_image(levels, box, cut), self._in_image(box), canvas)
 
     def _check(self, image: Image) -> None:
@@ -285,22 +279,12 @@ class SilhouettePipeline:
         levels = enlarged(levels, self.scale, (bottom - top, right - left))
         return cv2.subtract(levels, cut[: bottom - top, : right - left])
 
-    def _canvas_levels(self, found: Difference, marked: Mask, cut: Mask) -> Mask:
-        """Return the levels on the canvas: those ``marked`` in the box, and where the camera is uncertain."""
-        levels, box = self._levels, found.box
-        levels[box.slices], whole = marked, box
-        if self._colours is not None:
-            least = least_evidence(found.noise.sigma(TYPICAL_LEVEL), found.noise)
-            uncertain = self._colours.mark_uncertain(found.samples, found.distance, levels, least, CLEAR * least)
-            whole = box.joined(uncertain)
-        image_levels, whole_image = self._image_levels, self._in_image(whole)
-        if self.scale > 1:
-            shape = whole_image.bottom - whole_image.top, whole_image.right - whole_image.left
-            if whole != box:
-                image_levels[whole_image.slices] = enlarged(levels[whole.slices], self.scale, shape)
-            image_levels[self._in_image(box).slices] = self._of_image(levels[box.slices], box, cut)
-        canvas = self._undistorter.undistort(image_levels, whole_image)
-        image_levels[whole_image.slices], levels[whole.slices] = 0, 0  # as they were
+    def _canvas_levels(self, box: Box, marked: Mask, cut: Mask) -> Mask:
+        """Return the levels on the canvas: those ``marked`` in the box."""
+        whole = self._in_image(box)
+        self._image_levels[whole.slices] = self._of_image(marked, box, cut)
+        canvas = self._undistorter.undistort(self._image_levels, whole)
+        self._image_levels[whole.slices] = 0  # as it was
         return canvas
 
     def _silhouette(self, stamp_ns: int | None, levels: Mask, box: Box, canvas: Mask) -> Silhouette:
@@ -317,7 +301,7 @@ class SilhouettePipeline:
         return Silhouette(canvas, image_mask, fraction, flags, candidates, self._camera, stamp_ns)
 
     def _flags(self, fraction: float) -> tuple[str, ...]:
-        if fraction < EMPTY_BELOW:
+        if fraction < HAND:
             return (EMPTY,)
         return (FULL,) if fraction > FULL_ABOVE else ()
 

@@ -7,42 +7,37 @@ The thresholds were set with ``bench/silhouette.py`` of commit d6079d2 on its cl
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.kernel import njit
+from capture_rig.mask_levels import ATTENUATION_EDGES
 from capture_rig.rig import Volume
 
+from ..background.kernels import F32, OPTIONS
+from ..background.verdict import HAND, PERSON
 from ..frame_source import Image, Mask
 from ..settings import SilhouetteSettings
 from .evidence import COLOUR_SHARE, Scene
-from .masks import Box
-from .shadow_kernels import (
-    DarkenedRule,
-    blocks_that_fit,
-    find_darkened,
-    find_rims,
-    lose_texture,
-    shadow_sums,
-    sum_by_label,
-)
+from .masks import Box, majority
+from .texture import as_dark_as_near, blocks_that_fit, drop_lost_texture, halve, shadow_sums, sum_by_label
 
 # Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
 # with python bench/rooms.py.
-FLOOR_DARKEST, COLOUR_DARKEST = 0.45, 0.4  # a shadow leaves at least this share of the brightness
+FLOOR_DARKEST, COLOUR_DARKEST = 0.45, ATTENUATION_EDGES[0]  # a shadow leaves at least this share of the brightness,
+LIGHTEST = ATTENUATION_EDGES[-1]  # ... and at most this: less cannot be told from noise
 SHADOW_SIGMAS = 3.0  # in a shadow, image and darkened background differ by no more, on average (texture, colour)
 PERSISTENCE = 0.3  # in a shadow at least this share of the floor's texture is still seen; smooth clothes show none
-MIN_AREA = 0.0015  # share of height^2; smaller patches are not taken for shadow
+MIN_AREA = PERSON / 2  # share of height^2; smaller patches are not taken for shadow
 TINT = 0.05  # share of the light that it lost by which a shadow is tinted: other lamps and walls have other colours
 MIN_CONTRAST = 20.0  # sigmas; a background hardly brighter than black looks like dark clothes: colour tells nothing
-LIGHTEST = 0.97  # a shadow leaves at most this share of the brightness: less cannot be told from noise
 GRID_PX = 8  # the floor's outline in the image needs no finer grid
 MAX_FLOOR_DISTANCE_M = 20.0
-WINDOW_OF_HEIGHT = 0.0105  # side of the window that tells texture from brightness
-MIN_WINDOW_PX = 5  # 3 x 3 pixels hold too little texture to tell anything apart
 BLOCK_OF_HEIGHT = 1 / 120  # sums are formed over square blocks of this share of the image height
+MIN_WINDOW_PX = 5  # a window a pixel larger tells texture from brightness; 3 x 3 pixels hold too little texture
 TEXTURE_BLOCKS = 7  # a square of so many blocks decides whether texture persists
 PATCH_PERSISTENCE = 0.4, 1.5  # the whole patch keeps a share of it between these, ...
 MIN_EVIDENCE_SIGMAS = 10.0  # ... and not by chance: a floor so plain that its texture could not be seen proves nothing
@@ -53,7 +48,7 @@ TEXTURE_WINDOW_PX = 9  # of the halved image
 TEXTURE_LEFT = 0.1  # of a texture that noise does not hide, the share that shows it still there
 HALVED_NOISE = 0.5  # of the variance is left in a mean of four pixels: neighbours are not independent (Bayer, codecs)
 PATCH_SIGMAS, PATCH_LEFT = 2.0, 0.5  # half of its texture tells a shadow from none when it stands out by so many sigmas
-LEAST_PATCH = 8e-4  # share of height^2, about a forearm: smaller patches are shadow only near larger ones
+LEAST_PATCH = 4 * HAND  # share of height^2, about a forearm: smaller patches are shadow only near larger ones
 _THREE = np.ones((3, 3), np.uint8)
 _ALL_BYTES: dict[int, np.unsignedinteger] = {
     2: np.uint16(0x0101),
@@ -110,9 +105,8 @@ class FloorShadow:
 
     def __init__(self, camera: CameraModel, volume: Volume | None = None) -> None:
         """``volume``: the capture volume; far from it rays meet walls before the floor."""
-        side = max(2 * round((WINDOW_OF_HEIGHT * camera.height - 1) / 2) + 1, MIN_WINDOW_PX)
-        self._window = side
         self.alignment_px = self._block = max(2 * round(BLOCK_OF_HEIGHT * camera.height / 2), 2)
+        self._window = side = max(self._block + 1, MIN_WINDOW_PX)
         self._border = np.ones((2 * side + 1, 2 * side + 1), np.uint8)
         self._floor = floor_pixels(camera, volume, SHADOW_REACH_M)
         self._min_area_px = max(MIN_AREA * camera.height**2, MIN_PATCH_WINDOWS * side**2)
@@ -130,7 +124,7 @@ class FloorShadow:
 
     def _patches(self, scene: Scene, mask: Mask, looked_at: Mask, sigma: float) -> Mask:
         sides, limits = (self._window, self._block), (FLOOR_DARKEST, LIGHTEST)
-        dark, sums = shadow_sums(scene.image, scene.expected, looked_at, *sides, *limits)
+        dark, sums = shadow_sums(scene.image, scene.expected, looked_at, *sides, limits)
         found, blocks = np.zeros_like(mask), self._large_patches(sigma, sums)
         box = Box.around(blocks)
         if box.empty:
@@ -150,20 +144,19 @@ class FloorShadow:
         """Pixels beside a patch that are as dark, against the floor, as the patch is near them: windows that reach into
         the body fit nothing."""
         beside = cv2.bitwise_and(looked_at, cv2.subtract(cv2.dilate(patches, self._border), patches))
-        fits, limit = np.empty_like(patches), np.float32(SHADOW_SIGMAS * sigma)
-        find_rims(image, expected, patches, beside, 2 * (len(self._border) // 2) + 1, limit, fits)
+        near = as_dark_as_near(image, expected, patches, len(self._border), SHADOW_SIGMAS * sigma)
+        fits = majority(cv2.bitwise_and(enlarged(near, 2, patches.shape), beside), 3)
         fits = cv2.morphologyEx(cv2.bitwise_or(fits, patches), cv2.MORPH_OPEN, _THREE)
         return cv2.bitwise_and(fits, looked_at)
 
     def _large_patches(self, sigma: float, sums: np.ndarray) -> Mask:
         """255 at the blocks of patches that are large and, as a whole, keep the floor's texture beyond chance."""
         limit, least_px = (SHADOW_SIGMAS * sigma) ** 2, 0.5 * self._block**2
-        fits = blocks_that_fit(sums, limit, np.float32(PERSISTENCE), least_px, TEXTURE_BLOCKS // 2)
+        fits = blocks_that_fit(sums, limit, PERSISTENCE, least_px, TEXTURE_BLOCKS // 2)
         patches, labels = cv2.connectedComponents(fits, connectivity=4)
         if patches == 1:
             return fits
-        area_px, left, kept, there = np.zeros((4, patches))
-        sum_by_label(labels, sums, (area_px, left, kept, there))
+        area_px, left, kept, there = sum_by_label(labels, sums, patches)
         least, most = PATCH_PERSISTENCE
         chance = np.sqrt(there * left / np.maximum(area_px, 1))  # standard deviation of `kept` if nothing were shared
         large = (area_px >= self._min_area_px) & (kept >= least * there) & (kept <= most * there)
@@ -258,11 +251,10 @@ class ColourShadow:
         part, both = found[box.slices], tuple(slice(2 * side.start, 2 * side.stop) for side in box.slices)
         image, expected = scene.grey.image[both], scene.grey.expected[both]
         variance = HALVED_NOISE * scene.sigma**2
-        sums = np.zeros((4, *part.shape), np.float32)
-        lose_texture(image, expected, part, TEXTURE_WINDOW_PX, SHADOW_SIGMAS**2 * variance, TEXTURE_LEFT, sums)
+        hidden = SHADOW_SIGMAS**2 * variance
+        values = drop_lost_texture(image, expected, part, TEXTURE_WINDOW_PX, hidden, TEXTURE_LEFT)
         count, labels = cv2.connectedComponents(part, connectivity=4)
-        area, _, shared, power = per_label = np.zeros((4, count))
-        sum_by_label(labels, sums, tuple(per_label))
+        area, _, shared, power = sum_by_label(labels, values, count)
         lost = (power > (PATCH_SIGMAS / PATCH_LEFT) ** 2 * variance) & (shared < PATCH_LEFT * power)
         large = ~lost & (area >= LEAST_PATCH * self._darkest.shape[0] ** 2)
         large[0] = True  # what is in no patch
@@ -275,9 +267,54 @@ class ColourShadow:
         part[(lost | ~beside)[labels]] = 0
 
 
-def halve(image: np.ndarray) -> np.ndarray:
-    """The image at half its size (rounded up), each pixel the mean of the four it covers; odd sides are continued."""
-    down, right = image.shape[0] % 2, image.shape[1] % 2
-    if down or right:
-        image = cv2.copyMakeBorder(image, 0, down, 0, right, cv2.BORDER_REPLICATE)
-    return cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
+class DarkenedRule(NamedTuple):
+    """When a colour is that of the darkened background; see :class:`ColourShadow`.
+
+    tint : share of the light lost. chromaticity2 : squared distance in sigmas, at most, and at least that of grey
+    clothes as bright. contrast2 : squared contrast with black at least. lightest : share of the brightness that is left
+    at most.
+    """
+
+    tint: float
+    chromaticity2: float
+    contrast2: float
+    lightest: float
+
+
+@njit(**OPTIONS, crops=True)
+def find_darkened(image, expected, mask, noise, codec_variance, darkest, rule):  # type: ignore[no-untyped-def]
+    """Return (h, w) uint8: 255 where the colour of 2 x 2 pixels is that of the darkened background, else 0.
+
+    image (2 h, 2 w, 3) uint8, expected (2 h, 2 w, 3) float32; mask (h, w) uint8 : not 0 at what is looked at. An odd
+    side is continued. noise (2, 3) : read and slope, as of :class:`..background.noise.Noise`; codec_variance (h, w) :
+    variance beyond it, or (0, 0). darkest (h, w) float32 : share of the brightness that is left at least.
+    """
+    bottom, right = image.shape[0] - 1, image.shape[1] - 1
+    found = np.zeros(mask.shape, np.uint8)
+    x, mu, variance = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(mask.shape[0]):
+        for j in range(mask.shape[1]):
+            if mask[i, j] == 0:
+                continue
+            more = codec_variance[i, j] if codec_variance.size else F32(0)
+            power = shared = 0.0
+            for c in range(3):
+                y, v, z, w = 2 * i, 2 * j, min(2 * i + 1, bottom), min(2 * j + 1, right)
+                x[c] = 0.25 * (F32(image[y, v, c]) + F32(image[y, w, c]) + F32(image[z, v, c]) + F32(image[z, w, c]))
+                mu[c] = 0.25 * (expected[y, v, c] + expected[y, w, c] + expected[z, v, c] + expected[z, w, c])
+                variance[c] = noise[0, c] + noise[1, c] * mu[c] + more
+                power += mu[c] * mu[c] / variance[c]
+                shared += x[c] * mu[c] / variance[c]
+            factor = shared / max(power, 1e-9)
+            if power < rule.contrast2 or factor < darkest[i, j] or factor > rule.lightest:
+                continue
+            distance2 = grey2 = 0.0
+            mean = (mu[0] + mu[1] + mu[2]) / 3.0
+            for c in range(3):
+                tint, departure = rule.tint * (1.0 - factor) * mu[c], x[c] - factor * mu[c]
+                distance2 += departure * departure / (variance[c] + tint * tint)
+                departure = factor * (mean - mu[c])
+                grey2 += departure * departure / (variance[c] + tint * tint)
+            if distance2 <= rule.chromaticity2 < grey2:
+                found[i, j] = 255
+    return found
