@@ -36,7 +36,8 @@ from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
 from ..console import LOG_EVERY_S, REFRESH_S
-from ..graph.ros_link import DISCOVERY_S, RosLink, call_all
+from ..graph import PATIENCE_S
+from ..graph.ros_link import RosLink, call_all
 from .intrinsics import save_results
 
 COMPRESSED = "/compressed"
@@ -72,7 +73,7 @@ def offer(node: Node, namespace: str, result: Intrinsics) -> str:
     service = f"{namespace}/set_camera_info"
     camera = result.camera
     request = SetCameraInfo.Request(camera_info=camera_info_message(camera, 0, f"{camera.name}_optical"))
-    reply = call_all(node, SetCameraInfo, {service: request}, DISCOVERY_S, repeatable=True)[service]
+    reply = call_all(node, SetCameraInfo, {service: request}, PATIENCE_S, repeatable=True)[service]
     if reply is None:
         return f"{service} did not answer: is the camera client running?"
     return f"the camera client {'took it' if reply.success else 'refused it'}: {reply.status_message}"

@@ -30,7 +30,8 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from ..graph.ros_link import DISCOVERY_S, PATIENCE_S, settled
+from ..graph import PATIENCE_S
+from ..graph.ros_link import settled
 from .live_lens import reports
 from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, RigSources, find_floor
 
@@ -227,7 +228,7 @@ class Shots:
         return iter(enumerate(self.pictures))
 
 
-def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = DISCOVERY_S) -> dict[str, str]:
+def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = PATIENCE_S) -> dict[str, str]:
     """Return the topics /NAME/image_raw of the ``wanted`` cameras, or of all. Raises InputError for absent ones."""
     settled(lambda: {*_image_topics(node)}.intersection(wanted or _image_topics(node)), len(wanted) or 1, timeout_s)
     found = _image_topics(node)

@@ -34,9 +34,9 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ..arguments import NODES
 from ..console import GRADE_STYLE, INTERRUPTED, command_console, plain_table
+from ..graph import START_TIMEOUT_S
 from ..graph.background_training import TrainingOutcome, find_clients, needing_training, progress_of, train_backgrounds
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
-from ..graph.processes import START_TIMEOUT_S
 from ..graph.ros_link import RosLink, add_namespace_argument, label_of, namespace_argument, namespace_of
 
 COUNTDOWN_S = 10

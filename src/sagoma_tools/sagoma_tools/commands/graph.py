@@ -22,6 +22,7 @@ from capture_rig.number import SECONDS, number
 from capture_rig.rig import load_rig
 from capture_rig.stop_signals import StopOnSignal
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
+from sagoma_bringup.launch_arguments import RESTART_DELAY_S
 from virtual_studio.gige import command as studio
 
 from ..arguments import (
@@ -38,9 +39,8 @@ from ..console import REFRESH_S, command_console, doing, until_stopped
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit, ProcessSettings
-from ..graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
 from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument, our_nodes, settled
-from ..graph.supervisor import GraphError, Supervisor
+from ..graph.supervisor import GraphError, ProcessExited, ProcessRecovered, Supervisor
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
 from ..takes.folder import TakesFolder
@@ -99,14 +99,14 @@ def up(args: argparse.Namespace) -> int:
         if isinstance(event, ProcessExited):
             console.print(f"the end of {event.log}:\n{event.log_tail}")
 
-    settings, restart = ProcessSettings(args.server), RestartPolicy() if args.restart else None
+    settings, restart = ProcessSettings(args.server), RESTART_DELAY_S if args.restart else None
 
     def report_failure(error: InputError) -> None:
         console.print(f"{error} The capture goes on.", style="red")
 
     with (
         StopOnSignal() as stop,
-        Supervisor(graph, folder, settings, cancel=stop, on_event=log_event, restart=restart) as supervisor,
+        Supervisor(graph, folder, settings, cancel=stop, on_event=log_event, restart_delay_s=restart) as supervisor,
         page_of(args) if args.view else nullcontext(),
     ):
         recorder = bring_up(supervisor, args.record, stop, report_failure)

@@ -21,9 +21,10 @@ from virtual_studio.gige.command import CAMERA_FOLDER, RIG_FILE
 from virtual_studio.gige.device import consecutive_addresses, is_free
 from virtual_studio.gige.loop import ask
 
+from ..graph import ANSWER_S, LOOK_S, PATIENCE_S, START_TIMEOUT_S
 from ..graph.background_training import learn_backgrounds
-from ..graph.processes import START_TIMEOUT_S, Child, Usage, busy_machine, stop_children
-from ..graph.ros_link import ANSWER_S, LOOK_S, PATIENCE_S, call_all
+from ..graph.processes import Child, Usage, busy_machine, stop_children
+from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC
 from ..recording.recorder import GraphRecorder

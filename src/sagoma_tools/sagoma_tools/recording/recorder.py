@@ -27,7 +27,8 @@ from capture_rig.errors import InputError
 from mocap_packets.frame_set import TIME_JUMP_NS
 from sagoma_bringup.graph import NodeSpec, Role
 
-from ..graph.ros_link import ANSWER_S, PATIENCE_S, RosLink, call_all, in_graph, our_nodes, topics_of
+from ..graph import ANSWER_S, PATIENCE_S
+from ..graph.ros_link import RosLink, call_all, in_graph, our_nodes, topics_of
 from ..graph.topics import (
     DIAGNOSTICS,
     FIRST_BODY_ID,
