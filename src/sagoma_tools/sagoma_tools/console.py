@@ -102,7 +102,7 @@ _running: ProgressLine | None = None
 
 
 def doing(what: str, total: int | None = None) -> Callable[..., None]:
-    """Name the present step ("tracking frames"); the function returned takes how many of ``total`` are done.
+    """Name the present step ("tracking frames"); the function returned takes how many of ``total`` are done, or a text.
 
     It may be told the total as well, where that is known only later. Without a command around (a library's user, a
     test) both do nothing.
@@ -150,7 +150,10 @@ class ProgressLine:
                 threading.Thread(target=_log, args=(progress, self._ended), name="progress", daemon=True).start()
             self._progress = progress
 
-        def update(done: int, total: int | None = None) -> None:
+        def update(done: int | str, total: int | None = None) -> None:
+            if isinstance(done, str):
+                progress.update(task, done=f": {done}")
+                return
             whole = total or progress.tasks[0].total
             share = f" of {whole:.0f} ({100 * done / whole:.0f} %)" if whole else ""
             progress.update(task, completed=done, total=total, done=f": {done}{share}")

@@ -18,7 +18,7 @@ from rig_calibration.boards.board import Checkerboard
 from rig_calibration.intrinsics.selection import BoardImageProcessor, ViewCollector
 from sagoma_ros.images import decode_image, image_message
 from sagoma_ros.qos import RESULT
-from sagoma_tools.calibration.live_lens import camera_name_of, draw_preview, namespace_of, panel, plain_line
+from sagoma_tools.calibration.live_lens import camera_name_of, draw_preview, namespace_of, plain_line
 from sagoma_tools.cli import main
 from sagoma_tools.graph.ros_link import RosLink
 
@@ -166,15 +166,15 @@ def test_names_come_from_the_topic():
     assert namespace_of("/room/cam01/image_raw") == "/room/cam01" and camera_name_of("/image_raw") == "camera"
 
 
-def test_panel_and_line_show_progress_advice_and_the_last_reason(shown):
+def test_line_shows_progress_advice_and_the_last_reason(shown):
     watcher = BoardImageProcessor(BOARD, "cam01", ViewCollector(BOARD))
     watcher.process(shown[0], None, 0)
     seen = watcher.process(shown[0], shown[0], 1)
     assert seen.detection is not None and not seen.taken
     advice = watcher.collector.advice()
-    line = plain_line(watcher)
+    line = plain_line(watcher, seen.reason)
     assert line.startswith("cam01: 1 views; image ") and "tilt" in line
-    assert advice in str(panel(watcher, seen.reason).title)
+    assert advice in line and line.endswith(f"(last image: {seen.reason})")
     picture = draw_preview(shown[0], seen, watcher.collector.coverage, advice)
     marked = np.ptp(picture.astype(int), axis=2) > 100
     corner = np.rint(seen.detection.pixels[20]).astype(int)

@@ -8,17 +8,13 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Hashable, Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
 import cv2
 import numpy as np
 from rclpy.node import Node
-from rich.console import Console, RenderableType
-from rich.live import Live
-from rich.panel import Panel
-from rich.table import Table
+from rich.console import Console
 from sensor_msgs.msg import CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
 
@@ -35,7 +31,7 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from ..console import LOG_EVERY_S, REFRESH_S
+from ..console import REFRESH_S, doing, until_stopped
 from ..graph import PATIENCE_S
 from ..graph.ros_link import RosLink, call_all
 from .intrinsics import save_results
@@ -54,9 +50,10 @@ def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> 
         with StopOnSignal() as stop:
             camera = LiveCamera(link.node, args.topic, watcher)
             try:
-                _collect(camera, link.node, stop, args, console)
+                _collect(camera, link.node, stop, args)
             finally:
                 camera.close()
+                until_stopped()
         console.print(f"{name}: calibrating from {len(collector)} views")
         result = calibrate_intrinsics(collector.best(), board, name=name, model=args.model)
         save_results(Path(args.output), result, board, args.topic)
@@ -79,12 +76,14 @@ def offer(node: Node, namespace: str, result: Intrinsics) -> str:
     return f"the camera client {'took it' if reply.success else 'refused it'}: {reply.status_message}"
 
 
-def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argparse.Namespace, console: Console) -> None:
+def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argparse.Namespace) -> None:
     """Show the progress until the views suffice, the user stops it, or the time is over."""
-    begun_s = time.monotonic()
-    for report in reports(console, camera.changed, stop):
+    begun_s, done = time.monotonic(), doing("collecting views, until Ctrl-C")
+    while not stop.is_set():
+        camera.changed.wait(REFRESH_S)
+        camera.changed.clear()
         shown, passed_s = camera.shown, time.monotonic() - begun_s
-        report.update(shown.panel, shown.line, shown.views, last=shown.enough)
+        done(shown.line)
         if camera.error is not None:
             raise camera.error
         if camera.received == 0 and passed_s > args.wait:
@@ -103,9 +102,8 @@ def _who_publishes(node: Node) -> str:
 
 
 class Shown(NamedTuple):
-    """The progress of collecting views, as it is shown; how many there are, and whether they suffice."""
+    """The progress of collecting views, in a line; how many there are, and whether they suffice."""
 
-    panel: Panel
     line: str
     views: int
     enough: bool
@@ -162,7 +160,7 @@ class LiveCamera:
     def _show(self, last: str) -> None:
         """Describe the progress, on the thread that makes it."""
         collector, watcher = self._watcher.collector, self._watcher
-        self.shown = Shown(panel(watcher, last), plain_line(watcher), len(collector), collector.enough)
+        self.shown = Shown(plain_line(watcher, last), len(collector), collector.enough)
         self.changed.set()
 
 
@@ -179,77 +177,14 @@ def camera_name_of(topic: str) -> str:
 # display --------------------------------------------------------------------------------------------------------------
 
 
-BAR_WIDTH = 24
-
-
-class LiveReport:
-    """Shows a panel on a terminal; elsewhere prints a line when there is news, at most every LOG_EVERY_S."""
-
-    def __init__(self, console: Console) -> None:
-        self._console, self._printed_s = console, -LOG_EVERY_S
-        self._news: Hashable = None
-        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
-
-    def __enter__(self) -> LiveReport:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *of_error: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def update(self, panel: RenderableType, line: str, news: Hashable, last: bool = False) -> None:
-        """Show the state. news : what differs once there is something to say; last : print it now."""
-        now_s = time.monotonic()
-        if self._live is not None:
-            self._live.update(panel, refresh=True)
-        elif news != self._news and (last or now_s - self._printed_s >= LOG_EVERY_S):
-            self._news, self._printed_s = news, now_s
-            self._console.print(line)
-
-
-def reports(console: Console, changed: threading.Event, stop: threading.Event) -> Iterator[LiveReport]:
-    """Yield the report to be updated, again whenever something has changed, until ``stop`` is set."""
-    with LiveReport(console) as report:
-        while not stop.is_set():
-            changed.wait(REFRESH_S)
-            changed.clear()
-            yield report
-
-
-def panel(watcher: BoardImageProcessor, last: str) -> Panel:
-    """Return the progress as a panel for a terminal; ``last`` : what came of the last image."""
-    collector, table = watcher.collector, Table.grid(padding=(0, 2))
-    for goal, share in collector.coverage.progress().items():
-        filled = round(share * BAR_WIDTH)
-        colour = "green" if share >= 1.0 else "yellow"
-        table.add_row(goal, f"[{colour}]{'█' * filled}[/]{'░' * (BAR_WIDTH - filled)}", f"{100 * share:.0f} %")
-    table.add_row("focal length", *_against(collector, "focal_sd", 100.0, "%"))
-    table.add_row("principal point", *_against(collector, "centre_sd_px", 1.0, "px"))
-    table.add_row("views", str(len(collector)), f"board in {watcher.found} of {watcher.examined} images")
-    table.add_row("last image", last, "")
-    title = f"{watcher.camera}: {collector.advice() or 'enough'}"
-    return Panel(table, title=title, subtitle="Ctrl-C: calibrate with these")
-
-
-def plain_line(watcher: BoardImageProcessor) -> str:
-    """Return the progress as a line for a log file."""
+def plain_line(watcher: BoardImageProcessor, last: str) -> str:
+    """Return the progress as a line; ``last`` : what came of the last image."""
     collector = watcher.collector
     progress = ", ".join(f"{goal} {100 * share:.0f} %" for goal, share in collector.coverage.progress().items())
     expected = collector.expected
     known = f", f ± {100 * expected.focal_sd:.2f} %, centre ± {expected.centre_sd_px:.1f} px" if expected else ""
-    return f"{watcher.camera}: {len(collector)} views; {progress}{known}; {collector.advice() or 'enough'}"
-
-
-def _against(collector: ViewCollector, name: str, scale: float, unit: str) -> tuple[str, str]:
-    """Return the expected standard deviation and its target."""
-    wanted = getattr(collector.goals, name)
-    target = f"wanted: ± {scale * wanted:g} {unit}"
-    if collector.expected is None:
-        return "not known yet", target
-    value = getattr(collector.expected, name)
-    return f"[{'green' if value <= wanted else 'yellow'}]± {scale * value:.2f} {unit}[/]", target
+    advice = collector.advice() or "enough"
+    return f"{watcher.camera}: {len(collector)} views; {progress}{known}; {advice} (last image: {last})"
 
 
 TAKEN, FOUND, COVERED = (60, 220, 60), (40, 160, 255), (90, 160, 60)  # BGR

@@ -1,7 +1,4 @@
-"""Finds a board from four outer corners that a person gives in a file, where detection fails.
-
-The file, and a picture with a grid to read the corners off, can be written to be filled in.
-"""
+"""Finds a board from four outer corners that a person gives in a file, where detection fails."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.files import write_text
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.four_corners import find_from_outer_corners
@@ -24,7 +20,6 @@ FORMAT = (
     "Write NAME: [[x, y], [x, y], [x, y], [x, y]] for each camera, or NAME: {corners: [...], frame: 12}: the outermost "
     "inner corners of the print in pixels, in reading order (first row's two ends, then the last row's last and first)."
 )
-GRID_STEP_PX, GRID_PICTURE_PX = 50, 1600
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,26 +85,3 @@ def _corners(entry: Any, where: str) -> OuterCorners:
     if pixels.shape != (4, 2) or not np.isfinite(pixels).all():
         raise InputError(f"{entry!r} is not four [x, y] corners", where=where, remedy=FORMAT)
     return OuterCorners(pixels, frame)
-
-
-def write_corner_help(folder: Path, name: str, image: np.ndarray) -> Path:
-    """Write NAME_click.png, the picture enlarged under a grid of pixel coordinates; returns its path."""
-    from matplotlib.figure import Figure
-
-    height, width = image.shape[:2]
-    figure = Figure(figsize=(GRID_PICTURE_PX / 100, GRID_PICTURE_PX / 100 * height / width), layout="constrained")
-    axes = figure.add_subplot()
-    axes.imshow(image if image.ndim == 2 else image[..., ::-1], cmap="gray", vmin=0, vmax=255)
-    axes.set(xticks=range(0, width, GRID_STEP_PX), yticks=range(0, height, GRID_STEP_PX))
-    axes.tick_params(labelsize=7, labelrotation=45)
-    axes.grid(color="#ffff00", linewidth=0.5)
-    path = folder / f"{name}_click.png"
-    figure.savefig(path, dpi=100)
-    return path
-
-
-def write_template(path: Path, names: list[str]) -> None:
-    """Write a corners file whose numbers a person replaces."""
-    lines = [f"# {FORMAT}", "# Replace every number; delete the cameras that need none."]
-    lines += [f"{name}: [[0, 0], [1, 0], [1, 1], [0, 1]]" for name in names]
-    write_text(path, "\n".join(lines) + "\n")
