@@ -20,8 +20,7 @@ from rig_calibration.extrinsics.carried_board import FloorAt
 from rig_calibration.extrinsics.verdict import TapeMeasure
 from rig_calibration.extrinsics.world import CENTRE, FIRST_CORNER, WorldChoice
 
-from .outer_corners import read_corners
-from .rig_detections import CameraDetections, Cameras, CamerasDetections, RigSources, detections_of
+from .rig_detections import CameraDetections, Cameras, CamerasDetections, RigSources, detections_of, read_corners
 from .rig_inputs import (
     RigInputs,
     floor_inputs,
