@@ -32,7 +32,6 @@ from ..evaluation.tables import print_ages, print_latency, print_nodes, print_sc
 from ..graph.processes import busy_machine
 from ..takes.measure import finish_take
 
-CAMERA_FPS = 60.0  # at most; what the machine does not hold is thinned out, or shown in slow motion
 TRACKED = 0.5  # of those answered, at least, have a body: the rest is the time until the first pose
 RING_CAMERAS, STATURE_M, SECONDS = 4, 1.75, 6.0  # and a camera on the ceiling
 
@@ -43,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option = parser.add_argument
     option("--session", help="folder of footage (default: a synthetic session, made once)")
     option("--output", default="output/demo", help="where bag, logs and pictures go (default: output/demo)")
-    rate = f"of the simulated cameras (default: the session's, up to {CAMERA_FPS:g}; the graph keeps what it holds)"
+    rate = "of the simulated cameras (default: the session's; the graph keeps what it holds)"
     option("--fps", type=FRAME_RATE, help=rate)
     speed = "at this speed, or at 0 as fast as the graph keeps up, dropping nothing"
     option("--rate", type=PLAYING_SPEED, metavar="R", help=f"no cameras: the clients read the videos, {speed}")
@@ -65,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         options: dict[str, Any] = {"start": args.start, "settings": parse_settings(args.settings), "cancel": stop}
         if args.rate is None:
             session = load_session(folder)
-            cameras, fps = len(session.rig.names), args.fps or min(session.fps, CAMERA_FPS)
+            cameras, fps = len(session.rig.names), args.fps or session.fps
             console.print(f"{cameras} simulated GigE cameras at {fps:g} Hz look at {folder} (logs: {output / 'logs'})")
             live = run_studio(folder, output, fps, args.speed, **options)
         else:

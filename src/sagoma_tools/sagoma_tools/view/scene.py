@@ -19,7 +19,7 @@ Array = np.ndarray
 VOXEL_M, VOXEL_COLOUR = 0.006, (120, 140, 200)  # small: whoever is inside is seen
 FRUSTUM_M, FRUSTUM_LINE_M = 0.2, 0.008
 NAME_ABOVE = np.array([0.0, 0.0, 0.1])
-"""Of a camera's name, m above its centre."""
+"""Of a name, m above a camera's centre, or a person's point of the head."""
 CAMERA_COLOUR, LOST_COLOUR = (130, 145, 185), (229, 72, 77)
 FLOOR_M, CELL_M, FLOOR_COLOUR = 6.0, 0.5, (96, 102, 114)
 SUN = (2.0, -1.0, 4.0)
@@ -123,7 +123,6 @@ SCALE_STEP_M = 0.002
 """Bones are sent anew when one has become longer or shorter by so much: less than anybody sees."""
 SPHERE_MERIDIANS, SPHERE_PARALLELS = 12, 8
 RADII = np.where(np.array(POINT_NAMES) == "head", HEAD_M, JOINT_M)
-LABEL_ABOVE_HEAD_M = 0.16
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +182,7 @@ class DrawnPerson:
         self._label.remove()
 
     def _move_label(self, figure: Figure) -> None:
-        x, y, z = figure.points_world[POINT_NAMES.index("head")]
-        self._label.position = x, y, z + LABEL_ABOVE_HEAD_M
+        self._label.position = figure.points_world[POINT_NAMES.index("head")] + NAME_ABOVE
 
 
 def instances_of(figure: Figure) -> Instances:
