@@ -96,7 +96,6 @@ def _plain(cell: RenderableType) -> str:
 
 
 LOG_EVERY_S = 10.0
-REFRESH_S = 0.25  # of what a terminal shows
 
 _running: ProgressLine | None = None
 

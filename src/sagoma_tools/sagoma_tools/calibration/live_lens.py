@@ -27,8 +27,8 @@ from sagoma_ros.images import camera_info_message, decode_image
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from ..console import REFRESH_S, doing, until_stopped
-from ..graph import PATIENCE_S
+from ..console import doing, until_stopped
+from ..graph import PATIENCE_S, ROUND_S
 from ..graph.ros_link import RosLink, call_all
 from .intrinsics import save_results
 
@@ -75,7 +75,7 @@ def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argpar
     """Show the progress until the views suffice, the user stops it, or the time is over."""
     begun_s, done = time.monotonic(), doing("collecting views, until Ctrl-C")
     while not stop.is_set():
-        camera.changed.wait(REFRESH_S)
+        camera.changed.wait(ROUND_S)
         camera.changed.clear()
         shown, passed_s = camera.shown, time.monotonic() - begun_s
         done(shown.line)

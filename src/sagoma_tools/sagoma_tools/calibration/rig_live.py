@@ -27,8 +27,8 @@ from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from sagoma_ros.worker import Worker
 
-from ..console import REFRESH_S, doing, until_stopped
-from ..graph import PATIENCE_S
+from ..console import doing, until_stopped
+from ..graph import PATIENCE_S, ROUND_S
 from ..graph.ros_link import settled
 from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, RigSources, find_floor
 
@@ -133,7 +133,7 @@ def watch_recorder(recorder: MotionRecorder, stop: threading.Event) -> None:
     """Show the progress until it suffices or the person stops it. Raises InputError when no frame set comes."""
     begun_s, done = time.monotonic(), doing("carried board")
     while not stop.is_set():
-        recorder.changed.wait(REFRESH_S)
+        recorder.changed.wait(ROUND_S)
         recorder.changed.clear()
         if recorder.error is not None:
             raise recorder.error

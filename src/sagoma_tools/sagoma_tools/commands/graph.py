@@ -35,7 +35,8 @@ from ..arguments import (
     new_run_folder,
     next_steps,
 )
-from ..console import REFRESH_S, command_console, doing, until_stopped
+from ..console import command_console, doing, until_stopped
+from ..graph import ROUND_S
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit, ProcessSettings
@@ -149,7 +150,7 @@ def bring_up(
 
 
 def watch(supervisor: Supervisor, console: Console, stop: threading.Event, seconds: float | None) -> None:
-    """Show one line a node, twice a second, until ``stop`` is set or the time is over; into a file, only the last."""
+    """Show one line a node, once a second, until ``stop`` is set or the time is over; into a file, only the last."""
     names = {spec.full_name: spec.label for spec in supervisor.graph}
     if not console.is_terminal:
         stop.wait(seconds)
@@ -157,7 +158,7 @@ def watch(supervisor: Supervisor, console: Console, stop: threading.Event, secon
         return
     end_s = None if seconds is None else time.monotonic() + seconds
     with Live(console=console, auto_refresh=False) as live:
-        while not stop.wait(REFRESH_S) and (end_s is None or time.monotonic() < end_s):
+        while not stop.wait(ROUND_S) and (end_s is None or time.monotonic() < end_s):
             live.update(supervisor.diagnostics.table(names, supervisor.states()), refresh=True)
 
 
