@@ -37,10 +37,10 @@ from soak_report import report_on
 
 from capture_rig.errors import InputError
 from capture_rig.stop_signals import StopOnSignal
+from sagoma_bringup.launch_arguments import RESTART_DELAY_S
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.evaluation.live_run import start_settings
-from sagoma_tools.graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
-from sagoma_tools.graph.supervisor import Supervisor
+from sagoma_tools.graph.supervisor import ProcessExited, ProcessRecovered, Supervisor
 from stick_figure.body import Body
 from virtual_studio.motions.catalogue import Motion, tour
 from virtual_studio.recording.session import write_session
@@ -189,7 +189,7 @@ def studio_stage(args: argparse.Namespace, stop: threading.Event, note: Note) ->
     with StudioInput(session, out / "studio", args.hz) as studio:
         studio.open(stop)
         graph = studio.graph(start_settings(studio.session, "auto"))
-        with Supervisor(graph, out / "logs", cancel=stop, on_event=note, restart=RestartPolicy()) as supervisor:
+        with Supervisor(graph, out / "logs", cancel=stop, on_event=note, restart_delay_s=RESTART_DELAY_S) as supervisor:
             supervisor.configure(tolerate_cameras=False)
             supervisor.activate(tolerate_cameras=False)
             studio.prepare(supervisor, stop)

@@ -2,13 +2,13 @@
 
     python examples/04_take_to_bvh.py output/takes/NAME animations
 
-The other formats have the same call: motion_export.gltf.write_glb, .marker_files.write_trc, .opensim.write_mot, ...
+The other formats have the same call: motion_export.animation_files.write_glb, .marker_files.write_trc and so on.
 """
 
 import sys
 from pathlib import Path
 
-from motion_export.bvh import write_bvh
+from motion_export.animation_files import write_bvh
 from sagoma_tools.recording.recorded_motion import recorded_motions
 
 take, folder = sys.argv[1], Path(sys.argv[2])

@@ -108,7 +108,7 @@ def test_footage_on_several_hosts_is_in_step_though_one_starts_late_and_refused_
     needs_namespaces, tmp_path
 ):
     alone, together = map(json.loads, lines_of("footage", tmp_path))
-    assert alone["status"] == 2 and "--start-at" in alone["says"]
+    assert alone["status"] == 2 and "footage.epoch_ns" in alone["says"]
     assert together["early"] and all("cam03" in missing for missing in together["early"])
     assert len(together["spread_ms"]) == 10 and set(together["spread_ms"]) == {0.0}  # the same frame from all hosts
 

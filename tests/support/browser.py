@@ -133,11 +133,6 @@ class Browser:
             button = "none" if kind == "mouseMoved" else "left"
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, clickCount=1)
 
-    def drag(self, begin: tuple[int, int], end: tuple[int, int]) -> None:
-        """Move the mouse from one place to another (px) with its button held."""
-        for kind, (x, y) in (("mousePressed", begin), ("mouseMoved", end), ("mouseReleased", end)):
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
-
     def write(self, label: str, text: str) -> None:
         """Type into the text field that follows this label, in place of what is there."""
         self.run(f"(() => {{ {FIELD % json.dumps(label)} field.focus(); field.select(); }})()")

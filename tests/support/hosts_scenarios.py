@@ -3,7 +3,6 @@
 hosts_scenarios.py SCENARIO FOLDER [WORD ...] ; the scenarios are the functions below.
 """
 
-import datetime
 import json
 import os
 import subprocess
@@ -152,11 +151,12 @@ def footage(folder):
 
         alone = up("cam01", stderr=subprocess.PIPE, text=True)
         print(json.dumps({"says": alone.communicate()[1], "status": alone.returncode}), flush=True)
-        begin = datetime.datetime.now(datetime.UTC) + datetime.timedelta(seconds=BEGIN_S)
+        values = {"epoch_ns": time.time_ns() + round(BEGIN_S * 1e9), "keep_up": "true", "wait_for_cameras": "false"}
+        settings = [f"cameras.footage.{key}={value}" for key, value in values.items()]
 
         def play(host):
             log = (folder / f"{host}.log").open("w")
-            up(host, "--start-at", begin.isoformat(timespec="seconds"), stdout=log, stderr=log)
+            up(host, *(word for text in settings for word in ("--set", text)), stdout=log, stderr=log)
 
         command = [sys.executable, str(ROOT / "tests/support/hosts_listener.py"), *CAMERAS]
         told = world.hosts[SERVER].start(command, environment, stdout=subprocess.PIPE)

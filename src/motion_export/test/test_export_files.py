@@ -13,8 +13,7 @@ import pytest
 from export_motions import BODY, START_NS, swinging, swinging_samples
 from scipy.spatial.transform import Rotation, Slerp
 
-from motion_export.bvh import write_bvh
-from motion_export.gltf import write_glb
+from motion_export.animation_files import write_bvh, write_glb
 from motion_export.joint_tree import JOINTS, PARENTS
 from motion_export.marker_files import write_c3d, write_csv, write_trc
 from motion_export.motion import R_ANIMATION_WORLD, R_BIOMECHANICS_WORLD, Motion

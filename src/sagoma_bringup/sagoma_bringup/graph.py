@@ -85,7 +85,6 @@ def build_graph(
     cameras: str | Path | None = None,
     only: str | None = None,
     rate: float = 1.0,
-    epoch_ns: int = 0,
     loop: bool = False,
     body: str | Path | None = None,
     settings: Mapping[str, Any] | None = None,
@@ -96,7 +95,7 @@ def build_graph(
     rig, cameras : a rig YAML, and a folder with one parameter file a camera of the rig (or one such file); without
         ``cameras`` the server alone, without ``rig`` the cameras alone.
     only : "server", "cameras" or a camera's name: this part of the graph.
-    rate, epoch_ns, loop : how footage is played (parameters ``footage.*`` of the camera client).
+    rate, loop : how footage is played (parameters ``footage.*`` of the camera client).
     body : a body YAML for the ICP tracker, whose fits bring it to the filter.
     settings : more parameters, as NODE.PARAMETER (``hull_server.voxel_size_m``), CAMERA.PARAMETER or cameras.PARAMETER.
 
@@ -106,7 +105,7 @@ def build_graph(
         if rig is not None or cameras is not None:
             remedy = "Give a session, or a rig with cameras."
             raise InputError("a session brings its own rig and cameras", where="rig, cameras", remedy=remedy)
-        graph = session_graph(load_session(session), rate=rate, epoch_ns=epoch_ns, loop=loop, body=body)
+        graph = session_graph(load_session(session), rate=rate, loop=loop, body=body)
     elif rig is not None:
         graph = server_graph(rig, body=body)
         if cameras is not None:
@@ -122,7 +121,7 @@ def build_graph(
 
 
 def session_graph(
-    session: Session, *, rate: float = 1.0, epoch_ns: int = 0, loop: bool = False, body: str | Path | None = None
+    session: Session, *, rate: float = 1.0, loop: bool = False, body: str | Path | None = None
 ) -> list[NodeSpec]:
     """Return the whole graph on recorded footage."""
     rig_file = (session.folder / "rig.yaml").resolve()
@@ -131,9 +130,8 @@ def session_graph(
         what = f"there is no background for {', '.join(without_background)}"
         remedy = f"Add {without_background[0]}_background.mp4 or .png: the empty scene."
         raise InputError(what, where=str(session.folder), remedy=remedy)
-    if rate == 0 and not epoch_ns:  # by no clock, the cameras' stamps begin alike; at a rate, they agree themselves
-        epoch_ns = time.time_ns()
-    footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": int(epoch_ns), "loop": loop}
+    # by no clock, the cameras' stamps begin alike; at a rate, they agree themselves
+    footage = {"fps": session.fps, "rate": float(rate), "epoch_ns": 0 if rate else time.time_ns(), "loop": loop}
     footage["wait_for_cameras"] = rate > 0
     cameras = [
         camera_node(

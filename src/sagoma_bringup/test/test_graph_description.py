@@ -19,7 +19,7 @@ def camera_file(folder, name, **parameters):
 
 
 def test_session_gives_the_server_and_one_camera_node_a_video(session):
-    graph = build_graph(session=session, rate=0.5, epoch_ns=5_000_000_000, loop=True)
+    graph = build_graph(session=session, rate=0.5, loop=True)
     assert [node.full_name for node in graph] == [*SERVER, "/cam01/camera_client", "/cam02/camera_client"]
     assert [node.role for node in graph] == [Role.SERVER] * 3 + [Role.CAMERA] * 2
     cameras = graph[3:]
@@ -29,7 +29,7 @@ def test_session_gives_the_server_and_one_camera_node_a_video(session):
         assert given["footage.path"] == str((session / f"{node.label}.mp4").resolve())
         assert given["background"] == str((session / f"{node.label}_background.png").resolve())
         assert (given["footage.fps"], given["footage.rate"]) == (25.0, 0.5)
-        assert (given["footage.epoch_ns"], given["footage.loop"]) == (5_000_000_000, True)
+        assert (given["footage.epoch_ns"], given["footage.loop"]) == (0, True)
         assert given["footage.wait_for_cameras"] is True
 
 
@@ -38,7 +38,7 @@ def test_footage_played_by_no_clock_is_stamped_from_one_epoch_or_the_one_that_wa
         return {node.parameters["footage.epoch_ns"] for node in build_graph(session=session, **given)[3:]}
 
     assert len(epochs(rate=0)) == 1 and min(epochs(rate=0)) > 0
-    assert epochs(rate=0, epoch_ns=7) == {7} and epochs(rate=1) == {0}
+    assert epochs(rate=0, settings={"cameras.footage.epoch_ns": 7}) == {7} and epochs(rate=1) == {0}
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from launch_stand_in import launched, module_of
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import SERVER_NODES, THREE_PROCESSES, build_graph, processes_of
 from sagoma_bringup.launch_arguments import ARGUMENTS, PLAY_IN_STEP
-from sagoma_tools.graph.processes import START_TIMEOUT_S
+from sagoma_tools.graph import START_TIMEOUT_S
 from sagoma_tools.graph.ros_link import RosLink, our_nodes, settled
 
 PACKAGE = Path(__file__).resolve().parents[1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import datetime
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from sagoma_bringup.launch_arguments import AUTO_START, STARTS, start_settings
 
 from .takes.folder import TAKES, TakesFolder
 
+EPOCH = ".footage.epoch_ns"  # the camera clients' parameter: when footage begins
 # of several commands
 NODES = number("nodes", 1, 1000, whole=True)
 
@@ -33,8 +33,6 @@ def add_graph_arguments(parser: argparse.ArgumentParser) -> None:
         "--rate", type=PLAYING_SPEED, default=1.0, help="playing speed of footage; 0: as fast as the graph can"
     )
     parser.add_argument("--loop", action="store_true", help="play footage again and again")
-    help_start_at = "when footage begins, the same on every machine that plays a part of it: 14:30:05, or with a date"
-    parser.add_argument("--start-at", metavar="TIME", help=f"{help_start_at}; this machine's time zone, or Z for UTC")
     parser.add_argument("--body", help="body YAML for the trackers")
     add_start_argument(parser)
     add_settings_argument(parser)
@@ -63,11 +61,7 @@ def add_server_argument(parser: argparse.ArgumentParser) -> None:
 
 def graph_from(args: argparse.Namespace) -> list[NodeSpec]:
     """Return the graph that the arguments describe."""
-    session = None if args.session is None else load_session(args.session)
-    start_at_ns = None if args.start_at is None else start_instant_ns(args.start_at, time.time_ns())
-    if session is None and start_at_ns is not None:
-        remedy = "Leave it out: live cameras need none."
-        raise InputError("only footage has a beginning", where="--start-at", remedy=remedy)
+    session, settings = None if args.session is None else load_session(args.session), parse_settings(args.settings)
     graph = build_graph(
         session=args.session,
         rig=args.rig,
@@ -77,11 +71,20 @@ def graph_from(args: argparse.Namespace) -> list[NodeSpec]:
         loop=args.loop,
         body=args.body,
     )
-    if session is not None:
-        graph = in_step(graph, len(session.rig.names), start_at_ns, args.rate)
+    if session is not None and not any(key.endswith(EPOCH) for key in settings):
+        require_all_cameras(graph, session.rig.names)
     if any(node.label == "icp_tracker" for node in graph):
         graph = apply_settings(graph, start_settings(session, args.start))
-    return apply_settings(graph, parse_settings(args.settings))
+    return apply_settings(graph, settings)
+
+
+def require_all_cameras(graph: Sequence[NodeSpec], names: Sequence[str]) -> None:
+    """Raises InputError for a graph in which some of the cameras ``names`` play footage, and some do not."""
+    here = [node.label for node in graph if node.role is Role.CAMERA]
+    if 0 < len(here) < len(names):
+        what = f"of {len(names)} cameras only {', '.join(here)} plays here, and its frames would not meet the others'"
+        remedy = f"Give every machine the same moment to begin, --set {ALL_CAMERAS}{EPOCH}=NANOSECONDS: docs/hosts.md."
+        raise InputError(what, where="--only", remedy=remedy)
 
 
 def parse_settings(texts: list[str]) -> dict[str, Any]:
@@ -123,55 +126,3 @@ def bag_of(given: str, folder: str) -> Path:
     path = Path(given)
     named = Path(folder) / path
     return named if path.name == given and not path.exists() and named.exists() else path
-
-
-# the instant at which footage begins ----------------------------------------------------------------------------------
-
-
-FARTHEST_S = 3600.0  # the camera client refuses stamps further ahead; footage that began long ago is over
-EXAMPLE = "Write it as 14:30:05, 2026-03-01T14:30:05, or with a Z for UTC."
-
-
-def start_instant_ns(text: str, now_ns: int) -> int:
-    """Return a time of day (today's, of this machine's time zone) or a date and time as ns since 1970.
-
-    Raises InputError for what is neither, and for more than an hour from now, which is a slip.
-    """
-    now = datetime.datetime.fromtimestamp(now_ns * 1e-9).astimezone()
-    if ":" not in text:  # 14.30 would be read as 14 hours and three tenths
-        raise InputError(f"'{text}' is no time", where="--start-at", remedy=EXAMPLE)
-    try:
-        time_of_day = datetime.time.fromisoformat(text)
-        instant = datetime.datetime.combine(now.astimezone(time_of_day.tzinfo).date(), time_of_day)
-    except ValueError:
-        try:
-            instant = datetime.datetime.fromisoformat(text)
-        except ValueError:
-            raise InputError(f"'{text}' is no time", where="--start-at", remedy=EXAMPLE) from None
-    ahead_s = (instant.astimezone() - now).total_seconds()
-    if abs(ahead_s) > FARTHEST_S:
-        side = "ahead" if ahead_s > 0 else "ago"
-        what = f"{text} is {datetime.timedelta(seconds=round(abs(ahead_s)))} {side}: it is {now:%H:%M:%S %Z} here"
-        raise InputError(what, where="--start-at", remedy="Give a moment within the hour, the same on every machine.")
-    return round(instant.astimezone().timestamp() * 1e9)
-
-
-def in_step(graph: Sequence[NodeSpec], cameras: int, start_at_ns: int | None, rate: float) -> list[NodeSpec]:
-    """Return the part of a session's graph that runs here, its footage beginning with the other machines'.
-
-    cameras : of the whole session. Raises InputError for a part of several cameras without a common beginning.
-    """
-    here = [node.label for node in graph if node.role is Role.CAMERA]
-    if start_at_ns is None:
-        if 0 < len(here) < cameras:
-            what = f"of {cameras} cameras only {', '.join(here)} plays here, and its frames would not meet the others'"
-            remedy = "Give every machine the same moment to begin, a minute from now: --start-at 14:30:05."
-            raise InputError(what, where="--only", remedy=remedy)
-        return list(graph)
-    settings: dict[str, Any] = {"epoch_ns": start_at_ns}
-    if rate > 0:
-        settings |= {"keep_up": True, "wait_for_cameras": False}
-    else:
-        settings["wait_for_cameras"] = True  # nobody begins before all are there
-    prefix = f"{ALL_CAMERAS}.footage."
-    return apply_settings(graph, {f"{prefix}{key}": value for key, value in settings.items()} if here else {})

@@ -96,13 +96,12 @@ def _plain(cell: RenderableType) -> str:
 
 
 LOG_EVERY_S = 10.0
-REFRESH_S = 0.25  # of what a terminal shows
 
 _running: ProgressLine | None = None
 
 
 def doing(what: str, total: int | None = None) -> Callable[..., None]:
-    """Name the present step ("tracking frames"); the function returned takes how many of ``total`` are done.
+    """Name the present step ("tracking frames"); the function returned takes how many of ``total`` are done, or a text.
 
     It may be told the total as well, where that is known only later. Without a command around (a library's user, a
     test) both do nothing.
@@ -150,7 +149,10 @@ class ProgressLine:
                 threading.Thread(target=_log, args=(progress, self._ended), name="progress", daemon=True).start()
             self._progress = progress
 
-        def update(done: int, total: int | None = None) -> None:
+        def update(done: int | str, total: int | None = None) -> None:
+            if isinstance(done, str):
+                progress.update(task, done=f": {done}")
+                return
             whole = total or progress.tasks[0].total
             share = f" of {whole:.0f} ({100 * done / whole:.0f} %)" if whole else ""
             progress.update(task, completed=done, total=total, done=f": {done}{share}")
@@ -256,7 +258,6 @@ HELP: Mapping[str, CommandHelp] = {
     "export": CommandHelp((f"export {TAKE} --format bvh csv", "export walk1 --rate 60")),
     "import bag": CommandHelp(("import bag studio_bag walk --rig rig.yaml --background empty_room_bag",)),
     "import humaneva": CommandHelp(("import humaneva HumanEva_I s2_walk --subject S2 --action Walking",)),
-    "import biocv": CommandHelp(("import biocv P03/P03_WALK_01 p03_walk",)),
     "urdf": CommandHelp(("urdf --stature 1.82 --output body.urdf",)),
     "doctor": CommandHelp(
         ("doctor", f"doctor --rig {RIG} --live", "doctor camera cam01.yaml --open", "doctor --host 192.168.1.11"),

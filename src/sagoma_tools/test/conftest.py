@@ -39,7 +39,7 @@ def _tiny_node_is_importable():
 @pytest.fixture(autouse=True)
 def _graphs_settle_soon(monkeypatch):
     """Commands that look for nodes wait 0.2 s for more of them, not 1 s: tests say how many there are."""
-    monkeypatch.setattr("sagoma_tools.graph.ros_link.SETTLED_S", 0.2)
+    monkeypatch.setattr("sagoma_tools.graph.ros_link.ROUND_S", 0.2)
 
 
 @pytest.fixture

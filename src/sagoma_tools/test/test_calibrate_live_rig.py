@@ -2,14 +2,12 @@
 
 import threading
 import time
-from io import StringIO
 from itertools import count
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from calibration_room import held, on_floor, picture, three_cameras
-from rich.console import Console
 from sensor_msgs.msg import Image
 
 from capture_rig.errors import InputError
@@ -67,8 +65,7 @@ def test_floor_and_carried_board_are_seen_live_in_common_frames(published, link,
         asked.append(what)
         published.carried = "Carry" in what
 
-    out = StringIO()
-    sources = LiveSources(link.node, ("cam01", "cam02", "cam03"), (), True, Console(file=out), ask, threading.Event())
+    sources = LiveSources(link.node, ("cam01", "cam02", "cam03"), (), True, ask, threading.Event())
     floor = sources.detect_floor(BOARD, CAMERAS, {})
     moving = sources.detect_moving(BOARD, CAMERAS)
     assert [what.split()[0] for what in asked] == ["Lay", "Carry"]

@@ -1,6 +1,7 @@
 """What the doctor concludes of a made-up graph."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,9 +12,8 @@ from camera_client.condition import Condition
 from capture_rig.verdict import Finding
 from sagoma_tools.doctor.findings import Severity
 from sagoma_tools.doctor.graph import graph_findings
-from sagoma_tools.doctor.graph_listener import Canvas, GraphFacts, NodeFacts, SilhouetteFacts
+from sagoma_tools.doctor.graph_listener import Canvas, GraphFacts, NodeFacts, SilhouetteFacts, machines_of
 from sagoma_tools.graph.diagnostics_table import NodeReport
-from sagoma_tools.graph.lifecycle_client import machine_of
 from virtual_studio.rig import ring
 
 RIG = ring(3, False)
@@ -224,8 +224,9 @@ def test_cause_that_a_client_names_is_told_once_with_its_code_and_remedy(told, s
 
 
 def test_machines_are_told_apart_by_the_middlewares_number():
-    assert machine_of(bytes.fromhex("010f78fd5a5c7a490000000000000603")) == "78fd"
-    assert machine_of(bytes.fromhex("01100000aabbccdd0000000000000603")) == ""
+    gids = "010f78fd5a5c7a490000000000000603", "01100000aabbccdd0000000000000603"  # of Fast DDS, of another
+    found = [SimpleNamespace(node_namespace="/", node_name="a", endpoint_gid=bytes.fromhex(gid)) for gid in gids]
+    assert machines_of(SimpleNamespace(get_publishers_info_by_topic=lambda topic: found)) == {"/a": ("78fd", "")}
     other = graph([replace(C2, machines=("3d11",))])
     told = next(finding for finding in graph_findings(other) if finding.about == "nodes")
     here = "hull_server, icp_tracker, ekf_tracker, cam01, cam03"

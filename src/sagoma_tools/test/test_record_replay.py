@@ -17,13 +17,12 @@ from tools_waiting import until
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet
-from sagoma_ros.messages import to_stamp
 from sagoma_ros.qos import LATCHED, RESULT
 from sagoma_tools.graph.ros_link import RosLink
-from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, Topic, camera_topics
+from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, camera_topics
 from sagoma_tools.recording import recorder as recorder_module
 from sagoma_tools.recording.reader import TYPES, BagMessage, read_messages, read_provenance
-from sagoma_tools.recording.recorder import AskedTopics, Recorder, TimeJumpDetector, has_header, is_known, matches_any
+from sagoma_tools.recording.recorder import AskedTopics, Recorder, has_header, is_known, matches_any
 from sagoma_tools.recording.replayer import Answers, InputPublishers, play_lockstep, play_timed, timed_by_exposures
 
 CAMERAS = ("cam01", "cam02")
@@ -302,26 +301,3 @@ def hashes_in(data: bytes) -> set[str]:
         (length,) = struct.unpack_from("<I", data, at)
         found.add(data[at + 4 : at + 4 + length].decode())
     return found
-
-
-def test_stamps_that_go_back_are_told_once_and_counted_in_the_bag(link, far_link, tmp_path, capfd):
-    names = ("/probe/one", "/probe/two")
-    publishers = [far_link.node.create_publisher(JointState, name, LOSSLESS) for name in names]
-    recorder = Recorder(link.node, tmp_path / "bag", [Topic(name, "sensor_msgs/msg/JointState") for name in names])
-    assert not recorder.wait_for_publishers(names, PATIENCE_S)
-    for count, stamp_s in enumerate([10, 11, 12, 10, 11, 12], 1):
-        for publisher in publishers:
-            message = JointState()
-            message.header.stamp = to_stamp(stamp_s * 1_000_000_000)
-            publisher.publish(message)
-        assert all(recorder.wait_for_count(name, count, PATIENCE_S) for name in names)
-    assert recorder.beginnings == 2
-    recorder.close()
-    assert read_provenance(tmp_path / "bag")["beginnings"] == 2
-    assert capfd.readouterr().err.count("stamps went back by 2.000 s") == 1
-
-
-def test_a_late_message_is_no_time_jump():
-    jumps = TimeJumpDetector()
-    assert [jumps.observe("/x", ns) for ns in (1_000_000_000, 900_000_000, 1_100_000_000)] == [None] * 3
-    assert jumps.count == 0

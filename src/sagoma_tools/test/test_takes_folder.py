@@ -9,7 +9,8 @@ import take_bags
 
 from capture_rig.errors import InputError
 from sagoma_tools.cli import main
-from sagoma_tools.takes.folder import BEING_WRITTEN_S, TakesFolder
+from sagoma_tools.graph import PATIENCE_S
+from sagoma_tools.takes.folder import TakesFolder
 from sagoma_tools.takes.measure import SIDECAR_TAKE, finish_take
 from sagoma_tools.takes.take import TakeState
 
@@ -21,7 +22,7 @@ def takes(tmp_path, take_at):
     return TakesFolder(tmp_path / "takes")
 
 
-def cut(takes, name="cut", seconds_ago=2 * BEING_WRITTEN_S):
+def cut(takes, name="cut", seconds_ago=2 * PATIENCE_S):
     """A bag whose recorder was killed."""
     path = takes.path / name
     path.mkdir()

@@ -1,4 +1,4 @@
-"""What the page draws of people, and where browsers' views of it stand: whom they follow, whose is left alone."""
+"""What the page draws of people, and where browsers' views of it stand: and what fills them."""
 
 from contextlib import nullcontext
 from types import SimpleNamespace
@@ -9,8 +9,19 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import looking_at
 from sagoma_tools.overlays import BONES
-from sagoma_tools.view.scene import GREEN, HEAD_M, RED, Figure, instances_of, rotations_of_z_onto, unit_sphere
-from sagoma_tools.view.viewpoint import ASPECT, FOV_RAD, LEFT_ALONE_S, Viewpoint, corners_of, moved_window
+from sagoma_tools.view.scene import (
+    ASPECT,
+    FOV_RAD,
+    GREEN,
+    HEAD_M,
+    RED,
+    Figure,
+    Viewpoint,
+    corners_of,
+    instances_of,
+    rotations_of_z_onto,
+    unit_sphere,
+)
 from stick_figure.skeleton import POINT_NAMES
 from virtual_studio.rig import ring
 
@@ -23,14 +34,10 @@ class Views:
 
     def __init__(self, count):
         self.initial_camera = SimpleNamespace(position=None, look_at=None, fov=None)
-        self.cameras = [SimpleNamespace(up_direction=np.array([0.0, 0.0, 1.0])) for _ in range(count)]
+        self.cameras = [SimpleNamespace() for _ in range(count)]
 
     def get_clients(self):
         return {k: SimpleNamespace(camera=camera, atomic=nullcontext) for k, camera in enumerate(self.cameras)}
-
-    def open(self, camera):
-        """As a browser that has just come: where new views begin."""
-        camera.position, camera.look_at = np.array(self.initial_camera.position), np.array(self.initial_camera.look_at)
 
 
 def on_screen(views, points):
@@ -57,70 +64,17 @@ def test_the_first_view_is_filled_by_the_rigs_volume_and_cameras():
     assert 0.85 < np.abs(on_screen(views, np.array(shown))).max() < 1.0
 
 
-def test_a_standing_person_fills_the_view_once_tracked_and_stays_in_it_while_walking():
-    views = Views(0)
+def test_a_standing_person_fills_every_view_once_tracked_and_then_views_are_left_alone():
+    views = Views(2)
     viewpoint = Viewpoint(views)
-    for x in np.linspace(-1.0, 4.0, 60):
-        viewpoint.follow(person_at(x, 0.5 * x))
-        places = on_screen(views, at(x, 0.5 * x))
-        assert np.abs(places).max() < 1.0 and np.ptp(places[:, 1]) > 0.8  # of 2
-
-
-def test_a_view_that_is_unmoved_follows_and_one_that_somebody_moved_stays():
-    views = Views(3)
-    viewpoint = Viewpoint(views)
-    for camera in views.cameras:
-        views.open(camera)
-    untouched, moved, rolled = views.cameras
-    viewpoint.place(now_s := 100.0)
-    moved.position = moved.position + np.array([0.3, 0.0, 0.0])
-    rolled.up_direction = np.array([0.0, 1.0, 0.0])
-    before = [(camera.position.copy(), camera.look_at.copy()) for camera in (moved, rolled)]
-    viewpoint.follow(person_at(3.0, 0.0))
-    viewpoint.place(now_s)
-    assert untouched.look_at[0] == pytest.approx(3.0, abs=0.2)
-    assert [(tuple(c.position), tuple(c.look_at)) for c in (moved, rolled)] == [tuple(map(tuple, b)) for b in before]
-    views.open(moved)  # by "Reset View", or by what was under way to it
-    viewpoint.follow(person_at(5.0, 0.0))
-    viewpoint.place(now_s + 0.9 * LEFT_ALONE_S)
-    assert moved.look_at[0] < 4.0 < untouched.look_at[0]
-    viewpoint.place(now_s + 1.1 * LEFT_ALONE_S)
-    assert np.allclose(moved.look_at, untouched.look_at) and moved.look_at[0] > 4.0
-
-
-def test_a_browser_that_reports_late_where_it_is_follows_nevertheless():
-    views = Views(1)
-    viewpoint = Viewpoint(views)
-    (camera,) = views.cameras
-    camera.position, camera.look_at = np.array([-5.0, 0.0, 0.0]), np.zeros(3)  # viser's own, until it has heard of ours
-    viewpoint.place(now_s := 100.0)
-    views.open(camera)
-    late = camera.position, camera.look_at
-    for x in (1.0, 3.0):
-        viewpoint.follow(person_at(x, 0.0))
-        viewpoint.place(now_s)
-        camera.position, camera.look_at = late
-    viewpoint.place(now_s)
-    assert np.allclose(camera.position, views.initial_camera.position)
-
-
-def test_nobody_and_who_is_lost_leave_the_view_as_it_is():
-    views = Views(0)
-    viewpoint = Viewpoint(views)
-    before = views.initial_camera.look_at
-    viewpoint.follow({})
-    viewpoint.follow({"b0001": Figure(at(3.0, 0.0), np.full(15, 0.3), "lost")})
-    assert views.initial_camera.look_at is before
-
-
-def test_a_window_is_moved_as_little_as_may_be_and_grows_about_two_who_part():
-    window = moved_window(None, np.array([-0.5, -0.5]), np.array([0.5, 0.5]))
-    assert np.allclose(window.mean(0), 0.0)
-    assert np.array_equal(moved_window(window, np.array([0.0, -0.5]), np.array([1.0, 0.5])), window)
-    moved = moved_window(window, np.array([1.0, -0.5]), np.array([2.0, 0.5]))
-    assert moved[1, 0] == pytest.approx(2.0) and np.allclose(moved[1] - moved[0], window[1] - window[0])
-    wide = moved_window(window, np.array([-3.0, -0.5]), np.array([2.0, 0.5]))
-    assert wide[0, 0] == -3.0 and wide[1, 0] == 2.0
+    viewpoint.show_people({"b0001": Figure(at(3.0, 0.0), np.full(15, 0.3), "lost")})
+    viewpoint.show_people(person_at(3.0, 1.5))
+    places = on_screen(views, at(3.0, 1.5))
+    assert np.abs(places).max() < 1.0 and np.ptp(places[:, 1]) > 0.8  # of 2
+    assert all(np.array_equal(camera.position, views.initial_camera.position) for camera in views.cameras)
+    before = views.cameras[0].position
+    viewpoint.show_people(person_at(5.0, 0.0))
+    assert views.cameras[0].position is before
 
 
 # --- balls and spindles

@@ -8,17 +8,11 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Hashable, Iterator
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
-import cv2
-import numpy as np
 from rclpy.node import Node
-from rich.console import Console, RenderableType
-from rich.live import Live
-from rich.panel import Panel
-from rich.table import Table
+from rich.console import Console
 from sensor_msgs.msg import CompressedImage, Image
 from sensor_msgs.srv import SetCameraInfo
 
@@ -27,20 +21,18 @@ from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
 from rig_calibration.boards.board import Board
 from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
-from rig_calibration.intrinsics.coverage import Coverage
 from rig_calibration.intrinsics.result import Intrinsics
-from rig_calibration.intrinsics.selection import BoardImageProcessor, ImageResult, ViewCollector
-from sagoma_ros.images import camera_info_message, decode_image, preview_message
+from rig_calibration.intrinsics.selection import BoardImageProcessor, ViewCollector
+from sagoma_ros.images import camera_info_message, decode_image
 from sagoma_ros.inputs import Worker
-from sagoma_ros.messages import to_ns
-from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
+from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 
-from ..console import LOG_EVERY_S, REFRESH_S
-from ..graph.ros_link import DISCOVERY_S, RosLink, call_all
+from ..console import doing, until_stopped
+from ..graph import PATIENCE_S, ROUND_S
+from ..graph.ros_link import RosLink, call_all
 from .intrinsics import save_results
 
 COMPRESSED = "/compressed"
-PREVIEW = "calibration/preview/compressed"
 Message: TypeAlias = Image | CompressedImage
 
 
@@ -53,9 +45,10 @@ def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> 
         with StopOnSignal() as stop:
             camera = LiveCamera(link.node, args.topic, watcher)
             try:
-                _collect(camera, link.node, stop, args, console)
+                _collect(camera, link.node, stop, args)
             finally:
                 camera.close()
+                until_stopped()
         console.print(f"{name}: calibrating from {len(collector)} views")
         result = calibrate_intrinsics(collector.best(), board, name=name, model=args.model)
         save_results(Path(args.output), result, board, args.topic)
@@ -72,18 +65,20 @@ def offer(node: Node, namespace: str, result: Intrinsics) -> str:
     service = f"{namespace}/set_camera_info"
     camera = result.camera
     request = SetCameraInfo.Request(camera_info=camera_info_message(camera, 0, f"{camera.name}_optical"))
-    reply = call_all(node, SetCameraInfo, {service: request}, DISCOVERY_S, repeatable=True)[service]
+    reply = call_all(node, SetCameraInfo, {service: request}, PATIENCE_S, repeatable=True)[service]
     if reply is None:
         return f"{service} did not answer: is the camera client running?"
     return f"the camera client {'took it' if reply.success else 'refused it'}: {reply.status_message}"
 
 
-def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argparse.Namespace, console: Console) -> None:
+def _collect(camera: LiveCamera, node: Node, stop: threading.Event, args: argparse.Namespace) -> None:
     """Show the progress until the views suffice, the user stops it, or the time is over."""
-    begun_s = time.monotonic()
-    for report in reports(console, camera.changed, stop):
+    begun_s, done = time.monotonic(), doing("collecting views, until Ctrl-C")
+    while not stop.is_set():
+        camera.changed.wait(ROUND_S)
+        camera.changed.clear()
         shown, passed_s = camera.shown, time.monotonic() - begun_s
-        report.update(shown.panel, shown.line, shown.views, last=shown.enough)
+        done(shown.line)
         if camera.error is not None:
             raise camera.error
         if camera.received == 0 and passed_s > args.wait:
@@ -102,16 +97,15 @@ def _who_publishes(node: Node) -> str:
 
 
 class Shown(NamedTuple):
-    """The progress of collecting views, as it is shown; how many there are, and whether they suffice."""
+    """The progress of collecting views, in a line; how many there are, and whether they suffice."""
 
-    panel: Panel
     line: str
     views: int
     enough: bool
 
 
 class LiveCamera:
-    """Subscribes to ``topic`` (best effort), feeds ``watcher`` on a worker thread, and publishes a preview.
+    """Subscribes to ``topic`` (best effort) and feeds ``watcher`` on a worker thread.
 
     ``changed`` is set after every image that was processed; ``error`` is the exception that ended it, if there was one.
     """
@@ -123,7 +117,6 @@ class LiveCamera:
         self.received = 0
         self._last: Message | None = None
         self._show("waiting for images")
-        self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
         self._worker: Worker[tuple[Message, Message, int]] = Worker(  # the image before, the image, its number
             "board watcher", self._process, depth=1, on_drop=lambda: None, on_error=self._fail
         )
@@ -152,16 +145,13 @@ class LiveCamera:
         except InputError as error:  # one bad message: the next may be better
             self._show(str(error))
             return
-        seen, collector, header = self._watcher.process(image, before, number), self._watcher.collector, pair[1].header
+        seen = self._watcher.process(image, before, number)
         self._show("taken" if seen.taken else seen.reason)
-        if self._preview.get_subscription_count():
-            picture = draw_preview(image, seen, collector.coverage, collector.advice())
-            self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
     def _show(self, last: str) -> None:
         """Describe the progress, on the thread that makes it."""
         collector, watcher = self._watcher.collector, self._watcher
-        self.shown = Shown(panel(watcher, last), plain_line(watcher), len(collector), collector.enough)
+        self.shown = Shown(plain_line(watcher, last), len(collector), collector.enough)
         self.changed.set()
 
 
@@ -178,104 +168,11 @@ def camera_name_of(topic: str) -> str:
 # display --------------------------------------------------------------------------------------------------------------
 
 
-BAR_WIDTH = 24
-
-
-class LiveReport:
-    """Shows a panel on a terminal; elsewhere prints a line when there is news, at most every LOG_EVERY_S."""
-
-    def __init__(self, console: Console) -> None:
-        self._console, self._printed_s = console, -LOG_EVERY_S
-        self._news: Hashable = None
-        self._live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
-
-    def __enter__(self) -> LiveReport:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *of_error: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def update(self, panel: RenderableType, line: str, news: Hashable, last: bool = False) -> None:
-        """Show the state. news : what differs once there is something to say; last : print it now."""
-        now_s = time.monotonic()
-        if self._live is not None:
-            self._live.update(panel, refresh=True)
-        elif news != self._news and (last or now_s - self._printed_s >= LOG_EVERY_S):
-            self._news, self._printed_s = news, now_s
-            self._console.print(line)
-
-
-def reports(console: Console, changed: threading.Event, stop: threading.Event) -> Iterator[LiveReport]:
-    """Yield the report to be updated, again whenever something has changed, until ``stop`` is set."""
-    with LiveReport(console) as report:
-        while not stop.is_set():
-            changed.wait(REFRESH_S)
-            changed.clear()
-            yield report
-
-
-def panel(watcher: BoardImageProcessor, last: str) -> Panel:
-    """Return the progress as a panel for a terminal; ``last`` : what came of the last image."""
-    collector, table = watcher.collector, Table.grid(padding=(0, 2))
-    for goal, share in collector.coverage.progress().items():
-        filled = round(share * BAR_WIDTH)
-        colour = "green" if share >= 1.0 else "yellow"
-        table.add_row(goal, f"[{colour}]{'█' * filled}[/]{'░' * (BAR_WIDTH - filled)}", f"{100 * share:.0f} %")
-    table.add_row("focal length", *_against(collector, "focal_sd", 100.0, "%"))
-    table.add_row("principal point", *_against(collector, "centre_sd_px", 1.0, "px"))
-    table.add_row("views", str(len(collector)), f"board in {watcher.found} of {watcher.examined} images")
-    table.add_row("last image", last, "")
-    title = f"{watcher.camera}: {collector.advice() or 'enough'}"
-    return Panel(table, title=title, subtitle="Ctrl-C: calibrate with these")
-
-
-def plain_line(watcher: BoardImageProcessor) -> str:
-    """Return the progress as a line for a log file."""
+def plain_line(watcher: BoardImageProcessor, last: str) -> str:
+    """Return the progress as a line; ``last`` : what came of the last image."""
     collector = watcher.collector
     progress = ", ".join(f"{goal} {100 * share:.0f} %" for goal, share in collector.coverage.progress().items())
     expected = collector.expected
     known = f", f ± {100 * expected.focal_sd:.2f} %, centre ± {expected.centre_sd_px:.1f} px" if expected else ""
-    return f"{watcher.camera}: {len(collector)} views; {progress}{known}; {collector.advice() or 'enough'}"
-
-
-def _against(collector: ViewCollector, name: str, scale: float, unit: str) -> tuple[str, str]:
-    """Return the expected standard deviation and its target."""
-    wanted = getattr(collector.goals, name)
-    target = f"wanted: ± {scale * wanted:g} {unit}"
-    if collector.expected is None:
-        return "not known yet", target
-    value = getattr(collector.expected, name)
-    return f"[{'green' if value <= wanted else 'yellow'}]± {scale * value:.2f} {unit}[/]", target
-
-
-TAKEN, FOUND, COVERED = (60, 220, 60), (40, 160, 255), (90, 160, 60)  # BGR
-TEXT_HEIGHT_SHARE = 0.035
-
-
-def draw_preview(image: np.ndarray, seen: ImageResult, coverage: Coverage, advice: str) -> np.ndarray:
-    """Return the image (H, W[, 3]) as BGR with covered cells tinted, corners marked, and a line of advice."""
-    picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
-    height, width = picture.shape[:2]
-    cells = cv2.resize(coverage.cells.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
-    picture[cells] = (0.75 * picture[cells] + 0.25 * np.array(COVERED)).astype(np.uint8)
-    if seen.detection is not None:
-        colour, radius = TAKEN if seen.taken else FOUND, max(2, width // 200)
-        for x, y in np.rint(seen.detection.pixels).astype(int):
-            cv2.circle(picture, (int(x), int(y)), radius, colour, max(1, radius // 2))
-    _write(picture, advice or "enough", 1)
-    _write(picture, "taken" if seen.taken else seen.reason, 2)
-    return picture
-
-
-def _write(picture: np.ndarray, text: str, line: int) -> None:
-    """Write a line of text, counted from the bottom, readable on any background."""
-    height, width = picture.shape[:2]
-    scale = TEXT_HEIGHT_SHARE * height / 22
-    needed = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0]
-    scale *= min(1.0, 0.97 * width / max(needed, 1))
-    place = (int(0.01 * width), int(height - (line - 0.6) * 1.6 * TEXT_HEIGHT_SHARE * height))
-    for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):
-        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv2.LINE_AA)
+    advice = collector.advice() or "enough"
+    return f"{watcher.camera}: {len(collector)} views; {progress}{known}; {advice} (last image: {last})"

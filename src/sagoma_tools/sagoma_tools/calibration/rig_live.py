@@ -14,9 +14,6 @@ from functools import partial
 
 import numpy as np
 from rclpy.node import Node
-from rich.console import Console, Group
-from rich.panel import Panel
-from rich.table import Table
 from sensor_msgs.msg import Image
 
 from capture_rig.errors import InputError
@@ -24,14 +21,15 @@ from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import find_board
 from rig_calibration.extrinsics.calibrate import MOVING
-from rig_calibration.extrinsics.carried_board import ENOUGH_SHARED, MotionProgress, motion_progress
+from rig_calibration.extrinsics.carried_board import MotionProgress, motion_progress
 from sagoma_ros.images import decode_image
 from sagoma_ros.inputs import Worker
 from sagoma_ros.messages import to_ns
 from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 
-from ..graph.ros_link import DISCOVERY_S, PATIENCE_S, settled
-from .live_lens import reports
+from ..console import doing, until_stopped
+from ..graph import PATIENCE_S, ROUND_S
+from ..graph.ros_link import settled
 from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, RigSources, find_floor
 
 TOLERANCE_NS = 10_000_000
@@ -131,10 +129,12 @@ class MotionRecorder:
         self.changed.set()
 
 
-def watch_recorder(recorder: MotionRecorder, console: Console, stop: threading.Event) -> None:
+def watch_recorder(recorder: MotionRecorder, stop: threading.Event) -> None:
     """Show the progress until it suffices or the person stops it. Raises InputError when no frame set comes."""
-    begun_s = time.monotonic()
-    for report in reports(console, recorder.changed, stop):
+    begun_s, done = time.monotonic(), doing("carried board")
+    while not stop.is_set():
+        recorder.changed.wait(ROUND_S)
+        recorder.changed.clear()
         if recorder.error is not None:
             raise recorder.error
         progress = recorder.progress()
@@ -142,33 +142,10 @@ def watch_recorder(recorder: MotionRecorder, console: Console, stop: threading.E
             apart = f"no two cameras' within {TOLERANCE_NS / 1e6:g} ms of each other"
             came = f"{recorder.received} pictures came, but {apart}" if recorder.received else "no picture comes"
             raise InputError(came, remedy="Synchronise the cameras (docs/camera_pcs.md).")
-        line = f"{progress.shared_frames} shared frames; {progress.advice or 'enough'}"
-        report.update(progress_panel(progress, recorder.examined), line, line, last=not progress.advice)
+        examined = f"{progress.shared_frames} of {recorder.examined} frames seen by two or more cameras"
+        done(f"{examined}; {progress.advice or 'enough'}")
         if not progress.advice:
             return
-
-
-def progress_panel(progress: MotionProgress, examined: int) -> Panel:
-    """Frames that each pair of cameras shares, image cells covered, and where to carry the board."""
-    table = Table(show_edge=False, pad_edge=False)
-    table.add_column("shared frames")
-    for name in progress.cameras:
-        table.add_column(name, justify="right")
-    table.add_column("cells of 9", justify="right")
-    for one in progress.cameras:
-        counts = [_cell(progress, one, other) for other in progress.cameras]
-        table.add_row(one, *counts, str(progress.cells[one]))
-    title = progress.advice or "enough"
-    summary = f"{progress.shared_frames} frames seen by two or more cameras, of {examined} examined"
-    return Panel(Group(table, summary), title=title, subtitle="Ctrl-C: calibrate with these")
-
-
-def _cell(progress: MotionProgress, one: str, other: str) -> str:
-    if one == other:
-        return ""
-    count = progress.shared.get((min(one, other), max(one, other)), 0)
-    colour = "green" if count >= ENOUGH_SHARED else "yellow" if count else "red"
-    return f"[{colour}]{count}[/]"
 
 
 class LiveSources(RigSources):
@@ -179,18 +156,11 @@ class LiveSources(RigSources):
     """
 
     def __init__(
-        self,
-        node: Node,
-        wanted: Sequence[str],
-        without: Sequence[str],
-        carried: bool,
-        console: Console,
-        ask: Ask,
-        stop: threading.Event,
+        self, node: Node, wanted: Sequence[str], without: Sequence[str], carried: bool, ask: Ask, stop: threading.Event
     ) -> None:
         self._topics = {name: topic for name, topic in find_topics(node, wanted).items() if name not in without}
         self.names = tuple(sorted(self._topics))
-        self._node, self._carried, self._console, self._ask, self._stop = node, carried, console, ask, stop
+        self._node, self._carried, self._ask, self._stop = node, carried, ask, stop
         self._shots: dict[str, Shots] = {}
 
     def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
@@ -205,7 +175,8 @@ class LiveSources(RigSources):
         self._ask("Carry the board through the room, slowly, its print towards the cameras; Ctrl-C ends it early")
         topics = {name: self._topics[name] for name in sorted(cameras)}
         with MotionRecorder(self._node, topics, board) as recorder:
-            watch_recorder(recorder, self._console, self._stop)
+            watch_recorder(recorder, self._stop)
+            until_stopped()
         return recorder.seen()
 
     def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
@@ -227,7 +198,7 @@ class Shots:
         return iter(enumerate(self.pictures))
 
 
-def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = DISCOVERY_S) -> dict[str, str]:
+def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = PATIENCE_S) -> dict[str, str]:
     """Return the topics /NAME/image_raw of the ``wanted`` cameras, or of all. Raises InputError for absent ones."""
     settled(lambda: {*_image_topics(node)}.intersection(wanted or _image_topics(node)), len(wanted) or 1, timeout_s)
     found = _image_topics(node)

@@ -185,7 +185,6 @@ def _rounded(value: float | None) -> float | int | None:
 
 
 COLUMNS, DPI = 4, 90
-FRUSTUM_M = 0.8
 ARROW_SHARE, MAX_MAGNIFIED = 0.05, 200.0
 """The residuals' rms is drawn as this share of the image's width, magnified at most so much."""
 MAX_ARROWS = 1500
@@ -261,7 +260,7 @@ def _draw_view(axes: Axes, placed: PlacedRig, board_world: np.ndarray | None, ri
 
 
 def _frustum_edges(camera: CameraModel) -> list[np.ndarray]:
-    """Return the lines (k, 3) from the centre to the image's corners, at FRUSTUM_M, and around them."""
+    """Return the lines (k, 3) from the centre to the image's corners, at AXIS_M, and around them."""
     w, h = camera.width - 1.0, camera.height - 1.0
     rays = camera.rays_world(np.array([[0.0, 0.0], [w, 0.0], [w, h], [0.0, h]]))
     if not np.isfinite(rays).all():  # a lens model that does not reach the corners
@@ -269,7 +268,7 @@ def _frustum_edges(camera: CameraModel) -> list[np.ndarray]:
         rays = pinhole @ camera.R_camera_world
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     centre = camera.centre_world
-    ends = centre + FRUSTUM_M * rays / (rays @ camera.R_camera_world[2])[:, None]
+    ends = centre + AXIS_M * rays / (rays @ camera.R_camera_world[2])[:, None]
     return [np.stack([centre, end]) for end in ends] + [np.vstack([ends, ends[:1]])]
 
 

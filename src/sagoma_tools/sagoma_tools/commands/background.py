@@ -9,15 +9,15 @@ import argparse
 import contextlib
 import json
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from rich.console import Console
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
@@ -33,14 +33,13 @@ from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
 
 from ..arguments import NODES
-from ..console import GRADE_STYLE, INTERRUPTED, command_console, plain_table
+from ..console import GRADE_STYLE, INTERRUPTED, command_console, doing, plain_table, until_stopped
+from ..graph import START_TIMEOUT_S
 from ..graph.background_training import TrainingOutcome, find_clients, needing_training, progress_of, train_backgrounds
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable
-from ..graph.processes import START_TIMEOUT_S
 from ..graph.ros_link import RosLink, add_namespace_argument, label_of, namespace_argument, namespace_of
 
 COUNTDOWN_S = 10
-LAST_SECONDS = 5  # in a log each of them has a line
 ERROR = b"\2"
 IDLE = ("unconfigured", "configured, inactive", "suspended")
 STATUS = {GOOD: 0, USABLE: 1, REDO: 2}
@@ -153,13 +152,21 @@ def train(
     args: argparse.Namespace,
 ) -> list[TrainingOutcome]:
     """Count down and train the clients ``names``, again those that failed; return the last outcome of each."""
+
+    def wanted(names: Sequence[str], show: Callable[[str], None]) -> bool:
+        show("   ".join(f"{label_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names))
+        return not stop.is_set()
+
     outcomes = {name: TrainingOutcome(label_of(name), "cancelled") for name in names}
     pending, prompt = list(names), "leave the room"
     for attempt in range(1 + args.retries):
         if not count_down(console, prompt, args.countdown, stop):
             break
-        with _progress(console, diagnostics, pending):
-            trained = train_backgrounds(link.node, diagnostics, pending, args.timeout, lambda: not stop.is_set())
+        console.print(f"learning: {', '.join(map(label_of, pending))}")
+        trained = train_backgrounds(
+            link.node, diagnostics, pending, args.timeout, partial(wanted, pending, doing("frames"))
+        )
+        until_stopped()
         outcomes |= dict(zip(pending, trained, strict=True))
         # where no training took place, an empty room would not help
         pending = [n for n in pending if outcomes[n].report is not None and outcomes[n].grade == REDO]
@@ -172,38 +179,16 @@ def train(
     return list(outcomes.values())
 
 
-@contextlib.contextmanager
-def _progress(console: Console, diagnostics: DiagnosticsTable, names: Sequence[str]) -> Iterator[None]:
-    """Show the cameras' progress in one line; into a file, print the cameras' names once."""
-
-    def line() -> Text:
-        progress = (f"{label_of(name)} {progress_of(diagnostics, name) or '...'}" for name in names)
-        return Text("   ".join(["learning", *progress]))
-
-    if not console.is_terminal:
-        console.print(f"learning: {', '.join(map(label_of, names))}")
-        yield
-        return
-    with Live(console=console, get_renderable=line, refresh_per_second=4, transient=True):
-        yield
-
-
 def count_down(console: Console, prompt: str, seconds: int, stop: threading.Event) -> bool:
-    """Show "PROMPT: 10" and so on down to 1, then beep; False when ``stop`` was set meanwhile.
-
-    Into a file the first and the last seconds are printed.
-    """
-    live = Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
-    with live or contextlib.nullcontext():
-        for left in range(seconds, 0, -1):
-            if live is not None:
-                live.update(Text(f"{prompt}: {left}", style="bold yellow"), refresh=True)
-            elif left == seconds or left <= LAST_SECONDS:
-                console.print(f"{prompt}: {left} s")
-            if stop.wait(1.0):
-                return False
-    if live is not None:
-        console.bell()
+    """Show "PROMPT: 10 s" and so on down to 1, then beep; False when ``stop`` was set meanwhile."""
+    show = doing(prompt)
+    if seconds and not console.is_terminal:
+        console.print(f"{prompt}: {seconds} s")
+    for left in range(seconds, 0, -1):
+        show(f"{left} s")
+        if stop.wait(1.0):
+            return False
+    console.bell()
     return True
 
 

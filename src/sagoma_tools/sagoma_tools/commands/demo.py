@@ -29,12 +29,10 @@ from ..evaluation.live_run import KEPT_UP, LiveRun, evaluate_run, run_live, run_
 from ..evaluation.reasons import explain
 from ..evaluation.scores import Scores
 from ..evaluation.tables import print_ages, print_latency, print_nodes, print_scores
+from ..graph.processes import busy_machine
 from ..takes.measure import finish_take
 
-CAMERA_FPS = 60.0  # at most; what the machine does not hold is thinned out, or shown in slow motion
 TRACKED = 0.5  # of those answered, at least, have a body: the rest is the time until the first pose
-LEAST_HZ = 8.0  # below, people move too far between two frame sets to be followed
-BUSY = 0.25  # of the processors in other programs' hands is worth telling
 RING_CAMERAS, STATURE_M, SECONDS = 4, 1.75, 6.0  # and a camera on the ceiling
 
 
@@ -44,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option = parser.add_argument
     option("--session", help="folder of footage (default: a synthetic session, made once)")
     option("--output", default="output/demo", help="where bag, logs and pictures go (default: output/demo)")
-    rate = f"of the simulated cameras (default: the session's, up to {CAMERA_FPS:g}; the graph keeps what it holds)"
+    rate = "of the simulated cameras (default: the session's; the graph keeps what it holds)"
     option("--fps", type=FRAME_RATE, help=rate)
     speed = "at this speed, or at 0 as fast as the graph keeps up, dropping nothing"
     option("--rate", type=PLAYING_SPEED, metavar="R", help=f"no cameras: the clients read the videos, {speed}")
@@ -66,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         options: dict[str, Any] = {"start": args.start, "settings": parse_settings(args.settings), "cancel": stop}
         if args.rate is None:
             session = load_session(folder)
-            cameras, fps = len(session.rig.names), args.fps or min(session.fps, CAMERA_FPS)
+            cameras, fps = len(session.rig.names), args.fps or session.fps
             console.print(f"{cameras} simulated GigE cameras at {fps:g} Hz look at {folder} (logs: {output / 'logs'})")
             live = run_studio(folder, output, fps, args.speed, **options)
         else:
@@ -85,16 +83,15 @@ def run(args: argparse.Namespace) -> int:
         console.print(f"picture: {path}")
     console.print(f"bag: {live.bag}  (replay it: sagoma replay {live.bag} --graph --lockstep --output OUT)")
     console.print(next_steps(live.bag))
-    trouble = unsound(live.sets, live.answered, len(live.track), live.hz_held)
+    trouble = unsound(live.sets, live.answered, len(live.track))
     if args.rate is None:
-        line = rate_line(fps, live.hz_held, live.others, os.getloadavg()[0])
+        line = rate_line(fps, live.hz_held)
         if live.speed < 1:
             line = speed_line(live.speed, cameras, fps, forced=args.speed is not None)
         console.print(line, style="bold")
     if trouble:
-        enough = args.rate == 0.0 or live.hz_held >= LEAST_HZ  # fewer sets are reason enough
-        why = live.reasons if enough and len(live.track) < TRACKED * live.answered else ()
-        console.print(f"{trouble}; {next_step(live.others, args.rate, why)}", style="yellow")
+        why = live.reasons if len(live.track) < TRACKED * live.answered else ()
+        console.print(f"{trouble}; {next_step(args.rate, why)}", style="yellow")
     print(json.dumps(figures(live, scores)))
     return 1 if trouble else 0
 
@@ -109,27 +106,23 @@ def built_in_session(folder: Path, console: Console) -> Path:
     return folder
 
 
-def unsound(sets: int, answered: int, tracked: int, hz: float) -> str:
+def unsound(sets: int, answered: int, tracked: int) -> str:
     """Say why a capture is not sound; empty when it is.
 
-    sets : that the cameras' clients sent; answered, tracked : of these; hz : sets a second of the session.
+    sets : that the cameras' clients sent; answered, tracked : of these.
     """
     if answered < KEPT_UP * sets:
         return f"only {answered} of {sets} frame sets were answered"
     if tracked < TRACKED * answered:
         return f"a person was tracked in {f'only {tracked}' if tracked else 'none'} of {answered} frame sets"
-    if hz < LEAST_HZ:
-        return f"{hz:.0f} frame sets a second are too few to follow a person"
     return ""
 
 
-def rate_line(camera_hz: float, held_hz: float, others: float, load: float) -> str:
-    """Say which rate the machine held of the cameras', and what else it was busy with."""
-    processors = os.cpu_count() or 1
-    busy = f"; other programs took {100 * others:.0f} % of its {processors} processors (load {load:.1f})"
+def rate_line(camera_hz: float, held_hz: float) -> str:
+    """Say which rate the machine held of the cameras'."""
     held = "all" if held_hz > KEPT_UP * camera_hz else f"{held_hz:.0f} Hz of"
     done = "" if held == "all" else ", and all cameras left out the same frames"
-    return f"this machine holds {held} the cameras' {camera_hz:g} Hz{done}{busy if others > BUSY else ''}"
+    return f"this machine holds {held} the cameras' {camera_hz:g} Hz{done}"
 
 
 def speed_line(speed: float, cameras: int, fps: float, forced: bool) -> str:
@@ -139,22 +132,18 @@ def speed_line(speed: float, cameras: int, fps: float, forced: bool) -> str:
     return f"shown at {part} the speed: {why}"
 
 
-def next_step(others: float, rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
+def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:
     """Say what to do about a capture that is not sound.
 
-    others : share of the processors that other programs took; rate : of the footage, None of cameras; reasons : of each
-    set, why nobody was tracked in it, where that is what is wrong.
+    rate : of the footage, None of cameras; reasons : of each set, why nobody was tracked in it, where that is what is
+    wrong.
     """
     if any(reasons):
         return ". ".join(explain(reasons))
     if rate == 0.0:  # nothing is dropped, however busy the machine
         return "look into the logs of the nodes"
-    if others > BUSY:
-        return (
-            f"the machine is busy, other programs take {100 * others:.0f} % of it: end them and try again, or read the "
-            "videos as fast as it can (--rate 0)"
-        )
-    return "read the videos as fast as this machine can (--rate 0), or look into the logs of the nodes"
+    busy = busy_machine() or "look into the logs of the nodes"
+    return f"read the videos as fast as this machine can (--rate 0); {busy}"
 
 
 def report(console: Console, live: LiveRun, scores: Scores | None) -> None:
@@ -182,7 +171,6 @@ def figures(live: LiveRun, scores: Scores | None) -> dict[str, object]:
         "incomplete": live.incomplete,
         "sets_per_s": round(live.sets_per_s, 1),
         "hz_held": round(live.hz_held, 1),
-        "others": round(live.others, 3),
         "speed": live.speed,
         **dict(zip(("latency_p50_ms", "latency_p95_ms"), ages_ms, strict=False)),
         "memory_mib": {name: round(used.resident_mib, 1) for name, used in live.usage.items()},

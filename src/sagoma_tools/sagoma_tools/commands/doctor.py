@@ -15,10 +15,11 @@ from capture_rig.stop_signals import StopOnSignal
 from ..console import command_console, doing, until_stopped
 from ..doctor.cameras import examine_camera
 from ..doctor.findings import Finding, exit_status, show, summary
-from ..doctor.graph import LIVE_S, examine_graph
+from ..doctor.graph import examine_graph
 from ..doctor.hosts import PORT, examine_hosts, serve
 from ..doctor.machine import examine_machine
 from ..doctor.rig import examine_rig, needed_parts
+from ..graph import ANSWER_S
 from ..graph.ros_link import add_namespace_argument, namespace_argument
 
 DESCRIPTION = (
@@ -49,7 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     option("--session", metavar="FOLDER", type=Path, help="footage of the rig: sizes, rates, backgrounds")
     option("--live", action="store_true", help="listen to the running graph")
     add_namespace_argument(parser)
-    option("--seconds", type=number("s", 0.1, 3600), default=LIVE_S, help="how long to listen (default: %(default)g)")
+    option("--seconds", type=number("s", 0.1, 3600), default=ANSWER_S, help="how long to listen (default: %(default)g)")
     help_host = "another machine of the graph: does it answer, which packets get there?"
     option("--host", action="append", default=[], metavar="ADDRESS", help=help_host)
     option(

@@ -22,6 +22,7 @@ from capture_rig.rig import load_rig
 from capture_rig.settings import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
+from sagoma_bringup.launch_arguments import RESTART_DELAY_S
 from virtual_studio.gige import __main__ as studio
 
 from ..arguments import (
@@ -34,13 +35,13 @@ from ..arguments import (
     new_run_folder,
     next_steps,
 )
-from ..console import REFRESH_S, command_console, doing, until_stopped
+from ..console import command_console, doing, until_stopped
+from ..graph import ROUND_S
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit, ProcessSettings
-from ..graph.restarts import ProcessExited, ProcessRecovered, RestartPolicy
 from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument, our_nodes, settled
-from ..graph.supervisor import GraphError, Supervisor
+from ..graph.supervisor import GraphError, ProcessExited, ProcessRecovered, Supervisor
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
 from ..takes.folder import TakesFolder
@@ -99,14 +100,14 @@ def up(args: argparse.Namespace) -> int:
         if isinstance(event, ProcessExited):
             console.print(f"the end of {event.log}:\n{event.log_tail}")
 
-    settings, restart = ProcessSettings(args.server), RestartPolicy() if args.restart else None
+    settings, restart = ProcessSettings(args.server), RESTART_DELAY_S if args.restart else None
 
     def report_failure(error: InputError) -> None:
         console.print(f"{error} The capture goes on.", style="red")
 
     with (
         StopOnSignal() as stop,
-        Supervisor(graph, folder, settings, cancel=stop, on_event=log_event, restart=restart) as supervisor,
+        Supervisor(graph, folder, settings, cancel=stop, on_event=log_event, restart_delay_s=restart) as supervisor,
         page_of(args) if args.view else nullcontext(),
     ):
         recorder = bring_up(supervisor, args.record, stop, report_failure)
@@ -149,7 +150,7 @@ def bring_up(
 
 
 def watch(supervisor: Supervisor, console: Console, stop: threading.Event, seconds: float | None) -> None:
-    """Show one line a node, twice a second, until ``stop`` is set or the time is over; into a file, only the last."""
+    """Show one line a node, once a second, until ``stop`` is set or the time is over; into a file, only the last."""
     names = {spec.full_name: spec.label for spec in supervisor.graph}
     if not console.is_terminal:
         stop.wait(seconds)
@@ -157,7 +158,7 @@ def watch(supervisor: Supervisor, console: Console, stop: threading.Event, secon
         return
     end_s = None if seconds is None else time.monotonic() + seconds
     with Live(console=console, auto_refresh=False) as live:
-        while not stop.wait(REFRESH_S) and (end_s is None or time.monotonic() < end_s):
+        while not stop.wait(ROUND_S) and (end_s is None or time.monotonic() < end_s):
             live.update(supervisor.diagnostics.table(names, supervisor.states()), refresh=True)
 
 

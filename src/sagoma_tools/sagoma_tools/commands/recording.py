@@ -14,7 +14,8 @@ from capture_rig.stop_signals import StopOnSignal
 
 from ..arguments import add_server_argument, add_settings_argument, new_run_folder, next_steps, parse_settings
 from ..console import INTERRUPTED, doing, until_stopped
-from ..graph.ros_link import PATIENCE_S, RosLink, add_namespace_argument, namespace_argument
+from ..graph import PATIENCE_S
+from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument
 from ..graph.topics import (
     CAMERA_INFO,
     CLOCK_TOPIC,

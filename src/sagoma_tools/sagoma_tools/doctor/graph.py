@@ -20,7 +20,6 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from .findings import Finding, Found, about, error, graded, note, ok, warning
 from .graph_listener import ACTIVE, FLOODED, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
 
-LIVE_S = 6.0
 SUBJECT, HULL = "graph", "/hull_server"
 SERVER_NODES = (HULL, "/icp_tracker", "/ekf_tracker")
 ENOUGH_CAMERAS = 3

@@ -6,6 +6,7 @@ import itertools
 import os
 import threading
 import time
+import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage
+from std_msgs.msg import Empty
 
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import Rig
@@ -29,15 +31,16 @@ from sagoma_ros.messages import to_ns, values_of
 from sagoma_ros.middleware import PEERS_VARIABLE
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
+from ..graph import ANSWER_S, ROUND_S
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
-from ..graph.lifecycle_client import own_machine, places_of
 from ..graph.ros_link import RosLink, call_all, is_in_graph, node_names, owners_of, settled, topics_of
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
 from .machine import domains_here
 
 OWN_NAME = "sagoma_doctor"
 FRAME_SET_TOPIC = "/hull/frame_set"
-DISCOVERY_S, ANSWER_S = 5.0, 1.0
+COMMON_TOPIC = "/parameter_events"  # every node publishes there
+FAST_DDS = b"\x01\x0f"  # the vendor's number, with which its GUIDs begin; the next two bytes are the machine's
 QUESTIONS = 5  # of which the fastest answer counts: one may be lost while discovery is under way
 GET_STATE, GET_PARAMETERS = "/get_state", "/get_parameters"
 ICP, ICP_RIG_PARAMETER, RIG_PARAMETER = "/icp_tracker", "initial_pose.rig_file", "rig_file"
@@ -192,7 +195,7 @@ def collect_graph(
     with RosLink(OWN_NAME, namespace=namespace, domain_id=domain_id) as link:
         node = link.node
         reports, sets = DiagnosticsTable(node), _listen(node, DiagnosticArray, f"{namespace}{FRAME_SET_TOPIC}", RESULT)
-        settled(lambda: set(node_names(node)) - {f"{namespace}/{OWN_NAME}"}, 1, DISCOVERY_S)
+        settled(lambda: set(node_names(node)) - {f"{namespace}/{OWN_NAME}"}, 1, ANSWER_S)
         cameras = sorted({*expected, *cameras_in(topics_of(node))})
         qos, sent = SILHOUETTE_SUBSCRIBER, [f"{namespace}/{name}{SILHOUETTE_SUFFIX}" for name in cameras]
         masks = [_listen(node, CompressedImage, topic, qos) for topic in sent]
@@ -202,7 +205,7 @@ def collect_graph(
         states, trips = ask_states(node, sorted(lifecycle))
         rig_files = _ask_rig_files(node, sorted(states))
         threading.Event().wait(max(ends_s - time.monotonic(), 0.0))
-        machines = {name: tuple(place.machine for place in places) for name, places in places_of(node).items()}
+        machines = machines_of(node)
         copies = Counter(node_names(node))
         names = sorted({*lifecycle, *(name for name in reports.names() if is_in_graph(node, name))})
         heard = sets.copy()
@@ -226,6 +229,26 @@ def collect_graph(
             domains_here(),
             tuple(filter(None, os.environ.get(PEERS_VARIABLE, "").split(";"))),
         )
+
+
+def machines_of(node: Node, topic: str = COMMON_TOPIC) -> dict[str, tuple[str, ...]]:
+    """Return the machines on which the nodes that publish ``topic`` run, by full name: their numbers in a GUID of
+    Fast DDS, "" with another middleware."""
+    found: dict[str, tuple[str, ...]] = {}
+    for one in node.get_publishers_info_by_topic(topic):
+        name, gid = f"{one.node_namespace.rstrip('/')}/{one.node_name}", bytes(one.endpoint_gid[:4])
+        found[name] = (*found.get(name, ()), gid[2:].hex() if gid[:2] == FAST_DDS else "")
+    return found
+
+
+def own_machine(node: Node) -> str:
+    """Return the machine on which this node runs; empty where it is not known."""
+    topic = f"/{node.get_name()}/machine_{uuid.uuid4().hex}"  # of nobody else, though other nodes have its name
+    publisher = node.create_publisher(Empty, topic, 1)
+    try:
+        return next(iter(machines_of(node, topic).values()), ("",))[0]
+    finally:
+        node.destroy_publisher(publisher)
 
 
 def _listen(node: Node, kind: type, topic: str, qos: QoSProfile) -> Heard:
@@ -276,7 +299,7 @@ def ask_states(node: Node, names: Iterable[str]) -> tuple[dict[str, str], dict[s
     trips: dict[str, float] = {}
     for name in names:
         client = node.create_client(GetState, name + GET_STATE)
-        for question in range(QUESTIONS if client.wait_for_service(ANSWER_S) else 0):
+        for question in range(QUESTIONS if client.wait_for_service(ROUND_S) else 0):
             came, began_s, arrived_s = threading.Event(), time.perf_counter(), [0.0]
 
             def on_answer(_: Any, came: threading.Event = came, arrived_s: list[float] = arrived_s) -> None:
@@ -285,9 +308,9 @@ def ask_states(node: Node, names: Iterable[str]) -> tuple[dict[str, str], dict[s
 
             future = client.call_async(GetState.Request())
             future.add_done_callback(on_answer)
-            if came.wait(ANSWER_S):
+            if came.wait(ROUND_S):
                 states[name] = cast(Any, future.result()).current_state.label
-                trips[name] = min(arrived_s[0] - began_s, trips.get(name, ANSWER_S))
+                trips[name] = min(arrived_s[0] - began_s, trips.get(name, ROUND_S))
             elif question > 0 and name not in states:
                 break
         node.destroy_client(client)
@@ -299,7 +322,7 @@ def _ask_rig_files(node: Node, names: Sequence[str]) -> dict[str, str]:
     files = {}
     parameters = {name + GET_PARAMETERS: ICP_RIG_PARAMETER if name.endswith(ICP) else RIG_PARAMETER for name in names}
     requests = {service: GetParameters.Request(names=[parameter]) for service, parameter in parameters.items()}
-    for service, reply in call_all(node, GetParameters, requests, ANSWER_S, repeatable=True).items():
+    for service, reply in call_all(node, GetParameters, requests, ROUND_S, repeatable=True).items():
         if reply is not None and reply.values and reply.values[0].string_value:
             files[service.removesuffix(GET_PARAMETERS)] = reply.values[0].string_value
     return files

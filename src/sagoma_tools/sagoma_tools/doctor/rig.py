@@ -23,6 +23,7 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video import VideoFacts, examine_video, session_findings
 from capture_rig.visibility import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
 from capture_rig.yaml_file import read_mapping
+from rig_calibration.extrinsics.verdict import CLOSE_DEG, FACING_DEG, MIN_CAMERAS
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
 from .cameras import BUSY, GIGABIT, JUMBO_MTU, Stream, footage_shape, stream_bytes_per_s
@@ -41,10 +42,7 @@ UNEQUAL_FOCAL = 0.02
 NARROW_DEG, WIDE_DEG, FISHEYE_DEG = 15.0, 130.0, 200.0
 HIGH_M, LOW_M = 6.0, 0.3
 SAME_PLACE_M, SAME_LENS_PX = 0.05, 0.5
-SAME_OUTLINE_DEG = 15.0
-ENOUGH_CAMERAS = 3
-POOR_SHARE, LITTLE_SHARE = 0.05, 0.5
-SEES_NOTHING = 0.01
+POOR_SHARE, LITTLE_SHARE = 0.05, 0.5  # of the places where a person may stand
 
 
 @dataclass(frozen=True)
@@ -154,14 +152,14 @@ def check_number(view: RigView) -> Finding:
     number = len(view.rig.cameras)
     few = "Use four cameras or more; three at the least: two cannot carve a body."
     three = "Add one or two: a limb before the trunk has no outline of its own, and a faulty camera cannot be outvoted."
-    at_least = ENOUGH_CAMERAS
+    at_least = MIN_CAMERAS
     cases = (number < at_least, error, "too_few", few), (number == at_least, note, "three", three)
     return graded("cameras", f"{view.path}: {number} ({', '.join(view.rig.names)})", *cases)
 
 
 def check_common_view(view: RigView) -> Finding:
     """How much of the volume enough cameras see."""
-    enough = min(ENOUGH_CAMERAS, len(view.rig.cameras))
+    enough = min(MIN_CAMERAS, len(view.rig.cameras))
     share = view.seen_by(enough)
     text = f"{100 * share:.0f} % of the volume's floor lets {enough} cameras see a person from soles to head"
     remedy = f"Move cameras back or use shorter lenses, or make the volume smaller ({CALIBRATE} chooses it)."
@@ -211,10 +209,10 @@ def check_pairs(view: RigView) -> Iterator[Finding]:
         if apart_m < SAME_PLACE_M:
             text = f"{pair} are {100 * apart_m:.0f} cm apart: one calibration given to two cameras?"
             yield error("cameras.same_place", text, f"{CALIBRATE}; check which file is whose.")
-        elif angle > 180.0 - SAME_OUTLINE_DEG:
+        elif angle > FACING_DEG:
             text = f"{pair} face each other ({angle:.0f} degrees): they see one outline, mirrored"
             yield warning("cameras.opposite", text, "Move one of them sideways by an eighth of the circle, or higher.")
-        elif angle < SAME_OUTLINE_DEG:
+        elif angle < CLOSE_DEG:
             text = f"{pair} look from {angle:.0f} degrees apart: they see nearly the same outline"
             yield warning("cameras.parallel", text, "Spread the cameras around the volume.")
 
@@ -281,7 +279,7 @@ def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
         "view",
         f"{distance:.1f} m from the volume's centre, {mm_per_px:.1f} mm a pixel, sees a person from soles to head in "
         f"{100 * share:.0f} % of the places",
-        (share < SEES_NOTHING, error, "empty", f"Turn it, move it back, or {CALIBRATE}: a rig file of another set-up?"),
+        (share < POOR_SHARE, error, "empty", f"Turn it, move it back, or {CALIBRATE}: a rig file of another set-up?"),
         (mm_per_px > 1e3 * MOST_PIXEL_M, warning, "coarse", "Use a longer lens, more pixels, or move it nearer."),
     )
 

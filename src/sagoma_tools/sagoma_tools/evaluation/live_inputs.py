@@ -7,37 +7,31 @@ import sys
 import tempfile
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import psutil
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from capture_rig.errors import InputError
 from capture_rig.session import Session, load_session
 from capture_rig.stamps import UTC, CaptureClock
-from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
 from sagoma_bringup.graph import NodeSpec, build_graph
-from sagoma_ros.messages import THINNING_TOPIC, read_thinning
-from sagoma_ros.qos import LATCHED
 from virtual_studio.gige.__main__ import CAMERA_FOLDER, RIG_FILE
 from virtual_studio.gige.device import consecutive_addresses, is_free
 from virtual_studio.gige.loop import ask
 
+from ..graph import ANSWER_S, LOOK_S, PATIENCE_S, START_TIMEOUT_S
 from ..graph.background_training import learn_backgrounds
-from ..graph.processes import START_TIMEOUT_S, Child, Usage, busy_machine, stop_children
-from ..graph.ros_link import ANSWER_S, LOOK_S, PATIENCE_S, call_all
+from ..graph.processes import Child, Usage, busy_machine, stop_children
+from ..graph.ros_link import call_all
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC
 from ..recording.recorder import GraphRecorder
 from .track import SessionClock, frame_count
 
 FIRST_ADDRESSES = [f"127.0.{subnet}.1" for subnet in range(1, 32)]
+SETTLE_S = 6.0  # until a graph has found its rate: a queue that grows by 5 % stands after half of it
 
 
 class StudioProcess:
@@ -112,7 +106,7 @@ class StudioProcess:
         self.close()
 
 
-class LiveInput(ABC):
+class LiveInput:
     """Frames for a graph; a context manager, since it may run processes. ``clock`` is that of cameras which expose.
 
     in_real_time : whether a frame's stamp is the time of its exposure, so that its age is a latency.
@@ -124,34 +118,30 @@ class LiveInput(ABC):
     def __init__(self, session_folder: str | Path) -> None:
         self.session: Session = load_session(session_folder)
 
-    @abstractmethod
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
         """Return the nodes that process these frames."""
+        raise NotImplementedError
 
-    @abstractmethod
     def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
-        """Prepare the active graph for the playback."""
+        """Prepare the active graph for the playback; files need nothing."""
 
-    @abstractmethod
     def settle(self, cancel: threading.Event) -> None:
-        """Wait until the graph has found the rate that it holds."""
+        """Wait until the graph has found the rate that it holds; files are played no faster than it answers."""
 
     def usage(self) -> dict[str, Usage]:
         """Return what its own processes use, by label: simulated cameras run beside the graph."""
         return {}
 
-    @abstractmethod
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> SessionClock | None:
         """Play the session once through the active graph and wait for the answers.
 
         None where the input has no clock of its own: the first stamp is then that of frame 0.
         """
+        raise NotImplementedError
 
-    @abstractmethod
     def open(self, cancel: threading.Event) -> None:
-        """Prepare the input; :meth:`close` undoes it."""
+        """Start the processes that it runs; :meth:`close` undoes it."""
 
-    @abstractmethod
     def close(self) -> None:
         """End what :meth:`open` started."""
 
@@ -172,18 +162,6 @@ class FootageInput(LiveInput):
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
         return build_graph(session=self.session.folder, rate=self._rate, settings=settings)
 
-    def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
-        """Do nothing: files are read when they are played."""
-
-    def settle(self, cancel: threading.Event) -> None:
-        """Do nothing: files are played no faster than the graph answers."""
-
-    def open(self, cancel: threading.Event) -> None:
-        """Do nothing: files stay as they are."""
-
-    def close(self) -> None:
-        """Do nothing: no process was started."""
-
     def play(self, recorder: GraphRecorder, cancel: threading.Event) -> None:
         expected, seen = frame_count(self.session), -1
         while seen < expected and not cancel.is_set():
@@ -192,42 +170,24 @@ class FootageInput(LiveInput):
             seen = recorder.counts.get(PREDICTION_TOPIC, 0)
 
 
-class TooSlow(Exception):
-    """Raised where a graph on simulated cameras holds fewer frame sets a second, ``held_hz``, than it should."""
-
-    def __init__(self, held_hz: float) -> None:
-        super().__init__(f"the graph holds {held_hz:.0f} frame sets a second")
-        self.held_hz = held_hz
-
-
 class StudioInput(LiveInput):
     """Simulated GigE Vision cameras that look at the session; the graph runs on them as on hardware.
 
     The room is empty at first, and every camera client trains its background. At full speed, the session's first
-    picture then stays until the graph has found the rate that it holds; the session plays.
+    picture then stays for SETTLE_S, in which the graph finds the rate that it holds; the session plays.
 
     fps : of the cameras, in their time; the session's pictures change at the session's own rate.
     speed : of the cameras' time; below 1, slow motion, no frame set is left out.
-    least_hz : :meth:`settle` raises TooSlow where the graph holds fewer frame sets a second.
     trained : the clients have backgrounds already, from an earlier run in ``folder``.
     """
 
-    held: HeldRate | None = None
-
     def __init__(
-        self,
-        session_folder: str | Path,
-        folder: str | Path,
-        fps: float,
-        speed: float = 1.0,
-        *,
-        least_hz: float = 0.0,
-        trained: bool = False,
+        self, session_folder: str | Path, folder: str | Path, fps: float, speed: float = 1.0, *, trained: bool = False
     ) -> None:
         super().__init__(session_folder)
         if not fps > 0:
             raise InputError(f"fps = {fps:g}", where="cameras", remedy="Give a frame rate above 0 Hz.")
-        self._fps, self._least_hz, self._trained = fps, least_hz, trained
+        self._fps, self._trained = fps, trained
         self.clock = CaptureClock(speed)
         self.in_real_time = self.clock.speed == 1
         address = free_first_address(len(self.session.rig.names))
@@ -247,17 +207,13 @@ class StudioInput(LiveInput):
     def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
         if not self._trained:
             learn_backgrounds(supervisor)
-        self._supervisor, self.held = supervisor, HeldRate(supervisor.node)
+        self._supervisor = supervisor
 
     def settle(self, cancel: threading.Event) -> None:
-        assert self.held is not None
         self.studio.ask("hold")
         self.studio.ask("room", state="occupied")
         if self.in_real_time:
-            self.held.settle(cancel)
-            held_hz = self.held.fraction * self._fps
-            if held_hz < self._least_hz and not cancel.is_set():
-                raise TooSlow(held_hz)
+            cancel.wait(SETTLE_S)
         resets = {f"/{tracker}/reset": Trigger.Request() for tracker in ("icp_tracker", "ekf_tracker")}
         call_all(self._supervisor.node, Trigger, resets, PATIENCE_S)
 
@@ -293,67 +249,3 @@ def free_first_address(count: int) -> str:
             return first
     what = "other studios hold every address"
     raise InputError(what, where=f"{FIRST_ADDRESSES[0]} to {FIRST_ADDRESSES[-1]}", remedy="End one of them.")
-
-
-# the rate that a graph holds ------------------------------------------------------------------------------------------
-
-
-SETTLED_S = 3.0  # without a fall of the rate: a queue that grows by 5 % stands by then
-LONGEST_S = 12.0  # a machine whose load changes all the time never settles
-
-
-class HeldRate:
-    """Keeps the rules of thinning that a running graph publishes; its node must be spun by another thread."""
-
-    def __init__(self, node: Node) -> None:
-        self._now_s, self._rules = time.monotonic, list[tuple[float, FrameDecimation]]()
-        self._subscription = node.create_subscription(DiagnosticArray, THINNING_TOPIC, self._on_rule, LATCHED)
-
-    @property
-    def fraction(self) -> float:
-        """The share of the frames that the rule in force keeps; all before there was any."""
-        return (self._rules[-1][1] if self._rules else EVERY_FRAME).fraction
-
-    def add(self, rule: FrameDecimation) -> None:
-        """Add a rule that was published now."""
-        self._rules.append((self._now_s(), rule))
-
-    def settle(self, cancel: threading.Event) -> None:
-        """Return once the rate has not fallen for SETTLED_S, at the latest after LONGEST_S."""
-        began_s = self._now_s()
-        while not self.is_settled(began_s) and not cancel.wait(LOOK_S):
-            pass
-
-    def is_settled(self, began_s: float) -> bool:
-        """Return whether the rate has not fallen for SETTLED_S since ``began_s``, or LONGEST_S have passed."""
-        steps, now_s = list(pairwise(self._rules)), self._now_s()
-        falls = [s for (_, before), (s, rule) in steps if s >= began_s and rule.fraction < before.fraction]
-        return now_s - max(falls, default=began_s) >= SETTLED_S or now_s - began_s >= LONGEST_S
-
-    def _on_rule(self, message: DiagnosticArray) -> None:
-        self.add(read_thinning(message, THINNING_TOPIC))
-
-
-class OtherPrograms:
-    """Measures what programs other than this process and its children take of the machine's processors."""
-
-    def __init__(self) -> None:
-        self._before = self._times()
-
-    def share(self) -> float:
-        """Return their share (0 to 1) of all processors since construction."""
-        busy, total, own = (now - then for now, then in zip(self._times(), self._before, strict=True))
-        return min(max((busy - own) / total, 0.0), 1.0) if total > 0 else 0.0
-
-    @staticmethod
-    def _times() -> tuple[float, float, float]:
-        machine = psutil.cpu_times()
-        idle = machine.idle + getattr(machine, "iowait", 0.0)
-        own = 0.0
-        for process in (psutil.Process(), *psutil.Process().children(recursive=True)):
-            try:
-                times = process.cpu_times()
-            except psutil.Error:  # it has ended meanwhile
-                continue
-            own += times.user + times.system
-        return sum(machine[:8]) - idle, sum(machine[:8]), own

@@ -25,15 +25,14 @@ from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC
 from ..recording.reader import BagMessage, read_messages
 from ..recording.recorder import GraphRecorder
-from .live_inputs import LiveInput, OtherPrograms, StudioInput, TooSlow
+from .live_inputs import LiveInput, StudioInput
 from .reasons import reasons_of_bag
 from .track import SessionClock, Track, clock_of_bag, silhouette_stamps, tracks_from_bag
 from .track_evaluation import TrackEvaluation, evaluate_track, main_track
 
 FRAME_SET_TOPIC = "/hull/frame_set"
-LEAST_HZ = 25.0  # frame sets a second that simulated cameras are to have, or they go slower
+LEAST_HZ = 25.0  # frame sets a second that the graph is to hold of simulated cameras, or they go slower
 SLOWEST = 1 / 32
-SPARED = 1.25  # times the rate that a graph holds: in slow motion it takes no pictures that it leaves out
 KEPT_UP = 0.9  # of the frame sets, at least, are answered in a sound capture, and have all cameras if simulated
 LATENCY_TOPIC = "/mocap/latency"
 AGES = {"received_ms", "published_ms"}  # time since capture, meaningless when footage is not played at its own rate
@@ -51,7 +50,6 @@ class LiveRun:
     cpu_ms_per_set : processor time that each process spent on one frame set, on average, its start left out.
     diagnostics : each node's last diagnostics; latency_ms : stage -> (sets,) time in it.
     ages_ms : point -> (sets,) age there since exposure (mocap/latency); none where stamps are not those of exposures.
-    others : share of the processors that other programs took meanwhile.
     speed : of the cameras' time, of which sets_per_s alone is not.
     tracks : everybody's, by the person's number; the first person's is empty where nobody was tracked.
     reasons : of each fitted set, why somebody was not tracked in it, in the tracker's words.
@@ -71,7 +69,6 @@ class LiveRun:
     diagnostics: dict[str, Mapping[str, str]]
     latency_ms: dict[str, np.ndarray]
     ages_ms: dict[str, np.ndarray]
-    others: float
     speed: float
     tracks: dict[int, Track]
     reasons: list[tuple[str, ...]]
@@ -147,26 +144,17 @@ def run_studio(
     power of two, that it holds them all; and half of that again while sets are torn or not answered.
     """
     cancel = cancel or threading.Event()
-    chosen, speed, least_hz, trained = speed is not None, speed or 1.0, 0.0 if speed else LEAST_HZ, False
+    chosen, speed, trained = speed is not None, speed or 1.0, False
     while True:
-        studio = StudioInput(session_folder, output / "studio", fps, speed, least_hz=least_hz, trained=trained)
-        try:
-            live = run_live(studio, output, cancel=cancel, **options)
-        except TooSlow as trial:
-            speed = slow_motion(fps, trial.held_hz)
-        else:
-            if chosen or cancel.is_set() or speed <= SLOWEST or live.is_whole:
-                return live
-            speed /= 2
-        trained = True
+        studio = StudioInput(session_folder, output / "studio", fps, speed, trained=trained)
+        live = run_live(studio, output, cancel=cancel, **options)
+        enough = live.is_whole and live.hz_held >= KEPT_UP * min(LEAST_HZ, fps)
+        if chosen or cancel.is_set() or speed <= SLOWEST or enough:
+            return live
+        held = 2.0 ** math.floor(math.log2(max(live.hz_held / fps, SLOWEST)))
+        speed, trained = max(min(held, speed / 2), SLOWEST), True
         doing(f"again, at {Fraction(speed)} of the speed: this machine does not hold the cameras' rate")
         shutil.rmtree(output / "bag", ignore_errors=True)
-
-
-def slow_motion(fps: float, held_hz: float) -> float:
-    """Return the speed, a power of two, at which a graph that holds ``held_hz`` sets a second holds all of ``fps``."""
-    share = SPARED * held_hz / fps
-    return min(max(2.0 ** math.floor(math.log2(share)), SLOWEST), 0.5) if share > 0 else SLOWEST
 
 
 class UsageMeter:
@@ -176,15 +164,13 @@ class UsageMeter:
     def __init__(self, supervisor: Supervisor, live_input: LiveInput) -> None:
         self._supervisor, self._input = supervisor, live_input
         self.began_ns, self._before = live_input.clock.now_ns(), self._used()
-        self._other_programs = OtherPrograms()
-        self.others = 0.0
         self.usage: dict[str, Usage] = {}
         self.diagnostics: dict[str, Mapping[str, str]] = {}
 
     def stop(self) -> None:
         names = [spec.full_name for spec in self._supervisor.graph]
         reports = {name: self._supervisor.diagnostics.report(name) for name in names}
-        self.usage, self.others = self._used(), self._other_programs.share()
+        self.usage = self._used()
         self.diagnostics = {name: report.values for name, report in reports.items() if report is not None}
 
     def _used(self) -> dict[str, Usage]:
@@ -222,7 +208,6 @@ def _read_back(live_input: LiveInput, bag: Path, meter: UsageMeter) -> LiveRun:
         diagnostics=meter.diagnostics,
         latency_ms={k: np.array([float(v[k]) for v in sets if k in v]) for k in stages},
         ages_ms={point: np.array([float(values[point]) for values in ages]) for point in points},
-        others=meter.others,
         speed=float(live_input.clock.speed),
         tracks={n: track.between(0, clock.frames) for n, track in tracks.items()},
         reasons=reasons_of_bag(bag, clock.__contains__),

@@ -135,8 +135,6 @@ class CovarianceCoverage:
     point_nees : (15,) mean normalised estimation error squared, e^T P^-1 e: 3 when the covariance is right, more for an
     overconfident track (Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 5.4);
     nees : of all points together.
-    nees_95 : where 95 % of the means of one point's NEES lie when the covariance is right and the frames err
-    independently of each other: chi-square of 3 N degrees over N. Time-correlated errors spread further.
     NaN where nothing could be compared.
     """
 
@@ -144,7 +142,6 @@ class CovarianceCoverage:
     inside_95: float
     point_nees: np.ndarray
     nees: float
-    nees_95: tuple[float, float]
 
 
 def covariance_coverage(errors: np.ndarray, covariance: np.ndarray) -> CovarianceCoverage:
@@ -152,14 +149,8 @@ def covariance_coverage(errors: np.ndarray, covariance: np.ndarray) -> Covarianc
     squared = squared_distances(errors, covariance)
     known = np.isfinite(errors).all(-1)
     inside = np.where(known, squared <= INSIDE_95, np.nan)
-    count = known.sum(0).max(initial=0)
-    interval = chi2.ppf([0.025, 0.975], DIMENSIONS * count) / count if count else [np.nan, np.nan]
     return CovarianceCoverage(
-        mean_of_known(inside, 0),
-        float(mean_of_known(inside)),
-        mean_of_known(squared, 0),
-        float(mean_of_known(squared)),
-        (float(interval[0]), float(interval[1])),
+        mean_of_known(inside, 0), float(mean_of_known(inside)), mean_of_known(squared, 0), float(mean_of_known(squared))
     )
 
 

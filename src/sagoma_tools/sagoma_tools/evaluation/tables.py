@@ -26,7 +26,6 @@ def print_scores(console: Console, scores: Scores) -> None:
     """Print the errors of points (thesis Table 7.2, and more) and angles (Table 7.1), and the covariances' coverage."""
     console.print(_points(scores))
     coverage = scores.coverage
-    low, high = coverage.nees_95
     console.print(
         f"{scores.tracked} of {scores.frames} frames tracked; mean error {scores.mean_mm:.1f} mm, median "
         f"{scores.median_mm:.1f}, 95 % below {scores.p95_mm:.0f}; {scores.mean_mm_without_offset:.1f} mm without "
@@ -36,11 +35,7 @@ def print_scores(console: Console, scores: Scores) -> None:
         f"{100 * coverage.inside_95:.0f} % of the errors inside their 95 % ellipsoid, "
         f"{100 * scores.coverage_without_offset.inside_95:.0f} % without constant offsets"
     )
-    console.print(
-        f"covariance: {ellipsoids}; NEES "
-        f"{coverage.nees:.1f}, where 3 is consistent "
-        f"({low:.1f} to {high:.1f} for a point, if frames erred independently)"
-    )
+    console.print(f"covariance: {ellipsoids}; NEES {coverage.nees:.1f}, where 3 is consistent")
     calls = scores.calls
     console.print(
         f"doubt: of {calls.wrong.sum()} parts of the body with a point over 200 mm, called doubtful or lost: "

@@ -17,9 +17,9 @@ from capture_rig.errors import InputError
 from capture_rig.verdict import REDO
 from sagoma_bringup.graph import Role
 
+from . import ANSWER_S, START_TIMEOUT_S
 from .diagnostics_table import DiagnosticsTable
-from .processes import START_TIMEOUT_S
-from .ros_link import ASK_S, call_all, label_of, owners_of, settled
+from .ros_link import call_all, label_of, owners_of, settled
 from .supervisor import Supervisor
 
 SERVICE, SERVICE_TYPE = "learn_background", "std_srvs/srv/Trigger"
@@ -119,7 +119,7 @@ def train_backgrounds(
 
     silence = "did not answer" + ("" if wanted() else " before it was cancelled")
     answered = [name for name in names if answers[name] is not None]
-    diagnostics.wait_until(lambda: all(outcome(name).report is not None for name in answered), ASK_S)
+    diagnostics.wait_until(lambda: all(outcome(name).report is not None for name in answered), ANSWER_S)
     return list(map(outcome, names))
 
 

@@ -22,13 +22,13 @@ import psutil
 from capture_rig.yaml_file import save_mapping
 from sagoma_bringup.graph import ONE_PROCESS, NodeSpec, ProcessSpec, processes_of
 
+from . import ROUND_S
+
 GRACE_S, REAP_S = 8.0, 5.0
-START_TIMEOUT_S = 300.0  # to a process's first answer: seconds of imports, times the machine's load
 # idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
 THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
 SHARED_MEMORY = Path("/dev/shm")
-NEW_S = 1.0  # a segment this young may not have its owner's lock yet
 PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None)
 
@@ -188,8 +188,8 @@ def remove_abandoned_memory() -> None:
     """
     for lock in SHARED_MEMORY.glob("fastrtps_*_el"):
         with contextlib.suppress(OSError):  # its owner lives, or it is not ours
-            if lock.name.startswith("fastrtps_port") or time.time() - lock.stat().st_mtime < NEW_S:
-                continue
+            if lock.name.startswith("fastrtps_port") or time.time() - lock.stat().st_mtime < ROUND_S:
+                continue  # one this young may not have its owner's lock yet
             with lock.open("rb") as file:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 lock.with_name(lock.name.removesuffix("_el")).unlink(missing_ok=True)

@@ -23,13 +23,7 @@ from rclpy.validate_namespace import validate_namespace
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 
-LOOK_S = 0.05  # rclpy has no event for a change of the graph, a service that appears, or a process's death
-SETTLED_S = 1.0
-RESEND_S = 1.0
-ASK_S = 1.5  # within this a node that is not busy answers
-ANSWER_S = 5.0  # ... and any that runs
-DISCOVERY_S = 10.0  # discovery settles sooner, or a domain has nodes without end
-PATIENCE_S = 30.0  # with the nodes of a busy machine, to find each other and to do what they are asked for
+from . import ANSWER_S, LOOK_S, ROUND_S
 
 
 class RosLink:
@@ -94,7 +88,7 @@ class RosLink:
 
 
 def settled(look: Callable[[], set[str]], expect: int, wait_s: float) -> list[str]:
-    """Return what ``look`` finds, sorted, once it is ``expect`` or more and has not changed for SETTLED_S.
+    """Return what ``look`` finds, sorted, once it is ``expect`` or more and has not changed for ROUND_S.
 
     Discovery has no end: after ``wait_s``, whatever has been found by then.
     """
@@ -104,7 +98,7 @@ def settled(look: Callable[[], set[str]], expect: int, wait_s: float) -> list[st
         seen = look()
         if seen != found:
             found, changed_s = seen, time.monotonic()
-        if len(found) >= expect and time.monotonic() - changed_s > SETTLED_S:
+        if len(found) >= expect and time.monotonic() - changed_s > ROUND_S:
             break
         threading.Event().wait(LOOK_S)
     return sorted(found)
@@ -181,13 +175,13 @@ def call_all(
 
     try:
         waiting, began_s = set(requests), time.monotonic()
-        again_s = began_s + RESEND_S
+        again_s = began_s + ROUND_S
         while waiting and time.monotonic() < began_s + timeout_s:
             if time.monotonic() > again_s:
                 unsent |= waiting if repeatable else set()
                 for service, reply in inferred(waiting - unsent).items() if waiting - unsent else ():
                     add(service, reply)
-                again_s = time.monotonic() + RESEND_S
+                again_s = time.monotonic() + ROUND_S
             with answered:
                 send_ready(waiting)
                 answered.wait(LOOK_S)

@@ -1,14 +1,20 @@
 """Runs the node graph as processes, without the ros2 command line.
 
 Starts every process (`processes`), drives the nodes' lifecycle with acknowledgements (the server's first, the
-cameras' last), starts what has crashed again (`restarts`), and stops all cleanly. A camera may die; the graph goes on.
+cameras' last), starts again what has crashed, and stops all cleanly. A camera may die; the graph goes on.
+
+What has crashed finds rig, calibration and parameters in files. Backgrounds that were learnt while the graph ran are
+kept in the run folder; a tracker learns the sizes of the body anew.
 """
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rclpy.node import Node
@@ -16,34 +22,19 @@ from rclpy.node import Node
 from capture_rig.errors import InputError
 from sagoma_bringup.graph import NodeSpec, ProcessSpec, Role
 
-from . import GraphError
+from . import ANSWER_S, LOOK_S, ROUND_S, START_TIMEOUT_S, GraphError
 from .diagnostics_table import DiagnosticsTable
-from .lifecycle_client import (
-    REACHED,
-    LifecycleClient,
-    Outcome,
-    State,
-    Verdict,
-    foreign_nodes,
-    groups_of,
-    living_nodes,
-    own_machine,
-    places_of,
-    run_already,
-)
-from .processes import (
-    START_TIMEOUT_S,
-    Child,
-    ExitStatus,
-    ProcessGroup,
-    ProcessSettings,
-    busy_machine,
-    remove_abandoned_memory,
-)
-from .restarts import ProcessExited, ProcessRecovered, RestartPolicy, reads_file, restarted, with_kept_backgrounds
-from .ros_link import ANSWER_S, ASK_S, LOOK_S, RosLink
+from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict, groups_of, living_nodes, run_already
+from .processes import Child, ExitStatus, ProcessGroup, ProcessSettings, busy_machine, remove_abandoned_memory
+from .ros_link import RosLink, node_names
 
 FRESH, ACTIVE = State.UNCONFIGURED.value, State.ACTIVE.value
+TRACKER = "icp_tracker"
+LIKELY = {
+    signal.SIGKILL: " (by hand, or by the kernel when memory ran out: see dmesg)",
+    signal.SIGSEGV: " (it crashed in native code; the end of its log has the Python stack)",
+    signal.SIGBUS: " (memory could not be had: is /dev/shm or the disk full?)",
+}
 
 
 class Supervisor:
@@ -64,28 +55,27 @@ class Supervisor:
         *,
         cancel: threading.Event | None = None,
         on_event: Callable[[ProcessExited | ProcessRecovered], None] = lambda event: None,
-        restart: RestartPolicy | None = None,
+        restart_delay_s: float | None = None,
     ) -> None:
         """``on_event`` is called, from another thread, for every process that ends by itself or is back again.
 
         run_folder : gets one log and one parameter file a process; made when missing.
         cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
-        restart : once the graph is active, processes that crash are started again and become active by themselves,
-            but for cameras that read files: their place in the footage is lost. None: what has died stays dead.
+        restart_delay_s : once the graph is active, processes that crash are started again after this and become active
+            by themselves, but for cameras that read files: their place in the footage is lost. None: they stay dead.
         """
         self.run_folder, settings = Path(run_folder), settings or ProcessSettings()
         self.graph = tuple(graph)
-        if restart is not None:
+        if restart_delay_s is not None:
             self.graph = with_kept_backgrounds(self.graph, self.run_folder)
         self.processes = ProcessGroup(self.graph, self.run_folder, settings, self._on_exit)
         self.exit_statuses: tuple[ExitStatus, ...] = ()
         self.stop_outcome = Outcome(())
-        self._domain_id, self._on_event, self._restart = settings.domain_id, on_event, restart
+        self._domain_id, self._on_event, self._restart_delay_s = settings.domain_id, on_event, restart_delay_s
         self._cancel, self._halted = cancel or threading.Event(), threading.Event()
         self._running = False
         self._lock = threading.RLock()  # held while a process is started, and while states change
         self._states: dict[str, str] = {}
-        self._exits_s: dict[str, list[float]] = {}
         self._restarting: set[str] = set()
         self._link: RosLink | None = None
 
@@ -116,7 +106,7 @@ class Supervisor:
         try:
             names = {spec.full_name for spec in self.graph}
             if running := living_nodes(self.node, names, self._cancel):
-                raise GraphError(run_already(running, own_machine(self.node)))
+                raise GraphError(run_already(running))
             self.processes.start_all()
         except BaseException:
             self.stop()
@@ -189,38 +179,32 @@ class Supervisor:
         with self._lock:
             for node in process.nodes:
                 self._states.pop(node.full_name, None)
-            delay_s, why_not = self._restart_delay(process, child, exited_s)
+            why_not = self._why_no_restart(process, child)
+            delay_s = None if why_not else self._restart_delay_s
             if delay_s is not None:
                 self._restarting.add(label)
         tail = child.log_tail()
         self._on_event(ProcessExited(process, child.pid, child.returncode, child.log, tail, delay_s, why_not))
         if delay_s is None or self._halted.wait(delay_s):
             return
-        restarted = self._start_again(process)
-        while restarted is not None and restarted.alive and not self._halted.wait(ASK_S):
+        again = self._start_again(process)
+        while again is not None and again.alive and not self._halted.wait(ROUND_S):
             if self._is_active(process):
-                self._on_event(ProcessRecovered(process, restarted.pid, time.monotonic() - exited_s))
+                self._on_event(ProcessRecovered(process, again.pid, time.monotonic() - exited_s))
                 return
 
-    def _restart_delay(self, process: ProcessSpec, child: Child, exited_s: float) -> tuple[float | None, str]:
-        """Return when a process that has ended is started again, s, or None and why it is not."""
-        policy = self._restart
-        if policy is None:
-            return None, "nobody asked for restarts"
+    def _why_no_restart(self, process: ProcessSpec, child: Child) -> str:
+        """Say why a process that has ended is not started again; empty when it is."""
+        if self._restart_delay_s is None:
+            return "nobody asked for restarts"
         if not self._running or self._halted.is_set():
-            return None, "the graph is not active"
+            return "the graph is not active"
         if child.returncode == 0:
-            return None, "somebody asked it to end"
-        if any(reads_file(node) for node in process.nodes):
-            return None, "it reads footage, and its place in it is lost"
-        exits_s = self._exits_s.setdefault(process.label, [])
-        exits_s.append(exited_s)
-        often = f"it crashed more than {policy.most} times within {policy.within_s:g} s; "
-        return policy.delay_s(exits_s), f"{often}remove the cause that its log names, then start it again"
+            return "somebody asked it to end"
+        return "it reads footage, and its place in it is lost" if any(map(reads_file, process.nodes)) else ""
 
     def _start_again(self, process: ProcessSpec) -> Child | None:
         """Start a process whose nodes become active by themselves; None when the graph is stopped meanwhile."""
-        assert self._restart is not None
         remove_abandoned_memory()
         while True:
             with self._lock:
@@ -232,12 +216,12 @@ class Supervisor:
                     return child
                 except (OSError, InputError):  # no memory for a process, no room for its files: perhaps later
                     pass
-            self._halted.wait(self._restart.longest_s)
+            self._halted.wait(self._restart_delay_s)
 
     def _is_active(self, process: ProcessSpec) -> bool:
         """Ask the nodes of a restarted process for their states; True when all are active."""
         names = [node.full_name for node in process.nodes]
-        if set(self.lifecycle.states(names, ASK_S).values()) != {ACTIVE}:
+        if set(self.lifecycle.states(names, ROUND_S).values()) != {ACTIVE}:
             return False
         with self._lock:
             self._states |= dict.fromkeys(names, ACTIVE)
@@ -260,13 +244,13 @@ class Supervisor:
         return outcome
 
     def _await_own_nodes(self) -> None:
-        """Wait until the nodes of every living process are known. GraphError for nodes of their names that are not."""
-        here, deadline_s = own_machine(self.node), time.monotonic() + START_TIMEOUT_S
+        """Wait until the nodes of every living process are known. GraphError for a name that others have, too."""
+        deadline_s = time.monotonic() + START_TIMEOUT_S
         while time.monotonic() < deadline_s:
-            foreign, unknown = foreign_nodes(places_of(self.node), here, self.processes.pids())
-            if foreign:
-                raise GraphError(run_already(foreign, here))
-            if not any(map(self._should_wait_for, unknown)):
+            known, ours = Counter(node_names(self.node)), self.processes.pids()
+            if twice := [name for name in ours if known[name] > 1]:
+                raise GraphError(run_already(twice))
+            if not any(self._should_wait_for(name) for name in ours if not known[name]):
                 return
             self._cancel.wait(LOOK_S)
 
@@ -287,3 +271,70 @@ class Supervisor:
             answers.append(busy)
         tail = child.log_tail().replace("\n", "\n    ") or "(empty)"
         return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {child.log.name}:\n    {tail}"
+
+
+# processes that crash -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class ProcessExited:
+    """The end of a process that nobody of us asked for.
+
+    restart_s : it is started again after so many seconds; None: it is not, for the reason in ``why_not``.
+    """
+
+    process: ProcessSpec
+    pid: int
+    returncode: int | None
+    log: Path
+    log_tail: str
+    restart_s: float | None = None
+    why_not: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Exit status or signal, and what it mostly means."""
+        if self.returncode is None or self.returncode >= 0:
+            return f"exit status {self.returncode}"
+        number = -self.returncode
+        known = number in set(signal.Signals)
+        name = signal.Signals(number).name if known else f"signal {number}"
+        return f"killed by {name}{LIKELY.get(signal.Signals(number), '') if known else ''}"
+
+    def __str__(self) -> str:
+        next_step = f"restart in {self.restart_s:g} s" if self.restart_s is not None else f"no restart: {self.why_not}"
+        return f"{self.process} (pid {self.pid}) died: {self.reason}; {next_step}"
+
+
+@dataclass(frozen=True)
+class ProcessRecovered:
+    """A restarted process whose nodes are active again, ``after_s`` after it had died."""
+
+    process: ProcessSpec
+    pid: int
+    after_s: float
+
+    def __str__(self) -> str:
+        return f"{self.process} active again after {self.after_s:.1f} s (pid {self.pid})"
+
+
+def with_kept_backgrounds(graph: Sequence[NodeSpec], folder: Path) -> tuple[NodeSpec, ...]:
+    """Return the graph, the live cameras that save their background nowhere saving it into ``folder``."""
+    return tuple(
+        spec.with_parameters({"background_file": str((folder / f"{spec.label}_background.npz").resolve())})
+        if spec.role is Role.CAMERA and not reads_file(spec) and not spec.parameters.get("background_file")
+        else spec
+        for spec in graph
+    )
+
+
+def reads_file(spec: NodeSpec) -> bool:
+    """Return whether a node is a camera that plays footage."""
+    return spec.role is Role.CAMERA and spec.parameters.get("source") == "footage"
+
+
+def restarted(process: ProcessSpec) -> ProcessSpec:
+    """Return the process with nodes that become active by themselves; its tracker finds the person in any pose."""
+    own = {TRACKER: {"initial_pose.source": "auto"}}
+    nodes = (node.with_parameters({"autostart": True, **own.get(node.name, {})}) for node in process.nodes)
+    return replace(process, nodes=tuple(nodes))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -24,10 +23,10 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import get_types_from_msg
 
 from capture_rig.errors import InputError
-from mocap_packets.frame_set import TIME_JUMP_NS
 from sagoma_bringup.graph import NodeSpec, Role
 
-from ..graph.ros_link import ANSWER_S, PATIENCE_S, RosLink, call_all, in_graph, our_nodes, topics_of
+from ..graph import ANSWER_S, PATIENCE_S
+from ..graph.ros_link import RosLink, call_all, in_graph, our_nodes, topics_of
 from ..graph.topics import (
     DIAGNOSTICS,
     FIRST_BODY_ID,
@@ -46,27 +45,6 @@ from .writer import OFFERED, OFFERED_LATCHED, BagWriter
 
 STAMPED_BYTES = 12  # lead-in and stamp of a message that begins with a header
 SETTLE_S = 0.3  # a publisher discovers a subscription a little later than the other way round; how often one looks
-
-
-class TimeJumpDetector:
-    """Counts how often the stamps of all topics go back together: footage that is played again, a clock set back."""
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._last_ns: dict[str, int] = {}
-        self._jumps_of: Counter[str] = Counter()
-
-    def observe(self, topic: str, stamp_ns: int) -> float | None:
-        """Return by how many seconds a topic's stamps went back, where it is the first topic to make this jump."""
-        back_ns = self._last_ns.get(topic, stamp_ns) - stamp_ns
-        self._last_ns[topic] = stamp_ns
-        if back_ns < TIME_JUMP_NS:
-            return None
-        self._jumps_of[topic] += 1
-        if self._jumps_of[topic] <= self.count:
-            return None
-        self.count += 1
-        return back_ns / 1e9
 
 
 class Recorder:
@@ -98,7 +76,6 @@ class Recorder:
         self._on_failure = on_failure
         self._subscriptions: dict[str, Any] = {}
         self._discovery: Any = None
-        self._jumps = TimeJumpDetector()
         for topic in topics:
             self.add(topic)
 
@@ -178,8 +155,7 @@ class Recorder:
             for subscription in self._subscriptions.values():
                 self._node.destroy_subscription(subscription)
             try:
-                several = {"beginnings": self.beginnings} if self.beginnings > 1 else {}
-                self._writer.describe({**(provenance or {}), **several}, rig)
+                self._writer.describe(provenance or {}, rig)
             finally:
                 self._writer.close()
                 self.failure = self.failure or self._writer.failure
@@ -204,17 +180,9 @@ class Recorder:
                 self.failure = error
             if stamped and len(data) >= STAMPED_BYTES:
                 self._last_stamp_ns[topic.name] = header_stamp_ns(data)
-                if (back_s := self._jumps.observe(topic.name, self._last_stamp_ns[topic.name])) is not None:
-                    beginning = f"the recording holds a new beginning, its number {self.beginnings}"
-                    self._node.get_logger().warning(f"stamps went back by {back_s:.3f} s: {beginning}")
             self._arrived.notify_all()
         if self.failure is not None:
             self._on_failure(self.failure)
-
-    @property
-    def beginnings(self) -> int:
-        """How often the stamps began anew, the start included."""
-        return 1 + self._jumps.count
 
     def _on_match(self, name: str, info: Any) -> None:
         with self._arrived:

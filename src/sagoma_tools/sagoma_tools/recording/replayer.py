@@ -29,8 +29,9 @@ from sagoma_ros.images import absence_message
 from sagoma_ros.messages import to_stamp
 
 from ..console import doing
+from ..graph import ANSWER_S, PATIENCE_S, ROUND_S
 from ..graph.processes import ProcessSettings
-from ..graph.ros_link import DISCOVERY_S, PATIENCE_S, RosLink, settled
+from ..graph.ros_link import RosLink, settled
 from ..graph.supervisor import Supervisor
 from ..graph.topics import (
     CLOCK_TOPIC,
@@ -120,7 +121,7 @@ class InputPublishers:
             found = (info for name in names for info in self._node.get_publishers_info_by_topic(name))
             return {f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in found} - {own}
 
-        if live := settled(others, 0, DISCOVERY_S):
+        if live := settled(others, 0, ANSWER_S):
             remedy = f"Stop the cameras, run the server alone ({SERVER_ALONE}), or use another ROS_DOMAIN_ID."
             raise InputError("live cameras publish these silhouettes already", where=", ".join(live), remedy=remedy)
 
@@ -262,7 +263,6 @@ def play_lockstep(
 # through a graph started for it ---------------------------------------------------------------------------------------
 
 
-QUIET_S = 0.5
 TOLERANCE = "hull_server.tolerance_s"
 # topics with exactly one message a frame set
 OF_HULL = "/hull/contour_rays", "/hull/centerline", "/hull/voxels"
@@ -310,8 +310,8 @@ def replay_through_graph(
             tolerance_ns = round(chosen[TOLERANCE] * 1e9)  # sets are formed here as the hull server forms them
             cameras = load_rig(rig_file).names
             report = lockstep_into(link.node, bag, cameras, tolerance_ns=tolerance_ns, cancel=cancel)
-            recorder.wait_for_stamp(PREDICTION_TOPIC, report.last_stamp_ns, DISCOVERY_S)
-            recorder.wait_until_quiet(QUIET_S, DISCOVERY_S)
+            recorder.wait_for_stamp(PREDICTION_TOPIC, report.last_stamp_ns, PATIENCE_S)
+            recorder.wait_until_quiet(ROUND_S, PATIENCE_S)
             report.unrecorded = {t: n for t in PER_SET if (n := report.sets - recorder.counts[t]) != 0}
     return report
 

@@ -35,7 +35,6 @@ CHUNK_BYTES = 1 << 20
 SYNC_S = 0.5  # the disk has a message after at most twice as long, if it can write at all
 RESERVE = ".reserve"
 RESERVE_BYTES = 8 << 20  # the chunk that found the disk full, and index and metadata of hours at two chunks a second
-GIT_TIMEOUT_S = 5.0
 VERSIONED = ("rclpy", "numpy", "opencv-python-headless", "numba", "rosbags", "mcap")
 
 
@@ -308,6 +307,6 @@ def own_version() -> str:
 def _git(folder: Path, *arguments: str) -> str:
     try:
         command = ["git", "-C", str(folder), *arguments]
-        return subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True).stdout.strip()
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""  # no git, or no checkout

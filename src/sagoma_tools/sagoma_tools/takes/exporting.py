@@ -16,8 +16,7 @@ from capture_rig.errors import InputError
 from capture_rig.files import make_folder
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import load_rig
-from motion_export.bvh import write_bvh
-from motion_export.gltf import write_glb
+from motion_export.animation_files import write_bvh, write_glb
 from motion_export.marker_files import write_c3d, write_csv, write_trc
 from motion_export.motion import Motion
 from motion_export.opensim import write_mot, write_osim

@@ -23,6 +23,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from capture_rig.errors import InputError
 from sagoma_ros.messages import values_of
 
+from ..graph import PATIENCE_S
 from ..graph.topics import DIAGNOSTICS_TOPIC, OUTPUT_TOPICS, type_of
 from ..recording.reader import BagMessage, open_bag, read_messages, read_provenance, rig_in
 from ..recording.recorded_motion import STATE, kind_of
@@ -36,8 +37,6 @@ TAKES = "output/takes"
 BIN = ".bin"
 BINNED = re.compile(r"(?P<name>.+)~(?P<when>\d{8}-\d{6})(?:-(?P<number>\d+))?")
 """A deleted take: its name, and when it was deleted; no name has a tilde."""
-BEING_WRITTEN_S = 30.0
-"""A bag without an index that has grown within so long may still be recorded: cameras write a megabyte sooner."""
 SAME_DATE = "%Y%m%d-%H%M%S"
 
 
@@ -127,8 +126,8 @@ class TakesFolder:
     def _settled(self, name: str) -> Take:
         """Return a take that nobody writes to."""
         take = self.find(name)
-        if take.state is TakeState.UNFINISHED and time.time() - _newest_change_ns(take.path) / 1e9 < BEING_WRITTEN_S:
-            remedy = f"Finish the recording; if its recorder was killed, wait for {BEING_WRITTEN_S:.0f} s."
+        if take.state is TakeState.UNFINISHED and time.time() - _newest_change_ns(take.path) / 1e9 < PATIENCE_S:
+            remedy = f"Finish the recording; if its recorder was killed, wait for {PATIENCE_S:.0f} s."
             raise InputError(f"'{name}' is being recorded", where=str(self.path), remedy=remedy)
         return take
 

@@ -15,10 +15,11 @@ from capture_rig.errors import InputError
 from capture_rig.files import describe_os_error
 from capture_rig.verdict import REDO
 
+from ..graph import ANSWER_S
 from ..graph.background_training import SERVICE, SERVICE_TYPE, progress_of, train_backgrounds
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
-from ..graph.ros_link import ANSWER_S, RosLink, call_all, label_of, our_nodes, owners_of
+from ..graph.ros_link import RosLink, call_all, label_of, our_nodes, owners_of
 from ..graph.topics import DIAGNOSTICS, OUTPUT_TOPICS
 from ..recording.recorder import Recorder
 from ..takes.exporting import EXPORTS, FORMATS, VIDEO, export_take, write_video

@@ -21,6 +21,7 @@ from mocap_packets.hull import VoxelSamples
 from motion_export.motion import point_deviations
 from sagoma_ros.packets import read_packet, read_reference_points
 
+from ..graph import ROUND_S
 from ..graph.diagnostics_table import STALE_S, DiagnosticsTable, NodeReport
 from ..graph.lifecycle_client import State
 from ..graph.ros_link import RosLink, in_graph, is_camera, is_in_graph, label_of, namespace_of, our_nodes, topics_of
@@ -28,9 +29,6 @@ from ..graph.topics import FIRST_BODY_ID, OF_A_PERSON, cameras_in, message_class
 from .control import Control, Jobs, Work, on_click
 from .scene import Figure
 
-LOOK_S = 1.0
-"""How often the graph is asked who is there: names are cheap, but not free. A person of whom nothing has come for so
-long is not drawn any more."""
 VOXELS = ("/hull/voxels", "sensor_msgs/msg/PointCloud2")
 PREVIEW = "/preview/compressed"
 PICTURE_TYPE = "sensor_msgs/msg/CompressedImage"
@@ -43,7 +41,7 @@ class LiveGraph:
     def __init__(self, link: RosLink, diagnostics: DiagnosticsTable) -> None:
         self._node, self._diagnostics = link.node, diagnostics
         self._feed = Feed(link.node)
-        self._looked_s, self._wanted = -LOOK_S, (False, False)
+        self._looked_s, self._wanted = -ROUND_S, (False, False)
         self._bodies: dict[str, str] = {}
         self._figures: dict[str, tuple[float, Figure]] = {}
         self._states: dict[str, str] = {}
@@ -60,12 +58,12 @@ class LiveGraph:
         if self._feed.watched:
             self._feed.watch(())
             self._figures.clear()
-        self._looked_s = -LOOK_S
+        self._looked_s = -ROUND_S
 
     def watch(self, *, voxels: bool, pictures: bool) -> None:
-        """Subscribe to what is shown, and, once a second, to persons and cameras who have come."""
+        """Subscribe to what is shown, and, once a round, to persons and cameras who have come: names are not free."""
         now_s = time.monotonic()
-        if now_s - self._looked_s < LOOK_S and (voxels, pictures) == self._wanted:
+        if now_s - self._looked_s < ROUND_S and (voxels, pictures) == self._wanted:
             return
         self._looked_s, self._wanted = now_s, (voxels, pictures)
         names = topics_of(self._node)
@@ -85,7 +83,7 @@ class LiveGraph:
         self._feed.watch(wanted)
 
     def new_figures(self) -> dict[str, Figure] | None:
-        """Return everybody who is there, by id; None when nothing has changed."""
+        """Return everybody of whom something has come within a round, by id; None when nothing has changed."""
         now_s, changed = time.monotonic(), False
         for body_id, prefix in self._bodies.items():
             state = self._feed.pop_newest(f"{prefix}/state")
@@ -98,7 +96,7 @@ class LiveGraph:
             sigma = point_deviations(points.covariance)
             self._figures[body_id] = now_s, Figure(points.points_world, sigma, self._states.get(body_id, ""))
             changed = True
-        gone = [body_id for body_id, (seen_s, _) in self._figures.items() if now_s - seen_s > LOOK_S]
+        gone = [body_id for body_id, (seen_s, _) in self._figures.items() if now_s - seen_s > ROUND_S]
         for body_id in gone:
             del self._figures[body_id]
         if not (changed or gone):

@@ -16,10 +16,9 @@ from .control import Control, Jobs, TakeActions, recording_text
 from .graph_panel import GraphPanel, LiveGraph
 from .guard import Guard
 from .playback import Playback
-from .scene import Figure, RoomScene
+from .scene import Figure, RoomScene, Viewpoint
 from .server import guarded_server
 from .takes_panel import PLAY, TakesPanel
-from .viewpoint import Viewpoint
 
 STATES, PICTURES, TAKES = "states", "pictures", "takes"
 EVERY_S = {STATES: 0.5, PICTURES: 0.25, TAKES: 2.0}
@@ -118,7 +117,7 @@ class Page:
 
     def _show_people(self, figures: Mapping[str, Figure]) -> None:
         self._scene.show(figures)
-        self._view.follow(figures)
+        self._view.show_people(figures)
 
     def _draw(self) -> None:
         next_at = dict.fromkeys(EVERY_S, 0.0)
@@ -146,7 +145,6 @@ class Page:
         due = [what for what, at_s in next_at.items() if now_s >= at_s]
         next_at.update({what: now_s + EVERY_S[what] for what in due})
         self._draw_people(now_s)
-        self._view.place(now_s)
         if TAKES in due or self._take_panel.stale.is_set():
             self._take_panel.stale.clear()
             self._take_panel.show_takes(self._takes.takes())

@@ -1,4 +1,4 @@
-"""The room in 3D: floor, cameras, skeletons coloured by how sure each point is, hull voxels."""
+"""The room in 3D: floor, cameras, skeletons coloured by how sure each point is, hull voxels; where views stand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = np.ndarray
 VOXEL_M, VOXEL_COLOUR = 0.006, (120, 140, 200)  # small: whoever is inside is seen
 FRUSTUM_M, FRUSTUM_LINE_M = 0.2, 0.008
 NAME_ABOVE = np.array([0.0, 0.0, 0.1])
-"""Of a camera's name, m above its centre."""
+"""Of a name, m above a camera's centre, or a person's point of the head."""
 CAMERA_COLOUR, LOST_COLOUR = (130, 145, 185), (229, 72, 77)
 FLOOR_M, CELL_M, FLOOR_COLOUR = 6.0, 0.5, (96, 102, 114)
 SUN = (2.0, -1.0, 4.0)
@@ -123,7 +123,6 @@ SCALE_STEP_M = 0.002
 """Bones are sent anew when one has become longer or shorter by so much: less than anybody sees."""
 SPHERE_MERIDIANS, SPHERE_PARALLELS = 12, 8
 RADII = np.where(np.array(POINT_NAMES) == "head", HEAD_M, JOINT_M)
-LABEL_ABOVE_HEAD_M = 0.16
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,8 +182,7 @@ class DrawnPerson:
         self._label.remove()
 
     def _move_label(self, figure: Figure) -> None:
-        x, y, z = figure.points_world[POINT_NAMES.index("head")]
-        self._label.position = x, y, z + LABEL_ABOVE_HEAD_M
+        self._label.position = figure.points_world[POINT_NAMES.index("head")] + NAME_ABOVE
 
 
 def instances_of(figure: Figure) -> Instances:
@@ -233,3 +231,72 @@ def unit_sphere() -> tuple[Array, Array]:
     below, across = here + SPHERE_MERIDIANS, beside + SPHERE_MERIDIANS
     faces = np.concatenate([np.column_stack([here, below, across]), np.column_stack([here, across, beside])])
     return vertices.astype(np.float32), faces.astype(np.uint32)
+
+
+# views ----------------------------------------------------------------------------------------------------------------
+
+
+FOV_RAD = np.deg2rad(50.0)
+"""Vertical: a person is not distorted at the edges, and a room of four metres fits from five away."""
+ASPECT = 4.0 / 3.0
+"""Width by height of the scene beside its panel, or less than that."""
+MARGIN = 1.05
+"""The screen by what is shown on it: names stand beside the cameras."""
+AZIMUTH_RAD, ELEVATION_RAD = np.deg2rad(-22.5), np.deg2rad(15.0)
+LEVEL = np.cos(ELEVATION_RAD)
+BACKWARD = np.array([LEVEL * np.cos(AZIMUTH_RAD), LEVEL * np.sin(AZIMUTH_RAD), np.sin(ELEVATION_RAD)])
+"""Whence a view looks: from above, and from the front to the right, between the cameras of a ring of four or eight."""
+ROOM = np.array([[-1.4, -1.4, 0.0], [1.4, 1.4, 2.2]])
+"""Corners of the room that is shown while no rig is known, m."""
+PERSON_M, STANDING_M = 2.2, 2.0
+"""Width of the room that is shown about one person, arms stretched, and its height."""
+
+
+class Viewpoint:
+    """Places browsers' views: the rig's volume fills the screen or, once somebody is tracked, the persons. From then on
+    they are the browsers' own."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        server.initial_camera.fov = FOV_RAD
+        self.show_rig(None)
+
+    def show_rig(self, rig: Rig | None) -> None:
+        """Look at its volume and cameras, until somebody is tracked."""
+        centres = np.array([camera.centre_world for camera in rig.cameras]) if rig is not None else np.zeros((0, 3))
+        room = corners_of(rig.volume.low, rig.volume.high) if rig is not None else corners_of(*ROOM)
+        self._on_people = False
+        self._show(np.concatenate([room, centres]))
+
+    def show_people(self, figures: Mapping[str, Figure]) -> None:
+        """Look at who is tracked, the first time that somebody is."""
+        tracked = [figure.points_world[:, :2] for figure in figures.values() if figure.state != "lost"]
+        if self._on_people or not tracked:
+            return
+        self._on_people = True
+        low, high = (end(np.concatenate(tracked), axis=0) for end in (np.min, np.max))
+        reach = np.maximum(high - low, PERSON_M) / 2
+        about = np.stack([(low + high) / 2 - reach, (low + high) / 2 + reach])
+        self._show(corners_of(*np.column_stack([about, [0.0, STANDING_M]])))
+
+    def _show(self, points_world: Array) -> None:
+        """Show these points (n, 3) in all views, and in those to come."""
+        look_at = 0.5 * (points_world.min(0) + points_world.max(0))
+        position = look_at + distance_to(points_world - look_at) * BACKWARD
+        self._server.initial_camera.position, self._server.initial_camera.look_at = position, look_at
+        for client in self._server.get_clients().values():
+            with client.atomic():
+                client.camera.position, client.camera.look_at = position, look_at
+
+
+def distance_to(points: Array) -> float:
+    """Return from how far away points (n, 3) fill a view along ``-BACKWARD`` through the origin."""
+    right = np.array([-BACKWARD[1], BACKWARD[0], 0.0]) / np.hypot(*BACKWARD[:2])
+    up = np.cross(BACKWARD, right)
+    wide, high = np.abs(points @ right) / ASPECT, np.abs(points @ up)
+    return float((MARGIN * np.maximum(wide, high) / np.tan(0.5 * FOV_RAD) + points @ BACKWARD).max())
+
+
+def corners_of(low: Array, high: Array) -> Array:
+    """(8, 3) of a box."""
+    return np.where(np.indices((2, 2, 2)).reshape(3, 8).T, high, low)
