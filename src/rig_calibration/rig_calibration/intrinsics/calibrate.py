@@ -17,7 +17,7 @@ from capture_rig.rigid import transform
 from capture_rig.verdict import judge
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.outliers import RejectedDetection
+from ..bundle.robust_fit import RejectedDetection
 from ..bundle.state import residuals_px
 from .coverage import placement_of
 from .lens_fit import LensFit, diagonal_m, fit_lens, usable_detections, view_squares
@@ -26,11 +26,7 @@ from .result import Intrinsics, ModelChoice, ViewResult, lens_findings
 
 AUTO = "auto"
 # Thresholds: judgement, no measurement.
-STANDARD_ERRORS = 2.0
 WORTHWHILE = 0.02  # relative gain in rms for which more coefficients are taken (by chance they gain 0.0003)
-LOST_PX = 10.0  # at most, of a view that a model cannot explain at all
-# a model has rays where they are known to that share of the image's width; where they are not, none at all are better
-KNOWN_RAYS = 0.05
 MORE_OF_IMAGE = 0.005  # share of the image that a model must have rays for beyond the other: a finger in one corner
 
 
@@ -54,25 +50,23 @@ def calibrate_intrinsics(
 def _result(
     fit: LensFit, board: Board, name: str, left_out: tuple[RejectedDetection, ...], choice: ModelChoice | None
 ) -> Intrinsics:
-    covariance, enlarged_by = fit.covariance()
     camera = replace(fit.camera, name=name)
     views = tuple(_view_results(fit, board))
     squares = np.concatenate([(view.residuals**2).sum(axis=1) for view in views])
-    names, sd = fit.model.names, np.sqrt(np.diag(covariance))
-    of_lens = covariance[: len(names), : len(names)]
+    names, sd = fit.model.names, np.sqrt(np.diag(fit.covariance))
     return Intrinsics(
         camera=camera,
         rms_px=float(np.sqrt(squares.mean())),
         sigma_px=fit.sigma_px,
         sd=dict(zip(names, sd[: len(names)].tolist(), strict=True)),
-        covariance=of_lens,
-        sd_enlarged_by=enlarged_by,
+        covariance=fit.of_lens,
+        sd_enlarged_by=float(np.sqrt(fit.inflation)),
         board_diagonal_m=diagonal_m(board),
         warp_m=(float(fit.warp_m[0]), float(fit.warp_m[1])),
         warp_sd_m=(float(sd[-2]), float(sd[-1])),
         views=views,
         left_out=left_out,
-        edge_sd_px=edge_sd_px(camera, of_lens),
+        edge_sd_px=edge_sd_px(camera, fit.of_lens),
         choice=choice,
         verdict=judge(()),
     )
@@ -115,31 +109,13 @@ def choose_model(views: Sequence[TargetDetection], board: Board) -> tuple[ModelC
         except InputError:  # a fisheye's views contradict each other by the other models
             if name == RATIONAL and not fits:
                 raise
-    squares = {name: _squares(fit, views) for name, fit in fits.items()}
-    rms_px = {name: float(np.sqrt(np.median(of_views))) for name, of_views in squares.items()}
-    chosen, *richer = fits
-    reason = "rms " + ", ".join(f"{rms_px[name]:.3f} px with {name}" for name in fits)
+    rms_px = {name: float(np.sqrt(np.median(view_squares(fit)))) for name, fit in fits.items()}
+    chosen, *richer = [name for name in fits if rms_px[name] <= (1 + WORTHWHILE) * min(rms_px.values())]
     why = ": no better, so the simpler one" if richer else ""
     for name in richer:
-        gain = np.log(squares[chosen]) - np.log(squares[name])  # logarithms: no view outweighs the others
-        margin = max(STANDARD_ERRORS * gain.std(ddof=1) / np.sqrt(len(gain)), 2 * WORTHWHILE)
-        lost, sd = fits[chosen].camera.unused_share, _edge_sd(fits[name])
-        wider = lost > fits[name].camera.unused_share + MORE_OF_IMAGE and sd < KNOWN_RAYS
-        if gain.mean() > margin:
-            chosen, why = name, ""
-        elif gain.mean() > -margin and wider:
+        lost, rest = (fits[each].camera.unused_share for each in (chosen, name))
+        if lost > rest + MORE_OF_IMAGE:
             why = f": as good, and {chosen} has no rays for the outer {100 * lost:.1f} % of the image"
             chosen = name
+    reason = "rms " + ", ".join(f"{rms_px[name]:.3f} px with {name}" for name in fits)
     return ModelChoice(chosen, rms_px, reason + why), fits[chosen]
-
-
-def _squares(fit: LensFit, views: Sequence[TargetDetection]) -> np.ndarray:
-    """(V,) px^2 of each view."""
-    found = view_squares(fit)
-    return np.clip([found[view.frame_index] for view in views], 1e-12, LOST_PX**2)
-
-
-def _edge_sd(fit: LensFit) -> float:
-    """Uncertainty of the outermost rays, as a share of the image's longer side."""
-    count = len(fit.model.names)
-    return edge_sd_px(fit.camera, fit.covariance()[0][:count, :count]) / max(fit.camera.width, fit.camera.height)

@@ -1,10 +1,6 @@
 """A lens from views of a board: the bundle adjustment of a rig of one camera, which holds the frame.
 
-Free are its lens (with a wide prior), the board's warp and its pose in each view. How well they are known: the inverse
-of the normal matrix assumes that corners err independently. Real ones do not: a view is a little blurred, a board
-bends, a shutter rolls, and then all corners of a view err together. The scatter of the views' scores (the sandwich
-estimator for errors that clusters share, Liang & Zeger 1986) tells by how much the normal matrix promises too much, and
-the covariance is enlarged by that.
+Free are its lens (with a wide prior), the board's warp and its pose in each view.
 """
 
 from __future__ import annotations
@@ -20,18 +16,16 @@ from capture_rig.lens import Array
 from capture_rig.rigid import transform
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.adjustment import RAYLEIGH_MEDIAN, StopCriterion, information_of_each
+from ..bundle.adjustment import RAYLEIGH_MEDIAN, StopCriterion
 from ..bundle.initial_poses import initial_poses
-from ..bundle.outliers import LENS_LIMITS, RejectedDetection
 from ..bundle.problem import LENS, THIN, check_problem, detection_poses, shapes_of, views_of
-from ..bundle.robust_fit import NO_POSE, Fit, adjusted, settled, start_fit
+from ..bundle.robust_fit import NO_POSE, Fit, RejectedDetection, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
 from .lens_model import FISHEYE, LAYOUT, RATIONAL, LensModel, rational_prior
 
 # Thresholds: judgement, no measurement.
 MIN_CORNERS = 8
 MIN_VIEWS = 3
-AGREEING_SHARE = 0.4  # of the views must agree, else it is open which of them are right
 FOCAL_TRIALS = np.geomspace(0.2, 5.0, 9)  # of the image's longer side: from a fisheye to a long lens
 TRIAL_VIEWS = 12
 START = StopCriterion(40, 1e-5)
@@ -42,9 +36,8 @@ class LensFit:
     """The lens that the views agree on, as far as they do.
 
     camera : at the origin. fit : the solver's. sigma_px : of a corner's coordinate, from the residuals; the typical
-    view's. information (V, p, p), score (V, p) : what each view says about the parameters with its pose eliminated, in
-    units of the noise; precision (p, p) : their sum and the prior's, the inverse of the covariance if corners err
-    independently.
+    view's. covariance (p, p) : of the lens's parameters and the board's warp; inflation : the factor >= 1 by which
+    errors that the corners of a view share enlarge variances overall.
     """
 
     model: LensModel
@@ -52,52 +45,28 @@ class LensFit:
     fit: Fit
     left_out: tuple[RejectedDetection, ...]
     sigma_px: float
-    information: Array
-    score: Array
-    precision: Array
+    covariance: Array
+    inflation: float
 
     @property
     def warp_m(self) -> Array:
         """(2,) how far the board's middle stands out, bent along its x and along its y axis."""
         return self.fit.adjusted.state.board_warp[0]
 
-    def covariance(self) -> tuple[Array, float]:
-        """(p, p) of the parameters, and the factor >= 1 by which errors that views share enlarge standard deviations
-        overall.
-
-        Each parameter's own factor lies between that and what its own scatter says, which is few numbers, and is never
-        smaller than the overall one.
-        """
-        white = _inverse(self.precision)
-        # of each view's score when the corners' noise is white: its own information less what the fit takes up
-        expected = (self.information - self.information @ white @ self.information).sum(axis=0)
-        scatter = self.score.T @ self.score
-        overall = max(float(np.trace(white @ scatter) / np.trace(white @ expected)), 1.0)
-        own = np.diag(white @ scatter @ white) / np.diag(white @ expected @ white)
-        factors = np.sqrt(np.maximum(overall, (overall + own) / 2))
-        return np.asarray(white * np.outer(factors, factors), np.float64), float(np.sqrt(overall))
-
-
-def _inverse(precision: Array) -> Array:
-    """The covariance, also where exact corners leave coefficients that make up for each other to rounding alone."""
-    unit = np.sqrt(np.diag(precision))
-    values, vectors = np.linalg.eigh(precision / np.outer(unit, unit))
-    known = np.maximum(values, np.finfo(float).eps * values[-1])
-    return np.asarray((vectors / known) @ vectors.T / np.outer(unit, unit), np.float64)
+    @property
+    def of_lens(self) -> Array:
+        """Covariance of the lens's own parameters."""
+        count = len(self.model.names)
+        return self.covariance[:count, :count]
 
 
 def fit_lens(
-    detections: Sequence[TargetDetection],
-    board: Board,
-    model: LensModel,
-    *,
-    start: CameraModel | None = None,
-    wide: LensFit | None = None,
+    detections: Sequence[TargetDetection], board: Board, model: LensModel, wide: LensFit | None = None
 ) -> LensFit:
     """Fit a lens of ``model`` to one camera's usable ``detections``, those that contradict the others left out.
 
-    ``start`` : a lens that is roughly right; by default nothing is known. ``wide`` : the fisheye fitted to the same,
-    where a rational lens is wanted and there is one already. Raises InputError when too few views agree.
+    ``wide`` : the fisheye fitted to the same, where a rational lens is wanted and there is one already. Raises
+    InputError when too few views agree.
     """
     radial, some = None, detections[:: max(1, len(detections) // TRIAL_VIEWS)]
     if model.name == RATIONAL:
@@ -105,18 +74,18 @@ def fit_lens(
         fisheye = (wide or fit_lens(detections, board, LensModel(FISHEYE))).camera
         radial = rational_prior(fisheye)
         start = replace(fisheye, distortion_model=RATIONAL, D=radial[0])
-    elif start is None:
+    else:
         start = _camera_of(adjusted(_fit_from(_best_of_trials(some, board, model), some, board, model), START))
     # the plane's two solutions can be told apart only with a lens that is roughly right: poses anew
-    fit = settled(_fit_from(start, detections, board, model, radial), LENS_LIMITS)
-    if len(fit.rows) < max(MIN_VIEWS, AGREEING_SHARE * len(detections)):
+    fit = settled(_fit_from(start, detections, board, model, radial))
+    if len(fit.rows) < MIN_VIEWS:
         reason = fit.left_out[0].reason if fit.left_out else "too few fit any pose of the board"
         raise InputError(
             f"the views contradict each other: only {len(fit.rows)} of {len(detections)} agree ({reason})",
             where=detections[0].camera,
             remedy="Film one flat board only, keep it and the lens (zoom, focus) fixed, and name the board as it is.",
         )
-    return _with_information(fit, model)
+    return _result_of(fit, model)
 
 
 def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) -> Array | None:
@@ -127,12 +96,12 @@ def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) ->
     return None if poses is None else transform(poses.R[0], poses.t[0])
 
 
-def view_squares(lens: LensFit) -> dict[int, float]:
-    """Compute, by frame, the mean squared residual, px^2, of all corners of each view, those left out among them."""
+def view_squares(lens: LensFit) -> Array:
+    """Compute (V,) the mean squared residual, px^2, of all corners of each view, those left out among them."""
     fit = lens.fit
     residuals = residuals_px(fit.adjusted.state, fit.seen)
-    squares = [float((r[: len(seen)] ** 2).mean()) for r, seen in zip(residuals, fit.all_detections, strict=True)]
-    return {seen.frame_index: square for seen, square in zip(fit.all_detections, squares, strict=True)}
+    squares = [(r[: len(seen)] ** 2).mean() for r, seen in zip(residuals, fit.all_detections, strict=True)]
+    return np.array(squares, float)
 
 
 def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> CameraModel:
@@ -173,16 +142,11 @@ def _camera_of(fit: Fit) -> CameraModel:
     return camera_with(next(iter(fit.problem.cameras.values())), fit.adjusted.state.lens[0], np.eye(4))
 
 
-def _with_information(fit: Fit, model: LensModel) -> LensFit:
-    assert fit.prior is not None
-    columns, used = model.columns, fit.used
-    factor = fit.covariance(fit.free(LAYOUT)).variance_factor  # over the noise that was given
-    in_units = factor / fit.adjusted.scale**2
-    information, score = information_of_each(fit.rows_at_solution(with_lens=True))
-    information, score = information[:, columns[:, None], columns] / in_units, score[:, columns] / in_units
-    precision = information.sum(axis=0) + fit.prior.information[columns[:, None], columns]
-    sigma_px = float(np.median(1 / used.weight.max(axis=1)) * np.sqrt(factor))
-    return LensFit(model, _camera_of(fit), fit, _left_out(fit, sigma_px), sigma_px, information, score, precision)
+def _result_of(fit: Fit, model: LensModel) -> LensFit:
+    found, columns, used = fit.covariance(fit.free(LAYOUT)), model.columns, fit.used
+    sigma_px = float(np.median(1 / used.weight.max(axis=1)) * np.sqrt(found.variance_factor))
+    covariance = found.of_shared[columns[:, None], columns]
+    return LensFit(model, _camera_of(fit), fit, _left_out(fit, sigma_px), sigma_px, covariance, found.inflation)
 
 
 def _left_out(fit: Fit, sigma_px: float) -> tuple[RejectedDetection, ...]:
@@ -215,16 +179,7 @@ def usable_detections(
     Raises InputError for images of several sizes, and for fewer than three views.
     """
     ordered = sorted(detections, key=lambda detection: detection.frame_index)
-    first: dict[tuple[int, int], int] = {}
-    for detection in ordered:
-        first.setdefault(detection.image_size, detection.frame_index)
-    if len(first) > 1:
-        listed = ", ".join(f"{w} x {h} (first: frame {first[w, h]})" for w, h in sorted(first))
-        raise InputError(
-            f"the images have several sizes: {listed}",
-            where=ordered[0].camera,
-            remedy="Give images of one size: the one that the camera will work with.",
-        )
+    require_one_size(ordered)
     reasons = [why_useless(detection, board) for detection in ordered]
     kept = [detection for detection, reason in zip(ordered, reasons, strict=True) if not reason]
     if len(kept) < MIN_VIEWS:
@@ -234,6 +189,18 @@ def usable_detections(
             remedy="Take 20 or more, tilted and all over the image; check the board's size.",
         )
     return kept, [RejectedDetection(detection, why) for detection, why in zip(ordered, reasons, strict=True) if why]
+
+
+def require_one_size(detections: Sequence[TargetDetection]) -> None:
+    """Raise InputError for images of several sizes, naming the first frame of each."""
+    first = {detection.image_size: detection.frame_index for detection in reversed(detections)}
+    if len(first) > 1:
+        listed = ", ".join(f"{w} x {h} (first: frame {first[w, h]})" for w, h in sorted(first))
+        raise InputError(
+            f"the images have several sizes: {listed}",
+            where=detections[0].camera,
+            remedy="Give images of one size: the one that the camera will work with.",
+        )
 
 
 def why_useless(detection: TargetDetection, board: Board) -> str:

@@ -19,7 +19,7 @@ from capture_rig.lens import Array
 from ..boards.board import Board, TargetDetection
 from ..boards.detector import as_grey, find_board
 from .coverage import BoardPlacement, Coverage, coverage_of, placement_of
-from .lens_fit import board_pose, fit_lens, why_useless
+from .lens_fit import board_pose, fit_lens, require_one_size, why_useless
 from .lens_model import REFERENCE_WIDTH_PX, LensModel
 
 # Thresholds: measured by python bench/calibration.py (rendered video).
@@ -138,12 +138,7 @@ class ViewCollector:
             return "the board moves: hold it still"
         if reason := why_useless(detection, self._board):
             return reason
-        if self._held and detection.image_size != self._held[0].detection.image_size:
-            raise InputError(
-                f"the images have several sizes: {self._held[0].detection.image_size}, then {detection.image_size}",
-                where=detection.camera,
-                remedy="Give images of one size.",
-            )
+        require_one_size([*self.detections[:1], detection])
         held = self._placed(detection, float(np.hypot(detection.blur_px, motion_px)))
         return "its pose cannot be told" if held is None else self._compare(held)
 
@@ -179,13 +174,12 @@ class ViewCollector:
         if len(self) < self._next_fit:
             return
         self._next_fit = int(np.ceil(GROWTH * len(self)))
-        start = self._lens if len(self) > ENOUGH_VIEWS else None  # with fewer it is not to be trusted
         try:
-            fit = fit_lens(self.best(), self._board, self._model, start=start)
+            fit = fit_lens(self.best(), self._board, self._model)
         except InputError:
             return
         self._lens, self._fitted = fit.camera, len(self)
-        self._fitted_sd = np.sqrt(np.diag(fit.covariance()[0]))
+        self._fitted_sd = np.sqrt(np.diag(fit.covariance))
         again = [self._placed(held.detection, held.blur_and_motion_px) for held in self._held]
         self._held = [held for held in again if held is not None]
 

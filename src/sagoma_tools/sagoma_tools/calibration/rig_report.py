@@ -86,11 +86,12 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
     gaps = ", ".join(f"{one}-{other} {gap:.0f}" for (one, other), gap in figures.gaps_deg.items())
     console.print(f"rms of all corners {figures.rms_px:.2f} px; between neighbours {gaps or 'none'} degrees")
     size = calibrated.placed.rig.volume.high - calibrated.placed.rig.volume.low
-    enough = calibrated.placed.common.enough
+    common = calibrated.placed.common
+    enough = common.enough
     console.print(
-        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {enough} cameras or more see {figures.volume_m3:.0f} "
-        f"m3, and a standing person on {figures.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: "
-        f"{figures.floor_m2[-1]:.1f})"
+        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {enough} cameras or more see {common.volume_m3:.0f} "
+        f"m3, and a standing person on {common.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: "
+        f"{common.floor_m2[-1]:.1f})"
     )
     console.print(carried(calibrated.placed.rig))
     if (frames := calibrated.floor_guess) != ():
@@ -158,9 +159,9 @@ def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
     return {
         "rms_px": _rounded(figures.rms_px),
         "volume_m": {"low": volume.low.tolist(), "high": volume.high.tolist()},
-        "seen_m3": _rounded(figures.volume_m3),
+        "seen_m3": _rounded(calibrated.placed.common.volume_m3),
         "cameras_for_seen": calibrated.placed.common.enough,
-        "floor_m2_seen_by_1_to_all": [_rounded(area) for area in figures.floor_m2],
+        "floor_m2_seen_by_1_to_all": [_rounded(area) for area in calibrated.placed.common.floor_m2],
         "between_neighbours_deg": {f"{a} {b}": _rounded(gap) for (a, b), gap in figures.gaps_deg.items()},
         "scale": {
             name: {"ratio": _rounded(ratio), "sd": _rounded(sd)}
