@@ -31,12 +31,11 @@ from .corner_grid import (
     trimmed,
     turned,
 )
-from .lattice import Variant, find_lattices, variants_for
+from .lattice import MIN_CORNERS, Variant, find_lattices, variants_for
 
 # --- Checkerboards.
 
 # Thresholds: measured by python bench/calibration.py --boards.
-MIN_CORNERS = 6
 GROWTH_ROUNDS = 30
 
 
@@ -109,7 +108,6 @@ def _runs_right(grid: CornerGrid) -> tuple[float, float]:
 
 # --- ChArUco boards.
 
-MIN_CHARUCO_CORNERS = 6
 ROUNDS = 12
 
 
@@ -119,7 +117,7 @@ def find_charuco(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tu
     detector = charuco_detector(board)
     for variant in variants:
         corners, ids, *_ = detector.detectBoard(variant.make(image))
-        if ids is not None and len(ids) >= MIN_CHARUCO_CORNERS:
+        if ids is not None and len(ids) >= MIN_CORNERS:
             seen = variant.to_raw(np.reshape(corners, (-1, 2)).astype(float))
             grid = followed(image, FlatBoard(board), np.ravel(ids), seen)
             if _is_plausible(grid, board):
@@ -192,7 +190,7 @@ def followed(image: npt.NDArray[np.uint8], view: FlatBoard, ids: npt.NDArray[np.
 def _is_plausible(grid: CornerGrid, board: CharucoBoard) -> bool:
     """Enough corners, not all in one line, and the colours where this board has them."""
     rows, columns = np.nonzero(grid.found)
-    spread = grid.count >= MIN_CHARUCO_CORNERS and np.ptp(rows) >= 1 and np.ptp(columns) >= 1
+    spread = grid.count >= MIN_CORNERS and np.ptp(rows) >= 1 and np.ptp(columns) >= 1
     return bool(spread) and is_black_first(grid) == board.starts_black
 
 
