@@ -133,7 +133,7 @@ def test_size_of_the_floor_board_is_measured_by_that_of_the_board_seen_most(fact
     solution = solve_rig(CAMERAS, detections, given, reference=studio.ON_FLOOR)
     ratio, sd = solution.scale_of["floor"]
     assert ratio * factor == pytest.approx(1.0, abs=3 * sd * factor) and sd * factor < 0.002
-    assert solution.scale_base == "moving" and solution.left_out == ()
+    assert list(solution.scale_of) == ["floor"] and solution.left_out == ()
     assert (
         studio.worst(studio.errors(solution, studio.truth(CAMERAS)))[0] < 6
     )  # the size of the board seen most is the one believed

@@ -103,7 +103,7 @@ def test_camera_that_never_sees_the_floor_board_is_placed_by_the_carried_one(roo
 
 def test_wrong_square_size_of_one_board_shows_as_a_ratio(room: dict[str, CameraModel]) -> None:
     calibrated = both_boards(room, floor=Checkerboard(7, 4, (0.126, 0.126)))  # stated 5 % too large
-    ratio, sd = calibrated.scales[FLOOR]
+    ratio, sd = calibrated.solution.scale_of[FLOOR]
     assert ratio == pytest.approx(1 / 1.05, abs=4 * sd) and sd < 0.005
     assert calibrated.verdict.grade == REDO
     assert "board 'floor' is 0.95" in findings(calibrated) and "Measure the fields" in findings(calibrated)

@@ -15,7 +15,7 @@ from capture_rig.rigid import transform
 
 from ..boards.board import TargetDetection
 from .adjustment import FreeUnknowns, normal_equations, reduce, step
-from .initial_poses import initial_poses, most_seen, require_connected
+from .initial_poses import initial_poses, require_connected
 from .problem import PoseKey, Problem, all_undistorted, check_problem, views_of
 from .robust_fit import NO_POSE, Fit, RejectedDetection, fit_robustly, start_fit
 from .state import State, camera_with, residuals_px
@@ -39,7 +39,7 @@ class RigSolution:
     left_out : detections that took no part, with the reason (not those of a wand that no other camera saw, which tell
     nothing).
     undecided : cameras whose half turn nothing settles. scale_of : by target, the size that it has beside
-    the most seen one (``scale_base``) over the size given, and its standard deviation; believed when consistent with
+    the most seen one over the size given, and its standard deviation; believed when consistent with
     1, else the solution uses the ratio. focal_of : by camera, the focal length that all views together ask for over the
     one given (or refined), and its standard deviation: far from 1, the intrinsics are not this camera's.
     """
@@ -55,7 +55,6 @@ class RigSolution:
     sync_error_m: float
     left_out: tuple[RejectedDetection, ...]
     undecided: tuple[str, ...]
-    scale_base: str
     scale_of: dict[str, tuple[float, float]]
     focal_of: dict[str, tuple[float, float]]
 
@@ -224,7 +223,6 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
         sync_error_m=fit.displacement_m,
         left_out=tuple(sorted((out for out in fit.left_out if out.whole), key=_place)),
         undecided=_undecided(fit),
-        scale_base=most_seen(fit.detections, list(problem.shapes)),
         scale_of=fit.scale_of,
         focal_of=_focal_ratios(fit),
     )

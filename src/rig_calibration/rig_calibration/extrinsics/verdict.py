@@ -83,11 +83,6 @@ class RigCalibration:
     moved_frames: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     tape: tuple[TapeCheck, ...] = ()
 
-    @property
-    def scales(self) -> dict[str, tuple[float, float]]:
-        """By target, its size relative to the most seen one's as the cameras see it, and that ratio's deviation."""
-        return {name: scale for name, scale in self.solution.scale_of.items() if name != self.solution.scale_base}
-
     @cached_property
     def verdict(self) -> Verdict:
         """GOOD, USABLE or REDO, with every finding and its remedy: the rig's, each camera's, and the footage's."""
@@ -142,7 +137,7 @@ def _of_floor(rig: RigCalibration) -> Iterator[Finding]:
 
 
 def _of_scale(rig: RigCalibration) -> Iterator[Finding]:
-    for target, (ratio, sd) in sorted(rig.scales.items()):
+    for target, (ratio, sd) in sorted(rig.solution.scale_of.items()):
         yield from graded(
             abs(ratio - 1.0),
             (max(RATIO[0], CLEAR_SDS * sd), RATIO[1]),

@@ -147,6 +147,7 @@ def outermost_pixels(camera: CameraModel) -> Array:
 # tell apart, from folding in the corners.
 
 TAN_REACH_RAD = np.deg2rad(80.0)  # as far as a lens model in tan(a) can go
+BEYOND = 1.2  # of the angle of the outermost pixels: no fold and no pole of the polynomials lies next to them either
 SAMPLES = 24
 # sd of a real lens about what the fisheye says where no board was seen, as a share of the radius;
 # views outweigh it by far (0.1 px of noise are a fiftieth of it)
@@ -155,9 +156,9 @@ DEPARTURE = 0.01
 
 def rational_prior(fisheye: CameraModel) -> tuple[Array, Array]:
     """Return the mean (8,) of k1 k2 p1 p2 k3 k4 k5 k6 and their information (8, 8), by what a fisheye says of the
-    radial function up to the image's outermost pixels."""
+    radial function up to the image's outermost pixels, and a little beyond."""
     outermost = np.arctan(np.hypot(*fisheye.ideal_points(outermost_pixels(fisheye)).T).max())
-    ideal = np.tan(np.linspace(0.0, min(outermost, TAN_REACH_RAD), SAMPLES + 1)[1:])
+    ideal = np.tan(np.linspace(0.0, min(BEYOND * outermost, TAN_REACH_RAD), SAMPLES + 1)[1:])
     on_axis = np.column_stack([ideal, 0.0 * ideal])
     distorted = lens.distort(on_axis, fisheye.D)[:, 0]
     q = ideal**2

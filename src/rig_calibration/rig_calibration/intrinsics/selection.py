@@ -18,8 +18,8 @@ from capture_rig.lens import Array
 
 from ..boards.board import Board, TargetDetection
 from ..boards.detector import as_grey, find_board
+from .calibrate import board_pose, fit_lens, require_one_size, why_useless
 from .coverage import BoardPlacement, Coverage, coverage_of, placement_of
-from .lens_fit import board_pose, fit_lens, require_one_size, why_useless
 from .lens_model import REFERENCE_WIDTH_PX, LensModel
 
 # Thresholds: measured by python bench/calibration.py (rendered video).
@@ -75,7 +75,6 @@ class ViewCollector:
         self._lens: CameraModel | None = None
         self._fitted_sd: Array = np.empty(0)  # of the lens's parameters, when it was fitted
         self._fitted, self._next_fit = 0, FIRST_FIT
-        self.refused = 0
 
     @property
     def detections(self) -> list[TargetDetection]:
@@ -88,9 +87,16 @@ class ViewCollector:
         """Add the view and return "", or say why not. ``motion_px`` : how far it moved from the image before.
 
         Raises InputError for an image of another size, corners the board has not."""
-        reason = self._add(detection, motion_px)
-        self.refused += bool(reason)
-        return reason
+        scale = max(detection.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
+        if detection.blur_px > max(BLUR_PX * scale, BLUR_FACTOR * self._sharpest()):
+            return f"too blurred: by {detection.blur_px:.1f} px; hold it still, check focus and exposure"
+        if not motion_px <= MOTION_PX * scale:
+            return "the board moves: hold it still"
+        if reason := why_useless(detection, self._board):
+            return reason
+        require_one_size([*self.detections[:1], detection])
+        held = self._placed(detection, float(np.hypot(detection.blur_px, motion_px)))
+        return "its pose cannot be told" if held is None else self._compare(held)
 
     @property
     def coverage(self) -> Coverage:
@@ -129,18 +135,6 @@ class ViewCollector:
     def best(self) -> list[TargetDetection]:
         """Return the views to calibrate from, in the order of their frames."""
         return sorted(self.detections, key=lambda detection: detection.frame_index)
-
-    def _add(self, detection: TargetDetection, motion_px: float) -> str:
-        scale = max(detection.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
-        if detection.blur_px > max(BLUR_PX * scale, BLUR_FACTOR * self._sharpest()):
-            return f"too blurred: by {detection.blur_px:.1f} px; hold it still, check focus and exposure"
-        if not motion_px <= MOTION_PX * scale:
-            return "the board moves: hold it still"
-        if reason := why_useless(detection, self._board):
-            return reason
-        require_one_size([*self.detections[:1], detection])
-        held = self._placed(detection, float(np.hypot(detection.blur_px, motion_px)))
-        return "its pose cannot be told" if held is None else self._compare(held)
 
     def _sharpest(self) -> float:
         return float(np.percentile([held.blur_and_motion_px for held in self._held], 25)) if self._held else 0.0

@@ -24,6 +24,7 @@ from capture_rig.rig import Volume, save_rig
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
 from rig_calibration.extrinsics.world import CameraFigures, PlacedRig, RigFigures
+from rig_calibration.intrinsics.picture import draw_residuals
 
 from ..console import GRADE_STYLE
 from ..doctor.rig import carried
@@ -165,7 +166,7 @@ def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
         "between_neighbours_deg": {f"{a} {b}": _rounded(gap) for (a, b), gap in figures.gaps_deg.items()},
         "scale": {
             name: {"ratio": _rounded(ratio), "sd": _rounded(sd)}
-            for name, (ratio, sd) in sorted(calibrated.scales.items())
+            for name, (ratio, sd) in sorted(calibrated.solution.scale_of.items())
         },
         "tape": [str(check) for check in calibrated.tape],
     }
@@ -187,10 +188,7 @@ def _rounded(value: float | None) -> float | int | None:
 
 COLUMNS, DPI = 4, 90
 FRUSTUM_M = 0.8
-ARROW_SHARE, MAX_MAGNIFIED = 0.05, 200.0
-"""The residuals' rms is drawn as this share of the image's width, magnified at most so much."""
-MAX_ARROWS = 1500
-CAMERA, BOARD, BOX, RESIDUAL = "#1769aa", "#b22222", "#2e7d32", "#d9772b"
+CAMERA, BOARD, BOX = "#1769aa", "#b22222", "#2e7d32"
 X, Y, Z = 0, 1, 2
 GRID_M, GRID_REACH_M, AXIS_M = 0.5, 3.0, 0.5
 SAMPLE_M = 0.05
@@ -277,18 +275,8 @@ def _frustum_edges(camera: CameraModel) -> list[np.ndarray]:
 def _draw_residuals(
     axes: Axes, camera: CameraModel, figures: CameraFigures, places: np.ndarray, residuals: np.ndarray
 ) -> None:
-    step = -(-len(places) // MAX_ARROWS) or 1
-    magnified = min(ARROW_SHARE * camera.width / max(figures.rms_px, 1e-3), MAX_MAGNIFIED)
-    axes.quiver(
-        *places[::step].T,
-        *(residuals[::step] * magnified).T,
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        color=RESIDUAL,
-        width=0.003,
-    )
-    axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal", xticks=[], yticks=[])
+    magnified = draw_residuals(axes, camera, places, residuals)
+    axes.set(xticks=[], yticks=[])
     axes.set_title(f"{camera.name}: {figures.rms_px:.2f} px rms, arrows x {magnified:.0f}", fontsize=9)
 
 
