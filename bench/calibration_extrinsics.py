@@ -20,8 +20,8 @@ from capture_rig.camera import CameraModel
 from capture_rig.rig import Rig, load_rig
 from capture_rig.rigid import inverse
 from rig_calibration.boards.board import Board, Checkerboard, TargetDetection
+from rig_calibration.extrinsics.board_frames import average_still_board
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, FloorTarget, RigCalibration, Target, calibrate_rig
-from rig_calibration.extrinsics.floor import average_still_board
 from rig_calibration.extrinsics.world import WorldChoice
 from virtual_studio.rig import ring
 

@@ -9,9 +9,8 @@ import pytest
 from capture_rig.errors import InputError
 from capture_rig.verdict import REDO, USABLE
 from rig_calibration.boards.board import Checkerboard, TargetDetection
-from rig_calibration.bundle.initial_poses import comparable_targets
-from rig_calibration.bundle.outliers import ODD_ONE, PAIR, SINGLE
 from rig_calibration.bundle.problem import target_shape
+from rig_calibration.bundle.robust_fit import ODD_ONE, PAIR, SINGLE
 from rig_calibration.bundle.solve import RigSolution, solve_rig
 from rig_calibration.extrinsics.verdict import common_pose_counts, footage_findings
 
@@ -134,7 +133,7 @@ def test_size_of_the_floor_board_is_measured_by_that_of_the_board_seen_most(fact
     solution = solve_rig(CAMERAS, detections, given, reference=studio.ON_FLOOR)
     ratio, sd = solution.scale_of["floor"]
     assert ratio * factor == pytest.approx(1.0, abs=3 * sd * factor) and sd * factor < 0.002
-    assert solution.scale_base == "moving" and solution.left_out == ()
+    assert list(solution.scale_of) == ["floor"] and solution.left_out == ()
     assert (
         studio.worst(studio.errors(solution, studio.truth(CAMERAS)))[0] < 6
     )  # the size of the board seen most is the one believed
@@ -142,10 +141,10 @@ def test_size_of_the_floor_board_is_measured_by_that_of_the_board_seen_most(fact
 
 def test_target_seen_only_where_no_other_links_the_cameras_is_not_compared():
     detections = studio.carried_and_floor(CAMERAS, np.random.default_rng(1), 20)
-    apart = [s for s in detections if s.target == "floor" or s.camera in ("cam01", "cam02")]
-    assert comparable_targets(apart, ["floor", "moving"], "moving").tolist() == [True, False]
-    apart = [s for s in apart if s.target == "moving" or s.camera in ("cam03", "cam04", "cam02")]
-    assert not comparable_targets(apart, ["floor", "moving"], "moving").any()
+    apart = [s for s in detections if s.camera in (("cam03", "cam02") if s.target == "floor" else ("cam01", "cam02"))]
+    cameras = {name: CAMERAS[name] for name in ("cam01", "cam02", "cam03")}
+    solution = solve_rig(cameras, apart, studio.TARGETS)
+    assert solution.scale_of == {} and solution.left_out == ()
 
 
 def test_hidden_half_turns_are_settled_by_what_cameras_agree_on():

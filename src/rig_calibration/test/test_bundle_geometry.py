@@ -9,7 +9,6 @@ from bundle_studio import BOARD, SIZE, TARGETS, camera_at, carried, project, rot
 from capture_rig.errors import InputError
 from capture_rig.rigid import transform
 from rig_calibration.boards.board import CharucoBoard, Checkerboard, TargetDetection
-from rig_calibration.bundle.adjustment import FreeUnknowns, information_of_each, normal_equations, reduce
 from rig_calibration.bundle.initial_poses import require_connected
 from rig_calibration.bundle.problem import detection_poses, symmetry_order_of, target_shape
 from rig_calibration.bundle.state import Layout, Observations, State, linearise, residuals_px
@@ -91,21 +90,6 @@ def test_derivatives_match_central_differences(fisheye):
             poses[pose, axis] = 1e-6
             analytic = np.where((seen.pose == pose)[:, None], linear.by_pose[:, :, axis], 0)
             np.testing.assert_allclose(analytic, difference(np.zeros(layout.size), poses), atol=2e-4, rtol=1e-6)
-
-
-def test_information_of_each_detection_adds_up_where_no_pose_is_seen_twice():
-    state, seen = state_and_observations(np.random.default_rng(3))
-    layout, alone = Layout(2, 2, with_lens=True), seen.only(np.array([0, 2, 3]))  # three poses, once each
-    linear = linearise(state, alone, with_lens=True)
-    information, gradient = information_of_each(linear)
-    total, sum_of_gradients = np.zeros((layout.size, layout.size)), np.zeros(layout.size)
-    for columns, one, score in zip(layout.columns(alone.camera, alone.target), information, gradient, strict=True):
-        total[np.ix_(columns, columns)] += one
-        sum_of_gradients[columns] += score
-    free = FreeUnknowns(np.ones(layout.size, bool), np.ones(3, bool))
-    reduced = reduce(normal_equations(linear, alone, layout, 3), free)
-    np.testing.assert_allclose(total, reduced.S, atol=1e-9 * np.abs(reduced.S).max())
-    np.testing.assert_allclose(sum_of_gradients, reduced.b, atol=1e-9 * np.abs(reduced.b).max())
 
 
 # --- poses of one picture ---------------------------------------------------------------------------------------------

@@ -8,8 +8,8 @@ import pytest
 from intrinsics_views import BOARD, found, lens, shown
 
 from capture_rig.errors import InputError
+from rig_calibration.intrinsics.calibrate import board_pose
 from rig_calibration.intrinsics.coverage import coverage_of, placement_of
-from rig_calibration.intrinsics.lens_fit import board_pose
 from rig_calibration.intrinsics.lens_model import LensModel
 from rig_calibration.intrinsics.selection import LensAccuracy, ViewCollector, motion_px
 
@@ -25,7 +25,7 @@ def test_views_alike_are_taken_once():
     collector = ViewCollector(BOARD)
     assert collector.try_add(view) == ""
     assert "like one that is there already" in collector.try_add(jittered(view, 1, blur_px=0.5))
-    assert len(collector) == 1 and collector.refused == 1
+    assert len(collector) == 1
     chosen = ViewCollector(BOARD, every=True)  # by hand: taken whatever they show
     assert chosen.try_add(view) == "" == chosen.try_add(jittered(view, 1))
 
@@ -56,7 +56,7 @@ def test_image_of_another_size_is_refused():
     views = shown(lens(), 2, 0.1, seed=2)
     collector = ViewCollector(BOARD)
     collector.try_add(views[0])
-    with pytest.raises(InputError, match=r"several sizes: \(640, 480\), then \(1280, 960\)"):
+    with pytest.raises(InputError, match=r"several sizes: 640 x 480 .*, 1280 x 960 "):
         collector.try_add(replace(views[1], image_size=(1280, 960)))
 
 

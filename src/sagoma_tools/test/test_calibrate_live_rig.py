@@ -12,7 +12,7 @@ from sensor_msgs.msg import Image
 
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Checkerboard
-from rig_calibration.extrinsics import carried_board as progress
+from rig_calibration.extrinsics import board_frames as progress
 from sagoma_ros.images import image_message
 from sagoma_ros.qos import SILHOUETTE_PUBLISHER
 from sagoma_tools.calibration.rig_live import LiveSources, find_topics, grab

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from capture_rig.lens import Array
 
+from .lattice import HALF
 from .x_corner import XCorners, fit_x_corners
 
 # --- Arithmetic on grids.
@@ -99,10 +100,7 @@ def scatter_px(pixels: Array) -> float:
 
 
 # Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
-MIN_FIT = 0.7  # share of a window's variance that the model of a corner must explain
-MIN_QUADRANT_SIMILARITY = 0.4  # of opposite quadrants
-MAX_MOVE = 0.35  # of the shorter side of a field, from where a corner was expected
-MAX_OF_EXTRA_LINE = 0.67  # a line of which more is found is the board's own: then it is a larger board
+MIN_FOUND = 0.7  # of a board's corners; a line of which more is found is a board's own
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +176,7 @@ def cut_to(grid: CornerGrid, rows: int, columns: int) -> CornerGrid | None:
     for axis, wanted in enumerate((rows, columns)):
         while values.shape[axis] > wanted:
             found = np.isfinite(values[:, :, 0]).mean(axis=1 - axis)
-            if min(found[0], found[-1]) > MAX_OF_EXTRA_LINE:
+            if min(found[0], found[-1]) > MIN_FOUND:
                 return None
             values = np.delete(values, 0 if found[0] < found[-1] else -1, axis=axis)
     return CornerGrid(values) if values.shape[:2] == (rows, columns) else None
@@ -202,8 +200,8 @@ def is_black_first(grid: CornerGrid) -> bool:
 def _is_good(corners: XCorners, expected: Array, along: Array, down: Array) -> npt.NDArray[np.bool_]:
     """Explained by the model, and near where it was expected."""
     side = np.minimum(np.linalg.norm(along, axis=1), np.linalg.norm(down, axis=1))
-    near = np.linalg.norm(corners.pixels - expected, axis=1) < np.maximum(MAX_MOVE * side, 1.0)
-    return (corners.fit > MIN_FIT) & (corners.quadrant_similarity > MIN_QUADRANT_SIMILARITY) & near
+    near = np.linalg.norm(corners.pixels - expected, axis=1) < np.maximum(HALF * side, 1.0)
+    return (corners.fit > HALF) & (corners.quadrant_similarity > HALF) & near
 
 
 def _has_right_colour(contrast: Array, kept: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:

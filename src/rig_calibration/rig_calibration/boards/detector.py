@@ -8,22 +8,34 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from capture_rig.camera import CameraModel
 from capture_rig.lens import Array
 
 from .board import Board, CharucoBoard, Checkerboard, TargetDetection, opencv_board
-from .corner_grid import CornerGrid, cut_to, empty_grid, fitted, grown, is_black_first, predict, steps, trimmed, turned
-from .lattice import Variant, find_lattices, variants_for
+from .corner_grid import (
+    MIN_FOUND,
+    CornerGrid,
+    cut_to,
+    empty_grid,
+    fitted,
+    grown,
+    is_black_first,
+    predict,
+    steps,
+    trimmed,
+    turned,
+)
+from .lattice import MIN_CORNERS, Variant, find_lattices, variants_for
 
 # --- Checkerboards.
 
-# Thresholds: MIN_FOUND, MAX_FROM_PLANE measured by python bench/calibration.py --boards; clicks: judgement.
-MIN_FOUND = 0.7  # of a board's corners
-MIN_CORNERS = 6
+# Thresholds: measured by python bench/calibration.py --boards.
 GROWTH_ROUNDS = 30
 
 
@@ -96,9 +108,7 @@ def _runs_right(grid: CornerGrid) -> tuple[float, float]:
 
 # --- ChArUco boards.
 
-MIN_CHARUCO_CORNERS = 6
-MAX_FROM_PLANE = 0.4  # of a field: further from where a flat board would have it, a corner is another board's
-ROUNDS = 4
+ROUNDS = 12
 
 
 def find_charuco(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tuple[Variant, ...]) -> CornerGrid | None:
@@ -107,9 +117,10 @@ def find_charuco(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tu
     detector = charuco_detector(board)
     for variant in variants:
         corners, ids, *_ = detector.detectBoard(variant.make(image))
-        if ids is not None and len(ids) >= MIN_CHARUCO_CORNERS:
-            grid = _refined(image, board, variant.to_raw(np.reshape(corners, (-1, 2)).astype(float)), np.ravel(ids))
-            if grid is not None:
+        if ids is not None and len(ids) >= MIN_CORNERS:
+            seen = variant.to_raw(np.reshape(corners, (-1, 2)).astype(float))
+            grid = followed(image, FlatBoard(board), np.ravel(ids), seen)
+            if _is_plausible(grid, board):
                 return grid
     return _by_colours(image, board, variants)
 
@@ -120,7 +131,7 @@ def _by_colours(image: npt.NDArray[np.uint8], board: CharucoBoard, variants: tup
     plain = Checkerboard(board.columns - 1, board.rows - 1, (board.square_m, board.square_m))
     if not plain.half_turn_is_visible:
         return None
-    grid = find_checkerboard(image, plain, variants, marker_margin(board))
+    grid = find_checkerboard(image, plain, variants, FlatBoard(board).marker_margin)
     return turned(grid, 2) if grid is not None and not board.starts_black else grid
 
 
@@ -129,46 +140,57 @@ def charuco_detector(board: CharucoBoard) -> cv2.aruco.CharucoDetector:
     return cv2.aruco.CharucoDetector(opencv_board(board))
 
 
-def marker_margin(board: CharucoBoard) -> float:
-    """Width of the rim of a white field that its marker leaves free, over the field's side."""
-    return 0.5 * (1 - board.marker_m / board.square_m)
+@dataclass(frozen=True, eq=False)
+class FlatBoard:
+    """How a flat board appears: through the lens ``model`` (pose: identity) where it is known, else as a pinhole."""
+
+    board: Board
+    model: CameraModel | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of corners."""
+        inner = int(isinstance(self.board, CharucoBoard))
+        return self.board.rows - inner, self.board.columns - inner
+
+    @property
+    def marker_margin(self) -> float:
+        """Width of the rim of a white field that no marker covers, over the field's side."""
+        return 0.5 * (1 - self.board.marker_m / self.board.square_m) if isinstance(self.board, CharucoBoard) else 1.0
+
+    def corners(self, ids: npt.NDArray[np.int64], pixels: Array) -> Array:
+        """Return all corners (rows, columns, 2) of the board most of whose corners ``ids`` lie at ``pixels``."""
+        places, ideal = self.board.corners_board[:, :2], pixels
+        if self.model is not None:  # OpenCV takes differences below 1e-6 for none
+            ideal = 1000.0 * self.model.ideal_points(pixels)
+        known = np.isfinite(ideal).all(axis=1)
+        homography = cv2.findHomography(places[ids][known], ideal[known], cv2.LMEDS)[0] if known.sum() >= 4 else None
+        if homography is None:
+            return np.full((*self.shape, 2), np.nan)
+        there: Array = cv2.perspectiveTransform(places[:, None], homography).reshape(-1, 2).astype(float)
+        if self.model is not None:
+            there = self.model.project(np.column_stack([there / 1000.0, np.ones(len(there))]))
+        return there.reshape(*self.shape, 2)
 
 
-def _refined(image: npt.NDArray[np.uint8], board: CharucoBoard, corners: Array, ids: npt.NDArray) -> CornerGrid | None:
-    """Fit the corners that the markers gave, then their neighbours, as far as the image shows them."""
-    shape = board.rows - 1, board.columns - 1
-    margin = marker_margin(board)
-    expected = _on_plane(board, corners, ids)
-    if expected is None:
-        return None
-    expected.reshape(-1, 2)[ids] = corners
-    grid = fitted(image, expected, empty_grid(*shape), margin)
+def followed(image: npt.NDArray[np.uint8], view: FlatBoard, ids: npt.NDArray[np.int64], corners: Array) -> CornerGrid:
+    """Fit corners where a flat board with the corners ``ids`` has them; expect the others from those found, until
+    nothing is added."""
+    grid, expected = empty_grid(*view.shape), view.corners(ids, corners)
     for _ in range(ROUNDS):
         before = grid.count
-        grid = fitted(image, predict(grid.pixels), grid, margin)
-        if grid.count <= before:
+        grid = fitted(image, expected, grid, view.marker_margin)
+        if grid.count < 4 or grid.count <= before:
             break
-    return grid if _is_plausible(grid, board) else None
-
-
-def _on_plane(board: CharucoBoard, corners: Array, ids: npt.NDArray) -> Array | None:
-    """Where a flat board's corners lie (rows - 1, columns - 1, 2) if those with ``ids`` lie at ``corners``; None when
-    these do not fit one plane (markers of another board)."""
-    places = board.corners_board[:, :2]
-    homography, _ = cv2.findHomography(places[ids], corners, cv2.LMEDS)
-    if homography is None:
-        return None
-    flat = cv2.perspectiveTransform(places[:, None], homography).astype(float)
-    all_corners: Array = flat.reshape(board.rows - 1, board.columns - 1, 2)
-    side = np.nanmedian(np.linalg.norm(np.diff(all_corners, axis=1), axis=2))
-    off = np.linalg.norm(all_corners.reshape(-1, 2)[ids] - corners, axis=1)
-    return all_corners if np.mean(off < MAX_FROM_PLANE * side) > 0.7 else None
+        near, flat = predict(grid.pixels), view.corners(np.flatnonzero(grid.found), grid.pixels[grid.found])
+        expected = np.where(np.isfinite(near), near, flat)
+    return grid
 
 
 def _is_plausible(grid: CornerGrid, board: CharucoBoard) -> bool:
     """Enough corners, not all in one line, and the colours where this board has them."""
     rows, columns = np.nonzero(grid.found)
-    spread = grid.count >= MIN_CHARUCO_CORNERS and np.ptp(rows) >= 1 and np.ptp(columns) >= 1
+    spread = grid.count >= MIN_CORNERS and np.ptp(rows) >= 1 and np.ptp(columns) >= 1
     return bool(spread) and is_black_first(grid) == board.starts_black
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
@@ -15,49 +14,17 @@ from capture_rig.errors import InputError
 from capture_rig.lens import Array
 
 from .board import Board, CharucoBoard, TargetDetection
-from .corner_grid import CornerGrid, empty_grid, fitted, is_black_first, predict, steps, turned
-from .detector import as_grey, complete, detection_of, marker_margin, possible_orders
-from .lattice import Variant, find_saddles
+from .corner_grid import CornerGrid, is_black_first, predict, steps, turned
+from .detector import FlatBoard, as_grey, complete, detection_of, followed, possible_orders
+from .lattice import HALF, Variant, find_saddles
 
-# Thresholds: MIN_FOUND, MAX_FROM_PLANE measured by python bench/calibration.py --boards; clicks: judgement.
+# Thresholds: MIN_FOUND measured by python bench/calibration.py --boards; clicks: judgement.
 POINTING_ERROR_PX = 6.0
-POINTING_ERROR_FIELDS = 0.6
 CANDIDATES = 3  # saddles looked at near each click
 HIT_FIELDS, MIN_HIT_PX = 0.25, 1.0  # how near a saddle must lie to where a corner is expected
-MIN_FOUND = 0.5  # of a board's corners
-ROUNDS = 12
 VARIANTS = (Variant(), Variant(1, 2), Variant(1, 3), Variant(1, 1, 2.5))
 OUTER = ((0, 0, -1, -1), (0, -1, -1, 0))  # rows and columns of the outermost corners, in reading order
 ORDER = "Give the outermost inner corners in reading order: first, end of first row, last, start of last row."
-
-
-@dataclass(frozen=True, eq=False)
-class _View:
-    """How a flat board appears: through the lens ``model`` (pose: identity) where it is known, else as a pinhole."""
-
-    places: Array  # (n, 2) corners on the board, m
-    shape: tuple[int, int]  # rows, columns
-    model: CameraModel | None
-
-    @property
-    def outer(self) -> npt.NDArray[np.int64]:
-        """Ids of the outermost corners."""
-        return np.ravel_multi_index(OUTER, self.shape, mode="wrap")
-
-    def corners(self, ids: npt.NDArray[np.int64], pixels: Array) -> Array:
-        """Return all corners (rows, columns, 2) of the flat board whose corners ``ids`` lie at ``pixels``."""
-        ideal = pixels if self.model is None else self.model.ideal_points(pixels)
-        known = np.isfinite(ideal).all(axis=1)
-        if known.sum() < 4:
-            return np.full((*self.shape, 2), np.nan)
-        scale = 1.0 if self.model is None else 1000.0  # OpenCV takes differences below 1e-6 for none
-        homography, _ = cv2.findHomography(self.places[ids][known], scale * ideal[known], 0)
-        if homography is None:
-            return np.full((*self.shape, 2), np.nan)
-        there: Array = cv2.perspectiveTransform(self.places[:, None], homography).reshape(-1, 2).astype(float) / scale
-        if self.model is not None:
-            there = self.model.project(np.column_stack([there, np.ones(len(there))]))
-        return there.reshape(*self.shape, 2)
 
 
 def find_from_outer_corners(
@@ -80,17 +47,15 @@ def find_from_outer_corners(
     where = f"camera '{camera}', frame {frame_index}" if camera else ""
     grey = as_grey(image)
     outer = _checked(outer_px, where)
-    shape = (board.rows - 1, board.columns - 1) if isinstance(board, CharucoBoard) else (board.rows, board.columns)
-    lens = None if model is None else replace(model, T_camera_world=np.eye(4))
-    view = _View(board.corners_board[:, :2], shape, lens)
-    margin = marker_margin(board) if isinstance(board, CharucoBoard) else 1.0
-    snapped = _snapped(grey, view, outer)
-    grid = _followed(grey, view, snapped, margin)
-    if grid.count < MIN_FOUND * grid.found.size:
+    view = FlatBoard(board, None if model is None else replace(model, T_camera_world=np.eye(4)))
+    outer_ids = np.ravel_multi_index(OUTER, view.shape, mode="wrap")
+    snapped = _snapped(grey, view, outer_ids, outer)
+    grid = followed(grey, view, outer_ids, snapped)
+    if grid.count < HALF * grid.found.size:
         raise InputError(
             f"only {grid.count} of {grid.found.size} corners are seen where the four given ones put the board",
             where=where,
-            remedy=f"{ORDER} Check that the board has {shape[1]} x {shape[0]} of them, and is in focus.",
+            remedy=f"{ORDER} Check that the board has {view.shape[1]} x {view.shape[0]} of them, and is in focus.",
         )
     ordered = _ordered(_whole(grey, grid, board), board, outer, where)
     return detection_of(ordered, grey.shape, camera=camera, frame_index=frame_index, target=target)
@@ -112,19 +77,19 @@ def _checked(outer_px: npt.ArrayLike, where: str) -> Array:
     return outer
 
 
-def _snapped(grey: npt.NDArray[np.uint8], view: _View, outer: Array) -> Array:
+def _snapped(grey: npt.NDArray[np.uint8], view: FlatBoard, ids: npt.NDArray[np.int64], outer: Array) -> Array:
     """Return the four saddles near the given corners with which most of the board's corners fall onto saddles."""
     found = [variant.to_raw(find_saddles(variant.make(grey), variant.smoothing_px).pixels) for variant in VARIANTS]
     saddles = np.concatenate([*found, outer])
     tree = cKDTree(saddles)
-    expected = view.corners(view.outer, outer)
+    expected = view.corners(ids, outer)
     choices = []
     for corner, field in zip(outer, _fields_px(expected)[OUTER], strict=True):
-        reach = max(POINTING_ERROR_PX, POINTING_ERROR_FIELDS * float(np.nan_to_num(field)))
+        reach = max(POINTING_ERROR_PX, HALF * float(np.nan_to_num(field)))
         distance, index = tree.query(corner, k=min(3 * CANDIDATES, len(saddles)), distance_upper_bound=reach)
         choices.append([corner, *_distinct(saddles[index[np.isfinite(distance)]], corner)])
     tries = [np.array(four) for four in product(*choices)]
-    return max(tries, key=lambda four: _hits(view, four, tree))
+    return max(tries, key=lambda four: _hits(view.corners(ids, four), tree))
 
 
 def _distinct(saddles: Array, corner: Array) -> list[Array]:
@@ -136,9 +101,8 @@ def _distinct(saddles: Array, corner: Array) -> list[Array]:
     return kept[:CANDIDATES]
 
 
-def _hits(view: _View, four: Array, tree: cKDTree) -> tuple[int, float]:
+def _hits(expected: Array, tree: cKDTree) -> tuple[int, float]:
     """Return how many corners fall onto saddles; and, less being better, how far from them they lie."""
-    expected = view.corners(view.outer, four)
     near = np.maximum(HIT_FIELDS * _fields_px(expected), MIN_HIT_PX).ravel()
     distance, _ = tree.query(np.nan_to_num(expected.reshape(-1, 2), nan=-1e6))
     hit = distance < near
@@ -149,22 +113,6 @@ def _fields_px(corners: Array) -> Array:
     """Return the shorter side of the field at each corner, px (rows, columns)."""
     along, down = steps(corners)
     return np.fmin(np.linalg.norm(along, axis=2), np.linalg.norm(down, axis=2))
-
-
-def _followed(grey: npt.NDArray[np.uint8], view: _View, outer: Array, margin: float) -> CornerGrid:
-    """Fit corners where they are expected; expect the others from those found; until nothing is added."""
-    grid, expected = empty_grid(*view.shape), view.corners(view.outer, outer)
-    for _ in range(ROUNDS):
-        before = grid.count
-        grid = fitted(grey, expected, grid, margin)
-        if grid.count < 4:
-            return grid
-        near = predict(grid.pixels)
-        flat = view.corners(np.flatnonzero(grid.found), grid.pixels[grid.found])
-        expected = np.where(np.isfinite(near), near, flat)
-        if grid.count <= before:
-            break
-    return grid
 
 
 def _whole(grey: npt.NDArray[np.uint8], grid: CornerGrid, board: Board) -> CornerGrid:

@@ -19,13 +19,14 @@ from scipy.spatial import cKDTree
 from capture_rig.lens import Array
 
 MAX_SADDLES = 3000
+HALF = 0.5
+"""Nearer to what is looked for than to something else: of a field, of the variance of a window, of the step between
+neighbouring quadrants, of the sine between an edge and the way to a neighbour."""
 # Thresholds: measured by python bench/calibration.py --boards (found at which tilt and size).
 MIN_STRENGTH = 0.02  # of the response of the image's 20th strongest saddle
 NEIGHBOURS = 24
-MAX_SINE = 0.35  # of the angle between an edge and the way to the neighbour
 MIN_CORNERS = 6
 RING = 2.0  # radius of the ring, over the smoothing
-MAX_UNLIKE = 0.5  # how unlike opposite quadrants may be turns the step between neighbouring ones down
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,7 @@ def find_saddles(image: npt.NDArray[np.uint8], smoothing_px: tuple[float, float]
     return Saddles(pixels[crossing], first[crossing], second[crossing])
 
 
-def _saddle_point(smooth: np.ndarray, row: Array, column: Array, xx: Array, xy: Array, yy: Array) -> Array:
+def _saddle_point(smooth: np.ndarray, row: np.ndarray, column: np.ndarray, xx: Array, xy: Array, yy: Array) -> Array:
     """Return where the gradient vanishes, by one Newton step (at most one pixel)."""
     gx = 0.5 * (smooth[row, column + 1] - smooth[row, column - 1])
     gy = 0.5 * (smooth[row + 1, column] - smooth[row - 1, column])
@@ -109,7 +110,7 @@ def _is_crossing(
     x, y = np.ascontiguousarray(np.moveaxis(np.stack(ring), 2, 0), np.float32)
     bright, bright_too, dark, dark_too = cv2.remap(smooth, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     step = np.minimum(bright, bright_too) - np.maximum(dark, dark_too)
-    return step > MAX_UNLIKE * np.maximum(np.abs(bright - bright_too), np.abs(dark - dark_too))
+    return step > HALF * np.maximum(np.abs(bright - bright_too), np.abs(dark - dark_too))
 
 
 def _in_quads(links: npt.NDArray[np.int64], pixels: Array) -> npt.NDArray[np.int64]:
@@ -158,8 +159,8 @@ def _mutual_links(saddles: Saddles) -> npt.NDArray[np.int64]:
     for slot, (edge, swapped) in enumerate([(saddles.first, saddles.second), (saddles.second, saddles.first)] * 2):
         sign = 1.0 if slot < 2 else -1.0
         ahead = np.einsum("nkc,nc->nk", way, sign * edge) > 0
-        aside = np.abs(_cross(way, edge[:, None])) < MAX_SINE
-        parallel = np.abs(_cross(swapped[near], way)) < MAX_SINE
+        aside = np.abs(_cross(way, edge[:, None])) < HALF
+        parallel = np.abs(_cross(swapped[near], way)) < HALF
         cost = np.where(ahead & aside & parallel, length, np.inf)
         choice = np.argmin(cost, axis=1)
         best[:, slot] = np.where(np.isfinite(cost.min(axis=1)), near[np.arange(len(near)), choice], -1)

@@ -27,18 +27,17 @@ from .board import TargetDetection
 Grey = npt.NDArray[np.uint8]
 
 WAND = "wand"
-MIN_MARK_DISTANCE = 0.05  # of the wand's length
 MIN_ASYMMETRY = 0.15  # of the wand's length: markers that differ by less from their mirror image do not tell the ends
 MAX_BLOBS = 10
 # Thresholds: judgement, no measurement.
 OFF_PLACE = 0.02  # of the wand's length in the image: a spot farther from its place, along or beside, is no marker
+MIN_MARK_DISTANCE = 2 * OFF_PLACE  # of the wand's length: nearer, a spot might be either
 MAX_DEPTH_RATIO = 1.6  # far end over near end, in distance: a wand seen from less than twice its length away is refused
 MIN_CONTRAST = 30  # grey levels of a marker's peak above what surrounds it
 PEAK_SHARE = 0.4  # of the brightest marker: what is brighter than that belongs to a marker
 MIN_AREA_PX, MAX_AREA_SHARE = 2, 0.01  # of the image
 MAX_ELONGATION = 4  # length over width: a longer streak is a reflection or moved while exposed
 RIM_PX = 2  # around the thresholded blob, whose soft edge counts too
-FAINT = 0.1  # coverage of a pixel below which noise, not the marker, may have made it
 CENTROID_SIGMA_PX = 0.1
 
 
@@ -233,7 +232,7 @@ def _measure(
     behind = cv2.inpaint(np.ascontiguousarray(grey[part]), np.ascontiguousarray(lit[part]), 1.5, cv2.INPAINT_TELEA)
     full = float(grey[part][blob[part]].max())
     coverage = (grey[part] - behind.astype(float)) / np.maximum(full - behind.astype(float), 1.0)
-    weight = np.where(own, np.clip((coverage - FAINT) / (1 - 2 * FAINT), 0.0, 1.0), 0.0)
+    weight = np.where(own, np.clip(coverage, 0.0, 1.0), 0.0)
     rows, columns = np.mgrid[part]
     total = weight.sum()
     return (weight * columns).sum() / total, (weight * rows).sum() / total, float(bright[part][own].sum())

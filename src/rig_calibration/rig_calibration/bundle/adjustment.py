@@ -13,7 +13,7 @@ with U, V and W the blocks of J^T J by shared, by pose and mixed,
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -113,7 +113,7 @@ def _levenberg_marquardt(
         return state
     for _ in range(stop.iterations):
         linear = robust_rows(state, seen, layout.with_lens)
-        equations = with_prior(normal_equations(linear, seen, layout, len(free.poses)), prior, state, layout)
+        equations = normal_equations(linear, seen, layout, len(free.poses), prior, state)
         while True:
             trial = state.moved(*step(equations, free, damping))
             trial_cost = _cost(trial, seen, layout, prior)
@@ -145,90 +145,79 @@ def _cost(state: State, seen: Observations, layout: Layout, prior: Prior | None)
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """U (d, d), W (m, d, 6), V (m, 6, 6), and the right sides g_shared (d,), g_poses (m, 6)."""
+    """By pose, U (m, d, d), W (m, d, 6), V (m, 6, 6), and the right sides g_shared (m, d), g_poses (m, 6); what is
+    known of the shared unknowns beforehand: prior_U (d, d), prior_g (d,)."""
 
     U: Array
     W: Array
     V: Array
     g_shared: Array
     g_poses: Array
+    prior_U: Array
+    prior_g: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Reduced:
-    """The same after elimination: S (f, f) and b (f,) of the free shared unknowns, and V^-1 (m, 6, 6)."""
+    """What is left of each pose after its elimination, of the shared unknowns: information (m, d, d) and score (m, d),
+    0 for those that are held fixed; and V^-1 (m, 6, 6)."""
 
-    S: Array
-    b: Array
+    information: Array
+    score: Array
     V_inverse: Array
 
 
-def normal_equations(linear: Linearised, seen: Observations, layout: Layout, poses: int) -> NormalEquations:
-    """Sum the normal equations of all detections; a camera sees each pose of a target once."""
-    products = _products(linear)
+def normal_equations(
+    linear: Linearised,
+    seen: Observations,
+    layout: Layout,
+    poses: int,
+    prior: Prior | None = None,
+    state: State | None = None,
+) -> NormalEquations:
+    """Sum the normal equations of all detections by pose; a camera sees each pose of a target once."""
+    J = np.concatenate([linear.by_shared, linear.by_pose, linear.residual[..., None]], axis=2)
+    products = np.swapaxes(J, 1, 2) @ J
     size, k = layout.size, layout.width + layout.target_width
-    U, W, V = np.zeros((size, size)), np.zeros((poses, size, POSE)), np.zeros((poses, POSE, POSE))
-    g_shared, g_poses = np.zeros(size), np.zeros((poses, POSE))
+    U, W, V = np.zeros((poses, size, size)), np.zeros((poses, size, POSE)), np.zeros((poses, POSE, POSE))
+    g_shared, g_poses = np.zeros((poses, size)), np.zeros((poses, POSE))
     pairs = seen.camera * layout.targets + seen.target
     for pair in np.unique(pairs):  # those of one camera and target have the same columns
         rows = np.flatnonzero(pairs == pair)
         columns, pose = layout.columns(seen.camera[rows[:1]], seen.target[rows[:1]])[0], seen.pose[rows]
-        total = products[rows].sum(axis=0)
-        U[np.ix_(columns, columns)] += total[:k, :k]
-        g_shared[columns] += total[:k, -1]
+        U[pose[:, None, None], columns[:, None], columns] += products[rows, :k, :k]
+        g_shared[pose[:, None], columns] += products[rows, :k, -1]
         W[pose[:, None], columns] += products[rows, :k, k:-1]
         V[pose] += products[rows, k:-1, k:-1]
         g_poses[pose] += products[rows, k:-1, -1]
-    return NormalEquations(U, W, V, g_shared, g_poses)
-
-
-def with_prior(equations: NormalEquations, prior: Prior | None, state: State, layout: Layout) -> NormalEquations:
-    """Add what is known of the shared unknowns beforehand."""
-    if prior is None:
-        return equations
-    g = equations.g_shared + prior.information @ (prior.mean - _shared(state, layout))
-    return replace(equations, U=equations.U + prior.information, g_shared=g)
+    if prior is None or state is None:
+        return NormalEquations(U, W, V, g_shared, g_poses, np.zeros((size, size)), np.zeros(size))
+    pull = prior.information @ (prior.mean - _shared(state, layout))
+    return NormalEquations(U, W, V, g_shared, g_poses, prior.information, pull)
 
 
 def reduce(equations: NormalEquations, free: FreeUnknowns, damping: float = 0.0) -> Reduced:
     """Eliminate the poses; ``damping`` as in Levenberg-Marquardt, relative to the diagonals."""
-    V_inverse = np.asarray(_inverses(equations.V, damping) * free.poses[:, None, None], float)
-    W = equations.W[:, free.shared]
-    U = equations.U[np.ix_(free.shared, free.shared)]
-    flat = np.swapaxes(W, 0, 1).reshape(W.shape[1], POSE * len(W))
-    weighted = np.swapaxes(W @ V_inverse, 0, 1).reshape(W.shape[1], POSE * len(W))
-    S = U + damping * np.diag(np.diag(U)) - weighted @ flat.T
-    return Reduced(S, equations.g_shared[free.shared] - weighted @ equations.g_poses.ravel(), V_inverse)
+    floor = TINY * np.trace(equations.V, axis1=1, axis2=2)[:, None, None] + 1e-300
+    V_inverse = np.linalg.inv(equations.V + (damping * equations.V + floor) * np.eye(POSE))
+    V_inverse = V_inverse * free.poses[:, None, None]
+    weighted = equations.W @ V_inverse
+    information = equations.U - weighted @ np.swapaxes(equations.W, 1, 2)
+    score = equations.g_shared - (weighted @ equations.g_poses[..., None])[..., 0]
+    return Reduced(information * np.outer(free.shared, free.shared), score * free.shared, V_inverse)
 
 
 def step(equations: NormalEquations, free: FreeUnknowns, damping: float) -> tuple[Array, Array]:
     """Solve for the damped Gauss-Newton step: shared (d,), poses (m, 6)."""
-    reduced = reduce(equations, free, damping)
+    reduced, moving = reduce(equations, free, damping), np.ix_(free.shared, free.shared)
+    U = equations.U.sum(axis=0) + equations.prior_U
+    S = (reduced.information.sum(axis=0) + equations.prior_U + damping * np.diag(np.diag(U)))[moving]
     shared = np.zeros(len(free.shared))
-    shared[free.shared] = np.linalg.lstsq(reduced.S, reduced.b, rcond=None)[0]
+    shared[free.shared] = np.linalg.lstsq(S, (reduced.score.sum(axis=0) + equations.prior_g)[free.shared], rcond=None)[
+        0
+    ]
     rest = equations.g_poses - np.swapaxes(equations.W, 1, 2) @ shared
     return shared, (reduced.V_inverse @ rest[..., None])[..., 0]
-
-
-def information_of_each(linear: Linearised) -> tuple[Array, Array]:
-    """Compute what each detection says of its shared unknowns, its own pose eliminated: information (s, k, k) and
-    gradient (s, k), in the columns of ``by_shared``. Their sums are S and b where no pose is seen by two cameras."""
-    products = _products(linear)
-    k = products.shape[1] - POSE - 1
-    weighted = products[:, :k, k:-1] @ _inverses(products[:, k:-1, k:-1])
-    eliminated = products[:, :k] - weighted @ products[:, k:-1]
-    return eliminated[:, :, :k], eliminated[:, :, -1]
-
-
-def _products(linear: Linearised) -> Array:
-    """Return (s, k + 7, k + 7) of each detection: J^T J with the residual as the last column."""
-    J = np.concatenate([linear.by_shared, linear.by_pose, linear.residual[..., None]], axis=2)
-    return np.swapaxes(J, 1, 2) @ J
-
-
-def _inverses(V: Array, damping: float = 0.0) -> Array:
-    floor = TINY * np.trace(V, axis1=1, axis2=2)[:, None, None] + 1e-300
-    return np.linalg.inv(V + (damping * V + floor) * np.eye(POSE))
 
 
 def _shared(state: State, layout: Layout) -> Array:

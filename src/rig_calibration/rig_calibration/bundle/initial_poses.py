@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse.csgraph import connected_components
 
 from capture_rig.camera import CameraModel
@@ -80,28 +79,6 @@ def most_seen(detections: Sequence[TargetDetection], targets: Sequence[str]) -> 
     """Find the target with the most detections: the one that the others' sizes are compared with."""
     counts = {name: sum(detection.target == name for detection in detections) for name in targets}
     return max(sorted(counts), key=lambda name: counts[name])
-
-
-def comparable_targets(
-    detections: Sequence[TargetDetection], targets: Sequence[str], base: str
-) -> npt.NDArray[np.bool_]:
-    """Mark (k,) the targets whose size the views tell beside that of ``base``, which is not among them.
-
-    So it is when two cameras that are linked by targets of known size saw the target in the same frame.
-    """
-    known, changed = {base}, True
-    cameras = sorted({detection.camera for detection in detections})
-    while changed:
-        groups = groups_of(cameras, common_frames([seen for seen in detections if seen.target in known]))
-        more = {name for name in targets if name not in known and _seen_within(name, detections, groups)}
-        known, changed = known | more, bool(more)
-    return np.array([name in known and name != base for name in targets])
-
-
-def _seen_within(target: str, detections: Sequence[TargetDetection], groups: Sequence[tuple[str, ...]]) -> bool:
-    group = {camera: index for index, members in enumerate(groups) for camera in members}
-    seen = [(detection.frame_index, group[detection.camera]) for detection in detections if detection.target == target]
-    return len(set(seen)) < len(seen)
 
 
 # --- First poses.

@@ -25,7 +25,7 @@ from .problem import DetectionPoses, View
 
 # Thresholds: judgement, no measurement.
 TOLERANCE = 0.05  # of the rotation that one board tells, rad, and of the board's distance
-CANDIDATE_FRAMES, VOTING_FRAMES = 40, 80
+VOTING_FRAMES = 80
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,25 +45,15 @@ class _Hypotheses(NamedTuple):
     weight: Array
     frame_index: npt.NDArray[np.int64]
 
-    def only(self, rows: npt.NDArray) -> _Hypotheses:
-        """Return those of the ``rows``."""
-        return _Hypotheses(
-            self.R[rows], self.centre_a[rows], self.centre_b[rows], self.weight[rows], self.frame_index[rows]
-        )
-
 
 def relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> RelativePose:
     """Find the pose of camera b relative to a from what both saw in the same frames: pairs (poses in a, poses in b)."""
-    hypotheses = _hypotheses(common)
-    voting = np.isin(hypotheses.frame_index, _evenly_spaced(len(common), VOTING_FRAMES))
-    candidates = np.flatnonzero(np.isin(hypotheses.frame_index, _evenly_spaced(len(common), CANDIDATE_FRAMES)))
-    R = hypotheses.R[candidates]
-    t = hypotheses.centre_b[candidates] - (R @ hypotheses.centre_a[candidates, :, None])[..., 0]
-    votes = _agreement(hypotheses.only(voting), R, t).sum(axis=1) * (1 + 1e-6 * hypotheses.weight[candidates])
+    voting = np.unique(np.linspace(0, len(common) - 1, VOTING_FRAMES).round().astype(np.int64))
+    hypotheses = _hypotheses([common[index] for index in voting])
+    t = hypotheses.centre_b - (hypotheses.R @ hypotheses.centre_a[..., None])[..., 0]
+    votes = _agreement(hypotheses, hypotheses.R, t).sum(axis=1) * (1 + 1e-6 * hypotheses.weight)
     best = int(np.argmax(np.round(votes, 9)))
-    R_b_a, t_b_a = R[best], t[best]
-    support = float(_agreement(hypotheses, R_b_a[None], t_b_a[None]).sum())
-    return RelativePose(transform(R_b_a, t_b_a), support)
+    return RelativePose(transform(hypotheses.R[best], t[best]), float(votes[best]) * len(common) / len(voting))
 
 
 def agreement_weight(angle: Array, distance_ratio: Array) -> Array:
@@ -81,21 +71,13 @@ def _hypotheses(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> _Hyp
     return _Hypotheses(R, centre_a, centre_b, weight, frame_index)
 
 
-def _evenly_spaced(count: int, wanted: int) -> npt.NDArray[np.int64]:
-    return np.unique(np.linspace(0, count - 1, min(count, wanted)).round().astype(np.int64))
-
-
-def _row_agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
-    """Return (candidates, hypotheses) how well each hypothesis agrees with each candidate."""
+def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
+    """Return (candidates, frames) the best agreement with each candidate in each frame."""
     miss = np.einsum("cij,oj->coi", R, hypotheses.centre_a) + t[:, None] - hypotheses.centre_b
     ratio = np.linalg.norm(miss, axis=2) / np.linalg.norm(hypotheses.centre_b, axis=1)
-    return hypotheses.weight * agreement_weight(angles_between(R, hypotheses.R), ratio)
-
-
-def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
-    """Return (candidates, frames) the best agreement in each frame."""
+    agreement = hypotheses.weight * agreement_weight(angles_between(R, hypotheses.R), ratio)
     starts = np.flatnonzero(np.diff(hypotheses.frame_index, prepend=-1))
-    return np.maximum.reduceat(_row_agreement(hypotheses, R, t), starts, axis=1)
+    return np.maximum.reduceat(agreement, starts, axis=1)
 
 
 # --- Wands.

@@ -1,5 +1,7 @@
 """Steps 4 and 5 together: adjust, leave out what contradicts the rest, adjust again, compare the targets' sizes.
 
+A wrong order of corners, a target that moved between the exposures, corners found on something else: what fits no pose
+of the target is left out for that; of three or more cameras that saw the target, the one farthest off; of two, both.
 Where cameras contradict one another more than the corners' noise explains, each detection may be displaced in the end
 (:mod:`.uncertainty`).
 """
@@ -18,6 +20,7 @@ from ..boards.board import TargetDetection
 from .adjustment import (
     CONVERGED,
     HUBER,
+    RAYLEIGH_MEDIAN,
     ROUGHLY,
     Adjusted,
     FreeUnknowns,
@@ -25,19 +28,39 @@ from .adjustment import (
     StopCriterion,
     adjust,
     normal_equations,
+    normalised_lengths,
     robust_rows,
     step,
-    with_prior,
 )
-from .initial_poses import InitialPoses, comparable_targets, most_seen, with_symmetry
-from .outliers import ODD_ONE, RIG_LIMITS, Limits, RejectedDetection, bad_corners, contradictions, readmissible
+from .initial_poses import InitialPoses, most_seen, with_symmetry
 from .problem import LENS, LINE, Problem, View
 from .state import WARP, Bools, Ints, Layout, Linearised, Observations, State, lens_of, observe, residuals_px
-from .uncertainty import MIN_DOF, Covariance, covariance, first_tau, next_tau, pose_misfit, whitened
+from .uncertainty import Covariance, covariance, displacement_of, whitened
 
-RETURNS = 3
-SYNC_ERROR_ROUNDS, GAUSS_NEWTON_STEPS = 4, 2
+ROUNDS = 20
+DISPLACEMENT_ROUNDS = 8
+SINGLE = "its corners do not fit the target's shape (found on something else, or the target is bent)"
+ODD_ONE = "contradicts the other cameras in that frame (wrong corners, or moved between the exposures)"
+PAIR = "the two cameras contradict each other in that frame (wrong corners, or moved between the exposures)"
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
+# Thresholds: judgement, no measurement.
+CLEAR_SDS = 5.0  # beyond so many standard deviations something is wrong, not imprecise
+WORST_FIRST = 0.7  # of the worst: what is left out in one round
+HARMLESS_PX = 0.3  # lenses that are not quite right and delays may do so much
+
+
+@dataclass(frozen=True, eq=False)
+class RejectedDetection:
+    """A detection that took no part, or the ``corners`` (ids) of it that took none, and why."""
+
+    detection: TargetDetection
+    reason: str
+    corners: tuple[int, ...] = ()
+
+    @property
+    def whole(self) -> bool:
+        """Whether the whole detection was left out."""
+        return not self.corners
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +69,7 @@ class Fit:
 
     ``seen`` holds the observations of all detections; ``free_scales`` (k,) which targets' sizes are unknown;
     ``alone_px`` (s,) the rms distance of each detection's corners under the pose that fits it best alone;
-    ``sync_error`` (s,), m, how far (sd) the target may have been elsewhere for each detection; ``prior`` of the lenses
+    ``displacement_m``, how far (sd) the target may have been elsewhere for each detection; ``prior`` of the lenses
     and warps, where these are adjusted; ``free_lenses`` (c, 12), ``free_warps`` (k, 2) which of them.
     """
 
@@ -61,7 +84,7 @@ class Fit:
     free_warps: Bools
     left_out: tuple[RejectedDetection, ...]
     alone_px: Array
-    sync_error: Array
+    displacement_m: float
     scale_of: dict[str, tuple[float, float]]
     prior: Prior | None = None
 
@@ -102,7 +125,7 @@ class Fit:
         """Covariances in the gauge that ``free`` sets; lenses that were not adjusted are as uncertain as given."""
         known = self.problem.lens_sd if self.prior is None else {}
         lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known}
-        return covariance(self.adjusted, self.used, free, lenses, self.sync_error[self.rows], self.prior)
+        return covariance(self.adjusted, self.used, free, lenses, self.displacement_m, self.prior)
 
     def rows_at_solution(self, with_lens: bool) -> Linearised:
         """The residuals' rows at the solution: robustly weighted, in units of the noise found."""
@@ -136,7 +159,7 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
         free_warps=np.zeros((targets, WARP), bool),
         left_out=left_out,
         alone_px=np.array([_alone_px(view) for view in views]),
-        sync_error=np.zeros(len(detections)),
+        displacement_m=0.0,
         scale_of={},
     )
 
@@ -151,26 +174,32 @@ def _alone_px(view: View) -> float:
 def fit_robustly(fit: Fit, refine_intrinsics: bool = False) -> Fit:
     """Adjust, leave contradictions out, weigh noisy detections down."""
     # Sizes first: a target whose size is given wrongly would contradict everything else.
-    base = most_seen(fit.detections, list(fit.problem.shapes))
-    comparable = comparable_targets(fit.detections, list(fit.problem.shapes), base)
-    fit = _compare_sizes(without_contradictions(replace(fit, free_scales=comparable)))
+    names = list(fit.problem.shapes)
+    beside_base = np.array(names) != most_seen(fit.detections, names)
+    fit = _compare_sizes(without_contradictions(replace(fit, free_scales=beside_base)))
     return settled(_with_free_lenses(fit) if refine_intrinsics else fit)
 
 
-def settled(fit: Fit, limits: Limits = RIG_LIMITS) -> Fit:
+def settled(fit: Fit) -> Fit:
     """Adjust, contradictions left out, targets allowed to have moved between the cameras' exposures."""
-    return _estimate_sync_error(without_contradictions(fit, limits))
+    return _with_displacement(without_contradictions(fit))
 
 
-def without_contradictions(fit: Fit, limits: Limits = RIG_LIMITS) -> Fit:
-    """Adjust, leave out what contradicts the rest, and take back what fits after all."""
-    fit = _narrowed(fit, limits)
-    for _ in range(RETURNS):
-        back = _taken_back(fit, limits)
-        if back is fit:
-            break
-        fit = _narrowed(back, limits)
-    return fit
+def without_contradictions(fit: Fit) -> Fit:
+    """Adjust and leave out what contradicts the rest, until nothing does."""
+    stop = ROUGHLY
+    for _ in range(ROUNDS):
+        fit = adjusted(fit, stop)
+        used = fit.used
+        wrong = _bad_corners(fit.adjusted, used)
+        out = _contradictions(fit.adjusted, used, fit.alone_px[fit.rows])
+        if out or wrong.any():
+            fit = _leave_out(fit, wrong, out)
+        elif stop is CONVERGED:
+            return fit
+        else:
+            stop = CONVERGED
+    return adjusted(fit)
 
 
 def adjusted(fit: Fit, stop: StopCriterion = CONVERGED) -> Fit:
@@ -196,23 +225,39 @@ def _first_state(problem: Problem, initial: InitialPoses) -> State:
     )
 
 
-# --- Leaving out and taking back.
+def _misfits(fit: Adjusted, seen: Observations) -> Array:
+    """Compute (s,) the median residual of each detection over what is to be expected: about 1 when all is well."""
+    lengths = normalised_lengths(fit.state, seen) / fit.scale
+    return np.nanmedian(np.where(seen.weight > 0, lengths, np.nan), axis=1) / RAYLEIGH_MEDIAN
 
 
-def _narrowed(fit: Fit, limits: Limits) -> Fit:
-    stop = ROUGHLY
-    for _ in range(limits.rounds):
-        fit = adjusted(fit, stop)
-        used = fit.used
-        wrong = bad_corners(fit.adjusted, used, limits)
-        out = contradictions(fit.adjusted, used, fit.alone_px[fit.rows], limits)
-        if out or wrong.any():
-            fit = _leave_out(fit, wrong, out)
-        elif stop is CONVERGED:
-            return fit
-        else:
-            stop = CONVERGED
-    return adjusted(fit)
+def _bad_corners(fit: Adjusted, seen: Observations) -> Bools:
+    """Mark (s, n) corners far off, by the noise of their own detection, in detections that are good otherwise."""
+    lengths, misfit = normalised_lengths(fit.state, seen), _misfits(fit, seen)[:, None]
+    off = (lengths > CLEAR_SDS * fit.scale * np.maximum(misfit, 1.0)) & (lengths > HARMLESS_PX * seen.weight)
+    return off & (misfit < CLEAR_SDS)
+
+
+def _contradictions(fit: Adjusted, seen: Observations, alone_px: Array) -> list[tuple[int, str]]:
+    """Find the rows of detections to leave out, with the reason; of one pose of a target, no more than needs be.
+
+    ``alone_px`` (s,): the rms distance of the corners of each detection under the pose that fits it best alone.
+    """
+    misfit, sigma_px = _misfits(fit, seen), fit.scale / np.maximum(seen.weight.max(axis=1), 1e-300)
+    off_alone = alone_px > np.sqrt(2.0) * np.maximum(CLEAR_SDS * sigma_px, HARMLESS_PX)
+    # lesser ones may only follow from the worst
+    limit = max(CLEAR_SDS, WORST_FIRST * float(misfit.max(initial=0.0)))
+    found: list[tuple[int, str]] = []
+    for pose in np.unique(seen.pose[(misfit > limit) & (misfit * sigma_px * RAYLEIGH_MEDIAN > HARMLESS_PX)]):
+        rows = np.flatnonzero(seen.pose == pose)
+        own = rows[off_alone[rows]]
+        if len(own) or len(rows) == 1:
+            found += [(int(row), SINGLE) for row in (own if len(own) else rows)]
+        elif len(rows) == 2:
+            found += [(int(row), PAIR) for row in rows]
+        else:  # the others outvote it: Huber's loss grows like the distance, and they agree
+            found.append((int(rows[np.argmax(misfit[rows])]), ODD_ONE))
+    return sorted(found)
 
 
 def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
@@ -232,42 +277,21 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
     return replace(fit, seen=replace(fit.seen, weight=weight), rows=rows, left_out=(*fit.left_out, *named))
 
 
-def _taken_back(fit: Fit, limits: Limits) -> Fit:
-    """Return the fit with those detections taken back that fit now; the same object when there are none."""
-    rows = readmissible(fit.adjusted, fit.seen, fit.rows, limits)
-    if len(rows) == 0:
-        return fit
-    again = {id(fit.all_detections[row]) for row in rows}
-    left_out = tuple(out for out in fit.left_out if not out.whole or id(out.detection) not in again)
-    return replace(fit, rows=np.union1d(fit.rows, rows), left_out=left_out)
-
-
 # --- Detections that are believed less than their corners claim.
 
 
-def _estimate_sync_error(fit: Fit) -> Fit:
+def _with_displacement(fit: Fit) -> Fit:
     """Where cameras contradict one another more than corners' noise explains, targets may have moved between them."""
-    linear = fit.rows_at_solution(fit.layout.with_lens)
-    misfit, shared = pose_misfit(linear), int(fit.free(fit.layout).shared.sum())
-    ratio, dof = misfit.ratio(linear.residual, int((fit.used.weight > 0).sum()), fit.used.pose, shared)
-    if dof < MIN_DOF or ratio < 1 + HUBER * np.sqrt(2 / dof):
-        return fit
-    tau = np.full(len(fit.rows), first_tau(linear, misfit, dof))
-    for _ in range(SYNC_ERROR_ROUNDS):
-        for _ in range(GAUSS_NEWTON_STEPS):
-            fit = _whitened_step(fit, tau)
-        tau = next_tau(tau, whitened(fit.rows_at_solution(fit.layout.with_lens), tau), fit.used.pose)
-    sync_error = np.zeros(len(fit.sync_error))
-    sync_error[fit.rows] = tau
-    return replace(_whitened_step(fit, tau), sync_error=sync_error)
-
-
-def _whitened_step(fit: Fit, tau: Array) -> Fit:
-    state, layout = fit.adjusted.state, fit.layout
-    linear = whitened(fit.rows_at_solution(layout.with_lens), tau)
-    equations = with_prior(normal_equations(linear, fit.used, layout, len(state.position)), fit.prior, state, layout)
-    moved = state.moved(*step(equations, fit.free(layout), 0.0))
-    return replace(fit, adjusted=replace(fit.adjusted, state=moved))
+    state, layout, free = fit.adjusted.state, fit.layout, fit.free(fit.layout)
+    for _ in range(DISPLACEMENT_ROUNDS):
+        linear, corners = fit.rows_at_solution(layout.with_lens), int((fit.used.weight > 0).sum())
+        tau = displacement_of(linear, fit.used.pose, int(free.shared.sum()), corners)
+        if tau == 0.0:
+            return fit
+        rows, poses = whitened(linear, tau), len(state.position)
+        state = state.moved(*step(normal_equations(rows, fit.used, layout, poses, fit.prior, state), free, 0.0))
+        fit = replace(fit, adjusted=replace(fit.adjusted, state=state), displacement_m=tau)
+    return fit
 
 
 # --- Sizes of targets, and lenses.
@@ -277,11 +301,12 @@ def _compare_sizes(fit: Fit) -> Fit:
     """Return the targets' sizes beside the base's; those that agree with what was given are held fixed from now on."""
     if not fit.free_scales.any():
         return fit
-    sd = fit.covariance(fit.free(replace(fit.layout, with_lens=True))).scale
+    sd = fit.covariance(fit.free(replace(fit.layout, with_lens=True))).scale_sd
     ratio = fit.adjusted.state.scale
     agree = np.abs(ratio - 1) <= HUBER * sd
     names = list(fit.problem.shapes)
-    scale_of = {names[k]: (float(ratio[k]), float(sd[k])) for k in np.flatnonzero(fit.free_scales)}
+    told = np.flatnonzero(fit.free_scales & (HUBER * sd < 1))  # not where no view compares it with the base
+    scale_of = {names[k]: (float(ratio[k]), float(sd[k])) for k in told}
     state = replace(fit.adjusted.state, scale=np.where(agree, 1.0, ratio))
     return replace(
         fit, adjusted=replace(fit.adjusted, state=state), free_scales=fit.free_scales & ~agree, scale_of=scale_of

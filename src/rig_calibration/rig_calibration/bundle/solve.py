@@ -15,10 +15,9 @@ from capture_rig.rigid import transform
 
 from ..boards.board import TargetDetection
 from .adjustment import FreeUnknowns, normal_equations, reduce, step
-from .initial_poses import initial_poses, most_seen, require_connected
-from .outliers import RejectedDetection
+from .initial_poses import initial_poses, require_connected
 from .problem import PoseKey, Problem, all_undistorted, check_problem, views_of
-from .robust_fit import NO_POSE, Fit, fit_robustly, start_fit
+from .robust_fit import NO_POSE, Fit, RejectedDetection, fit_robustly, start_fit
 from .state import State, camera_with, residuals_px
 from .uncertainty import whitened
 
@@ -34,13 +33,13 @@ class RigSolution:
     reports it).
     covariance : (6, 6) by camera, relative to the reference: rotation vector (rad, in the camera's frame), centre (m,
     in the reference's frame). inflation : by how much it exceeds what independent errors of corners would leave (1: not
-    at all), because the cameras contradict one another: a target that moved between the exposures or is bent, a lens.
+    at all), because corners at one pose of a target err together: it moved between the exposures or is bent, a lens.
     sync_error_m : by how much (sd) the targets seem to have moved between the cameras' exposures, 0 where nothing says
     that they did.
     left_out : detections that took no part, with the reason (not those of a wand that no other camera saw, which tell
     nothing).
     undecided : cameras whose half turn nothing settles. scale_of : by target, the size that it has beside
-    the most seen one (``scale_base``) over the size given, and its standard deviation; believed when consistent with
+    the most seen one over the size given, and its standard deviation; believed when consistent with
     1, else the solution uses the ratio. focal_of : by camera, the focal length that all views together ask for over the
     one given (or refined), and its standard deviation: far from 1, the intrinsics are not this camera's.
     """
@@ -56,7 +55,6 @@ class RigSolution:
     sync_error_m: float
     left_out: tuple[RejectedDetection, ...]
     undecided: tuple[str, ...]
-    scale_base: str
     scale_of: dict[str, tuple[float, float]]
     focal_of: dict[str, tuple[float, float]]
 
@@ -178,23 +176,20 @@ def _focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
     standard deviation."""
     state, names = fit.adjusted.state, list(fit.problem.cameras)
     layout = replace(fit.layout, with_lens=True)
-    linear = whitened(fit.rows_at_solution(with_lens=True), fit.sync_error[fit.rows])
-    equations = normal_equations(linear, fit.used, layout, len(state.position))
+    linear = whitened(fit.rows_at_solution(with_lens=True), fit.displacement_m)
     focal_px = np.sqrt(state.lens[:, 0] * state.lens[:, 1])
-    free, U = fit.free(layout), equations.U.copy()
-    shared = free.shared.copy()
-    for row in range(len(names)):
-        pinhole = np.arange(layout.size)[layout.lens(row)][:PINHOLE]
-        shared[pinhole] = True
-        U[pinhole, pinhole] += (WIDE * focal_px[row]) ** -2.0
-    asked = replace(equations, U=U)
-    free = FreeUnknowns(shared, free.poses)
-    change = step(asked, free, 0.0)[0]
-    variance = np.zeros(layout.size)
-    variance[shared] = np.diag(np.linalg.pinv(reduce(asked, free).S, rcond=1e-14, hermitian=True))
+    pinholes = np.array([np.arange(layout.size)[layout.lens(row)][:PINHOLE] for row in range(len(names))])
+    free = fit.free(layout)
+    free.shared[pinholes] = True
+    sd = np.full(layout.size, np.inf)
+    sd[pinholes] = WIDE * focal_px[:, None]
+    equations = normal_equations(linear, fit.used, layout, len(state.position))
+    equations = replace(equations, prior_U=np.diag(sd**-2.0))
+    change = step(equations, free, 0.0)[0]
+    S = reduce(equations, free).information.sum(axis=0) + equations.prior_U
+    variance = np.diag(np.linalg.pinv(S, rcond=1e-14, hermitian=True))
     found = {}
-    for row, name in enumerate(names):
-        focal = np.arange(layout.size)[layout.lens(row)][:2]
+    for row, (name, focal) in enumerate(zip(names, pinholes[:, :2], strict=True)):
         ratio = float(np.mean(1 + change[focal] / state.lens[row, :2]))
         found[name] = ratio, float(np.sqrt(variance[focal].mean()) / focal_px[row])
     return found
@@ -225,10 +220,9 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
         rms_px=dict(zip(names, rms_px, strict=True)),
         covariance=dict(zip(names, found.cameras, strict=True)),
         inflation=found.inflation,
-        sync_error_m=float(np.sqrt(np.mean(fit.sync_error[fit.rows] ** 2))),
+        sync_error_m=fit.displacement_m,
         left_out=tuple(sorted((out for out in fit.left_out if out.whole), key=_place)),
         undecided=_undecided(fit),
-        scale_base=most_seen(fit.detections, list(problem.shapes)),
         scale_of=fit.scale_of,
         focal_of=_focal_ratios(fit),
     )

@@ -1,23 +1,22 @@
-"""Step 6: how well cameras, lenses and targets are known, where cameras contradict one another among other things.
+"""Step 6: how well cameras, lenses and targets are known, where errors are not independent among other things.
 
 From the normal equations of all corners, in the gauge of the solution: the reference (a camera, or one pose of a
 target) is exact by definition, everything else is known relative to it.
 
-    covariance = S^-1 v F + sum over cameras of G Sigma_lens G^T,    G = -S^-1 S_lens
+    covariance = D P D + sum over cameras of G Sigma_lens G^T,    P = (S + prior)^-1,    G = -P S_lens
 
-S: reduced normal equations of the free unknowns; v: variance factor of the robust residuals; F >= 1: by how much
-cameras contradict one another beyond the noise of corners and what displacements explain; G: what an error of the lens
-parameters, held fixed, does to the poses.
+S: reduced normal equations, in units of the noise (Huber's variance factor); G: what an error of the lens parameters,
+held fixed, does to the poses.
 
-Whether cameras contradict one another by more than the noise of corners explains is an analysis of variance. The
-corners of one detection err together as if the target lay elsewhere when it moved between exposures, is bent, or a lens
-is not quite known: that part of a residual is its projection on what a change of the target's pose does to the picture.
-Cameras and targets, too, act on a detection only through that pose, so the rest of the residual is noise of corners.
+P assumes that corners err independently. Real ones do not: a view is a little blurred, a target is bent or moves
+between exposures, a shutter rolls, and then all corners at one pose of a target err together. The scatter of the poses'
+scores (the sandwich estimator for errors that clusters share, Liang & Zeger 1986) tells by how much P promises too
+much, and D enlarges it by that.
 
-Least squares would believe the many corners of such a detection far too much, above all across the line of sight, where
-a single picture tells a target's place to a fraction of a millimetre. So each detection is allowed a displacement of
-its own, unknown but for its standard deviation tau (m), which is estimated from how far the cameras contradict one
-another; weighing frames down by the target's speed would do the same, but needs speed and delay:
+Least squares would believe the many corners of a target that moved between two exposures far too much, above all across
+the line of sight, where a single picture tells a target's place to a fraction of a millimetre. So each detection is
+allowed a displacement of its own, unknown but for its standard deviation tau (m): the one with which the cameras
+contradict one another no more than noise does (Paule & Mandel 1982):
 
     covariance of a detection's residuals = I + tau^2 A A^T,    A: derivatives by the target's position
 """
@@ -28,6 +27,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 
 from capture_rig.lens import Array
 
@@ -42,27 +42,34 @@ from .adjustment import (
     reduce,
     robust_rows,
 )
-from .state import Bools, Ints, Layout, Linearised, Observations
+from .state import POSE, Bools, Ints, Layout, Linearised, Observations
 
-MIN_DOF = 18  # of the comparison between cameras: with less it tells nothing
 POSITION = slice(3, 6)
-# Thresholds: judgement, no measurement.
-PRIOR_DOF = 6  # degrees of freedom of the prior that holds a frame's displacement to that of all
-MAX_CHANGE = 4  # of tau^2 in one round
 
 
 @dataclass(frozen=True, eq=False)
 class Covariance:
-    """cameras (c, 6, 6): rotation vector (rad, in the camera's frame) and centre (m, in the reference's frame).
+    """of_shared (d, d): of all shared unknowns as laid out with their lenses, 0 where fixed: of a camera, rotation
+    vector (rad, in the camera's frame) and centre (m, in the reference's frame).
 
-    scale (k,): standard deviations of the targets' scales, 0 where fixed. variance_factor: the corners' variance over
-    the one given. inflation: the factor F by which the covariance exceeds what independent corners would leave.
+    variance_factor: the corners' variance over the one given. inflation: the factor by which errors that poses share
+    enlarge variances overall.
     """
 
-    cameras: Array
-    scale: Array
+    layout: Layout
+    of_shared: Array
     variance_factor: float
     inflation: float
+
+    @property
+    def cameras(self) -> Array:
+        """(c, 6, 6)."""
+        return np.array([self.of_shared[b, b] for b in map(self.layout.camera, range(self.layout.cameras))])
+
+    @property
+    def scale_sd(self) -> Array:
+        """(k,) standard deviations of the targets' scales."""
+        return np.sqrt(np.diag(self.of_shared)[self.layout.scales])
 
 
 def covariance(
@@ -70,35 +77,29 @@ def covariance(
     seen: Observations,
     free: FreeUnknowns,
     lens_sd: Mapping[int, Array],
-    sync_error: Array,
+    displacement_m: float,
     prior: Prior | None = None,
 ) -> Covariance:
     """Compute the covariances at the solution ``fit``; ``free`` sets the gauge (and frees the lenses that were
     refined).
 
-    ``lens_sd``: by row of the camera, (12,) of its lens parameters, where these were held fixed;
-    ``sync_error`` (s,): how far the target may have moved between exposures, sd, m.
+    ``lens_sd``: by row of the camera, (12,) of its lens parameters, where these were held fixed; ``displacement_m``:
+    how far (sd) the target may have moved between exposures.
     """
     layout = Layout(len(fit.state.centre), len(fit.state.scale), with_lens=True)
     scaled = seen.weighted(np.array(1 / fit.scale))
-    linear = whitened(robust_rows(fit.state, scaled, with_lens=True), sync_error)
+    linear = whitened(robust_rows(fit.state, scaled, with_lens=True), displacement_m)
     equations = normal_equations(linear, scaled, layout, len(free.poses))
-    S = reduce(equations, FreeUnknowns(np.ones(layout.size, bool), free.poses)).S
-    inverse = _inverse(S if prior is None else S + prior.information, free.shared)
-    misfit, shared, corners = pose_misfit(linear), int(free.shared.sum()), int((scaled.weight > 0).sum())
-    unknowns = shared + pose_dof(scaled.pose, misfit.dof)
-    lengths = normalised_lengths(fit.state, scaled)[scaled.weight > 0]
-    factor = variance_factor(lengths, unknowns)
-    ratio, dof = misfit.ratio(linear.residual, corners, scaled.pose, shared)
-    inflation = max(ratio, 1.0) if dof >= MIN_DOF else 1.0
-    total = inverse * factor * inflation + _lens_effect(inverse, S, layout, lens_sd)
-    blocks = [layout.camera(c) for c in range(layout.cameras)]
-    return Covariance(
-        cameras=np.array([total[b, b] for b in blocks]),
-        scale=np.sqrt(np.diag(total)[layout.scales]),
-        variance_factor=factor * fit.scale**2,
-        inflation=inflation,
-    )
+    told = np.linalg.eigvalsh(equations.V[free.poses])  # six numbers of a pose, five of a wand's
+    unknowns = int(free.shared.sum() + (told > TINY * told[:, -1:]).sum())
+    factor = variance_factor(normalised_lengths(fit.state, scaled)[scaled.weight > 0], unknowns)
+    reduced = reduce(equations, FreeUnknowns(np.ones(layout.size, bool), free.poses))
+    information, score = reduced.information / factor, reduced.score / factor
+    S = information.sum(axis=0)
+    white = _inverse(S if prior is None else S + prior.information, free.shared)
+    enlarged, inflation = _enlarged(white, information, score)
+    total = enlarged + _lens_effect(white, S, layout, lens_sd)
+    return Covariance(layout, total, factor * fit.scale**2, inflation)
 
 
 def variance_factor(lengths: Array, unknowns: int) -> float:
@@ -110,10 +111,32 @@ def variance_factor(lengths: Array, unknowns: int) -> float:
 
 
 def _inverse(information: Array, free: Bools) -> Array:
-    """Return the inverse over the free unknowns, zeros elsewhere."""
+    """Return the inverse over the free unknowns, zeros elsewhere; also where exact corners leave coefficients that make
+    up for each other to rounding alone."""
+    some = information[np.ix_(free, free)]
+    unit = np.sqrt(np.maximum(np.diag(some), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(some / np.outer(unit, unit))
+    known = np.maximum(values, np.finfo(float).eps * values[-1:])
     full = np.zeros_like(information)
-    full[np.ix_(free, free)] = np.linalg.pinv(information[np.ix_(free, free)], rcond=1e-14, hermitian=True)
+    full[np.ix_(free, free)] = (vectors / known) @ vectors.T / np.outer(unit, unit)
     return full
+
+
+def _enlarged(white: Array, information: Array, score: Array) -> tuple[Array, float]:
+    """Enlarge the covariance by what the poses' scores (m, d) scatter beyond what their information (m, d, d) lets
+    expect; and the factor >= 1 overall.
+
+    Each parameter's own factor lies half-way between that and what its own scatter says, which is few numbers (nearer
+    to the former where few poses tell), and is never smaller than the overall one.
+    """
+    # of each score when the corners' noise is white: its own information less what the fit takes up
+    expected = (information - information @ white @ information).sum(axis=0)
+    scatter = score.T @ score
+    overall = max(float(np.trace(white @ scatter) / max(np.trace(white @ expected), 1.0)), 1.0)
+    variance = np.maximum(np.diag(white), 1e-300)
+    own = overall * variance + np.diag(white @ scatter @ white)
+    factors = np.sqrt(np.maximum(overall, own / (variance + np.diag(white @ expected @ white))))
+    return white * np.outer(factors, factors), overall
 
 
 def _lens_effect(inverse: Array, S: Array, layout: Layout, lens_sd: Mapping[int, Array]) -> Array:
@@ -124,77 +147,40 @@ def _lens_effect(inverse: Array, S: Array, layout: Layout, lens_sd: Mapping[int,
     return total
 
 
-# --- How far cameras contradict one another.
+# --- How far apart cameras see a target.
 
 
-@dataclass(frozen=True, eq=False)
-class PoseMisfit:
-    """squares (s,): squared length, in standard deviations, of the part of each detection's residual that a change of
-    pose would explain; dof (s,): how many numbers that is (6 or, for a wand, 5)."""
+def displacement_of(linear: Linearised, poses: Ints, shared: int, corners: int) -> float:
+    """Estimate the displacement (sd, m) of detections; 0 where noise explains as much.
 
-    squares: Array
-    dof: Ints
+    ``poses`` (s,): the pose of each; ``shared``: free shared unknowns; ``corners``: how many there are.
+    """
+    A = linear.by_pose[:, :, POSITION]
+    values, vectors = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)
+    pull = (np.swapaxes(A @ vectors, 1, 2) @ linear.residual[..., None])[..., 0]
+    values = np.maximum(values, 1e-300)
+    squares = pull**2 / values
+    left = 1 - len(np.unique(poses)) / len(poses) - shared / (POSE * len(poses))  # the share that fitting leaves
+    dof, rest_dof = left * squares.size, 2 * corners - squares.size
+    noise = (float((linear.residual**2).sum()) - squares.sum()) / max(rest_dof, 1)
+    if dof < 1 or noise <= 0 or squares.sum() / noise < dof + HUBER * np.sqrt(2 * dof):
+        return 0.0
 
-    def ratio(self, residual: Array, corners: int, poses: Ints, shared: int) -> tuple[float, int]:
-        """Variance of the pose-like part over that of the rest (1: corners err independently), and its degrees of
-        freedom. residual (s, 2n) weighted; poses (s,): the pose of each; shared: free shared unknowns."""
-        dof = int(self.dof.sum()) - pose_dof(poses, self.dof) - shared
-        rest_dof = 2 * corners - int(self.dof.sum())
-        rest = float((residual**2).sum() - self.squares.sum())
-        if dof <= 0 or rest_dof <= 0 or rest <= 0:
-            return 1.0, max(dof, 0)
-        return float(self.squares.sum() / dof / (rest / rest_dof)), dof
+    def excess(tau: float) -> float:
+        return float((squares / (noise + tau**2 * values)).sum()) - dof
 
-
-def pose_misfit(linear: Linearised) -> PoseMisfit:
-    """Find the pose-like part of the residuals of each detection."""
-    V = np.swapaxes(linear.by_pose, 1, 2) @ linear.by_pose
-    g = (np.swapaxes(linear.by_pose, 1, 2) @ linear.residual[..., None])[..., 0]
-    values, vectors = np.linalg.eigh(V)
-    along = (np.swapaxes(vectors, 1, 2) @ g[..., None])[..., 0]
-    seen = values > TINY * values[:, -1:]
-    squares = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0)
-    return PoseMisfit(squares.sum(axis=1), seen.sum(axis=1))
+    return float(brentq(excess, 0.0, np.sqrt((squares / values).sum() / dof)))
 
 
-def pose_dof(poses: Ints, dof: Ints) -> int:
-    """Count how many numbers the poses that were seen have: six each, five for a wand."""
-    most = np.zeros(int(poses.max(initial=-1)) + 1, np.int64)
-    np.maximum.at(most, poses, dof)
-    return int(most.sum())
-
-
-def whitened(linear: Linearised, tau: Array) -> Linearised:
-    """Transform the rows so that the residuals are independent again; tau (s,), m."""
+def whitened(linear: Linearised, tau: float) -> Linearised:
+    """Transform the rows so that the residuals are independent again; tau: sd of each detection's displacement, m."""
     A = linear.by_pose[:, :, POSITION]
     values, vectors = np.linalg.eigh(np.swapaxes(A, 1, 2) @ A)
     values = np.maximum(values, 1e-12 * values[:, -1:] + 1e-300)
-    shrink = (1 - 1 / np.sqrt(1 + tau[:, None] ** 2 * values)) / values
+    shrink = (1 - 1 / np.sqrt(1 + tau**2 * values)) / values
     M = (vectors * shrink[:, None]) @ np.swapaxes(vectors, 1, 2)
 
     def apply(rows: Array) -> Array:
         return rows - A @ (M @ (np.swapaxes(A, 1, 2) @ rows))
 
     return Linearised(apply(linear.residual[..., None])[..., 0], apply(linear.by_shared), apply(linear.by_pose))
-
-
-def first_tau(linear: Linearised, misfit: PoseMisfit, dof: int) -> float:
-    """Estimate the displacement (m) that makes the residuals' part along it as large as it is, the same for all
-    detections."""
-    A = linear.by_pose[:, :, POSITION]
-    information = np.swapaxes(A, 1, 2) @ A
-    pull = np.swapaxes(A, 1, 2) @ linear.residual[..., None]
-    squares = float((np.swapaxes(pull, 1, 2) @ np.linalg.pinv(information, hermitian=True) @ pull).sum())
-    left = max(dof, 1) / misfit.dof.sum()  # the share that fitting poses leaves
-    excess = squares / left - 3 * len(A)
-    return float(np.sqrt(max(excess, 0.0) / np.trace(information, axis1=1, axis2=2).sum()))
-
-
-def next_tau(tau: Array, linear: Linearised, poses: Ints) -> Array:
-    """Improve the displacements (s,), pose by pose, from what contradiction is left in whitened residuals."""
-    misfit = pose_misfit(linear)
-    squares, total = np.bincount(poses, misfit.squares), np.bincount(poses, misfit.dof)
-    own = np.zeros(len(total))
-    np.maximum.at(own, poses, misfit.dof)
-    ratio = (PRIOR_DOF + squares) / (PRIOR_DOF + total - own)
-    return tau * np.sqrt(np.clip(ratio, 1 / MAX_CHANGE, MAX_CHANGE))[poses]

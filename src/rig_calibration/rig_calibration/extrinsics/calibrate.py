@@ -1,4 +1,9 @@
-"""From detections of boards to the rig in the world, its figures and its verdict: the recipe of the extrinsics."""
+"""From detections of boards to the rig in the world, its figures and its verdict: the recipe of the extrinsics (thesis
+6.1).
+
+The floor board is mostly seen at a grazing angle. A plane has two poses that fit its picture nearly as well
+(Schweighofer & Pinz 2006): both are kept unless the corners rule one out.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +16,15 @@ import numpy.typing as npt
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.lens import Array
-from capture_rig.rigid import inverse
+from capture_rig.rigid import inverse, transform
 
 from ..boards.board import Board, TargetDetection
 from ..boards.wand import WAND
-from ..bundle.problem import symmetry_order_of
+from ..bundle.problem import MIN_CORNERS, detection_poses, symmetry_order_of, target_shape
+from ..bundle.robust_fit import CLEAR_SDS
 from ..bundle.solve import RigSolution, solve_rig
-from .floor import FLOOR, floor_view
-from .verdict import RigCalibration, TapeMeasure
-from .world import WorldChoice, board_in_world, place_rig, rig_figures, world_of_level_camera
+from .verdict import FLOOR, RigCalibration, TapeMeasure
+from .world import FloorView, WorldChoice, board_in_world, place_rig, rig_figures, world_of_level_camera
 
 MOVING = "moving"
 """Name of a target, beside FLOOR and WAND."""
@@ -72,7 +77,6 @@ def calibrate_rig(
     cameras that see nothing, or groups that share no view.
     """
     floor = _floor_target(targets)
-    require_way_round(detections, targets)
     # all cameras and targets at once, in the frame of what lies on the floor
     solution = solve_rig(
         cameras,
@@ -96,22 +100,6 @@ def calibrate_rig(
     return RigCalibration(placed, solution, views, on_floor, figures, floor_guess, moved_frames or {}, checks)
 
 
-def require_way_round(detections: Iterable[TargetDetection], targets: Mapping[str, Target]) -> None:
-    """Raise InputError when only the floor target ties the cameras together and no picture tells which way round it
-    lies: each camera might as well stand on the other side of it."""
-    seen = {(detection.target, detection.camera) for detection in detections}
-    on_floor = sorted(camera for target, camera in seen if target == FLOOR)
-    floor = targets.get(FLOOR)
-    if floor is None or floor.symmetry_order == 1 or len(on_floor) < 2 or any(target != FLOOR for target, _ in seen):
-        return
-    raise InputError(
-        f"the floor board looks the same after 1/{floor.symmetry_order} of a turn, so that {', '.join(on_floor)} may "
-        "as well stand on the other side of it",
-        remedy="Use a board with an odd and an even number of inner corners, or a ChArUco board; or carry a board "
-        "through the room (--moving); or give its outer corners in each picture, the same one first (--corners).",
-    )
-
-
 def _floor_target(targets: Mapping[str, Target]) -> FloorTarget | None:
     floor = targets.get(FLOOR)
     if floor is not None and not isinstance(floor, FloorTarget):
@@ -124,3 +112,46 @@ def _world(solution: RigSolution, floor: FloorTarget | None) -> Array:
     if floor is None:
         return world_of_level_camera(solution.T_camera_reference[min(solution.T_camera_reference)])
     return floor.T_world_floor @ inverse(solution.T_reference_target[FLOOR_POSE])
+
+
+# --- The pose of one camera from the floor board alone.
+
+
+def floor_view(detection: TargetDetection, corners_board: Array, camera: CameraModel) -> FloorView:
+    """Find the camera's pose before the board that ``detection`` shows. Only the intrinsics of ``camera`` are used.
+
+    ``corners_board`` (n, 3) metres. Raises InputError for too few corners, and for a board seen from below.
+    """
+    if len(detection) < MIN_CORNERS:
+        raise InputError(
+            f"only {len(detection)} corners of the board are seen",
+            where=detection.camera,
+            remedy=f"Show it whole, or give its {MIN_CORNERS} outer corners (--corners).",
+        )
+    shape = target_shape(detection.target, corners_board)
+    poses = detection_poses(detection, camera, shape)
+    if poses is None:
+        raise InputError(
+            "the corners fit no pose of the board",
+            where=detection.camera,
+            remedy="Check its corners in the picture, or give its outer corners (--corners).",
+        )
+    T_camera_board = transform(poses.R, poses.t - poses.R @ shape.centroid)
+    above = np.flatnonzero(inverse(T_camera_board)[:, 2, 3] > 0)
+    if len(above) == 0:
+        raise InputError(
+            "the corners' order is that of a board seen from below or in a mirror",
+            where=detection.camera,
+            remedy="Lay the print upwards, switch off the camera's mirroring, and give outer corners "
+            "in reading order: the first row's two ends, then the last row's last and first.",
+        )
+    squares = poses.rms_px[above] ** 2  # of distances: twice the noise of a coordinate
+    sigma = max(detection.sigma_px, float(np.sqrt(squares[0] / 2)))
+    ruled_out = len(detection) * (squares - squares[0]) > (CLEAR_SDS * sigma) ** 2
+    to_camera = inverse(T_camera_board[above[0]])[:3, 3] - corners_board[detection.ids].mean(axis=0)
+    return FloorView(
+        camera=detection.camera,
+        T_camera_board=T_camera_board[above[0]],
+        other=T_camera_board[above[1]] if len(above) > 1 and not ruled_out[1] else None,
+        angle=float(np.arccos(np.clip(to_camera[2] / np.linalg.norm(to_camera), -1.0, 1.0))),
+    )

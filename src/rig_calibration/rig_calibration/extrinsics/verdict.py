@@ -18,11 +18,11 @@ from capture_rig.rig import Rig
 from capture_rig.verdict import REDO, USABLE, Finding, Verdict, graded, judge
 
 from ..bundle.initial_poses import cameras_by_pose
+from ..bundle.robust_fit import CLEAR_SDS
 from ..bundle.solve import RigSolution
-from .floor import FLOOR, FloorView
-from .world import CameraFigures, PlacedRig, RigFigures
+from .world import CameraFigures, FloorView, PlacedRig, RigFigures
 
-MIN_M = 0.2  # a shorter length tells nothing: a tape at a lens errs by a centimetre
+FLOOR = "floor"  # the name of the target
 
 
 @dataclass(frozen=True)
@@ -53,11 +53,11 @@ class TapeMeasure:
     def check(self, rig: Rig) -> TapeCheck:
         """Return the same length in the calibration. Raises InputError for an unknown camera and a useless length."""
         what = f"height of {self.one}" if self.other is None else f"{self.one} to {self.other}"
-        if not np.isfinite(self.tape_m) or self.tape_m < MIN_M:
+        if not np.isfinite(self.tape_m) or self.tape_m < MIN_TAPE_M:
             raise InputError(
                 f"{self.tape_m} m is no length to check with",
                 where=what,
-                remedy=f"Measure {MIN_M} m or more, to the middle of the lens.",
+                remedy=f"Measure {MIN_TAPE_M:.1f} m or more, to the middle of the lens.",
             )
         centre = rig.camera(self.one).centre_world
         length = centre[2] if self.other is None else np.linalg.norm(centre - rig.camera(self.other).centre_world)
@@ -83,11 +83,6 @@ class RigCalibration:
     moved_frames: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     tape: tuple[TapeCheck, ...] = ()
 
-    @property
-    def scales(self) -> dict[str, tuple[float, float]]:
-        """By target, its size relative to the most seen one's as the cameras see it, and that ratio's deviation."""
-        return {name: scale for name, scale in self.solution.scale_of.items() if name != self.solution.scale_base}
-
     @cached_property
     def verdict(self) -> Verdict:
         """GOOD, USABLE or REDO, with every finding and its remedy: the rig's, each camera's, and the footage's."""
@@ -104,8 +99,8 @@ FACING_DEG, CLOSE_DEG = 170.0, 12.0  # cameras that look at each other see the s
 MIN_CAMERAS = 3
 RESTING_FRAMES = 3  # a board that lies on the floor is seen there in so many frames
 RATIO = (0.01, 0.03)  # of two sizes, of a length to the tape's, of a focal length to the one given
-CLEAR_SDS = 4.0  # a ratio must depart from 1 by more than so many of its standard deviations
 TAPE_ERROR_M = 0.02  # a tape held against a lens errs by so much
+MIN_TAPE_M = TAPE_ERROR_M / RATIO[1]  # a shorter length tells nothing
 GRAZING_DEG = 75.0  # from the board's normal; beyond, its fields are too thin to find them well
 SD_MM, SD_DEG = (10.0, 40.0), (0.2, 1.0)
 RMS_PX, RMS_WIDTH_PX = (1.0, 3.0), 1000  # wider images may have residuals in proportion
@@ -134,13 +129,15 @@ def _of_floor(rig: RigCalibration) -> Iterator[Finding]:
     if rig.solution.undecided:
         yield Finding(
             REDO,
-            f"nothing tells on which side of the board {', '.join(rig.solution.undecided)} stand(s)",
-            "Use a board with an odd and an even number of inner corners, or a ChArUco board.",
+            f"nothing tells on which side of the board {', '.join(rig.solution.undecided)} stand(s): it looks the same "
+            "after part of a turn",
+            "Use a board with an odd and an even number of inner corners, or a ChArUco board; or carry a board through "
+            "the room (--moving); or give its outer corners in each picture, the same one first (--corners).",
         )
 
 
 def _of_scale(rig: RigCalibration) -> Iterator[Finding]:
-    for target, (ratio, sd) in sorted(rig.scales.items()):
+    for target, (ratio, sd) in sorted(rig.solution.scale_of.items()):
         yield from graded(
             abs(ratio - 1.0),
             (max(RATIO[0], CLEAR_SDS * sd), RATIO[1]),

@@ -22,7 +22,6 @@ from capture_rig.rig import DEFAULT_HEIGHT_M, FLOOR_MARGIN_M, Rig, Volume, defau
 from capture_rig.rigid import inverse
 
 from ..bundle.solve import RigSolution
-from .floor import FloorView
 
 CENTRE: Literal["centre"] = "centre"
 FIRST_CORNER: Literal["first-corner"] = "first-corner"
@@ -194,6 +193,20 @@ def _extent(counts: npt.NDArray[np.int64]) -> tuple[int, int]:
 # --- Its figures: each camera's, and how the cameras stand together.
 
 
+@dataclass(frozen=True, eq=False)
+class FloorView:
+    """How one camera sees the board on the floor.
+
+    T_camera_board : (4, 4). other : the second solution (4, 4), None when the corners rule it out. angle : of the
+    camera, rad, from the board's normal.
+    """
+
+    camera: str
+    T_camera_board: Array
+    other: Array | None
+    angle: float
+
+
 @dataclass(frozen=True)
 class CameraFigures:
     """Figures of one camera.
@@ -221,15 +234,13 @@ class RigFigures:
 
     rms_px : over all cameras' coordinates. gaps_deg : by pair of neighbours in azimuth around the volume's centre.
     facing_deg : by pair of cameras, the angle between the directions in which they see the volume's centre (180: they
-    look at each other). volume_m3, floor_m2 : as in CommonVolume.
+    look at each other).
     """
 
     cameras: tuple[CameraFigures, ...]
     rms_px: float
     gaps_deg: Mapping[tuple[str, str], float]
     facing_deg: Mapping[tuple[str, str], float]
-    volume_m3: float
-    floor_m2: tuple[float, ...]
 
     def camera(self, name: str) -> CameraFigures:
         """Return the figures of the camera called ``name``."""
@@ -248,8 +259,6 @@ def rig_figures(placed: PlacedRig, solution: RigSolution, floor: Mapping[str, Fl
         rms_px=float(np.sqrt(np.average(squares, weights=weights))),
         gaps_deg=_gaps_deg(cameras, centre),
         facing_deg=_facing_deg(cameras, centre),
-        volume_m3=placed.common.volume_m3,
-        floor_m2=placed.common.floor_m2,
     )
 
 

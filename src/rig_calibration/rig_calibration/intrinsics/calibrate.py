@@ -1,37 +1,40 @@
 """Intrinsics of one camera from views of a board (thesis 6.1), and which lens model they ask for.
 
-Of two models the one is taken that explains the views better, and by more than chance; of two that explain them alike,
-the one that has a ray for every pixel.
+A lens is the bundle adjustment of a rig of one camera, which holds the frame. Free are its lens (with a wide prior),
+the board's warp and its pose in each view. Of two models the one is taken that explains the views better; of two that
+explain them alike, the one that has a ray for every pixel.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.lens import COEFFICIENTS
+from capture_rig.lens import COEFFICIENTS, Array
 from capture_rig.rigid import transform
 from capture_rig.verdict import judge
 
 from ..boards.board import Board, TargetDetection
-from ..bundle.outliers import RejectedDetection
-from ..bundle.state import residuals_px
+from ..bundle.adjustment import RAYLEIGH_MEDIAN
+from ..bundle.initial_poses import initial_poses
+from ..bundle.problem import LENS, THIN, check_problem, detection_poses, shapes_of, views_of
+from ..bundle.robust_fit import NO_POSE, Fit, RejectedDetection, adjusted, settled, start_fit
+from ..bundle.state import camera_with, residuals_px
 from .coverage import placement_of
-from .lens_fit import LensFit, diagonal_m, fit_lens, usable_detections, view_squares
-from .lens_model import FISHEYE, RATIONAL, LensModel, edge_sd_px
-from .result import Intrinsics, ModelChoice, ViewResult, lens_findings
+from .lens_model import FISHEYE, LAYOUT, RATIONAL, LensModel, edge_sd_px, rational_prior
+from .result import UNUSED_GOOD, Intrinsics, ModelChoice, ViewResult, lens_findings
 
 AUTO = "auto"
 # Thresholds: judgement, no measurement.
-STANDARD_ERRORS = 2.0
 WORTHWHILE = 0.02  # relative gain in rms for which more coefficients are taken (by chance they gain 0.0003)
-LOST_PX = 10.0  # at most, of a view that a model cannot explain at all
-# a model has rays where they are known to that share of the image's width; where they are not, none at all are better
-KNOWN_RAYS = 0.05
-MORE_OF_IMAGE = 0.005  # share of the image that a model must have rays for beyond the other: a finger in one corner
+MIN_CORNERS = 8
+MIN_VIEWS = 3
+FOCAL_TRIALS = np.geomspace(0.2, 5.0, 9)  # of the image's longer side: from a fisheye to a long lens
+TRIAL_VIEWS = 12
 
 
 def calibrate_intrinsics(
@@ -54,25 +57,23 @@ def calibrate_intrinsics(
 def _result(
     fit: LensFit, board: Board, name: str, left_out: tuple[RejectedDetection, ...], choice: ModelChoice | None
 ) -> Intrinsics:
-    covariance, enlarged_by = fit.covariance()
     camera = replace(fit.camera, name=name)
     views = tuple(_view_results(fit, board))
     squares = np.concatenate([(view.residuals**2).sum(axis=1) for view in views])
-    names, sd = fit.model.names, np.sqrt(np.diag(covariance))
-    of_lens = covariance[: len(names), : len(names)]
+    names, sd = fit.model.names, np.sqrt(np.diag(fit.covariance))
     return Intrinsics(
         camera=camera,
         rms_px=float(np.sqrt(squares.mean())),
         sigma_px=fit.sigma_px,
         sd=dict(zip(names, sd[: len(names)].tolist(), strict=True)),
-        covariance=of_lens,
-        sd_enlarged_by=enlarged_by,
+        covariance=fit.of_lens,
+        sd_enlarged_by=float(np.sqrt(fit.inflation)),
         board_diagonal_m=diagonal_m(board),
         warp_m=(float(fit.warp_m[0]), float(fit.warp_m[1])),
         warp_sd_m=(float(sd[-2]), float(sd[-1])),
         views=views,
         left_out=left_out,
-        edge_sd_px=edge_sd_px(camera, of_lens),
+        edge_sd_px=edge_sd_px(camera, fit.of_lens),
         choice=choice,
         verdict=judge(()),
     )
@@ -115,31 +116,202 @@ def choose_model(views: Sequence[TargetDetection], board: Board) -> tuple[ModelC
         except InputError:  # a fisheye's views contradict each other by the other models
             if name == RATIONAL and not fits:
                 raise
-    squares = {name: _squares(fit, views) for name, fit in fits.items()}
-    rms_px = {name: float(np.sqrt(np.median(of_views))) for name, of_views in squares.items()}
-    chosen, *richer = fits
-    reason = "rms " + ", ".join(f"{rms_px[name]:.3f} px with {name}" for name in fits)
+    rms_px = {name: float(np.sqrt(np.median(view_squares(fit)))) for name, fit in fits.items()}
+    chosen, *richer = [name for name in fits if rms_px[name] <= (1 + WORTHWHILE) * min(rms_px.values())]
     why = ": no better, so the simpler one" if richer else ""
     for name in richer:
-        gain = np.log(squares[chosen]) - np.log(squares[name])  # logarithms: no view outweighs the others
-        margin = max(STANDARD_ERRORS * gain.std(ddof=1) / np.sqrt(len(gain)), 2 * WORTHWHILE)
-        lost, sd = fits[chosen].camera.unused_share, _edge_sd(fits[name])
-        wider = lost > fits[name].camera.unused_share + MORE_OF_IMAGE and sd < KNOWN_RAYS
-        if gain.mean() > margin:
-            chosen, why = name, ""
-        elif gain.mean() > -margin and wider:
+        lost, rest = (fits[each].camera.unused_share for each in (chosen, name))
+        if lost > rest + UNUSED_GOOD:
             why = f": as good, and {chosen} has no rays for the outer {100 * lost:.1f} % of the image"
             chosen = name
+    reason = "rms " + ", ".join(f"{rms_px[name]:.3f} px with {name}" for name in fits)
     return ModelChoice(chosen, rms_px, reason + why), fits[chosen]
 
 
-def _squares(fit: LensFit, views: Sequence[TargetDetection]) -> np.ndarray:
-    """(V,) px^2 of each view."""
-    found = view_squares(fit)
-    return np.clip([found[view.frame_index] for view in views], 1e-12, LOST_PX**2)
+# --- The fit of one model.
 
 
-def _edge_sd(fit: LensFit) -> float:
-    """Uncertainty of the outermost rays, as a share of the image's longer side."""
-    count = len(fit.model.names)
-    return edge_sd_px(fit.camera, fit.covariance()[0][:count, :count]) / max(fit.camera.width, fit.camera.height)
+@dataclass(frozen=True, eq=False)
+class LensFit:
+    """The lens that the views agree on, as far as they do.
+
+    camera : at the origin. fit : the solver's. sigma_px : of a corner's coordinate, from the residuals; the typical
+    view's. covariance (p, p) : of the lens's parameters and the board's warp; inflation : the factor >= 1 by which
+    errors that the corners of a view share enlarge variances overall.
+    """
+
+    model: LensModel
+    camera: CameraModel
+    fit: Fit
+    left_out: tuple[RejectedDetection, ...]
+    sigma_px: float
+    covariance: Array
+    inflation: float
+
+    @property
+    def warp_m(self) -> Array:
+        """(2,) how far the board's middle stands out, bent along its x and along its y axis."""
+        return self.fit.adjusted.state.board_warp[0]
+
+    @property
+    def of_lens(self) -> Array:
+        """Covariance of the lens's own parameters."""
+        count = len(self.model.names)
+        return self.covariance[:count, :count]
+
+
+def fit_lens(
+    detections: Sequence[TargetDetection], board: Board, model: LensModel, wide: LensFit | None = None
+) -> LensFit:
+    """Fit a lens of ``model`` to one camera's usable ``detections``, those that contradict the others left out.
+
+    ``wide`` : the fisheye fitted to the same, where a rational lens is wanted and there is one already. Raises
+    InputError when too few views agree.
+    """
+    radial, some = None, detections[:: max(1, len(detections) // TRIAL_VIEWS)]
+    if model.name == RATIONAL:
+        # its many coefficients are free where no board was seen: there the lens goes on as lenses do
+        fisheye = (wide or fit_lens(detections, board, LensModel(FISHEYE))).camera
+        radial = rational_prior(fisheye)
+        start = replace(fisheye, distortion_model=RATIONAL, D=radial[0])
+    else:
+        start = _camera_of(adjusted(_fit_from(_best_of_trials(some, board, model), some, board, model)))
+    # the plane's two solutions can be told apart only with a lens that is roughly right: poses anew
+    fit = settled(_fit_from(start, detections, board, model, radial))
+    if len(fit.rows) < MIN_VIEWS:
+        reason = fit.left_out[0].reason if fit.left_out else "too few fit any pose of the board"
+        raise InputError(
+            f"the views contradict each other: only {len(fit.rows)} of {len(detections)} agree ({reason})",
+            where=detections[0].camera,
+            remedy="Film one flat board only, keep it and the lens (zoom, focus) fixed, and name the board as it is.",
+        )
+    return _result_of(fit, model)
+
+
+def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) -> Array | None:
+    """Find (4, 4) the pose of the board's corners about their middle before the camera: of a plane's two solutions the
+    one that fits better; None when the corners determine none."""
+    shape = shapes_of({"": board.corners_board}, {})[""]
+    poses = detection_poses(detection, camera, shape)
+    return None if poses is None else transform(poses.R[0], poses.t[0])
+
+
+def view_squares(lens: LensFit) -> Array:
+    """Compute (V,) the mean squared residual, px^2, of all corners of each view, those left out among them."""
+    fit = lens.fit
+    residuals = residuals_px(fit.adjusted.state, fit.seen)
+    squares = [(r[: len(seen)] ** 2).mean() for r, seen in zip(residuals, fit.all_detections, strict=True)]
+    return np.array(squares, float)
+
+
+def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> CameraModel:
+    """Return the focal length that explains the views' perspective best."""
+    size = detections[0].image_size
+    trials = [model.camera(detections[0].camera, share * max(size), size) for share in FOCAL_TRIALS]
+    shapes = shapes_of({detections[0].target: board.corners_board}, {})
+
+    def typical_misfit(camera: CameraModel) -> float:
+        poses = [view.poses for view in views_of(detections, {camera.name: camera}, shapes)]
+        return float(np.median([np.inf if found is None else found.rms_px[0] for found in poses]))
+
+    return min(trials, key=typical_misfit)
+
+
+def _fit_from(
+    camera: CameraModel,
+    detections: Sequence[TargetDetection],
+    board: Board,
+    model: LensModel,
+    radial: tuple[Array, Array] | None = None,
+) -> Fit:
+    """Return the solver's first state: poses by that lens, lens and warp free with their prior."""
+    target = detections[0].target
+    problem = check_problem({camera.name: camera}, detections, {target: board.corners_board}, {}, {})
+    views = views_of(problem.detections, problem.cameras, problem.shapes)
+    fit = start_fit(problem, views, initial_poses(problem.cameras, views))
+    focal_px = float(camera.K.diagonal()[:2].mean())
+    return replace(
+        fit,
+        free_lenses=np.arange(LENS)[None] < len(model.names),
+        free_warps=np.ones_like(fit.free_warps),
+        prior=model.prior(focal_px, (camera.width, camera.height), diagonal_m(board), radial),
+    )
+
+
+def _camera_of(fit: Fit) -> CameraModel:
+    return camera_with(next(iter(fit.problem.cameras.values())), fit.adjusted.state.lens[0], np.eye(4))
+
+
+def _result_of(fit: Fit, model: LensModel) -> LensFit:
+    found, columns, used = fit.covariance(fit.free(LAYOUT)), model.columns, fit.used
+    sigma_px = float(np.median(1 / used.weight.max(axis=1)) * np.sqrt(found.variance_factor))
+    covariance = found.of_shared[columns[:, None], columns]
+    return LensFit(model, _camera_of(fit), fit, _left_out(fit, sigma_px), sigma_px, covariance, found.inflation)
+
+
+def _left_out(fit: Fit, sigma_px: float) -> tuple[RejectedDetection, ...]:
+    """Views left out, with how far their corners lie off, and single corners of those that were kept."""
+    kept = {detection.frame_index for detection in fit.detections}
+    away = np.linalg.norm(residuals_px(fit.adjusted.state, fit.seen), axis=2)
+    off = {d.frame_index: float(np.median(away[row, : len(d)])) for row, d in enumerate(fit.all_detections)}
+    named = []
+    for out in fit.left_out:
+        frame = out.detection.frame_index
+        if out.whole and out.reason != NO_POSE:
+            reason = (
+                f"its corners lie {off[frame]:.1f} px from where the other views' lens puts them, "
+                f"against {RAYLEIGH_MEDIAN * sigma_px:.2f} px elsewhere"
+            )
+            named.append(replace(out, reason=reason))
+        elif out.whole or frame in kept:
+            named.append(out)
+    return tuple(sorted(named, key=lambda out: out.detection.frame_index))
+
+
+# --- Which detections can be used.
+
+
+def usable_detections(
+    detections: Sequence[TargetDetection], board: Board
+) -> tuple[list[TargetDetection], list[RejectedDetection]]:
+    """Select the detections worth adjusting, ordered by frame; those that show too little, with the reason.
+
+    Raises InputError for images of several sizes, and for fewer than three views.
+    """
+    ordered = sorted(detections, key=lambda detection: detection.frame_index)
+    require_one_size(ordered)
+    reasons = [why_useless(detection, board) for detection in ordered]
+    kept = [detection for detection, reason in zip(ordered, reasons, strict=True) if not reason]
+    if len(kept) < MIN_VIEWS:
+        raise InputError(
+            f"{len(kept)} views of the board can be used, {MIN_VIEWS} are the least",
+            where=ordered[0].camera if ordered else "",
+            remedy="Take 20 or more, tilted and all over the image; check the board's size.",
+        )
+    return kept, [RejectedDetection(detection, why) for detection, why in zip(ordered, reasons, strict=True) if why]
+
+
+def require_one_size(detections: Sequence[TargetDetection]) -> None:
+    """Raise InputError for images of several sizes, naming the first frame of each."""
+    first = {detection.image_size: detection.frame_index for detection in reversed(detections)}
+    if len(first) > 1:
+        listed = ", ".join(f"{w} x {h} (first: frame {first[w, h]})" for w, h in sorted(first))
+        raise InputError(
+            f"the images have several sizes: {listed}",
+            where=detections[0].camera,
+            remedy="Give images of one size: the one that the camera will work with.",
+        )
+
+
+def why_useless(detection: TargetDetection, board: Board) -> str:
+    """Say why a detection is too little to fix the board's pose, "" when it is not."""
+    if len(detection) < MIN_CORNERS:
+        return f"shows {len(detection)} corners only"
+    seen = board.corners_board[detection.ids, :2]
+    spread = np.linalg.svd(seen - seen.mean(axis=0), compute_uv=False)
+    return "shows corners on one line only" if spread[1] < THIN * spread[0] else ""
+
+
+def diagonal_m(board: Board) -> float:
+    """Return the diagonal of the board's corners, m."""
+    return float(np.linalg.norm(np.ptp(board.corners_board, axis=0)))

@@ -6,6 +6,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from capture_rig.camera import CameraModel
+from capture_rig.lens import Array
+
 from .coverage import coverage_of
 from .result import Intrinsics
 
@@ -33,12 +36,11 @@ def draw(result: Intrinsics) -> Figure:
     return figure
 
 
-def _residuals(axis: Axes, result: Intrinsics) -> None:
-    pixels = np.concatenate([view.pixels for view in result.views])
-    residuals = np.concatenate([view.residuals for view in result.views])
+def draw_residuals(axis: Axes, camera: CameraModel, pixels: Array, residuals: Array) -> float:
+    """Draw residuals (n, 2) as arrows from their pixels (n, 2) over the camera's image; return the magnification."""
     every = max(1, -(-len(pixels) // MAX_ARROWS))
-    typical = max(float(np.percentile(np.hypot(*residuals.T), PERCENTILE)), 1e-9)
-    magnified = ARROW_SHARE * result.camera.width / typical
+    typical = max(float(np.percentile(np.hypot(*residuals.T), PERCENTILE)), 1e-3)
+    magnified = ARROW_SHARE * camera.width / typical
     axis.quiver(
         *pixels[::every].T,
         *residuals[::every].T,
@@ -48,10 +50,16 @@ def _residuals(axis: Axes, result: Intrinsics) -> None:
         scale=1 / magnified,
         width=0.0015,
     )
+    _image_frame(axis, camera)
+    return magnified
+
+
+def _residuals(axis: Axes, result: Intrinsics) -> None:
+    pixels = np.concatenate([view.pixels for view in result.views])
+    magnified = draw_residuals(axis, result.camera, pixels, np.concatenate([view.residuals for view in result.views]))
     for entry in result.left_out:
         if entry.whole:
             axis.plot(*np.asarray(entry.detection.pixels).T, "x", color=WRONG, markersize=3, alpha=0.5)
-    _image_frame(axis, result)
     axis.set_title(f"residuals, {magnified:.0f} times larger; red: views left out", fontsize=10)
 
 
@@ -67,7 +75,7 @@ def _coverage(axis: Axes, result: Intrinsics) -> None:
     axis.quiver(
         *centres.T, *leans.T, angles="xy", scale_units="xy", scale=np.deg2rad(45) / (0.1 * size[0]), width=0.004
     )
-    _image_frame(axis, result)
+    _image_frame(axis, result.camera)
     axis.set_title(
         f"corners cover {100 * coverage.image:.0f} % of the image; arrows: the edge\nthat leans towards the "
         "camera (45 degrees: a tenth of the width)",
@@ -75,11 +83,11 @@ def _coverage(axis: Axes, result: Intrinsics) -> None:
     )
 
 
-def _image_frame(axis: Axes, result: Intrinsics) -> None:
-    axis.set_xlim(-0.5, result.camera.width - 0.5)
-    axis.set_ylim(result.camera.height - 0.5, -0.5)
+def _image_frame(axis: Axes, camera: CameraModel) -> None:
+    axis.set_xlim(-0.5, camera.width - 0.5)
+    axis.set_ylim(camera.height - 0.5, -0.5)
     axis.set_aspect("equal")
-    axis.plot(*result.camera.K[:2, 2], "+", color=CURVE, markersize=14)
+    axis.plot(*camera.K[:2, 2], "+", color=CURVE, markersize=14)
     axis.set_xlabel("px")
 
 

@@ -14,9 +14,18 @@ from capture_rig.lens import Array
 from capture_rig.verdict import REDO, USABLE, Finding, Verdict, graded
 
 from ..boards.board import TargetDetection
-from ..bundle.outliers import RejectedDetection
+from ..bundle.robust_fit import CLEAR_SDS, RejectedDetection
 from .coverage import BoardPlacement
-from .lens_model import ASPECT_PRIOR, CENTRE_PRIOR, FISHEYE, REFERENCE_WIDTH_PX, SIMPLE, LensModel, outermost_pixels
+from .lens_model import (
+    ASPECT_PRIOR,
+    CENTRE_PRIOR,
+    FISHEYE,
+    REFERENCE_WIDTH_PX,
+    SIMPLE,
+    WARP_PRIOR,
+    LensModel,
+    outermost_pixels,
+)
 
 
 @dataclass(frozen=True)
@@ -154,14 +163,9 @@ EDGE_SD_PX = (2.0, 200.0)
 REACH = (0.75, 0.5)  # of the half diagonal
 TILT_DEG = (20.0, 8.0)
 NOISE_PX = (0.4, 1.2)  # sd of a corner's coordinate
-NOISE_FACTOR, NOISE_HARMLESS_PX = 3.0, 0.15  # residuals against what the corners' own sharpness promises
 FOCAL_RANGE = (0.2, 8.0)  # of the image's longer side; 0.24: a fisheye of 190 degrees in the height of 4:3
-LEFT_OUT_SHARE, CORNERS_LEFT_OUT_SHARE = 0.2, 0.03
-WARP_SDS, WARP_SHARE = 4.0, 0.002  # of the board's diagonal
-UNUSED = UNUSED_GOOD, UNUSED_USABLE = (
-    0.001,
-    0.3,
-)  # of the image's pixels: without rays; beyond, another model is needed
+LEFT_OUT_SHARE, CORNERS_LEFT_OUT_SHARE = (0.2, 0.5), (0.03, inf)
+UNUSED = UNUSED_GOOD, UNUSED_USABLE = 0.001, 0.3  # of the image's pixels: without rays
 WIDE_HALF_ANGLE_DEG = 50.0  # off the axis: beyond, plumb_bob misses the classical wide lenses by more than corners err
 UNDETERMINED = 0.5  # of the prior's sd: the views say next to nothing about a coefficient
 
@@ -181,17 +185,18 @@ def _views(result: Intrinsics) -> Iterator[Finding]:
     remedy = "take 20 or more, tilted, near and far, all over the image"
     yield from _too_little(count, FEW_VIEWS, f"only {count} views", remedy)
     whole = [entry for entry in result.left_out if entry.whole]
-    if len(whole) > LEFT_OUT_SHARE * (count + len(whole)):
-        yield Finding(
-            USABLE,
-            f"{len(whole)} of {count + len(whole)} views were left out, the first because it {whole[0].reason}",
-            "hold the board still, film one flat board only; try --model auto",
-        )
+    first = f" (the first: {whole[0].reason})" if whole else ""
+    yield from graded(
+        len(whole) / (count + len(whole)),
+        LEFT_OUT_SHARE,
+        f"{len(whole)} of {count + len(whole)} views were left out{first}",
+        "hold the board still, film one flat board only; try --model auto",
+    )
     single = sum(len(entry.corners) for entry in result.left_out)
     share = single / max(single + sum(len(view.ids) for view in result.views), 1)
     yield from graded(
         share,
-        (CORNERS_LEFT_OUT_SHARE, inf),
+        CORNERS_LEFT_OUT_SHARE,
         f"{100 * share:.0f} % of the corners contradict the others and were left out",
         "the lens may need another model: try --model auto",
     )
@@ -272,16 +277,12 @@ def unused_text(camera: CameraModel) -> str:
 
 
 def _noise(result: Intrinsics) -> Iterator[Finding]:
-    scale, sigma = _scale(result), result.sigma_px
     causes = (
         "board not flat, moving during exposure, rolling shutter, or the lens refocused or zoomed on the way: film "
         "a stiff board held still, with focus and zoom fixed"
     )
-    missed = f"corners miss their places by {sigma:.2f} px"
-    yield from graded(sigma / scale, NOISE_PX, missed, causes)
-    promised = float(np.median([view.detection.sigma_px for view in result.views]))
-    if NOISE_FACTOR * promised < sigma <= NOISE_PX[0] * scale and sigma > NOISE_HARMLESS_PX * scale:
-        yield Finding(USABLE, f"{missed} though they are sharp to {promised:.2f} px", causes)
+    missed = f"corners miss their places by {result.sigma_px:.2f} px"
+    yield from graded(result.sigma_px / _scale(result), NOISE_PX, missed, causes)
 
 
 def _plausibility(result: Intrinsics) -> Iterator[Finding]:
@@ -310,7 +311,7 @@ def _plausibility(result: Intrinsics) -> Iterator[Finding]:
     for axis, warp, sd in zip(("rows", "columns"), result.warp_m, result.warp_sd_m, strict=True):
         yield from graded(
             abs(warp),
-            (max(WARP_SDS * sd, WARP_SHARE * result.board_diagonal_m), inf),
+            (max(CLEAR_SDS * sd, WARP_PRIOR * result.board_diagonal_m), inf),
             f"the board is bent along its {axis}: its middle stands out by {1e3 * warp:.1f} mm",
             "allowed for here, but glue it to something flat before it measures the rig",
         )

@@ -18,8 +18,8 @@ from capture_rig.lens import Array
 
 from ..boards.board import Board, TargetDetection
 from ..boards.detector import as_grey, find_board
+from .calibrate import board_pose, fit_lens, require_one_size, why_useless
 from .coverage import BoardPlacement, Coverage, coverage_of, placement_of
-from .lens_fit import board_pose, fit_lens, why_useless
 from .lens_model import REFERENCE_WIDTH_PX, LensModel
 
 # Thresholds: measured by python bench/calibration.py (rendered video).
@@ -75,7 +75,6 @@ class ViewCollector:
         self._lens: CameraModel | None = None
         self._fitted_sd: Array = np.empty(0)  # of the lens's parameters, when it was fitted
         self._fitted, self._next_fit = 0, FIRST_FIT
-        self.refused = 0
 
     @property
     def detections(self) -> list[TargetDetection]:
@@ -88,9 +87,16 @@ class ViewCollector:
         """Add the view and return "", or say why not. ``motion_px`` : how far it moved from the image before.
 
         Raises InputError for an image of another size, corners the board has not."""
-        reason = self._add(detection, motion_px)
-        self.refused += bool(reason)
-        return reason
+        scale = max(detection.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
+        if detection.blur_px > max(BLUR_PX * scale, BLUR_FACTOR * self._sharpest()):
+            return f"too blurred: by {detection.blur_px:.1f} px; hold it still, check focus and exposure"
+        if not motion_px <= MOTION_PX * scale:
+            return "the board moves: hold it still"
+        if reason := why_useless(detection, self._board):
+            return reason
+        require_one_size([*self.detections[:1], detection])
+        held = self._placed(detection, float(np.hypot(detection.blur_px, motion_px)))
+        return "its pose cannot be told" if held is None else self._compare(held)
 
     @property
     def coverage(self) -> Coverage:
@@ -130,23 +136,6 @@ class ViewCollector:
         """Return the views to calibrate from, in the order of their frames."""
         return sorted(self.detections, key=lambda detection: detection.frame_index)
 
-    def _add(self, detection: TargetDetection, motion_px: float) -> str:
-        scale = max(detection.image_size[0] / REFERENCE_WIDTH_PX, 1.0)
-        if detection.blur_px > max(BLUR_PX * scale, BLUR_FACTOR * self._sharpest()):
-            return f"too blurred: by {detection.blur_px:.1f} px; hold it still, check focus and exposure"
-        if not motion_px <= MOTION_PX * scale:
-            return "the board moves: hold it still"
-        if reason := why_useless(detection, self._board):
-            return reason
-        if self._held and detection.image_size != self._held[0].detection.image_size:
-            raise InputError(
-                f"the images have several sizes: {self._held[0].detection.image_size}, then {detection.image_size}",
-                where=detection.camera,
-                remedy="Give images of one size.",
-            )
-        held = self._placed(detection, float(np.hypot(detection.blur_px, motion_px)))
-        return "its pose cannot be told" if held is None else self._compare(held)
-
     def _sharpest(self) -> float:
         return float(np.percentile([held.blur_and_motion_px for held in self._held], 25)) if self._held else 0.0
 
@@ -179,13 +168,12 @@ class ViewCollector:
         if len(self) < self._next_fit:
             return
         self._next_fit = int(np.ceil(GROWTH * len(self)))
-        start = self._lens if len(self) > ENOUGH_VIEWS else None  # with fewer it is not to be trusted
         try:
-            fit = fit_lens(self.best(), self._board, self._model, start=start)
+            fit = fit_lens(self.best(), self._board, self._model)
         except InputError:
             return
         self._lens, self._fitted = fit.camera, len(self)
-        self._fitted_sd = np.sqrt(np.diag(fit.covariance()[0]))
+        self._fitted_sd = np.sqrt(np.diag(fit.covariance))
         again = [self._placed(held.detection, held.blur_and_motion_px) for held in self._held]
         self._held = [held for held in again if held is not None]
 

@@ -15,8 +15,8 @@ from rich.console import Console
 from capture_rig.errors import InputError
 from capture_rig.rig import FARTHEST_M
 from rig_calibration.boards.board import Board, read_board
+from rig_calibration.extrinsics.board_frames import FloorAt
 from rig_calibration.extrinsics.calibrate import RigCalibration, calibrate_rig
-from rig_calibration.extrinsics.carried_board import FloorAt
 from rig_calibration.extrinsics.verdict import TapeMeasure
 from rig_calibration.extrinsics.world import CENTRE, FIRST_CORNER, WorldChoice
 

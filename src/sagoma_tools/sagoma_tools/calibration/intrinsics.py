@@ -18,8 +18,7 @@ from capture_rig.errors import InputError
 from capture_rig.files import make_folder
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.boards.board import Board, board_text
-from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
-from rig_calibration.intrinsics.lens_fit import MIN_VIEWS
+from rig_calibration.intrinsics.calibrate import AUTO, MIN_VIEWS, calibrate_intrinsics
 from rig_calibration.intrinsics.result import Intrinsics, report_of
 from rig_calibration.intrinsics.selection import ENOUGH_VIEWS, BoardImageProcessor, ViewCollector
 

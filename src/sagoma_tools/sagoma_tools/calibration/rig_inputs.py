@@ -20,9 +20,14 @@ from capture_rig.rig import load_rig
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.wand import wand_points, wand_symmetry_order
+from rig_calibration.extrinsics.board_frames import (
+    FloorAt,
+    StillBoard,
+    average_still_board,
+    choose_frames,
+    frames_on_floor,
+)
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND, FloorTarget, Target
-from rig_calibration.extrinsics.carried_board import FloorAt, choose_frames, frames_on_floor
-from rig_calibration.extrinsics.floor import StillBoard, average_still_board
 from rig_calibration.extrinsics.world import WorldChoice
 
 from .rig_detections import CameraDetections, Cameras, CamerasDetections, missing_reason

@@ -24,6 +24,7 @@ from capture_rig.rig import Volume, save_rig
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
 from rig_calibration.extrinsics.world import CameraFigures, PlacedRig, RigFigures
+from rig_calibration.intrinsics.picture import draw_residuals
 
 from ..console import GRADE_STYLE
 from ..doctor.rig import carried
@@ -86,11 +87,12 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
     gaps = ", ".join(f"{one}-{other} {gap:.0f}" for (one, other), gap in figures.gaps_deg.items())
     console.print(f"rms of all corners {figures.rms_px:.2f} px; between neighbours {gaps or 'none'} degrees")
     size = calibrated.placed.rig.volume.high - calibrated.placed.rig.volume.low
-    enough = calibrated.placed.common.enough
+    common = calibrated.placed.common
+    enough = common.enough
     console.print(
-        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {enough} cameras or more see {figures.volume_m3:.0f} "
-        f"m3, and a standing person on {figures.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: "
-        f"{figures.floor_m2[-1]:.1f})"
+        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {enough} cameras or more see {common.volume_m3:.0f} "
+        f"m3, and a standing person on {common.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: "
+        f"{common.floor_m2[-1]:.1f})"
     )
     console.print(carried(calibrated.placed.rig))
     if (frames := calibrated.floor_guess) != ():
@@ -158,13 +160,13 @@ def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
     return {
         "rms_px": _rounded(figures.rms_px),
         "volume_m": {"low": volume.low.tolist(), "high": volume.high.tolist()},
-        "seen_m3": _rounded(figures.volume_m3),
+        "seen_m3": _rounded(calibrated.placed.common.volume_m3),
         "cameras_for_seen": calibrated.placed.common.enough,
-        "floor_m2_seen_by_1_to_all": [_rounded(area) for area in figures.floor_m2],
+        "floor_m2_seen_by_1_to_all": [_rounded(area) for area in calibrated.placed.common.floor_m2],
         "between_neighbours_deg": {f"{a} {b}": _rounded(gap) for (a, b), gap in figures.gaps_deg.items()},
         "scale": {
             name: {"ratio": _rounded(ratio), "sd": _rounded(sd)}
-            for name, (ratio, sd) in sorted(calibrated.scales.items())
+            for name, (ratio, sd) in sorted(calibrated.solution.scale_of.items())
         },
         "tape": [str(check) for check in calibrated.tape],
     }
@@ -185,10 +187,7 @@ def _rounded(value: float | None) -> float | int | None:
 
 
 COLUMNS, DPI = 4, 90
-ARROW_SHARE, MAX_MAGNIFIED = 0.05, 200.0
-"""The residuals' rms is drawn as this share of the image's width, magnified at most so much."""
-MAX_ARROWS = 1500
-CAMERA, BOARD, BOX, RESIDUAL = "#1769aa", "#b22222", "#2e7d32", "#d9772b"
+CAMERA, BOARD, BOX = "#1769aa", "#b22222", "#2e7d32"
 X, Y, Z = 0, 1, 2
 GRID_M, GRID_REACH_M, AXIS_M = 0.5, 3.0, 0.5
 SAMPLE_M = 0.05
@@ -275,18 +274,8 @@ def _frustum_edges(camera: CameraModel) -> list[np.ndarray]:
 def _draw_residuals(
     axes: Axes, camera: CameraModel, figures: CameraFigures, places: np.ndarray, residuals: np.ndarray
 ) -> None:
-    step = -(-len(places) // MAX_ARROWS) or 1
-    magnified = min(ARROW_SHARE * camera.width / max(figures.rms_px, 1e-3), MAX_MAGNIFIED)
-    axes.quiver(
-        *places[::step].T,
-        *(residuals[::step] * magnified).T,
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        color=RESIDUAL,
-        width=0.003,
-    )
-    axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal", xticks=[], yticks=[])
+    magnified = draw_residuals(axes, camera, places, residuals)
+    axes.set(xticks=[], yticks=[])
     axes.set_title(f"{camera.name}: {figures.rms_px:.2f} px rms, arrows x {magnified:.0f}", fontsize=9)
 
 

@@ -1,4 +1,5 @@
-"""A board carried through the room: which frames to use, in which it lies on the floor, and where to carry it next.
+"""Frames of a board in the room: those of one at rest averaged, of one carried about which to use, in which it lies on
+the floor, and where to carry it next.
 
 Frames are used that several cameras share, spread over the volume, the board moving slowly. The board lies on the floor
 when the user says so, or where nothing was ever below its plane.
@@ -8,11 +9,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
@@ -22,13 +24,13 @@ from capture_rig.rigid import inverse
 from ..boards.board import Board, TargetDetection
 from ..bundle.initial_poses import cameras_by_pose, common_frames, groups_of
 from ..bundle.problem import symmetry_order_of
+from ..bundle.robust_fit import CLEAR_SDS
 from ..bundle.solve import solve_rig
-from .floor import SAME_PLACE_PX
 
 Feature = tuple[str | int, ...]
 
 MAX_FRAMES = 120
-CELLS = 4  # an image is divided into so many cells along its width and along its height
+CELLS = 3  # an image is divided into so many cells along its width and along its height
 
 
 def group_by_frame(detections: Iterable[TargetDetection]) -> dict[int, list[TargetDetection]]:
@@ -46,7 +48,7 @@ def choose_frames(detections: Sequence[TargetDetection], most: int = MAX_FRAMES)
     less the more often it is there. A board that moved fast counts less (exposure and synchronisation smear it). Of
     equal ones the earliest: the same detections, in any order, give the same choice.
     """
-    groups = {frame_index: group for frame_index, group in group_by_frame(detections).items() if _cameras(group) >= 2}
+    groups = {frame_index: group for frame_index, group in group_by_frame(detections).items() if len(group) > 1}
     if len(groups) <= most:
         return tuple(groups)
     stillness = _stillness(groups)
@@ -85,10 +87,6 @@ def shift_px(one: TargetDetection, two: TargetDetection) -> float:
     return float(np.median(way)) if len(way) else float("inf")
 
 
-def _cameras(group: Sequence[TargetDetection]) -> int:
-    return len({detection.camera for detection in group})
-
-
 def _stillness(groups: Mapping[int, Sequence[TargetDetection]]) -> dict[int, float]:
     """1 for a board at rest, a half at the usual speed, towards 0 when it is swung."""
     speeds = speeds_px(detection for group in groups.values() for detection in group)
@@ -118,8 +116,6 @@ FloorAt = int | Literal["first", "last", "lowest"]
 # Thresholds: judgement, no measurement.
 BELOW_M = 0.03  # so far may another board's corner, or a camera, lie below the plane of a board on the floor
 STRAYS_PERCENT = 1  # of all corners, so many may lie lower still: poses go wrong now and then
-RISES_M = 0.10  # the board must have been carried so far above that plane: two boards in one plane tell no floor
-SAME_PLACE_M = 0.01  # a board whose corners all stay within this rests
 
 
 def frames_on_floor(
@@ -132,12 +128,9 @@ def frames_on_floor(
     """
     if not moving:
         raise InputError("no picture shows the carried board", remedy="Check --board and --moving.")
-    if when == "first":
-        return resting_around(moving, min(detection.frame_index for detection in moving))
-    if when == "last":
-        return resting_around(moving, max(detection.frame_index for detection in moving))
     if when != "lowest":
-        return resting_around(moving, when)
+        shown = {detection.frame_index for detection in moving}
+        return resting_around(moving, min(shown) if when == "first" else max(shown) if when == "last" else when)
     chosen = set(choose_frames(moving))
     if not chosen:
         raise InputError(
@@ -150,7 +143,8 @@ def frames_on_floor(
     )
     poses = {frame_index: T for (_, frame_index), T in solution.T_reference_target.items()}
     centres = [inverse(T)[:3, 3] for T in solution.T_camera_reference.values()]
-    return find_resting_frames(poses, board.corners_board, centres)
+    lying = lying_frames(poses, board.corners_board, centres)
+    return max((resting_around(moving, frame_index) for frame_index in lying[::-1]), key=len)
 
 
 def resting_around(detections: Iterable[TargetDetection], frame_index: int) -> tuple[int, ...]:
@@ -174,41 +168,26 @@ def resting_around(detections: Iterable[TargetDetection], frame_index: int) -> t
     return tuple(frames[first : last + 1])
 
 
-def find_resting_frames(
+def lying_frames(
     T_reference_board: Mapping[int, Array], corners_board: Array, centres_reference: Sequence[Array]
 ) -> tuple[int, ...]:
-    """Find the frames, ascending, in which the board lies on the floor, at one place.
+    """Find the frames, ascending, in which no corner of any other frame, and no camera, lies below the board's plane.
 
-    A frame counts when no corner of any other frame, and no camera, lies below the board's plane. Of the places where
-    it does, the one where the board rested longest, of equal ones the last. ``corners_board`` (n, 3); centres (3,).
-    Raises InputError when there is no such frame.
+    ``corners_board`` (n, 3); centres (3,). Raises InputError when there is no such frame.
     """
-    frames = sorted(T_reference_board)
-    poses = np.array([T_reference_board[frame_index] for frame_index in frames])
-    corners = np.einsum("mij,nj->mni", poses[:, :3, :3], corners_board) + poses[:, None, :3, 3]
-    everything = np.concatenate([corners.reshape(-1, 3), np.reshape(centres_reference, (-1, 3))])
-    candidates = [m for m in range(len(frames)) if _supports(poses[m], everything, corners)]
-    if not candidates:
+    poses = np.array(list(T_reference_board.values()))
+    corners = poses[:, None, :3, :3] @ corners_board[..., None]
+    everything = np.concatenate([(corners[..., 0] + poses[:, None, :3, 3]).reshape(-1, 3), centres_reference])
+    heights = np.einsum("mek,mk->me", everything - poses[:, None, :3, 3], poses[:, :3, 2])
+    lowest = np.percentile(heights, STRAYS_PERCENT, axis=1)
+    found = [frame for frame, low in zip(T_reference_board, lowest, strict=True) if low > -BELOW_M]
+    if not found:
         raise InputError(
             "in no frame does the carried board lie on the floor: each time it was elsewhere below that plane",
             remedy="Lay it on the floor at the end and say when (--floor-at last or --floor-at FRAME), give pictures "
             "of it on the floor (--floor), or do without a floor (--floor-at none).",
         )
-    resting = {m: _at_same_place(corners, m) for m in candidates}
-    longest = max(candidates, key=lambda m: (len(resting[m]), m))
-    return tuple(frames[m] for m in resting[longest])
-
-
-def _supports(pose: Array, everything: Array, corners: Array) -> bool:
-    """Whether everything is on the printed side of the board, and some of it well off."""
-    height = (everything - pose[:3, 3]) @ pose[:3, 2]
-    board_height = (corners - pose[:3, 3]) @ pose[:3, 2]
-    return bool(np.percentile(height, STRAYS_PERCENT) > -BELOW_M and board_height.max() > RISES_M)
-
-
-def _at_same_place(corners: Array, frame_index: int) -> list[int]:
-    apart = np.linalg.norm(corners - corners[frame_index], axis=2).max(axis=1)
-    return np.flatnonzero(apart <= SAME_PLACE_M).tolist()
+    return tuple(sorted(found))
 
 
 def _rests(one: Sequence[TargetDetection], other: Sequence[TargetDetection]) -> bool:
@@ -223,11 +202,92 @@ def _ranges(frames: Sequence[int]) -> str:
     return ", ".join(shown) + (f", ... {frames[-1]}" if len(frames) > 8 else "")
 
 
+# --- The corners of a still board, averaged over frames without the hands that cover some.
+
+
+# Thresholds: measured by python bench/calibration.py.
+SAME_PLACE_PX = 1.0  # corners that lie further apart (median over the board) belong to a board, or a camera, that moved
+MIN_SHARE = 1 / 3  # a corner counts when so many of the frames that agree show it
+LASTING_PX = 0.05  # not removed by averaging: compression, the grid of pixels and the lens err alike in every frame
+
+
+@dataclass(frozen=True, eq=False)
+class StillBoard:
+    """What one camera's frames say together.
+
+    detection : the averaged corners. frames : the frames that agree. moved_frames : those that show the
+    board elsewhere.
+    """
+
+    detection: TargetDetection
+    frames: tuple[int, ...]
+    moved_frames: tuple[int, ...]
+
+
+def average_still_board(detections: Sequence[TargetDetection], board: Board, *, target: str) -> StillBoard:
+    """Average one camera's ``detections`` of a board that lies still, as a detection of ``target``.
+
+    The largest group of frames that show the board at the same place is taken, of equal ones the earliest; in it, a
+    corner's frames that stray from the median (a hand at its edge) are left out. Needs one detection or more.
+    """
+    ordered = sorted(detections, key=lambda detection: detection.frame_index)
+    pixels = _table(ordered, len(board.corners_board), board.half_turn_is_visible)  # (F, N, 2)
+    together = _largest_group(pixels)
+    chosen = pixels[together]
+    single = float(np.median([ordered[index].sigma_px for index in np.flatnonzero(together)]))
+    mean, count = _mean_without_outliers(chosen, single)
+    ids = np.flatnonzero(count >= max(1.0, MIN_SHARE * len(chosen)))
+    sigma = float(np.hypot(single / np.sqrt(np.median(count[ids])), LASTING_PX))
+    averaged = replace(ordered[0], frame_index=0, target=target, ids=ids, pixels=mean[ids], sigma_px=sigma)
+    frames = np.array([detection.frame_index for detection in ordered])
+    return StillBoard(averaged, tuple(frames[together].tolist()), tuple(frames[~together].tolist()))
+
+
+def _table(detections: Sequence[TargetDetection], corners: int, half_turn_is_visible: bool) -> Array:
+    """(F, corners, 2) pixels, NaN where a frame does not show a corner; boards that may be seen either way round are
+    counted as the first frame counts them."""
+    table = np.full((len(detections), corners, 2), np.nan)
+    for row, detection in zip(table, detections, strict=True):
+        row[detection.ids] = detection.pixels
+    if not half_turn_is_visible:
+        for row in table[1:]:
+            if _distance(row[::-1], table[0]) < _distance(row, table[0]):
+                row[:] = row[::-1].copy()
+    return table
+
+
+def _largest_group(pixels: Array) -> npt.NDArray[np.bool_]:
+    """(F,) which frames show the board at the place at which most show it."""
+    near = np.array([[_distance(one, other) <= SAME_PLACE_PX for other in pixels] for one in pixels])
+    return near[near.sum(axis=1).argmax()]
+
+
+def _distance(one: Array, other: Array) -> float:
+    """Median distance, px, of the corners that both show; infinite when they share none."""
+    apart = np.linalg.norm(one - other, axis=1)
+    apart = apart[np.isfinite(apart)]
+    return float(np.median(apart)) if apart.size else float("inf")
+
+
+def _mean_without_outliers(pixels: Array, sigma_px: float) -> tuple[Array, Array]:
+    """Mean (N, 2) and number of frames (N,) of each corner; median and MAD (their noise, where that is more) tell
+    which frames stray."""
+    shown = np.isfinite(pixels[..., 0])
+    seen = np.flatnonzero(shown.any(axis=0))
+    median = np.full(pixels.shape[1:], np.nan)
+    median[seen] = np.nanmedian(pixels[:, seen], axis=0)
+    apart = np.linalg.norm(pixels - median, axis=2)
+    scatter = max(sigma_px, 1.4826 * float(np.median(apart[shown])))
+    good = shown & (apart <= CLEAR_SDS * scatter)
+    count = good.sum(axis=0)
+    mean = np.where(good[..., None], pixels, 0.0).sum(axis=0) / np.maximum(count, 1)[:, None]
+    return mean, count.astype(float)
+
+
 # --- Progress while the board is carried.
 
 ENOUGH_SHARED = 12  # so many frames tie one camera to another
 ENOUGH_FRAMES = 40
-PROGRESS_CELLS = 3
 ENOUGH_CELLS = 5  # of the 9 cells of its image, a camera should have seen the board in so many
 
 
@@ -269,8 +329,7 @@ def motion_progress(cameras: Sequence[str], detections: Sequence[TargetDetection
     strong = {pair for pair, count in shared.items() if count >= ENOUGH_SHARED}
     cells: dict[str, set[tuple[int, int]]] = {name: set() for name in cameras}
     for detection in detections:
-        column, row = (detection.pixels.mean(axis=0) / detection.image_size * PROGRESS_CELLS).astype(int).tolist()
-        cells[detection.camera].add((column, row))
+        cells[detection.camera].add(_cell(detection))
     return MotionProgress(
         cameras=tuple(sorted(cameras)),
         shared_frames=sum(len(names) > 1 for names in cameras_by_pose(detections).values()),
