@@ -258,6 +258,7 @@ HELP: Mapping[str, CommandHelp] = {
     "export": CommandHelp((f"export {TAKE} --format bvh csv", "export walk1 --rate 60")),
     "import bag": CommandHelp(("import bag studio_bag walk --rig rig.yaml --background empty_room_bag",)),
     "import humaneva": CommandHelp(("import humaneva HumanEva_I s2_walk --subject S2 --action Walking",)),
+    "import biocv": CommandHelp(("import biocv P03/P03_WALK_01 p03_walk",)),
     "urdf": CommandHelp(("urdf --stature 1.82 --output body.urdf",)),
     "doctor": CommandHelp(
         ("doctor", f"doctor --rig {RIG} --live", "doctor camera cam01.yaml --open", "doctor --host 192.168.1.11"),

@@ -112,6 +112,7 @@ OF_NOTHING = [
     "takes restore FOLDER",
     "takes measure FOLDER",
     "import humaneva FOLDER there --subject S2 --action Walking",
+    "import biocv FOLDER there",
 ]
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from capture_rig.settings import number
 
 from ..console import command_console, doing
-from ..importers import image_bag
+from ..importers import biocv, image_bag
 from ..importers.humaneva import CAMERAS, Request, Trial, import_trial
 
 COPYING = "copying frames"
@@ -20,6 +20,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
     kinds = parser.add_subparsers(title="kinds", required=True, metavar="KIND")
     add_bag(kinds)
     add_humaneva(kinds)
+    add_biocv(kinds)
 
 
 def add_bag(kinds: argparse._SubParsersAction) -> None:
@@ -53,6 +54,34 @@ def add_humaneva(kinds: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--no-truth", action="store_true", help="footage alone; trial 2 has no motion capture")
     parser.set_defaults(run=import_humaneva)
+
+
+def add_biocv(kinds: argparse._SubParsersAction) -> None:
+    """Add the arguments of ``sagoma import biocv``."""
+    parser = kinds.add_parser("biocv", help="a trial of BioCV (Evans et al. 2024): nine cameras, markers in C3D")
+    parser.add_argument("trial", type=Path, help="folder of one trial: videos and markers.c3d")
+    parser.add_argument("output", type=Path, help="the session folder to write")
+    help_calibration = "folder of the cameras' calibration files (default: beside the videos, or above them)"
+    parser.add_argument("--calibration", type=Path, metavar="FOLDER", help=help_calibration)
+    help_markers = "of which markers each point is the middle, POINT: [MARKER, ...]"
+    parser.add_argument("--markers", type=Path, metavar="YAML", help=help_markers)
+    help_delay = "time of the first mocap frame after the first image (default 0)"
+    parser.add_argument("--mocap-delay", type=number("s", -3600, 3600), default=0.0, metavar="SECONDS", help=help_delay)
+    parser.set_defaults(run=import_biocv)
+
+
+def import_biocv(args: argparse.Namespace) -> int:
+    """Import the trial, then print what was written and what to do next."""
+    console = command_console()
+    summary = biocv.import_trial(args.trial, args.output, args.calibration, args.markers, args.mocap_delay)
+    console.print(f"{args.trial.name}: {summary.frames} frames of {', '.join(summary.cameras)}")
+    for point, markers in summary.markers.items():
+        console.print(f"{point}: {', '.join(markers)}")
+    share = summary.frames_with_truth / summary.frames
+    console.print(f"all markers are there in {summary.frames_with_truth} frames ({share:.0%})")
+    console.print(f"next: sagoma background --from-footage {args.output}")
+    console.print(f"then: sagoma evaluate {args.output} --start session --json")
+    return 0
 
 
 def import_bag(args: argparse.Namespace) -> int:

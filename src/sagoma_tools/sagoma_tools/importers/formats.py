@@ -93,15 +93,23 @@ def read_cal(path: Path, name: str, width: int, height: int) -> CameraModel:
     if (focal <= 0).any() or skew != 0:
         what = f"focal lengths {focal.tolist()} and skew {skew:g} are not those of a camera with square axes"
         raise InputError(what, where=str(path), remedy="Focal lengths must be positive pixels and the skew 0.")
-    R = numbers[10:19].reshape(3, 3)
+    T_camera_world = pose_of(numbers[10:19].reshape(3, 3), numbers[19:22], path, f"It reads {CAL_NUMBERS}.")
+    K = np.array([[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]])
+    return CameraModel(name, width, height, K, "plumb_bob", D, T_camera_world)
+
+
+def pose_of(R: np.ndarray, translation_mm: np.ndarray, path: Path, meaning: str) -> np.ndarray:
+    """Return T_camera_world (4, 4), m, of a file's rotation, whose digits are rounded, and translation (3,).
+
+    Raises InputError naming the file for a matrix that is no rotation.
+    """
     error = max(np.abs(R @ R.T - np.eye(3)).max(), abs(np.linalg.det(R) - 1))
     if error > ROTATION_TOLERANCE:
         what = f"its R is not a rotation: it departs from R R^T = I, det R = 1 by {error:.2g}"
-        raise InputError(what, where=str(path), remedy=f"It reads {CAL_NUMBERS}. {COPY_AGAIN}")
+        raise InputError(what, where=str(path), remedy=f"{meaning} {COPY_AGAIN}")
     T_camera_world = np.eye(4)
-    T_camera_world[:3, :3], T_camera_world[:3, 3] = nearest_rotation(R), numbers[19:22] / 1000.0
-    K = np.array([[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]])
-    return CameraModel(name, width, height, K, "plumb_bob", D, T_camera_world)
+    T_camera_world[:3, :3], T_camera_world[:3, 3] = nearest_rotation(R), translation_mm / 1000.0
+    return T_camera_world
 
 
 def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
@@ -142,10 +150,10 @@ class Mocap:
 WITHHELD = "That of trial 2 is withheld by the owners: import its footage alone with --no-truth."
 
 
-def read_c3d(path: Path) -> Mocap:
+def read_c3d(path: Path, remedy: str = WITHHELD) -> Mocap:
     """Return all points of a ``.c3d`` file.
 
-    Raises InputError naming a file that is damaged, cut short, or cannot be read.
+    Raises InputError naming a file that is damaged, cut short, or cannot be read (then with ``remedy``).
     """
     try:
         with path.open("rb") as file, warnings.catch_warnings():
@@ -157,7 +165,7 @@ def read_c3d(path: Path) -> Mocap:
             frames = [points[:, :3] for _, points, _ in reader.read_frames(copy=True)]
             expected, rate_hz = int(reader.frame_count), float(reader.point_rate)
     except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=WITHHELD) from None
+        raise InputError(f"cannot be read ({error.strerror})", where=str(path), remedy=remedy) from None
     except Exception as error:  # the library asserts and indexes its way through damaged files
         what = f"is not a readable .c3d file ({type(error).__name__}: {error})"
         raise InputError(what, where=str(path), remedy=COPY_AGAIN) from None
