@@ -18,7 +18,7 @@ from rig_calibration.boards.board import Checkerboard
 from rig_calibration.intrinsics.selection import BoardImageProcessor, ViewCollector
 from sagoma_ros.images import decode_image, image_message
 from sagoma_ros.qos import RESULT
-from sagoma_tools.calibration.live_lens import camera_name_of, namespace_of, plain_line
+from sagoma_tools.calibration.live_lens import camera_name_of, draw_preview, namespace_of, plain_line
 from sagoma_tools.cli import main
 from sagoma_tools.graph.ros_link import RosLink
 
@@ -113,12 +113,13 @@ def test_footage_and_topic_exclude_each_other(sources, capsys):
 
 
 class Camera:
-    """A camera's image topic and its set_camera_info service."""
+    """A camera's image topic, its set_camera_info service, and somebody who looks at the preview."""
 
     def __init__(self, link, images):
-        self._images, self.given = images, []
+        self._images, self.given, self.previews = images, [], []
         self._publisher = link.node.create_publisher(Image, "/cam01/image_raw", RESULT)
         link.node.create_service(SetCameraInfo, "/cam01/set_camera_info", self._set)
+        link.node.create_subscription(CompressedImage, "/cam01/calibration/preview/compressed", self.previews.append, 5)
         self._number = count()
         link.node.create_timer(0.05, self._publish)
 
@@ -142,10 +143,12 @@ def test_live_camera_is_calibrated_and_given_the_result(shown, tmp_path, capsys)
         )
     (found,) = figures["cameras"]
     assert status == 0, said
-    assert found["camera"] == "cam01" and found["views"] >= 8  # one more may be under way
+    assert found["camera"] == "cam01" and found["views"] == 8
     assert found["values"]["fx"] == pytest.approx(CAMERA.K[0, 0], rel=0.01)
     assert camera.given[0].k[0] == pytest.approx(found["values"]["fx"], abs=1e-5)
     assert "the camera client took it: in use" in said
+    preview = cv2.imdecode(np.frombuffer(camera.previews[-1].data, np.uint8), cv2.IMREAD_COLOR)
+    assert preview.shape == (480, 640, 3) and np.ptp(preview.astype(int), axis=2).max() > 60  # drawn in colour
     assert read_camera_info(tmp_path / "cam01.yaml").K[0, 0] == pytest.approx(found["values"]["fx"], abs=1e-5)
 
 
@@ -172,6 +175,10 @@ def test_line_shows_progress_advice_and_the_last_reason(shown):
     line = plain_line(watcher, seen.reason)
     assert line.startswith("cam01: 1 views; image ") and "tilt" in line
     assert advice in line and line.endswith(f"(last image: {seen.reason})")
+    picture = draw_preview(shown[0], seen, watcher.collector.coverage, advice)
+    marked = np.ptp(picture.astype(int), axis=2) > 100
+    corner = np.rint(seen.detection.pixels[20]).astype(int)
+    assert marked[corner[1] - 6 : corner[1] + 7, corner[0] - 6 : corner[0] + 7].any()
 
 
 COLOURS = np.random.default_rng(0).integers(0, 255, (8, 12, 3), np.uint8)  # BGR

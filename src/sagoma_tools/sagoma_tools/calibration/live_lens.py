@@ -11,6 +11,8 @@ import time
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
+import cv2
+import numpy as np
 from rclpy.node import Node
 from rich.console import Console
 from sensor_msgs.msg import CompressedImage, Image
@@ -21,11 +23,13 @@ from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
 from rig_calibration.boards.board import Board
 from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
+from rig_calibration.intrinsics.coverage import Coverage
 from rig_calibration.intrinsics.result import Intrinsics
-from rig_calibration.intrinsics.selection import BoardImageProcessor, ViewCollector
-from sagoma_ros.images import camera_info_message, decode_image
+from rig_calibration.intrinsics.selection import BoardImageProcessor, ImageResult, ViewCollector
+from sagoma_ros.images import camera_info_message, decode_image, preview_message
 from sagoma_ros.inputs import Worker
-from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
+from sagoma_ros.messages import to_ns
+from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
 from ..console import doing, until_stopped
 from ..graph import PATIENCE_S, ROUND_S
@@ -33,6 +37,7 @@ from ..graph.ros_link import RosLink, call_all
 from .intrinsics import save_results
 
 COMPRESSED = "/compressed"
+PREVIEW = "calibration/preview/compressed"
 Message: TypeAlias = Image | CompressedImage
 
 
@@ -105,7 +110,7 @@ class Shown(NamedTuple):
 
 
 class LiveCamera:
-    """Subscribes to ``topic`` (best effort) and feeds ``watcher`` on a worker thread.
+    """Subscribes to ``topic`` (best effort), feeds ``watcher`` on a worker thread, and publishes a preview.
 
     ``changed`` is set after every image that was processed; ``error`` is the exception that ended it, if there was one.
     """
@@ -117,6 +122,7 @@ class LiveCamera:
         self.received = 0
         self._last: Message | None = None
         self._show("waiting for images")
+        self._preview = node.create_publisher(CompressedImage, f"{namespace_of(topic)}/{PREVIEW}", RESULT)
         self._worker: Worker[tuple[Message, Message, int]] = Worker(  # the image before, the image, its number
             "board watcher", self._process, depth=1, on_drop=lambda: None, on_error=self._fail
         )
@@ -145,8 +151,11 @@ class LiveCamera:
         except InputError as error:  # one bad message: the next may be better
             self._show(str(error))
             return
-        seen = self._watcher.process(image, before, number)
+        seen, collector, header = self._watcher.process(image, before, number), self._watcher.collector, pair[1].header
         self._show("taken" if seen.taken else seen.reason)
+        if self._preview.get_subscription_count():
+            picture = draw_preview(image, seen, collector.coverage, collector.advice())
+            self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
     def _show(self, last: str) -> None:
         """Describe the progress, on the thread that makes it."""
@@ -176,3 +185,33 @@ def plain_line(watcher: BoardImageProcessor, last: str) -> str:
     known = f", f ± {100 * expected.focal_sd:.2f} %, centre ± {expected.centre_sd_px:.1f} px" if expected else ""
     advice = collector.advice() or "enough"
     return f"{watcher.camera}: {len(collector)} views; {progress}{known}; {advice} (last image: {last})"
+
+
+TAKEN, FOUND, COVERED = (60, 220, 60), (40, 160, 255), (90, 160, 60)  # BGR
+TEXT_HEIGHT_SHARE = 0.035
+
+
+def draw_preview(image: np.ndarray, seen: ImageResult, coverage: Coverage, advice: str) -> np.ndarray:
+    """Return the image (H, W[, 3]) as BGR with covered cells tinted, corners marked, and a line of advice."""
+    picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
+    height, width = picture.shape[:2]
+    cells = cv2.resize(coverage.cells.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    picture[cells] = (0.75 * picture[cells] + 0.25 * np.array(COVERED)).astype(np.uint8)
+    if seen.detection is not None:
+        colour, radius = TAKEN if seen.taken else FOUND, max(2, width // 200)
+        for x, y in np.rint(seen.detection.pixels).astype(int):
+            cv2.circle(picture, (int(x), int(y)), radius, colour, max(1, radius // 2))
+    _write(picture, advice or "enough", 1)
+    _write(picture, "taken" if seen.taken else seen.reason, 2)
+    return picture
+
+
+def _write(picture: np.ndarray, text: str, line: int) -> None:
+    """Write a line of text, counted from the bottom, readable on any background."""
+    height, width = picture.shape[:2]
+    scale = TEXT_HEIGHT_SHARE * height / 22
+    needed = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0]
+    scale *= min(1.0, 0.97 * width / max(needed, 1))
+    place = (int(0.01 * width), int(height - (line - 0.6) * 1.6 * TEXT_HEIGHT_SHARE * height))
+    for colour, thickness in (((0, 0, 0), 4), ((255, 255, 255), 1)):
+        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv2.LINE_AA)
