@@ -20,7 +20,7 @@ from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import find_board
-from rig_calibration.extrinsics.board_frames import ENOUGH_SHARED, MotionProgress, motion_progress
+from rig_calibration.extrinsics.board_frames import MotionProgress, motion_progress
 from rig_calibration.extrinsics.calibrate import MOVING
 from sagoma_ros.images import decode_image
 from sagoma_ros.inputs import Worker

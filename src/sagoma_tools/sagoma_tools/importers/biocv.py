@@ -18,6 +18,7 @@ import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
+from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, default_volume, save_rig
 from capture_rig.session import VIDEO_SUFFIXES
 from capture_rig.video import Video
@@ -28,7 +29,6 @@ from .formats import (
     Instants,
     Mocap,
     between,
-    new_session_folder,
     pose_of,
     present,
     read_c3d,
@@ -87,7 +87,7 @@ def import_trial(
     fps, frames = _rate_and_length(videos)
     points = {name: _at_frames(mocap, labels, frames, fps, mocap_delay_s) for name, labels in chosen.items()}
     known = np.isfinite(np.hstack(list(points.values()))).all(axis=1)
-    with new_session_folder(folder) as partial:
+    with replaced_folder(folder) as partial:
         for video in videos:
             _link(video, partial / (names[video] + video.suffix.lower()))
         seen = np.concatenate(list(points.values()))
