@@ -136,8 +136,12 @@ def test_wrong_size_that_a_tape_reveals_is_redo(room, cameras, capsys):
     assert "verdict: REDO" in printed and "+5." in printed and "measure the print" in printed
 
 
-def test_camera_without_a_board_is_named_and_may_be_left_out_or_its_corners_given(room, capsys):
+def test_camera_without_a_board_is_named_and_may_be_left_out_or_its_corners_clicked(room, capsys):
     cv2.imwrite(str(room / "floor" / "cam03.png"), np.full((480, 640), 90, np.uint8))
+    said = complaint(capsys, room, "--click")
+    assert "corners are wanted of cam03" in said and "cam03_click.png" in said and "--corners" in said
+    assert cv2.imread(str(room / "cam03_click.png")).shape == (1200, 1600, 3)
+    assert list(yaml.safe_load((room / "rig.corners.yaml").read_text())) == ["cam03"]
     (room / "corners.yaml").write_text("cam03: [[10, 10], [90, 12], [95, 60], [12, 66]]\n")  # of something else
     assert "cam03" in complaint(capsys, room, "--corners", room / "corners.yaml")
     said = complaint(capsys, room)

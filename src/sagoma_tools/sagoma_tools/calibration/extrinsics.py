@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from capture_rig.errors import InputError
+from capture_rig.files import make_folder
 from capture_rig.rig import FARTHEST_M
 from rig_calibration.boards.board import Board, read_board
 from rig_calibration.extrinsics.board_frames import FloorAt
@@ -20,7 +21,8 @@ from rig_calibration.extrinsics.calibrate import RigCalibration, calibrate_rig
 from rig_calibration.extrinsics.verdict import TapeMeasure
 from rig_calibration.extrinsics.world import CENTRE, FIRST_CORNER, WorldChoice
 
-from .rig_detections import CameraDetections, Cameras, CamerasDetections, RigSources, detections_of, read_corners
+from .outer_corners import read_corners, write_corner_help, write_template
+from .rig_detections import CameraDetections, Cameras, CamerasDetections, RigSources, detections_of
 from .rig_inputs import (
     RigInputs,
     floor_inputs,
@@ -77,7 +79,10 @@ def _detect_floor(
     if unknown:
         remedy = f"Known cameras: {', '.join(sources.names)}."
         raise InputError(f"there is no camera '{unknown[0]}'", where=str(request.corners), remedy=remedy)
-    return sources.detect_floor(board, cameras, corners), frozenset(corners)
+    floor = sources.detect_floor(board, cameras, corners)
+    if request.click is not None and floor:
+        ask_for_corners(request, floor)
+    return floor, frozenset(corners)
 
 
 def _names(request: RigRequest, sources: RigSources) -> list[str]:
@@ -114,6 +119,29 @@ def _footage(
     return {kind: {name: (found, board) for name, found in seen.items()} for kind, seen, board in kinds}
 
 
+def ask_for_corners(request: RigRequest, floor: CamerasDetections) -> None:
+    """Raise InputError that asks for the corners in the requested cameras, or in all without a detection.
+
+    Writes their pictures under a grid and a file to fill in beside the output.
+    """
+    wanted = [name for name in request.click or [name for name, seen in floor.items() if not seen.detections]]
+    unknown = sorted(set(wanted) - set(floor))
+    if unknown:
+        remedy = f"Cameras with one: {', '.join(sorted(floor))}."
+        raise InputError(f"there is no picture of the floor by '{unknown[0]}'", where="--click", remedy=remedy)
+    if not wanted:
+        return
+    folder, template = make_folder(request.output.parent), request.output.with_suffix(".corners.yaml")
+    pictures = [write_corner_help(folder, name, floor[name].picture) for name in wanted]
+    write_template(template, wanted)
+    raise InputError(
+        f"the board's corners are wanted of {', '.join(wanted)}",
+        where="--click",
+        remedy=f"Read the outer corners off {', '.join(map(str, pictures))}, write them into {template}, and run this "
+        f"again with --corners {template}.",
+    )
+
+
 # the request ----------------------------------------------------------------------------------------------------------
 
 
@@ -126,7 +154,8 @@ class RigRequest:
 
     board, floor_board : the carried one and the one on the floor; None where none is needed. floor_at : when the
     carried board lies on the floor; None when other pictures show the floor, or it is not wanted.
-    refine_intrinsics : adjust the lenses, too. text : the arguments as typed, for the report.
+    refine_intrinsics : adjust the lenses, too. click : cameras whose corners a person is to give, () for those in which
+    no board is found, None for none. text : the arguments as typed, for the report.
     """
 
     intrinsics: Path
@@ -137,6 +166,7 @@ class RigRequest:
     floor_at: FloorAt | None = None
     wand_marks_m: tuple[float, ...] = ()
     corners: Path | None = None
+    click: tuple[str, ...] | None = None
     without: tuple[str, ...] = ()
     refine_intrinsics: bool = False
     choice: WorldChoice = field(default_factory=WorldChoice)
@@ -176,6 +206,7 @@ def request_from(args: argparse.Namespace) -> RigRequest:
         floor_at=_floor_at(args.floor_at, bool(args.floor or args.floor_points or args.live), bool(args.moving)),
         wand_marks_m=tuple(marks),
         corners=Path(args.corners) if args.corners else None,
+        click=None if args.click is None else tuple(args.click),
         without=tuple(args.without),
         refine_intrinsics=args.refine_intrinsics,
         choice=WorldChoice(_origin(args.origin), math.radians(args.heading), args.board_thickness),

@@ -1,7 +1,5 @@
 """Finds the board or the wand in the pictures of all cameras; where it cannot, keeps what explains why.
 
-Where detection fails, a person may give the board's four outer corners in a file.
-
 :class:`RigSources` is where the pictures come from: :class:`FootageSources` reads files, rig_live the running cameras.
 """
 
@@ -13,23 +11,21 @@ from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from itertools import count, islice, permutations
-from pathlib import Path
+from itertools import count, islice
 from typing import Any, Protocol
 
 import numpy as np
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
-from capture_rig.yaml_file import read_mapping
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import diagnose_board, find_board
-from rig_calibration.boards.four_corners import find_from_outer_corners
 from rig_calibration.boards.wand import find_wand
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND
 
 from ..console import doing, until_stopped
 from .footage import CameraFootage, open_footage_of_cameras
+from .outer_corners import OuterCorners, find_from_corners
 
 FLOOR_FRAMES, MOVING_FRAMES = 15, 160
 """Of each camera's footage, at most so many frames are examined, evenly spread."""
@@ -39,7 +35,7 @@ MAX_BLUR_PX = 2.5
 """Corners of a board that is blurred more (sigma of its edges) are not used."""
 
 Picture = np.ndarray
-Corners = Mapping[str, "OuterCorners"]
+Corners = Mapping[str, OuterCorners]
 Cameras = Mapping[str, CameraModel]
 Step = Callable[[], None]
 """Counts one picture."""
@@ -78,7 +74,11 @@ CamerasDetections = dict[str, CameraDetections]
 
 
 def find_floor(
-    footage: Mapping[str, Footage], board: Board, cameras: Cameras, corners: Corners, progress: Step = lambda: None
+    footage: Mapping[str, Footage],
+    board: Board,
+    cameras: Cameras,
+    corners: Mapping[str, OuterCorners],
+    progress: Step = lambda: None,
 ) -> CamerasDetections:
     """Find the board on the floor in each camera's footage, from the given ``corners`` where they name the camera."""
 
@@ -269,77 +269,3 @@ def _require_one_rate(clips: Mapping[str, CameraFootage], cameras: Container[str
 
 def _open(sources: Sequence[str]) -> dict[str, CameraFootage]:
     return open_footage_of_cameras(sources) if sources else {}
-
-
-# outer corners given by hand ------------------------------------------------------------------------------------------
-
-
-FORMAT = (
-    "Write NAME: [[x, y], [x, y], [x, y], [x, y]] for each camera, or NAME: {corners: [...], frame: 12}: the outermost "
-    "inner corners of the print in pixels, in reading order (first row's two ends, then the last row's last and first)."
-)
-
-
-@dataclass(frozen=True, eq=False)
-class OuterCorners:
-    """The outermost inner corners as a person gave them: (4, 2) px, in one frame or (None) in all of them."""
-
-    pixels: np.ndarray
-    frame: int | None = None
-
-
-def read_corners(path: str | Path) -> dict[str, OuterCorners]:
-    """Corners by camera, from a YAML file. Raises InputError naming file, camera, value and remedy."""
-    document = read_mapping(Path(path), FORMAT)
-    return {str(name): _corners(entry, f"{path}: {name}") for name, entry in document.items()}
-
-
-def find_from_corners(
-    image: np.ndarray, board: Board, outer_px: np.ndarray, *, model: CameraModel, frame_index: int, target: str
-) -> TargetDetection:
-    """The board's corners from four rough ones, refined; in whatever order they were given, if the board's colours or
-    markers tell which way round it lies. Raises InputError when no order fits, for the order that was given."""
-    refused: InputError | None = None
-    for order in _orders(outer_px, board.half_turn_is_visible):
-        try:
-            return find_from_outer_corners(
-                image, board, outer_px[order], camera=model.name, frame_index=frame_index, target=target, model=model
-            )
-        except InputError as error:
-            refused = refused or error
-    assert refused is not None
-    raise refused
-
-
-def _orders(outer_px: np.ndarray, told_apart: bool) -> list[list[int]]:
-    """The given order first; then those that run around the board clockwise, as reading order does from in front."""
-    given = [0, 1, 2, 3]
-    if not told_apart:
-        return [given]
-    around = [order for order in map(list, permutations(given)) if _runs_clockwise(outer_px[order])]
-    return [given, *(order for order in around if order != given)]
-
-
-def _runs_clockwise(quadrangle: np.ndarray) -> bool:
-    """Return whether it turns right at every corner, in an image (y down)."""
-    edges = np.roll(quadrangle, -1, axis=0) - quadrangle
-    following = np.roll(edges, -1, axis=0)
-    return bool((edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0] > 0).all())
-
-
-def _corners(entry: Any, where: str) -> OuterCorners:
-    frame = None
-    if isinstance(entry, Mapping):
-        unknown = set(entry) - {"corners", "frame"}
-        if unknown or "corners" not in entry:
-            raise InputError(f"has the keys {sorted(map(str, entry))}", where=where, remedy=FORMAT)
-        entry, frame = entry["corners"], entry.get("frame")
-    if frame is not None and (not isinstance(frame, int) or isinstance(frame, bool) or frame < 0):
-        raise InputError(f"frame = {frame!r} is not the number of a frame", where=where, remedy="Count from 0.")
-    try:
-        pixels = np.array(entry, float)
-    except (TypeError, ValueError):
-        pixels = np.empty(0)
-    if pixels.shape != (4, 2) or not np.isfinite(pixels).all():
-        raise InputError(f"{entry!r} is not four [x, y] corners", where=where, remedy=FORMAT)
-    return OuterCorners(pixels, frame)

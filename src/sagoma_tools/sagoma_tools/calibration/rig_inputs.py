@@ -121,8 +121,8 @@ def require_seen(
     ]
     raise InputError(
         f"no board was found for {', '.join(unseen)}. " + "; ".join(reasons),
-        remedy="Show it the board nearer and more from above, or read the board's outer corners off its picture and "
-        "write them into a file (--corners FILE)"
+        remedy="Show it the board nearer and more from above, or give the board's outer corners in its picture "
+        "(--click, or --corners FILE)"
         + (f", or calibrate the others alone (--without {' '.join(unseen)})." if others else "."),
     )
 

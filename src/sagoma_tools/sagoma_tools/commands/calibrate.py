@@ -120,6 +120,8 @@ def _add_extrinsics(steps: argparse._SubParsersAction) -> None:
     _add_world(parser.add_argument_group("world"))
     option = parser.add_argument_group("where the floor board is not found").add_argument
     option("--corners", metavar="FILE", help="YAML: NAME: four [x, y] outer corners, in pixels")
+    help_click = "write pictures with a grid, and a file of corners to fill in, of these cameras or of all without it"
+    option("--click", nargs="*", default=None, metavar="NAME", help=help_click)
     option = parser.add_argument
     help_refine = "adjust focal lengths and principal points as well, as far as NAME.report.yaml leaves them uncertain"
     option("--refine-intrinsics", action="store_true", help=help_refine)
@@ -174,7 +176,7 @@ def run_extrinsics(args: argparse.Namespace) -> int:
 
         with RosLink("sagoma_calibrate") as link, StopOnSignal() as stop:
             wanted = args.cameras, args.without, args.moving is not None
-            live = LiveSources(link.node, *wanted, partial(_ask, console), stop)
+            live = LiveSources(link.node, *wanted, console, partial(_ask, console), stop)
             calibrated = calibrate_extrinsics(request, live, console)
     else:
         from ..calibration.rig_detections import FootageSources
