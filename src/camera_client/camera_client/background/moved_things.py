@@ -121,6 +121,11 @@ class MovedThings:
         """Stamp at which the newest thing was absorbed; 0 without one."""
         return int(self._since_ns.max())
 
+    @property
+    def seen_by_nobody(self) -> npt.NDArray[np.bool_]:
+        """Blocks in which the other cameras see nobody, as far as they say."""
+        return self._others.unseen_s > 0
+
     def take_report(self, report: ForegroundSupport) -> None:
         """Take what the others see, for frames some time after its stamp. From any thread."""
         self._others.add(report)

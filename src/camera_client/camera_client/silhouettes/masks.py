@@ -66,6 +66,13 @@ class Box(NamedTuple):
         """Return the same box in pixels ``by`` times as large: it begins at multiples of them."""
         return Box(self.top // by, self.left // by, -(-self.bottom // by), -(-self.right // by))
 
+    def joined(self, other: Box) -> Box:
+        """Return the smallest box that holds both."""
+        if self.empty or other.empty:
+            return other if self.empty else self
+        (top, left, bottom, right), o = self, other
+        return Box(min(top, o.top), min(left, o.left), max(bottom, o.bottom), max(right, o.right))
+
     def relative_to(self, outer: Box) -> Box:
         """Return the same box, counted from the corner of ``outer``."""
         return Box(self.top - outer.top, self.left - outer.left, self.bottom - outer.top, self.right - outer.left)
