@@ -20,16 +20,14 @@ from capture_rig.mask_levels import BACKGROUND, FOREGROUND, UNCERTAIN
 from capture_rig.stamps import StampThrottle
 
 from ..background.expected_image import Samples
-from ..background.kernels import OPTIONS, SCALE, STEP_PX
-from ..frame_source import Image, Mask
+from ..background.kernels import OPTIONS, SCALE, STEP_PX, USUAL_S
+from ..frame_source import REPORT_PERIOD_S, Image, Mask
 from .masks import BLOCK_PX, Box
 
 BITS_MONO, BITS_COLOUR = 6, 5  # of each channel, in the histogram
 # Thresholds: DARK from a sensor's shot and read noise; else judgement.
 DARK = 16.0  # grey levels: noise has the variance a (level + DARK), about; bins are equally many sigmas wide
-PERIOD_S = 0.5  # colours are learned so often
 MEMORY_S = 10.0  # time constant: people come and go, and clouds pass
-FIRST_S = 1.0  # until colours have been learned for so long, nothing is known
 UNKNOWN = 0.3  # share of a person's pixels whose colour may be any: another side, another person
 FEWEST = 8  # background pixels of a block that is judged by itself; its neighbours decide for one with fewer
 
@@ -47,14 +45,14 @@ class PeopleColours:
         bins = 1 << self._bits * self._channels
         self._table, self._volume = noise_bins(self._bits, self._channels)
         self._counts, self._ratio = np.zeros(bins, np.float32), np.zeros(bins, np.float32)
-        self._throttle, self._learned_s = StampThrottle(PERIOD_S), 0.0
+        self._throttle, self._learned_s = StampThrottle(REPORT_PERIOD_S), 0.0
         blocks = -(-shape[0] // BLOCK_PX), -(-shape[1] // BLOCK_PX)
         self._judged, self._nowhere = np.zeros((2, *blocks), np.uint8)
 
     @property
     def known(self) -> bool:
-        """Whether people have been seen for long enough."""
-        return self._learned_s >= FIRST_S
+        """Whether people have been seen for long enough: until colours are usual, nothing is known."""
+        return self._learned_s >= USUAL_S
 
     def learn(self, image: Image, person: Mask, box: Box, nobody: npt.NDArray[np.bool_] | None, stamp_ns: int) -> None:
         """Learn from a frame (H, W[, 3]); person (h, w) : 255 where a box of it certainly shows people.
