@@ -73,7 +73,7 @@ def test_binary_evidence_denies_what_looks_like_the_background():
 def learn(colours, image, person, frames, nobody=None):
     mask = np.where(person, np.uint8(255), np.uint8(0))
     for k in range(frames):
-        colours.learn(image, mask, Box.whole((H, W)), nobody, k * STEP_NS)
+        colours.learn(image, mask, Box(0, 0, H, W), nobody, k * STEP_NS)
 
 
 @pytest.mark.parametrize("colour", [False, True])
