@@ -1,7 +1,8 @@
 """Segments a frame: the silhouette of the person on the undistorted canvas (thesis 6.1, 6.3).
 
 :meth:`SilhouettePipeline.run` is the recipe: follow the background, measure every pixel's distance from it, decide with
-the neighbourhood, find shadow, keep the person, trim the outline, mark what may be floor in shadow, undistort.
+the neighbourhood, find shadow, keep the person, trim the outline, mark what may be floor in shadow, mark where the
+background looks like the people, undistort.
 """
 
 from __future__ import annotations
@@ -27,13 +28,15 @@ from ..background.expected_image import Corners, Samples, whole_rows
 from ..background.kernels import HIGHEST, STEP_PX
 from ..background.model import BackgroundModel, check_shape, shape_text
 from ..background.moved_things import MovedThings
+from ..background.noise import Noise
 from ..background.verdict import HAND
 from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings, SilhouetteSettings
 from ..sources.frame_checks import grid_sample, is_black
+from .appearance import PeopleColours
 from .attenuation import ALIGNMENT_PX, AttenuationMarker
 from .components import PeopleRule, keep_people
-from .evidence import EvidenceFilter, codec_error_sigma
+from .evidence import CLEAR, EvidenceFilter, codec_error_sigma, least_evidence
 from .masks import BLOCK_PX, Box, BoxUndistorter, ForegroundLocator, Spans, majority, majority_count, trim_outline
 from .shadows import HALVED_NOISE, Scene, enlarged, make_shadow_test
 from .texture import halve
@@ -50,18 +53,26 @@ FULL_ABOVE = 0.6  # share of foreground at which a mask is flagged: no person lo
 class Difference:
     """Where a frame differs from the background as it looked then: all that its silhouette is made of.
 
+    image : as it is looked at, (h, w[, 3]) uint8; samples, distance : of it, and how far each is from the background.
     scene : what is in the ``box`` around all foreground, None where there is none; closely : how far each of its pixels
     is from the background, change : in whole grey levels of the channel that differs most. spans : of it that is looked
-    at. likely : of :class:`..background.moved_things.MovedThings` then.
+    at. likely, nobody : ``likely`` and ``seen_by_nobody`` of :class:`..background.moved_things.MovedThings` then.
     """
 
     stamp_ns: int | None
+    now_ns: int
+    shows_scene: bool
+    image: Image
+    samples: Samples
+    distance: Mask
+    noise: Noise
     box: Box
     scene: Scene | None
     closely: Mask
     change: Mask
     spans: Spans
     likely: Mask | None
+    nobody: npt.NDArray[np.bool_] | None
 
 
 class Parts(NamedTuple):
@@ -131,13 +142,16 @@ class SilhouettePipeline:
         self._people = PeopleRule(min_area_px, settings.near * height, settings.max_hole * height**2)
         least_px = majority_count()
         self._locator = ForegroundLocator(self._shape, min_area_px, least_px, self.background.step_px)
-        self._image_levels = np.zeros(self.image_shape, np.uint8)
+        self._levels = np.zeros(self._shape[:2], np.uint8)
+        self._image_levels = np.zeros(self.image_shape, np.uint8) if self.scale > 1 else self._levels
         side = 2 * round(settings.closing * camera.height / 2) + 1
         self._closing = np.ones((side, side), np.uint8)
         self._margin_px = 2 * (side // 2) + 2  # what closing looks at
         self.measures_distance = background_settings.rule == "adaptive"
         """Whether the background says how far a pixel is from it, not only on which side."""
         self._evidence = EvidenceFilter(camera.height) if self.measures_distance else None
+        graded = self.measures_distance and settings.evidence == "graded"
+        self._colours = PeopleColours(self._shape) if graded else None
         self.parts: Parts | None = None
         """Of the last silhouette, on the thread that segments; None without foreground."""
         self._untimed_ns = 0
@@ -175,16 +189,17 @@ class SilhouettePipeline:
         box = self._find_foreground(image, samples, distance, now_ns if shows_scene else None)
         if shows_scene:
             self.background.note_foreground(self._locator.dense)
-        scene = None
+        noise, scene = self.background.noise, None
         closely = change = np.zeros((0, 0), np.uint8)
         spans = self._locator.spans(box.slices, REACH_BLOCKS)
         if not box.empty:
             expected, (closely, change) = self.background.look(image, box, spans[0])
             if self.moved is not None:
                 self.moved.clear_absorbed(image, closely, self.background.light.brightness, box=box)
-            scene = Scene(image[box.slices], expected, self.background.noise, box.slices)
-        likely = None if self.moved is None else self.moved.likely
-        return Difference(stamp_ns, box, scene, closely, change, spans, likely)
+            scene = Scene(image[box.slices], expected, noise, box.slices)
+        things = (None, None) if self.moved is None else (self.moved.likely, self.moved.seen_by_nobody)
+        known = stamp_ns, now_ns, shows_scene
+        return Difference(*known, image, samples, distance, noise, box, scene, closely, change, spans, *things)
 
     def segment(self, found: Difference) -> Silhouette:
         """Finish a frame, as :meth:`run` says: cut the silhouette out. On one thread, in the frames' order; the next
@@ -192,7 +207,7 @@ class SilhouettePipeline:
         self.parts, box, scene = None, found.box, found.scene
         if scene is None:
             nothing = np.zeros((0, 0), np.uint8)
-            canvas = self._canvas_levels(box, nothing, nothing)
+            canvas = self._canvas_levels(found, nothing, nothing)
             return self._silhouette(found.stamp_ns, nothing, box, canvas)
         scene = replace(scene, codec_sigma=codec_error_sigma(found.change, scene.noise))
         raw = self._decide(found, scene)
@@ -201,10 +216,12 @@ class SilhouettePipeline:
         person, cut = self._trim_outline(kept, found.change)
         marked = person if self._attenuation is None else self._attenuation.mark(scene, person, shadow)
         self.parts = Parts(found.closely, raw, kept, shadow, marked)
+        if self._colours is not None and found.shows_scene:
+            self._colours.learn(found.image, marked, box, found.nobody, found.now_ns)
         levels = person
         if self._attenuation is not None:
             levels = np.maximum(person, np.minimum(shadow, np.uint8(SHADOW_CANDIDATE)))
-        canvas = self._canvas_levels(box, marked, cut)
+        canvas = self._canvas_levels(found, marked, cut)
         return self._silhouette(found.stamp_ns, self._of_image(levels, box, cut), self._in_image(box), canvas)
 
     def _check(self, image: Image) -> None:
@@ -279,12 +296,22 @@ class SilhouettePipeline:
         levels = enlarged(levels, self.scale, (bottom - top, right - left))
         return cv2.subtract(levels, cut[: bottom - top, : right - left])
 
-    def _canvas_levels(self, box: Box, marked: Mask, cut: Mask) -> Mask:
-        """Return the levels on the canvas: those ``marked`` in the box."""
-        whole = self._in_image(box)
-        self._image_levels[whole.slices] = self._of_image(marked, box, cut)
-        canvas = self._undistorter.undistort(self._image_levels, whole)
-        self._image_levels[whole.slices] = 0  # as it was
+    def _canvas_levels(self, found: Difference, marked: Mask, cut: Mask) -> Mask:
+        """Return the levels on the canvas: those ``marked`` in the box, and where the camera is uncertain."""
+        levels, box = self._levels, found.box
+        levels[box.slices], whole = marked, box
+        if self._colours is not None:
+            least = least_evidence(found.noise.sigma(TYPICAL_LEVEL), found.noise)
+            uncertain = self._colours.mark_uncertain(found.samples, found.distance, levels, least, CLEAR * least)
+            whole = box.joined(uncertain)
+        image_levels, whole_image = self._image_levels, self._in_image(whole)
+        if self.scale > 1:
+            shape = whole_image.bottom - whole_image.top, whole_image.right - whole_image.left
+            if whole != box:
+                image_levels[whole_image.slices] = enlarged(levels[whole.slices], self.scale, shape)
+            image_levels[self._in_image(box).slices] = self._of_image(levels[box.slices], box, cut)
+        canvas = self._undistorter.undistort(image_levels, whole_image)
+        image_levels[whole_image.slices], levels[whole.slices] = 0, 0  # as they were
         return canvas
 
     def _silhouette(self, stamp_ns: int | None, levels: Mask, box: Box, canvas: Mask) -> Silhouette:
