@@ -70,8 +70,8 @@ def test_corners_fall_where_opencv_projects_them():
 def test_derivatives_match_central_differences(fisheye):
     """With a fisheye beside another lens, too."""
     state, seen = state_and_observations(np.random.default_rng(1), fisheye)
-    layout = Layout(2, 2, with_lens=True)
-    linear = linearise(state, seen, with_lens=True)
+    layout = Layout(2, 2)
+    linear = linearise(state, seen)
     columns = layout.columns(seen.camera, seen.target)
     weight = np.repeat(seen.weight, 2, axis=1)
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from capture_rig.lens import Array
 
-from .state import POSE, Bools, Layout, Linearised, Observations, State, linearise, residuals_px
+from .state import OF_CAMERA, OF_TARGET, POSE, Bools, Layout, Linearised, Observations, State, linearise, residuals_px
 
 # Thresholds: from the normal distribution (99 % efficiency); the least scale: judgement.
 HUBER = 3.0  # standard deviations: corners with normal noise are hardly weighed down; beyond, something is wrong
@@ -51,7 +51,7 @@ class FreeUnknowns:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of the shared unknowns beforehand: mean (d,) as laid out ``with_lens``, information (d, d)."""
+    """What is known of the shared unknowns beforehand: mean (d,) as laid out, information (d, d)."""
 
     mean: Array
     information: Array
@@ -97,9 +97,9 @@ def normalised_lengths(state: State, seen: Observations) -> Array:
     return np.where(seen.weight > 0, lengths, 0.0)
 
 
-def robust_rows(state: State, seen: Observations, with_lens: bool) -> Linearised:
+def robust_rows(state: State, seen: Observations) -> Linearised:
     """Linearise the residuals, corners beyond Huber's limit weighed down so that least squares gives his estimate."""
-    linear = linearise(state, seen, with_lens)
+    linear = linearise(state, seen)
     lengths = np.linalg.norm(linear.residual.reshape(len(linear.residual), -1, 2), axis=2)
     root = np.repeat(np.sqrt(np.minimum(1.0, HUBER / np.maximum(lengths, 1e-300))), 2, axis=1)
     return Linearised(root * linear.residual, root[..., None] * linear.by_shared, root[..., None] * linear.by_pose)
@@ -112,7 +112,7 @@ def _levenberg_marquardt(
     if not np.isfinite(cost):
         return state
     for _ in range(stop.iterations):
-        linear = robust_rows(state, seen, layout.with_lens)
+        linear = robust_rows(state, seen)
         equations = normal_equations(linear, seen, layout, len(free.poses), prior, state)
         while True:
             trial = state.moved(*step(equations, free, damping))
@@ -178,7 +178,7 @@ def normal_equations(
     """Sum the normal equations of all detections by pose; a camera sees each pose of a target once."""
     J = np.concatenate([linear.by_shared, linear.by_pose, linear.residual[..., None]], axis=2)
     products = np.swapaxes(J, 1, 2) @ J
-    size, k = layout.size, layout.width + layout.target_width
+    size, k = layout.size, OF_CAMERA + OF_TARGET
     U, W, V = np.zeros((poses, size, size)), np.zeros((poses, size, POSE)), np.zeros((poses, POSE, POSE))
     g_shared, g_poses = np.zeros((poses, size)), np.zeros((poses, POSE))
     pairs = seen.camera * layout.targets + seen.target
@@ -222,7 +222,5 @@ def step(equations: NormalEquations, free: FreeUnknowns, damping: float) -> tupl
 
 def _shared(state: State, layout: Layout) -> Array:
     """Lenses, scales and warps as laid out, zeros for the poses of cameras (no prior speaks of those)."""
-    by_camera = np.zeros((layout.cameras, layout.width))
-    by_camera[:, POSE:] = state.lens if layout.with_lens else 0.0
-    by_target = np.column_stack([state.scale, state.board_warp])[:, : layout.target_width]
-    return np.concatenate([by_camera.ravel(), by_target.ravel()])
+    by_camera = np.hstack([np.zeros((layout.cameras, POSE)), state.lens])
+    return np.concatenate([by_camera.ravel(), np.column_stack([state.scale, state.board_warp]).ravel()])

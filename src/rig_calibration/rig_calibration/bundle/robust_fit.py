@@ -99,7 +99,7 @@ class Fit:
 
     @property
     def layout(self) -> Layout:
-        return Layout(len(self.problem.cameras), len(self.problem.shapes), self.prior is not None)
+        return Layout(len(self.problem.cameras), len(self.problem.shapes))
 
     @property
     def reasons(self) -> dict[str, str]:
@@ -110,15 +110,16 @@ class Fit:
                 by_camera.setdefault(out.detection.camera, []).append(out.reason)
         return {name: max(sorted(set(reasons)), key=reasons.count) for name, reasons in by_camera.items()}
 
-    def free(self, layout: Layout) -> FreeUnknowns:
-        """Return what moves while the root camera holds the frame."""
+    @property
+    def free(self) -> FreeUnknowns:
+        """What moves while the root camera holds the frame."""
+        layout = self.layout
         shared = np.ones(layout.size, bool)
         shared[layout.camera(self.root)] = False
         shared[layout.scales] = self.free_scales
-        if layout.with_lens:
-            shared[layout.warps] = self.free_warps
-            for row, free in enumerate(self.free_lenses):
-                shared[layout.lens(row)] = free
+        shared[layout.warps] = self.free_warps
+        for row, free in enumerate(self.free_lenses):
+            shared[layout.lens(row)] = free
         return FreeUnknowns(shared, np.isin(np.arange(len(self.adjusted.state.position)), self.seen.pose[self.rows]))
 
     def covariance(self, free: FreeUnknowns) -> Covariance:
@@ -127,10 +128,10 @@ class Fit:
         lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known}
         return covariance(self.adjusted, self.used, free, lenses, self.displacement_m, self.prior)
 
-    def rows_at_solution(self, with_lens: bool) -> Linearised:
+    def rows_at_solution(self) -> Linearised:
         """The residuals' rows at the solution: robustly weighted, in units of the noise found."""
         scaled = self.used.weighted(np.array(1 / self.adjusted.scale))
-        return robust_rows(self.adjusted.state, scaled, with_lens)
+        return robust_rows(self.adjusted.state, scaled)
 
 
 def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) -> Fit:
@@ -207,7 +208,7 @@ def adjusted(fit: Fit, stop: StopCriterion = CONVERGED) -> Fit:
     if len(fit.rows) == 0:
         return fit
     layout = fit.layout
-    return replace(fit, adjusted=adjust(fit.adjusted.state, fit.used, layout, fit.free(layout), fit.prior, stop))
+    return replace(fit, adjusted=adjust(fit.adjusted.state, fit.used, layout, fit.free, fit.prior, stop))
 
 
 def _first_state(problem: Problem, initial: InitialPoses) -> State:
@@ -282,9 +283,9 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
 
 def _with_displacement(fit: Fit) -> Fit:
     """Where cameras contradict one another more than corners' noise explains, targets may have moved between them."""
-    state, layout, free = fit.adjusted.state, fit.layout, fit.free(fit.layout)
+    state, layout, free = fit.adjusted.state, fit.layout, fit.free
     for _ in range(DISPLACEMENT_ROUNDS):
-        linear, corners = fit.rows_at_solution(layout.with_lens), int((fit.used.weight > 0).sum())
+        linear, corners = fit.rows_at_solution(), int((fit.used.weight > 0).sum())
         tau = displacement_of(linear, fit.used.pose, int(free.shared.sum()), corners)
         if tau == 0.0:
             return fit
@@ -301,7 +302,7 @@ def _compare_sizes(fit: Fit) -> Fit:
     """Return the targets' sizes beside the base's; those that agree with what was given are held fixed from now on."""
     if not fit.free_scales.any():
         return fit
-    sd = fit.covariance(fit.free(replace(fit.layout, with_lens=True))).scale_sd
+    sd = fit.covariance(fit.free).scale_sd
     ratio = fit.adjusted.state.scale
     agree = np.abs(ratio - 1) <= HUBER * sd
     names = list(fit.problem.shapes)
@@ -315,7 +316,7 @@ def _compare_sizes(fit: Fit) -> Fit:
 
 def _with_free_lenses(fit: Fit) -> Fit:
     """Lenses free, with a prior around those given that is as wide as their standard deviations."""
-    layout = replace(fit.layout, with_lens=True)
+    layout = fit.layout
     mean, information = np.zeros(layout.size), np.zeros((layout.size, layout.size))
     sd = np.array([fit.problem.lens_sd[name] for name in fit.problem.cameras])
     for row, deviations in enumerate(sd):

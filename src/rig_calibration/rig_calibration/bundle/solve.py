@@ -175,11 +175,11 @@ def _focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
     """Compare, by camera, the focal length that all views together ask for with the one given: their ratio and its
     standard deviation."""
     state, names = fit.adjusted.state, list(fit.problem.cameras)
-    layout = replace(fit.layout, with_lens=True)
-    linear = whitened(fit.rows_at_solution(with_lens=True), fit.displacement_m)
+    layout = fit.layout
+    linear = whitened(fit.rows_at_solution(), fit.displacement_m)
     focal_px = np.sqrt(state.lens[:, 0] * state.lens[:, 1])
     pinholes = np.array([np.arange(layout.size)[layout.lens(row)][:PINHOLE] for row in range(len(names))])
-    free = fit.free(layout)
+    free = fit.free
     free.shared[pinholes] = True
     sd = np.full(layout.size, np.inf)
     sd[pinholes] = WIDE * focal_px[:, None]
@@ -230,12 +230,11 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
 
 def _free(fit: Fit, reference: int | None) -> FreeUnknowns:
     """Return all that moves when the reference holds the frame; without one the root camera does."""
-    layout = replace(fit.layout, with_lens=True)
-    free = fit.free(layout)
+    free = fit.free
     if reference is None:
         return free
     shared, poses = free.shared.copy(), free.poses.copy()
-    shared[layout.camera(fit.root)] = True
+    shared[fit.layout.camera(fit.root)] = True
     poses[reference] = False
     return FreeUnknowns(shared, poses)
 

@@ -20,6 +20,7 @@ from ..boards.board import TargetDetection
 from .problem import LENS, PoseKey, TargetShape
 
 POSE, WARP = 6, 2
+OF_CAMERA, OF_TARGET = POSE + LENS, 1 + WARP  # shared unknowns of each
 MIN_DEPTH = 1e-6  # m
 Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
@@ -51,63 +52,53 @@ class State:
         in the common frame.
         """
         cameras, targets = len(self.centre), len(self.scale)
-        layout = Layout(cameras, targets, with_lens=len(shared) != Layout(cameras, targets).size)
-        by_camera = shared[: cameras * layout.width].reshape(cameras, layout.width)
+        layout = Layout(cameras, targets)
+        by_camera = shared[: cameras * OF_CAMERA].reshape(cameras, OF_CAMERA)
         return State(
             nearest_rotation(rotation_matrix(by_camera[:, :3]) @ self.R_camera),
             self.centre + by_camera[:, 3:POSE],
-            self.lens + by_camera[:, POSE:] if layout.with_lens else self.lens,
+            self.lens + by_camera[:, POSE:],
             nearest_rotation(rotation_matrix(poses[:, :3]) @ self.R_pose),
             self.position + poses[:, 3:],
             self.scale + shared[layout.scales],
-            self.board_warp + shared[layout.warps] if layout.with_lens else self.board_warp,
+            self.board_warp + shared[layout.warps],
             self.fisheye,
         )
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the shared unknowns lie: for each camera rotation (3), centre (3) and, ``with_lens``, lens (12); then for
-    each target its scale and, ``with_lens``, its warp (2)."""
+    """Where the shared unknowns lie: for each camera rotation (3), centre (3) and lens (12); then for each target its
+    scale and its warp (2)."""
 
     cameras: int
     targets: int
-    with_lens: bool = False
-
-    @property
-    def width(self) -> int:
-        """Unknowns of a camera."""
-        return POSE + LENS * self.with_lens
-
-    @property
-    def target_width(self) -> int:
-        return 1 + WARP * self.with_lens
 
     @property
     def size(self) -> int:
-        return self.cameras * self.width + self.targets * self.target_width
+        return self.cameras * OF_CAMERA + self.targets * OF_TARGET
 
     def camera(self, index: int) -> slice:
         """Rotation and centre of a camera."""
-        return slice(index * self.width, index * self.width + POSE)
+        return slice(index * OF_CAMERA, index * OF_CAMERA + POSE)
 
     def lens(self, index: int) -> slice:
-        return slice(index * self.width + POSE, (index + 1) * self.width)
+        return slice(index * OF_CAMERA + POSE, (index + 1) * OF_CAMERA)
 
     @property
     def scales(self) -> Ints:
         """(k,) places of the targets' scales."""
-        return self.cameras * self.width + self.target_width * np.arange(self.targets)
+        return self.cameras * OF_CAMERA + OF_TARGET * np.arange(self.targets)
 
     @property
     def warps(self) -> Ints:
         """(k, 2) places of the targets' warps."""
-        return self.scales[:, None] + np.arange(1, self.target_width)
+        return self.scales[:, None] + np.arange(1, OF_TARGET)
 
     def columns(self, camera: Ints, target: Ints) -> Ints:
-        """Return (s, width + target_width) the shared unknowns on which each detection depends."""
-        of_target = self.scales[target][:, None] + np.arange(self.target_width)
-        return np.column_stack([camera[:, None] * self.width + np.arange(self.width), of_target])
+        """Return (s, OF_CAMERA + OF_TARGET) the shared unknowns on which each detection depends."""
+        of_target = self.scales[target][:, None] + np.arange(OF_TARGET)
+        return np.column_stack([camera[:, None] * OF_CAMERA + np.arange(OF_CAMERA), of_target])
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +170,7 @@ def camera_with(camera: CameraModel, lens: Array, T_camera_world: Array) -> Came
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """residual (s, 2n) seen minus predicted, over its standard deviation; derivatives of the prediction, likewise:
-    by_shared (s, 2n, width + target_width), as :meth:`Layout.columns` has them, and by_pose (s, 2n, 6)."""
+    by_shared (s, 2n, OF_CAMERA + OF_TARGET), as :meth:`Layout.columns` has them, and by_pose (s, 2n, 6)."""
 
     residual: Array
     by_shared: Array
@@ -196,7 +187,7 @@ def residuals_px(state: State, seen: Observations) -> Array:
     return np.where(x[..., 2:] > MIN_DEPTH, seen.pixels - predicted, np.inf)
 
 
-def linearise(state: State, seen: Observations, with_lens: bool = False) -> Linearised:
+def linearise(state: State, seen: Observations) -> Linearised:
     """Compute the residuals and their analytic derivatives, at a state in which all corners lie in front of their
     cameras.
 
@@ -213,18 +204,18 @@ def linearise(state: State, seen: Observations, with_lens: bool = False) -> Line
     by_ideal = by_ideal * lens[..., :2, None]
     by_x = np.concatenate([by_ideal, -(by_ideal @ ideal[..., None])], axis=-1) / x[..., 2, None, None]  # x_camera
     q = by_x @ state.R_camera[seen.camera][:, None]
-    shared = [np.cross(x[:, :, None], by_x), -q]
-    if with_lens:
-        focal = distorted[..., None] * np.eye(2)
-        shared += [focal, np.broadcast_to(np.eye(2), focal.shape), by_coefficients * lens[..., :2, None]]
-    shared.append((q @ arm[..., None]) / scale[..., None])
-    if with_lens:
-        normal = scale * state.R_pose[seen.pose][:, None, :, 2]
-        shared.append((q @ normal[..., None]) * seen.bend[:, :, None])
+    focal, normal = distorted[..., None] * np.eye(2), scale * state.R_pose[seen.pose][:, None, :, 2]
+    of_camera = [np.cross(x[:, :, None], by_x), -q]
+    of_lens = [focal, np.broadcast_to(np.eye(2), focal.shape), by_coefficients * lens[..., :2, None]]
+    of_target = [(q @ arm[..., None]) / scale[..., None], (q @ normal[..., None]) * seen.bend[:, :, None]]
     weight = seen.weight[..., None]
     rows = lambda a: (a * weight[..., None]).reshape(len(a), 2 * a.shape[1], -1)  # noqa: E731
     by_pose = np.concatenate([np.cross(arm[:, :, None], q), q], axis=-1)
-    return Linearised((residual * weight).reshape(len(x), -1), rows(np.concatenate(shared, axis=-1)), rows(by_pose))
+    return Linearised(
+        (residual * weight).reshape(len(x), -1),
+        rows(np.concatenate(of_camera + of_lens + of_target, axis=-1)),
+        rows(by_pose),
+    )
 
 
 def _by_model(of_lens: Callable[..., Sequence[Array]], ideal: Array, state: State, seen: Observations) -> list[Array]:

@@ -86,9 +86,9 @@ def covariance(
     ``lens_sd``: by row of the camera, (12,) of its lens parameters, where these were held fixed; ``displacement_m``:
     how far (sd) the target may have moved between exposures.
     """
-    layout = Layout(len(fit.state.centre), len(fit.state.scale), with_lens=True)
+    layout = Layout(len(fit.state.centre), len(fit.state.scale))
     scaled = seen.weighted(np.array(1 / fit.scale))
-    linear = whitened(robust_rows(fit.state, scaled, with_lens=True), displacement_m)
+    linear = whitened(robust_rows(fit.state, scaled), displacement_m)
     equations = normal_equations(linear, scaled, layout, len(free.poses))
     told = np.linalg.eigvalsh(equations.V[free.poses])  # six numbers of a pose, five of a wand's
     unknowns = int(free.shared.sum() + (told > TINY * told[:, -1:]).sum())

@@ -25,7 +25,7 @@ from ..bundle.problem import LENS, THIN, check_problem, detection_poses, shapes_
 from ..bundle.robust_fit import NO_POSE, Fit, RejectedDetection, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
 from .coverage import placement_of
-from .lens_model import FISHEYE, LAYOUT, RATIONAL, LensModel, edge_sd_px, rational_prior
+from .lens_model import FISHEYE, RATIONAL, LensModel, edge_sd_px, rational_prior
 from .result import UNUSED_GOOD, Intrinsics, ModelChoice, ViewResult, lens_findings
 
 AUTO = "auto"
@@ -243,7 +243,7 @@ def _camera_of(fit: Fit) -> CameraModel:
 
 
 def _result_of(fit: Fit, model: LensModel) -> LensFit:
-    found, columns, used = fit.covariance(fit.free(LAYOUT)), model.columns, fit.used
+    found, columns, used = fit.covariance(fit.free), model.columns, fit.used
     sigma_px = float(np.median(1 / used.weight.max(axis=1)) * np.sqrt(found.variance_factor))
     covariance = found.of_shared[columns[:, None], columns]
     return LensFit(model, _camera_of(fit), fit, _left_out(fit, sigma_px), sigma_px, covariance, found.inflation)

@@ -21,7 +21,7 @@ from ..bundle.problem import LENS
 from ..bundle.state import Ints, Layout, lens_of
 
 SIMPLE, FISHEYE, RATIONAL = COEFFICIENTS
-LAYOUT = Layout(cameras=1, targets=1, with_lens=True)
+LAYOUT = Layout(cameras=1, targets=1)
 DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_NAMES = ("k1", "k2", "k3", "k4")
 REFERENCE_WIDTH_PX = 640  # of images, for which limits in pixels are given
