@@ -176,7 +176,7 @@ def run_extrinsics(args: argparse.Namespace) -> int:
 
         with RosLink("sagoma_calibrate") as link, StopOnSignal() as stop:
             wanted = args.cameras, args.without, args.moving is not None
-            live = LiveSources(link.node, *wanted, console, partial(_ask, console), stop)
+            live = LiveSources(link.node, *wanted, partial(_ask, console), stop)
             calibrated = calibrate_extrinsics(request, live, console)
     else:
         from ..calibration.rig_detections import FootageSources
