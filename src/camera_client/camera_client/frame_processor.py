@@ -15,6 +15,7 @@ from capture_rig.verdict import Finding
 from mocap_packets.silhouette import ForegroundSupport, Silhouette
 
 from .background.causes import unfit
+from .background.kernels import clear_absorbed
 from .background.model import BackgroundModel, Provenance, load_background, read_background
 from .condition import Condition, ConditionWatch
 from .frame_source import Frame
@@ -233,3 +234,5 @@ def warm_up_silhouettes(colour: bool) -> None:
         pipeline.run(image, frame * STEP_NS)
     if colour:
         to_image(np.zeros(WIDTH * HEIGHT, np.uint8), "BayerRG8", WIDTH, HEIGHT, halved=True)
+    pixels, mask = image.reshape(HEIGHT, WIDTH, -1), np.zeros((HEIGHT, WIDTH), np.uint8)
+    clear_absorbed(pixels, mean.reshape(pixels.shape), mask, mask, (1.0, 1, 0, 0), (0, 0, HEIGHT, WIDTH), mask)

@@ -23,7 +23,7 @@ from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from ..sources.frame_checks import WHITE_LEVEL
 from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples
-from .kernels import DOUBTED, HIGHEST, SCALE, STEP_PX, USUAL_S, Today, thin_out
+from .kernels import DOUBTED, HIGHEST, SCALE, STEP_PX, USUAL_S, Today, take_residuals, take_samples, thin_out
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
 from .noise import Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
@@ -102,6 +102,7 @@ class AdaptiveBackground:
         self._sampled = self._indices(self._row, self._column)
         self._sampled[0] = self._sample_indices(self._row, self._column)
         self._dense: Mask | None = None
+        self._nowhere = np.zeros(math.prod(self._blocks), np.uint8)
         self._last_ns: int | None = None
         self._next_row = 0
         self._since_noise_s = self._since_shift_s = self._since_renewal_s = 0.0
@@ -178,10 +179,11 @@ class AdaptiveBackground:
 
     def _follow_light(self, step_s: float) -> Floats:
         """Return what is left of the samples (n, C), grey levels."""
-        at, (level, inverse_sigma) = self._sampled[0], self._image.samples
-        seen = self._samples.reshape(len(level), -1)[:, at]
-        samples = np.stack([seen, level[:, at], inverse_sigma[:, at] ** 2])
-        return self._light.update(samples, self._trust(self._sampled[1]), step_s).T
+        channels, n = self._image.shape[2], len(self._row)
+        samples, trust = np.empty((3, channels, n), np.float32), np.empty(n, np.float32)
+        seen = self._samples.reshape(channels, -1)
+        take_samples(seen, *self._image.samples, self._sampled, self._doubted(), samples, trust)
+        return self._light.update(samples, trust, step_s).T
 
     def _follow_noise(self, rest: Floats, step_s: float, first: bool) -> None:
         """Measure the noise on what shows the background; it is never less than when the room was empty."""
@@ -189,7 +191,7 @@ class AdaptiveBackground:
         if not first and self._since_noise_s < (NOISE_S if self._coarseness.known else NOISE_S / 3):
             return
         level = self._image.samples[0][:, self._sampled[0]].T * self.light.gain
-        sure = (self._trust(self._sampled[1]) >= 1) & (level + rest < WHITE_LEVEL).all(axis=1)
+        sure = (self._trust(self._row, self._column) >= 1) & (level + rest < WHITE_LEVEL).all(axis=1)
         spatial = self._update_correlation(sure)
         level = level[sure]
         found = measured_noise(level, rest[sure], foreground_known=self._dense is not None)
@@ -242,12 +244,13 @@ class AdaptiveBackground:
 
     def _edges(self, picture: Image) -> Edges:
         """Return what is left at the steep places under the light and noise of now."""
-        at, channels = self._steep[0], self._image.shape[2]
-        seen, mean, excess = (each[at] for each in (picture.reshape(-1, channels), *self._image.flat()))
-        level = self.light.gain * (self._cell_weights @ self.light.field.reshape(-1, channels)) * mean
-        variance = self._noise.read + self._noise.slope * level + excess
-        trust = np.where((seen >= WHITE_LEVEL).any(axis=1), np.float32(0), self._trust(self._steep[1]))
-        return Edges(seen - level - self.light.offset, variance.astype(np.float32), trust)
+        at, channels = self._steep, self._image.shape[2]
+        out, trust = np.empty((2, at.shape[1], channels), np.float32), np.empty(at.shape[1], np.float32)
+        pixels, (mean, excess) = picture.reshape(-1, channels), self._image.flat()
+        now = np.array([self.light.gain, self.light.offset, self._noise.read, self._noise.slope])
+        field = self._cell_weights @ self.light.field.reshape(-1, channels)
+        take_residuals(pixels, mean, excess, field, at, self._doubted(), now, out, trust)
+        return Edges(out[0], out[1], trust)
 
     def _indices(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
         """Return the index of each pixel in the picture, and of its block in the picture's blocks, (2, n)."""
@@ -258,11 +261,15 @@ class AdaptiveBackground:
         """Return the index of pixels in even rows and columns among the samples."""
         return row // STEP_PX * -(-self._image.shape[1] // STEP_PX) + column // STEP_PX
 
-    def _trust(self, block: npt.NDArray[np.intp]) -> Floats:
-        """Return 1 for each index of a block (n,), and DOUBTED near foreground of a frame ago."""
+    def _doubted(self) -> Mask:
+        """Return the blocks (n,) near foreground of a frame ago, not 0."""
+        return self._nowhere if self._dense is None else self._dense.reshape(-1)
+
+    def _trust(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
         if self._dense is None:
-            return np.ones(len(block), np.float32)
-        return np.where(self._dense.reshape(-1)[block] > 0, np.float32(DOUBTED), np.float32(1))
+            return np.ones(len(row), np.float32)
+        doubted = self._dense[row // self._block_px, column // self._block_px] > 0
+        return np.where(doubted, np.float32(DOUBTED), np.float32(1))
 
     # --- the expected image
 

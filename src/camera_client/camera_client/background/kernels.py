@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from capture_rig.kernel import njit
 
+from ..sources.frame_checks import WHITE_LEVEL
+
 OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 SCALE = 4.0  # steps of the squared distance's uint8 image: a quarter of a variance, so that 255 is 8 sigmas
 HIGHEST = float(np.iinfo(np.uint8).max)
@@ -249,6 +251,42 @@ def _write_largest(seen, level, out):  # type: ignore[no-untyped-def]
 
 
 @njit(**OPTIONS)
+def follow_running(samples, running, limit, share, differs):  # type: ignore[no-untyped-def]
+    """Write 255 into ``differs`` (h, w), else 0, where samples (C, h, w) uint8 differ by more than ``limit`` (h, w)
+    from a running mean (C, h, w) float32; move that by a ``share`` towards them."""
+    for y in range(len(differs)):
+        to, most = differs[y], limit[y]
+        to[:] = 0
+        for c in range(len(samples)):
+            row, mean = samples[c, y], running[c, y]
+            for x in range(len(to)):
+                rest = F32(row[x]) - mean[x]
+                to[x] |= np.uint8(255) if abs(rest) > most[x] else np.uint8(0)
+                mean[x] += F32(share) * rest
+
+
+@njit(**OPTIONS)
+def clear_absorbed(image, mean, replaced, limit, now, box, values):  # type: ignore[no-untyped-def]
+    """Write 0 into ``values``, of every step_px-th row and column, where the image looks as it was absorbed.
+
+    image (H, W, C) uint8; mean (H, W, C) float32 : as it was absorbed, where ``replaced`` (H, W) is not 0. limit (H, W)
+    uint8 : grey levels by which a channel differs at most. now : brightness, step_px, and row and column of the first
+    of the values. box : top, left, bottom, right of what is looked at.
+    """
+    brightness, step_px, top, left = now
+    for y in range(-(-(box[0] - top) // step_px), -(-(box[2] - top) // step_px)):
+        for x in range(-(-(box[1] - left) // step_px), -(-(box[3] - left) // step_px)):
+            v, u = top + step_px * y, left + step_px * x
+            if replaced[v, u] == 0 or values[y, x] == 0:
+                continue
+            most = F32(0)
+            for c in range(image.shape[2]):
+                most = max(most, abs(F32(image[v, u, c]) - min(F32(brightness) * mean[v, u, c], F32(HIGHEST))))
+            if most <= limit[v, u]:
+                values[y, x] = 0
+
+
+@njit(**OPTIONS)
 def median_of(values, used, unit):  # type: ignore[no-untyped-def]
     """Return the median of the ``values`` >= 0 with ``used`` > 0, read from a histogram of steps of ``unit``."""
     counts = np.zeros(BINS, np.int64)
@@ -265,3 +303,39 @@ def median_of(values, used, unit):  # type: ignore[no-untyped-def]
             return unit * (k + (half - below) / max(counts[k], 1))
         below += counts[k]
     return unit * BINS
+
+
+@njit(**OPTIONS)
+def take_samples(samples, expected, inverse_sigma, at, doubted, out, trust):  # type: ignore[no-untyped-def]
+    """Collect what the light is fitted to, at some of the picture's samples.
+
+    samples (C, m) uint8, expected, inverse_sigma (C, m) : of :func:`refresh_samples`; at (2, n) : index of each, and of
+    its block in ``doubted`` (blocks,) uint8. out (3, C, n) float32 : written: seen, expected, inverse_sigma^2. trust
+    (n,) float32 : written: DOUBTED where the block is doubted, else 1.
+    """
+    for i in range(at.shape[1]):
+        k = at[0, i]
+        for c in range(len(samples)):
+            out[0, c, i], out[1, c, i] = samples[c, k], expected[c, k]
+            out[2, c, i] = inverse_sigma[c, k] * inverse_sigma[c, k]
+        trust[i] = F32(DOUBTED) if doubted[at[1, i]] else F32(1)
+
+
+@njit(**OPTIONS)
+def take_residuals(picture, mean, excess, field, at, doubted, now, out, trust):  # type: ignore[no-untyped-def]
+    """Collect what the displacement is fitted to, at some places of the picture.
+
+    picture (H W, C) uint8, mean, excess (H W, C) float32; field (n, C) : of the light there; at (2, n) : index of each
+    place, and of its block in ``doubted`` (blocks,) uint8. now (4, C) : gain and offset of the light, read and slope of
+    the noise. out (2, n, C) float32 : written: picture - gain field mean - offset, and the variance of that. trust (n,)
+    float32 : written: DOUBTED where the block is doubted, 0 from WHITE_LEVEL on, else 1.
+    """
+    for i in range(at.shape[1]):
+        k = at[0, i]
+        trust[i] = F32(DOUBTED) if doubted[at[1, i]] else F32(1)
+        for c in range(picture.shape[1]):
+            level = F32(now[0, c]) * field[i, c] * mean[k, c]
+            out[0, i, c] = picture[k, c] - level - F32(now[1, c])
+            out[1, i, c] = now[2, c] + now[3, c] * level + excess[k, c]
+            if picture[k, c] >= WHITE_LEVEL:
+                trust[i] = F32(0)

@@ -23,7 +23,7 @@ from mocap_packets.silhouette import ForegroundSupport
 
 from ..frame_source import LASTING_S, Image, Mask
 from .expected_image import Corners, Samples
-from .kernels import BEYOND_NOISE, HIGHEST, STEP_PX, USUAL_S
+from .kernels import BEYOND_NOISE, STEP_PX, USUAL_S, clear_absorbed, follow_running
 from .moved_evidence import Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
 # Thresholds: chosen with the rooms of test_camera_moved_things.py.
@@ -144,13 +144,8 @@ class MovedThings:
         if box is not None:
             v, u = box[:2]
             part = (max(part[0], v), max(part[1], u), min(part[2], box[2]), min(part[3], box[3]))
-        (y0, y1), (x0, x1) = ([-(-(part[k + 2 * end] - (v, u)[k]) // step_px) for end in (0, 1)] for k in (0, 1))
-        if y0 >= y1 or x0 >= x1:
-            return
-        at = slice(v + step_px * y0, part[2], step_px), slice(u + step_px * x0, part[3], step_px)
-        pixels, mean = (each.reshape(*self._shape, -1)[at] for each in (image, self.mean))
-        change = np.abs(pixels - np.minimum(np.float32(brightness) * mean, np.float32(HIGHEST))).max(axis=2)
-        values[y0:y1, x0:x1][(self.replaced[at] > 0) & (change <= self._limit[at])] = 0
+        pixels, mean = (each.reshape(*self._shape, -1) for each in (image, self.mean))
+        clear_absorbed(pixels, mean, self.replaced, self._limit, (brightness, step_px, v, u), part, values)
 
     def is_due(self, stamp_ns: int) -> bool:
         """Whether :meth:`update` would look at a frame of this stamp."""
@@ -214,10 +209,10 @@ class MovedThings:
         """Follow the samples by a running mean, and begin anew in blocks that changed by more than noise."""
         if self._running is None:
             self._running = samples.astype(np.float32)
-        rest = samples - self._running
-        differs = (np.abs(rest) > self._limit_of_samples).any(axis=0)
-        self._running += np.float32(1.0 - float(np.exp(-step_s / REST_S))) * rest
-        restless = self._blocks_of(np.where(differs, np.uint8(255), np.uint8(0))) >= RESTLESS_SHARE
+        share = 1.0 - float(np.exp(-step_s / REST_S))
+        differs = np.empty(samples.shape[1:], np.uint8)
+        follow_running(samples, self._running, self._limit_of_samples, share, differs)
+        restless = self._blocks_of(differs) >= RESTLESS_SHARE
         if restless.any():
             pixels = self._to_pixels(restless, BLOCK_PX // STEP_PX)[: samples.shape[1], : samples.shape[2]]
             np.copyto(self._running, samples, where=pixels)

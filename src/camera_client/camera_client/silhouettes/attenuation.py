@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
+from capture_rig.kernel import njit
 from capture_rig.mask_levels import (
     ATTENUATED_LEVELS,
     FLOOR_REACH_M,
@@ -16,10 +16,10 @@ from capture_rig.mask_levels import (
 )
 from capture_rig.rig import Volume
 
+from ..background.kernels import OPTIONS
 from ..frame_source import Mask
 from .evidence import Scene
-from .shadows import enlarged, floor_pixels
-from .texture import halve
+from .shadows import floor_pixels
 
 RATIO_SCALE = 200.0  # grey levels that stand for an unchanged brightness: steps of half a percent
 ALIGNMENT_PX = 2
@@ -44,9 +44,34 @@ class AttenuationMarker:
 
     def mark(self, scene: Scene, person: Mask, candidates: Mask) -> Mask:
         """Return the levels (h, w) of ``person`` and ``candidates``, both 0 or 255; what is both is the person."""
-        grey = scene.grey
-        seen, there = halve(grey.image.astype(np.float32)), np.maximum(halve(grey.expected), 1)
-        ratio = np.minimum(np.float32(RATIO_SCALE) * seen / there + np.float32(0.5), 255).astype(np.uint8)
-        attenuated, candidate = (enlarged(cv2.LUT(ratio, table), 2, person.shape) for table in self._levels)
-        on_floor = np.where(self._floor[scene.at] > 0, attenuated, np.uint8(FOREGROUND))
-        return np.where(person > 0, on_floor, cv2.bitwise_and(candidate, candidates))
+        grey, levels = scene.grey, person.copy()
+        mark_attenuation(grey.image, grey.expected, person, candidates, self._floor[scene.at], self._levels, levels)
+        return levels
+
+
+@njit(**OPTIONS, crops=True)
+def mark_attenuation(image, expected, person, candidates, floor, levels, out):  # type: ignore[no-untyped-def]
+    """Write levels into ``out`` (h, w) at candidates and where the person may be floor, by 2 x 2 pixels' brightness.
+
+    image (h, w) uint8, expected (h, w) float32, the part's first row and column being even; person, candidates, floor
+    (h, w) uint8 : not 0. levels (2, 256) : of the person and of candidates, RATIO_SCALE times as bright as expected.
+    """
+    height, width = person.shape
+    wanted = np.empty(width, np.uint8)
+    for y in range(0, height, ALIGNMENT_PX):
+        z = min(y + 1, height - 1)
+        above, below = candidates[y], candidates[z]
+        for x in range(width):
+            wanted[x] = above[x] | below[x] | (person[y, x] & floor[y, x]) | (person[z, x] & floor[z, x])
+        for x in range(0, width, ALIGNMENT_PX):
+            w = min(x + 1, width - 1)
+            if wanted[x] | wanted[w] == 0:
+                continue
+            seen = np.float32(image[y, x]) + np.float32(image[y, w]) + np.float32(image[z, x]) + np.float32(image[z, w])
+            there = max(expected[y, x] + expected[y, w] + expected[z, x] + expected[z, w], np.float32(4))
+            ratio = int(min(np.float32(RATIO_SCALE) * seen / there + np.float32(0.5), np.float32(255)))
+            for v, u in ((y, x), (y, w), (z, x), (z, w)):
+                if person[v, u]:
+                    out[v, u] = levels[0, ratio] if floor[v, u] else FOREGROUND
+                elif candidates[v, u]:
+                    out[v, u] = levels[1, ratio]

@@ -37,6 +37,11 @@ class Box(NamedTuple):
     right: int
 
     @classmethod
+    def whole(cls, shape: tuple[int, ...]) -> Box:
+        """Return all of an image of that shape."""
+        return cls(0, 0, shape[0], shape[1])
+
+    @classmethod
     def around(cls, mask: Mask) -> Box:
         """Return what holds every pixel of ``mask`` that is not 0."""
         return cls.of_rectangle(cv2.boundingRect(mask))
@@ -122,19 +127,31 @@ class ForegroundLocator:
 
     def spans(self, at: tuple[slice, slice], reach_blocks: int) -> Spans:
         """Return the spans of a part of the image, from the first dense block to the last and so many blocks around."""
-        blocks = np.asarray(cv2.dilate(self.dense, np.ones((2 * reach_blocks + 1,) * 2, np.uint8)))
-        some = blocks[tuple(slice(side.start // BLOCK_PX, -(-side.stop // BLOCK_PX)) for side in at)] > 0
-        return _spans(some, *at), _spans(some.T, *at[::-1])
+        blocks = cv2.dilate(self.dense, np.ones((2 * reach_blocks + 1,) * 2, np.uint8))
+        rows, columns = (np.zeros((side.stop - side.start, 2), np.int64) for side in at)
+        find_spans(blocks, at[0].start, at[1].start, rows, columns)
+        return rows, columns
 
 
-def _spans(some: npt.NDArray[np.bool_], along: slice, across: slice) -> npt.NDArray[np.int64]:
-    """Return the span of each row of a part of the image, of its blocks (h, w) the first to the last."""
-    if not some.size:
-        return np.zeros((along.stop - along.start, 2), np.int64)
-    ends = np.stack([some.argmax(axis=1), some.shape[1] - some[:, ::-1].argmax(axis=1)], axis=1)
-    pixels = (BLOCK_PX * ends - across.start % BLOCK_PX).clip(0, across.stop - across.start)
-    rows = np.arange(along.start, along.stop) // BLOCK_PX - along.start // BLOCK_PX
-    return np.asarray((pixels * some.any(axis=1, keepdims=True))[rows], np.int64)
+@njit(**OPTIONS)
+def find_spans(blocks, top, left, rows, columns):  # type: ignore[no-untyped-def]
+    """Write ``Spans`` of a part of the image whose corner is ``top``, ``left`` from blocks, not 0, zeros before."""
+    for i in range(blocks.shape[0]):
+        for j in range(blocks.shape[1]):
+            if blocks[i, j] == 0:
+                continue
+            y0, y1 = max(BLOCK_PX * i - top, 0), min(BLOCK_PX * (i + 1) - top, len(rows))
+            x0, x1 = max(BLOCK_PX * j - left, 0), min(BLOCK_PX * (j + 1) - left, len(columns))
+            if y0 >= y1 or x0 >= x1:
+                continue
+            for y in range(y0, y1):
+                if rows[y, 1] == 0:
+                    rows[y, 0] = x0
+                rows[y, 1] = x1
+            for x in range(x0, x1):
+                if columns[x, 1] == 0:
+                    columns[x, 0] = y0
+                columns[x, 1] = y1
 
 
 # --- filters: which parts of a raw mask belong to the person
