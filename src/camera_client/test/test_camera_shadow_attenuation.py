@@ -118,7 +118,7 @@ def test_compiled_shadow_sums_equal_those_of_whole_images():
         dark = (a >= 0.4) & (a <= 0.97) & (mask > 0)
         detail, texture = image - around, a * (expected - M)
         parts = [np.ones_like(a), (detail - texture) ** 2, detail * texture, texture**2]
-        found, sums = shadow_sums(image, expected, mask, window, block, (0.4, 0.97))
+        found, sums = shadow_sums(image, expected, mask, window, block, 0.4, 0.97)
         assert np.array_equal(found > 0, dark[::2, ::2])
         for part, got in zip(parts, sums, strict=True):
             kept = np.pad(np.where(dark, part, 0)[::2, ::2], ((0, -(-height // 2) % 2), (0, -(-width // 2) % 2)))

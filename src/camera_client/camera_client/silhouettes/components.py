@@ -1,20 +1,29 @@
-"""Keeps people's components of a mask, and fills small holes, by the contours of both.
+"""Keeps people's components of a mask, and fills small holes: one compiled pass over its runs.
 
-A contour around foreground that touches, also at a corner, is a component; one inside it is a hole, of background that
-shares edges. Their areas follow from the contours alone (Pick's theorem).
+A run is a stretch of equal pixels of one row. Runs of foreground that touch, also at a corner, are one component; so
+are runs of background that share an edge (Rosenfeld and Pfaltz, "Sequential operations in digital picture processing",
+J. ACM 1966). What lies to the left of a component's first run encloses it, so that holes, and what is in them, are
+known without following any contour.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
+from capture_rig.kernel import kernel, njit
+
+from ..background.kernels import OPTIONS
 from ..background.verdict import HAND, PERSON
 from ..frame_source import Mask
-from .masks import Box
+
+WORD = 8  # pixels that are looked at together
+EMPTY_WORD, FULL_WORD = np.uint64(0), np.uint64(0xFFFFFFFFFFFFFFFF)
+OUTSIDE = 0  # the component of all background that reaches the mask's border
+KEPT, FAR, ON_THING = 1, 2, 3
+PERSON_HANDS = PERSON / HAND  # hands, the least area, in a person's
+NOTHING = np.zeros((0, 0), np.uint8)
 
 
 class PeopleRule(NamedTuple):
@@ -35,60 +44,182 @@ def keep_people(mask: Mask, rule: PeopleRule, things: Mask | None = None) -> Mas
     """Return a mask (h, w) of 0 and 255 without specks, far small components and small holes.
 
     Components that lie mostly on ``things`` (h, w), 255 where foreground is hardly a person, are left out unless there
-    are no others. What a kept component encloses stays.
+    are no others.
     """
-    kept = np.zeros_like(mask)
-    contours, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    if not contours:
-        return kept
-    inner, points = hierarchy[0, :, 3] >= 0, np.array([len(each) for each in contours])
-    most = points**2 / 8 + points / 2 + 1  # that so many can enclose, with their own: specks are not measured
-    outer = [contours[k] for k in np.flatnonzero(~inner & (most >= rule.min_area_px)).tolist()]
-    large = [each for each in outer if _area(each) >= rule.min_area_px]
-    _fill(kept, _people(large, mask, rule, things))
-    holes = [contours[k] for k in np.flatnonzero(inner).tolist() if kept[contours[k][0, 0, 1], contours[k][0, 0, 0]]]
-    kept = np.asarray(cv2.bitwise_and(kept, mask), np.uint8)
-    _fill(kept, [each for each in holes if _area(each, inside=True) < rule.max_hole_px])
+    height, width = mask.shape
+    if width % WORD or not mask.flags.c_contiguous:
+        padded = np.zeros((height, -(-width // WORD) * WORD), np.uint8)
+        padded[:, :width] = mask
+        mask = padded
+    kept = np.zeros((height, width), np.uint8)
+    most = height * (width + 1) + 1
+    runs, found = np.empty((4, most), np.int32), np.empty((8, most), np.int32)
+    select_components(mask.view(np.uint64), NOTHING if things is None else things, rule, runs, found, kept)
     return kept
 
 
-def _fill(mask: Mask, contours: Sequence[np.ndarray]) -> None:
-    for each in contours:  # drawn together, one within another would be left out
-        cv2.drawContours(mask, [each], -1, 255, cv2.FILLED)
+@njit(**OPTIONS, crops=True)
+def select_components(words, things, rule, runs, found, kept):  # type: ignore[no-untyped-def]
+    """Write 255 into ``kept`` (h, w), zeros before, where people's components are.
+
+    words (h, n) uint64 : the mask, eight pixels each, zeros beyond its width. things (h, w) or (0, 0). runs (4, m),
+    found (8, m) int32 : work space, of h (w + 1) + 1 columns.
+    """
+    row, begin, end, root = runs[0], runs[1], runs[2], runs[3]
+    solid, area, outer, state = found[0], found[1], found[2], found[3]  # of a component in the place of its first run
+    box = found[4:]
+    count = _find_runs(words, kept.shape[1], row, begin, end, solid)
+    _join_runs(count, kept.shape, row, begin, end, solid, root)
+    for k in range(count):
+        root[k] = root[root[k]]
+        own = root[k]
+        if own == k:
+            area[k], state[k] = 0, 0
+            box[0, k], box[1, k], box[2, k], box[3, k] = row[k], begin[k], row[k], end[k]
+            outer[k] = root[k - 1] if k > 0 and row[k - 1] == row[k] else OUTSIDE
+        area[own] += end[k] - begin[k]
+        box[1, own], box[2, own], box[3, own] = min(box[1, own], begin[k]), row[k] + 1, max(box[3, own], end[k])
+    for k in range(count - 1, OUTSIDE, -1):
+        if root[k] == k and outer[k] != OUTSIDE:
+            area[outer[k]] += area[k]
+    _choose(count, runs, found, things, rule)
+    # downwards: what a kept component encloses stays; small holes in it are filled, with all that is in them
+    for k in range(1, count):
+        if root[k] != k:
+            continue
+        around = outer[k]
+        if solid[k]:
+            if around != OUTSIDE and state[outer[around]]:
+                state[k] = 1
+        else:
+            beyond = outer[around]
+            filled = state[around] and area[k] < rule.max_hole_px
+            state[k] = 1 if filled or (beyond != OUTSIDE and state[beyond]) else 0
+    for k in range(1, count):
+        if state[root[k]]:
+            for x in range(begin[k], end[k]):
+                kept[row[k], x] = 255
 
 
-def _area(contour: np.ndarray, inside: bool = False) -> float:
-    """Return how many pixels a contour (n, 1, 2) encloses: with its own, or those ``inside`` alone."""
-    if len(contour) == 1:
-        return 1.0
-    own = len(contour) / 2
-    return cv2.contourArea(contour) + 1 + (-own if inside else own)
+@kernel
+def _find_runs(words, width, row, begin, end, solid):  # type: ignore[no-untyped-def]
+    """Write all runs, row by row from left to right, after the one that stands for the outside; return their number.
+
+    row, begin, end (m,) int32 : where they are, the end excluded. solid (m,) : 1 of foreground, 0 of background.
+    """
+    row[OUTSIDE], begin[OUTSIDE], end[OUTSIDE], solid[OUTSIDE] = -1, 0, 0, 0
+    count = 1
+    for y in range(len(words)):
+        line, colour, start = words[y], np.int32(0), 0
+        for w in range(len(line)):
+            word = line[w]
+            if word == (FULL_WORD if colour else EMPTY_WORD):
+                continue
+            for bit in range(WORD):
+                now = np.int32((word >> np.uint64(8 * bit)) & np.uint64(1))
+                x = WORD * w + bit
+                if now == colour or x >= width:
+                    continue
+                if x > start:
+                    row[count], begin[count], end[count], solid[count] = y, start, x, colour
+                    count += 1
+                colour, start = now, x
+        row[count], begin[count], end[count], solid[count] = y, start, width, colour
+        count += 1
+    return count
 
 
-def _people(large: Sequence[np.ndarray], mask: Mask, rule: PeopleRule, things: Mask | None) -> list[np.ndarray]:
-    """Return the contours of the ``large`` components that are people's by their size and place."""
-    if not large:
-        return []
-    boxes = [Box.of_rectangle(cv2.boundingRect(each)) for each in large]
-    areas = [_area(each) for each in large]
-    clear = [k for k, box in enumerate(boxes) if things is None or not _lies_on(mask, things, box)]
-    left = clear or list(range(len(large)))
-    largest = max(left, key=lambda k: (areas[k], -boxes[k].top))
-    kept = {largest} | {k for k in left if areas[k] * HAND >= PERSON * rule.min_area_px}
-    grown = True
-    while grown:
-        near = {k for k in left if any(_gap2_px(boxes[k], boxes[other]) <= rule.near_px**2 for other in kept)}
-        grown, kept = not near <= kept, kept | near
-    return [large[k] for k in sorted(kept)]
+@kernel
+def _join_runs(count, shape, row, begin, end, solid, root):  # type: ignore[no-untyped-def]
+    """Write into ``root`` (m,) a run before each one in its component, whose own is the component's first."""
+    height, width = shape
+    root[OUTSIDE] = OUTSIDE
+    above = 1  # the first run of the row above that may touch the next one
+    for k in range(1, count):
+        root[k] = k
+        border = row[k] == 0 or row[k] == height - 1 or begin[k] == 0 or end[k] == width
+        if border and not solid[k]:
+            root[k] = OUTSIDE
+        if row[k] == 0:
+            continue
+        while row[above] < row[k] - 1 or (row[above] == row[k] - 1 and end[above] < begin[k]):
+            above += 1
+        other = above
+        while row[other] == row[k] - 1 and begin[other] <= end[k]:
+            touches = solid[k] or (begin[other] < end[k] and end[other] > begin[k])  # background not at a corner
+            if solid[other] == solid[k] and touches:
+                a, b = _first(root, other), _first(root, k)
+                root[max(a, b)] = min(a, b)
+            other += 1
 
 
-def _lies_on(mask: Mask, things: Mask, box: Box) -> bool:
+@kernel
+def _first(root, k):  # type: ignore[no-untyped-def]
+    """Return the first run of a component."""
+    while root[k] != k:
+        root[k] = root[root[k]]
+        k = root[k]
+    return k
+
+
+@kernel
+def _choose(count, runs, found, things, rule):  # type: ignore[no-untyped-def]
+    """Write 1 into the state of the components that are people's by their size and place.
+
+    runs, found : the work space of :func:`select_components`.
+    """
+    row, begin, end, root = runs[0], runs[1], runs[2], runs[3]
+    solid, area, state, box = found[0], found[1], found[3], found[4:]
+    largest, clear = OUTSIDE, OUTSIDE  # clear: that lies on no thing
+    for k in range(1, count):
+        if root[k] != k or not solid[k] or area[k] < rule.min_area_px:
+            continue
+        state[k] = FAR
+        if largest == OUTSIDE or area[k] > area[largest]:
+            largest = k
+        if things.size and _lies_on(k, count, row, begin, end, solid, box, things):
+            state[k] = ON_THING
+        elif clear == OUTSIDE or area[k] > area[clear]:
+            clear = k
+    if clear == OUTSIDE:  # nothing else: the things, then
+        clear = largest
+        for k in range(1, count):
+            state[k] = FAR if root[k] == k and state[k] == ON_THING else state[k]
+    if clear == OUTSIDE:
+        return
+    for k in range(1, count):
+        if root[k] == k and state[k] == FAR and area[k] >= PERSON_HANDS * rule.min_area_px:
+            state[k] = KEPT
+    state[clear] = KEPT
+    near = True
+    while near:
+        near = False
+        for k in range(1, count):
+            if root[k] != k or state[k] != FAR:
+                continue
+            for other in range(1, count):
+                if root[other] == other and state[other] == KEPT and _gap2_px(box, k, other) <= rule.near_px**2:
+                    state[k], near = KEPT, True
+                    break
+    for k in range(1, count):
+        state[k] = KEPT if root[k] == k and state[k] == KEPT else 0
+
+
+@kernel
+def _lies_on(k, count, row, begin, end, solid, box, things):  # type: ignore[no-untyped-def]
     """Whether more than half of the foreground in a component's bounding box lies on ``things``."""
-    own = mask[box.slices]
-    return 2 * cv2.countNonZero(cv2.bitwise_and(own, things[box.slices])) > cv2.countNonZero(own)
+    anything = there = 0
+    for run in range(1, count):
+        if solid[run] and box[0, k] <= row[run] < box[2, k]:
+            for x in range(max(begin[run], box[1, k]), min(end[run], box[3, k])):
+                anything += 1
+                there += things[row[run], x] != 0
+    return 2 * there > anything
 
 
-def _gap2_px(a: Box, b: Box) -> int:
+@kernel
+def _gap2_px(box, a, b):  # type: ignore[no-untyped-def]
     """Return the squared distance between two components' boxes, 0 where they touch or overlap."""
-    down, right = max(a.top - b.bottom, b.top - a.bottom, 0), max(a.left - b.right, b.left - a.right, 0)
+    down = max(box[0, a] - box[2, b], box[0, b] - box[2, a], 0)
+    right = max(box[1, a] - box[3, b], box[1, b] - box[3, a], 0)
     return down * down + right * right

@@ -7,7 +7,6 @@ In the order of the pipeline: :class:`ForegroundLocator` finds the box to work i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -37,19 +36,9 @@ class Box(NamedTuple):
     right: int
 
     @classmethod
-    def whole(cls, shape: tuple[int, ...]) -> Box:
-        """Return all of an image of that shape."""
-        return cls(0, 0, shape[0], shape[1])
-
-    @classmethod
     def around(cls, mask: Mask) -> Box:
         """Return what holds every pixel of ``mask`` that is not 0."""
-        return cls.of_rectangle(cv2.boundingRect(mask))
-
-    @classmethod
-    def of_rectangle(cls, rectangle: Sequence[int]) -> Box:
-        """Return the box of OpenCV's rectangle: x, y, width, height."""
-        x, y, width, height = rectangle
+        x, y, width, height = cv2.boundingRect(mask)
         return cls(y, x, y + height, x + width)
 
     @property
@@ -221,43 +210,80 @@ _UNSEEN = np.uint32(0xFFFFFFFF)
 
 
 class BoxUndistorter:
-    """Gives exactly what ``view.undistort_mask`` gives for a mask that is 0 outside a box, and faster: of the canvas it
-    looks at the part alone that shows the cells of the image that the box meets."""
+    """Gives exactly what ``view.undistort_mask`` gives for a mask that is 0 outside a box, and faster.
+
+    For each cell of the image it knows which rows and columns of the canvas look into it.
+    """
 
     def __init__(self, view: UndistortedView) -> None:
         rows, columns = np.indices(view.image_shape, np.int16)
-        column, row = (view.undistort_mask(each).astype(np.uint32) for each in (columns, rows))
-        self._place = np.where(view.seen, row * np.uint32(view.image_shape[1]) + column, _UNSEEN)
-        """Index of the pixel that each pixel of the canvas shows."""
-        cell = row[view.seen] // CELL_PX, column[view.seen] // CELL_PX
-        shape = tuple(-(-n // CELL_PX) for n in view.image_shape)
-        self._low = np.full((*shape, 2), np.iinfo(np.int32).max, np.int32)
-        """First row and column of the canvas that show each cell; ``_high``: the ones after the last."""
-        self._high = np.zeros((*shape, 2), np.int32)
-        for axis, place in enumerate(np.nonzero(view.seen)):
-            np.minimum.at(self._low[..., axis], cell, place.astype(np.int32))
-            np.maximum.at(self._high[..., axis], cell, place.astype(np.int32) + 1)
+        nearest = np.stack([view.undistort_mask(columns), view.undistort_mask(rows)], axis=2)
+        nearest[~view.seen] = -1
+        place = nearest[..., 1].astype(np.uint32) * np.uint32(view.image_shape[1]) + nearest[..., 0].astype(np.uint32)
+        self._place = np.where(view.seen, place, _UNSEEN)
+        self._low, self._high = _canvas_of_cells(nearest, view.image_shape)
 
     def undistort(self, mask: Mask, box: Box) -> Mask:
         """Map ``mask`` (H, W) uint8, 0 outside ``box``, to the canvas (h, w): nearest pixel, 0 where unseen."""
         canvas = np.zeros(self._place.shape, np.uint8)
-        if not box.empty:
-            cells = box.divided(CELL_PX).slices
-            low, high = self._low[cells].min(axis=(0, 1)), self._high[cells].max(axis=(0, 1))
-            look_up(mask, self._place, (low[0], low[1], high[0], high[1]), canvas)
+        look_up(mask, *box, self._place, self._low, self._high, canvas)
         return canvas
 
 
 @njit(**OPTIONS)
-def look_up(mask, place, part, canvas):  # type: ignore[no-untyped-def]
-    """Fill a part (top, left, bottom, right) of the canvas (h, w) with the pixels of ``mask`` (H, W) that it shows.
+def look_up(mask, top, left, bottom, right, place, low, high, canvas):  # type: ignore[no-untyped-def]
+    """Fill the parts of the canvas that look into what ``mask`` (H, W) holds within a box; see :class:`BoxUndistorter`.
 
-    place (h, w) uint32 : index of the pixel that each pixel of the canvas shows, or _UNSEEN.
+    place (h, w) uint32 : index of the pixel that each pixel of the canvas shows, or _UNSEEN. low, high : of
+    :func:`_canvas_of_cells`. canvas (h, w) uint8 : written, zeros before.
     """
-    top, left, bottom, right = part
+    for row in range(top // CELL_PX, -(-bottom // CELL_PX)):
+        y0, y1 = max(top, row * CELL_PX), min(bottom, (row + 1) * CELL_PX)
+        begin = -1
+        for cell in range(left // CELL_PX, -(-right // CELL_PX) + 1):  # runs of cells that hold anything
+            x0, x1 = max(left, cell * CELL_PX), min(right, (cell + 1) * CELL_PX)
+            holds = x0 < x1 and _holds_anything(mask[y0:y1, x0:x1])
+            if holds and begin < 0:
+                begin = cell
+            elif not holds and begin >= 0:
+                _look_up_cells(mask, low[row, begin:cell], high[row, begin:cell], place, canvas)
+                begin = -1
+
+
+@njit(**OPTIONS)
+def _holds_anything(part):  # type: ignore[no-untyped-def]
+    for y in range(part.shape[0]):
+        row, found = part[y], np.uint8(0)
+        for x in range(len(row)):
+            found |= row[x]
+        if found:
+            return True
+    return False
+
+
+@njit(**OPTIONS)
+def _look_up_cells(mask, low, high, place, canvas):  # type: ignore[no-untyped-def]
+    """Fill the rectangle of the canvas that looks into a run of cells; low, high (n, 2) : of each."""
+    v0, u0, v1, u1 = canvas.shape[0], canvas.shape[1], 0, 0
+    for cell in range(len(low)):
+        v0, u0 = min(v0, low[cell, 0]), min(u0, low[cell, 1])
+        v1, u1 = max(v1, high[cell, 0]), max(u1, high[cell, 1])
     pixels = mask.reshape(-1)
-    for v in range(top, bottom):
-        to, looks_at = canvas[v, left:right], place[v, left:right]
+    for v in range(v0, v1):
+        to, looks_at = canvas[v, u0:u1], place[v, u0:u1]
         for u in range(len(to)):
             if looks_at[u] != _UNSEEN:
                 to[u] = pixels[looks_at[u]]
+
+
+def _canvas_of_cells(nearest: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """For each image cell (r, c) the lowest and highest + 1 canvas (row, column) that looks into it, both (r, c, 2)."""
+    grid = tuple(-(-n // CELL_PX) for n in shape)
+    low = np.full((*grid, 2), np.iinfo(np.int32).max, np.int32)
+    high = np.zeros((*grid, 2), np.int32)
+    row, column = np.nonzero(nearest[..., 0] >= 0)
+    cell = nearest[row, column, 1] // CELL_PX, nearest[row, column, 0] // CELL_PX
+    for axis, place in enumerate((row, column)):
+        np.minimum.at(low[..., axis], cell, place.astype(np.int32))
+        np.maximum.at(high[..., axis], cell, place.astype(np.int32) + 1)
+    return low, high

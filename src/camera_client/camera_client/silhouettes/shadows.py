@@ -23,7 +23,7 @@ from ..frame_source import Image, Mask
 from ..settings import SilhouetteSettings
 from .evidence import COLOUR_SHARE, Scene
 from .masks import Box, majority
-from .texture import as_dark_as_near, blocks_that_fit, drop_lost_texture, halve, shadow_sums, sum_by_label
+from .texture import as_dark_as_near, blocks_that_fit, halve, lose_texture, shadow_sums, sum_by_label
 
 # Thresholds: chosen with silhouette.py among the benches of commit d6079d2, PATCH_SIGMAS, PATCH_LEFT, LEAST_PATCH
 # with python bench/rooms.py.
@@ -124,7 +124,7 @@ class FloorShadow:
 
     def _patches(self, scene: Scene, mask: Mask, looked_at: Mask, sigma: float) -> Mask:
         sides, limits = (self._window, self._block), (FLOOR_DARKEST, LIGHTEST)
-        dark, sums = shadow_sums(scene.image, scene.expected, looked_at, *sides, limits)
+        dark, sums = shadow_sums(scene.image, scene.expected, looked_at, *sides, *limits)
         found, blocks = np.zeros_like(mask), self._large_patches(sigma, sums)
         box = Box.around(blocks)
         if box.empty:
@@ -152,11 +152,12 @@ class FloorShadow:
     def _large_patches(self, sigma: float, sums: np.ndarray) -> Mask:
         """255 at the blocks of patches that are large and, as a whole, keep the floor's texture beyond chance."""
         limit, least_px = (SHADOW_SIGMAS * sigma) ** 2, 0.5 * self._block**2
-        fits = blocks_that_fit(sums, limit, PERSISTENCE, least_px, TEXTURE_BLOCKS // 2)
+        fits = blocks_that_fit(sums, limit, np.float32(PERSISTENCE), least_px, TEXTURE_BLOCKS // 2)
         patches, labels = cv2.connectedComponents(fits, connectivity=4)
         if patches == 1:
             return fits
-        area_px, left, kept, there = sum_by_label(labels, sums, patches)
+        area_px, left, kept, there = np.zeros((4, patches))
+        sum_by_label(labels, sums, (area_px, left, kept, there))
         least, most = PATCH_PERSISTENCE
         chance = np.sqrt(there * left / np.maximum(area_px, 1))  # standard deviation of `kept` if nothing were shared
         large = (area_px >= self._min_area_px) & (kept >= least * there) & (kept <= most * there)
@@ -251,10 +252,11 @@ class ColourShadow:
         part, both = found[box.slices], tuple(slice(2 * side.start, 2 * side.stop) for side in box.slices)
         image, expected = scene.grey.image[both], scene.grey.expected[both]
         variance = HALVED_NOISE * scene.sigma**2
-        hidden = SHADOW_SIGMAS**2 * variance
-        values = drop_lost_texture(image, expected, part, TEXTURE_WINDOW_PX, hidden, TEXTURE_LEFT)
+        sums = np.zeros((4, *part.shape), np.float32)
+        lose_texture(image, expected, part, TEXTURE_WINDOW_PX, SHADOW_SIGMAS**2 * variance, TEXTURE_LEFT, sums)
         count, labels = cv2.connectedComponents(part, connectivity=4)
-        area, _, shared, power = sum_by_label(labels, values, count)
+        area, _, shared, power = per_label = np.zeros((4, count))
+        sum_by_label(labels, sums, tuple(per_label))
         lost = (power > (PATCH_SIGMAS / PATCH_LEFT) ** 2 * variance) & (shared < PATCH_LEFT * power)
         large = ~lost & (area >= LEAST_PATCH * self._darkest.shape[0] ** 2)
         large[0] = True  # what is in no patch
