@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -43,7 +44,7 @@ class Instant:
     R_world_sticks: Array
 
 
-class PersonNode(SagomaNode):
+class PersonNode(SagomaNode, ABC):
     """Calls :meth:`send` with every frame set in which the person has a pose. It starts by itself."""
 
     Settings: ClassVar[type] = PersonSettings
@@ -56,9 +57,9 @@ class PersonNode(SagomaNode):
         self._half_heard: dict[int, dict[str, Any]] = {}  # by stamp: two topics have no common order
         self._active = False
 
+    @abstractmethod
     def send(self, instant: Instant) -> None:
         """Hand an instant on; OSError and InputError are logged."""
-        raise NotImplementedError
 
     def configure(self) -> None:
         """Subscribe."""

@@ -29,9 +29,8 @@ from .model import BackgroundModel
 from .noise import Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
 from .shift import LINEAR_PX, Displacement, Edges, ShiftEstimator
 
-# Thresholds: SAMPLES from the error of a mean, 1/sqrt(n); else measured by python bench/rooms.py.
-# ... this grid: two men in a laboratory are tracked 5 to 15 mm better than with 1500, 4000 or 6000, by all of which the
-# noise's correlation is measured lower (0.25 to 0.4 for 0.3 to 0.5)
+# Thresholds: measured by python bench/rooms.py; SAMPLES from the error of a mean, 1/sqrt(n): with 1500, 4000 or 6000
+# two men in a laboratory are tracked 5 to 15 mm worse (--lab), the noise's correlation being measured lower
 SAMPLES = 3000  # on a regular grid: the light to a thousandth
 TURN_S = 0.03  # some rows of the expected image are renewed, and the displacement is measured, not more often
 BANDS, SWEEP_S = 8, 0.25  # all of them in so many turns, or sooner when frames are rare: light's field takes as long

@@ -18,7 +18,7 @@ from .corner_grid import CornerGrid, is_black_first, predict, steps, turned
 from .detector import FlatBoard, as_grey, complete, detection_of, followed, possible_orders
 from .lattice import HALF, Variant, find_saddles
 
-# Thresholds: MIN_FOUND measured by python bench/calibration.py --boards; clicks: judgement.
+# Thresholds: judgement.
 POINTING_ERROR_PX = 6.0
 CANDIDATES = 3  # saddles looked at near each click
 HIT_FIELDS, MIN_HIT_PX = 0.25, 1.0  # how near a saddle must lie to where a corner is expected

@@ -126,7 +126,7 @@ class LiveInput:
         """Prepare the active graph for the playback; files need nothing."""
 
     def settle(self, cancel: threading.Event) -> None:
-        """Wait until the graph has found the rate that it holds; files are played no faster than it answers."""
+        """Give the graph time to find the rate that it holds; files are played no faster than it answers."""
 
     def usage(self) -> dict[str, Usage]:
         """Return what its own processes use, by label: simulated cameras run beside the graph."""
