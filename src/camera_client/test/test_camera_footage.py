@@ -12,7 +12,7 @@ from footage_clips import scene as square_scene
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import FootageSettings
 from camera_client.sources.footage_pace import LEAD_NS, Pace, SharedClock, WallClockPace
-from camera_client.sources.footage_reader import VideoReader, open_footage
+from camera_client.sources.footage_reader import FootageReader, open_footage
 from camera_client.sources.footage_source import READ_AHEAD, FootageSource
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
@@ -30,9 +30,6 @@ class Ready(Pace):
 
     def begin(self, clock, frame):
         self.begun.append((clock.epoch_ns, frame))
-
-    def wait(self, frame, timeout_s):
-        return True
 
 
 def source_of(path, pace=None, now_ns=lambda: EPOCH_NS, channels="auto", **settings):
@@ -125,13 +122,13 @@ def test_start_after_the_end_without_an_epoch_takes_a_new_one(video):
 def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene, monkeypatch):
     path = scene.write_video(tmp_path / "long.avi", scene.empty(60))
     with source_of(path) as source:
-        decoded, original = [], VideoReader.read
+        decoded, original = [], FootageReader.read
 
-        def counted(reader):
+        def counted(reader, loop):
             decoded.append(1)
-            return original(reader)
+            return original(reader, loop)
 
-        monkeypatch.setattr(VideoReader, "read", counted)
+        monkeypatch.setattr(FootageReader, "read", counted)
         source.start()
         for delivered in range(1, 21):
             frames_of(source, 1)
