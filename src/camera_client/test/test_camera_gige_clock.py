@@ -6,6 +6,7 @@ import pytest
 from camera_client.gige.camera_clock import CameraClock, ClockReading, read_clock
 from camera_client.gige.capture_time import CameraTime, FrameTimes, PtpTime, after_last, choose_time_source
 from camera_client.gige.features import DeviceRefusal
+from camera_client.settings import AravisSettings
 from capture_rig.errors import InputError
 
 US, MS, SECOND = 1_000, 1_000_000, 1_000_000_000
@@ -219,7 +220,8 @@ def reading_ahead(seconds):
 
 
 def choose(wanted, reading, status, offset_s=37):
-    return choose_time_source(wanted, reading, status, offset_s, "exposure_start", "camera X")
+    settings = AravisSettings(stamp_source=wanted, tai_utc_offset_s=offset_s)
+    return choose_time_source(settings, reading, status, "camera X")
 
 
 @pytest.mark.parametrize(

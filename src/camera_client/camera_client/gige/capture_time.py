@@ -5,12 +5,12 @@ Each strategy turns what a frame carries into the stamp of mid-exposure and a bo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple
 
 from capture_rig.errors import InputError
 from mocap_packets.frame_set import TIME_JUMP_NS
 
+from ..settings import AravisSettings
 from .camera_clock import MS, SECOND, USUAL_DRIFT, CameraClock, ClockReading
 
 # Thresholds: judgement, no measurement.
@@ -24,8 +24,7 @@ MIDDLE = {"exposure_start": 0.5, "exposure_middle": 0.0, "exposure_end": -0.5}
 """Share of the exposure from the instant that the camera stamps to its middle."""
 
 
-@dataclass(frozen=True)
-class FrameTimes:
+class FrameTimes(NamedTuple):
     """What is known of one frame, ns: the camera's stamp on its clock, arrival of the first packet on ours (UTC)."""
 
     camera_ns: int
@@ -33,28 +32,12 @@ class FrameTimes:
     exposure_ns: int
 
 
-@dataclass(frozen=True)
-class Stamp:
+class Stamp(NamedTuple):
     """Mid-exposure on the system's clock (UTC, ns), how far that may be off, and whose clock it is from."""
 
     ns: int
     uncertainty_ns: int
     clock: str
-
-
-class TimeSource(Protocol):
-    """Stamps the frames of one run, in the order of their arrival; see :func:`after_last`."""
-
-    @property
-    def name(self) -> str:
-        """Whose clock the stamps are from, for diagnostics."""
-
-    @property
-    def jumps(self) -> int:
-        """How often the clock was found to have been set."""
-
-    def stamp(self, times: FrameTimes) -> Stamp:
-        """Return when the frame was exposed, and how far that may be off."""
 
 
 class ArrivalTime:
@@ -63,15 +46,11 @@ class ArrivalTime:
     Uncertain by half the exposure and what readout, transfer and scheduling may take.
     """
 
-    name = "host, at arrival"
-
-    def __init__(self) -> None:
-        self.jumps = 0
+    name, jumps = "host, at arrival", 0
 
     def stamp(self, times: FrameTimes) -> Stamp:
-        return Stamp(
-            times.arrival_ns - times.exposure_ns // 2, times.exposure_ns // 2 + ARRIVAL_UNCERTAINTY_NS, self.name
-        )
+        half_ns = times.exposure_ns // 2
+        return Stamp(times.arrival_ns - half_ns, half_ns + ARRIVAL_UNCERTAINTY_NS, self.name)
 
 
 class CameraTime:
@@ -146,61 +125,48 @@ class PtpTime:
         return Stamp(taken_ns, self._uncertainty_ns, self.name) if in_step else mapped
 
 
+TimeSource = ArrivalTime | CameraTime | PtpTime
+"""Stamps the frames of one run, in the order of their arrival (see :func:`after_last`): ``stamp(times)``.
+
+``name``: whose clock the stamps are from, for diagnostics; ``jumps``: how often it was found to have been set.
+"""
+
+
 def after_last(stamp_ns: int, last_ns: int) -> int:
     """Return ``stamp_ns``, or a nanosecond after the last one if that is later by less than a clock is set by."""
     return last_ns + 1 if 0 <= last_ns - stamp_ns < TIME_JUMP_NS else stamp_ns
 
 
 def choose_time_source(
-    wanted: str,
-    reading: ClockReading | None,
-    ptp_status: str | None,
-    tai_utc_offset_s: int,
-    camera_stamps: str,
-    where: str,
+    settings: AravisSettings, reading: ClockReading | None, ptp_status: str | None, where: str
 ) -> tuple[TimeSource, str]:
-    """Return the source for ``wanted`` (auto, ptp, camera, arrival), and a warning ("" when there is none).
+    """Return the source for ``settings.stamp_source``, and a warning ("" when there is none).
 
     ptp_status : the camera's PTP status; None where it has no PTP.
     Raises InputError when PTP was demanded and the camera's clock is not that of PTP.
     """
+    wanted, offset_s = settings.stamp_source, settings.tai_utc_offset_s
     if wanted == "arrival":
         return ArrivalTime(), ""
-    mapped = CameraTime(reading, camera_stamps)
-    if wanted == "camera" or (wanted == "auto" and (ptp_status is None or ptp_status not in PTP_IN_STEP)):
+    mapped = CameraTime(reading, settings.camera_stamps)
+    in_step = ptp_status in PTP_IN_STEP
+    if wanted == "camera" or (wanted == "auto" and not in_step):
         return mapped, ""
-    objection = _objection(reading, ptp_status, tai_utc_offset_s)
-    if not objection:
-        assert reading is not None
-        away_ns = max(abs(_away_ns(reading, tai_utc_offset_s)) - reading.uncertainty_ns, 0)
-        return PtpTime(tai_utc_offset_s, camera_stamps, reading.uncertainty_ns + away_ns, mapped), ""
-    if wanted == "ptp":
-        raise InputError(
-            f"cannot be stamped by PTP: {objection}",
-            where=where,
-            remedy="Set aravis.stamp_source to auto or camera to do without.",
+    if not in_step:
+        objection = f"its PTP status is {ptp_status}, not {' or '.join(PTP_IN_STEP)} (is a grandmaster on the network?)"
+    elif reading is None:
+        objection = "the camera's clock cannot be read, so nothing shows that it is in step with this host's"
+    else:
+        away_ns = -reading.offset_ns - offset_s * SECOND
+        unsure_ns = max(abs(away_ns), reading.uncertainty_ns)
+        if unsure_ns <= PTP_TOLERANCE_NS + reading.uncertainty_ns:
+            return PtpTime(offset_s, settings.camera_stamps, unsure_ns, mapped), ""
+        objection = (
+            f"its clock is {offset_s + away_ns / SECOND:.3f} s ahead of this host's UTC, not {offset_s} s as "
+            "aravis.tai_utc_offset_s says (37: the grandmaster gives TAI, 0: UTC); set that right, or this host's "
+            "clock (chrony; ptp4l and phc2sys)"
         )
+    if wanted == "ptp":
+        remedy = "Set aravis.stamp_source to auto or camera to do without."
+        raise InputError(f"cannot be stamped by PTP: {objection}", where=where, remedy=remedy)
     return mapped, f"PTP is not used for stamps: {objection}"
-
-
-def _away_ns(reading: ClockReading, tai_utc_offset_s: int) -> int:
-    """Return how far the camera's clock is from the system's, when it should be ahead by so much."""
-    return reading.camera_ns - tai_utc_offset_s * SECOND - reading.host_ns
-
-
-def _objection(reading: ClockReading | None, ptp_status: str | None, tai_utc_offset_s: int) -> str:
-    """Why the camera's clock cannot be taken for PTP time; "" when it can."""
-    if ptp_status is None:
-        return "the camera has no PTP"
-    if ptp_status not in PTP_IN_STEP:
-        return f"its PTP status is {ptp_status}, not {' or '.join(PTP_IN_STEP)} (is a grandmaster on the network?)"
-    if reading is None:
-        return "the camera's clock cannot be read, so nothing shows that it is in step with this host's"
-    away_ns = _away_ns(reading, tai_utc_offset_s)
-    if abs(away_ns) <= PTP_TOLERANCE_NS + reading.uncertainty_ns:
-        return ""
-    ahead_s = tai_utc_offset_s + away_ns / SECOND
-    return (
-        f"its clock is {ahead_s:.3f} s ahead of this host's UTC, not {tai_utc_offset_s} s as aravis.tai_utc_offset_s "
-        "says (37: the grandmaster gives TAI, 0: UTC); set that right, or this host's clock (chrony; ptp4l and phc2sys)"
-    )

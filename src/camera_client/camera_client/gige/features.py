@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import Enum
 from typing import Protocol
 
@@ -124,7 +124,7 @@ class Features:
                 f"Write '{found}!' in {key} to run it.",
             )
         assert kind is not None
-        value = self._allowed(found, self._parsed(found, kind, wanted, key), key)
+        value = self._on_grid(found, self._parsed(found, kind, wanted, key))
         try:
             self.access.write(found, value)
         except DeviceRefusal as refusal:
@@ -160,51 +160,38 @@ class Features:
         except DeviceRefusal as refusal:
             raise self._error(f"refuses {found}! ({refusal})", f"Change {key}.") from None
 
-    def apply(self, lines: Sequence[str], key: str) -> tuple[Value, ...]:
-        """ "Name=value" and "Name!" (a command), one after the other, in this order; the values read back."""
-        applied = []
+    def apply(self, lines: Sequence[str], key: str) -> None:
+        """Set "Name=value" and run "Name!" (a command), one after the other, in this order."""
         for line in lines:
             name, equals, value = (part.strip() for part in line.partition("="))
             if not equals and name.endswith("!") and len(name) > 1:
                 self.run(name[:-1].strip(), key)
             elif equals and name:
-                applied.append(self.set(name, value, key))
+                self.set(name, value, key)
             else:
                 raise self._error(f"{key} holds {line!r}", "Write 'Name=value', or 'Name!' for a command.")
-        return tuple(applied)
 
     # --- values --------------------------------------------------------------------------------------------------
 
     def _parsed(self, name: str, kind: Kind, wanted: Value, key: str) -> Value:
         try:
-            return _PARSERS[kind](wanted)
-        except (ValueError, OverflowError):
+            return _parsed(kind, wanted)
+        except ValueError:
             raise self._error(f"{name} = {wanted!r} is no {kind.value}", f"Give a proper value in {key}.") from None
 
-    def _allowed(self, name: str, value: Value, key: str) -> Value:
-        """Return the value on the feature's grid. Raises InputError when it is out of range or no entry."""
-        kind = self.access.kind(name)
-        fits = True
-        if kind is Kind.ENUMERATION:
-            fits = value in self.access.choices(name)
-        elif kind in (Kind.INTEGER, Kind.FLOAT):
-            assert not isinstance(value, str)
-            low, high = self.access.limits(name) or (-math.inf, math.inf)
-            fits = low <= value <= high
-            step = self.access.step(name)
-            if fits and kind is Kind.INTEGER and step and step > 1 and math.isfinite(low):
-                value = int(low + step * round((value - low) / step))
-        if not fits:
-            raise self._error(f"cannot take {name} = {value}", f"{self._allowance(name)}Change {key}.")
-        return value
+    def _on_grid(self, name: str, value: Value) -> Value:
+        """Return the value, of an integer in range on its grid; what is out of range is the device's to refuse."""
+        if self.access.kind(name) is not Kind.INTEGER or isinstance(value, str):
+            return value
+        limits, step = self.access.limits(name), self.access.step(name)
+        if limits is None or not step or not limits[0] <= value <= limits[1]:
+            return value
+        return int(limits[0] + step * round((value - limits[0]) / step))
 
     def _same(self, name: str, wanted: Value, got: Value) -> bool:
-        if isinstance(wanted, bool | str) or isinstance(got, bool | str):
+        if self.access.kind(name) is not Kind.FLOAT or isinstance(wanted, str) or isinstance(got, str):
             return wanted == got
-        kind, step = self.access.kind(name), self.access.step(name) or 0.0
-        if kind is Kind.INTEGER:
-            return wanted == got
-        return abs(got - wanted) <= max(FLOAT_TOLERANCE * abs(wanted), step, 1e-9)
+        return abs(got - wanted) <= max(FLOAT_TOLERANCE * abs(wanted), self.access.step(name) or 1e-9)
 
     def _allowance(self, name: str) -> str:
         """Return what the feature takes, as a sentence; empty where the device does not describe it."""
@@ -223,42 +210,19 @@ class Features:
         return InputError(what, where=self.where, remedy=remedy)
 
 
-def _boolean(wanted: Value) -> bool:
-    if isinstance(wanted, bool):
-        return wanted
+def _parsed(kind: Kind, wanted: Value) -> Value:
+    """Return a value, or its text, as what a feature of this kind holds. Raises ValueError."""
+    if kind in (Kind.ENUMERATION, Kind.STRING):
+        return str(wanted)
     text = str(wanted).lower()
-    if text not in ON + OFF:
+    if kind is not Kind.FLOAT and text in ON + OFF:
+        return text in ON if kind is Kind.BOOLEAN else int(text in ON)
+    if kind is Kind.INTEGER:
+        return int(wanted) if isinstance(wanted, float) and wanted.is_integer() else int(text, 0)
+    value = float(text)
+    if kind is Kind.BOOLEAN or not math.isfinite(value):
         raise ValueError(text)
-    return text in ON
-
-
-def _integer(wanted: Value) -> int:
-    if isinstance(wanted, str):
-        text = wanted.lower()
-        return int(text in ON) if text in ON + OFF else int(wanted, 0)
-    if wanted != int(wanted):
-        raise ValueError(wanted)
-    return int(wanted)
-
-
-def _float(wanted: Value) -> float:
-    value = float(wanted)
-    if not math.isfinite(value):
-        raise ValueError(wanted)
     return value
-
-
-def _text(wanted: Value) -> str:
-    return str(wanted)
-
-
-_PARSERS: dict[Kind, Callable[[Value], Value]] = {
-    Kind.BOOLEAN: _boolean,
-    Kind.INTEGER: _integer,
-    Kind.FLOAT: _float,
-    Kind.ENUMERATION: _text,
-    Kind.STRING: _text,
-}
 
 
 # --- how camera generations spell the same feature: today's name of the GenICam SFNC first, then those from before it

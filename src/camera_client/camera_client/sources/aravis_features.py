@@ -39,35 +39,23 @@ class AravisFeatures:
             return self._kinds[name] if self._device.is_feature_available(name) else None
 
     def read(self, name: str) -> Value:
-        read = self._method("get_{}_feature_value", name)
-        if read is None:
-            raise DeviceRefusal(f"{name} cannot be read")
         with self._errors():
-            return read(name)
-
-    def code(self, name: str) -> int:
-        """Return the number behind an enumeration's entry."""
-        with self._errors():
-            return self._device.get_integer_feature_value(name)
+            return self._method("get_{}_feature_value", name)(name)
 
     def write(self, name: str, value: Value) -> None:
-        write = self._method("set_{}_feature_value", name)
-        if write is None:
-            raise DeviceRefusal(f"{name} cannot be written")
         with self._errors():
-            write(name, value)
+            self._method("set_{}_feature_value", name)(name, value)
 
     def execute(self, name: str) -> None:
         with self._errors():
             self._device.execute_command(name)
 
     def limits(self, name: str) -> tuple[float, float] | None:
-        bounds = self._method("get_{}_feature_bounds", name, Kind.INTEGER, Kind.FLOAT)
-        return None if bounds is None else self._described(lambda: tuple(bounds(name)))
+        bounds = self._described("get_{}_feature_bounds", name)
+        return None if bounds is None else tuple(bounds)
 
     def step(self, name: str) -> float | None:
-        step = self._method("get_{}_feature_increment", name, Kind.INTEGER, Kind.FLOAT)
-        value = None if step is None else self._described(lambda: step(name))
+        value = self._described("get_{}_feature_increment", name)
         return value if value is not None and 0 < value < 1e12 else None  # Aravis gives the least double for "none"
 
     def choices(self, name: str) -> tuple[str, ...]:
@@ -82,20 +70,20 @@ class AravisFeatures:
         with self._errors():
             self._device.write_register(address, value)
 
-    def _method(self, method: str, name: str, *kinds: Kind) -> Callable[..., Any] | None:
-        """Return the device's method for what a feature holds (by default: any value); None where it is of no kind."""
+    def _method(self, method: str, name: str) -> Callable[..., Any]:
+        """Return the device's method for what a feature holds. Raises DeviceRefusal where it holds no value."""
         kind = self.kind(name)
-        if kind is None or kind not in (kinds or set(Kind) - {Kind.COMMAND}):
-            return None
+        if kind is None or kind is Kind.COMMAND:
+            raise DeviceRefusal(f"{name} holds no value now")
         return getattr(self._device, method.format("string" if kind is Kind.ENUMERATION else kind.value))
 
-    def _described(self, ask: Callable[[], Any]) -> Any:
-        """Return what ``ask`` gives; None where the device's description has no such thing."""
-        try:
-            with self._errors():
-                return ask()
-        except DeviceRefusal:
+    def _described(self, method: str, name: str) -> Any:
+        """Return what the device's description says of a number; None where it does not, and of what is none."""
+        if self.kind(name) not in (Kind.INTEGER, Kind.FLOAT):
             return None
+        with contextlib.suppress(DeviceRefusal), self._errors():
+            return self._method(method, name)(name)
+        return None
 
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:

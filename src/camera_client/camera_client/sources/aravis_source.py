@@ -20,18 +20,25 @@ from gige_vision import bootstrap
 from ..frame_source import Frame, FrameSource, SourceUnavailable
 from ..gige.camera_clock import ClockReading, read_clock
 from ..gige.camera_setup import CameraSetup, set_up_camera
-from ..gige.capture_time import PTP_IN_STEP, FrameTimes, TimeSource, after_last, choose_time_source
+from ..gige.capture_time import TimeSource, after_last, choose_time_source
 from ..gige.discovery import FoundCamera, described, find_camera
 from ..gige.features import DeviceRefusal, DeviceSilence, Features
 from ..gige.pixel_formats import can_be_halved, image_shape
-from ..gige.triggers import ActionSender, TriggerSchedule, TriggerThread, enable_ptp, ptp_status, synchronise
+from ..gige.triggers import (
+    ACTION_COUNTERS,
+    ActionSender,
+    TriggerSchedule,
+    TriggerThread,
+    await_ptp,
+    ptp_status,
+    synchronise,
+)
 from ..settings import AravisSettings
 from .aravis_features import AravisFeatures, is_silence
 from .aravis_stream import AravisStream
 
 INSTALL = "Install it: sudo apt install python3-gi gir1.2-aravis-0.8 (in a venv made with --system-site-packages)."
 TRIGGER_COUNTERS = ("triggers", "triggers_missed", "triggers_refused")
-ACTION_COUNTERS = ("actions", "actions_late", "actions_refused", "actions_unanswered")
 
 
 def import_aravis() -> tuple[Any, Any, Any]:
@@ -122,8 +129,8 @@ class AravisSource(FrameSource):
         self._update_counters(stream)
         if grabbed is None:
             return None
-        arrival_ns = self._clock.at_utc(grabbed.arrival_ns)
-        stamp = time_source.stamp(FrameTimes(grabbed.camera_ns, arrival_ns, grabbed.exposure_ns))
+        times = grabbed.times._replace(arrival_ns=self._clock.at_utc(grabbed.times.arrival_ns))
+        stamp = time_source.stamp(times)
         self.counters["stamp_jumps"] = time_source.jumps
         self._last_stamp_ns = after_last(stamp.ns, self._last_stamp_ns)
         return Frame(grabbed.image, self._last_stamp_ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
@@ -132,7 +139,9 @@ class AravisSource(FrameSource):
         if not self._streaming:
             return
         self._streaming = False
-        self._stop_triggers()
+        trigger, self._trigger = self._trigger, None
+        if trigger is not None:
+            trigger.stop()
         if not self.lost:
             try:
                 self._camera.stop_acquisition()
@@ -198,48 +207,27 @@ class AravisSource(FrameSource):
         """PTP first, for everything else counts on the clock; then the triggers; then whose time stamps frames."""
         s = self._settings
         if s.sync in ("ptp", "action") or s.stamp_source == "ptp":
-            self._await_ptp(features)
+            await_ptp(features, s)
         reading = read_clock(self._registers, self._clock.now_ns)
         if s.sync in ("ptp", "action") and reading is None:
             raise self._error(f"has no clock that can be read; sync {s.sync} needs one", "Choose another aravis.sync.")
-        self._warnings = [
-            synchronise(features, s, lambda: self._clock.now_ns() - (reading.offset_ns if reading is not None else 0))
-        ]
+        offset_ns = 0 if reading is None else reading.offset_ns
+        self._warnings = [w for w in [synchronise(features, s, lambda: self._clock.now_ns() - offset_ns)] if w]
         if s.sync == "action":
             found = self._found
             assert found is not None
-            self._check_scheduled_actions()
-            self._actions = ActionSender(found.device.address, found.host, s.action_device_key)
+            if not self._registers.read_register(bootstrap.GVCP_CAPABILITY) & bootstrap.Capability.SCHEDULED_ACTION:
+                raise self._error(
+                    "takes no scheduled action commands, which sync action needs",
+                    "Set aravis.sync to ptp, line or software.",
+                )
+            self._actions = ActionSender(found.device.address, found.host, s.action_device_key, self.counters)
         self._time = self._time_source(features, reading)
-        self._warnings = [warning for warning in self._warnings if warning]
-
-    def _await_ptp(self, features: Features) -> None:
-        s = self._settings
-        status = enable_ptp(features, s.ptp_wait_s)
-        needed_by = f"sync {s.sync}" if s.sync in ("ptp", "action") else "stamp_source ptp"
-        if status is None:
-            raise self._error(f"has no PTP, which {needed_by} needs", "Choose another aravis.sync or stamp_source.")
-        if status not in PTP_IN_STEP:
-            raise SourceUnavailable(
-                f"is not in step by PTP after {s.ptp_wait_s:g} s (status {status}), which {needed_by} needs",
-                where=self.description,
-                remedy="Is a PTP grandmaster on the network?",
-            )
-
-    def _check_scheduled_actions(self) -> None:
-        able = self._registers.read_register(bootstrap.GVCP_CAPABILITY)
-        if not able & bootstrap.Capability.SCHEDULED_ACTION:
-            raise self._error(
-                "takes no scheduled action commands, which sync action needs",
-                "Set aravis.sync to ptp, line or software.",
-            )
 
     def _time_source(self, features: Features, reading: ClockReading | None) -> TimeSource:
         s = self._settings
         status = ptp_status(features) if s.stamp_source in ("auto", "ptp") else None
-        source, warning = choose_time_source(
-            s.stamp_source, reading, status, s.tai_utc_offset_s, s.camera_stamps, self.description
-        )
+        source, warning = choose_time_source(s, reading, status, self.description)
         if warning and warning not in self._warnings:
             self._warnings.append(warning)
         return source
@@ -278,11 +266,6 @@ class AravisSource(FrameSource):
         if self._trigger is not None:
             self._trigger.start()
 
-    def _stop_triggers(self) -> None:
-        trigger, self._trigger = self._trigger, None
-        if trigger is not None:
-            trigger.stop()
-
     def _software_trigger(self, instant_ns: int) -> None:
         camera = self._camera
         if camera is None or self.lost:
@@ -298,7 +281,7 @@ class AravisSource(FrameSource):
         if self._schedule is not None:
             self.counters["triggers_missed"] = self._schedule.missed
         if self._actions is not None:
-            self.counters.update(self._actions.counts)
+            self._actions.collect()
 
     def _error(self, what: str, remedy: str) -> InputError:
         return InputError(what, where=self.description, remedy=remedy)
