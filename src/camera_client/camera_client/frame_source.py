@@ -61,7 +61,14 @@ class FrameSource(ABC):
 
     connect() is all or nothing: after an error nothing is left open. start() after stop() goes on. As a context
     manager a source connects on entry and closes on exit.
+
+    shape : (H, W) or (H, W, 3), of every image, known once connected; halved : images are made at half of the size that
+    the device sends. description : what this is, in words, for logs and the provenance of a background.
     """
+
+    shape: tuple[int, ...] = ()
+    halved = False
+    description = "camera"
 
     def __init__(self) -> None:
         self._counters: dict[str, int] = {}
@@ -103,21 +110,6 @@ class FrameSource(ABC):
     @abstractmethod
     def close(self) -> None:
         """Give the device or file back. Does nothing when not connected."""
-
-    @property
-    @abstractmethod
-    def shape(self) -> tuple[int, ...]:
-        """(H, W) or (H, W, 3): the shape of every image, known once connected."""
-
-    @property
-    def halved(self) -> bool:
-        """Whether images are made at half of the size that the device sends."""
-        return False
-
-    @property
-    @abstractmethod
-    def description(self) -> str:
-        """What this is, in words, for logs and the provenance of a background."""
 
     @property
     def details(self) -> dict[str, str]:

@@ -67,6 +67,7 @@ class AravisSource(FrameSource):
         """``halve_mosaics``: of Bayer cameras, images are made at half of the size."""
         super().__init__()
         self._settings, self._channels, self._halve_mosaics = settings, channels, halve_mosaics
+        self.description = described(settings)
         self._clock = CaptureClock(settings.clock_speed)
         self._found: FoundCamera | None = None
         self._camera: Any = None
@@ -98,8 +99,9 @@ class AravisSource(FrameSource):
                 self._open(self._found)
                 assert self._features is not None
                 setup = set_up_camera(self._features, self._settings, self._channels)
-                halved = self._halve_mosaics and can_be_halved(setup.pixel_format, setup.width, setup.height)
-                self._setup = replace(setup, halved=halved)
+                self.halved = self._halve_mosaics and can_be_halved(setup.pixel_format, setup.width, setup.height)
+                self.shape = image_shape(setup.pixel_format, setup.width, setup.height, self.halved)
+                self._setup = replace(setup, halved=self.halved)
                 self._prepare_time_and_triggers(self._features)
                 self._stream = AravisStream(self._Aravis, self._camera, self._settings, self._setup, self.statistics)
                 self._details = self._read_details(self._features)
@@ -159,20 +161,6 @@ class AravisSource(FrameSource):
         if device is not None and not gone and device.is_controller():
             with contextlib.suppress(self._GLib.Error):
                 device.leave_control()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        if self._setup is None:
-            raise self._error("is not connected", "Call connect() first.")
-        return image_shape(self._setup.pixel_format, self._setup.width, self._setup.height, self._setup.halved)
-
-    @property
-    def halved(self) -> bool:
-        return self._setup is not None and self._setup.halved
-
-    @property
-    def description(self) -> str:
-        return described(self._settings)
 
     @property
     def details(self) -> dict[str, str]:

@@ -54,6 +54,7 @@ class FootageSource(FrameSource):
     ) -> None:
         """``shared`` : the clock that the source shares with other cameras'; by default it has one of its own."""
         super().__init__()
+        self.description = f"footage {settings.path}"
         self._settings, self._channels, self._now_ns = settings, channels, now_ns
         self._shared = shared or SharedClock()
         self._make_pace = pace or self._pace_of_settings
@@ -66,7 +67,7 @@ class FootageSource(FrameSource):
         self._reader = open_footage(self._settings.path, self._channels)
         self._decoder = ThreadPoolExecutor(1, "footage decoder")
         try:
-            self._shape = self._reader.probe()
+            self.shape = self._reader.probe()
             self.fps = self._settings.fps or self._reader.fps
             if not self.fps:
                 raise InputError(
@@ -141,14 +142,6 @@ class FootageSource(FrameSource):
     def acknowledge(self, stamp_ns: int) -> None:
         if self._reader is not None:
             self._pace.acknowledge(stamp_ns)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self._shape
-
-    @property
-    def description(self) -> str:
-        return f"footage {self._settings.path}"
 
     @property
     def epoch_ns(self) -> int:

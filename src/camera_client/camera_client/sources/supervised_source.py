@@ -75,8 +75,6 @@ class SupervisedSource(FrameSource):
         self._retry_pause_s, self._downtime = 0.0, Downtime()
         self._arrived, self._delivering = 0, False
         self._ever_connected = False
-        self._shape: tuple[int, ...] = ()
-        self._description = "camera"
         self._details: dict[str, str] = {}
 
     # --- the source's contract -----------------------------------------------------------------------------------
@@ -84,16 +82,11 @@ class SupervisedSource(FrameSource):
     def connect(self) -> None:
         """Try once. A camera that does not answer is tried again while the source runs; InputError is raised."""
         attempt = self._launch()
-        if not is_over(attempt, CONNECT_WAIT_S):
-            return
-        self._attempt = None
-        try:
-            self._use(attempt.result())
-        except SourceUnavailable as error:
-            self._back_off(str(error))
-        except Exception:
-            self.close()
-            raise
+        if is_over(attempt, CONNECT_WAIT_S):
+            error = self._conclude(attempt)
+            if error is not None and not isinstance(error, SourceUnavailable):
+                self.close()
+                raise error
 
     def start(self) -> None:
         if self._running:
@@ -144,15 +137,6 @@ class SupervisedSource(FrameSource):
         self._closing = [call for call in self._closing if not call.done()]
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """The shape of the last connection's images; () while none was made."""
-        return self._shape
-
-    @property
-    def description(self) -> str:
-        return self._description
-
-    @property
     def details(self) -> dict[str, str]:
         source = self._source
         return dict(self._details) if source is None else source.details
@@ -194,7 +178,7 @@ class SupervisedSource(FrameSource):
         try:
             frame = source.read(wait_s)
         except Exception as error:  # the driver's own errors too: no reason to give the camera up
-            self._disconnect(ConnectionState.STALLED, str(error) if isinstance(error, InputError) else repr(error))
+            self._disconnect(ConnectionState.STALLED, _text_of(error))
             return None
         now_s, arrived = self._clock(), source.statistics.arrived
         if arrived != self._arrived or frame is not None:  # an incomplete frame is a sign of life too
@@ -245,22 +229,24 @@ class SupervisedSource(FrameSource):
             self._pause(min(pause_s, timeout_s))
             return
         attempt = self._attempt or self._launch()
-        if not is_over(attempt, timeout_s):
-            return
+        if is_over(attempt, timeout_s):
+            self._conclude(attempt)
+
+    def _conclude(self, attempt: Future[FrameSource]) -> Exception | None:
+        """Use the connection that an attempt made; or wait before the next one, and return why it failed."""
         self._attempt = None
         try:
             self._use(attempt.result())
-        except SourceUnavailable as error:
-            self._back_off(str(error))
-        except InputError as error:
-            self._back_off(str(error), refused=True)
-        except Exception as error:  # the driver's own
-            self._back_off(repr(error))
+        except Exception as error:
+            refused = isinstance(error, InputError) and not isinstance(error, SourceUnavailable)
+            self._back_off(_text_of(error), refused)
+            return error
+        return None
 
     def _launch(self) -> Future[FrameSource]:
         """Begin an attempt to connect."""
         source = self._make()
-        self._description = source.description
+        self.description = source.description
         if self._state not in (ConnectionState.STALLED, ConnectionState.CONTROL_LOST):
             self._state = ConnectionState.CONNECTING
         self._attempted_s = self._clock()
@@ -276,7 +262,7 @@ class SupervisedSource(FrameSource):
         """Take a new connection into use. Raises InputError, with nothing left open, when that fails."""
         with self._lock:
             self._source = source
-        self._shape, self._description, self._details = source.shape, source.description, source.details
+        self.shape, self.description, self._details = source.shape, source.description, source.details
         self.warnings = source.warnings
         try:
             self._accept(source)
@@ -318,13 +304,17 @@ class SupervisedSource(FrameSource):
         self._retry_pause_s = LONGEST_RETRY_S if slowest else min(doubled_s, LONGEST_RETRY_S)
         return self._retry_pause_s
 
-    def _back_off(self, reason: str, refused: bool = False) -> None:
+    def _back_off(self, reason: str, refused: bool) -> None:
         self.count("failed_attempts")
         now_s = self._clock()
         if self._running:
             self._downtime.begin(self._heard_s, now_s)
         self._next_try_s = now_s + self._next_pause_s(slowest=refused)
         self._state, self._reason, self._refused = ConnectionState.WAITING, reason, refused
+
+
+def _text_of(error: Exception) -> str:
+    return str(error) if isinstance(error, InputError) else repr(error)  # a driver's own
 
 
 # --- calls that may block for seconds

@@ -60,7 +60,7 @@ class TopicSource(FrameSource):
     ) -> None:
         super().__init__()
         self._use_lens = use_lens
-        self._client = client
+        self._client, self.description = client, f"topic {settings.name}"
         self._settings, self._channels, self._namespace, self._context = settings, channels, namespace, context
         self._node: Node | None = None
         self._executor: SingleThreadedExecutor | None = None
@@ -69,7 +69,6 @@ class TopicSource(FrameSource):
         self._waiting: deque[tuple[bytes, int]] = deque(maxlen=DEPTH)  # serialised images, when they arrived, ns
         self._arrived = threading.Condition()
         self._running = False
-        self._shape: tuple[int, ...] = ()
         self._rate_hz = 0.0
         self._numbers = FrameNumbers(self._statistics)
         self._camera_info: CameraInfo | None = None
@@ -110,7 +109,7 @@ class TopicSource(FrameSource):
         if lens:
             self._use_lens(self._first(lambda: self._camera_info, lens, deadline_s))
         self._check_own_namespace()  # by now all that the driver publishes is known
-        self._shape = first.image.shape
+        self.shape = first.image.shape
         self._rate_hz = NS_PER_S / max(second.stamp_ns - first.stamp_ns, 1)
         if abs(age_s := (time.time_ns() - second.stamp_ns) / NS_PER_S) > 1.0:
             self.warnings = (
@@ -179,9 +178,9 @@ class TopicSource(FrameSource):
         except InputError:  # one damaged image; where none is sound the source falls silent and is connected anew
             self.count("damaged")
             return None
-        if frame.image.shape != self._shape:
+        if frame.image.shape != self.shape:
             raise SourceUnavailable(
-                f"images changed from {self._shape} to {frame.image.shape} (rows, columns)", where=self.description
+                f"images changed from {self.shape} to {frame.image.shape} (rows, columns)", where=self.description
             )
         number = self._numbers.add(frame.stamp_ns)
         return None if number is None else replace(frame, frame_id=number)
@@ -204,14 +203,6 @@ class TopicSource(FrameSource):
             self._node.destroy_node()
         self._node = self._executor = None
         self._waiting.clear()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self._shape
-
-    @property
-    def description(self) -> str:
-        return f"topic {self._settings.name}"
 
     @property
     def details(self) -> dict[str, str]:

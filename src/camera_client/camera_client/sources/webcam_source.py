@@ -38,6 +38,7 @@ class WebcamSource(FrameSource):
         self, settings: WebcamSettings, channels: str = "auto", open_capture: Callable[[str], Any] = open_device
     ) -> None:
         super().__init__()
+        self.description = f"webcam {settings.device}"
         self._settings, self._channels, self._open = settings, channels, open_capture
         self._capture: Any = None
         self._thread: threading.Thread | None = None
@@ -45,7 +46,6 @@ class WebcamSource(FrameSource):
         self._taken: deque[tuple[Any, int, str]] = deque(maxlen=DEPTH)  # picture, stamp, clock
         self._changed = threading.Condition()
         self._numbers = FrameNumbers(self._statistics)
-        self._shape: tuple[int, ...] = ()
         self._lost = False
 
     def connect(self) -> None:
@@ -78,7 +78,7 @@ class WebcamSource(FrameSource):
         if refused:
             self.warnings = (f"{self.description} refused {len(refused)} of its settings: look at its picture",)
         self._capture, self._lost = capture, False
-        self._shape = convert_channels(image, self._channels).shape
+        self.shape = convert_channels(image, self._channels).shape
 
     def start(self) -> None:
         if self._capture is None:
@@ -133,14 +133,6 @@ class WebcamSource(FrameSource):
         capture, self._capture = self._capture, None
         if capture is not None and self._thread is None:  # never under a thread that still reads from it
             capture.release()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self._shape
-
-    @property
-    def description(self) -> str:
-        return f"webcam {self._settings.device}"
 
     @property
     def details(self) -> dict[str, str]:
