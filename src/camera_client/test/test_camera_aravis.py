@@ -94,7 +94,7 @@ def test_settings_are_set_and_read_back_whatever_the_generation_calls_them(gige_
 
 def test_features_are_set_in_the_order_given_before_the_named_settings(gige_camera):
     camera = gige_camera()
-    features = ["Gain=3", "ExposureTime=700", "UserSetLoad!", "Gain = 4.5", "DeviceUserID=north"]
+    features = ["Gain=3", "ExposureTime=700", "TriggerSoftware!", "Gain = 4.5", "DeviceUserID=north"]
     with source_of(camera, features=features, exposure_us=800.0):
         registers = registers_of(camera)
         assert registers.real("Gain") == 4.5 and registers.real("ExposureTime") == 800
@@ -108,7 +108,7 @@ def test_features_are_set_in_the_order_given_before_the_named_settings(gige_came
         ("Width=17000", r"refuses Width = 17000 .*Allowed: 16 to 256 in steps of 4"),
         ("ExposureAuto=Sometimes", "Allowed: Off, Once, Continuous"),
         ("SensorWidth=100", "SensorWidth"),
-        ("UserSetLoad=1", "UserSetLoad is a command"),
+        ("TriggerSoftware=1", "TriggerSoftware is a command"),
         ("Gain!", "Gain is no command"),
         ("Gain", r"aravis\.features holds 'Gain'"),
     ],

@@ -165,26 +165,15 @@ def decode_memory(payload: bytes) -> tuple[int, bytes]:
     return _WORD.unpack_from(payload)[0], payload[4:]
 
 
-@dataclass(frozen=True)
-class ResendRequest:
-    """PACKETRESEND: asks for the packets first to last (both included) of one block. It is not acknowledged."""
+def decode_resend(payload: bytes) -> tuple[int, int, int]:
+    """Decode the payload of PACKETRESEND, which is not acknowledged: block, and first and last packet (both included).
 
-    block_id: int
-    first: int
-    last: int
-    channel: int = 0
-
-    def command(self, request_id: int = 1) -> CommandPacket:
-        payload = _RESEND.pack(self.channel, self.block_id, self.first, self.last)
-        return CommandPacket(Command.PACKET_RESEND, payload, request_id, 0)
-
-    @classmethod
-    def decode(cls, packet: CommandPacket) -> ResendRequest:
-        """Decode a packet. Raises MalformedPacket."""
-        if len(packet.payload) < _RESEND.size:
-            raise MalformedPacket(f"{len(packet.payload)} bytes are no PACKETRESEND")
-        channel, block_id, first, last = _RESEND.unpack_from(packet.payload)
-        return cls(block_id, first & PACKET_ID_MASK, last & PACKET_ID_MASK, channel)
+    Raises MalformedPacket.
+    """
+    if len(payload) < _RESEND.size:
+        raise MalformedPacket(f"{len(payload)} bytes are no PACKETRESEND")
+    _, block_id, first, last = _RESEND.unpack_from(payload)
+    return block_id, first & PACKET_ID_MASK, last & PACKET_ID_MASK
 
 
 @dataclass(frozen=True)

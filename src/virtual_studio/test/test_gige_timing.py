@@ -215,7 +215,7 @@ def test_pulse_generator_pulses_at_whole_multiples_of_its_period(loop):
     wire.listen(lambda instant_ns: pulses.update([instant_ns]))
     wire.run(200.0)
     eventually(lambda: len(pulses) >= 5)
-    wire.stop()
+    wire.run(0)
     assert all(instant_ns % 5_000_000 == 0 for instant_ns in pulses)
     assert set(pulses.values()) == {1}
 

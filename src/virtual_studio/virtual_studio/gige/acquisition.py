@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gige_vision.gvcp import Action, Status
-from gige_vision.gvsp import ImageLeader, ImageTrailer, Payload, PixelFormat, encode_chunk, next_block_id
+from gige_vision.gvsp import Payload, PixelFormat, encode_chunk, image_leader, image_trailer, next_block_id
 
 from .device import Device
 from .feature_table import CHUNKS, IMAGE_CHUNK
@@ -107,7 +107,7 @@ class Acquisition:
     def _expose_at(self, start_ns: int) -> None:
         exposure_ns = self._imaging.exposure.exposure_ns
         self._busy_until_ns = start_ns + exposure_ns
-        self._timers = [timer for timer in self._timers if timer.when_ns > self._now_ns() - LONGEST_BACKLOG_NS]
+        self._timers = [timer for timer in self._timers if not timer.done()]
         self._timers.append(self._loop.call_at(start_ns + exposure_ns, lambda: self._read_out(start_ns, exposure_ns)))
 
     def _read_out(self, start_ns: int, exposure_ns: int) -> None:
@@ -134,22 +134,13 @@ class Acquisition:
         if r.integer("ChunkModeActive"):
             data = self._with_chunks(data, stamp)
             chunk_bytes = len(data)
-        leader = ImageLeader(
-            stamp,
-            self._announced_format(),
-            r.integer("Width"),
-            r.integer("Height"),
-            r.integer("OffsetX"),
-            r.integer("OffsetY"),
-            payload=Payload.IMAGE if chunk_bytes is None else Payload.IMAGE_WITH_CHUNKS,
-        )
-        self._stream.send(self._block_id, leader, data, ImageTrailer(r.integer("Height"), chunk_bytes))
-
-    def _announced_format(self) -> int:
-        wanted = self._imaging.region.pixel_format
-        if not self._faults.wrong_format:
-            return wanted
-        return PixelFormat.Mono12 if wanted is PixelFormat.Mono8 else PixelFormat.Mono8
+        announced = region.pixel_format
+        if self._faults.wrong_format:
+            announced = PixelFormat.Mono12 if announced is PixelFormat.Mono8 else PixelFormat.Mono8
+        size_px, offset_px = (r.integer("Width"), r.integer("Height")), (r.integer("OffsetX"), r.integer("OffsetY"))
+        payload = Payload.IMAGE if chunk_bytes is None else Payload.IMAGE_WITH_CHUNKS
+        leader = image_leader(stamp, announced, size_px, offset_px, payload)
+        self._stream.send(self._block_id, leader, data, image_trailer(size_px[1], chunk_bytes))
 
     def _with_chunks(self, data: NDArray[np.uint8], stamp: int) -> NDArray[np.uint8]:
         contents = {

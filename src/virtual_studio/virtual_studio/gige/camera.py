@@ -21,11 +21,6 @@ from .scenes import CameraScene
 from .stream import StreamChannel
 from .timing import CameraClock, Timing, TriggerWire
 
-KEPT_BY_USER_SET = (
-    *("FirstUrl", "DeviceUserID", "PtpClockID", "ControlPrivilege", "PrimaryPort", "PrimaryAddress"),
-    *("GevHeartbeatTimeout", "PacketSizeWord", "GevSCPHostPort", "GevSCDA", "GevSCSP", "GevSCPD"),
-)
-
 
 class SimulatedCamera:
     """Serves a scene as a camera. start() powers it on, close() ends it; also a context manager.
@@ -171,36 +166,19 @@ class _PoweredCamera:
     def _set_identity(self, description: bytes, user_id: str) -> None:
         self.registers["FirstUrl"] = f"Local:{XML_NAME}.zip;{FILE_SPACE:X};{len(description):X}"
         self.registers["DeviceUserID"] = user_id
-        self.registers["PtpClockID"] = 0x0200_00FF_FE00_0000 | self.registers.integer("CurrentIp") & 0xFFFFFF
 
     def _hook_device_features(self) -> None:
         r, clock = self.registers, self._clock
         r.reads["GvcpCapability"] = self._capability
         r.reads["PtpStatus"] = lambda: clock.ptp_state
         r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
-        r.writes["PtpDataSetLatch"] = self._latch_ptp
-        r.writes["TimestampLatch"] = r.writes["TimestampControl"] = self._latch_time
-        r.writes["UserSetLoad"] = self._load_defaults
+        r.writes["TimestampControl"] = self._latch_time
 
     def _capability(self) -> int:
         without = Capability.PACKET_RESEND if self._camera.faults.no_resend else Capability(0)
         return int(CAPABILITIES & ~without)
 
-    def _latch_ptp(self) -> None:
-        self.registers["PtpOffsetFromMaster"] = self._clock.offset_from_master_ns
-        self.registers["PtpParentClockID"] = 0x0011_22FF_FE33_4455 if self._clock.is_synchronised else 0
-
     def _latch_time(self) -> None:
         stamp = self._clock.stamp(self._camera.loop.clock.now_ns())
-        self.registers["TimestampLatchValue"], self.registers["TimestampControl"] = stamp, 0
+        self.registers["TimestampControl"] = 0
         self.registers["TimestampHigh"], self.registers["TimestampLow"] = stamp >> 32, stamp & 0xFFFF_FFFF
-
-    def _load_defaults(self) -> None:
-        kept = {key: self.registers[key] for key in KEPT_BY_USER_SET}
-        self.acquisition.stop()
-        self.registers.reset()
-        for key, value in kept.items():
-            self.registers[key] = value
-        self._imaging.region.reset()
-        self._timing.reset()
-        self._clock.enable_ptp(False)

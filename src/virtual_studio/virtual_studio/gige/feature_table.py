@@ -53,12 +53,7 @@ OLD_NAMES = {
     "DeviceSerialNumber": "DeviceID",
     "PtpEnable": "GevIEEE1588",
     "PtpStatus": "GevIEEE1588Status",
-    "PtpOffsetFromMaster": "GevIEEE1588OffsetFromMaster",
     "PtpDataSetLatch": "GevIEEE1588DataSetLatch",
-    "PtpClockID": "GevIEEE1588ClockId",
-    "PtpParentClockID": "GevIEEE1588ParentClockId",
-    "TimestampLatch": "GevTimestampControlLatch",
-    "TimestampLatchValue": "GevTimestampValue",
     "SyncFreeRunTimerTriggerRate": "SyncFreeRunTimerTriggerRateAbs",
 }
 
@@ -134,7 +129,6 @@ def _device(s: CameraSettings) -> list[Feature]:
         text("DeviceSerialNumber", where, s.serial, 16, address=bootstrap.SERIAL_NUMBER, writable=False),
         text("DeviceUserID", where, s.user_id, 16, address=bootstrap.USER_NAME, help="Kept over power cycles"),
         real("DeviceTemperature", where, 42.0, writable=False, unit="C"),
-        command("UserSetLoad", where, help="Back to the values after power-on"),
     ]
 
 
@@ -225,11 +219,6 @@ def _time() -> list[Feature]:
         boolean("PtpEnable", where),
         choice("PtpStatus", where, PTP_STATES, "Disabled", writable=False, volatile=True),
         command("PtpDataSetLatch", where),
-        integer("PtpOffsetFromMaster", where, 0, length=8, writable=False, volatile=True, unit="ns"),
-        integer("PtpClockID", where, 0, length=8, writable=False),
-        integer("PtpParentClockID", where, 0, length=8, writable=False, volatile=True),
-        command("TimestampLatch", "DeviceControl"),
-        integer("TimestampLatchValue", "DeviceControl", 0, length=8, writable=False, volatile=True, unit="ns"),
     ]
 
 

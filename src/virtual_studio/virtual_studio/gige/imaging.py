@@ -129,11 +129,6 @@ class Region:
         registers.writes["ChunkEnable"] = self._chunk_written
         self.refresh()
 
-    def reset(self) -> None:
-        """Sets the region as after power-on."""
-        self.enabled_chunks.clear()
-        self.refresh()
-
     def refresh(self) -> None:
         """Updates the dependent registers; a region that binning made too large is cropped."""
         r = self._registers

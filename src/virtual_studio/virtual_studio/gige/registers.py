@@ -143,7 +143,7 @@ class Registers:
 
     def __init__(self, features: Iterable[Feature], file: bytes = b"") -> None:
         self._features = {f.key: f for f in features if f.has_register}
-        self._values: dict[str, Value] = {}
+        self._values: dict[str, Value] = {f.key: f.default for f in self._features.values()}
         self._at: dict[int, Feature] = {}
         self._file = file
         self.checks: dict[str, Callable[[Value], None]] = {}
@@ -154,11 +154,6 @@ class Registers:
                 if address in self._at:
                     raise ValueError(f"{feature.key} and {self._at[address].key} share address 0x{address:x}")
                 self._at[address] = feature
-        self.reset()
-
-    def reset(self) -> None:
-        """Sets every register as after power-on. No hook is called."""
-        self._values = {key: feature.default for key, feature in self._features.items()}
 
     def __getitem__(self, key: str) -> Value:
         return self._values[key]

@@ -82,11 +82,6 @@ class CameraClock:
         return PTP_STATES["Slave" if settled and not self._faults.ptp_lost else "Listening"]
 
     @property
-    def offset_from_master_ns(self) -> int:
-        """PtpOffsetFromMaster: 0 as long as there is no master."""
-        return self._residual_ns if self.is_synchronised else 0
-
-    @property
     def _tai_ns(self) -> int:
         return self._settings.tai_minus_utc_s * TICKS_PER_SECOND
 
@@ -99,9 +94,6 @@ class Timing:
         self._timer_rate, self._timer_start = 0.0, 0
         registers.writes["SyncFreeRunTimerUpdate"] = self._update_timer
         registers.reads["ResultingFrameRate"] = lambda: float(1 / self.period_s)
-
-    def reset(self) -> None:
-        self._timer_rate, self._timer_start = 0.0, 0
 
     @property
     def source(self) -> str:
@@ -189,21 +181,15 @@ class TriggerWire:
         return self._loop.call(lambda: self._rise(self._loop.clock.now_ns()))
 
     def run(self, rate_hz: float) -> None:
-        """Generates pulses at whole multiples of the period of its clock, until stop()."""
-        self._loop.call(lambda: self._restart(Fraction(rate_hz).limit_denominator(1000)))
-
-    def stop(self) -> None:
-        """Stops the generator."""
-        self._loop.call(self._halt)
+        """Generates pulses at whole multiples of the period of its clock, until another rate; 0: none."""
+        self._loop.call(lambda: self._restart(Fraction(rate_hz).limit_denominator(_RATE_GRAIN)))
 
     def _restart(self, rate: Fraction) -> None:
-        self._halt()
-        self._schedule(rate)
-
-    def _halt(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
+        if rate:
+            self._schedule(rate)
 
     def _schedule(self, rate: Fraction) -> None:
         when_ns = next_multiple(self._loop.clock.now_ns(), SECOND_NS / rate)
