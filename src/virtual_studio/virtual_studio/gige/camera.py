@@ -130,7 +130,8 @@ class _PoweredCamera:
     def __init__(self, camera: SimulatedCamera, description: bytes, user_id: str) -> None:
         self._camera, self.registers = camera, Registers(camera.features, description)
         device = Device(camera.address, camera.settings, self.registers, camera.faults, camera.counters, camera.loop)
-        self._set_identity(description, user_id)
+        self.registers["FirstUrl"] = f"Local:{XML_NAME}.zip;{FILE_SPACE:X};{len(description):X}"
+        self.registers["DeviceUserID"] = user_id
         self._clock = CameraClock(camera.settings, camera.faults, camera.loop.clock)
         self._imaging = ImagingPipeline(device)
         self._timing = Timing(self.registers, self._clock, self._imaging.exposure)
@@ -142,7 +143,11 @@ class _PoweredCamera:
         except InputError:
             self._stream.close()
             raise
-        self._hook_device_features()
+        r, clock = self.registers, self._clock
+        r.reads["GvcpCapability"] = self._capability
+        r.reads["PtpStatus"] = lambda: clock.ptp_state
+        r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
+        r.writes["TimestampControl"] = self._latch_time
 
     def close(self) -> None:
         self.acquisition.stop()
@@ -162,17 +167,6 @@ class _PoweredCamera:
             "ptp": self.registers.label("PtpStatus") if self.registers["PtpEnable"] else "off",
             "late_us": {"p50": float(p50), "p99": float(p99), "max": float(most)},
         }
-
-    def _set_identity(self, description: bytes, user_id: str) -> None:
-        self.registers["FirstUrl"] = f"Local:{XML_NAME}.zip;{FILE_SPACE:X};{len(description):X}"
-        self.registers["DeviceUserID"] = user_id
-
-    def _hook_device_features(self) -> None:
-        r, clock = self.registers, self._clock
-        r.reads["GvcpCapability"] = self._capability
-        r.reads["PtpStatus"] = lambda: clock.ptp_state
-        r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
-        r.writes["TimestampControl"] = self._latch_time
 
     def _capability(self) -> int:
         without = Capability.PACKET_RESEND if self._camera.faults.no_resend else Capability(0)

@@ -147,13 +147,8 @@ def _image(s: CameraSettings, width: int, height: int, colour: bool) -> list[Fea
         integer("OffsetX", where, 0, low=0, high_key="OffsetXLimit", step=4),
         integer("OffsetY", where, 0, low=0, high_key="OffsetYLimit", step=2),
         *(
-            dataclasses.replace(integer(key, where, default, writable=False, volatile=True), category="")
-            for key, default in (
-                ("WidthLimit", width),
-                ("HeightLimit", height),
-                ("OffsetXLimit", 0),
-                ("OffsetYLimit", 0),
-            )
+            integer(f"{key}Limit", "", writable=False, volatile=True)
+            for key in ("Width", "Height", "OffsetX", "OffsetY")
         ),
         integer("BinningHorizontal", where, 1, low=1, high=MAX_BINNING),
         integer("BinningVertical", where, 1, low=1, high=MAX_BINNING),
@@ -167,7 +162,7 @@ def _acquisition(s: CameraSettings) -> list[Feature]:
         choice("AcquisitionMode", where, {"Continuous": 0}),
         command("AcquisitionStart", where),
         command("AcquisitionStop", where),
-        boolean("AcquisitionFrameRateEnable", where, True),
+        boolean("AcquisitionFrameRateEnable", where, 1),
         real("AcquisitionFrameRate", where, s.frame_rate, low=0.1, high=1000.0, unit="Hz"),
         real("ResultingFrameRate", where, s.frame_rate, writable=False, volatile=True, unit="Hz"),
         choice("ExposureMode", where, {"Timed": 1}),

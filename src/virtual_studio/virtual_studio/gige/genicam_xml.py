@@ -81,13 +81,9 @@ def _node(feature: Feature, names: dict[str, str]) -> str:
 
 
 def _limits(feature: Feature, names: dict[str, str]) -> str:
-    def limit(tag: str, number: float | None, key: str) -> str:
-        if key:
-            return f"<p{tag}>{names[key]}</p{tag}>"
-        return "" if number is None else f"<{tag}>{number!r}</{tag}>"
-
-    step = "" if feature.step is None else f"<Inc>{feature.step}</Inc>"
-    return limit("Min", feature.low, feature.low_key) + limit("Max", feature.high, feature.high_key) + step
+    numbers = {"Min": feature.low, "Max": feature.high, "Inc": feature.step}
+    limits = "".join(f"<{tag}>{number!r}</{tag}>" for tag, number in numbers.items() if number is not None)
+    return limits + (f"<pMax>{names[feature.high_key]}</pMax>" if feature.high_key else "")
 
 
 def _register(feature: Feature) -> str:

@@ -103,14 +103,10 @@ class ExposureControl:
         return round(self.exposure_us * 1000)
 
     @property
-    def gain_db(self) -> float:
-        value = self._registers.real("Gain")
-        return value * GAIN_RAW_STEP_DB if self._settings.generation == OLD else value
-
-    @property
     def factor(self) -> float:
         """The factor on the scene's grey levels."""
-        return self.exposure_us / self._settings.nominal_exposure_us * 10.0 ** (self.gain_db / 20.0)
+        gain_db = self._registers.real("Gain") * (GAIN_RAW_STEP_DB if self._settings.generation == OLD else 1)
+        return self.exposure_us / self._settings.nominal_exposure_us * 10.0 ** (gain_db / 20.0)
 
     def _refuse_while_auto(self, key: str, value: Value) -> None:
         if self._registers.integer(key) != AUTO["Off"]:

@@ -10,7 +10,7 @@ import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
-from itertools import count
+from functools import partial
 from typing import Any
 
 from gige_vision.gvcp import Status, decode_text, encode_text
@@ -42,7 +42,7 @@ class Feature:
     name : its GenICam name; "" for a register that no client sees by name.
     address, length : its register, bytes; address -1: wherever there is room.
     default : value after power-on; low, high, step : limits of what may be written.
-    low_key, high_key : the features that hold the limits instead, where they depend on others.
+    high_key : the feature that holds the upper limit instead, where it depends on others.
     entries : an enumeration's names and values.
     bits : (first, last), counted from the lowest: this feature is only a part of the register at its address, which
     another row describes.
@@ -60,7 +60,6 @@ class Feature:
     low: float | None = None
     high: float | None = None
     step: int | None = None
-    low_key: str = ""
     high_key: str = ""
     entries: tuple[tuple[str, int], ...] = ()
     bits: tuple[int, int] | None = None
@@ -78,52 +77,36 @@ class Feature:
 
 def placed(features: list[Feature]) -> tuple[Feature, ...]:
     """Gives an address to each register that has none."""
-    addresses = count(FEATURE_SPACE, 8)
-    return tuple(
-        dataclasses.replace(f, address=_take(addresses, f.length)) if f.address < 0 and f.has_register else f
-        for f in features
-    )
+    found, free = [], FEATURE_SPACE
+    for feature in features:
+        if feature.address < 0 and feature.has_register:
+            feature, free = dataclasses.replace(feature, address=free), free + -(-feature.length // 8) * 8
+        found.append(feature)
+    return tuple(found)
 
 
-def integer(key: str, category: str, default: int = 0, **more: Any) -> Feature:
-    return Feature(key, Kind.INTEGER, name=key, category=category, default=default, **more)
+def _feature(kind: Kind, key: str, category: str, default: Value = 0, **more: Any) -> Feature:
+    return Feature(key, kind, name=key, category=category, default=default, **more)
 
 
-def real(key: str, category: str, default: float = 0.0, **more: Any) -> Feature:
-    return Feature(key, Kind.FLOAT, name=key, category=category, default=default, length=8, **more)
-
-
-def boolean(key: str, category: str, default: bool = False, **more: Any) -> Feature:
-    return Feature(key, Kind.BOOLEAN, name=key, category=category, default=int(default), **more)
-
-
-def command(key: str, category: str, **more: Any) -> Feature:
-    return Feature(key, Kind.COMMAND, name=key, category=category, **more)
+integer, boolean, command = (partial(_feature, kind) for kind in (Kind.INTEGER, Kind.BOOLEAN, Kind.COMMAND))
+real = partial(_feature, Kind.FLOAT, length=8)
 
 
 def text(key: str, category: str, default: str, length: int, **more: Any) -> Feature:
-    return Feature(key, Kind.STRING, name=key, category=category, default=default, length=length, **more)
+    return _feature(Kind.STRING, key, category, default, length=length, **more)
 
 
 def choice(key: str, category: str, entries: dict[str, int], default: str = "", **more: Any) -> Feature:
     """Return an enumeration; its default is the first entry unless named."""
-    first = entries[default] if default else next(iter(entries.values()))
-    return Feature(
-        key, Kind.ENUMERATION, name=key, category=category, entries=tuple(entries.items()), default=first, **more
-    )
+    value = entries[default or next(iter(entries))]
+    return _feature(Kind.ENUMERATION, key, category, value, entries=tuple(entries.items()), **more)
 
 
 def hidden(key: str, address: int, default: Value = 0, length: int = 4, writable: bool = False) -> Feature:
     """Return a register of the standard that no GenICam feature names."""
     kind = Kind.STRING if isinstance(default, str) else Kind.INTEGER
     return Feature(key, kind, address=address, length=length, default=default, writable=writable)
-
-
-def _take(addresses: count, length: int) -> int:
-    address = next(addresses)
-    for _ in range((length - 1) // 8):
-        next(addresses)
-    return address
 
 
 class RegisterError(Exception):
@@ -224,9 +207,8 @@ class Registers:
             raise RegisterError(Status.INVALID_PARAMETER)
         if isinstance(value, str):
             return
-        low = self._values[feature.low_key] if feature.low_key else feature.low
-        high = self._values[feature.high_key] if feature.high_key else feature.high
-        wrong = (low is not None and not value >= low) or (high is not None and not value <= high)  # type: ignore[operator]
+        low, high = feature.low, self.real(feature.high_key) if feature.high_key else feature.high
+        wrong = (low is not None and not value >= low) or (high is not None and not value <= high)
         if wrong or (feature.step is not None and int(value) % feature.step):
             raise RegisterError(Status.INVALID_PARAMETER)
 

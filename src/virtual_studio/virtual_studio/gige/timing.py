@@ -28,11 +28,8 @@ LONGEST_BACKLOG_NS = 250_000_000  # frames, and pulses of the generator, that ar
 def next_multiple(after_ns: int, period_ns: Fraction, origin_ns: int = 0) -> int:
     """Returns the first whole multiple of a period, counted from the origin, after an instant; to the nearest ns."""
     length, share = period_ns.numerator, period_ns.denominator  # whole numbers: a hundred times as fast
-    index = (after_ns - origin_ns) * share // length + 1
-    elapsed_ns = (2 * index * length + share) // (2 * share)
-    if origin_ns + elapsed_ns <= after_ns:  # rounded down to where we are
-        elapsed_ns = (2 * (index + 1) * length + share) // (2 * share)
-    return origin_ns + elapsed_ns
+    index = -(-(2 * (after_ns - origin_ns) + 1) * share // (2 * length))  # the first that is rounded to beyond it
+    return origin_ns + (2 * index * length + share) // (2 * share)
 
 
 class CameraClock:
