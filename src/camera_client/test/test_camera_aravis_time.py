@@ -8,8 +8,8 @@ import pytest
 from camera_pictures import frames_of, taken
 
 from camera_client.frame_source import SourceUnavailable
+from camera_client.gige.features import AravisFeatures
 from camera_client.settings import AravisSettings
-from camera_client.sources.aravis_features import AravisFeatures
 from camera_client.sources.aravis_source import AravisSource
 from capture_rig.errors import InputError
 from capture_rig.stamps import CaptureClock

@@ -1,15 +1,20 @@
-"""Sets GenICam features, reads them back and compares; errors say what the camera would have taken."""
+"""Sets a camera's GenICam features through Aravis, reads them back and compares; errors say what it would have taken.
+
+GObject types and errors end here.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from enum import Enum
-from typing import Protocol
+from typing import Any
 
 from capture_rig.errors import InputError
 
 Value = bool | int | float | str
+ERROR_DOMAIN = "arv-device-error-quark"
 
 # Thresholds: judgement, no measurement.
 FLOAT_TOLERANCE = 0.02  # a float may come back rounded to the sensor's lines or steps by so much
@@ -37,33 +42,98 @@ class Kind(Enum):
     COMMAND = "command"
 
 
-class DeviceAccess(Protocol):
-    """A device's features by their exact names, and its 32-bit registers.
+class AravisFeatures:
+    """An Aravis.Device's features by their exact names, and its 32-bit registers; ``Aravis``, ``GLib``: the modules.
 
     Every method may raise DeviceSilence when the device does not answer, and DeviceRefusal when it refuses.
     """
 
+    def __init__(self, device: Any, Aravis: Any, GLib: Any) -> None:
+        self._device, self._Aravis, self._GLib = device, Aravis, GLib
+        self._kinds: dict[str, Kind | None] = {}
+        self._types = (
+            (Aravis.GcCommand, Kind.COMMAND),
+            (Aravis.GcBoolean, Kind.BOOLEAN),
+            (Aravis.GcEnumeration, Kind.ENUMERATION),
+            (Aravis.GcFloat, Kind.FLOAT),
+            (Aravis.GcInteger, Kind.INTEGER),
+            (Aravis.GcString, Kind.STRING),
+        )
+
     def kind(self, name: str) -> Kind | None:
         """Return what a feature holds; None for one that the device does not have, or not now."""
+        if name not in self._kinds:
+            node = self._device.get_feature(name)
+            self._kinds[name] = next((kind for type_, kind in self._types if isinstance(node, type_)), None)
+        if self._kinds[name] is None:
+            return None
+        with self._errors():
+            return self._kinds[name] if self._device.is_feature_available(name) else None
 
-    def read(self, name: str) -> Value: ...
+    def read(self, name: str) -> Value:
+        with self._errors():
+            return self._method("get_{}_feature_value", name)(name)
 
-    def write(self, name: str, value: Value) -> None: ...
+    def write(self, name: str, value: Value) -> None:
+        with self._errors():
+            self._method("set_{}_feature_value", name)(name, value)
 
-    def execute(self, name: str) -> None: ...
+    def execute(self, name: str) -> None:
+        with self._errors():
+            self._device.execute_command(name)
 
     def limits(self, name: str) -> tuple[float, float] | None:
         """Return smallest and largest value of a number; None where the device does not describe it."""
+        bounds = self._described("get_{}_feature_bounds", name)
+        return None if bounds is None else tuple(bounds)
 
     def step(self, name: str) -> float | None:
         """Return the distance between the values of a number; None where the device does not describe it."""
+        value = self._described("get_{}_feature_increment", name)
+        return value if value is not None and 0 < value < 1e12 else None  # Aravis gives the least double for "none"
 
     def choices(self, name: str) -> tuple[str, ...]:
         """Return the entries of an enumeration that are to be had now."""
+        with self._errors():
+            return tuple(self._device.dup_available_enumeration_feature_values_as_strings(name) or ())
 
-    def read_register(self, address: int) -> int: ...
+    def read_register(self, address: int) -> int:
+        with self._errors():
+            return self._device.read_register(address) & 0xFFFFFFFF
 
-    def write_register(self, address: int, value: int) -> None: ...
+    def write_register(self, address: int, value: int) -> None:
+        with self._errors():
+            self._device.write_register(address, value)
+
+    def _method(self, method: str, name: str) -> Callable[..., Any]:
+        """Return the device's method for what a feature holds. Raises DeviceRefusal where it holds no value."""
+        kind = self.kind(name)
+        if kind is None or kind is Kind.COMMAND:
+            raise DeviceRefusal(f"{name} holds no value now")
+        return getattr(self._device, method.format("string" if kind is Kind.ENUMERATION else kind.value))
+
+    def _described(self, method: str, name: str) -> Any:
+        """Return what the device's description says of a number; None where it does not, and of what is none."""
+        if self.kind(name) not in (Kind.INTEGER, Kind.FLOAT):
+            return None
+        with contextlib.suppress(DeviceRefusal), self._errors():
+            return self._method(method, name)(name)
+        return None
+
+    @contextlib.contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except self._GLib.Error as error:
+            if is_silence(error, self._Aravis):
+                raise DeviceSilence(error.message) from None
+            raise DeviceRefusal(error.message) from None
+
+
+def is_silence(error: Any, Aravis: Any) -> bool:
+    """True for a GLib.Error that says that the device did not answer."""
+    silent = (Aravis.DeviceError.TIMEOUT, Aravis.DeviceError.NOT_CONNECTED)
+    return error.domain == ERROR_DOMAIN and error.code in {int(code) for code in silent}
 
 
 class Features:
@@ -72,7 +142,7 @@ class Features:
     ``where`` begins every error: which camera this is.
     """
 
-    def __init__(self, access: DeviceAccess, where: str) -> None:
+    def __init__(self, access: AravisFeatures, where: str) -> None:
         self.access, self.where = access, where
 
     def find(self, name: str) -> str | None:

@@ -18,8 +18,7 @@ from gige_vision.gvcp import PORT, AcknowledgePacket, Action, Command, Malformed
 
 from ..frame_source import POLL_S, RELEASE_S, SourceUnavailable
 from ..settings import AravisSettings
-from .camera_clock import SECOND
-from .capture_time import PTP_IN_STEP
+from .capture_time import PTP_IN_STEP, SECOND
 from .features import Features
 
 FRAME_TRIGGER = "FrameStart"

@@ -18,11 +18,10 @@ from capture_rig.stamps import CaptureClock
 from gige_vision import bootstrap
 
 from ..frame_source import Frame, FrameSource, SourceUnavailable
-from ..gige.camera_clock import ClockReading, read_clock
 from ..gige.camera_setup import CameraSetup, set_up_camera
-from ..gige.capture_time import TimeSource, after_last, choose_time_source
+from ..gige.capture_time import ClockReading, TimeSource, after_last, choose_time_source, read_clock
 from ..gige.discovery import FoundCamera, described, find_camera
-from ..gige.features import DeviceRefusal, DeviceSilence, Features
+from ..gige.features import AravisFeatures, DeviceRefusal, DeviceSilence, Features, is_silence
 from ..gige.pixel_formats import can_be_halved, image_shape
 from ..gige.triggers import (
     ACTION_COUNTERS,
@@ -34,7 +33,6 @@ from ..gige.triggers import (
     synchronise,
 )
 from ..settings import AravisSettings
-from .aravis_features import AravisFeatures, is_silence
 from .aravis_stream import AravisStream
 
 INSTALL = "Install it: sudo apt install python3-gi gir1.2-aravis-0.8 (in a venv made with --system-site-packages)."

@@ -13,9 +13,8 @@ from gige_vision import bootstrap
 from gige_vision.gvsp import PixelFormat
 
 from ..frame_source import REPORT_PERIOD_S, FrameStatistics, Image
-from ..gige.camera_clock import SECOND
 from ..gige.camera_setup import CameraSetup
-from ..gige.capture_time import FrameTimes
+from ..gige.capture_time import SECOND, FrameTimes
 from ..gige.discovery import enlarge_receive_buffer
 from ..gige.features import spellings
 from ..gige.pixel_formats import to_image
