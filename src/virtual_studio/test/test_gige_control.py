@@ -17,9 +17,8 @@ from gige_vision.gvcp import Action, Command, DeviceRecord, Status
 from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
 from virtual_studio.gige.device import OLD, SFNC, Device, Faults
 from virtual_studio.gige.feature_table import feature_table
-from virtual_studio.gige.genicam_xml import genicam_xml
 from virtual_studio.gige.gvcp_server import ControlPrivilege
-from virtual_studio.gige.registers import FILE_SPACE, Kind, RegisterError, Registers
+from virtual_studio.gige.registers import FILE_SPACE, Kind, RegisterError, Registers, genicam_xml
 
 
 def table():

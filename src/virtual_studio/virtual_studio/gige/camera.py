@@ -12,11 +12,10 @@ from gige_vision.bootstrap import Capability
 from .acquisition import Acquisition
 from .device import CameraSettings, Device, Faults
 from .feature_table import CAPABILITIES, feature_table
-from .genicam_xml import XML_NAME, genicam_xml, zipped
 from .gvcp_server import ControlPrivilege, GvcpServer
 from .imaging import ImagingPipeline
 from .loop import EventLoop
-from .registers import FILE_SPACE, Registers
+from .registers import FILE_SPACE, XML_NAME, Registers, genicam_xml, zipped
 from .scenes import CameraScene
 from .stream import StreamChannel
 from .timing import CameraClock, Timing, TriggerWire
