@@ -23,7 +23,7 @@ Image = np.ndarray  # (H, W) or (H, W, 3) uint8, BGR
 Mask = np.ndarray  # (H, W) uint8, 0 or 255
 # Thresholds: judgement, no measurement.
 REPORT_PERIOD_S = 0.5  # figures for people are measured, and published, so often
-LASTING_S = 3.0  # what lasts for so long counts: a thing that keeps still, another picture, frames lost
+LASTING_S = 3.0  # what lasts for so long counts: a thing that keeps still, another picture, frames lost, no images
 POLL_S = 0.05  # what wakes nobody is asked so often
 RELEASE_S = 1.0  # a living device gives its resources back within this, a thread that served it ends
 

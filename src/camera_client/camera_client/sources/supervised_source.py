@@ -6,6 +6,7 @@ each such call runs on a thread of its own. read() and all others return within 
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import Counter
@@ -29,9 +30,8 @@ from ..settings import SupervisionSettings
 
 # Thresholds: judgement, no measurement.
 CONNECT_WAIT_S = 5.0  # at configure: a camera that is there is set up within this, unless it waits for PTP
-START_S = 2.0  # a living camera starts within this
+START_S = 2 * RELEASE_S  # a living camera starts within this: more is asked of it than when it stops
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.25, 2.0  # the pauses after attempts that fail double from one to the other
-ROUNDING_S = 1e-3
 
 T = TypeVar("T")
 
@@ -191,7 +191,7 @@ class SupervisedSource(FrameSource):
         if source.lost:
             reason = "does not answer any more, or another program has taken control"
             self._disconnect(ConnectionState.CONTROL_LOST, reason)
-        elif self._silent_s >= self._limit_s - ROUNDING_S:
+        elif self._silent_s >= self._limit_s or math.isclose(self._silent_s, self._limit_s):
             self._disconnect(ConnectionState.STALLED, f"nothing came for {now_s - self._heard_s:.1f} s")
         return frame
 

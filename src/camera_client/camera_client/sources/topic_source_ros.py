@@ -24,7 +24,7 @@ from sagoma_ros.images import decode_image
 from sagoma_ros.limits import read_message
 from sagoma_ros.messages import NS_PER_S, to_ns
 
-from ..frame_source import POLL_S, RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
+from ..frame_source import LASTING_S, POLL_S, RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
 from ..settings import TopicSettings
 from .footage_reader import convert_channels
 
@@ -34,8 +34,6 @@ TYPES = {"sensor_msgs/msg/Image": ImageMessage, "sensor_msgs/msg/CompressedImage
 OURS = ("camera_info", "image_raw")  # what the client publishes in its own namespace
 CLOCK = "header of the topic"
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rclpy's name of a node of which only a publisher was discovered so far
-# Thresholds: judgement, no measurement.
-PATIENCE_S = 3.0  # for a publisher to be found, and for its first two images, which tell size and rate
 DEPTH = 4  # images that may wait: older ones make room, and count as lost
 
 
@@ -89,7 +87,7 @@ class TopicSource(FrameSource):
 
     def _subscribe(self, publishers: list[TopicEndpointInfo]) -> None:
         """Learn size, rate and lens from the first images. Raises InputError."""
-        node, deadline_s = self._node, time.monotonic() + PATIENCE_S
+        node, deadline_s = self._node, time.monotonic() + LASTING_S
         assert node is not None
         kinds = {info.topic_type for info in publishers}
         if len(kinds) != 1 or kinds.isdisjoint(TYPES):
@@ -122,7 +120,7 @@ class TopicSource(FrameSource):
         node, topic = self._node, self._settings.name
         assert node is not None
         find = lambda: node.get_publishers_info_by_topic(node.resolve_topic_name(topic)) or None  # noqa: E731
-        found = self._spin_for(find, time.monotonic() + PATIENCE_S)
+        found = self._spin_for(find, time.monotonic() + LASTING_S)
         if found is None:
             raise SourceUnavailable("nobody publishes it", where=self.description)
         return found
@@ -131,7 +129,7 @@ class TopicSource(FrameSource):
         """Raises InputError when the driver publishes what the client itself publishes under the same name."""
         assert self._node is not None
         for topic in map(self._node.resolve_topic_name, OURS):
-            theirs = self._spin_for(partial(self._other_publishers, topic), time.monotonic() + PATIENCE_S)
+            theirs = self._spin_for(partial(self._other_publishers, topic), time.monotonic() + LASTING_S)
             if theirs:
                 raise InputError(
                     f"node {theirs[0].node_name} publishes {topic}, as the camera client does of its own images",
@@ -154,7 +152,7 @@ class TopicSource(FrameSource):
 
     def _first(self, take: Callable[[], T | None], topic: str, deadline_s: float) -> T:
         if (found := self._spin_for(take, deadline_s)) is None:
-            raise SourceUnavailable(f"nothing came on {topic} within {PATIENCE_S:.0f} s", where=self.description)
+            raise SourceUnavailable(f"nothing came on {topic} within {LASTING_S:.0f} s", where=self.description)
         return found
 
     def start(self) -> None:

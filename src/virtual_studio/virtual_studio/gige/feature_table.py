@@ -15,8 +15,8 @@ from .registers import Feature, boolean, choice, command, hidden, integer, place
 
 MAX_BINNING = 4
 MAX_GAIN_DB = 24.0
-GAIN_RAW_STEP_DB = 0.1
-"""What one step of the older generation's GainRaw means."""
+RAW_GAINS = 240
+"""Steps of the older generation's GainRaw up to MAX_GAIN_DB."""
 MONO_FORMATS = ("Mono8", "Mono10", "Mono10p", "Mono10Packed", "Mono12", "Mono12p", "Mono12Packed")
 COLOUR_FORMATS = ("BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8", "RGB8", "BGR8", "YUV422_8")
 OFF, ON = 0, 1
@@ -258,6 +258,5 @@ def _transport(s: CameraSettings) -> list[Feature]:
 
 def _older_generation(feature: Feature) -> Feature:
     if feature.key == "Gain":
-        steps = round(MAX_GAIN_DB / GAIN_RAW_STEP_DB)
-        return dataclasses.replace(integer("Gain", feature.category, 0, low=0, high=steps), name="GainRaw")
+        return dataclasses.replace(integer("Gain", feature.category, 0, low=0, high=RAW_GAINS), name="GainRaw")
     return dataclasses.replace(feature, name=OLD_NAMES.get(feature.name, feature.name))

@@ -14,7 +14,7 @@ from gige_vision.gvsp import PixelFormat, encode_chunk
 
 from ..rendering.camera import Image
 from .device import OLD, CameraSettings, Device
-from .feature_table import AUTO, CHUNKS, GAIN_RAW_STEP_DB
+from .feature_table import AUTO, CHUNKS, MAX_GAIN_DB, RAW_GAINS
 from .registers import RegisterError, Registers, Value
 
 Bytes = NDArray[np.uint8]
@@ -105,7 +105,7 @@ class ExposureControl:
     @property
     def factor(self) -> float:
         """The factor on the scene's grey levels."""
-        gain_db = self._registers.real("Gain") * (GAIN_RAW_STEP_DB if self._settings.generation == OLD else 1)
+        gain_db = self._registers.real("Gain") * (MAX_GAIN_DB / RAW_GAINS if self._settings.generation == OLD else 1)
         return self.exposure_us / self._settings.nominal_exposure_us * 10.0 ** (gain_db / 20.0)
 
     def _refuse_while_auto(self, key: str, value: Value) -> None:
