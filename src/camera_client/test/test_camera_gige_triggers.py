@@ -85,7 +85,6 @@ def test_thread_fires_instants_when_they_are_due_and_stops():
             enough.set()
 
     thread = TriggerThread(TriggerSchedule(250.0), time.time_ns, fire)
-    thread.start()
     assert enough.wait(PATIENCE_S)
     thread.stop()
     count = len(fired)

@@ -12,9 +12,8 @@ from gige_client import CONTROL_PRIVILEGE, GvcpClient, eventually
 from capture_rig.errors import InputError
 from gige_vision import bootstrap
 from gige_vision import gvcp as gvcp_payloads
-from gige_vision.bootstrap import Capability
 from gige_vision.gvcp import Action, Command, DeviceRecord, Status
-from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera, free_addresses
+from virtual_studio.gige import CameraSettings, PatternScene, SimulatedCamera
 from virtual_studio.gige.device import OLD, SFNC, Device, Faults
 from virtual_studio.gige.feature_table import feature_table
 from virtual_studio.gige.gvcp_server import ControlPrivilege
@@ -124,13 +123,6 @@ def test_address_is_taken_while_a_camera_is_on_and_free_when_it_is_off(camera):
         assert DeviceRecord.decode(client.ask(Command.DISCOVERY).payload).serial == "OTHER"
 
 
-def test_capabilities_tell_whether_packets_are_sent_again(camera, client):
-    assert client.read(bootstrap.GVCP_CAPABILITY) & Capability.PACKET_RESEND
-    camera.faults.no_resend = True
-    assert not client.read(bootstrap.GVCP_CAPABILITY) & Capability.PACKET_RESEND
-    assert client.read(bootstrap.GVCP_CAPABILITY) & Capability.SCHEDULED_ACTION
-
-
 def arm_action(camera, client):
     client.take_control()
     for key, value in (("ActionDeviceKey", 1), ("ActionGroupKey", 2), ("ActionGroupMask", 6)):
@@ -145,12 +137,6 @@ def test_action_for_others_is_not_answered(camera, client):
     client.send_packet(Action(1, 2, 2).command(request_id=77))
     answer = client.receive()
     assert (answer.acknowledge, answer.status, answer.request_id) == (0x0101, 0, 77)
-
-
-def test_free_addresses_are_free_and_all_different():
-    addresses = free_addresses(20)
-    assert len(set(addresses)) == 20
-    assert all(address.startswith("127.") for address in addresses)
 
 
 # --- registers and their description ----------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from capture_rig.errors import InputError
 
 from ..settings import PIXEL_FORMATS, AravisSettings
 from .features import FLOAT_TOLERANCE, Features
-from .pixel_formats import choose_format, find_format, standard_name
+from .pixel_formats import can_be_halved, choose_format, find_format, image_shape, standard_name
 from .triggers import switch_triggers_off
 
 AUTO_FUNCTIONS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
@@ -30,30 +30,37 @@ class CameraSetup:
     frame_rate: float | None
     chunks: tuple[str, ...]
     warnings: tuple[str, ...]
-    halved: bool = False
+    halved: bool
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W) or (H, W, 3), of the images."""
+        return image_shape(self.pixel_format, self.width, self.height, self.halved)
 
 
-def set_up_camera(features: Features, settings: AravisSettings, channels: str) -> CameraSetup:
+def set_up_camera(features: Features, settings: AravisSettings, channels: str, halve_mosaics: bool) -> CameraSetup:
     """Return everything but the trigger. Raises InputError naming the setting for what the camera cannot do."""
     features.apply(settings.features, "aravis.features")
     features.ensure("AcquisitionMode", "Continuous", "aravis.sync")
     switch_triggers_off(features)
     for name in AUTO_FUNCTIONS:
         features.ensure(name, "Off", "aravis.features")
-    pixel_format = _set_format(features, settings, channels)
+    pixel_format = standard_name(_set_format(features, settings, channels))
     _set_region(features, settings)
     _set_exposure(features, settings)
     warnings = _set_rate(features, settings)
     chunks, chunk_warnings = _set_chunks(features, settings.chunks)
     triggered = settings.sync in ("line", "action", "software")
+    width, height = _integer(features, "Width"), _integer(features, "Height")
     return CameraSetup(
-        standard_name(pixel_format),
-        _integer(features, "Width"),
-        _integer(features, "Height"),
+        pixel_format,
+        width,
+        height,
         features.number("ExposureTime"),
         None if triggered else features.number("AcquisitionFrameRate"),
         chunks,
         warnings + chunk_warnings,
+        halve_mosaics and can_be_halved(pixel_format, width, height),
     )
 
 

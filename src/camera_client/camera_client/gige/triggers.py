@@ -128,11 +128,18 @@ def _listen_to_actions(features: Features, settings: AravisSettings) -> None:
 
 def _free_run_in_step(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> str:
     """Exposures at whole multiples of the period of the PTP clock, whenever the cameras are armed."""
+    rate_hz = settings.frame_rate
     if features.find("SyncFreeRunTimerEnable") is not None:
-        _arm_timer(features, settings.frame_rate, ptp_now_ns())
+        schedule = TriggerSchedule(rate_hz)
+        start_ns = schedule.instant_ns(schedule.first_after(ptp_now_ns() + TIMER_LEAD_NS))
+        features.set("SyncFreeRunTimerTriggerRateAbs", rate_hz, "aravis.frame_rate")
+        features.set("SyncFreeRunTimerStartTimeLow", start_ns & 0xFFFF_FFFF, "aravis.sync")
+        features.set("SyncFreeRunTimerStartTimeHigh", start_ns >> 32, "aravis.sync")
+        features.run("SyncFreeRunTimerUpdate", "aravis.sync")
+        features.switch("SyncFreeRunTimerEnable", True, "aravis.sync")
         return ""
     if features.find("BslPeriodicSignalPeriod") is not None:  # counts from the epoch of PTP by itself
-        features.set("BslPeriodicSignalPeriod", 1e6 / settings.frame_rate, "aravis.frame_rate")
+        features.set("BslPeriodicSignalPeriod", 1e6 / rate_hz, "aravis.frame_rate")
         if features.find("BslPeriodicSignalDelay") is not None:
             features.set("BslPeriodicSignalDelay", 0.0, "aravis.sync")
         _trigger_by(features, settings, PERIODIC_SIGNAL)
@@ -141,16 +148,6 @@ def _free_run_in_step(features: Features, settings: AravisSettings, ptp_now_ns: 
         "the camera can be in step by PTP, but not begin at a given time: cameras run at one rate, each in a phase of "
         "its own; aravis.sync action or line would bring them together"
     )
-
-
-def _arm_timer(features: Features, rate_hz: float, ptp_now_ns: int) -> None:
-    schedule = TriggerSchedule(rate_hz)
-    start_ns = schedule.instant_ns(schedule.first_after(ptp_now_ns + TIMER_LEAD_NS))
-    features.set("SyncFreeRunTimerTriggerRateAbs", rate_hz, "aravis.frame_rate")
-    features.set("SyncFreeRunTimerStartTimeLow", start_ns & 0xFFFF_FFFF, "aravis.sync")
-    features.set("SyncFreeRunTimerStartTimeHigh", start_ns >> 32, "aravis.sync")
-    features.run("SyncFreeRunTimerUpdate", "aravis.sync")
-    features.switch("SyncFreeRunTimerEnable", True, "aravis.sync")
 
 
 # --- when to trigger: at whole multiples of the period of a common clock, so that camera PCs need no coordinator
@@ -208,7 +205,7 @@ class TriggerSchedule:
 
 
 class TriggerThread:
-    """Calls ``fire(instant_ns)`` for every instant of a schedule when it is due, on a thread of its own.
+    """Calls ``fire(instant_ns)`` for every instant of a schedule when it is due, on a thread of its own, until stop().
 
     clock : ns, of the clock that the schedule counts on.
     """
@@ -217,8 +214,6 @@ class TriggerThread:
         self._schedule, self._clock, self._fire = schedule, clock, fire
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="trigger", daemon=True)
-
-    def start(self) -> None:
         self._thread.start()
 
     def stop(self) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 from capture_rig.errors import InputError
@@ -22,7 +21,6 @@ from ..gige.camera_setup import CameraSetup, set_up_camera
 from ..gige.capture_time import ClockReading, TimeSource, after_last, choose_time_source, read_clock
 from ..gige.discovery import FoundCamera, described, find_camera
 from ..gige.features import AravisFeatures, DeviceRefusal, DeviceSilence, Features, is_silence
-from ..gige.pixel_formats import can_be_halved, image_shape
 from ..gige.triggers import (
     ACTION_COUNTERS,
     ActionSender,
@@ -67,17 +65,14 @@ class AravisSource(FrameSource):
         self._settings, self._channels, self._halve_mosaics = settings, channels, halve_mosaics
         self.description = described(settings)
         self._clock = CaptureClock(settings.clock_speed)
-        self._found: FoundCamera | None = None
         self._camera: Any = None
         self._device: Any = None
         self._features: Features | None = None
-        self._registers: Any = None
         self._warnings: list[str] = []
         self._stream: AravisStream | None = None
         self._trigger: TriggerThread | None = None
         self._actions: ActionSender | None = None
         self._schedule: TriggerSchedule | None = None
-        self._setup: CameraSetup | None = None
         self._time: TimeSource | None = None
         self._streaming = False
         self._lost = False
@@ -92,21 +87,18 @@ class AravisSource(FrameSource):
     def connect(self) -> None:
         self._Aravis, self._Gio, self._GLib = import_aravis()
         try:
-            self._found = find_camera(self._settings)
+            found = find_camera(self._settings)
             with self._device_errors("while it was set up"):
-                self._open(self._found)
-                assert self._features is not None
-                setup = set_up_camera(self._features, self._settings, self._channels)
-                self.halved = self._halve_mosaics and can_be_halved(setup.pixel_format, setup.width, setup.height)
-                self.shape = image_shape(setup.pixel_format, setup.width, setup.height, self.halved)
-                self._setup = replace(setup, halved=self.halved)
-                self._prepare_time_and_triggers(self._features)
-                self._stream = AravisStream(self._Aravis, self._camera, self._settings, self._setup, self.statistics)
-                self._details = self._read_details(self._features)
+                features = self._features = self._open(found)
+                setup = set_up_camera(features, self._settings, self._channels, self._halve_mosaics)
+                self.shape, self.halved = setup.shape, setup.halved
+                self._time = self._prepare_time_and_triggers(features, found)
+                self._stream = AravisStream(self._Aravis, self._camera, self._settings, setup, self.statistics)
+                self._details = self._read_details(features, found, setup, self._time)
         except BaseException:
             self.close()
             raise
-        self.warnings = (*self._setup.warnings, *self._warnings, *self._stream.warnings)
+        self.warnings = (*setup.warnings, *self._warnings, *self._stream.warnings)
 
     def start(self) -> None:
         if self._stream is None or self._features is None:
@@ -114,7 +106,7 @@ class AravisSource(FrameSource):
         if self._streaming:
             return
         with self._device_errors("when it was started"):
-            reading = read_clock(self._registers, self._clock.now_ns)
+            reading = read_clock(self._features.access, self._clock.now_ns)
             self._time, self._last_stamp_ns = self._time_source(self._features, reading), 0
             self._stream.restart()
             self._camera.start_acquisition()
@@ -155,7 +147,7 @@ class AravisSource(FrameSource):
         if self._actions is not None:
             self._actions.close()
         gone, device, self._device = self.lost, self._device, None
-        self._actions = self._stream = self._camera = self._features = self._registers = None
+        self._actions = self._stream = self._camera = self._features = None
         if device is not None and not gone and device.is_controller():
             with contextlib.suppress(self._GLib.Error):
                 device.leave_control()
@@ -175,10 +167,10 @@ class AravisSource(FrameSource):
 
     # --- connecting ----------------------------------------------------------------------------------------------
 
-    def _open(self, found: FoundCamera) -> None:
+    def _open(self, found: FoundCamera) -> Features:
         address = self._Gio.InetAddress.new_from_string
         self._device = self._Aravis.GvDevice.new(address(found.host), address(found.device.address))
-        access = self._registers = AravisFeatures(self._device, self._Aravis, self._GLib)
+        access = AravisFeatures(self._device, self._Aravis, self._GLib)
         if not self._device.is_controller():
             raise SourceUnavailable(
                 f"is controlled by another program{_controller(access)}",
@@ -187,28 +179,26 @@ class AravisSource(FrameSource):
             )
         self._lost = False
         self._camera = self._Aravis.Camera.new_with_device(self._device)
-        self._features = Features(access, self.description)
+        return Features(access, self.description)
 
-    def _prepare_time_and_triggers(self, features: Features) -> None:
+    def _prepare_time_and_triggers(self, features: Features, found: FoundCamera) -> TimeSource:
         """PTP first, for everything else counts on the clock; then the triggers; then whose time stamps frames."""
         s = self._settings
         if s.sync in ("ptp", "action") or s.stamp_source == "ptp":
             await_ptp(features, s)
-        reading = read_clock(self._registers, self._clock.now_ns)
+        reading = read_clock(features.access, self._clock.now_ns)
         if s.sync in ("ptp", "action") and reading is None:
             raise self._error(f"has no clock that can be read; sync {s.sync} needs one", "Choose another aravis.sync.")
         offset_ns = 0 if reading is None else reading.offset_ns
         self._warnings = [w for w in [synchronise(features, s, lambda: self._clock.now_ns() - offset_ns)] if w]
         if s.sync == "action":
-            found = self._found
-            assert found is not None
-            if not self._registers.read_register(bootstrap.GVCP_CAPABILITY) & bootstrap.Capability.SCHEDULED_ACTION:
+            if not features.access.read_register(bootstrap.GVCP_CAPABILITY) & bootstrap.Capability.SCHEDULED_ACTION:
                 raise self._error(
                     "takes no scheduled action commands, which sync action needs",
                     "Set aravis.sync to ptp, line or software.",
                 )
             self._actions = ActionSender(found.device.address, found.host, s.action_device_key, self.counters)
-        self._time = self._time_source(features, reading)
+        return self._time_source(features, reading)
 
     def _time_source(self, features: Features, reading: ClockReading | None) -> TimeSource:
         s = self._settings
@@ -218,9 +208,10 @@ class AravisSource(FrameSource):
             self._warnings.append(warning)
         return source
 
-    def _read_details(self, features: Features) -> dict[str, str]:
-        assert self._found is not None and self._setup is not None and self._time is not None
-        device, setup = self._found.device, self._setup
+    def _read_details(
+        self, features: Features, found: FoundCamera, setup: CameraSetup, time_source: TimeSource
+    ) -> dict[str, str]:
+        device = found.device
         details = {
             "camera_serial": device.serial,
             "camera_user_id": device.user_id,
@@ -232,7 +223,7 @@ class AravisSource(FrameSource):
             "gain": _number_text(features.number("Gain")),
             "temperature_c": _number_text(features.number("DeviceTemperature")),
             "sync": self._settings.sync,
-            "stamps": self._time.name,
+            "stamps": time_source.name,
             "packet_size": str(self._device.get_packet_size()),
         }
         return {name: text for name, text in details.items() if text}
@@ -249,8 +240,6 @@ class AravisSource(FrameSource):
             self._schedule = TriggerSchedule(s.frame_rate, lead_ns=round(s.action_lead_ms * 1e6))
             ahead_ns = -reading.offset_ns
             self._trigger = TriggerThread(self._schedule, lambda: self._clock.now_ns() + ahead_ns, self._actions.send)
-        if self._trigger is not None:
-            self._trigger.start()
 
     def _software_trigger(self, instant_ns: int) -> None:
         camera = self._camera

@@ -22,7 +22,7 @@ from .timing import CameraClock, Timing, TriggerWire
 
 
 class SimulatedCamera:
-    """Serves a scene as a camera. start() powers it on, close() ends it; also a context manager.
+    """Serves a scene as a camera. start() powers it on, close() ends it for good; also a context manager.
 
     Several cameras of one process share an event loop (one thread) and a trigger wire; a camera that is given none has
     its own. ``faults`` can be changed while it runs; ``counters`` tell what has happened.
@@ -49,28 +49,25 @@ class SimulatedCamera:
         self.features = feature_table(self.settings, address, width, height, bool(channels))
         self._description = zipped(genicam_xml(self.features, self.settings.vendor, self.settings.model))
         self._powered: _PoweredCamera | None = None
-        self._started = self._closed = False
+        self._running = False
 
     def start(self) -> SimulatedCamera:
         """Powers the camera on."""
-        if self._closed:
-            raise RuntimeError("a closed camera cannot be started again")
-        if not self._started:
-            if self._own_loop:
-                self.loop.start()
-            self._started = True
-            try:
-                self.power_on()
-            except InputError:
-                self.close()
-                raise
+        if self._own_loop:
+            self.loop.start()
+        self._running = True
+        try:
+            self.power_on()
+        except InputError:
+            self.close()
+            raise
         return self
 
     def close(self) -> None:
         """Powers the camera off for good."""
-        if self._started and not self._closed:
+        if self._running:
+            self._running = False
             self.power_off()
-            self._closed = True
             if self._own_loop:
                 self.loop.stop()
 
