@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from virtual_studio.gige import CameraSettings, EventLoop, Faults, Playback, TriggerWire
+from virtual_studio.gige.acquisition import CameraClock, Timing, next_multiple
 from virtual_studio.gige.camera import feature_table
 from virtual_studio.gige.imaging import ExposureControl
 from virtual_studio.gige.registers import Registers
-from virtual_studio.gige.timing import CameraClock, Timing, next_multiple
 
 SECOND_NS = 1_000_000_000
 NOW_NS = 1_800_000_000 * SECOND_NS
@@ -30,7 +30,7 @@ rates = st.sampled_from([0.5, 25, 29.97, 30, 59.94, 60, 100, 120, 999.9])
 def now(monkeypatch):
     """A system clock that stands still until it is moved."""
     clock = SimpleNamespace(ns=NOW_NS, time_ns=lambda: clock.ns, monotonic_ns=lambda: clock.ns)
-    for module in ("virtual_studio.gige.timing", "capture_rig.stamps"):
+    for module in ("virtual_studio.gige.acquisition", "capture_rig.stamps"):
         monkeypatch.setattr(f"{module}.time", clock)
     return clock
 

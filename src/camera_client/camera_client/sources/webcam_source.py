@@ -13,13 +13,12 @@ import cv2
 from capture_rig.errors import InputError
 from capture_rig.stamps import NS_PER_S
 
-from ..frame_source import RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
+from ..frame_source import LASTING_S, RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
 from ..settings import WebcamSettings
 from .footage_reader import convert_channels
 
 # Thresholds: judgement, no measurement.
 DEPTH = 2  # pictures that may wait: older ones make room, and count as lost
-MOST_AGE_S = 1.0  # a driver's stamp is older than this: it is of another clock than this machine's monotonic one
 
 
 def open_device(device: str) -> Any:
@@ -149,6 +148,6 @@ def stamp_of(position_ms: float) -> tuple[int, str]:
     V4L2 stamps by the monotonic clock; where a driver does not, the picture's arrival counts.
     """
     age_s = time.monotonic() - position_ms * 1e-3
-    if 0 <= age_s < MOST_AGE_S:
+    if 0 <= age_s < LASTING_S:  # else the stamp is of another clock
         return time.time_ns() - round(age_s * NS_PER_S), "driver"
     return time.time_ns(), "arrival"

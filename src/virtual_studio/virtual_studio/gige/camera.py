@@ -9,7 +9,7 @@ import numpy as np
 from capture_rig.errors import InputError
 from gige_vision.bootstrap import Capability
 
-from .acquisition import Acquisition
+from .acquisition import Acquisition, CameraClock, Timing, TriggerWire
 from .device import CameraSettings, Device, Faults
 from .feature_table import CAPABILITIES, feature_table
 from .gvcp_server import ControlPrivilege, GvcpServer
@@ -18,7 +18,6 @@ from .loop import EventLoop
 from .registers import FILE_SPACE, XML_NAME, Registers, genicam_xml, zipped
 from .scenes import CameraScene
 from .stream import StreamChannel
-from .timing import CameraClock, Timing, TriggerWire
 
 
 class SimulatedCamera:

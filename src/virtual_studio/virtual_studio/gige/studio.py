@@ -17,12 +17,12 @@ from rig_calibration.boards.board import Board, board_text, read_board
 
 from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..rig import ring
+from .acquisition import TriggerWire
 from .camera import SimulatedCamera
 from .device import CameraSettings, consecutive_addresses
 from .loop import ControlServer, EventLoop, Request
 from .rendered_scenes import PERSON, RoomScene, SetupScene
 from .scenes import PatternScene, Playback, StudioScene, load_session_scene
-from .timing import TriggerWire
 
 PERSON_SCENE, SETUP_SCENE = "person", "setup"
 
