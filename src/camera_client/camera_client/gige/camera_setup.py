@@ -29,7 +29,6 @@ class CameraSetup:
     exposure_us: float | None
     frame_rate: float | None
     chunks: tuple[str, ...]
-    warnings: tuple[str, ...]
     halved: bool
 
     @property
@@ -48,8 +47,8 @@ def set_up_camera(features: Features, settings: AravisSettings, channels: str, h
     pixel_format = standard_name(_set_format(features, settings, channels))
     _set_region(features, settings)
     _set_exposure(features, settings)
-    warnings = _set_rate(features, settings)
-    chunks, chunk_warnings = _set_chunks(features, settings.chunks)
+    _set_rate(features, settings)
+    chunks = _set_chunks(features, settings.chunks)
     triggered = settings.sync in ("line", "action", "software")
     width, height = _integer(features, "Width"), _integer(features, "Height")
     return CameraSetup(
@@ -59,7 +58,6 @@ def set_up_camera(features: Features, settings: AravisSettings, channels: str, h
         features.number("ExposureTime"),
         None if triggered else features.number("AcquisitionFrameRate"),
         chunks,
-        warnings + chunk_warnings,
         halve_mosaics and can_be_halved(pixel_format, width, height),
     )
 
@@ -107,42 +105,43 @@ def _set_exposure(features: Features, settings: AravisSettings) -> None:
         features.set("Gain", settings.gain, "aravis.gain")
 
 
-def _set_rate(features: Features, settings: AravisSettings) -> tuple[str, ...]:
-    """Return the camera's own rate; where triggers give it, the camera's limit is switched off."""
+def _set_rate(features: Features, settings: AravisSettings) -> None:
+    """Set the camera's own rate; where triggers give it, the camera's limit is switched off."""
     switch = features.find("AcquisitionFrameRateEnable")
     if settings.sync in ("line", "action", "software"):
         if switch is not None:
             features.switch(switch, False, "aravis.sync")
-        return ()
+        return
     if settings.frame_rate < 0:
-        return ()
+        return
     if switch is not None:
         features.switch(switch, True, "aravis.frame_rate")
     features.set("AcquisitionFrameRate", settings.frame_rate, "aravis.frame_rate")
     reached = features.number("ResultingFrameRate")
-    if reached is None or reached >= (1 - FLOAT_TOLERANCE) * settings.frame_rate:
-        return ()
-    return (
-        f"{features.where} reaches only {reached:g} of {settings.frame_rate:g} Hz: shorten the exposure, make the "
-        "region smaller, or raise the packet size",
-    )
+    if reached is not None and reached < (1 - FLOAT_TOLERANCE) * settings.frame_rate:
+        features.warn(
+            f"{features.where} reaches only {reached:g} of {settings.frame_rate:g} Hz: shorten the exposure, make the "
+            "region smaller, or raise the packet size"
+        )
 
 
-def _set_chunks(features: Features, wanted: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the chunks that are on now, and warnings."""
+def _set_chunks(features: Features, wanted: bool) -> tuple[str, ...]:
+    """Return the names of the chunks that are on now."""
     if features.find("ChunkModeActive") is None:
-        return (), ((f"{features.where} has no chunks: time and exposure come from elsewhere",) if wanted else ())
+        features.warn(f"{features.where} has no chunks: time and exposure come from elsewhere" if wanted else "")
+        return ()
     if wanted or features.read("ChunkModeActive"):
         features.switch("ChunkModeActive", wanted, "aravis.chunks")
     if not wanted:
-        return (), ()
+        return ()
     offered = features.access.choices(features.require("ChunkSelector", "aravis.chunks"))
-    chosen = tuple(name for name in CHUNKS if name in offered)
-    for name in chosen:
+    for name in CHUNKS:
+        if name not in offered:
+            features.warn(f"{features.where} has no chunk {name}")
+            continue
         features.set("ChunkSelector", name, "aravis.chunks")
         features.switch("ChunkEnable", True, "aravis.chunks")
-    missing = [name for name in CHUNKS if name not in chosen]
-    return chosen, tuple(f"{features.where} has no chunk {name}" for name in missing)
+    return tuple(name for name in CHUNKS if name in offered)
 
 
 def _largest(features: Features, size: str) -> int:

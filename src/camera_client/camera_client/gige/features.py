@@ -139,11 +139,17 @@ def is_silence(error: Any, Aravis: Any) -> bool:
 class Features:
     """Features of one device by any generation's name, with every write checked.
 
-    ``where`` begins every error: which camera this is.
+    ``where`` begins every error: which camera this is. ``warnings``: what works, but the user should know.
     """
 
     def __init__(self, access: AravisFeatures, where: str) -> None:
         self.access, self.where = access, where
+        self.warnings: list[str] = []
+
+    def warn(self, text: str) -> None:
+        """Add a warning, once; "" is none."""
+        if text and text not in self.warnings:
+            self.warnings.append(text)
 
     def find(self, name: str) -> str | None:
         """Return the name under which this device has the feature; None when it has it under none."""

@@ -41,8 +41,8 @@ def switch_triggers_off(features: Features) -> None:
         features.switch(timer, False, "aravis.sync")
 
 
-def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> str:
-    """Set up the triggers for ``settings.sync``; returns a warning, "" when there is none.
+def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> None:
+    """Set up the triggers for ``settings.sync``.
 
     ptp_now_ns : reads the camera's clock; called only where PTP is in use.
     Raises InputError when the camera lacks what the mode needs.
@@ -54,8 +54,8 @@ def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callab
             remedy="Set aravis.frame_rate, to the same for all cameras.",
         )
     if settings.sync == "ptp":
-        return _free_run_in_step(features, settings, ptp_now_ns)
-    if settings.sync == "line":
+        _free_run_in_step(features, settings, ptp_now_ns)
+    elif settings.sync == "line":
         _trigger_by(features, settings, settings.trigger_line)
         features.set("TriggerActivation", settings.trigger_activation, "aravis.trigger_activation")
     elif settings.sync == "action":
@@ -64,7 +64,6 @@ def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callab
     elif settings.sync == "software":
         features.require("TriggerSoftware", "aravis.sync")
         _trigger_by(features, settings, "Software")
-    return ""
 
 
 def await_ptp(
@@ -126,7 +125,7 @@ def _listen_to_actions(features: Features, settings: AravisSettings) -> None:
         features.set(name, ACTION_GROUP, "aravis.sync")
 
 
-def _free_run_in_step(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> str:
+def _free_run_in_step(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> None:
     """Exposures at whole multiples of the period of the PTP clock, whenever the cameras are armed."""
     rate_hz = settings.frame_rate
     if features.find("SyncFreeRunTimerEnable") is not None:
@@ -137,17 +136,16 @@ def _free_run_in_step(features: Features, settings: AravisSettings, ptp_now_ns: 
         features.set("SyncFreeRunTimerStartTimeHigh", start_ns >> 32, "aravis.sync")
         features.run("SyncFreeRunTimerUpdate", "aravis.sync")
         features.switch("SyncFreeRunTimerEnable", True, "aravis.sync")
-        return ""
-    if features.find("BslPeriodicSignalPeriod") is not None:  # counts from the epoch of PTP by itself
+    elif features.find("BslPeriodicSignalPeriod") is not None:  # counts from the epoch of PTP by itself
         features.set("BslPeriodicSignalPeriod", 1e6 / rate_hz, "aravis.frame_rate")
         if features.find("BslPeriodicSignalDelay") is not None:
             features.set("BslPeriodicSignalDelay", 0.0, "aravis.sync")
         _trigger_by(features, settings, PERIODIC_SIGNAL)
-        return ""
-    return (
-        "the camera can be in step by PTP, but not begin at a given time: cameras run at one rate, each in a phase of "
-        "its own; aravis.sync action or line would bring them together"
-    )
+    else:
+        features.warn(
+            "the camera can be in step by PTP, but not begin at a given time: cameras run at one rate, each in a phase "
+            "of its own; aravis.sync action or line would bring them together"
+        )
 
 
 # --- when to trigger: at whole multiples of the period of a common clock, so that camera PCs need no coordinator

@@ -68,7 +68,6 @@ class AravisSource(FrameSource):
         self._camera: Any = None
         self._device: Any = None
         self._features: Features | None = None
-        self._warnings: list[str] = []
         self._stream: AravisStream | None = None
         self._trigger: TriggerThread | None = None
         self._actions: ActionSender | None = None
@@ -98,7 +97,7 @@ class AravisSource(FrameSource):
         except BaseException:
             self.close()
             raise
-        self.warnings = (*setup.warnings, *self._warnings, *self._stream.warnings)
+        self.warnings = (*features.warnings, *self._stream.warnings)
 
     def start(self) -> None:
         if self._stream is None or self._features is None:
@@ -190,7 +189,7 @@ class AravisSource(FrameSource):
         if s.sync in ("ptp", "action") and reading is None:
             raise self._error(f"has no clock that can be read; sync {s.sync} needs one", "Choose another aravis.sync.")
         offset_ns = 0 if reading is None else reading.offset_ns
-        self._warnings = [w for w in [synchronise(features, s, lambda: self._clock.now_ns() - offset_ns)] if w]
+        synchronise(features, s, lambda: self._clock.now_ns() - offset_ns)
         if s.sync == "action":
             if not features.access.read_register(bootstrap.GVCP_CAPABILITY) & bootstrap.Capability.SCHEDULED_ACTION:
                 raise self._error(
@@ -204,8 +203,7 @@ class AravisSource(FrameSource):
         s = self._settings
         status = ptp_status(features) if s.stamp_source in ("auto", "ptp") else None
         source, warning = choose_time_source(s, reading, status, self.description)
-        if warning and warning not in self._warnings:
-            self._warnings.append(warning)
+        features.warn(warning)
         return source
 
     def _read_details(
