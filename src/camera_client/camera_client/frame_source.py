@@ -6,6 +6,7 @@ A :class:`FrameSource` gives :class:`Frame` after :class:`Frame`, and says what 
 
 from __future__ import annotations
 
+import math
 import statistics
 import threading
 from abc import ABC, abstractmethod
@@ -284,24 +285,12 @@ class ConnectionState(Enum):
 
 
 @dataclass(frozen=True)
-class Outage:
-    """One outage that is over: seconds from its last frame to the alarm, and to the first frame after it.
-
-    ``restart_s`` runs from the start of the attempt that succeeded to that frame.
-    """
-
-    noticed_s: float
-    length_s: float
-    restart_s: float
-
-
-@dataclass(frozen=True)
 class Connection:
     """The connection at one instant, for a report.
 
     ``reason`` says why nothing comes; ``refused`` that waiting will not help (the settings do not fit the device);
     ``next_try_s`` until the next attempt. ``down_s`` is how long nothing has come by now, ``downtime_s`` the sum since
-    the source was made.
+    the source was made, ``last_outage_s`` how long the last outage was, from frame to frame.
     """
 
     state: ConnectionState
@@ -310,34 +299,29 @@ class Connection:
     next_try_s: float = 0.0
     down_s: float = 0.0
     downtime_s: float = 0.0
-    last_outage: Outage | None = None
+    last_outage_s: float | None = None
 
 
 class Downtime:
     """Adds up the time in which frames should have come and did not. All times in seconds of one monotonic clock."""
 
     def __init__(self) -> None:
-        self._sum_s = 0.0
-        self._since_s: float | None = None
-        self._noticed_s = 0.0
-        self.last: Outage | None = None
+        self._sum_s, self._since_s = 0.0, math.inf
+        self.last_outage_s: float | None = None
 
-    def begin(self, since_s: float, now_s: float) -> None:
-        """Begin an outage: nothing has come since ``since_s``, as is noticed now. One that goes on stays one."""
-        if self._since_s is None:
-            self._since_s, self._noticed_s = since_s, now_s
+    def begin(self, since_s: float) -> None:
+        """Begin an outage: nothing has come since ``since_s``. One that goes on stays one."""
+        self._since_s = min(self._since_s, since_s)
 
-    def end(self, now_s: float, attempted_s: float | None = None) -> None:
-        """End the outage: a frame came on the connection attempted at ``attempted_s``; None: the source was stopped."""
-        if self._since_s is None:
-            return
-        if attempted_s is not None:
-            self.last = Outage(self._noticed_s - self._since_s, now_s - self._since_s, now_s - attempted_s)
-        self._sum_s, self._since_s = self.sum_s(now_s), None
+    def end(self, now_s: float, delivered: bool) -> None:
+        """End the outage, if there is one: a frame came (``delivered``), or the source was stopped."""
+        if delivered and self._since_s < math.inf:
+            self.last_outage_s = self.present_s(now_s)
+        self._sum_s, self._since_s = self.sum_s(now_s), math.inf
 
     def present_s(self, now_s: float) -> float:
         """Return how long the present outage has lasted; 0 when there is none."""
-        return 0.0 if self._since_s is None else now_s - self._since_s
+        return max(now_s - self._since_s, 0.0)
 
     def sum_s(self, now_s: float) -> float:
         """Return the whole downtime, the present outage included."""

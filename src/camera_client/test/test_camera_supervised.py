@@ -165,12 +165,10 @@ def test_power_cycle_is_noticed_and_the_first_frame_after_it_is_timed(world, str
     world.fault, back_s = None, world.now_s
     frames_of(streaming, 1)
     link = streaming.connection
-    assert link.last_outage.length_s == pytest.approx(world.now_s - last_s)
-    assert link.last_outage.noticed_s == pytest.approx(0.5)
+    assert link.last_outage_s == pytest.approx(world.now_s - last_s)
     assert world.now_s - back_s <= 2.0 + STEP_S  # at most the longest pause
-    assert link.last_outage.restart_s == pytest.approx(STEP_S)
     assert streaming.counters["reconnects"] == 1
-    assert link.downtime_s == pytest.approx(link.last_outage.length_s) and link.down_s == 0.0
+    assert link.downtime_s == pytest.approx(link.last_outage_s) and link.down_s == 0.0
 
 
 def test_stalled_camera_that_still_answers_is_connected_anew_at_once(world, streaming):

@@ -71,7 +71,7 @@ class SupervisedSource(FrameSource):
         self._closing: list[Future[None]] = []  # calls that close former connections
         self._running = False
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
-        self._next_try_s = self._heard_s = self._attempted_s = self._silent_s = self._limit_s = 0.0
+        self._next_try_s = self._heard_s = self._silent_s = self._limit_s = 0.0
         self._retry_pause_s, self._downtime = 0.0, Downtime()
         self._arrived, self._delivering = 0, False
         self._ever_connected = False
@@ -117,7 +117,7 @@ class SupervisedSource(FrameSource):
             self._closing.append(in_background(_closer_of(self._attempt)))
             self._attempt = None
         source = self._source
-        self._downtime.end(self._clock())
+        self._downtime.end(self._clock(), delivered=False)
         if source is None or self._state is not ConnectionState.STREAMING:
             return
         stopping = in_background(source.stop)
@@ -169,7 +169,7 @@ class SupervisedSource(FrameSource):
         reason = self._reason if state.away else ""
         next_try_s = max(self._next_try_s - now_s, 0.0) if state is ConnectionState.WAITING else 0.0
         down_s, downtime_s = self._downtime.present_s(now_s), self._downtime.sum_s(now_s)
-        return Connection(state, reason, self._refused, next_try_s, down_s, downtime_s, self._downtime.last)
+        return Connection(state, reason, self._refused, next_try_s, down_s, downtime_s, self._downtime.last_outage_s)
 
     # --- while it streams ----------------------------------------------------------------------------------------
 
@@ -187,7 +187,7 @@ class SupervisedSource(FrameSource):
         else:  # time in which this process did not get to run is no silence of the camera
             self._silent_s += min(now_s - began_s, wait_s)
         if frame is not None:
-            self._downtime.end(now_s, self._attempted_s)
+            self._downtime.end(now_s, delivered=True)
         if source.lost:
             reason = "does not answer any more, or another program has taken control"
             self._disconnect(ConnectionState.CONTROL_LOST, reason)
@@ -200,7 +200,7 @@ class SupervisedSource(FrameSource):
         self.count("control_losses" if state is ConnectionState.CONTROL_LOST else "stalls")
         self._release()
         now_s = self._clock()
-        self._downtime.begin(self._heard_s, now_s)
+        self._downtime.begin(self._heard_s)
         self._state, self._reason, self._refused = state, reason, False
         self._next_try_s = now_s + (0.0 if self._delivering else self._next_pause_s())
 
@@ -249,7 +249,6 @@ class SupervisedSource(FrameSource):
         self.description = source.description
         if self._state not in (ConnectionState.STALLED, ConnectionState.CONTROL_LOST):
             self._state = ConnectionState.CONNECTING
-        self._attempted_s = self._clock()
 
         def connect() -> FrameSource:
             source.connect()
@@ -308,7 +307,7 @@ class SupervisedSource(FrameSource):
         self.count("failed_attempts")
         now_s = self._clock()
         if self._running:
-            self._downtime.begin(self._heard_s, now_s)
+            self._downtime.begin(self._heard_s)
         self._next_try_s = now_s + self._next_pause_s(slowest=refused)
         self._state, self._reason, self._refused = ConnectionState.WAITING, reason, refused
 
