@@ -1,6 +1,5 @@
 """Clocks and instants of exposure: arithmetic, without any camera."""
 
-import socket
 import threading
 import time
 from collections import Counter
@@ -183,26 +182,3 @@ def test_pulse_generator_pulses_at_whole_multiples_of_its_period(loop):
     wire.run(0)
     assert all(instant_ns % 5_000_000 == 0 for instant_ns in pulses)
     assert set(pulses.values()) == {1}
-
-
-def test_reader_removed_by_an_earlier_one_is_not_called_any_more(loop):
-    pairs = [socket.socketpair() for _ in range(2)]
-    called = []
-
-    def take(number):
-        called.append(number)
-        for _, receiver in pairs:
-            loop.remove_reader(receiver)
-            receiver.close()
-
-    def arrange():
-        for number, (sender, receiver) in enumerate(pairs):
-            sender.send(b"!")
-            loop.add_reader(receiver, lambda n=number: take(n))
-
-    loop.call(arrange)  # both can be read when the loop looks the next time
-    eventually(lambda: called)
-    loop.call(lambda: None)
-    assert len(called) == 1
-    for sender, _ in pairs:
-        sender.close()

@@ -15,7 +15,7 @@ from .feature_table import CAPABILITIES, feature_table
 from .gvcp_server import ControlPrivilege, GvcpServer
 from .imaging import ImagingPipeline
 from .loop import EventLoop
-from .registers import FILE_SPACE, XML_NAME, Registers, genicam_xml, zipped
+from .registers import FILE_SPACE, XML_NAME, Registers, genicam_xml
 from .scenes import CameraScene
 from .stream import StreamChannel
 
@@ -46,7 +46,7 @@ class SimulatedCamera:
         self._user_id = self.settings.user_id
         height, width, *channels = scene.shape
         self.features = feature_table(self.settings, address, width, height, bool(channels))
-        self._description = zipped(genicam_xml(self.features, self.settings.vendor, self.settings.model))
+        self._description = genicam_xml(self.features, self.settings.vendor, self.settings.model)
         self._powered: _PoweredCamera | None = None
         self._running = False
 
@@ -125,7 +125,7 @@ class _PoweredCamera:
     def __init__(self, camera: SimulatedCamera, description: bytes, user_id: str) -> None:
         self._camera, self.registers = camera, Registers(camera.features, description)
         device = Device(camera.address, camera.settings, self.registers, camera.faults, camera.counters, camera.loop)
-        self.registers["FirstUrl"] = f"Local:{XML_NAME}.zip;{FILE_SPACE:X};{len(description):X}"
+        self.registers["FirstUrl"] = f"Local:{XML_NAME}.xml;{FILE_SPACE:X};{len(description):X}"
         self.registers["DeviceUserID"] = user_id
         self._clock = CameraClock(camera.settings, camera.faults, camera.loop.clock)
         self._imaging = ImagingPipeline(device)

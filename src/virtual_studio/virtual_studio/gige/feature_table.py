@@ -127,7 +127,7 @@ def _device(s: CameraSettings) -> list[Feature]:
         text("DeviceModelName", where, s.model, 32, address=bootstrap.MODEL_NAME, writable=False),
         text("DeviceVersion", where, "1.0", 32, address=bootstrap.DEVICE_VERSION, writable=False),
         text("DeviceSerialNumber", where, s.serial, 16, address=bootstrap.SERIAL_NUMBER, writable=False),
-        text("DeviceUserID", where, s.user_id, 16, address=bootstrap.USER_NAME, help="Kept over power cycles"),
+        text("DeviceUserID", where, s.user_id, 16, address=bootstrap.USER_NAME),
         real("DeviceTemperature", where, 42.0, writable=False, unit="C"),
     ]
 
@@ -180,20 +180,12 @@ def _triggers() -> list[Feature]:
         choice("TriggerActivation", where, {"RisingEdge": 0, "FallingEdge": 1}),
         real("TriggerDelay", where, 0.0, low=0.0, high=1e6, unit="us"),
         command("TriggerSoftware", where),
-        boolean("SyncFreeRunTimerEnable", where, help="Expose at a rate that counts from a PTP time"),
+        boolean("SyncFreeRunTimerEnable", where),
         integer("SyncFreeRunTimerStartTimeLow", where, low=0, high=0xFFFF_FFFF),
         integer("SyncFreeRunTimerStartTimeHigh", where, low=0, high=0xFFFF_FFFF),
         real("SyncFreeRunTimerTriggerRate", where, 30.0, low=0.1, high=1000.0, unit="Hz"),
-        command("SyncFreeRunTimerUpdate", where, help="The three values above take effect"),
-        real(
-            "BslPeriodicSignalPeriod",
-            where,
-            33333.0,
-            low=1000.0,
-            high=1e7,
-            unit="us",
-            help="Trigger source PeriodicSignal1: at whole multiples of this, in PTP time",
-        ),
+        command("SyncFreeRunTimerUpdate", where),
+        real("BslPeriodicSignalPeriod", where, 33333.0, low=1000.0, high=1e7, unit="us"),
         real("BslPeriodicSignalDelay", where, 0.0, low=0.0, high=1e7, unit="us"),
     ]
 

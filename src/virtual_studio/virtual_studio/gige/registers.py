@@ -6,9 +6,7 @@ Each feature is one row of a table, from which both the register memory and the 
 from __future__ import annotations
 
 import dataclasses
-import io
 import struct
-import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
@@ -68,7 +66,6 @@ class Feature:
     bits: tuple[int, int] | None = None
     unit: str = ""
     category: str = ""
-    help: str = ""
     volatile: bool = False
     chunk: int = 0
 
@@ -256,8 +253,8 @@ _HEAD = (
 PORT = "Device"
 
 
-def genicam_xml(features: Iterable[Feature], vendor: str, model: str) -> str:
-    """Writes the XML: categories, a node for every named feature, and a register node beneath each."""
+def genicam_xml(features: Iterable[Feature], vendor: str, model: str) -> bytes:
+    """Writes the XML, whole words: categories, a node for every named feature, a register node beneath each."""
     named = [feature for feature in features if feature.name]
     names = {feature.key: feature.name for feature in named}
     parts = [_HEAD.format(vendor=escape(vendor), model=escape(model)), *_categories(named)]
@@ -268,21 +265,8 @@ def genicam_xml(features: Iterable[Feature], vendor: str, model: str) -> str:
         if feature.chunk:
             parts.append(f'<Port Name="{_port(feature)}"><ChunkID>{feature.chunk:X}</ChunkID></Port>\n')
     parts.append(f'<Port Name="{PORT}"/>\n</RegisterDescription>\n')
-    return "".join(parts)
-
-
-def zipped(xml: str) -> bytes:
-    """Zips the XML, as cameras may hold it: a tenth of the bytes to read over GVCP."""
-    plain = _zip(xml, b"")
-    return _zip(xml, b" " * (-len(plain) % 4))  # cameras are read in whole words
-
-
-def _zip(xml: str, comment: bytes) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr(zipfile.ZipInfo(f"{XML_NAME}.xml", (2026, 1, 1, 0, 0, 0)), xml, zipfile.ZIP_DEFLATED)
-        archive.comment = comment
-    return buffer.getvalue()
+    xml = "".join(parts).encode()
+    return xml + b" " * (-len(xml) % 4)
 
 
 def _categories(features: list[Feature]) -> list[str]:
@@ -295,9 +279,8 @@ def _categories(features: list[Feature]) -> list[str]:
 
 
 def _node(feature: Feature, names: dict[str, str]) -> str:
-    tip = f"<ToolTip>{escape(feature.help)}</ToolTip>" if feature.help else ""
     if feature.kind is Kind.STRING:
-        body = f"{tip}<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
+        body = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
         return _element("StringReg", feature.name, f"{body}{_access(feature)}<pPort>{PORT}</pPort>")
     value = f"<pValue>{feature.name}Reg</pValue>"
     if feature.kind is Kind.ENUMERATION:
@@ -310,7 +293,7 @@ def _node(feature: Feature, names: dict[str, str]) -> str:
         value += _limits(feature, names)
         value += f"<Unit>{escape(feature.unit)}</Unit>" if feature.unit else ""
     selected = "<pSelected>ChunkEnable</pSelected>" if feature.key == "ChunkSelector" else ""
-    return _element(feature.kind.value, feature.name, tip + value + selected)
+    return _element(feature.kind.value, feature.name, value + selected)
 
 
 def _limits(feature: Feature, names: dict[str, str]) -> str:
