@@ -59,9 +59,9 @@ def test_bad_frame_costs_only_itself():
 def test_error_of_the_source_ends_the_loop_and_is_kept_and_a_defect_reported():
     loop, errors = run(ListSource([1, InputError("unplugged", where="camera"), 2]))
     assert (loop.state, loop.frames) == (GrabState.FAILED, 1)
-    assert str(loop.failure) == "camera: unplugged." and errors == []
+    assert loop.reason == "camera: unplugged." and errors == []
     loop, errors = run(ListSource([1, ZeroDivisionError("a defect")]))
-    assert loop.state is GrabState.FAILED and loop.failure is errors[0]
+    assert (loop.state, loop.reason) == (GrabState.FAILED, "a defect")
     assert repr(errors[0]) == "ZeroDivisionError('a defect')"
 
 

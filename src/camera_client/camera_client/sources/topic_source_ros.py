@@ -79,11 +79,13 @@ class TopicSource(FrameSource):
         self._node = Node("images", namespace=self._namespace, context=self._context, use_global_arguments=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
+        self._spinner = threading.Thread(target=self._executor.spin, name="images", daemon=True)
         try:
             self._subscribe(self._publishers())
         except BaseException:
             self.close()
             raise
+        self._spinner.start()
 
     def _subscribe(self, publishers: list[TopicEndpointInfo]) -> None:
         """Learn size, rate and lens from the first images. Raises InputError."""
@@ -158,13 +160,10 @@ class TopicSource(FrameSource):
     def start(self) -> None:
         if self._executor is None:
             raise InputError("is not connected", where=self.description, remedy="Call connect() first.")
-        if self._running:
-            return
-        self._running = True
-        self._waiting.clear()
-        self._numbers.restart()
-        self._spinner = threading.Thread(target=self._executor.spin, name="images", daemon=True)
-        self._spinner.start()
+        if not self._running:
+            self._waiting.clear()
+            self._numbers.restart()
+            self._running = True
 
     def read(self, timeout_s: float) -> Frame | None:
         with self._arrived:
@@ -184,19 +183,14 @@ class TopicSource(FrameSource):
         return None if number is None else replace(frame, frame_id=number)
 
     def stop(self) -> None:
-        if not self._running:
-            return
         self._running = False
-        assert self._executor is not None and self._spinner is not None and self._node is not None
-        self._executor.shutdown(timeout_sec=RELEASE_S)
-        self._spinner.join(RELEASE_S)
-        self._executor = SingleThreadedExecutor(context=self._context)  # one that was shut down spins no more
-        self._executor.add_node(self._node)
 
     def close(self) -> None:
         self.stop()
         if self._executor is not None:
             self._executor.shutdown(timeout_sec=RELEASE_S)
+        if self._spinner is not None and self._spinner.is_alive():
+            self._spinner.join(RELEASE_S)
         if self._node is not None:
             self._node.destroy_node()
         self._node = self._executor = None
@@ -208,7 +202,7 @@ class TopicSource(FrameSource):
 
     def _on_image(self, message: bytes) -> None:
         with self._arrived:
-            if len(self._waiting) == DEPTH:
+            if self._running and len(self._waiting) == DEPTH:
                 self.count("overwritten")
             self._waiting.append((message, time.time_ns()))
             self._arrived.notify()

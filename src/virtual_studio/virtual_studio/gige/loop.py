@@ -9,7 +9,6 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Coroutine
-from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -79,16 +78,11 @@ class EventLoop:
             return callback()
         if not self._thread.is_alive():
             raise RuntimeError("the loop is not running")
-        future: Future[T] = Future()
 
-        def answer() -> None:
-            try:
-                future.set_result(callback())
-            except BaseException as error:
-                future.set_exception(error)
+        async def answer() -> T:
+            return callback()
 
-        self._loop.call_soon_threadsafe(answer)
-        return future.result()
+        return self.run(answer())
 
     async def _run_at(self, when_ns: int, callback: Callable[[], object]) -> None:
         while (left_ns := self.clock.wait_ns(when_ns)) > 2 * _FINE_NS:
