@@ -93,30 +93,23 @@ def test_pause_goes_on_with_the_next_frame(video, scene):
     assert pace.begun == [(EPOCH_NS, 0), (EPOCH_NS, 3)]
 
 
-def test_start_after_the_end_plays_again_with_rising_stamps(video, images, scene):
-    with source_of(video) as source:
-        source.start()
-        read_all(source)
-        source.stop()
-        source.start()
-        again = read_all(source)
-    assert [frame.frame_id for frame in again] == list(range(8, 16))
-    assert again[0].stamp_ns == footage_stamp_ns(EPOCH_NS, 8, scene.fps)
-    assert np.array_equal(again[0].image, images[0])
-
-
-def test_start_after_the_end_without_an_epoch_takes_a_new_one(video):
+@pytest.mark.parametrize(
+    "given_ns, begin_ns, later_ns, ids",
+    [(EPOCH_NS, EPOCH_NS, 0, range(8, 16)), (0, EPOCH_NS + LEAD_NS, 60 * 10**9, range(8))],
+    ids=["epoch", "none"],
+)
+def test_start_after_the_end_counts_on_or_takes_a_new_epoch(video, images, scene, given_ns, begin_ns, later_ns, ids):
     now = [EPOCH_NS]
-    with source_of(video, epoch_ns=0, now_ns=lambda: now[0]) as source:
+    with source_of(video, epoch_ns=given_ns, now_ns=lambda: now[0]) as source:
         source.start()
         first = read_all(source)
         now[0] += 60 * 10**9
         source.stop()
         source.start()
         again = read_all(source)
-    assert first[0].stamp_ns == EPOCH_NS + 10**9
-    assert again[0].stamp_ns == EPOCH_NS + 61 * 10**9
-    assert again[0].frame_id == 0
+    assert [frame.frame_id for frame in again] == list(ids)
+    assert first[0].stamp_ns == begin_ns and np.array_equal(again[0].image, images[0])
+    assert again[0].stamp_ns == footage_stamp_ns(begin_ns + later_ns, ids[0], scene.fps)
 
 
 def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene, monkeypatch):
