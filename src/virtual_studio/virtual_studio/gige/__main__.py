@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 import textwrap
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -21,10 +20,16 @@ from ..recording.footage import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE, sa
 from .device import FAULT_NAMES
 from .loop import Request, ask, default_path
 from .rendered_scenes import PHASES
-from .studio import PERSON_SCENE, SETUP_SCENE, Studio, StudioSettings
+from .studio import Studio, StudioSettings
 
 RIG_FILE = "rig.yaml"
 CAMERA_FOLDER = "cameras"
+OPTIONS = {
+    **{f"--{key}": key for key in ("session", "cameras", "scene", "speed", "address")},
+    "--fps": "frame_rate",
+    "--memory": "memory_mb",
+}
+"""Settings that have an option of their own."""
 _SPEED = number("of the time's speed", 1 / 32, 1)
 DESCRIPTION = "Simulated GigE Vision cameras on loopback, which any GenICam client can open."
 EPILOG = f"""talking to a running studio:
@@ -50,17 +55,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("words", nargs="*", metavar="WORD", help="talk to a running studio (below); none: run one")
     add("--control", metavar="PATH", help=f"the studio's control socket (default: {default_path()})")
-    add("--session", metavar="FOLDER", help="show a session's footage (default: the built-in person)")
-    add("--cameras", type=_number("cameras"), metavar="N", help="cameras of the built-in rig (default: 5)")
-    scene = "in the built-in room: a person moves (default), or a set-up from the empty room over boards to the person"
-    add("--scene", choices=(PERSON_SCENE, SETUP_SCENE), help=f"{scene}, in phases")
-    add("--pattern", action="store_true", default=None, help="show a test pattern")
-    rate = "frame rate at power-on (default: the session's, else 60)"
-    add("--fps", dest="frame_rate", type=_number("frame_rate"), help=rate)
-    add("--speed", type=speed_argument, help="of the cameras' clock, as 0.25 or 1/4: slow motion (default: 1)")
-    add("--address", help="loopback address of the first camera (default: 127.0.1.1)")
-    memory = "memory for a session's pictures (default: 800)"
-    add("--memory", dest="memory_mb", type=_number("memory_mb"), metavar="MB", help=memory)
+    known = {leaf.key: leaf for leaf in leaves(StudioSettings)}
+    for flag, key in OPTIONS.items():
+        leaf = known[key]
+        parse = number(leaf.metadata["unit"], *leaf.bounds, whole=leaf.type is int) if leaf.type is not str else str
+        text = leaf.metadata["help"] + (f" (default: {leaf.default})" if leaf.default else "")
+        choices = leaf.metadata["choices"] or None
+        add(flag, dest=key, type=speed_argument if key == "speed" else parse, choices=choices, help=text)
+    add("--pattern", action="store_true", default=None, help=known["pattern"].metadata["help"])
     add("--empty", action="store_true", help="begin with the empty room")
     add("--write", metavar="FOLDER", help="write rig.yaml and cameras/*.yaml for `sagoma up` into it")
     others = "any other setting, such as camera.generation=old or camera.noise=2"
@@ -141,11 +143,6 @@ def write_rig_files(studio: Studio, folder: str | Path) -> Path:
         document = {f"/{name}/camera_client": {"ros__parameters": parameters}}
         save_mapping(cameras / f"{name}.yaml", document)
     return folder
-
-
-def _number(key: str) -> Callable[[str], float]:
-    (leaf,) = (leaf for leaf in leaves(StudioSettings) if leaf.key == key)
-    return number(leaf.metadata["unit"], *leaf.bounds, whole=leaf.type is int)
 
 
 def _pairs(words: list[str]) -> dict[str, Any]:

@@ -24,10 +24,7 @@ _AXES = (
     ("SensorWidth", "BinningHorizontal", "WidthMax", "Width", "OffsetX"),
     ("SensorHeight", "BinningVertical", "HeightMax", "Height", "OffsetY"),
 )
-_REFRESHING = (
-    *("Width", "Height", "OffsetX", "OffsetY"),
-    *("BinningHorizontal", "BinningVertical", "PixelFormat", "ChunkModeActive"),
-)
+_REFRESHING = ("PixelFormat", "ChunkModeActive", *(key for _, binning, _, *sides in _AXES for key in (binning, *sides)))
 _STEP = 4
 _CHUNK_BYTES = len(encode_chunk(0, bytes(8)))
 _NOISE_PIXELS = 1 << 21
