@@ -81,16 +81,16 @@ class TopicSource(FrameSource):
         self._executor.add_node(self._node)
         self._spinner = threading.Thread(target=self._executor.spin, name="images", daemon=True)
         try:
-            self._subscribe(self._publishers())
+            self._subscribe(self._node)
         except BaseException:
             self.close()
             raise
         self._spinner.start()
 
-    def _subscribe(self, publishers: list[TopicEndpointInfo]) -> None:
-        """Learn size, rate and lens from the first images. Raises InputError."""
-        node, deadline_s = self._node, time.monotonic() + LASTING_S
-        assert node is not None
+    def _subscribe(self, node: Node) -> None:
+        """Find the publisher; learn size, rate and lens from the first images. InputError, or SourceUnavailable."""
+        topic = node.resolve_topic_name(self._settings.name)
+        publishers = self._first(lambda: node.get_publishers_info_by_topic(topic) or None, "nobody publishes it")
         kinds = {info.topic_type for info in publishers}
         if len(kinds) != 1 or kinds.isdisjoint(TYPES):
             raise InputError(
@@ -104,10 +104,11 @@ class TopicSource(FrameSource):
         node.create_subscription(self._kind, self._settings.name, self._on_image, qos, raw=True)
         if lens := self._settings.camera_info:
             node.create_subscription(CameraInfo, lens, self._on_camera_info, qos)
-        self._first(lambda: self._waiting if len(self._waiting) > 1 else None, self._settings.name, deadline_s)
+        silence = f"nothing came on {{}} within {LASTING_S:.0f} s"
+        self._first(lambda: self._waiting if len(self._waiting) > 1 else None, silence.format(self._settings.name))
         first, second = (self._frame(*self._waiting.popleft()) for _ in range(2))
         if lens:
-            self._use_lens(self._first(lambda: self._camera_info, lens, deadline_s))
+            self._use_lens(self._first(lambda: self._camera_info, silence.format(lens)))
         self._check_own_namespace()  # by now all that the driver publishes is known
         self.shape = first.image.shape
         self._rate_hz = NS_PER_S / max(second.stamp_ns - first.stamp_ns, 1)
@@ -117,21 +118,11 @@ class TopicSource(FrameSource):
                 "cameras agree only where all drivers stamp by one clock",
             )
 
-    def _publishers(self) -> list[TopicEndpointInfo]:
-        """Return who publishes the images. Raises SourceUnavailable when nobody does."""
-        node, topic = self._node, self._settings.name
-        assert node is not None
-        find = lambda: node.get_publishers_info_by_topic(node.resolve_topic_name(topic)) or None  # noqa: E731
-        found = self._spin_for(find, time.monotonic() + LASTING_S)
-        if found is None:
-            raise SourceUnavailable("nobody publishes it", where=self.description)
-        return found
-
     def _check_own_namespace(self) -> None:
         """Raises InputError when the driver publishes what the client itself publishes under the same name."""
         assert self._node is not None
         for topic in map(self._node.resolve_topic_name, OURS):
-            theirs = self._spin_for(partial(self._other_publishers, topic), time.monotonic() + LASTING_S)
+            theirs = self._spin_for(partial(self._other_publishers, topic))
             if theirs:
                 raise InputError(
                     f"node {theirs[0].node_name} publishes {topic}, as the camera client does of its own images",
@@ -145,16 +136,18 @@ class TopicSource(FrameSource):
         found = self._node.get_publishers_info_by_topic(topic)
         return None if any(i.node_name == UNKNOWN for i in found) else [i for i in found if i.node_name != self._client]
 
-    def _spin_for(self, take: Callable[[], T | None], deadline_s: float) -> T | None:
-        """Return what ``take`` gives once it gives something, or None after ``deadline_s``."""
+    def _spin_for(self, take: Callable[[], T | None]) -> T | None:
+        """Return what ``take`` gives once it gives something, or None when that lasts."""
         assert self._executor is not None
+        deadline_s = time.monotonic() + LASTING_S
         while (found := take()) is None and time.monotonic() < deadline_s:
             self._executor.spin_once(timeout_sec=POLL_S)
         return found
 
-    def _first(self, take: Callable[[], T | None], topic: str, deadline_s: float) -> T:
-        if (found := self._spin_for(take, deadline_s)) is None:
-            raise SourceUnavailable(f"nothing came on {topic} within {LASTING_S:.0f} s", where=self.description)
+    def _first(self, take: Callable[[], T | None], otherwise: str) -> T:
+        """Return the same; SourceUnavailable with what is said ``otherwise``."""
+        if (found := self._spin_for(take)) is None:
+            raise SourceUnavailable(otherwise, where=self.description)
         return found
 
     def start(self) -> None:
