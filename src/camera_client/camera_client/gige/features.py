@@ -67,19 +67,19 @@ class AravisFeatures:
             self._kinds[name] = next((kind for type_, kind in self._types if isinstance(node, type_)), None)
         if self._kinds[name] is None:
             return None
-        with self._errors():
+        with device_errors(self._Aravis, self._GLib):
             return self._kinds[name] if self._device.is_feature_available(name) else None
 
     def read(self, name: str) -> Value:
-        with self._errors():
+        with device_errors(self._Aravis, self._GLib):
             return self._method("get_{}_feature_value", name)(name)
 
     def write(self, name: str, value: Value) -> None:
-        with self._errors():
+        with device_errors(self._Aravis, self._GLib):
             self._method("set_{}_feature_value", name)(name, value)
 
     def execute(self, name: str) -> None:
-        with self._errors():
+        with device_errors(self._Aravis, self._GLib):
             self._device.execute_command(name)
 
     def limits(self, name: str) -> tuple[float, float] | None:
@@ -94,15 +94,15 @@ class AravisFeatures:
 
     def choices(self, name: str) -> tuple[str, ...]:
         """Return the entries of an enumeration that are to be had now."""
-        with self._errors():
+        with device_errors(self._Aravis, self._GLib):
             return tuple(self._device.dup_available_enumeration_feature_values_as_strings(name) or ())
 
     def read_register(self, address: int) -> int:
-        with self._errors():
+        with device_errors(self._Aravis, self._GLib):
             return self._device.read_register(address) & 0xFFFFFFFF
 
     def write_register(self, address: int, value: int) -> None:
-        with self._errors():
+        with device_errors(self._Aravis, self._GLib):
             self._device.write_register(address, value)
 
     def _method(self, method: str, name: str) -> Callable[..., Any]:
@@ -116,24 +116,21 @@ class AravisFeatures:
         """Return what the device's description says of a number; None where it does not, and of what is none."""
         if self.kind(name) not in (Kind.INTEGER, Kind.FLOAT):
             return None
-        with contextlib.suppress(DeviceRefusal), self._errors():
+        with contextlib.suppress(DeviceRefusal), device_errors(self._Aravis, self._GLib):
             return self._method(method, name)(name)
         return None
 
-    @contextlib.contextmanager
-    def _errors(self) -> Iterator[None]:
-        try:
-            yield
-        except self._GLib.Error as error:
-            if is_silence(error, self._Aravis):
-                raise DeviceSilence(error.message) from None
-            raise DeviceRefusal(error.message) from None
 
-
-def is_silence(error: Any, Aravis: Any) -> bool:
-    """True for a GLib.Error that says that the device did not answer."""
-    silent = (Aravis.DeviceError.TIMEOUT, Aravis.DeviceError.NOT_CONNECTED)
-    return error.domain == ERROR_DOMAIN and error.code in {int(code) for code in silent}
+@contextlib.contextmanager
+def device_errors(Aravis: Any, GLib: Any) -> Iterator[None]:
+    """Turn what Aravis raises into DeviceSilence, where the device did not answer, and DeviceRefusal."""
+    try:
+        yield
+    except GLib.Error as error:
+        silent = (Aravis.DeviceError.TIMEOUT, Aravis.DeviceError.NOT_CONNECTED)
+        if error.domain == ERROR_DOMAIN and error.code in {int(code) for code in silent}:
+            raise DeviceSilence(error.message) from None
+        raise DeviceRefusal(error.message) from None
 
 
 class Features:

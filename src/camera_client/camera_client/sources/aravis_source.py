@@ -20,7 +20,7 @@ from ..frame_source import Frame, FrameSource, SourceUnavailable
 from ..gige.camera_setup import CameraSetup, set_up_camera
 from ..gige.capture_time import ClockReading, TimeSource, after_last, choose_time_source, read_clock
 from ..gige.discovery import FoundCamera, described, find_camera
-from ..gige.features import AravisFeatures, DeviceRefusal, DeviceSilence, Features, is_silence
+from ..gige.features import AravisFeatures, DeviceRefusal, DeviceSilence, Features, device_errors
 from ..gige.triggers import (
     ACTION_COUNTERS,
     ActionSender,
@@ -135,9 +135,10 @@ class AravisSource(FrameSource):
             trigger.stop()
         if not self.lost:
             try:
-                self._camera.stop_acquisition()
-            except self._GLib.Error as error:  # the camera is dead; nothing else is sent to it then
-                self._lost |= is_silence(error, self._Aravis)
+                with contextlib.suppress(DeviceRefusal), device_errors(self._Aravis, self._GLib):
+                    self._camera.stop_acquisition()
+            except DeviceSilence:  # the camera is dead; nothing else is sent to it then
+                self._lost = True
         if self._stream is not None:
             self._update_counters(self._stream, now=True)
 
@@ -264,21 +265,14 @@ class AravisSource(FrameSource):
         """What the device or Aravis answers as an error that names the camera."""
         remedy = "Power-cycle the camera if this stays."
         try:
-            yield
+            with device_errors(self._Aravis, self._GLib):
+                yield
         except DeviceSilence as silence:
             self._lost = True  # so that close() does not wait for it either
             raise SourceUnavailable(f"went silent {when} ({silence})", where=self.description, remedy=remedy) from None
         except DeviceRefusal as refusal:
-            raise self._error(f"refuses {when} ({refusal})", remedy) from None
-        except self._GLib.Error as error:
-            silent = is_silence(error, self._Aravis)
-            self._lost |= silent
-            kind = SourceUnavailable if silent or self._features is None else InputError
-            raise kind(
-                f"{'went silent' if silent else 'refuses'} {when} ({error.message})",
-                where=self.description,
-                remedy=remedy,
-            ) from None
+            kind = SourceUnavailable if self._features is None else InputError
+            raise kind(f"refuses {when} ({refusal})", where=self.description, remedy=remedy) from None
 
 
 def _number_text(number: float | None) -> str:
