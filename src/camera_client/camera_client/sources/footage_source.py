@@ -149,8 +149,9 @@ class FootageSource(FrameSource):
         return self._clock.epoch_ns
 
     def _begin_playing(self, reader: FootageReader) -> None:
-        self._images.clear()
-        self._decoder.submit(reader.rewind).result()
+        if self._images:  # of an earlier playing
+            self._images.clear()
+            self._decoder.submit(reader.rewind).result()
         if self._settings.epoch_ns == 0:
             self._frame = 0
         epoch_ns = choose_epoch_ns(self._settings.epoch_ns, self._now_ns())
