@@ -54,7 +54,7 @@ _REAL_TIME = (
     "tests/test_supervision_live.py",
     "tests/test_webcam_drill.py",
     "src/camera_client/test/test_camera_aravis",
-    "src/virtual_studio/test/test_gige_camera_aravis",
+    "src/virtual_studio/test/test_gige_camera",
     "src/virtual_studio/test/test_gige_timing",
 )
 

@@ -18,7 +18,8 @@ class PatternCamera(FrameSource):
 
     def __init__(self, width: str = "640", height: str = "480", frame_rate: str = "30") -> None:
         super().__init__()
-        self._size, self._period_s, self._number = (int(height), int(width)), 1 / float(frame_rate), 0
+        self.description, self.shape = "pattern camera", (int(height), int(width))
+        self._period_s, self._number = 1 / float(frame_rate), 0
 
     def connect(self) -> None:
         """Open the device; raise SourceUnavailable where it is absent: it is tried again."""
@@ -30,8 +31,8 @@ class PatternCamera(FrameSource):
         self._next_s += self._period_s
         time.sleep(max(min(self._next_s - time.monotonic(), timeout_s), 0.0))  # an SDK waits for its camera here
         self._number += 1
-        image = np.full(self._size, 100, np.uint8)
-        image[:, (4 * self._number) % self._size[1] :][:, :40] = 200
+        image = np.full(self.shape, 100, np.uint8)
+        image[:, (4 * self._number) % self.shape[1] :][:, :40] = 200
         self._statistics.add(self._number)  # so that the diagnostics count losses
         return Frame(image, time.time_ns(), self._number, clock="this machine", uncertainty_ns=1_000_000)
 
@@ -40,11 +41,3 @@ class PatternCamera(FrameSource):
 
     def close(self) -> None:
         pass
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self._size
-
-    @property
-    def description(self) -> str:
-        return "pattern camera"

@@ -173,10 +173,7 @@ def test_power_cut_in_the_middle_of_a_frame_leaves_it_incomplete_and_is_survived
             break
     assert pc.until_number("incomplete", before["incomplete"]) > before["incomplete"]
     values = pc.listener.values(pc.node)
-    measured("noticed after the last frame", float(values["last_outage_noticed_s"]))
     measured("whole outage, last frame to first frame", float(values["last_outage_s"]))
-    measured("from the attempt that succeeded to the first frame", float(values["last_restart_s"]))
-    assert float(values["last_outage_noticed_s"]) >= 0.5
     assert float(values["downtime_s"]) - before["downtime_s"] > float(values["last_outage_s"]) - 0.1
     assert sum_rule_holds(values)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from camera_client.configuration import load_camera
+from camera_client.configuration import load_calibration
 from camera_client.settings import CameraClientSettings
 from capture_rig.settings import build_settings, leaves
 from ekf_tracker.settings import EkfNodeSettings
@@ -56,7 +56,8 @@ def test_parameter_file_has_only_known_parameters_with_possible_values(path):
 def test_camera_of_the_file_is_in_the_rig_that_it_names(path, monkeypatch):
     monkeypatch.chdir(ROOT)
     settings = read_file(path).settings
-    assert load_camera(settings, settings.camera_name)[0].name == path.stem
+    known = load_calibration(settings, settings.camera_name)
+    assert known.placed and known.camera.name == path.stem
 
 
 def test_example_rig_with_its_cameras_and_body_makes_one_graph():

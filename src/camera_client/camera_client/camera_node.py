@@ -6,9 +6,10 @@ import datetime
 import sys
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import cv2
 from diagnostic_msgs.msg import DiagnosticArray
@@ -41,7 +42,7 @@ from .background.verdict import describe_background
 from .camera_ros import CameraReport, CameraTopics, FootageClockTopic, camera_from_message
 from .configuration import check_size, connect_source, load_calibration, unplaced_camera
 from .frame_processor import BegunFrame, FrameProcessor, FrameResult, warm_up_silhouettes
-from .frame_source import REPORT_PERIOD_S, Frame, FrameSource
+from .frame_source import POLL_S, REPORT_PERIOD_S, Frame, FrameSource
 from .settings import CameraClientSettings
 from .sources.grab_loop import GrabLoop, GrabState
 from .sources.topic_source_ros import TopicSource
@@ -53,23 +54,18 @@ SUPPORT_TOPIC = "silhouette/support"  # from the hull server; without it the cli
 PROVENANCE = ("camera_serial", "camera_model", "exposure_us", "gain", "pixel_format", "temperature_c")  # of its details
 PACE_TOPIC = "ekf/prediction"  # its stamps acknowledge frames at rate 0
 CONSUMER_WAIT_S, CAMERAS_WAIT_S = 5.0, 300.0  # footage waits for somebody who listens; for cameras that are started yet
-SETTLE_S = 0.2  # from the first match until both ends of a new connection know each other
+SETTLE_S = 4 * POLL_S  # from the first match until both ends of a new connection know each other
 PUBLISH_DEPTH = 4  # frames of a live camera that may wait to be published: more were stale when they are sent
 
 
-class UnfinishedFrame(NamedTuple):
-    """A frame whose silhouette is still to be made; ``began_s`` : when work on it began, on the performance counter."""
+W = TypeVar("W", BegunFrame, FrameResult)
+
+
+class FrameInWork(NamedTuple, Generic[W]):
+    """A frame, and how far work on it is; ``began_s`` : when that began, on the performance counter."""
 
     frame: Frame
-    begun: BegunFrame
-    began_s: float
-
-
-class ProcessedFrame(NamedTuple):
-    """A frame with its results, to be published; ``began_s`` as above."""
-
-    frame: Frame
-    seen: FrameResult
+    work: W
     began_s: float
 
 
@@ -83,14 +79,14 @@ class CameraNode(SagomaNode):
         cv2.setNumThreads(1)
         self.source: FrameSource | None = None
         self.loop: GrabLoop | None = None
-        self._segmenter: Worker[UnfinishedFrame] | None = None
-        self._outbox: Worker[ProcessedFrame] | None = None
-        self._finish_later: Callable[[UnfinishedFrame], None] = self._finish
-        self._hand_over: Callable[[ProcessedFrame], None] = self._publish
+        self._segmenter: Worker[FrameInWork[BegunFrame]] | None = None
+        self._outbox: Worker[FrameInWork[FrameResult]] | None = None
+        self._finish_later: Callable[[FrameInWork[BegunFrame]], None] = self._finish
+        self._hand_over: Callable[[FrameInWork[FrameResult]], None] = self._publish
         self.processor: FrameProcessor | None = None
         self.trainer = BackgroundTrainer(self._use_background)
         self.selector = FrameSelector()  # which frames the hull server can take
-        self._held: list[tuple] = []  # (destroy function, entity) of everything made at configure
+        self._held = ExitStack()  # destroys everything made at configure
         self._last: tuple[Frame, FrameResult] | None = None
         self._matched_s: float | None = None
         self._footage_clock: FootageClockTopic | None = None
@@ -120,18 +116,11 @@ class CameraNode(SagomaNode):
             self.processor.check_background_file()
         steady = Clock(clock_type=ClockType.STEADY_TIME)  # it reports while simulated time stands still, too
         self._hold(self.destroy_timer, self.create_timer(REPORT_PERIOD_S, self._on_report, clock=steady))
-        self._hold(self.destroy_subscription, self.create_subscription(Image, SUPPORT_TOPIC, self._on_support, RESULT))
+        self._subscribe(Image, SUPPORT_TOPIC, self._on_support, RESULT)
         if settings.source != "footage" or settings.footage.rate > 0:
-            rules = self.create_subscription(
-                DiagnosticArray, graph_topic(self, THINNING_TOPIC), self._on_thinning, LATCHED
-            )
-            self._hold(self.destroy_subscription, rules)
+            self._subscribe(DiagnosticArray, graph_topic(self, THINNING_TOPIC), self._on_thinning, LATCHED)
         else:
-            topic = graph_topic(self, PACE_TOPIC)
-            self._hold(
-                self.destroy_subscription,
-                self.create_subscription(MultiDOFJointState, topic, self._on_acknowledgement, RESULT),
-            )
+            self._subscribe(MultiDOFJointState, graph_topic(self, PACE_TOPIC), self._on_acknowledgement, RESULT)
         info_file = settings.camera_info_file
         if info_file and not Path(info_file).exists() and settings.rig_file:
             self.get_logger().warning(f"{info_file} does not exist yet: the rig's intrinsics are in use")
@@ -176,9 +165,7 @@ class CameraNode(SagomaNode):
         self.trainer.cancel("the camera was suspended")
 
     def cleanup(self) -> None:
-        for destroy, entity in self._held:
-            destroy(entity)
-        self._held = []
+        self._held.close()
         self.processor = self._last = None
         if self.source is not None:
             self.source.close()
@@ -223,8 +210,11 @@ class CameraNode(SagomaNode):
     def _publisher(self, kind: type, topic: str, qos: QoSProfile) -> Publisher:
         return self._hold(self.destroy_publisher, self.create_publisher(kind, topic, qos))
 
+    def _subscribe(self, kind: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile) -> None:
+        self._hold(self.destroy_subscription, self.create_subscription(kind, topic, callback, qos))
+
     def _hold(self, destroy: Callable[[T], object], entity: T) -> T:
-        self._held.append((destroy, entity))
+        self._held.callback(destroy, entity)
         return entity
 
     def _consumer_listens(self) -> bool:
@@ -245,20 +235,20 @@ class CameraNode(SagomaNode):
         if not self.selector.keeps(frame.stamp_ns, time.monotonic_ns()):
             self.health.count("frames_thinned")
             return
-        self._finish_later(UnfinishedFrame(frame, self.processor.begin(frame), began_s))
+        self._finish_later(FrameInWork(frame, self.processor.begin(frame), began_s))
 
     # --- ... of a live camera on two others, so that its next frame does not wait for silhouette, encoder, middleware
 
-    def _finish(self, work: UnfinishedFrame) -> None:
+    def _finish(self, begun: FrameInWork[BegunFrame]) -> None:
         assert self.processor is not None
-        seen = self.processor.finish(work.begun)
-        self._last = (work.frame, seen)
+        seen = self.processor.finish(begun.work)
+        self._last = (begun.frame, seen)
         for flag in seen.flags:
             self.health.count(f"{flag}_frames")
-        self._hand_over(ProcessedFrame(work.frame, seen, work.began_s))
+        self._hand_over(FrameInWork(begun.frame, seen, begun.began_s))
 
-    def _publish(self, done: ProcessedFrame) -> None:
-        frame, seen = done.frame, done.seen
+    def _publish(self, done: FrameInWork[FrameResult]) -> None:
+        frame, seen = done.frame, done.work
         self._topics.publish_image(frame)
         if seen.canvas is None:
             self._topics.publish_uncalibrated(frame)

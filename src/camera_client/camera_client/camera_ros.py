@@ -82,19 +82,11 @@ class CameraTopics:
     @property
     def has_listener(self) -> bool:
         """Whether there is a subscriber to the silhouettes, or to images that are sent only then."""
-        return self._silhouettes.get_subscription_count() > 0 or (not self._raw_always and self._raw_has_listener)
-
-    @property
-    def _raw_has_listener(self) -> bool:
-        return self._raws is not None and self._raws.get_subscription_count() > 0
-
-    @property
-    def _preview_has_listener(self) -> bool:
-        return self._previews is not None and self._previews.get_subscription_count() > 0
+        return _is_heard(self._silhouettes) or (not self._raw_always and _is_heard(self._raws))
 
     def publish_image(self, frame: Frame) -> None:
         """Publish the frame as it came, with ``publish_raw`` or while somebody subscribes to calibrate the camera."""
-        if self._raws is not None and (self._raw_always or self._raw_has_listener):
+        if self._raws is not None and (self._raw_always or _is_heard(self._raws)):
             self._raws.publish(image_message(frame.image, frame.stamp_ns, self._frame_id))
 
     def publish_uncalibrated(self, frame: Frame) -> None:
@@ -109,7 +101,7 @@ class CameraTopics:
         self._infos.publish(self._info_of(seen.canvas, frame.stamp_ns))
         self._silhouettes.publish(silhouette_message(silhouette.mask, frame.stamp_ns, self._frame_id))
         now_s = time.monotonic()
-        if now_s - self._last_preview_s >= PREVIEW_PERIOD_S and self._preview_has_listener:
+        if now_s - self._last_preview_s >= PREVIEW_PERIOD_S and _is_heard(self._previews):
             assert self._previews is not None
             self._last_preview_s = now_s
             outlined = outline(frame.image, silhouette.image_mask)
@@ -126,6 +118,10 @@ class CameraTopics:
     def publish_background(self, model: BackgroundModel) -> None:
         """Publish the mean of the background in use."""
         self._means.publish(image_message(np.rint(model.mean).astype(np.uint8), 0, self._frame_id))
+
+
+def _is_heard(publisher: Publisher | None) -> bool:
+    return publisher is not None and publisher.get_subscription_count() > 0
 
 
 class CameraReport:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -60,29 +61,16 @@ def load_calibration(settings: CameraClientSettings, name: str) -> Calibration:
 
     Raises InputError naming the file: one that cannot be read, or does not know this camera.
     """
-    if settings.rig_file:
-        return Calibration(name, *load_camera(settings, name))
     path = settings.camera_info_file
-    if not path or not Path(path).exists():
-        return Calibration(name)
-    return Calibration(name, read_camera_info(path, name))
-
-
-def load_camera(settings: CameraClientSettings, name: str) -> tuple[CameraModel, Volume]:
-    """The calibrated camera ``name`` of the rig, with camera_info_file's intrinsics if there is one, and the volume.
-
-    Raises InputError naming the file.
-    """
+    has_info = bool(path) and Path(path).exists()
     if not settings.rig_file:
-        raise InputError("is empty", where="parameter rig_file", remedy="Give the path of the rig YAML.")
+        return Calibration(name, read_camera_info(path, name) if has_info else None)
     try:
         rig = load_rig(settings.rig_file)
         camera = rig.camera(name)
     except InputError as error:
         raise InputError(error.what, where=error.where or settings.rig_file, remedy=error.remedy) from None
-    if settings.camera_info_file and Path(settings.camera_info_file).exists():
-        return load_camera_info(settings.camera_info_file, camera), rig.volume
-    return camera, rig.volume
+    return Calibration(name, load_camera_info(path, camera) if has_info else camera, rig.volume)
 
 
 def connect_source(
@@ -103,16 +91,12 @@ def connect_source(
         source.connect()
         return source
     if not settings.footage.path:
-        raise InputError(
-            "is empty", where="parameter footage.path", remedy="Give a video or stills, or set source: aravis."
-        )
-    source = FootageSource(settings.footage, settings.channels, shared=clock)
-    source.connect()
-    try:
+        remedy = "Give a video or stills, or set source: aravis."
+        raise InputError("is empty", where="parameter footage.path", remedy=remedy)
+    with ExitStack() as stack:
+        source = stack.enter_context(FootageSource(settings.footage, settings.channels, shared=clock))
         accept(source)
-    except BaseException:
-        source.close()
-        raise
+        stack.pop_all()
     return source
 
 
@@ -153,22 +137,13 @@ def plugin(settings: CameraClientSettings) -> Callable[[], FrameSource]:
 
 def stall_timeout_s(settings: CameraClientSettings, source: FrameSource) -> float:
     """Return how long the connected ``source`` may be silent before it counts as stalled; infinite for never."""
-    supervision = settings.supervision
-    if settings.source != "aravis":
-        return max(supervision.stall_timeout_s, STALL_PERIODS / (_rate_hz(source.details) or math.inf))
-    if settings.aravis.sync == "line":  # when the line is pulsed is not known here
+    supervision, aravis = settings.supervision, settings.aravis
+    is_aravis = settings.source == "aravis"
+    if is_aravis and aravis.sync == "line":  # when the line is pulsed is not known here
         return supervision.triggered_stall_timeout_s or math.inf
-    rate_hz = settings.aravis.frame_rate if settings.aravis.frame_rate > 0 else _rate_hz(source.details)
-    periods_s = STALL_PERIODS / (rate_hz * settings.aravis.clock_speed) if rate_hz else 0.0
-    return max(supervision.stall_timeout_s, periods_s)
-
-
-def _rate_hz(details: Mapping[str, str]) -> float:
-    """Return the rate that the camera reported, 0 when it did not."""
-    try:
-        return max(float(details.get("frame_rate", 0.0)), 0.0)
-    except ValueError:
-        return 0.0
+    given_hz = aravis.frame_rate if is_aravis and aravis.frame_rate > 0 else float(source.details.get("frame_rate", 0))
+    rate_hz = given_hz * aravis.clock_speed if is_aravis else given_hz
+    return max(supervision.stall_timeout_s, STALL_PERIODS / rate_hz if rate_hz > 0 else 0.0)
 
 
 def check_size(source: FrameSource, camera: CameraModel) -> None:

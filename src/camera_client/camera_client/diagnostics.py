@@ -115,10 +115,8 @@ def _absence(connection: Connection) -> str:
 def connection_values(connection: Connection) -> dict[str, object]:
     """Return how the connection stands, how long it was away, and how the last outage went."""
     values: dict[str, object] = {"link": connection.state.value, "downtime_s": round(connection.downtime_s, 2)}
-    if connection.last_outage is not None:
-        values["last_outage_s"] = round(connection.last_outage.length_s, 3)
-        values["last_outage_noticed_s"] = round(connection.last_outage.noticed_s, 3)
-        values["last_restart_s"] = round(connection.last_outage.restart_s, 3)
+    if connection.last_outage_s is not None:
+        values["last_outage_s"] = round(connection.last_outage_s, 3)
     return values
 
 

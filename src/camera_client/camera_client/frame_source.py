@@ -6,6 +6,7 @@ A :class:`FrameSource` gives :class:`Frame` after :class:`Frame`, and says what 
 
 from __future__ import annotations
 
+import math
 import statistics
 import threading
 from abc import ABC, abstractmethod
@@ -23,7 +24,7 @@ Image = np.ndarray  # (H, W) or (H, W, 3) uint8, BGR
 Mask = np.ndarray  # (H, W) uint8, 0 or 255
 # Thresholds: judgement, no measurement.
 REPORT_PERIOD_S = 0.5  # figures for people are measured, and published, so often
-LASTING_S = 3.0  # what lasts for so long counts: a thing that keeps still, another picture, frames lost
+LASTING_S = 3.0  # what lasts for so long counts: a thing that keeps still, another picture, frames lost, no images
 POLL_S = 0.05  # what wakes nobody is asked so often
 RELEASE_S = 1.0  # a living device gives its resources back within this, a thread that served it ends
 
@@ -61,7 +62,14 @@ class FrameSource(ABC):
 
     connect() is all or nothing: after an error nothing is left open. start() after stop() goes on. As a context
     manager a source connects on entry and closes on exit.
+
+    shape : (H, W) or (H, W, 3), of every image, known once connected; halved : images are made at half of the size that
+    the device sends. description : what this is, in words, for logs and the provenance of a background.
     """
+
+    shape: tuple[int, ...] = ()
+    halved = False
+    description = "camera"
 
     def __init__(self) -> None:
         self._counters: dict[str, int] = {}
@@ -103,21 +111,6 @@ class FrameSource(ABC):
     @abstractmethod
     def close(self) -> None:
         """Give the device or file back. Does nothing when not connected."""
-
-    @property
-    @abstractmethod
-    def shape(self) -> tuple[int, ...]:
-        """(H, W) or (H, W, 3): the shape of every image, known once connected."""
-
-    @property
-    def halved(self) -> bool:
-        """Whether images are made at half of the size that the device sends."""
-        return False
-
-    @property
-    @abstractmethod
-    def description(self) -> str:
-        """What this is, in words, for logs and the provenance of a background."""
 
     @property
     def details(self) -> dict[str, str]:
@@ -292,24 +285,12 @@ class ConnectionState(Enum):
 
 
 @dataclass(frozen=True)
-class Outage:
-    """One outage that is over: seconds from its last frame to the alarm, and to the first frame after it.
-
-    ``restart_s`` runs from the start of the attempt that succeeded to that frame.
-    """
-
-    noticed_s: float
-    length_s: float
-    restart_s: float
-
-
-@dataclass(frozen=True)
 class Connection:
     """The connection at one instant, for a report.
 
     ``reason`` says why nothing comes; ``refused`` that waiting will not help (the settings do not fit the device);
     ``next_try_s`` until the next attempt. ``down_s`` is how long nothing has come by now, ``downtime_s`` the sum since
-    the source was made.
+    the source was made, ``last_outage_s`` how long the last outage was, from frame to frame.
     """
 
     state: ConnectionState
@@ -318,34 +299,29 @@ class Connection:
     next_try_s: float = 0.0
     down_s: float = 0.0
     downtime_s: float = 0.0
-    last_outage: Outage | None = None
+    last_outage_s: float | None = None
 
 
 class Downtime:
     """Adds up the time in which frames should have come and did not. All times in seconds of one monotonic clock."""
 
     def __init__(self) -> None:
-        self._sum_s = 0.0
-        self._since_s: float | None = None
-        self._noticed_s = 0.0
-        self.last: Outage | None = None
+        self._sum_s, self._since_s = 0.0, math.inf
+        self.last_outage_s: float | None = None
 
-    def begin(self, since_s: float, now_s: float) -> None:
-        """Begin an outage: nothing has come since ``since_s``, as is noticed now. One that goes on stays one."""
-        if self._since_s is None:
-            self._since_s, self._noticed_s = since_s, now_s
+    def begin(self, since_s: float) -> None:
+        """Begin an outage: nothing has come since ``since_s``. One that goes on stays one."""
+        self._since_s = min(self._since_s, since_s)
 
-    def end(self, now_s: float, attempted_s: float | None = None) -> None:
-        """End the outage: a frame came on the connection attempted at ``attempted_s``; None: the source was stopped."""
-        if self._since_s is None:
-            return
-        if attempted_s is not None:
-            self.last = Outage(self._noticed_s - self._since_s, now_s - self._since_s, now_s - attempted_s)
-        self._sum_s, self._since_s = self.sum_s(now_s), None
+    def end(self, now_s: float, delivered: bool) -> None:
+        """End the outage, if there is one: a frame came (``delivered``), or the source was stopped."""
+        if delivered and self._since_s < math.inf:
+            self.last_outage_s = self.present_s(now_s)
+        self._sum_s, self._since_s = self.sum_s(now_s), math.inf
 
     def present_s(self, now_s: float) -> float:
         """Return how long the present outage has lasted; 0 when there is none."""
-        return 0.0 if self._since_s is None else now_s - self._since_s
+        return max(now_s - self._since_s, 0.0)
 
     def sum_s(self, now_s: float) -> float:
         """Return the whole downtime, the present outage included."""

@@ -94,7 +94,7 @@ def test_settings_are_set_and_read_back_whatever_the_generation_calls_them(gige_
 
 def test_features_are_set_in_the_order_given_before_the_named_settings(gige_camera):
     camera = gige_camera()
-    features = ["Gain=3", "ExposureTime=700", "UserSetLoad!", "Gain = 4.5", "DeviceUserID=north"]
+    features = ["Gain=3", "ExposureTime=700", "TriggerSoftware!", "Gain = 4.5", "DeviceUserID=north"]
     with source_of(camera, features=features, exposure_us=800.0):
         registers = registers_of(camera)
         assert registers.real("Gain") == 4.5 and registers.real("ExposureTime") == 800
@@ -105,10 +105,10 @@ def test_features_are_set_in_the_order_given_before_the_named_settings(gige_came
     "line, expected",
     [
         ("Nonsense=1", "no feature Nonsense"),
-        ("Width=17000", r"cannot take Width = 17000. Allowed: 16 to 256 in steps of 4"),
+        ("Width=17000", r"refuses Width = 17000 .*Allowed: 16 to 256 in steps of 4"),
         ("ExposureAuto=Sometimes", "Allowed: Off, Once, Continuous"),
         ("SensorWidth=100", "SensorWidth"),
-        ("UserSetLoad=1", "UserSetLoad is a command"),
+        ("TriggerSoftware=1", "TriggerSoftware is a command"),
         ("Gain!", "Gain is no command"),
         ("Gain", r"aravis\.features holds 'Gain'"),
     ],
@@ -153,23 +153,22 @@ def test_packet_size_is_negotiated_or_taken_as_given(gige_camera):
 # --- formats -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["Mono8", "Mono10", "Mono12", "Mono10p", "Mono12p", "Mono10Packed", "Mono12Packed"])
-def test_mono_formats_give_the_same_picture(gige_camera, name):
-    (frame,) = taken(source_of(gige_camera(), pixel_format=name), 1)
-    number, instant_ns = PatternScene.read(frame.image)
-    np.testing.assert_array_equal(frame.image, PatternScene(256, 192).picture(number, instant_ns))
-
-
 @pytest.mark.parametrize(
     "name, most",
-    [("BGR8", 0), ("RGB8", 0), ("YUV422_8", 3), *((f"Bayer{row}8", 3) for row in ("RG", "GR", "GB", "BG"))],
+    [
+        *((f"Mono{bits}", 0) for bits in ("8", "10", "12", "10p", "12p", "10Packed", "12Packed")),
+        *(("BGR8", 0), ("RGB8", 0), ("YUV422_8", 3), *((f"Bayer{row}8", 3) for row in ("RG", "GR", "GB", "BG"))),
+    ],
 )
-def test_colour_formats_give_the_same_picture_in_bgr(gige_camera, name, most):
-    (frame,) = taken(source_of(gige_camera(PatternScene(256, 192, colour=True)), pixel_format=name), 1)
-    number, instant_ns = PatternScene.read(frame.image)
-    truth = PatternScene(256, 192, colour=True).picture(number, instant_ns)
-    inside = np.abs(frame.image.astype(int) - truth)[20:-4, 4:60]  # away from the jumps of the stripes, mostly
-    assert frame.image.shape == (192, 256, 3) and np.median(inside, axis=(0, 1)).max() <= most
+def test_every_format_gives_the_same_picture(gige_camera, name, most):
+    scene = PatternScene(256, 192, colour=not name.startswith("Mono"))
+    (frame,) = taken(source_of(gige_camera(scene), pixel_format=name), 1)
+    difference = np.abs(frame.image.astype(int) - scene.picture(*PatternScene.read(frame.image)))
+    assert frame.image.shape == scene.shape
+    if most == 0:
+        assert not difference.any()
+    inside = difference[20:-4, 4:60]  # away from the jumps of the stripes, mostly
+    assert np.median(inside, axis=(0, 1)).max() <= most
 
 
 def test_colour_is_preferred_and_mono_is_taken_when_asked_for(gige_camera):

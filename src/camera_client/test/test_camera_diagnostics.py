@@ -15,7 +15,7 @@ from camera_client.diagnostics import (
     source_values,
 )
 from camera_client.frame_processor import FrameResult
-from camera_client.frame_source import Connection, ConnectionState, Downtime, Frame, FrameStatistics, Outage
+from camera_client.frame_source import Connection, ConnectionState, Downtime, Frame, FrameStatistics
 from camera_client.sources.frame_checks import REMEDIES
 from camera_client.sources.grab_loop import GrabState
 from capture_rig.verdict import GOOD, USABLE, Finding
@@ -122,8 +122,8 @@ def test_figures_of_footage_tell_nothing_of_a_connection():
 
 
 def test_last_outage_is_told_in_seconds():
-    values = connection_values(Connection(ConnectionState.STREAMING, last_outage=Outage(0.51, 3.25, 0.14)))
-    assert (values["last_outage_noticed_s"], values["last_outage_s"], values["last_restart_s"]) == (0.51, 3.25, 0.14)
+    values = connection_values(Connection(ConnectionState.STREAMING, last_outage_s=3.25))
+    assert values["last_outage_s"] == 3.25
 
 
 def test_stamp_source_and_its_uncertainty_are_told_with_the_newest_silhouette():
@@ -139,12 +139,12 @@ def test_stamp_source_and_its_uncertainty_are_told_with_the_newest_silhouette():
 
 def test_downtime_adds_up_outages_and_counts_the_present_one():
     downtime = Downtime()
-    downtime.begin(since_s=10.0, now_s=10.5)
-    downtime.begin(since_s=11.0, now_s=11.5)  # goes on
+    downtime.begin(since_s=10.0)
+    downtime.begin(since_s=11.0)  # goes on
     assert downtime.present_s(12.0) == 2.0
-    downtime.end(13.0, attempted_s=12.75)
-    assert downtime.last == Outage(noticed_s=0.5, length_s=3.0, restart_s=0.25)
-    downtime.begin(20.0, 20.5)
+    downtime.end(13.0, delivered=True)
+    assert downtime.last_outage_s == 3.0
+    downtime.begin(20.0)
     assert downtime.sum_s(21.0) == 4.0
-    downtime.end(22.0)  # suspended: nobody waits any more
-    assert downtime.sum_s(99.0) == 5.0 and downtime.last.length_s == 3.0
+    downtime.end(22.0, delivered=False)  # suspended: nobody waits any more
+    assert downtime.sum_s(99.0) == 5.0 and downtime.last_outage_s == 3.0

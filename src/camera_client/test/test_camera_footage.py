@@ -12,7 +12,7 @@ from footage_clips import scene as square_scene
 from camera_client.frame_source import EndOfFootage
 from camera_client.settings import FootageSettings
 from camera_client.sources.footage_pace import LEAD_NS, Pace, SharedClock, WallClockPace
-from camera_client.sources.footage_reader import VideoReader, open_footage
+from camera_client.sources.footage_reader import FootageReader, open_footage
 from camera_client.sources.footage_source import READ_AHEAD, FootageSource
 from capture_rig.errors import InputError
 from capture_rig.session import footage_stamp_ns
@@ -30,9 +30,6 @@ class Ready(Pace):
 
     def begin(self, clock, frame):
         self.begun.append((clock.epoch_ns, frame))
-
-    def wait(self, frame, timeout_s):
-        return True
 
 
 def source_of(path, pace=None, now_ns=lambda: EPOCH_NS, channels="auto", **settings):
@@ -96,42 +93,35 @@ def test_pause_goes_on_with_the_next_frame(video, scene):
     assert pace.begun == [(EPOCH_NS, 0), (EPOCH_NS, 3)]
 
 
-def test_start_after_the_end_plays_again_with_rising_stamps(video, images, scene):
-    with source_of(video) as source:
-        source.start()
-        read_all(source)
-        source.stop()
-        source.start()
-        again = read_all(source)
-    assert [frame.frame_id for frame in again] == list(range(8, 16))
-    assert again[0].stamp_ns == footage_stamp_ns(EPOCH_NS, 8, scene.fps)
-    assert np.array_equal(again[0].image, images[0])
-
-
-def test_start_after_the_end_without_an_epoch_takes_a_new_one(video):
+@pytest.mark.parametrize(
+    "given_ns, begin_ns, later_ns, ids",
+    [(EPOCH_NS, EPOCH_NS, 0, range(8, 16)), (0, EPOCH_NS + LEAD_NS, 60 * 10**9, range(8))],
+    ids=["epoch", "none"],
+)
+def test_start_after_the_end_counts_on_or_takes_a_new_epoch(video, images, scene, given_ns, begin_ns, later_ns, ids):
     now = [EPOCH_NS]
-    with source_of(video, epoch_ns=0, now_ns=lambda: now[0]) as source:
+    with source_of(video, epoch_ns=given_ns, now_ns=lambda: now[0]) as source:
         source.start()
         first = read_all(source)
         now[0] += 60 * 10**9
         source.stop()
         source.start()
         again = read_all(source)
-    assert first[0].stamp_ns == EPOCH_NS + 10**9
-    assert again[0].stamp_ns == EPOCH_NS + 61 * 10**9
-    assert again[0].frame_id == 0
+    assert [frame.frame_id for frame in again] == list(ids)
+    assert first[0].stamp_ns == begin_ns and np.array_equal(again[0].image, images[0])
+    assert again[0].stamp_ns == footage_stamp_ns(begin_ns + later_ns, ids[0], scene.fps)
 
 
 def test_decoder_runs_only_a_few_frames_ahead(tmp_path, scene, monkeypatch):
     path = scene.write_video(tmp_path / "long.avi", scene.empty(60))
     with source_of(path) as source:
-        decoded, original = [], VideoReader.read
+        decoded, original = [], FootageReader.read
 
-        def counted(reader):
+        def counted(reader, loop):
             decoded.append(1)
-            return original(reader)
+            return original(reader, loop)
 
-        monkeypatch.setattr(VideoReader, "read", counted)
+        monkeypatch.setattr(FootageReader, "read", counted)
         source.start()
         for delivered in range(1, 21):
             frames_of(source, 1)

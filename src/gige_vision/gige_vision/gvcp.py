@@ -11,6 +11,7 @@ import struct
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Any
 
 from . import bootstrap
 
@@ -30,6 +31,21 @@ _ANSWER = struct.Struct(">HHHH")
 
 class MalformedPacket(ValueError):
     """The bytes are no packet of the expected kind."""
+
+
+def _unpack(layout: struct.Struct, data: bytes, what: str) -> tuple[Any, ...]:
+    """Return the fields at the beginning of ``data``. Raises MalformedPacket where it is too short for them."""
+    if len(data) < layout.size:
+        raise MalformedPacket(f"{len(data)} bytes are no {what}")
+    return layout.unpack_from(data)
+
+
+def _payload(data: bytes, length: int) -> bytes:
+    """Return the payload behind a header. Raises MalformedPacket where it is shorter than the header promises."""
+    payload = data[_HEADER.size :]
+    if len(payload) < length:
+        raise MalformedPacket(f"the header promises {length} bytes, {len(payload)} follow")
+    return payload[:length]
 
 
 class Command(IntEnum):
@@ -84,14 +100,10 @@ class CommandPacket:
     @classmethod
     def decode(cls, data: bytes) -> CommandPacket:
         """Decode a packet. Raises MalformedPacket."""
-        if len(data) < _HEADER.size:
-            raise MalformedPacket(f"{len(data)} bytes are no GVCP command")
-        key, flags, command, length, request_id = _HEADER.unpack_from(data)
+        key, flags, command, length, request_id = _unpack(_HEADER, data, "GVCP command")
         if key != KEY:
             raise MalformedPacket(f"a GVCP command begins with 0x{KEY:02x}, not 0x{key:02x}")
-        if len(data) < _HEADER.size + length:
-            raise MalformedPacket(f"the header promises {length} bytes, {len(data) - _HEADER.size} follow")
-        return cls(command, data[_HEADER.size : _HEADER.size + length], request_id, flags)
+        return cls(command, _payload(data, length), request_id, flags)
 
 
 @dataclass(frozen=True)
@@ -109,12 +121,8 @@ class AcknowledgePacket:
     @classmethod
     def decode(cls, data: bytes) -> AcknowledgePacket:
         """Decode a packet. Raises MalformedPacket."""
-        if len(data) < _ANSWER.size:
-            raise MalformedPacket(f"{len(data)} bytes are no GVCP acknowledge")
-        status, acknowledge, length, request_id = _ANSWER.unpack_from(data)
-        if len(data) < _ANSWER.size + length:
-            raise MalformedPacket(f"the header promises {length} bytes, {len(data) - _ANSWER.size} follow")
-        return cls(acknowledge, data[_ANSWER.size : _ANSWER.size + length], request_id, status)
+        status, acknowledge, length, request_id = _unpack(_ANSWER, data, "GVCP acknowledge")
+        return cls(acknowledge, _payload(data, length), request_id, status)
 
 
 # --- payloads: registers, memory, resend requests, actions
@@ -122,8 +130,8 @@ class AcknowledgePacket:
 PACKET_ID_MASK = 0x00FFFFFF
 
 _WORD, _PAIR = struct.Struct(">I"), struct.Struct(">II")
-_RESEND = struct.Struct(">HHII")
-_ACTION, _TIME = struct.Struct(">III"), struct.Struct(">Q")
+_RESEND, _READ_MEMORY = struct.Struct(">HHII"), struct.Struct(">IHH")
+_ACTION, _SCHEDULED_ACTION = struct.Struct(">III"), struct.Struct(">IIIQ")
 
 
 def encode_words(values: Iterable[int]) -> bytes:
@@ -147,9 +155,7 @@ def decode_writes(payload: bytes) -> tuple[tuple[int, int], ...]:
 
 def decode_memory_read(payload: bytes) -> tuple[int, int]:
     """Decode the payload of READMEM: address and number of bytes. Raises MalformedPacket."""
-    if len(payload) < 8:
-        raise MalformedPacket(f"{len(payload)} bytes are no READMEM")
-    address, _, count = struct.unpack_from(">IHH", payload)
+    address, _, count = _unpack(_READ_MEMORY, payload, "READMEM")
     return address, count
 
 
@@ -160,31 +166,16 @@ def encode_memory(address: int, data: bytes) -> bytes:
 
 def decode_memory(payload: bytes) -> tuple[int, bytes]:
     """Decode address and bytes. Raises MalformedPacket."""
-    if len(payload) < 4:
-        raise MalformedPacket(f"{len(payload)} bytes hold no address")
-    return _WORD.unpack_from(payload)[0], payload[4:]
+    return _unpack(_WORD, payload, "WRITEMEM")[0], payload[4:]
 
 
-@dataclass(frozen=True)
-class ResendRequest:
-    """PACKETRESEND: asks for the packets first to last (both included) of one block. It is not acknowledged."""
+def decode_resend(payload: bytes) -> tuple[int, int, int]:
+    """Decode the payload of PACKETRESEND, which is not acknowledged: block, and first and last packet (both included).
 
-    block_id: int
-    first: int
-    last: int
-    channel: int = 0
-
-    def command(self, request_id: int = 1) -> CommandPacket:
-        payload = _RESEND.pack(self.channel, self.block_id, self.first, self.last)
-        return CommandPacket(Command.PACKET_RESEND, payload, request_id, 0)
-
-    @classmethod
-    def decode(cls, packet: CommandPacket) -> ResendRequest:
-        """Decode a packet. Raises MalformedPacket."""
-        if len(packet.payload) < _RESEND.size:
-            raise MalformedPacket(f"{len(packet.payload)} bytes are no PACKETRESEND")
-        channel, block_id, first, last = _RESEND.unpack_from(packet.payload)
-        return cls(block_id, first & PACKET_ID_MASK, last & PACKET_ID_MASK, channel)
+    Raises MalformedPacket.
+    """
+    _, block_id, first, last = _unpack(_RESEND, payload, "PACKETRESEND")
+    return block_id, first & PACKET_ID_MASK, last & PACKET_ID_MASK
 
 
 @dataclass(frozen=True)
@@ -199,22 +190,18 @@ class Action:
     group_mask: int
     time_ns: int | None = None
 
-    def command(self, request_id: int = 1, acknowledge: bool = True) -> CommandPacket:
-        payload = _ACTION.pack(self.device_key, self.group_key, self.group_mask)
-        flags = ACKNOWLEDGE if acknowledge else 0
-        if self.time_ns is not None:
-            payload, flags = payload + _TIME.pack(self.time_ns), flags | SCHEDULED
-        return CommandPacket(Command.ACTION, payload, request_id, flags)
+    def command(self, request_id: int = 1) -> CommandPacket:
+        keys = self.device_key, self.group_key, self.group_mask
+        if self.time_ns is None:
+            return CommandPacket(Command.ACTION, _ACTION.pack(*keys), request_id)
+        payload = _SCHEDULED_ACTION.pack(*keys, self.time_ns)
+        return CommandPacket(Command.ACTION, payload, request_id, ACKNOWLEDGE | SCHEDULED)
 
     @classmethod
     def decode(cls, packet: CommandPacket) -> Action:
         """Decode a packet. Raises MalformedPacket."""
-        scheduled = bool(packet.flags & SCHEDULED)
-        if len(packet.payload) < _ACTION.size + (_TIME.size if scheduled else 0):
-            raise MalformedPacket(f"{len(packet.payload)} bytes are no ACTION")
-        time_ns = _TIME.unpack_from(packet.payload, _ACTION.size)[0] if scheduled else None
-        device_key, group_key, group_mask = _ACTION.unpack_from(packet.payload)
-        return cls(device_key, group_key, group_mask, time_ns)
+        layout = _SCHEDULED_ACTION if packet.flags & SCHEDULED else _ACTION
+        return cls(*_unpack(layout, packet.payload, "ACTION"))
 
 
 # --- the answer to DISCOVERY: the first 0xF8 bytes of a device's bootstrap registers

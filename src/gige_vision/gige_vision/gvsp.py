@@ -7,16 +7,13 @@ Source: GigE Vision 2.x, "GigE Vision Streaming Protocol".
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from enum import IntEnum
 
-from .gvcp import MalformedPacket, Status
+from .gvcp import Status
 
 IP_AND_UDP = 20 + 8
 HEADER = 8
 LAST_BLOCK_ID = 0xFFFF
-CHUNKS_FOLLOW = 0x4000
-"""Flag of a payload type: chunks follow the image."""
 
 _HEADER = struct.Struct(">HHI")
 _LEADER = struct.Struct(">HHQIIIIIHH")
@@ -49,89 +46,26 @@ def next_block_id(block_id: int) -> int:
     return block_id + 1 if block_id < LAST_BLOCK_ID else 1
 
 
-@dataclass(frozen=True)
-class PacketHeader:
-    """The header of every stream packet."""
-
-    content: int
-    block_id: int
-    packet_id: int
-    status: int = Status.SUCCESS
-
-    def encode(self) -> bytes:
-        return _HEADER.pack(self.status, self.block_id, self.content << 24 | self.packet_id)
-
-    @classmethod
-    def decode(cls, data: bytes) -> tuple[PacketHeader, bytes]:
-        """Return the header and what follows it. Raises MalformedPacket."""
-        if len(data) < HEADER:
-            raise MalformedPacket(f"{len(data)} bytes are no GVSP packet")
-        status, block_id, infos = _HEADER.unpack_from(data)
-        return cls(infos >> 24 & 0x0F, block_id, infos & 0xFFFFFF, status), data[HEADER:]
+def packet_header(content: Content, block_id: int, packet_id: int, status: int = Status.SUCCESS) -> bytes:
+    """Return the header of a stream packet."""
+    return _HEADER.pack(status, block_id, content << 24 | packet_id)
 
 
-@dataclass(frozen=True)
-class ImageLeader:
-    """The leader's body: when the image was taken (ticks of the device's clock) and what it is, in pixels."""
+def image_leader(
+    timestamp: int, pixel_format: int, size_px: tuple[int, int], offset_px: tuple[int, int], payload: Payload
+) -> bytes:
+    """Return the leader's body: when the image was taken (ticks of the device's clock) and what it is.
 
-    timestamp: int
-    pixel_format: int
-    width: int
-    height: int
-    offset_x: int = 0
-    offset_y: int = 0
-    padding_x: int = 0
-    padding_y: int = 0
-    payload: int = Payload.IMAGE
-
-    def encode(self) -> bytes:
-        return _LEADER.pack(
-            0,
-            self.payload,
-            self.timestamp,
-            self.pixel_format,
-            self.width,
-            self.height,
-            self.offset_x,
-            self.offset_y,
-            self.padding_x,
-            self.padding_y,
-        )
-
-    @classmethod
-    def decode(cls, body: bytes) -> ImageLeader:
-        """Decode the packet's body. Raises MalformedPacket."""
-        if len(body) < _LEADER.size:
-            raise MalformedPacket(f"{len(body)} bytes are no image leader")
-        _, payload, timestamp, *fields = _LEADER.unpack_from(body)
-        pixel_format, width, height, offset_x, offset_y, padding_x, padding_y = fields
-        return cls(timestamp, pixel_format, width, height, offset_x, offset_y, padding_x, padding_y, payload)
+    size_px, offset_px : across and down; rows are not padded.
+    """
+    return _LEADER.pack(0, payload, timestamp, pixel_format, *size_px, *offset_px, 0, 0)
 
 
-@dataclass(frozen=True)
-class ImageTrailer:
-    """The trailer's body: the height that was really sent, and how many bytes image and chunks have together."""
-
-    height: int
-    chunk_bytes: int | None = None
-
-    def encode(self) -> bytes:
-        if self.chunk_bytes is None:
-            return _TRAILER.pack(0, Payload.IMAGE, self.height)
-        return _CHUNK_TRAILER.pack(0, Payload.IMAGE_WITH_CHUNKS, self.chunk_bytes, self.height, 0)
-
-    @classmethod
-    def decode(cls, body: bytes) -> ImageTrailer:
-        """Decode the packet's body. Raises MalformedPacket."""
-        if len(body) < _TRAILER.size:
-            raise MalformedPacket(f"{len(body)} bytes are no image trailer")
-        _, payload, first = _TRAILER.unpack_from(body)
-        if not payload & CHUNKS_FOLLOW:
-            return cls(first)
-        if len(body) < _CHUNK_TRAILER.size:
-            raise MalformedPacket(f"{len(body)} bytes are no trailer of an image with chunks")
-        _, _, chunk_bytes, height, _ = _CHUNK_TRAILER.unpack_from(body)
-        return cls(height, chunk_bytes)
+def image_trailer(height: int, chunk_bytes: int | None = None) -> bytes:
+    """Return the trailer's body: the rows that were really sent, and how many bytes image and chunks have together."""
+    if chunk_bytes is None:
+        return _TRAILER.pack(0, Payload.IMAGE, height)
+    return _CHUNK_TRAILER.pack(0, Payload.IMAGE_WITH_CHUNKS, chunk_bytes, height, 0)
 
 
 def encode_chunk(chunk_id: int, data: bytes) -> bytes:

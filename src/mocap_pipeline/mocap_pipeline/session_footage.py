@@ -12,11 +12,11 @@ import numpy as np
 
 from camera_client.background.model import BackgroundModel, read_background
 from camera_client.settings import CameraClientSettings
-from camera_client.sources.footage_reader import VideoReader
+from camera_client.sources.footage_reader import FootageReader, open_footage
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 from capture_rig.session import Session, footage_stamp_ns, read_table
-from capture_rig.video import VideoFacts
+from capture_rig.video import Video, VideoFacts
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.keypoints import NUMBERS, Detections
 
@@ -41,7 +41,7 @@ def pipeline_of(session: Session, configuration: Configuration | None = None) ->
         raise InputError(f"there is no background for {', '.join(without)}", where=str(session.folder), remedy=remedy)
 
     def background(name: str) -> BackgroundModel:
-        with closing(VideoReader(session.videos[name], "auto")) as video:
+        with closing(open_footage(session.videos[name])) as video:
             return read_background(session.backgrounds[name], video.probe(), chosen.camera.background_model)
 
     return MocapPipeline(session.rig, chosen, {name: background(name) for name in session.rig.names})
@@ -89,16 +89,15 @@ def images_of(videos: dict[str, Path], ended: FootageEnded = ignore_end) -> Iter
     """Images of all cameras, frame after frame until the shortest video ends; grey where the footage is grey, as the
     camera client reads it."""
     with ExitStack() as stack:
-        opened: dict[str, VideoReader] = {}
-        for name, path in sorted(videos.items()):
-            opened[name] = VideoReader(path, "auto", threads=0)
-            stack.callback(opened[name].close)
-            opened[name].probe()
+        opened = {name: stack.enter_context(Video(path)) for name, path in sorted(videos.items())}
+        readers = {name: FootageReader(video, "auto") for name, video in opened.items()}
+        for reader in readers.values():
+            reader.probe()
         while True:
-            images = {name: reader.read() for name, reader in opened.items()}
+            images = {name: reader.read() for name, reader in readers.items()}
             found = {name: image for name, image in images.items() if image is not None}
             if len(found) < len(images):
-                ended({name: reader.facts() for name, reader in opened.items()})
+                ended({name: VideoFacts.of(video) for name, video in opened.items()})
                 return
             yield found
 

@@ -1,6 +1,5 @@
 """Clocks and instants of exposure: arithmetic, without any camera."""
 
-import socket
 import threading
 import time
 from collections import Counter
@@ -12,12 +11,11 @@ from gige_client import eventually
 from hypothesis import given
 from hypothesis import strategies as st
 
-from capture_rig.stamps import CaptureClock
 from virtual_studio.gige import CameraSettings, EventLoop, Faults, Playback, TriggerWire
+from virtual_studio.gige.acquisition import CameraClock, Timing, next_multiple
 from virtual_studio.gige.camera import feature_table
 from virtual_studio.gige.imaging import ExposureControl
 from virtual_studio.gige.registers import Registers
-from virtual_studio.gige.timing import CameraClock, Timing, next_multiple
 
 SECOND_NS = 1_000_000_000
 NOW_NS = 1_800_000_000 * SECOND_NS
@@ -31,7 +29,7 @@ rates = st.sampled_from([0.5, 25, 29.97, 30, 59.94, 60, 100, 120, 999.9])
 def now(monkeypatch):
     """A system clock that stands still until it is moved."""
     clock = SimpleNamespace(ns=NOW_NS, time_ns=lambda: clock.ns, monotonic_ns=lambda: clock.ns)
-    for module in ("virtual_studio.gige.timing", "capture_rig.stamps"):
+    for module in ("virtual_studio.gige.acquisition", "capture_rig.stamps"):
         monkeypatch.setattr(f"{module}.time", clock)
     return clock
 
@@ -59,13 +57,6 @@ def test_clock_s_readings_lead_back_to_their_instants(elapsed_ns, drift_ppm):
     assert clock.utc_of(clock.stamp(instant)) == pytest.approx(instant, abs=2)
 
 
-def test_counter_of_slow_motion_counts_the_studio_s_seconds(now):
-    clock = CameraClock(CameraSettings(drift_ppm=0.0), Faults(), slow := CaptureClock(0.25))
-    before = clock.stamp(slow.now_ns())
-    now.ns += 8 * SECOND_NS
-    assert clock.stamp(slow.now_ns()) - before == 2 * SECOND_NS
-
-
 def test_ptp_goes_through_listening_to_slave_and_then_counts_tai(now):
     clock = CameraClock(CameraSettings(ptp_settle_s=1.0, ptp_offset_ns=50), Faults())
     assert clock.ptp_state == 3
@@ -78,15 +69,6 @@ def test_ptp_goes_through_listening_to_slave_and_then_counts_tai(now):
     assert abs(clock.stamp(now.ns) - now.ns - TAI_NS) <= 50
     clock.enable_ptp(False)
     assert clock.stamp(now.ns) < 10 * SECOND_NS
-
-
-def test_ptp_falls_back_when_the_grandmaster_goes(now):
-    faults = Faults()
-    clock = CameraClock(CameraSettings(ptp_settle_s=0.0), faults)
-    clock.enable_ptp(True)
-    assert clock.is_synchronised
-    faults.ptp_lost = True
-    assert (clock.ptp_state, clock.is_synchronised) == (4, False)
 
 
 def timing(**values):
@@ -104,24 +86,6 @@ def test_exposure_longer_than_the_period_slows_the_camera_down():
     assert slow.period_s == Fraction(25, 1000)
     fast, _ = timing(AcquisitionFrameRate=100.0, ExposureTime=5_000.0)
     assert fast.period_s == Fraction(10, 1000)
-
-
-def test_periodic_signal_exposes_at_multiples_of_ptp_time_and_its_delay():
-    signal, _ = timing(TriggerMode=1, TriggerSource=3, BslPeriodicSignalPeriod=20_000.0, BslPeriodicSignalDelay=3000.0)
-    assert signal.source == "PeriodicSignal1" and signal.is_periodic
-    start = signal.next_start(NOW_NS)
-    assert (start + TAI_NS - 3_000_000) % 20_000_000 == 0
-    assert NOW_NS < start <= NOW_NS + 20_000_000
-
-
-def test_free_run_timer_takes_effect_when_it_is_updated():
-    timer, registers = timing(SyncFreeRunTimerEnable=1, SyncFreeRunTimerTriggerRate=50.0)
-    begin = NOW_NS + TAI_NS + 123_456_789
-    registers["SyncFreeRunTimerStartTimeHigh"], registers["SyncFreeRunTimerStartTimeLow"] = begin >> 32, begin % 2**32
-    assert (timer.next_start(NOW_NS) * 60) % SECOND_NS < 60  # still free running at 60 Hz
-    registers.writes["SyncFreeRunTimerUpdate"]()
-    assert timer.next_start(NOW_NS) == begin - TAI_NS
-    assert timer.next_start(begin - TAI_NS) == begin - TAI_NS + 20_000_000
 
 
 @given(st.integers(-5, 50), rates)
@@ -215,29 +179,6 @@ def test_pulse_generator_pulses_at_whole_multiples_of_its_period(loop):
     wire.listen(lambda instant_ns: pulses.update([instant_ns]))
     wire.run(200.0)
     eventually(lambda: len(pulses) >= 5)
-    wire.stop()
+    wire.run(0)
     assert all(instant_ns % 5_000_000 == 0 for instant_ns in pulses)
     assert set(pulses.values()) == {1}
-
-
-def test_reader_removed_by_an_earlier_one_is_not_called_any_more(loop):
-    pairs = [socket.socketpair() for _ in range(2)]
-    called = []
-
-    def take(number):
-        called.append(number)
-        for _, receiver in pairs:
-            loop.remove_reader(receiver)
-            receiver.close()
-
-    def arrange():
-        for number, (sender, receiver) in enumerate(pairs):
-            sender.send(b"!")
-            loop.add_reader(receiver, lambda n=number: take(n))
-
-    loop.call(arrange)  # both can be read when the loop looks the next time
-    eventually(lambda: called)
-    loop.call(lambda: None)
-    assert len(called) == 1
-    for sender, _ in pairs:
-        sender.close()

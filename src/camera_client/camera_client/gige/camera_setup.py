@@ -8,7 +8,7 @@ from capture_rig.errors import InputError
 
 from ..settings import PIXEL_FORMATS, AravisSettings
 from .features import FLOAT_TOLERANCE, Features
-from .pixel_formats import choose_format, find_format, standard_name
+from .pixel_formats import can_be_halved, choose_format, find_format, image_shape, standard_name
 from .triggers import switch_triggers_off
 
 AUTO_FUNCTIONS = ("ExposureAuto", "GainAuto", "BalanceWhiteAuto", "BlackLevelAuto", "AcquisitionFrameRateAuto")
@@ -29,31 +29,36 @@ class CameraSetup:
     exposure_us: float | None
     frame_rate: float | None
     chunks: tuple[str, ...]
-    warnings: tuple[str, ...]
-    halved: bool = False
+    halved: bool
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W) or (H, W, 3), of the images."""
+        return image_shape(self.pixel_format, self.width, self.height, self.halved)
 
 
-def set_up_camera(features: Features, settings: AravisSettings, channels: str) -> CameraSetup:
+def set_up_camera(features: Features, settings: AravisSettings, channels: str, halve_mosaics: bool) -> CameraSetup:
     """Return everything but the trigger. Raises InputError naming the setting for what the camera cannot do."""
     features.apply(settings.features, "aravis.features")
     features.ensure("AcquisitionMode", "Continuous", "aravis.sync")
     switch_triggers_off(features)
     for name in AUTO_FUNCTIONS:
         features.ensure(name, "Off", "aravis.features")
-    pixel_format = _set_format(features, settings, channels)
+    pixel_format = standard_name(_set_format(features, settings, channels))
     _set_region(features, settings)
     _set_exposure(features, settings)
-    warnings = _set_rate(features, settings)
-    chunks, chunk_warnings = _set_chunks(features, settings.chunks)
+    _set_rate(features, settings)
+    chunks = _set_chunks(features, settings.chunks)
     triggered = settings.sync in ("line", "action", "software")
+    width, height = _integer(features, "Width"), _integer(features, "Height")
     return CameraSetup(
-        standard_name(pixel_format),
-        _integer(features, "Width"),
-        _integer(features, "Height"),
+        pixel_format,
+        width,
+        height,
         features.number("ExposureTime"),
         None if triggered else features.number("AcquisitionFrameRate"),
         chunks,
-        warnings + chunk_warnings,
+        halve_mosaics and can_be_halved(pixel_format, width, height),
     )
 
 
@@ -100,42 +105,43 @@ def _set_exposure(features: Features, settings: AravisSettings) -> None:
         features.set("Gain", settings.gain, "aravis.gain")
 
 
-def _set_rate(features: Features, settings: AravisSettings) -> tuple[str, ...]:
-    """Return the camera's own rate; where triggers give it, the camera's limit is switched off."""
+def _set_rate(features: Features, settings: AravisSettings) -> None:
+    """Set the camera's own rate; where triggers give it, the camera's limit is switched off."""
     switch = features.find("AcquisitionFrameRateEnable")
     if settings.sync in ("line", "action", "software"):
         if switch is not None:
             features.switch(switch, False, "aravis.sync")
-        return ()
+        return
     if settings.frame_rate < 0:
-        return ()
+        return
     if switch is not None:
         features.switch(switch, True, "aravis.frame_rate")
     features.set("AcquisitionFrameRate", settings.frame_rate, "aravis.frame_rate")
     reached = features.number("ResultingFrameRate")
-    if reached is None or reached >= (1 - FLOAT_TOLERANCE) * settings.frame_rate:
-        return ()
-    return (
-        f"{features.where} reaches only {reached:g} of {settings.frame_rate:g} Hz: shorten the exposure, make the "
-        "region smaller, or raise the packet size",
-    )
+    if reached is not None and reached < (1 - FLOAT_TOLERANCE) * settings.frame_rate:
+        features.warn(
+            f"{features.where} reaches only {reached:g} of {settings.frame_rate:g} Hz: shorten the exposure, make the "
+            "region smaller, or raise the packet size"
+        )
 
 
-def _set_chunks(features: Features, wanted: bool) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the chunks that are on now, and warnings."""
+def _set_chunks(features: Features, wanted: bool) -> tuple[str, ...]:
+    """Return the names of the chunks that are on now."""
     if features.find("ChunkModeActive") is None:
-        return (), ((f"{features.where} has no chunks: time and exposure come from elsewhere",) if wanted else ())
+        features.warn(f"{features.where} has no chunks: time and exposure come from elsewhere" if wanted else "")
+        return ()
     if wanted or features.read("ChunkModeActive"):
         features.switch("ChunkModeActive", wanted, "aravis.chunks")
     if not wanted:
-        return (), ()
+        return ()
     offered = features.access.choices(features.require("ChunkSelector", "aravis.chunks"))
-    chosen = tuple(name for name in CHUNKS if name in offered)
-    for name in chosen:
+    for name in CHUNKS:
+        if name not in offered:
+            features.warn(f"{features.where} has no chunk {name}")
+            continue
         features.set("ChunkSelector", name, "aravis.chunks")
         features.switch("ChunkEnable", True, "aravis.chunks")
-    missing = [name for name in CHUNKS if name not in chosen]
-    return chosen, tuple(f"{features.where} has no chunk {name}" for name in missing)
+    return tuple(name for name in CHUNKS if name in offered)
 
 
 def _largest(features: Features, size: str) -> int:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import ipaddress
 import os
 import socket
-import stat
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -59,7 +58,13 @@ def find_camera(wanted: AravisSettings) -> FoundCamera:
     """
     if wanted.address:
         found = discover_at(wanted.address)
-        _verify(found.device, wanted)
+        if not _fits(found.device, wanted):
+            raise InputError(
+                f"is {_named(found.device)}, not serial {wanted.serial or '(any)'} and user id "
+                f"{wanted.user_id or '(any)'}",
+                where=described(wanted),
+                remedy="Correct aravis.address, or aravis.serial and aravis.user_id.",
+            )
         return found
     if not (wanted.serial or wanted.user_id):
         raise InputError(
@@ -75,14 +80,14 @@ def find_camera(wanted: AravisSettings) -> FoundCamera:
 def discover_at(address: str) -> FoundCamera:
     """The camera at an IPv4 address. Raises InputError for what is no unicast address, else SourceUnavailable."""
     _check_unicast(address)
+    reason = "nothing answered"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
-        link.settimeout(ANSWER_TIMEOUT_S)
         try:
             link.connect((address, PORT))
             for _ in range(ATTEMPTS):
-                if (device := _ask(link)) is not None:
+                link.send(DISCOVERY.encode())
+                for device in _answers(link, time.monotonic() + ANSWER_TIMEOUT_S):
                     return FoundCamera(device, link.getsockname()[0])
-            reason = "nothing answered"
         except OSError as error:
             reason = error.strerror or str(error)
     raise SourceUnavailable(
@@ -144,45 +149,29 @@ def _single_match(
     answers: list[tuple[Interface, DeviceRecord]], wanted: AravisSettings, searched: tuple[Interface, ...]
 ) -> FoundCamera:
     fitting = [(link, device) for link, device in answers if _fits(device, wanted)]
-    on = ", ".join(map(str, searched))
+    on, who = ", ".join(map(str, searched)), described(wanted)
     if not fitting:
         others = ", ".join(_named(device) for _, device in answers) or "no camera"
-        raise SourceUnavailable(
-            f"does not answer on {on}; {others} did",
-            where=described(wanted),
-            remedy="Check power and cable, and the serial number or user id.",
-        )
+        remedy = "Check power and cable, and the serial number or user id."
+        raise SourceUnavailable(f"does not answer on {on}; {others} did", where=who, remedy=remedy)
     link, device = fitting[0]
     if any(other.mac != device.mac for _, other in fitting):
-        raise InputError(
-            f"is not one camera but {len(fitting)} on {on}: {', '.join(_named(d) for _, d in fitting)}",
-            where=described(wanted),
-            remedy="Choose by aravis.serial or aravis.address.",
-        )
-    reachable = [other for other, _ in fitting if ipaddress.IPv4Address(device.address) in other.address.network]
-    if not reachable:
-        raise InputError(
-            f"answers on {link}, but its own address {device.address}/{device.subnet_mask} is in another subnet",
-            where=described(wanted),
-            remedy=f"Give the camera a free address in {link.address.network} (its maker's IP tool, or DHCP), or this "
-            "interface one in the camera's subnet.",
-        )
-    return FoundCamera(device, reachable[0].host)
-
-
-def _verify(device: DeviceRecord, wanted: AravisSettings) -> None:
-    if not _fits(device, wanted):
-        raise InputError(
-            f"is {_named(device)}, not serial {wanted.serial or '(any)'} and user id {wanted.user_id or '(any)'}",
-            where=described(wanted),
-            remedy="Correct aravis.address, or aravis.serial and aravis.user_id.",
-        )
+        several = ", ".join(_named(device) for _, device in fitting)
+        what = f"is not one camera but {len(fitting)} on {on}: {several}"
+        raise InputError(what, where=who, remedy="Choose by aravis.serial or aravis.address.")
+    for other, _ in fitting:
+        if ipaddress.IPv4Address(device.address) in other.address.network:
+            return FoundCamera(device, other.host)
+    raise InputError(
+        f"answers on {link}, but its own address {device.address}/{device.subnet_mask} is in another subnet",
+        where=who,
+        remedy=f"Give the camera a free address in {link.address.network} (its maker's IP tool, or DHCP), or this "
+        "interface one in the camera's subnet.",
+    )
 
 
 def _fits(device: DeviceRecord, wanted: AravisSettings) -> bool:
-    return (not wanted.serial or device.serial == wanted.serial) and (
-        not wanted.user_id or device.user_id == wanted.user_id
-    )
+    return wanted.serial in ("", device.serial) and wanted.user_id in ("", device.user_id)
 
 
 def _named(device: DeviceRecord) -> str:
@@ -193,46 +182,29 @@ def _named(device: DeviceRecord) -> str:
 def _check_unicast(address: str) -> None:
     try:
         ip = ipaddress.IPv4Address(address)
+        if not (ip.is_multicast or ip.is_unspecified or ip.packed[3] == 255):
+            return
     except ValueError:
-        raise InputError(
-            f"{address!r} is not an IPv4 address",
-            where="aravis.address",
-            remedy="Give the camera's address, such as 192.168.1.10.",
-        ) from None
-    if ip.is_multicast or ip.is_unspecified or str(ip).endswith(".255"):
-        raise InputError(
-            f"{address} is not the address of one device", where="aravis.address", remedy="Give the camera's own."
-        )
-
-
-def _ask(link: socket.socket) -> DeviceRecord | None:
-    link.send(DISCOVERY.encode())
-    try:
-        return _record(link.recv(2048))
-    except TimeoutError:
-        return None
+        pass
+    raise InputError(
+        f"{address!r} is not the IPv4 address of one device",
+        where="aravis.address",
+        remedy="Give the camera's address, such as 192.168.1.10.",
+    )
 
 
 def _answers(sock: socket.socket, deadline_s: float) -> Iterator[DeviceRecord]:
+    """Yield who answers the discovery until then; what is no answer to one is passed over."""
     while (left_s := deadline_s - time.monotonic()) > 0:
         sock.settimeout(left_s)
         try:
-            device = _record(sock.recv(2048))
+            answer = AcknowledgePacket.decode(sock.recv(2048))
+            if answer.acknowledge == Command.DISCOVERY.acknowledge and answer.status == 0:
+                yield DeviceRecord.decode(answer.payload)
         except TimeoutError:
             return
-        if device is not None:
-            yield device
-
-
-def _record(packet: bytes) -> DeviceRecord | None:
-    """None for what is no answer to a discovery."""
-    try:
-        answer = AcknowledgePacket.decode(packet)
-        if answer.acknowledge != Command.DISCOVERY.acknowledge or answer.status != 0:
-            return None
-        return DeviceRecord.decode(answer.payload)
-    except MalformedPacket:
-        return None
+        except MalformedPacket:
+            continue
 
 
 # --- the host's side: network interfaces, and a receive buffer that is large enough to stream through
@@ -270,34 +242,21 @@ def enlarge_receive_buffer(port: int, wanted_bytes: int) -> str:
     """
     for name in os.listdir("/proc/self/fd"):
         try:
-            if not stat.S_ISSOCK(os.fstat(int(name)).st_mode):
+            if not os.readlink(f"/proc/self/fd/{name}").startswith("socket:"):
                 continue
             candidate = socket.socket(fileno=os.dup(int(name)))
         except OSError:  # closed meanwhile
             continue
         with candidate:
-            if _is_udp_on(candidate, port):
-                candidate.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted_bytes)
-                return _buffer_warning(candidate, wanted_bytes)
+            kind = candidate.family, candidate.type
+            if kind != (socket.AF_INET, socket.SOCK_DGRAM) or candidate.getsockname()[1] != port:
+                continue
+            candidate.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, wanted_bytes)
+            granted = candidate.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux reports twice the payload
+            if granted >= wanted_bytes:
+                return ""
+            return (
+                f"the system grants a receive buffer of {granted} bytes instead of {wanted_bytes}, frames may be lost; "
+                f"run: sudo sysctl -w net.core.rmem_max={wanted_bytes}"
+            )
     return f"the stream's socket on port {port} was not found; its receive buffer stays at the system's default"
-
-
-def _is_udp_on(candidate: socket.socket, port: int) -> bool:
-    try:
-        return (
-            candidate.family == socket.AF_INET
-            and candidate.type == socket.SOCK_DGRAM
-            and candidate.getsockname()[1] == port
-        )
-    except OSError:
-        return False
-
-
-def _buffer_warning(link: socket.socket, wanted_bytes: int) -> str:
-    granted = link.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) // 2  # Linux reports twice the payload size
-    if granted >= wanted_bytes:
-        return ""
-    return (
-        f"the system grants a receive buffer of {granted} bytes instead of {wanted_bytes}, frames may be lost; "
-        f"run: sudo sysctl -w net.core.rmem_max={wanted_bytes}"
-    )

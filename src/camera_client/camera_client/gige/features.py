@@ -1,15 +1,20 @@
-"""Sets GenICam features, reads them back and compares; errors say what the camera would have taken."""
+"""Sets a camera's GenICam features through Aravis, reads them back and compares; errors say what it would have taken.
+
+GObject types and errors end here.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from enum import Enum
-from typing import Protocol
+from typing import Any
 
 from capture_rig.errors import InputError
 
 Value = bool | int | float | str
+ERROR_DOMAIN = "arv-device-error-quark"
 
 # Thresholds: judgement, no measurement.
 FLOAT_TOLERANCE = 0.02  # a float may come back rounded to the sensor's lines or steps by so much
@@ -37,43 +42,111 @@ class Kind(Enum):
     COMMAND = "command"
 
 
-class DeviceAccess(Protocol):
-    """A device's features by their exact names, and its 32-bit registers.
+class AravisFeatures:
+    """An Aravis.Device's features by their exact names, and its 32-bit registers; ``Aravis``, ``GLib``: the modules.
 
     Every method may raise DeviceSilence when the device does not answer, and DeviceRefusal when it refuses.
     """
 
+    def __init__(self, device: Any, Aravis: Any, GLib: Any) -> None:
+        self._device, self._Aravis, self._GLib = device, Aravis, GLib
+        self._kinds: dict[str, Kind | None] = {}
+        self._types = (
+            (Aravis.GcCommand, Kind.COMMAND),
+            (Aravis.GcBoolean, Kind.BOOLEAN),
+            (Aravis.GcEnumeration, Kind.ENUMERATION),
+            (Aravis.GcFloat, Kind.FLOAT),
+            (Aravis.GcInteger, Kind.INTEGER),
+            (Aravis.GcString, Kind.STRING),
+        )
+
     def kind(self, name: str) -> Kind | None:
         """Return what a feature holds; None for one that the device does not have, or not now."""
+        if name not in self._kinds:
+            node = self._device.get_feature(name)
+            self._kinds[name] = next((kind for type_, kind in self._types if isinstance(node, type_)), None)
+        if self._kinds[name] is None:
+            return None
+        with device_errors(self._Aravis, self._GLib):
+            return self._kinds[name] if self._device.is_feature_available(name) else None
 
-    def read(self, name: str) -> Value: ...
+    def read(self, name: str) -> Value:
+        with device_errors(self._Aravis, self._GLib):
+            return self._method("get_{}_feature_value", name)(name)
 
-    def write(self, name: str, value: Value) -> None: ...
+    def write(self, name: str, value: Value) -> None:
+        with device_errors(self._Aravis, self._GLib):
+            self._method("set_{}_feature_value", name)(name, value)
 
-    def execute(self, name: str) -> None: ...
+    def execute(self, name: str) -> None:
+        with device_errors(self._Aravis, self._GLib):
+            self._device.execute_command(name)
 
     def limits(self, name: str) -> tuple[float, float] | None:
         """Return smallest and largest value of a number; None where the device does not describe it."""
+        bounds = self._described("get_{}_feature_bounds", name)
+        return None if bounds is None else tuple(bounds)
 
     def step(self, name: str) -> float | None:
         """Return the distance between the values of a number; None where the device does not describe it."""
+        value = self._described("get_{}_feature_increment", name)
+        return value if value is not None and 0 < value < 1e12 else None  # Aravis gives the least double for "none"
 
     def choices(self, name: str) -> tuple[str, ...]:
         """Return the entries of an enumeration that are to be had now."""
+        with device_errors(self._Aravis, self._GLib):
+            return tuple(self._device.dup_available_enumeration_feature_values_as_strings(name) or ())
 
-    def read_register(self, address: int) -> int: ...
+    def read_register(self, address: int) -> int:
+        with device_errors(self._Aravis, self._GLib):
+            return self._device.read_register(address) & 0xFFFFFFFF
 
-    def write_register(self, address: int, value: int) -> None: ...
+    def write_register(self, address: int, value: int) -> None:
+        with device_errors(self._Aravis, self._GLib):
+            self._device.write_register(address, value)
+
+    def _method(self, method: str, name: str) -> Callable[..., Any]:
+        """Return the device's method for what a feature holds. Raises DeviceRefusal where it holds no value."""
+        kind = self.kind(name)
+        if kind is None or kind is Kind.COMMAND:
+            raise DeviceRefusal(f"{name} holds no value now")
+        return getattr(self._device, method.format("string" if kind is Kind.ENUMERATION else kind.value))
+
+    def _described(self, method: str, name: str) -> Any:
+        """Return what the device's description says of a number; None where it does not, and of what is none."""
+        if self.kind(name) not in (Kind.INTEGER, Kind.FLOAT):
+            return None
+        with contextlib.suppress(DeviceRefusal), device_errors(self._Aravis, self._GLib):
+            return self._method(method, name)(name)
+        return None
+
+
+@contextlib.contextmanager
+def device_errors(Aravis: Any, GLib: Any) -> Iterator[None]:
+    """Turn what Aravis raises into DeviceSilence, where the device did not answer, and DeviceRefusal."""
+    try:
+        yield
+    except GLib.Error as error:
+        silent = (Aravis.DeviceError.TIMEOUT, Aravis.DeviceError.NOT_CONNECTED)
+        if error.domain == ERROR_DOMAIN and error.code in {int(code) for code in silent}:
+            raise DeviceSilence(error.message) from None
+        raise DeviceRefusal(error.message) from None
 
 
 class Features:
     """Features of one device by any generation's name, with every write checked.
 
-    ``where`` begins every error: which camera this is.
+    ``where`` begins every error: which camera this is. ``warnings``: what works, but the user should know.
     """
 
-    def __init__(self, access: DeviceAccess, where: str) -> None:
+    def __init__(self, access: AravisFeatures, where: str) -> None:
         self.access, self.where = access, where
+        self.warnings: list[str] = []
+
+    def warn(self, text: str) -> None:
+        """Add a warning, once; "" is none."""
+        if text and text not in self.warnings:
+            self.warnings.append(text)
 
     def find(self, name: str) -> str | None:
         """Return the name under which this device has the feature; None when it has it under none."""
@@ -124,7 +197,7 @@ class Features:
                 f"Write '{found}!' in {key} to run it.",
             )
         assert kind is not None
-        value = self._allowed(found, self._parsed(found, kind, wanted, key), key)
+        value = self._on_grid(found, self._parsed(found, kind, wanted, key))
         try:
             self.access.write(found, value)
         except DeviceRefusal as refusal:
@@ -160,51 +233,38 @@ class Features:
         except DeviceRefusal as refusal:
             raise self._error(f"refuses {found}! ({refusal})", f"Change {key}.") from None
 
-    def apply(self, lines: Sequence[str], key: str) -> tuple[Value, ...]:
-        """ "Name=value" and "Name!" (a command), one after the other, in this order; the values read back."""
-        applied = []
+    def apply(self, lines: Sequence[str], key: str) -> None:
+        """Set "Name=value" and run "Name!" (a command), one after the other, in this order."""
         for line in lines:
             name, equals, value = (part.strip() for part in line.partition("="))
             if not equals and name.endswith("!") and len(name) > 1:
                 self.run(name[:-1].strip(), key)
             elif equals and name:
-                applied.append(self.set(name, value, key))
+                self.set(name, value, key)
             else:
                 raise self._error(f"{key} holds {line!r}", "Write 'Name=value', or 'Name!' for a command.")
-        return tuple(applied)
 
     # --- values --------------------------------------------------------------------------------------------------
 
     def _parsed(self, name: str, kind: Kind, wanted: Value, key: str) -> Value:
         try:
-            return _PARSERS[kind](wanted)
-        except (ValueError, OverflowError):
+            return _parsed(kind, wanted)
+        except ValueError:
             raise self._error(f"{name} = {wanted!r} is no {kind.value}", f"Give a proper value in {key}.") from None
 
-    def _allowed(self, name: str, value: Value, key: str) -> Value:
-        """Return the value on the feature's grid. Raises InputError when it is out of range or no entry."""
-        kind = self.access.kind(name)
-        fits = True
-        if kind is Kind.ENUMERATION:
-            fits = value in self.access.choices(name)
-        elif kind in (Kind.INTEGER, Kind.FLOAT):
-            assert not isinstance(value, str)
-            low, high = self.access.limits(name) or (-math.inf, math.inf)
-            fits = low <= value <= high
-            step = self.access.step(name)
-            if fits and kind is Kind.INTEGER and step and step > 1 and math.isfinite(low):
-                value = int(low + step * round((value - low) / step))
-        if not fits:
-            raise self._error(f"cannot take {name} = {value}", f"{self._allowance(name)}Change {key}.")
-        return value
+    def _on_grid(self, name: str, value: Value) -> Value:
+        """Return the value, of an integer in range on its grid; what is out of range is the device's to refuse."""
+        if self.access.kind(name) is not Kind.INTEGER or isinstance(value, str):
+            return value
+        limits, step = self.access.limits(name), self.access.step(name)
+        if limits is None or not step or not limits[0] <= value <= limits[1]:
+            return value
+        return int(limits[0] + step * round((value - limits[0]) / step))
 
     def _same(self, name: str, wanted: Value, got: Value) -> bool:
-        if isinstance(wanted, bool | str) or isinstance(got, bool | str):
+        if self.access.kind(name) is not Kind.FLOAT or isinstance(wanted, str) or isinstance(got, str):
             return wanted == got
-        kind, step = self.access.kind(name), self.access.step(name) or 0.0
-        if kind is Kind.INTEGER:
-            return wanted == got
-        return abs(got - wanted) <= max(FLOAT_TOLERANCE * abs(wanted), step, 1e-9)
+        return abs(got - wanted) <= max(FLOAT_TOLERANCE * abs(wanted), self.access.step(name) or 1e-9)
 
     def _allowance(self, name: str) -> str:
         """Return what the feature takes, as a sentence; empty where the device does not describe it."""
@@ -223,42 +283,19 @@ class Features:
         return InputError(what, where=self.where, remedy=remedy)
 
 
-def _boolean(wanted: Value) -> bool:
-    if isinstance(wanted, bool):
-        return wanted
+def _parsed(kind: Kind, wanted: Value) -> Value:
+    """Return a value, or its text, as what a feature of this kind holds. Raises ValueError."""
+    if kind in (Kind.ENUMERATION, Kind.STRING):
+        return str(wanted)
     text = str(wanted).lower()
-    if text not in ON + OFF:
+    if kind is not Kind.FLOAT and text in ON + OFF:
+        return text in ON if kind is Kind.BOOLEAN else int(text in ON)
+    if kind is Kind.INTEGER:
+        return int(wanted) if isinstance(wanted, float) and wanted.is_integer() else int(text, 0)
+    value = float(text)
+    if kind is Kind.BOOLEAN or not math.isfinite(value):
         raise ValueError(text)
-    return text in ON
-
-
-def _integer(wanted: Value) -> int:
-    if isinstance(wanted, str):
-        text = wanted.lower()
-        return int(text in ON) if text in ON + OFF else int(wanted, 0)
-    if wanted != int(wanted):
-        raise ValueError(wanted)
-    return int(wanted)
-
-
-def _float(wanted: Value) -> float:
-    value = float(wanted)
-    if not math.isfinite(value):
-        raise ValueError(wanted)
     return value
-
-
-def _text(wanted: Value) -> str:
-    return str(wanted)
-
-
-_PARSERS: dict[Kind, Callable[[Value], Value]] = {
-    Kind.BOOLEAN: _boolean,
-    Kind.INTEGER: _integer,
-    Kind.FLOAT: _float,
-    Kind.ENUMERATION: _text,
-    Kind.STRING: _text,
-}
 
 
 # --- how camera generations spell the same feature: today's name of the GenICam SFNC first, then those from before it

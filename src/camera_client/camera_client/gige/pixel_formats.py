@@ -31,11 +31,7 @@ class Layout:
     halve: Convert | None = None
 
 
-def _mono8(raw: Bytes, width: int, height: int) -> Image:
-    return raw.reshape(height, width).copy()
-
-
-def _upper_byte_of(bits: int) -> Callable[[Bytes, int, int], Image]:
+def _upper_byte_of(bits: int) -> Convert:
     """Two bytes a pixel, little endian, the grey level in the lower ``bits``."""
 
     def convert(raw: Bytes, width: int, height: int) -> Image:
@@ -51,7 +47,7 @@ def _packed(raw: Bytes, width: int, height: int) -> Image:
     return image.reshape(height, width)
 
 
-def _row_of_bits(bits: int, group: int) -> Callable[[Bytes, int, int], Image]:
+def _row_of_bits(bits: int, group: int) -> Convert:
     """One long number, the first pixel in its lowest ``bits``; each ``group`` of pixels fills whole bytes."""
     size = group * bits // 8
 
@@ -70,7 +66,7 @@ def _row_of_bits(bits: int, group: int) -> Callable[[Bytes, int, int], Image]:
     return convert
 
 
-def _opencv(code: int | None, channels: int) -> Callable[[Bytes, int, int], Image]:
+def _opencv(code: int | None, channels: int) -> Convert:
     def convert(raw: Bytes, width: int, height: int) -> Image:
         image = raw.reshape((height, width, channels) if channels > 1 else (height, width))
         return image.copy() if code is None else cv2.cvtColor(image, code)
@@ -78,7 +74,7 @@ def _opencv(code: int | None, channels: int) -> Callable[[Bytes, int, int], Imag
     return convert
 
 
-def _yuv422(luma: int, blue: int, red: int) -> Callable[[Bytes, int, int], Image]:
+def _yuv422(luma: int, blue: int, red: int) -> Convert:
     """Two pixels in four bytes that share their chroma; 0 to 255 is the full range (BT.601 weights).
 
     luma : index of the first pixel's luma in the four bytes, the second's is two further; blue, red : of Cb and Cr.
@@ -128,7 +124,7 @@ LAYOUTS: dict[str, Layout] = {
     "YUV422_8_UYVY": Layout(_yuv422(luma=1, blue=0, red=2)),
     "BGR8": Layout(_opencv(None, 3)),
     "RGB8": Layout(_opencv(cv2.COLOR_RGB2BGR, 3)),
-    "Mono8": Layout(_mono8),
+    "Mono8": Layout(_opencv(None, 1)),
     "Mono10p": Layout(_row_of_bits(10, 4)),
     "Mono12p": Layout(_row_of_bits(12, 2)),
     "Mono10Packed": Layout(_packed),

@@ -16,10 +16,9 @@ from fractions import Fraction
 from capture_rig.errors import InputError
 from gige_vision.gvcp import PORT, AcknowledgePacket, Action, Command, MalformedPacket, Status
 
-from ..frame_source import POLL_S, RELEASE_S
+from ..frame_source import POLL_S, RELEASE_S, SourceUnavailable
 from ..settings import AravisSettings
-from .camera_clock import SECOND
-from .capture_time import PTP_IN_STEP
+from .capture_time import PTP_IN_STEP, SECOND
 from .features import Features
 
 FRAME_TRIGGER = "FrameStart"
@@ -42,17 +41,21 @@ def switch_triggers_off(features: Features) -> None:
         features.switch(timer, False, "aravis.sync")
 
 
-def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> str:
-    """Set up the triggers for ``settings.sync``; returns a warning, "" when there is none.
+def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> None:
+    """Set up the triggers for ``settings.sync``.
 
     ptp_now_ns : reads the camera's clock; called only where PTP is in use.
     Raises InputError when the camera lacks what the mode needs.
     """
-    if settings.sync in ("action", "software", "ptp"):
-        require_rate(settings, features.where)
+    if settings.sync in ("action", "software", "ptp") and settings.frame_rate <= 0:
+        raise InputError(
+            f"sync {settings.sync} needs a frame rate",
+            where=features.where,
+            remedy="Set aravis.frame_rate, to the same for all cameras.",
+        )
     if settings.sync == "ptp":
-        return _free_run_in_step(features, settings, ptp_now_ns)
-    if settings.sync == "line":
+        _free_run_in_step(features, settings, ptp_now_ns)
+    elif settings.sync == "line":
         _trigger_by(features, settings, settings.trigger_line)
         features.set("TriggerActivation", settings.trigger_activation, "aravis.trigger_activation")
     elif settings.sync == "action":
@@ -61,33 +64,29 @@ def synchronise(features: Features, settings: AravisSettings, ptp_now_ns: Callab
     elif settings.sync == "software":
         features.require("TriggerSoftware", "aravis.sync")
         _trigger_by(features, settings, "Software")
-    return ""
 
 
-def require_rate(settings: AravisSettings, where: str) -> None:
-    """Raises InputError when no frame rate is given."""
-    if settings.frame_rate <= 0:
-        raise InputError(
-            f"sync {settings.sync} needs a frame rate",
-            where=where,
-            remedy="Set aravis.frame_rate, to the same for all cameras.",
-        )
-
-
-def enable_ptp(
+def await_ptp(
     features: Features,
-    wait_s: float,
+    settings: AravisSettings,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-) -> str | None:
-    """Switch PTP on and wait until the camera is in step; returns its status, None for a camera without PTP."""
+) -> None:
+    """Switch PTP on and wait until the camera is in step. SourceUnavailable when it is not, InputError without PTP."""
+    needed_by = f"sync {settings.sync}" if settings.sync in ("ptp", "action") else "stamp_source ptp"
     if features.find("PtpEnable") is None:
-        return None
+        remedy = "Choose another aravis.sync or stamp_source."
+        raise InputError(f"has no PTP, which {needed_by} needs", where=features.where, remedy=remedy)
     features.switch("PtpEnable", True, "aravis.sync and aravis.stamp_source")
-    deadline_s = clock() + wait_s
-    while (status := ptp_status(features)) not in PTP_IN_STEP and clock() < deadline_s:
+    deadline_s = clock() + settings.ptp_wait_s
+    while (status := ptp_status(features)) not in PTP_IN_STEP:
+        if clock() >= deadline_s:
+            raise SourceUnavailable(
+                f"is not in step by PTP after {settings.ptp_wait_s:g} s (status {status}), which {needed_by} needs",
+                where=features.where,
+                remedy="Is a PTP grandmaster on the network?",
+            )
         sleep(POLL_S)
-    return status
 
 
 def ptp_status(features: Features) -> str | None:
@@ -121,39 +120,32 @@ def _listen_to_actions(features: Features, settings: AravisSettings) -> None:
         lowest = features.access.limits(selector)
         features.set(selector, int(lowest[0]) if lowest else 1, "aravis.sync")
     features.require("ActionDeviceKey", "aravis.sync")
-    for name, value, key in (
-        ("ActionDeviceKey", settings.action_device_key, "aravis.action_device_key"),
-        ("ActionGroupKey", ACTION_GROUP, "aravis.sync"),
-        ("ActionGroupMask", ACTION_GROUP, "aravis.sync"),
-    ):
-        features.set(name, value, key)
+    features.set("ActionDeviceKey", settings.action_device_key, "aravis.action_device_key")
+    for name in ("ActionGroupKey", "ActionGroupMask"):
+        features.set(name, ACTION_GROUP, "aravis.sync")
 
 
-def _free_run_in_step(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> str:
+def _free_run_in_step(features: Features, settings: AravisSettings, ptp_now_ns: Callable[[], int]) -> None:
     """Exposures at whole multiples of the period of the PTP clock, whenever the cameras are armed."""
+    rate_hz = settings.frame_rate
     if features.find("SyncFreeRunTimerEnable") is not None:
-        _arm_timer(features, settings.frame_rate, ptp_now_ns())
-        return ""
-    if features.find("BslPeriodicSignalPeriod") is not None:  # counts from the epoch of PTP by itself
-        features.set("BslPeriodicSignalPeriod", 1e6 / settings.frame_rate, "aravis.frame_rate")
+        schedule = TriggerSchedule(rate_hz)
+        start_ns = schedule.instant_ns(schedule.first_after(ptp_now_ns() + TIMER_LEAD_NS))
+        features.set("SyncFreeRunTimerTriggerRateAbs", rate_hz, "aravis.frame_rate")
+        features.set("SyncFreeRunTimerStartTimeLow", start_ns & 0xFFFF_FFFF, "aravis.sync")
+        features.set("SyncFreeRunTimerStartTimeHigh", start_ns >> 32, "aravis.sync")
+        features.run("SyncFreeRunTimerUpdate", "aravis.sync")
+        features.switch("SyncFreeRunTimerEnable", True, "aravis.sync")
+    elif features.find("BslPeriodicSignalPeriod") is not None:  # counts from the epoch of PTP by itself
+        features.set("BslPeriodicSignalPeriod", 1e6 / rate_hz, "aravis.frame_rate")
         if features.find("BslPeriodicSignalDelay") is not None:
             features.set("BslPeriodicSignalDelay", 0.0, "aravis.sync")
         _trigger_by(features, settings, PERIODIC_SIGNAL)
-        return ""
-    return (
-        "the camera can be in step by PTP, but not begin at a given time: cameras run at one rate, each in a phase of "
-        "its own; aravis.sync action or line would bring them together"
-    )
-
-
-def _arm_timer(features: Features, rate_hz: float, ptp_now_ns: int) -> None:
-    schedule = TriggerSchedule(rate_hz)
-    start_ns = schedule.instant_ns(schedule.first_after(ptp_now_ns + TIMER_LEAD_NS))
-    features.set("SyncFreeRunTimerTriggerRateAbs", rate_hz, "aravis.frame_rate")
-    features.set("SyncFreeRunTimerStartTimeLow", start_ns & 0xFFFF_FFFF, "aravis.sync")
-    features.set("SyncFreeRunTimerStartTimeHigh", start_ns >> 32, "aravis.sync")
-    features.run("SyncFreeRunTimerUpdate", "aravis.sync")
-    features.switch("SyncFreeRunTimerEnable", True, "aravis.sync")
+    else:
+        features.warn(
+            "the camera can be in step by PTP, but not begin at a given time: cameras run at one rate, each in a phase "
+            "of its own; aravis.sync action or line would bring them together"
+        )
 
 
 # --- when to trigger: at whole multiples of the period of a common clock, so that camera PCs need no coordinator
@@ -185,33 +177,33 @@ class TriggerSchedule:
 
     def due(self, now_ns: int) -> list[int]:
         """Instants (ns) to act on now, each given once; the first call begins with the first one still ahead."""
-        if self._next is None:
-            self._next = self.first_after(now_ns + self._lead_ns)
-        self._skip_past(now_ns)
-        instants = []
-        while self.instant_ns(self._next) - self._lead_ns <= now_ns:
-            instants.append(self.instant_ns(self._next))
-            self._next += 1
+        index, instants = self._next_index(now_ns), []
+        while self.instant_ns(index) - self._lead_ns <= now_ns:
+            instants.append(self.instant_ns(index))
+            index += 1
+        self._next = index
         return instants
 
     def wait_ns(self, now_ns: int) -> int:
         """Time until the next instant is due."""
-        index = self.first_after(now_ns + self._lead_ns) if self._next is None else self._next
-        return max(self.instant_ns(index) - self._lead_ns - now_ns, 0)
+        return max(self.instant_ns(self._next_index(now_ns)) - self._lead_ns - now_ns, 0)
 
-    def _skip_past(self, now_ns: int) -> None:
-        assert self._next is not None
-        half_ns = self.instant_ns(1) // 2
-        if self.instant_ns(self._next) + half_ns < now_ns:
-            ahead = self.first_after(now_ns)
-            self.missed += ahead - self._next
-            self._next = ahead
-        elif self.instant_ns(self._next) - self._lead_ns - now_ns > SECOND:  # the clock was set back
+    def _next_index(self, now_ns: int) -> int:
+        """Return the number of the next instant; those that passed are skipped, once."""
+        if self._next is not None:
+            left_ns = self.instant_ns(self._next) - now_ns
+            if left_ns < -self.instant_ns(1) // 2:
+                passed, self._next = self._next, self.first_after(now_ns)
+                self.missed += self._next - passed
+            elif left_ns - self._lead_ns > SECOND:  # the clock was set back
+                self._next = None
+        if self._next is None:
             self._next = self.first_after(now_ns + self._lead_ns)
+        return self._next
 
 
 class TriggerThread:
-    """Calls ``fire(instant_ns)`` for every instant of a schedule when it is due, on a thread of its own.
+    """Calls ``fire(instant_ns)`` for every instant of a schedule when it is due, on a thread of its own, until stop().
 
     clock : ns, of the clock that the schedule counts on.
     """
@@ -220,8 +212,6 @@ class TriggerThread:
         self._schedule, self._clock, self._fire = schedule, clock, fire
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="trigger", daemon=True)
-
-    def start(self) -> None:
         self._thread.start()
 
     def stop(self) -> None:
@@ -237,6 +227,7 @@ class TriggerThread:
 
 # --- scheduled action commands to one camera: "expose at this time of your clock"; unicast, nothing is broadcast
 
+ACTION_COUNTERS = ("actions", "actions_late", "actions_refused", "actions_unanswered")
 MOST_PENDING = 64
 LAST_REQUEST_ID = 0xFFFF
 
@@ -244,12 +235,12 @@ LAST_REQUEST_ID = 0xFFFF
 class ActionSender:
     """Sends actions to the camera at ``address`` from ``host`` and takes in its acknowledges, without ever waiting.
 
-    ``counts``: actions (acknowledged), actions_late (came after their time), actions_refused (anything else, such as no
-    room for another one or no PTP time), actions_unanswered.
+    It adds to ``counts``: actions (acknowledged), actions_late (came after their time), actions_refused (anything else,
+    such as no room for another one or no PTP time), actions_unanswered (:data:`ACTION_COUNTERS`).
     """
 
-    def __init__(self, address: str, host: str, device_key: int) -> None:
-        self._keys = (device_key, ACTION_GROUP, ACTION_GROUP)
+    def __init__(self, address: str, host: str, device_key: int, counts: dict[str, int]) -> None:
+        self._keys, self._counts = (device_key, ACTION_GROUP, ACTION_GROUP), counts
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((host, 0))
@@ -260,7 +251,6 @@ class ActionSender:
         self._socket.setblocking(False)
         self._request_id = 0
         self._pending: dict[int, None] = {}  # request ids, in the order they were sent
-        self.counts = {"actions": 0, "actions_late": 0, "actions_refused": 0, "actions_unanswered": 0}
 
     def send(self, time_ns: int) -> None:
         """Ask for one action at ``time_ns`` of the camera's clock."""
@@ -269,12 +259,12 @@ class ActionSender:
         try:
             self._socket.send(Action(*self._keys, time_ns).command(self._request_id).encode())
         except OSError:  # the port is closed on the camera's side, or the network is down
-            self.counts["actions_unanswered"] += 1
+            self._counts["actions_unanswered"] += 1
             return
         self._pending[self._request_id] = None
         if len(self._pending) > MOST_PENDING:
             del self._pending[next(iter(self._pending))]
-            self.counts["actions_unanswered"] += 1
+            self._counts["actions_unanswered"] += 1
 
     def collect(self) -> None:
         """Take in the acknowledges that have come."""
@@ -287,7 +277,7 @@ class ActionSender:
                 continue
             if answer.acknowledge == Command.ACTION.acknowledge and answer.request_id in self._pending:
                 del self._pending[answer.request_id]
-                self.counts[_RESULTS.get(answer.status, "actions_refused")] += 1
+                self._counts[_RESULTS.get(answer.status, "actions_refused")] += 1
 
     def close(self) -> None:
         self._socket.close()

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 from capture_rig.errors import InputError
@@ -18,20 +17,24 @@ from capture_rig.stamps import CaptureClock
 from gige_vision import bootstrap
 
 from ..frame_source import Frame, FrameSource, SourceUnavailable
-from ..gige.camera_clock import ClockReading, read_clock
 from ..gige.camera_setup import CameraSetup, set_up_camera
-from ..gige.capture_time import PTP_IN_STEP, FrameTimes, TimeSource, after_last, choose_time_source
+from ..gige.capture_time import ClockReading, TimeSource, after_last, choose_time_source, read_clock
 from ..gige.discovery import FoundCamera, described, find_camera
-from ..gige.features import DeviceRefusal, DeviceSilence, Features
-from ..gige.pixel_formats import can_be_halved, image_shape
-from ..gige.triggers import ActionSender, TriggerSchedule, TriggerThread, enable_ptp, ptp_status, synchronise
+from ..gige.features import AravisFeatures, DeviceRefusal, DeviceSilence, Features, device_errors
+from ..gige.triggers import (
+    ACTION_COUNTERS,
+    ActionSender,
+    TriggerSchedule,
+    TriggerThread,
+    await_ptp,
+    ptp_status,
+    synchronise,
+)
 from ..settings import AravisSettings
-from .aravis_features import AravisFeatures, is_silence
 from .aravis_stream import AravisStream
 
 INSTALL = "Install it: sudo apt install python3-gi gir1.2-aravis-0.8 (in a venv made with --system-site-packages)."
 TRIGGER_COUNTERS = ("triggers", "triggers_missed", "triggers_refused")
-ACTION_COUNTERS = ("actions", "actions_late", "actions_refused", "actions_unanswered")
 
 
 def import_aravis() -> tuple[Any, Any, Any]:
@@ -60,18 +63,15 @@ class AravisSource(FrameSource):
         """``halve_mosaics``: of Bayer cameras, images are made at half of the size."""
         super().__init__()
         self._settings, self._channels, self._halve_mosaics = settings, channels, halve_mosaics
+        self.description = described(settings)
         self._clock = CaptureClock(settings.clock_speed)
-        self._found: FoundCamera | None = None
         self._camera: Any = None
         self._device: Any = None
         self._features: Features | None = None
-        self._registers: Any = None
-        self._warnings: list[str] = []
         self._stream: AravisStream | None = None
         self._trigger: TriggerThread | None = None
         self._actions: ActionSender | None = None
         self._schedule: TriggerSchedule | None = None
-        self._setup: CameraSetup | None = None
         self._time: TimeSource | None = None
         self._streaming = False
         self._lost = False
@@ -86,20 +86,18 @@ class AravisSource(FrameSource):
     def connect(self) -> None:
         self._Aravis, self._Gio, self._GLib = import_aravis()
         try:
-            self._found = find_camera(self._settings)
+            found = find_camera(self._settings)
             with self._device_errors("while it was set up"):
-                self._open(self._found)
-                assert self._features is not None
-                setup = set_up_camera(self._features, self._settings, self._channels)
-                halved = self._halve_mosaics and can_be_halved(setup.pixel_format, setup.width, setup.height)
-                self._setup = replace(setup, halved=halved)
-                self._prepare_time_and_triggers(self._features)
-                self._stream = AravisStream(self._Aravis, self._camera, self._settings, self._setup, self.statistics)
-                self._details = self._read_details(self._features)
+                features = self._features = self._open(found)
+                setup = set_up_camera(features, self._settings, self._channels, self._halve_mosaics)
+                self.shape, self.halved = setup.shape, setup.halved
+                self._time = self._prepare_time_and_triggers(features, found)
+                self._stream = AravisStream(self._Aravis, self._camera, self._settings, setup, self.statistics)
+                self._details = self._read_details(features, found, setup, self._time)
         except BaseException:
             self.close()
             raise
-        self.warnings = (*self._setup.warnings, *self._warnings, *self._stream.warnings)
+        self.warnings = (*features.warnings, *self._stream.warnings)
 
     def start(self) -> None:
         if self._stream is None or self._features is None:
@@ -107,7 +105,7 @@ class AravisSource(FrameSource):
         if self._streaming:
             return
         with self._device_errors("when it was started"):
-            reading = read_clock(self._registers, self._clock.now_ns)
+            reading = read_clock(self._features.access, self._clock.now_ns)
             self._time, self._last_stamp_ns = self._time_source(self._features, reading), 0
             self._stream.restart()
             self._camera.start_acquisition()
@@ -122,8 +120,8 @@ class AravisSource(FrameSource):
         self._update_counters(stream)
         if grabbed is None:
             return None
-        arrival_ns = self._clock.at_utc(grabbed.arrival_ns)
-        stamp = time_source.stamp(FrameTimes(grabbed.camera_ns, arrival_ns, grabbed.exposure_ns))
+        times = grabbed.times._replace(arrival_ns=self._clock.at_utc(grabbed.times.arrival_ns))
+        stamp = time_source.stamp(times)
         self.counters["stamp_jumps"] = time_source.jumps
         self._last_stamp_ns = after_last(stamp.ns, self._last_stamp_ns)
         return Frame(grabbed.image, self._last_stamp_ns, grabbed.frame_id, stamp.clock, stamp.uncertainty_ns)
@@ -132,12 +130,15 @@ class AravisSource(FrameSource):
         if not self._streaming:
             return
         self._streaming = False
-        self._stop_triggers()
+        trigger, self._trigger = self._trigger, None
+        if trigger is not None:
+            trigger.stop()
         if not self.lost:
             try:
-                self._camera.stop_acquisition()
-            except self._GLib.Error as error:  # the camera is dead; nothing else is sent to it then
-                self._lost |= is_silence(error, self._Aravis)
+                with contextlib.suppress(DeviceRefusal), device_errors(self._Aravis, self._GLib):
+                    self._camera.stop_acquisition()
+            except DeviceSilence:  # the camera is dead; nothing else is sent to it then
+                self._lost = True
         if self._stream is not None:
             self._update_counters(self._stream, now=True)
 
@@ -146,24 +147,10 @@ class AravisSource(FrameSource):
         if self._actions is not None:
             self._actions.close()
         gone, device, self._device = self.lost, self._device, None
-        self._actions = self._stream = self._camera = self._features = self._registers = None
+        self._actions = self._stream = self._camera = self._features = None
         if device is not None and not gone and device.is_controller():
             with contextlib.suppress(self._GLib.Error):
                 device.leave_control()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        if self._setup is None:
-            raise self._error("is not connected", "Call connect() first.")
-        return image_shape(self._setup.pixel_format, self._setup.width, self._setup.height, self._setup.halved)
-
-    @property
-    def halved(self) -> bool:
-        return self._setup is not None and self._setup.halved
-
-    @property
-    def description(self) -> str:
-        return described(self._settings)
 
     @property
     def details(self) -> dict[str, str]:
@@ -180,10 +167,10 @@ class AravisSource(FrameSource):
 
     # --- connecting ----------------------------------------------------------------------------------------------
 
-    def _open(self, found: FoundCamera) -> None:
+    def _open(self, found: FoundCamera) -> Features:
         address = self._Gio.InetAddress.new_from_string
         self._device = self._Aravis.GvDevice.new(address(found.host), address(found.device.address))
-        access = self._registers = AravisFeatures(self._device, self._Aravis, self._GLib)
+        access = AravisFeatures(self._device, self._Aravis, self._GLib)
         if not self._device.is_controller():
             raise SourceUnavailable(
                 f"is controlled by another program{_controller(access)}",
@@ -192,61 +179,38 @@ class AravisSource(FrameSource):
             )
         self._lost = False
         self._camera = self._Aravis.Camera.new_with_device(self._device)
-        self._features = Features(access, self.description)
+        return Features(access, self.description)
 
-    def _prepare_time_and_triggers(self, features: Features) -> None:
+    def _prepare_time_and_triggers(self, features: Features, found: FoundCamera) -> TimeSource:
         """PTP first, for everything else counts on the clock; then the triggers; then whose time stamps frames."""
         s = self._settings
         if s.sync in ("ptp", "action") or s.stamp_source == "ptp":
-            self._await_ptp(features)
-        reading = read_clock(self._registers, self._clock.now_ns)
+            await_ptp(features, s)
+        reading = read_clock(features.access, self._clock.now_ns)
         if s.sync in ("ptp", "action") and reading is None:
             raise self._error(f"has no clock that can be read; sync {s.sync} needs one", "Choose another aravis.sync.")
-        self._warnings = [
-            synchronise(features, s, lambda: self._clock.now_ns() - (reading.offset_ns if reading is not None else 0))
-        ]
+        offset_ns = 0 if reading is None else reading.offset_ns
+        synchronise(features, s, lambda: self._clock.now_ns() - offset_ns)
         if s.sync == "action":
-            found = self._found
-            assert found is not None
-            self._check_scheduled_actions()
-            self._actions = ActionSender(found.device.address, found.host, s.action_device_key)
-        self._time = self._time_source(features, reading)
-        self._warnings = [warning for warning in self._warnings if warning]
-
-    def _await_ptp(self, features: Features) -> None:
-        s = self._settings
-        status = enable_ptp(features, s.ptp_wait_s)
-        needed_by = f"sync {s.sync}" if s.sync in ("ptp", "action") else "stamp_source ptp"
-        if status is None:
-            raise self._error(f"has no PTP, which {needed_by} needs", "Choose another aravis.sync or stamp_source.")
-        if status not in PTP_IN_STEP:
-            raise SourceUnavailable(
-                f"is not in step by PTP after {s.ptp_wait_s:g} s (status {status}), which {needed_by} needs",
-                where=self.description,
-                remedy="Is a PTP grandmaster on the network?",
-            )
-
-    def _check_scheduled_actions(self) -> None:
-        able = self._registers.read_register(bootstrap.GVCP_CAPABILITY)
-        if not able & bootstrap.Capability.SCHEDULED_ACTION:
-            raise self._error(
-                "takes no scheduled action commands, which sync action needs",
-                "Set aravis.sync to ptp, line or software.",
-            )
+            if not features.access.read_register(bootstrap.GVCP_CAPABILITY) & bootstrap.Capability.SCHEDULED_ACTION:
+                raise self._error(
+                    "takes no scheduled action commands, which sync action needs",
+                    "Set aravis.sync to ptp, line or software.",
+                )
+            self._actions = ActionSender(found.device.address, found.host, s.action_device_key, self.counters)
+        return self._time_source(features, reading)
 
     def _time_source(self, features: Features, reading: ClockReading | None) -> TimeSource:
         s = self._settings
         status = ptp_status(features) if s.stamp_source in ("auto", "ptp") else None
-        source, warning = choose_time_source(
-            s.stamp_source, reading, status, s.tai_utc_offset_s, s.camera_stamps, self.description
-        )
-        if warning and warning not in self._warnings:
-            self._warnings.append(warning)
+        source, warning = choose_time_source(s, reading, status, self.description)
+        features.warn(warning)
         return source
 
-    def _read_details(self, features: Features) -> dict[str, str]:
-        assert self._found is not None and self._setup is not None and self._time is not None
-        device, setup = self._found.device, self._setup
+    def _read_details(
+        self, features: Features, found: FoundCamera, setup: CameraSetup, time_source: TimeSource
+    ) -> dict[str, str]:
+        device = found.device
         details = {
             "camera_serial": device.serial,
             "camera_user_id": device.user_id,
@@ -258,7 +222,7 @@ class AravisSource(FrameSource):
             "gain": _number_text(features.number("Gain")),
             "temperature_c": _number_text(features.number("DeviceTemperature")),
             "sync": self._settings.sync,
-            "stamps": self._time.name,
+            "stamps": time_source.name,
             "packet_size": str(self._device.get_packet_size()),
         }
         return {name: text for name, text in details.items() if text}
@@ -275,13 +239,6 @@ class AravisSource(FrameSource):
             self._schedule = TriggerSchedule(s.frame_rate, lead_ns=round(s.action_lead_ms * 1e6))
             ahead_ns = -reading.offset_ns
             self._trigger = TriggerThread(self._schedule, lambda: self._clock.now_ns() + ahead_ns, self._actions.send)
-        if self._trigger is not None:
-            self._trigger.start()
-
-    def _stop_triggers(self) -> None:
-        trigger, self._trigger = self._trigger, None
-        if trigger is not None:
-            trigger.stop()
 
     def _software_trigger(self, instant_ns: int) -> None:
         camera = self._camera
@@ -298,7 +255,7 @@ class AravisSource(FrameSource):
         if self._schedule is not None:
             self.counters["triggers_missed"] = self._schedule.missed
         if self._actions is not None:
-            self.counters.update(self._actions.counts)
+            self._actions.collect()
 
     def _error(self, what: str, remedy: str) -> InputError:
         return InputError(what, where=self.description, remedy=remedy)
@@ -308,21 +265,14 @@ class AravisSource(FrameSource):
         """What the device or Aravis answers as an error that names the camera."""
         remedy = "Power-cycle the camera if this stays."
         try:
-            yield
+            with device_errors(self._Aravis, self._GLib):
+                yield
         except DeviceSilence as silence:
             self._lost = True  # so that close() does not wait for it either
             raise SourceUnavailable(f"went silent {when} ({silence})", where=self.description, remedy=remedy) from None
         except DeviceRefusal as refusal:
-            raise self._error(f"refuses {when} ({refusal})", remedy) from None
-        except self._GLib.Error as error:
-            silent = is_silence(error, self._Aravis)
-            self._lost |= silent
-            kind = SourceUnavailable if silent or self._features is None else InputError
-            raise kind(
-                f"{'went silent' if silent else 'refuses'} {when} ({error.message})",
-                where=self.description,
-                remedy=remedy,
-            ) from None
+            kind = SourceUnavailable if self._features is None else InputError
+            raise kind(f"refuses {when} ({refusal})", where=self.description, remedy=remedy) from None
 
 
 def _number_text(number: float | None) -> str:

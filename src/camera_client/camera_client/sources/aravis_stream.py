@@ -13,8 +13,8 @@ from gige_vision import bootstrap
 from gige_vision.gvsp import PixelFormat
 
 from ..frame_source import REPORT_PERIOD_S, FrameStatistics, Image
-from ..gige.camera_clock import SECOND
 from ..gige.camera_setup import CameraSetup
+from ..gige.capture_time import SECOND, FrameTimes
 from ..gige.discovery import enlarge_receive_buffer
 from ..gige.features import spellings
 from ..gige.pixel_formats import to_image
@@ -29,13 +29,11 @@ PACKET_TIMEOUT_US = 5000  # ... and again after this
 
 @dataclass(frozen=True, eq=False)
 class GrabbedFrame:
-    """A whole frame: image, id, the camera's stamp on its own clock, arrival of the first packet (UTC), exposure."""
+    """A whole frame: image, id, and its times, of which the arrival of the first packet is in UTC."""
 
     image: Image
     frame_id: int
-    camera_ns: int
-    arrival_ns: int
-    exposure_ns: int
+    times: FrameTimes
 
 
 class AravisStream:
@@ -75,7 +73,9 @@ class AravisStream:
         self._ticks_per_second = self._device.get_timestamp_tick_frequency() or SECOND
         self._exposure_chunk = self._chunk_name("ExposureTime")
         self._set_packets()
-        self._stream = self._open()
+        # packet sockets deliver in blocks of 5 ms and need CAP_NET_RAW
+        camera.gv_set_stream_options(Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
+        self._stream = camera.create_stream(None, None)
         self.warnings = self._set_up()
         self._counts = dict.fromkeys(self.COUNTERS, 0)
         known = {self._stream.get_info_name(i) for i in range(self._stream.get_n_infos())}  # depends on the version
@@ -120,7 +120,8 @@ class AravisStream:
         status = buffer.get_status()
         image = None
         if status != self._Aravis.BufferStatus.SUCCESS:
-            self._count_failure(status)
+            key = f"incomplete_{status.value_nick}".replace("-", "_")
+            self._counts[key if key in self._counts else "incomplete_other"] += 1
         elif not self._is_as_agreed(buffer):
             self._counts["wrong_format"] += 1
         else:
@@ -130,9 +131,7 @@ class AravisStream:
         self._statistics.add(frame_id, complete=image is not None)
         if image is None:
             return None
-        camera_ns, exposure_ns = self._times(buffer)
-        arrival_ns = buffer.get_system_timestamp() or time.time_ns()
-        return GrabbedFrame(image, frame_id, camera_ns, arrival_ns, exposure_ns)
+        return GrabbedFrame(image, frame_id, self._times(buffer))
 
     def _id_of(self, buffer: Any) -> int:
         """Return the frame's id; without its leader packet it has none, and then it is the one after the last."""
@@ -148,17 +147,15 @@ class AravisStream:
         if buffer.get_payload_type() not in (kinds.IMAGE, kinds.EXTENDED_CHUNK_DATA):
             return False
         padding = buffer.get_image_padding()
-        return (
-            buffer.get_image_pixel_format() == self._format_code
-            and (buffer.get_image_width(), buffer.get_image_height()) == (self._setup.width, self._setup.height)
-            and padding[0] == 0
-        )
+        came = buffer.get_image_pixel_format(), buffer.get_image_width(), buffer.get_image_height(), padding[0]
+        return came == (self._format_code, self._setup.width, self._setup.height, 0)
 
-    def _times(self, buffer: Any) -> tuple[int, int]:
-        """Return the camera's stamp and the exposure, ns: of the frame itself where it carries them."""
+    def _times(self, buffer: Any) -> FrameTimes:
+        """Return the frame's times; stamp and exposure of the frame's own chunks where it carries them."""
         camera_ns, exposure_ns = buffer.get_timestamp(), self._exposure_ns
+        arrival_ns = buffer.get_system_timestamp() or time.time_ns()
         if self._chunks is None:
-            return camera_ns, exposure_ns
+            return FrameTimes(camera_ns, arrival_ns, exposure_ns)
         try:
             if "Timestamp" in self._setup.chunks:
                 ticks = self._chunks.get_integer_value(buffer, "ChunkTimestamp")
@@ -167,12 +164,7 @@ class AravisStream:
                 exposure_ns = round(self._chunks.get_float_value(buffer, self._exposure_chunk) * US_TO_NS)
         except Exception:  # GLib.Error, whatever the parser met
             self._counts["chunk_errors"] += 1
-        return camera_ns, exposure_ns
-
-    def _count_failure(self, status: Any) -> None:
-        name = str(status.value_nick).replace("-", "_")
-        key = f"incomplete_{name}"
-        self._counts[key if key in self._counts else "incomplete_other"] += 1
+        return FrameTimes(camera_ns, arrival_ns, exposure_ns)
 
     def _give_back(self, buffer: Any) -> None:
         buffer.set_frame_id(0)  # or a frame without leader would keep the id of the last one in this buffer
@@ -191,11 +183,6 @@ class AravisStream:
             camera.gv_set_packet_delay(s.packet_delay_ns)
             tick_ns = SECOND // self._ticks_per_second
             self._compare("packet_delay_ns", s.packet_delay_ns, camera.gv_get_packet_delay(), tick_ns)
-
-    def _open(self) -> Any:
-        # packet sockets deliver in blocks of 5 ms and need CAP_NET_RAW
-        self._camera.gv_set_stream_options(self._Aravis.GvStreamOption.PACKET_SOCKET_DISABLED)
-        return self._camera.create_stream(None, None)
 
     def _set_up(self) -> tuple[str, ...]:
         Aravis, s, stream = self._Aravis, self._settings, self._stream

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -52,28 +51,24 @@ class SharedClock:
             self._agreed = None
 
 
-class Pace(ABC):
-    """Decides when frame k may leave. ``begin`` is called at every start or resumption, and for another clock."""
+class Pace:
+    """Decides when frame k may leave: here at once. ``timeouts``: frames that left although nobody acknowledged."""
 
-    @abstractmethod
+    timeouts = 0
+
     def begin(self, clock: FootageClock, frame: int) -> None:
-        """Begin, or go on, with this frame by this clock."""
+        """Begin, or go on, with this frame by this clock: at every start or resumption, and for another clock."""
 
-    @abstractmethod
     def wait(self, frame: int, timeout_s: float) -> bool:
         """Wait until frame k is due; False when that did not happen within ``timeout_s``."""
+        return True
 
     def has_missed(self, frame: int) -> bool:
         """Whether frame k is too late to be of use, and is to be left out."""
         return False
 
-    def acknowledge(self, stamp_ns: int) -> None:  # noqa: B027
+    def acknowledge(self, stamp_ns: int) -> None:
         """Take note that every frame up to ``stamp_ns`` is processed."""
-
-    @property
-    def timeouts(self) -> int:
-        """How often a frame left although no acknowledgement came."""
-        return 0
 
 
 class WallClockPace(Pace):
@@ -114,24 +109,19 @@ class AcknowledgedPace(Pace):
     def __init__(self, fps: float, window: int, patience_s: float, now_s: Callable[[], float] = time.monotonic) -> None:
         self._fps, self._window, self._patience_s, self._now_s = fps, window, patience_s, now_s
         self._changed = threading.Condition()
-        self._acknowledged_ns: int | None = None
-        self._epoch_ns, self._last_progress_s, self._timeouts = 0, now_s(), 0
-        self._first_frame = 0
+        self._acknowledged_ns = self._epoch_ns = self._first_frame = 0
+        self._last_progress_s = now_s()
 
     def begin(self, clock: FootageClock, frame: int) -> None:
         with self._changed:
             self._epoch_ns, self._first_frame, self._last_progress_s = clock.epoch_ns, frame, self._now_s()
-            self._acknowledged_ns = None  # of an earlier playing, perhaps with another epoch
+            self._acknowledged_ns = 0  # forget those of an earlier playing, perhaps with another epoch
 
     def acknowledge(self, stamp_ns: int) -> None:
         with self._changed:
-            if self._acknowledged_ns is None or stamp_ns > self._acknowledged_ns:
+            if stamp_ns > self._acknowledged_ns:
                 self._acknowledged_ns, self._last_progress_s = stamp_ns, self._now_s()
                 self._changed.notify_all()
-
-    @property
-    def timeouts(self) -> int:
-        return self._timeouts
 
     def wait(self, frame: int, timeout_s: float) -> bool:
         deadline_s = self._now_s() + timeout_s
@@ -140,7 +130,7 @@ class AcknowledgedPace(Pace):
                 now_s = self._now_s()
                 impatient_s = self._last_progress_s + self._patience_s
                 if now_s >= impatient_s:
-                    self._timeouts += 1
+                    self.timeouts += 1
                     break
                 if now_s >= deadline_s:
                     return False
@@ -150,11 +140,9 @@ class AcknowledgedPace(Pace):
 
     def _may_leave(self, frame: int) -> bool:
         awaited = frame - self._window
-        if awaited < self._first_frame:
-            return True
-        if self._acknowledged_ns is None:
-            return False
-        return self._acknowledged_ns >= footage_stamp_ns(self._epoch_ns, awaited, self._fps)
+        return awaited < self._first_frame or self._acknowledged_ns >= footage_stamp_ns(
+            self._epoch_ns, awaited, self._fps
+        )
 
 
 def playing_ns(frame: int, fps: float, rate: float) -> int:

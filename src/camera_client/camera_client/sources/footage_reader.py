@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from pathlib import Path
 
 import cv2
@@ -11,36 +10,56 @@ import numpy as np
 from capture_rig.errors import InputError
 from capture_rig.session import STILL_SUFFIXES
 from capture_rig.video import MONO_TOLERANCE as MONO_TOLERANCE
-from capture_rig.video import Video, VideoFacts, is_grey
+from capture_rig.video import Video, is_grey
 
 from ..frame_source import Image, UndecodableFrame
 
 PROBED = 3  # first images that tell whether footage has colour: the very first may be black
 
 
-class FootageReader(ABC):
-    """Images of one piece of footage in order. ``fps`` is the footage's own rate, 0 when it has none."""
+class Stills:
+    """Stills in the order given, with the methods of a Video."""
 
-    def __init__(self, path: str | Path, channels: str) -> None:
-        self.path = Path(path)
-        self._channels = channels
-        self.fps = 0.0
-        self.frame_count = 0
+    fps = 0.0
 
-    @abstractmethod
-    def rewind(self) -> None:
-        """Start again before the first image."""
-
-    @abstractmethod
-    def _next(self) -> Image | None:
-        """Return the next raw image, None after the last. Raises UndecodableFrame."""
-
-    def close(self) -> None:  # noqa: B027 (stills are closed already)
-        """Release the file."""
+    def __init__(self, path: str | Path, files: list[Path]) -> None:
+        self.path, self._files, self.frame_count, self._index = Path(path), files, len(files), 0
 
     def read(self) -> Image | None:
-        """The next image, (H, W) or (H, W, 3) as :meth:`probe` found; None after the last. Raises UndecodableFrame."""
-        image = self._next()
+        """Return the next image, None after the last. Raises UndecodableFrame."""
+        if self._index >= len(self._files):
+            return None
+        file = self._files[self._index]
+        self._index += 1
+        image = cv2.imread(str(file), cv2.IMREAD_ANYCOLOR)
+        if image is None:
+            raise UndecodableFrame(f"{file} cannot be decoded as an image")
+        return image
+
+    def rewind(self) -> None:
+        self._index = 0
+
+    def close(self) -> None:
+        """Do nothing: stills are closed already."""
+
+
+class FootageReader:
+    """Images of one piece of footage in order. ``fps`` is the footage's own rate, 0 when it has none."""
+
+    def __init__(self, images: Video | Stills, channels: str) -> None:
+        self._images, self._channels = images, channels
+        self.path, self.fps, self.frame_count = images.path, images.fps, images.frame_count
+        self.rewind, self.close = images.rewind, images.close
+
+    def read(self, loop: bool = False) -> Image | None:
+        """The next image, (H, W) or (H, W, 3) as :meth:`probe` found; None after the last, or with ``loop`` the first.
+
+        Raises UndecodableFrame, and in a loop InputError where the file went away.
+        """
+        image = self._images.read()
+        if image is None and loop:
+            self.rewind()
+            image = self._images.read()
         return None if image is None else convert_channels(image, self._channels)
 
     def probe(self) -> tuple[int, ...]:
@@ -56,7 +75,7 @@ class FootageReader(ABC):
         found: list[Image] = []
         while len(found) < (PROBED if self._channels == "auto" else 1):
             try:
-                image = self._next()
+                image = self._images.read()
             except UndecodableFrame as error:
                 if found:
                     break
@@ -70,68 +89,27 @@ class FootageReader(ABC):
         return found
 
 
-class VideoReader(FootageReader):
-    """A video file, with one decoding thread (each further one holds several images), or OpenCV's own choice (0)."""
-
-    def __init__(self, path: str | Path, channels: str, *, threads: int = 1) -> None:
-        super().__init__(path, channels)
-        self._video = Video(path, threads=threads)
-        self.frame_count, self.fps = self._video.frame_count, self._video.fps
-
-    def facts(self) -> VideoFacts:
-        """Return what came of the video since its beginning."""
-        return VideoFacts.of(self._video)
-
-    def rewind(self) -> None:
-        self._video.rewind()
-
-    def close(self) -> None:
-        self._video.close()
-
-    def _next(self) -> Image | None:
-        return self._video.read()
-
-
-class StillsReader(FootageReader):
-    """Stills in the order of their names."""
-
-    def __init__(self, path: str | Path, files: list[Path], channels: str) -> None:
-        super().__init__(path, channels)
-        self._files, self.frame_count, self._index = files, len(files), 0
-
-    def rewind(self) -> None:
-        self._index = 0
-
-    def _next(self) -> Image | None:
-        if self._index >= len(self._files):
-            return None
-        file = self._files[self._index]
-        self._index += 1
-        image = cv2.imread(str(file), cv2.IMREAD_ANYCOLOR)
-        if image is None:
-            raise UndecodableFrame(f"{file} cannot be decoded as an image")
-        return image
-
-
 def open_footage(path: str | Path, channels: str = "auto") -> FootageReader:
     """The reader that fits ``path``: a video file, a still, a folder of stills, or a pattern such as ``f_*.png``.
 
-    ``channels``: "mono", "colour", or "auto" (mono when the first images have no colour). Raises InputError.
+    ``channels``: "mono", "colour", or "auto" (mono when the first images have no colour). A video is decoded by one
+    thread, for each further one holds several images. Raises InputError.
     """
     path = Path(path)
-    if any(mark in path.name for mark in "*?["):
-        return StillsReader(path, _stills(path, sorted(path.parent.glob(path.name))), channels)
-    if path.is_dir():
-        return StillsReader(path, _stills(path, sorted(path.iterdir())), channels)
+    is_pattern = any(mark in path.name for mark in "*?[")
+    if is_pattern or path.is_dir():
+        candidates = sorted(path.parent.glob(path.name) if is_pattern else path.iterdir())
+        files = [file for file in candidates if file.suffix.lower() in STILL_SUFFIXES]
+        if not files:
+            remedy = f"Put files with {', '.join(STILL_SUFFIXES)} there."
+            raise InputError("holds no still image", where=str(path), remedy=remedy)
+        return FootageReader(Stills(path, files), channels)
     if not path.is_file():
-        raise InputError(
-            "does not exist",
-            where=str(path),
-            remedy="Give a video, a folder of stills, or a pattern such as frames/*.png.",
-        )
+        remedy = "Give a video, a folder of stills, or a pattern such as frames/*.png."
+        raise InputError("does not exist", where=str(path), remedy=remedy)
     if path.suffix.lower() in STILL_SUFFIXES:
-        return StillsReader(path, [path], channels)
-    return VideoReader(path, channels)
+        return FootageReader(Stills(path, [path]), channels)
+    return FootageReader(Video(path, threads=1), channels)
 
 
 def convert_channels(image: Image, channels: str) -> Image:
@@ -141,12 +119,3 @@ def convert_channels(image: Image, channels: str) -> Image:
     if channels == "colour" and image.ndim == 2:
         return cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     return np.ascontiguousarray(image)
-
-
-def _stills(path: Path, candidates: list[Path]) -> list[Path]:
-    files = [file for file in candidates if file.suffix.lower() in STILL_SUFFIXES]
-    if not files:
-        raise InputError(
-            "holds no still image", where=str(path), remedy=f"Put files with {', '.join(STILL_SUFFIXES)} there."
-        )
-    return files

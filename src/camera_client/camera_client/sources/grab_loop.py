@@ -28,7 +28,7 @@ class GrabLoop:
     """Starts ``source`` once ``ready`` says so (or ``ready_timeout_s`` is over) and calls ``on_frame`` for each frame.
 
     ``on_frame`` runs on the loop's own thread; an exception in it goes to ``on_error`` and costs this frame only.
-    An error of the source ends the loop in state FAILED, with ``failure`` saying why; a live camera that goes is none,
+    An error of the source ends the loop in state FAILED, with ``reason`` saying why; a live camera that goes is none,
     for its source (:class:`~camera_client.sources.supervised_source.SupervisedSource`) waits for it.
     """
 
@@ -45,16 +45,8 @@ class GrabLoop:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="grab", daemon=True)
         self.state = GrabState.WAITING
-        self.failure: Exception | None = None
-        self.frames = 0
-
-    @property
-    def reason(self) -> str:
-        """Why it failed, in words; empty while it did not."""
-        return "" if self.failure is None else str(self.failure)
-
-    def start(self) -> None:
-        self._thread.start()
+        self.reason, self.frames = "", 0
+        self.start = self._thread.start
 
     def stop(self) -> None:
         """End the loop and stop the source."""
@@ -70,7 +62,9 @@ class GrabLoop:
 
     def _run(self) -> None:
         try:
-            self._wait_until_ready()
+            deadline_s = time.monotonic() + self._ready_timeout_s
+            while not self._ready() and time.monotonic() < deadline_s and not self._stopping.wait(POLL_S):
+                pass
             if not self._stopping.is_set():
                 self._source.start()
                 self.state = GrabState.RUNNING
@@ -80,15 +74,9 @@ class GrabLoop:
         except EndOfFootage:
             self.state = GrabState.ENDED
         except Exception as error:
-            self.failure, self.state = error, GrabState.FAILED
+            self.reason, self.state = str(error), GrabState.FAILED
             if not isinstance(error, InputError):
                 self._on_error(error)
-
-    def _wait_until_ready(self) -> None:
-        deadline_s = time.monotonic() + self._ready_timeout_s
-        while not self._ready() and time.monotonic() < deadline_s:
-            if self._stopping.wait(POLL_S):
-                return
 
     def _step(self) -> None:
         frame = self._source.read(POLL_S)

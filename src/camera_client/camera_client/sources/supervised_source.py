@@ -6,6 +6,7 @@ each such call runs on a thread of its own. read() and all others return within 
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import Counter
@@ -29,9 +30,8 @@ from ..settings import SupervisionSettings
 
 # Thresholds: judgement, no measurement.
 CONNECT_WAIT_S = 5.0  # at configure: a camera that is there is set up within this, unless it waits for PTP
-START_S = 2.0  # a living camera starts within this
+START_S = 2 * RELEASE_S  # a living camera starts within this: more is asked of it than when it stops
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.25, 2.0  # the pauses after attempts that fail double from one to the other
-ROUNDING_S = 1e-3
 
 T = TypeVar("T")
 
@@ -71,12 +71,10 @@ class SupervisedSource(FrameSource):
         self._closing: list[Future[None]] = []  # calls that close former connections
         self._running = False
         self._state, self._reason, self._refused = ConnectionState.CLOSED, "", False
-        self._next_try_s = self._heard_s = self._attempted_s = self._silent_s = self._limit_s = 0.0
+        self._next_try_s = self._heard_s = self._silent_s = self._limit_s = 0.0
         self._retry_pause_s, self._downtime = 0.0, Downtime()
         self._arrived, self._delivering = 0, False
         self._ever_connected = False
-        self._shape: tuple[int, ...] = ()
-        self._description = "camera"
         self._details: dict[str, str] = {}
 
     # --- the source's contract -----------------------------------------------------------------------------------
@@ -84,16 +82,11 @@ class SupervisedSource(FrameSource):
     def connect(self) -> None:
         """Try once. A camera that does not answer is tried again while the source runs; InputError is raised."""
         attempt = self._launch()
-        if not is_over(attempt, CONNECT_WAIT_S):
-            return
-        self._attempt = None
-        try:
-            self._use(attempt.result())
-        except SourceUnavailable as error:
-            self._back_off(str(error))
-        except Exception:
-            self.close()
-            raise
+        if is_over(attempt, CONNECT_WAIT_S):
+            error = self._conclude(attempt)
+            if error is not None and not isinstance(error, SourceUnavailable):
+                self.close()
+                raise error
 
     def start(self) -> None:
         if self._running:
@@ -124,7 +117,7 @@ class SupervisedSource(FrameSource):
             self._closing.append(in_background(_closer_of(self._attempt)))
             self._attempt = None
         source = self._source
-        self._downtime.end(self._clock())
+        self._downtime.end(self._clock(), delivered=False)
         if source is None or self._state is not ConnectionState.STREAMING:
             return
         stopping = in_background(source.stop)
@@ -142,15 +135,6 @@ class SupervisedSource(FrameSource):
         self._retry_pause_s = 0.0
         wait(self._closing, RELEASE_S)
         self._closing = [call for call in self._closing if not call.done()]
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The shape of the last connection's images; () while none was made."""
-        return self._shape
-
-    @property
-    def description(self) -> str:
-        return self._description
 
     @property
     def details(self) -> dict[str, str]:
@@ -185,7 +169,7 @@ class SupervisedSource(FrameSource):
         reason = self._reason if state.away else ""
         next_try_s = max(self._next_try_s - now_s, 0.0) if state is ConnectionState.WAITING else 0.0
         down_s, downtime_s = self._downtime.present_s(now_s), self._downtime.sum_s(now_s)
-        return Connection(state, reason, self._refused, next_try_s, down_s, downtime_s, self._downtime.last)
+        return Connection(state, reason, self._refused, next_try_s, down_s, downtime_s, self._downtime.last_outage_s)
 
     # --- while it streams ----------------------------------------------------------------------------------------
 
@@ -194,7 +178,7 @@ class SupervisedSource(FrameSource):
         try:
             frame = source.read(wait_s)
         except Exception as error:  # the driver's own errors too: no reason to give the camera up
-            self._disconnect(ConnectionState.STALLED, str(error) if isinstance(error, InputError) else repr(error))
+            self._disconnect(ConnectionState.STALLED, _text_of(error))
             return None
         now_s, arrived = self._clock(), source.statistics.arrived
         if arrived != self._arrived or frame is not None:  # an incomplete frame is a sign of life too
@@ -203,11 +187,11 @@ class SupervisedSource(FrameSource):
         else:  # time in which this process did not get to run is no silence of the camera
             self._silent_s += min(now_s - began_s, wait_s)
         if frame is not None:
-            self._downtime.end(now_s, self._attempted_s)
+            self._downtime.end(now_s, delivered=True)
         if source.lost:
             reason = "does not answer any more, or another program has taken control"
             self._disconnect(ConnectionState.CONTROL_LOST, reason)
-        elif self._silent_s >= self._limit_s - ROUNDING_S:
+        elif self._silent_s >= self._limit_s or math.isclose(self._silent_s, self._limit_s):
             self._disconnect(ConnectionState.STALLED, f"nothing came for {now_s - self._heard_s:.1f} s")
         return frame
 
@@ -216,7 +200,7 @@ class SupervisedSource(FrameSource):
         self.count("control_losses" if state is ConnectionState.CONTROL_LOST else "stalls")
         self._release()
         now_s = self._clock()
-        self._downtime.begin(self._heard_s, now_s)
+        self._downtime.begin(self._heard_s)
         self._state, self._reason, self._refused = state, reason, False
         self._next_try_s = now_s + (0.0 if self._delivering else self._next_pause_s())
 
@@ -245,25 +229,26 @@ class SupervisedSource(FrameSource):
             self._pause(min(pause_s, timeout_s))
             return
         attempt = self._attempt or self._launch()
-        if not is_over(attempt, timeout_s):
-            return
+        if is_over(attempt, timeout_s):
+            self._conclude(attempt)
+
+    def _conclude(self, attempt: Future[FrameSource]) -> Exception | None:
+        """Use the connection that an attempt made; or wait before the next one, and return why it failed."""
         self._attempt = None
         try:
             self._use(attempt.result())
-        except SourceUnavailable as error:
-            self._back_off(str(error))
-        except InputError as error:
-            self._back_off(str(error), refused=True)
-        except Exception as error:  # the driver's own
-            self._back_off(repr(error))
+        except Exception as error:
+            refused = isinstance(error, InputError) and not isinstance(error, SourceUnavailable)
+            self._back_off(_text_of(error), refused)
+            return error
+        return None
 
     def _launch(self) -> Future[FrameSource]:
         """Begin an attempt to connect."""
         source = self._make()
-        self._description = source.description
+        self.description = source.description
         if self._state not in (ConnectionState.STALLED, ConnectionState.CONTROL_LOST):
             self._state = ConnectionState.CONNECTING
-        self._attempted_s = self._clock()
 
         def connect() -> FrameSource:
             source.connect()
@@ -276,7 +261,7 @@ class SupervisedSource(FrameSource):
         """Take a new connection into use. Raises InputError, with nothing left open, when that fails."""
         with self._lock:
             self._source = source
-        self._shape, self._description, self._details = source.shape, source.description, source.details
+        self.shape, self.description, self._details = source.shape, source.description, source.details
         self.warnings = source.warnings
         try:
             self._accept(source)
@@ -318,13 +303,17 @@ class SupervisedSource(FrameSource):
         self._retry_pause_s = LONGEST_RETRY_S if slowest else min(doubled_s, LONGEST_RETRY_S)
         return self._retry_pause_s
 
-    def _back_off(self, reason: str, refused: bool = False) -> None:
+    def _back_off(self, reason: str, refused: bool) -> None:
         self.count("failed_attempts")
         now_s = self._clock()
         if self._running:
-            self._downtime.begin(self._heard_s, now_s)
+            self._downtime.begin(self._heard_s)
         self._next_try_s = now_s + self._next_pause_s(slowest=refused)
         self._state, self._reason, self._refused = ConnectionState.WAITING, reason, refused
+
+
+def _text_of(error: Exception) -> str:
+    return str(error) if isinstance(error, InputError) else repr(error)  # a driver's own
 
 
 # --- calls that may block for seconds

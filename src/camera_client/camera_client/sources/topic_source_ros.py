@@ -24,7 +24,7 @@ from sagoma_ros.images import decode_image
 from sagoma_ros.limits import read_message
 from sagoma_ros.messages import NS_PER_S, to_ns
 
-from ..frame_source import POLL_S, RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
+from ..frame_source import LASTING_S, POLL_S, RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
 from ..settings import TopicSettings
 from .footage_reader import convert_channels
 
@@ -34,8 +34,6 @@ TYPES = {"sensor_msgs/msg/Image": ImageMessage, "sensor_msgs/msg/CompressedImage
 OURS = ("camera_info", "image_raw")  # what the client publishes in its own namespace
 CLOCK = "header of the topic"
 UNKNOWN = "_NODE_NAME_UNKNOWN_"  # rclpy's name of a node of which only a publisher was discovered so far
-# Thresholds: judgement, no measurement.
-PATIENCE_S = 3.0  # for a publisher to be found, and for its first two images, which tell size and rate
 DEPTH = 4  # images that may wait: older ones make room, and count as lost
 
 
@@ -60,7 +58,7 @@ class TopicSource(FrameSource):
     ) -> None:
         super().__init__()
         self._use_lens = use_lens
-        self._client = client
+        self._client, self.description = client, f"topic {settings.name}"
         self._settings, self._channels, self._namespace, self._context = settings, channels, namespace, context
         self._node: Node | None = None
         self._executor: SingleThreadedExecutor | None = None
@@ -69,7 +67,6 @@ class TopicSource(FrameSource):
         self._waiting: deque[tuple[bytes, int]] = deque(maxlen=DEPTH)  # serialised images, when they arrived, ns
         self._arrived = threading.Condition()
         self._running = False
-        self._shape: tuple[int, ...] = ()
         self._rate_hz = 0.0
         self._numbers = FrameNumbers(self._statistics)
         self._camera_info: CameraInfo | None = None
@@ -82,16 +79,18 @@ class TopicSource(FrameSource):
         self._node = Node("images", namespace=self._namespace, context=self._context, use_global_arguments=False)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
+        self._spinner = threading.Thread(target=self._executor.spin, name="images", daemon=True)
         try:
-            self._subscribe(self._publishers())
+            self._subscribe(self._node)
         except BaseException:
             self.close()
             raise
+        self._spinner.start()
 
-    def _subscribe(self, publishers: list[TopicEndpointInfo]) -> None:
-        """Learn size, rate and lens from the first images. Raises InputError."""
-        node, deadline_s = self._node, time.monotonic() + PATIENCE_S
-        assert node is not None
+    def _subscribe(self, node: Node) -> None:
+        """Find the publisher; learn size, rate and lens from the first images. InputError, or SourceUnavailable."""
+        topic = node.resolve_topic_name(self._settings.name)
+        publishers = self._first(lambda: node.get_publishers_info_by_topic(topic) or None, "nobody publishes it")
         kinds = {info.topic_type for info in publishers}
         if len(kinds) != 1 or kinds.isdisjoint(TYPES):
             raise InputError(
@@ -105,12 +104,13 @@ class TopicSource(FrameSource):
         node.create_subscription(self._kind, self._settings.name, self._on_image, qos, raw=True)
         if lens := self._settings.camera_info:
             node.create_subscription(CameraInfo, lens, self._on_camera_info, qos)
-        self._first(lambda: self._waiting if len(self._waiting) > 1 else None, self._settings.name, deadline_s)
+        silence = f"nothing came on {{}} within {LASTING_S:.0f} s"
+        self._first(lambda: self._waiting if len(self._waiting) > 1 else None, silence.format(self._settings.name))
         first, second = (self._frame(*self._waiting.popleft()) for _ in range(2))
         if lens:
-            self._use_lens(self._first(lambda: self._camera_info, lens, deadline_s))
+            self._use_lens(self._first(lambda: self._camera_info, silence.format(lens)))
         self._check_own_namespace()  # by now all that the driver publishes is known
-        self._shape = first.image.shape
+        self.shape = first.image.shape
         self._rate_hz = NS_PER_S / max(second.stamp_ns - first.stamp_ns, 1)
         if abs(age_s := (time.time_ns() - second.stamp_ns) / NS_PER_S) > 1.0:
             self.warnings = (
@@ -118,21 +118,11 @@ class TopicSource(FrameSource):
                 "cameras agree only where all drivers stamp by one clock",
             )
 
-    def _publishers(self) -> list[TopicEndpointInfo]:
-        """Return who publishes the images. Raises SourceUnavailable when nobody does."""
-        node, topic = self._node, self._settings.name
-        assert node is not None
-        find = lambda: node.get_publishers_info_by_topic(node.resolve_topic_name(topic)) or None  # noqa: E731
-        found = self._spin_for(find, time.monotonic() + PATIENCE_S)
-        if found is None:
-            raise SourceUnavailable("nobody publishes it", where=self.description)
-        return found
-
     def _check_own_namespace(self) -> None:
         """Raises InputError when the driver publishes what the client itself publishes under the same name."""
         assert self._node is not None
         for topic in map(self._node.resolve_topic_name, OURS):
-            theirs = self._spin_for(partial(self._other_publishers, topic), time.monotonic() + PATIENCE_S)
+            theirs = self._spin_for(partial(self._other_publishers, topic))
             if theirs:
                 raise InputError(
                     f"node {theirs[0].node_name} publishes {topic}, as the camera client does of its own images",
@@ -146,28 +136,27 @@ class TopicSource(FrameSource):
         found = self._node.get_publishers_info_by_topic(topic)
         return None if any(i.node_name == UNKNOWN for i in found) else [i for i in found if i.node_name != self._client]
 
-    def _spin_for(self, take: Callable[[], T | None], deadline_s: float) -> T | None:
-        """Return what ``take`` gives once it gives something, or None after ``deadline_s``."""
+    def _spin_for(self, take: Callable[[], T | None]) -> T | None:
+        """Return what ``take`` gives once it gives something, or None when that lasts."""
         assert self._executor is not None
+        deadline_s = time.monotonic() + LASTING_S
         while (found := take()) is None and time.monotonic() < deadline_s:
             self._executor.spin_once(timeout_sec=POLL_S)
         return found
 
-    def _first(self, take: Callable[[], T | None], topic: str, deadline_s: float) -> T:
-        if (found := self._spin_for(take, deadline_s)) is None:
-            raise SourceUnavailable(f"nothing came on {topic} within {PATIENCE_S:.0f} s", where=self.description)
+    def _first(self, take: Callable[[], T | None], otherwise: str) -> T:
+        """Return the same; SourceUnavailable with what is said ``otherwise``."""
+        if (found := self._spin_for(take)) is None:
+            raise SourceUnavailable(otherwise, where=self.description)
         return found
 
     def start(self) -> None:
         if self._executor is None:
             raise InputError("is not connected", where=self.description, remedy="Call connect() first.")
-        if self._running:
-            return
-        self._running = True
-        self._waiting.clear()
-        self._numbers.restart()
-        self._spinner = threading.Thread(target=self._executor.spin, name="images", daemon=True)
-        self._spinner.start()
+        if not self._running:
+            self._waiting.clear()
+            self._numbers.restart()
+            self._running = True
 
     def read(self, timeout_s: float) -> Frame | None:
         with self._arrived:
@@ -179,39 +168,26 @@ class TopicSource(FrameSource):
         except InputError:  # one damaged image; where none is sound the source falls silent and is connected anew
             self.count("damaged")
             return None
-        if frame.image.shape != self._shape:
+        if frame.image.shape != self.shape:
             raise SourceUnavailable(
-                f"images changed from {self._shape} to {frame.image.shape} (rows, columns)", where=self.description
+                f"images changed from {self.shape} to {frame.image.shape} (rows, columns)", where=self.description
             )
         number = self._numbers.add(frame.stamp_ns)
         return None if number is None else replace(frame, frame_id=number)
 
     def stop(self) -> None:
-        if not self._running:
-            return
         self._running = False
-        assert self._executor is not None and self._spinner is not None and self._node is not None
-        self._executor.shutdown(timeout_sec=RELEASE_S)
-        self._spinner.join(RELEASE_S)
-        self._executor = SingleThreadedExecutor(context=self._context)  # one that was shut down spins no more
-        self._executor.add_node(self._node)
 
     def close(self) -> None:
         self.stop()
         if self._executor is not None:
             self._executor.shutdown(timeout_sec=RELEASE_S)
+        if self._spinner is not None and self._spinner.is_alive():
+            self._spinner.join(RELEASE_S)
         if self._node is not None:
             self._node.destroy_node()
         self._node = self._executor = None
         self._waiting.clear()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self._shape
-
-    @property
-    def description(self) -> str:
-        return f"topic {self._settings.name}"
 
     @property
     def details(self) -> dict[str, str]:
@@ -219,7 +195,7 @@ class TopicSource(FrameSource):
 
     def _on_image(self, message: bytes) -> None:
         with self._arrived:
-            if len(self._waiting) == DEPTH:
+            if self._running and len(self._waiting) == DEPTH:
                 self.count("overwritten")
             self._waiting.append((message, time.time_ns()))
             self._arrived.notify()

@@ -13,13 +13,12 @@ import cv2
 from capture_rig.errors import InputError
 from capture_rig.stamps import NS_PER_S
 
-from ..frame_source import RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
+from ..frame_source import LASTING_S, RELEASE_S, Frame, FrameNumbers, FrameSource, SourceUnavailable
 from ..settings import WebcamSettings
 from .footage_reader import convert_channels
 
 # Thresholds: judgement, no measurement.
 DEPTH = 2  # pictures that may wait: older ones make room, and count as lost
-MOST_AGE_S = 1.0  # a driver's stamp is older than this: it is of another clock than this machine's monotonic one
 
 
 def open_device(device: str) -> Any:
@@ -38,6 +37,7 @@ class WebcamSource(FrameSource):
         self, settings: WebcamSettings, channels: str = "auto", open_capture: Callable[[str], Any] = open_device
     ) -> None:
         super().__init__()
+        self.description = f"webcam {settings.device}"
         self._settings, self._channels, self._open = settings, channels, open_capture
         self._capture: Any = None
         self._thread: threading.Thread | None = None
@@ -45,7 +45,6 @@ class WebcamSource(FrameSource):
         self._taken: deque[tuple[Any, int, str]] = deque(maxlen=DEPTH)  # picture, stamp, clock
         self._changed = threading.Condition()
         self._numbers = FrameNumbers(self._statistics)
-        self._shape: tuple[int, ...] = ()
         self._lost = False
 
     def connect(self) -> None:
@@ -78,7 +77,7 @@ class WebcamSource(FrameSource):
         if refused:
             self.warnings = (f"{self.description} refused {len(refused)} of its settings: look at its picture",)
         self._capture, self._lost = capture, False
-        self._shape = convert_channels(image, self._channels).shape
+        self.shape = convert_channels(image, self._channels).shape
 
     def start(self) -> None:
         if self._capture is None:
@@ -135,14 +134,6 @@ class WebcamSource(FrameSource):
             capture.release()
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        return self._shape
-
-    @property
-    def description(self) -> str:
-        return f"webcam {self._settings.device}"
-
-    @property
     def details(self) -> dict[str, str]:
         return self._numbers.details()
 
@@ -157,6 +148,6 @@ def stamp_of(position_ms: float) -> tuple[int, str]:
     V4L2 stamps by the monotonic clock; where a driver does not, the picture's arrival counts.
     """
     age_s = time.monotonic() - position_ms * 1e-3
-    if 0 <= age_s < MOST_AGE_S:
+    if 0 <= age_s < LASTING_S:  # else the stamp is of another clock
         return time.time_ns() - round(age_s * NS_PER_S), "driver"
     return time.time_ns(), "arrival"

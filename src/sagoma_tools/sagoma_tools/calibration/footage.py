@@ -24,9 +24,10 @@ import numpy as np
 import numpy.typing as npt
 
 from camera_client.frame_source import UndecodableFrame
-from camera_client.sources.footage_reader import FootageReader, StillsReader, VideoReader
+from camera_client.sources.footage_reader import FootageReader, Stills
 from capture_rig.errors import InputError
 from capture_rig.session import STILL_SUFFIXES, VIDEO_SUFFIXES
+from capture_rig.video import Video
 
 STILLS = (*STILL_SUFFIXES, ".tiff", ".pgm", ".ppm", ".webp")
 VIDEOS = (*VIDEO_SUFFIXES, ".m4v", ".mpg", ".webm")
@@ -90,8 +91,8 @@ class CameraFootage:
 
     def _reader(self) -> FootageReader:
         if self.is_video:
-            return VideoReader(self.files[0], "mono")
-        return StillsReader(self.files[0].parent, list(self.files), "mono")
+            return FootageReader(Video(self.files[0], threads=1), "mono")
+        return FootageReader(Stills(self.files[0].parent, list(self.files)), "mono")
 
 
 def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:

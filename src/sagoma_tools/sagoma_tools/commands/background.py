@@ -24,13 +24,14 @@ from rich.text import Text
 from camera_client.background.model import BackgroundModel, load_background, shape_text
 from camera_client.background.training import background_of_footage
 from camera_client.background.verdict import find_regions, judge_background, turn_findings
-from camera_client.sources.footage_reader import VideoReader
+from camera_client.sources.footage_reader import FootageReader
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder, write_bytes
 from capture_rig.session import load_session
 from capture_rig.settings import SECONDS, number
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import GOOD, REDO, USABLE
+from capture_rig.video import Video
 
 from ..arguments import NODES
 from ..console import GRADE_STYLE, INTERRUPTED, command_console, doing, plain_table, until_stopped
@@ -133,7 +134,7 @@ def _videos(sources: Sequence[str]) -> list[Path]:
 
 def sampled_frames(video: Path) -> list[np.ndarray]:
     """Return MOST_FRAMES frames at most, evenly over a video. InputError for one that cannot be read."""
-    with contextlib.closing(VideoReader(video, "auto", threads=0)) as reader:
+    with contextlib.closing(FootageReader(Video(video), "auto")) as reader:
         reader.probe()
         every, frames, number = max(1, -(-reader.frame_count // MOST_FRAMES)), list[np.ndarray](), 0
         while (image := reader.read()) is not None:

@@ -1,11 +1,11 @@
 """A studio of simulated GigE Vision cameras on loopback: they speak the real protocol to any GenICam client."""
 
+from .acquisition import TriggerWire
 from .camera import SimulatedCamera
 from .device import CameraSettings, Faults, free_addresses
 from .loop import EventLoop
 from .scenes import CameraScene, PatternScene, Playback
 from .studio import Studio, StudioSettings
-from .timing import TriggerWire
 
 __all__ = [
     "CameraScene",

@@ -6,7 +6,6 @@ import argparse
 import json
 import sys
 import textwrap
-from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -21,10 +20,16 @@ from ..recording.footage import BOARD_FILE, FLOOR_BOARD_FILE, TRUTH_RIG_FILE, sa
 from .device import FAULT_NAMES
 from .loop import Request, ask, default_path
 from .rendered_scenes import PHASES
-from .studio import PERSON_SCENE, SETUP_SCENE, Studio, StudioSettings
+from .studio import Studio, StudioSettings
 
 RIG_FILE = "rig.yaml"
 CAMERA_FOLDER = "cameras"
+OPTIONS = {
+    **{f"--{key}": key for key in ("session", "cameras", "scene", "speed", "address")},
+    "--fps": "frame_rate",
+    "--memory": "memory_mb",
+}
+"""Settings that have an option of their own."""
 _SPEED = number("of the time's speed", 1 / 32, 1)
 DESCRIPTION = "Simulated GigE Vision cameras on loopback, which any GenICam client can open."
 EPILOG = f"""talking to a running studio:
@@ -47,46 +52,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Adds the command's arguments to a parser; :func:`run` takes what they parse to."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description, parser.epilog = DESCRIPTION, EPILOG
-    parser.add_argument("words", nargs="*", metavar="WORD", help="talk to a running studio (below); none: run one")
-    parser.add_argument("--control", metavar="PATH", help=f"the studio's control socket (default: {default_path()})")
-    parser.add_argument("--session", metavar="FOLDER", help="show a session's footage (default: the built-in person)")
-    parser.add_argument(
-        "--cameras", type=_number("cameras"), metavar="N", help="cameras of the built-in rig (default: 5)"
-    )
-    parser.add_argument(
-        "--scene",
-        choices=(PERSON_SCENE, SETUP_SCENE),
-        help="in the built-in room: a person moves "
-        "(default), or a set-up from the empty room over boards to the person, in phases",
-    )
-    parser.add_argument("--pattern", action="store_true", default=None, help="show a test pattern")
-    parser.add_argument(
-        "--fps",
-        dest="frame_rate",
-        type=_number("frame_rate"),
-        help="frame rate at power-on (default: the session's, else 60)",
-    )
-    parser.add_argument(
-        "--speed", type=speed_argument, help="of the cameras' clock, as 0.25 or 1/4: slow motion (default: 1)"
-    )
-    parser.add_argument("--address", help="loopback address of the first camera (default: 127.0.1.1)")
-    parser.add_argument(
-        "--memory",
-        dest="memory_mb",
-        type=_number("memory_mb"),
-        metavar="MB",
-        help="memory for a session's pictures (default: 800)",
-    )
-    parser.add_argument("--empty", action="store_true", help="begin with the empty room")
-    parser.add_argument("--write", metavar="FOLDER", help="write rig.yaml and cameras/*.yaml for `sagoma up` into it")
-    parser.add_argument(
-        "--set",
-        action="append",
-        default=[],
-        metavar="KEY=VALUE",
-        dest="settings",
-        help="any other setting, such as camera.generation=old or camera.noise=2",
-    )
+    add = parser.add_argument
+    add("words", nargs="*", metavar="WORD", help="talk to a running studio (below); none: run one")
+    add("--control", metavar="PATH", help=f"the studio's control socket (default: {default_path()})")
+    known = {leaf.key: leaf for leaf in leaves(StudioSettings)}
+    for flag, key in OPTIONS.items():
+        leaf = known[key]
+        parse = number(leaf.metadata["unit"], *leaf.bounds, whole=leaf.type is int) if leaf.type is not str else str
+        text = leaf.metadata["help"] + (f" (default: {leaf.default})" if leaf.default else "")
+        choices = leaf.metadata["choices"] or None
+        add(flag, dest=key, type=speed_argument if key == "speed" else parse, choices=choices, help=text)
+    add("--pattern", action="store_true", default=None, help=known["pattern"].metadata["help"])
+    add("--empty", action="store_true", help="begin with the empty room")
+    add("--write", metavar="FOLDER", help="write rig.yaml and cameras/*.yaml for `sagoma up` into it")
+    others = "any other setting, such as camera.generation=old or camera.noise=2"
+    add("--set", action="append", default=[], metavar="KEY=VALUE", dest="settings", help=others)
 
 
 def speed_argument(text: str) -> float:
@@ -165,11 +145,6 @@ def write_rig_files(studio: Studio, folder: str | Path) -> Path:
     return folder
 
 
-def _number(key: str) -> Callable[[str], float]:
-    (leaf,) = (leaf for leaf in leaves(StudioSettings) if leaf.key == key)
-    return number(leaf.metadata["unit"], *leaf.bounds, whole=leaf.type is int)
-
-
 def _pairs(words: list[str]) -> dict[str, Any]:
     pairs = {}
     for word in words:
@@ -181,11 +156,9 @@ def _pairs(words: list[str]) -> dict[str, Any]:
 
 
 def _announce(studio: Studio, args: argparse.Namespace) -> None:
-    slow = f", at {Fraction(studio.settings.speed).limit_denominator(1000)} of the speed"
-    print(
-        f"{len(studio.cameras)} cameras at {studio.frame_rate:g} Hz{slow if studio.settings.speed < 1 else ''}; "
-        "Ctrl-C ends them"
-    )
+    speed = Fraction(studio.settings.speed).limit_denominator(1000)
+    slow = f", at {speed} of the speed" if speed < 1 else ""
+    print(f"{len(studio.cameras)} cameras at {studio.frame_rate:g} Hz{slow}; Ctrl-C ends them")
     for name, camera in studio.cameras.items():
         height, width = camera.scene.shape[:2]
         kind = "colour" if len(camera.scene.shape) == 3 else "mono"
@@ -196,17 +169,14 @@ def _announce(studio: Studio, args: argparse.Namespace) -> None:
     print(f"look at one:  arv-tool-0.8 -a {first} control Width Height PixelFormat   |   arv-viewer-0.8 {first}")
     print(f"talk to it:   sagoma studio --control {args.control or default_path()} status")
     if args.write:
-        _announce_files(studio, write_rig_files(studio, args.write))
+        folder = write_rig_files(studio, args.write)
+        if studio.is_calibrated:
+            print(f"run on it:    sagoma up --rig {folder / RIG_FILE} --cameras {folder / CAMERA_FOLDER}")
+        else:
+            words = f"sagoma up --cameras {folder / CAMERA_FOLDER}"
+            print(f"run on it:    {words}    (uncalibrated; {TRUTH_RIG_FILE} is for scoring only)")
+            print(f"its boards:   {folder / BOARD_FILE}, {folder / FLOOR_BOARD_FILE}")
     print("ready", flush=True)
-
-
-def _announce_files(studio: Studio, folder: Path) -> None:
-    cameras = folder / CAMERA_FOLDER
-    if studio.is_calibrated:
-        print(f"run on it:    sagoma up --rig {folder / RIG_FILE} --cameras {cameras}")
-        return
-    print(f"run on it:    sagoma up --cameras {cameras}    (uncalibrated; {TRUTH_RIG_FILE} is for scoring only)")
-    print(f"its boards:   {folder / BOARD_FILE}, {folder / FLOOR_BOARD_FILE}")
 
 
 def main(arguments: list[str] | None = None) -> int:

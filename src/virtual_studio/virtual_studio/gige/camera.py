@@ -9,26 +9,19 @@ import numpy as np
 from capture_rig.errors import InputError
 from gige_vision.bootstrap import Capability
 
-from .acquisition import Acquisition
+from .acquisition import Acquisition, CameraClock, Timing, TriggerWire
 from .device import CameraSettings, Device, Faults
 from .feature_table import CAPABILITIES, feature_table
-from .genicam_xml import XML_NAME, genicam_xml, zipped
 from .gvcp_server import ControlPrivilege, GvcpServer
 from .imaging import ImagingPipeline
 from .loop import EventLoop
-from .registers import FILE_SPACE, Registers
+from .registers import FILE_SPACE, XML_NAME, Registers, genicam_xml
 from .scenes import CameraScene
 from .stream import StreamChannel
-from .timing import CameraClock, Timing, TriggerWire
-
-KEPT_BY_USER_SET = (
-    *("FirstUrl", "DeviceUserID", "PtpClockID", "ControlPrivilege", "PrimaryPort", "PrimaryAddress"),
-    *("GevHeartbeatTimeout", "PacketSizeWord", "GevSCPHostPort", "GevSCDA", "GevSCSP", "GevSCPD"),
-)
 
 
 class SimulatedCamera:
-    """Serves a scene as a camera. start() powers it on, close() ends it; also a context manager.
+    """Serves a scene as a camera. start() powers it on, close() ends it for good; also a context manager.
 
     Several cameras of one process share an event loop (one thread) and a trigger wire; a camera that is given none has
     its own. ``faults`` can be changed while it runs; ``counters`` tell what has happened.
@@ -53,30 +46,27 @@ class SimulatedCamera:
         self._user_id = self.settings.user_id
         height, width, *channels = scene.shape
         self.features = feature_table(self.settings, address, width, height, bool(channels))
-        self._description = zipped(genicam_xml(self.features, self.settings.vendor, self.settings.model))
+        self._description = genicam_xml(self.features, self.settings.vendor, self.settings.model)
         self._powered: _PoweredCamera | None = None
-        self._started = self._closed = False
+        self._running = False
 
     def start(self) -> SimulatedCamera:
         """Powers the camera on."""
-        if self._closed:
-            raise RuntimeError("a closed camera cannot be started again")
-        if not self._started:
-            if self._own_loop:
-                self.loop.start()
-            self._started = True
-            try:
-                self.power_on()
-            except InputError:
-                self.close()
-                raise
+        if self._own_loop:
+            self.loop.start()
+        self._running = True
+        try:
+            self.power_on()
+        except InputError:
+            self.close()
+            raise
         return self
 
     def close(self) -> None:
         """Powers the camera off for good."""
-        if self._started and not self._closed:
+        if self._running:
+            self._running = False
             self.power_off()
-            self._closed = True
             if self._own_loop:
                 self.loop.stop()
 
@@ -135,7 +125,8 @@ class _PoweredCamera:
     def __init__(self, camera: SimulatedCamera, description: bytes, user_id: str) -> None:
         self._camera, self.registers = camera, Registers(camera.features, description)
         device = Device(camera.address, camera.settings, self.registers, camera.faults, camera.counters, camera.loop)
-        self._set_identity(description, user_id)
+        self.registers["FirstUrl"] = f"Local:{XML_NAME}.xml;{FILE_SPACE:X};{len(description):X}"
+        self.registers["DeviceUserID"] = user_id
         self._clock = CameraClock(camera.settings, camera.faults, camera.loop.clock)
         self._imaging = ImagingPipeline(device)
         self._timing = Timing(self.registers, self._clock, self._imaging.exposure)
@@ -147,7 +138,11 @@ class _PoweredCamera:
         except InputError:
             self._stream.close()
             raise
-        self._hook_device_features()
+        r, clock = self.registers, self._clock
+        r.reads["GvcpCapability"] = self._capability
+        r.reads["PtpStatus"] = lambda: clock.ptp_state
+        r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
+        r.writes["TimestampControl"] = self._latch_time
 
     def close(self) -> None:
         self.acquisition.stop()
@@ -168,39 +163,11 @@ class _PoweredCamera:
             "late_us": {"p50": float(p50), "p99": float(p99), "max": float(most)},
         }
 
-    def _set_identity(self, description: bytes, user_id: str) -> None:
-        self.registers["FirstUrl"] = f"Local:{XML_NAME}.zip;{FILE_SPACE:X};{len(description):X}"
-        self.registers["DeviceUserID"] = user_id
-        self.registers["PtpClockID"] = 0x0200_00FF_FE00_0000 | self.registers.integer("CurrentIp") & 0xFFFFFF
-
-    def _hook_device_features(self) -> None:
-        r, clock = self.registers, self._clock
-        r.reads["GvcpCapability"] = self._capability
-        r.reads["PtpStatus"] = lambda: clock.ptp_state
-        r.writes["PtpEnable"] = lambda: clock.enable_ptp(bool(r["PtpEnable"]))
-        r.writes["PtpDataSetLatch"] = self._latch_ptp
-        r.writes["TimestampLatch"] = r.writes["TimestampControl"] = self._latch_time
-        r.writes["UserSetLoad"] = self._load_defaults
-
     def _capability(self) -> int:
         without = Capability.PACKET_RESEND if self._camera.faults.no_resend else Capability(0)
         return int(CAPABILITIES & ~without)
 
-    def _latch_ptp(self) -> None:
-        self.registers["PtpOffsetFromMaster"] = self._clock.offset_from_master_ns
-        self.registers["PtpParentClockID"] = 0x0011_22FF_FE33_4455 if self._clock.is_synchronised else 0
-
     def _latch_time(self) -> None:
         stamp = self._clock.stamp(self._camera.loop.clock.now_ns())
-        self.registers["TimestampLatchValue"], self.registers["TimestampControl"] = stamp, 0
+        self.registers["TimestampControl"] = 0
         self.registers["TimestampHigh"], self.registers["TimestampLow"] = stamp >> 32, stamp & 0xFFFF_FFFF
-
-    def _load_defaults(self) -> None:
-        kept = {key: self.registers[key] for key in KEPT_BY_USER_SET}
-        self.acquisition.stop()
-        self.registers.reset()
-        for key, value in kept.items():
-            self.registers[key] = value
-        self._imaging.region.reset()
-        self._timing.reset()
-        self._clock.enable_ptp(False)

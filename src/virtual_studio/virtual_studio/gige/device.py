@@ -118,22 +118,20 @@ class Device:
 
 
 FAULT_NAMES = tuple(field.name for field in dataclasses.fields(Faults))
+_HIGHEST = {"packet_loss": 1.0, "light": 10.0}
 
 
 def _checked(name: str, value: Any, where: str) -> Any:
-    kinds: dict[str, type] = {field.name: type(field.default) for field in dataclasses.fields(Faults)}
-    if name not in kinds:
-        raise InputError(f"there is no fault '{name}'", where=where, remedy=f"Known faults: {', '.join(kinds)}.")
-    kind = kinds[name]
-    if kind is bool:
-        fits = isinstance(value, bool) or value in (0, 1)
-    else:
-        fits = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST_INT
-    high = {"packet_loss": 1.0, "light": 10.0}.get(name)
-    if not fits or (kind is float and not value >= 0) or (high is not None and value > high):
-        limits = f"a number from 0 to {high:g}" if high else "true or false" if kind is bool else "a number"
-        raise InputError(f"{name} = {value!r} is not possible", where=where, remedy=f"Give {limits}.")
-    return kind(value)
+    if name not in FAULT_NAMES:
+        raise InputError(f"there is no fault '{name}'", where=where, remedy=f"Known faults: {', '.join(FAULT_NAMES)}.")
+    kind = type(getattr(Faults, name))
+    if kind is bool and value in (0, 1):
+        return bool(value)
+    low, high = (0.0, _HIGHEST[name]) if kind is float else (-LARGEST_INT, LARGEST_INT)
+    if kind is not bool and isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high:
+        return kind(value)
+    limits = "true or false" if kind is bool else f"a number from {low:g} to {high:g}"
+    raise InputError(f"{name} = {value!r} is not possible", where=where, remedy=f"Give {limits}.")
 
 
 # --- Loopback addresses.
@@ -148,13 +146,13 @@ def free_addresses(count: int) -> list[str]:
 
     Raises InputError where the system lends none (a system without the whole of 127.0.0.0/8).
     """
-    found: list[str] = []
+    found: dict[str, None] = {}
     for _ in range(_ATTEMPTS):
         if len(found) == count:
-            return found
-        address = str(ipaddress.IPv4Address(random.randint(FIRST, LAST)))
-        if not address.endswith((".0", ".255")) and address not in found and is_free(address):
-            found.append(address)
+            return list(found)
+        address = ipaddress.IPv4Address(random.randint(FIRST, LAST))
+        if address.packed[3] not in (0, 255) and is_free(str(address)):
+            found[str(address)] = None
     raise InputError(
         f"found only {len(found)} of {count} free loopback addresses",
         where=f"port {PORT}",

@@ -15,8 +15,8 @@ from .registers import Feature, boolean, choice, command, hidden, integer, place
 
 MAX_BINNING = 4
 MAX_GAIN_DB = 24.0
-GAIN_RAW_STEP_DB = 0.1
-"""What one step of the older generation's GainRaw means."""
+RAW_GAINS = 240
+"""Steps of the older generation's GainRaw up to MAX_GAIN_DB."""
 MONO_FORMATS = ("Mono8", "Mono10", "Mono10p", "Mono10Packed", "Mono12", "Mono12p", "Mono12Packed")
 COLOUR_FORMATS = ("BayerRG8", "BayerGR8", "BayerGB8", "BayerBG8", "RGB8", "BGR8", "YUV422_8")
 OFF, ON = 0, 1
@@ -53,12 +53,7 @@ OLD_NAMES = {
     "DeviceSerialNumber": "DeviceID",
     "PtpEnable": "GevIEEE1588",
     "PtpStatus": "GevIEEE1588Status",
-    "PtpOffsetFromMaster": "GevIEEE1588OffsetFromMaster",
     "PtpDataSetLatch": "GevIEEE1588DataSetLatch",
-    "PtpClockID": "GevIEEE1588ClockId",
-    "PtpParentClockID": "GevIEEE1588ParentClockId",
-    "TimestampLatch": "GevTimestampControlLatch",
-    "TimestampLatchValue": "GevTimestampValue",
     "SyncFreeRunTimerTriggerRate": "SyncFreeRunTimerTriggerRateAbs",
 }
 
@@ -132,9 +127,8 @@ def _device(s: CameraSettings) -> list[Feature]:
         text("DeviceModelName", where, s.model, 32, address=bootstrap.MODEL_NAME, writable=False),
         text("DeviceVersion", where, "1.0", 32, address=bootstrap.DEVICE_VERSION, writable=False),
         text("DeviceSerialNumber", where, s.serial, 16, address=bootstrap.SERIAL_NUMBER, writable=False),
-        text("DeviceUserID", where, s.user_id, 16, address=bootstrap.USER_NAME, help="Kept over power cycles"),
+        text("DeviceUserID", where, s.user_id, 16, address=bootstrap.USER_NAME),
         real("DeviceTemperature", where, 42.0, writable=False, unit="C"),
-        command("UserSetLoad", where, help="Back to the values after power-on"),
     ]
 
 
@@ -153,13 +147,8 @@ def _image(s: CameraSettings, width: int, height: int, colour: bool) -> list[Fea
         integer("OffsetX", where, 0, low=0, high_key="OffsetXLimit", step=4),
         integer("OffsetY", where, 0, low=0, high_key="OffsetYLimit", step=2),
         *(
-            dataclasses.replace(integer(key, where, default, writable=False, volatile=True), category="")
-            for key, default in (
-                ("WidthLimit", width),
-                ("HeightLimit", height),
-                ("OffsetXLimit", 0),
-                ("OffsetYLimit", 0),
-            )
+            integer(f"{key}Limit", "", writable=False, volatile=True)
+            for key in ("Width", "Height", "OffsetX", "OffsetY")
         ),
         integer("BinningHorizontal", where, 1, low=1, high=MAX_BINNING),
         integer("BinningVertical", where, 1, low=1, high=MAX_BINNING),
@@ -173,7 +162,7 @@ def _acquisition(s: CameraSettings) -> list[Feature]:
         choice("AcquisitionMode", where, {"Continuous": 0}),
         command("AcquisitionStart", where),
         command("AcquisitionStop", where),
-        boolean("AcquisitionFrameRateEnable", where, True),
+        boolean("AcquisitionFrameRateEnable", where, 1),
         real("AcquisitionFrameRate", where, s.frame_rate, low=0.1, high=1000.0, unit="Hz"),
         real("ResultingFrameRate", where, s.frame_rate, writable=False, volatile=True, unit="Hz"),
         choice("ExposureMode", where, {"Timed": 1}),
@@ -191,20 +180,12 @@ def _triggers() -> list[Feature]:
         choice("TriggerActivation", where, {"RisingEdge": 0, "FallingEdge": 1}),
         real("TriggerDelay", where, 0.0, low=0.0, high=1e6, unit="us"),
         command("TriggerSoftware", where),
-        boolean("SyncFreeRunTimerEnable", where, help="Expose at a rate that counts from a PTP time"),
+        boolean("SyncFreeRunTimerEnable", where),
         integer("SyncFreeRunTimerStartTimeLow", where, low=0, high=0xFFFF_FFFF),
         integer("SyncFreeRunTimerStartTimeHigh", where, low=0, high=0xFFFF_FFFF),
         real("SyncFreeRunTimerTriggerRate", where, 30.0, low=0.1, high=1000.0, unit="Hz"),
-        command("SyncFreeRunTimerUpdate", where, help="The three values above take effect"),
-        real(
-            "BslPeriodicSignalPeriod",
-            where,
-            33333.0,
-            low=1000.0,
-            high=1e7,
-            unit="us",
-            help="Trigger source PeriodicSignal1: at whole multiples of this, in PTP time",
-        ),
+        command("SyncFreeRunTimerUpdate", where),
+        real("BslPeriodicSignalPeriod", where, 33333.0, low=1000.0, high=1e7, unit="us"),
         real("BslPeriodicSignalDelay", where, 0.0, low=0.0, high=1e7, unit="us"),
     ]
 
@@ -225,11 +206,6 @@ def _time() -> list[Feature]:
         boolean("PtpEnable", where),
         choice("PtpStatus", where, PTP_STATES, "Disabled", writable=False, volatile=True),
         command("PtpDataSetLatch", where),
-        integer("PtpOffsetFromMaster", where, 0, length=8, writable=False, volatile=True, unit="ns"),
-        integer("PtpClockID", where, 0, length=8, writable=False),
-        integer("PtpParentClockID", where, 0, length=8, writable=False, volatile=True),
-        command("TimestampLatch", "DeviceControl"),
-        integer("TimestampLatchValue", "DeviceControl", 0, length=8, writable=False, volatile=True, unit="ns"),
     ]
 
 
@@ -274,6 +250,5 @@ def _transport(s: CameraSettings) -> list[Feature]:
 
 def _older_generation(feature: Feature) -> Feature:
     if feature.key == "Gain":
-        steps = round(MAX_GAIN_DB / GAIN_RAW_STEP_DB)
-        return dataclasses.replace(integer("Gain", feature.category, 0, low=0, high=steps), name="GainRaw")
+        return dataclasses.replace(integer("Gain", feature.category, 0, low=0, high=RAW_GAINS), name="GainRaw")
     return dataclasses.replace(feature, name=OLD_NAMES.get(feature.name, feature.name))

@@ -19,10 +19,10 @@ from gige_vision.gvcp import (
     Command,
     CommandPacket,
     MalformedPacket,
-    ResendRequest,
     Status,
     decode_memory,
     decode_memory_read,
+    decode_resend,
     decode_words,
     decode_writes,
     encode_memory,
@@ -105,7 +105,7 @@ class GvcpServer:
         self,
         device: Device,
         privilege: ControlPrivilege,
-        on_resend: Callable[[ResendRequest], None],
+        on_resend: Callable[[int, int, int], None],
         on_action: Callable[[Action], Status | None],
     ) -> None:
         self._registers, self._faults, self._counters = device.registers, device.faults, device.counters
@@ -135,7 +135,7 @@ class GvcpServer:
         self._privilege.heartbeat_from(peer)
         if packet.command == Command.PACKET_RESEND:
             if self._is_owners(peer):
-                self._on_resend(ResendRequest.decode(packet))
+                self._on_resend(*decode_resend(packet.payload))
             return
         answer = self._answer(packet, peer)
         if answer is not None and packet.wants_answer:

@@ -14,7 +14,7 @@ from gige_vision.gvsp import PixelFormat, encode_chunk
 
 from ..rendering.camera import Image
 from .device import OLD, CameraSettings, Device
-from .feature_table import AUTO, CHUNKS, GAIN_RAW_STEP_DB
+from .feature_table import AUTO, CHUNKS, MAX_GAIN_DB, RAW_GAINS
 from .registers import RegisterError, Registers, Value
 
 Bytes = NDArray[np.uint8]
@@ -24,10 +24,7 @@ _AXES = (
     ("SensorWidth", "BinningHorizontal", "WidthMax", "Width", "OffsetX"),
     ("SensorHeight", "BinningVertical", "HeightMax", "Height", "OffsetY"),
 )
-_REFRESHING = (
-    *("Width", "Height", "OffsetX", "OffsetY"),
-    *("BinningHorizontal", "BinningVertical", "PixelFormat", "ChunkModeActive"),
-)
+_REFRESHING = ("PixelFormat", "ChunkModeActive", *(key for _, binning, _, *sides in _AXES for key in (binning, *sides)))
 _STEP = 4
 _CHUNK_BYTES = len(encode_chunk(0, bytes(8)))
 _NOISE_PIXELS = 1 << 21
@@ -103,14 +100,10 @@ class ExposureControl:
         return round(self.exposure_us * 1000)
 
     @property
-    def gain_db(self) -> float:
-        value = self._registers.real("Gain")
-        return value * GAIN_RAW_STEP_DB if self._settings.generation == OLD else value
-
-    @property
     def factor(self) -> float:
         """The factor on the scene's grey levels."""
-        return self.exposure_us / self._settings.nominal_exposure_us * 10.0 ** (self.gain_db / 20.0)
+        gain_db = self._registers.real("Gain") * (MAX_GAIN_DB / RAW_GAINS if self._settings.generation == OLD else 1)
+        return self.exposure_us / self._settings.nominal_exposure_us * 10.0 ** (gain_db / 20.0)
 
     def _refuse_while_auto(self, key: str, value: Value) -> None:
         if self._registers.integer(key) != AUTO["Off"]:
@@ -127,11 +120,6 @@ class Region:
             registers.writes[key] = self.refresh
         registers.reads["ChunkEnable"] = lambda: int(registers.label("ChunkSelector") in self.enabled_chunks)
         registers.writes["ChunkEnable"] = self._chunk_written
-        self.refresh()
-
-    def reset(self) -> None:
-        """Sets the region as after power-on."""
-        self.enabled_chunks.clear()
         self.refresh()
 
     def refresh(self) -> None:

@@ -9,7 +9,6 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Coroutine
-from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,19 +21,8 @@ _LONGEST_WAIT_NS = 1_000_000_000  # the cameras' clock may be set meanwhile
 _FINE_NS = 2_000_000  # asyncio's timers are up to a millisecond late: what is left is slept
 
 
-class Timer:
-    """A callback that waits for its time; cancel() makes it never run."""
-
-    __slots__ = ("_callback", "when_ns")
-
-    def __init__(self, when_ns: int, callback: Callable[[], object]) -> None:
-        self.when_ns, self._callback = when_ns, callback
-
-    def cancel(self) -> None:
-        self._callback = lambda: None
-
-    def run(self) -> None:
-        self._callback()
+Timer = asyncio.Task[None]
+"""A callback that waits for its time; cancel() makes it never run."""
 
 
 class EventLoop:
@@ -78,9 +66,7 @@ class EventLoop:
 
     def call_at(self, when_ns: int, callback: Callable[[], object]) -> Timer:
         """Calls back at an instant of the cameras' clock. Only from within the loop."""
-        timer = Timer(when_ns, callback)
-        self._await(timer)
-        return timer
+        return self._loop.create_task(self._run_at(when_ns, callback))
 
     def call_later(self, delay_ns: int, callback: Callable[[], object]) -> Timer:
         """Calls back after so long, whatever the speed of the cameras' clock. Only from within the loop."""
@@ -92,29 +78,18 @@ class EventLoop:
             return callback()
         if not self._thread.is_alive():
             raise RuntimeError("the loop is not running")
-        future: Future[T] = Future()
 
-        def answer() -> None:
-            try:
-                future.set_result(callback())
-            except BaseException as error:
-                future.set_exception(error)
+        async def answer() -> T:
+            return callback()
 
-        self._loop.call_soon_threadsafe(answer)
-        return future.result()
+        return self.run(answer())
 
-    def _await(self, timer: Timer) -> None:
-        left_ns = self.clock.wait_ns(timer.when_ns) - _FINE_NS
-        self._loop.call_later(max(0, min(left_ns, _LONGEST_WAIT_NS)) * 1e-9, self._run_when_due, timer)
-
-    def _run_when_due(self, timer: Timer) -> None:
-        left_ns = self.clock.wait_ns(timer.when_ns)
-        if left_ns > 2 * _FINE_NS:
-            self._await(timer)
-            return
+    async def _run_at(self, when_ns: int, callback: Callable[[], object]) -> None:
+        while (left_ns := self.clock.wait_ns(when_ns)) > 2 * _FINE_NS:
+            await asyncio.sleep(min(left_ns - _FINE_NS, _LONGEST_WAIT_NS) * 1e-9)
         if left_ns > 0:
             time.sleep(left_ns * 1e-9)
-        timer.run()
+        callback()
 
 
 # --- The studio's control channel: one JSON line in, one out, over a Unix socket that only its owner may open.

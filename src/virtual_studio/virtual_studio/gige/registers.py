@@ -10,8 +10,9 @@ import struct
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import Enum
-from itertools import count
+from functools import partial
 from typing import Any
+from xml.sax.saxutils import escape
 
 from gige_vision.gvcp import Status, decode_text, encode_text
 
@@ -42,7 +43,7 @@ class Feature:
     name : its GenICam name; "" for a register that no client sees by name.
     address, length : its register, bytes; address -1: wherever there is room.
     default : value after power-on; low, high, step : limits of what may be written.
-    low_key, high_key : the features that hold the limits instead, where they depend on others.
+    high_key : the feature that holds the upper limit instead, where it depends on others.
     entries : an enumeration's names and values.
     bits : (first, last), counted from the lowest: this feature is only a part of the register at its address, which
     another row describes.
@@ -60,13 +61,11 @@ class Feature:
     low: float | None = None
     high: float | None = None
     step: int | None = None
-    low_key: str = ""
     high_key: str = ""
     entries: tuple[tuple[str, int], ...] = ()
     bits: tuple[int, int] | None = None
     unit: str = ""
     category: str = ""
-    help: str = ""
     volatile: bool = False
     chunk: int = 0
 
@@ -78,52 +77,36 @@ class Feature:
 
 def placed(features: list[Feature]) -> tuple[Feature, ...]:
     """Gives an address to each register that has none."""
-    addresses = count(FEATURE_SPACE, 8)
-    return tuple(
-        dataclasses.replace(f, address=_take(addresses, f.length)) if f.address < 0 and f.has_register else f
-        for f in features
-    )
+    found, free = [], FEATURE_SPACE
+    for feature in features:
+        if feature.address < 0 and feature.has_register:
+            feature, free = dataclasses.replace(feature, address=free), free + -(-feature.length // 8) * 8
+        found.append(feature)
+    return tuple(found)
 
 
-def integer(key: str, category: str, default: int = 0, **more: Any) -> Feature:
-    return Feature(key, Kind.INTEGER, name=key, category=category, default=default, **more)
+def _feature(kind: Kind, key: str, category: str, default: Value = 0, **more: Any) -> Feature:
+    return Feature(key, kind, name=key, category=category, default=default, **more)
 
 
-def real(key: str, category: str, default: float = 0.0, **more: Any) -> Feature:
-    return Feature(key, Kind.FLOAT, name=key, category=category, default=default, length=8, **more)
-
-
-def boolean(key: str, category: str, default: bool = False, **more: Any) -> Feature:
-    return Feature(key, Kind.BOOLEAN, name=key, category=category, default=int(default), **more)
-
-
-def command(key: str, category: str, **more: Any) -> Feature:
-    return Feature(key, Kind.COMMAND, name=key, category=category, **more)
+integer, boolean, command = (partial(_feature, kind) for kind in (Kind.INTEGER, Kind.BOOLEAN, Kind.COMMAND))
+real = partial(_feature, Kind.FLOAT, length=8)
 
 
 def text(key: str, category: str, default: str, length: int, **more: Any) -> Feature:
-    return Feature(key, Kind.STRING, name=key, category=category, default=default, length=length, **more)
+    return _feature(Kind.STRING, key, category, default, length=length, **more)
 
 
 def choice(key: str, category: str, entries: dict[str, int], default: str = "", **more: Any) -> Feature:
     """Return an enumeration; its default is the first entry unless named."""
-    first = entries[default] if default else next(iter(entries.values()))
-    return Feature(
-        key, Kind.ENUMERATION, name=key, category=category, entries=tuple(entries.items()), default=first, **more
-    )
+    value = entries[default or next(iter(entries))]
+    return _feature(Kind.ENUMERATION, key, category, value, entries=tuple(entries.items()), **more)
 
 
 def hidden(key: str, address: int, default: Value = 0, length: int = 4, writable: bool = False) -> Feature:
     """Return a register of the standard that no GenICam feature names."""
     kind = Kind.STRING if isinstance(default, str) else Kind.INTEGER
     return Feature(key, kind, address=address, length=length, default=default, writable=writable)
-
-
-def _take(addresses: count, length: int) -> int:
-    address = next(addresses)
-    for _ in range((length - 1) // 8):
-        next(addresses)
-    return address
 
 
 class RegisterError(Exception):
@@ -143,7 +126,7 @@ class Registers:
 
     def __init__(self, features: Iterable[Feature], file: bytes = b"") -> None:
         self._features = {f.key: f for f in features if f.has_register}
-        self._values: dict[str, Value] = {}
+        self._values: dict[str, Value] = {f.key: f.default for f in self._features.values()}
         self._at: dict[int, Feature] = {}
         self._file = file
         self.checks: dict[str, Callable[[Value], None]] = {}
@@ -154,11 +137,6 @@ class Registers:
                 if address in self._at:
                     raise ValueError(f"{feature.key} and {self._at[address].key} share address 0x{address:x}")
                 self._at[address] = feature
-        self.reset()
-
-    def reset(self) -> None:
-        """Sets every register as after power-on. No hook is called."""
-        self._values = {key: feature.default for key, feature in self._features.items()}
 
     def __getitem__(self, key: str) -> Value:
         return self._values[key]
@@ -229,9 +207,8 @@ class Registers:
             raise RegisterError(Status.INVALID_PARAMETER)
         if isinstance(value, str):
             return
-        low = self._values[feature.low_key] if feature.low_key else feature.low
-        high = self._values[feature.high_key] if feature.high_key else feature.high
-        wrong = (low is not None and not value >= low) or (high is not None and not value <= high)  # type: ignore[operator]
+        low, high = feature.low, self.real(feature.high_key) if feature.high_key else feature.high
+        wrong = (low is not None and not value >= low) or (high is not None and not value <= high)
         if wrong or (feature.step is not None and int(value) % feature.step):
             raise RegisterError(Status.INVALID_PARAMETER)
 
@@ -258,3 +235,95 @@ def _decode(feature: Feature, data: bytes) -> Value:
     if feature.kind is Kind.FLOAT:
         return struct.unpack(">d", data)[0]
     return int.from_bytes(data, "big")
+
+
+# --- the GenICam description of the same table
+
+XML_NAME = "sagoma_studio_camera"
+_HEAD = (
+    '<?xml version="1.0" encoding="utf-8"?>\n'
+    '<RegisterDescription ModelName="{model}" VendorName="{vendor}" StandardNameSpace="GEV" SchemaMajorVersion="1" '
+    'SchemaMinorVersion="1" SchemaSubMinorVersion="0" MajorVersion="1" MinorVersion="0" SubMinorVersion="0" '
+    'ProductGuid="5f1b1c2e-6d1b-4a5e-9c57-000000000001" VersionGuid="5f1b1c2e-6d1b-4a5e-9c57-000000000002" '
+    'xmlns="http://www.genicam.org/GenApi/Version_1_1" '
+    'xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" '
+    'xsi:schemaLocation="http://www.genicam.org/GenApi/Version_1_1 '
+    'http://www.genicam.org/GenApi/GenApiSchema_Version_1_1.xsd">\n'
+)
+PORT = "Device"
+
+
+def genicam_xml(features: Iterable[Feature], vendor: str, model: str) -> bytes:
+    """Writes the XML, whole words: categories, a node for every named feature, a register node beneath each."""
+    named = [feature for feature in features if feature.name]
+    names = {feature.key: feature.name for feature in named}
+    parts = [_HEAD.format(vendor=escape(vendor), model=escape(model)), *_categories(named)]
+    for feature in named:
+        parts.append(_node(feature, names))
+        if feature.kind is not Kind.STRING:
+            parts.append(_register(feature))
+        if feature.chunk:
+            parts.append(f'<Port Name="{_port(feature)}"><ChunkID>{feature.chunk:X}</ChunkID></Port>\n')
+    parts.append(f'<Port Name="{PORT}"/>\n</RegisterDescription>\n')
+    xml = "".join(parts).encode()
+    return xml + b" " * (-len(xml) % 4)
+
+
+def _categories(features: list[Feature]) -> list[str]:
+    names = list(dict.fromkeys(feature.category for feature in features if feature.category))
+    parts = [_element("Category", "Root", "".join(f"<pFeature>{name}</pFeature>" for name in names))]
+    for name in names:
+        members = "".join(f"<pFeature>{f.name}</pFeature>" for f in features if f.category == name)
+        parts.append(_element("Category", name, members))
+    return parts
+
+
+def _node(feature: Feature, names: dict[str, str]) -> str:
+    if feature.kind is Kind.STRING:
+        body = f"<Address>0x{feature.address:X}</Address><Length>{feature.length}</Length>"
+        return _element("StringReg", feature.name, f"{body}{_access(feature)}<pPort>{PORT}</pPort>")
+    value = f"<pValue>{feature.name}Reg</pValue>"
+    if feature.kind is Kind.ENUMERATION:
+        value = "".join(_element("EnumEntry", n, f"<Value>{v}</Value>") for n, v in feature.entries) + value
+    elif feature.kind is Kind.COMMAND:
+        value += "<CommandValue>1</CommandValue>"
+    elif feature.kind is Kind.BOOLEAN:
+        value += "<OnValue>1</OnValue><OffValue>0</OffValue>"
+    else:
+        value += _limits(feature, names)
+        value += f"<Unit>{escape(feature.unit)}</Unit>" if feature.unit else ""
+    selected = "<pSelected>ChunkEnable</pSelected>" if feature.key == "ChunkSelector" else ""
+    return _element(feature.kind.value, feature.name, value + selected)
+
+
+def _limits(feature: Feature, names: dict[str, str]) -> str:
+    numbers = {"Min": feature.low, "Max": feature.high, "Inc": feature.step}
+    limits = "".join(f"<{tag}>{number!r}</{tag}>" for tag, number in numbers.items() if number is not None)
+    return limits + (f"<pMax>{names[feature.high_key]}</pMax>" if feature.high_key else "")
+
+
+def _register(feature: Feature) -> str:
+    where = f"<Address>0x{0 if feature.chunk else feature.address:X}</Address><Length>{feature.length}</Length>"
+    where += f"{_access(feature)}<pPort>{_port(feature)}</pPort>"
+    where += "<Cachable>NoCache</Cachable>" if feature.volatile or feature.chunk or feature.bits else ""
+    name = f"{feature.name}Reg"
+    if feature.kind is Kind.FLOAT:
+        return _element("FloatReg", name, f"{where}<Endianess>BigEndian</Endianess>")
+    sign = "<Sign>Signed</Sign>" if feature.unit == "ns" and feature.length == 8 else "<Sign>Unsigned</Sign>"
+    if feature.bits is None:
+        return _element("IntReg", name, f"{where}{sign}<Endianess>BigEndian</Endianess>")
+    first, last = (31 - bit for bit in feature.bits)  # in big-endian registers bit 0 is the highest
+    bits = f"<Bit>{first}</Bit>" if first == last else f"<LSB>{first}</LSB><MSB>{last}</MSB>"
+    return _element("MaskedIntReg", name, f"{where}{bits}{sign}<Endianess>BigEndian</Endianess>")
+
+
+def _access(feature: Feature) -> str:
+    return f"<AccessMode>{'RW' if feature.writable else 'RO'}</AccessMode>"
+
+
+def _port(feature: Feature) -> str:
+    return f"{feature.name}Port" if feature.chunk else PORT
+
+
+def _element(tag: str, name: str, body: str) -> str:
+    return f'<{tag} Name="{name}">{body}</{tag}>\n'

@@ -9,7 +9,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -39,8 +39,7 @@ CARRIED_S = 30.0
 SAMPLES = 12
 
 
-@dataclass(frozen=True, eq=False)
-class RenderedSet:
+class RenderedSet(NamedTuple):
     """Pictures of all cameras, by name, at one instant (UTC, ns)."""
 
     instant_ns: int

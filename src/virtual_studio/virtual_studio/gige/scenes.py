@@ -205,19 +205,16 @@ def load_session_scene(session: Session, memory_mb: float = 800.0, clock: Captur
     with ThreadPoolExecutor(LOADERS) as pool:
         footage = list(pool.map(lambda n: _decode(session.videos[n], budget * (1 - BACKGROUND_SHARE)), names))
         backgrounds = list(pool.map(lambda n: _background(session, n, budget * BACKGROUND_SHARE), names))
-    count = min(len(frames) for frames in footage)
+    count = min(len(frames) for frames, _ in footage)
+    shortest = min(length for _, length in footage)
     playback = Playback(count, session.fps, clock)
     views = {
         name: SessionView(playback, tuple(frames[:count]), tuple(_alike(frames[0], background)))
-        for name, frames, background in zip(names, footage, backgrounds, strict=True)
+        for name, (frames, _), background in zip(names, footage, backgrounds, strict=True)
     }
-    lengths = []
-    for name, frames in zip(names, footage, strict=True):
-        with Video(session.videos[name]) as video:
-            lengths.append(max(video.frame_count, len(frames)))  # a raw stream's header does not tell
-    cut = f"only the first {count} of {min(lengths)} frames fit into {memory_mb:g} MB and are shown (--memory)"
+    cut = f"only the first {count} of {shortest} frames fit into {memory_mb:g} MB and are shown (--memory)"
     can_be_empty = all(view.background for view in views.values())
-    return StudioScene(session.rig, views, playback, can_be_empty, (cut,) if count < min(lengths) else ())
+    return StudioScene(session.rig, views, playback, can_be_empty, (cut,) if count < shortest else ())
 
 
 def _background(session: Session, name: str, budget: float) -> list[Image]:
@@ -225,15 +222,15 @@ def _background(session: Session, name: str, budget: float) -> list[Image]:
     if path is None:
         return []
     if path.suffix.lower() not in STILL_SUFFIXES:
-        return _decode(path, budget)
+        return _decode(path, budget)[0]
     still = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if still is None:
         raise InputError("is not a readable picture", where=str(path), remedy="Check the file.")
     return [np.ascontiguousarray(still[..., 1] if is_grey(still) else still, np.uint8)]
 
 
-def _decode(path: Path, budget: float) -> list[Image]:
-    """Return the first frames of a video, as many as fit into ``budget`` bytes; at least one."""
+def _decode(path: Path, budget: float) -> tuple[list[Image], int]:
+    """Return the first frames of a video, as many as fit into ``budget`` bytes, at least one; and how many it has."""
     frames = list[Image]()
     with Video(path) as video:
         for picture in video:
@@ -247,7 +244,7 @@ def _decode(path: Path, budget: float) -> list[Image]:
     if frames[0].nbytes > budget:
         size, remedy = f"one frame has {frames[0].nbytes / 1e6:.1f} MB", "Give the studio more memory (--memory)."
         raise InputError(size, where=str(path), remedy=remedy)
-    return frames
+    return frames, max(video.frame_count, len(frames))  # a raw stream's header does not tell
 
 
 def _alike(frame: Image, background: list[Image]) -> list[Image]:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gige_vision.bootstrap import SIZE_MASK, PacketSize
-from gige_vision.gvcp import ResendRequest, Status
-from gige_vision.gvsp import IP_AND_UDP, Content, ImageLeader, ImageTrailer, PacketHeader, payload_capacity
+from gige_vision.gvcp import Status
+from gige_vision.gvsp import IP_AND_UDP, Content, packet_header, payload_capacity
 
 from .device import Device
 
@@ -34,9 +34,9 @@ class Block:
     """
 
     block_id: int
-    leader: ImageLeader
+    leader: bytes
     image: memoryview
-    trailer: ImageTrailer
+    trailer: bytes
     packet_size: int
 
     @cached_property
@@ -46,13 +46,13 @@ class Block:
     def packet(self, packet_id: int, status: int = Status.SUCCESS) -> Packet:
         """Returns one packet."""
         if packet_id == 0:
-            content, body = Content.LEADER, memoryview(self.leader.encode())
+            content, body = Content.LEADER, memoryview(self.leader)
         elif packet_id == self.packets - 1:
-            content, body = Content.TRAILER, memoryview(self.trailer.encode())
+            content, body = Content.TRAILER, memoryview(self.trailer)
         else:
             capacity = payload_capacity(self.packet_size)
             content, body = Content.PAYLOAD, self.image[(packet_id - 1) * capacity : packet_id * capacity]
-        return PacketHeader(content, self.block_id, packet_id, status).encode(), body
+        return packet_header(content, self.block_id, packet_id, status), body
 
 
 class StreamChannel:
@@ -82,7 +82,7 @@ class StreamChannel:
         """Forgets what was sent: a new acquisition begins."""
         self._blocks.clear()
 
-    def send(self, block_id: int, leader: ImageLeader, data: NDArray[np.uint8], trailer: ImageTrailer) -> None:
+    def send(self, block_id: int, leader: bytes, data: NDArray[np.uint8], trailer: bytes) -> None:
         """Sends one block, at once or spread over time by the packet delay. ``data`` (n,) contiguous."""
         size = self._registers.integer("PacketSizeWord") & SIZE_MASK
         block = Block(block_id, leader, memoryview(data.data).cast("B"), trailer, size)
@@ -91,19 +91,19 @@ class StreamChannel:
         self._send_on(packets, self._registers.integer("GevSCPD"), self._destination)
         self._counters["frames_sent"] += 1
 
-    def resend(self, request: ResendRequest) -> None:
-        """Answers a resend request from the last blocks; packets that are gone are reported unavailable."""
+    def resend(self, block_id: int, first: int, last: int) -> None:
+        """Sends packets of one of the last blocks once more; those that are gone are reported unavailable."""
         self._counters["resend_requests"] += 1
         if self._faults.no_resend:
             return
-        block = next((block for block in self._blocks if block.block_id == request.block_id), None)
+        block = next((block for block in self._blocks if block.block_id == block_id), None)
         if block is None:
             self._counters["resend_missed"] += 1
-            for packet_id in range(request.first, min(request.last, request.first + MOST_REFUSALS) + 1):
-                header = PacketHeader(Content.PAYLOAD, request.block_id, packet_id, Status.PACKET_UNAVAILABLE)
-                self._transmit((header.encode(), b""), self._destination)
+            for packet_id in range(first, min(last, first + MOST_REFUSALS) + 1):
+                header = packet_header(Content.PAYLOAD, block_id, packet_id, Status.PACKET_UNAVAILABLE)
+                self._transmit((header, b""), self._destination)
             return
-        for packet_id in range(request.first, min(request.last, block.packets - 1) + 1):
+        for packet_id in range(first, min(last, block.packets - 1) + 1):
             if self._kept(1)[0]:
                 self._transmit(block.packet(packet_id, Status.PACKET_RESEND), self._destination)
                 self._counters["packets_resent"] += 1

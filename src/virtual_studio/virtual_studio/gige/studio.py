@@ -17,12 +17,12 @@ from rig_calibration.boards.board import Board, board_text, read_board
 
 from ..recording.footage import FLOOR_BOARD, HAND_BOARD
 from ..rig import ring
+from .acquisition import TriggerWire
 from .camera import SimulatedCamera
 from .device import CameraSettings, consecutive_addresses
 from .loop import ControlServer, EventLoop, Request
 from .rendered_scenes import PERSON, RoomScene, SetupScene
 from .scenes import PatternScene, Playback, StudioScene, load_session_scene
-from .timing import TriggerWire
 
 PERSON_SCENE, SETUP_SCENE = "person", "setup"
 
@@ -159,14 +159,13 @@ class Studio:
             "room": self._room,
             "play": self._play,
             "hold": self._hold,
-            "pulse": self._pulse,
+            "pulse": lambda request: {"instant_ns": self.wire.pulse()},
             "wire": self._wire,
-            "show": self._switch,
+            "show": self._show,
         }
         verb = request.get("do")
         if verb not in verbs:
-            remedy = f"It does {', '.join(verbs)}."
-            raise InputError(f"'{verb}' is nothing a studio does", where="studio", remedy=remedy)
+            raise _refusal(f"'{verb}' is nothing a studio does", f"It does {', '.join(verbs)}.")
         return verbs[verb](request)
 
     def __enter__(self) -> Studio:
@@ -192,7 +191,7 @@ class Studio:
         unknown = [name for name in names if name not in self.cameras]
         if unknown:
             remedy = f"Known cameras: {', '.join(self.cameras)}."
-            raise InputError(f"there is no camera {', '.join(map(str, unknown))}", where="studio", remedy=remedy)
+            raise _refusal(f"there is no camera {', '.join(map(str, unknown))}", remedy)
         return [self.cameras[name] for name in names]
 
     def _status(self, request: Request) -> Request:
@@ -207,7 +206,7 @@ class Studio:
     def _set(self, request: Request) -> Request:
         changes = request.get("faults")
         if not isinstance(changes, dict):
-            raise InputError("no faults are named", where="studio", remedy="Such as packet_loss=0.005.")
+            raise _refusal("no faults are named", "Such as packet_loss=0.005.")
         for camera in self._chosen(request):
             camera.faults.update(changes, f"camera {camera.address}")
         return {"set": changes}
@@ -225,13 +224,12 @@ class Studio:
     def _room(self, request: Request) -> Request:
         state = request.get("state")
         if state not in ("empty", "occupied"):
-            raise InputError(f"the room cannot be {state!r}", where="studio", remedy="It can be empty or occupied.")
-        occupied = state == "occupied"
-        if not occupied and not self.scene.can_be_empty:
+            raise _refusal(f"the room cannot be {state!r}", "It can be empty or occupied.")
+        if state == "empty" and not self.scene.can_be_empty:
             remedy = "Use a session with a background for every camera."
-            raise InputError("the session has no pictures of the empty room", where="studio", remedy=remedy)
-        self._required_playback().occupy(occupied)
-        return {"room": request["state"]}
+            raise _refusal("the session has no pictures of the empty room", remedy)
+        self._required_playback().occupy(state == "occupied")
+        return {"room": state}
 
     def _play(self, request: Request) -> Request:
         playback = self._required_playback()
@@ -242,29 +240,27 @@ class Studio:
             playback.occupy(True)
         return {"epoch_ns": epoch_ns, "frames": playback.frames, "fps": playback.fps}
 
-    def _switch(self, request: Request) -> Request:
-        if self.setup is None:
-            raise InputError("it shows no set-up", where="studio", remedy="Start one: sagoma studio --scene setup.")
-        return {"shows": self.setup.show(str(request.get("phase")))}
-
     def _hold(self, request: Request) -> Request:
         self._required_playback().hold()
         return {"held": True}
 
-    def _pulse(self, request: Request) -> Request:
-        return {"instant_ns": self.wire.pulse()}
+    def _show(self, request: Request) -> Request:
+        if self.setup is None:
+            raise _refusal("it shows no set-up", "Start one: sagoma studio --scene setup.")
+        return {"shows": self.setup.show(str(request.get("phase")))}
 
     def _wire(self, request: Request) -> Request:
         rate = request.get("rate", 0)
         if not isinstance(rate, int | float) or not 0 <= rate <= 1000:
-            raise InputError(f"rate = {rate!r} Hz", where="studio", remedy="Give 0 (no pulses) to 1000.")
-        if rate:
-            self.wire.run(rate)
-        else:
-            self.wire.stop()
+            raise _refusal(f"rate = {rate!r} Hz", "Give 0 (no pulses) to 1000.")
+        self.wire.run(rate)
         return {"rate": rate}
 
     def _required_playback(self) -> Playback:
         if self.playback is None:
-            raise InputError("a test pattern has no playback", where="studio", remedy="Show a session or the room.")
+            raise _refusal("a test pattern has no playback", "Show a session or the room.")
         return self.playback
+
+
+def _refusal(what: str, remedy: str) -> InputError:
+    return InputError(what, where="studio", remedy=remedy)

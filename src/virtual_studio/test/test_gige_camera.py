@@ -1,0 +1,134 @@
+"""Simulated cameras: their features seen through Aravis, and what their settings and faults make of the picture."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from gige_client import GvcpClient, aravis_modules
+
+from capture_rig.errors import InputError
+from gige_vision.gvcp import Status
+from gige_vision.gvsp import PixelFormat
+from virtual_studio.gige import CameraSettings, Faults, PatternScene, SimulatedCamera
+from virtual_studio.gige.device import Device
+from virtual_studio.gige.feature_table import feature_table
+from virtual_studio.gige.imaging import ImagingPipeline
+from virtual_studio.gige.registers import Registers
+
+
+def test_every_feature_can_be_read_through_aravis(address):
+    Aravis, Gio, _ = aravis_modules()
+    inet = Gio.InetAddress.new_from_string
+    with SimulatedCamera(address, PatternScene(colour=True)) as simulated:
+        device = Aravis.GvDevice.new(inet("127.0.0.1"), inet(address))
+        camera = Aravis.Camera.new_with_device(device)
+        features = [f for f in simulated.features if f.name and f.category and not f.chunk]
+        assert len(features) > 55
+        readers = {
+            Aravis.GcFloat: camera.get_float,
+            Aravis.GcEnumeration: camera.get_string,
+            Aravis.GcString: camera.get_string,
+            Aravis.GcBoolean: camera.get_boolean,
+        }
+        for feature in features:
+            node = device.get_feature(feature.name)
+            assert node is not None, feature.name
+            if isinstance(node, Aravis.GcCommand):
+                continue
+            value = next((read for kind, read in readers.items() if isinstance(node, kind)), camera.get_integer)(
+                feature.name
+            )
+            if isinstance(node, Aravis.GcEnumeration):
+                assert value in camera.dup_available_enumerations_as_strings(feature.name)
+            elif not feature.volatile and feature.bits is None:
+                assert value == simulated.registers[feature.key], feature.name
+        assert (camera.get_vendor_name(), camera.get_device_serial_number()) == ("Sagoma", "SIM00001")
+
+
+class Imaging:
+    """The imaging of a camera that is seen through its registers and faults alone."""
+
+    def __init__(self, width, height, **settings):
+        settings = CameraSettings(**settings)
+        self.registers = Registers(feature_table(settings, "127.0.0.9", width, height, colour=False))
+        self.faults = Faults()
+        self.pipeline = ImagingPipeline(Device("127.0.0.9", settings, self.registers, self.faults, Counter(), None))
+
+    def of(self, picture, **values):
+        for key, value in values.items():
+            self.registers[key] = value
+        self.pipeline.region.refresh()
+        return self.pipeline.capture(picture)
+
+
+def test_region_and_binning_cut_and_average_the_sensor():
+    picture = np.random.default_rng(3).integers(0, 256, (64, 96)).astype(np.uint8)
+    camera = Imaging(96, 64)
+    region = {"OffsetX": 8, "OffsetY": 10, "Width": 32, "Height": 20}
+    np.testing.assert_array_equal(camera.of(picture, **region), picture[10:30, 8:40])
+    binned = Imaging(96, 64).of(picture, BinningHorizontal=2, BinningVertical=2)
+    assert np.abs(binned - picture.reshape(32, 2, 48, 2).mean(axis=(1, 3))).max() <= 0.5
+
+
+def test_exposure_gain_and_light_change_the_brightness_by_their_factors():
+    camera, scene = Imaging(64, 64), np.full((64, 64), 50, np.uint8)
+    for values, level in (({}, 50), ({"ExposureTime": 8000.0}, 100), ({"Gain": 20 * np.log10(2.0)}, 200)):
+        assert (camera.of(scene, **values) == level).all()
+    camera.faults.light = 0.5
+    assert (camera.of(scene, ExposureTime=2000.0) == 25).all()
+
+
+def test_sensor_noise_has_the_deviation_that_was_set_and_stays_under_the_lens_cap():
+    camera, scene = Imaging(320, 240, noise=4.0), np.full((240, 320), 100, np.uint8)
+    frames = np.array([camera.of(scene) for _ in range(8)], float)
+    deviation = np.sqrt(frames.var(axis=0, ddof=1).mean())  # in time, so that every frame has noise of its own
+    assert deviation == pytest.approx(4.0, rel=0.03) and frames.mean() == pytest.approx(100.0, abs=0.1)
+    camera.faults.lens_cap = True
+    dark = camera.of(scene)
+    assert dark.max() > 0 and dark.mean() < 5
+    assert (dark == 0).mean() == pytest.approx(0.55, abs=0.08)  # the negative half of the noise is cut off
+
+
+def test_payload_follows_region_and_format():
+    camera = Imaging(96, 64)
+    camera.of(np.zeros((64, 96), np.uint8), Width=32, PixelFormat=int(PixelFormat.Mono12p))
+    assert camera.registers.integer("PayloadSize") == 32 * 64 * 12 // 8
+
+
+def address_of(camera, key):
+    return next(f.address for f in camera.features if f.key == key and f.has_register)
+
+
+def test_geometry_is_locked_while_frames_are_taken(address):
+    with SimulatedCamera(address, PatternScene()) as camera, GvcpClient(address) as client:
+        client.take_control()
+        client.write(address_of(camera, "AcquisitionStart"), 1)
+        assert client.write(address_of(camera, "Width"), 320) == Status.ACCESS_DENIED
+        client.write(address_of(camera, "AcquisitionStop"), 1)
+        assert client.write(address_of(camera, "Width"), 320) == Status.SUCCESS
+
+
+def test_power_cycle_forgets_settings_but_not_the_user_s_name(address):
+    with SimulatedCamera(address, PatternScene(), CameraSettings(user_id="left")) as camera:
+        camera.loop.call(lambda: camera.registers.__setitem__("ExposureTime", 9000.0))
+        camera.loop.call(lambda: camera.registers.__setitem__("DeviceUserID", "right"))
+        camera.power_off()
+        assert not camera.powered
+        camera.power_on()
+        assert camera.registers["ExposureTime"] == 4000.0 and camera.registers["DeviceUserID"] == "right"
+
+
+def test_unknown_fault_and_impossible_value_are_refused_and_change_nothing():
+    faults = Faults()
+    with pytest.raises(InputError, match=r"no fault 'packetloss'.*packet_loss"):
+        faults.update({"stall": True, "packetloss": 0.1})
+    impossible = [("packet_loss", 1.5), ("packet_loss", "much"), ("stall", 3), ("light", -1), ("stamp_jump_ns", True)]
+    impossible += [("stamp_jump_ns", float("inf")), ("light", 1e300)]
+    for name, value in impossible:
+        with pytest.raises(InputError, match=rf"{name} = "):
+            faults.update({name: value})
+    assert faults.active() == {}
+    faults.update({"stall": 1, "packet_loss": 0.5})
+    assert faults.active() == {"stall": True, "packet_loss": 0.5}
+    faults.clear()
+    assert faults.active() == {}
