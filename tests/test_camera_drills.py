@@ -17,7 +17,7 @@ from camera_client.sources.aravis_source import AravisSource, import_aravis
 from capture_rig.errors import InputError
 from capture_rig.rig import save_rig
 from sagoma_bringup.graph import CAMERA_NODE
-from sagoma_tools.graph.lifecycle_client import LifecycleClient, State, Transition
+from sagoma_tools.graph.lifecycle_client import LifecycleClient, State
 from virtual_studio.gige import free_addresses
 from virtual_studio.rig import ring
 
@@ -249,10 +249,10 @@ def test_client_killed_by_force_gets_its_camera_back_after_the_heartbeat(fresh):
 def test_services_of_a_client_whose_camera_just_died_answer(pc):
     client = LifecycleClient(pc.listener.node)
     pc.camera.faults.unplugged = True  # every access to it blocks for seconds from now on
-    for what, transition in (("deactivate", Transition.DEACTIVATE), ("cleanup", Transition.CLEANUP)):
+    for goal in (State.INACTIVE, State.UNCONFIGURED):
         asked_s = time.monotonic()
-        assert client.change({pc.node: transition}, timeout_s=DEAD_CAMERA_S).ok
-        measured(f"{what} while the camera is dead", time.monotonic() - asked_s)
+        assert not client.bring([[pc.node]], goal, timeout_s=DEAD_CAMERA_S).failures
+        measured(f"{goal} while the camera is dead", time.monotonic() - asked_s)
     pc.camera.faults.clear()
-    assert client.bring([[pc.node]], State.ACTIVE).ok
+    assert not client.bring([[pc.node]], State.ACTIVE).failures
     pc.until_well()

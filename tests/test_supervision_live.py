@@ -16,7 +16,7 @@ from sagoma_bringup.graph import ONE_PROCESS, THREE_PROCESSES
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
 from sagoma_tools.graph.processes import ProcessSettings
-from sagoma_tools.graph.supervisor import ProcessExited, ProcessRecovered, Supervisor
+from sagoma_tools.graph.supervisor import ProcessEvent, Supervisor
 
 pytestmark = pytest.mark.slow
 
@@ -35,7 +35,7 @@ CRASHES = {
 
 @pytest.mark.parametrize("server", [ONE_PROCESS, THREE_PROCESSES])
 def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in_session: Path, tmp_path: Path):
-    told: queue.Queue[ProcessExited | ProcessRecovered] = queue.Queue()
+    told: queue.Queue[ProcessEvent] = queue.Queue()
     cancel = threading.Event()
     with StudioInput(built_in_session, tmp_path / "studio", CAMERA_FPS) as studio:
         studio.open(cancel)
@@ -53,8 +53,8 @@ def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in
             for name, number in CRASHES[server].items():
                 os.kill(supervisor.processes.pids()[name], number)
                 death, back = told.get(timeout=PATIENCE_S), told.get(timeout=PATIENCE_S)
-                assert f"killed by {signal.Signals(number).name}" in death.reason
-                assert name in str(back)
+                assert f"killed by {signal.Signals(number).name}" in death.text
+                assert name in back.text
                 assert joints.wait_for_more(5), f"nobody is tracked after {name} crashed"
                 assert_every_camera_is_seen(supervisor.diagnostics)
 

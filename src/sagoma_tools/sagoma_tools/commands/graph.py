@@ -41,7 +41,7 @@ from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
 from ..graph.processes import Exit, ProcessSettings
 from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument, our_nodes, settled
-from ..graph.supervisor import GraphError, ProcessExited, ProcessRecovered, Supervisor
+from ..graph.supervisor import GraphError, ProcessEvent, Supervisor
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
 from ..takes.folder import TakesFolder
@@ -95,10 +95,10 @@ def up(args: argparse.Namespace) -> int:
     console, folder = command_console(), new_run_folder(args.run_folder, "up")
     console.print(f"starting {len(graph)} nodes; logs in {folder}")
 
-    def log_event(event: ProcessExited | ProcessRecovered) -> None:
-        console.print(str(event), style="red" if isinstance(event, ProcessExited) else "green")
-        if isinstance(event, ProcessExited):
-            console.print(f"the end of {event.log}:\n{event.log_tail}")
+    def log_event(event: ProcessEvent) -> None:
+        console.print(event.text, style="green" if event.back else "red")
+        if event.log_tail:
+            console.print(event.log_tail)
 
     settings, restart = ProcessSettings(args.server), RESTART_DELAY_S if args.restart else None
 
@@ -113,7 +113,7 @@ def up(args: argparse.Namespace) -> int:
         recorder = bring_up(supervisor, args.record, stop, report_failure)
         until_stopped()
         if not stop.is_set():
-            active = sum(state == State.ACTIVE.value for state in supervisor.states().values())
+            active = sum(state == State.ACTIVE for state in supervisor.states().values())
             console.print(f"{active} of {len(graph)} nodes are active")
         watch(supervisor, console, stop, args.seconds)
         doing("stopping the nodes")
@@ -164,8 +164,8 @@ def watch(supervisor: Supervisor, console: Console, stop: threading.Event, secon
 
 def print_exit_statuses(console: Console, supervisor: Supervisor) -> int:
     """Print which nodes did not answer or did not end cleanly; 1 when one did not end cleanly."""
-    for answer in supervisor.stop_outcome.failures:
-        console.print(str(answer), style="yellow")
+    for failure in supervisor.stop_outcome.failures.values():
+        console.print(failure, style="yellow")
     failed = [status for status in supervisor.exit_statuses if status.exit is not Exit.CLEAN]
     for status in failed:
         console.print(f"{status.name} {status.exit.value} (status {status.returncode})", style="yellow")
@@ -182,15 +182,15 @@ def change_state(args: argparse.Namespace) -> int:
         names = (*SERVER_NODES, *(f"{camera}/{CAMERA_NODE}" for camera in load_rig(args.rig).names)) if args.rig else ()
         awaited = frozenset(f"{namespace}/{name}" for name in names)
         found = discover(link.node, args.expect, args.wait, awaited)
-        doing(f"bringing {len(found)} nodes to {args.goal.value}")
+        doing(f"bringing {len(found)} nodes to {args.goal}")
         client = LifecycleClient(link.node)
         outcome = client.bring(groups_of(found, args.cameras_first), args.goal, args.timeout)
         states = client.states(found)
     for name in found:
         print(f"{name}: {states[name] or 'did not answer'}")
-    for failure in outcome.failures:
+    for failure in outcome.failures.values():
         print(f"failed: {failure}")
-    return 0 if outcome.ok else 1
+    return 1 if outcome.failures else 0
 
 
 def discover(node: Node, expect: int, wait_s: float, names: Set[str] = frozenset()) -> list[str]:

@@ -135,8 +135,7 @@ class Control:
         if not names:
             return "no nodes of ours are in the graph: start them with `sagoma up` or their launch file"
         outcome = self._lifecycle.bring(groups_of(names, cameras_first), goal)
-        failures = "; ".join(map(str, outcome.failures))
-        return failures or f"{len(names)} nodes are {goal.value}"
+        return "; ".join(outcome.failures.values()) or f"{len(names)} nodes are {goal}"
 
     def reset(self, tell: Tell) -> str:
         """Forget all persons, and look for them anew."""
