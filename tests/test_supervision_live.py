@@ -15,7 +15,6 @@ from sensor_msgs.msg import JointState
 from sagoma_bringup.graph import ONE_PROCESS, THREE_PROCESSES
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
-from sagoma_tools.graph.processes import ProcessSettings
 from sagoma_tools.graph.supervisor import ProcessEvent, Supervisor
 
 pytestmark = pytest.mark.slow
@@ -40,9 +39,7 @@ def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in
     with StudioInput(built_in_session, tmp_path / "studio", CAMERA_FPS) as studio:
         studio.open(cancel)
         graph = studio.graph({"hull_server.deadline_s": 2.0, "hull_server.thin_out": False})
-        with Supervisor(
-            graph, tmp_path / "run", ProcessSettings(server), on_event=told.put, restart_delay_s=0.1
-        ) as supervisor:
+        with Supervisor(graph, tmp_path / "run", server, on_event=told.put, restart_delay_s=0.1) as supervisor:
             supervisor.configure(tolerate_cameras=False)
             supervisor.activate(tolerate_cameras=False)
             studio.prepare(supervisor, cancel)

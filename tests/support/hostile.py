@@ -22,7 +22,6 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 from sagoma_bringup.graph import THREE_PROCESSES, build_graph
-from sagoma_tools.graph.processes import ProcessSettings
 from sagoma_tools.graph.ros_link import RosLink, call_all
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.graph.topics import PREDICTION_TOPIC, message_class, type_of
@@ -108,7 +107,7 @@ def running_graph(folder: Path, domain: int) -> Iterator[Target]:
         write_session(session, ring(2, True), body, fps=FPS, seconds=SECONDS, motion="t_pose_only", settings=look)
     settings = {"icp_tracker.bodies.folder": str(folder / "bodies"), "hull_server.mesh.folder": str(folder / "meshes")}
     graph = build_graph(session=session, loop=True, settings={**settings, "hull_server.thin_out": False})
-    with Supervisor(graph, folder / "run", ProcessSettings(THREE_PROCESSES, domain)) as supervisor:
+    with Supervisor(graph, folder / "run", THREE_PROCESSES, domain_id=domain) as supervisor:
         supervisor.configure()
         supervisor.activate()
         with RosLink("hostile", domain_id=domain) as link:

@@ -13,7 +13,15 @@ from test_supervisor_graph import camera, segments_of, tiny
 from tools_waiting import until
 
 from sagoma_bringup.graph import processes_of
-from sagoma_tools.graph.processes import Child, Exit, busy_machine, remove_abandoned_memory, stop_children
+from sagoma_tools.graph.processes import (
+    ALREADY_DEAD,
+    FAILED,
+    KILLED,
+    Child,
+    busy_machine,
+    remove_abandoned_memory,
+    stop_children,
+)
 from sagoma_tools.graph.supervisor import reason_of, restarted, with_kept_backgrounds
 
 
@@ -26,7 +34,7 @@ def test_children_end_on_sigint_even_when_they_inherit_it_ignored(tmp_path):
     child = start(tmp_path, "sleeper", "import time; print('ready', flush=True); time.sleep(600)")
     wait_for_text(child, "ready")
     (ended,) = stop_children([child], grace_s=30.0)
-    assert ended.exit is Exit.CLEAN and not psutil.pid_exists(child.pid)
+    assert not ended.trouble and not psutil.pid_exists(child.pid)
 
 
 def test_killing_takes_the_whole_process_group(tmp_path):
@@ -38,7 +46,7 @@ def test_killing_takes_the_whole_process_group(tmp_path):
     child = start(tmp_path, "deaf", script)
     grandchild = psutil.Process(int(wait_for_text(child, "ready").split()[0]))
     (ended,) = stop_children([child], grace_s=0.2)
-    assert (ended.exit, ended.returncode) == (Exit.KILLED, -9)
+    assert (ended.trouble, ended.returncode) == (KILLED, -9)
     assert grandchild.wait(timeout=30) is not None or not grandchild.is_running()
 
 
@@ -50,7 +58,7 @@ def test_child_that_fails_on_the_way_out_is_told_from_a_clean_one(tmp_path):
     child = start(tmp_path, "failing", script)
     wait_for_text(child, "ready")
     (ended,) = stop_children([child], grace_s=30.0)
-    assert (ended.exit, ended.returncode) == (Exit.FAILED, 4)
+    assert (ended.trouble, ended.returncode) == (FAILED, 4)
 
 
 def test_death_is_told_once_with_the_log_complete(tmp_path):
@@ -59,7 +67,7 @@ def test_death_is_told_once_with_the_log_complete(tmp_path):
     assert told.wait(30)
     assert child.log_tail(1) == "last" and child.returncode == 5 and child.usage() is None
     (ended,) = stop_children([child], grace_s=1.0)
-    assert (ended.exit, ended.returncode) == (Exit.ALREADY_DEAD, 5)
+    assert (ended.trouble, ended.returncode) == (ALREADY_DEAD, 5)
 
 
 def test_shared_memory_of_a_dead_owner_is_removed_and_never_that_of_a_living_one_or_a_port(monkeypatch, tmp_path):

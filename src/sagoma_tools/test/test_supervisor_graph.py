@@ -11,7 +11,7 @@ from tools_waiting import until
 
 from sagoma_bringup.graph import NodeSpec, Role
 from sagoma_tools.cli import main
-from sagoma_tools.graph.processes import Exit
+from sagoma_tools.graph.processes import ALREADY_DEAD
 from sagoma_tools.graph.ros_link import RosLink, node_names, settled
 from sagoma_tools.graph.supervisor import GraphError, Supervisor
 
@@ -54,7 +54,7 @@ def test_whole_graph_reaches_active_tells_of_itself_and_ends_cleanly(supervise):
     assert "silent for 10 s" in rendered(run.diagnostics.table(names, states, now_s=report.heard_s + 10))[1]
     pids = run.processes.pids().values()
     exit_statuses = run.stop()
-    assert [ended.exit for ended in exit_statuses] == [Exit.CLEAN] * 3
+    assert [ended.trouble for ended in exit_statuses] == [""] * 3
     assert not run.stop_outcome.failures
     assert not any(psutil.pid_exists(pid) for pid in pids)
 
@@ -99,8 +99,8 @@ def test_graph_goes_on_when_a_camera_refuses_and_another_dies_with_its_last_word
         "/cam02/camera_client": "active",
         "/cam03/camera_client": "unconfigured",
     }
-    exits = {ended.name: (ended.exit, ended.returncode) for ended in run.stop()}
-    assert exits["cam01"] == (Exit.ALREADY_DEAD, 3) and exits["cam02"] == (Exit.CLEAN, 0)
+    exits = {ended.name: (ended.trouble, ended.returncode) for ended in run.stop()}
+    assert exits["cam01"] == (ALREADY_DEAD, 3) and exits["cam02"] == ("", 0)
     assert its_memory
     until(lambda: not any(segment.exists() for segment in its_memory))  # another graph's end may hold its lock
 

@@ -39,7 +39,6 @@ from ..console import command_console, doing, until_stopped
 from ..graph import ROUND_S
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
-from ..graph.processes import Exit, ProcessSettings
 from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument, our_nodes, settled
 from ..graph.supervisor import GraphError, ProcessEvent, Supervisor
 from ..recording.recorder import GraphRecorder
@@ -100,14 +99,14 @@ def up(args: argparse.Namespace) -> int:
         if event.log_tail:
             console.print(event.log_tail)
 
-    settings, restart = ProcessSettings(args.server), RESTART_DELAY_S if args.restart else None
+    restart = RESTART_DELAY_S if args.restart else None
 
     def report_failure(error: InputError) -> None:
         console.print(f"{error} The capture goes on.", style="red")
 
     with (
         StopOnSignal() as stop,
-        Supervisor(graph, folder, settings, cancel=stop, on_event=log_event, restart_delay_s=restart) as supervisor,
+        Supervisor(graph, folder, args.server, cancel=stop, on_event=log_event, restart_delay_s=restart) as supervisor,
         page_of(args) if args.view else nullcontext(),
     ):
         recorder = bring_up(supervisor, args.record, stop, report_failure)
@@ -166,9 +165,9 @@ def print_exit_statuses(console: Console, supervisor: Supervisor) -> int:
     """Print which nodes did not answer or did not end cleanly; 1 when one did not end cleanly."""
     for failure in supervisor.stop_outcome.failures.values():
         console.print(failure, style="yellow")
-    failed = [status for status in supervisor.exit_statuses if status.exit is not Exit.CLEAN]
+    failed = [status for status in supervisor.exit_statuses if status.trouble]
     for status in failed:
-        console.print(f"{status.name} {status.exit.value} (status {status.returncode})", style="yellow")
+        console.print(f"{status.name} {status.trouble} (status {status.returncode})", style="yellow")
     if not failed:
         console.print(f"all {len(supervisor.graph)} nodes stopped")
     return 1 if failed else 0

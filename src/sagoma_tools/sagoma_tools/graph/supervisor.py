@@ -20,12 +20,12 @@ from pathlib import Path
 from rclpy.node import Node
 
 from capture_rig.errors import InputError
-from sagoma_bringup.graph import NodeSpec, ProcessSpec, Role
+from sagoma_bringup.graph import ONE_PROCESS, NodeSpec, ProcessSpec, Role
 
 from . import ANSWER_S, LOOK_S, ROUND_S, START_TIMEOUT_S, GraphError
 from .diagnostics_table import DiagnosticsTable
 from .lifecycle_client import LifecycleClient, Outcome, State, groups_of, living_nodes, run_already
-from .processes import Child, ExitStatus, ProcessGroup, ProcessSettings, busy_machine, remove_abandoned_memory
+from .processes import Child, ExitStatus, ProcessGroup, busy_machine, remove_abandoned_memory
 from .ros_link import RosLink, node_names
 
 RESTARTING, DEAD = "restarting", "dead"
@@ -51,8 +51,9 @@ class Supervisor:
         self,
         graph: Sequence[NodeSpec],
         run_folder: str | Path,
-        settings: ProcessSettings | None = None,
+        server: str = ONE_PROCESS,
         *,
+        domain_id: int | None = None,
         cancel: threading.Event | None = None,
         on_event: Callable[[ProcessEvent], None] = lambda event: None,
         restart_delay_s: float | None = None,
@@ -60,18 +61,20 @@ class Supervisor:
         """``on_event`` is called, from another thread, for every process that ends by itself or is back again.
 
         run_folder : gets one log and one parameter file a process; made when missing.
+        server : ONE_PROCESS or THREE_PROCESSES, for the server's nodes; each camera has a process of its own.
+        domain_id : ROS_DOMAIN_ID of the graph, the environment's by default.
         cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
         restart_delay_s : once the graph is active, processes that crash are started again after this and become active
             by themselves, but for cameras that read files: their place in the footage is lost. None: they stay dead.
         """
-        self.run_folder, settings = Path(run_folder), settings or ProcessSettings()
+        self.run_folder = Path(run_folder)
         self.graph = tuple(graph)
         if restart_delay_s is not None:
             self.graph = with_kept_backgrounds(self.graph, self.run_folder)
-        self.processes = ProcessGroup(self.graph, self.run_folder, settings, self._on_exit)
+        self.processes = ProcessGroup(self.graph, self.run_folder, server, domain_id, self._on_exit)
         self.exit_statuses: tuple[ExitStatus, ...] = ()
         self.stop_outcome = Outcome()
-        self._domain_id, self._on_event, self._restart_delay_s = settings.domain_id, on_event, restart_delay_s
+        self._domain_id, self._on_event, self._restart_delay_s = domain_id, on_event, restart_delay_s
         self._cancel, self._halted = cancel or threading.Event(), threading.Event()
         self._running = False
         self._lock = threading.RLock()  # held while a process is started, and while states change

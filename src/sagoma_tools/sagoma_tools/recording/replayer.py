@@ -30,7 +30,6 @@ from sagoma_ros.messages import to_stamp
 
 from ..console import doing
 from ..graph import ANSWER_S, PATIENCE_S, ROUND_S
-from ..graph.processes import ProcessSettings
 from ..graph.ros_link import RosLink, settled
 from ..graph.supervisor import Supervisor
 from ..graph.topics import (
@@ -294,7 +293,7 @@ def replay_through_graph(
     chosen = {**LOSSLESS_SETTINGS, **measured, **(settings or {})}
     graph = build_graph(rig=rig_file, body=body, settings=chosen)
     made_from = {"replayed_from": str(Path(bag).resolve()), "mode": "lockstep"}
-    with Supervisor(graph, run_folder, ProcessSettings(server, domain_id), cancel=cancel) as supervisor:
+    with Supervisor(graph, run_folder, server, domain_id=domain_id, cancel=cancel) as supervisor:
         doing(f"starting {len(graph)} nodes")
         supervisor.configure()
         with (
