@@ -134,7 +134,7 @@ def said(needs_namespaces, tmp_path_factory):
         ("domain", AWAY_ADDRESS, "domain.differs", "ROS_DOMAIN_ID 4, this doctor in 3"),
         ("no multicast", AWAY_ADDRESS, "multicast.blocked", "does not arrive here"),
         ("firewall", AWAY_ADDRESS, "firewall.drops", "UDP 8150 to 8399"),
-        ("two servers", "hull_server", "node.duplicate", "themselves /hull_server (here, on another machine)"),
+        ("two servers", "hull_server", "node.duplicate", "2 nodes call themselves /hull_server"),
         ("vanished", AWAY, "node.missing", "its machine vanished"),
         ("vanished", AWAY_ADDRESS, "answer.none", "does not answer"),
     ],

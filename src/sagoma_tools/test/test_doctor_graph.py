@@ -1,7 +1,6 @@
 """What the doctor concludes of a made-up graph."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 
@@ -12,16 +11,16 @@ from camera_client.condition import Condition
 from capture_rig.verdict import Finding
 from sagoma_tools.doctor.findings import Severity
 from sagoma_tools.doctor.graph import graph_findings
-from sagoma_tools.doctor.graph_listener import Canvas, GraphFacts, NodeFacts, SilhouetteFacts, machines_of
+from sagoma_tools.doctor.graph_listener import Canvas, GraphFacts, NodeFacts, SilhouetteFacts
 from sagoma_tools.graph.diagnostics_table import NodeReport
 from virtual_studio.rig import ring
 
 RIG = ring(3, False)
-CANVASES = {camera.name: GraphFacts(0, "", rig=RIG).canvas(camera.name) for camera in RIG.cameras}
+CANVASES = {camera.name: GraphFacts(0, rig=RIG).canvas(camera.name) for camera in RIG.cameras}
 
 
 def node(name):
-    return NodeFacts(name, "active", 1, ("78fd",), NodeReport(b"\0", "running", lead_s=-3e-4), 8e-4)
+    return NodeFacts(name, "active", 1, NodeReport(b"\0", "running", lead_s=-3e-4), 8e-4)
 
 
 def reporting(node, **changes):
@@ -47,9 +46,7 @@ def graph(changed=(), sent=(), **changes):
     """The healthy graph with some nodes and cameras, or parts of the facts, replaced."""
     all_nodes = {n.name: n for n in (HULL, ICP, EKF, *CLIENTS.values(), *changed)}
     all_cameras = {**SENT, **{c.camera: c for c in sent}}
-    facts = GraphFacts(
-        46, "SUBNET", "78fd", tuple(all_nodes.values()), tuple(all_cameras.values()), SETS, 10.0, rig=RIG
-    )
+    facts = GraphFacts(46, tuple(all_nodes.values()), tuple(all_cameras.values()), SETS, 10.0, rig=RIG)
     return replace(facts, **changes)
 
 
@@ -84,7 +81,7 @@ C2 = CLIENTS["cam02"]
         (replace(C2, state=None), "WARNING", "node.unresponsive", ""),
         (replace(C2, report=None), "ERROR", "diagnostics.missing", ""),
         (replace(C2, state="inactive"), "WARNING", "state.inactive", ""),
-        (replace(C2, copies=2, machines=("78fd", "3d11")), "ERROR", "node.duplicate", "(here, on another machine)"),
+        (replace(C2, copies=2), "ERROR", "node.duplicate", "2 nodes call themselves /cam02/camera_client"),
         (reporting(C2, level=b"\2", message="no camera: it is off"), "ERROR", "says.error", "no camera: it is off"),
         (reporting(C2, level=b"\1", message="the mask is full"), "WARNING", "says.warning", "the mask is full"),
         (reporting(C2, lead_s=0.4997), "ERROR", "clock.off", "499.7 ms ahead"),
@@ -154,8 +151,10 @@ def test_absent_client_stranger_and_tracker_are_named():
     assert found[:3] == ("ERROR", "graph", "nodes.server_missing") and "/icp_tracker" in found[3] and "46" in found[3]
 
 
-def test_nobody_heard_says_where_nodes_are():
-    finding = next(iter(graph_findings(GraphFacts(46, "LOCALHOST", domains_here=(7, 46), rig=RIG))))
+def test_nobody_heard_says_where_nodes_are(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setattr("sagoma_tools.doctor.graph.domains_here", lambda: (7, 46))
+    finding = next(iter(graph_findings(GraphFacts(46, rig=RIG))))
     assert (finding.severity, finding.code) == (Severity.ERROR, "nodes.none")
     assert "(7)" in finding.remedy and "LOCALHOST" in finding.remedy
 
@@ -221,13 +220,3 @@ def test_cause_that_a_client_names_is_told_once_with_its_code_and_remedy(told, s
     named = [each for each in graph_findings(graph([client])) if each.severity > Severity.OK]
     assert [(each.severity.name, each.subject, each.code) for each in named] == [(severity, "camera cam02", code)]
     assert all(value in each.what and each.remedy for each in named)
-
-
-def test_machines_are_told_apart_by_the_middlewares_number():
-    gids = "010f78fd5a5c7a490000000000000603", "01100000aabbccdd0000000000000603"  # of Fast DDS, of another
-    found = [SimpleNamespace(node_namespace="/", node_name="a", endpoint_gid=bytes.fromhex(gid)) for gid in gids]
-    assert machines_of(SimpleNamespace(get_publishers_info_by_topic=lambda topic: found)) == {"/a": ("78fd", "")}
-    other = graph([replace(C2, machines=("3d11",))])
-    told = next(finding for finding in graph_findings(other) if finding.about == "nodes")
-    here = "hull_server, icp_tracker, ekf_tracker, cam01, cam03"
-    assert f"on 2 machines (here: {here}; on another machine: cam02)" in told.what

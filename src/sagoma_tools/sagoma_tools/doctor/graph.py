@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,9 +16,12 @@ from camera_client.background.training import TrainingReport
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
+from sagoma_ros.middleware import RANGE_VARIABLE
 
 from .findings import Finding, Found, about, error, graded, note, ok, warning
 from .graph_listener import ACTIVE, FLOODED, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
+from .hosts import ALONE, RosSettings
+from .machine import domains_here
 
 SUBJECT, HULL = "graph", "/hull_server"
 SERVER_NODES = (HULL, "/icp_tracker", "/ekf_tracker")
@@ -83,17 +86,13 @@ def _of_node(node: NodeFacts, facts: GraphFacts) -> list[Found]:
 
 
 def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
-    """Which nodes are heard, on which machines, and which of the server are missing."""
+    """Which nodes are heard, and which of the server are missing."""
     where = f"ROS_DOMAIN_ID {facts.domain}"
     if not facts.nodes:
         yield _no_node_heard(facts)
         return
-    machines: dict[str, list[str]] = {}
-    for node in facts.nodes:
-        machines.setdefault((*node.machines, "")[0], []).append(node.camera or node.name.strip("/"))
-    listed = "; ".join(f"{facts.machine_name(machine)}: {', '.join(names)}" for machine, names in machines.items())
-    places = f"on {len(machines)} machines ({listed})" if len(machines) > 1 else f"all {facts.machine_name(*machines)}"
-    yield ok("nodes", f"{len(facts.nodes)} in {where}, {places}")
+    listed = ", ".join(node.camera or node.name.strip("/") for node in facts.nodes)
+    yield ok("nodes", f"{len(facts.nodes)} in {where}: {listed}")
     absent = [name for name in SERVER_NODES if facts.node(name) is None]
     if len(absent) == len(SERVER_NODES) and all(node.message.startswith(UNCALIBRATED) for node in facts.nodes):
         text = "cameras that are not calibrated yet, and no server: the set-up has begun"
@@ -112,12 +111,12 @@ def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
 
 def _no_node_heard(facts: GraphFacts) -> Finding:
     where = f"no node is heard in ROS_DOMAIN_ID {facts.domain}"
-    others = ", ".join(str(domain) for domain in facts.domains_here if domain != facts.domain)
+    others = ", ".join(str(domain) for domain in domains_here() if domain != facts.domain)
     hint = f"Nodes run on this machine in another ROS_DOMAIN_ID ({others}): export that. " if others else ""
-    if facts.peers:
-        hint += f"Only this machine and {', '.join(facts.peers)} are asked (sagoma doctor --host ADDRESS). "
-    elif facts.discovery_range in ("LOCALHOST", "OFF"):
-        hint += f"ROS_AUTOMATIC_DISCOVERY_RANGE = {facts.discovery_range} hears this machine only. "
+    ours = RosSettings.of(os.environ)
+    if ours.reach in ALONE:
+        listed = " and ".join(("this machine", *ours.peers))
+        hint += f"{RANGE_VARIABLE} = {ours.reach}: only {listed} are asked (sagoma doctor --host ADDRESS). "
     remedy = "Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID, open UDP between them (--peers "
     remedy += "where the network passes no multicast), and restart nodes that started before their network was up."
     return error("nodes.none", where, hint + remedy)
@@ -168,10 +167,8 @@ def _high(sets: Sequence[Mapping[str, str]], key: str) -> float:
 def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
     """Whether the node is the only one of its name, answers, reports and is active."""
     if node.copies > 1:
-        places = Counter(map(facts.machine_name, node.machines))
-        listed = ", ".join(place if count == 1 else f"{count} {place}" for place, count in places.items())
         remedy = "Stop all but one: the same camera or server was started twice, or two set-ups share a ROS_DOMAIN_ID."
-        yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name} ({listed})", remedy)
+        yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name}", remedy)
     if node.state is None and node.report is None:
         text = f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do not get here"
         yield error("node.silent", text, UNREACHABLE)
@@ -206,9 +203,8 @@ def check_clock(node: NodeFacts, facts: GraphFacts) -> Finding | None:
         return None
     low, high = node.report.lead_s, node.report.lead_s + node.round_trip_s
     off_s = low if low > 0 else min(high, 0.0)  # what is certain
-    here = " (though it runs on this machine)" if node.machines == (facts.machine,) else ""
     way = f"{abs(off_s):.2f} s" if abs(off_s) >= 1 else f"{1e3 * abs(off_s):.1f} ms"
-    what = f"its clock{here} is {way} {'ahead of' if off_s > 0 else 'behind'} this machine's, at the least"
+    what = f"its clock is {way} {'ahead of' if off_s > 0 else 'behind'} this machine's, at the least"
     remedy = "chrony or PTP on all machines, with one source: frame sets are formed by stamps."
     if abs(off_s) > _period_s(facts) / 2:
         return error("clock.off", what, remedy)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import itertools
-import os
 import threading
 import time
-import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,26 +19,21 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage
-from std_msgs.msg import Empty
 
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import Rig
 from sagoma_bringup.graph import CAMERA_NODE
 from sagoma_ros import mask_png
 from sagoma_ros.messages import to_ns, values_of
-from sagoma_ros.middleware import PEERS_VARIABLE
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
 from ..graph import ANSWER_S, ROUND_S
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.ros_link import RosLink, call_all, is_in_graph, node_names, owners_of, settled, topics_of
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
-from .machine import domains_here
 
 OWN_NAME = "sagoma_doctor"
 FRAME_SET_TOPIC = "/hull/frame_set"
-COMMON_TOPIC = "/parameter_events"  # every node publishes there
-FAST_DDS = b"\x01\x0f"  # the vendor's number, with which its GUIDs begin; the next two bytes are the machine's
 QUESTIONS = 5  # of which the fastest answer counts: one may be lost while discovery is under way
 GET_STATE, GET_PARAMETERS = "/get_state", "/get_parameters"
 ICP, ICP_RIG_PARAMETER, RIG_PARAMETER = "/icp_tracker", "initial_pose.rig_file", "rig_file"
@@ -71,13 +64,12 @@ class NodeFacts:
     """One node of the graph.
 
     state : its lifecycle state, None when it did not answer; round_trip_s : its fastest answer.
-    machines : where nodes of this name run, by the middleware's number; copies : how many there are.
+    copies : how many nodes have this name.
     """
 
     name: str
     state: str | None = None
     copies: int = 1
-    machines: tuple[str, ...] = ()
     report: NodeReport | None = None
     round_trip_s: float = 0.0
 
@@ -135,20 +127,15 @@ class GraphFacts:
     """The running graph as heard from here.
 
     sets : diagnostics of the hull server's frame sets. rig : the one that is expected; rig_files : by node.
-    domains_here : ROS domains with nodes on this machine; peers : addresses that are asked by unicast.
     """
 
     domain: int
-    discovery_range: str
-    machine: str = ""
     nodes: tuple[NodeFacts, ...] = ()
     cameras: tuple[SilhouetteFacts, ...] = ()
     sets: tuple[Mapping[str, str], ...] = ()
     sets_hz: float = 0.0
     simulated_time: bool = False
     rig_files: Mapping[str, str] = field(default_factory=dict)
-    domains_here: tuple[int, ...] = ()
-    peers: tuple[str, ...] = ()
     rig: Rig | None = None
 
     def node(self, name: str) -> NodeFacts | None:
@@ -176,10 +163,6 @@ class GraphFacts:
         """Whether all masks are as good as empty."""
         return all(facts.share < PERSON_SHARE for facts in self.cameras if facts.masks)
 
-    def machine_name(self, machine: str) -> str:
-        """Return a name for a machine."""
-        return "here" if machine == self.machine else "on another machine"
-
 
 Heard = deque[tuple[Any, Mapping[str, int]]]
 """Messages of a topic and their times; one thread appends, another copies."""
@@ -195,27 +178,23 @@ def collect_graph(
     with RosLink(OWN_NAME, namespace=namespace, domain_id=domain_id) as link:
         node = link.node
         reports, sets = DiagnosticsTable(node), _listen(node, DiagnosticArray, f"{namespace}{FRAME_SET_TOPIC}", RESULT)
-        settled(lambda: set(node_names(node)) - {f"{namespace}/{OWN_NAME}"}, 1, ANSWER_S)
+        lifecycle = settled(lambda: owners_of(node, "get_state", "lifecycle_msgs/srv/GetState"), 1, ANSWER_S)
         cameras = sorted({*expected, *cameras_in(topics_of(node))})
         qos, sent = SILHOUETTE_SUBSCRIBER, [f"{namespace}/{name}{SILHOUETTE_SUFFIX}" for name in cameras]
         masks = [_listen(node, CompressedImage, topic, qos) for topic in sent]
         infos = [_listen(node, CameraInfo, f"{namespace}/{name}{CAMERA_INFO_SUFFIX}", qos) for name in cameras]
         ends_s = time.monotonic() + seconds
-        lifecycle = owners_of(node, "get_state", "lifecycle_msgs/srv/GetState")
-        states, trips = ask_states(node, sorted(lifecycle))
+        states, trips = ask_states(node, lifecycle)
         rig_files = _ask_rig_files(node, sorted(states))
         threading.Event().wait(max(ends_s - time.monotonic(), 0.0))
-        machines = machines_of(node)
         copies = Counter(node_names(node))
         names = sorted({*lifecycle, *(name for name in reports.names() if is_in_graph(node, name))})
         heard = sets.copy()
         span_s = 1e-9 * (heard[-1][1]["received_timestamp"] - heard[0][1]["received_timestamp"]) if heard else 0.0
         return GraphFacts(
             node.context.get_domain_id(),
-            os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", ""),
-            own_machine(node),
             tuple(
-                NodeFacts(local, states.get(n), copies[n], machines.get(n, ()), reports.report(n), trips.get(n, 0.0))
+                NodeFacts(local, states.get(n), copies[n], reports.report(n), trips.get(n, 0.0))
                 for n, local in zip(names, (n.removeprefix(namespace) for n in names), strict=True)
             ),
             tuple(
@@ -226,29 +205,7 @@ def collect_graph(
             (len(heard) - 1) / span_s if span_s > 0 else 0.0,
             node.count_publishers("/clock") > 0,
             {name.removeprefix(namespace): path for name, path in rig_files.items()},
-            domains_here(),
-            tuple(filter(None, os.environ.get(PEERS_VARIABLE, "").split(";"))),
         )
-
-
-def machines_of(node: Node, topic: str = COMMON_TOPIC) -> dict[str, tuple[str, ...]]:
-    """Return the machines on which the nodes that publish ``topic`` run, by full name: their numbers in a GUID of
-    Fast DDS, "" with another middleware."""
-    found: dict[str, tuple[str, ...]] = {}
-    for one in node.get_publishers_info_by_topic(topic):
-        name, gid = f"{one.node_namespace.rstrip('/')}/{one.node_name}", bytes(one.endpoint_gid[:4])
-        found[name] = (*found.get(name, ()), gid[2:].hex() if gid[:2] == FAST_DDS else "")
-    return found
-
-
-def own_machine(node: Node) -> str:
-    """Return the machine on which this node runs; empty where it is not known."""
-    topic = f"/{node.get_name()}/machine_{uuid.uuid4().hex}"  # of nobody else, though other nodes have its name
-    publisher = node.create_publisher(Empty, topic, 1)
-    try:
-        return next(iter(machines_of(node, topic).values()), ("",))[0]
-    finally:
-        node.destroy_publisher(publisher)
 
 
 def _listen(node: Node, kind: type, topic: str, qos: QoSProfile) -> Heard:
