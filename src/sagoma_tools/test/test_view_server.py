@@ -14,8 +14,7 @@ from websockets.sync.client import connect
 
 from capture_rig.errors import InputError
 from sagoma_tools.cli import main
-from sagoma_tools.view.guard import COOKIE, Guard
-from sagoma_tools.view.server import FRAMING, PORT, SCRIPT, guarded_server, listening_socket
+from sagoma_tools.view.server import COOKIE, FRAMING, PORT, SCRIPT, Guard, guarded_server, listening_socket
 
 CAMERA = {"type": "ViewerCameraMessage", "wxyz": [1, 0, 0, 0], "position": [3.0, 0, 1], "look_at": [0, 0, 1]}
 CAMERA |= {"fov": 1.0, "near": 0.01, "far": 1000, "image_height": 600, "image_width": 800, "up_direction": [0, 0, 1]}

@@ -19,10 +19,9 @@ from sagoma_tools.graph.diagnostics_table import STALE_S, NodeReport
 from sagoma_tools.takes.folder import TakesFolder, describe
 from sagoma_tools.view.control import ALL_FORMATS, Jobs, TakeActions
 from sagoma_tools.view.graph_panel import states_html, trouble_of
-from sagoma_tools.view.guard import Guard
 from sagoma_tools.view.page import EVERY_S, Page
-from sagoma_tools.view.playback import Playback, first_pose_ns, last_frame
-from sagoma_tools.view.takes_panel import about_html, whole_range
+from sagoma_tools.view.server import Guard
+from sagoma_tools.view.takes_panel import Playback, about_html, first_pose_ns, last_frame, whole_range
 
 FRAMES = 50
 

@@ -47,9 +47,8 @@ from ..takes.folder import TakesFolder
 from ..takes.measure import finish_take
 from ..view.control import Control, Jobs
 from ..view.graph_panel import LiveGraph
-from ..view.guard import ANY_HOST, Guard
 from ..view.page import Page
-from ..view.server import PORT
+from ..view.server import ANY_HOST, PORT, Guard
 
 HOST = "127.0.0.1"
 # verb -> (the state it leads to, whether the cameras go first, help)

@@ -27,7 +27,7 @@ from ..takes.folder import TakesFolder, trim
 from ..takes.measure import finish_take
 from ..takes.take import MIB
 
-BUSY = "still busy with: {}"
+BUSY, RECORDING = "still busy with: {}", "recording {}"
 Tell = Callable[[str], None]
 Work = Callable[[Tell], str]
 Deliver = Callable[[str, bytes], None]
@@ -81,16 +81,7 @@ class Jobs:
 Button = viser.GuiButtonHandle | viser.GuiButtonGroupHandle
 
 
-def on_click(button: Button, act: Callable[[], object]) -> None:
-    """Do this when somebody presses the button."""
-
-    def clicked(event: viser.GuiEvent) -> None:
-        act()
-
-    button.on_click(clicked)
-
-
-def on_click_deliver(button: Button, act: Callable[[Deliver], object]) -> None:
+def on_click(button: Button, act: Callable[[Deliver], object]) -> None:
     """Do this when somebody presses the button; it is given a function that sends a file to that browser."""
 
     def clicked(event: viser.GuiEvent) -> None:
@@ -183,7 +174,7 @@ class Control:
         )
         self._recorder.follow()
         self._recording_to = folder
-        return recording_text(folder.name)
+        return RECORDING.format(folder.name)
 
     def stop_recording(self, tell: Tell) -> str:
         """Finish the take."""
@@ -195,11 +186,6 @@ class Control:
         finish_take(folder)
         early = f"; {failure}" if failure is not None else ""
         return f"recorded {folder.name}: {sum(counts.values())} messages{early}"
-
-
-def recording_text(name: str) -> str:
-    """Say what is being recorded."""
-    return f"recording {name}"
 
 
 # takes ----------------------------------------------------------------------------------------------------------------
