@@ -5,19 +5,19 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections import defaultdict
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
 import numpy as np
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import CompressedImage
 
-from sagoma_ros.messages import to_ns
-from sagoma_ros.qos import RESULT, SILHOUETTE_RELIABLE_SUBSCRIBER
+from sagoma_ros.qos import SILHOUETTE_RELIABLE_SUBSCRIBER
+from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
 from sagoma_tools.graph.ros_link import RosLink
 from virtual_studio.gige import CameraSettings, SimulatedCamera, free_addresses
 
@@ -51,11 +51,9 @@ class GraphListener:
 
     def __init__(self) -> None:
         self._link = RosLink("drill_listener")
-        self._changed = threading.Condition()
-        self.said: dict[str, DiagnosticStatus] = {}
-        self.stamps_ns: dict[str, list[int]] = defaultdict(list)
+        self._diagnostics = DiagnosticsTable(self._link.node)
+        self._masks: Counter[str] = Counter()
         self.received_s: dict[str, float] = {}
-        self._link.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, RESULT)
 
     def listen(self, camera: str) -> None:
         topic, qos = f"/{camera}/silhouette/compressed", SILHOUETTE_RELIABLE_SUBSCRIBER
@@ -66,39 +64,31 @@ class GraphListener:
         return self._link.node
 
     def masks(self, camera: str) -> int:
-        return len(self.stamps_ns[camera])
+        return self._masks[camera]
 
     def until(self, done, what: str) -> None:
-        """Wait until ``done()``, which is asked after each message."""
-        with self._changed:
-            happened = self._changed.wait_for(done, PATIENCE_S)
-            said = {name: status.message for name, status in self.said.items()}
+        """Wait until ``done()``, which is asked after each report of a node."""
+        happened = self._diagnostics.wait_until(done, PATIENCE_S)
+        said = {name: self.level(name)[1] for name in self._diagnostics.names()}
         assert happened, f"did not happen: {what}; last said: {said}"
 
     def level(self, node: str) -> tuple[bytes, str]:
-        status = self.said.get(node)
-        return (b"", "") if status is None else (status.level, status.message)
+        report = self._diagnostics.report(node)
+        return (b"", "") if report is None else (report.level, report.message)
 
-    def values(self, node: str) -> dict[str, str]:
-        return {pair.key: pair.value for pair in self.said[node].values}
+    def values(self, node: str) -> Mapping[str, str]:
+        report = self._diagnostics.report(node)
+        return {} if report is None else report.values
 
     def number(self, node: str, key: str) -> float:
-        return float(self.values(node).get(key, "nan")) if node in self.said else float("nan")
+        return float(self.values(node).get(key, "nan"))
 
     def close(self) -> None:
         self._link.close()
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        with self._changed:
-            for status in message.status:
-                self.said[status.name] = status
-            self._changed.notify_all()
-
     def _on_mask(self, camera: str, message: CompressedImage) -> None:
-        with self._changed:
-            self.stamps_ns[camera].append(to_ns(message.header.stamp))
-            self.received_s[camera] = time.monotonic()
-            self._changed.notify_all()
+        self._masks[camera] += 1
+        self.received_s[camera] = time.monotonic()
 
 
 class CameraPC:

@@ -78,7 +78,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         parser.add_argument("--wait", type=SECONDS, default=5.0, help="... but no longer than this, in seconds")
         parser.add_argument("--timeout", type=SECONDS, help="seconds to wait for each answer")
         add_namespace_argument(parser)
-        parser.set_defaults(run=change_state, goal=goal, cameras_first=cameras_first, verb=verb)
+        parser.set_defaults(run=change_state, goal=goal, cameras_first=cameras_first)
     _add_view(subparsers)
     parser = subparsers.add_parser("studio", help="serve simulated GigE Vision cameras, or talk to those that run")
     studio.add_arguments(parser)

@@ -14,11 +14,12 @@ from rclpy.node import Node
 from rich.table import Table
 from rich.text import Text
 
+from sagoma_ros.health import PERIOD_S
 from sagoma_ros.messages import to_ns, values_of
 
 from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
-STALE_S = 3.0
+STALE_S = 3 * PERIOD_S
 BUDGET_PERIODS = 1.5  # from exposure to joint state, in periods of the frame sets, for 95 % of them
 POINTS_OF = {"hull_server": "hull", "icp_tracker": "fit", "ekf_tracker": "joint state"}
 _LOSSES = "ahead unexpected dropped late missing refused timeout backwards duplicate bad lost incomplete stalls"

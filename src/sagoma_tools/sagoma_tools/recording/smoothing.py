@@ -24,7 +24,7 @@ from sagoma_ros.packets import covariance_cloud, joint_state_message, packet_clo
 from stick_figure.body import Body, parse_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
 
-from ..graph.topics import OF_A_PERSON, OUTPUT_TOPICS
+from ..graph.topics import LATCHED_TOPICS, OF_A_PERSON
 from .reader import bag_persons, bag_topics, read_messages, read_provenance, rig_in
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter, require_new
 
@@ -32,7 +32,6 @@ FITTED, BODY, BODIES = "/icp/reference_points", "/icp/body", "/icp/bodies"
 OF_FIRST, OF_EVERYBODY = "/mocap", "/mocap/bodies"
 SMOOTHED = ("joint_states", "torso", "joint_covariance", "joint_rotations", "reference_points")
 """What is smoothed of each person, in the order of `_messages_of`."""
-LATCHED = {topic.name for topic in OUTPUT_TOPICS if topic.latched}
 
 
 class SmoothedTake(NamedTuple):
@@ -65,7 +64,7 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
     named = {topic: OF_A_PERSON[topic.rpartition("/")[2]] for topics_of in topics.values() for topic in topics_of}
     with BagWriter(target) as writer:
         for topic, kind in {**kinds, **named}.items():
-            writer.add_topic(topic, kind, OFFERED_LATCHED if topic in LATCHED else OFFERED)
+            writer.add_topic(topic, kind, OFFERED_LATCHED if topic in LATCHED_TOPICS else OFFERED)
         for message in read_messages(bag):
             if message.topic not in named:
                 writer.write(message.topic, message.log_ns, message.data)

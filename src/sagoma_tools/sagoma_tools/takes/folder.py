@@ -24,7 +24,7 @@ from capture_rig.errors import InputError
 from sagoma_ros.messages import values_of
 
 from ..graph import PATIENCE_S
-from ..graph.topics import DIAGNOSTICS_TOPIC, OUTPUT_TOPICS, type_of
+from ..graph.topics import DIAGNOSTICS_TOPIC, LATCHED_TOPICS, type_of
 from ..recording.reader import BagMessage, open_bag, read_messages, read_provenance, rig_in
 from ..recording.recorded_motion import STATE, kind_of
 from ..recording.recorder import has_header
@@ -162,12 +162,10 @@ def describe(path: Path) -> Take:
             trimmed_from=trimmed if isinstance(trimmed, dict) else None,
             summary=read_summary(path),
         )
-    except InputError as error:
-        return replace(take, state=TakeState.DAMAGED, problem=str(error))
     except Exception as error:  # a broken file may break its reader in any way, and one take must not hide the others
         what = f"cannot be read ({type(error).__name__}: {error})"
-        problem = InputError(what, where=str(path), remedy="Bring it back from a copy, or delete it.")
-        return replace(take, state=TakeState.DAMAGED, problem=str(problem))
+        other = InputError(what, where=str(path), remedy="Bring it back from a copy, or delete it.")
+        return replace(take, state=TakeState.DAMAGED, problem=str(error if isinstance(error, InputError) else other))
 
 
 def move_new(source: Path, target: Path) -> None:
@@ -221,7 +219,7 @@ def _size(path: Path) -> int:
 
 
 OF_A_CAMERA = re.compile(r"^/[^/]+/(silhouette/compressed|camera_info|preview/compressed|image_raw)$")
-LATCHED = {topic.name for topic in OUTPUT_TOPICS if topic.latched} | {"/tf_static", "/robot_description"}
+LATCHED = LATCHED_TOPICS | {"/tf_static", "/robot_description"}
 
 
 def trim(
