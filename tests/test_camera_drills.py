@@ -1,5 +1,7 @@
 """What goes wrong on a camera PC in a day, one drill each: simulated GigE Vision cameras, real camera clients.
 
+Wrong pictures and stalls: test_camera_frame_checks, _diagnostics and _supervised of camera_client.
+
 The figures that the drills measure are printed (pytest -s).
 """
 
@@ -10,7 +12,7 @@ import sys
 import time
 
 import pytest
-from camera_pc import ERROR, HEIGHT, PATIENCE_S, WARN, WIDTH, CameraPC, GraphListener, end
+from camera_pc import ERROR, HEIGHT, PATIENCE_S, WIDTH, CameraPC, GraphListener, end
 
 from camera_client.settings import AravisSettings
 from camera_client.sources.aravis_source import AravisSource, import_aravis
@@ -196,16 +198,6 @@ def test_cable_out_for_a_moment_is_survived(pc):
     assert sum_rule_holds(pc.listener.values(pc.node))
 
 
-@pytest.mark.slow
-def test_stalled_camera_is_connected_anew(pc):
-    stalls, reconnects = pc.until_number("stalls", -1), pc.until_number("reconnects", -1)
-    pc.camera.faults.stall = True
-    assert pc.until_number("stalls", stalls) > stalls
-    pc.camera.faults.stall = False
-    pc.until_streaming()
-    assert pc.until_number("reconnects", reconnects) > reconnects
-
-
 def test_second_controller_is_refused_with_a_clear_error_and_the_first_goes_on(pc):
     other = pc.start_client("rival")
     pc.until_said(ERROR, "controlled by another program", node=f"/rival/{CAMERA_NODE}")
@@ -213,21 +205,6 @@ def test_second_controller_is_refused_with_a_clear_error_and_the_first_goes_on(p
     other.send_signal(signal.SIGTERM)
     assert other.wait(PATIENCE_S) == 0
     assert pc.listener.values(pc.node)["control_losses"] == "0"
-
-
-@pytest.mark.parametrize(
-    ("fault", "flag", "remedy"),
-    [
-        ({"frozen": True}, "frozen", ""),
-        ({"lens_cap": True}, "dark", "lens cap"),
-        ({"light": 0.06}, "lights", "switch the lights back"),
-    ],
-)
-def test_picture_that_is_wrong_is_noticed_and_counted(pc, fault, flag, remedy):
-    pc.camera.faults.update(fault)
-    pc.until_said(WARN, f"{flag}: ")
-    assert remedy in pc.listener.level(pc.node)[1]
-    assert pc.until_number(f"{flag}_frames", 0) > 0
 
 
 @pytest.mark.slow

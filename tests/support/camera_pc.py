@@ -26,7 +26,7 @@ PATIENCE_S = 60.0  # only ever used up by a failing test
 GRACE_S = 10.0  # for a process to end before it is killed
 PACKET_DELAY_NS = 200_000  # spreads a frame over some 10 ms, so that a camera can be switched off in its middle
 HARMLESS = ("lost or inc", "the light changed suddenly")  # the latter is told for half a minute
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+OK, ERROR = DiagnosticStatus.OK, DiagnosticStatus.ERROR
 
 
 class Room:

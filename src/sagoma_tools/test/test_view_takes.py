@@ -36,17 +36,6 @@ def silently(text):
     pass
 
 
-def test_buttons_do_what_the_commands_do(takes):
-    work = TakeActions(takes, lambda: "")
-    assert "gait" in work.rename("walk", "gait", silently)
-    assert "made part" in work.trim("gait", "part", 0.2, 0.6, silently)
-    assert takes.find("part").trimmed_from["take"] == "gait"
-    assert "bin" in work.delete("gait", silently)
-    assert [take.name for take in takes.takes()] == ["part"]
-    assert work.restore(silently) == "gait is back"
-    assert work.restore(silently) == "the bin is empty"
-
-
 def test_no_button_reaches_out_of_the_folder_or_touches_what_is_recorded(takes, tmp_path):
     outside = take_bags.write_take(tmp_path / "outside", 1)
     work = TakeActions(takes, lambda: "walk")

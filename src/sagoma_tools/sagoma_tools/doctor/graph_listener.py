@@ -22,7 +22,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage
 
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import Rig
-from sagoma_bringup.graph import CAMERA_NODE
+from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 from sagoma_ros import mask_png
 from sagoma_ros.messages import to_ns, values_of
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
@@ -178,7 +178,8 @@ def collect_graph(
     with RosLink(OWN_NAME, namespace=namespace, domain_id=domain_id) as link:
         node = link.node
         reports, sets = DiagnosticsTable(node), _listen(node, DiagnosticArray, f"{namespace}{FRAME_SET_TOPIC}", RESULT)
-        lifecycle = settled(lambda: owners_of(node, "get_state", "lifecycle_msgs/srv/GetState"), 1, ANSWER_S)
+        count = len(expected) + len(SERVER_NODES) if expected else 1  # a whole graph, or any node
+        lifecycle = settled(lambda: owners_of(node, "get_state", "lifecycle_msgs/srv/GetState"), count, ANSWER_S)
         cameras = sorted({*expected, *cameras_in(topics_of(node))})
         qos, sent = SILHOUETTE_SUBSCRIBER, [f"{namespace}/{name}{SILHOUETTE_SUFFIX}" for name in cameras]
         masks = [_listen(node, CompressedImage, topic, qos) for topic in sent]
