@@ -9,8 +9,7 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -76,26 +75,15 @@ class Target:
         report = self.supervisor.diagnostics.report("/ekf_tracker")
         return report.message if report is not None else "?"
 
-    def wait_for_reports(self) -> None:
-        """Wait until every node has published its diagnostics twice: by then they tell what came before."""
-        before = self._reports()
-        self.supervisor.diagnostics.wait_until(
-            lambda: all(count >= before[name] + 2 for name, count in self._reports().items()), ALIVE_TIMEOUT_S
-        )
+    def tells(self, counters: Set[str]) -> bool:
+        """Return whether the nodes come to tell of something by each of these counters in their diagnostics."""
+        table = self.supervisor.diagnostics
 
-    def _reports(self) -> Counter[str]:
-        reports = {node.full_name: self.supervisor.diagnostics.report(node.full_name) for node in self.supervisor.graph}
-        return Counter({name: report.count if report is not None else 0 for name, report in reports.items()})
+        def told() -> bool:
+            reports = filter(None, (table.report(node.full_name) for node in self.supervisor.graph))
+            return counters <= {key for report in reports for key, text in report.values.items() if text.strip("0")}
 
-    def counters(self) -> Counter[str]:
-        """Return every whole number in the nodes' diagnostics."""
-        found: Counter[str] = Counter()
-        for name in (node.full_name for node in self.supervisor.graph):
-            report = self.supervisor.diagnostics.report(name)
-            for key, text in (report.values if report is not None else {}).items():
-                if text.isascii() and text.isdigit() and len(text) < 16:
-                    found[f"{name.strip('/')}: {key}"] = int(text)
-        return found
+        return table.wait_until(told, ALIVE_TIMEOUT_S)
 
 
 @contextmanager
@@ -151,10 +139,9 @@ class Attacker:
         }
         self._valid = valid_messages(target.link, self.topics)
 
-    def send(self, attack: Attack) -> set[str]:
-        """Send it on every topic that it applies to; the graph goes on; return the counters that rose."""
-        target = self._target
-        counters, publishers = target.counters(), self._open()
+    def send(self, attack: Attack) -> None:
+        """Send it on every topic that it applies to; the graph goes on."""
+        target, publishers = self._target, self._open()
         for topic, valid in self._valid.items():
             for number in range(attack.repeat):
                 began_s = time.monotonic()
@@ -167,10 +154,9 @@ class Attacker:
                 except (AssertionError, OverflowError, UnicodeEncodeError):
                     break  # the message type itself refuses such a value
                 time.sleep(max(1.0 / attack.per_second - (time.monotonic() - began_s), 0.0))
-        risen = self._risen(counters)
+        self._survived()
         for publisher in publishers.values():
             target.link.node.destroy_publisher(publisher)
-        return risen
 
     def _open(self) -> dict[str, Publisher]:
         """Return a new publisher a topic, known to its subscribers: after bytes that are none the middleware takes
@@ -187,7 +173,6 @@ class Attacker:
     def call(self) -> None:
         """Send hostile requests to every service; the graph goes on."""
         target = self._target
-        counters = target.counters()
         for name, (kind, *_) in target.link.node.get_service_names_and_types():
             srv = message_class(kind)
             for what, request in requests(srv, self._rng).items():
@@ -195,10 +180,8 @@ class Attacker:
                     continue
                 with suppress(AssertionError, UnicodeEncodeError, OverflowError):
                     call_all(target.link.node, srv, {name: request}, CALL_TIMEOUT_S)
-        self._risen(counters)
+        self._survived()
 
-    def _risen(self, counters: Counter[str]) -> set[str]:
+    def _survived(self) -> None:
         assert self._target.goes_on(), "a process died, or the filter answers no more"
-        self._target.wait_for_reports()
         self._target.wait_for_tracking(ALIVE_TIMEOUT_S)
-        return set(self._target.counters() - counters)

@@ -32,13 +32,11 @@ class Attack:
     """Something to send on every topic that it applies to.
 
     make : (valid message, generator) -> what to send: messages, or bytes; None where it does not apply.
-    counter : a pattern of the counters that tell of it; others are survived: clouds that only strangers subscribe to,
-    texts that mean nothing. repeat : how often; floods are sent as fast as ``per_second`` says.
+    repeat : how often; floods are sent as fast as ``per_second`` says.
     """
 
     name: str
     make: Callable[[Any, np.random.Generator], Any]
-    counter: str = ""
     repeat: int = 3
     per_second: float = 200.0
 
@@ -56,14 +54,14 @@ def attacks(now_ns: Callable[[], int]) -> list[Attack]:
         return _text(valid, PATHS[int(rng.integers(len(PATHS)))])
 
     return [
-        Attack("cut in the middle", lambda valid, rng: _cut(serialize_message(valid)), "bad_images"),
+        Attack("cut in the middle", lambda valid, rng: _cut(serialize_message(valid))),
         Attack("lengths of 4 GiB", _lying),
-        Attack("stamp in 100 years", stamped(3.15e9), "frames_(ahead|backwards)"),  # of most cameras, a new beginning
-        Attack("NaN", not_a_number, "bad_predictions"),
-        Attack("a million elements", _enlarged, "bad_hulls", repeat=2),
-        Attack("picture bomb", _bomb, "bad_images"),
-        Attack("a cloud of NaN", _nan_cloud, "bad_keypoints"),
-        Attack("YAML bomb", lambda valid, rng: _text(valid, YAML_BOMB), "bad_rules"),
+        Attack("stamp in 100 years", stamped(3.15e9)),
+        Attack("NaN", not_a_number),
+        Attack("a million elements", _enlarged, repeat=2),
+        Attack("picture bomb", _bomb),
+        Attack("a cloud of NaN", _nan_cloud),
+        Attack("YAML bomb", lambda valid, rng: _text(valid, YAML_BOMB)),
         Attack("path traversal", path, repeat=12),
     ]
 

@@ -30,13 +30,12 @@ LEVEL_STYLE = {DiagnosticStatus.OK: "green", DiagnosticStatus.WARN: "yellow", Di
 
 @dataclass(frozen=True)
 class NodeReport:
-    """One node's last diagnostics; how many came, and the most by which a stamp was ahead of its arrival, seconds."""
+    """One node's last diagnostics, and the most by which a stamp was ahead of its arrival, seconds."""
 
     level: bytes
     message: str
     values: Mapping[str, str] = field(default_factory=dict)
     heard_s: float = 0.0
-    count: int = 1
     lead_s: float = -math.inf
 
     def losses(self) -> dict[str, int]:
@@ -97,9 +96,9 @@ class DiagnosticsTable:
         with self._heard:
             for status in message.status:
                 values = values_of(status)
-                before = self._reports.get(status.name, NodeReport(status.level, "", count=0))
-                count, most_s = before.count + 1, max(before.lead_s, lead_s)
-                self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s, count, most_s)
+                before = self._reports.get(status.name)
+                most_s = lead_s if before is None else max(before.lead_s, lead_s)
+                self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s, most_s)
             self._heard.notify_all()
 
 
