@@ -9,11 +9,10 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 
-from rclpy.node import Node
 from rich.console import Console
 from rich.live import Live
 
@@ -39,7 +38,7 @@ from ..console import command_console, doing, until_stopped
 from ..graph import ROUND_S
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
-from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument, our_nodes, settled
+from ..graph.ros_link import RosLink, add_namespace_argument, find_nodes, namespace_argument, our_nodes
 from ..graph.supervisor import GraphError, ProcessEvent, Supervisor
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
@@ -179,7 +178,14 @@ def change_state(args: argparse.Namespace) -> int:
         doing("looking for nodes")
         names = (*SERVER_NODES, *(f"{camera}/{CAMERA_NODE}" for camera in load_rig(args.rig).names)) if args.rig else ()
         awaited = frozenset(f"{namespace}/{name}" for name in names)
-        found = discover(link.node, args.expect, args.wait, awaited)
+        found = find_nodes(
+            lambda: our_nodes(link.node) & (awaited or our_nodes(link.node)),
+            "nodes of ours",
+            len(awaited) or args.expect,
+            args.wait,
+            awaited,
+        )
+        found = sorted(our_nodes(link.node).union(found))
         doing(f"bringing {len(found)} nodes to {args.goal}")
         client = LifecycleClient(link.node)
         outcome = client.bring(groups_of(found, args.cameras_first), args.goal, args.timeout)
@@ -189,21 +195,6 @@ def change_state(args: argparse.Namespace) -> int:
     for failure in outcome.failures.values():
         print(f"failed: {failure}")
     return 1 if outcome.failures else 0
-
-
-def discover(node: Node, expect: int, wait_s: float, names: Set[str] = frozenset()) -> list[str]:
-    """Full names of the sagoma nodes, once ``names`` (or ``expect`` of any) are found and none has joined for a second.
-
-    Raises InputError when fewer have announced themselves within ``wait_s``.
-    """
-    count = len(names) or expect
-    found = settled(lambda: our_nodes(node) & names if names else our_nodes(node), count, wait_s)
-    if len(found) < count:
-        remedy = "Start them; are they not heard? sagoma doctor --live --host ADDRESS."
-        absent = f": {', '.join(sorted(names - {*found}))} not there" if names else ""
-        what = f"found {len(found)} nodes of ours, expected {count}{absent}"
-        raise InputError(what, where="the ROS graph", remedy=remedy)
-    return sorted(our_nodes(node).union(found))
 
 
 # the page -------------------------------------------------------------------------------------------------------------

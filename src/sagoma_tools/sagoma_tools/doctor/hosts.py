@@ -99,7 +99,9 @@ def serve(stop: threading.Event, address: str = "", port: int = PORT, ready: Cal
                 kind, named = packet[: len(UNICAST)], int.from_bytes(packet[len(UNICAST) :][:2], "big")
                 with contextlib.suppress(OSError):  # the sender is gone, or somebody else has that port
                     if kind == MULTICAST:
-                        heard.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, _own_address(sender))
+                        way = interface_to(sender[0])
+                        here = socket.inet_aton(way.address if way else "")
+                        heard.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, here)
                         heard.sendto(MULTICAST, (GROUP, named))
                     elif kind == UNICAST:
                         heard.sendto(json.dumps(settings_here()).encode()[: len(packet)], sender)
@@ -107,13 +109,6 @@ def serve(stop: threading.Event, address: str = "", port: int = PORT, ready: Cal
                         opened.close()
                         links = [link, opened.enter_context(_socket())]
                         links[1].bind((address, named))
-
-
-def _own_address(other: tuple[str, int]) -> bytes:
-    """Return our own address on the path to another, packed."""
-    with _socket() as link:
-        link.connect(other)
-        return socket.inet_aton(link.getsockname()[0])
 
 
 def _socket() -> socket.socket:
