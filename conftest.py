@@ -105,7 +105,6 @@ _REAL_TIME = (
     "tests/test_setup_drill.py",
     "tests/test_soak.py",
     "tests/test_supervision_live.py",
-    "tests/test_webcam_drill.py",
     "src/camera_client/test/test_camera_aravis",
     "src/virtual_studio/test/test_gige_camera_aravis",
     "src/virtual_studio/test/test_gige_timing",
