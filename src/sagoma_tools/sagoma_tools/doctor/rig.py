@@ -24,6 +24,7 @@ from capture_rig.video import VideoFacts, examine_video, session_findings
 from capture_rig.visibility import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.extrinsics.verdict import CLOSE_DEG, FACING_DEG, MIN_CAMERAS
+from rig_calibration.intrinsics.lens_model import ASPECT_PRIOR, CENTRE_PRIOR
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
 from .cameras import BUSY, GIGABIT, JUMBO_MTU, Stream, footage_shape, stream_bytes_per_s
@@ -37,8 +38,6 @@ CALIBRATE, CALIBRATE_LENS = "sagoma calibrate extrinsics", "sagoma calibrate int
 STEP_M, BREAST_M = 0.2, 1.0
 BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
 OLD_S = 180 * 86400.0
-OFF_CENTRE = 0.15  # of the image's width or height
-UNEQUAL_FOCAL = 0.02
 NARROW_DEG, WIDE_DEG, FISHEYE_DEG = 15.0, 130.0, 200.0
 HIGH_M, LOW_M = 6.0, 0.3
 SAME_PLACE_M, SAME_LENS_PX = 0.05, 0.5
@@ -233,13 +232,13 @@ def check_lens(camera: CameraModel) -> Iterator[Finding]:
     """Whether the lens is one that exists, and holds over the image."""
     fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     width, height, fisheye = camera.width, camera.height, is_fisheye(camera.D)
-    off, across = max(abs(cx - (width - 1) / 2) / width, abs(cy - (height - 1) / 2) / height), across_deg(camera)
+    off, across = np.hypot(cx - (width - 1) / 2, cy - (height - 1) / 2) / max(width, height), across_deg(camera)
     again = f"{CALIBRATE_LENS}: boards in the corners of the image, and tilted; check that the file is this camera's."
     yield graded(
         "lens",
         f"f {fx:.0f} x {fy:.0f} px, {across:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})",
-        (off > OFF_CENTRE, warning, "off_centre", again),
-        (abs(fx / fy - 1) > UNEQUAL_FOCAL, warning, "unequal_focal", again),
+        (off > CENTRE_PRIOR, warning, "off_centre", again),
+        (abs(fx / fy - 1) > ASPECT_PRIOR, warning, "unequal_focal", again),
         (not NARROW_DEG < across < (FISHEYE_DEG if fisheye else WIDE_DEG), warning, "field_of_view", again),
     )
     share, text = camera.unused_share, unused_text(camera)
