@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,23 +41,14 @@ class SmoothedTake(NamedTuple):
     counts: dict[str, int]
 
 
-@dataclass(frozen=True, eq=False)
-class FittedTake:
-    """The fits of a take. runs : of each person, by number, the runs of frame sets without a set that lacks the person;
-    frames : the name of each set's frame, by its stamp."""
-
-    runs: dict[int, list[list[Set]]] = field(default_factory=dict)
-    frames: dict[int, str] = field(default_factory=dict)
-
-
 def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None = None) -> SmoothedTake:
     """Write ``target``: the bag with everybody's motion smoothed. InputError for a bag without fits."""
     require_new(target)
-    take = read_fits(bag)
-    if not take.frames:
+    runs_of, frames = read_fits(bag)
+    if not frames:
         remedy = "Record /icp/reference_points and /icp/body: `sagoma record` does."
         raise InputError(f"holds no {FITTED}, from which a take is smoothed", where=str(bag), remedy=remedy)
-    states = {person: _states(runs, settings) for person, runs in take.runs.items()}
+    states = {person: _states(runs, settings) for person, runs in runs_of.items()}
     kinds = bag_topics(bag)
     topics = _smoothed_topics(bag, states)
     named = {topic: OF_A_PERSON[topic.rpartition("/")[2]] for topics_of in topics.values() for topic in topics_of}
@@ -72,15 +62,17 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
                 continue
             for person, of_person in states.items():
                 if (state := of_person.get(message.stamp_ns)) is not None:
-                    _write(writer, topics[person], message.log_ns, state, take.frames[message.stamp_ns])
+                    _write(writer, topics[person], message.log_ns, state, frames[message.stamp_ns])
         provenance = {key: value for key, value in read_provenance(bag).items() if key != "software"}
         writer.describe({**provenance, "smoothed_from": str(bag)}, rig_in(bag))
     counts = {person: len(of_person) for person, of_person in states.items()}
-    return SmoothedTake(counts, len(take.frames), writer.counts)
+    return SmoothedTake(counts, len(frames), writer.counts)
 
 
-def read_fits(bag: str | Path) -> FittedTake:
-    """Return everybody's fits in bag order, each with the body that was followed then. InputError for falling stamps.
+def read_fits(bag: str | Path) -> tuple[dict[int, list[list[Set]]], dict[int, str]]:
+    """Return everybody's fits in bag order, each with the body that was followed then: of each person, by number, the
+    runs of frame sets without a set that lacks the person; and the name of each set's frame, by its stamp. InputError
+    for falling stamps.
 
     A body is published with the set that it was measured or refined with, before or just after its points; the first
     one serves the sets before it as well.
@@ -94,20 +86,20 @@ def read_fits(bag: str | Path) -> FittedTake:
         others = parse_bodies(text, where) if message.topic == BODIES else {FIRST_PERSON: parse_body(text, where)}
         for person, body in others.items():
             bodies.setdefault(person, []).append((message.log_ns, body))
-    take, before = FittedTake(), dict[int, ReferencePoints]()
+    runs_of, frames, before = dict[int, list[list[Set]]](), dict[int, str](), dict[int, ReferencePoints]()
     for log_ns, cloud in clouds:
         stamp_ns = cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec
         people = dict(read_people_points(cloud, f"{bag}: {FITTED}").of)
-        take.frames[stamp_ns] = cloud.header.frame_id
+        frames[stamp_ns] = cloud.header.frame_id
         for person, points in people.items():
-            runs = take.runs.setdefault(person, [])
+            runs = runs_of.setdefault(person, [])
             if person not in before:
                 runs.append([])
             runs[-1].append(Set(stamp_ns, points, _body_at(log_ns, bodies.get(person, []))))
         before = people
-    for runs in take.runs.values():
+    for runs in runs_of.values():
         check_stamps([one.stamp_ns for run in runs for one in run], str(bag))
-    return take
+    return runs_of, frames
 
 
 def _body_at(log_ns: int, bodies: list[tuple[int, Body]]) -> Body | None:
