@@ -21,13 +21,12 @@ from gige_vision.gvcp import DeviceRecord
 from sagoma_tools.cli import main
 from sagoma_tools.doctor import cameras
 from sagoma_tools.doctor.cameras import (
-    Stream,
     check_bandwidth,
     check_control,
     check_identity,
     check_interface,
     check_timing,
-    stream_bytes_per_s,
+    wire_bytes,
 )
 from sagoma_tools.doctor.findings import Severity, ok
 from sagoma_tools.doctor.machine import Interface
@@ -172,7 +171,6 @@ def test_footage_needs_no_network(file, capsys):
 LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=9000, speed_mbit=1000)
 RECORD = DeviceRecord("192.168.1.11", "Maker", "Model", serial="123", user_id="left", subnet_mask="255.255.255.0")
 SETTINGS = AravisSettings(address="192.168.1.11", exposure_us=4000.0, gain=0.0, frame_rate=60.0)
-GREY_VGA = Stream("cam01", 640 * 480, 100.0)
 
 
 def worst(findings):
@@ -231,12 +229,13 @@ def test_program_that_controls_the_camera_is_named(monkeypatch, privilege, owner
 
 def test_stream_on_the_wire_is_counted_with_the_headers_of_every_packet():
     # 300 packets of 1024 bytes of image each, and leader and trailer; 36 + 38 bytes of headers and gaps on each
-    assert stream_bytes_per_s(Stream("a", 307_200, 10.0), 1024 + 36) == 10 * (307_200 + 302 * 74)
+    assert wire_bytes(307_200, 1024 + 36) == 307_200 + 302 * 74
 
 
 @pytest.mark.parametrize("count, code", [(1, "bandwidth.ok"), (3, "bandwidth.tight"), (4, "bandwidth.exceeded")])
 def test_cameras_that_share_a_link_must_fit_it_together(count, code):
-    finding = check_bandwidth([GREY_VGA] * count, LINK)  # 30.99 of 125 MB/s each
+    of_each = 100.0 * wire_bytes(640 * 480, LINK.mtu)  # 30.99 of 125 MB/s
+    finding = check_bandwidth({f"cam{k}": of_each for k in range(count)}, LINK)
     assert finding.code == code and f"{24.8 * count:.0f} % of the 1000 Mbit/s" in finding.what
 
 

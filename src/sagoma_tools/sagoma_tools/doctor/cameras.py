@@ -9,7 +9,7 @@ import contextlib
 import ipaddress
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -64,16 +64,6 @@ class CameraFile:
         return None if isinstance(self.calibration, InputError) else self.calibration.camera
 
 
-@dataclass(frozen=True)
-class Stream:
-    """What one camera sends. ``frame_rate`` is 0 where the settings leave it open; ``packet_size`` 0: the largest."""
-
-    camera: str
-    payload_bytes: int
-    frame_rate: float
-    packet_size: int = 0
-
-
 def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) -> Iterator[Finding]:
     """Findings on the parameter file at ``path``, the camera it names, and (``host_too``) this machine.
 
@@ -92,7 +82,9 @@ def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) 
         if settings.address:
             link = interface_to(settings.address)
             yield from about(subject, check_interface(settings, link), check_identity(settings, link))
-            yield from about(subject, check_control(settings, link), check_bandwidth(streams_beside(file, link), link))
+            yield from about(subject, check_control(settings, link))
+            if link is not None:
+                yield from about(subject, check_bandwidth(sent_beside(file, link), link))
         if open_it:
             yield from about(subject, check_opened(file))
     if host_too:
@@ -226,13 +218,12 @@ def check_control(settings: AravisSettings, link: Interface | None) -> Finding |
     return warning("control.taken", text, "Stop the program there; a camera has one controller.")
 
 
-def check_bandwidth(streams: list[Stream], link: Interface | None) -> Finding | None:
-    """Whether all cameras on this interface fit its link."""
-    if link is None or not streams or not all(stream.frame_rate for stream in streams):  # check_timing names these
+def check_bandwidth(sent: Mapping[str, float], link: Interface) -> Finding | None:
+    """Whether what all cameras on this interface send, bytes a second, fits its link."""
+    if not sent or not all(sent.values()):  # check_timing names these
         return None
-    largest = min(link.mtu, JUMBO_MTU)
-    needed = sum(stream_bytes_per_s(stream, stream.packet_size or largest) for stream in streams)
-    text = f"{needed / 1e6:.0f} MB/s of {f'{len(streams)} cameras' if len(streams) > 1 else streams[0].camera}"
+    needed = sum(sent.values())
+    text = f"{needed / 1e6:.0f} MB/s of {f'{len(sent)} cameras' if len(sent) > 1 else next(iter(sent))}"
     if link.loopback or not link.speed_mbit:
         return ok("bandwidth", f"{text}; the speed of {link.name} is unknown")
     share = needed / (link.speed_mbit * 1e6 / 8)
@@ -270,38 +261,38 @@ def footage_shape(path: str | Path) -> tuple[int, ...]:
         return reader.probe()
 
 
-def streams_beside(file: CameraFile, link: Interface | None) -> list[Stream]:
-    """Return what the cameras of the file's folder send through this interface, as far as known; this camera first."""
+def sent_beside(file: CameraFile, link: Interface) -> dict[str, float]:
+    """Return what the cameras of the file's folder send through this interface, bytes a second, as far as their size is
+    known, this camera first; 0 where the settings leave the rate open."""
     found = [file]
-    for path in sorted(file.path.parent.glob("*.yaml")) if link is not None else ():
+    for path in sorted(file.path.parent.glob("*.yaml")):
         try:
             other = read_file(path)
         except InputError:  # examined when it is that file's turn
             continue
         address = other.settings.aravis.address if other.settings.source == "aravis" else ""
         theirs = interface_to(address) if address and other.name != file.name else None
-        if link is not None and theirs is not None and theirs.name == link.name:
+        if theirs is not None and theirs.name == link.name:
             found.append(other)
-    return [stream for stream in map(stream_of, found) if stream is not None]
+    sent = {}
+    for each in found:
+        settings, camera = each.settings.aravis, each.camera
+        if camera is not None:
+            wanted = settings.pixel_format  # "auto" prefers formats of 8 bits a pixel
+            pixel_format = PixelFormat[wanted] if wanted in PixelFormat.__members__ else PixelFormat.Mono8
+            payload = pixel_format.image_bytes(camera.width, camera.height)
+            packet = settings.packet_size or min(link.mtu, JUMBO_MTU)
+            sent[each.name] = max(settings.frame_rate, 0.0) * wire_bytes(payload, packet)
+    return sent
 
 
-def stream_of(file: CameraFile) -> Stream | None:
-    """Return what the camera sends, from its calibrated size and pixel format; None when the size is unknown."""
-    camera = file.camera
-    if camera is None:
-        return None
-    wanted = file.settings.aravis.pixel_format
-    # "auto" prefers formats of 8 bits a pixel
-    pixel_format = PixelFormat[wanted] if wanted in PixelFormat.__members__ else PixelFormat.Mono8
-    payload = pixel_format.image_bytes(camera.width, camera.height)
-    settings = file.settings.aravis
-    return Stream(file.name, payload, max(settings.frame_rate, 0.0), settings.packet_size)
+def wire_bytes(payload: int, packet_size: int) -> int:
+    """Return the bytes of a frame on the wire, headers of every packet, leader and trailer included (GVSP 2.0).
 
-
-def stream_bytes_per_s(stream: Stream, packet_size: int) -> float:
-    """Bytes a second on the wire, with the headers of every packet, leader and trailer included (GVSP 2.0)."""
-    packets = -(-stream.payload_bytes // max(packet_size - PACKET_HEADERS, 1)) + 2
-    return stream.frame_rate * (stream.payload_bytes + packets * (PACKET_HEADERS + ETHERNET_FRAME))
+    payload : bytes of the image; packet_size : bytes of a packet with its headers.
+    """
+    packets = -(-payload // max(packet_size - PACKET_HEADERS, 1)) + 2
+    return payload + packets * (PACKET_HEADERS + ETHERNET_FRAME)
 
 
 def read_register(address: str, register: int) -> int | None:

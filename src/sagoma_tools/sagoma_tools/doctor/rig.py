@@ -27,7 +27,7 @@ from rig_calibration.extrinsics.verdict import CLOSE_DEG, FACING_DEG, MIN_CAMERA
 from rig_calibration.intrinsics.lens_model import ASPECT_PRIOR, CENTRE_PRIOR
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
-from .cameras import BUSY, GIGABIT, JUMBO_MTU, Stream, footage_shape, stream_bytes_per_s
+from .cameras import BUSY, GIGABIT, JUMBO_MTU, footage_shape, wire_bytes
 from .findings import Finding, about, error, graded, note, warning
 
 Array = npt.NDArray[np.float64]
@@ -184,8 +184,8 @@ def region_text(region: Region) -> str:
 
 def most_hz(rig: Rig) -> float:
     """Return the rate that a Gigabit link carries with some room, of pictures of 8 bits a pixel in large packets."""
-    streams = (Stream(each.name, each.width * each.height, 1.0) for each in rig.cameras)
-    return BUSY * GIGABIT * 1e6 / 8 / sum(stream_bytes_per_s(stream, JUMBO_MTU) for stream in streams)
+    frame_bytes = sum(wire_bytes(each.width * each.height, JUMBO_MTU) for each in rig.cameras)
+    return BUSY * GIGABIT * 1e6 / 8 / frame_bytes
 
 
 def check_pairs(view: RigView) -> Iterator[Finding]:
