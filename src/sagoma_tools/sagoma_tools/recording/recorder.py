@@ -67,7 +67,7 @@ class Recorder:
     ) -> None:
         """``on_failure`` is called once, when the disk is full or fails: by then nothing more is recorded."""
         self._node, self._canonical = node, canonical
-        self._writer = BagWriter(folder)
+        self._writer, self.folder = BagWriter(folder), Path(folder)
         self._arrived = threading.Condition()
         self._last_stamp_ns: dict[str, int] = {}
         self._publishers: dict[str, int] = {}

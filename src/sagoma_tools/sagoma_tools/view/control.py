@@ -105,12 +105,11 @@ class Control:
         self._link, self._diagnostics, self._takes, self._jobs = link, diagnostics, takes, jobs
         self._lifecycle = LifecycleClient(link.node)
         self._recorder: Recorder | None = None
-        self._recording_to: Path | None = None
 
     @property
     def recording(self) -> str:
         """The name of the take being recorded, empty while there is none."""
-        return self._recording_to.name if self._recording_to is not None else ""
+        return self._recorder.folder.name if self._recorder is not None else ""
 
     def close(self) -> None:
         """Finish a recording under way."""
@@ -173,19 +172,18 @@ class Control:
             on_failure=lambda error: self._jobs.report(f"{error} The capture goes on."),
         )
         self._recorder.follow()
-        self._recording_to = folder
         return RECORDING.format(folder.name)
 
     def stop_recording(self, tell: Tell) -> str:
         """Finish the take."""
-        if self._recorder is None or self._recording_to is None:
+        recorder = self._recorder
+        if recorder is None:
             return "nothing is being recorded"
-        counts = self._recorder.close_with_graph()
-        folder, failure = self._recording_to, self._recorder.failure
-        self._recorder, self._recording_to = None, None
-        finish_take(folder)
-        early = f"; {failure}" if failure is not None else ""
-        return f"recorded {folder.name}: {sum(counts.values())} messages{early}"
+        counts = recorder.close_with_graph()
+        self._recorder = None
+        finish_take(recorder.folder)
+        early = f"; {recorder.failure}" if recorder.failure is not None else ""
+        return f"recorded {recorder.folder.name}: {sum(counts.values())} messages{early}"
 
 
 # takes ----------------------------------------------------------------------------------------------------------------
