@@ -270,10 +270,10 @@ def run_smooth(args: argparse.Namespace) -> int:
     """Smooth the take and print how much of it has a state."""
     target = args.target or args.bag.rstrip("/") + "_smoothed"
     doing(f"smoothing {args.bag}")
-    take = smooth_bag(args.bag, target, Configuration.of(parse_settings(args.settings)).ekf)
+    states, sets = smooth_bag(args.bag, target, Configuration.of(parse_settings(args.settings)).ekf)
     finish_take(Path(target))
-    others = [f"{sets} of person {person}" for person, sets in sorted(take.states.items()) if person != FIRST_PERSON]
-    print(f"smoothed {', '.join([f'{take.states[FIRST_PERSON]} of {take.sets} frame sets', *others])} into {target}")
+    others = [f"{count} of person {person}" for person, count in sorted(states.items()) if person != FIRST_PERSON]
+    print(f"smoothed {', '.join([f'{states[FIRST_PERSON]} of {sets} frame sets', *others])} into {target}")
     print(f"compare: sagoma evaluate {args.bag}; sagoma evaluate {target}")
     return 0
 

@@ -38,7 +38,6 @@ MISSING, LOST = 0.02, 0.02  # of the frame sets; of the silhouettes
 USUAL_PERIOD_S = 1 / 30
 NOTHING, ENOUGH_MASKS, SAME_PX = 1e-5, 10, 0.01
 OLD_S, EARLY_S = 1.0, 5e-3
-PACKET_BYTES = 1400
 OF_GRADE = {GOOD: note, USABLE: warning, REDO: error}
 RECOVERY = "docs/tracking.md"
 PAGES = {HULL: "docs/faults.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
@@ -279,8 +278,7 @@ def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphF
         return
     total = sent.masks + sent.lost
     if sent.lost > LOST * total:
-        large = " (larger than one packet)" if sent.largest_bytes > PACKET_BYTES else ""
-        yield warning("network.loss", f"{sent.lost} of {total} silhouettes{large} got lost on the way", BIG_MESSAGES)
+        yield warning("network.loss", f"{sent.lost} of {total} silhouettes got lost on the way", BIG_MESSAGES)
     if sent.age_s < -EARLY_S:
         text = f"its frames are stamped {-sent.age_s:.3f} s ahead of this machine's clock"
         yield error("stamps.ahead", text, "chrony or PTP on all machines; for PTP stamps check tai_utc_offset_s.")

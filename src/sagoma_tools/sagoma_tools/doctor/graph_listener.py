@@ -95,8 +95,8 @@ class SilhouetteFacts:
 
     publishers : of its silhouettes; infos : camera_infos heard, ``canvas`` the last; masks : silhouettes heard, of
     which ``bad`` could not be decoded and ``lost`` were missing between the first and the last.
-    shares : of foreground, of those decoded; changes : how many differed from the one before.
-    age_s : from capture to arrival here, the median; largest_bytes : of one message.
+    share : of foreground, the median of those decoded; changes : how many differed from the one before.
+    age_s : from capture to arrival here, the median.
     """
 
     camera: str
@@ -106,15 +106,9 @@ class SilhouetteFacts:
     masks: int = 0
     bad: int = 0
     lost: int = 0
-    shares: tuple[float, ...] = ()
+    share: float = 0.0
     changes: int = 0
     age_s: float = 0.0
-    largest_bytes: int = 0
-
-    @property
-    def share(self) -> float:
-        """The median share of foreground."""
-        return median(self.shares) if self.shares else 0.0
 
     @property
     def sees_person(self) -> bool:
@@ -239,10 +233,9 @@ def silhouette_facts(camera: str, publishers: int, masks: Heard, infos: Heard) -
         len(data),
         bad=len(decoded) - len(readable),
         lost=numbers[-1] - numbers[0] + 1 - len(numbers) if publishers == 1 and numbers else 0,
-        shares=tuple(float((mask > SHADOW_CANDIDATE).mean()) for mask in readable),
+        share=median([float((mask > SHADOW_CANDIDATE).mean()) for mask in readable] or [0.0]),
         changes=sum(one != other for one, other in itertools.pairwise(data)),
         age_s=1e-9 * median(each["received_timestamp"] - to_ns(message.header.stamp) for message, each in masks),
-        largest_bytes=max(map(len, data)),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
@@ -33,16 +33,9 @@ SMOOTHED = ("joint_states", "torso", "joint_covariance", "joint_rotations", "ref
 """What is smoothed of each person, in the order of `_messages_of`."""
 
 
-class SmoothedTake(NamedTuple):
-    """What was smoothed: frame sets with a state of each person, by number, and all sets; messages of the new bag."""
-
-    states: dict[int, int]
-    sets: int
-    counts: dict[str, int]
-
-
-def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None = None) -> SmoothedTake:
-    """Write ``target``: the bag with everybody's motion smoothed. InputError for a bag without fits."""
+def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None = None) -> tuple[dict[int, int], int]:
+    """Write ``target``: the bag with everybody's motion smoothed. Returns frame sets with a state of each person, by
+    number, and all sets. InputError for a bag without fits."""
     require_new(target)
     runs_of, frames = read_fits(bag)
     if not frames:
@@ -65,8 +58,7 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
                     _write(writer, topics[person], message.log_ns, state, frames[message.stamp_ns])
         provenance = {key: value for key, value in read_provenance(bag).items() if key != "software"}
         writer.describe({**provenance, "smoothed_from": str(bag)}, rig_in(bag))
-    counts = {person: len(of_person) for person, of_person in states.items()}
-    return SmoothedTake(counts, len(frames), writer.counts)
+    return {person: len(of_person) for person, of_person in states.items()}, len(frames)
 
 
 def read_fits(bag: str | Path) -> tuple[dict[int, list[list[Set]]], dict[int, str]]:
