@@ -19,11 +19,11 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from sagoma_ros.middleware import RANGE_VARIABLE
 
 from .findings import Finding, Found, about, error, graded, note, ok, warning
-from .graph_listener import ACTIVE, FLOODED, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
+from .graph_listener import ACTIVE, FLOODED, HULL, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
 from .hosts import ALONE, RosSettings
 from .machine import domains_here
 
-SUBJECT, HULL = "graph", "/hull_server"
+SUBJECT = "graph"
 SERVER_NODES = (HULL, "/icp_tracker", "/ekf_tracker")
 ENOUGH_CAMERAS = 3
 ALIKE = (
@@ -76,7 +76,7 @@ def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
         if client is not None:
             yield from about(subject, *_of_node(client, facts))
         if (its := sent.get(name)) is not None:
-            checks = check_arrival(its, client, facts), check_canvas(its, client, facts), check_content(its, facts)
+            checks = check_arrival(its, client, facts), check_canvas(its, facts), check_content(its, facts)
             yield from about(subject, *checks)
 
 
@@ -233,7 +233,7 @@ def check_refusals(facts: GraphFacts) -> Iterator[Finding]:
     for sent in facts.cameras if message.startswith(REFUSED) else ():
         wanted, its = facts.canvas(sent.camera), sent.canvas
         if f"{sent.camera}:" in message and wanted and its and not _differences(its, wanted):
-            has = facts.rig_files.get(HULL, "unknown")
+            has = facts.hull_rig_file or "unknown"
             text = f"it refuses {sent.camera}, which agrees with the rig file: the server has another one ({has})"
             yield error("rig.refused", text, "Give it the same rig file: sagoma stop, sagoma up --rig RIG.")
 
@@ -287,7 +287,7 @@ def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphF
         yield warning("latency.old", f"its silhouettes are {sent.age_s:.1f} s old when they arrive", remedy)
 
 
-def check_canvas(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFacts) -> Finding | None:
+def check_canvas(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
     """Whether the silhouettes were made with the rig's calibration."""
     canvas, rig = sent.canvas, facts.canvas(sent.camera)
     if not sent.masks:
@@ -297,14 +297,12 @@ def check_canvas(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFa
         return warning("camera_info.missing", text, "Is camera_client the publisher?")
     if rig is None:
         return None
-    file = facts.rig_files.get(client.name, "") if client is not None else ""
-    text, differences = f"its rig_file: {file}" if file else "as in the rig file", _differences(canvas, rig)
     remedy = "Copy the newer of both rig files to both machines, configure both again; a calibration set by "
     remedy += "set_camera_info belongs into rig.yaml too."
-    if differences:
-        text = f"made with another calibration than the rig file: {differences} ({text})"
+    if differences := _differences(canvas, rig):
+        text = f"made with another calibration than the rig file: {differences}"
         return error("camera_info.differs", text, remedy)
-    return ok("camera_info", text)
+    return ok("camera_info", "as in the rig file")
 
 
 def _differences(canvas: Canvas, rig: Canvas) -> str:
@@ -336,7 +334,7 @@ def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
 
 def _hulls_rig(facts: GraphFacts) -> Rig | None:
     """Return the hull server's rig file, when it lies on this machine."""
-    path = facts.rig_files.get(HULL, "")
+    path = facts.hull_rig_file
     try:
         return load_rig(path) if path and Path(path).is_file() else None
     except InputError:  # the server reports it

@@ -7,7 +7,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import median
 from typing import Any, NamedTuple, cast
 
@@ -32,11 +32,10 @@ from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.ros_link import RosLink, call_all, is_in_graph, node_names, owners_of, settled, topics_of
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
 
-OWN_NAME = "sagoma_doctor"
+OWN_NAME, HULL = "sagoma_doctor", "/hull_server"
 FRAME_SET_TOPIC = "/hull/frame_set"
 QUESTIONS = 5  # of which the fastest answer counts: one may be lost while discovery is under way
 GET_STATE, GET_PARAMETERS = "/get_state", "/get_parameters"
-ICP, ICP_RIG_PARAMETER, RIG_PARAMETER = "/icp_tracker", "initial_pose.rig_file", "rig_file"
 KEPT = 4096  # messages of a topic: the last minute at 60 Hz
 DECODED = 60  # masks of a camera
 ACTIVE = "active"
@@ -120,7 +119,8 @@ class SilhouetteFacts:
 class GraphFacts:
     """The running graph as heard from here.
 
-    sets : diagnostics of the hull server's frame sets. rig : the one that is expected; rig_files : by node.
+    sets : diagnostics of the hull server's frame sets. rig : the one that is expected;
+    hull_rig_file : the path of the hull server's.
     """
 
     domain: int
@@ -129,7 +129,7 @@ class GraphFacts:
     sets: tuple[Mapping[str, str], ...] = ()
     sets_hz: float = 0.0
     simulated_time: bool = False
-    rig_files: Mapping[str, str] = field(default_factory=dict)
+    hull_rig_file: str = ""
     rig: Rig | None = None
 
     def node(self, name: str) -> NodeFacts | None:
@@ -180,7 +180,8 @@ def collect_graph(
         infos = [_listen(node, CameraInfo, f"{namespace}/{name}{CAMERA_INFO_SUFFIX}", qos) for name in cameras]
         ends_s = time.monotonic() + seconds
         states, trips = ask_states(node, lifecycle)
-        rig_files = _ask_rig_files(node, sorted(states))
+        hull = f"{namespace}{HULL}"
+        hull_rig_file = _ask_rig_file(node, hull) if hull in states else ""
         threading.Event().wait(max(ends_s - time.monotonic(), 0.0))
         copies = Counter(node_names(node))
         names = sorted({*lifecycle, *(name for name in reports.names() if is_in_graph(node, name))})
@@ -199,7 +200,7 @@ def collect_graph(
             tuple(values_of(each.status[0]) if each.status else {} for each, _ in heard),
             (len(heard) - 1) / span_s if span_s > 0 else 0.0,
             node.count_publishers("/clock") > 0,
-            {name.removeprefix(namespace): path for name, path in rig_files.items()},
+            hull_rig_file,
         )
 
 
@@ -268,12 +269,8 @@ def ask_states(node: Node, names: Iterable[str]) -> tuple[dict[str, str], dict[s
     return states, trips
 
 
-def _ask_rig_files(node: Node, names: Sequence[str]) -> dict[str, str]:
-    """Return the rig file parameter of each node."""
-    files = {}
-    parameters = {name + GET_PARAMETERS: ICP_RIG_PARAMETER if name.endswith(ICP) else RIG_PARAMETER for name in names}
-    requests = {service: GetParameters.Request(names=[parameter]) for service, parameter in parameters.items()}
-    for service, reply in call_all(node, GetParameters, requests, ROUND_S, repeatable=True).items():
-        if reply is not None and reply.values and reply.values[0].string_value:
-            files[service.removesuffix(GET_PARAMETERS)] = reply.values[0].string_value
-    return files
+def _ask_rig_file(node: Node, name: str) -> str:
+    """Return the rig file parameter of a node; "" where it does not tell."""
+    requests = {name + GET_PARAMETERS: GetParameters.Request(names=["rig_file"])}
+    (reply,) = call_all(node, GetParameters, requests, ROUND_S, repeatable=True).values()
+    return reply.values[0].string_value if reply is not None and reply.values else ""
