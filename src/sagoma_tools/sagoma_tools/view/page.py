@@ -50,7 +50,6 @@ class Page:
         self._scene.show_rig(rig)
         self._playback: Playback | None = None
         self._watched, self._ended = threading.Event(), threading.Event()
-        self.frames = 0  # drawn since the start
         self._said = gui.add_html("")
         tabs = gui.add_tab_group()
         self._graph = GraphPanel(gui, tabs, live, control, self._jobs) if live and control else None
@@ -125,7 +124,6 @@ class Page:
                     self._draw_frame(now, next_at)
             except Exception as error:  # a message that cannot be read, a take that vanished: the page goes on
                 self._jobs.report(f"the page could not be drawn: {error}")
-            self.frames += 1
             self._ended.wait(max(0.0, 1.0 / 30.0 - (time.monotonic() - now)))
 
     def _draw_frame(self, now_s: float, next_at: dict[str, float]) -> None:
