@@ -48,17 +48,15 @@ BIG_MESSAGES = (
 )
 
 
-def examine_graph(
-    seconds: float, rig_file: Path | None, domain_id: int | None = None, namespace: str = ""
-) -> Iterator[Finding]:
-    """Examine the graph of this ROS domain and namespace, against the rig file if given, else the hull server's."""
+def examine_graph(seconds: float, rig_file: Path | None, namespace: str = "") -> Iterator[Finding]:
+    """Examine the graph of this ROS domain and a namespace, against the rig file if given, else the hull server's."""
     rig = None
     if rig_file is not None:
         try:
             rig = load_rig(rig_file)
         except InputError as problem:  # the graph is examined all the same
             yield replace(note("rig.invalid", f"{problem.where}: {problem.what}", problem.remedy), subject=SUBJECT)
-    facts = collect_graph(seconds, rig.names if rig else (), domain_id, namespace)
+    facts = collect_graph(seconds, rig.names if rig else (), namespace=namespace)
     yield from graph_findings(replace(facts, rig=rig if rig_file is not None else _hulls_rig(facts)))
 
 

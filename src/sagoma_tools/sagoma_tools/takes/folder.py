@@ -260,7 +260,7 @@ def _copy(bag: Path, writer: BagWriter, begins_ns: int, ends_ns: int, progress: 
     first_ns, last_ns = min(logged), max(logged)
     with open_bag(bag) as reader:
         for connection in reader.connections:
-            writer.add_topic_like(connection, connection.topic)
+            writer.add_topic_like(connection)
     before = {m.topic: m for m in read_messages(bag, LATCHED.__contains__) if m.log_ns < first_ns}
     for message in before.values():
         writer.write(message.topic, first_ns, message.data)
