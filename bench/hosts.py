@@ -164,7 +164,7 @@ def running(arguments: Any) -> Iterator[Drill]:
     names = [SERVER, *clip.rig.names]
     try:
         with World(names, seed=arguments.seed, multicast=not arguments.peers) as world:
-            print(f"{len(names)} hosts, silhouettes of {size} bytes (median), faults by {world.faults_by}", flush=True)
+            print(f"{len(names)} hosts, silhouettes of {size} bytes (median)", flush=True)
             yield Drill(world, folder, arguments)
     finally:
         shutil.rmtree(folder, ignore_errors=True)

@@ -264,7 +264,7 @@ def running(arguments: Any) -> Iterator[ClientDrill]:
     names = [SERVER, *rig.names]
     try:
         with World(names, seed=arguments.seed, multicast=not arguments.peers) as world:
-            print(f"{len(names)} hosts, GigE cameras at {arguments.hz:g} Hz, faults by {world.faults_by}", flush=True)
+            print(f"{len(names)} hosts, GigE cameras at {arguments.hz:g} Hz", flush=True)
             yield ClientDrill(world, folder, arguments)
     finally:
         shutil.rmtree(folder, ignore_errors=True)

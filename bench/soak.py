@@ -40,7 +40,7 @@ from capture_rig.stop_signals import StopOnSignal
 from sagoma_bringup.launch_arguments import RESTART_DELAY_S
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.evaluation.live_run import start_settings
-from sagoma_tools.graph.supervisor import ProcessExited, ProcessRecovered, Supervisor
+from sagoma_tools.graph.supervisor import ProcessEvent, Supervisor
 from stick_figure.body import Body
 from virtual_studio.motions.catalogue import Motion, tour
 from virtual_studio.recording.session import write_session
@@ -56,7 +56,7 @@ TICK_S = 0.2
 STATURE_M, ACTED_S, ACTED_HZ = 1.75, 6.0, 20.0
 SLOWER = 2.0  # the person moves at half speed: at HZ it seems to move as before cameras of twice the rate
 
-Note = Callable[[ProcessExited | ProcessRecovered], None]
+Note = Callable[[ProcessEvent], None]
 
 
 @dataclass(frozen=True)
@@ -225,8 +225,8 @@ def soak(args: argparse.Namespace) -> None:
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     events = Rows(out / "events.csv", "unix_s event")
 
-    def note(event: ProcessExited | ProcessRecovered) -> None:
-        events.add(f"{time.time():.2f}", str(event))
+    def note(event: ProcessEvent) -> None:
+        events.add(f"{time.time():.2f}", event.text)
 
     with StopOnSignal() as stop, studio_stage(args, stop, note) as stage:
         Soak(stage, out, args.hz).run(plan, args.seed, stop)

@@ -1,11 +1,10 @@
 """What ROS people read without a manual: cameras on /tf_static, bodies on /tf, a URDF that the joint states move,
-stamps to pair messages by, one unit a field.
+one unit a field.
 
 tf2_msgs is in every ROS installation, not in the wheels: where it is not, a stand-in takes what would be published.
 """
 
 import importlib.util
-from collections import defaultdict
 from dataclasses import replace
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -16,7 +15,7 @@ from ekf_person import Person
 from geometry_msgs.msg import TransformStamped
 from node_probe import SUCCESS, NodeProbe
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo, JointState, MultiDOFJointState, PointCloud2
+from sensor_msgs.msg import CameraInfo, JointState, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
@@ -38,9 +37,9 @@ from sagoma_ros.qos import LATCHED, RESULT, SILHOUETTE_PUBLISHER
 from sagoma_tools.doctor.graph import REFUSED
 from sagoma_tools.evaluation.in_process import exact_silhouettes
 from stick_figure.body import Body
-from stick_figure.kinematics import forward, stick_frames
-from stick_figure.pose import JOINT_NAMES, Pose
-from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, PARENT, POINT_NAMES, TANGENT_NAMES
+from stick_figure.kinematics import forward
+from stick_figure.pose import Pose
+from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, ANGLE_NAMES, POINT_NAMES
 from virtual_studio.rig import ring
 
 BODY_ID, RIG = "b0001", ring(3)
@@ -55,13 +54,6 @@ LIMBS = {
         for upper, lower in (("shoulder", ("elbow", "hand")), ("hip", ("knee", "foot")))
     },
 }
-PAIRED = {
-    "mocap/joint_states": JointState,
-    "mocap/joint_covariance": PointCloud2,
-    "mocap/joint_rotations": MultiDOFJointState,
-    "ekf/prediction": MultiDOFJointState,
-}
-"""Topics of one message a set, which pair by its stamp."""
 LIMB_STARTS = [POINT_NAMES.index(start) for start, ends in LIMBS.items() for _ in ends]
 LIMB_ENDS = [POINT_NAMES.index(end) for ends in LIMBS.values() for end in ends]
 
@@ -209,23 +201,19 @@ def test_links_on_tf_are_where_the_reference_points_are_over_the_track_of_a_movi
     assert 2 * MM < np.median(off_rigid) < 40 * MM  # 12 to 25 mm at the shoulders of other tracks: docs/ros.md
 
 
-def answered(open_probe, person, sets=1, **parameters) -> "Published":
-    """Let a filter answer sets of somebody who is measured well."""
-    measured = [
-        ReferencePoints(person.points(0.5 + k / FPS), np.tile(1e-4 * np.eye(3), (15, 1, 1)), np.ones(15, bool))
-        for k in range(sets)
-    ]
-    return follow(open_probe, person.body, measured, **parameters)
+def answered(open_probe, person, **parameters) -> "Published":
+    """Let a filter answer a set of somebody who is measured well."""
+    measured = ReferencePoints(person.points(0.5), np.tile(1e-4 * np.eye(3), (15, 1, 1)), np.ones(15, bool))
+    return follow(open_probe, person.body, [measured], **parameters)
 
 
 class Published(NamedTuple):
-    """What a filter published: points (15, 3), joint states and markers of each set, its URDF, and all by topic."""
+    """What a filter published: points (15, 3), joint states and markers of each set, and its URDF."""
 
     points: list[np.ndarray]
     joints: list[JointState]
     markers: list[MarkerArray]
     described: str
-    by_topic: dict[str, list]
 
 
 def follow(open_probe, body, fitted, **parameters) -> Published:
@@ -233,9 +221,7 @@ def follow(open_probe, body, fitted, **parameters) -> Published:
     probe = open_probe(NodeProbe, EkfNode, {"stale_after_s": 0.0, **parameters})
     sender = probe.peer.create_publisher(FITTED_PEOPLE.kind, FITTED_PEOPLE.name, RESULT)
     clouds = probe.listen(PointCloud2, "mocap/reference_points")
-    for topic, kind in PAIRED.items():
-        probe.listen(kind, topic)
-    joints = probe.heard["mocap/joint_states"]
+    joints = probe.listen(JointState, "mocap/joint_states")
     markers = probe.listen(MarkerArray, "mocap/skeleton")
     texts = probe.listen(String, "mocap/robot_description", LATCHED)
     probe.start()
@@ -250,10 +236,9 @@ def follow(open_probe, body, fitted, **parameters) -> Published:
         stamp_ns = START_NS + round(number * 1e9 / FPS)
         people, frame_id = FittedPeople(stamp_ns, PeoplePoints({1: measured}), {1: body}), probe.node.settings.frame_id
         sender.publish(tables_message(people, frame_id))
-        sets = [clouds, markers, *(probe.heard[topic] for topic in PAIRED)]
-        probe.until(lambda: min(map(len, sets)) > number and own())  # noqa: B023
+        probe.until(lambda: min(map(len, (clouds, markers, joints))) > number and own())  # noqa: B023
     points = [read_reference_points(cloud, "test").points_world for cloud in clouds]
-    published = Published(points, list(joints), list(markers), own()[0], {t: probe.heard[t] for t in PAIRED})
+    published = Published(points, list(joints), list(markers), own()[0])
     assert probe.node.trigger_deactivate() == probe.node.trigger_cleanup() == SUCCESS  # a second filter is alone
     return published
 
@@ -313,41 +298,6 @@ def test_refused_camera_is_named_as_the_doctor_reads_it(hull):
     other = replace(camera, K=camera.K * [[1.1], [1.1], [1.0]])
     sender.publish(camera_info_message(other, START_NS, f"{camera.name}_optical"))
     probe.until_said(f"{REFUSED} {camera.name}:")
-
-
-# --- messages of one set
-
-
-@pytest.fixture
-def sets_heard(open_probe, person):
-    """The messages of PAIRED by topic, of each of four sets that the filter answered."""
-    by_stamp = defaultdict(dict)
-    for topic, messages in answered(open_probe, person, sets=4).by_topic.items():
-        for message in messages:
-            by_stamp[to_ns(message.header.stamp)][topic] = message
-    return list(by_stamp.values())
-
-
-def test_covariance_and_rotations_pair_with_the_joint_states_by_stamp(sets_heard):
-    assert len(sets_heard) == 4 and all(set(together) == set(PAIRED) for together in sets_heard)
-    for together in sets_heard:
-        cloud = together["mocap/joint_covariance"]
-        columns = [field.name for field in cloud.fields]
-        matrix = np.frombuffer(cloud.data, "<f8").reshape(len(columns), len(columns))
-        assert columns == list(TANGENT_NAMES) and set(together["mocap/joint_states"].name) <= set(columns)
-        np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
-        assert np.linalg.eigvalsh(matrix).min() > 0
-
-
-def test_rotations_say_the_same_as_the_angles(sets_heard):
-    for together in sets_heard:
-        angles = dict(zip(together["mocap/joint_states"].name, together["mocap/joint_states"].position, strict=True))
-        message = together["mocap/joint_rotations"]
-        torso = rotation_of(message.transforms[0])
-        frames = stick_frames(Pose.from_angles(np.zeros(3), torso, [angles[n] for n in ANGLE_NAMES]))
-        assert tuple(message.joint_names) == JOINT_NAMES
-        for k, transform in enumerate(message.transforms[1:], 1):
-            np.testing.assert_allclose(rotation_of(transform), frames[PARENT[k]].T @ frames[k], atol=1e-6)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("tf2_msgs") is None, reason="tf2_msgs is not installed")

@@ -1,22 +1,33 @@
-"""Unknown cameras of the virtual studio are set up by the commands that a user gives; the truth only scores."""
+"""Unknown cameras are set up by the commands that a user gives, and a person is tracked; the truth only scores."""
 
+import json
+import shutil
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
+import film_webcam
 import numpy as np
 import pytest
-from command_line import Graph, run
+from command_line import Graph, calibrated, run
+from film_webcam import let_in
+from heard import Heard
+from sensor_msgs.msg import JointState
 
-from capture_rig.rig import load_rig
+from capture_rig.camera import CameraModel
+from capture_rig.rig import Rig, load_rig, save_rig
+from capture_rig.yaml_file import save_mapping
 from sagoma_bringup.graph import build_graph
 from sagoma_tools.evaluation.live_inputs import StudioProcess, free_first_address
 from sagoma_tools.evaluation.track import tracks_from_bag
+from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.supervisor import Supervisor
 from sagoma_tools.recording.recorder import GraphRecorder
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
 from virtual_studio.motions.catalogue import MOTIONS
-from virtual_studio.recording.footage import camera_errors, read_truth_floor
+from virtual_studio.recording.footage import FootagePlan, camera_errors, read_truth_floor, write_setup
+from virtual_studio.rig import ring
 
 CAMERAS = ("cam01", "cam02", "cam03")
 
@@ -68,3 +79,95 @@ def test_live_cameras_are_set_up_from_the_empty_room_to_a_tracked_person(tmp_pat
     t_pose = forward(body, MOTIONS["tour"](body, 20.0, 60.0).poses[0])
     points = found_world @ T_world_floor[:3, :3].T + T_world_floor[:3, 3]
     assert np.linalg.norm(points - t_pose, axis=1).mean() < 0.08
+
+
+# --- four webcams, from nothing to a tracked person, by the commands of docs/first_capture.md
+
+RATE_HZ, FILM_HZ, FILM_S = 10.0, 60.0, 6.0  # the film is seen in slow motion, so that a busy machine keeps up
+PHASE_MS = 20.0  # from one camera to the next: nobody triggers them
+SETS, PATIENCE_S = 60, 120.0
+UNSYNCHRONISED = ("--set", "hull_server.tolerance_s=0.09", "--set", "hull_server.deadline_s=0.3")
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory) -> Path:
+    """What is filmed with the webcams: a board before each lens, on the floor, carried about; then somebody."""
+    folder = tmp_path_factory.mktemp("webcams") / "room"
+    plan = FootagePlan(stills=True, brief=True, fps=2.0, moving_s=10.0)
+    return write_setup(folder, ring(4, ceiling=False), plan, motion="tour", seconds=FILM_S)
+
+
+def write_cameras(folder: Path, rig: Path, session: Path) -> Path:
+    """A parameter file a camera, as `sagoma up --cameras` takes them."""
+    folder.mkdir()
+    for k, name in enumerate(load_rig(rig).names):
+        options = [f"folder={session}", f"name={name}", f"rate_hz={RATE_HZ}", f"phase_ms={k * PHASE_MS}"]
+        parameters = {
+            "rig_file": str(rig),
+            "camera_name": name,
+            "source": "plugin",
+            "plugin": {"source": "film_webcam:FilmWebcam", "options": options},
+            "background_file": str(folder / f"{name}.npz"),
+        }
+        save_mapping(folder / f"{name}.yaml", {f"/{name}/camera_client": {"ros__parameters": parameters}})
+    return folder
+
+
+@pytest.mark.slow
+def test_webcams_without_a_trigger_are_set_up_and_a_person_is_tracked(filmed, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(Path(film_webcam.__file__).parent), prepend=":")
+    rig, bag, T_world_floor = calibrated(filmed, tmp_path), tmp_path / "bag", read_truth_floor(filmed)
+    for camera in camera_errors(load_rig(rig), load_rig(filmed / "truth_rig.yaml"), T_world_floor):
+        assert camera.focal_percent < 0.2 and camera.principal_px < 1.5
+        assert camera.centre_mm < 8.0 and camera.rotation_deg < 0.2
+    cameras = write_cameras(tmp_path / "cameras", rig, filmed / "session")
+    words = ("--rig", rig, "--cameras", cameras, "--record", bag, *UNSYNCHRONISED)
+    with RosLink("listener") as link, Graph(tmp_path / "up.log", *words) as graph:
+        assert graph.active.wait(PATIENCE_S), graph.log.read_text()
+        poses = Heard(link.node, JointState, "/mocap/joint_states", PATIENCE_S)
+        run("background", "--countdown", "0", "--expect", "4", "--wait", "60")
+        began_s = let_in(filmed / "session", 2.0)
+        assert poses.wait_for_more(SETS), graph.log.read_text()
+    track = tracks_from_bag(bag, lambda stamp_ns: round((1e-9 * stamp_ns - began_s) * RATE_HZ))[1]
+    body = Body.from_stature(1.75)
+    motion = MOTIONS["tour"](body, FILM_S, FILM_HZ)
+    shown = (track.frames >= 0) & (track.frames < len(motion.poses))
+    truth = np.stack([forward(body, motion.poses[frame]) for frame in track.frames[shown]])
+    points = track.points_world[shown] @ T_world_floor[:3, :3].T + T_world_floor[:3, 3]
+    errors = np.linalg.norm(points - truth, axis=2)
+    assert len(errors) >= SETS // 2
+    assert errors.mean() < 0.03
+    assert (errors.max(axis=1) > 0.2).mean() < 0.02
+
+
+# --- a room of four fisheyes of 180 degrees, calibrated by films of boards
+
+SIZE, ACROSS_RAD = (1280, 1024), np.pi
+D = np.array([-0.02, 0.01, -0.004, 0.0006])  # of a lens that departs from the equidistant projection by a per cent
+
+
+def fisheye(camera: CameraModel) -> CameraModel:
+    K, focal = camera.K.copy(), SIZE[0] / ACROSS_RAD
+    K[0, 0], K[1, 1] = focal, 1.001 * focal
+    return replace(camera, K=K, distortion_model="equidistant", D=D)
+
+
+@pytest.mark.slow
+def test_fisheye_room_is_calibrated_by_boards_and_a_person_tracked_in_it(tmp_path):
+    rig = ring(4, ceiling=False, size=SIZE)
+    rig = Rig(tuple(map(fisheye, rig.cameras)), rig.volume)
+    plan = FootagePlan(stills=True, fps=2.0, moving_s=20.0)
+    filmed = write_setup(tmp_path / "room", rig, plan, motion="tour", seconds=3.0)
+    found = calibrated(filmed, tmp_path)
+    T_floor_world, session = np.linalg.inv(read_truth_floor(filmed)), filmed / "session"
+    placed = [
+        replace(camera, T_camera_world=camera.T_camera_world @ T_floor_world) for camera in load_rig(found).cameras
+    ]
+    for camera in placed:
+        assert camera.distortion_model == "equidistant"
+        assert np.linalg.norm(camera.centre_world - rig.camera(camera.name).centre_world) < 0.003
+    save_rig(Rig(tuple(placed), rig.volume), session / "rig.yaml")
+    shutil.copy(filmed / "truth.csv", session)
+    score = json.loads(run("evaluate", session, "--json"))
+    assert score["tracked"] > 0.8 * score["frames"]
+    assert score["mean_mm"] < 25.0 and score["over_200mm"] == 0.0

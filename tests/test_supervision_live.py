@@ -15,8 +15,7 @@ from sensor_msgs.msg import JointState
 from sagoma_bringup.graph import ONE_PROCESS, THREE_PROCESSES
 from sagoma_tools.evaluation.live_inputs import StudioInput
 from sagoma_tools.graph.diagnostics_table import DiagnosticsTable
-from sagoma_tools.graph.processes import ProcessSettings
-from sagoma_tools.graph.supervisor import ProcessExited, ProcessRecovered, Supervisor
+from sagoma_tools.graph.supervisor import ProcessEvent, Supervisor
 
 pytestmark = pytest.mark.slow
 
@@ -35,14 +34,12 @@ CRASHES = {
 
 @pytest.mark.parametrize("server", [ONE_PROCESS, THREE_PROCESSES])
 def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in_session: Path, tmp_path: Path):
-    told: queue.Queue[ProcessExited | ProcessRecovered] = queue.Queue()
+    told: queue.Queue[ProcessEvent] = queue.Queue()
     cancel = threading.Event()
     with StudioInput(built_in_session, tmp_path / "studio", CAMERA_FPS) as studio:
         studio.open(cancel)
         graph = studio.graph({"hull_server.deadline_s": 2.0, "hull_server.thin_out": False})
-        with Supervisor(
-            graph, tmp_path / "run", ProcessSettings(server), on_event=told.put, restart_delay_s=0.1
-        ) as supervisor:
+        with Supervisor(graph, tmp_path / "run", server, on_event=told.put, restart_delay_s=0.1) as supervisor:
             supervisor.configure(tolerate_cameras=False)
             supervisor.activate(tolerate_cameras=False)
             studio.prepare(supervisor, cancel)
@@ -53,8 +50,8 @@ def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in
             for name, number in CRASHES[server].items():
                 os.kill(supervisor.processes.pids()[name], number)
                 death, back = told.get(timeout=PATIENCE_S), told.get(timeout=PATIENCE_S)
-                assert f"killed by {signal.Signals(number).name}" in death.reason
-                assert name in str(back)
+                assert f"killed by {signal.Signals(number).name}" in death.text
+                assert name in back.text
                 assert joints.wait_for_more(5), f"nobody is tracked after {name} crashed"
                 assert_every_camera_is_seen(supervisor.diagnostics)
 

@@ -5,14 +5,11 @@ from contextlib import contextmanager
 
 import pytest
 
-from sagoma_tools.graph import lifecycle_client
-from sagoma_tools.graph.lifecycle_client import Transition
-
 
 @contextmanager
 def graphs_start_within(timeout_s: float) -> Iterator[None]:
     """A node that never appears or answers fails its test soon; a user's machine has five minutes for it."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sagoma_tools.graph.supervisor.START_TIMEOUT_S", timeout_s)
-        patch.setitem(lifecycle_client.TIMEOUT_S, Transition.CONFIGURE, timeout_s)
+        for module in ("supervisor", "lifecycle_client"):
+            patch.setattr(f"sagoma_tools.graph.{module}.START_TIMEOUT_S", timeout_s)
         yield

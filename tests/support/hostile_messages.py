@@ -32,13 +32,11 @@ class Attack:
     """Something to send on every topic that it applies to.
 
     make : (valid message, generator) -> what to send: messages, or bytes; None where it does not apply.
-    counter : a pattern of the counters that tell of it; others are survived: clouds that only strangers subscribe to,
-    texts that mean nothing. repeat : how often; floods are sent as fast as ``per_second`` says.
+    repeat : how often; floods are sent as fast as ``per_second`` says.
     """
 
     name: str
     make: Callable[[Any, np.random.Generator], Any]
-    counter: str = ""
     repeat: int = 3
     per_second: float = 200.0
 
@@ -56,17 +54,14 @@ def attacks(now_ns: Callable[[], int]) -> list[Attack]:
         return _text(valid, PATHS[int(rng.integers(len(PATHS)))])
 
     return [
-        Attack("cut in the middle", lambda valid, rng: _cut(serialize_message(valid)), "bad_images"),
-        Attack("random bytes", lambda valid, rng: b"\0\1\0\0" + rng.bytes(600)),
+        Attack("cut in the middle", lambda valid, rng: _cut(serialize_message(valid))),
         Attack("lengths of 4 GiB", _lying),
-        Attack("stamp in 100 years", stamped(3.15e9), "frames_(ahead|backwards)"),  # of most cameras, a new beginning
-        Attack("NaN", not_a_number, "bad_predictions"),
-        Attack("a million elements", _enlarged, "bad_hulls", repeat=2),
-        Attack("picture bomb", _bomb, "bad_images"),
-        Attack("wrong encoding", _wrong_encoding, "bad_images"),
-        Attack("a cloud of a million points", _large_cloud, repeat=3),
-        Attack("a cloud of NaN", _nan_cloud, "bad_keypoints"),
-        Attack("YAML bomb", lambda valid, rng: _text(valid, YAML_BOMB), "bad_rules"),
+        Attack("stamp in 100 years", stamped(3.15e9)),
+        Attack("NaN", not_a_number),
+        Attack("a million elements", _enlarged, repeat=2),
+        Attack("picture bomb", _bomb),
+        Attack("a cloud of NaN", _nan_cloud),
+        Attack("YAML bomb", lambda valid, rng: _text(valid, YAML_BOMB)),
         Attack("path traversal", path, repeat=12),
     ]
 
@@ -158,29 +153,6 @@ def _bomb(valid: Any, rng: np.random.Generator) -> Any:
         return None
     made = copy.deepcopy(valid)
     made.data = array.array("B", png_bomb())
-    return made
-
-
-def _wrong_encoding(valid: Any, rng: np.random.Generator) -> Any:
-    made = copy.deepcopy(valid)
-    if hasattr(made, "encoding"):
-        made.encoding = "rgb16"
-    elif hasattr(made, "format") and hasattr(made, "data"):
-        made.format, made.data = "rgb8; jpeg compressed bgr8", array.array("B", b"\xff\xd8\xff\xe0" + rng.bytes(500))
-    else:
-        return None
-    return made
-
-
-def _large_cloud(valid: Any, rng: np.random.Generator) -> Any:
-    """A cloud that is as it says, with a million points made of the first one, under a plausible stamp."""
-    if not hasattr(valid, "point_step") or not valid.point_step:
-        return None
-    made, points = copy.deepcopy(valid), 1_000_000
-    point = bytes(made.data[: made.point_step]) or bytes(made.point_step)
-    made.height, made.width, made.row_step = 1, points, made.point_step * points
-    made.data = array.array("B", point * points)
-    made.header.stamp.nanosec = (made.header.stamp.nanosec + 1000 * int(rng.integers(1000))) % 1_000_000_000
     return made
 
 

@@ -27,6 +27,7 @@ from sagoma_tools.graph.topics import DIAGNOSTICS_TOPIC, LOSSLESS, PREDICTION_TO
 
 LOOK_S = 0.05
 POINTS_TOPIC = "/mocap/reference_points"
+said: list[str] = []  # by the hull server
 
 
 def tell(**what: Any) -> None:
@@ -53,18 +54,12 @@ def on_points(message: PointCloud2) -> None:
     tell(stamp_ns=to_ns(message.header.stamp), points=points_world.round(4).tolist())
 
 
-class Message:
-    """The hull server's message, printed as it changes."""
-
-    def __init__(self) -> None:
-        self._last = ""
-
-    def take(self, message: DiagnosticArray) -> None:
-        """Look for the hull server's."""
-        for status in message.status:
-            if status.name == "/hull_server" and status.message != self._last:
-                self._last = status.message
-                tell(says=status.message)
+def on_diagnostics(message: DiagnosticArray) -> None:
+    """Print the hull server's message when it has changed."""
+    for status in message.status:
+        if status.name == "/hull_server" and said[-1:] != [status.message]:
+            said.append(status.message)
+            tell(says=status.message)
 
 
 def main() -> None:
@@ -75,7 +70,7 @@ def main() -> None:
         link.node.create_subscription(DiagnosticArray, "/hull/frame_set", on_frame_set, LOSSLESS)
         link.node.create_subscription(MultiDOFJointState, PREDICTION_TOPIC, on_answer, LOSSLESS)
         link.node.create_subscription(PointCloud2, POINTS_TOPIC, on_points, LOSSLESS)
-        link.node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, Message().take, RESULT)
+        link.node.create_subscription(DiagnosticArray, DIAGNOSTICS_TOPIC, on_diagnostics, RESULT)
         while not threading.Event().wait(LOOK_S):
             found = [camera for camera, topic in topics.items() if link.node.count_publishers(topic)]
             if found != known:

@@ -22,7 +22,7 @@ from virtual_studio.rig import ring
 
 ROOT = Path(__file__).resolve().parents[2]
 SERVER, CAMERAS = "server", ("cam01", "cam02", "cam03")
-DOMAIN, OTHER_DOMAIN = "3", "4"
+DOMAIN = "3"
 PATIENCE_S = 300.0
 SAGOMA = (sys.executable, "-m", "sagoma_tools.cli")
 
@@ -36,17 +36,10 @@ def environment_in(folder):
 HOSTS, AWAY = CAMERAS[:2], "cam02"
 NODES = str(ROOT / "src/sagoma_tools/test/doctor_fake_nodes.py")
 SECONDS, LIFE_S = "4", "600"
-LEAD_S = 0.04
 ANSWERS = """
 import threading
 from sagoma_tools.doctor.hosts import serve
 serve(threading.Event(), ready=lambda: print("ready", flush=True))
-"""
-A_SERVER = """
-import threading
-from doctor_fake_nodes import fake_server
-with fake_server():
-    threading.Event().wait()
 """
 NOTHING_BUT_OUR_PROBES = (
     "ip rule add pref 100 lookup local",
@@ -68,17 +61,17 @@ def faults(folder, *names):
             print(fault, with_fault(fault, world, environment, str(folder / "rig.yaml")), sep="\t", flush=True)
 
 
-def start(world, camera, environment, lead_s=0.0):
-    """Start a camera's nodes, by a clock that is so far ahead, and what answers the doctor."""
+def start(world, camera, environment):
+    """Start a camera's nodes, and what answers the doctor."""
     host = world.hosts[camera]
-    for command in ([NODES, LIFE_S, camera, str(lead_s), "--ros-args"], ["-c", ANSWERS]):
+    for command in ([NODES, LIFE_S, camera, "--ros-args"], ["-c", ANSWERS]):
         process = host.start([sys.executable, *command], environment, stdout=subprocess.PIPE, text=True)
         assert process.stdout.readline() == "ready\n"
 
 
-def restart(world, environment, **options):
+def restart(world, environment):
     world.hosts[AWAY].kill()
-    start(world, AWAY, environment, **options)
+    start(world, AWAY, environment)
 
 
 def examine(world, environment, rig):
@@ -92,11 +85,7 @@ def examine(world, environment, rig):
 def with_fault(fault, world, environment, rig):
     """Bring the fault about, examine, and take it away again."""
     cable = world.cables[AWAY]
-    if fault == "clock":
-        restart(world, environment, lead_s=LEAD_S)
-    elif fault == "domain":
-        restart(world, {**environment, "ROS_DOMAIN_ID": OTHER_DOMAIN})
-    elif fault == "loss":
+    if fault == "loss":
         cable.set(Condition(loss=0.1))
     elif fault == "MTU":
         world.cables[SERVER].set_host_mtu(9000)
@@ -106,22 +95,14 @@ def with_fault(fault, world, environment, rig):
     elif fault == "firewall":
         on_host(world, NOTHING_BUT_OUR_PROBES)
         restart(world, environment)
-    elif fault == "two servers":
-        for host in (SERVER, AWAY):
-            world.hosts[host].start([sys.executable, "-c", A_SERVER], environment)
-    elif fault == "vanished":
-        cable.cut()
-        world.hosts[AWAY].kill()
-        time.sleep(4.0)  # the profile's lease of 3 s, and an announcement
     found = examine(world, environment, rig)
-    cable.mend()
     cable.set(Condition())
     world.pass_multicast(True)
     if fault == "firewall":
         on_host(world, NO_FIREWALL)
     world.cables[SERVER].set_host_mtu(None)
     world.hosts[SERVER].kill()
-    if fault not in ("none", "loss", "MTU"):
+    if fault in ("no multicast", "firewall"):
         restart(world, environment)
     return found
 

@@ -1,4 +1,4 @@
-"""Joins pairs of network interfaces, and delays, loses and duplicates what passes: for kernels without netem.
+"""Joins pairs of network interfaces, and delays, loses and duplicates what passes.
 
     python tests/support/link_emulator.py [--seed N]  # in a network namespace
     python tests/support/link_emulator.py --no-offload eth0  # the kernel writes its checksums

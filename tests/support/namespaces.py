@@ -8,8 +8,8 @@ route.
         world.hosts["cam01"].start([sys.executable, "sender.py"])
         world.cables["cam01"].set(Condition(delay_ms=5.0, loss=0.01))
 
-A cable is a veth pair whose far end is a port of the bridge. Its faults are the kernel's where it has them: netem, and
-tbf for the rate; a kernel without netem gets them from `link_emulator.py`, in between as two packet sockets.
+A cable is a veth pair whose far end is a port of the bridge. Its rate is the kernel's (tbf); delay, loss and duplicates
+are those of `link_emulator.py`, in between as two packet sockets: not every kernel has netem.
 """
 
 from __future__ import annotations
@@ -56,14 +56,8 @@ class Condition:
 
     @property
     def is_packetwise(self) -> bool:
-        """Whether single packets are treated, which takes netem or the emulator."""
+        """Whether single packets are treated, which takes the emulator."""
         return any((self.delay_ms, self.jitter_ms, self.loss, self.duplicate))
-
-
-def netem_words(condition: Condition) -> list[str]:
-    """Return the condition in the words of `tc qdisc ... netem`; its jitter is about a mean, and changes the order."""
-    words = ["delay", f"{condition.delay_ms + condition.jitter_ms / 2:g}ms", f"{condition.jitter_ms / 2:g}ms"]
-    return [*words, "loss", f"{100 * condition.loss:g}%", "duplicate", f"{100 * condition.duplicate:g}%"]
 
 
 def tbf_words(condition: Condition) -> list[str]:
@@ -173,19 +167,15 @@ class Cable:
 
     def set(self, condition: Condition) -> None:
         """Put the cable into this condition."""
-        emulated = condition.is_packetwise and not self._world.has_netem
+        emulated = condition.is_packetwise
         self._world.emulate(self._inner, self.port, condition if emulated else None)
         if emulated:
             sh(f"ip link set {self.port} nomaster")
         else:
             self._join(self.port)
-        words = tbf_words(condition) if condition.rate_mbit else []
-        if condition.is_packetwise and not emulated:
-            rate = ["rate", f"{condition.rate_mbit:g}mbit"] if condition.rate_mbit else []
-            words = ["netem", *netem_words(condition), *rate]
         for run, device in ((sh, self.port), (self._on_host, "eth0")):
-            if words:
-                run(f"tc qdisc replace dev {device} root {' '.join(words)}")
+            if condition.rate_mbit:
+                run(f"tc qdisc replace dev {device} root {' '.join(tbf_words(condition))}")
             else:
                 with contextlib.suppress(subprocess.CalledProcessError):  # there was none
                     run(f"tc qdisc del dev {device} root")
@@ -234,8 +224,6 @@ class World:
     def __enter__(self) -> World:
         sh("mount -t tmpfs tmpfs /dev/shm")
         sh("ip link set lo up")
-        attempt = ["tc", "qdisc", "add", "dev", "lo", "root", "netem"]
-        self.has_netem = subprocess.run(attempt, capture_output=True, check=False).returncode == 0
         sh(f"ip link add {BRIDGE} type bridge")
         sh(f"ip link set {BRIDGE} up")
         self._emulator = subprocess.Popen(
@@ -254,11 +242,6 @@ class World:
             host.anchor.wait()
         self._emulator.kill()
         self._emulator.wait()
-
-    @property
-    def faults_by(self) -> str:
-        """What treats single packets here."""
-        return "netem" if self.has_netem else "the link emulator"
 
     def pass_multicast(self, passes: bool) -> None:
         """Let the bridge hand on multicast packets, or not."""

@@ -22,7 +22,7 @@ from stick_figure.pose import T_POSE_ANGLES, Pose
 from stick_figure.skeleton import ANGLE_NAMES
 
 EPOCH_NS, PERIOD_NS = 1_000_000_000_000_000_000, 20_000_000
-LATENCY_NS = 30_000_000
+LATENCY_NS = 30_000_000  # from a message's stamp until it is logged
 TYPES = {
     "reference_points": "sensor_msgs/msg/PointCloud2",
     "joint_states": "sensor_msgs/msg/JointState",
@@ -59,7 +59,10 @@ def write_take(
         for topic in ("/hull/frame_set", "/icp/fit", "/diagnostics"):
             bag.add_topic(topic, "diagnostic_msgs/msg/DiagnosticArray")
         bag.add_topic("/icp/body", "std_msgs/msg/String", OFFERED_LATCHED)
-        write = Writer(bag)
+
+        def write(topic: str, stamp_ns: int, message: object) -> None:
+            bag.write(topic, stamp_ns + LATENCY_NS, serialize_message(message))
+
         write("/icp/body", EPOCH_NS, String(data=format_body(body)))
         for frame in range(frames):
             stamp = EPOCH_NS + frame * PERIOD_NS
@@ -80,16 +83,6 @@ def write_take(
                     write(f"{prefix}/{kind}", stamp, message)
         bag.describe({"graph": {}})
     return folder
-
-
-class Writer:
-    """Logs a message a constant time after its stamp."""
-
-    def __init__(self, bag: BagWriter) -> None:
-        self._bag = bag
-
-    def __call__(self, topic: str, stamp_ns: int, message: object) -> None:
-        self._bag.write(topic, stamp_ns + LATENCY_NS, serialize_message(message))
 
 
 def person(body: Body, place_world: Sequence[float], stamp: int, state: str) -> tuple:

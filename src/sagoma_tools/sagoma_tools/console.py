@@ -10,8 +10,8 @@ import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, NoReturn
+from types import MappingProxyType
+from typing import Any, NamedTuple, NoReturn
 
 from rich.console import Console, Group, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -191,17 +191,11 @@ STATUSES = {
 ENDED = "ended by Ctrl-C, SIGTERM or --seconds, in order"
 
 
-@dataclass(frozen=True)
-class CommandHelp:
-    """Help of one command.
-
-    statuses : exit statuses that mean something of their own here.
-    endless : it runs until Ctrl-C, which is its ordinary end.
-    """
+class CommandHelp(NamedTuple):
+    """Help of one command; ``statuses`` are those that mean something of their own here."""
 
     examples: tuple[str, ...]
-    statuses: Mapping[int, str] = field(default_factory=dict)
-    endless: bool = False
+    statuses: Mapping[int, str] = MappingProxyType({})
 
 
 SESSION, RIG, TAKE, BOARD = "my_session", "rig.yaml", "output/takes/walk1", "'checkerboard 9x6 25mm'"
@@ -226,14 +220,13 @@ HELP: Mapping[str, CommandHelp] = {
     "up": CommandHelp(
         (f"up {SESSION}", f"up --rig {RIG} --cameras config/camera --view", f"up {SESSION} --rate 0 --record {TAKE}"),
         {OK: ENDED, FAILED: "the graph did not start, or a node did not end in order"},
-        endless=True,
     ),
     "start": CommandHelp(("start --expect 8",), {FAILED: "a node refused, or did not answer"}),
     "suspend": CommandHelp(("suspend",), {FAILED: "a node refused, or did not answer"}),
     "stop": CommandHelp(("stop",), {FAILED: "a node refused, or did not answer"}),
-    "studio": CommandHelp(("studio --write output/studio", "studio status"), {OK: ENDED}, endless=True),
+    "studio": CommandHelp(("studio --write output/studio", "studio status"), {OK: ENDED}),
     "record": CommandHelp(
-        (f"record {TAKE} --rig {RIG}",), {OK: ENDED, FAILED: "the recording could not be kept whole"}, endless=True
+        (f"record {TAKE} --rig {RIG}",), {OK: ENDED, FAILED: "the recording could not be kept whole"}
     ),
     "replay": CommandHelp(
         (f"replay {TAKE} --rate 0.5", f"replay {TAKE} --graph --lockstep --output output/again"),
@@ -253,7 +246,7 @@ HELP: Mapping[str, CommandHelp] = {
     "takes empty": CommandHelp(("takes empty",)),
     "takes measure": CommandHelp(("takes measure walk1",)),
     "smooth": CommandHelp((f"smooth {TAKE}",)),
-    "view": CommandHelp(("view", f"view {TAKE}", "view --host 0.0.0.0"), {OK: ENDED}, endless=True),
+    "view": CommandHelp(("view", f"view {TAKE}", "view --host 0.0.0.0"), {OK: ENDED}),
     "evaluate": CommandHelp((f"evaluate {SESSION} --video", "evaluate output/demo/bag")),
     "export": CommandHelp((f"export {TAKE} --format bvh csv", "export walk1 --rate 60")),
     "import bag": CommandHelp(("import bag studio_bag walk --rig rig.yaml --background empty_room_bag",)),
@@ -306,7 +299,7 @@ def commands_of(parser: argparse.ArgumentParser, above: str = "") -> Iterator[tu
 
 
 def own_statuses(known: CommandHelp) -> dict[int, str]:
-    """Return the command's exit statuses without those that are the same for all."""
+    """Return the command's exit statuses without those that are the same for all; Ctrl-C may be its ordinary end."""
     common = {OK: STATUSES[OK], BAD_INPUT: "input cannot be used"}
     statuses = dict(sorted({**common, **known.statuses}.items()))
-    return statuses if known.endless else {**statuses, INTERRUPTED: "interrupted"}
+    return statuses if statuses[OK] == ENDED else {**statuses, INTERRUPTED: "interrupted"}

@@ -1,6 +1,6 @@
 """Nodes that look like a graph's from outside, well or ill as asked, for the doctor's tests. Runs as a program too:
 
-doctor_fake_nodes.py SECONDS CAMERA LEAD_S [--ros-args]
+doctor_fake_nodes.py SECONDS CAMERA [--ros-args]
 """
 
 import sys
@@ -79,6 +79,6 @@ def fake_server(domain_id: int | None = None) -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    with FakeCamera(sys.argv[2], lead_s=float(sys.argv[3])):
+    with FakeCamera(sys.argv[2]):
         print("ready", flush=True)
         threading.Event().wait(float(sys.argv[1]))

@@ -4,28 +4,29 @@ import json
 import os
 import time
 from dataclasses import replace
+from ipaddress import IPv4Address
 
 import numpy as np
 import pytest
 import yaml
 
 from camera_client.background.model import BackgroundLearner
+from camera_client.gige.discovery import FoundCamera
 from camera_client.settings import AravisSettings
 from camera_client.sources.aravis_source import AravisSource, import_aravis
 from capture_rig.errors import InputError
 from capture_rig.rig import save_rig
+from gige_vision import bootstrap
 from gige_vision.gvcp import DeviceRecord
 from sagoma_tools.cli import main
+from sagoma_tools.doctor import cameras
 from sagoma_tools.doctor.cameras import (
-    Device,
-    Stream,
-    ask_camera,
     check_bandwidth,
     check_control,
     check_identity,
     check_interface,
     check_timing,
-    stream_bytes_per_s,
+    wire_bytes,
 )
 from sagoma_tools.doctor.findings import Severity, ok
 from sagoma_tools.doctor.machine import Interface
@@ -128,7 +129,8 @@ def test_opened_camera_says_what_it_is_and_those_of_a_folder_share_the_link(file
     _, found = examined(file(**{"aravis.pixel_format": "Mono8"}), capsys, "--open")
     opened = found["opened"][-1]
     assert opened["code"] == "opened.ok" and "640 x 480" in opened["what"] and "exposure_us 4000" in opened["what"]
-    assert ask_camera(camera.address).controlled is False  # given back
+    given_back = check_control(AravisSettings(address=camera.address), None)
+    assert given_back.code == "control.ok"
     assert "28 MB/s of 2 cameras" in found["bandwidth"][0]["what"]  # 90 frames a second
 
 
@@ -169,7 +171,6 @@ def test_footage_needs_no_network(file, capsys):
 LINK = Interface("enp3s0", "192.168.1.1", "255.255.255.0", mtu=9000, speed_mbit=1000)
 RECORD = DeviceRecord("192.168.1.11", "Maker", "Model", serial="123", user_id="left", subnet_mask="255.255.255.0")
 SETTINGS = AravisSettings(address="192.168.1.11", exposure_us=4000.0, gain=0.0, frame_rate=60.0)
-GREY_VGA = Stream("cam01", 640 * 480, 100.0)
 
 
 def worst(findings):
@@ -201,29 +202,41 @@ def test_interface_that_does_not_serve_is_found_with_its_remedy(link, settings, 
         (replace(RECORD, address="10.0.0.5"), {}, Severity.WARNING, "subnet.differs", "10.0.0.0/24"),
     ],
 )
-def test_camera_that_is_another_one_is_found(record, settings, severity, code, value):
-    finding = worst(check_identity(replace(SETTINGS, **settings), Device(record, LINK)))
+def test_camera_that_is_another_one_is_found(monkeypatch, record, settings, severity, code, value):
+    monkeypatch.setattr(cameras, "discover_at", lambda address: FoundCamera(record, LINK.address))
+    finding = worst(check_identity(replace(SETTINGS, **settings), LINK))
     assert (finding.severity, finding.code) == (severity, code) and value in finding.what
 
 
 @pytest.mark.parametrize(
-    "controlled, controller, code",
-    [(False, "", "control.ok"), (True, "192.168.1.1", "control.local"), (True, "192.168.1.9", "control.taken")],
+    "privilege, owner, code, named",
+    [
+        (0, None, "control.ok", "no program"),
+        (2, "192.168.1.1", "control.local", "192.168.1.1"),
+        (2, "192.168.1.9", "control.taken", "192.168.1.9"),
+        (2, None, "control.taken", "another program"),
+    ],
 )
-def test_program_that_controls_the_camera_is_named(controlled, controller, code):
-    finding = check_control(Device(RECORD, LINK, controlled, controller))
-    assert finding.code == code and controller in finding.what
+def test_program_that_controls_the_camera_is_named(monkeypatch, privilege, owner, code, named):
+    told = {
+        bootstrap.CONTROL_PRIVILEGE: privilege,
+        bootstrap.PRIMARY_ADDRESS: None if owner is None else int(IPv4Address(owner)),
+    }
+    monkeypatch.setattr(cameras, "read_register", lambda address, register: told[register])
+    finding = check_control(SETTINGS, LINK)
+    assert finding.code == code and named in finding.what
 
 
 def test_stream_on_the_wire_is_counted_with_the_headers_of_every_packet():
     # 300 packets of 1024 bytes of image each, and leader and trailer; 36 + 38 bytes of headers and gaps on each
-    assert stream_bytes_per_s(Stream("a", 307_200, 10.0), 1024 + 36) == 10 * (307_200 + 302 * 74)
+    assert wire_bytes(307_200, 1024 + 36) == 307_200 + 302 * 74
 
 
-@pytest.mark.parametrize("cameras, code", [(1, "bandwidth.ok"), (3, "bandwidth.tight"), (4, "bandwidth.exceeded")])
-def test_cameras_that_share_a_link_must_fit_it_together(cameras, code):
-    finding = check_bandwidth([GREY_VGA] * cameras, LINK)  # 30.99 of 125 MB/s each
-    assert finding.code == code and f"{24.8 * cameras:.0f} % of the 1000 Mbit/s" in finding.what
+@pytest.mark.parametrize("count, code", [(1, "bandwidth.ok"), (3, "bandwidth.tight"), (4, "bandwidth.exceeded")])
+def test_cameras_that_share_a_link_must_fit_it_together(count, code):
+    of_each = 100.0 * wire_bytes(640 * 480, LINK.mtu)  # 30.99 of 125 MB/s
+    finding = check_bandwidth({f"cam{k}": of_each for k in range(count)}, LINK)
+    assert finding.code == code and f"{24.8 * count:.0f} % of the 1000 Mbit/s" in finding.what
 
 
 def test_exposure_longer_than_a_frame_is_an_error_and_features_left_to_the_camera_are_noted():

@@ -1,27 +1,29 @@
-"""What the doctor concludes of a made-up graph."""
+"""What the doctor concludes of a made-up graph, and of a real one of fake nodes with faults in them, to which it
+listens."""
 
+import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
+from doctor_fake_nodes import RIG, FakeCamera, fake_server
 
 from camera_client.background.causes import find_causes, findings_text, unfit
 from camera_client.background.model import Provenance
 from camera_client.background.training import TrainingReport
 from camera_client.condition import Condition
+from capture_rig.rig import save_rig
 from capture_rig.verdict import Finding
+from sagoma_tools.cli import main
 from sagoma_tools.doctor.findings import Severity
 from sagoma_tools.doctor.graph import graph_findings
-from sagoma_tools.doctor.graph_listener import Canvas, GraphFacts, NodeFacts, SilhouetteFacts, machines_of
+from sagoma_tools.doctor.graph_listener import Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
 from sagoma_tools.graph.diagnostics_table import NodeReport
-from virtual_studio.rig import ring
 
-RIG = ring(3, False)
-CANVASES = {camera.name: GraphFacts(0, "", rig=RIG).canvas(camera.name) for camera in RIG.cameras}
+CANVASES = {camera.name: GraphFacts(0, rig=RIG).canvas(camera.name) for camera in RIG.cameras}
 
 
 def node(name):
-    return NodeFacts(name, "active", 1, ("78fd",), NodeReport(b"\0", "running", lead_s=-3e-4), 8e-4)
+    return NodeFacts(name, "active", 1, NodeReport(b"\0", "running", lead_s=-3e-4), 8e-4)
 
 
 def reporting(node, **changes):
@@ -30,9 +32,7 @@ def reporting(node, **changes):
 
 
 def silhouettes(camera, **changes):
-    facts = SilhouetteFacts(
-        camera, 1, 60, CANVASES[camera], 60, shares=(0.05,) * 50, changes=59, age_s=0.02, largest_bytes=4000
-    )
+    facts = SilhouetteFacts(camera, 1, 60, CANVASES[camera], 60, share=0.05, changes=59, age_s=0.02)
     return replace(facts, **changes)
 
 
@@ -47,9 +47,7 @@ def graph(changed=(), sent=(), **changes):
     """The healthy graph with some nodes and cameras, or parts of the facts, replaced."""
     all_nodes = {n.name: n for n in (HULL, ICP, EKF, *CLIENTS.values(), *changed)}
     all_cameras = {**SENT, **{c.camera: c for c in sent}}
-    facts = GraphFacts(
-        46, "SUBNET", "78fd", tuple(all_nodes.values()), tuple(all_cameras.values()), SETS, 10.0, rig=RIG
-    )
+    facts = GraphFacts(46, tuple(all_nodes.values()), tuple(all_cameras.values()), SETS, 10.0, rig=RIG)
     return replace(facts, **changes)
 
 
@@ -65,7 +63,7 @@ def test_healthy_graph_has_no_troubles():
 
 
 def test_empty_room_is_no_trouble():
-    empty = [silhouettes(name, shares=(0.0,) * 50, changes=0) for name in RIG.names]
+    empty = [silhouettes(name, share=0.0, changes=0) for name in RIG.names]
     say = [reporting(CLIENTS[name], level=b"\1", message="the mask is empty") for name in RIG.names]
     say += [
         reporting(HULL, level=b"\1", message="the hull is empty"),
@@ -84,7 +82,7 @@ C2 = CLIENTS["cam02"]
         (replace(C2, state=None), "WARNING", "node.unresponsive", ""),
         (replace(C2, report=None), "ERROR", "diagnostics.missing", ""),
         (replace(C2, state="inactive"), "WARNING", "state.inactive", ""),
-        (replace(C2, copies=2, machines=("78fd", "3d11")), "ERROR", "node.duplicate", "(here, on another machine)"),
+        (replace(C2, copies=2), "ERROR", "node.duplicate", "2 nodes call themselves /cam02/camera_client"),
         (reporting(C2, level=b"\2", message="no camera: it is off"), "ERROR", "says.error", "no camera: it is off"),
         (reporting(C2, level=b"\1", message="the mask is full"), "WARNING", "says.warning", "the mask is full"),
         (reporting(C2, lead_s=0.4997), "ERROR", "clock.off", "499.7 ms ahead"),
@@ -106,13 +104,13 @@ def test_clock_within_what_can_be_told_is_no_trouble():
     "changes, severity, code, value",
     [
         ({"publishers": 2}, "ERROR", "silhouettes.duplicate_publisher", "2 "),
-        ({"masks": 0, "shares": ()}, "ERROR", "silhouettes.not_arriving", "none arrives"),
-        ({"masks": 0, "shares": (), "infos": 0}, "WARNING", "silhouettes.none_sent", ""),
-        ({"shares": (0.0,) * 50}, "WARNING", "silhouettes.blank", "cam01, cam03"),
-        ({"shares": (0.7,) * 50}, "ERROR", "silhouettes.flooded", "70.0 %"),
+        ({"masks": 0, "share": 0.0}, "ERROR", "silhouettes.not_arriving", "none arrives"),
+        ({"masks": 0, "share": 0.0, "infos": 0}, "WARNING", "silhouettes.none_sent", ""),
+        ({"share": 0.0}, "WARNING", "silhouettes.blank", "cam01, cam03"),
+        ({"share": 0.7}, "ERROR", "silhouettes.flooded", "70.0 %"),
         ({"changes": 0}, "ERROR", "silhouettes.frozen", "60 came"),
         ({"bad": 1}, "ERROR", "silhouettes.undecodable", ""),
-        ({"lost": 30}, "WARNING", "network.loss", "30 of 90 silhouettes (larger than one packet)"),
+        ({"lost": 30}, "WARNING", "network.loss", "30 of 90 silhouettes"),
         ({"age_s": -0.4}, "ERROR", "stamps.ahead", "0.400 s"),
         ({"age_s": 3.0}, "WARNING", "latency.old", "3.0 s"),
         ({"canvas": None}, "WARNING", "camera_info.missing", ""),
@@ -127,7 +125,7 @@ def test_implausible_silhouettes_are_named(changes, severity, code, value):
 def test_uncalibrated_cameras_say_so_themselves_and_miss_no_silhouettes_and_alone_no_server():
     text = "uncalibrated: no silhouettes; run sagoma calibrate"
     clients = tuple(reporting(node, level=b"\1", message=text) for node in CLIENTS.values())
-    facts = graph([clients[1]], [silhouettes("cam02", masks=0, shares=(), canvas=Canvas(640, 480, 0, 0, 0, 0))])
+    facts = graph([clients[1]], [silhouettes("cam02", masks=0, share=0.0, canvas=Canvas(640, 480, 0, 0, 0, 0))])
     assert [(code, what) for _, _, code, what in troubles(facts)] == [("says.warning", text)]
     alone = graph(sets=(), rig=None, nodes=clients, cameras=())
     assert {code for _, _, code, _ in troubles(alone)} == {"says.warning"}
@@ -137,7 +135,7 @@ def test_uncalibrated_cameras_say_so_themselves_and_miss_no_silhouettes_and_alon
 
 def test_node_that_sends_and_is_not_heard_tells_of_the_network():
     sending = reporting(C2, values={"rate_hz": "10.0"})
-    (found,) = troubles(graph([sending], [silhouettes("cam02", masks=0, infos=0, shares=())]))
+    (found,) = troubles(graph([sending], [silhouettes("cam02", masks=0, infos=0, share=0.0)]))
     assert found[:3] == ("ERROR", "camera cam02", "silhouettes.not_arriving") and "10.0 a second" in found[3]
 
 
@@ -146,7 +144,7 @@ def without(node, facts):
 
 
 def test_absent_client_stranger_and_tracker_are_named():
-    stranger = SilhouetteFacts("cam77", 1, 5, Canvas(640, 480, 1, 1, 1, 1), 5, shares=(0.05,) * 5)
+    stranger = SilhouetteFacts("cam77", 1, 5, Canvas(640, 480, 1, 1, 1, 1), 5, share=0.05)
     stray, absent = troubles(without(C2, graph([], [SilhouetteFacts("cam02"), stranger])))
     assert stray[:3] == ("WARNING", "graph", "cameras.not_in_rig") and "cam77" in stray[3]
     assert absent[:3] == ("ERROR", "camera cam02", "node.missing")
@@ -154,20 +152,21 @@ def test_absent_client_stranger_and_tracker_are_named():
     assert found[:3] == ("ERROR", "graph", "nodes.server_missing") and "/icp_tracker" in found[3] and "46" in found[3]
 
 
-def test_nobody_heard_says_where_nodes_are():
-    finding = next(iter(graph_findings(GraphFacts(46, "LOCALHOST", domains_here=(7, 46), rig=RIG))))
+def test_nobody_heard_says_where_nodes_are(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setattr("sagoma_tools.doctor.graph.domains_here", lambda: (7, 46))
+    finding = next(iter(graph_findings(GraphFacts(46, rig=RIG))))
     assert (finding.severity, finding.code) == (Severity.ERROR, "nodes.none")
     assert "(7)" in finding.remedy and "LOCALHOST" in finding.remedy
 
 
 def test_server_with_another_rig_file_is_told_from_a_camera_with_another():
     refusing = reporting(HULL, level=b"\2", message="refused: cam02: K with fx 1, but the rig says fx 2")
-    facts = graph([refusing], rig_files={"/hull_server": "/old/rig.yaml"})
+    facts = graph([refusing], hull_rig_file="/old/rig.yaml")
     assert any(subject == "hull_server" and "/old/rig.yaml" in what for _, subject, _, what in troubles(facts))
     theirs = silhouettes("cam02", canvas=CANVASES["cam02"]._replace(fx=480.0))
-    facts = graph([refusing], [theirs], rig_files={"/cam02/camera_client": "/mine/rig.yaml"})
-    assert any(subject == "camera cam02" and "/mine/rig.yaml" in what for _, subject, _, what in troubles(facts))
-    assert not any(code == "rig.refused" for _, _, code, _ in troubles(facts))
+    found = [(subject, code) for _, subject, code, _ in troubles(graph([refusing], [theirs]))]
+    assert ("camera cam02", "camera_info.differs") in found and "rig.refused" not in dict(map(reversed, found))
 
 
 @pytest.mark.parametrize(
@@ -223,11 +222,64 @@ def test_cause_that_a_client_names_is_told_once_with_its_code_and_remedy(told, s
     assert all(value in each.what and each.remedy for each in named)
 
 
-def test_machines_are_told_apart_by_the_middlewares_number():
-    gids = "010f78fd5a5c7a490000000000000603", "01100000aabbccdd0000000000000603"  # of Fast DDS, of another
-    found = [SimpleNamespace(node_namespace="/", node_name="a", endpoint_gid=bytes.fromhex(gid)) for gid in gids]
-    assert machines_of(SimpleNamespace(get_publishers_info_by_topic=lambda topic: found)) == {"/a": ("78fd", "")}
-    other = graph([replace(C2, machines=("3d11",))])
-    told = next(finding for finding in graph_findings(other) if finding.about == "nodes")
-    here = "hull_server, icp_tracker, ekf_tracker, cam01, cam03"
-    assert f"on 2 machines (here: {here}; on another machine: cam02)" in told.what
+# --- a real graph
+
+DOMAIN, ELSEWHERE = 93, 94  # of this file alone: nobody else's nodes are heard
+
+
+@pytest.fixture(scope="module")
+def heard():
+    """cam01 is well, cam02 blank and its clock half a second ahead; cam03 is not there."""
+    there = FakeCamera("cam01", domain_id=DOMAIN), FakeCamera("cam02", blank=True, lead_s=0.5, domain_id=DOMAIN)
+    with fake_server(DOMAIN), there[0], there[1]:
+        yield collect_graph(2.0, RIG.names, DOMAIN)
+
+
+@pytest.fixture(scope="module")
+def found(heard):
+    by_subject = {}
+    for finding in graph_findings(replace(heard, rig=RIG)):
+        by_subject.setdefault(finding.subject, []).append(finding)
+    return by_subject
+
+
+def codes(findings):
+    return {finding.code for finding in findings}
+
+
+def test_every_node_is_heard_with_state_round_trip_and_silhouettes(heard):
+    clients = {"/cam01/camera_client", "/cam02/camera_client"}
+    assert {node.name for node in heard.nodes} == clients | {"/hull_server", "/icp_tracker", "/ekf_tracker"}
+    for node in heard.nodes:
+        assert node.state == "active" and node.copies == 1
+        assert 0 < node.round_trip_s < 1.0
+    sent = {camera.camera: camera for camera in heard.cameras}
+    assert sent["cam01"].masks > 10 and sent["cam01"].changes > 10 and sent["cam01"].lost == 0
+    canvas = sent["cam01"].canvas  # of which 80 x 300 pixels are somebody
+    assert sent["cam01"].share == pytest.approx(80 * 300 / (canvas.width * canvas.height))
+    assert sent["cam02"].share == 0.0
+    assert sent["cam03"].publishers == 0 and sent["cam03"].masks == 0
+
+
+def test_clock_half_a_second_ahead_is_measured_to_a_round_trip(heard, found):
+    node = heard.node("/cam02/camera_client")
+    assert node.report.lead_s <= 0.5 <= node.report.lead_s + node.round_trip_s + 0.02
+    assert codes(found["camera cam02"]) >= {"clock.off", "stamps.ahead"}
+    assert "clock.ok" in codes(found["camera cam01"])
+
+
+def test_blank_and_absent_cameras_are_named(found):
+    (blank,) = [finding for finding in found["camera cam02"] if finding.about == "silhouettes"]
+    assert blank.code == "silhouettes.blank" and "while cam01" in blank.what
+    assert "silhouettes.ok" in codes(found["camera cam01"]) and "node.missing" in codes(found["camera cam03"])
+
+
+@pytest.mark.slow
+def test_another_domain_is_empty_and_the_command_says_where_nodes_are(heard, tmp_path, capsys, monkeypatch):
+    save_rig(RIG, tmp_path / "rig.yaml")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(ELSEWHERE))
+    arguments = ["doctor", "--no-machine", "--live", "--seconds", "0.1", "--json", "--rig", str(tmp_path / "rig.yaml")]
+    assert main(arguments) == 2
+    findings = json.loads(capsys.readouterr().out)["findings"]
+    (nobody,) = [finding for finding in findings if finding["subject"] == "graph"]
+    assert nobody["code"] == "nodes.none" and str(ELSEWHERE) in nobody["what"] and str(DOMAIN) in nobody["remedy"]

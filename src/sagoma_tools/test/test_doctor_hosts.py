@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from sagoma_tools.doctor import hosts
-from sagoma_tools.doctor.hosts import FULL_BYTES, HEADERS, Host, Peer, RosSettings, ask_peer, hears_multicast, serve
+from sagoma_tools.doctor.hosts import FULL_BYTES, HEADERS, Peer, RosSettings, ask_peer, hears_multicast, serve
 from sagoma_tools.doctor.machine import Interface
 
 HERE, THERE = "10.0.0.1", "10.0.0.2"
@@ -125,6 +125,6 @@ def test_loopback_carries_every_packet_and_is_this_machine():
 )
 def test_path_to_another_machine_is_judged_by_what_gets_there(monkeypatch, link, answers, largest, code, value):
     monkeypatch.setattr(hosts, "reaches", lambda address, size, port=0: size <= largest)
-    (finding,) = hosts.check_path(Host(THERE, link, answers))
+    (finding,) = hosts.check_path(THERE, link, answers)
     assert finding.code == code and value in finding.what
     assert finding.remedy or code == "mtu.ok"

@@ -1,6 +1,7 @@
 """Recording and replaying over real ROS topics, with a fake EKF at the far end: what is asked for, of whatever nodes,
 byte for byte, in step with who answers."""
 
+import math
 import re
 import struct
 import sys
@@ -22,7 +23,7 @@ from sagoma_tools.graph.ros_link import RosLink
 from sagoma_tools.graph.topics import LOSSLESS, OUTPUT_TOPICS, camera_topics
 from sagoma_tools.recording import recorder as recorder_module
 from sagoma_tools.recording.reader import TYPES, BagMessage, read_messages, read_provenance
-from sagoma_tools.recording.recorder import AskedTopics, Recorder, has_header, is_known, matches_any
+from sagoma_tools.recording.recorder import Recorder, asked_topics, has_header, is_known, matches_any
 from sagoma_tools.recording.replayer import Answers, InputPublishers, play_lockstep, play_timed, timed_by_exposures
 
 CAMERAS = ("cam01", "cam02")
@@ -71,30 +72,20 @@ class FakeGraph:
             self.publisher.publish(answer)
 
 
-class CountingClock:
-    """A clock that jumps to whatever is waited for, and notes it."""
-
-    def __init__(self, stop_after=None):
-        self.time_s, self.waited, self._stop_after = 1000.0, [], stop_after
-
-    def now_s(self):
-        return self.time_s
-
-    def sleep_until(self, deadline_s):
-        self.waited.append(deadline_s)
-        self.time_s = max(self.time_s, deadline_s)
-        return self._stop_after is None or len(self.waited) <= self._stop_after
+def noting(waited, stop_after=math.inf):
+    """Who waits for nothing, notes for what, and is stopped after so many times."""
+    return lambda due_s: waited.append(due_s) or len(waited) <= stop_after
 
 
 @pytest.mark.parametrize("rate", [1.0, 0.25])
 def test_timed_replay_waits_for_recorded_intervals_divided_by_the_rate_until_it_is_stopped(rate):
     log_ms = [0, 5, 5, 40, 1000]
     messages = [BagMessage("/x", SILHOUETTE, EPOCH_NS + ms * 1_000_000, b"") for ms in log_ms]
-    for stop_after, played in ((None, 5), (3, 3)):
-        clock, published = CountingClock(stop_after), []
+    for stop_after, played in ((5, 5), (3, 3)):
+        waited, published = [], []
         publishers = SimpleNamespace(publish=published.append)
-        assert play_timed(messages, publishers, clock, rate) == played
-        assert clock.waited[:played] == pytest.approx([1000.0 + ms / 1000 / rate for ms in log_ms[:played]])
+        assert play_timed(messages, publishers, noting(waited, stop_after), rate) == played
+        assert waited[:played] == pytest.approx([ms / 1000 / rate for ms in log_ms[:played]])
         assert published == messages[:played]
 
 
@@ -115,13 +106,17 @@ def test_timed_replay_keeps_step_with_the_stamps_of_footage_that_was_played_as_f
 def test_simulated_clock_shows_the_bags_time_at_the_bags_pace(rate):
     ticks, order = [], []
     messages = [BagMessage("/x", SILHOUETTE, EPOCH_NS + ms * 1_000_000, b"") for ms in (0, 35, 100)]
-    clock = CountingClock()
-    simulated = SimpleNamespace(hz=50.0, show=lambda ns: ticks.append((clock.time_s, ns)) or order.append(ns))
+    waited = []
+
+    def show(ns):
+        ticks.append((waited[-1], ns))
+        order.append(ns)
+
     publishers = SimpleNamespace(publish=lambda message: order.append(message.log_ns))
-    assert play_timed(messages, publishers, clock, rate, simulated) == 3
+    assert play_timed(messages, publishers, noting(waited), rate, show, 50.0) == 3
     assert len(ticks) == round(100 / rate / 20)  # every 20 ms of the player's time, from the first message on
     for at_s, shown_ns in ticks:
-        assert shown_ns - EPOCH_NS == pytest.approx((at_s - 1000.0) * rate * 1e9, abs=1000)
+        assert shown_ns - EPOCH_NS == pytest.approx(at_s * rate * 1e9, abs=1000)
     assert order == sorted(order)  # nothing of the bag is sent long before the clock shows its time
 
 
@@ -250,16 +245,16 @@ def test_asked_topics_are_recorded_as_they_are_offered_and_nothing_else(link, fa
     recorder = Recorder(link.node, tmp_path / "bag", ())
 
     def asked():
-        return AskedTopics(link.node, matches_any(["/humans", "/cam01"]), lambda topic, kind: None)
+        return asked_topics(link.node, matches_any(["/humans", "/cam01"]), lambda topic, kind: None)
 
-    recorder.follow(asked().new)
+    recorder.follow(asked())
     assert recorder.wait_for_count("/humans/bodies/b0001/urdf", 1, PATIENCE_S)
     late = far_link.node.create_publisher(Image, "/cam01/image_raw", BEST_EFFORT)  # as camera drivers publish
     assert not recorder.wait_for_publishers(["/cam01/image_raw"], PATIENCE_S)
     late.publish(Image(height=1, width=2, step=2, encoding="mono8", data=b"\1\2"))
     assert recorder.wait_for_count("/cam01/image_raw", 1, PATIENCE_S)
     assert set(recorder.close()) == {"/humans/bodies/b0001/urdf", "/cam01/image_raw"}
-    qos = {topic.name: topic for topic in asked().new()}
+    qos = {topic.name: topic for topic in asked()()}
     assert qos["/humans/bodies/b0001/urdf"].qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
     assert qos["/cam01/image_raw"].qos.reliability == ReliabilityPolicy.BEST_EFFORT
     assert sum(1 for _ in read_messages(tmp_path / "bag")) == 2
@@ -269,10 +264,10 @@ def test_topic_whose_type_is_not_installed_is_named_once_and_left_out(link, far_
     far_link.node.create_publisher(String, "/tf", RESULT)
     monkeypatch.setattr(recorder_module, "is_known", lambda msgtype: False)
     left_out = []
-    asked = AskedTopics(link.node, matches_any(["/tf"]), lambda *what: left_out.append(what))
+    asked = asked_topics(link.node, matches_any(["/tf"]), lambda *what: left_out.append(what))
     while not left_out:
-        assert asked.new() == []
-    assert asked.new() == [] and left_out == [("/tf", "std_msgs/msg/String")]
+        assert asked() == []
+    assert asked() == [] and left_out == [("/tf", "std_msgs/msg/String")]
 
 
 def test_definition_of_a_type_that_is_installed_is_learned(tmp_path, monkeypatch):

@@ -9,11 +9,10 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Callable, Iterator, Set
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 
-from rclpy.node import Node
 from rich.console import Console
 from rich.live import Live
 
@@ -39,18 +38,16 @@ from ..console import command_console, doing, until_stopped
 from ..graph import ROUND_S
 from ..graph.diagnostics_table import DiagnosticsTable
 from ..graph.lifecycle_client import LifecycleClient, State, groups_of
-from ..graph.processes import Exit, ProcessSettings
-from ..graph.ros_link import RosLink, add_namespace_argument, namespace_argument, our_nodes, settled
-from ..graph.supervisor import GraphError, ProcessExited, ProcessRecovered, Supervisor
+from ..graph.ros_link import RosLink, add_namespace_argument, find_nodes, namespace_argument, our_nodes
+from ..graph.supervisor import GraphError, ProcessEvent, Supervisor
 from ..recording.recorder import GraphRecorder
 from ..recording.writer import require_new
 from ..takes.folder import TakesFolder
 from ..takes.measure import finish_take
 from ..view.control import Control, Jobs
 from ..view.graph_panel import LiveGraph
-from ..view.guard import ANY_HOST, Guard
 from ..view.page import Page
-from ..view.server import PORT
+from ..view.server import ANY_HOST, PORT, Guard
 
 HOST = "127.0.0.1"
 # verb -> (the state it leads to, whether the cameras go first, help)
@@ -80,7 +77,7 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
         parser.add_argument("--wait", type=SECONDS, default=5.0, help="... but no longer than this, in seconds")
         parser.add_argument("--timeout", type=SECONDS, help="seconds to wait for each answer")
         add_namespace_argument(parser)
-        parser.set_defaults(run=change_state, goal=goal, cameras_first=cameras_first, verb=verb)
+        parser.set_defaults(run=change_state, goal=goal, cameras_first=cameras_first)
     _add_view(subparsers)
     parser = subparsers.add_parser("studio", help="serve simulated GigE Vision cameras, or talk to those that run")
     studio.add_arguments(parser)
@@ -95,25 +92,25 @@ def up(args: argparse.Namespace) -> int:
     console, folder = command_console(), new_run_folder(args.run_folder, "up")
     console.print(f"starting {len(graph)} nodes; logs in {folder}")
 
-    def log_event(event: ProcessExited | ProcessRecovered) -> None:
-        console.print(str(event), style="red" if isinstance(event, ProcessExited) else "green")
-        if isinstance(event, ProcessExited):
-            console.print(f"the end of {event.log}:\n{event.log_tail}")
+    def log_event(event: ProcessEvent) -> None:
+        console.print(event.text, style="green" if event.back else "red")
+        if event.log_tail:
+            console.print(event.log_tail)
 
-    settings, restart = ProcessSettings(args.server), RESTART_DELAY_S if args.restart else None
+    restart = RESTART_DELAY_S if args.restart else None
 
     def report_failure(error: InputError) -> None:
         console.print(f"{error} The capture goes on.", style="red")
 
     with (
         StopOnSignal() as stop,
-        Supervisor(graph, folder, settings, cancel=stop, on_event=log_event, restart_delay_s=restart) as supervisor,
+        Supervisor(graph, folder, args.server, cancel=stop, on_event=log_event, restart_delay_s=restart) as supervisor,
         page_of(args) if args.view else nullcontext(),
     ):
         recorder = bring_up(supervisor, args.record, stop, report_failure)
         until_stopped()
         if not stop.is_set():
-            active = sum(state == State.ACTIVE.value for state in supervisor.states().values())
+            active = sum(state == State.ACTIVE for state in supervisor.states().values())
             console.print(f"{active} of {len(graph)} nodes are active")
         watch(supervisor, console, stop, args.seconds)
         doing("stopping the nodes")
@@ -164,11 +161,11 @@ def watch(supervisor: Supervisor, console: Console, stop: threading.Event, secon
 
 def print_exit_statuses(console: Console, supervisor: Supervisor) -> int:
     """Print which nodes did not answer or did not end cleanly; 1 when one did not end cleanly."""
-    for answer in supervisor.stop_outcome.failures:
-        console.print(str(answer), style="yellow")
-    failed = [status for status in supervisor.exit_statuses if status.exit is not Exit.CLEAN]
+    for failure in supervisor.stop_outcome.failures.values():
+        console.print(failure, style="yellow")
+    failed = [status for status in supervisor.exit_statuses if status.trouble]
     for status in failed:
-        console.print(f"{status.name} {status.exit.value} (status {status.returncode})", style="yellow")
+        console.print(f"{status.name} {status.trouble} (status {status.returncode})", style="yellow")
     if not failed:
         console.print(f"all {len(supervisor.graph)} nodes stopped")
     return 1 if failed else 0
@@ -181,31 +178,23 @@ def change_state(args: argparse.Namespace) -> int:
         doing("looking for nodes")
         names = (*SERVER_NODES, *(f"{camera}/{CAMERA_NODE}" for camera in load_rig(args.rig).names)) if args.rig else ()
         awaited = frozenset(f"{namespace}/{name}" for name in names)
-        found = discover(link.node, args.expect, args.wait, awaited)
-        doing(f"bringing {len(found)} nodes to {args.goal.value}")
+        found = find_nodes(
+            lambda: our_nodes(link.node) & (awaited or our_nodes(link.node)),
+            "nodes of ours",
+            len(awaited) or args.expect,
+            args.wait,
+            awaited,
+        )
+        found = sorted(our_nodes(link.node).union(found))
+        doing(f"bringing {len(found)} nodes to {args.goal}")
         client = LifecycleClient(link.node)
         outcome = client.bring(groups_of(found, args.cameras_first), args.goal, args.timeout)
         states = client.states(found)
     for name in found:
         print(f"{name}: {states[name] or 'did not answer'}")
-    for failure in outcome.failures:
+    for failure in outcome.failures.values():
         print(f"failed: {failure}")
-    return 0 if outcome.ok else 1
-
-
-def discover(node: Node, expect: int, wait_s: float, names: Set[str] = frozenset()) -> list[str]:
-    """Full names of the sagoma nodes, once ``names`` (or ``expect`` of any) are found and none has joined for a second.
-
-    Raises InputError when fewer have announced themselves within ``wait_s``.
-    """
-    count = len(names) or expect
-    found = settled(lambda: our_nodes(node) & names if names else our_nodes(node), count, wait_s)
-    if len(found) < count:
-        remedy = "Start them; are they not heard? sagoma doctor --live --host ADDRESS."
-        absent = f": {', '.join(sorted(names - {*found}))} not there" if names else ""
-        what = f"found {len(found)} nodes of ours, expected {count}{absent}"
-        raise InputError(what, where="the ROS graph", remedy=remedy)
-    return sorted(our_nodes(node).union(found))
+    return 1 if outcome.failures else 0
 
 
 # the page -------------------------------------------------------------------------------------------------------------

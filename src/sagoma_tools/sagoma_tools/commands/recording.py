@@ -28,18 +28,18 @@ from ..graph.topics import (
     topics_of_others,
 )
 from ..recording.reader import bag_digest, bag_topics, default_comparison, first_difference, input_topics, read_messages
-from ..recording.recorder import AskedTopics, Recorder, matches_any
+from ..recording.recorder import Recorder, asked_topics, matches_any
 from ..recording.recovery import recover_bag
 from ..recording.replayer import (
     CLOCK_HZ,
     InputPublishers,
     LockstepReport,
-    MonotonicClock,
-    SimulatedClock,
     lockstep_into,
     play_timed,
     replay_through_graph,
+    simulated_clock,
     timed_by_exposures,
+    waiting,
 )
 from ..recording.writer import require_new
 from ..takes.measure import finish_take
@@ -108,7 +108,7 @@ def record(args: argparse.Namespace) -> int:
         if args.all or args.topics:
             recorder = Recorder(link.node, args.bag, (), on_failure=report_failure)
             wanted = (lambda name: True) if args.all else matches_any(args.topics)
-            recorder.follow(AskedTopics(link.node, wanted, leave_out).new)
+            recorder.follow(asked_topics(link.node, wanted, leave_out))
         else:
             topics = [*of_cameras, *OUTPUT_TOPICS, *topics_of_others(), DIAGNOSTICS]
             recorder = Recorder(link.node, args.bag, topics, on_failure=report_failure)
@@ -149,8 +149,8 @@ def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event)
     infos = {name for name, kind in types.items() if images and kind == CAMERA_INFO}
     inputs = {*images, *infos} if images else set(input_topics(args.bag))
     wanted = {"inputs": inputs, "outputs": set(types) - inputs, "all": set(types)}[args.topics]
-    simulated = None if args.clock is None else SimulatedClock(link.node, args.clock)
-    if simulated is not None:
+    show = None if args.clock is None else simulated_clock(link.node)
+    if show is not None:
         wanted.discard(CLOCK_TOPIC)  # one clock is enough
     publishers = InputPublishers(link.node, {name: types[name] for name in sorted(wanted)})
     pictures = [name for name in inputs & wanted if name in images or name.endswith(SILHOUETTE_SUFFIX)]
@@ -158,11 +158,11 @@ def replay_timed(args: argparse.Namespace, link: RosLink, stop: threading.Event)
         publishers.wait_for_subscribers(pictures, PATIENCE_S)
     if pictures:
         publishers.require_no_other(pictures)
-    count, times, clock = 0, 0, MonotonicClock(stop)
+    count = times = 0
     doing("playing the bag")
     while not (stop.is_set() or (times and not args.loop)):
         messages = timed_by_exposures(read_messages(args.bag, wanted.__contains__), pictures)
-        count += play_timed(messages, publishers, clock, args.rate, simulated)
+        count += play_timed(messages, publishers, waiting(stop), args.rate, show, args.clock or CLOCK_HZ)
         times += 1
         if not count:
             break

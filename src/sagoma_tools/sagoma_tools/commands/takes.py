@@ -19,6 +19,7 @@ from ekf_tracker.urdf import body_urdf
 from mocap_packets.fit import FIRST_PERSON
 from mocap_pipeline.configuration import Configuration
 from stick_figure.body import STATURES_M, Body, load_body
+from virtual_studio.people import REFERENCE_STATURE_M
 
 from ..arguments import add_settings_argument, add_takes_argument, bag_of, chosen_take, parse_settings
 from ..console import command_console, doing, plain_table
@@ -230,7 +231,6 @@ def measure_anew(args: argparse.Namespace, folder: TakesFolder, name: str) -> in
 
 
 ALL = "all"
-STATURE_M = 1.75
 MASS = number("kg", 2, 500)
 
 
@@ -270,10 +270,10 @@ def run_smooth(args: argparse.Namespace) -> int:
     """Smooth the take and print how much of it has a state."""
     target = args.target or args.bag.rstrip("/") + "_smoothed"
     doing(f"smoothing {args.bag}")
-    take = smooth_bag(args.bag, target, Configuration.of(parse_settings(args.settings)).ekf)
+    states, sets = smooth_bag(args.bag, target, Configuration.of(parse_settings(args.settings)).ekf)
     finish_take(Path(target))
-    others = [f"{sets} of person {person}" for person, sets in sorted(take.states.items()) if person != FIRST_PERSON]
-    print(f"smoothed {', '.join([f'{take.states[FIRST_PERSON]} of {take.sets} frame sets', *others])} into {target}")
+    others = [f"{count} of person {person}" for person, count in sorted(states.items()) if person != FIRST_PERSON]
+    print(f"smoothed {', '.join([f'{states[FIRST_PERSON]} of {sets} frame sets', *others])} into {target}")
     print(f"compare: sagoma evaluate {args.bag}; sagoma evaluate {target}")
     return 0
 
@@ -282,8 +282,8 @@ def _add_urdf(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("urdf", help="print the body as a URDF with the joints of /mocap/joint_states")
     whose = parser.add_mutually_exclusive_group()
     whose.add_argument("--body", help="body YAML, as ~/save_body of icp_tracker writes it")
-    help_stature = f"an average body of this height in metres (default {STATURE_M})"
-    whose.add_argument("--stature", type=number("m", *STATURES_M), default=STATURE_M, help=help_stature)
+    help_stature = f"an average body of this height in metres (default {REFERENCE_STATURE_M})"
+    whose.add_argument("--stature", type=number("m", *STATURES_M), default=REFERENCE_STATURE_M, help=help_stature)
     help_id = f"what names of links begin with (default {FIRST_BODY_ID}, the first person's)"
     parser.add_argument("--id", default=FIRST_BODY_ID, help=help_id)
     parser.add_argument("--mass", type=MASS, metavar="KG", help="of the person (default: a BMI of 22)")

@@ -8,23 +8,32 @@ from __future__ import annotations
 import contextlib
 import ipaddress
 import socket
-import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from camera_client.background.model import BackgroundModel, load_background, read_background
 from camera_client.configuration import Calibration, load_calibration
-from camera_client.gige.discovery import discover_at
+from camera_client.gige.discovery import ANSWER_TIMEOUT_S, ATTEMPTS, discover_at
 from camera_client.settings import AravisSettings, CameraClientSettings
 from camera_client.sources.aravis_source import AravisSource
 from camera_client.sources.footage_reader import open_footage
+from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.settings import build_settings
 from capture_rig.visibility import of_shape
 from gige_vision import bootstrap
-from gige_vision.gvcp import PORT, AcknowledgePacket, Command, CommandPacket, DeviceRecord, MalformedPacket
+from gige_vision.gvcp import (
+    PORT,
+    AcknowledgePacket,
+    Command,
+    CommandPacket,
+    MalformedPacket,
+    Status,
+    decode_words,
+    encode_words,
+)
 from gige_vision.gvsp import PixelFormat
 from sagoma_bringup.graph import camera_from_file
 from sagoma_ros.middleware import resolve_packages
@@ -38,37 +47,21 @@ JUMBO_MTU, GIGABIT = 9000, 1000
 PACKET_HEADERS = 36  # IP, UDP and GVSP, of every stream packet
 ETHERNET_FRAME = 38  # preamble, header, checksum and gap around every packet
 BUSY, FULL = 0.7, 0.95  # shares of the link
-ANSWER_TIMEOUT_S, ATTEMPTS = 0.3, 3
 
 
 @dataclass(frozen=True)
 class CameraFile:
-    """A camera's parameter file that could be read."""
+    """A camera's parameter file that could be read, and the calibration that it names, or why that cannot be used."""
 
     path: Path
     name: str
     settings: CameraClientSettings
+    calibration: Calibration | InputError
 
-
-@dataclass(frozen=True)
-class Stream:
-    """What one camera sends. ``frame_rate`` is 0 where the settings leave it open; ``packet_size`` 0: the largest."""
-
-    camera: str
-    payload_bytes: int
-    frame_rate: float
-    packet_size: int = 0
-
-
-@dataclass(frozen=True)
-class Device:
-    """A GigE camera as it was asked. ``record`` : its answer, or why there is none; ``controlled`` : whether a program
-    is in control (None: unknown), ``controller`` : its address ("" where the camera does not tell)."""
-
-    record: DeviceRecord | str
-    interface: Interface | None = None
-    controlled: bool | None = None
-    controller: str = ""
+    @property
+    def camera(self) -> CameraModel | None:
+        """The calibrated camera, where it is known."""
+        return None if isinstance(self.calibration, InputError) else self.calibration.camera
 
 
 def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) -> Iterator[Finding]:
@@ -87,10 +80,11 @@ def examine_camera(path: Path, open_it: bool = False, *, host_too: bool = True) 
     if file.settings.source == "aravis":
         yield from about(subject, check_timing(settings), check_buffer(settings.socket_buffer_bytes))
         if settings.address:
-            device = ask_camera(settings.address)
-            link, streams = device.interface, streams_beside(file, device.interface)
-            yield from about(subject, check_interface(settings, link), check_identity(settings, device))
-            yield from about(subject, check_control(device), check_bandwidth(streams, link))
+            link = interface_to(settings.address)
+            yield from about(subject, check_interface(settings, link), check_identity(settings, link))
+            yield from about(subject, check_control(settings, link))
+            if link is not None:
+                yield from about(subject, check_bandwidth(sent_beside(file, link), link))
         if open_it:
             yield from about(subject, check_opened(file))
     if host_too:
@@ -101,8 +95,12 @@ def read_file(path: Path) -> CameraFile:
     """Return the file's settings, validated. Raises InputError naming file, key, value and remedy."""
     spec = camera_from_file(path)
     values = {key: resolve_packages(value) for key, value in spec.parameters.items() if key not in NODE_PARAMETERS}
-    settings = build_settings(CameraClientSettings, values, str(path))
-    return CameraFile(path, spec.namespace.strip("/"), settings)
+    settings, name = build_settings(CameraClientSettings, values, str(path)), spec.namespace.strip("/")
+    try:
+        calibration: Calibration | InputError = load_calibration(settings, settings.camera_name or name)
+    except InputError as problem:
+        calibration = problem
+    return CameraFile(path, name, settings, calibration)
 
 
 def check_calibration(file: CameraFile) -> Iterator[Finding]:
@@ -112,12 +110,10 @@ def check_calibration(file: CameraFile) -> Iterator[Finding]:
     if settings.camera_name not in ("", file.name):
         text = f"its key names {file.name}, camera_name says '{settings.camera_name}'"
         yield warning("file.names_differ", text, "Give both the same name.")
-    try:
-        calibration = _calibration(file)
-    except InputError as problem:
-        yield error("rig.invalid", f"{problem.where}: {problem.what}", problem.remedy)
+    calibration, camera = file.calibration, file.camera
+    if isinstance(calibration, InputError):
+        yield error("rig.invalid", f"{calibration.where}: {calibration.what}", calibration.remedy)
         return
-    camera = calibration.camera
     if camera is None:
         remedy = f"sagoma calibrate intrinsics --topic /{calibration.name}/image_raw --board BOARD"
         yield note("rig.uncalibrated", "not calibrated yet: it sends images, no silhouettes", remedy)
@@ -133,12 +129,8 @@ def check_calibration(file: CameraFile) -> Iterator[Finding]:
 def check_background(file: CameraFile) -> Finding | None:
     """Whether the background can be read, has the camera's size, and is recent."""
     learn = f"sagoma background --cameras {file.name}, while the room is empty"
-    settings = file.settings
+    settings, camera = file.settings, file.camera
     path = settings.background or (settings.background_file if Path(settings.background_file).is_file() else "")
-    try:
-        camera = _calibration(file).camera
-    except InputError:
-        camera = None
     if camera is None:  # another check says so
         return None
     if not path:
@@ -190,11 +182,12 @@ def check_interface(settings: AravisSettings, link: Interface | None) -> Iterato
         yield warning("mtu.no_jumbo_frames", text, jumbo)
 
 
-def check_identity(settings: AravisSettings, device: Device) -> Iterator[Finding]:
+def check_identity(settings: AravisSettings, link: Interface | None) -> Iterator[Finding]:
     """Whether the camera answers, is the configured one, and is in this machine's subnet."""
-    record, link = device.record, device.interface
-    if isinstance(record, str):
-        yield error("camera.silent", record, "Check power, cable, address and subnet (ping it).")
+    try:
+        record = discover_at(settings.address).device
+    except InputError as problem:
+        yield error("camera.silent", problem.what, "Check power, cable, address and subnet (ping it).")
         return
     yield ok("camera", f"{record.manufacturer} {record.model}, serial {record.serial}, answers at {settings.address}")
     for key, wanted, got in (("serial", settings.serial, record.serial), ("user_id", settings.user_id, record.user_id)):
@@ -209,26 +202,28 @@ def check_identity(settings: AravisSettings, device: Device) -> Iterator[Finding
             yield warning("subnet.differs", text, "Put both into one subnet (the maker's IP tool, or DHCP).")
 
 
-def check_control(device: Device) -> Finding | None:
+def check_control(settings: AravisSettings, link: Interface | None) -> Finding | None:
     """Whether the camera is free."""
-    if device.controlled is None:
+    privilege = read_register(settings.address, bootstrap.CONTROL_PRIVILEGE)
+    if privilege is None:
         return None
-    if not device.controlled:
+    if not privilege:
         return ok("control", "no program controls the camera: it can be opened")
-    if device.interface is not None and device.controller == device.interface.address:
-        text = f"a program on this machine ({device.controller}) controls the camera"
+    owner = read_register(settings.address, bootstrap.PRIMARY_ADDRESS)  # None where the camera does not tell
+    controller = str(ipaddress.IPv4Address(owner)) if owner else "another program"
+    if link is not None and controller == link.address:
+        text = f"a program on this machine ({controller}) controls the camera"
         return note("control.local", text, "Nothing, if that is the camera client; else stop it.")
-    text = f"{device.controller or 'another program'} controls the camera"
+    text = f"{controller} controls the camera"
     return warning("control.taken", text, "Stop the program there; a camera has one controller.")
 
 
-def check_bandwidth(streams: list[Stream], link: Interface | None) -> Finding | None:
-    """Whether all cameras on this interface fit its link."""
-    if link is None or not streams or not all(stream.frame_rate for stream in streams):  # check_timing names these
+def check_bandwidth(sent: Mapping[str, float], link: Interface) -> Finding | None:
+    """Whether what all cameras on this interface send, bytes a second, fits its link."""
+    if not sent or not all(sent.values()):  # check_timing names these
         return None
-    largest = min(link.mtu, JUMBO_MTU)
-    needed = sum(stream_bytes_per_s(stream, stream.packet_size or largest) for stream in streams)
-    text = f"{needed / 1e6:.0f} MB/s of {f'{len(streams)} cameras' if len(streams) > 1 else streams[0].camera}"
+    needed = sum(sent.values())
+    text = f"{needed / 1e6:.0f} MB/s of {f'{len(sent)} cameras' if len(sent) > 1 else next(iter(sent))}"
     if link.loopback or not link.speed_mbit:
         return ok("bandwidth", f"{text}; the speed of {link.name} is unknown")
     share = needed / (link.speed_mbit * 1e6 / 8)
@@ -251,10 +246,6 @@ def check_opened(file: CameraFile) -> Iterator[Finding]:
         yield error("opened.failed", f"{problem.where}: {problem.what}", problem.remedy)
 
 
-def _calibration(file: CameraFile) -> Calibration:
-    return load_calibration(file.settings, file.settings.camera_name or file.name)
-
-
 def _read_background(path: str, settings: CameraClientSettings) -> tuple[tuple[int, ...], BackgroundModel]:
     """Return the size (H, W, ...) and the model of a background file, a saved model or footage."""
     if path.endswith(".npz"):
@@ -270,70 +261,49 @@ def footage_shape(path: str | Path) -> tuple[int, ...]:
         return reader.probe()
 
 
-def streams_beside(file: CameraFile, link: Interface | None) -> list[Stream]:
-    """Return what the cameras of the file's folder send through this interface, as far as known; this camera first."""
+def sent_beside(file: CameraFile, link: Interface) -> dict[str, float]:
+    """Return what the cameras of the file's folder send through this interface, bytes a second, as far as their size is
+    known, this camera first; 0 where the settings leave the rate open."""
     found = [file]
-    for path in sorted(file.path.parent.glob("*.yaml")) if link is not None else ():
+    for path in sorted(file.path.parent.glob("*.yaml")):
         try:
             other = read_file(path)
         except InputError:  # examined when it is that file's turn
             continue
         address = other.settings.aravis.address if other.settings.source == "aravis" else ""
         theirs = interface_to(address) if address and other.name != file.name else None
-        if link is not None and theirs is not None and theirs.name == link.name:
+        if theirs is not None and theirs.name == link.name:
             found.append(other)
-    return [stream for stream in map(stream_of, found) if stream is not None]
+    sent = {}
+    for each in found:
+        settings, camera = each.settings.aravis, each.camera
+        if camera is not None:
+            wanted = settings.pixel_format  # "auto" prefers formats of 8 bits a pixel
+            pixel_format = PixelFormat[wanted] if wanted in PixelFormat.__members__ else PixelFormat.Mono8
+            payload = pixel_format.image_bytes(camera.width, camera.height)
+            packet = settings.packet_size or min(link.mtu, JUMBO_MTU)
+            sent[each.name] = max(settings.frame_rate, 0.0) * wire_bytes(payload, packet)
+    return sent
 
 
-def stream_of(file: CameraFile) -> Stream | None:
-    """Return what the camera sends, from its calibrated size and pixel format; None when the size is unknown."""
-    try:
-        camera = _calibration(file).camera
-    except InputError:
-        return None
-    if camera is None:
-        return None
-    wanted = file.settings.aravis.pixel_format
-    # "auto" prefers formats of 8 bits a pixel
-    pixel_format = PixelFormat[wanted] if wanted in PixelFormat.__members__ else PixelFormat.Mono8
-    payload = pixel_format.image_bytes(camera.width, camera.height)
-    settings = file.settings.aravis
-    return Stream(file.name, payload, max(settings.frame_rate, 0.0), settings.packet_size)
+def wire_bytes(payload: int, packet_size: int) -> int:
+    """Return the bytes of a frame on the wire, headers of every packet, leader and trailer included (GVSP 2.0).
+
+    payload : bytes of the image; packet_size : bytes of a packet with its headers.
+    """
+    packets = -(-payload // max(packet_size - PACKET_HEADERS, 1)) + 2
+    return payload + packets * (PACKET_HEADERS + ETHERNET_FRAME)
 
 
-def stream_bytes_per_s(stream: Stream, packet_size: int) -> float:
-    """Bytes a second on the wire, with the headers of every packet, leader and trailer included (GVSP 2.0)."""
-    packets = -(-stream.payload_bytes // max(packet_size - PACKET_HEADERS, 1)) + 2
-    return stream.frame_rate * (stream.payload_bytes + packets * (PACKET_HEADERS + ETHERNET_FRAME))
-
-
-def ask_camera(address: str) -> Device:
-    """Ask the camera at ``address`` for its identity and controller, by unicast only."""
-    interface = interface_to(address)
-    try:
-        record = discover_at(address).device
-    except InputError as problem:
-        return Device(problem.what, interface)
+def read_register(address: str, register: int) -> int | None:
+    """Ask a camera for one register, by unicast only; None when it does not answer or has none there."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.settimeout(ANSWER_TIMEOUT_S)
-        link.connect((address, PORT))
-        privilege = read_register(link, bootstrap.CONTROL_PRIVILEGE)
-        owner = read_register(link, bootstrap.PRIMARY_ADDRESS) if privilege else None
-    controller = str(ipaddress.IPv4Address(owner)) if owner else ""
-    return Device(record, interface, None if privilege is None else privilege != 0, controller)
-
-
-def read_register(link: socket.socket, register: int) -> int | None:
-    """Return one register of the connected device; None when it does not answer or has none there."""
-    for request in range(1, ATTEMPTS + 1):
-        link.send(CommandPacket(Command.READ_REGISTER, struct.pack(">I", register), request).encode())
-        try:
-            answer = AcknowledgePacket.decode(link.recv(2048))
-        except (TimeoutError, MalformedPacket):
-            continue
-        except OSError:
-            return None
-        if answer.acknowledge == Command.READ_REGISTER.acknowledge and answer.request_id == request:
-            whole = answer.status == 0 and len(answer.payload) == 4
-            return struct.unpack(">I", answer.payload)[0] if whole else None
+        for request in range(1, ATTEMPTS + 1):
+            with contextlib.suppress(OSError, MalformedPacket):
+                link.connect((address, PORT))
+                link.send(CommandPacket(Command.READ_REGISTER, encode_words([register]), request).encode())
+                answer = AcknowledgePacket.decode(link.recv(2048))
+                if answer.acknowledge == Command.READ_REGISTER.acknowledge and answer.request_id == request:
+                    return decode_words(answer.payload)[0] if answer.status == Status.SUCCESS else None
     return None

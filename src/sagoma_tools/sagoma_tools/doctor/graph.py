@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +16,14 @@ from camera_client.background.training import TrainingReport
 from capture_rig.errors import InputError
 from capture_rig.rig import Rig, load_rig
 from capture_rig.verdict import GOOD, REDO, USABLE
+from sagoma_ros.middleware import RANGE_VARIABLE
 
 from .findings import Finding, Found, about, error, graded, note, ok, warning
-from .graph_listener import ACTIVE, FLOODED, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
+from .graph_listener import ACTIVE, FLOODED, HULL, Canvas, GraphFacts, NodeFacts, SilhouetteFacts, collect_graph
+from .hosts import ALONE, RosSettings
+from .machine import domains_here
 
-SUBJECT, HULL = "graph", "/hull_server"
+SUBJECT = "graph"
 SERVER_NODES = (HULL, "/icp_tracker", "/ekf_tracker")
 ENOUGH_CAMERAS = 3
 ALIKE = (
@@ -35,7 +38,6 @@ MISSING, LOST = 0.02, 0.02  # of the frame sets; of the silhouettes
 USUAL_PERIOD_S = 1 / 30
 NOTHING, ENOUGH_MASKS, SAME_PX = 1e-5, 10, 0.01
 OLD_S, EARLY_S = 1.0, 5e-3
-PACKET_BYTES = 1400
 OF_GRADE = {GOOD: note, USABLE: warning, REDO: error}
 RECOVERY = "docs/tracking.md"
 PAGES = {HULL: "docs/faults.md", "/icp_tracker": RECOVERY, "/ekf_tracker": RECOVERY}
@@ -46,17 +48,15 @@ BIG_MESSAGES = (
 )
 
 
-def examine_graph(
-    seconds: float, rig_file: Path | None, domain_id: int | None = None, namespace: str = ""
-) -> Iterator[Finding]:
-    """Examine the graph of this ROS domain and namespace, against the rig file if given, else the hull server's."""
+def examine_graph(seconds: float, rig_file: Path | None, namespace: str = "") -> Iterator[Finding]:
+    """Examine the graph of this ROS domain and a namespace, against the rig file if given, else the hull server's."""
     rig = None
     if rig_file is not None:
         try:
             rig = load_rig(rig_file)
         except InputError as problem:  # the graph is examined all the same
             yield replace(note("rig.invalid", f"{problem.where}: {problem.what}", problem.remedy), subject=SUBJECT)
-    facts = collect_graph(seconds, rig.names if rig else (), domain_id, namespace)
+    facts = collect_graph(seconds, rig.names if rig else (), namespace=namespace)
     yield from graph_findings(replace(facts, rig=rig if rig_file is not None else _hulls_rig(facts)))
 
 
@@ -74,7 +74,7 @@ def graph_findings(facts: GraphFacts) -> Iterator[Finding]:
         if client is not None:
             yield from about(subject, *_of_node(client, facts))
         if (its := sent.get(name)) is not None:
-            checks = check_arrival(its, client, facts), check_canvas(its, client, facts), check_content(its, facts)
+            checks = check_arrival(its, client, facts), check_canvas(its, facts), check_content(its, facts)
             yield from about(subject, *checks)
 
 
@@ -83,17 +83,13 @@ def _of_node(node: NodeFacts, facts: GraphFacts) -> list[Found]:
 
 
 def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
-    """Which nodes are heard, on which machines, and which of the server are missing."""
+    """Which nodes are heard, and which of the server are missing."""
     where = f"ROS_DOMAIN_ID {facts.domain}"
     if not facts.nodes:
         yield _no_node_heard(facts)
         return
-    machines: dict[str, list[str]] = {}
-    for node in facts.nodes:
-        machines.setdefault((*node.machines, "")[0], []).append(node.camera or node.name.strip("/"))
-    listed = "; ".join(f"{facts.machine_name(machine)}: {', '.join(names)}" for machine, names in machines.items())
-    places = f"on {len(machines)} machines ({listed})" if len(machines) > 1 else f"all {facts.machine_name(*machines)}"
-    yield ok("nodes", f"{len(facts.nodes)} in {where}, {places}")
+    listed = ", ".join(node.camera or node.name.strip("/") for node in facts.nodes)
+    yield ok("nodes", f"{len(facts.nodes)} in {where}: {listed}")
     absent = [name for name in SERVER_NODES if facts.node(name) is None]
     if len(absent) == len(SERVER_NODES) and all(node.message.startswith(UNCALIBRATED) for node in facts.nodes):
         text = "cameras that are not calibrated yet, and no server: the set-up has begun"
@@ -112,12 +108,12 @@ def check_nodes(facts: GraphFacts) -> Iterator[Finding]:
 
 def _no_node_heard(facts: GraphFacts) -> Finding:
     where = f"no node is heard in ROS_DOMAIN_ID {facts.domain}"
-    others = ", ".join(str(domain) for domain in facts.domains_here if domain != facts.domain)
+    others = ", ".join(str(domain) for domain in domains_here() if domain != facts.domain)
     hint = f"Nodes run on this machine in another ROS_DOMAIN_ID ({others}): export that. " if others else ""
-    if facts.peers:
-        hint += f"Only this machine and {', '.join(facts.peers)} are asked (sagoma doctor --host ADDRESS). "
-    elif facts.discovery_range in ("LOCALHOST", "OFF"):
-        hint += f"ROS_AUTOMATIC_DISCOVERY_RANGE = {facts.discovery_range} hears this machine only. "
+    ours = RosSettings.of(os.environ)
+    if ours.reach in ALONE:
+        listed = " and ".join(("this machine", *ours.peers))
+        hint += f"{RANGE_VARIABLE} = {ours.reach}: only {listed} are asked (sagoma doctor --host ADDRESS). "
     remedy = "Start the graph (sagoma up); give all machines the same ROS_DOMAIN_ID, open UDP between them (--peers "
     remedy += "where the network passes no multicast), and restart nodes that started before their network was up."
     return error("nodes.none", where, hint + remedy)
@@ -168,10 +164,8 @@ def _high(sets: Sequence[Mapping[str, str]], key: str) -> float:
 def check_answers(node: NodeFacts, facts: GraphFacts) -> Iterator[Finding]:
     """Whether the node is the only one of its name, answers, reports and is active."""
     if node.copies > 1:
-        places = Counter(map(facts.machine_name, node.machines))
-        listed = ", ".join(place if count == 1 else f"{count} {place}" for place, count in places.items())
         remedy = "Stop all but one: the same camera or server was started twice, or two set-ups share a ROS_DOMAIN_ID."
-        yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name} ({listed})", remedy)
+        yield error("node.duplicate", f"{node.copies} nodes call themselves {node.name}", remedy)
     if node.state is None and node.report is None:
         text = f"{node.name} is known, but neither answers nor reports: it died, hangs, or its packets do not get here"
         yield error("node.silent", text, UNREACHABLE)
@@ -206,9 +200,8 @@ def check_clock(node: NodeFacts, facts: GraphFacts) -> Finding | None:
         return None
     low, high = node.report.lead_s, node.report.lead_s + node.round_trip_s
     off_s = low if low > 0 else min(high, 0.0)  # what is certain
-    here = " (though it runs on this machine)" if node.machines == (facts.machine,) else ""
     way = f"{abs(off_s):.2f} s" if abs(off_s) >= 1 else f"{1e3 * abs(off_s):.1f} ms"
-    what = f"its clock{here} is {way} {'ahead of' if off_s > 0 else 'behind'} this machine's, at the least"
+    what = f"its clock is {way} {'ahead of' if off_s > 0 else 'behind'} this machine's, at the least"
     remedy = "chrony or PTP on all machines, with one source: frame sets are formed by stamps."
     if abs(off_s) > _period_s(facts) / 2:
         return error("clock.off", what, remedy)
@@ -238,7 +231,7 @@ def check_refusals(facts: GraphFacts) -> Iterator[Finding]:
     for sent in facts.cameras if message.startswith(REFUSED) else ():
         wanted, its = facts.canvas(sent.camera), sent.canvas
         if f"{sent.camera}:" in message and wanted and its and not _differences(its, wanted):
-            has = facts.rig_files.get(HULL, "unknown")
+            has = facts.hull_rig_file or "unknown"
             text = f"it refuses {sent.camera}, which agrees with the rig file: the server has another one ({has})"
             yield error("rig.refused", text, "Give it the same rig file: sagoma stop, sagoma up --rig RIG.")
 
@@ -283,8 +276,7 @@ def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphF
         return
     total = sent.masks + sent.lost
     if sent.lost > LOST * total:
-        large = " (larger than one packet)" if sent.largest_bytes > PACKET_BYTES else ""
-        yield warning("network.loss", f"{sent.lost} of {total} silhouettes{large} got lost on the way", BIG_MESSAGES)
+        yield warning("network.loss", f"{sent.lost} of {total} silhouettes got lost on the way", BIG_MESSAGES)
     if sent.age_s < -EARLY_S:
         text = f"its frames are stamped {-sent.age_s:.3f} s ahead of this machine's clock"
         yield error("stamps.ahead", text, "chrony or PTP on all machines; for PTP stamps check tai_utc_offset_s.")
@@ -293,7 +285,7 @@ def check_arrival(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphF
         yield warning("latency.old", f"its silhouettes are {sent.age_s:.1f} s old when they arrive", remedy)
 
 
-def check_canvas(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFacts) -> Finding | None:
+def check_canvas(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
     """Whether the silhouettes were made with the rig's calibration."""
     canvas, rig = sent.canvas, facts.canvas(sent.camera)
     if not sent.masks:
@@ -303,14 +295,12 @@ def check_canvas(sent: SilhouetteFacts, client: NodeFacts | None, facts: GraphFa
         return warning("camera_info.missing", text, "Is camera_client the publisher?")
     if rig is None:
         return None
-    file = facts.rig_files.get(client.name, "") if client is not None else ""
-    text, differences = f"its rig_file: {file}" if file else "as in the rig file", _differences(canvas, rig)
     remedy = "Copy the newer of both rig files to both machines, configure both again; a calibration set by "
     remedy += "set_camera_info belongs into rig.yaml too."
-    if differences:
-        text = f"made with another calibration than the rig file: {differences} ({text})"
+    if differences := _differences(canvas, rig):
+        text = f"made with another calibration than the rig file: {differences}"
         return error("camera_info.differs", text, remedy)
-    return ok("camera_info", text)
+    return ok("camera_info", "as in the rig file")
 
 
 def _differences(canvas: Canvas, rig: Canvas) -> str:
@@ -342,7 +332,7 @@ def check_content(sent: SilhouetteFacts, facts: GraphFacts) -> Finding | None:
 
 def _hulls_rig(facts: GraphFacts) -> Rig | None:
     """Return the hull server's rig file, when it lies on this machine."""
-    path = facts.rig_files.get(HULL, "")
+    path = facts.hull_rig_file
     try:
         return load_rig(path) if path and Path(path).is_file() else None
     except InputError:  # the server reports it

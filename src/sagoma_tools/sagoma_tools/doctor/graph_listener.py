@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import os
 import threading
 import time
-import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from statistics import median
 from typing import Any, NamedTuple, cast
 
@@ -21,29 +19,23 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage
-from std_msgs.msg import Empty
 
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import Rig
-from sagoma_bringup.graph import CAMERA_NODE
+from sagoma_bringup.graph import CAMERA_NODE, SERVER_NODES
 from sagoma_ros import mask_png
 from sagoma_ros.messages import to_ns, values_of
-from sagoma_ros.middleware import PEERS_VARIABLE
 from sagoma_ros.qos import RESULT, SILHOUETTE_SUBSCRIBER
 
 from ..graph import ANSWER_S, ROUND_S
 from ..graph.diagnostics_table import DiagnosticsTable, NodeReport
 from ..graph.ros_link import RosLink, call_all, is_in_graph, node_names, owners_of, settled, topics_of
 from ..graph.topics import CAMERA_INFO_SUFFIX, SILHOUETTE_SUFFIX, cameras_in
-from .machine import domains_here
 
-OWN_NAME = "sagoma_doctor"
+OWN_NAME, HULL = "sagoma_doctor", "/hull_server"
 FRAME_SET_TOPIC = "/hull/frame_set"
-COMMON_TOPIC = "/parameter_events"  # every node publishes there
-FAST_DDS = b"\x01\x0f"  # the vendor's number, with which its GUIDs begin; the next two bytes are the machine's
 QUESTIONS = 5  # of which the fastest answer counts: one may be lost while discovery is under way
 GET_STATE, GET_PARAMETERS = "/get_state", "/get_parameters"
-ICP, ICP_RIG_PARAMETER, RIG_PARAMETER = "/icp_tracker", "initial_pose.rig_file", "rig_file"
 KEPT = 4096  # messages of a topic: the last minute at 60 Hz
 DECODED = 60  # masks of a camera
 ACTIVE = "active"
@@ -71,13 +63,12 @@ class NodeFacts:
     """One node of the graph.
 
     state : its lifecycle state, None when it did not answer; round_trip_s : its fastest answer.
-    machines : where nodes of this name run, by the middleware's number; copies : how many there are.
+    copies : how many nodes have this name.
     """
 
     name: str
     state: str | None = None
     copies: int = 1
-    machines: tuple[str, ...] = ()
     report: NodeReport | None = None
     round_trip_s: float = 0.0
 
@@ -103,8 +94,8 @@ class SilhouetteFacts:
 
     publishers : of its silhouettes; infos : camera_infos heard, ``canvas`` the last; masks : silhouettes heard, of
     which ``bad`` could not be decoded and ``lost`` were missing between the first and the last.
-    shares : of foreground, of those decoded; changes : how many differed from the one before.
-    age_s : from capture to arrival here, the median; largest_bytes : of one message.
+    share : of foreground, the median of those decoded; changes : how many differed from the one before.
+    age_s : from capture to arrival here, the median.
     """
 
     camera: str
@@ -114,15 +105,9 @@ class SilhouetteFacts:
     masks: int = 0
     bad: int = 0
     lost: int = 0
-    shares: tuple[float, ...] = ()
+    share: float = 0.0
     changes: int = 0
     age_s: float = 0.0
-    largest_bytes: int = 0
-
-    @property
-    def share(self) -> float:
-        """The median share of foreground."""
-        return median(self.shares) if self.shares else 0.0
 
     @property
     def sees_person(self) -> bool:
@@ -134,21 +119,17 @@ class SilhouetteFacts:
 class GraphFacts:
     """The running graph as heard from here.
 
-    sets : diagnostics of the hull server's frame sets. rig : the one that is expected; rig_files : by node.
-    domains_here : ROS domains with nodes on this machine; peers : addresses that are asked by unicast.
+    sets : diagnostics of the hull server's frame sets. rig : the one that is expected;
+    hull_rig_file : the path of the hull server's.
     """
 
     domain: int
-    discovery_range: str
-    machine: str = ""
     nodes: tuple[NodeFacts, ...] = ()
     cameras: tuple[SilhouetteFacts, ...] = ()
     sets: tuple[Mapping[str, str], ...] = ()
     sets_hz: float = 0.0
     simulated_time: bool = False
-    rig_files: Mapping[str, str] = field(default_factory=dict)
-    domains_here: tuple[int, ...] = ()
-    peers: tuple[str, ...] = ()
+    hull_rig_file: str = ""
     rig: Rig | None = None
 
     def node(self, name: str) -> NodeFacts | None:
@@ -176,10 +157,6 @@ class GraphFacts:
         """Whether all masks are as good as empty."""
         return all(facts.share < PERSON_SHARE for facts in self.cameras if facts.masks)
 
-    def machine_name(self, machine: str) -> str:
-        """Return a name for a machine."""
-        return "here" if machine == self.machine else "on another machine"
-
 
 Heard = deque[tuple[Any, Mapping[str, int]]]
 """Messages of a topic and their times; one thread appends, another copies."""
@@ -195,27 +172,25 @@ def collect_graph(
     with RosLink(OWN_NAME, namespace=namespace, domain_id=domain_id) as link:
         node = link.node
         reports, sets = DiagnosticsTable(node), _listen(node, DiagnosticArray, f"{namespace}{FRAME_SET_TOPIC}", RESULT)
-        settled(lambda: set(node_names(node)) - {f"{namespace}/{OWN_NAME}"}, 1, ANSWER_S)
+        count = len(expected) + len(SERVER_NODES) if expected else 1  # a whole graph, or any node
+        lifecycle = settled(lambda: owners_of(node, "get_state", "lifecycle_msgs/srv/GetState"), count, ANSWER_S)
         cameras = sorted({*expected, *cameras_in(topics_of(node))})
         qos, sent = SILHOUETTE_SUBSCRIBER, [f"{namespace}/{name}{SILHOUETTE_SUFFIX}" for name in cameras]
         masks = [_listen(node, CompressedImage, topic, qos) for topic in sent]
         infos = [_listen(node, CameraInfo, f"{namespace}/{name}{CAMERA_INFO_SUFFIX}", qos) for name in cameras]
         ends_s = time.monotonic() + seconds
-        lifecycle = owners_of(node, "get_state", "lifecycle_msgs/srv/GetState")
-        states, trips = ask_states(node, sorted(lifecycle))
-        rig_files = _ask_rig_files(node, sorted(states))
+        states, trips = ask_states(node, lifecycle)
+        hull = f"{namespace}{HULL}"
+        hull_rig_file = _ask_rig_file(node, hull) if hull in states else ""
         threading.Event().wait(max(ends_s - time.monotonic(), 0.0))
-        machines = machines_of(node)
         copies = Counter(node_names(node))
         names = sorted({*lifecycle, *(name for name in reports.names() if is_in_graph(node, name))})
         heard = sets.copy()
         span_s = 1e-9 * (heard[-1][1]["received_timestamp"] - heard[0][1]["received_timestamp"]) if heard else 0.0
         return GraphFacts(
             node.context.get_domain_id(),
-            os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", ""),
-            own_machine(node),
             tuple(
-                NodeFacts(local, states.get(n), copies[n], machines.get(n, ()), reports.report(n), trips.get(n, 0.0))
+                NodeFacts(local, states.get(n), copies[n], reports.report(n), trips.get(n, 0.0))
                 for n, local in zip(names, (n.removeprefix(namespace) for n in names), strict=True)
             ),
             tuple(
@@ -225,30 +200,8 @@ def collect_graph(
             tuple(values_of(each.status[0]) if each.status else {} for each, _ in heard),
             (len(heard) - 1) / span_s if span_s > 0 else 0.0,
             node.count_publishers("/clock") > 0,
-            {name.removeprefix(namespace): path for name, path in rig_files.items()},
-            domains_here(),
-            tuple(filter(None, os.environ.get(PEERS_VARIABLE, "").split(";"))),
+            hull_rig_file,
         )
-
-
-def machines_of(node: Node, topic: str = COMMON_TOPIC) -> dict[str, tuple[str, ...]]:
-    """Return the machines on which the nodes that publish ``topic`` run, by full name: their numbers in a GUID of
-    Fast DDS, "" with another middleware."""
-    found: dict[str, tuple[str, ...]] = {}
-    for one in node.get_publishers_info_by_topic(topic):
-        name, gid = f"{one.node_namespace.rstrip('/')}/{one.node_name}", bytes(one.endpoint_gid[:4])
-        found[name] = (*found.get(name, ()), gid[2:].hex() if gid[:2] == FAST_DDS else "")
-    return found
-
-
-def own_machine(node: Node) -> str:
-    """Return the machine on which this node runs; empty where it is not known."""
-    topic = f"/{node.get_name()}/machine_{uuid.uuid4().hex}"  # of nobody else, though other nodes have its name
-    publisher = node.create_publisher(Empty, topic, 1)
-    try:
-        return next(iter(machines_of(node, topic).values()), ("",))[0]
-    finally:
-        node.destroy_publisher(publisher)
 
 
 def _listen(node: Node, kind: type, topic: str, qos: QoSProfile) -> Heard:
@@ -281,10 +234,9 @@ def silhouette_facts(camera: str, publishers: int, masks: Heard, infos: Heard) -
         len(data),
         bad=len(decoded) - len(readable),
         lost=numbers[-1] - numbers[0] + 1 - len(numbers) if publishers == 1 and numbers else 0,
-        shares=tuple(float((mask > SHADOW_CANDIDATE).mean()) for mask in readable),
+        share=median([float((mask > SHADOW_CANDIDATE).mean()) for mask in readable] or [0.0]),
         changes=sum(one != other for one, other in itertools.pairwise(data)),
         age_s=1e-9 * median(each["received_timestamp"] - to_ns(message.header.stamp) for message, each in masks),
-        largest_bytes=max(map(len, data)),
     )
 
 
@@ -317,12 +269,8 @@ def ask_states(node: Node, names: Iterable[str]) -> tuple[dict[str, str], dict[s
     return states, trips
 
 
-def _ask_rig_files(node: Node, names: Sequence[str]) -> dict[str, str]:
-    """Return the rig file parameter of each node."""
-    files = {}
-    parameters = {name + GET_PARAMETERS: ICP_RIG_PARAMETER if name.endswith(ICP) else RIG_PARAMETER for name in names}
-    requests = {service: GetParameters.Request(names=[parameter]) for service, parameter in parameters.items()}
-    for service, reply in call_all(node, GetParameters, requests, ROUND_S, repeatable=True).items():
-        if reply is not None and reply.values and reply.values[0].string_value:
-            files[service.removesuffix(GET_PARAMETERS)] = reply.values[0].string_value
-    return files
+def _ask_rig_file(node: Node, name: str) -> str:
+    """Return the rig file parameter of a node; "" where it does not tell."""
+    requests = {name + GET_PARAMETERS: GetParameters.Request(names=["rig_file"])}
+    (reply,) = call_all(node, GetParameters, requests, ROUND_S, repeatable=True).values()
+    return reply.values[0].string_value if reply is not None and reply.values else ""

@@ -99,7 +99,9 @@ def serve(stop: threading.Event, address: str = "", port: int = PORT, ready: Cal
                 kind, named = packet[: len(UNICAST)], int.from_bytes(packet[len(UNICAST) :][:2], "big")
                 with contextlib.suppress(OSError):  # the sender is gone, or somebody else has that port
                     if kind == MULTICAST:
-                        heard.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, _own_address(sender))
+                        way = interface_to(sender[0])
+                        here = socket.inet_aton(way.address if way else "")
+                        heard.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, here)
                         heard.sendto(MULTICAST, (GROUP, named))
                     elif kind == UNICAST:
                         heard.sendto(json.dumps(settings_here()).encode()[: len(packet)], sender)
@@ -107,13 +109,6 @@ def serve(stop: threading.Event, address: str = "", port: int = PORT, ready: Cal
                         opened.close()
                         links = [link, opened.enter_context(_socket())]
                         links[1].bind((address, named))
-
-
-def _own_address(other: tuple[str, int]) -> bytes:
-    """Return our own address on the path to another, packed."""
-    with _socket() as link:
-        link.connect(other)
-        return socket.inet_aton(link.getsockname()[0])
 
 
 def _socket() -> socket.socket:
@@ -170,15 +165,6 @@ SIZES = (9000, 1500, 1400, 1280)
 
 
 @dataclass(frozen=True)
-class Host:
-    """Another machine, the interface here on the path to it (None: none), and whether a small packet is answered."""
-
-    address: str
-    interface: Interface | None
-    answers: bool = False
-
-
-@dataclass(frozen=True)
 class Peer:
     """ROS settings of a machine's nodes and of this shell, and both addresses.
 
@@ -203,10 +189,10 @@ class Peer:
 def examine_hosts(addresses: Sequence[str]) -> Iterator[Finding]:
     """Examine the network paths to these machines; sends packets to them alone."""
     for address in addresses:
-        interface = interface_to(address)
-        host = Host(address, interface, interface is not None and reaches(address, SMALL_BYTES))
-        yield from about(f"machine {address}", check_path(host))
-        if host.answers and (peer := ask_peer(address)):
+        link = interface_to(address)
+        answers = link is not None and reaches(address, SMALL_BYTES)
+        yield from about(f"machine {address}", check_path(address, link, answers))
+        if answers and (peer := ask_peer(address)):
             yield from examine_peer(f"machine {address}", peer)
 
 
@@ -239,16 +225,16 @@ def ask_peer(address: str, port: int = PORT) -> Peer | None:
     return replace(peer, multicast=arrives, port_open=reaches(address, SMALL_BYTES, first + UNUSED_PORT))
 
 
-def check_path(host: Host) -> Iterator[Finding]:
-    """Whether the machine can be reached and gets packets of the interface's MTU whole."""
-    address, link = host.address, host.interface
+def check_path(address: str, link: Interface | None, answers: bool) -> Iterator[Finding]:
+    """Whether a machine can be reached through an interface here (None: none), ``answers`` a small packet, and gets
+    packets of the interface's MTU whole."""
     if link is None:
         remedy = f"Check the address; see: ip route get {address}"
         yield error("way.none", f"there is no way to {address} from this machine", remedy)
         return
     if link.loopback:
         yield note("way.local", f"{address} is this machine")
-    if not host.answers:
+    if not answers:
         text = f"{address} does not answer through {link.name}: it is off, or a firewall is silent"
         yield warning("answer.none", text, f"ping {address}; open UDP between the machines.")
         return

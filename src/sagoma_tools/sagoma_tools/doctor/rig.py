@@ -24,9 +24,10 @@ from capture_rig.video import VideoFacts, examine_video, session_findings
 from capture_rig.visibility import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.extrinsics.verdict import CLOSE_DEG, FACING_DEG, MIN_CAMERAS
+from rig_calibration.intrinsics.lens_model import ASPECT_PRIOR, CENTRE_PRIOR
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
-from .cameras import BUSY, GIGABIT, JUMBO_MTU, Stream, footage_shape, stream_bytes_per_s
+from .cameras import BUSY, GIGABIT, JUMBO_MTU, footage_shape, wire_bytes
 from .findings import Finding, about, error, graded, note, warning
 
 Array = npt.NDArray[np.float64]
@@ -37,8 +38,6 @@ CALIBRATE, CALIBRATE_LENS = "sagoma calibrate extrinsics", "sagoma calibrate int
 STEP_M, BREAST_M = 0.2, 1.0
 BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
 OLD_S = 180 * 86400.0
-OFF_CENTRE = 0.15  # of the image's width or height
-UNEQUAL_FOCAL = 0.02
 NARROW_DEG, WIDE_DEG, FISHEYE_DEG = 15.0, 130.0, 200.0
 HIGH_M, LOW_M = 6.0, 0.3
 SAME_PLACE_M, SAME_LENS_PX = 0.05, 0.5
@@ -79,18 +78,6 @@ class RigView:
         return next((path for path in paths if path.is_file()), None)
 
 
-@dataclass(frozen=True)
-class Footage:
-    """One camera's footage: image size (width, height), its background's size, and what the video's reading showed; or
-    why it cannot be read."""
-
-    camera: CameraModel
-    problem: str = ""
-    size: tuple[int, int] = (0, 0)
-    background_size: tuple[int, int] | None = None
-    video: VideoFacts | None = None
-
-
 def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None) -> Iterator[Finding]:
     """Examine the rig file at ``path`` (the session's own by default) and the session's footage."""
     path = path or Path(session or ".") / "rig.yaml"
@@ -102,13 +89,14 @@ def examine_rig(path: Path | None, session: Path | None, intrinsics: Path | None
     view = RigView.of(rig, path, intrinsics)
     checks = check_rig_report(view), check_number(view), check_common_view(view), check_regions(view), check_pairs(view)
     yield from about(SUBJECT, *checks)
-    footage = [] if session is None else [read_footage(session, camera) for camera in rig.cameras]
-    if session is not None:
-        yield from about(f"session {session}", check_session(footage, session))
-    for number, camera in enumerate(rig.cameras):
+    videos: dict[str, VideoFacts] = {}
+    for camera in rig.cameras:
         subject = f"camera {camera.name}"
         yield from about(subject, check_lens_report(view, camera), check_lens(camera), check_place(view, camera))
-        yield from about(subject, *map(check_footage, footage[number : number + 1]))
+        if session is not None:
+            yield from about(subject, check_footage(camera, session, videos))
+    if session is not None:
+        yield from about(f"session {session}", check_session(videos, session))
 
 
 def check_rig_report(view: RigView) -> Iterator[Finding]:
@@ -196,8 +184,8 @@ def region_text(region: Region) -> str:
 
 def most_hz(rig: Rig) -> float:
     """Return the rate that a Gigabit link carries with some room, of pictures of 8 bits a pixel in large packets."""
-    streams = (Stream(each.name, each.width * each.height, 1.0) for each in rig.cameras)
-    return BUSY * GIGABIT * 1e6 / 8 / sum(stream_bytes_per_s(stream, JUMBO_MTU) for stream in streams)
+    frame_bytes = sum(wire_bytes(each.width * each.height, JUMBO_MTU) for each in rig.cameras)
+    return BUSY * GIGABIT * 1e6 / 8 / frame_bytes
 
 
 def check_pairs(view: RigView) -> Iterator[Finding]:
@@ -244,13 +232,13 @@ def check_lens(camera: CameraModel) -> Iterator[Finding]:
     """Whether the lens is one that exists, and holds over the image."""
     fx, fy, cx, cy = camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
     width, height, fisheye = camera.width, camera.height, is_fisheye(camera.D)
-    off, across = max(abs(cx - (width - 1) / 2) / width, abs(cy - (height - 1) / 2) / height), across_deg(camera)
+    off, across = np.hypot(cx - (width - 1) / 2, cy - (height - 1) / 2) / max(width, height), across_deg(camera)
     again = f"{CALIBRATE_LENS}: boards in the corners of the image, and tilted; check that the file is this camera's."
     yield graded(
         "lens",
         f"f {fx:.0f} x {fy:.0f} px, {across:.0f} degrees across, principal point ({cx:.0f}, {cy:.0f})",
-        (off > OFF_CENTRE, warning, "off_centre", again),
-        (abs(fx / fy - 1) > UNEQUAL_FOCAL, warning, "unequal_focal", again),
+        (off > CENTRE_PRIOR, warning, "off_centre", again),
+        (abs(fx / fy - 1) > ASPECT_PRIOR, warning, "unequal_focal", again),
         (not NARROW_DEG < across < (FISHEYE_DEG if fisheye else WIDE_DEG), warning, "field_of_view", again),
     )
     share, text = camera.unused_share, unused_text(camera)
@@ -284,9 +272,33 @@ def check_place(view: RigView, camera: CameraModel) -> Iterator[Finding]:
     )
 
 
-def check_session(footage: list[Footage], session: Path) -> Iterator[Finding]:
+def check_footage(camera: CameraModel, session: Path, videos: dict[str, VideoFacts]) -> Iterator[Finding]:
+    """Whether a camera's footage and background can be read and have the calibrated size; ``videos`` gets the video."""
+    size = (camera.width, camera.height)
+    try:
+        video = find_footage(session, camera.name, VIDEO_SUFFIXES)
+        if video is None:
+            raise InputError(f"there is no {camera.name}.mp4", where=str(session))
+        sizes = {"footage": footage_shape(video)}
+        if background := _background(session, camera.name):
+            sizes["background"] = footage_shape(background)
+        videos[camera.name] = examine_video(video)
+    except InputError as problem:
+        text = f"{problem.where}: {problem.what}"
+        yield error("footage.unreadable", text, "Record the session again, or mend the file.")
+        return
+    for kind, (height, width, *_) in sizes.items():
+        text = f"{width} x {height} pixels, the camera was calibrated at {size[0]} x {size[1]}"
+        remedy = "Record at the calibrated size, or calibrate at the recorded one."
+        yield graded(kind, text, ((width, height) != size, error, "size_differs", remedy))
+
+
+def _background(session: Path, camera: str) -> Path | None:
+    return find_footage(session, f"{camera}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
+
+
+def check_session(videos: Mapping[str, VideoFacts], session: Path) -> Iterator[Finding]:
     """Whether the videos have one rate and equally many frames, can be read to their ends, and have backgrounds."""
-    videos = {each.camera.name: each.video for each in footage if each.video is not None}
     rates = {camera: video.fps for camera, video in videos.items()}
     if rates and not _states_rate(session) and (min(rates.values()) <= 0 or len(set(rates.values())) > 1):
         listed = ", ".join(f"{camera} {f'{rate:g}' if rate else 'unknown'}" for camera, rate in rates.items())
@@ -299,34 +311,9 @@ def check_session(footage: list[Footage], session: Path) -> Iterator[Finding]:
         lengths = ", ".join(f"{camera} {count}" for camera, count in frames.items())
         remedy = "Cut them so that frame k of all was taken at the same instant."
         yield warning("footage.lengths_differ", f"the videos have different numbers of frames ({lengths})", remedy)
-    if bare := [each.camera.name for each in footage if not each.problem and each.background_size is None]:
+    if bare := [camera for camera in videos if _background(session, camera) is None]:
         remedy = f"Add {bare[0]}_background.mp4 or .png."
         yield error("background.missing", f"there is none for {', '.join(bare)}", remedy)
-
-
-def check_footage(footage: Footage) -> Iterator[Finding]:
-    """Whether footage and background can be read and have the calibrated size."""
-    size = (footage.camera.width, footage.camera.height)
-    if footage.problem:
-        yield error("footage.unreadable", footage.problem, "Record the session again, or mend the file.")
-        return
-    for kind, seen in (("footage", footage.size), ("background", footage.background_size or size)):
-        text = f"{seen[0]} x {seen[1]} pixels, the camera was calibrated at {size[0]} x {size[1]}"
-        remedy = "Record at the calibrated size, or calibrate at the recorded one."
-        yield graded(kind, text, (seen != size, error, "size_differs", remedy))
-
-
-def read_footage(session: Path, camera: CameraModel) -> Footage:
-    """Return the video and the background of a camera."""
-    video = find_footage(session, camera.name, VIDEO_SUFFIXES)
-    if video is None:
-        return Footage(camera, f"there is no {session / camera.name}.mp4")
-    try:
-        background = find_footage(session, f"{camera.name}_background", VIDEO_SUFFIXES + STILL_SUFFIXES)
-        size, background_size = _size(video), None if background is None else _size(background)
-        return Footage(camera, "", size, background_size, examine_video(video))
-    except InputError as problem:
-        return Footage(camera, f"{problem.where}: {problem.what}")
 
 
 def across_deg(camera: CameraModel) -> float:
@@ -354,11 +341,6 @@ def _lens_folders(rig_file: Path) -> tuple[Path, ...]:
         return folders
     named = asked.get("intrinsics") if isinstance(asked, Mapping) else None
     return (Path(named), *folders) if isinstance(named, str) else folders
-
-
-def _size(path: Path) -> tuple[int, int]:
-    height, width = footage_shape(path)[:2]
-    return width, height
 
 
 def _states_rate(session: Path) -> bool:

@@ -20,7 +20,7 @@ from sagoma_bringup.launch_arguments import start_settings
 from sagoma_ros.messages import values_of
 
 from ..console import doing
-from ..graph.processes import ProcessSettings, Usage
+from ..graph.processes import Usage
 from ..graph.supervisor import Supervisor
 from ..graph.topics import PREDICTION_TOPIC
 from ..recording.reader import BagMessage, read_messages
@@ -108,7 +108,7 @@ def run_live(
     with live_input:
         live_input.open(cancel)
         graph = live_input.graph({**start_from, **(settings or {})})
-        with Supervisor(graph, output / "logs", ProcessSettings(domain_id=domain_id), cancel=cancel) as supervisor:
+        with Supervisor(graph, output / "logs", domain_id=domain_id, cancel=cancel) as supervisor:
             doing(f"starting {len(graph)} nodes")
             supervisor.configure(tolerate_cameras=False)
             provenance = {"session": str(live_input.session.folder)}

@@ -11,7 +11,7 @@ from rich.table import Table
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from ..console import plain_table
-from ..graph.diagnostics_table import BUDGET_PERIODS
+from ..graph.diagnostics_table import budget_text
 from ..graph.processes import Usage
 from ..graph.ros_link import label_of
 from .scores import AngleScores, Scores
@@ -165,9 +165,7 @@ def print_ages(console: Console, ages_ms: Mapping[str, np.ndarray], hz: float) -
     """Print the age of frame sets at each point, since exposure, and the budget in periods of ``hz``."""
     console.print(_percentiles("since exposure", "point", ages_ms, 1))
     p95_ms = float(np.percentile(list(ages_ms.values())[-1], 95))
-    periods = p95_ms * hz / 1e3
-    verdict = "within" if periods <= BUDGET_PERIODS else "over"
-    console.print(f"95 % within {periods:.1f} periods of the frame sets: {verdict} the budget of {BUDGET_PERIODS:g}")
+    console.print(f"95 % within {budget_text(p95_ms, hz)}")
 
 
 def _percentiles(title: str, first: str, measured_ms: Mapping[str, np.ndarray], digits: int) -> Table:

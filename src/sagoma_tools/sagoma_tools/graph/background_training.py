@@ -19,7 +19,7 @@ from sagoma_bringup.graph import Role
 
 from . import ANSWER_S, START_TIMEOUT_S
 from .diagnostics_table import DiagnosticsTable
-from .ros_link import call_all, label_of, owners_of, settled
+from .ros_link import call_all, find_nodes, label_of, owners_of
 from .supervisor import Supervisor
 
 SERVICE, SERVICE_TYPE = "learn_background", "std_srvs/srv/Trigger"
@@ -46,12 +46,7 @@ def find_clients(node: Node, expect: int, wait_s: float) -> list[str]:
 
     Raises InputError when there are fewer after ``wait_s``.
     """
-    found = settled(lambda: owners_of(node, SERVICE, SERVICE_TYPE), expect, wait_s)
-    if len(found) < max(expect, 1):
-        what = f"found {len(found)} camera clients, expected {max(expect, 1)}"
-        remedy = "Start them (sagoma up --cameras FOLDER); are they not heard? sagoma doctor --live --host ADDRESS."
-        raise InputError(what, where="the ROS graph", remedy=remedy)
-    return found
+    return find_nodes(lambda: owners_of(node, SERVICE, SERVICE_TYPE), "camera clients", max(expect, 1), wait_s)
 
 
 def needing_training(diagnostics: DiagnosticsTable, names: Iterable[str]) -> list[str]:

@@ -14,13 +14,13 @@ from rclpy.node import Node
 from rich.table import Table
 from rich.text import Text
 
+from sagoma_ros.health import PERIOD_S
 from sagoma_ros.messages import to_ns, values_of
 
 from .topics import DIAGNOSTICS_TOPIC, LOSSLESS
 
-STALE_S = 3.0
+STALE_S = 3 * PERIOD_S
 BUDGET_PERIODS = 1.5  # from exposure to joint state, in periods of the frame sets, for 95 % of them
-POINTS_OF = {"hull_server": "hull", "icp_tracker": "fit", "ekf_tracker": "joint state"}
 _LOSSES = "ahead unexpected dropped late missing refused timeout backwards duplicate bad lost incomplete stalls"
 LOSS_WORDS = (*_LOSSES.split(), "control_losses")
 MOST_DIGITS = 18  # of a counter: of longer ones, which no node sends, Python may refuse to make a number
@@ -29,13 +29,12 @@ LEVEL_STYLE = {DiagnosticStatus.OK: "green", DiagnosticStatus.WARN: "yellow", Di
 
 @dataclass(frozen=True)
 class NodeReport:
-    """One node's last diagnostics; how many came, and the most by which a stamp was ahead of its arrival, seconds."""
+    """One node's last diagnostics, and the most by which a stamp was ahead of its arrival, seconds."""
 
     level: bytes
     message: str
     values: Mapping[str, str] = field(default_factory=dict)
     heard_s: float = 0.0
-    count: int = 1
     lead_s: float = -math.inf
 
     def losses(self) -> dict[str, int]:
@@ -86,7 +85,7 @@ class DiagnosticsTable:
         table.add_column("says", ratio=2)
         for name, label in names.items():
             table.add_row(label, *_row(states.get(name, "?"), self.report(name), now_s))
-        table.caption = latency_line({name: report for name in names if (report := self.report(name)) is not None})
+        table.caption = latency_line(next((self.report(n) for n in names if n.endswith("/ekf_tracker")), None))
         table.caption_justify = "left"
         return table
 
@@ -96,31 +95,27 @@ class DiagnosticsTable:
         with self._heard:
             for status in message.status:
                 values = values_of(status)
-                before = self._reports.get(status.name, NodeReport(status.level, "", count=0))
-                count, most_s = before.count + 1, max(before.lead_s, lead_s)
-                self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s, count, most_s)
+                before = self._reports.get(status.name)
+                most_s = lead_s if before is None else max(before.lead_s, lead_s)
+                self._reports[status.name] = NodeReport(status.level, status.message, values, heard_s, most_s)
             self._heard.notify_all()
 
 
-def latency_line(reports: Mapping[str, NodeReport]) -> str:
-    """Say how old frame sets are at three points, and whether that is within the budget; empty while it is unknown.
-
-    reports : by full node name.
-    """
-    of = {name.rpartition("/")[2]: report.values for name, report in reports.items()}
-    ages = [
-        f"{point} {of[node]['latency_p50_ms']} ms"
-        for node, point in POINTS_OF.items()
-        if "latency_p50_ms" in of.get(node, {})
-    ]
+def latency_line(filter_report: NodeReport | None) -> str:
+    """Say within which time the filter answers 95 % of the sets, since exposure; empty while it is unknown."""
+    values = {} if filter_report is None else filter_report.values
     try:
-        p95_ms, rate_hz = (float(of["ekf_tracker"][key]) for key in ("latency_p95_ms", "rate_hz"))
+        p95_ms, rate_hz = float(values["latency_p95_ms"]), float(values["rate_hz"])
     except (KeyError, ValueError):
         return ""
+    return f"since exposure, 95 % within {p95_ms:.0f} ms: {budget_text(p95_ms, rate_hz)}"
+
+
+def budget_text(p95_ms: float, rate_hz: float) -> str:
+    """Return an age in periods of the frame sets, and whether it keeps to the budget."""
     periods = p95_ms * rate_hz / 1e3
     verdict = "within" if periods <= BUDGET_PERIODS else "over"
-    budget = f"95 % within {p95_ms:.0f} ms: {periods:.1f} periods, {verdict} the budget of {BUDGET_PERIODS:g}"
-    return f"since exposure, median: {', '.join(ages)}; {budget}"
+    return f"{periods:.1f} periods of the frame sets, {verdict} the budget of {BUDGET_PERIODS:g}"
 
 
 def _row(state: str, report: NodeReport | None, now_s: float) -> tuple[str | Text, ...]:

@@ -10,10 +10,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 
+from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.node import Node
 
@@ -21,16 +22,7 @@ from . import ANSWER_S, LOOK_S, PATIENCE_S, ROUND_S, START_TIMEOUT_S
 from .ros_link import call_all, is_camera, node_names, settled
 
 
-class Transition(Enum):
-    """Lifecycle transitions with their ids in lifecycle_msgs/Transition."""
-
-    CONFIGURE = 1
-    CLEANUP = 2
-    ACTIVATE = 3
-    DEACTIVATE = 4
-
-
-class State(Enum):
+class State(StrEnum):
     """The states in which a healthy node can rest, from stopped to running."""
 
     UNCONFIGURED = "unconfigured"
@@ -38,71 +30,36 @@ class State(Enum):
     ACTIVE = "active"
 
 
-LABELS = tuple(state.value for state in State)
-UP = (Transition.CONFIGURE, Transition.ACTIVATE)  # UP[i] leads from LABELS[i] to LABELS[i + 1]
-DOWN = (Transition.CLEANUP, Transition.DEACTIVATE)  # DOWN[i] leads back
-REACHED = {
-    Transition.CONFIGURE: State.INACTIVE,
-    Transition.ACTIVATE: State.ACTIVE,
-    Transition.DEACTIVATE: State.INACTIVE,
-    Transition.CLEANUP: State.UNCONFIGURED,
+STATES = tuple(State)
+TRANSITIONS = {
+    (State.UNCONFIGURED, State.INACTIVE): ("configure", Transition.TRANSITION_CONFIGURE),
+    (State.INACTIVE, State.ACTIVE): ("activate", Transition.TRANSITION_ACTIVATE),
+    (State.ACTIVE, State.INACTIVE): ("deactivate", Transition.TRANSITION_DEACTIVATE),
+    (State.INACTIVE, State.UNCONFIGURED): ("cleanup", Transition.TRANSITION_CLEANUP),
 }
-TIMEOUT_S: Mapping[Transition, float] = {
-    Transition.CONFIGURE: START_TIMEOUT_S,  # learns a background, opens a camera, at its very first start compiles
-    Transition.ACTIVATE: 60.0,
-    Transition.DEACTIVATE: 10.0,
-    Transition.CLEANUP: 10.0,
-}
+"""(From, to) -> name and number of the transition."""
 
 
-class Verdict(Enum):
-    """A node's answer to a transition."""
-
-    ACKNOWLEDGED = "acknowledged"
-    REFUSED = "refused"
-    SILENT = "did not answer"
-    STUCK = "is in a state with no way on (finalized, or in transition)"
-
-
-@dataclass(frozen=True)
-class Answer:
-    """One node's answer to one request; ``transition`` is None when it was only asked for its state."""
-
-    node: str
-    transition: Transition | None
-    verdict: Verdict
-
-    def __str__(self) -> str:
-        asked = self.transition.name.lower() if self.transition else "get_state"
-        return f"{self.node}: {asked} {self.verdict.value}"
-
-
-@dataclass(frozen=True)
+@dataclass
 class Outcome:
-    """All answers to one command."""
+    """What came of a command, by full node name: the state that each node acknowledged last, and why one did not go on
+    ("/hull_server: configure refused"); ``silent`` are those that did not answer."""
 
-    answers: tuple[Answer, ...]
+    reached: dict[str, State] = field(default_factory=dict)
+    failures: dict[str, str] = field(default_factory=dict)
+    silent: set[str] = field(default_factory=set)
 
-    @property
-    def ok(self) -> bool:
-        return not self.failures
-
-    @property
-    def failures(self) -> tuple[Answer, ...]:
-        return tuple(answer for answer in self.answers if answer.verdict is not Verdict.ACKNOWLEDGED)
-
-    @property
-    def silent(self) -> tuple[str, ...]:
-        return tuple(answer.node for answer in self.answers if answer.verdict is Verdict.SILENT)
-
-    def __add__(self, other: Outcome) -> Outcome:
-        return Outcome(self.answers + other.answers)
+    def fail(self, node: str, asked: str, said: str | None) -> None:
+        """Note that a node did not do what it was asked for, and what it said; None: nothing."""
+        self.failures[node] = f"{node}: {asked} {said or 'did not answer'}"
+        if said is None:
+            self.silent.add(node)
 
 
-def path_to(goal: State, label: str) -> tuple[Transition, ...]:
-    """Return the transitions that lead from the state called ``label`` (one of LABELS) to ``goal``."""
-    here, there = LABELS.index(label), LABELS.index(goal.value)
-    return UP[here:there] if here <= there else DOWN[there:here][::-1]
+def next_on_the_way(state: State, goal: State) -> State:
+    """Return the state that lies next on the way to another one."""
+    here, there = STATES.index(state), STATES.index(goal)
+    return STATES[here + (1 if there > here else -1)]
 
 
 def groups_of(names: Iterable[str], cameras_first: bool) -> list[list[str]]:
@@ -126,44 +83,55 @@ class LifecycleClient:
         replies = call_all(self._node, GetState, questions, timeout_s, self._lives, repeatable=True)
         return {_owner(service): reply and reply.current_state.label for service, reply in replies.items()}
 
-    def change(self, wanted: Mapping[str, Transition], timeout_s: float | None = None) -> Outcome:
-        """Ask each node for its transition, all at once; ``timeout_s`` by default as long as the slowest may take."""
-        requests = {f"{name}/change_state": ChangeState.Request() for name in wanted}
-        for name, transition in wanted.items():
-            requests[f"{name}/change_state"].transition.id = transition.value
-        limit_s = max((TIMEOUT_S[t] for t in wanted.values()), default=0.0) if timeout_s is None else timeout_s
-
-        def inferred(silent: set[str]) -> dict[str, Any]:
-            """Success for nodes that are in the wanted state, though their reply was lost."""
-            labels = self.states(map(_owner, silent), ROUND_S)
-            reached = [name for name, label in labels.items() if label == REACHED[wanted[name]].value]
-            return {f"{name}/change_state": ChangeState.Response(success=True) for name in reached}
-
-        replies = call_all(self._node, ChangeState, requests, limit_s, self._lives, inferred=inferred)
-        verdicts = {None: Verdict.SILENT, True: Verdict.ACKNOWLEDGED, False: Verdict.REFUSED}
-        answers = {_owner(service): verdicts[reply and reply.success] for service, reply in replies.items()}
-        return Outcome(tuple(Answer(name, wanted[name], verdict) for name, verdict in answers.items()))
-
     def bring(
         self, groups: Sequence[Sequence[str]], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S
     ) -> Outcome:
         """Bring every node to ``goal`` from its present state, group after group, a group's nodes in step.
 
-        ``contact_s`` is how long a node may take to report its state: long for a process that has just started.
-        A node that refuses or stays silent keeps its state; the others go on.
+        timeout_s : for each answer; None: as long as a node that starts may take on the way up (it learns a background,
+        opens a camera, at its very first start compiles), and one that stops on the way down. contact_s : how long a
+        node may take to report its state, long for a process that has just started. A node that refuses or stays silent
+        keeps its state; the others go on.
         """
-        outcome = Outcome(())
+        outcome = Outcome()
         for group in groups:
-            labels = self.states(group, contact_s)
-            unfit = {name: Verdict.STUCK if label else Verdict.SILENT for name, label in labels.items()}
-            outcome += Outcome(tuple(Answer(n, None, unfit[n]) for n, label in labels.items() if label not in LABELS))
-            paths = {name: list(path_to(goal, label)) for name, label in labels.items() if label in LABELS}
-            while wanted := {name: path.pop(0) for name, path in paths.items() if path}:
-                step = self.change(wanted, timeout_s)
-                outcome += step
-                for failure in step.failures:
-                    paths[failure.node].clear()
+            moving = {}
+            for name, label in self.states(group, contact_s).items():
+                if label in STATES:
+                    moving[name] = State(label)
+                else:  # finalized, or in transition
+                    outcome.fail(name, "get_state", label and f"tells of {label}, from where no way leads on")
+            while moving := {name: state for name, state in moving.items() if state != goal}:
+                ways = {name: (state, next_on_the_way(state, goal)) for name, state in moving.items()}
+                moving = self._change(ways, timeout_s, outcome)
         return outcome
+
+    def _change(
+        self, ways: Mapping[str, tuple[State, State]], timeout_s: float | None, outcome: Outcome
+    ) -> dict[str, State]:
+        """Ask each node for the transition between its two states; returns those that acknowledged and their states."""
+        requests = {f"{name}/change_state": ChangeState.Request() for name in ways}
+        for name, way in ways.items():
+            requests[f"{name}/change_state"].transition.id = TRANSITIONS[way][1]
+        up = any(STATES.index(goal) > STATES.index(state) for state, goal in ways.values())
+        limit_s = (START_TIMEOUT_S if up else PATIENCE_S) if timeout_s is None else timeout_s
+
+        def inferred(silent: set[str]) -> dict[str, Any]:
+            """Success for nodes that are in the wanted state, though their reply was lost."""
+            labels = self.states(map(_owner, silent), ROUND_S)
+            there = [name for name, label in labels.items() if label == ways[name][1]]
+            return {f"{name}/change_state": ChangeState.Response(success=True) for name in there}
+
+        replies = call_all(self._node, ChangeState, requests, limit_s, self._lives, inferred=inferred)
+        changed = {}
+        for name, way in ways.items():
+            reply = replies[f"{name}/change_state"]
+            if reply is not None and reply.success:
+                changed[name] = way[1]
+            else:
+                outcome.fail(name, TRANSITIONS[way][0], reply and "refused")
+        outcome.reached |= changed
+        return changed
 
     def _lives(self, service: str) -> bool:
         return self._alive(_owner(service))

@@ -13,18 +13,17 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
-from enum import Enum
+from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 
 from capture_rig.yaml_file import save_mapping
-from sagoma_bringup.graph import ONE_PROCESS, NodeSpec, ProcessSpec, processes_of
+from sagoma_bringup.graph import NodeSpec, ProcessSpec, processes_of
 
 from . import ROUND_S
 
-GRACE_S, REAP_S = 8.0, 5.0
+GRACE_S, REAP_S = 8.0, 5.0  # to end after SIGINT, and after SIGKILL
 # idle BLAS and OpenMP threads that spin take the cores from the nodes that have work
 THREADS_ENV = {"OPENBLAS_NUM_THREADS": "1", "OMP_WAIT_POLICY": "passive"}
 LOG_ENV = {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}  # the log ends with the stack of a crash in native code
@@ -33,22 +32,17 @@ PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None)
 
 
-class Exit(Enum):
-    """How a child ended."""
-
-    CLEAN = "stopped on SIGINT"
-    KILLED = "ignored SIGINT and was killed"
-    FAILED = "stopped with an error"
-    ALREADY_DEAD = "had died before"
-
-
 @dataclass(frozen=True)
 class ExitStatus:
-    """How one child ended, and its exit status (negative: the signal's number)."""
+    """How one child ended: what was not in order about it, "" for nothing, and its exit status (negative: the signal's
+    number)."""
 
     name: str
-    exit: Exit
+    trouble: str
     returncode: int
+
+
+KILLED, FAILED, ALREADY_DEAD = "ignored SIGINT and was killed", "stopped with an error", "had died before"
 
 
 @dataclass(frozen=True)
@@ -159,16 +153,16 @@ def _prepare_child() -> None:
 
 def stop_children(children: Sequence[Child], grace_s: float) -> tuple[ExitStatus, ...]:
     """Send SIGINT to all, and SIGKILL to those that still run ``grace_s`` later; returns how each one ended."""
-    found = {child: Exit.CLEAN if child.alive else Exit.ALREADY_DEAD for child in children}
+    found = {child: "" if child.alive else ALREADY_DEAD for child in children}
     for child in children:
         child.interrupt()
     deadline_s = time.monotonic() + grace_s
     for child in children:
         if not child.wait(max(0.0, deadline_s - time.monotonic())):
-            found[child] = Exit.KILLED
+            found[child] = KILLED
             child.kill()
-        elif found[child] is Exit.CLEAN and child.returncode not in (0, -signal.SIGINT):
-            found[child] = Exit.FAILED
+        elif not found[child] and child.returncode not in (0, -signal.SIGINT):
+            found[child] = FAILED
     codes = {child: -signal.SIGKILL if child.returncode is None else child.returncode for child in children}
     return tuple(ExitStatus(child.name, how, codes[child]) for child, how in found.items())
 
@@ -196,22 +190,6 @@ def remove_abandoned_memory() -> None:
                 lock.unlink()
 
 
-@dataclass(frozen=True)
-class ProcessSettings:
-    """How the processes of a graph run.
-
-    server : ONE_PROCESS or THREE_PROCESSES, for the server's nodes; each camera has a process of its own.
-    domain_id : ROS_DOMAIN_ID of the graph, the environment's by default.
-    env : variables besides those of the environment; these win.
-    grace_s : how long a process may take to end after SIGINT before it is killed.
-    """
-
-    server: str = ONE_PROCESS
-    domain_id: int | None = None
-    env: Mapping[str, str] = field(default_factory=dict)
-    grace_s: float = GRACE_S
-
-
 class ProcessGroup:
     """The processes of one graph, each with one log and one parameter file in the run folder."""
 
@@ -219,13 +197,14 @@ class ProcessGroup:
         self,
         graph: Sequence[NodeSpec],
         run_folder: Path,
-        settings: ProcessSettings,
+        server: str,
+        domain_id: int | None,
         on_exit: Callable[[ProcessSpec, Child], None],
     ) -> None:
         """``on_exit`` is called, from another thread, for every process that ends by itself."""
-        self.specs = tuple(processes_of(graph, settings.server))
+        self.specs = tuple(processes_of(graph, server))
         self._labels = {node.full_name: spec.label for spec in self.specs for node in spec.nodes}
-        self._run_folder, self._settings, self._on_exit = run_folder, settings, on_exit
+        self._run_folder, self._domain_id, self._on_exit = run_folder, domain_id, on_exit
         self._children: dict[str, Child] = {}
 
     def start_all(self) -> None:
@@ -240,10 +219,10 @@ class ProcessGroup:
         save_mapping(self._path(spec, "yaml"), spec.parameter_document())
         command = [sys.executable, "-m", spec.module, "--ros-args", *spec.name_arguments]
         command += ["--params-file", str(self._path(spec, "yaml"))]
-        env = {**THREADS_ENV, **os.environ, **self._settings.env, **LOG_ENV}
+        env = {**THREADS_ENV, **os.environ, **LOG_ENV}
         env["ROS_LOG_DIR"] = str(self._run_folder / "ros_log")
-        if self._settings.domain_id is not None:
-            env["ROS_DOMAIN_ID"] = str(self._settings.domain_id)
+        if self._domain_id is not None:
+            env["ROS_DOMAIN_ID"] = str(self._domain_id)
         log = self._path(spec, "log")
         child = Child(spec.label, command, log, env, lambda child: self._on_exit(spec, child))
         self._children[spec.label] = child
@@ -251,7 +230,7 @@ class ProcessGroup:
 
     def stop(self) -> tuple[ExitStatus, ...]:
         """SIGINT to all, and after the grace period SIGKILL; returns how each process ended."""
-        return stop_children(list(self._children.values()), self._settings.grace_s)
+        return stop_children(list(self._children.values()), GRACE_S)
 
     def child_of(self, node: str) -> Child:
         """Return the process of the node with this full name, as last started."""

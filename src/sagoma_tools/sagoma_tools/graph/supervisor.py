@@ -20,15 +20,15 @@ from pathlib import Path
 from rclpy.node import Node
 
 from capture_rig.errors import InputError
-from sagoma_bringup.graph import NodeSpec, ProcessSpec, Role
+from sagoma_bringup.graph import ONE_PROCESS, NodeSpec, ProcessSpec, Role
 
 from . import ANSWER_S, LOOK_S, ROUND_S, START_TIMEOUT_S, GraphError
 from .diagnostics_table import DiagnosticsTable
-from .lifecycle_client import REACHED, LifecycleClient, Outcome, State, Verdict, groups_of, living_nodes, run_already
-from .processes import Child, ExitStatus, ProcessGroup, ProcessSettings, busy_machine, remove_abandoned_memory
+from .lifecycle_client import LifecycleClient, Outcome, State, groups_of, living_nodes, run_already
+from .processes import Child, ExitStatus, ProcessGroup, busy_machine, remove_abandoned_memory
 from .ros_link import RosLink, node_names
 
-FRESH, ACTIVE = State.UNCONFIGURED.value, State.ACTIVE.value
+RESTARTING, DEAD = "restarting", "dead"
 TRACKER = "icp_tracker"
 LIKELY = {
     signal.SIGKILL: " (by hand, or by the kernel when memory ran out: see dmesg)",
@@ -51,32 +51,34 @@ class Supervisor:
         self,
         graph: Sequence[NodeSpec],
         run_folder: str | Path,
-        settings: ProcessSettings | None = None,
+        server: str = ONE_PROCESS,
         *,
+        domain_id: int | None = None,
         cancel: threading.Event | None = None,
-        on_event: Callable[[ProcessExited | ProcessRecovered], None] = lambda event: None,
+        on_event: Callable[[ProcessEvent], None] = lambda event: None,
         restart_delay_s: float | None = None,
     ) -> None:
         """``on_event`` is called, from another thread, for every process that ends by itself or is back again.
 
         run_folder : gets one log and one parameter file a process; made when missing.
+        server : ONE_PROCESS or THREE_PROCESSES, for the server's nodes; each camera has a process of its own.
+        domain_id : ROS_DOMAIN_ID of the graph, the environment's by default.
         cancel : once set, :meth:`configure` and :meth:`activate` wait no longer (and raise GraphError).
         restart_delay_s : once the graph is active, processes that crash are started again after this and become active
             by themselves, but for cameras that read files: their place in the footage is lost. None: they stay dead.
         """
-        self.run_folder, settings = Path(run_folder), settings or ProcessSettings()
+        self.run_folder = Path(run_folder)
         self.graph = tuple(graph)
         if restart_delay_s is not None:
             self.graph = with_kept_backgrounds(self.graph, self.run_folder)
-        self.processes = ProcessGroup(self.graph, self.run_folder, settings, self._on_exit)
+        self.processes = ProcessGroup(self.graph, self.run_folder, server, domain_id, self._on_exit)
         self.exit_statuses: tuple[ExitStatus, ...] = ()
-        self.stop_outcome = Outcome(())
-        self._domain_id, self._on_event, self._restart_delay_s = settings.domain_id, on_event, restart_delay_s
+        self.stop_outcome = Outcome()
+        self._domain_id, self._on_event, self._restart_delay_s = domain_id, on_event, restart_delay_s
         self._cancel, self._halted = cancel or threading.Event(), threading.Event()
         self._running = False
         self._lock = threading.RLock()  # held while a process is started, and while states change
         self._states: dict[str, str] = {}
-        self._restarting: set[str] = set()
         self._link: RosLink | None = None
 
     def __enter__(self) -> Supervisor:
@@ -121,10 +123,9 @@ class Supervisor:
             return self.exit_statuses
         with self._lock:
             self._halted.set()
-            self._restarting.clear()
-        inactive = State.INACTIVE
         self.stop_outcome = self.suspend()
-        self.stop_outcome += self._bring(self._in(inactive, cameras_first=True), State.UNCONFIGURED, ANSWER_S)
+        cleaned = self._bring(self._in(State.INACTIVE, cameras_first=True), State.UNCONFIGURED, ANSWER_S)
+        self.stop_outcome.failures |= cleaned.failures
         self.exit_statuses = self.processes.stop()
         self._link.close()
         self._link = None
@@ -160,13 +161,12 @@ class Supervisor:
 
     def states(self) -> dict[str, str]:
         """Full node name -> lifecycle state as last acknowledged, "dead", or "restarting" after a crash."""
-        found = {}
         with self._lock:
-            for name in self.processes.pids():
-                label = self.processes.child_of(name).name
-                absence = "restarting" if label in self._restarting else "dead"
-                found[name] = self._states.get(name, FRESH) if self.processes.alive(name) else absence
-        return found
+            known = {name: self._states.get(name, State.UNCONFIGURED) for name in self.processes.pids()}
+            return {
+                name: state if state == RESTARTING or self.processes.alive(name) else DEAD
+                for name, state in known.items()
+            }
 
     def _should_wait_for(self, name: str) -> bool:
         return self.processes.alive(name) and (self._halted.is_set() or not self._cancel.is_set())
@@ -175,22 +175,23 @@ class Supervisor:
 
     def _on_exit(self, process: ProcessSpec, child: Child) -> None:
         """Report a process that has ended by itself and start it again, on the thread that watched it."""
-        exited_s, label = time.monotonic(), process.label
+        exited_s, names = time.monotonic(), [node.full_name for node in process.nodes]
         with self._lock:
-            for node in process.nodes:
-                self._states.pop(node.full_name, None)
             why_not = self._why_no_restart(process, child)
             delay_s = None if why_not else self._restart_delay_s
-            if delay_s is not None:
-                self._restarting.add(label)
-        tail = child.log_tail()
-        self._on_event(ProcessExited(process, child.pid, child.returncode, child.log, tail, delay_s, why_not))
+            self._states |= dict.fromkeys(names, DEAD if delay_s is None else RESTARTING)
+        next_step = f"no restart: {why_not}" if delay_s is None else f"restart in {delay_s:g} s"
+        text = f"{process} (pid {child.pid}) died: {reason_of(child.returncode)}; {next_step}"
+        self._on_event(ProcessEvent(process, child.pid, text, False, f"the end of {child.log}:\n{child.log_tail()}"))
         if delay_s is None or self._halted.wait(delay_s):
             return
         again = self._start_again(process)
         while again is not None and again.alive and not self._halted.wait(ROUND_S):
-            if self._is_active(process):
-                self._on_event(ProcessRecovered(process, again.pid, time.monotonic() - exited_s))
+            if set(self.lifecycle.states(names, ROUND_S).values()) == {State.ACTIVE}:
+                with self._lock:
+                    self._states |= dict.fromkeys(names, State.ACTIVE)
+                text = f"{process} active again after {time.monotonic() - exited_s:.1f} s (pid {again.pid})"
+                self._on_event(ProcessEvent(process, again.pid, text, True))
                 return
 
     def _why_no_restart(self, process: ProcessSpec, child: Child) -> str:
@@ -212,35 +213,24 @@ class Supervisor:
                     return None
                 try:
                     child = self.processes.start(restarted(process))
-                    self._restarting.discard(process.label)
+                    self._states |= {node.full_name: State.UNCONFIGURED for node in process.nodes}
                     return child
                 except (OSError, InputError):  # no memory for a process, no room for its files: perhaps later
                     pass
             self._halted.wait(self._restart_delay_s)
 
-    def _is_active(self, process: ProcessSpec) -> bool:
-        """Ask the nodes of a restarted process for their states; True when all are active."""
-        names = [node.full_name for node in process.nodes]
-        if set(self.lifecycle.states(names, ROUND_S).values()) != {ACTIVE}:
-            return False
-        with self._lock:
-            self._states |= dict.fromkeys(names, ACTIVE)
-        return True
-
     # lifecycle --------------------------------------------------------------------------------------------------------
 
     def _in(self, state: State, *, cameras_first: bool = False) -> list[list[str]]:
         """Return the nodes in ``state``: the server's and the cameras', or the other way round."""
-        return groups_of((name for name, now in self.states().items() if now == state.value), cameras_first)
+        return groups_of((name for name, now in self.states().items() if now == state), cameras_first)
 
     def _bring(
         self, groups: Sequence[Sequence[str]], goal: State, timeout_s: float | None = None, contact_s: float = ANSWER_S
     ) -> Outcome:
         outcome = self.lifecycle.bring(groups, goal, timeout_s, contact_s)
         with self._lock:
-            for answer in outcome.answers:
-                if answer.transition is not None and answer.verdict is Verdict.ACKNOWLEDGED:
-                    self._states[answer.node] = REACHED[answer.transition].value
+            self._states |= outcome.reached
         return outcome
 
     def _await_own_nodes(self) -> None:
@@ -256,7 +246,7 @@ class Supervisor:
 
     def _check(self, goal: State, outcome: Outcome, tolerate_cameras: bool) -> None:
         states = self.states()
-        failed = [spec for spec in self.graph if states[spec.full_name] != goal.value]
+        failed = [spec for spec in self.graph if states[spec.full_name] != goal]
         cameras = sum(spec.role is Role.CAMERA for spec in self.graph)
         lost = sum(spec.role is Role.CAMERA for spec in failed)
         if failed and not (tolerate_cameras and lost == len(failed) < cameras):
@@ -264,58 +254,38 @@ class Supervisor:
 
     def _failure_report(self, spec: NodeSpec, state: str, outcome: Outcome) -> str:
         child = self.processes.child_of(spec.full_name)
-        answers = [str(answer) for answer in outcome.failures if answer.node == spec.full_name]
-        if state == "dead":
-            answers = [f"{spec.full_name} has died (status {child.returncode})"]
+        what = outcome.failures.get(spec.full_name, f"{spec.full_name} is {state}")
+        if state == DEAD:
+            what = f"{spec.full_name} has died (status {child.returncode})"
         elif spec.full_name in outcome.silent and (busy := busy_machine()):
-            answers.append(busy)
+            what += f"; {busy}"
         tail = child.log_tail().replace("\n", "\n    ") or "(empty)"
-        return f"{'; '.join(answers) or f'{spec.full_name} is {state}'}; the end of {child.log.name}:\n    {tail}"
+        return f"{what}; the end of {child.log.name}:\n    {tail}"
 
 
 # processes that crash -------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class ProcessExited:
-    """The end of a process that nobody of us asked for.
+class ProcessEvent:
+    """A process that has ended though none of us asked for it, or one that is ``back``: its nodes are active again.
 
-    restart_s : it is started again after so many seconds; None: it is not, for the reason in ``why_not``.
+    text : what has happened, and what comes next. log_tail : the end of the log of one that has ended.
     """
 
     process: ProcessSpec
     pid: int
-    returncode: int | None
-    log: Path
-    log_tail: str
-    restart_s: float | None = None
-    why_not: str = ""
-
-    @property
-    def reason(self) -> str:
-        """Exit status or signal, and what it mostly means."""
-        if self.returncode is None or self.returncode >= 0:
-            return f"exit status {self.returncode}"
-        number = -self.returncode
-        known = number in set(signal.Signals)
-        name = signal.Signals(number).name if known else f"signal {number}"
-        return f"killed by {name}{LIKELY.get(signal.Signals(number), '') if known else ''}"
-
-    def __str__(self) -> str:
-        next_step = f"restart in {self.restart_s:g} s" if self.restart_s is not None else f"no restart: {self.why_not}"
-        return f"{self.process} (pid {self.pid}) died: {self.reason}; {next_step}"
+    text: str
+    back: bool
+    log_tail: str = ""
 
 
-@dataclass(frozen=True)
-class ProcessRecovered:
-    """A restarted process whose nodes are active again, ``after_s`` after it had died."""
-
-    process: ProcessSpec
-    pid: int
-    after_s: float
-
-    def __str__(self) -> str:
-        return f"{self.process} active again after {self.after_s:.1f} s (pid {self.pid})"
+def reason_of(returncode: int | None) -> str:
+    """Return exit status or signal, and what it mostly means."""
+    if returncode is None or returncode >= 0:
+        return f"exit status {returncode}"
+    known = {number.value: f"{number.name}{LIKELY.get(number, '')}" for number in signal.Signals}
+    return f"killed by {known.get(-returncode, f'signal {-returncode}')}"
 
 
 def with_kept_backgrounds(graph: Sequence[NodeSpec], folder: Path) -> tuple[NodeSpec, ...]:

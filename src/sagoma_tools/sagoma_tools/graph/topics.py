@@ -86,13 +86,13 @@ OUTPUT_TOPICS: tuple[Topic, ...] = (
     Topic("/mocap/latency", "diagnostic_msgs/msg/DiagnosticArray", repeatable=False),  # carries measured latencies
     Topic(PREDICTION_TOPIC, "sensor_msgs/msg/MultiDOFJointState"),
 )
+LATCHED_TOPICS = {topic.name for topic in OUTPUT_TOPICS if topic.latched}
 DIAGNOSTICS = Topic(DIAGNOSTICS_TOPIC, "diagnostic_msgs/msg/DiagnosticArray", repeatable=False)
 
 
 def offered_qos(name: str) -> QoSProfile:
     """Return how a player offers a topic: kept for later subscribers where its publisher keeps it."""
-    kept = {topic.name for topic in OUTPUT_TOPICS if topic.latched}
-    return LATCHED if name in kept else LOSSLESS
+    return LATCHED if name in LATCHED_TOPICS else LOSSLESS
 
 
 def camera_topics(camera: str) -> tuple[Topic, ...]:

@@ -10,7 +10,7 @@ import hashlib
 import os
 import struct
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise, zip_longest
 from pathlib import Path
@@ -308,10 +308,10 @@ def first_difference(bag_a: str | Path, bag_b: str | Path, topic: str) -> Differ
 
 def canonical_bytes(data: bytes, msgtype: str) -> bytes:
     """Return the message with zeros in its padding; unchanged when its type is unknown or it does not parse."""
-    try:
-        return bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data, msgtype), msgtype))
-    except Exception:  # of damaged bytes, whatever the parser raises
-        return data
+    for end in (len(data), len(data) - 4):  # rclpy aligns the end of a message whose last array is empty
+        with suppress(Exception):  # of damaged bytes, whatever the parser raises
+            return bytes(TYPES.serialize_cdr(TYPES.deserialize_cdr(data[:end], msgtype), msgtype))
+    return data
 
 
 def _position(index: int, a: bytes, b: bytes) -> tuple[int, int | None] | None:

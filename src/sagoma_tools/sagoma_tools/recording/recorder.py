@@ -67,7 +67,7 @@ class Recorder:
     ) -> None:
         """``on_failure`` is called once, when the disk is full or fails: by then nothing more is recorded."""
         self._node, self._canonical = node, canonical
-        self._writer = BagWriter(folder)
+        self._writer, self.folder = BagWriter(folder), Path(folder)
         self._arrived = threading.Condition()
         self._last_stamp_ns: dict[str, int] = {}
         self._publishers: dict[str, int] = {}
@@ -292,31 +292,33 @@ def matches_any(names: Iterable[str]) -> Callable[[str], bool]:
     return lambda topic: any(topic == name or topic.startswith(f"{name}/") for name in wanted)
 
 
-class AskedTopics:
-    """Finds topics in the graph as they appear; ``on_unknown(topic, type)`` is called once for each that cannot be
-    recorded, because its type is not installed here."""
+def asked_topics(
+    node: Node, wanted: Callable[[str], bool], on_unknown: Callable[[str, str], None]
+) -> Callable[[], list[Topic]]:
+    """Return a function that returns the wanted topics that have appeared in the graph since its last call.
 
-    def __init__(self, node: Node, wanted: Callable[[str], bool], on_unknown: Callable[[str, str], None]) -> None:
-        self._node, self._wanted, self._on_unknown = node, wanted, on_unknown
-        self._seen: set[str] = set()
+    ``on_unknown(topic, type)`` is called once for each that cannot be recorded: its type is not installed here.
+    """
+    seen = set[str]()
 
-    def new(self) -> list[Topic]:
-        """Return the topics that have appeared since the last call."""
+    def new() -> list[Topic]:
         found = []
-        for name, msgtype in topics_of(self._node).items():
-            if name in self._seen or not self._wanted(name):
+        for name, msgtype in topics_of(node).items():
+            if name in seen or not wanted(name):
                 continue
-            offered = [info.qos_profile for info in self._node.get_publishers_info_by_topic(in_graph(self._node, name))]
+            offered = [info.qos_profile for info in node.get_publishers_info_by_topic(in_graph(node, name))]
             if not offered:  # nobody publishes it yet, so nobody says how
                 continue
-            self._seen.add(name)
+            seen.add(name)
             if not is_known(msgtype):
-                self._on_unknown(name, msgtype)
+                on_unknown(name, msgtype)
                 continue
             kept = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
             unreliable = any(qos.reliability == ReliabilityPolicy.BEST_EFFORT for qos in offered)
             found.append(Topic(name, msgtype, repeatable=False, latched=kept, best_effort=unreliable))
         return found
+
+    return new
 
 
 def is_known(msgtype: str) -> bool:

@@ -30,7 +30,6 @@ from sagoma_ros.messages import to_stamp
 
 from ..console import doing
 from ..graph import ANSWER_S, PATIENCE_S, ROUND_S
-from ..graph.processes import ProcessSettings
 from ..graph.ros_link import RosLink, settled
 from ..graph.supervisor import Supervisor
 from ..graph.topics import (
@@ -59,31 +58,18 @@ SERVER_ALONE = "`sagoma up --rig RIG --only server`"
 CLOCK_HZ = 100.0  # latencies by a clock of steps are that coarse: 10 ms, a set at 100 Hz
 
 
-class MonotonicClock:
-    """Real time, by which a replay is timed; ``stop``, once set, wakes a waiting replay and ends it."""
-
-    def __init__(self, stop: threading.Event) -> None:
-        self._stopped = stop
-
-    def now_s(self) -> float:
-        return time.monotonic()
-
-    def sleep_until(self, deadline_s: float) -> bool:
-        """Wait; False when the replay was stopped meanwhile."""
-        return not self._stopped.wait(max(0.0, deadline_s - time.monotonic()))
+def waiting(stop: threading.Event) -> Callable[[float], bool]:
+    """Return a function that waits until so many seconds from now on have passed; False once ``stop`` is set, which
+    wakes it."""
+    began_s = time.monotonic()
+    return lambda due_s: not stop.wait(max(0.0, began_s + due_s - time.monotonic()))
 
 
-class SimulatedClock:
-    """Publishes the bag's time on /clock, ``hz`` times a second of the player's clock, for nodes with `use_sim_time`:
-    the time of recording, as ``ros2 bag play --clock`` gives it, as fast as the bag is played."""
-
-    def __init__(self, node: Node, hz: float = CLOCK_HZ) -> None:
-        self.hz = hz
-        self._publisher = node.create_publisher(ClockMessage, CLOCK_TOPIC, LOSSLESS)
-
-    def show(self, time_ns: int) -> None:
-        """Publish a time."""
-        self._publisher.publish(ClockMessage(clock=to_stamp(time_ns)))
+def simulated_clock(node: Node) -> Callable[[int], None]:
+    """Return a function that publishes a time on /clock, for nodes with `use_sim_time`, as ``ros2 bag play --clock``
+    gives that of the recording."""
+    publisher = node.create_publisher(ClockMessage, CLOCK_TOPIC, LOSSLESS)
+    return lambda time_ns: publisher.publish(ClockMessage(clock=to_stamp(time_ns)))
 
 
 class InputPublishers:
@@ -161,24 +147,26 @@ def timed_by_exposures(messages: Iterable[BagMessage], pictures: Collection[str]
 def play_timed(
     messages: Iterable[BagMessage],
     publishers: InputPublishers,
-    clock: MonotonicClock,
+    wait: Callable[[float], bool],
     rate: float = 1.0,
-    simulated: SimulatedClock | None = None,
+    show: Callable[[int], None] | None = None,
+    hz: float = CLOCK_HZ,
 ) -> int:
     """Publish each message when its log time has come, ``rate`` times as fast as recorded; returns how many.
 
-    ``simulated`` : shows the bag's time, ``hz`` times a second of the clock, from the first message to the last.
+    wait : as :func:`waiting` makes it. show : gets the bag's time, ``hz`` times a second, from the first message to the
+    last.
     """
-    count, ticks, began_s, first_ns = 0, 0, clock.now_s(), 0
+    count, ticks, first_ns = 0, 0, 0
     for message in messages:
         first_ns = first_ns or message.log_ns
-        due_s = began_s + (message.log_ns - first_ns) / 1e9 / rate
-        while simulated is not None and (ticks == 0 or began_s + ticks / simulated.hz < due_s):
-            if not clock.sleep_until(began_s + ticks / simulated.hz):
+        due_s = (message.log_ns - first_ns) / 1e9 / rate
+        while show is not None and (ticks == 0 or ticks / hz < due_s):
+            if not wait(ticks / hz):
                 return count
-            simulated.show(first_ns + round(ticks / simulated.hz * rate * 1e9))
+            show(first_ns + round(ticks / hz * rate * 1e9))
             ticks += 1
-        if not clock.sleep_until(due_s):
+        if not wait(due_s):
             break
         publishers.publish(message)
         count += 1
@@ -294,7 +282,7 @@ def replay_through_graph(
     chosen = {**LOSSLESS_SETTINGS, **measured, **(settings or {})}
     graph = build_graph(rig=rig_file, body=body, settings=chosen)
     made_from = {"replayed_from": str(Path(bag).resolve()), "mode": "lockstep"}
-    with Supervisor(graph, run_folder, ProcessSettings(server, domain_id), cancel=cancel) as supervisor:
+    with Supervisor(graph, run_folder, server, domain_id=domain_id, cancel=cancel) as supervisor:
         doing(f"starting {len(graph)} nodes")
         supervisor.configure()
         with (

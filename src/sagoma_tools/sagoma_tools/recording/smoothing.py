@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
@@ -24,7 +23,7 @@ from sagoma_ros.packets import covariance_cloud, joint_state_message, packet_clo
 from stick_figure.body import Body, parse_body
 from stick_figure.skeleton import ANGLE_NAMES, TANGENT_NAMES
 
-from ..graph.topics import OF_A_PERSON, OUTPUT_TOPICS
+from ..graph.topics import LATCHED_TOPICS, OF_A_PERSON
 from .reader import bag_persons, bag_topics, read_messages, read_provenance, rig_in
 from .writer import OFFERED, OFFERED_LATCHED, BagWriter, require_new
 
@@ -32,40 +31,23 @@ FITTED, BODY, BODIES = "/icp/reference_points", "/icp/body", "/icp/bodies"
 OF_FIRST, OF_EVERYBODY = "/mocap", "/mocap/bodies"
 SMOOTHED = ("joint_states", "torso", "joint_covariance", "joint_rotations", "reference_points")
 """What is smoothed of each person, in the order of `_messages_of`."""
-LATCHED = {topic.name for topic in OUTPUT_TOPICS if topic.latched}
 
 
-class SmoothedTake(NamedTuple):
-    """What was smoothed: frame sets with a state of each person, by number, and all sets; messages of the new bag."""
-
-    states: dict[int, int]
-    sets: int
-    counts: dict[str, int]
-
-
-@dataclass(frozen=True, eq=False)
-class FittedTake:
-    """The fits of a take. runs : of each person, by number, the runs of frame sets without a set that lacks the person;
-    frames : the name of each set's frame, by its stamp."""
-
-    runs: dict[int, list[list[Set]]] = field(default_factory=dict)
-    frames: dict[int, str] = field(default_factory=dict)
-
-
-def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None = None) -> SmoothedTake:
-    """Write ``target``: the bag with everybody's motion smoothed. InputError for a bag without fits."""
+def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None = None) -> tuple[dict[int, int], int]:
+    """Write ``target``: the bag with everybody's motion smoothed. Returns frame sets with a state of each person, by
+    number, and all sets. InputError for a bag without fits."""
     require_new(target)
-    take = read_fits(bag)
-    if not take.frames:
+    runs_of, frames = read_fits(bag)
+    if not frames:
         remedy = "Record /icp/reference_points and /icp/body: `sagoma record` does."
         raise InputError(f"holds no {FITTED}, from which a take is smoothed", where=str(bag), remedy=remedy)
-    states = {person: _states(runs, settings) for person, runs in take.runs.items()}
+    states = {person: _states(runs, settings) for person, runs in runs_of.items()}
     kinds = bag_topics(bag)
     topics = _smoothed_topics(bag, states)
     named = {topic: OF_A_PERSON[topic.rpartition("/")[2]] for topics_of in topics.values() for topic in topics_of}
     with BagWriter(target) as writer:
         for topic, kind in {**kinds, **named}.items():
-            writer.add_topic(topic, kind, OFFERED_LATCHED if topic in LATCHED else OFFERED)
+            writer.add_topic(topic, kind, OFFERED_LATCHED if topic in LATCHED_TOPICS else OFFERED)
         for message in read_messages(bag):
             if message.topic not in named:
                 writer.write(message.topic, message.log_ns, message.data)
@@ -73,15 +55,16 @@ def smooth_bag(bag: str | Path, target: str | Path, settings: EkfSettings | None
                 continue
             for person, of_person in states.items():
                 if (state := of_person.get(message.stamp_ns)) is not None:
-                    _write(writer, topics[person], message.log_ns, state, take.frames[message.stamp_ns])
+                    _write(writer, topics[person], message.log_ns, state, frames[message.stamp_ns])
         provenance = {key: value for key, value in read_provenance(bag).items() if key != "software"}
         writer.describe({**provenance, "smoothed_from": str(bag)}, rig_in(bag))
-    counts = {person: len(of_person) for person, of_person in states.items()}
-    return SmoothedTake(counts, len(take.frames), writer.counts)
+    return {person: len(of_person) for person, of_person in states.items()}, len(frames)
 
 
-def read_fits(bag: str | Path) -> FittedTake:
-    """Return everybody's fits in bag order, each with the body that was followed then. InputError for falling stamps.
+def read_fits(bag: str | Path) -> tuple[dict[int, list[list[Set]]], dict[int, str]]:
+    """Return everybody's fits in bag order, each with the body that was followed then: of each person, by number, the
+    runs of frame sets without a set that lacks the person; and the name of each set's frame, by its stamp. InputError
+    for falling stamps.
 
     A body is published with the set that it was measured or refined with, before or just after its points; the first
     one serves the sets before it as well.
@@ -95,20 +78,20 @@ def read_fits(bag: str | Path) -> FittedTake:
         others = parse_bodies(text, where) if message.topic == BODIES else {FIRST_PERSON: parse_body(text, where)}
         for person, body in others.items():
             bodies.setdefault(person, []).append((message.log_ns, body))
-    take, before = FittedTake(), dict[int, ReferencePoints]()
+    runs_of, frames, before = dict[int, list[list[Set]]](), dict[int, str](), dict[int, ReferencePoints]()
     for log_ns, cloud in clouds:
         stamp_ns = cloud.header.stamp.sec * 1_000_000_000 + cloud.header.stamp.nanosec
         people = dict(read_people_points(cloud, f"{bag}: {FITTED}").of)
-        take.frames[stamp_ns] = cloud.header.frame_id
+        frames[stamp_ns] = cloud.header.frame_id
         for person, points in people.items():
-            runs = take.runs.setdefault(person, [])
+            runs = runs_of.setdefault(person, [])
             if person not in before:
                 runs.append([])
             runs[-1].append(Set(stamp_ns, points, _body_at(log_ns, bodies.get(person, []))))
         before = people
-    for runs in take.runs.values():
+    for runs in runs_of.values():
         check_stamps([one.stamp_ns for run in runs for one in run], str(bag))
-    return take
+    return runs_of, frames
 
 
 def _body_at(log_ns: int, bodies: list[tuple[int, Body]]) -> Body | None:

@@ -140,8 +140,9 @@ class BagWriter:
             definition, _ = TYPES.generate_msgdef(msgtype, ros_version=2)
             self._add_channel(name, msgtype, definition, TYPES.hash_rihs01(msgtype), [qos])
 
-    def add_topic_like(self, connection: Connection, name: str) -> None:
+    def add_topic_like(self, connection: Connection) -> None:
         """Announce a topic as another bag has it, once: with that bag's definition of its type, hash and QoS."""
+        name = connection.topic
         offered = getattr(connection.ext, "offered_qos_profiles", ())
         if not (connection.msgdef.data and connection.digest):  # sqlite3 bags of before have none
             self.add_topic(name, connection.msgtype, *offered[:1])

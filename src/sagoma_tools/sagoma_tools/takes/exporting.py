@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import CompressedImage, Image
 
+from camera_client.camera_ros import PREVIEW_PERIOD_S
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.files import make_folder
@@ -102,8 +103,8 @@ PICTURE_SUFFIXES = ("/image_raw", "/preview/compressed")
 """Topics of a camera's pictures, the better first."""
 ROOM_GREY, BODY_GREY, SHADOW_GREY = 38, 150, 75
 HEAD = POINT_NAMES.index("head")
-HOLD_S = 0.5
-"""For so long a camera's last picture is shown: previews come five times a second."""
+HOLD_S = 2.5 * PREVIEW_PERIOD_S
+"""For so long a camera's last picture is shown: until two previews have not come."""
 
 
 def write_video(

@@ -12,6 +12,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 from operator import index
@@ -24,7 +25,7 @@ from capture_rig.errors import InputError
 from sagoma_ros.messages import values_of
 
 from ..graph import PATIENCE_S
-from ..graph.topics import DIAGNOSTICS_TOPIC, OUTPUT_TOPICS, type_of
+from ..graph.topics import DIAGNOSTICS_TOPIC, LATCHED_TOPICS, type_of
 from ..recording.reader import BagMessage, open_bag, read_messages, read_provenance, rig_in
 from ..recording.recorded_motion import STATE, kind_of
 from ..recording.recorder import has_header
@@ -36,7 +37,7 @@ TAKES = "output/takes"
 """Where takes go unless told otherwise."""
 BIN = ".bin"
 BINNED = re.compile(r"(?P<name>.+)~(?P<when>\d{8}-\d{6})(?:-(?P<number>\d+))?")
-"""A deleted take: its name, and when it was deleted; no name has a tilde."""
+"""A deleted take: its name, when it was deleted, and the nanoseconds of that; no name has a tilde."""
 SAME_DATE = "%Y%m%d-%H%M%S"
 
 
@@ -58,9 +59,13 @@ class TakesFolder:
 
     def takes(self) -> list[Take]:
         """Return all takes, the newest first; a bag that cannot be read is one that says why."""
-        paths = [path for path in self.path.iterdir() if _is_bag(path)] if self.path.is_dir() else []
-        self._seen = {path: self._seen[path] for path in paths if path in self._seen}
-        return sorted(map(self._described, paths), key=lambda take: (-take.began_ns, take.name))
+        found: dict[Path, Take] = {}
+        for path in self.path.iterdir() if self.path.is_dir() else ():
+            with suppress(OSError):  # of a folder that may not be read
+                if _is_bag(path):
+                    found[path] = self._described(path)
+        self._seen = {path: self._seen[path] for path in found}
+        return sorted(found.values(), key=lambda take: (-take.began_ns, take.name))
 
     def find(self, name: str) -> Take:
         """Return a take. Raises InputError when there is none of this name."""
@@ -94,9 +99,7 @@ class TakesFolder:
         take = self._settled(name)
         when = time.strftime(SAME_DATE)
         (self.path / BIN).mkdir(exist_ok=True)
-        ends = ("", *(f"-{number}" for number in range(1, 1000)))  # of the same name, deleted twice within a second
-        places = (self.path / BIN / f"{take.name}~{when}{end}" for end in ends)
-        path = next(place for place in places if not os.path.lexists(place))
+        path = self.path / BIN / f"{take.name}~{when}-{time.time_ns() % 1_000_000_000:09d}"
         move_new(take.path, path)
         return DeletedTake(path, take.name, when)
 
@@ -140,8 +143,8 @@ class TakesFolder:
 
 
 def describe(path: Path) -> Take:
-    """Return what is known of a bag, by its index, provenance and summary; never raises, whatever is in the folder."""
-    take = Take(path, bytes=_size(path))
+    """Return what is known of a bag by its index, provenance and summary, whatever it holds; raises OSError alone."""
+    take = Take(path, bytes=sum(file.stat().st_size for file in path.glob("*") if file.is_file()))
     if path.is_dir() and not (path / "metadata.yaml").exists():
         what = "has no index: it is being recorded, or its recorder was killed"
         problem = InputError(what, where=str(path), remedy=f"Once nobody records it: `sagoma recover '{path}'`.")
@@ -162,12 +165,10 @@ def describe(path: Path) -> Take:
             trimmed_from=trimmed if isinstance(trimmed, dict) else None,
             summary=read_summary(path),
         )
-    except InputError as error:
-        return replace(take, state=TakeState.DAMAGED, problem=str(error))
     except Exception as error:  # a broken file may break its reader in any way, and one take must not hide the others
         what = f"cannot be read ({type(error).__name__}: {error})"
-        problem = InputError(what, where=str(path), remedy="Bring it back from a copy, or delete it.")
-        return replace(take, state=TakeState.DAMAGED, problem=str(problem))
+        other = InputError(what, where=str(path), remedy="Bring it back from a copy, or delete it.")
+        return replace(take, state=TakeState.DAMAGED, problem=str(error if isinstance(error, InputError) else other))
 
 
 def move_new(source: Path, target: Path) -> None:
@@ -186,42 +187,27 @@ def remove_folder(path: Path) -> None:
 
 
 def _is_bag(path: Path) -> bool:
-    try:
-        return (
-            path.is_dir()
-            and not path.name.startswith(".")
-            and ((path / "metadata.yaml").exists() or any(path.glob("*.mcap")))
-        )
-    except OSError:  # of a folder that may not be read
+    if path.name.startswith(".") or not path.is_dir():
         return False
+    return (path / "metadata.yaml").exists() or any(path.glob("*.mcap"))
 
 
 def _signature(path: Path) -> tuple:
     """What changes whenever a take does: its files' sizes and times."""
     names = ("metadata.yaml", SIDECAR_TAKE, "sagoma.yaml")
-    try:
-        files = [*(path / name for name in names if (path / name).exists()), *path.glob("*.mcap"), *path.glob("*.db3")]
-        return tuple((file.name, file.stat().st_mtime_ns, file.stat().st_size) for file in files)
-    except OSError:
-        return (time.monotonic(),)
+    files = [*(path / name for name in names if (path / name).exists()), *path.glob("*.mcap"), *path.glob("*.db3")]
+    return tuple((file.name, file.stat().st_mtime_ns, file.stat().st_size) for file in files)
 
 
 def _newest_change_ns(path: Path) -> int:
     return max((ns for _, ns, _ in _signature(path)), default=0)
 
 
-def _size(path: Path) -> int:
-    try:
-        return sum(file.stat().st_size for file in path.glob("*") if file.is_file())
-    except OSError:
-        return 0
-
-
 # a part as a new take -------------------------------------------------------------------------------------------------
 
 
 OF_A_CAMERA = re.compile(r"^/[^/]+/(silhouette/compressed|camera_info|preview/compressed|image_raw)$")
-LATCHED = {topic.name for topic in OUTPUT_TOPICS if topic.latched} | {"/tf_static", "/robot_description"}
+LATCHED = LATCHED_TOPICS | {"/tf_static", "/robot_description"}
 
 
 def trim(
@@ -274,7 +260,7 @@ def _copy(bag: Path, writer: BagWriter, begins_ns: int, ends_ns: int, progress: 
     first_ns, last_ns = min(logged), max(logged)
     with open_bag(bag) as reader:
         for connection in reader.connections:
-            writer.add_topic_like(connection, connection.topic)
+            writer.add_topic_like(connection)
     before = {m.topic: m for m in read_messages(bag, LATCHED.__contains__) if m.log_ns < first_ns}
     for message in before.values():
         writer.write(message.topic, first_ns, message.data)

@@ -27,7 +27,7 @@ from ..takes.folder import TakesFolder, trim
 from ..takes.measure import finish_take
 from ..takes.take import MIB
 
-BUSY = "still busy with: {}"
+BUSY, RECORDING = "still busy with: {}", "recording {}"
 Tell = Callable[[str], None]
 Work = Callable[[Tell], str]
 Deliver = Callable[[str, bytes], None]
@@ -81,16 +81,7 @@ class Jobs:
 Button = viser.GuiButtonHandle | viser.GuiButtonGroupHandle
 
 
-def on_click(button: Button, act: Callable[[], object]) -> None:
-    """Do this when somebody presses the button."""
-
-    def clicked(event: viser.GuiEvent) -> None:
-        act()
-
-    button.on_click(clicked)
-
-
-def on_click_deliver(button: Button, act: Callable[[Deliver], object]) -> None:
+def on_click(button: Button, act: Callable[[Deliver], object]) -> None:
     """Do this when somebody presses the button; it is given a function that sends a file to that browser."""
 
     def clicked(event: viser.GuiEvent) -> None:
@@ -114,12 +105,11 @@ class Control:
         self._link, self._diagnostics, self._takes, self._jobs = link, diagnostics, takes, jobs
         self._lifecycle = LifecycleClient(link.node)
         self._recorder: Recorder | None = None
-        self._recording_to: Path | None = None
 
     @property
     def recording(self) -> str:
         """The name of the take being recorded, empty while there is none."""
-        return self._recording_to.name if self._recording_to is not None else ""
+        return self._recorder.folder.name if self._recorder is not None else ""
 
     def close(self) -> None:
         """Finish a recording under way."""
@@ -135,8 +125,7 @@ class Control:
         if not names:
             return "no nodes of ours are in the graph: start them with `sagoma up` or their launch file"
         outcome = self._lifecycle.bring(groups_of(names, cameras_first), goal)
-        failures = "; ".join(map(str, outcome.failures))
-        return failures or f"{len(names)} nodes are {goal.value}"
+        return "; ".join(outcome.failures.values()) or f"{len(names)} nodes are {goal}"
 
     def reset(self, tell: Tell) -> str:
         """Forget all persons, and look for them anew."""
@@ -183,24 +172,18 @@ class Control:
             on_failure=lambda error: self._jobs.report(f"{error} The capture goes on."),
         )
         self._recorder.follow()
-        self._recording_to = folder
-        return recording_text(folder.name)
+        return RECORDING.format(folder.name)
 
     def stop_recording(self, tell: Tell) -> str:
         """Finish the take."""
-        if self._recorder is None or self._recording_to is None:
+        recorder = self._recorder
+        if recorder is None:
             return "nothing is being recorded"
-        counts = self._recorder.close_with_graph()
-        folder, failure = self._recording_to, self._recorder.failure
-        self._recorder, self._recording_to = None, None
-        finish_take(folder)
-        early = f"; {failure}" if failure is not None else ""
-        return f"recorded {folder.name}: {sum(counts.values())} messages{early}"
-
-
-def recording_text(name: str) -> str:
-    """Say what is being recorded."""
-    return f"recording {name}"
+        counts = recorder.close_with_graph()
+        self._recorder = None
+        finish_take(recorder.folder)
+        early = f"; {recorder.failure}" if recorder.failure is not None else ""
+        return f"recorded {recorder.folder.name}: {sum(counts.values())} messages{early}"
 
 
 # takes ----------------------------------------------------------------------------------------------------------------

@@ -48,16 +48,10 @@ class LiveGraph:
         self._cameras: dict[str, str] = {}
         self._pictures: dict[str, viser.GuiImageHandle] = {}
 
-    @property
-    def watched(self) -> frozenset[str]:
-        """The topics subscribed to."""
-        return self._feed.watched
-
     def watch_nothing(self) -> None:
         """Leave all topics."""
-        if self._feed.watched:
-            self._feed.watch(())
-            self._figures.clear()
+        self._feed.watch(())
+        self._figures.clear()
         self._looked_s = -ROUND_S
 
     def watch(self, *, voxels: bool, pictures: bool) -> None:
@@ -165,11 +159,6 @@ class Feed:
                     self._kinds[name], in_graph(self._node, name), keep, NEWEST, raw=True
                 )
 
-    @property
-    def watched(self) -> frozenset[str]:
-        """The topics that are subscribed to."""
-        return frozenset(self._subscriptions)
-
     def pop_newest(self, name: str) -> Any | None:
         """Return the newest message of a topic, once; None while there is no newer one."""
         with self._lock:
@@ -190,30 +179,20 @@ RECORD, FINISH, RESET, LEARN, CANCEL = "record", "finish recording", "reset", "l
 
 
 class GraphPanel:
-    """The tabs "Live" and "Cameras"."""
+    """The tabs "Live" and "Cameras"; their checkboxes ``voxels`` and ``pictures`` say whether these are wanted."""
 
     def __init__(self, gui: viser.GuiApi, tabs: viser.GuiTabGroupHandle, live: LiveGraph, control: Control, jobs: Jobs):
         self._gui, self._live = gui, live
         with tabs.add_tab("Live"):
             _recording_controls(gui, control, jobs)
             _graph_buttons(gui, control, jobs)
-            self._voxels = gui.add_checkbox("hull voxels", False)
+            self.voxels = gui.add_checkbox("hull voxels", False)
             self._states = gui.add_html("")  # below: its length changes, and buttons must not move under the mouse
         with tabs.add_tab("Cameras"):
-            self._pictures = gui.add_checkbox(
+            self.pictures = gui.add_checkbox(
                 "pictures", False, hint="what each camera sees with its silhouette's outline, a few times a second"
             )
             self._picture_folder = gui.add_folder(None)
-
-    @property
-    def voxels(self) -> bool:
-        """Are the hull's voxels wanted?"""
-        return self._voxels.value
-
-    @property
-    def pictures(self) -> bool:
-        """Are the cameras' pictures wanted?"""
-        return self._pictures.value
 
     def show_states(self) -> dict[str, str]:
         """Say how every node is; returns the cameras in trouble, and what it is."""
@@ -229,7 +208,7 @@ class GraphPanel:
 
     def show_pictures(self) -> None:
         """Draw the cameras' newest pictures."""
-        if self.pictures:
+        if self.pictures.value:
             self._live.draw_pictures(self._gui, self._picture_folder)
 
 
@@ -242,16 +221,16 @@ def _graph_buttons(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
         "stop": ("stopping", partial(control.bring, State.UNCONFIGURED, True)),
     }
     nodes = gui.add_button_group("nodes", tuple(transitions))
-    on_click(nodes, lambda: jobs.request(*transitions[nodes.value]))
+    on_click(nodes, lambda send: jobs.request(*transitions[nodes.value]))
     people = gui.add_button_group("persons", (RESET,), hint="forget everybody, and look anew")
-    on_click(people, lambda: jobs.request("resetting", control.reset))
+    on_click(people, lambda send: jobs.request("resetting", control.reset))
     seconds = gui.add_number("countdown, s", COUNTDOWN_S, min=0, max=120, step=1)
     background = gui.add_button_group("background", (LEARN, CANCEL))
     acts: dict[str, Callable[[], object]] = {
         LEARN: lambda: jobs.request("learning", partial(control.learn_background, int(seconds.value))),
         CANCEL: jobs.cancelled.set,
     }
-    on_click(background, lambda: acts[background.value]())
+    on_click(background, lambda send: acts[background.value]())
 
 
 def _recording_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None:
@@ -262,7 +241,7 @@ def _recording_controls(gui: viser.GuiApi, control: Control, jobs: Jobs) -> None
         RECORD: lambda: jobs.request("recording", partial(control.start_recording, name.value)),
         FINISH: lambda: jobs.request("finishing", control.stop_recording),
     }
-    on_click(recording, lambda: acts[recording.value]())
+    on_click(recording, lambda send: acts[recording.value]())
 
 
 # states as HTML -------------------------------------------------------------------------------------------------------

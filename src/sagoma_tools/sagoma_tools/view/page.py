@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
@@ -12,13 +11,11 @@ from capture_rig.errors import InputError
 from capture_rig.rig import Rig
 
 from ..takes.folder import TakesFolder, describe
-from .control import Control, Jobs, TakeActions, recording_text
+from .control import RECORDING, Control, Jobs, TakeActions
 from .graph_panel import GraphPanel, LiveGraph
-from .guard import Guard
-from .playback import Playback
-from .scene import Figure, RoomScene, Viewpoint
-from .server import guarded_server
-from .takes_panel import PLAY, TakesPanel
+from .scene import RoomScene
+from .server import Guard, guarded_server
+from .takes_panel import PLAY, Playback, TakesPanel
 
 STATES, PICTURES, TAKES = "states", "pictures", "takes"
 EVERY_S = {STATES: 0.5, PICTURES: 0.25, TAKES: 2.0}
@@ -49,12 +46,10 @@ class Page:
         gui.main_panel.dock_right()  # the scene beside it, not under it
         gui.set_panel_label("sagoma")
         self._takes, self._live, self._control, self._jobs = takes, live, control, jobs or Jobs()
-        self._scene = RoomScene(self.server.scene)
-        self._view, self._rig = Viewpoint(self.server), rig
-        self._show_rig(rig)
+        self._scene, self._rig = RoomScene(self.server), rig
+        self._scene.show_rig(rig)
         self._playback: Playback | None = None
         self._watched, self._ended = threading.Event(), threading.Event()
-        self.frames = 0  # drawn since the start
         self._said = gui.add_html("")
         tabs = gui.add_tab_group()
         self._graph = GraphPanel(gui, tabs, live, control, self._jobs) if live and control else None
@@ -93,7 +88,7 @@ class Page:
         """Go back to the live graph."""
         self._playback = None
         self._scene.show({})
-        self._show_rig(self._rig)
+        self._scene.show_rig(self._rig)
         self._take_panel.show_playback(None)
         self._jobs.report("")
 
@@ -107,17 +102,9 @@ class Page:
         self.server.stop()
 
     def _show(self, playback: Playback) -> None:
-        self._show_rig(playback.rig)
+        self._scene.show_rig(playback.rig)
         self._take_panel.show_playback(playback)
         self._playback = playback
-
-    def _show_rig(self, rig: Rig | None) -> None:
-        self._scene.show_rig(rig)
-        self._view.show_rig(rig)
-
-    def _show_people(self, figures: Mapping[str, Figure]) -> None:
-        self._scene.show(figures)
-        self._view.show_people(figures)
 
     def _draw(self) -> None:
         next_at = dict.fromkeys(EVERY_S, 0.0)
@@ -137,7 +124,6 @@ class Page:
                     self._draw_frame(now, next_at)
             except Exception as error:  # a message that cannot be read, a take that vanished: the page goes on
                 self._jobs.report(f"the page could not be drawn: {error}")
-            self.frames += 1
             self._ended.wait(max(0.0, 1.0 / 30.0 - (time.monotonic() - now)))
 
     def _draw_frame(self, now_s: float, next_at: dict[str, float]) -> None:
@@ -158,27 +144,28 @@ class Page:
         if playback is not None:
             there = playback.new_figures_at(now_s)
             if there is not None:
-                self._show_people(there)
+                self._scene.show(there)
             self._scene.show_voxels(None)
             self._take_panel.show_progress(playback)
             return
         if self._live is None or self._graph is None:
             return
-        self._live.watch(voxels=self._graph.voxels, pictures=self._graph.pictures)
+        voxels = self._graph.voxels.value
+        self._live.watch(voxels=voxels, pictures=self._graph.pictures.value)
         figures = self._live.new_figures()
         if figures is not None:
-            self._show_people(figures)
-        if not self._graph.voxels:
+            self._scene.show(figures)
+        if not voxels:
             self._scene.show_voxels(None)
         elif (points := self._live.new_voxels()) is not None:
             self._scene.show_voxels(points)
 
     def _draw_states(self) -> None:
         """Say what the last request came to, and how every node is."""
-        recording = self._control.recording if self._control is not None else ""
-        said = f'<b style="color: #e5484d">&#9679; {escape(recording_text(recording))}</b><br>' if recording else ""
-        last = self._jobs.said
-        said += escape(last) if last != recording_text(recording) else ""
+        name = self._control.recording if self._control is not None else ""
+        recording, last = RECORDING.format(name), self._jobs.said
+        said = f'<b style="color: #e5484d">&#9679; {escape(recording)}</b><br>' if name else ""
+        said += escape(last) if last != recording else ""
         content = (
             f'<div style="font-size: 14px; min-height: 1.4em; overflow-wrap: anywhere; padding: 0 10px">{said}</div>'
         )

@@ -27,10 +27,11 @@ SUN = (2.0, -1.0, 4.0)
 
 
 class RoomScene:
-    """Draws into a viser scene; everything is sent once and then moved."""
+    """Draws into a server's scene; everything is sent once and then moved."""
 
-    def __init__(self, scene: viser.SceneApi) -> None:
-        self._scene = scene
+    def __init__(self, server: viser.ViserServer) -> None:
+        scene = self._scene = server.scene
+        self._view = Viewpoint(server)
         self._people: dict[str, DrawnPerson] = {}
         self._cameras: dict[str, tuple[viser.CameraFrustumHandle, viser.LabelHandle]] = {}
         self._voxels: viser.PointCloudHandle | None = None
@@ -42,7 +43,8 @@ class RoomScene:
         scene.add_line_segments("/floor", floor_lines(), FLOOR_COLOUR, thickness=1.0, thickness_units="screen")
 
     def show_rig(self, rig: Rig | None) -> None:
-        """Draw every camera as its view's pyramid, with its name; without a rig none."""
+        """Draw every camera as its view's pyramid, with its name; without a rig none. Views look at the rig."""
+        self._view.show_rig(rig)
         for nodes in self._cameras.values():
             for node in nodes:
                 node.remove()
@@ -76,7 +78,8 @@ class RoomScene:
                 frustum.color = LOST_COLOUR if name in troubles else CAMERA_COLOUR
 
     def show(self, figures: Mapping[str, Figure]) -> None:
-        """Draw these persons, by id, and nobody else."""
+        """Draw these persons, by id, and nobody else; views look at them once somebody is tracked."""
+        self._view.show_people(figures)
         for body_id in [body_id for body_id in self._people if body_id not in figures]:
             self._people.pop(body_id).remove()
         for body_id, figure in figures.items():
