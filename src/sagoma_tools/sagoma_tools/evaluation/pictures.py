@@ -18,11 +18,10 @@ from matplotlib.figure import Figure
 from capture_rig.camera import CameraModel
 from capture_rig.session import Truth
 from capture_rig.video import Video
-from stick_figure import metrics
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
 from ..overlays import MAX_WIDTH_PX, VideoFile, Window, captioned, montage, overlay, tiling
-from .scores import Scores, angle_truth, defined
+from .scores import LARGE_ERROR_MM, Scores, angle_truth, defined
 from .track_evaluation import TRACKING, TrackEvaluation
 
 STILLS = 3
@@ -196,7 +195,7 @@ def _angle_page(evaluated: TrackEvaluation, curves: Sequence[Curve], page: str, 
             sure = np.where(defined(angles)[:, slot], degrees, np.nan)
             axis.plot(seconds, sure, color=colour, linewidth=width, label=label)
         if evaluated.scores is not None:
-            title += f": RMSE {evaluated.scores.angle_rmse_deg[slot]:.1f} deg"
+            title += f": RMSE {np.rad2deg(evaluated.scores.angles.rmse_rad[slot]):.1f} deg"
         axis.set_title(title, fontsize=10)
     _finish(figure, evaluated, page.replace("_", ", "), "angle [deg], dotted where the pose does not determine it")
     return figure
@@ -222,9 +221,9 @@ def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
                 seconds, evaluated.thesis.errors_mm[:, point], color=THESIS, linewidth=0.8, alpha=0.7, label=label
             )
         axis.plot(seconds, scores.errors_mm[:, point], color=OURS, linewidth=1.3, label="ours")
-        axis.axhline(1e3 * metrics.LARGE_ERROR_M, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
+        axis.axhline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
         _shade_unsure(axis, evaluated)
-        axis.set_title(f"{_name(point)}: mean {scores.point_mm[point]:.0f} mm", fontsize=10)
+        axis.set_title(f"{_name(point)}: mean {scores.points.mean_mm[point]:.0f} mm", fontsize=10)
     top = np.nanpercentile(scores.errors_mm, 99.5)
     axes.flat[0].set_ylim(0.0, max(220.0, 1.1 * top))
     _finish(figure, evaluated, "point errors", "error [mm]")
@@ -250,17 +249,24 @@ def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     for label, found, colour in methods:
         errors = np.sort(found.errors_mm[np.isfinite(found.errors_mm)])
         share = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
-        curve.plot(errors, share, color=colour, linewidth=2, label=f"{label}: median {found.median_mm:.0f} mm")
-    curve.axvline(1e3 * metrics.LARGE_ERROR_M, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
+        curve.plot(
+            errors, share, color=colour, linewidth=2, label=f"{label}: median {found.all_points.median_mm:.0f} mm"
+        )
+    curve.axvline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
     widest = max(np.nanpercentile(found.errors_mm, 98) for _, found, _ in methods)
     curve.set(xlim=(0.0, max(220.0, widest)), ylim=(0, 100), xlabel="error [mm]", ylabel="errors below [%]")
     places = np.arange(len(POINT_ORDER))[::-1]
     order = list(POINT_ORDER)
-    bars.barh(places, scores.point_mm[order], color=OURS, label="ours: mean")
-    bars.plot(scores.point_p95_mm[order], places, "|", color=OURS, markersize=11, label="ours: 95 %")
+    bars.barh(places, scores.points.mean_mm[order], color=OURS, label="ours: mean")
+    bars.plot(scores.points.p95_mm[order], places, "|", color=OURS, markersize=11, label="ours: 95 %")
     if evaluated.thesis is not None:
         bars.plot(
-            evaluated.thesis.point_mm[order], places, "D", color=THESIS, markersize=5, label="thesis's method: mean"
+            evaluated.thesis.points.mean_mm[order],
+            places,
+            "D",
+            color=THESIS,
+            markersize=5,
+            label="thesis's method: mean",
         )
     bars.set_yticks(places, [_name(point) for point in order])
     bars.set_xlabel("error [mm]")
