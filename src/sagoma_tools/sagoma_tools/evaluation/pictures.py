@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 
 from capture_rig.camera import CameraModel
 from capture_rig.session import Truth
-from capture_rig.video import Video
+from capture_rig.video import Video, VideoFile
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
-from ..overlays import MAX_WIDTH_PX, VideoFile, Window, captioned, montage, overlay, tiling
+from ..overlays import MAX_WIDTH_PX, Window, captioned, montage, overlay, tiling
 from .scores import LARGE_ERROR_MM, Scores, angle_truth, defined
 from .track_evaluation import TRACKING, TrackEvaluation
 

@@ -245,7 +245,7 @@ class Scores:
             "frames": self.frames,
             "tracked": self.tracked,
             **{name: number(value) for name, value in self.overall.items()},
-            "nees": number(self.all_points.nees),
+            "nees": number(float(self.all_points.nees)),
             "point_mm": _named(POINT_NAMES, points.mean_mm, 1),
             "point_offset_mm": dict(zip(POINT_NAMES, self.point_offset_mm.round(1).tolist(), strict=True)),
             "point_rmse_mm": _named(POINT_NAMES, points.rmse_mm, 1),
@@ -269,8 +269,8 @@ def score(track: Track, truth: Truth) -> Scores:
     offsets = metrics.joint_offsets(estimate[tracked], reference[tracked])
     centred = np.full_like(errors, np.nan)
     centred[tracked] = metrics.without_offsets(estimate[tracked], reference[tracked]) - reference[tracked]
-    measured = errors_mm, 1e3 * np.linalg.norm(centred, axis=2)
-    measured += nees_of(errors, aligned.covariance), nees_of(centred, aligned.covariance)
+    nees, nees_centred = nees_of(errors, aligned.covariance), nees_of(centred, aligned.covariance)
+    measured = errors_mm, 1e3 * np.linalg.norm(centred, axis=2), nees, nees_centred
     points, together = PointScores.of(*measured), PointScores.of(*(values.reshape(-1, 1) for values in measured))
     of_all = {name: values[0] for name, values in vars(together).items()}
     worst_mm = np.nan_to_num(errors_mm).max(axis=1)[np.isfinite(errors_mm).any(axis=1)]

@@ -42,7 +42,7 @@ def print_scores(console: Console, scores: Scores) -> None:
     console.print(
         f"{scores.tracked} of {scores.frames} frames tracked; mean error {of_all.mean_mm:.1f} mm, median "
         f"{of_all.median_mm:.1f}, 95 % below {of_all.p95_mm:.0f}; {of_all.mean_mm_without_offset:.1f} mm without "
-        f"constant offsets; {_percent(of_all.over_200mm)} of the frames have a point over 200 mm"
+        f"constant offsets; {100 * of_all.over_200mm:.1f} % of the frames have a point over 200 mm"
     )
     console.print(
         f"covariance: {100 * of_all.inside_95:.0f} % of the errors inside their 95 % ellipsoid, "

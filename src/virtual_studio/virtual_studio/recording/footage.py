@@ -22,6 +22,7 @@ from capture_rig.camera import CameraModel
 from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, save_rig
 from capture_rig.rigid import rotation_vector, transform
+from capture_rig.video import VideoFile
 from capture_rig.yaml_file import read_mapping, save_mapping
 from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
 from stick_figure.body import Body
@@ -30,7 +31,7 @@ from ..boards import Array, BoardPrint, carry, hands, on_floor, person_with, pri
 from ..people import REFERENCE_STATURE_M, VolumetricBody
 from ..rendering.board_camera import FilmingCamera
 from ..rendering.camera import Sensor
-from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, is_own, write_session
+from .session import FOOTAGE, MADE_BY, RenderSettings, is_own, write_session
 
 DESCRIPTION = "setup.yaml"
 INTRINSICS, FLOOR, MOVING = "intrinsics", "floor", "moving"
@@ -200,7 +201,7 @@ def _film_carried(
 def _videos(folder: Path, cameras: Sequence[FilmingCamera], fps: float) -> Iterator[list[VideoFile]]:
     folder.mkdir(exist_ok=True)
     with ExitStack() as stack:
-        yield [stack.enter_context(VideoFile(folder, c.camera, FOOTAGE, fps)) for c in cameras]
+        yield [stack.enter_context(VideoFile(folder / f"{c.camera.name}{FOOTAGE}", fps)) for c in cameras]
 
 
 def _save_board(board: Board, path: Path) -> None:

@@ -14,16 +14,14 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, save_rig
 from capture_rig.rigid import rotation_vector
 from capture_rig.session import write_table
+from capture_rig.video import VideoFile
 from capture_rig.yaml_file import read_mapping, save_mapping
 from stick_figure.body import Body, save_body
 from stick_figure.kinematics import forward
@@ -36,10 +34,8 @@ from ..rendering.camera import Light, Sensor, VirtualCamera
 from ..rendering.capsules import floor_shadow
 
 MADE_BY = "virtual_studio"
-FOOTAGE = ("mp4v", ".mp4")
-"""Codec and suffix of footage: MPEG-4 part 2, which every OpenCV wheel can write (H.264 is not in them)."""
-LOSSLESS = ("FFV1", ".mkv")
-"""Codec and suffix of exact silhouettes, under 1 KB each (OpenCV 4.8 refuses FFV1 in mp4)."""
+FOOTAGE, LOSSLESS = ".mp4", ".mkv"
+"""Suffixes of footage, and of exact silhouettes, under 1 KB each."""
 BACKGROUND_S = 1.5
 FIRST_BACKGROUND_FRAME = 1_000_000
 """Number of the first background frame as the sensor counts, so that no noise repeats in the footage."""
@@ -201,8 +197,8 @@ def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSetti
         footage, masks = [], []
         for number, camera in enumerate(empty):
             _film_empty_room(folder, number, camera, motion.fps, sensor)
-            footage.append(stack.enter_context(VideoFile(folder, camera.camera, FOOTAGE, motion.fps)))
-            masks.append(stack.enter_context(VideoFile(folder, camera.camera, LOSSLESS, motion.fps, "_mask")))
+            footage.append(stack.enter_context(VideoFile(folder / f"{camera.camera.name}{FOOTAGE}", motion.fps)))
+            masks.append(stack.enter_context(VideoFile(folder / f"{camera.camera.name}_mask{LOSSLESS}", motion.fps)))
 
         def shoot(number: int, frame: int, capsules: Capsules, shadow: Light | None) -> None:
             cameras = later[0] if later and things and frame >= things.taken else empty
@@ -221,7 +217,7 @@ def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSetti
 
 
 def _film_empty_room(folder: Path, number: int, camera: VirtualCamera, fps: float, sensor: Sensor) -> None:
-    with VideoFile(folder, camera.camera, FOOTAGE, fps, "_background") as video:
+    with VideoFile(folder / f"{camera.camera.name}_background{FOOTAGE}", fps) as video:
         for frame in range(max(round(BACKGROUND_S * fps), 1)):
             video.write(sensor.expose(camera.empty_room(), number, FIRST_BACKGROUND_FRAME + frame))
 
@@ -244,33 +240,3 @@ def is_own(folder: Path, description: str = "session.yaml") -> bool:
         return read_mapping(folder / description, "").get("made_by") == MADE_BY
     except InputError:
         return False
-
-
-class VideoFile:
-    """Writes a camera's grey video, NAME + tail + the kind's suffix; use it as a context manager.
-
-    OpenCV's own FFmpeg writes it on every supported platform, without an ffmpeg binary.
-    Raises InputError when it cannot be opened.
-    """
-
-    def __init__(self, folder: Path, camera: CameraModel, kind: tuple[str, str], fps: float, tail: str = "") -> None:
-        codec, suffix = kind
-        path, size = folder / f"{camera.name}{tail}{suffix}", (camera.width, camera.height)
-        fourcc = cv2.VideoWriter.fourcc(*codec)
-        self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), size, False)
-        if not self._writer.isOpened():
-            raise InputError(
-                f"a video with codec {codec} cannot be written",
-                where=str(path),
-                remedy="Install an OpenCV with FFmpeg (pip install opencv-python-headless).",
-            )
-
-    def write(self, image: NDArray[np.uint8]) -> None:
-        """Appends one image (h, w) uint8."""
-        self._writer.write(image)
-
-    def __enter__(self) -> VideoFile:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self._writer.release()
