@@ -35,7 +35,7 @@ MARGIN = 0.6
 """White around the fields, in fields."""
 TEXELS_PER_M = 1000.0
 """One a millimetre: edges of fields that measure whole millimetres lie between texels, which need no blending then."""
-FINE_TEXELS_PER_M = 3000.0
+FINE_TEXELS_PER_M = 3 * TEXELS_PER_M
 """For markers, whose cells are small."""
 
 
@@ -70,12 +70,6 @@ class BoardPrint:
         return np.column_stack([places[:, :2], np.zeros(4)])
 
     @cached_property
-    def share_of_fields(self) -> Array:
-        """(3,) of the sheet's width and height that its fields take; the rest is margin."""
-        size = self.sheet_board.max(0) - self.sheet_board.min(0)
-        return np.append(np.array(print_size_m(self.board)) / size[:2], 1.0)
-
-    @cached_property
     def middle_board(self) -> Array:
         """(3,) the middle of the corners, board frame, m."""
         return self.board.corners_board.mean(axis=0)
@@ -102,14 +96,10 @@ class PosedBoard:
     T_world_board: Array
 
     @property
-    def middle(self) -> Array:
-        """(4, 4) the pose in the middle of the exposure."""
-        return self.T_world_board[len(self.T_world_board) // 2]
-
-    @property
     def corners_world(self) -> Array:
         """(n, 3) the inner corners, m, in the middle of the exposure."""
-        return self.print.board.corners_board @ self.middle[:3, :3].T + self.middle[:3, 3]
+        middle = self.T_world_board[len(self.T_world_board) // 2]
+        return self.print.board.corners_board @ middle[:3, :3].T + middle[:3, 3]
 
 
 # --- How hands move them, and the hands, or the person, that hold them.
@@ -151,7 +141,6 @@ TURNS = 2.5
 UPRIGHT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """R_world_board of a board that stands upright and faces the world's x axis."""
 
-INWARD_STEPS = 101  # from a pixel of a folded corner to the middle: four pixels each at most
 GRIP_M, THUMB_RADIUS_M = 0.012, 0.009
 """How far a thumb reaches over the sheet's edge, and how thick it is."""
 ARM_BEHIND_M = 0.45
@@ -161,12 +150,8 @@ ANKLES = [13, 14]
 MIRROR_Y = np.array([1.0, -1.0, 1.0])
 
 
-@dataclass(frozen=True, eq=False)
-class Waypoint:
-    """A pose ``T`` (4, 4) in which a board rests for REST_S, after ``travel_s`` on the way there."""
-
-    T: Array
-    travel_s: float
+Waypoint = tuple[Array, float]
+"""A pose (4, 4) in which a board rests for REST_S, and how long it takes on the way there, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,18 +171,18 @@ def wave(camera: CameraModel, board: BoardPrint, seed: int, brief: bool = False)
     """
     rng = np.random.default_rng(seed)
     size = float(np.linalg.norm(board.sheet_board[1] - board.sheet_board[0]) / BOARD_M)
-    away = Waypoint(board.centred(transform(FACING, size * np.array(AWAY))), TRAVEL_S)
-    waypoints = [away]
+    away = board.centred(transform(FACING, size * np.array(AWAY))), TRAVEL_S
+    waypoints: list[Waypoint] = [away]
     for distance_m, views in (BRIEF if brief else FULL).items():
         for view in views:
             T = _in_view(camera, board, size * distance_m, view, rng)
-            waypoints.append(Waypoint(T, TRAVEL_S * rng.uniform(0.8, 1.2)))
-    outside = _in_view(camera, board, size * MIDDLE_M, OUTSIDE, rng, reach=1.6)
-    waypoints = [*waypoints[:-1], Waypoint(outside, TRAVEL_S), waypoints[-1], away]
+            waypoints.append((T, TRAVEL_S * rng.uniform(0.8, 1.2)))
+    outside = _in_view(camera, board, size * MIDDLE_M, OUTSIDE, rng, reach=1.6), TRAVEL_S
+    waypoints = [*waypoints[:-1], outside, waypoints[-1], away]
     T_world_camera = np.linalg.inv(camera.T_camera_world)
     in_camera = with_tremor(along(waypoints), seed)
-    rest_ends = _rest_ends(waypoints)
-    return Wave(lambda t: T_world_camera @ in_camera(t), float(rest_ends[-1]), (rest_ends - REST_S / 2)[1:-1])
+    rests_s = _arrivals_s(waypoints) + REST_S / 2
+    return Wave(lambda t: T_world_camera @ in_camera(t), float(rests_s[-1] + REST_S / 2), rests_s[1:-1])
 
 
 def on_floor(
@@ -233,9 +218,8 @@ def carry(board: BoardPrint, seconds: float, seed: int) -> PosePath:
 
 def hands(board: BoardPrint, T_world_board: Array) -> Capsules:
     """Places two thumbs on a sheet's sides, GRIP_M over its edge, and the forearms behind it."""
-    left, right = _grips(board)
     starts, ends = [], []
-    for place, out in ((left, -1.0), (right, 1.0)):
+    for place, out in zip(_grips(board), (-1.0, 1.0), strict=True):
         tip = out * (THUMB_RADIUS_M - GRIP_M)
         starts += [place + np.array([0, 0, THUMB_RADIUS_M]), place + np.array([out * 0.02, 0, -0.045])]
         ends += [place + np.array([tip, 0, THUMB_RADIUS_M]), place + np.array([out * 0.05, -0.12, -0.32])]
@@ -260,20 +244,18 @@ def person_with(body: VolumetricBody, board: BoardPrint, T_world_board: Array) -
     return body.place(Pose.from_angles(position, R, with_right(left_arm, right_arm, ARM)))
 
 
-def _rest_ends(waypoints: Sequence[Waypoint]) -> Array:
-    return np.cumsum([REST_S + w.travel_s for w in waypoints]) - waypoints[0].travel_s
+def _arrivals_s(waypoints: Sequence[Waypoint]) -> Array:
+    return np.cumsum([REST_S + travel_s for _, travel_s in waypoints]) - waypoints[0][1] - REST_S
 
 
 def along(waypoints: Sequence[Waypoint]) -> PosePath:
     """Makes a smooth path through waypoints; it stays at the first before and at the last after it."""
-    arrivals = _rest_ends(waypoints) - REST_S
+    arrivals_s = _arrivals_s(waypoints)
 
     def at(t: float) -> Array:
-        after = int(np.searchsorted(arrivals, t))
-        if after == 0 or after == len(waypoints):
-            return waypoints[min(after, len(waypoints) - 1)].T
-        a, b = waypoints[after - 1].T, waypoints[after].T
-        fraction = ease((t - arrivals[after]) / waypoints[after].travel_s + 1.0)
+        after = min(max(int(np.searchsorted(arrivals_s, t)), 1), len(waypoints) - 1)
+        (a, _), (b, travel_s) = waypoints[after - 1 : after + 1]
+        fraction = ease((t - arrivals_s[after]) / travel_s + 1.0)
         turn = Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec()
         R = a[:3, :3] @ Rotation.from_rotvec(fraction * turn).as_matrix()
         return transform(R, (1.0 - fraction) * a[:3, 3] + fraction * b[:3, 3])
@@ -309,20 +291,14 @@ def _in_view(
     tilt = np.deg2rad(np.array(tilt_deg) + rng.uniform(-6, 6, 2))
     R = Rotation.from_rotvec([tilt[0], tilt[1], 0.0]).as_matrix()
     R = R @ Rotation.from_rotvec([0, 0, rng.uniform(-ROLL, ROLL)]).as_matrix() @ FACING
-    fields = (board.sheet_board - board.middle_board) * board.share_of_fields @ R.T
+    size = np.ptp(board.sheet_board[:, :2], axis=0)
+    share_of_fields = np.append(np.array(print_size_m(board.board)) / size, 1.0)  # the rest of the sheet is margin
+    fields = (board.sheet_board - board.middle_board) * share_of_fields @ R.T
     focal, half = camera.K.diagonal()[:2], np.array([camera.width, camera.height]) / 2
     room = np.maximum(half - EDGE_PX - (focal * np.abs(fields[:, :2]) / (distance_m + fields[:, 2:])).max(axis=0), 0.0)
     target = half - 0.5 + np.array([x, y]) * room * reach
-    ray = camera.R_camera_world @ _outermost_ray(camera, target)
+    ray = camera.R_camera_world @ camera.rays_world(target[None])[0]
     return board.centred(transform(R, distance_m / ray[2] * ray))
-
-
-def _outermost_ray(camera: CameraModel, pixel: Array) -> Array:
-    """Return (3,) the direction, world frame, of a pixel; where the lens model has none, of the next one that has on
-    the way to the principal point."""
-    centre = camera.K[:2, 2]
-    rays = camera.rays_world(centre + np.linspace(1.0, 0.0, INWARD_STEPS)[:, None] * (pixel - centre))
-    return np.asarray(rays[np.isfinite(rays).all(axis=1)][0])
 
 
 def _grips(board: BoardPrint) -> tuple[Array, Array]:
