@@ -118,20 +118,26 @@ T_POSE_ONLY = Timeline((), t_pose_s=np.inf)
 """Standing still in the T-pose."""
 
 
+def ahead(duration_s: float) -> Activity:
+    """Walks ahead for so long."""
+    return Activity(duration_s, walking, lean=walking_lean)
+
+
+def turn(angle: float, duration_s: float) -> Activity:
+    """Turns on the spot, stepping, to the left if positive."""
+    return Activity(duration_s, stepping, turning=angle / duration_s)
+
+
 def turn_on_spot(person: VolumetricBody) -> Timeline:
     """Turns twice to the left, stepping, in five seconds."""
-    return Timeline((hold(STAND_S, STANDING), Activity(5.0, stepping, turning=4 * np.pi / 5.0), hold(0.8, STANDING)))
+    return Timeline((hold(STAND_S, STANDING), turn(4 * np.pi, 5.0), hold(0.8, STANDING)))
 
 
 def leave_and_return(person: VolumetricBody) -> Timeline:
     """Walks out of the volume, turns there, walks back in, and turns to where it began."""
-
-    def turned(angle: float) -> Activity:
-        return Activity(TURN_S, stepping, turning=angle / TURN_S)
-
-    ahead, around = Activity(AWAY_S, walking, lean=walking_lean), turned(np.pi)
-    back = turned(-np.pi - AWAY_RAD)
-    return Timeline((hold(STAND_S, STANDING), turned(AWAY_RAD), ahead, around, ahead, back, hold(1.2, STANDING)))
+    out, way, around = turn(AWAY_RAD, TURN_S), ahead(AWAY_S), turn(np.pi, TURN_S)
+    back = turn(-np.pi - AWAY_RAD, TURN_S)
+    return Timeline((hold(STAND_S, STANDING), out, way, around, way, back, hold(1.2, STANDING)))
 
 
 def run(person: VolumetricBody) -> Timeline:

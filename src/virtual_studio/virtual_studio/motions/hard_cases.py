@@ -12,7 +12,7 @@ from stick_figure.kinematics import forward
 from stick_figure.skeleton import L_THIGH
 
 from ..people import Capsules, VolumetricBody
-from .everyday import STANDING, stepping, walking, walking_lean
+from .everyday import STANDING, ahead, stepping, walking, walking_lean
 from .timeline import (
     ARM,
     STAND_S,
@@ -267,7 +267,7 @@ def chair(person: VolumetricBody, motion: Motion) -> Things:
     points = np.array([forward(person.body, pose) for pose in motion.poses])
     hips = 0.5 * (points[:, LEFT_HIP] + points[:, RIGHT_HIP])
     frame = int(np.argmin(hips[:, 2]))
-    seat = hips[frame] - [0.0, 0.0, _thigh_radius(person)]
+    seat = hips[frame] - [0.0, 0.0, float(person.radii_of(L_THIGH).max())]
     knees = 0.5 * (points[frame, LEFT_KNEE] + points[frame, RIGHT_KNEE])
     back, front = seat[0] - BEHIND_HIPS_M, min(knees[0] - KNEES_FREE_M, seat[0] - BEHIND_HIPS_M + SEAT_DEPTH_M)
     top, half = seat[2] - BAR_M, 0.5 * SEAT_WIDTH_M
@@ -295,8 +295,7 @@ def carry_a_box(person: VolumetricBody) -> Timeline:
     lifting = key_postures(PICKED_S, *grasped, (LIFTED_S, upright), (PICKED_S, upright))
     turning = Activity(TURN_S, lambda t: posture(stepping(t), held), turning=np.pi / TURN_S)
     away = Activity(CARRY_S, lambda t: posture(walking(t), held), lean=walking_lean)
-    there = Activity(APPROACH_S, walking, lean=walking_lean)
-    return Timeline((hold(STAND_S, STANDING), there, lifting, turning, away, hold(1.6, upright)))
+    return Timeline((hold(STAND_S, STANDING), ahead(APPROACH_S), lifting, turning, away, hold(1.6, upright)))
 
 
 def box_on_a_stand(person: VolumetricBody, motion: Motion) -> Things:
@@ -309,11 +308,6 @@ def box_on_a_stand(person: VolumetricBody, motion: Motion) -> Things:
     under = middle[2] - 0.5 * BOX_M[2]
     stand = _box(np.array([*middle[:2], 0.5 * under]), heading, (0.26, 0.32, under), WOOD)
     return Things(stand, tuple([boxes[0]] * taken + boxes), taken)
-
-
-def _thigh_radius(person: VolumetricBody) -> float:
-    """Radius (m) of the upper end of a thigh."""
-    return float(person.radii_of(L_THIGH).max())
 
 
 def _between_the_hands(person: VolumetricBody, motion: Motion, frame: int) -> tuple[Array, float]:

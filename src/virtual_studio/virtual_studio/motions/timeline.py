@@ -6,9 +6,9 @@ ranges because every activity's do and fading is a weighted mean.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,12 +68,16 @@ class Motion:
     things: Things | None = None
 
 
+ANGLES, LEAN, LIFT, TURNING, WALKING = slice(18), slice(18, 21), 21, 22, 23
+"""Parts of what a body does at an instant, (24,): joint angles, rad; rotation vector of the torso in its heading frame;
+metres of the lower foot above the floor; rad/s of the heading; share of the circle's walking speed (`everyday`)."""
+
+
 @dataclass(frozen=True)
 class Activity:
     """One thing to do for a while. Its functions take seconds since it began, down to -FADE_S while it fades in.
 
-    angles: (18,) rad; lean: rotation vector of the torso in its heading frame; turning: rad/s of the heading;
-    lift: metres of the lower foot above the floor. walking: share of the circle's walking speed (`everyday`).
+    Units as those of ANGLES, LEAN, and so on.
     own_clock: False hands the seconds since the motion began instead, so that steps keep their rhythm over rounds.
     """
 
@@ -85,16 +89,9 @@ class Activity:
     lift: Callable[[float], float] = lambda t: 0.0
     own_clock: bool = True
 
-
-@dataclass(frozen=True)
-class BlendedActivity:
-    """What the body does at one instant, blended from its activities; units as in `Activity`."""
-
-    angles: Array
-    lean: Array
-    turning: float
-    lift: float
-    walking: float
+    def at(self, t: float) -> Array:
+        """Returns what the body does, (24,)."""
+        return np.concatenate([self.angles(t), self.lean(t), [self.lift(t), self.turning, self.walking]])
 
 
 @dataclass(frozen=True)
@@ -104,20 +101,13 @@ class Timeline:
     activities: tuple[Activity, ...]
     t_pose_s: float = T_POSE_S
 
-    def at(self, t: float) -> BlendedActivity:
-        """Blends the activities at time t, s; two derivatives are continuous where the activities' are."""
+    def at(self, t: float) -> Array:
+        """Blends the activities (24,) at time t, s; two derivatives are continuous where the activities' are."""
         active = self._active(t)
-        rest = 1.0 - sum(weight for _, _, weight in active)
-        angles, lean = rest * T_POSE_ANGLES, np.zeros(3)
-        turning = lift = walking = 0.0
+        blend = (1.0 - sum(weight for _, _, weight in active)) * np.append(T_POSE_ANGLES, np.zeros(6))
         for activity, local, weight in active:
-            clock = local if activity.own_clock else t
-            angles = angles + weight * activity.angles(clock)
-            lean = lean + weight * activity.lean(clock)
-            turning += weight * activity.turning
-            lift += weight * activity.lift(clock)
-            walking += weight * activity.walking
-        return BlendedActivity(angles, lean, turning, lift, walking)
+            blend = blend + weight * activity.at(local if activity.own_clock else t)
+        return blend
 
     def _active(self, t: float) -> list[tuple[Activity, float, float]]:
         """Return the activities at time t: each with its own time and its weight (the T-pose has the rest)."""
@@ -200,21 +190,14 @@ def right(name: str) -> int:
     return ANGLE_NAMES.index(f"right_{name}")
 
 
-def with_joints(angles: Array, other: Array, slots: Sequence[int]) -> Array:
-    """Copies angles (18,), with those in the slots of another pose."""
-    mixed = angles.copy()
+def with_left(angles: Array, other: Array, names: tuple[str, ...], side: Callable[[str], int] = left) -> Array:
+    """Copies angles (18,), with the named joints of one side of another pose."""
+    mixed, slots = angles.copy(), [side(name) for name in names]
     mixed[slots] = other[slots]
     return mixed
 
 
-def with_left(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
-    """Copies angles (18,), with the named left joints of another pose."""
-    return with_joints(angles, other, [left(name) for name in names])
-
-
-def with_right(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
-    """Copies angles (18,), with the named right joints of another pose."""
-    return with_joints(angles, other, [right(name) for name in names])
+with_right = partial(with_left, side=right)
 
 
 def posture(angles: Array, arms: Array) -> Array:

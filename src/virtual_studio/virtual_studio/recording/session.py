@@ -147,28 +147,28 @@ def _write(
     recipe: dict[str, object],
     progress: Progress,
 ) -> Path:
+    of_all = {"build": [actor.person.build for actor in actors]}
+    of_all["stature_m"] = [round(actor.person.body.stature, 4) for actor in actors]
+    recipe |= {"seed": settings.seed, "noise_grey_levels": settings.noise, "flicker": settings.flicker}
+    recipe |= {"shadow": settings.shadow}
+    recipe |= {name: values[0] if len(values) == 1 else values for name, values in of_all.items()}
     with replaced_folder(folder, is_own) as partial:
         save_rig(rig, partial / "rig.yaml")
         for number, actor in enumerate(actors, 1):
             tail, body = "" if number == 1 else f"_{number}", actor.person.body
             save_body(body, partial / f"body{tail}.yaml", source="the built-in body of the virtual studio: exact")
             write_truth(partial / f"truth{tail}.csv", body, actor.motion)
-        recipe = recipe | {
-            "seed": settings.seed,
-            "noise_grey_levels": settings.noise,
-            "flicker": settings.flicker,
-            "shadow": settings.shadow,
+        description = {
+            "fps": actors[0].motion.fps,
+            "units": "metres, radians, pixels",
+            "source": "rendered by python -m virtual_studio",
+            "made_by": MADE_BY,
+            "recipe": recipe,
+            "body": "body.yaml",
         }
-        recipe |= _of_all("build", [actor.person.build for actor in actors])
-        recipe |= _of_all("stature_m", [round(actor.person.body.stature, 4) for actor in actors])
-        _write_description(partial / "session.yaml", actors[0].motion.fps, recipe)
+        save_mapping(partial / "session.yaml", description)
         _film(partial, rig, actors, settings, progress)
     return folder
-
-
-def _of_all(name: str, values: list[float]) -> dict[str, object]:
-    """Returns one value for one person, a list for several."""
-    return {name: values[0] if len(values) == 1 else values}
 
 
 def write_truth(path: Path, body: Body, motion: Motion) -> None:
@@ -186,7 +186,7 @@ def write_truth(path: Path, body: Body, motion: Motion) -> None:
 
 def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSettings, progress: Progress) -> None:
     motion = actors[0].motion
-    sensor, things = Sensor(settings.noise, settings.flicker, settings.seed), motion.things
+    sensor, things, fps = Sensor(settings.noise, settings.flicker, settings.seed), motion.things, motion.fps
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)))
         rooms = [things and things.untouched, *([things.standing] if things and things.taken else [])]
@@ -194,11 +194,12 @@ def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSetti
             list(pool.map(lambda camera, room=room: VirtualCamera(camera, standing=room), rig.cameras))
             for room in rooms
         )
-        footage, masks = [], []
-        for number, camera in enumerate(empty):
-            _film_empty_room(folder, number, camera, motion.fps, sensor)
-            footage.append(stack.enter_context(VideoFile(folder / f"{camera.camera.name}{FOOTAGE}", motion.fps)))
-            masks.append(stack.enter_context(VideoFile(folder / f"{camera.camera.name}_mask{LOSSLESS}", motion.fps)))
+        for number, (name, camera) in enumerate(zip(rig.names, empty, strict=True)):
+            with VideoFile(folder / f"{name}_background{FOOTAGE}", fps) as video:
+                for frame in range(max(round(BACKGROUND_S * fps), 1)):
+                    video.write(sensor.expose(camera.empty_room(), number, FIRST_BACKGROUND_FRAME + frame))
+        footage = [stack.enter_context(VideoFile(folder / f"{name}{FOOTAGE}", fps)) for name in rig.names]
+        masks = [stack.enter_context(VideoFile(folder / f"{name}_mask{LOSSLESS}", fps)) for name in rig.names]
 
         def shoot(number: int, frame: int, capsules: Capsules, shadow: Light | None) -> None:
             cameras = later[0] if later and things and frame >= things.taken else empty
@@ -214,24 +215,6 @@ def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSetti
             for done in [pool.submit(shoot, number, frame, capsules, shadow) for number in range(len(empty))]:
                 done.result()
             progress(frame + 1, len(motion.poses))
-
-
-def _film_empty_room(folder: Path, number: int, camera: VirtualCamera, fps: float, sensor: Sensor) -> None:
-    with VideoFile(folder / f"{camera.camera.name}_background{FOOTAGE}", fps) as video:
-        for frame in range(max(round(BACKGROUND_S * fps), 1)):
-            video.write(sensor.expose(camera.empty_room(), number, FIRST_BACKGROUND_FRAME + frame))
-
-
-def _write_description(path: Path, fps: float, recipe: dict) -> None:
-    document = {
-        "fps": fps,
-        "units": "metres, radians, pixels",
-        "source": "rendered by python -m virtual_studio",
-        "made_by": MADE_BY,
-        "recipe": recipe,
-        "body": "body.yaml",
-    }
-    save_mapping(path, document)
 
 
 def is_own(folder: Path, description: str = "session.yaml") -> bool:
