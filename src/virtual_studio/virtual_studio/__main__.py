@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from capture_rig.errors import InputError
@@ -14,7 +15,7 @@ from rig_calibration.boards.board import board_text, read_board
 from stick_figure.body import STATURES_M
 
 from .motions.catalogue import MOTIONS, MotionFunction
-from .motions.recorded import ReadingOptions, RecordedMotion, is_motion_file
+from .motions.recorded import RecordedMotion, is_motion_file
 from .motions.together import TOGETHER
 from .people import OUTFITS, REFERENCE_STATURE_M, people_of_sizes, person_of
 from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
@@ -55,7 +56,10 @@ def _session(options: argparse.Namespace) -> int:
         folder = write_scene(options.folder, rig, options.motion, cast, worn, options.fps, look, progress)
         print(f"{folder}: {len(rig.cameras)} cameras, {len(cast)} persons in {time.monotonic() - started:.1f} s")
         return 0
-    folder = write_session(options.folder, rig, body, _motion(options), options.fps, options.seconds, look, progress)
+    motion: str | MotionFunction = options.motion
+    if is_motion_file(options.motion):
+        motion = RecordedMotion(Path(options.motion), options.motion_up, options.motion_joints, options.motion_start)
+    folder = write_session(options.folder, rig, body, motion, options.fps, options.seconds, look, progress)
     frames = len((folder / "truth.csv").read_text(encoding="utf-8").splitlines()) - 1
     print(f"{folder}: {len(rig.cameras)} cameras x {frames} frames in {time.monotonic() - started:.1f} s")
     return 0
@@ -68,7 +72,7 @@ def _setup(options: argparse.Namespace) -> int:
     plan = FootagePlan(hand_board=hand, floor_board=floor, seed=options.seed, noise=options.noise)
     if options.quick:
         plan = replace(plan, brief=True, fps=QUICK_FPS, moving_s=QUICK_MOVING_S)
-    progress = _say if sys.stderr.isatty() else lambda what: None
+    progress = partial(print, "filmed", file=sys.stderr, flush=True) if sys.stderr.isatty() else lambda what: None
     folder = write_setup(options.folder, rig, plan, motion=options.motion, seconds=options.seconds, progress=progress)
     print(f"{folder}: {len(rig.cameras)} cameras in {time.monotonic() - started:.0f} s; now:")
     given = options.folder
@@ -79,13 +83,6 @@ def _setup(options: argparse.Namespace) -> int:
     )
     print(f"  sagoma up {given}/session")
     return 0
-
-
-def _motion(options: argparse.Namespace) -> str | MotionFunction:
-    if not is_motion_file(options.motion):
-        return options.motion
-    reading = ReadingOptions(up=options.motion_up, joints=options.motion_joints, start_s=options.motion_start)
-    return RecordedMotion(Path(options.motion), reading)
 
 
 def _session_parser() -> argparse.ArgumentParser:
@@ -161,10 +158,6 @@ def _add_common_arguments(parser: argparse.ArgumentParser, motion: str, seed: st
 
 def _show_progress(done: int, total: int) -> None:
     print(f"\rrendering {done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)
-
-
-def _say(what: str) -> None:
-    print(f"filmed {what}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":
