@@ -16,7 +16,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from capture_rig.camera import CameraModel
-from capture_rig.session import Truth
 from capture_rig.video import Video, VideoFile
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
@@ -38,13 +37,6 @@ def read_frames(video: Path, wanted: Sequence[int]) -> Iterator[np.ndarray]:
             if image is None:
                 raise EOFError(f"{video} has no frame {frame}")
             yield image
-
-
-def truth_at(truth: Truth | None, frames: Sequence[int]) -> list[np.ndarray | None]:
-    """Return the truth's points (15, 3) of each frame; None where it has none."""
-    if truth is None:
-        return [None] * len(frames)
-    return [points if f in truth.frames else None for f, points in zip(frames, truth.points_at(frames), strict=True)]
 
 
 def draw(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
@@ -97,7 +89,11 @@ def _sheet(
 def _pictures(evaluated: TrackEvaluation, frames: Sequence[int]) -> Iterator[tuple]:
     """Frame, cameras, their images, the track's points (15, 3) and the truth's, where it has them."""
     session, cameras = evaluated.session, evaluated.session.rig.cameras
-    points, truth = evaluated.track.at(np.array(frames)).points_world, truth_at(session.truth, frames)
+    points = evaluated.track.at(np.array(frames)).points_world
+    truth: Sequence[np.ndarray | None] = [None] * len(frames)
+    if session.truth is not None:
+        there = zip(np.isin(frames, session.truth.frames), session.truth.points_at(frames), strict=True)
+        truth = [known if is_there else None for is_there, known in there]
     footage = zip(*(read_frames(session.videos[camera.name], frames) for camera in cameras), strict=True)
     with suppress(EOFError):  # a container may promise a frame more than it holds
         for index, images in enumerate(footage):
@@ -128,19 +124,13 @@ def caption(evaluated: TrackEvaluation, frame: int) -> tuple[str, bool | None]:
     state = str(evaluated.track.states[row[0]]) if len(row) else "no body"
     sure = state == TRACKING if len(row) else None
     text = f"{evaluated.session.folder.name}   frame {frame}   {frame / evaluated.session.fps:.2f} s   {state}"
-    errors = _errors_at(evaluated, frame)
-    if errors is None or not np.isfinite(errors).any():
+    truth, scores = evaluated.session.truth, evaluated.scores
+    of_frame = scores.errors_mm[truth.frames == frame] if scores is not None and truth is not None else np.empty(0)
+    if not np.isfinite(of_frame).any():
         return text, sure
-    worst = int(np.nanargmax(errors))
+    (errors,), worst = of_frame, int(np.nanargmax(of_frame))
     name = POINT_NAMES[worst].replace("_", " ")
     return f"{text}   mean {np.nanmean(errors):.0f} mm   worst: {name} {errors[worst]:.0f} mm", sure
-
-
-def _errors_at(evaluated: TrackEvaluation, frame: int) -> np.ndarray | None:
-    if evaluated.scores is None or evaluated.session.truth is None:
-        return None
-    row = np.flatnonzero(evaluated.session.truth.frames == frame)
-    return evaluated.scores.errors_mm[row[0]] if len(row) else None
 
 
 # plots ----------------------------------------------------------------------------------------------------------------
@@ -160,7 +150,11 @@ POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
 def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     """Write all plots into the folder; returns their paths. Without a truth, the angles alone."""
     folder.mkdir(parents=True, exist_ok=True)
-    figures = angle_figures(evaluated)
+    session, track = evaluated.session, evaluated.track
+    curves = [("ours", OURS, 1.3, track.frames, track.angles)]
+    if session.truth is not None:
+        curves.insert(0, ("truth", TRUTH, 3.5, session.truth.frames, angle_truth(session.truth).angles))
+    figures = {f"angles_{page}": _angle_page(evaluated, curves, page, names) for page, names in ANGLE_PAGES.items()}
     if evaluated.scores is not None and evaluated.session.truth is not None:
         figures["point_errors"] = _point_errors(evaluated, evaluated.scores)
         figures["errors"] = _distribution(evaluated, evaluated.scores)
@@ -171,20 +165,12 @@ def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     return paths
 
 
-def angle_figures(evaluated: TrackEvaluation) -> dict[str, Figure]:
-    """Pages of angles over time against the truth (as thesis fig. 7.4 to 7.7), by file name."""
-    session, track = evaluated.session, evaluated.track
-    curves = [("ours", OURS, 1.3, track.frames, track.angles)]
-    if session.truth is not None:
-        curves.insert(0, ("truth", TRUTH, 3.5, session.truth.frames, angle_truth(session.truth).angles))
-    return {f"angles_{page}": _angle_page(evaluated, curves, page, names) for page, names in ANGLE_PAGES.items()}
-
-
 Curve = tuple[str, str, float, np.ndarray, np.ndarray]
 """Label, colour, width of the line, frames (F,) and angles (F, 18) rad."""
 
 
 def _angle_page(evaluated: TrackEvaluation, curves: Sequence[Curve], page: str, names: Sequence[str]) -> Figure:
+    """Angles over time against the truth (as thesis fig. 7.4 to 7.7)."""
     rows = -(-len(names) // 2)
     figure = Figure(figsize=(12, 1.2 + 2.3 * rows), layout="constrained")
     for axis, name in zip(np.ravel(figure.subplots(rows, 2, sharex=True)), names, strict=True):

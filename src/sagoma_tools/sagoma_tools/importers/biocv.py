@@ -88,8 +88,11 @@ def import_trial(
     points = {name: _at_frames(mocap, labels, frames, fps, mocap_delay_s) for name, labels in chosen.items()}
     known = np.isfinite(np.hstack(list(points.values()))).all(axis=1)
     with replaced_folder(folder) as partial:
-        for video in videos:
-            _link(video, partial / (names[video] + video.suffix.lower()))
+        for video in videos:  # not decoded again, nor copied where the disk allows it
+            try:
+                os.link(video, partial / (names[video] + video.suffix.lower()))
+            except OSError:
+                shutil.copyfile(video, partial / (names[video] + video.suffix.lower()))
         seen = np.concatenate(list(points.values()))
         seen = seen[np.isfinite(seen).all(axis=1)]
         save_rig(Rig(cameras, volume_around(seen) if len(seen) else default_volume(cameras)), partial / "rig.yaml")
@@ -187,11 +190,3 @@ def _rate_and_length(videos: list[Path]) -> tuple[float, int]:
         what = f"the videos have {min(rates):g} to {max(rates):g} frames a second"
         raise InputError(what, where=str(videos[0].parent), remedy="Copy them again from the data set.")
     return float(rates[0]), min(lengths)
-
-
-def _link(video: Path, to: Path) -> None:
-    """Make the video part of the session without a second copy where the disk allows it: it is not decoded again."""
-    try:
-        os.link(video, to)
-    except OSError:
-        shutil.copyfile(video, to)

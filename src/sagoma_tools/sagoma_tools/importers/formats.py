@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import c3d
 import numpy as np
@@ -208,8 +208,7 @@ def present(track_mm: np.ndarray, at: Instants) -> np.ndarray:
     return seen[at.lower] & seen[at.upper]
 
 
-@dataclass(frozen=True)
-class Offset:
+class Offset(NamedTuple):
     """Image frame ``image`` was taken at mocap frame ``mocap``; both 1-based and fractional."""
 
     image: float
