@@ -12,6 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree as xml
 
 import numpy as np
+from scipy.constants import g
 from scipy.spatial.transform import Rotation
 
 from capture_rig.files import write_bytes, write_text
@@ -59,7 +60,7 @@ def write_osim(motion: Motion, path: Path, mass_kg: float | None = None) -> None
     """Write the model; ``mass_kg`` : of the person, else that of a BMI of 22."""
     body = Body.from_points(motion.points_world[motion.tracked])
     document = xml.Element("OpenSimDocument", Version="40000")
-    model = _add(document, "Model", motion.name, gravity="0 -9.80665 0")
+    model = _add(document, "Model", motion.name, gravity=f"0 {-g} 0")
     bodies, joints, markers = (_add(_add(model, f"{of}Set", f"{of.lower()}set"), "objects") for of in SETS)
     for stick, inertia in enumerate(segment_inertias(body, mass_kg)):
         _add_body(bodies, stick, body, inertia)

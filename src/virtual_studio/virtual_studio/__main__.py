@@ -19,7 +19,7 @@ from .motions.recorded import RecordedMotion, is_motion_file
 from .motions.together import TOGETHER
 from .people import OUTFITS, REFERENCE_STATURE_M, people_of_sizes, person_of
 from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
-from .recording.session import RenderSettings, write_scene, write_session
+from .recording.session import SESSION_FPS, RenderSettings, write_scene, write_session
 from .rig import HEIGHT_PX, WIDTH_PX, ring
 
 QUICK_FPS, QUICK_MOVING_S = 6.0, 16.0
@@ -102,7 +102,7 @@ def _session_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--seconds", type=number("s", 0.1, 3600), default=6.0, help="length, s (of a file: at most); first a T-pose"
     )
-    parser.add_argument("--fps", type=FRAME_RATE, default=60.0, help="frames a second")
+    parser.add_argument("--fps", type=FRAME_RATE, default=SESSION_FPS, help="frames a second")
     parser.add_argument(
         "--motion-start", type=number("s", 0, 1e5), default=0.0, help="seconds of the file to leave out"
     )

@@ -111,15 +111,14 @@ TREMOR_HZ = (0.7, 1.9, 3.1)
 
 FACING = np.diag([1.0, -1.0, -1.0])
 """R_camera_board of a board that faces the camera, upright."""
-NEAR_M, MIDDLE_M, FAR_M = 0.5, 0.75, 1.25
-"""Distances of a board of 0.4 m; other boards are held where they look as large."""
-BOARD_M = 0.4
+NEAR, MIDDLE, FAR = 1.25, 1.875, 3.125
+"""Distances over the sheet's width."""
 TRAVEL_S, REST_S = 0.6, 0.4
 EDGE_PX = 8.0
 OUTSIDE = (1.1, 0.9, 0, 15)
 ROLL = 0.25
-AWAY = (0.2, 3.0, 1.0)
-"""Where the board is before and after, camera frame, m: below the picture."""
+AWAY = (0.5, 7.5, 2.5)
+"""Where the board is before and after, camera frame, in its widths: below the picture."""
 Views = list[tuple[float, ...]]
 """Places in the picture (-1 left or top, 1 right or bottom: there the outer fields reach its edge), and tilts, degrees,
 about the picture's horizontal and its vertical axis."""
@@ -131,12 +130,11 @@ _FAR: Views = [
     (x, y, 32 * ((i % 3) - 1), 32 * ((i + 1) % 3 - 1))
     for i, (x, y) in enumerate([(-1, -1), (0, -1), (1, -1), (1, 0), (0, 0), (-1, 0), (-1, 1), (0, 1), (1, 1)])
 ]
-FULL: dict[float, Views] = {NEAR_M: _TILTS + _CORNERS, MIDDLE_M: _CORNERS + _EDGES + _SPREAD, FAR_M: _FAR}
-BRIEF: dict[float, Views] = {NEAR_M: _TILTS[1:], MIDDLE_M: _CORNERS + _EDGES, FAR_M: [*_FAR[::2]]}
+FULL: dict[float, Views] = {NEAR: _TILTS + _CORNERS, MIDDLE: _CORNERS + _EDGES + _SPREAD, FAR: _FAR}
+BRIEF: dict[float, Views] = {NEAR: _TILTS[1:], MIDDLE: _CORNERS + _EDGES, FAR: [*_FAR[::2]]}
 
-FLOOR_MIDDLE_WORLD = (0.12, -0.08, 0.0)
-FLOOR_HEADING_RAD = 0.3
-"""Where the floor board lies: near the middle of the room, not exactly along it."""
+FLOOR_PLACE = (0.12, -0.08, 0.3)
+"""Where the floor board lies, x and y in m, heading in rad: near the middle of the room, not exactly along it."""
 TURNS = 2.5
 UPRIGHT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """R_world_board of a board that stands upright and faces the world's x axis."""
@@ -170,14 +168,14 @@ def wave(camera: CameraModel, board: BoardPrint, seed: int, brief: bool = False)
     farther away, twice partly outside, and leaves again.
     """
     rng = np.random.default_rng(seed)
-    size = float(np.linalg.norm(board.sheet_board[1] - board.sheet_board[0]) / BOARD_M)
+    size = float(np.linalg.norm(board.sheet_board[1] - board.sheet_board[0]))
     away = board.centred(transform(FACING, size * np.array(AWAY))), TRAVEL_S
     waypoints: list[Waypoint] = [away]
-    for distance_m, views in (BRIEF if brief else FULL).items():
+    for distance, views in (BRIEF if brief else FULL).items():
         for view in views:
-            T = _in_view(camera, board, size * distance_m, view, rng)
+            T = _in_view(camera, board, size * distance, view, rng)
             waypoints.append((T, TRAVEL_S * rng.uniform(0.8, 1.2)))
-    outside = _in_view(camera, board, size * MIDDLE_M, OUTSIDE, rng, reach=1.6), TRAVEL_S
+    outside = _in_view(camera, board, size * MIDDLE, OUTSIDE, rng, reach=1.6), TRAVEL_S
     waypoints = [*waypoints[:-1], outside, waypoints[-1], away]
     T_world_camera = np.linalg.inv(camera.T_camera_world)
     in_camera = with_tremor(along(waypoints), seed)
@@ -185,12 +183,10 @@ def wave(camera: CameraModel, board: BoardPrint, seed: int, brief: bool = False)
     return Wave(lambda t: T_world_camera @ in_camera(t), float(rests_s[-1] + REST_S / 2), rests_s[1:-1])
 
 
-def on_floor(
-    board: BoardPrint, xy: tuple[float, float] = FLOOR_MIDDLE_WORLD[:2], heading_rad: float = FLOOR_HEADING_RAD
-) -> Array:
-    """Lays a board on the floor: T_world_board (4, 4), print up, middle at ``xy`` m, rows along the heading."""
-    R = Rotation.from_rotvec([0.0, 0.0, heading_rad]).as_matrix()
-    return board.centred(transform(R, np.array([*xy, 0.0])))
+def on_floor(board: BoardPrint) -> Array:
+    """Lays a board at FLOOR_PLACE: T_world_board (4, 4), print up, its rows along the heading."""
+    x, y, heading = FLOOR_PLACE
+    return board.centred(transform(Rotation.from_rotvec([0.0, 0.0, heading]).as_matrix(), np.array([x, y, 0.0])))
 
 
 def carry(board: BoardPrint, seconds: float, seed: int) -> PosePath:

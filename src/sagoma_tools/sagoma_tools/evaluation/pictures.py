@@ -125,10 +125,10 @@ def caption(evaluated: TrackEvaluation, frame: int) -> tuple[str, bool | None]:
     sure = state == TRACKING if len(row) else None
     text = f"{evaluated.session.folder.name}   frame {frame}   {frame / evaluated.session.fps:.2f} s   {state}"
     truth, scores = evaluated.session.truth, evaluated.scores
-    of_frame = scores.errors_mm[truth.frames == frame] if scores is not None and truth is not None else np.empty(0)
-    if not np.isfinite(of_frame).any():
+    if scores is None or truth is None or not np.isfinite(scores.errors_mm[truth.frames == frame]).any():
         return text, sure
-    (errors,), worst = of_frame, int(np.nanargmax(of_frame))
+    (errors,) = scores.errors_mm[truth.frames == frame]
+    worst = int(np.nanargmax(errors))
     name = POINT_NAMES[worst].replace("_", " ")
     return f"{text}   mean {np.nanmean(errors):.0f} mm   worst: {name} {errors[worst]:.0f} mm", sure
 

@@ -38,15 +38,15 @@ from .timeline import (
 
 CIRCLE_RADIUS_M = 0.30
 CIRCLE_RAD_S = 0.9
-GRID_HZ = 480.0
-"""Step of the time integral along the circle; finer than any frame rate, so that truth does not depend on fps."""
 STEPS_GRID_HZ = 120.0
-"""The same for steps."""
+"""Step of the time integral of steps; as fine as frame rates, so that truth does not depend on fps."""
+GRID_HZ = 4 * STEPS_GRID_HZ
+"""The same along the circle, where an instant takes less time to compute."""
 WEIGHT_SHIFT_S = 0.05
 """Smoothing of the torso's speed: over how long the weight passes from foot to foot; the feet slide that much."""
 OVERRUN_S = 5 * WEIGHT_SHIFT_S
 """How far the steps go on past the end, so that the smoothing does not see it."""
-HEIGHT_SMOOTHING_S = 0.025
+HEIGHT_SMOOTHING_S = 0.5 * WEIGHT_SHIFT_S
 """Smoothing of its height: feet may sink by millimetres where one takes over from the other."""
 SOFT_FLOOR_M = 0.01
 """How smoothly the standing foot changes: width of the soft minimum of the heights of what may touch the floor."""

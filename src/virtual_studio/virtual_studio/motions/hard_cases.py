@@ -7,6 +7,7 @@ Each is a function of the person, because reaching one's own chest or hips depen
 from __future__ import annotations
 
 import numpy as np
+from scipy.constants import g
 
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import L_THIGH
@@ -40,7 +41,6 @@ reference stature and an average build."""
 FOREARM_M = 0.048
 ON_THE_BACK = -np.pi / 2
 
-G_M_S2 = 9.81
 TAKE_OFF_M_S = 1.7
 """Upward speed at take-off: 15 cm high, as high as knees alone throw a body without ankles."""
 TAKE_OFF_KNEE, CROUCHED_KNEE = 0.70, 1.65
@@ -164,7 +164,7 @@ class _Jump:
         self._leg = person.body.lengths[4] + person.body.lengths[8]
         way = self._length(TAKE_OFF_KNEE) - self._length(CROUCHED_KNEE)
         self._push_s = 2.0 * way / TAKE_OFF_M_S
-        self._half_flight_s = TAKE_OFF_M_S / G_M_S2
+        self._half_flight_s = TAKE_OFF_M_S / g
         rate = TAKE_OFF_M_S / (0.5 * self._leg * np.sin(0.5 * TAKE_OFF_KNEE))
         self._straightened = rate * STRAIGHTEN_S
 
@@ -182,7 +182,7 @@ class _Jump:
         s = self._half_flight_s - self._from_middle(t)
         if s <= 0.0:
             return 0.0
-        risen = TAKE_OFF_M_S * s - 0.5 * G_M_S2 * s * s
+        risen = TAKE_OFF_M_S * s - 0.5 * g * s * s
         return max(risen - (self._length(self._knee(self._from_middle(t))) - self._length(TAKE_OFF_KNEE)), 0.0)
 
     def _from_middle(self, t: float) -> float:

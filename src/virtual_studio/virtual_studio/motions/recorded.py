@@ -42,7 +42,7 @@ ORDER = tuple(
 """Joints of the reference points from the fourth on."""
 
 
-BLEND_S = 1.0
+BLEND_S = T_POSE_S
 """From the T-pose into the first frame; longer than between activities, because a file may begin with anything."""
 FLOOR_PERCENTILE = 2.0
 """So many percent of the frames may have a foot in the floor: recorded feet are not exact."""

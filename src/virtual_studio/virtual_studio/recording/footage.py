@@ -30,7 +30,7 @@ from ..boards import Array, BoardPrint, PosePath, carry, hands, on_floor, person
 from ..people import REFERENCE_STATURE_M, Capsules, VolumetricBody
 from ..rendering.board_camera import BoardCamera
 from ..rendering.camera import Image, Sensor
-from .session import FOOTAGE, MADE_BY, RenderSettings, is_own, write_session
+from .session import FOOTAGE, MADE_BY, SESSION_FPS, RenderSettings, is_own, write_session
 
 DESCRIPTION = "setup.yaml"
 INTRINSICS, FLOOR, MOVING = "intrinsics", "floor", "moving"
@@ -43,9 +43,6 @@ HAND_BOARD = Checkerboard(9, 6, (0.04, 0.04))
 """An A3 print: waved before each camera."""
 FLOOR_BOARD = Checkerboard(7, 4, (0.12, 0.12))
 """An A0 print: large enough for cameras 3 m away that see it at 70 degrees from its normal."""
-
-SESSION_FPS = 60.0
-"""Of the footage of who moves in the session."""
 
 Progress = Callable[[str], None]
 

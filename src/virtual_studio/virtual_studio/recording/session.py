@@ -36,6 +36,7 @@ from ..rendering.capsules import floor_shadow
 MADE_BY = "virtual_studio"
 FOOTAGE, LOSSLESS = ".mp4", ".mkv"
 """Suffixes of footage, and of exact silhouettes, under 1 KB each."""
+SESSION_FPS = 60.0
 BACKGROUND_S = 1.5
 FIRST_BACKGROUND_FRAME = 1_000_000
 """Number of the first background frame as the sensor counts, so that no noise repeats in the footage."""
@@ -78,7 +79,7 @@ def write_session(
     rig: Rig,
     body: Body,
     motion: str | MotionFunction = "tour",
-    fps: float = 60.0,
+    fps: float = SESSION_FPS,
     seconds: float = 6.0,
     settings: RenderSettings | None = None,
     progress: Progress = lambda done, total: None,
@@ -104,7 +105,7 @@ def write_scene(
     scene: str,
     persons: Sequence[VolumetricBody],
     outfits: Sequence[Outfit] = (),
-    fps: float = 60.0,
+    fps: float = SESSION_FPS,
     settings: RenderSettings | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Path:
