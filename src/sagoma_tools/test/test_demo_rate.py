@@ -42,7 +42,7 @@ def test_line_says_what_was_done_and_what_to_do_next(monkeypatch):
 def test_cameras_go_slower_until_the_machine_answers_whole_sets(tmp_path, monkeypatch, asked, outcomes, speeds):
     tried = []
 
-    def studio(session, folder, fps, speed, *, trained):
+    def studio(session, folder, fps, speed, *, trained, cancel):
         tried.append(speed)
         assert trained == (len(tried) > 1)
 
