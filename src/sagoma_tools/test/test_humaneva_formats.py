@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from humaneva_files import SHOULDER_WIDTH_MM, marker_points, model_points, write_c3d, write_mp
+from humaneva_files import marker_points, model_points, write_c3d, write_mp
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -127,7 +127,7 @@ def test_every_image_is_within_half_a_frame_of_the_common_instant(pairs, rate, f
 
 # --- joints
 
-SIZES = Measures(SHOULDER_WIDTH_MM / 2 - 7.0, {"L": 46.0, "R": 52.0})
+SIZES = Measures(170.0, {"L": 46.0, "R": 52.0})
 GRID_HZ = 600
 
 
