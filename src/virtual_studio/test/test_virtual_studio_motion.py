@@ -88,7 +88,7 @@ def test_truth_at_a_time_does_not_depend_on_the_frame_rate(motion):
         np.testing.assert_allclose(forward(BODY, a), forward(BODY, b), atol=1e-6)
 
 
-@pytest.mark.parametrize(("seconds", "fps"), [(0.0, 60), (-1.0, 60), (float("nan"), 60), (2.0, 0.0), (0.001, 60)])
+@pytest.mark.parametrize(("seconds", "fps"), [(0.0, 60), (-1.0, 60), (2.0, 0.0), (0.001, 60)])
 def test_impossible_times_are_refused(seconds, fps):
     for make in MOTIONS.values():
         with pytest.raises(InputError):
@@ -178,13 +178,6 @@ def test_session_of_a_scene_has_a_truth_and_a_body_for_each_person(tmp_path, com
     assert (folder / "body_2.yaml").is_file()
     for person, truth, motion in zip(PAIR, session.truths, coming_later, strict=True):
         np.testing.assert_allclose(truth.points_world[2], forward(person.body, motion.poses[10]), atol=1e-3)
-
-
-def test_scene_that_does_not_exist_or_lacks_persons_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no scene 'dance'"):
-        write_scene(tmp_path / "scene", ring(1), "dance", PAIR)
-    with pytest.raises(InputError, match="1 persons for the 2 roles"):
-        write_scene(tmp_path / "scene", ring(1), "meeting", PAIR[:1])
 
 
 @pytest.mark.slow

@@ -17,14 +17,14 @@ from stick_figure.body import STATURES_M
 from .motions.catalogue import MOTIONS, MotionFunction
 from .motions.recorded import RecordedMotion, is_motion_file
 from .motions.together import TOGETHER
-from .people import OUTFITS, REFERENCE_STATURE_M, people_of_sizes, person_of
+from .people import BUILDS, LENGTHS, OUTFITS, REFERENCE_STATURE_M, people_of_sizes, person_of
 from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
 from .recording.session import SESSION_FPS, RenderSettings, write_scene, write_session
 from .rig import HEIGHT_PX, WIDTH_PX, ring
 
 QUICK_FPS, QUICK_MOVING_S = 6.0, 16.0
 SIDE = number("pixels", 160, 8192, whole=True)
-PROPORTION = number("times the average", 0.3, 3)
+LENGTH = number("times the average", *LENGTHS)
 
 
 def image_size(text: str) -> tuple[int, int]:
@@ -112,12 +112,15 @@ def _session_parser() -> argparse.ArgumentParser:
         "--stature", type=number("m", *STATURES_M), default=REFERENCE_STATURE_M, help="standing height, m"
     )
     parser.add_argument(
-        "--build", type=PROPORTION, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy"
+        "--build",
+        type=number("times the average", *BUILDS),
+        default=1.0,
+        help="thickness over the average's: 0.85 slim, 1.2 heavy",
     )
-    parser.add_argument("--arms", type=PROPORTION, default=1.0, help="length of the arms over the average's")
-    parser.add_argument("--legs", type=PROPORTION, default=1.0, help="length of the legs over the average's")
+    parser.add_argument("--arms", type=LENGTH, default=1.0, help="length of the arms over the average's")
+    parser.add_argument("--legs", type=LENGTH, default=1.0, help="length of the legs over the average's")
     parser.add_argument(
-        "--flicker", type=number("", 0, 1), default=0.005, help="relative deviation of a frame's brightness"
+        "--flicker", type=number("", 0, 0.5), default=0.005, help="relative deviation of a frame's brightness"
     )
     parser.add_argument("--shadow", action=argparse.BooleanOptionalAction, default=True, help="shadow on the floor")
     return parser
@@ -152,7 +155,7 @@ def _add_common_arguments(parser: argparse.ArgumentParser, motion: str, seed: st
     parser.add_argument("--motion", default="tour", metavar="NAME|FILE", help=motion)
     parser.add_argument("--seed", type=number("", 0, 1 << 32, whole=True), default=1, help=seed)
     parser.add_argument(
-        "--noise", type=number("grey levels", 0, 255), default=3.0, help="standard deviation of a pixel, grey levels"
+        "--noise", type=number("grey levels", 0, 100), default=3.0, help="standard deviation of a pixel, grey levels"
     )
 
 

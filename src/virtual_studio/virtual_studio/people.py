@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from capture_rig.errors import InputError
 from capture_rig.session import WRIST_FRACTION
 from stick_figure import kernels
 from stick_figure.body import Body
@@ -44,10 +43,9 @@ LEVEL_FOOT_BELOW, FREE_FOOT_ABOVE = 0.05, 0.16
 """Ankle height over stature between which a foot turns from level to following its calf."""
 FREE_FOOT_TILT, LEVEL_FOOT_TILT = 0.15, 0.40
 """Cosine of a calf's tilt between which its foot turns from following it (lying) to level (standing, squatting)."""
-LEAST_BUILD, GREATEST_BUILD = 0.6, 1.6
+BUILDS, LENGTHS = (0.6, 1.6), (0.85, 1.15)
+"""Builds, and lengths of arms and legs, that people have, over the average's."""
 ARMS, LEGS = [L_UPPER_ARM, R_UPPER_ARM, L_FOREARM, R_FOREARM], [L_THIGH, R_THIGH, L_CALF, R_CALF]
-LEAST_LENGTH, GREATEST_LENGTH = 0.85, 1.15
-"""Of arms and legs over the average's."""
 
 
 class Capsules(NamedTuple):
@@ -81,18 +79,10 @@ class VolumetricBody:
     """A person of the given sizes; `place` puts the parts into a pose.
 
     build: thickness of trunk and limbs over the average's, 0.85 slim, 1.2 heavy; head and hands vary less, feet not.
-    Raises InputError for a build that no person has.
     """
 
     body: Body
     build: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not LEAST_BUILD <= self.build <= GREATEST_BUILD:
-            raise InputError(
-                f"a build of {self.build:g} is not a person's",
-                remedy=f"Give {LEAST_BUILD} (slim) to {GREATEST_BUILD} (heavy).",
-            )
 
     @cached_property
     def scale(self) -> float:
@@ -186,14 +176,8 @@ class VolumetricBody:
 def person_of(stature_m: float, arms: float = 1.0, legs: float = 1.0) -> Body:
     """Returns a body of this standing height, m, with arms and legs so many times as long as the average's.
 
-    The torso takes up what the legs leave of the stature. Raises InputError for proportions that no person has.
+    The torso takes up what the legs leave of the stature.
     """
-    for name, factor in (("arms", arms), ("legs", legs)):
-        if not LEAST_LENGTH <= factor <= GREATEST_LENGTH:
-            raise InputError(
-                f"{name} {factor:g} times as long as the average's are not a person's",
-                remedy=f"Give {LEAST_LENGTH} to {GREATEST_LENGTH}.",
-            )
     average = Body.from_stature(stature_m)
     halves = average.half_lengths.copy()
     halves[ARMS] *= arms

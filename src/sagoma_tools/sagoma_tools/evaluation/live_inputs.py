@@ -185,8 +185,6 @@ class StudioInput(LiveInput):
         cancel: threading.Event | None = None,
     ) -> None:
         super().__init__(session_folder)
-        if not fps > 0:
-            raise InputError(f"fps = {fps:g}", where="cameras", remedy="Give a frame rate above 0 Hz.")
         self._fps, self._trained, self._cancel = fps, trained, cancel
         self.clock = CaptureClock(speed)
         self.in_real_time = self.clock.speed == 1
