@@ -12,7 +12,7 @@ from stick_figure.kinematics import forward
 from stick_figure.skeleton import ANGLE_HIGH, ANGLE_LOW, T_POSE_ANGLES
 from virtual_studio.motions.catalogue import HARD_CASES, MOTIONS, T_POSE_S, t_pose_only, tour, walk
 from virtual_studio.motions.together import OUTSIDE_M, TOGETHER
-from virtual_studio.people import ANKLE_HEIGHT, OUTFITS, VolumetricBody, people_of_sizes, person_of, together
+from virtual_studio.people import ANKLE_HEIGHT, OUTFITS, VolumetricBody, people_of_sizes, person_of
 from virtual_studio.recording.session import write_scene
 from virtual_studio.rig import VOLUME, azimuths, ring
 
@@ -160,14 +160,6 @@ def test_persons_of_the_crowd_keep_out_of_each_others_way():
     four = np.array([places(motion) for motion in motions])
     apart = np.linalg.norm(four[:, None] - four[None], axis=-1)[np.triu_indices(4, 1)]
     assert apart.min() > 0.5
-
-
-def test_parts_of_several_bodies_are_rendered_as_one(coming_later):
-    poses = [motion.poses[0] for motion in coming_later]
-    bodies = [person.place(pose) for person, pose in zip(PAIR, poses, strict=True)]
-    both = together(*bodies)
-    assert len(both.albedo) == sum(len(body.albedo) for body in bodies)
-    np.testing.assert_array_equal(both.starts[len(bodies[0].starts) :], bodies[1].starts)
 
 
 @pytest.mark.slow

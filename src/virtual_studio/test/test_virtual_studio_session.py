@@ -50,15 +50,12 @@ def test_session_reads_back_as_it_was_written(session_folder):
         assert set(np.unique(read_grey(session.masks[name]))) == {0, 255}
 
 
-def test_truth_reads_back_with_points_and_angles(session_folder):
+def test_truth_reads_back_and_its_points_follow_from_angles_torso_and_body(session_folder):
     truth, played = load_session(session_folder).truth, tour(BODY, FRAMES / 10, 10)
+    body = load_body(session_folder / "body.yaml")
     np.testing.assert_array_equal(truth.frames, np.arange(FRAMES))
     np.testing.assert_allclose(truth.points_world, [forward(BODY, pose) for pose in played.poses], atol=2e-7)
     np.testing.assert_allclose(truth.angles, played.angles, atol=1e-7)
-
-
-def test_truth_points_follow_from_the_files_angles_torso_and_body(session_folder):
-    truth, body = load_session(session_folder).truth, load_body(session_folder / "body.yaml")
     table = np.genfromtxt(session_folder / "truth.csv", delimiter=",", names=True)
     for frame in range(0, FRAMES, 3):
         torso = np.array([table[name][frame] for name in TORSO_COLUMNS])
