@@ -22,6 +22,9 @@ from stick_figure.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
     ANGLE_NAMES,
+    BALL_ANGLES,
+    BALL_EULER_AXES,
+    HINGE_ANGLES,
     PARENT,
     POINT_NAMES,
     POINT_STICK,
@@ -38,22 +41,12 @@ ROOT = ("torso_tilt", "torso_list", "torso_rotation", "torso_tx", "torso_ty", "t
 ROOT_ORDER = "ZXY"
 """Of the torso's rotation, body-fixed, as OpenSim's own gait models turn the pelvis."""
 UNIT_AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-AXIS_OF = {"x": (1, 0, 0), "y": (0, 0, -1), "z": (0, 1, 0)}
-"""Our axes in OpenSim's: x forward, y up, z right."""
+AXES = ((1, 0, 0), (0, 0, -1), (0, 1, 0))
+"""Our x, y, z in OpenSim's axes: x forward, y up, z right."""
 Axis = tuple[int, int, int]
 SETS = ("Body", "Joint", "Marker")
-_JOINTS: tuple[tuple[int, tuple[str, ...], str], ...] = (
-    (1, ("neck_x", "neck_y"), "xy"),
-    (2, ("left_shoulder_x", "left_shoulder_z", "left_shoulder_y"), "xzy"),
-    (3, ("right_shoulder_x", "right_shoulder_z", "right_shoulder_y"), "xzy"),
-    (4, ("left_hip_x", "left_hip_y", "left_hip_z"), "xyz"),
-    (5, ("right_hip_x", "right_hip_y", "right_hip_z"), "xyz"),
-    (6, ("left_elbow",), "z"),
-    (7, ("right_elbow",), "z"),
-    (8, ("left_knee",), "y"),
-    (9, ("right_knee",), "y"),
-)
-"""Of each joint: the stick that it moves, its angles in the order in which they turn, the axis (ours) of each."""
+HINGE_AXES = np.array([[2], [2], [1], [1]])
+"""(4, 1) of our axes about which elbows and knees turn."""
 
 
 def write_osim(motion: Motion, path: Path, mass_kg: float | None = None) -> None:
@@ -65,8 +58,9 @@ def write_osim(motion: Motion, path: Path, mass_kg: float | None = None) -> None
     for stick, inertia in enumerate(segment_inertias(body, mass_kg)):
         _add_body(bodies, stick, body, inertia)
     _add_root(joints)
-    for joint in _JOINTS:
-        _add_joint(joints, *joint, body)
+    slots, axes = [*BALL_ANGLES, *HINGE_ANGLES[:, None]], [*BALL_EULER_AXES, *HINGE_AXES]
+    for stick, (of_joint, turning) in enumerate(zip(slots, axes, strict=True), 1):
+        _add_joint(joints, stick, of_joint[of_joint >= 0].tolist(), turning[turning >= 0].tolist(), body)
     for point, name in enumerate(POINT_NAMES):
         frame = f"/bodyset/{STICK_NAMES[POINT_STICK[point]]}"
         _add(markers, "Marker", name, socket_parent_frame=frame, location=_numbers(_marker_place(body, point)))
@@ -109,13 +103,12 @@ def _add_root(joints: xml.Element) -> None:
     _add_joint_between(joints, "torso", "/ground", limits, [*turns], ROOT[3:])
 
 
-def _add_joint(joints: xml.Element, stick: int, angles: tuple[str, ...], axes: str, body: Body) -> None:
-    """Add a ball joint or hinge between a stick and its parent."""
+def _add_joint(joints: xml.Element, stick: int, slots: list[int], axes: list[int], body: Body) -> None:
+    """Add a ball joint or hinge between a stick and its parent: its angles and their axes, in the order they turn."""
     name, parent = STICK_NAMES[stick], int(PARENT[stick])
-    slots = [(angle, ANGLE_NAMES.index(angle)) for angle in angles]
-    limits = [(angle, T_POSE_ANGLES[slot], ANGLE_LOW[slot], ANGLE_HIGH[slot]) for angle, slot in slots]
-    spare = [("", axis) for key, axis in AXIS_OF.items() if key not in axes]
-    turns = [*((angle, AXIS_OF[axis]) for angle, axis in zip(angles, axes, strict=True)), *spare]
+    limits = [(ANGLE_NAMES[slot], T_POSE_ANGLES[slot], ANGLE_LOW[slot], ANGLE_HIGH[slot]) for slot in slots]
+    turns = [(ANGLE_NAMES[slot], AXES[axis]) for slot, axis in zip(slots, axes, strict=True)]
+    turns += [("", axis) for k, axis in enumerate(AXES) if k not in axes]
     on_torso = parent == TORSO
     origin = (
         R_BIOMECHANICS_WORLD @ body.stick_origins_torso[stick] if on_torso else _along(parent, body.lengths[parent])

@@ -24,7 +24,8 @@ from .rig import HEIGHT_PX, WIDTH_PX, ring
 
 QUICK_FPS, QUICK_MOVING_S = 6.0, 16.0
 SIDE = number("pixels", 160, 8192, whole=True)
-LENGTH = number("times the average", *LENGTHS)
+SECONDS = number("s", 0.1, 3600)
+BUILD, LENGTH = (number("times the average", *limits) for limits in (BUILDS, LENGTHS))
 
 
 def image_size(text: str) -> tuple[int, int]:
@@ -92,37 +93,21 @@ def _session_parser() -> argparse.ArgumentParser:
         epilog="python -m virtual_studio setup FOLDER films calibration boards as well (--help tells more)",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    motions = ", ".join(MOTIONS)
-    parser.add_argument("folder", help="session folder to write (new, empty, or an older session of this tool)")
-    _add_common_arguments(
-        parser,
-        f"what the person does: {motions}; or a BVH file; or what several do: {', '.join(TOGETHER)}",
-        "of noise and flicker",
-    )
-    parser.add_argument(
-        "--seconds", type=number("s", 0.1, 3600), default=6.0, help="length, s (of a file: at most); first a T-pose"
-    )
-    parser.add_argument("--fps", type=FRAME_RATE, default=SESSION_FPS, help="frames a second")
-    parser.add_argument(
-        "--motion-start", type=number("s", 0, 1e5), default=0.0, help="seconds of the file to leave out"
-    )
-    parser.add_argument("--motion-up", default="y", help="the file's axis that points up")
-    parser.add_argument("--motion-joints", type=Path, help="YAML that maps joints of the figure to the file's")
-    parser.add_argument(
-        "--stature", type=number("m", *STATURES_M), default=REFERENCE_STATURE_M, help="standing height, m"
-    )
-    parser.add_argument(
-        "--build",
-        type=number("times the average", *BUILDS),
-        default=1.0,
-        help="thickness over the average's: 0.85 slim, 1.2 heavy",
-    )
-    parser.add_argument("--arms", type=LENGTH, default=1.0, help="length of the arms over the average's")
-    parser.add_argument("--legs", type=LENGTH, default=1.0, help="length of the legs over the average's")
-    parser.add_argument(
-        "--flicker", type=number("", 0, 0.5), default=0.005, help="relative deviation of a frame's brightness"
-    )
-    parser.add_argument("--shadow", action=argparse.BooleanOptionalAction, default=True, help="shadow on the floor")
+    option = parser.add_argument
+    option("folder", help="session folder to write (new, empty, or an older session of this tool)")
+    motions = f"what the person does: {', '.join(MOTIONS)}; or a BVH file; or what several do: {', '.join(TOGETHER)}"
+    _add_common_arguments(parser, motions, "of noise and flicker")
+    option("--seconds", type=SECONDS, default=6.0, help="length, s (of a file: at most); first a T-pose")
+    option("--fps", type=FRAME_RATE, default=SESSION_FPS, help="frames a second")
+    option("--motion-start", type=number("s", 0, 1e5), default=0.0, help="seconds of the file to leave out")
+    option("--motion-up", default="y", help="the file's axis that points up")
+    option("--motion-joints", type=Path, help="YAML that maps joints of the figure to the file's")
+    option("--stature", type=number("m", *STATURES_M), default=REFERENCE_STATURE_M, help="standing height, m")
+    option("--build", type=BUILD, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy")
+    option("--arms", type=LENGTH, default=1.0, help="length of the arms over the average's")
+    option("--legs", type=LENGTH, default=1.0, help="length of the legs over the average's")
+    option("--flicker", type=number("", 0, 0.5), default=0.005, help="relative deviation of a frame's brightness")
+    option("--shadow", action=argparse.BooleanOptionalAction, default=True, help="shadow on the floor")
     return parser
 
 
@@ -133,30 +118,25 @@ def _setup_parser() -> argparse.ArgumentParser:
         "room, a person. The truth lies apart, in truth*.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("folder", help="folder to write (new, empty, or an older one of this command)")
+    option = parser.add_argument
+    option("folder", help="folder to write (new, empty, or an older one of this command)")
     _add_common_arguments(parser, "what the person does", "of noise, flicker and hands")
-    parser.add_argument("--seconds", type=number("s", 0.1, 3600), default=6.0, help="length of the session, s")
-    parser.add_argument("--board", default=board_text(HAND_BOARD), help="waved before each camera")
-    parser.add_argument("--floor-board", default=board_text(FLOOR_BOARD), help="on the floor, and carried")
-    parser.add_argument("--quick", action="store_true", help="fewer places and frames of the boards")
+    option("--seconds", type=SECONDS, default=6.0, help="length of the session, s")
+    option("--board", default=board_text(HAND_BOARD), help="waved before each camera")
+    option("--floor-board", default=board_text(FLOOR_BOARD), help="on the floor, and carried")
+    option("--quick", action="store_true", help="fewer places and frames of the boards")
     return parser
 
 
 def _add_common_arguments(parser: argparse.ArgumentParser, motion: str, seed: str) -> None:
-    parser.add_argument(
-        "--cameras", type=number("cameras", 1, 33, whole=True), default=6, help="number of cameras in all"
-    )
-    parser.add_argument(
-        "--ceiling", action=argparse.BooleanOptionalAction, default=True, help="the last camera hangs from the ceiling"
-    )
-    parser.add_argument(
-        "--size", type=image_size, default=f"{WIDTH_PX}x{HEIGHT_PX}", metavar="WxH", help="of the images, pixels"
-    )
-    parser.add_argument("--motion", default="tour", metavar="NAME|FILE", help=motion)
-    parser.add_argument("--seed", type=number("", 0, 1 << 32, whole=True), default=1, help=seed)
-    parser.add_argument(
-        "--noise", type=number("grey levels", 0, 100), default=3.0, help="standard deviation of a pixel, grey levels"
-    )
+    option, ceiling, size = parser.add_argument, "the last camera hangs from the ceiling", f"{WIDTH_PX}x{HEIGHT_PX}"
+    option("--cameras", type=number("cameras", 1, 33, whole=True), default=6, help="number of cameras in all")
+    option("--ceiling", action=argparse.BooleanOptionalAction, default=True, help=ceiling)
+    option("--size", type=image_size, default=size, metavar="WxH", help="of the images, pixels")
+    option("--motion", default="tour", metavar="NAME|FILE", help=motion)
+    option("--seed", type=number("", 0, 1 << 32, whole=True), default=1, help=seed)
+    noise = "standard deviation of a pixel, grey levels"
+    option("--noise", type=number("grey levels", 0, 100), default=3.0, help=noise)
 
 
 def _show_progress(done: int, total: int) -> None:
