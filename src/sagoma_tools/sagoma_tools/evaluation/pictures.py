@@ -202,10 +202,8 @@ def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     seconds = evaluated.session.truth.frames / evaluated.session.fps
     for axis, point in zip(axes.flat, POINT_ORDER, strict=True):
         if evaluated.thesis is not None:
-            label = "thesis's method"
-            axis.plot(
-                seconds, evaluated.thesis.errors_mm[:, point], color=THESIS, linewidth=0.8, alpha=0.7, label=label
-            )
+            errors, label = evaluated.thesis.errors_mm[:, point], "thesis's method"
+            axis.plot(seconds, errors, color=THESIS, linewidth=0.8, alpha=0.7, label=label)
         axis.plot(seconds, scores.errors_mm[:, point], color=OURS, linewidth=1.3, label="ours")
         axis.axhline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
         _shade_unsure(axis, evaluated)
@@ -235,9 +233,8 @@ def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     for label, found, colour in methods:
         errors = np.sort(found.errors_mm[np.isfinite(found.errors_mm)])
         share = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
-        curve.plot(
-            errors, share, color=colour, linewidth=2, label=f"{label}: median {found.all_points.median_mm:.0f} mm"
-        )
+        label = f"{label}: median {found.all_points.median_mm:.0f} mm"
+        curve.plot(errors, share, color=colour, linewidth=2, label=label)
     curve.axvline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
     widest = max(np.nanpercentile(found.errors_mm, 98) for _, found, _ in methods)
     curve.set(xlim=(0.0, max(220.0, widest)), ylim=(0, 100), xlabel="error [mm]", ylabel="errors below [%]")
@@ -246,14 +243,8 @@ def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     bars.barh(places, scores.points.mean_mm[order], color=OURS, label="ours: mean")
     bars.plot(scores.points.p95_mm[order], places, "|", color=OURS, markersize=11, label="ours: 95 %")
     if evaluated.thesis is not None:
-        bars.plot(
-            evaluated.thesis.points.mean_mm[order],
-            places,
-            "D",
-            color=THESIS,
-            markersize=5,
-            label="thesis's method: mean",
-        )
+        mean_mm, label = evaluated.thesis.points.mean_mm[order], "thesis's method: mean"
+        bars.plot(mean_mm, places, "D", color=THESIS, markersize=5, label=label)
     bars.set_yticks(places, [_name(point) for point in order])
     bars.set_xlabel("error [mm]")
     for axis in (curve, bars):
