@@ -30,7 +30,6 @@ from .formats import (
     Mocap,
     between,
     pose_of,
-    present,
     read_c3d,
     read_numbers,
     save_description,
@@ -148,12 +147,10 @@ def choose_markers(mocap: Mocap, given: Mapping[str, object] | None = None) -> d
 
 def _at_frames(mocap: Mocap, labels: Iterable[str], frames: int, fps: float, delay_s: float) -> np.ndarray:
     """Return (F, 3) the middle of markers at each frame's time, m; NaN where one of them was not seen around it."""
-    tracks = [mocap.track_mm(label) for label in labels]
     positions = np.round((np.arange(frames) / fps - delay_s) * mocap.rate_hz, 6) + 1.0
     at = Instants.of(positions, len(mocap.points_mm))
-    known = at.inside & np.all([present(track, at) for track in tracks], axis=0)
-    middle_mm = np.mean([between(track, at) for track in tracks], axis=0)
-    return np.where(known[:, None], middle_mm / 1000.0, np.nan)
+    middle_mm = np.mean([between(mocap.track_mm(label), at) for label in labels], axis=0)
+    return np.where(at.inside[:, None], middle_mm / 1000.0, np.nan)
 
 
 def _videos(trial: Path) -> list[Path]:

@@ -182,7 +182,7 @@ def _volume(cameras: tuple[CameraModel, ...], mocap: Mocap | None, positions: np
         return default_volume(cameras)
     rows = slice(max(int(positions[0]) - 1, 0), int(positions[-1]) + 1)
     points = np.concatenate([track[rows] for track in markers_mm(mocap)]) / 1000.0
-    return volume_around(points[(points != 0).any(axis=1)])
+    return volume_around(points[np.isfinite(points).all(axis=1)])
 
 
 # footage, all cameras in step ----------------------------------------------------------------------------------------
