@@ -50,7 +50,8 @@ def jitter(track: Track, fps: float, truth: Truth | None = None) -> Jitter:
     half = max(1, round(0.5 * WINDOW_S * fps))
     smooth = _windows(points, half).mean(-1)
     reference = smooth if truth is None else truth.points_at(frames)
-    counts = _rests(reference, half) & np.isfinite(smooth).all(-1)
+    away = np.linalg.norm(_windows(reference, half) - reference[..., None], axis=2)
+    counts = (away.max(-1, initial=0.0) < STILL_M) & np.isfinite(smooth).all(-1)
     squared = np.where(counts, ((points - smooth) ** 2).sum(-1), 0.0)
     rms_m = float(np.sqrt(squared.sum() / counts.sum())) if counts.any() else float("nan")
     return Jitter(1e3 * rms_m, counts.sum(0))
@@ -62,12 +63,6 @@ def _windows(points: np.ndarray, half: int) -> np.ndarray:
         return np.empty((0, *points.shape[1:], 2 * half + 1))
     padded = np.pad(points, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
-
-
-def _rests(points: np.ndarray, half: int) -> np.ndarray:
-    """(F, 15) bool."""
-    away = np.linalg.norm(_windows(points, half) - points[..., None], axis=2)
-    return away.max(-1, initial=0.0) < STILL_M
 
 
 TRACKING = "tracking"

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -177,11 +178,9 @@ def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSetti
     sensor, things, fps = Sensor(settings.noise, settings.flicker, settings.seed), motion.things, motion.fps
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)))
-        rooms = [things and things.untouched, *([things.standing] if things and things.taken else [])]
-        empty, *later = (
-            list(pool.map(lambda camera, room=room: VirtualCamera(camera, standing=room), rig.cameras))
-            for room in rooms
-        )
+        furnished = (things.untouched, things.standing) if things else (None,)
+        rooms = [list(pool.map(partial(VirtualCamera, standing=room), rig.cameras)) for room in furnished]
+        empty = rooms[0]
         for number, (name, camera) in enumerate(zip(rig.names, empty, strict=True)):
             with VideoFile(folder / f"{name}_background{FOOTAGE}", fps) as video:
                 for frame in range(max(round(BACKGROUND_S * fps), 1)):
@@ -190,7 +189,7 @@ def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSetti
         masks = [stack.enter_context(VideoFile(folder / f"{name}_mask{LOSSLESS}", fps)) for name in rig.names]
 
         def shoot(number: int, frame: int, capsules: Capsules, shadow: Light | None) -> None:
-            cameras = later[0] if later and things and frame >= things.taken else empty
+            cameras = empty if things and frame < things.taken else rooms[-1]
             light, mask = cameras[number].render(capsules, shadow)
             footage[number].write(sensor.expose(light, number, frame))
             masks[number].write(mask)
