@@ -6,7 +6,7 @@ ranges because every activity's do and fading is a weighted mean.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -69,29 +69,34 @@ class Motion:
 
 
 ANGLES, LEAN, LIFT, TURNING, WALKING = slice(18), slice(18, 21), 21, 22, 23
-"""Parts of what a body does at an instant, (24,): joint angles, rad; rotation vector of the torso in its heading frame;
-metres of the lower foot above the floor; rad/s of the heading; share of the circle's walking speed (`everyday`)."""
+"""Parts of a `stance`."""
+
+
+def stance(
+    angles: Array,
+    lean: Sequence[float] = (0.0, 0.0, 0.0),
+    lift: float = 0.0,
+    turning: float = 0.0,
+    walking: float = 0.0,
+) -> Array:
+    """Makes what a body does at an instant, (24,).
+
+    angles: (18,) rad; lean: rotation vector of the torso in its heading frame; lift: metres of the lower foot above the
+    floor; turning: rad/s of the heading; walking: share of the circle's walking speed (`everyday`).
+    """
+    return np.concatenate([angles, lean, [lift, turning, walking]])
 
 
 @dataclass(frozen=True)
 class Activity:
-    """One thing to do for a while. Its functions take seconds since it began, down to -FADE_S while it fades in.
+    """One thing to do for a while: a `stance` for the seconds since it began, down to -FADE_S while it fades in.
 
-    Units as those of ANGLES, LEAN, and so on.
     own_clock: False hands the seconds since the motion began instead, so that steps keep their rhythm over rounds.
     """
 
     duration_s: float
-    angles: Callable[[float], Array]
-    walking: float = 0.0
-    lean: Callable[[float], Array] = lambda t: np.zeros(3)
-    turning: float = 0.0
-    lift: Callable[[float], float] = lambda t: 0.0
+    at: Callable[[float], Array]
     own_clock: bool = True
-
-    def at(self, t: float) -> Array:
-        """Returns what the body does, (24,)."""
-        return np.concatenate([self.angles(t), self.lean(t), [self.lift(t), self.turning, self.walking]])
 
 
 @dataclass(frozen=True)
@@ -104,7 +109,7 @@ class Timeline:
     def at(self, t: float) -> Array:
         """Blends the activities (24,) at time t, s; two derivatives are continuous where the activities' are."""
         active = self._active(t)
-        blend = (1.0 - sum(weight for _, _, weight in active)) * np.append(T_POSE_ANGLES, np.zeros(6))
+        blend = (1.0 - sum(weight for _, _, weight in active)) * stance(T_POSE_ANGLES)
         for activity, local, weight in active:
             blend = blend + weight * activity.at(local if activity.own_clock else t)
         return blend
@@ -143,17 +148,17 @@ def key_postures(duration_s: float, *keys: tuple) -> Activity:
 
     keys: time (s since the activity began), angles (18,) rad and, if not 0, the torso's lean forward, rad.
     """
-    times, angles = [key[0] for key in keys], [key[1] for key in keys]
-    leans = [np.array([0.0, key[2] if len(key) > 2 else 0.0, 0.0]) for key in keys]
+    times = [key[0] for key in keys]
+    stances = [stance(key[1], (0.0, key[2] if len(key) > 2 else 0.0, 0.0)) for key in keys]
 
-    def between(values: list[Array], t: float) -> Array:
+    def at(t: float) -> Array:
         after = int(np.searchsorted(times, t))
         if after == 0 or after == len(times):
-            return values[min(after, len(times) - 1)]
+            return stances[min(after, len(times) - 1)]
         fraction = ease((t - times[after - 1]) / (times[after] - times[after - 1]))
-        return (1.0 - fraction) * values[after - 1] + fraction * values[after]
+        return (1.0 - fraction) * stances[after - 1] + fraction * stances[after]
 
-    return Activity(duration_s, lambda t: between(angles, t), lean=lambda t: between(leans, t))
+    return Activity(duration_s, at)
 
 
 def hold(duration_s: float, angles: Array) -> Activity:
@@ -188,7 +193,7 @@ def right(name: str) -> int:
 
 
 def with_left(angles: Array, other: Array, names: tuple[str, ...], side: Callable[[str], int] = left) -> Array:
-    """Copies angles (18,), with the named joints of one side of another pose."""
+    """Copies angles (18,) or a stance (24,), with the named joints of one side of another."""
     mixed, slots = angles.copy(), [side(name) for name in names]
     mixed[slots] = other[slots]
     return mixed
@@ -198,7 +203,7 @@ with_right = partial(with_left, side=right)
 
 
 def posture(angles: Array, arms: Array) -> Array:
-    """Combines a pose, angles (18,), with the arms of another."""
+    """Combines angles (18,) or a stance (24,) with the arms of another."""
     return with_right(with_left(angles, arms, ARM), arms, ARM)
 
 

@@ -18,7 +18,7 @@ from stick_figure.skeleton import L_CALF, L_THIGH, T_POSE_ANGLES, TORSO
 from ..people import VolumetricBody
 from . import everyday
 from .catalogue import motion_by_steps
-from .everyday import STANDING, ahead, walking, walking_lean
+from .everyday import STANDING, walking
 from .timeline import (
     ARM,
     FADE_S,
@@ -144,8 +144,8 @@ def walk(person: VolumetricBody, way_m: float) -> Activity:
     """Walks so far ahead, or backward if negative, from standing to standing."""
     duration_s = float(np.interp(abs(way_m), _ways(person), PROBES_S))
     if way_m >= 0.0:
-        return ahead(duration_s)
-    return Activity(duration_s, lambda t: walking(-t), lean=lambda t: walking_lean(-t))
+        return Activity(duration_s, walking)
+    return Activity(duration_s, lambda t: walking(-t))
 
 
 def turn(angle: float) -> Activity:
@@ -186,11 +186,11 @@ def _approach(person: VolumetricBody, done: Sequence[Activity], near_m: float) -
     """Return the walk that takes the person, after what is done, so near to the middle."""
     low_s, high_s = 0.2, 3.0
     for _ in range(APPROACH_STEPS):
-        there = ahead(0.5 * (low_s + high_s))
+        there = Activity(0.5 * (low_s + high_s), walking)
         place, heading = _end_of(person, [*done, there])
         arrived = (MIDDLE - place) @ np.array([np.cos(heading), np.sin(heading)]) < near_m
         low_s, high_s = (low_s, there.duration_s) if arrived else (there.duration_s, high_s)
-    return ahead(low_s)
+    return Activity(low_s, walking)
 
 
 def _end_of(person: VolumetricBody, activities: Sequence[Activity]) -> tuple[Array, float]:
@@ -204,4 +204,4 @@ def _end_of(person: VolumetricBody, activities: Sequence[Activity]) -> tuple[Arr
 @lru_cache(maxsize=32)
 def _ways(person: VolumetricBody) -> tuple[float, ...]:
     """How far (m) walks of PROBES_S take this person."""
-    return tuple(float(_end_of(person, [hold(STAND_S, STANDING), ahead(s)])[0][0]) for s in PROBES_S)
+    return tuple(float(_end_of(person, [hold(STAND_S, STANDING), Activity(s, walking)])[0][0]) for s in PROBES_S)
