@@ -97,10 +97,8 @@ def scores_of(what: Recorded) -> dict[str, Scores | None]:
 
 def _cell(scores: Scores | None) -> str:
     """A cell of the table."""
-    if scores is None:
-        return "no body"
-    found = scores.all_points
-    return f"{found.mean_mm:.1f} / {found.over_200mm:.2f} / {found.inside_95:.2f}"
+    shown = "{mean_mm:.1f} / {over_200mm:.2f} / {inside_95:.2f}"
+    return "no body" if scores is None else shown.format(**scores.overall)
 
 
 def fast_motion(sets: Iterable[Recorded], settings: dict[str, Any]) -> dict[str, Any]:
