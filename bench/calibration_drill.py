@@ -73,7 +73,7 @@ def report(cameras: list[CameraErrors], own: Scores, exact: Scores) -> dict[str,
     formats = {"mean mm": ".1f", "p95 mm": ".1f", "over 200 mm %": ".1f", "tracked": ""}
     table = Table({"calibration": "", **formats}, markdown=True)
     for name, s in (("found", own), ("true", exact)):
-        table.row(name, s.mean_mm, s.p95_mm, 100 * s.over_200mm, f"{s.tracked} of {s.frames}")
+        table.row(name, s.mean_mm, s.all_points.p95_mm, 100 * s.all_points.over_200mm, f"{s.tracked} of {s.frames}")
     keys = ("focal_percent", "principal_px", "centre_mm", "rotation_deg")
     worst = {f"worst_{key}": round(max(getattr(c, key) for c in cameras), 4) for key in keys}
     return {

@@ -29,7 +29,7 @@ from people_sets import KEPT, follower_of, recorded
 
 from mocap_packets.fit import PART_NAMES, PART_POINTS
 from sagoma_tools.arguments import parse_settings
-from sagoma_tools.evaluation.scores import INSIDE_95, PartCalls, number, share, squared_distances
+from sagoma_tools.evaluation.scores import INSIDE_95, PartCalls, nees_of, number, share
 from sagoma_tools.evaluation.track import Track
 
 SHOWN = (
@@ -83,7 +83,7 @@ def calls_of(what: Recorded, settings: dict[str, Any]) -> tuple[Calls, float]:
     ]
     track = Track.of_states([(frame, state) for frame, state, _ in known])
     errors = track.points_world - truth[track.frames]
-    inside = squared_distances(errors, track.covariance) <= INSIDE_95
+    inside = nees_of(errors, track.covariance) <= INSIDE_95
     of_parts = np.stack([inside[:, list(points)].all(axis=1) for points in PART_POINTS], axis=1)
     log_odds = np.array([odds for *_, odds in known]).reshape(-1, len(PART_NAMES))
     said = PartCalls.of(1e3 * np.linalg.norm(errors, axis=2), track.parts)

@@ -25,7 +25,7 @@ from people import BAD_MM
 from people_sets import KEPT, followed
 
 from sagoma_tools.arguments import parse_settings
-from sagoma_tools.evaluation.scores import INSIDE_95, squared_distances
+from sagoma_tools.evaluation.scores import INSIDE_95, nees_of
 from stick_figure import metrics
 from stick_figure.skeleton import POINT_NAMES
 
@@ -48,7 +48,7 @@ def errors_of(what: Recorded, settings: dict[str, Any]) -> Errors:
         return Errors(none, none, none, np.full((15, 3), np.nan))
     track = tracks[min(tracks)].at(np.arange(len(truth)))
     centred = metrics.without_offsets(track.points_world, truth)
-    squared = squared_distances(centred - truth, track.covariance)
+    squared = nees_of(centred - truth, track.covariance)
     return Errors(
         1e3 * metrics.point_errors(track.points_world, truth),
         1e3 * metrics.point_errors(centred, truth),

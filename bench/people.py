@@ -36,7 +36,7 @@ from scenes import inside_volume
 
 from capture_rig.session import Truth
 from sagoma_tools.arguments import parse_settings
-from sagoma_tools.evaluation.scores import covariance_coverage
+from sagoma_tools.evaluation.scores import INSIDE_95, mean_of_known, nees_of, share_below
 from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import score_people
 from stick_figure import metrics
@@ -80,7 +80,7 @@ def judged(what: Recorded, found: Followed) -> Figures:
         for numbers, truth, rows in zip(owned, truths, known, strict=True)
         if numbers
     ]
-    switches, ghosts = (people.switches, people.ghost_frames) if people else (None, None)
+    switches, ghosts = (sum(s or 0 for s in people.who.switches), people.who.ghost_frames) if people else (None, None)
     if not pairs:
         return Figures(frames, *[None] * 3, 0.0, *[None] * 2, ms, switches, ghosts)  # type: ignore[arg-type]
     errors = np.concatenate([track.points_world - truth for track, truth in pairs])
@@ -88,20 +88,21 @@ def judged(what: Recorded, found: Followed) -> Figures:
     tracked = np.isfinite(distances).any(axis=1)
     worst = np.where(tracked, np.nan_to_num(distances, nan=-1.0).max(axis=1), np.nan)
     persons_mm = tuple(_mean(1e3 * metrics.point_errors(track.points_world, truth)) for track, truth in pairs)
-    coverage = covariance_coverage(errors, np.concatenate([track.covariance for track, _ in pairs]))
+    nees = nees_of(errors, np.concatenate([track.covariance for track, _ in pairs]))
+    inside = share_below(INSIDE_95, nees, 0)
     return Figures(
         frames,
         _mean(distances),
         _mean(np.concatenate([_without_offsets(*pair) for pair in pairs])),
         _mean((worst > BAD_MM)[tracked]),
         float(tracked.sum() / frames),
-        coverage.inside_95,
-        float(np.nanmin(coverage.point_inside_95)),
+        float(share_below(INSIDE_95, nees)),
+        float(np.nanmin(inside)),
         ms,
         switches,
         ghosts,
-        tuple(coverage.point_inside_95.tolist()),
-        tuple(coverage.point_nees.tolist()),
+        tuple(inside.tolist()),
+        tuple(mean_of_known(nees, 0).tolist()),
         persons_mm if several else None,
         found.ms_by_persons if several else None,
     )

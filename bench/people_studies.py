@@ -21,7 +21,7 @@ from mocap_packets.state import BodyState, NoState
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import TrackingStage
 from sagoma_tools.evaluation.in_process import OURS, ablation_rows
-from sagoma_tools.evaluation.scores import Scores, covariance_coverage, score
+from sagoma_tools.evaluation.scores import INSIDE_95, Scores, nees_of, score, share_below
 from sagoma_tools.evaluation.track import Track
 from stick_figure.skeleton import POINT_NAMES
 
@@ -97,9 +97,8 @@ def scores_of(what: Recorded) -> dict[str, Scores | None]:
 
 def _cell(scores: Scores | None) -> str:
     """A cell of the table."""
-    if scores is None:
-        return "no body"
-    return f"{scores.mean_mm:.1f} / {scores.over_200mm:.2f} / {scores.inside_95:.2f}"
+    shown = "{mean_mm:.1f} / {over_200mm:.2f} / {inside_95:.2f}"
+    return "no body" if scores is None else shown.format(**scores.overall)
 
 
 def fast_motion(sets: Iterable[Recorded], settings: dict[str, Any]) -> dict[str, Any]:
@@ -184,12 +183,12 @@ def smooth_figures(answers: list[BodyState | NoState], truth: np.ndarray) -> dic
     for frame, answer in enumerate(answers[: len(truth)]):
         if isinstance(answer, BodyState):
             errors[frame], covariances[frame] = answer.points_world - truth[frame], answer.point_covariance
-    coverage = covariance_coverage(errors, covariances)
+    nees = nees_of(errors, covariances)
     third = np.minimum((np.diff(errors, 3, axis=0) ** 2).sum(-1), JUMP_M**2)
     values = (
         1e3 * np.nanmean(np.linalg.norm(errors, axis=2)),
         1e3 * np.sqrt(np.nanmean(third) / 60.0),  # white noise of variance v an axis: 3 (1 + 9 + 9 + 1) v
-        coverage.inside_95,
-        np.nanmin(coverage.point_inside_95),
+        share_below(INSIDE_95, nees),
+        np.nanmin(share_below(INSIDE_95, nees, 0)),
     )
     return {name: round(float(value), 4) for name, value in zip(FIGURES, values, strict=True)}

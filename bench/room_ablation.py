@@ -91,7 +91,7 @@ def figures(session: Session, row: Row) -> dict[str, float | None]:
             return {"mean_mm": None, "over_200mm": None, "iou": float(np.mean(ious)) if ious else None}
     return {
         "mean_mm": round(found.mean_mm, 2),
-        "over_200mm": round(found.over_200mm, 4),
+        "over_200mm": round(float(found.all_points.over_200mm), 4),
         "iou": round(float(np.mean(ious)), 4) if ious else None,
     }
 

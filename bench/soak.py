@@ -186,8 +186,7 @@ def studio_stage(args: argparse.Namespace, stop: threading.Event, note: Note) ->
         ACTED_HZ / SLOWER,
         2 * ACTED_S * SLOWER,
     )
-    with StudioInput(session, out / "studio", args.hz) as studio:
-        studio.open(stop)
+    with StudioInput(session, out / "studio", args.hz, cancel=stop) as studio:
         graph = studio.graph(start_settings(studio.session, "auto"))
         with Supervisor(graph, out / "logs", cancel=stop, on_event=note, restart_delay_s=RESTART_DELAY_S) as supervisor:
             supervisor.configure(tolerate_cameras=False)

@@ -22,8 +22,9 @@ from capture_rig import Rig
 from capture_rig.camera import CameraModel
 from capture_rig.kernel import njit
 from capture_rig.rig import save_rig
+from capture_rig.video import VideoFile
 from virtual_studio.people import HAIR, OUTFITS, SHIRT, SHOES, SKIN, SLEEVE, TROUSERS, Capsules, Outfit, together
-from virtual_studio.recording.session import BACKGROUND_S, FIRST_BACKGROUND_FRAME, FOOTAGE, LOSSLESS, VideoFile
+from virtual_studio.recording.session import BACKGROUND_S, FIRST_BACKGROUND_FRAME, FOOTAGE, LOSSLESS
 from virtual_studio.rendering.camera import Sensor, VirtualCamera
 from virtual_studio.rendering.capsules import floor_shadow, lambert
 
@@ -133,11 +134,11 @@ def film(folder: Path, rig: Rig, people: list[MeshBody], motions: list[MeshMotio
     cameras = [VirtualCamera(model) for model in rig.cameras]
     with ExitStack() as stack:
         for number, camera in enumerate(cameras):
-            with VideoFile(folder, camera.camera, FOOTAGE, FPS, "_background") as video:
+            with VideoFile(folder / f"{camera.camera.name}_background{FOOTAGE}", FPS) as video:
                 for frame in range(round(BACKGROUND_S * FPS)):
                     video.write(SENSOR.expose(camera.empty_room(), number, FIRST_BACKGROUND_FRAME + frame))
-        films = [stack.enter_context(VideoFile(folder, model, FOOTAGE, FPS)) for model in rig.cameras]
-        masks = [stack.enter_context(VideoFile(folder, model, LOSSLESS, FPS, "_mask")) for model in rig.cameras]
+        films = [stack.enter_context(VideoFile(folder / f"{model.name}{FOOTAGE}", FPS)) for model in rig.cameras]
+        masks = [stack.enter_context(VideoFile(folder / f"{model.name}_mask{LOSSLESS}", FPS)) for model in rig.cameras]
         for frame in range(min(map(len, motions))):
             moves = [(motion.rotations[frame], motion.roots[frame]) for motion in motions]
             posed = [body.posed(*move) for body, move in zip(people, moves, strict=True)]

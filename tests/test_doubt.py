@@ -9,7 +9,7 @@ from mocap_packets.fit import PART_NAMES, PART_POINTS
 from mocap_pipeline.configuration import Configuration
 from mocap_pipeline.pipeline import MocapPipeline, TrackingStage
 from mocap_pipeline.session_footage import EPOCH_NS
-from sagoma_tools.evaluation.scores import INSIDE_95, PartCalls, squared_distances
+from sagoma_tools.evaluation.scores import INSIDE_95, PartCalls, nees_of
 from sagoma_tools.evaluation.track import Track
 from stick_figure.body import Body
 from stick_figure.kinematics import forward
@@ -52,7 +52,7 @@ def calls_of(scene):
     states = [(frame, follower.step(products).state) for frame, products in enumerate(scene.products)]
     track = Track.of_states([(frame, state) for frame, state in states if state is not None])
     errors = track.points_world - scene.truth[track.frames]
-    inside = squared_distances(errors, track.covariance) <= INSIDE_95
+    inside = nees_of(errors, track.covariance) <= INSIDE_95
     of_parts = np.stack([inside[:, list(points)].all(axis=1) for points in PART_POINTS], axis=1)
     return PartCalls.of(1e3 * np.linalg.norm(errors, axis=2), track.parts), of_parts
 

@@ -36,15 +36,12 @@ CRASHES = {
 def test_person_is_tracked_again_after_the_crash_of_any_process(server, built_in_session: Path, tmp_path: Path):
     told: queue.Queue[ProcessEvent] = queue.Queue()
     cancel = threading.Event()
-    with StudioInput(built_in_session, tmp_path / "studio", CAMERA_FPS) as studio:
-        studio.open(cancel)
+    with StudioInput(built_in_session, tmp_path / "studio", CAMERA_FPS, cancel=cancel) as studio:
         graph = studio.graph({"hull_server.deadline_s": 2.0, "hull_server.thin_out": False})
         with Supervisor(graph, tmp_path / "run", server, on_event=told.put, restart_delay_s=0.1) as supervisor:
             supervisor.configure(tolerate_cameras=False)
             supervisor.activate(tolerate_cameras=False)
-            studio.prepare(supervisor, cancel)
-            studio.studio.ask("room", state="occupied")
-            studio.studio.ask("hold")  # whoever moves at 5 Hz is too fast to be followed
+            studio.prepare(supervisor, cancel)  # the person stands: whoever moves at 5 Hz is too fast to be followed
             joints = Heard(supervisor.node, JointState, "/mocap/joint_states", PATIENCE_S)
             assert joints.wait_for_more(1)
             for name, number in CRASHES[server].items():

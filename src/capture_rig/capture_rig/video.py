@@ -1,4 +1,4 @@
-"""Reads video files frame after frame: the one place where a file is opened with OpenCV.
+"""Reads and writes video files frame after frame: the one place where a file is opened with OpenCV.
 
 with Video(path) as video:
     for image in video: ...
@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from types import TracebackType
 
 import cv2
 import numpy as np
@@ -141,6 +142,50 @@ class Video:
             raise InputError("cannot be opened as a video", where=str(self.path), remedy=self._remedy)
         self._frames, self._twice, self._opening = 0, False, []
         self._stamp_ms, self._shortest_ms, self._longest_ms = 0.0, math.inf, -math.inf
+
+
+CODECS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG", ".mkv": "FFV1"}
+"""Extension -> a codec that every OpenCV wheel can write: MPEG-4 plays in video programs, WebM in browsers, FFV1 is
+lossless (OpenCV, up to 4.8, puts it into .mkv but not into .mp4)."""
+
+
+class VideoFile:
+    """Writes a video that appears under its name when it is whole; pictures, (H, W, 3) BGR or (H, W), are of one shape.
+
+    The extension chooses the codec (CODECS). Raises InputError for another one, and where it cannot be written.
+    """
+
+    def __init__(self, path: Path, fps: float) -> None:
+        if path.suffix not in CODECS:
+            remedy = f"Name it with one of {', '.join(CODECS)}."
+            raise InputError(f"a video '{path.suffix}' cannot be written", where=str(path), remedy=remedy)
+        self.path, self._fps = path, fps
+        self._beside = path.with_name(f".{path.stem}.part{path.suffix}")
+        self._writer: cv2.VideoWriter | None = None
+
+    def write(self, picture: np.ndarray) -> None:
+        """Append a picture."""
+        if self._writer is None:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            code = cv2.VideoWriter.fourcc(*CODECS[self.path.suffix])
+            size, is_colour = (picture.shape[1], picture.shape[0]), picture.ndim == 3
+            self._writer = cv2.VideoWriter(str(self._beside), cv2.CAP_FFMPEG, code, self._fps, size, is_colour)
+            if not self._writer.isOpened():
+                remedy = "Install an OpenCV with FFmpeg (opencv-python-headless), or name another folder."
+                raise InputError("a video cannot be written", where=str(self.path), remedy=remedy)
+        self._writer.write(picture)
+
+    def __enter__(self) -> VideoFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._writer is not None:
+            self._writer.release()
+        if kind is None and self._beside.exists():
+            self._beside.replace(self.path)
+        self._beside.unlink(missing_ok=True)
 
 
 def is_grey(image: np.ndarray) -> bool:

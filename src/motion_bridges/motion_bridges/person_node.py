@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 import numpy as np
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
-from std_msgs.msg import Header
 
 from capture_rig.errors import InputError
 from capture_rig.settings import setting
@@ -54,7 +53,7 @@ class PersonNode(SagomaNode, ABC):
         if "autostart" not in self._parameter_overrides:  # nothing that has to wait for a supervisor
             self.set_parameters([Parameter("autostart", value=True)])
         self._closing: list[Callable[[], object]] = []
-        self._half_heard: dict[int, dict[str, Any]] = {}  # by stamp: two topics have no common order
+        self._half_heard: dict[int, dict[type, Any]] = {}  # by stamp: two topics have no common order
         self._active = False
 
     @abstractmethod
@@ -63,12 +62,12 @@ class PersonNode(SagomaNode, ABC):
 
     def configure(self) -> None:
         """Subscribe."""
-        for kind, topic, callback in (
-            (MultiDOFJointState, "joint_rotations", self._on_rotations),
-            (PointCloud2, "reference_points", self._on_points),
+        for kind, topic, read in (
+            (MultiDOFJointState, "joint_rotations", lambda *said: read_motions(*said).get(FIRST_PERSON)),
+            (PointCloud2, "reference_points", read_reference_points),
         ):
             name = f"{self.settings.person}/{topic}"
-            heard = self.create_subscription(kind, name, partial(self._attempt_reading, callback, name), RESULT)
+            heard = self.create_subscription(kind, name, partial(self._add, read, name), RESULT)
             self._closing.append(partial(self.destroy_subscription, heard))
 
     def activate(self) -> None:
@@ -86,31 +85,23 @@ class PersonNode(SagomaNode, ABC):
         self._closing.clear()
         self._half_heard.clear()
 
-    def _attempt_reading(self, read: Callable[[Any, str], None], topic: str, message: Any) -> None:
+    def _add(self, read: Callable[[Any, str], Any], topic: str, message: Any) -> None:
+        """Take one message of a set; with the other one, hand the set on."""
         if not self._active:
             return
+        stamp_ns = to_ns(message.header.stamp)
+        heard = self._half_heard.get(stamp_ns, {})
         try:
-            read(message, topic)
+            heard |= {type(part): part for part in [read(message, topic)] if part is not None}
+            if len(heard) == 2:
+                points, pose = heard[ReferencePoints].points_world, heard[JointMotion].pose
+                self.send(Instant(stamp_ns, message.header.frame_id, points, stick_frames(pose)))
+                self.health.tick(stamp_ns)
         except (InputError, OSError) as error:
             self.health.count("failed")
             self.get_logger().warning(str(error), throttle_duration_sec=5.0)
-
-    def _on_rotations(self, message: MultiDOFJointState, topic: str) -> None:
-        if FIRST_PERSON in (motions := read_motions(message, topic)):
-            self._add(message.header, motion=motions[FIRST_PERSON])
-
-    def _on_points(self, cloud: PointCloud2, topic: str) -> None:
-        self._add(cloud.header, points=read_reference_points(cloud, topic))
-
-    def _add(self, header: Header, **part: JointMotion | ReferencePoints) -> None:
-        """Take one message of a set; with the other one, hand the set on."""
-        stamp_ns = to_ns(header.stamp)
-        heard = self._half_heard.setdefault(stamp_ns, {})
-        heard |= part
-        if len(heard) == 2:
-            del self._half_heard[stamp_ns]
-            sticks = stick_frames(heard["motion"].pose)
-            self.send(Instant(stamp_ns, header.frame_id, heard["points"].points_world, sticks))
-            self.health.tick(stamp_ns)
-        elif len(self._half_heard) > DEPTH:
-            del self._half_heard[next(iter(self._half_heard))]
+        self._half_heard.pop(stamp_ns, None)
+        if len(heard) == 1:
+            self._half_heard[stamp_ns] = heard
+            if len(self._half_heard) > DEPTH:
+                del self._half_heard[next(iter(self._half_heard))]

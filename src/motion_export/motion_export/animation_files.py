@@ -36,7 +36,13 @@ def write_bvh(motion: Motion, path: Path, *, constant_bones: bool = False) -> No
     moving = not (tree.rigid or constant_bones)
     lines = ["HIERARCHY", *_joint_lines(tree, 0, 0, moving), "MOTION"]
     lines += [f"Frames: {len(motion)}", f"Frame Time: {1.0 / motion.rate_hz:.9f}"]
-    write_text(path, "\n".join([*lines, *_rows(tree, moving)]) + "\n")
+    columns = []  # the channels in the order of the hierarchy, which is that of JOINTS
+    for joint in range(len(JOINTS)):
+        if _has_positions(joint, moving):
+            columns.append(CM_PER_M * tree.translations[:, joint])
+        columns.append(Rotation.from_matrix(tree.rotations[:, joint]).as_euler(ROTATION_ORDER, degrees=True))
+    lines += map(_numbers, np.concatenate(columns, axis=1))
+    write_text(path, "\n".join(lines) + "\n")
 
 
 def _joint_lines(tree: JointTree, joint: int, depth: int, moving: bool) -> Iterator[str]:
@@ -54,16 +60,6 @@ def _joint_lines(tree: JointTree, joint: int, depth: int, moving: bool) -> Itera
     if not children:
         yield from (f"{inner}End Site", f"{inner}{{", f"{inner}\tOFFSET 0 0 0", f"{inner}}}")
     yield f"{indent}}}"
-
-
-def _rows(tree: JointTree, moving: bool) -> Iterator[str]:
-    """One line a frame: the channels in the order of the hierarchy, which is that of JOINTS."""
-    columns = []
-    for joint in range(len(JOINTS)):
-        if _has_positions(joint, moving):
-            columns.append(CM_PER_M * tree.translations[:, joint])
-        columns.append(Rotation.from_matrix(tree.rotations[:, joint]).as_euler(ROTATION_ORDER, degrees=True))
-    return (_numbers(row) for row in np.concatenate(columns, axis=1))
 
 
 def _has_positions(joint: int, moving: bool) -> bool:
@@ -86,7 +82,7 @@ def write_glb(motion: Motion, path: Path) -> None:
     """Write one person's motion."""
     tree, keys = JointTree.of_motion(motion), np.flatnonzero(motion.tracked)
     buffer = _Buffer()
-    mesh = _octahedron(buffer)
+    _add_octahedron(buffer)
     nodes = [gltf.Node(name=joint.name, children=[]) for joint in JOINTS]
     for joint, parent in enumerate(PARENTS):
         nodes[joint].translation = tree.translations[keys[0], joint].tolist()
@@ -94,7 +90,7 @@ def write_glb(motion: Motion, path: Path) -> None:
         if parent >= 0:
             nodes[parent].children.append(joint)
             nodes[parent].children.append(len(nodes))
-            nodes.append(_bone_node(joint, tree.offsets[joint], mesh))
+            nodes.append(_bone_node(joint, tree.offsets[joint]))
     animation = _animation(buffer, motion, tree, keys)
     document = gltf.GLTF2(
         asset=gltf.Asset(version="2.0", generator="sagoma"),
@@ -141,19 +137,16 @@ def _continuous(R: np.ndarray) -> np.ndarray:
     return quaternions
 
 
-def _bone_node(joint: int, offset: np.ndarray, mesh: int) -> gltf.Node:
-    """Return the octahedron from a joint's parent to it: unit octahedron along y, turned and scaled."""
+def _bone_node(joint: int, offset: np.ndarray) -> gltf.Node:
+    """Return the octahedron, mesh 0, from a joint's parent to it: along y and of length 1, turned and scaled."""
     length = float(np.linalg.norm(offset))
     turned = Rotation.align_vectors(offset[None] / length, [[0.0, 1.0, 0.0]])[0] if length > 0 else Rotation.identity()
     return gltf.Node(
-        name=f"bone_to_{JOINTS[joint].name}",
-        mesh=mesh,
-        rotation=turned.as_quat().tolist(),
-        scale=[max(length, 1e-6)] * 3,
+        name=f"bone_to_{JOINTS[joint].name}", mesh=0, rotation=turned.as_quat().tolist(), scale=[max(length, 1e-6)] * 3
     )
 
 
-def _octahedron(buffer: _Buffer) -> int:
+def _add_octahedron(buffer: _Buffer) -> None:
     """Add the bone of length 1 along y; its accessors are the first two."""
     w = BONE_WIDTH
     corners = [[0, 0, 0], [w, w, 0], [0, w, w], [-w, w, 0], [0, w, -w], [0, 1, 0]]
@@ -161,7 +154,6 @@ def _octahedron(buffer: _Buffer) -> int:
     faces = [[0, a, b] for a, b in sides] + [[5, b, a] for a, b in sides]
     buffer.add(np.array(corners, np.float32), gltf.VEC3, gltf.ARRAY_BUFFER, bounds=True)
     buffer.add(np.array(faces, np.uint16).ravel(), gltf.SCALAR, gltf.ELEMENT_ARRAY_BUFFER)
-    return 0
 
 
 class _Buffer:

@@ -13,18 +13,7 @@ import warnings
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stick_figure.skeleton import (
-    HEAD,
-    L_CALF,
-    L_FOREARM,
-    L_THIGH,
-    L_UPPER_ARM,
-    R_CALF,
-    R_FOREARM,
-    R_THIGH,
-    R_UPPER_ARM,
-    TORSO,
-)
+from stick_figure.skeleton import STICK_NAMES
 
 from .motion import R_BIOMECHANICS_WORLD, Motion, in_frames
 
@@ -35,8 +24,7 @@ TRUNK_AXES = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 ARM_AXES = np.diag([1.0, -1.0, -1.0])
 """The same in the axes of our arm sticks, which lie along their y, towards the hand, and bend about their -z."""
 MIRROR = np.diag([1.0, 1.0, -1.0])
-ARMS = {"right": (R_UPPER_ARM, R_FOREARM), "left": (L_UPPER_ARM, L_FOREARM)}
-LEGS = {"right": (R_THIGH, R_CALF), "left": (L_THIGH, L_CALF)}
+SIDES = ("right", "left")
 
 
 def isb_angles(motion: Motion) -> dict[str, Array]:
@@ -52,23 +40,24 @@ def angles_of_sticks(R_world_sticks: Array) -> dict[str, Array]:
     Cardan sequence z, x, y for trunk, neck, hips and knees (Grood & Suntay 1983: flexion, adduction, axial rotation);
     y, x, y for the shoulders (plane of elevation, elevation, axial rotation; Wu et al. 2005, 2.4.7).
     """
-    R = R_world_sticks
-    trunk = R[:, TORSO] @ TRUNK_AXES
+    R = {name: R_world_sticks[:, stick] for stick, name in enumerate(STICK_NAMES)}
+    trunk = R["torso"] @ TRUNK_AXES
     upright = R_BIOMECHANICS_WORLD.T  # columns: x forward, y up, z right of the world
-    joints = {"thorax": _relative(upright, trunk), "neck": _relative(trunk, R[:, HEAD] @ TRUNK_AXES)}
+    joints = {"thorax": _relative(upright, trunk), "neck": _relative(trunk, R["head"] @ TRUNK_AXES)}
     shoulders = {}
-    for side, (upper, lower) in ARMS.items():
-        shoulders[side] = _relative(trunk, R[:, upper] @ ARM_AXES, side)
-        joints[f"{side}_elbow"] = _relative(R[:, upper] @ ARM_AXES, R[:, lower] @ ARM_AXES, side)
-    for side, (upper, lower) in LEGS.items():
-        thigh, calf = R[:, upper] @ TRUNK_AXES, R[:, lower] @ TRUNK_AXES
+    for side in SIDES:
+        upper, lower = R[f"{side}_upper_arm"] @ ARM_AXES, R[f"{side}_forearm"] @ ARM_AXES
+        shoulders[side] = _relative(trunk, upper, side)
+        joints[f"{side}_elbow"] = _relative(upper, lower, side)
+    for side in SIDES:
+        thigh, calf = R[f"{side}_thigh"] @ TRUNK_AXES, R[f"{side}_calf"] @ TRUNK_AXES
         joints |= {f"{side}_hip": _relative(trunk, thigh, side), f"{side}_knee": _relative(thigh, calf, side)}
     cardan, of_shoulder = _degrees(joints, "ZXY"), _degrees(shoulders, "YXY")
     angles = dict(
         zip(("thorax_tilt", "thorax_lateral_flexion", "thorax_axial_rotation"), cardan["thorax"], strict=True)
     )
     angles |= {"neck_flexion": -cardan["neck"][0], "neck_lateral_flexion": cardan["neck"][1]}
-    for side in ARMS:
+    for side in SIDES:
         plane, elevation, axial = of_shoulder[side]
         raised = elevation > 0.0  # the same rotation with the elevation of Wu et al.'s sign: negative
         angles |= {
@@ -77,7 +66,7 @@ def angles_of_sticks(R_world_sticks: Array) -> dict[str, Array]:
             f"{side}_shoulder_axial_rotation": axial - 180.0 * raised,
             f"{side}_elbow_flexion": cardan[f"{side}_elbow"][0],
         }
-    for side in LEGS:
+    for side in SIDES:
         flexion, adduction, axial = cardan[f"{side}_hip"]
         angles |= {f"{side}_hip_flexion": flexion, f"{side}_hip_adduction": adduction}
         angles |= {f"{side}_hip_internal_rotation": axial, f"{side}_knee_flexion": -cardan[f"{side}_knee"][0]}

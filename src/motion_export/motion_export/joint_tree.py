@@ -10,19 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stick_figure.skeleton import (
-    HEAD,
-    L_CALF,
-    L_FOREARM,
-    L_THIGH,
-    L_UPPER_ARM,
-    POINT_NAMES,
-    R_CALF,
-    R_FOREARM,
-    R_THIGH,
-    R_UPPER_ARM,
-    TORSO,
-)
+from stick_figure.skeleton import POINT_NAMES, STICK_NAMES
 
 from .motion import R_ANIMATION_WORLD, T_POSE_STICKS, Motion, fill_linearly, fill_rotations, in_frames, rotated
 
@@ -42,26 +30,26 @@ class Joint:
     name: str
     parent: str | None
     point: str | None
-    stick: int
+    stick: str
 
 
 JOINTS = (
-    Joint("Hips", None, None, TORSO),
-    Joint("Spine", "Hips", "torso", TORSO),
-    Joint("Neck", "Spine", "neck", HEAD),
-    Joint("Head", "Neck", "head", HEAD),
-    Joint("LeftArm", "Spine", "left_shoulder", L_UPPER_ARM),
-    Joint("LeftForeArm", "LeftArm", "left_elbow", L_FOREARM),
-    Joint("LeftHand", "LeftForeArm", "left_hand", L_FOREARM),
-    Joint("RightArm", "Spine", "right_shoulder", R_UPPER_ARM),
-    Joint("RightForeArm", "RightArm", "right_elbow", R_FOREARM),
-    Joint("RightHand", "RightForeArm", "right_hand", R_FOREARM),
-    Joint("LeftUpLeg", "Hips", "left_hip", L_THIGH),
-    Joint("LeftLeg", "LeftUpLeg", "left_knee", L_CALF),
-    Joint("LeftFoot", "LeftLeg", "left_foot", L_CALF),
-    Joint("RightUpLeg", "Hips", "right_hip", R_THIGH),
-    Joint("RightLeg", "RightUpLeg", "right_knee", R_CALF),
-    Joint("RightFoot", "RightLeg", "right_foot", R_CALF),
+    Joint("Hips", None, None, "torso"),
+    Joint("Spine", "Hips", "torso", "torso"),
+    Joint("Neck", "Spine", "neck", "head"),
+    Joint("Head", "Neck", "head", "head"),
+    Joint("LeftArm", "Spine", "left_shoulder", "left_upper_arm"),
+    Joint("LeftForeArm", "LeftArm", "left_elbow", "left_forearm"),
+    Joint("LeftHand", "LeftForeArm", "left_hand", "left_forearm"),
+    Joint("RightArm", "Spine", "right_shoulder", "right_upper_arm"),
+    Joint("RightForeArm", "RightArm", "right_elbow", "right_forearm"),
+    Joint("RightHand", "RightForeArm", "right_hand", "right_forearm"),
+    Joint("LeftUpLeg", "Hips", "left_hip", "left_thigh"),
+    Joint("LeftLeg", "LeftUpLeg", "left_knee", "left_calf"),
+    Joint("LeftFoot", "LeftLeg", "left_foot", "left_calf"),
+    Joint("RightUpLeg", "Hips", "right_hip", "right_thigh"),
+    Joint("RightLeg", "RightUpLeg", "right_knee", "right_calf"),
+    Joint("RightFoot", "RightLeg", "right_foot", "right_calf"),
 )
 """Parents before children, each limb to its end. The last joint of a limb (and the head) is the end of the stick."""
 PARENTS = tuple(next((i for i, p in enumerate(JOINTS) if p.name == joint.parent), -1) for joint in JOINTS)
@@ -78,7 +66,7 @@ def local_transforms(points_world: Array, R_world_sticks: Array) -> tuple[Array,
     middle = 0.5 * (points[:, number["left_hip"]] + points[:, number["right_hip"]])
     places = np.stack([middle if j.point is None else points[:, number[j.point]] for j in JOINTS], axis=1)
     turned = rotated(R_world_sticks @ T_POSE_STICKS.transpose(0, 2, 1), R_ANIMATION_WORLD)  # since the T-pose
-    world = np.stack([turned[:, joint.stick] for joint in JOINTS], axis=1)
+    world = np.stack([turned[:, STICK_NAMES.index(joint.stick)] for joint in JOINTS], axis=1)
     translations, rotations = places.copy(), world.copy()
     for j, parent in enumerate(PARENTS):
         if parent >= 0:

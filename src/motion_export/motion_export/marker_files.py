@@ -96,9 +96,6 @@ def write_csv(motion: Motion, path: Path) -> None:
     writer = csv.writer(file)
     writer.writerow(header)
     for time_s, stamp_ns, state, row in zip(motion.times_s, stamps, motion.states, numbers, strict=True):
-        writer.writerow([f"{time_s:.6f}", stamp_ns, state, *map(_cell, row)])
+        cells = ("" if np.isnan(value) else f"{value:.{DIGITS}g}" for value in row)
+        writer.writerow([f"{time_s:.6f}", stamp_ns, state, *cells])
     write_text(path, file.getvalue())
-
-
-def _cell(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.{DIGITS}g}"

@@ -51,7 +51,6 @@ class Motion:
     name : of the person or take. rate_hz : frames a second. start_ns : stamp of frame 0.
     points_world : (F, 15, 3), order of ``stick_figure.skeleton.POINT_NAMES``; covariance : (F, 15, 3, 3) m^2.
     angles : (F, 18), order of ``ANGLE_NAMES``. torso_position_world : (F, 3); R_world_torso : (F, 3, 3).
-    R_world_sticks : (F, 10, 3, 3) frame of each stick (``stick_figure.skeleton.STICK_NAMES``).
     states : (F,) the tracker's state, empty in a gap, where all numbers are NaN.
     """
 
@@ -63,7 +62,6 @@ class Motion:
     angles: Array
     torso_position_world: Array
     R_world_torso: Array
-    R_world_sticks: Array
     states: Array
 
     def __len__(self) -> int:
@@ -83,20 +81,25 @@ class Motion:
             raise InputError(f"a rate of {rate} Hz is none", remedy="Give frames a second, above 0.")
         frames = np.rint((stamps - stamps[0]) * (rate / NS_PER_S)).astype(int)
         frames, first = np.unique(frames, return_index=True)
-        total = int(frames[-1]) + 1
+        tracked = np.isin(np.arange(frames[-1] + 1), frames)
+        states = np.full(len(tracked), UNTRACKED, dtype=object)
+        states[tracked] = np.asarray(samples.states)[first]
 
         def spread(values: Array) -> Array:
-            out = np.full((total, *values.shape[1:]), np.nan)
-            out[frames] = values[first]
-            return out
+            return in_frames(values[first], tracked)
 
-        states = np.full(total, UNTRACKED, dtype=object)
-        states[frames] = np.asarray(samples.states)[first]
-        columns = (samples.points_world, samples.covariance, samples.angles, samples.torso_position_world)
-        points, covariance, angles, position = map(spread, columns)
-        R_torso = spread(samples.R_world_torso)
-        sticks = _frames_of_sticks(position, R_torso, angles)
-        return cls(name, float(rate), int(stamps[0]), points, covariance, angles, position, R_torso, sticks, states)
+        points, covariance, angles = map(spread, (samples.points_world, samples.covariance, samples.angles))
+        place, R = spread(samples.torso_position_world), spread(samples.R_world_torso)
+        return cls(name, float(rate), int(stamps[0]), points, covariance, angles, place, R, states)
+
+    @cached_property
+    def R_world_sticks(self) -> Array:
+        """(F, 10, 3, 3) frame of each stick (``stick_figure.skeleton.STICK_NAMES``) by forward kinematics."""
+        out = np.full((len(self), 10, 3, 3), np.nan)
+        for frame in np.flatnonzero(self.tracked):
+            pose = Pose.from_angles(self.torso_position_world[frame], self.R_world_torso[frame], self.angles[frame])
+            out[frame] = stick_frames(pose)
+        return out
 
     @cached_property
     def times_s(self) -> Array:
@@ -137,14 +140,6 @@ def in_frames(values: Array, tracked: Array) -> Array:
     """Spread rows of the tracked frames (F,) bool over all frames; NaN in gaps."""
     out = np.full((len(tracked), *values.shape[1:]), np.nan)
     out[tracked] = values
-    return out
-
-
-def _frames_of_sticks(position: Array, R_torso: Array, angles: Array) -> Array:
-    """(F, 10, 3, 3) by forward kinematics; NaN where there is no pose."""
-    out = np.full((len(angles), 10, 3, 3), np.nan)
-    for frame in np.flatnonzero(np.isfinite(angles).all(axis=1)):
-        out[frame] = stick_frames(Pose.from_angles(position[frame], R_torso[frame], angles[frame]))
     return out
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from xml.etree import ElementTree as xml
 
 import numpy as np
+from scipy.constants import g
 from scipy.spatial.transform import Rotation
 
 from capture_rig.files import write_bytes, write_text
@@ -21,6 +22,9 @@ from stick_figure.skeleton import (
     ANGLE_HIGH,
     ANGLE_LOW,
     ANGLE_NAMES,
+    BALL_ANGLES,
+    BALL_EULER_AXES,
+    HINGE_ANGLES,
     PARENT,
     POINT_NAMES,
     POINT_STICK,
@@ -37,42 +41,29 @@ ROOT = ("torso_tilt", "torso_list", "torso_rotation", "torso_tx", "torso_ty", "t
 ROOT_ORDER = "ZXY"
 """Of the torso's rotation, body-fixed, as OpenSim's own gait models turn the pelvis."""
 UNIT_AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
-AXIS_OF = {"x": (1, 0, 0), "y": (0, 0, -1), "z": (0, 1, 0)}
-"""Our axes in OpenSim's: x forward, y up, z right."""
-
-
-_JOINTS: tuple[tuple[int, tuple[str, ...], str], ...] = (
-    (1, ("neck_x", "neck_y"), "xy"),
-    (2, ("left_shoulder_x", "left_shoulder_z", "left_shoulder_y"), "xzy"),
-    (3, ("right_shoulder_x", "right_shoulder_z", "right_shoulder_y"), "xzy"),
-    (4, ("left_hip_x", "left_hip_y", "left_hip_z"), "xyz"),
-    (5, ("right_hip_x", "right_hip_y", "right_hip_z"), "xyz"),
-    (6, ("left_elbow",), "z"),
-    (7, ("right_elbow",), "z"),
-    (8, ("left_knee",), "y"),
-    (9, ("right_knee",), "y"),
-)
-"""Of each joint: the stick that it moves, its angles in the order in which they turn, the axis (ours) of each."""
+AXES = ((1, 0, 0), (0, 0, -1), (0, 1, 0))
+"""Our x, y, z in OpenSim's axes: x forward, y up, z right."""
+Axis = tuple[int, int, int]
+SETS = ("Body", "Joint", "Marker")
+HINGE_AXES = np.array([[2], [2], [1], [1]])
+"""(4, 1) of our axes about which elbows and knees turn."""
 
 
 def write_osim(motion: Motion, path: Path, mass_kg: float | None = None) -> None:
     """Write the model; ``mass_kg`` : of the person, else that of a BMI of 22."""
     body = Body.from_points(motion.points_world[motion.tracked])
     document = xml.Element("OpenSimDocument", Version="40000")
-    model = xml.SubElement(document, "Model", name=motion.name)
-    _text(model, "gravity", "0 -9.80665 0")
-    bodies = xml.SubElement(xml.SubElement(model, "BodySet", name="bodyset"), "objects")
+    model = _add(document, "Model", motion.name, gravity=f"0 {-g} 0")
+    bodies, joints, markers = (_add(_add(model, f"{of}Set", f"{of.lower()}set"), "objects") for of in SETS)
     for stick, inertia in enumerate(segment_inertias(body, mass_kg)):
         _add_body(bodies, stick, body, inertia)
-    joints = xml.SubElement(xml.SubElement(model, "JointSet", name="jointset"), "objects")
     _add_root(joints)
-    for joint in _JOINTS:
-        _add_joint(joints, *joint, body)
-    markers = xml.SubElement(xml.SubElement(model, "MarkerSet", name="markerset"), "objects")
+    slots, axes = [*BALL_ANGLES, *HINGE_ANGLES[:, None]], [*BALL_EULER_AXES, *HINGE_AXES]
+    for stick, (of_joint, turning) in enumerate(zip(slots, axes, strict=True), 1):
+        _add_joint(joints, stick, of_joint[of_joint >= 0].tolist(), turning[turning >= 0].tolist(), body)
     for point, name in enumerate(POINT_NAMES):
-        marker = xml.SubElement(markers, "Marker", name=name)
-        _text(marker, "socket_parent_frame", f"/bodyset/{STICK_NAMES[POINT_STICK[point]]}")
-        _text(marker, "location", _numbers(_marker_place(body, point)))
+        frame = f"/bodyset/{STICK_NAMES[POINT_STICK[point]]}"
+        _add(markers, "Marker", name, socket_parent_frame=frame, location=_numbers(_marker_place(body, point)))
     xml.indent(document)
     write_bytes(path, xml.tostring(document, "UTF-8", xml_declaration=True))
 
@@ -94,82 +85,69 @@ def write_mot(motion: Motion, path: Path) -> None:
 
 def _add_body(bodies: xml.Element, stick: int, body: Body, inertia: SegmentInertia) -> None:
     """Add a stick as a rigid body whose origin is its joint; the torso's is its centre."""
-    length, R = body.lengths[stick], R_BIOMECHANICS_WORLD
-    start = -0.5 * _along(stick, length) if stick == TORSO else np.zeros(3)
-    element = xml.SubElement(bodies, "Body", name=STICK_NAMES[stick])
-    _text(element, "mass", f"{inertia.mass:.6g}")
-    _text(element, "mass_center", _numbers(start + R @ inertia.centre))
-    moments = R @ inertia.inertia @ R.T
-    _text(element, "inertia", _numbers(moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]))
-    geometry = xml.SubElement(element, "attached_geometry")
-    line = xml.SubElement(geometry, "LineGeometry", name="bone")
-    _text(line, "socket_frame", "..")
-    _text(line, "start_point", _numbers(start))
-    _text(line, "end_point", _numbers(start + _along(stick, length)))
+    along, R = _along(stick, body.lengths[stick]), R_BIOMECHANICS_WORLD
+    start = -0.5 * along if stick == TORSO else np.zeros(3)
+    moments = (R @ inertia.inertia @ R.T)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    centre = _numbers(start + R @ inertia.centre)
+    element = _add(
+        bodies, "Body", STICK_NAMES[stick], mass=f"{inertia.mass:.6g}", mass_center=centre, inertia=_numbers(moments)
+    )
+    ends = {"start_point": _numbers(start), "end_point": _numbers(start + along)}
+    _add(_add(element, "attached_geometry"), "LineGeometry", "bone", socket_frame="..", **ends)
 
 
 def _add_root(joints: xml.Element) -> None:
     """Add the torso's joint to the ground: three rotations, three translations."""
-    joint = xml.SubElement(joints, "CustomJoint", name="torso")
-    _text(joint, "socket_parent_frame", "/ground")
-    _text(joint, "socket_child_frame", "/bodyset/torso")
-    coordinates = xml.SubElement(joint, "coordinates")
-    for name in ROOT:
-        limit = np.pi if name in ROOT[:3] else 10.0
-        _add_coordinate(coordinates, name, 0.0, -limit, limit)
-    transform = xml.SubElement(joint, "SpatialTransform")
-    for k, (name, axis) in enumerate(zip(ROOT[:3], ((0, 0, 1), (1, 0, 0), (0, 1, 0)), strict=True), 1):
-        _add_axis(transform, f"rotation{k}", name, axis)
-    for k, (name, axis) in enumerate(zip(ROOT[3:], UNIT_AXES, strict=True), 1):
-        _add_axis(transform, f"translation{k}", name, axis)
+    turns = zip(ROOT[:3], ((0, 0, 1), (1, 0, 0), (0, 1, 0)), strict=True)
+    limits = [(name, 0.0, -limit, limit) for name, limit in zip(ROOT, [np.pi] * 3 + [10.0] * 3, strict=True)]
+    _add_joint_between(joints, "torso", "/ground", limits, [*turns], ROOT[3:])
 
 
-def _add_joint(joints: xml.Element, stick: int, angles: tuple[str, ...], axes: str, body: Body) -> None:
-    """Add a ball joint or hinge between a stick and its parent."""
+def _add_joint(joints: xml.Element, stick: int, slots: list[int], axes: list[int], body: Body) -> None:
+    """Add a ball joint or hinge between a stick and its parent: its angles and their axes, in the order they turn."""
     name, parent = STICK_NAMES[stick], int(PARENT[stick])
-    joint = xml.SubElement(joints, "CustomJoint", name=f"{name}_joint")
-    _text(joint, "socket_parent_frame", f"{name}_origin")
-    _text(joint, "socket_child_frame", f"/bodyset/{name}")
-    coordinates = xml.SubElement(joint, "coordinates")
-    for angle in angles:
-        slot = ANGLE_NAMES.index(angle)
-        _add_coordinate(coordinates, angle, T_POSE_ANGLES[slot], ANGLE_LOW[slot], ANGLE_HIGH[slot])
-    frame = xml.SubElement(xml.SubElement(joint, "frames"), "PhysicalOffsetFrame", name=f"{name}_origin")
-    _text(frame, "socket_parent", f"/bodyset/{STICK_NAMES[parent]}")
+    limits = [(ANGLE_NAMES[slot], T_POSE_ANGLES[slot], ANGLE_LOW[slot], ANGLE_HIGH[slot]) for slot in slots]
+    turns = [(ANGLE_NAMES[slot], AXES[axis]) for slot, axis in zip(slots, axes, strict=True)]
+    turns += [("", axis) for k, axis in enumerate(AXES) if k not in axes]
+    on_torso = parent == TORSO
     origin = (
-        R_BIOMECHANICS_WORLD @ body.stick_origins_torso[stick]
-        if parent == TORSO
-        else _along(parent, body.lengths[parent])
+        R_BIOMECHANICS_WORLD @ body.stick_origins_torso[stick] if on_torso else _along(parent, body.lengths[parent])
     )
-    _text(frame, "translation", _numbers(origin))
-    _text(frame, "orientation", "0 0 0")
-    transform = xml.SubElement(joint, "SpatialTransform")
-    used = [AXIS_OF[axis] for axis in axes]
-    spare = [axis for axis in AXIS_OF.values() if axis not in used]
-    for k, axis in enumerate([*used, *spare], 1):
-        _add_axis(transform, f"rotation{k}", angles[k - 1] if k <= len(used) else "", axis)
-    for k, axis in enumerate(UNIT_AXES, 1):
-        _add_axis(transform, f"translation{k}", "", axis)
+    frame = {"socket_parent": f"/bodyset/{STICK_NAMES[parent]}", "translation": _numbers(origin)}
+    _add_joint_between(joints, name, f"{name}_origin", limits, turns, ("", "", ""), **frame)
 
 
-def _add_coordinate(coordinates: xml.Element, name: str, value: float, low: float, high: float) -> None:
-    coordinate = xml.SubElement(coordinates, "Coordinate", name=name)
-    _text(coordinate, "default_value", f"{value:.9g}")
-    _text(coordinate, "range", f"{low:.9g} {high:.9g}")
-    _text(coordinate, "clamped", "false")
+def _add_joint_between(
+    joints: xml.Element,
+    name: str,
+    parent: str,
+    limits: Iterable[tuple[str, float, float, float]],
+    turns: Iterable[tuple[str, Axis]],
+    moves: Iterable[str],
+    **frame: str,
+) -> None:
+    """Add a joint between two frames.
 
-
-def _add_axis(transform: xml.Element, name: str, coordinate: str, axis: Iterable[int]) -> None:
-    """Add one axis of a joint's transform, driven by a coordinate or fixed at 0."""
-    element = xml.SubElement(transform, "TransformAxis", name=name)
-    _text(element, "coordinates", coordinate)
-    _text(element, "axis", " ".join(map(str, axis)))
-    if coordinate:
-        function = xml.SubElement(element, "LinearFunction", name="function")
-        _text(function, "coefficients", "1 0")
-    else:
-        function = xml.SubElement(element, "Constant", name="function")
-        _text(function, "value", "0")
+    limits : name, default, least and greatest value of each coordinate. turns : coordinate ("" for none) and axis of
+    each rotation, in their order; moves : coordinate of each translation. frame : of the parent's, where it is no body.
+    """
+    sockets = {"socket_parent_frame": parent, "socket_child_frame": f"/bodyset/{name}"}
+    joint = _add(joints, "CustomJoint", f"{name}_joint" if frame else name, **sockets)
+    coordinates = _add(joint, "coordinates")
+    for coordinate, value, low, high in limits:
+        limit = {"default_value": f"{value:.9g}", "range": f"{low:.9g} {high:.9g}", "clamped": "false"}
+        _add(coordinates, "Coordinate", coordinate, **limit)
+    if frame:
+        _add(_add(joint, "frames"), "PhysicalOffsetFrame", parent, **frame, orientation="0 0 0")
+    transform = _add(joint, "SpatialTransform")
+    for kind, axes in (("rotation", turns), ("translation", zip(moves, UNIT_AXES, strict=True))):
+        for k, (coordinate, axis) in enumerate(axes, 1):
+            along = {"coordinates": coordinate, "axis": " ".join(map(str, axis))}
+            element = _add(transform, "TransformAxis", f"{kind}{k}", **along)
+            if coordinate:
+                _add(element, "LinearFunction", "function", coefficients="1 0")
+            else:
+                _add(element, "Constant", "function", value="0")
 
 
 def _marker_place(body: Body, point: int) -> np.ndarray:
@@ -188,8 +166,12 @@ def _along(stick: int, length: float) -> np.ndarray:
     return R_BIOMECHANICS_WORLD @ vector
 
 
-def _text(parent: xml.Element, tag: str, text: str) -> None:
-    xml.SubElement(parent, tag).text = text
+def _add(parent: xml.Element, tag: str, name: str = "", **texts: str) -> xml.Element:
+    """Add an element with a name and elements of text in it; returns it."""
+    element = xml.SubElement(parent, tag, {"name": name} if name else {})
+    for key, text in texts.items():
+        xml.SubElement(element, key).text = text
+    return element
 
 
 def _numbers(values: np.ndarray) -> str:

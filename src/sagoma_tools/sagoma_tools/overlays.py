@@ -1,17 +1,14 @@
-"""People drawn over the pictures of cameras, as pictures and as videos."""
+"""People drawn over the pictures of cameras."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from types import TracebackType
 
 import cv2
 import numpy as np
 
 from capture_rig.camera import CameraModel
-from capture_rig.errors import InputError
 
 # (start, end) reference points of each drawn line: spine, head, shoulders, hips, arms, legs
 BONES = np.array(
@@ -127,9 +124,6 @@ def montage(pictures: Sequence[np.ndarray], columns: int, max_width: int = 1800)
 
 GOOD_BGR, UNSURE_BGR, GREY_BGR = (110, 220, 110), (60, 190, 250), (170, 170, 170)
 MAX_WIDTH_PX, MAX_HEIGHT_PX, BAR_PX = 1920, 1080, 40
-CODECS = {".mp4": "mp4v", ".webm": "VP80", ".avi": "MJPG", ".mkv": "FFV1"}
-"""Extension -> a codec that every OpenCV wheel can write: MPEG-4 plays in video programs, WebM in browsers, FFV1 is
-lossless (OpenCV, up to 4.8, puts it into .mkv but not into .mp4)."""
 
 
 def captioned(sheet: np.ndarray, text: str, sure: bool | None) -> np.ndarray:
@@ -156,42 +150,3 @@ def tiling(widths: Sequence[int], heights: Sequence[int]) -> tuple[int, float]:
 
     columns = max(range(1, count + 1), key=scale)
     return columns, scale(columns)
-
-
-class VideoFile:
-    """A video that appears under its name when it is whole; pictures, (H, W, 3) BGR or (H, W), are of one shape.
-
-    The extension chooses the codec (CODECS). Raises InputError for another one, and where it cannot be written.
-    """
-
-    def __init__(self, path: Path, fps: float) -> None:
-        if path.suffix not in CODECS:
-            remedy = f"Name it with one of {', '.join(CODECS)}."
-            raise InputError(f"a video '{path.suffix}' cannot be written", where=str(path), remedy=remedy)
-        self.path, self._fps = path, fps
-        self._beside = path.with_name(f".{path.stem}.part{path.suffix}")
-        self._writer: cv2.VideoWriter | None = None
-
-    def write(self, picture: np.ndarray) -> None:
-        """Append a picture."""
-        if self._writer is None:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            code = cv2.VideoWriter.fourcc(*CODECS[self.path.suffix])
-            size, is_colour = (picture.shape[1], picture.shape[0]), picture.ndim == 3
-            self._writer = cv2.VideoWriter(str(self._beside), code, self._fps, size, is_colour)
-            if not self._writer.isOpened():
-                remedy = "Install an OpenCV with FFmpeg, or name another folder."
-                raise InputError("a video cannot be written", where=str(self.path), remedy=remedy)
-        self._writer.write(picture)
-
-    def __enter__(self) -> VideoFile:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._writer is not None:
-            self._writer.release()
-        if kind is None and self._beside.exists():
-            self._beside.replace(self.path)
-        self._beside.unlink(missing_ok=True)

@@ -78,7 +78,7 @@ def printed(board: Board) -> BoardPrint:
 
 def picture(camera: CameraModel, board: Board, T_world_board: np.ndarray, seed: int = 0) -> np.ndarray:
     """(H, W) uint8: the board in the studio's room, with a little noise."""
-    light = filming(camera).render([PosedBoard(printed(board), T_world_board[None])])
+    light = filming(camera).render(PosedBoard(printed(board), T_world_board[None]))
     return SENSOR.expose(light, sum(camera.name.encode()), seed)
 
 

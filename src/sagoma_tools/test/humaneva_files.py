@@ -1,7 +1,7 @@
 """Writes a small data set in HumanEva-I's formats about the built-in person: what the importer's tests read.
 
-Nothing here uses the importer. A .c3d is put together byte by byte (C3D user guide, c3d.org), and the body model's
-points are found from the joints by trigonometry, one limb at a time, so that the published formulas lead back to them.
+Nothing here uses the importer. A .c3d is put together byte by byte (C3D user guide, c3d.org). The body model's points
+lie on the figure's own joints, and the subject's measures are such that the published formulas add nothing to them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from footage_clips import write_clip
-from scipy.optimize import brentq
 
 from capture_rig.camera import CameraModel
 from capture_rig.session import WRIST_FRACTION
@@ -27,9 +26,9 @@ Array = np.ndarray
 NECK, HEAD, HAND = 2, 1, (11, 12)
 JOINTS = {"Shoulder": (3, 4), "Hip": (5, 6), "Elbow": (7, 8), "Knee": (9, 10), "Ankle": (13, 14)}
 
-SHOULDER_WIDTH_MM = 354.0
-SHOULDER_OFFSET_MM = {"L": 46.0, "R": 52.0}
-HEAD_MM, PELVIS_MM, MARKER_RADIUS_MM = 316.103, 50.0, 7.0
+HEAD_MM, PELVIS_MM = 316.103, 50.0
+SHOULDER_WIDTH_MM = 14.0
+"""Between the centres of two markers of 7 mm: a chest of no depth."""
 MARKERS_NEAR = (
     "T10 RBAK STRN", "LFHD RFHD LBHD RBHD", "C7 CLAV", "LSHO", "RSHO", "LASI LPSI LTHI", "RASI RPSI RTHI", "LELB LUPA",
     "RELB RUPA", "LKNE LTIB", "RKNE RTIB", "LWRA LWRB LFIN LFRM", "RWRA RWRB RFIN RFRA", "LANK LHEE LTOE",
@@ -75,9 +74,9 @@ def write_cal(path: Path, camera: CameraModel) -> Path:
     return path
 
 
-def write_mp(path: Path) -> Path:
+def write_mp(path: Path, left: float = 46.0, right: float = 52.0) -> Path:
     measures = {"MarkerDiameter": 14, "LKneeWidth": 110, "RKneeWidth": 108, "HeadOffset": 12.5}
-    measures |= {f"{side}ShoulderOffset": offset for side, offset in SHOULDER_OFFSET_MM.items()}
+    measures |= {"LShoulderOffset": left, "RShoulderOffset": right}
     path.write_text("".join(f"${name} = {value}\r\n" for name, value in measures.items()))
     return path
 
@@ -89,29 +88,38 @@ def write_avi(path: Path, images: list[Array]) -> Path:
 def joints_of(points: Array, R_torso: Array) -> dict[str, Array]:
     """The truth: joints (F, 3) in metres of the stick figure's points (F, 15, 3) and torso rotation (F, 3, 3).
 
-    All are the figure's own, but the head's top: the data set puts it at a fixed distance from the thorax's origin.
+    All are the figure's own, but the head's top, which the data set puts at a fixed distance from the thorax's origin,
+    and the neck, between that, straight above the pelvis's, and the top of the torso's axis, which begins farther back.
     """
-    found = {"Pelvis": (points[:, 5] + points[:, 6]) / 2, "Neck": points[:, NECK]}
+    found = {"Pelvis": (points[:, 5] + points[:, 6]) / 2}
     for side, s in (("L", 0), ("R", 1)):
         found |= {side + name: points[:, index[s]] for name, index in JOINTS.items()}
         elbow, hand = points[:, 7 + s], points[:, HAND[s]]
         found[side + "Wrist"] = elbow + WRIST_FRACTION * (hand - elbow)
     thorax = 1e-3 * model_points(points, R_torso)["TRXO"]
+    found["Neck"] = thorax - 1e-3 * PELVIS_MM / 2 * R_torso[:, :, 0]
     found["Head"] = thorax + 1e-3 * HEAD_MM * unit(points[:, HEAD] - thorax)
     return found
 
 
 def model_points(points: Array, R_torso: Array) -> dict[str, Array]:
     """The body model's points (F, 3) in mm of the stick figure's points (F, 15, 3) m."""
-    p, x, z = 1e3 * points, R_torso[:, :, 0], R_torso[:, :, 2]
-    tracks = _trunk(p, R_torso)
+    p, (x, y, z) = 1e3 * points, (R_torso[:, :, k] for k in range(3))
+    middle = (p[:, 5] + p[:, 6]) / 2
+    pelvis = middle + PELVIS_MM * x
+    thorax = pelvis + np.sum((p[:, NECK] - middle) * z, axis=1, keepdims=True) * z
+    tracks = {}
+    for name, origin in (("PEL", pelvis), ("TRX", thorax)):
+        tracks |= {name + "O": origin}
+        tracks |= {name + letter: origin + 100 * axis for letter, axis in zip("ALP", (x, y, z), strict=True)}
+    tracks |= _frame("HED", p[:, HEAD], unit(p[:, HEAD] - thorax), x, 100.0)
     for side, s in (("L", 0), ("R", 1)):
-        hip, knee, ankle = p[:, 5 + s], p[:, 9 + s], p[:, 13 + s]
-        tracks |= _frame(f"{side}FE", knee, unit(hip - knee), x, np.linalg.norm(hip - knee, axis=1))
-        tracks |= _frame(f"{side}TI", ankle, unit(knee - ankle), x, np.linalg.norm(knee - ankle, axis=1))
         shoulder, elbow = p[:, 3 + s], p[:, 7 + s]
         wrist = elbow + WRIST_FRACTION * (p[:, HAND[s]] - elbow)
-        tracks |= _arm(side, shoulder, elbow, wrist, x)
+        hip, knee, ankle = p[:, 5 + s], p[:, 9 + s], p[:, 13 + s]
+        sticks = ("FE", hip, knee), ("TI", knee, ankle), ("HU", shoulder, elbow), ("RA", elbow, wrist)
+        for name, begin, end in sticks:
+            tracks |= _frame(side + name, end, unit(begin - end), x, np.linalg.norm(begin - end, axis=1))
         tracks |= _frame(f"{side}CL", shoulder, z, x, 100.0)
     return tracks
 
@@ -125,41 +133,6 @@ def marker_points(points: Array) -> dict[str, Array]:
 
 def unit(vectors: Array) -> Array:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def _trunk(p: Array, R_torso: Array) -> dict[str, Array]:
-    """Pelvis, thorax, head: the thorax's origin is where the mean of it and the torso axis's top is the neck."""
-    x, y, z = (R_torso[:, :, k] for k in range(3))
-    middle = (p[:, 5] + p[:, 6]) / 2
-    up = float(np.einsum("fi,fi->f", p[:, NECK] - middle, z).mean())  # the neck is straight above the mid-hips
-    half = (SHOULDER_WIDTH_MM / 2 - MARKER_RADIUS_MM) / 2
-
-    def thorax(length: float) -> Array:
-        """x and z of the thorax's origin from mid-hips, when the torso is that long."""
-        slant = length / np.hypot(half, length)
-        return 2 * np.array([0.0, up]) - slant * np.array([-half, length])
-
-    length = brentq(lambda n: np.linalg.norm(thorax(n) - [PELVIS_MM, 0.0]) - n, 200.0, 900.0)
-    forward_mm, up_mm = thorax(length)
-    thorax_mm = middle + forward_mm * x + up_mm * z
-    tracks = {"PELO": middle + PELVIS_MM * x}
-    tracks |= {label: tracks["PELO"] + 100 * axis for label, axis in (("PELA", x), ("PELL", y), ("PELP", z))}
-    tracks |= {"TRXO": thorax_mm, "TRXA": thorax_mm + 100 * x, "TRXL": thorax_mm + 100 * y, "TRXP": thorax_mm + 100 * z}
-    return tracks | _frame("HED", p[:, HEAD], unit(p[:, HEAD] - thorax_mm), x, 100.0)
-
-
-def _arm(side: str, shoulder: Array, elbow: Array, wrist: Array, x: Array) -> dict[str, Array]:
-    """Frames whose arms, turned back at the shoulder and forward at the elbow, end at the given joints."""
-    upper, fore = np.linalg.norm(elbow - shoulder, axis=1), np.linalg.norm(wrist - elbow, axis=1)
-    turn = np.arctan2(SHOULDER_OFFSET_MM[side] / 2, upper)[:, None]
-    u, v = unit(elbow - shoulder), unit(wrist - elbow)
-    w_u, w_v = (unit(x - np.sum(x * d, axis=1, keepdims=True) * d) for d in (u, v))
-    z_upper = -np.cos(turn) * u + np.sin(turn) * w_u
-    z_fore = -np.cos(turn) * v - np.sin(turn) * w_v
-    raw_elbow = shoulder - upper[:, None] * z_upper
-    raw_wrist = raw_elbow - fore[:, None] * z_fore
-    tracks = _frame(f"{side}HU", raw_elbow, z_upper, -np.sin(turn) * u - np.cos(turn) * w_u, upper)
-    return tracks | _frame(f"{side}RA", raw_wrist, z_fore, np.sin(turn) * v - np.cos(turn) * w_v, fore)
 
 
 def _frame(name: str, origin: Array, z: Array, towards_x: Array, length: Array | float) -> dict[str, Array]:
@@ -253,4 +226,4 @@ def _write_mocap(folder: Path, points: Array, R_torso: Array) -> None:
     still["LSHO"] = still["RSHO"] + [0.0, SHOULDER_WIDTH_MM, 0.0]
     still["RSHO"][2] = 0.0  # one frame in which it was not seen
     write_c3d(folder / "Static.c3d", still, MOCAP_HZ)
-    write_mp(folder / "S2.mp")
+    write_mp(folder / "S2.mp", 0.0, 0.0)

@@ -21,7 +21,7 @@ TRUTHS = truth_of(FIRST), truth_of(SECOND)
 def test_each_track_belongs_to_the_truth_that_it_is_nearest_to_in_its_first_second():
     people = score_people({1: track_of(SECOND + 0.01), 2: track_of(FIRST)}, TRUTHS, FPS)
     assert [person.numbers for person in people.persons] == [(2,), (1,)]
-    assert people.switches == 0
+    assert people.who.switches == (0, 0)
     assert people.persons[0].scores.mean_mm == pytest.approx(0.0, abs=1e-9)
     assert people.persons[1].scores.mean_mm == pytest.approx(10.0 * np.sqrt(3.0))
 
@@ -34,23 +34,23 @@ def parts_of(*pieces):
 @pytest.mark.parametrize(
     ("tracks", "numbers", "switches", "ghosts"),
     [
-        ({1: parts_of(FIRST[:70], SECOND[70:]), 2: parts_of(SECOND[:70], FIRST[70:])}, [(1,), (2,)], 2, ()),
-        ({1: track_of(FIRST[:60]), 3: track_of(FIRST[60:], first=60), 2: track_of(SECOND)}, [(1, 3), (2,)], 1, ()),
-        ({1: track_of(FIRST), 2: track_of(FIRST + 5.0 * ASIDE_M)}, [(1,), ()], 0, (2,)),
+        ({1: parts_of(FIRST[:70], SECOND[70:]), 2: parts_of(SECOND[:70], FIRST[70:])}, [(1,), (2,)], (1, 1), ()),
+        ({1: track_of(FIRST[:60]), 3: track_of(FIRST[60:], first=60), 2: track_of(SECOND)}, [(1, 3), (2,)], (1, 0), ()),
+        ({1: track_of(FIRST), 2: track_of(FIRST + 5.0 * ASIDE_M)}, [(1,), ()], (0, None), (2,)),
     ],
     ids=["two taken for each other", "a new number", "a track of nobody is a ghost"],
 )
 def test_switches_of_numbers_and_tracks_of_nobody_are_counted(tracks, numbers, switches, ghosts):
     people = score_people(tracks, TRUTHS, FPS)
     assert [person.numbers for person in people.persons] == numbers
-    assert (people.switches, people.ghosts, people.ghost_frames) == (switches, ghosts, FRAMES * len(ghosts))
+    assert (people.who.switches, people.who.ghosts, people.who.ghost_frames) == (switches, ghosts, FRAMES * len(ghosts))
     assert [person.scores is None for person in people.persons] == [not each for each in numbers]
 
 
 def test_what_a_track_calls_lost_is_not_looked_at():
     away = np.concatenate([FIRST[:60], FIRST[60:] + 9.0 * ASIDE_M])
     people = score_people({1: track_of(away, np.repeat(["tracking", "lost"], 60))}, TRUTHS[:1], FPS)
-    assert people.ghost_frames == 0
+    assert people.who.ghost_frames == 0
     assert people.persons[0].scores.tracked == 60
 
 

@@ -9,7 +9,16 @@ from scipy.spatial.transform import Rotation
 
 from capture_rig.errors import InputError
 from capture_rig.session import WRIST_FRACTION
-from sagoma_tools.evaluation.scores import angle_truth, covariance_coverage, defined, score, score_angles
+from sagoma_tools.evaluation.scores import (
+    INSIDE_95,
+    angle_truth,
+    defined,
+    mean_of_known,
+    nees_of,
+    score,
+    score_angles,
+    share_below,
+)
 from sagoma_tools.evaluation.track import Track
 from sagoma_tools.evaluation.track_evaluation import jitter, time_to_track_s
 
@@ -27,8 +36,8 @@ STILL = POINTS[:1]
 def test_score_reports_the_distance_when_every_point_is_moved_by_it():
     scores = score(track_of(TEN + np.array([0.0, 0.03, 0.04])), truth_of(TEN))
     assert scores.mean_mm == pytest.approx(50.0)
-    assert scores.rmse_mean_mm == pytest.approx(50.0)
-    assert scores.over_200mm == 0.0
+    assert scores.all_points.rmse_mm == pytest.approx(50.0)
+    assert scores.all_points.over_200mm == 0.0
     assert scores.tracked == scores.frames == 10
 
 
@@ -38,22 +47,22 @@ def test_an_offset_that_turns_with_the_body_is_reported_removed_and_no_lack_of_c
     scores = score(track_of(moved), truth_of(TEN))
     assert scores.point_offset_mm[9] == pytest.approx([100.0, 0.0, 0.0], abs=1e-6)
     assert scores.point_offset_mm[10] == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
-    assert scores.point_mm[9] == pytest.approx(100.0)
-    assert scores.point_mm_without_offset[9] == pytest.approx(0.0, abs=1e-6)
-    assert scores.coverage.point_inside_95[9] == 0.0
-    assert scores.coverage_without_offset.point_inside_95[9] == 1.0
-    assert scores.figures()["inside_95_without_offset"] > scores.coverage.inside_95
+    assert scores.points.mean_mm[9] == pytest.approx(100.0)
+    assert scores.points.mean_mm_without_offset[9] == pytest.approx(0.0, abs=1e-6)
+    assert scores.points.inside_95[9] == 0.0
+    assert scores.points.inside_95_without_offset[9] == 1.0
+    assert scores.figures()["inside_95_without_offset"] > scores.all_points.inside_95
 
 
 def test_score_reports_each_points_own_statistics():
     moved = TEN.copy()
     moved[:, 7, 2] += 0.001 * np.array([0, 10, 20, 30, 40, 50, 60, 70, 80, 300])
     scores = score(track_of(moved), truth_of(TEN))
-    assert scores.point_median_mm[7] == pytest.approx(45.0)
-    assert scores.point_mm[7] == pytest.approx(66.0)
-    assert scores.point_rmse_mm[7] == pytest.approx(np.sqrt((20400 + 90000) / 10))  # 10^2 + .. + 80^2 = 20400
-    assert scores.point_over_200mm[[7, 8]] == pytest.approx([0.1, 0.0])
-    assert scores.over_200mm == pytest.approx(0.1)  # frames with one lost point
+    assert scores.points.median_mm[7] == pytest.approx(45.0)
+    assert scores.points.mean_mm[7] == pytest.approx(66.0)
+    assert scores.points.rmse_mm[7] == pytest.approx(np.sqrt((20400 + 90000) / 10))  # 10^2 + .. + 80^2 = 20400
+    assert scores.points.over_200mm[[7, 8]] == pytest.approx([0.1, 0.0])
+    assert scores.all_points.over_200mm == pytest.approx(0.1)  # frames with one lost point
 
 
 def test_score_compares_wrists_where_the_reference_ends_there():
@@ -74,7 +83,7 @@ def test_a_point_that_the_truth_never_knows_has_no_score():
     holes = TEN.copy()
     holes[:, 12] = np.nan
     scores = score(track_of(TEN), truth_of(holes))
-    assert np.isnan(scores.point_mm[12])
+    assert np.isnan(scores.points.mean_mm[12])
     assert np.isfinite(scores.mean_mm)
     assert scores.figures()["point_mm"]["right_hand"] is None
 
@@ -86,7 +95,7 @@ def test_angle_errors_are_taken_the_short_way_round():
     truly, tracked = ANGLES[:10].copy(), ANGLES[:10].copy()
     truly[:, 3], tracked[:, 3] = np.deg2rad(-178.0), np.pi
     scores = score(track_of(TEN, angles=tracked), truth_of(TEN, truly))
-    assert scores.angle_rmse_deg[3] == pytest.approx(2.0)
+    assert np.rad2deg(scores.angles.rmse_rad[3]) == pytest.approx(2.0)
 
 
 def test_angle_truth_comes_from_the_points_where_the_reference_has_no_angles_and_is_unknown_where_one_is():
@@ -141,34 +150,26 @@ def test_torso_error_is_the_angle_by_which_the_whole_body_is_turned():
 # --- covariance
 
 
-def test_nees_of_honest_noise_is_three_and_lies_in_its_interval():
+def test_nees_of_honest_noise_is_three_and_four_times_that_where_a_point_claims_half_the_sd_it_has():
     rng = np.random.default_rng(11)
     A = rng.normal(size=(15, 3, 3))
     P = 1e-4 * (A @ A.transpose(0, 2, 1) + np.eye(3))
     errors = np.einsum("pij,fpj->fpi", np.linalg.cholesky(P), rng.normal(size=(4000, 15, 3)))
-    found = covariance_coverage(errors, np.broadcast_to(P, (4000, 15, 3, 3)))
-    assert found.nees == pytest.approx(3.0, abs=0.05)
-    np.testing.assert_allclose(found.point_inside_95, 0.95, atol=0.015)
-
-
-def test_nees_grows_by_four_where_a_point_claims_half_the_sd_it_has():
-    errors = np.random.default_rng(12).normal(0.0, 0.02, (4000, 15, 3))
-    P = np.tile(np.eye(3) * 0.02**2, (4000, 15, 1, 1))
-    P[:, 12] *= 0.25
-    found = covariance_coverage(errors, P)
-    assert found.point_nees[12] == pytest.approx(12.0, rel=0.05)
-    assert found.point_inside_95[12] == pytest.approx(0.418, abs=0.03)  # chi-square(3) at 7.81 / 4
-    assert found.point_inside_95[11] == pytest.approx(0.95, abs=0.015)
+    P[12] *= 0.25
+    nees = nees_of(errors, np.broadcast_to(P, (4000, 15, 3, 3)))
+    expected, inside = np.full(15, 3.0), np.full(15, 0.95)
+    expected[12], inside[12] = 12.0, 0.418  # chi-square(3) at 7.81 / 4
+    np.testing.assert_allclose(mean_of_known(nees, 0), expected, rtol=0.05)
+    np.testing.assert_allclose(share_below(INSIDE_95, nees, 0), inside, atol=0.03)
 
 
 def test_unknown_errors_do_not_count_and_certainty_counts_as_outside():
     errors, P = np.full((4, 15, 3), 0.01), np.tile(np.eye(3) * 1e-4, (4, 15, 1, 1))
     errors[:3, 0] = np.nan
     P[:, 1] = 0.0
-    found = covariance_coverage(errors, P)
-    assert found.point_nees[0] == pytest.approx(3.0)
-    assert found.point_inside_95[1] == 0.0
-    assert found.point_nees[1] == np.inf
+    nees = nees_of(errors, P)
+    np.testing.assert_allclose(mean_of_known(nees, 0)[:3], [3.0, np.inf, 3.0])
+    assert share_below(INSIDE_95, nees, 0)[1] == 0.0
 
 
 # --- jitter and time to track

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from humaneva_files import SHOULDER_WIDTH_MM, marker_points, model_points, write_c3d, write_mp
+from humaneva_files import marker_points, model_points, write_c3d, write_mp
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -65,13 +65,13 @@ def test_c3d_points_are_found_by_label_in_floats_and_in_integers(tmp_path, step,
         assert np.abs(mocap.track_mm(label) - track).max() < max(step, 1e-3)
 
 
-def test_c3d_in_metres_is_read_as_millimetres_unseen_points_stay_zero_and_missing_ones_are_named(tmp_path):
+def test_c3d_in_metres_is_read_as_millimetres_unseen_points_are_unknown_and_missing_ones_are_named(tmp_path):
     written = tracks()
     written["C7"][2] = 0.0
     path = write_c3d(tmp_path / "x.c3d", {label: track / 1000 for label, track in written.items()}, unit="m")
     mocap = read_c3d(path)
     assert mocap.track_mm("PELO") == pytest.approx(written["PELO"], abs=1e-3)
-    assert (mocap.track_mm("C7")[2] == 0).all()
+    assert np.isnan(mocap.track_mm("C7")[2]).all()
     assert mocap.track_mm("NONE", "C7") is not None  # either of two names
     with pytest.raises(InputError, match=r"x\.c3d: has no point labelled LFRM or LFRA"):
         mocap.track_mm("LFRM", "LFRA")
@@ -127,7 +127,7 @@ def test_every_image_is_within_half_a_frame_of_the_common_instant(pairs, rate, f
 
 # --- joints
 
-SIZES = Measures(SHOULDER_WIDTH_MM / 2 - 7.0, {"L": 46.0, "R": 52.0})
+SIZES = Measures(170.0, {"L": 46.0, "R": 52.0})
 GRID_HZ = 600
 
 
@@ -185,7 +185,7 @@ def test_segment_axes_turn_evenly_between_two_mocap_frames():
 def test_frames_beside_a_lost_point_are_invalid_and_no_others(person, label):
     points, R_torso = (a[::20] for a in person)
     mocap = mocap_of(points, R_torso)
-    mocap.points_mm[9, mocap.column[label]] = 0.0  # mocap frame 10
+    mocap.points_mm[9, mocap.column[label]] = np.nan  # mocap frame 10
     positions = np.array([8.0, 9.0, 9.01, 9.5, 10.0, 10.99, 11.0, 12.0])
     found = joints(mocap, positions, SIZES)
     assert found.valid.tolist() == [True, True, False, False, False, False, True, True]

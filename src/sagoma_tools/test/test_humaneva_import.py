@@ -15,7 +15,7 @@ from icp_tracker.acquisition.pose_source import make_pose_source
 from mocap_pipeline.configuration import Configuration
 from sagoma_bringup.launch_arguments import start_settings
 from sagoma_tools.cli import main
-from sagoma_tools.importers.humaneva import Request, Trial, import_trial
+from sagoma_tools.importers.humaneva import Trial, import_trial
 from stick_figure.kinematics import forward
 
 FIRST = 6
@@ -34,7 +34,7 @@ def data_set(tmp_path_factory):
 @pytest.fixture(scope="module")
 def imported(data_set, tmp_path_factory):
     folder = tmp_path_factory.mktemp("sessions") / "walking"
-    summary = import_trial(request_of(data_set), folder)
+    summary = import_trial(trial_of(data_set.root), folder, CAMERAS)
     return folder, summary
 
 
@@ -50,9 +50,8 @@ def copy(data_set, tmp_path):
     return shutil.copytree(data_set.root, tmp_path / "copy")
 
 
-def request_of(data_set, root=None, **changes):
-    trial = Trial(root or data_set.root, "S2", "Walking", changes.pop("number", 1))
-    return Request(trial, changes.pop("cameras", CAMERAS), **changes)
+def trial_of(root):
+    return Trial(root, "S2", "Walking", 1)
 
 
 def images(path):
@@ -156,13 +155,12 @@ def test_evaluation_starts_from_the_truth_of_an_imported_session(data_set, impor
             assert np.linalg.norm(points[index] - data_set.joints[8][joint]) < 0.05, joint
 
 
-def test_footage_alone_needs_no_motion_capture(data_set, copy, tmp_path):
+def test_footage_alone_needs_no_motion_capture(copy, tmp_path):
     for path in (copy / "S2" / "Mocap_Data").iterdir():
         path.unlink()
     with pytest.raises(InputError, match=r"Walking_1\.c3d: cannot be read .*--no-truth"):
-        import_trial(request_of(data_set, copy), tmp_path / "out")
-    request = request_of(data_set, copy, cameras=("C2",), frames=(6, 8), with_truth=False)
-    summary = import_trial(request, tmp_path / "out")
+        import_trial(trial_of(copy), tmp_path / "out", CAMERAS)
+    summary = import_trial(trial_of(copy), tmp_path / "out", ("C2",), (6, 8), with_truth=False)
     session = load_session(tmp_path / "out")
     assert session.truth is None and summary.frames == 3
     assert session.fps == 60.0
@@ -197,10 +195,10 @@ def other_size(root):
         (lambda root: shutil.rmtree(root / "Background"), r"Background: has no Background_\*_\(C1\)\.avi"),
     ],
 )
-def test_damaged_file_is_named_with_a_remedy_and_nothing_is_left(data_set, copy, tmp_path, damage, message):
+def test_damaged_file_is_named_with_a_remedy_and_nothing_is_left(copy, tmp_path, damage, message):
     damage(copy)
     with pytest.raises(InputError, match=message) as caught:
-        import_trial(request_of(data_set, copy), tmp_path / "out")
+        import_trial(trial_of(copy), tmp_path / "out", CAMERAS)
     assert caught.value.remedy
     assert sorted(path.name for path in tmp_path.iterdir()) == ["copy"]
 
@@ -226,5 +224,5 @@ def test_command_says_what_it_cannot_use(data_set, tmp_path, capsys, arguments, 
 def test_a_folder_with_anything_in_it_is_left_alone(data_set, tmp_path):
     (tmp_path / "mine.txt").write_text("precious")
     with pytest.raises(InputError, match="exists and is not an empty folder"):
-        import_trial(request_of(data_set, cameras=("C1",), frames=(6, 7)), tmp_path)
+        import_trial(trial_of(data_set.root), tmp_path, ("C1",), (6, 7))
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]

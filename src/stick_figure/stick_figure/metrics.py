@@ -1,12 +1,10 @@
 """Error metrics of thesis 7.2, corrected: points, angles, rotations, with and without constant joint offsets.
 
 Distances in metres, angles in radians. NaN marks what is unknown in the truth or missing in the estimate; such
-entries are left out of every mean and counted by :attr:`Summary.points_compared`.
+entries are left out of every mean.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,27 +13,6 @@ from .rotations import Array, wrap_pi
 # Thresholds: judgement, no measurement.
 LARGE_ERROR_M = 0.2
 """Default threshold of "a point is lost"."""
-
-
-@dataclass(frozen=True)
-class Summary:
-    """Errors of a sequence; metres.
-
-    rmse_per_point (15,)     root mean square over the frames of each point's distance (thesis eq. 7.3, corrected:
-                             it sums signed differences, so that +10 and -10 mm would cancel to 0)
-    thesis_mean              mean of those 15, the figure of thesis Table 7.2's last line
-    mean, median, p95        over all compared points of all frames
-    share_over               share of frames with any point further off than the threshold
-    points_compared          number of (frame, point) pairs that had both truth and estimate
-    """
-
-    rmse_per_point: Array
-    thesis_mean: float
-    mean: float
-    median: float
-    p95: float
-    share_over: float
-    points_compared: int
 
 
 def point_errors(estimate: Array, truth: Array) -> Array:
@@ -59,21 +36,16 @@ def rotation_angle(R_a: Array, R_b: Array) -> Array:
     return np.arctan2(double_sine, np.trace(R, axis1=-2, axis2=-1) - 1.0)
 
 
-def angle_errors(estimate: Array, truth: Array) -> Array:
-    """Angle differences (..., 18), rad, wrapped to [-pi, pi)."""
-    return wrap_pi(np.asarray(estimate, float) - np.asarray(truth, float))
-
-
 def rmse_angles(estimate: Array, truth: Array) -> Array:
-    """RMSE (18,) of each angle over the frames (F, 18), rad, of wrapped differences (thesis eq. 7.2)."""
-    return _root_mean_square(angle_errors(estimate, truth))
+    """RMSE (18,) of each angle over the frames (F, 18), rad, of differences wrapped to [-pi, pi) (thesis eq. 7.2).
 
-
-def share_over(errors: Array, threshold_m: float = LARGE_ERROR_M) -> float:
-    """Share of the frames of errors (F, 15) in which any known point is further off than the threshold."""
-    errors = np.asarray(errors)
-    known = np.isfinite(errors).any(axis=1)
-    return float((np.nan_to_num(errors[known]) > threshold_m).any(axis=1).mean()) if known.any() else float("nan")
+    Differences that are NaN are left out; NaN where nothing is known.
+    """
+    errors = wrap_pi(np.asarray(estimate, float) - np.asarray(truth, float))
+    known = np.isfinite(errors)
+    count = known.sum(0)
+    mean_square = (np.where(known, errors, 0.0) ** 2).sum(0) / np.maximum(count, 1)
+    return np.where(count > 0, np.sqrt(mean_square), np.nan)
 
 
 def pelvis_rotations(points_world: Array) -> Array:
@@ -100,33 +72,6 @@ def without_offsets(estimate: Array, truth: Array) -> Array:
     """Return the estimate (F, 15, 3) with its constant joint offsets taken out, metres, world frame."""
     offsets = joint_offsets(estimate, truth)
     return np.asarray(estimate, float) - np.einsum("fij,pj->fpi", pelvis_rotations(truth), offsets)
-
-
-def summary(estimate: Array, truth: Array, threshold_m: float = LARGE_ERROR_M) -> Summary:
-    """All point figures of a sequence (F, 15, 3); use it on `without_offsets` for the second column of a table."""
-    errors = point_errors(estimate, truth)
-    known = errors[np.isfinite(errors)]
-    if known.size == 0:
-        raise ValueError("no frame has both an estimate and a truth")
-    per_point = _root_mean_square(errors)
-    return Summary(
-        rmse_per_point=per_point,
-        thesis_mean=float(per_point[np.isfinite(per_point)].mean()),
-        mean=float(known.mean()),
-        median=float(np.median(known)),
-        p95=float(np.percentile(known, 95)),
-        share_over=share_over(errors, threshold_m),
-        points_compared=int(known.size),
-    )
-
-
-def _root_mean_square(errors: Array) -> Array:
-    """Over the first axis, NaN left out; NaN where nothing is known."""
-    known = np.isfinite(errors)
-    count = known.sum(0)
-    total = np.where(known, errors, 0.0)
-    mean_square = (total**2).sum(0) / np.maximum(count, 1)
-    return np.where(count > 0, np.sqrt(mean_square), np.nan)
 
 
 def _unit(vectors: Array) -> Array:

@@ -121,11 +121,3 @@ def test_a_damaged_bvh_is_refused_with_file_line_and_word(
     with pytest.raises(InputError, match=word) as caught:
         read_bvh(path)
     assert caught.value.where == f"{path}, line {line}"
-
-
-def test_a_file_that_is_not_there_or_no_text_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
-        read_bvh(tmp_path / "none.bvh")
-    (tmp_path / "binary.bvh").write_bytes(b"\xff\xfe\x00\x80")
-    with pytest.raises(InputError, match="not UTF-8"):
-        read_bvh(tmp_path / "binary.bvh")

@@ -50,15 +50,12 @@ def test_session_reads_back_as_it_was_written(session_folder):
         assert set(np.unique(read_grey(session.masks[name]))) == {0, 255}
 
 
-def test_truth_reads_back_with_points_and_angles(session_folder):
+def test_truth_reads_back_and_its_points_follow_from_angles_torso_and_body(session_folder):
     truth, played = load_session(session_folder).truth, tour(BODY, FRAMES / 10, 10)
+    body = load_body(session_folder / "body.yaml")
     np.testing.assert_array_equal(truth.frames, np.arange(FRAMES))
     np.testing.assert_allclose(truth.points_world, [forward(BODY, pose) for pose in played.poses], atol=2e-7)
     np.testing.assert_allclose(truth.angles, played.angles, atol=1e-7)
-
-
-def test_truth_points_follow_from_the_files_angles_torso_and_body(session_folder):
-    truth, body = load_session(session_folder).truth, load_body(session_folder / "body.yaml")
     table = np.genfromtxt(session_folder / "truth.csv", delimiter=",", names=True)
     for frame in range(0, FRAMES, 3):
         torso = np.array([table[name][frame] for name in TORSO_COLUMNS])
@@ -122,23 +119,17 @@ def test_interrupted_writing_leaves_the_older_session_and_no_rest(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["session"]
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"motion": "dance"}, "dance"),
-        ({"noise": -1.0}, "noise"),
-        ({"flicker": 2.0}, "flicker"),
-        ({"seed": -3}, "seed"),
-        ({"fps": 0.0}, "fps"),
-        ({"noise": float("nan")}, "noise"),
-    ],
-)
-def test_impossible_settings_are_refused_before_anything_is_written(tmp_path, change, words):
-    with pytest.raises(InputError, match=words):
-        given = SETTINGS | change
-        settings = RenderSettings(**{key: given.pop(key) for key in ("seed", "noise", "flicker") if key in given})
-        write_session(tmp_path / "session", **given, settings=settings)
+def test_an_unknown_motion_is_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(InputError, match="dance"):
+        write_session(tmp_path / "session", **(SETTINGS | {"motion": "dance"}))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("option", ["--build=3", "--arms=0.5", "--legs=1.5", "--noise=-1", "--flicker=2", "--seed=-3"])
+def test_sizes_that_no_person_has_and_impossible_noise_are_refused(tmp_path, capsys, option):
+    with pytest.raises(SystemExit):
+        main([str(tmp_path / "session"), option])
+    assert option.partition("=")[0] in capsys.readouterr().err
 
 
 def test_command_line_writes_a_session_and_says_what_or_what_is_wrong_in_one_line(tmp_path, capsys):

@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from capture_rig.errors import InputError
@@ -14,16 +15,17 @@ from rig_calibration.boards.board import board_text, read_board
 from stick_figure.body import STATURES_M
 
 from .motions.catalogue import MOTIONS, MotionFunction
-from .motions.recorded import ReadingOptions, RecordedMotion, is_motion_file
+from .motions.recorded import RecordedMotion, is_motion_file
 from .motions.together import TOGETHER
-from .people import OUTFITS, REFERENCE_STATURE_M, people_of_sizes, person_of
+from .people import BUILDS, LENGTHS, OUTFITS, REFERENCE_STATURE_M, people_of_sizes, person_of
 from .recording.footage import FLOOR_BOARD, HAND_BOARD, FootagePlan, write_setup
-from .recording.session import RenderSettings, write_scene, write_session
+from .recording.session import SESSION_FPS, RenderSettings, write_scene, write_session
 from .rig import HEIGHT_PX, WIDTH_PX, ring
 
 QUICK_FPS, QUICK_MOVING_S = 6.0, 16.0
 SIDE = number("pixels", 160, 8192, whole=True)
-PROPORTION = number("times the average", 0.3, 3)
+SECONDS = number("s", 0.1, 3600)
+BUILD, LENGTH = (number("times the average", *limits) for limits in (BUILDS, LENGTHS))
 
 
 def image_size(text: str) -> tuple[int, int]:
@@ -55,7 +57,10 @@ def _session(options: argparse.Namespace) -> int:
         folder = write_scene(options.folder, rig, options.motion, cast, worn, options.fps, look, progress)
         print(f"{folder}: {len(rig.cameras)} cameras, {len(cast)} persons in {time.monotonic() - started:.1f} s")
         return 0
-    folder = write_session(options.folder, rig, body, _motion(options), options.fps, options.seconds, look, progress)
+    motion: str | MotionFunction = options.motion
+    if is_motion_file(options.motion):
+        motion = RecordedMotion(Path(options.motion), options.motion_up, options.motion_joints, options.motion_start)
+    folder = write_session(options.folder, rig, body, motion, options.fps, options.seconds, look, progress)
     frames = len((folder / "truth.csv").read_text(encoding="utf-8").splitlines()) - 1
     print(f"{folder}: {len(rig.cameras)} cameras x {frames} frames in {time.monotonic() - started:.1f} s")
     return 0
@@ -68,7 +73,7 @@ def _setup(options: argparse.Namespace) -> int:
     plan = FootagePlan(hand_board=hand, floor_board=floor, seed=options.seed, noise=options.noise)
     if options.quick:
         plan = replace(plan, brief=True, fps=QUICK_FPS, moving_s=QUICK_MOVING_S)
-    progress = _say if sys.stderr.isatty() else lambda what: None
+    progress = partial(print, "filmed", file=sys.stderr, flush=True) if sys.stderr.isatty() else lambda what: None
     folder = write_setup(options.folder, rig, plan, motion=options.motion, seconds=options.seconds, progress=progress)
     print(f"{folder}: {len(rig.cameras)} cameras in {time.monotonic() - started:.0f} s; now:")
     given = options.folder
@@ -81,13 +86,6 @@ def _setup(options: argparse.Namespace) -> int:
     return 0
 
 
-def _motion(options: argparse.Namespace) -> str | MotionFunction:
-    if not is_motion_file(options.motion):
-        return options.motion
-    reading = ReadingOptions(up=options.motion_up, joints=options.motion_joints, start_s=options.motion_start)
-    return RecordedMotion(Path(options.motion), reading)
-
-
 def _session_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m virtual_studio",
@@ -95,34 +93,21 @@ def _session_parser() -> argparse.ArgumentParser:
         epilog="python -m virtual_studio setup FOLDER films calibration boards as well (--help tells more)",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    motions = ", ".join(MOTIONS)
-    parser.add_argument("folder", help="session folder to write (new, empty, or an older session of this tool)")
-    _add_common_arguments(
-        parser,
-        f"what the person does: {motions}; or a BVH file; or what several do: {', '.join(TOGETHER)}",
-        "of noise and flicker",
-    )
-    parser.add_argument(
-        "--seconds", type=number("s", 0.1, 3600), default=6.0, help="length, s (of a file: at most); first a T-pose"
-    )
-    parser.add_argument("--fps", type=FRAME_RATE, default=60.0, help="frames a second")
-    parser.add_argument(
-        "--motion-start", type=number("s", 0, 1e5), default=0.0, help="seconds of the file to leave out"
-    )
-    parser.add_argument("--motion-up", default="y", help="the file's axis that points up")
-    parser.add_argument("--motion-joints", type=Path, help="YAML that maps joints of the figure to the file's")
-    parser.add_argument(
-        "--stature", type=number("m", *STATURES_M), default=REFERENCE_STATURE_M, help="standing height, m"
-    )
-    parser.add_argument(
-        "--build", type=PROPORTION, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy"
-    )
-    parser.add_argument("--arms", type=PROPORTION, default=1.0, help="length of the arms over the average's")
-    parser.add_argument("--legs", type=PROPORTION, default=1.0, help="length of the legs over the average's")
-    parser.add_argument(
-        "--flicker", type=number("", 0, 1), default=0.005, help="relative deviation of a frame's brightness"
-    )
-    parser.add_argument("--shadow", action=argparse.BooleanOptionalAction, default=True, help="shadow on the floor")
+    option = parser.add_argument
+    option("folder", help="session folder to write (new, empty, or an older session of this tool)")
+    motions = f"what the person does: {', '.join(MOTIONS)}; or a BVH file; or what several do: {', '.join(TOGETHER)}"
+    _add_common_arguments(parser, motions, "of noise and flicker")
+    option("--seconds", type=SECONDS, default=6.0, help="length, s (of a file: at most); first a T-pose")
+    option("--fps", type=FRAME_RATE, default=SESSION_FPS, help="frames a second")
+    option("--motion-start", type=number("s", 0, 1e5), default=0.0, help="seconds of the file to leave out")
+    option("--motion-up", default="y", help="the file's axis that points up")
+    option("--motion-joints", type=Path, help="YAML that maps joints of the figure to the file's")
+    option("--stature", type=number("m", *STATURES_M), default=REFERENCE_STATURE_M, help="standing height, m")
+    option("--build", type=BUILD, default=1.0, help="thickness over the average's: 0.85 slim, 1.2 heavy")
+    option("--arms", type=LENGTH, default=1.0, help="length of the arms over the average's")
+    option("--legs", type=LENGTH, default=1.0, help="length of the legs over the average's")
+    option("--flicker", type=number("", 0, 0.5), default=0.005, help="relative deviation of a frame's brightness")
+    option("--shadow", action=argparse.BooleanOptionalAction, default=True, help="shadow on the floor")
     return parser
 
 
@@ -133,38 +118,29 @@ def _setup_parser() -> argparse.ArgumentParser:
         "room, a person. The truth lies apart, in truth*.",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("folder", help="folder to write (new, empty, or an older one of this command)")
+    option = parser.add_argument
+    option("folder", help="folder to write (new, empty, or an older one of this command)")
     _add_common_arguments(parser, "what the person does", "of noise, flicker and hands")
-    parser.add_argument("--seconds", type=number("s", 0.1, 3600), default=6.0, help="length of the session, s")
-    parser.add_argument("--board", default=board_text(HAND_BOARD), help="waved before each camera")
-    parser.add_argument("--floor-board", default=board_text(FLOOR_BOARD), help="on the floor, and carried")
-    parser.add_argument("--quick", action="store_true", help="fewer places and frames of the boards")
+    option("--seconds", type=SECONDS, default=6.0, help="length of the session, s")
+    option("--board", default=board_text(HAND_BOARD), help="waved before each camera")
+    option("--floor-board", default=board_text(FLOOR_BOARD), help="on the floor, and carried")
+    option("--quick", action="store_true", help="fewer places and frames of the boards")
     return parser
 
 
 def _add_common_arguments(parser: argparse.ArgumentParser, motion: str, seed: str) -> None:
-    parser.add_argument(
-        "--cameras", type=number("cameras", 1, 33, whole=True), default=6, help="number of cameras in all"
-    )
-    parser.add_argument(
-        "--ceiling", action=argparse.BooleanOptionalAction, default=True, help="the last camera hangs from the ceiling"
-    )
-    parser.add_argument(
-        "--size", type=image_size, default=f"{WIDTH_PX}x{HEIGHT_PX}", metavar="WxH", help="of the images, pixels"
-    )
-    parser.add_argument("--motion", default="tour", metavar="NAME|FILE", help=motion)
-    parser.add_argument("--seed", type=number("", 0, 1 << 32, whole=True), default=1, help=seed)
-    parser.add_argument(
-        "--noise", type=number("grey levels", 0, 255), default=3.0, help="standard deviation of a pixel, grey levels"
-    )
+    option, ceiling, size = parser.add_argument, "the last camera hangs from the ceiling", f"{WIDTH_PX}x{HEIGHT_PX}"
+    option("--cameras", type=number("cameras", 1, 33, whole=True), default=6, help="number of cameras in all")
+    option("--ceiling", action=argparse.BooleanOptionalAction, default=True, help=ceiling)
+    option("--size", type=image_size, default=size, metavar="WxH", help="of the images, pixels")
+    option("--motion", default="tour", metavar="NAME|FILE", help=motion)
+    option("--seed", type=number("", 0, 1 << 32, whole=True), default=1, help=seed)
+    noise = "standard deviation of a pixel, grey levels"
+    option("--noise", type=number("grey levels", 0, 100), default=3.0, help=noise)
 
 
 def _show_progress(done: int, total: int) -> None:
     print(f"\rrendering {done}/{total}", end="\n" if done == total else "", file=sys.stderr, flush=True)
-
-
-def _say(what: str) -> None:
-    print(f"filmed {what}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

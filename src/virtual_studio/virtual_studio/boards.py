@@ -35,7 +35,7 @@ MARGIN = 0.6
 """White around the fields, in fields."""
 TEXELS_PER_M = 1000.0
 """One a millimetre: edges of fields that measure whole millimetres lie between texels, which need no blending then."""
-FINE_TEXELS_PER_M = 3000.0
+FINE_TEXELS_PER_M = 3 * TEXELS_PER_M
 """For markers, whose cells are small."""
 
 
@@ -70,12 +70,6 @@ class BoardPrint:
         return np.column_stack([places[:, :2], np.zeros(4)])
 
     @cached_property
-    def share_of_fields(self) -> Array:
-        """(3,) of the sheet's width and height that its fields take; the rest is margin."""
-        size = self.sheet_board.max(0) - self.sheet_board.min(0)
-        return np.append(np.array(print_size_m(self.board)) / size[:2], 1.0)
-
-    @cached_property
     def middle_board(self) -> Array:
         """(3,) the middle of the corners, board frame, m."""
         return self.board.corners_board.mean(axis=0)
@@ -102,14 +96,10 @@ class PosedBoard:
     T_world_board: Array
 
     @property
-    def middle(self) -> Array:
-        """(4, 4) the pose in the middle of the exposure."""
-        return self.T_world_board[len(self.T_world_board) // 2]
-
-    @property
     def corners_world(self) -> Array:
         """(n, 3) the inner corners, m, in the middle of the exposure."""
-        return self.print.board.corners_board @ self.middle[:3, :3].T + self.middle[:3, 3]
+        middle = self.T_world_board[len(self.T_world_board) // 2]
+        return self.print.board.corners_board @ middle[:3, :3].T + middle[:3, 3]
 
 
 # --- How hands move them, and the hands, or the person, that hold them.
@@ -121,15 +111,14 @@ TREMOR_HZ = (0.7, 1.9, 3.1)
 
 FACING = np.diag([1.0, -1.0, -1.0])
 """R_camera_board of a board that faces the camera, upright."""
-NEAR_M, MIDDLE_M, FAR_M = 0.5, 0.75, 1.25
-"""Distances of a board of 0.4 m; other boards are held where they look as large."""
-BOARD_M = 0.4
+NEAR, MIDDLE, FAR = 1.25, 1.875, 3.125
+"""Distances over the sheet's width."""
 TRAVEL_S, REST_S = 0.6, 0.4
 EDGE_PX = 8.0
 OUTSIDE = (1.1, 0.9, 0, 15)
 ROLL = 0.25
-AWAY = (0.2, 3.0, 1.0)
-"""Where the board is before and after, camera frame, m: below the picture."""
+AWAY = (0.5, 7.5, 2.5)
+"""Where the board is before and after, camera frame, in its widths: below the picture."""
 Views = list[tuple[float, ...]]
 """Places in the picture (-1 left or top, 1 right or bottom: there the outer fields reach its edge), and tilts, degrees,
 about the picture's horizontal and its vertical axis."""
@@ -141,17 +130,15 @@ _FAR: Views = [
     (x, y, 32 * ((i % 3) - 1), 32 * ((i + 1) % 3 - 1))
     for i, (x, y) in enumerate([(-1, -1), (0, -1), (1, -1), (1, 0), (0, 0), (-1, 0), (-1, 1), (0, 1), (1, 1)])
 ]
-FULL: dict[float, Views] = {NEAR_M: _TILTS + _CORNERS, MIDDLE_M: _CORNERS + _EDGES + _SPREAD, FAR_M: _FAR}
-BRIEF: dict[float, Views] = {NEAR_M: _TILTS[1:], MIDDLE_M: _CORNERS + _EDGES, FAR_M: [*_FAR[::2]]}
+FULL: dict[float, Views] = {NEAR: _TILTS + _CORNERS, MIDDLE: _CORNERS + _EDGES + _SPREAD, FAR: _FAR}
+BRIEF: dict[float, Views] = {NEAR: _TILTS[1:], MIDDLE: _CORNERS + _EDGES, FAR: [*_FAR[::2]]}
 
-FLOOR_MIDDLE_WORLD = (0.12, -0.08, 0.0)
-FLOOR_HEADING_RAD = 0.3
-"""Where the floor board lies: near the middle of the room, not exactly along it."""
+FLOOR_PLACE = (0.12, -0.08, 0.3)
+"""Where the floor board lies, x and y in m, heading in rad: near the middle of the room, not exactly along it."""
 TURNS = 2.5
 UPRIGHT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """R_world_board of a board that stands upright and faces the world's x axis."""
 
-INWARD_STEPS = 101  # from a pixel of a folded corner to the middle: four pixels each at most
 GRIP_M, THUMB_RADIUS_M = 0.012, 0.009
 """How far a thumb reaches over the sheet's edge, and how thick it is."""
 ARM_BEHIND_M = 0.45
@@ -161,12 +148,8 @@ ANKLES = [13, 14]
 MIRROR_Y = np.array([1.0, -1.0, 1.0])
 
 
-@dataclass(frozen=True, eq=False)
-class Waypoint:
-    """A pose ``T`` (4, 4) in which a board rests for REST_S, after ``travel_s`` on the way there."""
-
-    T: Array
-    travel_s: float
+Waypoint = tuple[Array, float]
+"""A pose (4, 4) in which a board rests for REST_S, and how long it takes on the way there, s."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,27 +168,25 @@ def wave(camera: CameraModel, board: BoardPrint, seed: int, brief: bool = False)
     farther away, twice partly outside, and leaves again.
     """
     rng = np.random.default_rng(seed)
-    size = float(np.linalg.norm(board.sheet_board[1] - board.sheet_board[0]) / BOARD_M)
-    away = Waypoint(board.centred(transform(FACING, size * np.array(AWAY))), TRAVEL_S)
-    waypoints = [away]
-    for distance_m, views in (BRIEF if brief else FULL).items():
+    size = float(np.linalg.norm(board.sheet_board[1] - board.sheet_board[0]))
+    away = board.centred(transform(FACING, size * np.array(AWAY))), TRAVEL_S
+    waypoints: list[Waypoint] = [away]
+    for distance, views in (BRIEF if brief else FULL).items():
         for view in views:
-            T = _in_view(camera, board, size * distance_m, view, rng)
-            waypoints.append(Waypoint(T, TRAVEL_S * rng.uniform(0.8, 1.2)))
-    outside = _in_view(camera, board, size * MIDDLE_M, OUTSIDE, rng, reach=1.6)
-    waypoints = [*waypoints[:-1], Waypoint(outside, TRAVEL_S), waypoints[-1], away]
+            T = _in_view(camera, board, size * distance, view, rng)
+            waypoints.append((T, TRAVEL_S * rng.uniform(0.8, 1.2)))
+    outside = _in_view(camera, board, size * MIDDLE, OUTSIDE, rng, reach=1.6), TRAVEL_S
+    waypoints = [*waypoints[:-1], outside, waypoints[-1], away]
     T_world_camera = np.linalg.inv(camera.T_camera_world)
     in_camera = with_tremor(along(waypoints), seed)
-    rest_ends = _rest_ends(waypoints)
-    return Wave(lambda t: T_world_camera @ in_camera(t), float(rest_ends[-1]), (rest_ends - REST_S / 2)[1:-1])
+    rests_s = _arrivals_s(waypoints) + REST_S / 2
+    return Wave(lambda t: T_world_camera @ in_camera(t), float(rests_s[-1] + REST_S / 2), rests_s[1:-1])
 
 
-def on_floor(
-    board: BoardPrint, xy: tuple[float, float] = FLOOR_MIDDLE_WORLD[:2], heading_rad: float = FLOOR_HEADING_RAD
-) -> Array:
-    """Lays a board on the floor: T_world_board (4, 4), print up, middle at ``xy`` m, rows along the heading."""
-    R = Rotation.from_rotvec([0.0, 0.0, heading_rad]).as_matrix()
-    return board.centred(transform(R, np.array([*xy, 0.0])))
+def on_floor(board: BoardPrint) -> Array:
+    """Lays a board at FLOOR_PLACE: T_world_board (4, 4), print up, its rows along the heading."""
+    x, y, heading = FLOOR_PLACE
+    return board.centred(transform(Rotation.from_rotvec([0.0, 0.0, heading]).as_matrix(), np.array([x, y, 0.0])))
 
 
 def carry(board: BoardPrint, seconds: float, seed: int) -> PosePath:
@@ -233,9 +214,8 @@ def carry(board: BoardPrint, seconds: float, seed: int) -> PosePath:
 
 def hands(board: BoardPrint, T_world_board: Array) -> Capsules:
     """Places two thumbs on a sheet's sides, GRIP_M over its edge, and the forearms behind it."""
-    left, right = _grips(board)
     starts, ends = [], []
-    for place, out in ((left, -1.0), (right, 1.0)):
+    for place, out in zip(_grips(board), (-1.0, 1.0), strict=True):
         tip = out * (THUMB_RADIUS_M - GRIP_M)
         starts += [place + np.array([0, 0, THUMB_RADIUS_M]), place + np.array([out * 0.02, 0, -0.045])]
         ends += [place + np.array([tip, 0, THUMB_RADIUS_M]), place + np.array([out * 0.05, -0.12, -0.32])]
@@ -260,20 +240,18 @@ def person_with(body: VolumetricBody, board: BoardPrint, T_world_board: Array) -
     return body.place(Pose.from_angles(position, R, with_right(left_arm, right_arm, ARM)))
 
 
-def _rest_ends(waypoints: Sequence[Waypoint]) -> Array:
-    return np.cumsum([REST_S + w.travel_s for w in waypoints]) - waypoints[0].travel_s
+def _arrivals_s(waypoints: Sequence[Waypoint]) -> Array:
+    return np.cumsum([REST_S + travel_s for _, travel_s in waypoints]) - waypoints[0][1] - REST_S
 
 
 def along(waypoints: Sequence[Waypoint]) -> PosePath:
     """Makes a smooth path through waypoints; it stays at the first before and at the last after it."""
-    arrivals = _rest_ends(waypoints) - REST_S
+    arrivals_s = _arrivals_s(waypoints)
 
     def at(t: float) -> Array:
-        after = int(np.searchsorted(arrivals, t))
-        if after == 0 or after == len(waypoints):
-            return waypoints[min(after, len(waypoints) - 1)].T
-        a, b = waypoints[after - 1].T, waypoints[after].T
-        fraction = ease((t - arrivals[after]) / waypoints[after].travel_s + 1.0)
+        after = min(max(int(np.searchsorted(arrivals_s, t)), 1), len(waypoints) - 1)
+        (a, _), (b, travel_s) = waypoints[after - 1 : after + 1]
+        fraction = ease((t - arrivals_s[after]) / travel_s + 1.0)
         turn = Rotation.from_matrix(a[:3, :3].T @ b[:3, :3]).as_rotvec()
         R = a[:3, :3] @ Rotation.from_rotvec(fraction * turn).as_matrix()
         return transform(R, (1.0 - fraction) * a[:3, 3] + fraction * b[:3, 3])
@@ -309,20 +287,14 @@ def _in_view(
     tilt = np.deg2rad(np.array(tilt_deg) + rng.uniform(-6, 6, 2))
     R = Rotation.from_rotvec([tilt[0], tilt[1], 0.0]).as_matrix()
     R = R @ Rotation.from_rotvec([0, 0, rng.uniform(-ROLL, ROLL)]).as_matrix() @ FACING
-    fields = (board.sheet_board - board.middle_board) * board.share_of_fields @ R.T
+    size = np.ptp(board.sheet_board[:, :2], axis=0)
+    share_of_fields = np.append(np.array(print_size_m(board.board)) / size, 1.0)  # the rest of the sheet is margin
+    fields = (board.sheet_board - board.middle_board) * share_of_fields @ R.T
     focal, half = camera.K.diagonal()[:2], np.array([camera.width, camera.height]) / 2
     room = np.maximum(half - EDGE_PX - (focal * np.abs(fields[:, :2]) / (distance_m + fields[:, 2:])).max(axis=0), 0.0)
     target = half - 0.5 + np.array([x, y]) * room * reach
-    ray = camera.R_camera_world @ _outermost_ray(camera, target)
+    ray = camera.R_camera_world @ camera.rays_world(target[None])[0]
     return board.centred(transform(R, distance_m / ray[2] * ray))
-
-
-def _outermost_ray(camera: CameraModel, pixel: Array) -> Array:
-    """Return (3,) the direction, world frame, of a pixel; where the lens model has none, of the next one that has on
-    the way to the principal point."""
-    centre = camera.K[:2, 2]
-    rays = camera.rays_world(centre + np.linspace(1.0, 0.0, INWARD_STEPS)[:, None] * (pixel - centre))
-    return np.asarray(rays[np.isfinite(rays).all(axis=1)][0])
 
 
 def _grips(board: BoardPrint) -> tuple[Array, Array]:

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from capture_rig.errors import InputError
 from capture_rig.session import WRIST_FRACTION
 from stick_figure import kernels
 from stick_figure.body import Body
@@ -44,10 +43,9 @@ LEVEL_FOOT_BELOW, FREE_FOOT_ABOVE = 0.05, 0.16
 """Ankle height over stature between which a foot turns from level to following its calf."""
 FREE_FOOT_TILT, LEVEL_FOOT_TILT = 0.15, 0.40
 """Cosine of a calf's tilt between which its foot turns from following it (lying) to level (standing, squatting)."""
-LEAST_BUILD, GREATEST_BUILD = 0.6, 1.6
+BUILDS, LENGTHS = (0.6, 1.6), (0.85, 1.15)
+"""Builds, and lengths of arms and legs, that people have, over the average's."""
 ARMS, LEGS = [L_UPPER_ARM, R_UPPER_ARM, L_FOREARM, R_FOREARM], [L_THIGH, R_THIGH, L_CALF, R_CALF]
-LEAST_LENGTH, GREATEST_LENGTH = 0.85, 1.15
-"""Of arms and legs over the average's."""
 
 
 class Capsules(NamedTuple):
@@ -81,18 +79,10 @@ class VolumetricBody:
     """A person of the given sizes; `place` puts the parts into a pose.
 
     build: thickness of trunk and limbs over the average's, 0.85 slim, 1.2 heavy; head and hands vary less, feet not.
-    Raises InputError for a build that no person has.
     """
 
     body: Body
     build: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not LEAST_BUILD <= self.build <= GREATEST_BUILD:
-            raise InputError(
-                f"a build of {self.build:g} is not a person's",
-                remedy=f"Give {LEAST_BUILD} (slim) to {GREATEST_BUILD} (heavy).",
-            )
 
     @cached_property
     def scale(self) -> float:
@@ -145,19 +135,17 @@ class VolumetricBody:
         A[TORSO] = pose.position_world
         sticks, ends, radii = self._above_the_knees
         centres = A[sticks] + np.einsum("pij,pj->pi", G[sticks], ends)
-        feet = [self._reach_below_ankle(G[calf]) for calf in (L_CALF, R_CALF)]
+        feet = []
+        for calf in (L_CALF, R_CALF):
+            starts, tips = self._foot(G[calf], np.zeros(3))
+            lowest = np.minimum(starts[:, 2] - self._foot_radii[:, 0], tips[:, 2] - self._foot_radii[:, 1]).min()
+            feet.append(max(self.ankle_height, -float(lowest)))
         return np.vstack([B[[L_CALF, R_CALF]], centres]), np.append(feet, radii)
 
     @cached_property
     def _foot_radii(self) -> Array:
         """Radii (2, 2) of a foot's two capsules, m."""
         return self.scale * np.array([(0.040, 0.030), (0.036, 0.024)])
-
-    def _reach_below_ankle(self, R_world_calf: Array) -> float:
-        """How far (m) a foot on the floor reaches below its ankle."""
-        starts, ends = self._foot(R_world_calf, np.zeros(3))
-        lowest = np.minimum(starts[:, 2] - self._foot_radii[:, 0], ends[:, 2] - self._foot_radii[:, 1]).min()
-        return max(self.ankle_height, -float(lowest))
 
     @cached_property
     def _above_the_knees(self) -> tuple[NDArray[np.int64], Array, Array]:
@@ -188,14 +176,8 @@ class VolumetricBody:
 def person_of(stature_m: float, arms: float = 1.0, legs: float = 1.0) -> Body:
     """Returns a body of this standing height, m, with arms and legs so many times as long as the average's.
 
-    The torso takes up what the legs leave of the stature. Raises InputError for proportions that no person has.
+    The torso takes up what the legs leave of the stature.
     """
-    for name, factor in (("arms", arms), ("legs", legs)):
-        if not LEAST_LENGTH <= factor <= GREATEST_LENGTH:
-            raise InputError(
-                f"{name} {factor:g} times as long as the average's are not a person's",
-                remedy=f"Give {LEAST_LENGTH} to {GREATEST_LENGTH}.",
-            )
     average = Body.from_stature(stature_m)
     halves = average.half_lengths.copy()
     halves[ARMS] *= arms
@@ -299,36 +281,30 @@ SKIN_BGR, HAIR_BGR = (0.72, 0.93, 1.35), (0.8, 1.0, 1.2)
 Bgr = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class Cloth:
-    """A cloth that reflects so much of the light where walls reflect 0.6, and its colour with a mean of 1."""
-
-    light: float
-    bgr: Bgr = (1.0, 1.0, 1.0)
-
-    @property
-    def albedo_bgr(self) -> NDArray[np.float64]:
-        return self.light / MEAN_SHADING * np.array(self.bgr)
+def cloth(light: float, bgr: Bgr = (1.0, 1.0, 1.0)) -> Array:
+    """Returns the albedo (3,), BGR, of a cloth that reflects so much of the light where walls reflect 0.6, and of its
+    colour with a mean of 1."""
+    return light / MEAN_SHADING * np.array(bgr)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Outfit:
-    """What a person wears; skin and hair stay a person's."""
+    """What a person wears, albedos of each `cloth`; skin and hair stay a person's."""
 
-    shirt: Cloth
-    sleeve: Cloth
-    trousers: Cloth
-    shoes: Cloth
+    shirt: Array
+    sleeve: Array
+    trousers: Array
+    shoes: Array
 
     def albedo_bgr(self, capsules: Capsules) -> NDArray[np.float64]:
         """Returns the albedo (P, 3), BGR, of each part of a body."""
         worn = {
             SKIN: SKIN * np.array(SKIN_BGR),
             HAIR: HAIR * np.array(HAIR_BGR),
-            SHIRT: self.shirt.albedo_bgr,
-            SLEEVE: self.sleeve.albedo_bgr,
-            TROUSERS: self.trousers.albedo_bgr,
-            SHOES: self.shoes.albedo_bgr,
+            SHIRT: self.shirt,
+            SLEEVE: self.sleeve,
+            TROUSERS: self.trousers,
+            SHOES: self.shoes,
         }
         return np.array([worn[albedo] for albedo in capsules.albedo])
 
@@ -339,9 +315,9 @@ class Outfit:
 
 BLUE, GREEN, BROWN = (1.35, 0.95, 0.70), (0.85, 1.30, 0.85), (0.75, 0.95, 1.30)
 OUTFITS: Mapping[str, Outfit] = {
-    "dark": Outfit(Cloth(0.10, BLUE), Cloth(0.11, BLUE), Cloth(0.06), Cloth(0.05)),
-    "middle": Outfit(Cloth(0.36, GREEN), Cloth(0.40, GREEN), Cloth(0.30, BLUE), Cloth(0.12, BROWN)),
-    "light": Outfit(Cloth(0.84), Cloth(0.88), Cloth(0.78, (0.92, 1.0, 1.08)), Cloth(0.70)),
-    "room": Outfit(Cloth(0.60), Cloth(0.60), Cloth(0.55, (0.74, 0.98, 1.28)), Cloth(0.52, (0.74, 0.98, 1.28))),
+    "dark": Outfit(cloth(0.10, BLUE), cloth(0.11, BLUE), cloth(0.06), cloth(0.05)),
+    "middle": Outfit(cloth(0.36, GREEN), cloth(0.40, GREEN), cloth(0.30, BLUE), cloth(0.12, BROWN)),
+    "light": Outfit(cloth(0.84), cloth(0.88), cloth(0.78, (0.92, 1.0, 1.08)), cloth(0.70)),
+    "room": Outfit(cloth(0.60), cloth(0.60), cloth(0.55, (0.74, 0.98, 1.28)), cloth(0.52, (0.74, 0.98, 1.28))),
 }
 """By how they look in the studio's room, whose walls reflect 0.6 and whose floor, brown, 0.55."""

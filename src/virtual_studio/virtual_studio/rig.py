@@ -34,7 +34,12 @@ def ring(n: int, ceiling: bool = True, size: tuple[int, int] = (WIDTH_PX, HEIGHT
     """
     if not 1 <= n <= 32:
         raise InputError(f"a ring of {n} cameras", remedy="Give 1 to 32 cameras.")
-    cameras = [_ring_camera(i, n, size) for i in range(n)]
+    cameras = []
+    for index, azimuth in enumerate(azimuths(n)):
+        height = HEIGHTS_M[index % len(HEIGHTS_M)]
+        across = np.sqrt(DISTANCES_M[index % len(DISTANCES_M)] ** 2 - (height - LOOK_AT_WORLD[2]) ** 2)
+        position = np.array([across * np.cos(azimuth), across * np.sin(azimuth), height])
+        cameras.append(_camera(index, position, FOCAL_PX, DISTORTION, size))
     if ceiling:
         cameras.append(_camera(n, CEILING_POSITION_WORLD, CEILING_FOCAL_PX, CEILING_DISTORTION, size))
     return Rig(tuple(cameras), VOLUME)
@@ -70,14 +75,6 @@ def with_camera(rig: Rig, number: int, camera: CameraModel) -> Rig:
     cameras = list(rig.cameras)
     cameras[number] = camera
     return Rig(tuple(cameras), rig.volume)
-
-
-def _ring_camera(index: int, n: int, size: tuple[int, int]) -> CameraModel:
-    azimuth = azimuths(n)[index]
-    height = HEIGHTS_M[index % len(HEIGHTS_M)]
-    across = np.sqrt(DISTANCES_M[index % len(DISTANCES_M)] ** 2 - (height - LOOK_AT_WORLD[2]) ** 2)
-    position = np.array([across * np.cos(azimuth), across * np.sin(azimuth), height])
-    return _camera(index, position, FOCAL_PX, DISTORTION, size)
 
 
 def _camera(index: int, position: Array, focal: float, distortion: Array, size: tuple[int, int]) -> CameraModel:

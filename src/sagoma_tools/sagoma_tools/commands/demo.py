@@ -128,8 +128,7 @@ def rate_line(camera_hz: float, held_hz: float) -> str:
 def speed_line(speed: float, cameras: int, fps: float, forced: bool) -> str:
     """Say at which speed the cameras' time ran, and why."""
     why = "as asked for" if forced else f"this machine does not hold {cameras} cameras at {fps:g} Hz"
-    part = {0.5: "half", 0.25: "a quarter of"}.get(speed, f"{Fraction(speed).limit_denominator(1000)} of")
-    return f"shown at {part} the speed: {why}"
+    return f"shown at {Fraction(speed).limit_denominator(1000)} of the speed: {why}"
 
 
 def next_step(rate: float | None, reasons: Sequence[Sequence[str]] = ()) -> str:

@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     session, bag = find(args)
     everybody, frames = recorded(args, session, bag) if bag is not None else tracked(args, session)
     tracks = {name: main_track(of_all, session.truths, session.fps) for name, of_all in everybody.items()}
-    switches = identify(everybody[OURS], session.truths, session.fps).switches_of(0) if session.truths else None
+    switches = identify(everybody[OURS], session.truths, session.fps).switches[0] if session.truths else None
     evaluated = evaluate_track(session, frames, tracks[OURS], tracks.get(THESIS), switches)
     figures, console = evaluated.figures(), command_console(stderr=args.json, width=TABLE_WIDTH)
     rows: dict[str, Scores | None] = {}

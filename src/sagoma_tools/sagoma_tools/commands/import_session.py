@@ -9,7 +9,7 @@ from capture_rig.settings import number
 
 from ..console import command_console, doing
 from ..importers import biocv, image_bag
-from ..importers.humaneva import CAMERAS, Request, Trial, import_trial
+from ..importers.humaneva import CAMERAS, Trial, import_trial
 
 COPYING = "copying frames"
 
@@ -106,12 +106,13 @@ def import_humaneva(args: argparse.Namespace) -> int:
     """Import the trial, then print what was written and what to do next."""
     trial = Trial(args.root, args.subject, args.action, args.trial)
     frames = None if args.frames is None else (args.frames[0], args.frames[1])
-    request = Request(trial, tuple(dict.fromkeys(args.cameras)), frames, not args.no_truth)
-    summary, console = import_trial(request, args.output, doing(COPYING, request.count)), command_console()
-    console.print(f"{trial}: {summary.frames} frames of {', '.join(request.cameras)}")
+    count = frames and frames[1] - frames[0] + 1
+    cameras, with_truth, console = tuple(dict.fromkeys(args.cameras)), not args.no_truth, command_console()
+    summary = import_trial(trial, args.output, cameras, frames, with_truth, doing(COPYING, count))
+    console.print(f"{trial}: {summary.frames} frames of {', '.join(cameras)}")
     for camera, room in summary.empty_rooms.items():
         console.print(f"empty room of {camera}: {room}")
-    if request.with_truth:
+    if with_truth:
         share = summary.frames_with_truth / summary.frames
         console.print(f"motion capture is complete in {summary.frames_with_truth} of them ({share:.0%})")
         console.print(f"next: sagoma evaluate {args.output} --start session")

@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from std_srvs.srv import Trigger
 
@@ -65,7 +65,7 @@ class StudioProcess:
         """Return its memory and processor time; None once it has ended."""
         return None if self._child is None else self._child.usage()
 
-    def start(self, cancel: threading.Event | None = None) -> StudioProcess:
+    def start(self, cancel: threading.Event | None = None) -> Self:
         """Start it; returns once every camera is on."""
         self.folder.mkdir(parents=True, exist_ok=True)
         places = ["--control", str(self._control), "--write", str(self.folder)]
@@ -99,7 +99,7 @@ class StudioProcess:
             stop_children([self._child], ANSWER_S)
         self._sockets.cleanup()
 
-    def __enter__(self) -> StudioProcess:
+    def __enter__(self) -> Self:
         return self.start()
 
     def __exit__(self, *error: object) -> None:
@@ -123,10 +123,8 @@ class LiveInput:
         raise NotImplementedError
 
     def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
-        """Prepare the active graph for the playback; files need nothing."""
-
-    def settle(self, cancel: threading.Event) -> None:
-        """Give the graph time to find the rate that it holds; files are played no faster than it answers."""
+        """Prepare the active graph for the playback, and give it time to find the rate that it holds; files need
+        neither, and are played no faster than it answers."""
 
     def usage(self) -> dict[str, Usage]:
         """Return what its own processes use, by label: simulated cameras run beside the graph."""
@@ -139,17 +137,12 @@ class LiveInput:
         """
         raise NotImplementedError
 
-    def open(self, cancel: threading.Event) -> None:
-        """Start the processes that it runs; :meth:`close` undoes it."""
-
-    def close(self) -> None:
-        """End what :meth:`open` started."""
-
-    def __enter__(self) -> LiveInput:
+    def __enter__(self) -> Self:
+        """Start the processes that it runs."""
         return self
 
     def __exit__(self, *error: object) -> None:
-        self.close()
+        """End them."""
 
 
 class FootageInput(LiveInput):
@@ -178,26 +171,32 @@ class StudioInput(LiveInput):
 
     fps : of the cameras, in their time; the session's pictures change at the session's own rate.
     speed : of the cameras' time; below 1, slow motion, no frame set is left out.
-    trained : the clients have backgrounds already, from an earlier run in ``folder``.
+    trained : the clients have backgrounds already, from an earlier run in ``folder``. cancel : ends the start.
     """
 
     def __init__(
-        self, session_folder: str | Path, folder: str | Path, fps: float, speed: float = 1.0, *, trained: bool = False
+        self,
+        session_folder: str | Path,
+        folder: str | Path,
+        fps: float,
+        speed: float = 1.0,
+        *,
+        trained: bool = False,
+        cancel: threading.Event | None = None,
     ) -> None:
         super().__init__(session_folder)
-        if not fps > 0:
-            raise InputError(f"fps = {fps:g}", where="cameras", remedy="Give a frame rate above 0 Hz.")
-        self._fps, self._trained = fps, trained
+        self._fps, self._trained, self._cancel = fps, trained, cancel
         self.clock = CaptureClock(speed)
         self.in_real_time = self.clock.speed == 1
         address = free_first_address(len(self.session.rig.names))
         scene = "--session", str(self.session.folder), "--fps", f"{fps:g}", "--speed", str(self.clock.speed), "--empty"
         self.studio = StudioProcess(folder, *scene, "--address", address)
 
-    def open(self, cancel: threading.Event) -> None:
-        self.studio.start(cancel)
+    def __enter__(self) -> Self:
+        self.studio.start(self._cancel)
+        return self
 
-    def close(self) -> None:
+    def __exit__(self, *error: object) -> None:
         self.studio.close()
 
     def graph(self, settings: Mapping[str, Any]) -> list[NodeSpec]:
@@ -207,15 +206,12 @@ class StudioInput(LiveInput):
     def prepare(self, supervisor: Supervisor, cancel: threading.Event) -> None:
         if not self._trained:
             learn_backgrounds(supervisor)
-        self._supervisor = supervisor
-
-    def settle(self, cancel: threading.Event) -> None:
         self.studio.ask("hold")
         self.studio.ask("room", state="occupied")
         if self.in_real_time:
             cancel.wait(SETTLE_S)
         resets = {f"/{tracker}/reset": Trigger.Request() for tracker in ("icp_tracker", "ekf_tracker")}
-        call_all(self._supervisor.node, Trigger, resets, PATIENCE_S)
+        call_all(supervisor.node, Trigger, resets, PATIENCE_S)
 
     def usage(self) -> dict[str, Usage]:
         used = self.studio.usage()
@@ -225,17 +221,13 @@ class StudioInput(LiveInput):
         answer = self.studio.ask("play", loop=False)
         clock = SessionClock(answer["epoch_ns"], answer["frames"], answer["fps"], exposed=True)
         last_ns = clock.epoch_ns + round((clock.frames / clock.fps - 1.0 / self._fps) * 1e9)  # the last exposure
-        self._await_answers(recorder, last_ns, cancel)
-        return clock
-
-    def _await_answers(self, recorder: GraphRecorder, last_ns: int, cancel: threading.Event) -> None:
-        """Wait for the answer to a stamp, or until nothing has been answered for PATIENCE_S since the last exposure."""
         counts, heard_s = recorder.counts, time.monotonic() + self.clock.wait_ns(last_ns) * 1e-9
         while time.monotonic() < heard_s + PATIENCE_S and not cancel.is_set():
             if recorder.wait_for_stamp(PREDICTION_TOPIC, last_ns, LOOK_S):
-                return
+                break
             if counts != (counts := recorder.counts):
                 heard_s = max(heard_s, time.monotonic())
+        return clock
 
 
 def free_first_address(count: int) -> str:

@@ -106,7 +106,6 @@ def run_live(
     cancel = cancel or threading.Event()
     bag, start_from = output / "bag", start_settings(live_input.session, start)
     with live_input:
-        live_input.open(cancel)
         graph = live_input.graph({**start_from, **(settings or {})})
         with Supervisor(graph, output / "logs", domain_id=domain_id, cancel=cancel) as supervisor:
             doing(f"starting {len(graph)} nodes")
@@ -117,7 +116,6 @@ def run_live(
                 supervisor.activate(tolerate_cameras=False)
                 doing("waiting until cameras and graph are in step")
                 live_input.prepare(supervisor, cancel)
-                live_input.settle(cancel)
                 meter = UsageMeter(supervisor, live_input)
                 doing("playing the session")
                 clock = live_input.play(recorder, cancel)
@@ -146,7 +144,7 @@ def run_studio(
     cancel = cancel or threading.Event()
     chosen, speed, trained = speed is not None, speed or 1.0, False
     while True:
-        studio = StudioInput(session_folder, output / "studio", fps, speed, trained=trained)
+        studio = StudioInput(session_folder, output / "studio", fps, speed, trained=trained, cancel=cancel)
         live = run_live(studio, output, cancel=cancel, **options)
         enough = live.is_whole and live.hz_held >= KEPT_UP * min(LEAST_HZ, fps)
         if chosen or cancel.is_set() or speed <= SLOWEST or enough:
@@ -162,19 +160,15 @@ class UsageMeter:
     last diagnostics."""
 
     def __init__(self, supervisor: Supervisor, live_input: LiveInput) -> None:
-        self._supervisor, self._input = supervisor, live_input
+        self._used = lambda: {**supervisor.processes.usage(), **live_input.usage()}
+        self._report = supervisor.diagnostics.report
+        self._names = [spec.full_name for spec in supervisor.graph]
         self.began_ns, self._before = live_input.clock.now_ns(), self._used()
-        self.usage: dict[str, Usage] = {}
-        self.diagnostics: dict[str, Mapping[str, str]] = {}
 
     def stop(self) -> None:
-        names = [spec.full_name for spec in self._supervisor.graph]
-        reports = {name: self._supervisor.diagnostics.report(name) for name in names}
         self.usage = self._used()
+        reports = {name: self._report(name) for name in self._names}
         self.diagnostics = {name: report.values for name, report in reports.items() if report is not None}
-
-    def _used(self) -> dict[str, Usage]:
-        return {**self._supervisor.processes.usage(), **self._input.usage()}
 
     def cpu_ms_per_set(self, sets: int) -> dict[str, float]:
         """Processor time of each process for one of so many frame sets."""

@@ -16,13 +16,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from capture_rig.camera import CameraModel
-from capture_rig.session import Truth
-from capture_rig.video import Video
-from stick_figure import metrics
+from capture_rig.video import Video, VideoFile
 from stick_figure.skeleton import ANGLE_NAMES, POINT_NAMES
 
-from ..overlays import MAX_WIDTH_PX, VideoFile, Window, captioned, montage, overlay, tiling
-from .scores import Scores, angle_truth, defined
+from ..overlays import MAX_WIDTH_PX, Window, captioned, montage, overlay, tiling
+from .scores import LARGE_ERROR_MM, Scores, angle_truth, defined
 from .track_evaluation import TRACKING, TrackEvaluation
 
 STILLS = 3
@@ -39,13 +37,6 @@ def read_frames(video: Path, wanted: Sequence[int]) -> Iterator[np.ndarray]:
             if image is None:
                 raise EOFError(f"{video} has no frame {frame}")
             yield image
-
-
-def truth_at(truth: Truth | None, frames: Sequence[int]) -> list[np.ndarray | None]:
-    """Return the truth's points (15, 3) of each frame; None where it has none."""
-    if truth is None:
-        return [None] * len(frames)
-    return [points if f in truth.frames else None for f, points in zip(frames, truth.points_at(frames), strict=True)]
 
 
 def draw(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
@@ -98,7 +89,11 @@ def _sheet(
 def _pictures(evaluated: TrackEvaluation, frames: Sequence[int]) -> Iterator[tuple]:
     """Frame, cameras, their images, the track's points (15, 3) and the truth's, where it has them."""
     session, cameras = evaluated.session, evaluated.session.rig.cameras
-    points, truth = evaluated.track.at(np.array(frames)).points_world, truth_at(session.truth, frames)
+    points = evaluated.track.at(np.array(frames)).points_world
+    truth: Sequence[np.ndarray | None] = [None] * len(frames)
+    if session.truth is not None:
+        there = zip(np.isin(frames, session.truth.frames), session.truth.points_at(frames), strict=True)
+        truth = [known if is_there else None for is_there, known in there]
     footage = zip(*(read_frames(session.videos[camera.name], frames) for camera in cameras), strict=True)
     with suppress(EOFError):  # a container may promise a frame more than it holds
         for index, images in enumerate(footage):
@@ -129,19 +124,13 @@ def caption(evaluated: TrackEvaluation, frame: int) -> tuple[str, bool | None]:
     state = str(evaluated.track.states[row[0]]) if len(row) else "no body"
     sure = state == TRACKING if len(row) else None
     text = f"{evaluated.session.folder.name}   frame {frame}   {frame / evaluated.session.fps:.2f} s   {state}"
-    errors = _errors_at(evaluated, frame)
-    if errors is None or not np.isfinite(errors).any():
+    truth, scores = evaluated.session.truth, evaluated.scores
+    if scores is None or truth is None or not np.isfinite(scores.errors_mm[truth.frames == frame]).any():
         return text, sure
+    (errors,) = scores.errors_mm[truth.frames == frame]
     worst = int(np.nanargmax(errors))
     name = POINT_NAMES[worst].replace("_", " ")
     return f"{text}   mean {np.nanmean(errors):.0f} mm   worst: {name} {errors[worst]:.0f} mm", sure
-
-
-def _errors_at(evaluated: TrackEvaluation, frame: int) -> np.ndarray | None:
-    if evaluated.scores is None or evaluated.session.truth is None:
-        return None
-    row = np.flatnonzero(evaluated.session.truth.frames == frame)
-    return evaluated.scores.errors_mm[row[0]] if len(row) else None
 
 
 # plots ----------------------------------------------------------------------------------------------------------------
@@ -161,7 +150,11 @@ POINT_ORDER = (0, 1, 2, 3, 7, 11, 4, 8, 12, 5, 9, 13, 6, 10, 14)
 def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     """Write all plots into the folder; returns their paths. Without a truth, the angles alone."""
     folder.mkdir(parents=True, exist_ok=True)
-    figures = angle_figures(evaluated)
+    session, track = evaluated.session, evaluated.track
+    curves = [("ours", OURS, 1.3, track.frames, track.angles)]
+    if session.truth is not None:
+        curves.insert(0, ("truth", TRUTH, 3.5, session.truth.frames, angle_truth(session.truth).angles))
+    figures = {f"angles_{page}": _angle_page(evaluated, curves, page, names) for page, names in ANGLE_PAGES.items()}
     if evaluated.scores is not None and evaluated.session.truth is not None:
         figures["point_errors"] = _point_errors(evaluated, evaluated.scores)
         figures["errors"] = _distribution(evaluated, evaluated.scores)
@@ -172,20 +165,12 @@ def draw_plots(folder: Path, evaluated: TrackEvaluation) -> list[Path]:
     return paths
 
 
-def angle_figures(evaluated: TrackEvaluation) -> dict[str, Figure]:
-    """Pages of angles over time against the truth (as thesis fig. 7.4 to 7.7), by file name."""
-    session, track = evaluated.session, evaluated.track
-    curves = [("ours", OURS, 1.3, track.frames, track.angles)]
-    if session.truth is not None:
-        curves.insert(0, ("truth", TRUTH, 3.5, session.truth.frames, angle_truth(session.truth).angles))
-    return {f"angles_{page}": _angle_page(evaluated, curves, page, names) for page, names in ANGLE_PAGES.items()}
-
-
 Curve = tuple[str, str, float, np.ndarray, np.ndarray]
 """Label, colour, width of the line, frames (F,) and angles (F, 18) rad."""
 
 
 def _angle_page(evaluated: TrackEvaluation, curves: Sequence[Curve], page: str, names: Sequence[str]) -> Figure:
+    """Angles over time against the truth (as thesis fig. 7.4 to 7.7)."""
     rows = -(-len(names) // 2)
     figure = Figure(figsize=(12, 1.2 + 2.3 * rows), layout="constrained")
     for axis, name in zip(np.ravel(figure.subplots(rows, 2, sharex=True)), names, strict=True):
@@ -196,7 +181,7 @@ def _angle_page(evaluated: TrackEvaluation, curves: Sequence[Curve], page: str, 
             sure = np.where(defined(angles)[:, slot], degrees, np.nan)
             axis.plot(seconds, sure, color=colour, linewidth=width, label=label)
         if evaluated.scores is not None:
-            title += f": RMSE {evaluated.scores.angle_rmse_deg[slot]:.1f} deg"
+            title += f": RMSE {np.rad2deg(evaluated.scores.angles.rmse_rad[slot]):.1f} deg"
         axis.set_title(title, fontsize=10)
     _finish(figure, evaluated, page.replace("_", ", "), "angle [deg], dotted where the pose does not determine it")
     return figure
@@ -217,14 +202,12 @@ def _point_errors(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     seconds = evaluated.session.truth.frames / evaluated.session.fps
     for axis, point in zip(axes.flat, POINT_ORDER, strict=True):
         if evaluated.thesis is not None:
-            label = "thesis's method"
-            axis.plot(
-                seconds, evaluated.thesis.errors_mm[:, point], color=THESIS, linewidth=0.8, alpha=0.7, label=label
-            )
+            errors, label = evaluated.thesis.errors_mm[:, point], "thesis's method"
+            axis.plot(seconds, errors, color=THESIS, linewidth=0.8, alpha=0.7, label=label)
         axis.plot(seconds, scores.errors_mm[:, point], color=OURS, linewidth=1.3, label="ours")
-        axis.axhline(1e3 * metrics.LARGE_ERROR_M, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
+        axis.axhline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
         _shade_unsure(axis, evaluated)
-        axis.set_title(f"{_name(point)}: mean {scores.point_mm[point]:.0f} mm", fontsize=10)
+        axis.set_title(f"{_name(point)}: mean {scores.points.mean_mm[point]:.0f} mm", fontsize=10)
     top = np.nanpercentile(scores.errors_mm, 99.5)
     axes.flat[0].set_ylim(0.0, max(220.0, 1.1 * top))
     _finish(figure, evaluated, "point errors", "error [mm]")
@@ -250,18 +233,18 @@ def _distribution(evaluated: TrackEvaluation, scores: Scores) -> Figure:
     for label, found, colour in methods:
         errors = np.sort(found.errors_mm[np.isfinite(found.errors_mm)])
         share = 100.0 * np.arange(1, len(errors) + 1) / len(errors)
-        curve.plot(errors, share, color=colour, linewidth=2, label=f"{label}: median {found.median_mm:.0f} mm")
-    curve.axvline(1e3 * metrics.LARGE_ERROR_M, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
+        label = f"{label}: median {found.all_points.median_mm:.0f} mm"
+        curve.plot(errors, share, color=colour, linewidth=2, label=label)
+    curve.axvline(LARGE_ERROR_MM, color=LIMIT, linewidth=0.8, linestyle="--", label="lost: 200 mm")
     widest = max(np.nanpercentile(found.errors_mm, 98) for _, found, _ in methods)
     curve.set(xlim=(0.0, max(220.0, widest)), ylim=(0, 100), xlabel="error [mm]", ylabel="errors below [%]")
     places = np.arange(len(POINT_ORDER))[::-1]
     order = list(POINT_ORDER)
-    bars.barh(places, scores.point_mm[order], color=OURS, label="ours: mean")
-    bars.plot(scores.point_p95_mm[order], places, "|", color=OURS, markersize=11, label="ours: 95 %")
+    bars.barh(places, scores.points.mean_mm[order], color=OURS, label="ours: mean")
+    bars.plot(scores.points.p95_mm[order], places, "|", color=OURS, markersize=11, label="ours: 95 %")
     if evaluated.thesis is not None:
-        bars.plot(
-            evaluated.thesis.point_mm[order], places, "D", color=THESIS, markersize=5, label="thesis's method: mean"
-        )
+        mean_mm, label = evaluated.thesis.points.mean_mm[order], "thesis's method: mean"
+        bars.plot(mean_mm, places, "D", color=THESIS, markersize=5, label=label)
     bars.set_yticks(places, [_name(point) for point in order])
     bars.set_xlabel("error [mm]")
     for axis in (curve, bars):

@@ -104,7 +104,8 @@ def rank_reasons(sets: Sequence[Sequence[str]]) -> list[Reason]:
         for kind, clause in sorted({VARYING.sub("#", clause): clause for clause in sorted(clauses)}.items()):
             texts[kind].append(clause)
     ranked = sorted(texts.values(), key=len, reverse=True)
-    return [Reason(sorted(same, key=_numbers)[len(same) // 2], len(same)) for same in ranked]
+    numbers = {text: [float(number) for number in NUMBER.findall(text)] for same in ranked for text in same}
+    return [Reason(sorted(same, key=numbers.__getitem__)[len(same) // 2], len(same)) for same in ranked]
 
 
 def explain(sets: Sequence[Sequence[str]]) -> tuple[str, str]:
@@ -125,7 +126,3 @@ def nobody_tracked(what: str, where: str, sets: Sequence[Sequence[str]]) -> Inpu
     """Return the error of a session or bag in which nobody was tracked."""
     said, remedy = explain(sets)
     return InputError(f"{what}: {said}", where=where, remedy=remedy)
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    return tuple(float(number) for number in NUMBER.findall(text))

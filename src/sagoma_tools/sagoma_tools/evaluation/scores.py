@@ -119,43 +119,20 @@ def _rotations(poses: list[Pose | None]) -> np.ndarray:
     return np.array([unknown if pose is None else pose.R_world_torso for pose in poses]).reshape(-1, 3, 3)
 
 
-# joint angles ---------------------------------------------------------------------------------------------------------
+# points ---------------------------------------------------------------------------------------------------------------
 
 
 DIMENSIONS = 3
 INSIDE_95 = float(chi2.ppf(0.95, DIMENSIONS))
 """Squared Mahalanobis distance that 95 % of the errors stay below when the covariance is right."""
+LARGE_ERROR_MM = 1e3 * LARGE_ERROR_M
+CLEAR_MM = 0.5 * LARGE_ERROR_MM
+"""A point farther off is lost; a frame with all 15 points nearer than half of that is clear."""
 
 
-@dataclass(frozen=True, eq=False)
-class CovarianceCoverage:
-    """How the errors of the 15 points compare with the covariances that the track states.
-
-    point_inside_95 : (15,) share of each point's errors inside its 95 % ellipsoid; inside_95 : of all points' together.
-    point_nees : (15,) mean normalised estimation error squared, e^T P^-1 e: 3 when the covariance is right, more for an
-    overconfident track (Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 5.4);
-    nees : of all points together.
-    NaN where nothing could be compared.
-    """
-
-    point_inside_95: np.ndarray
-    inside_95: float
-    point_nees: np.ndarray
-    nees: float
-
-
-def covariance_coverage(errors: np.ndarray, covariance: np.ndarray) -> CovarianceCoverage:
-    """Compare errors (F, 15, 3) m, NaN where unknown, with the covariances (F, 15, 3, 3) m^2 stated for them."""
-    squared = squared_distances(errors, covariance)
-    known = np.isfinite(errors).all(-1)
-    inside = np.where(known, squared <= INSIDE_95, np.nan)
-    return CovarianceCoverage(
-        mean_of_known(inside, 0), float(mean_of_known(inside)), mean_of_known(squared, 0), float(mean_of_known(squared))
-    )
-
-
-def squared_distances(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """NEES (F, 15) of each error, e^T P^-1 e; NaN where unknown, infinite where P claims certainty."""
+def nees_of(errors: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Normalised estimation error squared (F, 15), e^T P^-1 e, of errors (F, 15, 3) m with the covariances stated for
+    them, m^2; NaN where either is unknown, infinite where P claims certainty."""
     known = np.isfinite(errors).all(-1) & np.isfinite(covariance).all((-2, -1))
     out = np.full(errors.shape[:-1], np.nan)
     certain = known.copy()
@@ -174,6 +151,56 @@ def mean_of_known(values: np.ndarray, axis: int | None = None) -> np.ndarray:
     return np.where(count > 0, np.where(known, values, 0.0).sum(axis) / np.maximum(count, 1), np.nan)
 
 
+def share_below(bound: float, values: np.ndarray, axis: int | None = None) -> np.ndarray:
+    """Return the share of the known values that are at most the bound; NaN where there is none."""
+    return mean_of_known(np.where(np.isnan(values), np.nan, values <= bound), axis)
+
+
+@dataclass(frozen=True, eq=False)
+class PointScores:
+    """Errors of each point, (15,), or of all points together; NaN where nothing could be compared.
+
+    over_200mm : share of frames in which it, or any point, is farther off. rmse_mm : thesis eq. 7.3, corrected (it sums
+    signed differences, so that +10 and -10 mm would cancel to 0); of all the mean of the points' own, the last line of
+    Table 7.2. ..._without_offset : after each point's constant offset in the pelvis frame is taken out: where
+    truth and stick figure mean different places by "shoulder" or "hip", that part says nothing about tracking, and the
+    covariance is about our own definition of the points (docs/points.md).
+    inside_95 : share of errors inside the 95 % ellipsoid that the track states. nees : mean of :func:`nees_of`, 3 when
+    the covariance is right, more for an overconfident track (Bar-Shalom, Li & Kirubarajan, Estimation with Applications
+    to Tracking and Navigation, 5.4).
+    """
+
+    mean_mm: np.ndarray
+    median_mm: np.ndarray
+    p95_mm: np.ndarray
+    over_200mm: np.ndarray
+    rmse_mm: np.ndarray
+    mean_mm_without_offset: np.ndarray
+    inside_95: np.ndarray
+    inside_95_without_offset: np.ndarray
+    nees: np.ndarray
+
+    @classmethod
+    def of(cls, errors_mm: np.ndarray, centred_mm: np.ndarray, nees: np.ndarray, centred: np.ndarray) -> PointScores:
+        """Summarise the columns of errors (F, n) as they are and without offsets, and of their NEES."""
+
+        def each(statistic: Callable[[np.ndarray], Any]) -> np.ndarray:
+            columns = [column[np.isfinite(column)] for column in errors_mm.T]
+            return np.array([statistic(known) if len(known) else np.nan for known in columns])
+
+        return cls(
+            mean_of_known(errors_mm, 0),
+            each(np.median),
+            each(lambda known: np.percentile(known, 95)),
+            1.0 - share_below(LARGE_ERROR_MM, errors_mm, 0),
+            np.sqrt(mean_of_known(errors_mm**2, 0)),
+            mean_of_known(centred_mm, 0),
+            share_below(INSIDE_95, nees, 0),
+            share_below(INSIDE_95, centred, 0),
+            mean_of_known(nees, 0),
+        )
+
+
 OVERALL = (
     *("mean_mm", "median_mm", "p95_mm", "over_200mm", "rmse_mean_mm", "mean_mm_without_offset", "inside_95"),
     *("inside_95_without_offset", "flagged_of_bad", "false_alarms"),
@@ -182,70 +209,51 @@ OVERALL = (
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """Errors over the truth's frames, metres as mm; NaN where nothing could be compared.
+    """Errors over the truth's frames, NaN where nothing could be compared.
 
     frames : truth frames; tracked : those for which the track has a body. Everything else is over these:
-    mean_mm, median_mm, p95_mm : of all points together; over_200mm : share of frames with any point further off;
-    rmse_mean_mm : mean over the points of each point's RMSE (thesis Table 7.2).
-    mean_mm_without_offset : after each point's constant offset in the pelvis frame is taken out: where truth and stick
-    figure mean different places by "shoulder" or "hip", that part says nothing about tracking. point_offset_mm :
-    (15, 3) those offsets, track minus truth, forward, left and up.
-    point_... : (15,) the same of each point; point_over_200mm : share of frames in which it is further off.
-    coverage : the errors against the track's own covariances; coverage_without_offset : what is left of them without
-    constant offsets, for the covariance is about our own definition of the points (docs/points.md). angles : the joint
-    angles. calls : the parts of the body that are called doubtful or lost, rightly or not.
-    errors_mm : (frames, 15) every error, NaN where there is none.
+    all_points, points : errors of all points together, and of each. point_offset_mm : (15, 3) constant offset of each
+    in the pelvis frame, track minus truth, forward, left and up. angles : the joint angles. calls : the parts of the
+    body that are called doubtful or lost, rightly or not. errors_mm : (frames, 15) every error.
     """
 
     frames: int
     tracked: int
-    mean_mm: float
-    median_mm: float
-    p95_mm: float
-    over_200mm: float
-    rmse_mean_mm: float
-    mean_mm_without_offset: float
-    point_mm: np.ndarray
-    point_rmse_mm: np.ndarray
-    point_median_mm: np.ndarray
-    point_p95_mm: np.ndarray
-    point_over_200mm: np.ndarray
-    point_mm_without_offset: np.ndarray
+    all_points: PointScores
+    points: PointScores
     point_offset_mm: np.ndarray
-    coverage: CovarianceCoverage
-    coverage_without_offset: CovarianceCoverage
     angles: AngleScores
     calls: PartCalls
     errors_mm: np.ndarray
 
     @property
-    def angle_rmse_deg(self) -> np.ndarray:
-        """(18,) RMSE of each angle where the truth defines it."""
-        return np.rad2deg(self.angles.rmse_rad)
+    def mean_mm(self) -> float:
+        """Of all points."""
+        return float(self.all_points.mean_mm)
 
     @property
     def overall(self) -> dict[str, float]:
         """The figures of all points together, by their names in OVERALL."""
-        inside_95, centred = self.coverage.inside_95, self.coverage_without_offset.inside_95
-        of_parts = inside_95, centred, self.calls.flagged_of_bad, self.calls.false_alarms
-        values = (*(getattr(self, name) for name in OVERALL[: -len(of_parts)]), *of_parts)
-        return dict(zip(OVERALL, values, strict=True))
+        calls = {"flagged_of_bad": self.calls.flagged_of_bad, "false_alarms": self.calls.false_alarms}
+        every = {**vars(self.all_points), "rmse_mean_mm": self.all_points.rmse_mm, **calls}
+        return {name: float(every[name]) for name in OVERALL}
 
     def figures(self) -> dict[str, object]:
         """Name to number, for a line of JSON."""
-        whole: dict[str, object] = {"frames": self.frames, "tracked": self.tracked}
-        whole.update({name: number(value) for name, value in self.overall.items()})
-        whole["nees"] = number(self.coverage.nees)
-        whole["point_mm"] = _named(POINT_NAMES, self.point_mm, 1)
-        offsets = self.point_offset_mm.round(1).tolist()
-        whole["point_offset_mm"] = dict(zip(POINT_NAMES, offsets, strict=True))
-        whole["point_rmse_mm"] = _named(POINT_NAMES, self.point_rmse_mm, 1)
-        whole["point_inside_95"] = _named(POINT_NAMES, self.coverage.point_inside_95, 3)
-        centred = self.coverage_without_offset.point_inside_95
-        whole["point_inside_95_without_offset"] = _named(POINT_NAMES, centred, 3)
-        whole["angle_rmse_deg"] = _named(ANGLE_NAMES, self.angle_rmse_deg, 1)
-        whole["torso_rmse_deg"] = number(np.rad2deg(self.angles.torso_rmse_rad))
-        return whole
+        points = self.points
+        return {
+            "frames": self.frames,
+            "tracked": self.tracked,
+            **{name: number(value) for name, value in self.overall.items()},
+            "nees": number(float(self.all_points.nees)),
+            "point_mm": _named(POINT_NAMES, points.mean_mm, 1),
+            "point_offset_mm": dict(zip(POINT_NAMES, self.point_offset_mm.round(1).tolist(), strict=True)),
+            "point_rmse_mm": _named(POINT_NAMES, points.rmse_mm, 1),
+            "point_inside_95": _named(POINT_NAMES, points.inside_95, 3),
+            "point_inside_95_without_offset": _named(POINT_NAMES, points.inside_95_without_offset, 3),
+            "angle_rmse_deg": _named(ANGLE_NAMES, np.rad2deg(self.angles.rmse_rad), 1),
+            "torso_rmse_deg": number(np.rad2deg(self.angles.torso_rmse_rad)),
+        }
 
 
 def score(track: Track, truth: Truth) -> Scores:
@@ -256,38 +264,27 @@ def score(track: Track, truth: Truth) -> Scores:
         what = f"the track shares none of its {len(track.frames)} frames with the truth"
         raise InputError(what, where=str(truth.source), remedy="Check that track and truth are of the same session.")
     estimate, reference = truth.comparable(aligned.points_world), truth.points_world
-    centred = metrics.without_offsets(estimate[tracked], reference[tracked])
-    summary = metrics.summary(estimate[tracked], reference[tracked])
+    errors = estimate - reference
     errors_mm = 1e3 * metrics.point_errors(estimate, reference)
-    errors_centred = metrics.point_errors(centred, reference[tracked])
+    offsets = metrics.joint_offsets(estimate[tracked], reference[tracked])
+    centred = np.full_like(errors, np.nan)
+    centred[tracked] = metrics.without_offsets(estimate[tracked], reference[tracked]) - reference[tracked]
+    nees, nees_centred = nees_of(errors, aligned.covariance), nees_of(centred, aligned.covariance)
+    measured = errors_mm, 1e3 * np.linalg.norm(centred, axis=2), nees, nees_centred
+    points, together = PointScores.of(*measured), PointScores.of(*(values.reshape(-1, 1) for values in measured))
+    of_all = {name: values[0] for name, values in vars(together).items()}
+    worst_mm = np.nan_to_num(errors_mm).max(axis=1)[np.isfinite(errors_mm).any(axis=1)]
+    of_all |= {"over_200mm": share(worst_mm > LARGE_ERROR_MM), "rmse_mm": mean_of_known(points.rmse_mm)}
     return Scores(
         frames=len(truth.frames),
         tracked=int(tracked.sum()),
-        mean_mm=1e3 * summary.mean,
-        median_mm=1e3 * summary.median,
-        p95_mm=1e3 * summary.p95,
-        over_200mm=summary.share_over,
-        rmse_mean_mm=1e3 * summary.thesis_mean,
-        mean_mm_without_offset=1e3 * metrics.summary(centred, reference[tracked]).mean,
-        point_mm=_by_point(errors_mm, np.mean),
-        point_rmse_mm=1e3 * summary.rmse_per_point,
-        point_median_mm=_by_point(errors_mm, np.median),
-        point_p95_mm=_by_point(errors_mm, lambda known: np.percentile(known, 95)),
-        point_over_200mm=_by_point(errors_mm, lambda known: np.mean(known > 1e3 * metrics.LARGE_ERROR_M)),
-        point_mm_without_offset=1e3 * _by_point(errors_centred, np.mean),
-        point_offset_mm=1e3 * metrics.joint_offsets(estimate[tracked], reference[tracked]),
-        coverage=covariance_coverage(estimate - reference, aligned.covariance),
-        coverage_without_offset=covariance_coverage(centred - reference[tracked], aligned.covariance[tracked]),
+        all_points=PointScores(**of_all),
+        points=points,
+        point_offset_mm=1e3 * offsets,
         angles=score_angles(aligned.angles, aligned.points_world, angle_truth(truth)),
         calls=PartCalls.of(errors_mm, aligned.parts),
         errors_mm=errors_mm,
     )
-
-
-def _by_point(errors: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> np.ndarray:
-    """Return (15,) the statistic of each point's known errors (F, 15); NaN for a point that has none."""
-    columns = [column[np.isfinite(column)] for column in errors.T]
-    return np.array([statistic(known) if len(known) else np.nan for known in columns])
 
 
 def _named(names: tuple[str, ...], values: np.ndarray, digits: int) -> dict[str, float | None]:
@@ -297,10 +294,6 @@ def _named(names: tuple[str, ...], values: np.ndarray, digits: int) -> dict[str,
 def number(value: float, digits: int = 4) -> float | None:
     """Return a number as JSON knows them: None for what is not finite."""
     return round(float(value), digits) if np.isfinite(value) else None
-
-
-CLEAR_M = 0.1
-"""A frame is clear when all 15 points are nearer to the truth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,9 +312,9 @@ class PartCalls:
     def of(cls, errors_mm: np.ndarray, parts: np.ndarray) -> PartCalls:
         """Compare errors (F, 15), NaN where unknown, with the states (F, 5) of the parts, empty where unknown."""
         told = (parts.reshape(-1, len(PART_NAMES)) != "").all(axis=1)
-        far = errors_mm > 1e3 * LARGE_ERROR_M
+        far = errors_mm > LARGE_ERROR_MM
         wrong = np.stack([far[:, list(points)].any(axis=1) for points in PART_POINTS], axis=1)
-        clear = (errors_mm < 1e3 * CLEAR_M).all(axis=1)
+        clear = (errors_mm < CLEAR_MM).all(axis=1)
         return cls(wrong & told[:, None], (parts != GOOD) & told[:, None], clear & told)
 
     @property

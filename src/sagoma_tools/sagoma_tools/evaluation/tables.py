@@ -14,29 +14,41 @@ from ..console import plain_table
 from ..graph.diagnostics_table import budget_text
 from ..graph.processes import Usage
 from ..graph.ros_link import label_of
-from .scores import AngleScores, Scores
+from .scores import AngleScores, PointScores, Scores
 from .track_evaluation import PeopleScores, TrackEvaluation
 
 PAIRED_ANGLES = (2, 4, 6, 8, 10, 12, 16, 14)
 """Slots of the left angles, each followed by its right one: shoulders, elbow, hips, knee."""
-POINT_COLUMNS = ("mean", "median", "95 %", ">200 mm", "no offset", "in 95 %", "NEES")
+POINT_COLUMNS: Mapping[str, tuple[str, str]] = {
+    "mean": ("mean_mm", "{:.1f}"),
+    "median": ("median_mm", "{:.1f}"),
+    "95 %": ("p95_mm", "{:.1f}"),
+    ">200 mm": ("over_200mm", "{:.1%}"),
+    "no offset": ("mean_mm_without_offset", "{:.1f}"),
+    "in 95 %": ("inside_95", "{:.0%}"),
+    "NEES": ("nees", "{:.1f}"),
+}
+"""Title, field of `PointScores` and format of each column."""
 
 
 def print_scores(console: Console, scores: Scores) -> None:
     """Print the errors of points (thesis Table 7.2, and more) and angles (Table 7.1), and the covariances' coverage."""
-    console.print(_points(scores))
-    coverage = scores.coverage
+    table = plain_table("error of the points (RMSE: thesis Table 7.2)", ["point"], ["RMSE mm", *POINT_COLUMNS])
+    for point, name in enumerate(POINT_NAMES):
+        table.add_row(name.replace("_", " "), f"{scores.points.rmse_mm[point]:.1f}", *_cells(scores.points, point))
+    of_all, calls = scores.all_points, scores.calls
+    table.add_row("all", f"{of_all.rmse_mm:.1f}", *_cells(of_all), style="bold")
+    console.print(table)
     console.print(
-        f"{scores.tracked} of {scores.frames} frames tracked; mean error {scores.mean_mm:.1f} mm, median "
-        f"{scores.median_mm:.1f}, 95 % below {scores.p95_mm:.0f}; {scores.mean_mm_without_offset:.1f} mm without "
-        f"constant offsets; {100 * scores.over_200mm:.1f} % of the frames have a point over 200 mm"
+        f"{scores.tracked} of {scores.frames} frames tracked; mean error {of_all.mean_mm:.1f} mm, median "
+        f"{of_all.median_mm:.1f}, 95 % below {of_all.p95_mm:.0f}; {of_all.mean_mm_without_offset:.1f} mm without "
+        f"constant offsets; {100 * of_all.over_200mm:.1f} % of the frames have a point over 200 mm"
     )
-    ellipsoids = (
-        f"{100 * coverage.inside_95:.0f} % of the errors inside their 95 % ellipsoid, "
-        f"{100 * scores.coverage_without_offset.inside_95:.0f} % without constant offsets"
+    console.print(
+        f"covariance: {100 * of_all.inside_95:.0f} % of the errors inside their 95 % ellipsoid, "
+        f"{100 * of_all.inside_95_without_offset:.0f} % without constant offsets; NEES {of_all.nees:.1f}, where 3 is "
+        "consistent"
     )
-    console.print(f"covariance: {ellipsoids}; NEES {coverage.nees:.1f}, where 3 is consistent")
-    calls = scores.calls
     console.print(
         f"doubt: of {calls.wrong.sum()} parts of the body with a point over 200 mm, called doubtful or lost: "
         f"{_percent(calls.flagged_of_bad)}; of {calls.clear.sum()} frames with all points below 100 mm, with any part "
@@ -49,36 +61,10 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f} %" if np.isfinite(share) else "-"
 
 
-def _points(scores: Scores) -> Table:
-    title = "error of the points (RMSE: thesis Table 7.2)"
-    table = plain_table(title, ["point"], ["RMSE mm", *POINT_COLUMNS])
-    columns = (
-        scores.point_mm,
-        scores.point_median_mm,
-        scores.point_p95_mm,
-        scores.point_over_200mm,
-        scores.point_mm_without_offset,
-        scores.coverage.point_inside_95,
-        scores.coverage.point_nees,
-    )
-    for name, rmse, *row in zip(POINT_NAMES, scores.point_rmse_mm, *columns, strict=True):
-        table.add_row(name.replace("_", " "), f"{rmse:.1f}", *_cells(*row))
-    table.add_row("all", f"{scores.rmse_mean_mm:.1f}", *_overall_cells(scores), style="bold")
-    return table
-
-
-def _overall_cells(scores: Scores) -> tuple[str, ...]:
-    """Return the POINT_COLUMNS of all points together."""
-    errors = scores.mean_mm, scores.median_mm, scores.p95_mm, scores.over_200mm, scores.mean_mm_without_offset
-    return _cells(*errors, scores.coverage.inside_95, scores.coverage.nees)
-
-
-def _cells(
-    mean: float, median: float, p95: float, over: float, centred: float, inside: float, nees: float
-) -> tuple[str, ...]:
-    """Return the POINT_COLUMNS: mm, and shares."""
-    errors = f"{mean:.1f}", f"{median:.1f}", f"{p95:.1f}", f"{100 * over:.1f} %", f"{centred:.1f}"
-    return *errors, f"{100 * inside:.0f} %", f"{nees:.1f}"
+def _cells(scores: PointScores, point: int | tuple[()] = ()) -> list[str]:
+    """Return the POINT_COLUMNS of a point, or of all points together."""
+    values = ((np.asarray(getattr(scores, field))[point], shown) for field, shown in POINT_COLUMNS.values())
+    return [shown.format(value).replace("%", " %") for value, shown in values]
 
 
 def _angles(angles: AngleScores) -> Table:
@@ -129,18 +115,19 @@ def print_people(console: Console, people: PeopleScores) -> None:
     """Print a row for each person of a session with several truths, where the rig shows that person."""
     columns = "numbers", *POINT_COLUMNS, "flagged", "alarms", "frames", "switches"
     table = plain_table("every person, where the rig shows them", ["truth"], columns)
-    for person in people.persons:
-        name, numbers = f"person {person.truth + 1}", "+".join(map(str, person.numbers)) or "-"
+    for count, person in enumerate(people.persons, 1):
+        name, numbers = f"person {count}", "+".join(map(str, person.numbers)) or "-"
         scores = person.scores
         if scores is None:
             table.add_row(name, numbers, "no track")
             continue
         called = _percent(scores.calls.flagged_of_bad), _percent(scores.calls.false_alarms)
         frames = f"{scores.tracked} of {scores.frames}"
-        table.add_row(name, numbers, *_overall_cells(scores), *called, frames, str(person.switches))
+        table.add_row(name, numbers, *_cells(scores.all_points), *called, frames, str(person.switches))
     console.print(table)
-    nobody = f"; tracks of nobody: {', '.join(map(str, people.ghosts))}" if people.ghosts else ""
-    console.print(f"{people.switches} identity switches; {people.ghost_frames} frames with a track of nobody{nobody}")
+    who, switches = people.who, sum(person.switches or 0 for person in people.persons)
+    nobody = f"; tracks of nobody: {', '.join(map(str, who.ghosts))}" if who.ghosts else ""
+    console.print(f"{switches} identity switches; {who.ghost_frames} frames with a track of nobody{nobody}")
 
 
 def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
@@ -152,7 +139,7 @@ def print_ablation(console: Console, rows: Mapping[str, Scores | None]) -> None:
             table.add_row(name, "no body")
             continue
         better = "" if first is None else f"{first.mean_mm / scores.mean_mm:.1f}"
-        table.add_row(name, *_overall_cells(scores), better)
+        table.add_row(name, *_cells(scores.all_points), better)
     console.print(table)
 
 

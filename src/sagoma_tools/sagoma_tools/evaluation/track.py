@@ -89,7 +89,7 @@ class Track:
 
     def chosen(self, rows: np.ndarray) -> Track:
         """Return some of the rows, by mask or index."""
-        return Track(*(column[rows] for column in self._columns))
+        return Track(*(column[rows] for column in vars(self).values()))
 
     def at(self, frames: np.ndarray) -> Track:
         """Return the rows of the given frames, NaN (and no state) where the track has none."""
@@ -102,11 +102,7 @@ class Track:
             picked[rows < 0] = absent
             return picked
 
-        return Track(np.asarray(frames), *(pick(column) for column in self._columns[1:]))
-
-    @property
-    def _columns(self) -> tuple[np.ndarray, ...]:
-        return self.frames, self.points_world, self.covariance, self.angles, self.states, self.parts
+        return Track(np.asarray(frames), *(pick(column) for column in list(vars(self).values())[1:]))
 
 
 def tracks_from_bag(

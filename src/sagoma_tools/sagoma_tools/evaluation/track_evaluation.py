@@ -50,7 +50,8 @@ def jitter(track: Track, fps: float, truth: Truth | None = None) -> Jitter:
     half = max(1, round(0.5 * WINDOW_S * fps))
     smooth = _windows(points, half).mean(-1)
     reference = smooth if truth is None else truth.points_at(frames)
-    counts = _rests(reference, half) & np.isfinite(smooth).all(-1)
+    away = np.linalg.norm(_windows(reference, half) - reference[..., None], axis=2)
+    counts = (away.max(-1, initial=0.0) < STILL_M) & np.isfinite(smooth).all(-1)
     squared = np.where(counts, ((points - smooth) ** 2).sum(-1), 0.0)
     rms_m = float(np.sqrt(squared.sum() / counts.sum())) if counts.any() else float("nan")
     return Jitter(1e3 * rms_m, counts.sum(0))
@@ -62,12 +63,6 @@ def _windows(points: np.ndarray, half: int) -> np.ndarray:
         return np.empty((0, *points.shape[1:], 2 * half + 1))
     padded = np.pad(points, ((half, half), (0, 0), (0, 0)), constant_values=np.nan)
     return np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0)
-
-
-def _rests(points: np.ndarray, half: int) -> np.ndarray:
-    """(F, 15) bool."""
-    away = np.linalg.norm(_windows(points, half) - points[..., None], axis=2)
-    return away.max(-1, initial=0.0) < STILL_M
 
 
 TRACKING = "tracking"
@@ -147,30 +142,25 @@ class Identities:
     """Which tracks follow which truth.
 
     numbers : of each truth, the persons as the tracker numbers them whose tracks belong to it, the first one first.
-    switches : of each truth, how often a track of it went to another truth; and one for each further number. ghosts :
-    persons of the tracker that belong to nobody. ghost_frames : frames in which some track that is not doubtful is with
-    nobody.
+    switches : of each truth, how often a track of it went to another truth; and one for each further number; None where
+    no track belongs to it. ghosts : persons of the tracker that belong to nobody. ghost_frames : frames in which some
+    track that is not doubtful is with nobody.
     """
 
     numbers: tuple[tuple[int, ...], ...]
-    switches: tuple[int, ...]
+    switches: tuple[int | None, ...]
     ghosts: tuple[int, ...]
     ghost_frames: int
-
-    def switches_of(self, truth: int) -> int | None:
-        """Identity switches of one truth's person; None of somebody whom no track follows."""
-        return self.switches[truth] if self.numbers[truth] else None
 
 
 @dataclass(frozen=True, eq=False)
 class PersonScores:
     """One truth and the tracks that follow it.
 
-    truth : its place among the session's truths, of so many frames. numbers, switches : as in :class:`Identities`.
+    frames : of the truth. numbers, switches : as in :class:`Identities`.
     time_to_track_s : of the first track, NaN without one. scores : of the first track, None without one.
     """
 
-    truth: int
     frames: int
     numbers: tuple[int, ...]
     switches: int | None
@@ -192,16 +182,10 @@ class PersonScores:
 
 @dataclass(frozen=True, eq=False)
 class PeopleScores:
-    """Every person's scores, in the order of the truths; ghosts, ghost_frames : as in :class:`Identities`."""
+    """Every person's scores, in the order of the truths."""
 
     persons: tuple[PersonScores, ...]
-    ghosts: tuple[int, ...]
-    ghost_frames: int
-
-    @property
-    def switches(self) -> int:
-        """Identity switches of all persons."""
-        return sum(person.switches or 0 for person in self.persons)
+    who: Identities
 
     def figures(self, thesis: PeopleScores | None = None) -> dict[str, Any]:
         """Name to number, for a line of JSON: one record a person, and the mean of each figure over those who have it.
@@ -213,7 +197,7 @@ class PeopleScores:
             for record, other in zip(records, thesis.persons, strict=True):
                 record["thesis_mean_mm"] = other.figures()["mean_mm"]
         whole = {name: _mean([record[name] for record in records]) for name in records[0] if name != "numbers"}
-        return {**whole, "persons": records, "ghosts": list(self.ghosts), "ghost_frames": self.ghost_frames}
+        return {**whole, "persons": records, "ghosts": list(self.who.ghosts), "ghost_frames": self.who.ghost_frames}
 
 
 def score_people(
@@ -225,11 +209,12 @@ def score_people(
     errors count of those points alone that the rig shows.
     """
     who, persons = identify(tracks, truths, fps), []
-    for place, (truth, numbers) in enumerate(zip(truths, who.numbers, strict=True)):
+    for truth, numbers, switches in zip(truths, who.numbers, who.switches, strict=True):
         first = _believed(tracks[numbers[0]]) if numbers else Track.of_states([])
-        scores, seconds = _scores(first, truth, visibility), time_to_track_s(first, fps)
-        persons.append(PersonScores(place, len(truth.frames), numbers, who.switches_of(place), seconds, scores))
-    return PeopleScores(tuple(persons), who.ghosts, who.ghost_frames)
+        seen = truth if visibility is None else shown(truth, visibility)
+        scores = score(first, seen) if np.isin(truth.frames, first.frames).any() else None
+        persons.append(PersonScores(len(truth.frames), numbers, switches, time_to_track_s(first, fps), scores))
+    return PeopleScores(tuple(persons), who)
 
 
 def identify(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -> Identities:
@@ -247,7 +232,7 @@ def identify(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float) -
     }
     return Identities(
         tuple(numbers),
-        tuple(max(len(own) - 1, 0) + sum(changes(distances[person], patience) for person in own) for own in numbers),
+        tuple(len(own) - 1 + sum(changes(distances[n], patience) for n in own) if own else None for own in numbers),
         tuple(person for person, owner in owners.items() if owner is None),
         len(astray),
     )
@@ -308,11 +293,6 @@ def main_track(tracks: Mapping[int, Track], truths: Sequence[Truth], fps: float)
         return first
     of_first = identify(tracks, truths, fps).numbers[0]
     return tracks[of_first[0]] if of_first else first
-
-
-def _scores(track: Track, truth: Truth, visibility: RigVisibility | None) -> Scores | None:
-    truth = truth if visibility is None else shown(truth, visibility)
-    return score(track, truth) if np.isin(truth.frames, track.frames).any() else None
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

@@ -30,7 +30,6 @@ from .formats import (
     Mocap,
     between,
     pose_of,
-    present,
     read_c3d,
     read_numbers,
     save_description,
@@ -88,8 +87,11 @@ def import_trial(
     points = {name: _at_frames(mocap, labels, frames, fps, mocap_delay_s) for name, labels in chosen.items()}
     known = np.isfinite(np.hstack(list(points.values()))).all(axis=1)
     with replaced_folder(folder) as partial:
-        for video in videos:
-            _link(video, partial / (names[video] + video.suffix.lower()))
+        for video in videos:  # not decoded again, nor copied where the disk allows it
+            try:
+                os.link(video, partial / (names[video] + video.suffix.lower()))
+            except OSError:
+                shutil.copyfile(video, partial / (names[video] + video.suffix.lower()))
         seen = np.concatenate(list(points.values()))
         seen = seen[np.isfinite(seen).all(axis=1)]
         save_rig(Rig(cameras, volume_around(seen) if len(seen) else default_volume(cameras)), partial / "rig.yaml")
@@ -145,12 +147,10 @@ def choose_markers(mocap: Mocap, given: Mapping[str, object] | None = None) -> d
 
 def _at_frames(mocap: Mocap, labels: Iterable[str], frames: int, fps: float, delay_s: float) -> np.ndarray:
     """Return (F, 3) the middle of markers at each frame's time, m; NaN where one of them was not seen around it."""
-    tracks = [mocap.track_mm(label) for label in labels]
     positions = np.round((np.arange(frames) / fps - delay_s) * mocap.rate_hz, 6) + 1.0
     at = Instants.of(positions, len(mocap.points_mm))
-    known = at.inside & np.all([present(track, at) for track in tracks], axis=0)
-    middle_mm = np.mean([between(track, at) for track in tracks], axis=0)
-    return np.where(known[:, None], middle_mm / 1000.0, np.nan)
+    middle_mm = np.mean([between(mocap.track_mm(label), at) for label in labels], axis=0)
+    return np.where(at.inside[:, None], middle_mm / 1000.0, np.nan)
 
 
 def _videos(trial: Path) -> list[Path]:
@@ -187,11 +187,3 @@ def _rate_and_length(videos: list[Path]) -> tuple[float, int]:
         what = f"the videos have {min(rates):g} to {max(rates):g} frames a second"
         raise InputError(what, where=str(videos[0].parent), remedy="Copy them again from the data set.")
     return float(rates[0]), min(lengths)
-
-
-def _link(video: Path, to: Path) -> None:
-    """Make the video part of the session without a second copy where the disk allows it: it is not decoded again."""
-    try:
-        os.link(video, to)
-    except OSError:
-        shutil.copyfile(video, to)

@@ -15,7 +15,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import c3d
 import numpy as np
@@ -128,7 +128,7 @@ def read_mp(path: Path, names: tuple[str, ...]) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Mocap:
-    """Points (F, M, 3) of F mocap frames, mm, Vicon's world (z up); all zero where a point was not seen.
+    """Points (F, M, 3) of F mocap frames, mm, Vicon's world (z up); NaN where a point was not seen.
 
     ``column`` finds a label's point; a subject's name before a colon is not part of a label.
     """
@@ -172,7 +172,9 @@ def read_c3d(path: Path, remedy: str = WITHHELD) -> Mocap:
     if not frames or len(frames) < expected:
         raise InputError(f"ends after {len(frames)} of {expected} frames", where=str(path), remedy=COPY_AGAIN)
     column = {label: index for index, label in reversed(list(enumerate(labels)))}  # the first of equal labels counts
-    return Mocap(path, column, scale * np.stack(frames).astype(float), rate_hz)
+    points_mm = scale * np.stack(frames).astype(float)
+    points_mm[(points_mm == 0).all(axis=2)] = np.nan  # as files say that a point was not seen
+    return Mocap(path, column, points_mm, rate_hz)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,19 +199,12 @@ class Instants:
 
 
 def between(track_mm: np.ndarray, at: Instants) -> np.ndarray:
-    """Return a track (T, 3) at instants (F,): (F, 3), on the straight line between its neighbours."""
+    """Return a track (T, 3) at instants (F,): (F, 3), on the straight line between its neighbours, NaN where one is."""
     fraction = at.fraction[:, None]
     return (1 - fraction) * track_mm[at.lower] + fraction * track_mm[at.upper]
 
 
-def present(track_mm: np.ndarray, at: Instants) -> np.ndarray:
-    """(F,) whether a track (T, 3) was seen in both mocap frames around each instant: it is not (0, 0, 0) there."""
-    seen = (track_mm != 0).any(axis=1)
-    return seen[at.lower] & seen[at.upper]
-
-
-@dataclass(frozen=True)
-class Offset:
+class Offset(NamedTuple):
     """Image frame ``image`` was taken at mocap frame ``mocap``; both 1-based and fractional."""
 
     image: float

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import islice
@@ -16,9 +16,8 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, Volume, default_volume, save_rig
-from capture_rig.video import Video
+from capture_rig.video import Video, VideoFile
 
-from ..overlays import VideoFile
 from .formats import (
     COPY_AGAIN,
     FIRST_USABLE_FRAME,
@@ -98,30 +97,6 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Request:
-    """What to import: cameras by the data set's names; common frames (first, last), counted from 1, or None for all."""
-
-    trial: Trial
-    cameras: tuple[str, ...]
-    frames: tuple[int, int] | None = None
-    with_truth: bool = True
-
-    def __post_init__(self) -> None:
-        first, last = self.frames or (FIRST_USABLE_FRAME, FIRST_USABLE_FRAME)
-        if first < FIRST_USABLE_FRAME or last < first:
-            what = f"{first} {last} is not a range of frames from {FIRST_USABLE_FRAME} on"
-            raise InputError(what, where="--frames", remedy="The first five frames of a movie all show the same image.")
-
-    @property
-    def first_frame(self) -> int:
-        return self.frames[0] if self.frames else FIRST_USABLE_FRAME
-
-    @property
-    def count(self) -> int | None:
-        return self.frames[1] - self.frames[0] + 1 if self.frames else None
-
-
-@dataclass(frozen=True)
 class Summary:
     """What was written: frames, how many of them have a truth, each camera's movie of the empty room."""
 
@@ -130,58 +105,63 @@ class Summary:
     empty_rooms: dict[str, str]
 
 
-def import_trial(request: Request, folder: Path, progress: Callable[[int], None] = lambda done: None) -> Summary:
+def import_trial(
+    trial: Trial,
+    folder: Path,
+    cameras: Sequence[str] = CAMERAS,
+    frames: tuple[int, int] | None = None,
+    with_truth: bool = True,
+    progress: Callable[[int], None] = lambda done: None,
+) -> Summary:
     """Write the session folder ``folder``; it appears whole or not at all. Raises InputError naming the file.
 
+    cameras : by the data set's names. frames : common frames (first, last), counted from 1, or None for all.
     World frame: Vicon's, z up, the floor at z = 0; metres.
     """
-    trial = request.trial
+    first, last = frames or (FIRST_USABLE_FRAME, FIRST_USABLE_FRAME)
+    if first < FIRST_USABLE_FRAME or last < first:
+        what = f"{first} {last} is not a range of frames from {FIRST_USABLE_FRAME} on"
+        raise InputError(what, where="--frames", remedy="The first five frames of a movie all show the same image.")
     time = common_time({camera: read_ofs(path) for camera, path in trial.offsets().items()})
-    sources = {camera: _source(request, time, camera, n) for n, camera in enumerate(request.cameras, 1)}
-    cameras = tuple(_camera(trial, camera, source) for camera, source in sources.items())
-    mocap = read_c3d(trial.mocap) if request.with_truth else None
+    sources = {camera: _source(trial, time, camera, first, f"cam{n:02d}") for n, camera in enumerate(cameras, 1)}
+    models = tuple(read_cal(trial.calibration(c), one.name, *_header(one).size_px) for c, one in sources.items())
+    mocap = read_c3d(trial.mocap) if with_truth else None
     beside = trial.mocap.with_name("Static.c3d"), trial.mocap.with_name(f"{trial.subject}.mp")
-    sizes = measures(read_c3d(beside[0]), beside[1]) if request.with_truth else None
-    fps = _frame_rate(sources, time, mocap)
+    sizes = measures(read_c3d(beside[0]), beside[1]) if with_truth else None
+    if mocap is not None and mocap.rate_hz > 0:
+        fps = mocap.rate_hz / time.mocap_per_frame
+    else:
+        fps = _header(next(iter(sources.values()))).fps
+    known = 0
     with replaced_folder(folder) as partial:
-        count, empty_rooms = copy_footage(sources, request.count, partial, fps, progress)
-        frames = np.arange(request.first_frame, request.first_frame + count)
-        with_truth = 0
+        count, empty_rooms = copy_footage(sources, last - first + 1 if frames else None, partial, fps, progress)
+        instants = time.mocap(np.arange(first, first + count))
         if mocap is not None and sizes is not None:
-            with_truth = _write_truth(partial / "truth.csv", joints(mocap, time.mocap(frames), sizes), trial)
-        save_rig(Rig(cameras, _volume(cameras, mocap, time.mocap(frames))), partial / "rig.yaml")
+            known = _write_truth(partial / "truth.csv", joints(mocap, instants, sizes), trial)
+        save_rig(Rig(models, _volume(models, mocap, instants)), partial / "rig.yaml")
         of_cameras = {
             source.name: {"name": camera, "first_image": source.first_image, "background": empty_rooms[camera]}
             for camera, source in sources.items()
         }
-        span, first = [int(frames[0]), int(frames[-1])], round(float(time.mocap(frames[:1])[0]), 4)
-        about = {"cameras": of_cameras, "common_frames": span, "first_mocap_frame": first}
+        mocap_from = round(float(instants[0]), 4)
+        about = {"cameras": of_cameras, "common_frames": [first, first + count - 1], "first_mocap_frame": mocap_from}
         save_description(partial, fps, f"HumanEva-I, {trial}", "humaneva", **about)
-    return Summary(count, with_truth, empty_rooms)
+    return Summary(count, known, empty_rooms)
 
 
-def _source(request: Request, time: CommonTime, camera: str, number: int) -> Source:
-    trial = request.trial
+def _source(trial: Trial, time: CommonTime, camera: str, first_frame: int, name: str) -> Source:
     if camera not in time.first_image:
         what = f"has no .ofs file of camera {camera} for {trial}"
         remedy = f"It has those of {', '.join(time.first_image)}."
         raise InputError(what, where=str(trial.folder / "Sync_Data"), remedy=remedy)
-    first_image = time.image(camera, request.first_frame)
-    return Source(trial.video(camera), first_image, trial.backgrounds(camera), f"cam{number:02d}")
+    first_image = time.image(camera, first_frame)
+    return Source(trial.video(camera), first_image, trial.backgrounds(camera), name, camera.startswith("BW"))
 
 
-def _camera(trial: Trial, camera: str, source: Source) -> CameraModel:
-    with Movie(source.movie, is_grey(camera)) as movie:
-        return read_cal(trial.calibration(camera), source.name, *movie.video.size_px)
-
-
-def _frame_rate(sources: Mapping[str, Source], time: CommonTime, mocap: Mocap | None) -> float:
-    """Frames a second by the motion capture's clock, else as the first movie states it."""
-    if mocap is not None and mocap.rate_hz > 0:
-        return mocap.rate_hz / time.mocap_per_frame
-    camera, source = next(iter(sources.items()))
-    with Movie(source.movie, is_grey(camera)) as movie:
-        return movie.video.fps
+def _header(source: Source) -> Video:
+    """Return the movie, closed again: its header holds the images' size and their rate."""
+    with Video(source.movie, remedy=REMEDY) as movie:
+        return movie
 
 
 def _write_truth(path: Path, found: Joints, trial: Trial) -> int:
@@ -202,7 +182,7 @@ def _volume(cameras: tuple[CameraModel, ...], mocap: Mocap | None, positions: np
         return default_volume(cameras)
     rows = slice(max(int(positions[0]) - 1, 0), int(positions[-1]) + 1)
     points = np.concatenate([track[rows] for track in markers_mm(mocap)]) / 1000.0
-    return volume_around(points[(points != 0).any(axis=1)])
+    return volume_around(points[np.isfinite(points).all(axis=1)])
 
 
 # footage, all cameras in step ----------------------------------------------------------------------------------------
@@ -211,151 +191,83 @@ def _volume(cameras: tuple[CameraModel, ...], mocap: Mocap | None, positions: np
 LOSSLESS = ".mkv"
 MAX_ROOM_IMAGES = 300
 MEAN_IMAGES = 30  # enough for the noise to average out
-COMPARE_EVERY = 60  # images between those that are compared with the movies of the empty room
 REMEDY = f"{COPY_AGAIN[:-1]}; it is a .avi with codec XVID."
 Image = np.ndarray
 
 
-class Movie:
-    """Reads the images of a movie in order; grey (h, w) or colour (h, w, 3), uint8. Raises InputError."""
-
-    def __init__(self, path: Path, grey: bool) -> None:
-        self.path, self.grey = path, grey
-        self.video = Video(path, remedy=REMEDY)
-        self.read_count = 0
-
-    def skip_to(self, number: int) -> None:
-        """Make the 1-based image ``number`` the next one. Raises InputError when the movie is shorter."""
-        self.read_count += self.video.skip(number - 1 - self.read_count)
-        if self.read_count < number - 1:
-            what = f"ends after {self.read_count} images, before image {number}"
-            remedy = "Import other frames, or copy it again from the data set."
-            raise InputError(what, where=str(self.path), remedy=remedy)
-
-    def read(self) -> Image | None:
-        """Return the next image, None at the end."""
-        image = self.video.read()
-        if image is None:
-            return None
-        self.read_count += 1
-        return cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if self.grey else image
-
-    def images(self) -> Iterator[Image]:
-        """Yield all remaining images."""
-        while (image := self.read()) is not None:
-            yield image
-
-    def __enter__(self) -> Movie:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self.video.close()
-
-
-def is_grey(camera: str) -> bool:
-    """Return whether a camera of the data set is one of the grey ones."""
-    return camera.startswith("BW")
-
-
-def read_in_step(sources: Mapping[str, Source], count: int | None) -> Iterator[dict[str, Image]]:
-    """Read ``count`` images of every camera, from its first one on.
-
-    Without a count, until one movie ends. Raises InputError when a movie ends too early.
-    """
-    with ExitStack() as stack:
-        movies = {camera: stack.enter_context(Movie(one.movie, is_grey(camera))) for camera, one in sources.items()}
-        for camera, movie in movies.items():
-            movie.skip_to(sources[camera].first_image)
-        done = 0
-        while count is None or done < count:
-            images = {camera: movie.read() for camera, movie in movies.items()}
-            ended = [camera for camera, image in images.items() if image is None]
-            if ended and count is None and done:
-                return
-            if ended:
-                movie = movies[ended[0]]
-                what = f"ends after {movie.read_count} images, {(count or 1) - done} too early"
-                raise InputError(what, where=str(movie.path), remedy="Import fewer frames.")
-            yield {camera: image for camera, image in images.items() if image is not None}
-            done += 1
-
-
-class EmptyRoom:
-    """Chooses the movie of the empty room nearest to a trial: three were taken in a week, and the light changed.
-
-    The difference is the median over the pixels, which a person in the image does not change.
-    """
-
-    def __init__(self, movies: list[Path], grey: bool) -> None:
-        self._movies, self._grey = movies, grey
-        self._means = [self._mean(path) for path in movies]
-        self._differences: list[list[float]] = []
-
-    def compare(self, image: Image) -> None:
-        """Add an image of the trial to the comparison. Raises InputError when it has another size than the movies."""
-        for path, mean in zip(self._movies, self._means, strict=True):
-            if mean.shape != image.shape:
-                what = f"its images have shape {mean.shape}, those of the trial {image.shape}"
-                raise InputError(what, where=str(path), remedy=COPY_AGAIN)
-        self._differences.append([float(np.median(np.abs(image - mean))) for mean in self._means])
-
-    @property
-    def best(self) -> Path:
-        """The movie nearest to the images compared so far."""
-        return self._movies[int(np.mean(self._differences, axis=0).argmin())]
-
-    def write(self, stem: Path, fps: float) -> None:
-        """Copy the best movie's usable images."""
-        with self._open(self.best) as movie:
-            images = islice(movie.images(), MAX_ROOM_IMAGES)
-            with VideoFile(stem.with_name(stem.name + LOSSLESS), fps) as footage:
-                for image in images:
-                    footage.write(image)
-
-    def _mean(self, path: Path) -> np.ndarray:
-        with self._open(path) as movie:
-            images = list(islice(movie.images(), MEAN_IMAGES))
-        if not images:
-            raise InputError(f"has fewer than {FIRST_USABLE_FRAME} images", where=str(path), remedy=COPY_AGAIN)
-        return np.asarray(np.mean(images, axis=0, dtype=np.float32))
-
-    def _open(self, path: Path) -> Movie:
-        movie = Movie(path, self._grey)
-        movie.skip_to(FIRST_USABLE_FRAME)
-        return movie
-
-
 @dataclass(frozen=True)
 class Source:
-    """A camera's movie, its 1-based image to begin with, its movies of the empty room, and its name in the session."""
+    """A camera's movie, its 1-based image to begin with, its movies of the empty room, its name in the session, and
+    whether it is a grey camera."""
 
     movie: Path
     first_image: int
     empty_rooms: list[Path]
     name: str
+    grey: bool
+
+
+def read_images(movie: Path, grey: bool, first: int) -> Iterator[Image]:
+    """Yield a movie's images from the 1-based one ``first`` on, grey (h, w) or colour (h, w, 3), uint8.
+
+    Raises InputError when the movie is shorter.
+    """
+    with Video(movie, remedy=REMEDY) as video:
+        skipped = video.skip(first - 1)
+        if skipped < first - 1:
+            what = f"ends after {skipped} images, before image {first}"
+            remedy = "Import other frames, or copy it again from the data set."
+            raise InputError(what, where=str(movie), remedy=remedy)
+        yield from (cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if grey else image for image in video)
+
+
+def nearest_room(source: Source, image: Image) -> Path:
+    """Return the movie of the empty room nearest to an image: three were taken in a week, and the light changed.
+
+    The difference is the median over the pixels, which a person in the image does not change. Raises InputError for a
+    movie of images of another size, or without any.
+    """
+    differences = []
+    for path in source.empty_rooms:
+        images = list(islice(read_images(path, source.grey, FIRST_USABLE_FRAME), MEAN_IMAGES))
+        if not images:
+            raise InputError(f"has fewer than {FIRST_USABLE_FRAME} images", where=str(path), remedy=COPY_AGAIN)
+        mean = np.mean(images, axis=0, dtype=np.float32)
+        if mean.shape != image.shape:
+            what = f"its images have shape {mean.shape}, those of the trial {image.shape}"
+            raise InputError(what, where=str(path), remedy=COPY_AGAIN)
+        differences.append(np.median(np.abs(image - mean)))
+    return source.empty_rooms[int(np.argmin(differences))]
 
 
 def copy_footage(
-    sources: dict[str, Source], count: int | None, folder: Path, fps: float, progress: Callable[[int], None]
+    sources: Mapping[str, Source], count: int | None, folder: Path, fps: float, progress: Callable[[int], None]
 ) -> tuple[int, dict[str, str]]:
     """Write NAME.mkv and NAME_background.mkv of every camera; without a count, until one movie ends.
 
-    Returns the number of frames, and the movie of the empty room chosen for each camera.
+    Returns the number of frames, and the movie of the empty room chosen for each camera, the nearest to its first
+    image. Raises InputError when a movie ends too early.
     """
-    rooms = {camera: EmptyRoom(source.empty_rooms, is_grey(camera)) for camera, source in sources.items()}
-    frames = 0
+    rooms: dict[str, Path] = {}
+    movies = {camera: read_images(one.movie, one.grey, one.first_image) for camera, one in sources.items()}
+    done = 0
     with ExitStack() as stack:
-        files = {
-            camera: stack.enter_context(VideoFile(folder / (source.name + LOSSLESS), fps))
-            for camera, source in sources.items()
-        }
-        for images in read_in_step(sources, count):
+        files = {c: stack.enter_context(VideoFile(folder / (one.name + LOSSLESS), fps)) for c, one in sources.items()}
+        while count is None or done < count:
+            images = {camera: image for camera, movie in movies.items() if (image := next(movie, None)) is not None}
+            ended = [source for camera, source in sources.items() if camera not in images]
+            if ended and count is None and done:
+                break
+            if ended:
+                what = f"ends after {ended[0].first_image - 1 + done} images, {(count or 1) - done} too early"
+                raise InputError(what, where=str(ended[0].movie), remedy="Import fewer frames.")
+            rooms = rooms or {camera: nearest_room(sources[camera], image) for camera, image in images.items()}
             for camera, image in images.items():
-                if frames % COMPARE_EVERY == 0:
-                    rooms[camera].compare(image)
                 files[camera].write(image)
-            frames += 1
-            progress(frames)
+            done += 1
+            progress(done)
     for camera, room in rooms.items():
-        room.write(folder / f"{sources[camera].name}_background", fps)
-    return frames, {camera: room.best.name for camera, room in rooms.items()}
+        with VideoFile(folder / f"{sources[camera].name}_background{LOSSLESS}", fps) as footage:
+            for image in islice(read_images(room, sources[camera].grey, FIRST_USABLE_FRAME), MAX_ROOM_IMAGES):
+                footage.write(image)
+    return done, {camera: room.name for camera, room in rooms.items()}

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from capture_rig.errors import InputError
 from capture_rig.rigid import nearest_rotation
 
-from .formats import COPY_AGAIN, Instants, Mocap, between, present, read_mp
+from .formats import COPY_AGAIN, Instants, Mocap, between, read_mp
 
 SQUARE_TOLERANCE = 0.02
 """How far from square three axis points may stand, as the sine of an angle, before the frame counts as damaged."""
@@ -44,7 +44,7 @@ def segment(mocap: Mocap, at: Instants, name: str, origin: str = "") -> Segment:
     tracks = [mocap.track_mm(name + letter) for letter in "OALP"]
     centre = mocap.track_mm(origin) if origin else tracks[0]
     (R_lower, square_lower), (R_upper, square_upper) = (_axes(*(t[r] for t in tracks)) for r in (at.lower, at.upper))
-    seen = np.all([present(track, at) for track in (*tracks, centre)], axis=0)
+    seen = np.isfinite([between(track, at) for track in (*tracks, centre)]).all(axis=(0, 2))
     start = Rotation.from_matrix(R_lower)
     turn = (start.inv() * Rotation.from_matrix(R_upper)).as_rotvec()
     R = (start * Rotation.from_rotvec(at.fraction[:, None] * turn)).as_matrix()
@@ -99,20 +99,18 @@ class Joints:
 
 
 def markers_mm(mocap: Mocap) -> list[np.ndarray]:
-    """The tracks (T, 3), mm, of the 39 markers; zero where one was not seen. Raises InputError for a missing one."""
+    """The tracks (T, 3), mm, of the 39 markers; NaN where one was not seen. Raises InputError for a missing one."""
     return [mocap.track_mm(*names.split()) for names in MARKERS]
 
 
 def measures(static: Mocap, mp: Path) -> Measures:
     """Return a subject's sizes from the trial in which it stands still and from its ``.mp`` file."""
-    left, right = static.track_mm("LSHO"), static.track_mm("RSHO")
-    seen = (left != 0).any(axis=1) & (right != 0).any(axis=1)
-    if not seen.any():
+    widths_mm = np.linalg.norm(static.track_mm("LSHO") - static.track_mm("RSHO"), axis=1)
+    if np.isnan(widths_mm).all():
         what = "both shoulder markers (LSHO, RSHO) are never seen together"
         raise InputError(what, where=str(static.path), remedy=COPY_AGAIN)
-    width_mm = np.linalg.norm(left - right, axis=1)[seen].mean()
-    offset = read_mp(mp, MEASURES)
-    return Measures(width_mm / 2 - MARKER_RADIUS_MM, {side: offset[f"{side}ShoulderOffset"] for side in "LR"})
+    offset, chest_mm = read_mp(mp, MEASURES), float(np.nanmean(widths_mm)) / 2 - MARKER_RADIUS_MM
+    return Measures(chest_mm, {side: offset[f"{side}ShoulderOffset"] for side in "LR"})
 
 
 def joints(mocap: Mocap, positions: np.ndarray, sizes: Measures) -> Joints:
@@ -123,8 +121,8 @@ def joints(mocap: Mocap, positions: np.ndarray, sizes: Measures) -> Joints:
         for limb, segments in (_leg(mocap, at, side), _arm(mocap, at, side, sizes.shoulder_offset_mm[side])):
             points |= {side + name: point for name, point in limb.items()}
             used += segments
-    seen = [present(track, at) for track in markers_mm(mocap)]
-    return Joints(points, np.all([at.inside, *seen, *(s.known for s in used)], axis=0))
+    seen = np.isfinite([between(track, at) for track in markers_mm(mocap)]).all(axis=(0, 2))
+    return Joints(points, np.all([at.inside, seen, *(s.known for s in used)], axis=0))
 
 
 def _trunk(mocap: Mocap, at: Instants, chest_radius_mm: float) -> tuple[dict[str, np.ndarray], list[Segment]]:

@@ -24,10 +24,10 @@ from capture_rig.files import replaced_folder
 from capture_rig.rig import CAMERA_NAME, load_rig, save_rig
 from capture_rig.session import STAMPS, write_table
 from capture_rig.stamps import NS_PER_S
+from capture_rig.video import VideoFile
 from sagoma_ros.images import decode_image
 
 from ..graph.topics import IMAGE_TYPES, image_topics
-from ..overlays import VideoFile
 from ..recording.reader import BagMessage, bag_topics, read_messages
 from .formats import save_description
 

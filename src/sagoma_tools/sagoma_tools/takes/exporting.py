@@ -17,6 +17,7 @@ from capture_rig.errors import InputError
 from capture_rig.files import make_folder
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import load_rig
+from capture_rig.video import VideoFile
 from motion_export.animation_files import write_bvh, write_glb
 from motion_export.marker_files import write_c3d, write_csv, write_trc
 from motion_export.motion import Motion
@@ -25,7 +26,7 @@ from sagoma_ros.images import decode_image, decode_silhouette
 from stick_figure.skeleton import POINT_NAMES
 
 from ..graph.topics import SILHOUETTE_SUFFIX, cameras_in
-from ..overlays import MAX_WIDTH_PX, VideoFile, Window, captioned, draw_skeleton, montage, tiling, write_name
+from ..overlays import MAX_WIDTH_PX, Window, captioned, draw_skeleton, montage, tiling, write_name
 from ..recording.reader import SIDECAR_RIG, BagMessage, read_messages, rig_in
 from ..recording.recorded_motion import TRUSTED, recorded_motions
 from .measure import measure

@@ -23,7 +23,8 @@ from stick_figure.body import Body
 from ..boards import BoardPrint, PosePath, carry, hands, on_floor, person_with, print_of, wave
 from ..motions.catalogue import MOTIONS
 from ..people import REFERENCE_STATURE_M, Capsules, VolumetricBody
-from ..recording.footage import FLOOR_BOARD, HAND_BOARD, SESSION_FPS
+from ..recording.footage import FLOOR_BOARD, HAND_BOARD
+from ..recording.session import SESSION_FPS
 from ..rendering.board_camera import BoardCamera
 from ..rendering.camera import WHITE, Image, Light, VirtualCamera
 from ..rendering.capsules import floor_shadow

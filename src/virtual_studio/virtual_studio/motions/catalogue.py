@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -20,19 +21,32 @@ from stick_figure.pose import Pose
 
 from ..people import ANKLE_HEIGHT, REFERENCE_STATURE_M, VolumetricBody
 from . import everyday, hard_cases
-from .timeline import FADE_S, T_POSE_S, Array, BlendedActivity, Motion, Things, Timeline, frame_count
+from .timeline import (
+    ANGLES,
+    FADE_S,
+    LEAN,
+    LIFT,
+    T_POSE_S,
+    TURNING,
+    WALKING,
+    Array,
+    Motion,
+    Things,
+    Timeline,
+    frame_count,
+)
 
 CIRCLE_RADIUS_M = 0.30
 CIRCLE_RAD_S = 0.9
-GRID_HZ = 480.0
-"""Step of the time integral along the circle; finer than any frame rate, so that truth does not depend on fps."""
 STEPS_GRID_HZ = 120.0
-"""The same for steps."""
+"""Step of the time integral of steps; as fine as frame rates, so that truth does not depend on fps."""
+GRID_HZ = 4 * STEPS_GRID_HZ
+"""The same along the circle, where an instant takes less time to compute."""
 WEIGHT_SHIFT_S = 0.05
 """Smoothing of the torso's speed: over how long the weight passes from foot to foot; the feet slide that much."""
 OVERRUN_S = 5 * WEIGHT_SHIFT_S
 """How far the steps go on past the end, so that the smoothing does not see it."""
-HEIGHT_SMOOTHING_S = 0.025
+HEIGHT_SMOOTHING_S = 0.5 * WEIGHT_SHIFT_S
 """Smoothing of its height: feet may sink by millimetres where one takes over from the other."""
 SOFT_FLOOR_M = 0.01
 """How smoothly the standing foot changes: width of the soft minimum of the heights of what may touch the floor."""
@@ -56,16 +70,14 @@ class HardCase:
 
     def __call__(self, body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
         person = VolumetricBody(body, build)
-        motion = motion_by_steps(person, seconds, fps, self.activities(person), self.start_xy)
-        return (
-            motion if self.things is None else replace(motion, things=self.things(person, self._whole(person, motion)))
-        )
-
-    def _whole(self, person: VolumetricBody, motion: Motion) -> Motion:
-        """The motion, or if it ends too soon to tell where the things are, all of it."""
-        if len(motion.poses) >= round(self.duration_s * motion.fps):
+        timeline = self.activities(person)
+        motion = motion_by_steps(person, seconds, fps, timeline, self.start_xy)
+        if self.things is None:
             return motion
-        return motion_by_steps(person, self.duration_s, motion.fps, self.activities(person), self.start_xy)
+        whole = motion  # too short a one does not tell where the things are
+        if len(motion.poses) < round(self.duration_s * fps):
+            whole = motion_by_steps(person, self.duration_s, fps, timeline, self.start_xy)
+        return replace(motion, things=self.things(person, whole))
 
     @property
     def duration_s(self) -> float:
@@ -77,10 +89,11 @@ class HardCase:
 def motion_on_circle(body: Body, seconds: float, fps: float, build: float = 1.0, *, timeline: Timeline) -> Motion:
     """Moves the hips along a small circle as far as the activities walk (feet slide a little)."""
     times = np.arange(frame_count(seconds, fps)) / fps
-    turned = np.interp(times, *_turned_angle(times[-1], timeline))
+    grid = np.arange(int(np.ceil(times[-1] * GRID_HZ)) + 2) / GRID_HZ
+    turned = np.interp(times, grid, _integral([CIRCLE_RAD_S * timeline.at(t)[WALKING] for t in grid], GRID_HZ))
     blends = [timeline.at(t) for t in times]
     poses = tuple(_on_circle(body, blend, turn) for blend, turn in zip(blends, turned, strict=True))
-    return Motion(poses, np.array([blend.angles for blend in blends]), fps)
+    return Motion(poses, np.array([blend[ANGLES] for blend in blends]), fps)
 
 
 def motion_by_steps(
@@ -93,19 +106,19 @@ def motion_by_steps(
     times = np.arange(frame_count(seconds, fps)) / fps
     grid = np.arange(int(np.ceil((times[-1] + OVERRUN_S) * STEPS_GRID_HZ)) + 2) / STEPS_GRID_HZ
     instants = [timeline.at(t) for t in grid]
-    headings = _integral([blend.turning for blend in instants], STEPS_GRID_HZ)
+    headings = _integral([blend[TURNING] for blend in instants], STEPS_GRID_HZ)
     supports = [_Support(person, blend, heading) for blend, heading in zip(instants, headings, strict=True)]
-    steps = np.array([np.zeros(2), *map(_step, supports[:-1], supports[1:])])
+    steps = np.array([np.zeros(2), *(before.step_to(after) for before, after in pairwise(supports))])
     path = np.array(start_xy) + np.cumsum(gaussian_filter1d(steps, WEIGHT_SHIFT_S * STEPS_GRID_HZ, axis=0), axis=0)
     heights = gaussian_filter1d([support.height for support in supports], HEIGHT_SMOOTHING_S * STEPS_GRID_HZ)
     blends = [timeline.at(t) for t in times]
     turned = np.interp(times, grid, headings)
     places = np.column_stack([np.interp(times, grid, column) for column in (*path.T, heights)])
     poses = tuple(
-        Pose.from_angles(place, _rotation(blend, heading), blend.angles)
+        Pose.from_angles(place, _rotation(blend, heading), blend[ANGLES])
         for blend, heading, place in zip(blends, turned, places, strict=True)
     )
-    return Motion(poses, np.array([blend.angles for blend in blends]), fps)
+    return Motion(poses, np.array([blend[ANGLES] for blend in blends]), fps)
 
 
 class _Support:
@@ -115,43 +128,36 @@ class _Support:
     spheres; weights (c,) how much of the body each carries, all zero in the air.
     """
 
-    def __init__(self, person: VolumetricBody, blend: BlendedActivity, heading: float) -> None:
-        pose = Pose.from_angles(np.zeros(3), _rotation(blend, heading), blend.angles)
+    def __init__(self, person: VolumetricBody, blend: Array, heading: float) -> None:
+        pose = Pose.from_angles(np.zeros(3), _rotation(blend, heading), blend[ANGLES])
         centres, radii = person.contact_spheres(pose)
         heights = centres[:, 2] - radii
         weights = np.exp(-(heights - heights.min()) / SOFT_FLOOR_M)
         weights /= weights.sum()
-        self.height = -float(weights @ heights) + blend.lift
+        self.height = -float(weights @ heights) + blend[LIFT]
         self.xy = centres[:, :2]
-        self.weights = weights if blend.lift == 0.0 else np.zeros_like(weights)
+        self.weights = weights if blend[LIFT] == 0.0 else np.zeros_like(weights)
+
+    def step_to(self, after: _Support) -> Array:
+        """Displacement (2,) of the torso's centre, m, while what carries the body stays where it is."""
+        return -0.5 * (self.weights + after.weights) @ (after.xy - self.xy)
 
 
-def _step(before: _Support, after: _Support) -> Array:
-    """Displacement (2,) of the torso's centre, m, while what carries the body stays where it is."""
-    return -0.5 * (before.weights + after.weights) @ (after.xy - before.xy)
-
-
-def _on_circle(body: Body, blend: BlendedActivity, turned: float) -> Pose:
+def _on_circle(body: Body, blend: Array, turned: float) -> Pose:
     """Return the pose with its lower foot on the floor, on the circle (start: facing +x, right of the centre)."""
     R_world_torso = _rotation(blend, turned)
-    points = forward(body, Pose.from_angles(np.zeros(3), R_world_torso, blend.angles))
+    points = forward(body, Pose.from_angles(np.zeros(3), R_world_torso, blend[ANGLES]))
     ankles = points[13:15, 2]
     lowest = -SOFT_FLOOR_M * np.log(np.exp(-(ankles - ankles.min()) / SOFT_FLOOR_M).mean()) + ankles.min()
     hips = 0.5 * (points[5] + points[6])
     place = CIRCLE_RADIUS_M * np.array([np.sin(turned), -np.cos(turned)])
     position = np.array([*(place - hips[:2]), ANKLE_HEIGHT * body.stature - lowest])
-    return Pose.from_angles(position, R_world_torso, blend.angles)
+    return Pose.from_angles(position, R_world_torso, blend[ANGLES])
 
 
-def _rotation(blend: BlendedActivity, heading: float) -> Array:
+def _rotation(blend: Array, heading: float) -> Array:
     """R_world_torso (3, 3)."""
-    return rotation_matrix(np.array([0.0, 0.0, heading])) @ rotation_matrix(blend.lean)
-
-
-def _turned_angle(end: float, timeline: Timeline) -> tuple[Array, Array]:
-    """Times and the angle walked along the circle by then, rad."""
-    times = np.arange(int(np.ceil(end * GRID_HZ)) + 2) / GRID_HZ
-    return times, _integral([CIRCLE_RAD_S * timeline.at(t).walking for t in times], GRID_HZ)
+    return rotation_matrix(np.array([0.0, 0.0, heading])) @ rotation_matrix(blend[LEAN])
 
 
 def _integral(speeds: list[float], rate_hz: float) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..people import VolumetricBody
-from .timeline import STAND_S, Activity, Array, Timeline, both_sides, hold, left, right
+from .timeline import STAND_S, Activity, Array, Timeline, both_sides, hold, left, right, stance
 
 STEP_HZ = 0.85
 """Full walking cycles (two steps) per second."""
@@ -20,7 +20,7 @@ STANDING = both_sides(
 
 
 def walking(t: float) -> Array:
-    """Angles (18,) of a walk at time t, s."""
+    """Stance (24,) of a walk at time t, s."""
     angles = STANDING.copy()
     for phase, leg, arm in ((0.0, left, right), (np.pi, right, left)):
         swing = 2 * np.pi * STEP_HZ * t + phase
@@ -30,13 +30,8 @@ def walking(t: float) -> Array:
         angles[arm("elbow")] = -0.45 - 0.25 * np.sin(swing)
     angles[0] = 0.05 * np.sin(2 * np.pi * 0.4 * t)
     angles[1] = 0.06 + 0.04 * np.sin(4 * np.pi * STEP_HZ * t)
-    return angles
-
-
-def walking_lean(t: float) -> Array:
-    """Rotation vector (3,) of the torso in its heading frame."""
     swing = 2 * np.pi * STEP_HZ * t
-    return np.array([0.03 * np.sin(swing), 0.05, -0.10 * np.sin(swing)])
+    return stance(angles, (0.03 * np.sin(swing), 0.05, -0.10 * np.sin(swing)), walking=1.0)
 
 
 def _raising_arms(t: float) -> Array:
@@ -53,7 +48,7 @@ def _raising_arms(t: float) -> Array:
         neck_y=-0.12 * lift,
     )
     _step_on_spot(angles, t, 0.45, 0.75)
-    return angles
+    return stance(angles)
 
 
 def _step_on_spot(angles: Array, t: float, hip: float, knee: float) -> None:
@@ -66,7 +61,7 @@ def _step_on_spot(angles: Array, t: float, hip: float, knee: float) -> None:
 
 def _squatting(t: float) -> Array:
     depth = 0.5 - 0.5 * np.cos(2 * np.pi * 0.5 * t)
-    return both_sides(
+    angles = both_sides(
         shoulder_x=-np.pi / 2 + 0.2,
         shoulder_z=-0.15 - 1.05 * depth,
         shoulder_y=0.2,
@@ -77,11 +72,7 @@ def _squatting(t: float) -> Array:
         knee=0.2 + 1.35 * depth,
         neck_y=-0.15 * depth,
     )
-
-
-def _squatting_lean(t: float) -> Array:
-    depth = 0.5 - 0.5 * np.cos(2 * np.pi * 0.5 * t)
-    return np.array([0.0, 0.05 + 0.45 * depth, 0.0])
+    return stance(angles, (0.0, 0.05 + 0.45 * depth, 0.0))
 
 
 def _turning(t: float) -> Array:
@@ -96,47 +87,44 @@ def _turning(t: float) -> Array:
     angles[left("shoulder_z")] -= 0.35 * side
     angles[right("shoulder_z")] += 0.35 * side
     angles[0] = 0.12 * side
-    return angles
-
-
-def _turning_lean(t: float) -> Array:
-    return np.array([0.0, 0.08, 0.45 * np.sin(2 * np.pi * 0.4 * t)])
+    return stance(angles, (0.0, 0.08, 0.45 * np.sin(2 * np.pi * 0.4 * t)))
 
 
 TOUR = Timeline(
     (
-        Activity(2.6, walking, walking=1.0, lean=walking_lean, own_clock=False),
+        Activity(2.6, walking, own_clock=False),
         Activity(2.4, _raising_arms, own_clock=False),
-        Activity(2.4, _squatting, lean=_squatting_lean, own_clock=False),
-        Activity(2.4, _turning, lean=_turning_lean, own_clock=False),
+        Activity(2.4, _squatting, own_clock=False),
+        Activity(2.4, _turning, own_clock=False),
     )
 )
 """T-pose, then walking in a circle, raising the arms, a squat, turning the torso, and round again."""
-WALK = Timeline((Activity(1e9, walking, walking=1.0, lean=walking_lean, own_clock=False),))
+WALK = Timeline((Activity(1e9, walking, own_clock=False),))
 """T-pose, then walking in a circle to the end."""
 T_POSE_ONLY = Timeline((), t_pose_s=np.inf)
 """Standing still in the T-pose."""
 
 
+def turn(angle: float, duration_s: float) -> Activity:
+    """Turns on the spot, stepping, to the left if positive."""
+    return Activity(duration_s, lambda t: stance(stepping(t), turning=angle / duration_s))
+
+
 def turn_on_spot(person: VolumetricBody) -> Timeline:
     """Turns twice to the left, stepping, in five seconds."""
-    return Timeline((hold(STAND_S, STANDING), Activity(5.0, stepping, turning=4 * np.pi / 5.0), hold(0.8, STANDING)))
+    return Timeline((hold(STAND_S, STANDING), turn(4 * np.pi, 5.0), hold(0.8, STANDING)))
 
 
 def leave_and_return(person: VolumetricBody) -> Timeline:
     """Walks out of the volume, turns there, walks back in, and turns to where it began."""
-
-    def turned(angle: float) -> Activity:
-        return Activity(TURN_S, stepping, turning=angle / TURN_S)
-
-    ahead, around = Activity(AWAY_S, walking, lean=walking_lean), turned(np.pi)
-    back = turned(-np.pi - AWAY_RAD)
-    return Timeline((hold(STAND_S, STANDING), turned(AWAY_RAD), ahead, around, ahead, back, hold(1.2, STANDING)))
+    out, way, around = turn(AWAY_RAD, TURN_S), Activity(AWAY_S, walking), turn(np.pi, TURN_S)
+    back = turn(-np.pi - AWAY_RAD, TURN_S)
+    return Timeline((hold(STAND_S, STANDING), out, way, around, way, back, hold(1.2, STANDING)))
 
 
 def run(person: VolumetricBody) -> Timeline:
     """Runs in a circle."""
-    return Timeline((hold(STAND_S, STANDING), Activity(6.0, _running, lean=_running_lean, turning=RUN_RAD_S)))
+    return Timeline((hold(STAND_S, STANDING), Activity(6.0, _running)))
 
 
 def stepping(t: float) -> Array:
@@ -154,9 +142,5 @@ def _running(t: float) -> Array:
         angles[leg("knee")] = 0.25 + 1.35 * (0.5 + 0.5 * np.cos(swing + 0.4)) ** 2
         angles[arm("shoulder_z")] = 0.05 - 0.60 * np.sin(swing)
         angles[arm("elbow")] = -1.45 - 0.20 * np.sin(swing)
-    return angles
-
-
-def _running_lean(t: float) -> Array:
     swing = 2 * np.pi * RUN_HZ * t
-    return np.array([-0.10 + 0.03 * np.sin(swing), 0.12, -0.14 * np.sin(swing)])
+    return stance(angles, (-0.10 + 0.03 * np.sin(swing), 0.12, -0.14 * np.sin(swing)), turning=RUN_RAD_S)

@@ -7,12 +7,13 @@ Each is a function of the person, because reaching one's own chest or hips depen
 from __future__ import annotations
 
 import numpy as np
+from scipy.constants import g
 
 from stick_figure.kinematics import forward
 from stick_figure.skeleton import L_THIGH
 
 from ..people import Capsules, VolumetricBody
-from .everyday import STANDING, stepping, walking, walking_lean
+from .everyday import STANDING, stepping, walking
 from .timeline import (
     ARM,
     STAND_S,
@@ -29,6 +30,7 @@ from .timeline import (
     legs,
     posture,
     reaching,
+    stance,
     with_left,
     with_right,
 )
@@ -40,7 +42,6 @@ reference stature and an average build."""
 FOREARM_M = 0.048
 ON_THE_BACK = -np.pi / 2
 
-G_M_S2 = 9.81
 TAKE_OFF_M_S = 1.7
 """Upward speed at take-off: 15 cm high, as high as knees alone throw a body without ankles."""
 TAKE_OFF_KNEE, CROUCHED_KNEE = 0.70, 1.65
@@ -142,72 +143,47 @@ def punch(person: VolumetricBody) -> Timeline:
     s = person.scale
     guard = reaching(person.body, (0.30 * s, 0.12 * s, 0.30 * s), (0.12 * s, 0.30 * s, -0.20 * s))
     out = reaching(person.body, (0.62 * s, 0.06 * s, 0.26 * s), (0.25 * s, 0.40 * s, 0.10 * s))
-    stance = posture(legs(0.28, 0.25, 0.08, apart=0.10), guard)
-    keys: list[tuple] = [(0.0, stance, 0.08)]
+    ready = posture(legs(0.28, 0.25, 0.08, apart=0.10), guard)
+    keys: list[tuple] = [(0.0, ready, 0.08)]
     for number in range(4):
         side, at_s = (with_left, with_right)[number % 2], 0.6 + 0.55 * number
-        keys += [(at_s, stance, 0.08), (at_s + 0.2, side(stance, out, ARM), 0.12), (at_s + 0.45, stance, 0.08)]
+        keys += [(at_s, ready, 0.08), (at_s + 0.2, side(ready, out, ARM), 0.12), (at_s + 0.45, ready, 0.08)]
     return through(3.6, *keys)
 
 
 def jump(person: VolumetricBody) -> Timeline:
-    """Jumps twice on the spot, out of a crouch and back into it."""
-    jumping = _Jump(person)
-    jumps = Activity(JUMPS * JUMP_S + 0.6, jumping.angles, lean=jumping.lean, lift=jumping.lift)
-    return Timeline((hold(STAND_S, STANDING), jumps))
+    """Jumps twice on the spot, out of a crouch and back into it.
 
+    One jump every JUMP_S: crouch, push at constant acceleration, fly, and the same backwards in time.
+    """
+    leg = person.body.lengths[4] + person.body.lengths[8]
 
-class _Jump:
-    """One jump every JUMP_S: crouch, push at constant acceleration, fly, and the same backwards in time."""
-
-    def __init__(self, person: VolumetricBody) -> None:
-        self._leg = person.body.lengths[4] + person.body.lengths[8]
-        way = self._length(TAKE_OFF_KNEE) - self._length(CROUCHED_KNEE)
-        self._push_s = 2.0 * way / TAKE_OFF_M_S
-        self._half_flight_s = TAKE_OFF_M_S / G_M_S2
-        rate = TAKE_OFF_M_S / (0.5 * self._leg * np.sin(0.5 * TAKE_OFF_KNEE))
-        self._straightened = rate * STRAIGHTEN_S
-
-    def angles(self, t: float) -> Array:
-        knee = self._knee(self._from_middle(t))
-        swung = (knee - TAKE_OFF_KNEE) / (CROUCHED_KNEE - TAKE_OFF_KNEE)
-        arms = both_sides(shoulder_x=-np.pi / 2 + 0.2, shoulder_z=-0.5 + 0.6 * swung, shoulder_y=0.2, elbow=-0.5)
-        return posture(legs(0.5 * knee, 0.5 * knee, self._forward(knee), apart=0.05), arms)
-
-    def lean(self, t: float) -> Array:
-        return np.array([0.0, self._forward(self._knee(self._from_middle(t))), 0.0])
-
-    def lift(self, t: float) -> float:
-        """Height of the torso over its take-off, less what the legs have straightened."""
-        s = self._half_flight_s - self._from_middle(t)
-        if s <= 0.0:
-            return 0.0
-        risen = TAKE_OFF_M_S * s - 0.5 * G_M_S2 * s * s
-        return max(risen - (self._length(self._knee(self._from_middle(t))) - self._length(TAKE_OFF_KNEE)), 0.0)
-
-    def _from_middle(self, t: float) -> float:
-        """Seconds to or from the top of the nearest jump."""
-        nearest = min(max(round(t / JUMP_S - 0.5), 0), JUMPS - 1)
-        return abs(t - (nearest + 0.5) * JUMP_S)
-
-    def _knee(self, s: float) -> float:
-        """Angle of the knees s seconds from the top, rad."""
-        flown = self._half_flight_s - s
-        if flown > 0.0:
-            return TAKE_OFF_KNEE - self._straightened * (1.0 - np.exp(-flown / STRAIGHTEN_S))
-        to_crouch = self._push_s + flown
-        if to_crouch > 0.0:
-            length = self._length(CROUCHED_KNEE) + 0.5 * TAKE_OFF_M_S / self._push_s * to_crouch**2
-            return float(2.0 * np.arccos(min(length / self._leg, 1.0)))
-        return CROUCHED_KNEE + (0.2 - CROUCHED_KNEE) * ease(-to_crouch / 0.45)
-
-    def _length(self, knee: float) -> float:
+    def length(knee: float) -> float:
         """Hip to ankle of a leg whose thigh and calf are about equally long."""
-        return self._leg * float(np.cos(0.5 * knee))
+        return leg * float(np.cos(0.5 * knee))
 
-    @staticmethod
-    def _forward(knee: float) -> float:
-        return 0.05 + 0.25 * knee
+    push_s = 2.0 * (length(TAKE_OFF_KNEE) - length(CROUCHED_KNEE)) / TAKE_OFF_M_S
+    straightened = TAKE_OFF_M_S / (0.5 * leg * np.sin(0.5 * TAKE_OFF_KNEE)) * STRAIGHTEN_S
+
+    def at(t: float) -> Array:
+        nearest = min(max(round(t / JUMP_S - 0.5), 0), JUMPS - 1)
+        flown_s = TAKE_OFF_M_S / g - abs(t - (nearest + 0.5) * JUMP_S)  # since take-off, or until landing
+        to_crouch_s, lift = push_s + flown_s, 0.0
+        if flown_s > 0.0:
+            knee = TAKE_OFF_KNEE - straightened * (1.0 - np.exp(-flown_s / STRAIGHTEN_S))
+            risen = TAKE_OFF_M_S * flown_s - 0.5 * g * flown_s * flown_s
+            lift = max(risen - (length(knee) - length(TAKE_OFF_KNEE)), 0.0)  # less what the legs have straightened
+        elif to_crouch_s > 0.0:
+            hip_m = length(CROUCHED_KNEE) + 0.5 * TAKE_OFF_M_S / push_s * to_crouch_s**2
+            knee = float(2.0 * np.arccos(min(hip_m / leg, 1.0)))
+        else:
+            knee = CROUCHED_KNEE + (0.2 - CROUCHED_KNEE) * ease(-to_crouch_s / 0.45)
+        swung, forward_rad = (knee - TAKE_OFF_KNEE) / (CROUCHED_KNEE - TAKE_OFF_KNEE), 0.05 + 0.25 * knee
+        arms = both_sides(shoulder_x=-np.pi / 2 + 0.2, shoulder_z=-0.5 + 0.6 * swung, shoulder_y=0.2, elbow=-0.5)
+        angles = posture(legs(0.5 * knee, 0.5 * knee, forward_rad, apart=0.05), arms)
+        return stance(angles, (0.0, forward_rad, 0.0), lift)
+
+    return Timeline((hold(STAND_S, STANDING), Activity(JUMPS * JUMP_S + 0.6, at)))
 
 
 def through(duration_s: float, *keys: tuple) -> Timeline:
@@ -267,7 +243,7 @@ def chair(person: VolumetricBody, motion: Motion) -> Things:
     points = np.array([forward(person.body, pose) for pose in motion.poses])
     hips = 0.5 * (points[:, LEFT_HIP] + points[:, RIGHT_HIP])
     frame = int(np.argmin(hips[:, 2]))
-    seat = hips[frame] - [0.0, 0.0, _thigh_radius(person)]
+    seat = hips[frame] - [0.0, 0.0, float(person.radii_of(L_THIGH).max())]
     knees = 0.5 * (points[frame, LEFT_KNEE] + points[frame, RIGHT_KNEE])
     back, front = seat[0] - BEHIND_HIPS_M, min(knees[0] - KNEES_FREE_M, seat[0] - BEHIND_HIPS_M + SEAT_DEPTH_M)
     top, half = seat[2] - BAR_M, 0.5 * SEAT_WIDTH_M
@@ -293,10 +269,11 @@ def carry_a_box(person: VolumetricBody) -> Timeline:
     upright = posture(STANDING, held)
     grasped = (0.0, STANDING), (0.9, posture(down, wide), BENT_RAD), (GRASP_S, posture(down, low), BENT_RAD)
     lifting = key_postures(PICKED_S, *grasped, (LIFTED_S, upright), (PICKED_S, upright))
-    turning = Activity(TURN_S, lambda t: posture(stepping(t), held), turning=np.pi / TURN_S)
-    away = Activity(CARRY_S, lambda t: posture(walking(t), held), lean=walking_lean)
-    there = Activity(APPROACH_S, walking, lean=walking_lean)
-    return Timeline((hold(STAND_S, STANDING), there, lifting, turning, away, hold(1.6, upright)))
+    turning = Activity(TURN_S, lambda t: stance(posture(stepping(t), held), turning=np.pi / TURN_S))
+    away = Activity(CARRY_S, lambda t: posture(walking(t), held))
+    return Timeline(
+        (hold(STAND_S, STANDING), Activity(APPROACH_S, walking), lifting, turning, away, hold(1.6, upright))
+    )
 
 
 def box_on_a_stand(person: VolumetricBody, motion: Motion) -> Things:
@@ -309,11 +286,6 @@ def box_on_a_stand(person: VolumetricBody, motion: Motion) -> Things:
     under = middle[2] - 0.5 * BOX_M[2]
     stand = _box(np.array([*middle[:2], 0.5 * under]), heading, (0.26, 0.32, under), WOOD)
     return Things(stand, tuple([boxes[0]] * taken + boxes), taken)
-
-
-def _thigh_radius(person: VolumetricBody) -> float:
-    """Radius (m) of the upper end of a thigh."""
-    return float(person.radii_of(L_THIGH).max())
 
 
 def _between_the_hands(person: VolumetricBody, motion: Motion, frame: int) -> tuple[Array, float]:

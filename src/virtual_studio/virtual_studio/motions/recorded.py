@@ -5,7 +5,7 @@ The joints give 15 reference points, these a body and its poses. `RecordedMotion
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +42,7 @@ ORDER = tuple(
 """Joints of the reference points from the fourth on."""
 
 
-BLEND_S = 1.0
+BLEND_S = T_POSE_S
 """From the T-pose into the first frame; longer than between activities, because a file may begin with anything."""
 FLOOR_PERCENTILE = 2.0
 """So many percent of the frames may have a foot in the floor: recorded feet are not exact."""
@@ -52,74 +52,86 @@ _LEGS = [L_THIGH, R_THIGH, L_CALF, R_CALF]
 
 
 @dataclass(frozen=True)
-class ReadingOptions:
-    """What a motion file does not say.
+class RecordedMotion:
+    """Plays the motion of a BVH file with a person of any size.
 
-    up : the axis that points up. start_s : what to leave out at the start (some files begin with a rest pose).
-    joints : YAML, ``role: joint``.
+    Steps are as long as the person's legs, so the file's unit does not matter. The path is moved to the middle of the
+    room, and its lowest frames onto the floor.
+
+    up : the axis that points up in the file. start_s : what to leave out at the start (some files begin with a rest
+    pose). joints : YAML, ``role: joint``, where the names of the file's joints do not say.
     """
 
+    path: Path
     up: str = "y"
     joints: Path | None = None
     start_s: float = 0.0
 
+    def __call__(self, body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
+        """Plays at most ``seconds`` of it, T-pose and blend included; less where the file ends before.
 
-def read_stick_motion(
-    path: str | Path, leg_m: float, fps: float | None = None, options: ReadingOptions | None = None
-) -> tuple[Body, tuple[Pose, ...]]:
-    """Reads a stick figure of its own and its poses from a BVH file, at ``fps`` frames a second (None: the file's own).
+        Raises InputError for a file that cannot be read, a time too short, or a path that leaves the room.
+        """
+        person = VolumetricBody(body, build)
+        opening = round((T_POSE_S + BLEND_S) * fps)
+        frames = frame_count(seconds, fps) - opening
+        if frames < 1:
+            late = f"{seconds:g} s end before the recorded motion begins, at {T_POSE_S + BLEND_S:g} s"
+            raise InputError(late, remedy="Give a longer time.")
+        _, played = self.figure(float(body.lengths[_LEGS].sum() / 2.0), fps)
+        poses = _placed(person, played[:frames], self.path)
+        poses = [*_opening(person, poses[0], fps, opening), *poses]
+        angles: list[np.ndarray] = []
+        for pose in poses:
+            angles.append(pose.angles(angles[-1] if angles else None))
+        return Motion(tuple(poses), np.array(angles), fps)
 
-    leg_m : how long the person's legs are to be, hip to ankle; the file's unit does not matter.
-    World frame: z up, metres; origin and heading are the file's. Raises InputError for anything that cannot be read.
-    """
-    options = options or ReadingOptions()
-    motion = read_joints(path)
-    points = reference_points(motion, leg_m, options)[_first_frame(motion, options.start_s) :]
-    body = Body.from_points(points)
-    points = points if fps is None else resampled(points, motion.fps, fps)
-    poses: list[Pose] = []
-    for frame in points:
-        poses.append(inverse(body, frame, poses[-1] if poses else None))
-    return body, tuple(poses)
+    def figure(self, leg_m: float, fps: float) -> tuple[Body, tuple[Pose, ...]]:
+        """Reads a stick figure of its own and its poses, at ``fps`` frames a second, by cubic splines through time.
 
+        leg_m : how long the person's legs are to be, hip to ankle; the file's unit does not matter.
+        World frame: z up, metres; origin and heading are the file's. Raises InputError for anything that cannot be
+        read.
+        """
+        motion = read_bvh(self.path)
+        points, first = self.reference_points(motion, leg_m), round(self.start_s * motion.fps)
+        if first >= len(points):
+            lasts = f"It lasts {len(points) / motion.fps:.2f} s."
+            raise motion.error(f"there is no motion at {self.start_s:g} s", lasts)
+        points = points[first:]
+        body = Body.from_points(points)
+        times = np.arange(len(points)) / motion.fps
+        if len(points) > 1 and abs(fps - motion.fps) >= 1e-9 * motion.fps:
+            count = int(np.floor(times[-1] * fps + 1e-6)) + 1
+            points = CubicSpline(times, points, axis=0)(np.arange(count) / fps)
+        poses: list[Pose] = []
+        for frame in points:
+            poses.append(inverse(body, frame, poses[-1] if poses else None))
+        return body, tuple(poses)
 
-def read_joints(path: str | Path) -> JointMotion:
-    """Reads all joints of a BVH file, in its own axes and unit. Raises InputError for other files."""
-    if Path(path).suffix.lower() != SUFFIX:
-        raise InputError("is no motion file", where=str(path), remedy=f"Give a BVH file, named *{SUFFIX}.")
-    return read_bvh(path)
+    def reference_points(self, motion: JointMotion, leg_m: float) -> Array:
+        """Computes the 15 reference points (F, 15, 3), m, z up, of a person with legs of ``leg_m``.
 
+        A motion file's wrist is a joint, the figure's forearm a stick to the finger tip: the hand is taken as stretched
+        along the forearm, in its average proportion. The tip of the head is the end of the file's head, or, where the
+        file has none, beyond the head's joint at the average distance from the neck.
+        """
+        roles = joints_by_role(motion) if self.joints is None else load_joints_by_role(self.joints, motion)
+        if self.up not in WORLD_FROM_UP:
+            raise InputError(f"the axis that points up is '{self.up}'", remedy="Give x, y or z.")
+        R = WORLD_FROM_UP[self.up]
+        joint = {role: motion.of(name) @ R.T for role, name in roles.items()}
+        _check_upright(joint, motion, self.up)
+        points = np.empty((len(motion.positions), 15, 3))
+        points[:, 2] = joint["neck"]
+        points[:, 3:] = np.stack([joint[role] for role in ORDER], axis=1)
+        points[:, 0] = 0.5 * (points[:, 2] + points[:, 5:7].mean(1))
+        points[:, 11:13] += HAND_OVER_FOREARM * (points[:, 11:13] - points[:, 7:9])
+        points[:, 1] = _head_tip(joint)
+        return leg_m / _leg(joint) * points
 
-def reference_points(motion: JointMotion, leg_m: float, options: ReadingOptions | None = None) -> Array:
-    """Computes the 15 reference points (F, 15, 3), m, z up, of a person with legs of ``leg_m``.
-
-    A motion file's wrist is a joint, the figure's forearm a stick to the finger tip: the hand is taken as stretched
-    along the forearm, in its average proportion. The tip of the head is the end of the file's head, or, where the file
-    has none, beyond the head's joint at the average distance from the neck.
-    """
-    options = options or ReadingOptions()
-    roles = joints_by_role(motion) if options.joints is None else load_joints_by_role(options.joints, motion)
-    if options.up not in WORLD_FROM_UP:
-        raise InputError(f"the axis that points up is '{options.up}'", remedy="Give x, y or z.")
-    R = WORLD_FROM_UP[options.up]
-    joint = {role: motion.of(name) @ R.T for role, name in roles.items()}
-    _check_upright(joint, motion, options.up)
-    points = np.empty((len(motion.positions), 15, 3))
-    points[:, 2] = joint["neck"]
-    points[:, 3:] = np.stack([joint[role] for role in ORDER], axis=1)
-    points[:, 0] = 0.5 * (points[:, 2] + points[:, 5:7].mean(1))
-    points[:, 11:13] += HAND_OVER_FOREARM * (points[:, 11:13] - points[:, 7:9])
-    points[:, 1] = _head_tip(joint)
-    return leg_m / _leg(joint) * points
-
-
-def _first_frame(motion: JointMotion, start_s: float) -> int:
-    first = round(start_s * motion.fps)
-    if not 0 <= first < len(motion.positions):
-        raise motion.error(
-            f"there is no motion at {start_s:g} s", f"It lasts {len(motion.positions) / motion.fps:.2f} s."
-        )
-    return first
+    def __str__(self) -> str:
+        return self.path.name
 
 
 def _head_tip(joint: dict[str, Array]) -> Array:
@@ -152,51 +164,6 @@ def _check_upright(joint: dict[str, Array], motion: JointMotion, up: str) -> Non
         in_file = WORLD_FROM_UP[up].T @ standing
         likely = "xyz"[int(np.argmax(np.abs(in_file)))]
         raise motion.error(f"the person does not stand along {up}", f"Say which axis points up, probably {likely}.")
-
-
-def resampled(points: Array, fps: float, wanted_fps: float) -> Array:
-    """Resamples points (F, ...) at another rate, by cubic splines through time."""
-    if not (np.isfinite(wanted_fps) and wanted_fps > 0.0):
-        raise InputError(f"fps is {wanted_fps!r}", remedy="Give a positive number.")
-    if len(points) < 2 or abs(wanted_fps - fps) < 1e-9 * fps:
-        return points
-    times = np.arange(len(points)) / fps
-    count = int(np.floor(times[-1] * wanted_fps + 1e-6)) + 1
-    return CubicSpline(times, points, axis=0)(np.arange(count) / wanted_fps)
-
-
-@dataclass(frozen=True)
-class RecordedMotion:
-    """Plays the motion of a BVH file with a person of any size.
-
-    Steps are as long as the person's legs, so the file's unit does not matter. The path is moved to the middle of the
-    room, and its lowest frames onto the floor.
-    """
-
-    path: Path
-    options: ReadingOptions = field(default_factory=ReadingOptions)
-
-    def __call__(self, body: Body, seconds: float, fps: float, build: float = 1.0) -> Motion:
-        """Plays at most ``seconds`` of it, T-pose and blend included; less where the file ends before.
-
-        Raises InputError for a file that cannot be read, a time too short, or a path that leaves the room.
-        """
-        person = VolumetricBody(body, build)
-        opening = round((T_POSE_S + BLEND_S) * fps)
-        frames = frame_count(seconds, fps) - opening
-        if frames < 1:
-            late = f"{seconds:g} s end before the recorded motion begins, at {T_POSE_S + BLEND_S:g} s"
-            raise InputError(late, remedy="Give a longer time.")
-        _, played = read_stick_motion(self.path, float(body.lengths[_LEGS].sum() / 2.0), fps, self.options)
-        poses = _placed(person, played[:frames], self.path)
-        poses = [*_opening(person, poses[0], fps, opening), *poses]
-        angles: list[np.ndarray] = []
-        for pose in poses:
-            angles.append(pose.angles(angles[-1] if angles else None))
-        return Motion(tuple(poses), np.array(angles), fps)
-
-    def __str__(self) -> str:
-        return self.path.name
 
 
 def is_motion_file(name: str) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,33 +68,35 @@ class Motion:
     things: Things | None = None
 
 
+ANGLES, LEAN, LIFT, TURNING, WALKING = slice(18), slice(18, 21), 21, 22, 23
+"""Parts of a `stance`."""
+
+
+def stance(
+    angles: Array,
+    lean: Sequence[float] = (0.0, 0.0, 0.0),
+    lift: float = 0.0,
+    turning: float = 0.0,
+    walking: float = 0.0,
+) -> Array:
+    """Makes what a body does at an instant, (24,).
+
+    angles: (18,) rad; lean: rotation vector of the torso in its heading frame; lift: metres of the lower foot above the
+    floor; turning: rad/s of the heading; walking: share of the circle's walking speed (`everyday`).
+    """
+    return np.concatenate([angles, lean, [lift, turning, walking]])
+
+
 @dataclass(frozen=True)
 class Activity:
-    """One thing to do for a while. Its functions take seconds since it began, down to -FADE_S while it fades in.
+    """One thing to do for a while: a `stance` for the seconds since it began, down to -FADE_S while it fades in.
 
-    angles: (18,) rad; lean: rotation vector of the torso in its heading frame; turning: rad/s of the heading;
-    lift: metres of the lower foot above the floor. walking: share of the circle's walking speed (`everyday`).
     own_clock: False hands the seconds since the motion began instead, so that steps keep their rhythm over rounds.
     """
 
     duration_s: float
-    angles: Callable[[float], Array]
-    walking: float = 0.0
-    lean: Callable[[float], Array] = lambda t: np.zeros(3)
-    turning: float = 0.0
-    lift: Callable[[float], float] = lambda t: 0.0
+    at: Callable[[float], Array]
     own_clock: bool = True
-
-
-@dataclass(frozen=True)
-class BlendedActivity:
-    """What the body does at one instant, blended from its activities; units as in `Activity`."""
-
-    angles: Array
-    lean: Array
-    turning: float
-    lift: float
-    walking: float
 
 
 @dataclass(frozen=True)
@@ -104,20 +106,13 @@ class Timeline:
     activities: tuple[Activity, ...]
     t_pose_s: float = T_POSE_S
 
-    def at(self, t: float) -> BlendedActivity:
-        """Blends the activities at time t, s; two derivatives are continuous where the activities' are."""
+    def at(self, t: float) -> Array:
+        """Blends the activities (24,) at time t, s; two derivatives are continuous where the activities' are."""
         active = self._active(t)
-        rest = 1.0 - sum(weight for _, _, weight in active)
-        angles, lean = rest * T_POSE_ANGLES, np.zeros(3)
-        turning = lift = walking = 0.0
+        blend = (1.0 - sum(weight for _, _, weight in active)) * stance(T_POSE_ANGLES)
         for activity, local, weight in active:
-            clock = local if activity.own_clock else t
-            angles = angles + weight * activity.angles(clock)
-            lean = lean + weight * activity.lean(clock)
-            turning += weight * activity.turning
-            lift += weight * activity.lift(clock)
-            walking += weight * activity.walking
-        return BlendedActivity(angles, lean, turning, lift, walking)
+            blend = blend + weight * activity.at(local if activity.own_clock else t)
+        return blend
 
     def _active(self, t: float) -> list[tuple[Activity, float, float]]:
         """Return the activities at time t: each with its own time and its weight (the T-pose has the rest)."""
@@ -142,9 +137,6 @@ def ease(x: float) -> float:
 
 def frame_count(seconds: float, fps: float) -> int:
     """Counts a motion's frames. Raises InputError for times that make none."""
-    for name, value in (("seconds", seconds), ("fps", fps)):
-        if not (np.isfinite(value) and value > 0):
-            raise InputError(f"{name} is {value!r}", remedy="Give a positive number.")
     frames = round(seconds * fps)
     if frames < 1:
         raise InputError(f"{seconds:g} s at {fps:g} fps is no frame", remedy="Give a longer time.")
@@ -156,17 +148,17 @@ def key_postures(duration_s: float, *keys: tuple) -> Activity:
 
     keys: time (s since the activity began), angles (18,) rad and, if not 0, the torso's lean forward, rad.
     """
-    times, angles = [key[0] for key in keys], [key[1] for key in keys]
-    leans = [np.array([0.0, key[2] if len(key) > 2 else 0.0, 0.0]) for key in keys]
+    times = [key[0] for key in keys]
+    stances = [stance(key[1], (0.0, key[2] if len(key) > 2 else 0.0, 0.0)) for key in keys]
 
-    def between(values: list[Array], t: float) -> Array:
+    def at(t: float) -> Array:
         after = int(np.searchsorted(times, t))
         if after == 0 or after == len(times):
-            return values[min(after, len(times) - 1)]
+            return stances[min(after, len(times) - 1)]
         fraction = ease((t - times[after - 1]) / (times[after] - times[after - 1]))
-        return (1.0 - fraction) * values[after - 1] + fraction * values[after]
+        return (1.0 - fraction) * stances[after - 1] + fraction * stances[after]
 
-    return Activity(duration_s, lambda t: between(angles, t), lean=lambda t: between(leans, t))
+    return Activity(duration_s, at)
 
 
 def hold(duration_s: float, angles: Array) -> Activity:
@@ -200,25 +192,18 @@ def right(name: str) -> int:
     return ANGLE_NAMES.index(f"right_{name}")
 
 
-def with_joints(angles: Array, other: Array, slots: Sequence[int]) -> Array:
-    """Copies angles (18,), with those in the slots of another pose."""
-    mixed = angles.copy()
+def with_left(angles: Array, other: Array, names: tuple[str, ...], side: Callable[[str], int] = left) -> Array:
+    """Copies angles (18,) or a stance (24,), with the named joints of one side of another."""
+    mixed, slots = angles.copy(), [side(name) for name in names]
     mixed[slots] = other[slots]
     return mixed
 
 
-def with_left(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
-    """Copies angles (18,), with the named left joints of another pose."""
-    return with_joints(angles, other, [left(name) for name in names])
-
-
-def with_right(angles: Array, other: Array, names: tuple[str, ...]) -> Array:
-    """Copies angles (18,), with the named right joints of another pose."""
-    return with_joints(angles, other, [right(name) for name in names])
+with_right = partial(with_left, side=right)
 
 
 def posture(angles: Array, arms: Array) -> Array:
-    """Combines a pose, angles (18,), with the arms of another."""
+    """Combines angles (18,) or a stance (24,) with the arms of another."""
     return with_right(with_left(angles, arms, ARM), arms, ARM)
 
 

@@ -16,8 +16,9 @@ from capture_rig.rigid import rotation_matrix
 from stick_figure.skeleton import L_CALF, L_THIGH, T_POSE_ANGLES, TORSO
 
 from ..people import VolumetricBody
+from . import everyday
 from .catalogue import motion_by_steps
-from .everyday import STANDING, stepping, walking, walking_lean
+from .everyday import STANDING, walking
 from .timeline import (
     ARM,
     FADE_S,
@@ -54,7 +55,8 @@ PROBES_S, PROBE_HZ = (0.0, 0.4, 0.7, 1.0, 1.5, 2.0, 4.0), 10.0
 CROWD_M = 0.75
 """How far from the middle each of four people stands: one of them can hold out the arms without touching another."""
 TURN_S = 1.7
-_CROSS, _FACING_IN = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)), (np.pi, 0.0, -np.pi / 2, np.pi / 2)
+CROWD = ((CROWD_M, 0.0), np.pi), ((-CROWD_M, 0.0), 0.0), ((0.0, CROWD_M), -np.pi / 2), ((0.0, -CROWD_M), np.pi / 2)
+"""Where each of them stands, m, and faces, rad: inward."""
 OUTSIDE_M = 2.4
 """Where somebody is who is not in the volume yet, from its middle."""
 
@@ -107,19 +109,9 @@ def meeting(person: VolumetricBody) -> Timeline:
 
 def coming_later(person: VolumetricBody) -> Timeline:
     """Stands outside while others are tracked, walks in, takes the T-pose, leaves, and comes back."""
-    inward = OUTSIDE_M - BESIDE_M
-    return Timeline(
-        (
-            hold(1.5, STANDING),
-            walk(person, inward),
-            hold(2.2, T_POSE_ANGLES),
-            turn(np.pi),
-            walk(person, inward),
-            turn(np.pi),
-            walk(person, inward),
-            hold(2.0, STANDING),
-        )
-    )
+    inward, around = walk(person, OUTSIDE_M - BESIDE_M), turn(np.pi)
+    shown = hold(2.2, T_POSE_ANGLES)
+    return Timeline((hold(1.5, STANDING), inward, shown, around, inward, around, inward, hold(2.0, STANDING)))
 
 
 def staying(person: VolumetricBody) -> Timeline:
@@ -130,39 +122,21 @@ def staying(person: VolumetricBody) -> Timeline:
 def one_after_another(person: VolumetricBody, number: int) -> Timeline:
     """Takes the T-pose when it is this one's turn, from 0; when all four have, turns round, steps in and back again."""
     before, after = hold(0.6 + TURN_S * number, STANDING), hold(TURN_S * (3 - number), STANDING)
-    poses = before, hold(TURN_S, T_POSE_ANGLES), after
-    return Timeline(
-        (*poses, turn(2.0 * np.pi), walk(person, 0.2), walk(person, -0.2), hold(1.0, STANDING)), t_pose_s=0.0
-    )
+    steps = turn(2.0 * np.pi), walk(person, 0.2), walk(person, -0.2), hold(1.0, STANDING)
+    return Timeline((before, hold(TURN_S, T_POSE_ANGLES), after, *steps), t_pose_s=0.0)
 
 
 def going_first(person: VolumetricBody) -> Timeline:
     """Leaves soon, stays away for some seconds, and comes back."""
-    way = OUTSIDE_M - 0.5
-    return Timeline(
-        (
-            hold(STAND_S, STANDING),
-            walk(person, way),
-            turn(np.pi),
-            hold(1.5, STANDING),
-            walk(person, way),
-            turn(np.pi),
-            hold(3.0, STANDING),
-        )
-    )
+    way, around = walk(person, OUTSIDE_M - 0.5), turn(np.pi)
+    return Timeline((hold(STAND_S, STANDING), way, around, hold(1.5, STANDING), way, around, hold(3.0, STANDING)))
 
 
 TOGETHER: Mapping[str, Scene] = {
     "meeting": Scene((Role(meeting, (-APART_X_M, -APART_Y_M)), Role(meeting, (APART_X_M, APART_Y_M), np.pi)), 15.2),
     "coming_later": Scene((Role(staying, (-0.55, 0.0)), Role(coming_later, (OUTSIDE_M, 0.0), np.pi)), 16.8),
     "going_first": Scene((Role(going_first, (0.5, -0.3)), Role(staying, (-0.6, 0.3))), 14.0),
-    "crowd": Scene(
-        tuple(
-            Role(partial(one_after_another, number=k), (CROWD_M * _CROSS[k][0], CROWD_M * _CROSS[k][1]), _FACING_IN[k])
-            for k in range(4)
-        ),
-        14.0,
-    ),
+    "crowd": Scene(tuple(Role(partial(one_after_another, number=k), *place) for k, place in enumerate(CROWD)), 14.0),
 }
 
 
@@ -170,14 +144,13 @@ def walk(person: VolumetricBody, way_m: float) -> Activity:
     """Walks so far ahead, or backward if negative, from standing to standing."""
     duration_s = float(np.interp(abs(way_m), _ways(person), PROBES_S))
     if way_m >= 0.0:
-        return _ahead(duration_s)
-    return Activity(duration_s, lambda t: walking(-t), lean=lambda t: walking_lean(-t))
+        return Activity(duration_s, walking)
+    return Activity(duration_s, lambda t: walking(-t))
 
 
 def turn(angle: float) -> Activity:
     """Turns on the spot, stepping, to the left if positive."""
-    duration_s = max(abs(angle) / 1.9, FADE_S)
-    return Activity(duration_s, stepping, turning=angle / duration_s)
+    return everyday.turn(angle, max(abs(angle) / 1.9, FADE_S))
 
 
 def shaking_hands(person: VolumetricBody) -> Activity:
@@ -213,15 +186,11 @@ def _approach(person: VolumetricBody, done: Sequence[Activity], near_m: float) -
     """Return the walk that takes the person, after what is done, so near to the middle."""
     low_s, high_s = 0.2, 3.0
     for _ in range(APPROACH_STEPS):
-        there = _ahead(0.5 * (low_s + high_s))
+        there = Activity(0.5 * (low_s + high_s), walking)
         place, heading = _end_of(person, [*done, there])
         arrived = (MIDDLE - place) @ np.array([np.cos(heading), np.sin(heading)]) < near_m
         low_s, high_s = (low_s, there.duration_s) if arrived else (there.duration_s, high_s)
-    return _ahead(low_s)
-
-
-def _ahead(duration_s: float) -> Activity:
-    return Activity(duration_s, walking, lean=walking_lean)
+    return Activity(low_s, walking)
 
 
 def _end_of(person: VolumetricBody, activities: Sequence[Activity]) -> tuple[Array, float]:
@@ -235,4 +204,4 @@ def _end_of(person: VolumetricBody, activities: Sequence[Activity]) -> tuple[Arr
 @lru_cache(maxsize=32)
 def _ways(person: VolumetricBody) -> tuple[float, ...]:
     """How far (m) walks of PROBES_S take this person."""
-    return tuple(float(_end_of(person, [hold(STAND_S, STANDING), _ahead(s)])[0][0]) for s in PROBES_S)
+    return tuple(float(_end_of(person, [hold(STAND_S, STANDING), Activity(s, walking)])[0][0]) for s in PROBES_S)

@@ -9,28 +9,28 @@ truth.csv.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from capture_rig.camera import CameraModel
 from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, save_rig
 from capture_rig.rigid import rotation_vector, transform
+from capture_rig.video import VideoFile
 from capture_rig.yaml_file import read_mapping, save_mapping
 from rig_calibration.boards.board import Board, CharucoBoard, Checkerboard
 from stick_figure.body import Body
 
-from ..boards import Array, BoardPrint, carry, hands, on_floor, person_with, print_of, wave
-from ..people import REFERENCE_STATURE_M, VolumetricBody
-from ..rendering.board_camera import FilmingCamera
-from ..rendering.camera import Sensor
-from .session import FOOTAGE, MADE_BY, RenderSettings, VideoFile, is_own, write_session
+from ..boards import Array, BoardPrint, PosePath, carry, hands, on_floor, person_with, print_of, wave
+from ..people import REFERENCE_STATURE_M, Capsules, VolumetricBody
+from ..rendering.board_camera import BoardCamera
+from ..rendering.camera import Image, Sensor
+from .session import FOOTAGE, MADE_BY, SESSION_FPS, RenderSettings, is_own, write_session
 
 DESCRIPTION = "setup.yaml"
 INTRINSICS, FLOOR, MOVING = "intrinsics", "floor", "moving"
@@ -43,9 +43,6 @@ HAND_BOARD = Checkerboard(9, 6, (0.04, 0.04))
 """An A3 print: waved before each camera."""
 FLOOR_BOARD = Checkerboard(7, 4, (0.12, 0.12))
 """An A0 print: large enough for cameras 3 m away that see it at 70 degrees from its normal."""
-
-SESSION_FPS = 60.0
-"""Of the footage of who moves in the session."""
 
 Progress = Callable[[str], None]
 
@@ -86,27 +83,35 @@ def write_setup(
     """
     folder, plan = Path(folder), plan or FootagePlan()
     with replaced_folder(folder, lambda found: is_own(found, DESCRIPTION)) as partial:
-        _film_boards(partial, rig, plan, progress)
+        save_truth(rig, plan.hand_board, plan.floor_board, partial)
+        recipe = {key: value for key, value in asdict(plan).items() if key not in ("hand_board", "floor_board")}
+        source = "rendered by python -m virtual_studio setup"
+        description = {"made_by": MADE_BY, "source": source, "fps": plan.fps, "recipe": recipe}
+        save_mapping(partial / DESCRIPTION, description)
+        with ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)) as pool:
+            films = _BoardFilms(partial, rig, plan, pool)
+            for filmed in pool.map(films.film_waved, range(len(rig.cameras))):
+                progress(filmed)
+            films.film_floor()
+            progress(FLOOR)
+            films.film_carried()
+            progress(MOVING)
         if motion is not None:
-            _film_session(partial, rig, plan, motion, seconds)
+            session, body = partial / SESSION, Body.from_stature(REFERENCE_STATURE_M)
+            settings = RenderSettings(seed=plan.seed, noise=plan.noise, flicker=plan.flicker)
+            write_session(session, rig, body, motion, SESSION_FPS, seconds, settings)
+            (session / TRUTH).rename(partial / TRUTH)
+            for path in [session / "rig.yaml", session / "body.yaml", *session.glob("*_mask.*")]:
+                path.unlink()  # what is unknown before the calibration
             progress(SESSION)
     return folder
 
 
-def _film_session(folder: Path, rig: Rig, plan: FootagePlan, motion: str, seconds: float) -> None:
-    """Films the empty room and the person; what is unknown before the calibration does not stay there."""
-    session, body = folder / SESSION, Body.from_stature(REFERENCE_STATURE_M)
-    settings = RenderSettings(seed=plan.seed, noise=plan.noise, flicker=plan.flicker)
-    write_session(session, rig, body, motion, SESSION_FPS, seconds, settings)
-    (session / TRUTH).rename(folder / TRUTH)
-    for path in [session / "rig.yaml", session / "body.yaml", *session.glob("*_mask.*")]:
-        path.unlink()
-
-
 def save_truth(rig: Rig, hand_board: Board, floor_board: Board, folder: Path) -> None:
     """Writes board.yaml, floor_board.yaml, truth_rig.yaml and truth_floor.yaml."""
-    _save_board(hand_board, folder / BOARD_FILE)
-    _save_board(floor_board, folder / FLOOR_BOARD_FILE)
+    for name, board in ((BOARD_FILE, hand_board), (FLOOR_BOARD_FILE, floor_board)):
+        kind = "charuco" if isinstance(board, CharucoBoard) else "checkerboard"
+        save_mapping(folder / name, {"type": kind, **asdict(board)})
     save_rig(rig, folder / TRUTH_RIG_FILE)
     printed = print_of(floor_board)
     T_world_floor = on_floor(printed) @ transform(np.eye(3), printed.middle_board)
@@ -135,90 +140,63 @@ class CameraErrors:
 def camera_errors(found: Rig, truth: Rig, T_world_floor: Array) -> list[CameraErrors]:
     """Compares a calibration with the truth. Nothing is aligned: the origin of the world that was found lies in the
     middle of the floor board, whose true pose is ``T_world_floor`` (4, 4)."""
-    return [_errors_of(camera, truth.camera(camera.name), T_world_floor) for camera in found.cameras]
+    errors = []
+    for camera in found.cameras:
+        true = truth.camera(camera.name)
+        focal = np.abs(camera.K.diagonal()[:2] / true.K.diagonal()[:2] - 1.0).max()
+        principal = np.abs(camera.K[:2, 2] - true.K[:2, 2]).max()
+        turned = rotation_vector(true.R_camera_world @ T_world_floor[:3, :3] @ camera.R_camera_world.T)
+        centre_world = T_world_floor[:3, :3] @ camera.centre_world + T_world_floor[:3, 3]
+        centre_mm = 1e3 * float(np.linalg.norm(centre_world - true.centre_world))
+        turned_deg = float(np.rad2deg(np.linalg.norm(turned)))
+        errors.append(CameraErrors(camera.name, 100.0 * float(focal), float(principal), centre_mm, turned_deg))
+    return errors
 
 
-def _errors_of(found: CameraModel, true: CameraModel, T_world_floor: Array) -> CameraErrors:
-    focal = np.abs(found.K.diagonal()[:2] / true.K.diagonal()[:2] - 1.0).max()
-    principal = np.abs(found.K[:2, 2] - true.K[:2, 2]).max()
-    turned = rotation_vector(true.R_camera_world @ T_world_floor[:3, :3] @ found.R_camera_world.T)
-    centre_world = T_world_floor[:3, :3] @ found.centre_world + T_world_floor[:3, 3]
-    centre_mm = 1e3 * float(np.linalg.norm(centre_world - true.centre_world))
-    turned_deg = float(np.rad2deg(np.linalg.norm(turned)))
-    return CameraErrors(found.name, 100.0 * float(focal), float(principal), centre_mm, turned_deg)
+class _BoardFilms:
+    """Films boards with every camera of a rig into a folder that is there, and empty."""
 
+    def __init__(self, folder: Path, rig: Rig, plan: FootagePlan, pool: ThreadPoolExecutor) -> None:
+        self._folder, self._plan, self._pool = folder, plan, pool
+        self._hand, self._floor = print_of(plan.hand_board), print_of(plan.floor_board)
+        self._cameras = list(pool.map(BoardCamera, rig.cameras))
+        self._sensor = Sensor(plan.noise, plan.flicker, plan.seed)
 
-def _film_boards(folder: Path, rig: Rig, plan: FootagePlan, progress: Progress) -> None:
-    """Films into a folder that is there, and empty."""
-    hand, floor = print_of(plan.hand_board), print_of(plan.floor_board)
-    save_truth(rig, plan.hand_board, plan.floor_board, folder)
-    _write_description(folder / DESCRIPTION, plan)
-    sensor = Sensor(plan.noise, plan.flicker, plan.seed)
-    with ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)) as pool:
-        cameras = list(pool.map(lambda job: FilmingCamera(job[1], job[0], sensor), enumerate(rig.cameras)))
-        for filmed in pool.map(lambda camera: _film_waved(folder, camera, hand, plan), cameras):
-            progress(filmed)
-        _film_floor(folder / FLOOR, cameras, floor)
-        progress(FLOOR)
-        _film_carried(folder / MOVING, cameras, floor, plan, pool)
-        progress(MOVING)
+    def film_waved(self, number: int) -> str:
+        """Film the board that is waved before one camera; returns what was filmed."""
+        camera, plan = self._cameras[number].camera, self._plan
+        waved = wave(camera, self._hand, plan.seed + sum(camera.name.encode()), plan.brief)
+        with VideoFile(self._folder / INTRINSICS / f"{camera.name}{FOOTAGE}", plan.fps) as video:
+            for frame in range(round(waved.duration_s * plan.fps)):
+                t = (frame + 0.5) / plan.fps
+                held = hands(self._hand, waved.path(t))
+                video.write(self._take(number, FIRST_FRAME[INTRINSICS] + frame, self._hand, waved.path, t, held))
+        return f"{INTRINSICS}/{camera.name}"
 
+    def film_floor(self) -> None:
+        """Film the board on the floor with every camera."""
+        lying = on_floor(self._floor)
+        (self._folder / FLOOR).mkdir()
+        for number, camera in enumerate(self._cameras):
+            picture = self._take(number, FIRST_FRAME[FLOOR], self._floor, lambda t: lying, 0.0)
+            cv2.imwrite(str(self._folder / FLOOR / f"{camera.camera.name}.png"), picture)
 
-def _film_waved(folder: Path, camera: FilmingCamera, board: BoardPrint, plan: FootagePlan) -> str:
-    name = camera.camera.name
-    waved = wave(camera.camera, board, plan.seed + sum(name.encode()), plan.brief)
-    with _videos(folder / INTRINSICS, [camera], plan.fps) as (video,):
-        for frame in range(round(waved.duration_s * plan.fps)):
-            t = (frame + 0.5) / plan.fps
-            shot = FIRST_FRAME[INTRINSICS] + frame, board, waved.path, t, hands(board, waved.path(t))
-            video.write(camera.take(*shot))
-    return f"{INTRINSICS}/{name}"
+    def film_carried(self) -> None:
+        """Film the board that is carried through the volume with every camera."""
+        plan, board, path = self._plan, self._floor, carry(self._floor, self._plan.moving_s, self._plan.seed)
+        person = VolumetricBody(Body.from_stature(REFERENCE_STATURE_M))
+        names = [f"{camera.camera.name}{FOOTAGE}" for camera in self._cameras]
+        with ExitStack() as stack:
+            videos = [stack.enter_context(VideoFile(self._folder / MOVING / name, plan.fps)) for name in names]
+            for frame in range(round(plan.moving_s * plan.fps)):
+                t = (frame + 0.5) / plan.fps
+                shot = FIRST_FRAME[MOVING] + frame, board, path, t, person_with(person, board, path(t))
+                pictures = self._pool.map(lambda number, shot=shot: self._take(number, *shot), range(len(videos)))
+                for video, picture in zip(videos, pictures, strict=True):
+                    video.write(picture)
 
-
-def _film_floor(folder: Path, cameras: Sequence[FilmingCamera], board: BoardPrint) -> None:
-    lying = on_floor(board)
-    folder.mkdir()
-    for camera in cameras:
-        picture = camera.take(FIRST_FRAME[FLOOR], board, lambda t: lying, 0.0)
-        cv2.imwrite(str(folder / f"{camera.camera.name}.png"), picture)
-
-
-def _film_carried(
-    folder: Path, cameras: Sequence[FilmingCamera], board: BoardPrint, plan: FootagePlan, pool: ThreadPoolExecutor
-) -> None:
-    path, person = carry(board, plan.moving_s, plan.seed), VolumetricBody(Body.from_stature(REFERENCE_STATURE_M))
-    with _videos(folder, cameras, plan.fps) as videos:
-        for frame in range(round(plan.moving_s * plan.fps)):
-            t = (frame + 0.5) / plan.fps
-            shot = FIRST_FRAME[MOVING] + frame, board, path, t, person_with(person, board, path(t))
-            pictures = pool.map(lambda camera, shot=shot: camera.take(*shot), cameras)
-            for video, picture in zip(videos, pictures, strict=True):
-                video.write(picture)
-
-
-@contextmanager
-def _videos(folder: Path, cameras: Sequence[FilmingCamera], fps: float) -> Iterator[list[VideoFile]]:
-    folder.mkdir(exist_ok=True)
-    with ExitStack() as stack:
-        yield [stack.enter_context(VideoFile(folder, c.camera, FOOTAGE, fps)) for c in cameras]
-
-
-def _save_board(board: Board, path: Path) -> None:
-    """Writes a board's description, as ``--board`` reads it."""
-    kind = "charuco" if isinstance(board, CharucoBoard) else "checkerboard"
-    save_mapping(path, {"type": kind, **_plain(asdict(board))})
-
-
-def _write_description(path: Path, plan: FootagePlan) -> None:
-    recipe = {key: value for key, value in asdict(plan).items() if key not in ("hand_board", "floor_board")}
-    source = "rendered by python -m virtual_studio setup"
-    document = {"made_by": MADE_BY, "source": source, "fps": plan.fps, "recipe": _plain(recipe)}
-    save_mapping(path, document)
-
-
-def _plain(entries: dict) -> dict:
-    """Return the entries with lists for tuples, which YAML knows."""
-    return {
-        key: _plain(value) if isinstance(value, dict) else list(value) if isinstance(value, tuple) else value
-        for key, value in entries.items()
-    }
+    def _take(
+        self, number: int, frame: int, board: BoardPrint, path: PosePath, t: float, people: Capsules | None = None
+    ) -> Image:
+        """Take a camera's picture of a board on its path at time t (the middle of the exposure), s."""
+        return self._sensor.expose(self._cameras[number].film(board, path, t, people), number, frame)

@@ -12,18 +12,17 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.files import replaced_folder
 from capture_rig.rig import Rig, save_rig
 from capture_rig.rigid import rotation_vector
 from capture_rig.session import write_table
+from capture_rig.video import VideoFile
 from capture_rig.yaml_file import read_mapping, save_mapping
 from stick_figure.body import Body, save_body
 from stick_figure.kinematics import forward
@@ -36,10 +35,9 @@ from ..rendering.camera import Light, Sensor, VirtualCamera
 from ..rendering.capsules import floor_shadow
 
 MADE_BY = "virtual_studio"
-FOOTAGE = ("mp4v", ".mp4")
-"""Codec and suffix of footage: MPEG-4 part 2, which every OpenCV wheel can write (H.264 is not in them)."""
-LOSSLESS = ("FFV1", ".mkv")
-"""Codec and suffix of exact silhouettes, under 1 KB each (OpenCV 4.8 refuses FFV1 in mp4)."""
+FOOTAGE, LOSSLESS = ".mp4", ".mkv"
+"""Suffixes of footage, and of exact silhouettes, under 1 KB each."""
+SESSION_FPS = 60.0
 BACKGROUND_S = 1.5
 FIRST_BACKGROUND_FRAME = 1_000_000
 """Number of the first background frame as the sensor counts, so that no noise repeats in the footage."""
@@ -60,7 +58,6 @@ class RenderSettings:
 
     seed: of noise and flicker; noise: standard deviation of a pixel, grey levels; flicker: relative deviation of a
     frame's brightness; shadow: on the floor; build: thickness of the body over the average's.
-    Raises InputError for impossible numbers.
     """
 
     seed: int = 1
@@ -69,20 +66,13 @@ class RenderSettings:
     shadow: bool = True
     build: float = 1.0
 
-    def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise InputError(f"seed is {self.seed}", remedy="Give a whole number from 0.")
-        for name, value, high in (("noise", self.noise, 100.0), ("flicker", self.flicker, 0.5)):
-            if not 0.0 <= value <= high:
-                raise InputError(f"{name} is {value!r}", remedy=f"Give a number from 0 to {high:g}.")
-
 
 def write_session(
     folder: str | Path,
     rig: Rig,
     body: Body,
     motion: str | MotionFunction = "tour",
-    fps: float = 60.0,
+    fps: float = SESSION_FPS,
     seconds: float = 6.0,
     settings: RenderSettings | None = None,
     progress: Progress = lambda done, total: None,
@@ -108,23 +98,18 @@ def write_scene(
     scene: str,
     persons: Sequence[VolumetricBody],
     outfits: Sequence[Outfit] = (),
-    fps: float = 60.0,
+    fps: float = SESSION_FPS,
     settings: RenderSettings | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Path:
     """Renders a scene of several persons (`motions.together.TOGETHER`) as :func:`write_session` does one person.
 
     persons: one for each role; outfits: what they wear, in the same order; those without one wear the usual clothes.
-    Raises InputError for an unknown scene, too few persons, or a folder that holds anything else.
+    Raises InputError for a folder that holds anything else.
     """
-    if scene not in TOGETHER:
-        raise InputError(f"there is no scene '{scene}'", remedy=f"Known scenes: {', '.join(TOGETHER)}.")
-    roles = len(TOGETHER[scene].roles)
-    if len(persons) != roles:
-        raise InputError(f"{len(persons)} persons for the {roles} roles of '{scene}'", remedy="Give one for each role.")
     motions = TOGETHER[scene].motions(persons, fps)
-    worn = [*outfits[:roles], *[None] * (roles - len(outfits))]
-    actors = [Actor(*one) for one in zip(persons, motions, worn, strict=True)]
+    worn = [*outfits, *[None] * len(persons)]
+    actors = [Actor(*one) for one in zip(persons, motions, worn, strict=False)]
     recipe = {"scene": scene, "seconds": len(motions[0].poses) / fps}
     return _write(Path(folder), rig, actors, settings or RenderSettings(), recipe, progress)
 
@@ -151,28 +136,28 @@ def _write(
     recipe: dict[str, object],
     progress: Progress,
 ) -> Path:
+    of_all = {"build": [actor.person.build for actor in actors]}
+    of_all["stature_m"] = [round(actor.person.body.stature, 4) for actor in actors]
+    recipe |= {"seed": settings.seed, "noise_grey_levels": settings.noise, "flicker": settings.flicker}
+    recipe |= {"shadow": settings.shadow}
+    recipe |= {name: values[0] if len(values) == 1 else values for name, values in of_all.items()}
     with replaced_folder(folder, is_own) as partial:
         save_rig(rig, partial / "rig.yaml")
         for number, actor in enumerate(actors, 1):
             tail, body = "" if number == 1 else f"_{number}", actor.person.body
             save_body(body, partial / f"body{tail}.yaml", source="the built-in body of the virtual studio: exact")
             write_truth(partial / f"truth{tail}.csv", body, actor.motion)
-        recipe = recipe | {
-            "seed": settings.seed,
-            "noise_grey_levels": settings.noise,
-            "flicker": settings.flicker,
-            "shadow": settings.shadow,
+        description = {
+            "fps": actors[0].motion.fps,
+            "units": "metres, radians, pixels",
+            "source": "rendered by python -m virtual_studio",
+            "made_by": MADE_BY,
+            "recipe": recipe,
+            "body": "body.yaml",
         }
-        recipe |= _of_all("build", [actor.person.build for actor in actors])
-        recipe |= _of_all("stature_m", [round(actor.person.body.stature, 4) for actor in actors])
-        _write_description(partial / "session.yaml", actors[0].motion.fps, recipe)
+        save_mapping(partial / "session.yaml", description)
         _film(partial, rig, actors, settings, progress)
     return folder
-
-
-def _of_all(name: str, values: list[float]) -> dict[str, object]:
-    """Returns one value for one person, a list for several."""
-    return {name: values[0] if len(values) == 1 else values}
 
 
 def write_truth(path: Path, body: Body, motion: Motion) -> None:
@@ -190,22 +175,21 @@ def write_truth(path: Path, body: Body, motion: Motion) -> None:
 
 def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSettings, progress: Progress) -> None:
     motion = actors[0].motion
-    sensor, things = Sensor(settings.noise, settings.flicker, settings.seed), motion.things
+    sensor, things, fps = Sensor(settings.noise, settings.flicker, settings.seed), motion.things, motion.fps
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(min(len(rig.cameras), os.cpu_count() or 1)))
-        rooms = [things and things.untouched, *([things.standing] if things and things.taken else [])]
-        empty, *later = (
-            list(pool.map(lambda camera, room=room: VirtualCamera(camera, standing=room), rig.cameras))
-            for room in rooms
-        )
-        footage, masks = [], []
-        for number, camera in enumerate(empty):
-            _film_empty_room(folder, number, camera, motion.fps, sensor)
-            footage.append(stack.enter_context(VideoFile(folder, camera.camera, FOOTAGE, motion.fps)))
-            masks.append(stack.enter_context(VideoFile(folder, camera.camera, LOSSLESS, motion.fps, "_mask")))
+        furnished = (things.untouched, things.standing) if things else (None,)
+        rooms = [list(pool.map(partial(VirtualCamera, standing=room), rig.cameras)) for room in furnished]
+        empty = rooms[0]
+        for number, (name, camera) in enumerate(zip(rig.names, empty, strict=True)):
+            with VideoFile(folder / f"{name}_background{FOOTAGE}", fps) as video:
+                for frame in range(max(round(BACKGROUND_S * fps), 1)):
+                    video.write(sensor.expose(camera.empty_room(), number, FIRST_BACKGROUND_FRAME + frame))
+        footage = [stack.enter_context(VideoFile(folder / f"{name}{FOOTAGE}", fps)) for name in rig.names]
+        masks = [stack.enter_context(VideoFile(folder / f"{name}_mask{LOSSLESS}", fps)) for name in rig.names]
 
         def shoot(number: int, frame: int, capsules: Capsules, shadow: Light | None) -> None:
-            cameras = later[0] if later and things and frame >= things.taken else empty
+            cameras = empty if things and frame < things.taken else rooms[-1]
             light, mask = cameras[number].render(capsules, shadow)
             footage[number].write(sensor.expose(light, number, frame))
             masks[number].write(mask)
@@ -220,57 +204,9 @@ def _film(folder: Path, rig: Rig, actors: Sequence[Actor], settings: RenderSetti
             progress(frame + 1, len(motion.poses))
 
 
-def _film_empty_room(folder: Path, number: int, camera: VirtualCamera, fps: float, sensor: Sensor) -> None:
-    with VideoFile(folder, camera.camera, FOOTAGE, fps, "_background") as video:
-        for frame in range(max(round(BACKGROUND_S * fps), 1)):
-            video.write(sensor.expose(camera.empty_room(), number, FIRST_BACKGROUND_FRAME + frame))
-
-
-def _write_description(path: Path, fps: float, recipe: dict) -> None:
-    document = {
-        "fps": fps,
-        "units": "metres, radians, pixels",
-        "source": "rendered by python -m virtual_studio",
-        "made_by": MADE_BY,
-        "recipe": recipe,
-        "body": "body.yaml",
-    }
-    save_mapping(path, document)
-
-
 def is_own(folder: Path, description: str = "session.yaml") -> bool:
     """Tells whether the virtual studio wrote a folder, by what its ``description`` says."""
     try:
         return read_mapping(folder / description, "").get("made_by") == MADE_BY
     except InputError:
         return False
-
-
-class VideoFile:
-    """Writes a camera's grey video, NAME + tail + the kind's suffix; use it as a context manager.
-
-    OpenCV's own FFmpeg writes it on every supported platform, without an ffmpeg binary.
-    Raises InputError when it cannot be opened.
-    """
-
-    def __init__(self, folder: Path, camera: CameraModel, kind: tuple[str, str], fps: float, tail: str = "") -> None:
-        codec, suffix = kind
-        path, size = folder / f"{camera.name}{tail}{suffix}", (camera.width, camera.height)
-        fourcc = cv2.VideoWriter.fourcc(*codec)
-        self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), size, False)
-        if not self._writer.isOpened():
-            raise InputError(
-                f"a video with codec {codec} cannot be written",
-                where=str(path),
-                remedy="Install an OpenCV with FFmpeg (pip install opencv-python-headless).",
-            )
-
-    def write(self, image: NDArray[np.uint8]) -> None:
-        """Appends one image (h, w) uint8."""
-        self._writer.write(image)
-
-    def __enter__(self) -> VideoFile:
-        return self
-
-    def __exit__(self, *raised: object) -> None:
-        self._writer.release()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from itertools import pairwise
 
 import cv2
@@ -16,7 +15,7 @@ from capture_rig.lens import Array
 from ..boards import BACK, BLACK, WHITE, BoardPrint, PosedBoard, PosePath
 from ..people import Capsules
 from ..rig import view_room
-from .camera import Image, Light, Sensor
+from .camera import Light
 from .capsules import boxes_around, draw_capsules, lambert
 
 SAMPLES = 48
@@ -29,7 +28,7 @@ MOST_INSTANTS = 9
 
 
 class BoardCamera:
-    """Renders the room with boards, and with who holds them, through a camera's own lens."""
+    """Renders the room with a board, and with who holds it, through a camera's own lens."""
 
     def __init__(self, camera: CameraModel) -> None:
         self.camera = camera
@@ -40,45 +39,38 @@ class BoardCamera:
         return self._view.grey
 
     def render(
-        self,
-        boards: Sequence[PosedBoard] = (),
-        people: Capsules | None = None,
-        blur_px: float = LENS_BLUR_PX,
-        samples: int = SAMPLES,
+        self, board: PosedBoard, people: Capsules | None = None, blur_px: float = LENS_BLUR_PX, samples: int = SAMPLES
     ) -> Light:
-        """Returns the light of boards, farthest first, and of people, blurred by the lens (standard deviation, px).
+        """Returns the light of a board and of people, blurred by the lens (standard deviation, px).
 
         samples : of a pixel on an edge; few are fast, many are exact.
         """
-        light, depth = self._with_people(people)
-        for board in sorted(boards, key=self._distance, reverse=True):
-            self._draw(board, depth, light, sample_offsets(samples))
-        return _blurred(light, blur_px)
+        light, printed, poses = self._view.grey.copy(), board.print, board.T_world_board
+        depth = np.full(light.shape, np.inf, np.float32)
+        if people is not None:
+            depth, _ = draw_capsules(self.camera, self._view.rays, people, light)
+        ring, share = printed.sheet_board[[0, 1, 3, 2, 0]], np.linspace(0.0, 1.0, OUTLINE_POINTS, endpoint=False)
+        outline = np.concatenate([a + share[:, None] * (b - a) for a, b in pairwise(ring)])  # a lens bends its edges
+        places = np.concatenate([outline @ T[:3, :3].T + T[:3, 3] for T in poses])  # while the shutter is open
+        (box,) = boxes_around(self.camera, places[None])
+        if (box[2:] > box[:2]).all():
+            # from ideal image coordinates [x, y, 1] to texels, scaled so that the last row gives 1 / depth
+            in_camera = self.camera.T_camera_world @ poses
+            homographies = printed.H_texel_board @ np.linalg.inv(in_camera[:, :3, [0, 1, 3]])
+            greys, offsets = np.array([self._greys(T) for T in poses]), sample_offsets(samples)
+            cast_board(
+                self._ideal, homographies, greys, printed.texture, printed.edge_distance, offsets, box, depth, light
+            )
+        if blur_px > 0:
+            cv2.GaussianBlur(light, (0, 0), blur_px, dst=light, borderType=cv2.BORDER_REPLICATE)
+        return light
 
     def film(
         self, board: BoardPrint, path: PosePath, t: float, people: Capsules | None, samples: int = SAMPLES
     ) -> Light:
         """Returns the light of a board on its path while the shutter is open: ``t`` is the middle of that, s."""
-        posed = PosedBoard(board, exposure_poses(self.camera, board, path, t, EXPOSURE_S))
-        return self.render([posed], people, samples=samples)
-
-    def _with_people(self, people: Capsules | None) -> tuple[Light, Light]:
-        """Light and depth along the ray, m, of the room with people in it."""
-        light = self._view.grey.copy()
-        if people is None:
-            return light, np.full(light.shape, np.inf, np.float32)
-        return light, draw_capsules(self.camera, self._view.rays, people, light)[0]
-
-    def _draw(self, board: PosedBoard, depth: Light, light: Light, offsets: Array) -> None:
-        printed = board.print
-        outline = _outline(printed.sheet_board)  # while the shutter is open
-        places = np.concatenate([outline @ T[:3, :3].T + T[:3, 3] for T in board.T_world_board])
-        (box,) = boxes_around(self.camera, places[None])
-        if (box[2:] <= box[:2]).any():
-            return
-        homographies = np.array([_homography(self.camera.T_camera_world @ T, printed) for T in board.T_world_board])
-        greys = np.array([self._greys(T) for T in board.T_world_board])
-        cast_board(self._ideal, homographies, greys, printed.texture, printed.edge_distance, offsets, box, depth, light)
+        posed = PosedBoard(board, exposure_poses(self.camera, board, path, t))
+        return self.render(posed, people, samples=samples)
 
     def _greys(self, T_world_board: Array) -> Array:
         """Return (2,) light from black and white; from both the same, of the sheet, where its back is seen."""
@@ -87,33 +79,17 @@ class BoardCamera:
         normal = T_world_board[:3, 2] if in_front else -T_world_board[:3, 2]
         return lambert(*normal) * np.array([BLACK, WHITE] if in_front else [BACK, BACK])
 
-    def _distance(self, board: PosedBoard) -> float:
-        middle = board.middle[:3, :3] @ board.print.middle_board + board.middle[:3, 3]
-        return float(np.linalg.norm(middle - self.camera.centre_world))
 
-
-class FilmingCamera:
-    """Takes one camera's pictures; ``number`` and the frame's number determine the noise."""
-
-    def __init__(self, camera: CameraModel, number: int, sensor: Sensor) -> None:
-        self.camera, self._number, self._sensor = camera, number, sensor
-        self._renderer = BoardCamera(camera)
-
-    def take(self, frame: int, board: BoardPrint, path: PosePath, t: float, people: Capsules | None = None) -> Image:
-        """Takes a picture (h, w) of a board on its path at time ``t`` (the middle of the exposure), s."""
-        return self._sensor.expose(self._renderer.film(board, path, t, people), self._number, frame)
-
-
-def exposure_poses(camera: CameraModel, board: BoardPrint, path: PosePath, t: float, exposure_s: float) -> Array:
+def exposure_poses(camera: CameraModel, board: BoardPrint, path: PosePath, t: float) -> Array:
     """Returns a board's poses (K, 4, 4) while the shutter is open, as many as its motion in the picture asks for."""
-    shutter = np.array([-0.5, 0.5]) * exposure_s + t
+    shutter = np.array([-0.5, 0.5]) * EXPOSURE_S + t
     opened, closed = (camera.project(board.sheet_board @ T[:3, :3].T + T[:3, 3]) for T in map(path, shutter))
     moved_px = float(np.nan_to_num(np.abs(closed - opened)).max())
     if moved_px < STILL_PX:
         return path(t)[None]
     instants = min(3 + 2 * int(moved_px / 2.0), MOST_INSTANTS)  # an odd number: one of them is the middle
     between = (np.arange(instants) + 0.5) / instants
-    return np.array([path(time) for time in shutter[0] + between * exposure_s])
+    return np.array([path(time) for time in shutter[0] + between * EXPOSURE_S])
 
 
 def ideal_corners(camera: CameraModel) -> Array:
@@ -121,23 +97,6 @@ def ideal_corners(camera: CameraModel) -> Array:
     y, x = np.mgrid[: camera.height + 1, : camera.width + 1] - 0.5
     rays = camera.rays_world(np.column_stack([x.ravel(), y.ravel()])) @ camera.R_camera_world.T
     return np.ascontiguousarray((rays[:, :2] / rays[:, 2:]).reshape(camera.height + 1, camera.width + 1, 2))
-
-
-def _homography(T_camera_board: Array, board: BoardPrint) -> Array:
-    """(3, 3) from normalised image coordinates [x, y, 1] to texels; scaled so that its last row gives 1 / depth."""
-    return board.H_texel_board @ np.linalg.inv(T_camera_board[:3, [0, 1, 3]])
-
-
-def _outline(sheet: Array) -> Array:
-    """Return (4 * OUTLINE_POINTS, 3) points around the sheet: a lens bends its edges."""
-    ring, fraction = sheet[[0, 1, 3, 2, 0]], np.linspace(0.0, 1.0, OUTLINE_POINTS, endpoint=False)[:, None]
-    return np.concatenate([a + fraction * (b - a) for a, b in pairwise(ring)])
-
-
-def _blurred(light: Light, blur_px: float) -> Light:
-    if blur_px > 0:
-        cv2.GaussianBlur(light, (0, 0), blur_px, dst=light, borderType=cv2.BORDER_REPLICATE)
-    return light
 
 
 # --- Kernels that draw flat prints: what share of each pixel they cover, and how bright it is there.
