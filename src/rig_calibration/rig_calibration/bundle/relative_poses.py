@@ -84,7 +84,6 @@ def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
 
 MIN_POINTS = 12  # the essential matrix needs five; with fewer than this, wrong labels cannot be told
 INLIER_PX, CONFIDENCE = 3.0, 0.9999
-LABELLING_ROUNDS = 5
 
 Pair = tuple[Array, Array, Array]  # the same markers of a frame: ideal points (n, 2) in a and b, positions (n, 3)
 
@@ -94,20 +93,15 @@ def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b
 
     Where a wand's ends cannot be told apart, each frame's numbering in b is tried both ways round.
     """
-    choices = [[pair for pair in _ways_round(u, v) if len(pair[0])] for u, v in common]
-    choices = [pairs for pairs in choices if pairs]
+    ways = [_ways_round(u, v) for u, v in common]
+    choices = [pairs for pairs in ways if len(pairs[0][0])]
     if sum(len(pairs[0][0]) for pairs in choices) < MIN_POINTS:
         return None
     tolerance = INLIER_PX / float(np.sqrt(a.K[0, 0] * b.K[0, 0]))
-    labels, E, chosen = [0] * len(choices), np.empty((0, 3)), [pairs[0] for pairs in choices]
-    for _ in range(LABELLING_ROUNDS):
-        chosen = [pairs[label] for pairs, label in zip(choices, labels, strict=True)]
-        E = _essential(chosen, tolerance)
-        if len(E) == 0:
-            return None
-        before, labels = labels, [int(np.argmin([_epipolar_distance(E, p).max() for p in pairs])) for pairs in choices]
-        if labels == before:
-            break
+    E = _essential([pair for pairs in choices for pair in pairs], tolerance)  # wrong ways round are outliers
+    if len(E) == 0:
+        return None
+    chosen = [min(pairs, key=lambda pair: _epipolar_distance(E, pair).max()) for pairs in choices]
     fitting = [pair for pair in chosen if _epipolar_distance(E, pair).max() < tolerance]
     return _with_scale(E, fitting) if fitting else None
 
@@ -139,8 +133,7 @@ def _ways_round(u: View, v: View) -> list[Pair]:
         ids, rows_u, rows_v = np.intersect1d(
             u.detection.ids, symmetry.permutation[v.detection.ids], return_indices=True
         )
-        good = np.isfinite(u.ideal[rows_u]).all(axis=1) & np.isfinite(v.ideal[rows_v]).all(axis=1)
-        pairs.append((u.ideal[rows_u][good], v.ideal[rows_v][good], u.shape.points[ids][good]))
+        pairs.append((u.ideal[rows_u], v.ideal[rows_v], u.shape.points[ids]))
     return pairs
 
 
@@ -193,7 +186,7 @@ def _fit_line(seen: Sequence[tuple[View, Array]], symmetries: Sequence[int]) -> 
             for (view, T), rows in zip(seen, ids, strict=True)
             if marker in rows
         ]
-        if len(shown) >= 2 and all(np.isfinite(ideal).all() for ideal, _ in shown):
+        if len(shown) >= 2:
             found.append(_triangulate([ideal for ideal, _ in shown], [T for _, T in shown]))
             where.append(marker)
     if len(found) < 2 or not np.isfinite(found).all():
@@ -210,6 +203,6 @@ def _miss(pose: Array, view: View, T_camera_root: Array, symmetry: int) -> float
     ids = view.shape.symmetries[symmetry].permutation[view.detection.ids]
     T = T_camera_root @ pose
     seen = T[:3, :3] @ view.shape.points[ids].T + T[:3, 3:]
-    if np.any(seen[2] <= 0) or not np.isfinite(view.ideal).all():
+    if np.any(seen[2] <= 0):
         return np.inf
     return float(np.mean(np.linalg.norm(seen[:2] / seen[2] - view.ideal.T, axis=0)))

@@ -1,7 +1,9 @@
-"""Steps 4 and 5 together: adjust, leave out what contradicts the rest, adjust again, compare the targets' sizes.
+"""Steps 4 and 5 together: adjust, leave out what contradicts the rest, adjust again.
 
-A wrong order of corners, a target that moved between the exposures, corners found on something else: what fits no pose
-of the target is left out for that; of three or more cameras that saw the target, the one farthest off; of two, both.
+A wrong order of corners, a target that moved between the exposures, corners found on something else: of three or more
+cameras that saw the target, the one farthest off is left out; of two, both. Sizes of targets are free beside that of
+the target seen most, with a prior, as are lenses that are to be refined: a size that is given wrongly would contradict
+everything else.
 Where cameras contradict one another more than the corners' noise explains, each detection may be displaced in the end
 (:mod:`.uncertainty`).
 """
@@ -19,7 +21,6 @@ from capture_rig.rigid import inverse
 from ..boards.board import TargetDetection
 from .adjustment import (
     CONVERGED,
-    HUBER,
     RAYLEIGH_MEDIAN,
     ROUGHLY,
     Adjusted,
@@ -30,11 +31,12 @@ from .adjustment import (
     normal_equations,
     normalised_lengths,
     robust_rows,
+    shared_of,
     step,
 )
 from .initial_poses import InitialPoses, most_seen, with_symmetry
 from .problem import LENS, LINE, Problem, View
-from .state import WARP, Bools, Ints, Layout, Linearised, Observations, State, lens_of, observe, residuals_px
+from .state import WARP, Bools, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
 from .uncertainty import Covariance, covariance, displacement_of, whitened
 
 ROUNDS = 20
@@ -44,6 +46,7 @@ ODD_ONE = "contradicts the other cameras in that frame (wrong corners, or moved 
 PAIR = "the two cameras contradict each other in that frame (wrong corners, or moved between the exposures)"
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
 # Thresholds: judgement, no measurement.
+SIZE_SD = 0.01  # of targets about the sizes given beside that of the one seen most
 CLEAR_SDS = 5.0  # beyond so many standard deviations something is wrong, not imprecise
 WORST_FIRST = 0.7  # of the worst: what is left out in one round
 HARMLESS_PX = 0.3  # lenses that are not quite right and delays may do so much
@@ -67,10 +70,9 @@ class RejectedDetection:
 class Fit:
     """The state of the solver: all detections, which of them still take part (``rows``), and the adjusted state.
 
-    ``seen`` holds the observations of all detections; ``free_scales`` (k,) which targets' sizes are unknown;
-    ``alone_px`` (s,) the rms distance of each detection's corners under the pose that fits it best alone;
-    ``displacement_m``, how far (sd) the target may have been elsewhere for each detection; ``prior`` of the lenses
-    and warps, where these are adjusted; ``free_lenses`` (c, 12), ``free_warps`` (k, 2) which of them.
+    ``seen`` holds the observations of all detections; ``free_scales`` (k,), ``free_lenses`` (c, 12), ``free_warps``
+    (k, 2) which sizes, lenses and warps are adjusted, ``prior`` what is known of these; ``displacement_m``, how far
+    (sd) the target may have been elsewhere for each detection.
     """
 
     problem: Problem
@@ -83,10 +85,8 @@ class Fit:
     free_lenses: Bools
     free_warps: Bools
     left_out: tuple[RejectedDetection, ...]
-    alone_px: Array
-    displacement_m: float
-    scale_of: dict[str, tuple[float, float]]
-    prior: Prior | None = None
+    prior: Prior
+    displacement_m: float = 0.0
 
     @property
     def detections(self) -> tuple[TargetDetection, ...]:
@@ -96,10 +96,6 @@ class Fit:
     @property
     def used(self) -> Observations:
         return self.seen.only(self.rows)
-
-    @property
-    def layout(self) -> Layout:
-        return Layout(len(self.problem.cameras), len(self.problem.shapes))
 
     @property
     def reasons(self) -> dict[str, str]:
@@ -113,7 +109,7 @@ class Fit:
     @property
     def free(self) -> FreeUnknowns:
         """What moves while the root camera holds the frame."""
-        layout = self.layout
+        layout = self.adjusted.state.layout
         shared = np.ones(layout.size, bool)
         shared[layout.camera(self.root)] = False
         shared[layout.scales] = self.free_scales
@@ -124,7 +120,7 @@ class Fit:
 
     def covariance(self, free: FreeUnknowns) -> Covariance:
         """Covariances in the gauge that ``free`` sets; lenses that were not adjusted are as uncertain as given."""
-        known = self.problem.lens_sd if self.prior is None else {}
+        known = {} if self.free_lenses.any() else self.problem.lens_sd
         lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known}
         return covariance(self.adjusted, self.used, free, lenses, self.displacement_m, self.prior)
 
@@ -134,9 +130,9 @@ class Fit:
         return robust_rows(self.adjusted.state, scaled)
 
 
-def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) -> Fit:
+def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses, refine_intrinsics: bool = False) -> Fit:
     """Make the first state; detections whose target has no pose yet, or lies behind their camera, are left out."""
-    keys, names, targets = problem.keys, list(problem.cameras), len(problem.shapes)
+    keys, names, targets = problem.keys, list(problem.cameras), list(problem.shapes)
     detections = tuple(with_symmetry(view, symmetry) for view, symmetry in zip(views, initial.symmetries, strict=True))
     seen = observe(detections, names, keys, problem.shapes)
     state = _first_state(problem, initial)
@@ -148,6 +144,7 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
         RejectedDetection(detections[i], ODD_ONE if placed[i] else NO_POSE)
         for i in np.flatnonzero(~keep & (placed | ~on_a_line))
     )
+    lens_sd = np.array([problem.lens_sd[name] for name in names] if refine_intrinsics else np.zeros((len(names), LENS)))
     return Fit(
         problem=problem,
         all_detections=detections,
@@ -155,30 +152,22 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
         rows=np.flatnonzero(keep),
         adjusted=Adjusted(state, 1.0),
         root=names.index(initial.root),
-        free_scales=np.zeros(targets, bool),
-        free_lenses=np.zeros((len(names), LENS), bool),
-        free_warps=np.zeros((targets, WARP), bool),
+        free_scales=np.array(targets) != most_seen(problem.detections, targets),
+        free_lenses=lens_sd > 0,
+        free_warps=np.zeros((len(targets), WARP), bool),
         left_out=left_out,
-        alone_px=np.array([_alone_px(view) for view in views]),
-        displacement_m=0.0,
-        scale_of={},
+        prior=_prior(state, lens_sd),
     )
 
 
-def _alone_px(view: View) -> float:
-    """How far its corners are from the target's shape; infinite where they fit no pose, 0 where none would tell."""
-    if view.poses is None:
-        return 0.0 if view.shape.dimension == LINE else np.inf
-    return float(view.poses.rms_px.min())
-
-
-def fit_robustly(fit: Fit, refine_intrinsics: bool = False) -> Fit:
-    """Adjust, leave contradictions out, weigh noisy detections down."""
-    # Sizes first: a target whose size is given wrongly would contradict everything else.
-    names = list(fit.problem.shapes)
-    beside_base = np.array(names) != most_seen(fit.detections, names)
-    fit = _compare_sizes(without_contradictions(replace(fit, free_scales=beside_base)))
-    return settled(_with_free_lenses(fit) if refine_intrinsics else fit)
+def _prior(state: State, lens_sd: Array) -> Prior:
+    """What is known of sizes, and of lenses that are to be refined (``lens_sd`` (c, 12), 0 where nothing is)."""
+    layout = state.layout
+    sd = np.full(layout.size, np.inf)
+    sd[layout.scales] = SIZE_SD
+    for row, deviations in enumerate(lens_sd):
+        sd[layout.lens(row)] = np.where(deviations > 0, deviations, np.inf)
+    return Prior(shared_of(state), np.diag(sd**-2.0))
 
 
 def settled(fit: Fit) -> Fit:
@@ -193,7 +182,7 @@ def without_contradictions(fit: Fit) -> Fit:
         fit = adjusted(fit, stop)
         used = fit.used
         wrong = _bad_corners(fit.adjusted, used)
-        out = _contradictions(fit.adjusted, used, fit.alone_px[fit.rows])
+        out = _contradictions(fit.adjusted, used)
         if out or wrong.any():
             fit = _leave_out(fit, wrong, out)
         elif stop is CONVERGED:
@@ -207,8 +196,7 @@ def adjusted(fit: Fit, stop: StopCriterion = CONVERGED) -> Fit:
     """Adjust with all detections that take part."""
     if len(fit.rows) == 0:
         return fit
-    layout = fit.layout
-    return replace(fit, adjusted=adjust(fit.adjusted.state, fit.used, layout, fit.free, fit.prior, stop))
+    return replace(fit, adjusted=adjust(fit.adjusted.state, fit.used, fit.free, fit.prior, stop))
 
 
 def _first_state(problem: Problem, initial: InitialPoses) -> State:
@@ -239,25 +227,18 @@ def _bad_corners(fit: Adjusted, seen: Observations) -> Bools:
     return off & (misfit < CLEAR_SDS)
 
 
-def _contradictions(fit: Adjusted, seen: Observations, alone_px: Array) -> list[tuple[int, str]]:
-    """Find the rows of detections to leave out, with the reason; of one pose of a target, no more than needs be.
-
-    ``alone_px`` (s,): the rms distance of the corners of each detection under the pose that fits it best alone.
-    """
+def _contradictions(fit: Adjusted, seen: Observations) -> list[tuple[int, str]]:
+    """Find the rows of detections to leave out, with the reason; of one pose of a target, no more than needs be."""
     misfit, sigma_px = _misfits(fit, seen), fit.scale / np.maximum(seen.weight.max(axis=1), 1e-300)
-    off_alone = alone_px > np.sqrt(2.0) * np.maximum(CLEAR_SDS * sigma_px, HARMLESS_PX)
     # lesser ones may only follow from the worst
     limit = max(CLEAR_SDS, WORST_FIRST * float(misfit.max(initial=0.0)))
     found: list[tuple[int, str]] = []
     for pose in np.unique(seen.pose[(misfit > limit) & (misfit * sigma_px * RAYLEIGH_MEDIAN > HARMLESS_PX)]):
         rows = np.flatnonzero(seen.pose == pose)
-        own = rows[off_alone[rows]]
-        if len(own) or len(rows) == 1:
-            found += [(int(row), SINGLE) for row in (own if len(own) else rows)]
-        elif len(rows) == 2:
-            found += [(int(row), PAIR) for row in rows]
-        else:  # the others outvote it: Huber's loss grows like the distance, and they agree
+        if len(rows) > 2:  # the others outvote it: Huber's loss grows like the distance, and they agree
             found.append((int(rows[np.argmax(misfit[rows])]), ODD_ONE))
+        else:
+            found += [(int(row), PAIR if len(rows) == 2 else SINGLE) for row in rows]
     return sorted(found)
 
 
@@ -283,44 +264,13 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
 
 def _with_displacement(fit: Fit) -> Fit:
     """Where cameras contradict one another more than corners' noise explains, targets may have moved between them."""
-    state, layout, free = fit.adjusted.state, fit.layout, fit.free
+    state, free = fit.adjusted.state, fit.free
     for _ in range(DISPLACEMENT_ROUNDS):
         linear, corners = fit.rows_at_solution(), int((fit.used.weight > 0).sum())
         tau = displacement_of(linear, fit.used.pose, int(free.shared.sum()), corners)
         if tau == 0.0:
             return fit
-        rows, poses = whitened(linear, tau), len(state.position)
-        state = state.moved(*step(normal_equations(rows, fit.used, layout, poses, fit.prior, state), free, 0.0))
+        equations = normal_equations(whitened(linear, tau), fit.used, state, fit.prior)
+        state = state.moved(*step(equations, free, 0.0))
         fit = replace(fit, adjusted=replace(fit.adjusted, state=state), displacement_m=tau)
     return fit
-
-
-# --- Sizes of targets, and lenses.
-
-
-def _compare_sizes(fit: Fit) -> Fit:
-    """Return the targets' sizes beside the base's; those that agree with what was given are held fixed from now on."""
-    if not fit.free_scales.any():
-        return fit
-    sd = fit.covariance(fit.free).scale_sd
-    ratio = fit.adjusted.state.scale
-    agree = np.abs(ratio - 1) <= HUBER * sd
-    names = list(fit.problem.shapes)
-    told = np.flatnonzero(fit.free_scales & (HUBER * sd < 1))  # not where no view compares it with the base
-    scale_of = {names[k]: (float(ratio[k]), float(sd[k])) for k in told}
-    state = replace(fit.adjusted.state, scale=np.where(agree, 1.0, ratio))
-    return replace(
-        fit, adjusted=replace(fit.adjusted, state=state), free_scales=fit.free_scales & ~agree, scale_of=scale_of
-    )
-
-
-def _with_free_lenses(fit: Fit) -> Fit:
-    """Lenses free, with a prior around those given that is as wide as their standard deviations."""
-    layout = fit.layout
-    mean, information = np.zeros(layout.size), np.zeros((layout.size, layout.size))
-    sd = np.array([fit.problem.lens_sd[name] for name in fit.problem.cameras])
-    for row, deviations in enumerate(sd):
-        mean[layout.lens(row)] = fit.adjusted.state.lens[row]
-        known = np.arange(layout.size)[layout.lens(row)][deviations > 0]
-        information[known, known] = deviations[deviations > 0] ** -2.0
-    return replace(fit, free_lenses=sd > 0, prior=Prior(mean, information))

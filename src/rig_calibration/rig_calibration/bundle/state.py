@@ -45,14 +45,17 @@ class State:
     board_warp: Array
     fisheye: Bools
 
+    @property
+    def layout(self) -> Layout:
+        return Layout(len(self.centre), len(self.scale))
+
     def moved(self, shared: Array, poses: Array) -> State:
         """The state after a step: ``shared`` (as laid out by :class:`Layout`), ``poses`` (m, 6) rotation, position.
 
         Cameras turn about their centre by a rotation vector in their own frame, targets about their centroid by one
         in the common frame.
         """
-        cameras, targets = len(self.centre), len(self.scale)
-        layout = Layout(cameras, targets)
+        layout, cameras = self.layout, len(self.centre)
         by_camera = shared[: cameras * OF_CAMERA].reshape(cameras, OF_CAMERA)
         return State(
             nearest_rotation(rotation_matrix(by_camera[:, :3]) @ self.R_camera),

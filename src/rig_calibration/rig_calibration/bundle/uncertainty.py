@@ -78,7 +78,7 @@ def covariance(
     free: FreeUnknowns,
     lens_sd: Mapping[int, Array],
     displacement_m: float,
-    prior: Prior | None = None,
+    prior: Prior,
 ) -> Covariance:
     """Compute the covariances at the solution ``fit``; ``free`` sets the gauge (and frees the lenses that were
     refined).
@@ -86,17 +86,16 @@ def covariance(
     ``lens_sd``: by row of the camera, (12,) of its lens parameters, where these were held fixed; ``displacement_m``:
     how far (sd) the target may have moved between exposures.
     """
-    layout = Layout(len(fit.state.centre), len(fit.state.scale))
+    layout = fit.state.layout
     scaled = seen.weighted(np.array(1 / fit.scale))
-    linear = whitened(robust_rows(fit.state, scaled), displacement_m)
-    equations = normal_equations(linear, scaled, layout, len(free.poses))
+    equations = normal_equations(whitened(robust_rows(fit.state, scaled), displacement_m), scaled, fit.state, prior)
     told = np.linalg.eigvalsh(equations.V[free.poses])  # six numbers of a pose, five of a wand's
     unknowns = int(free.shared.sum() + (told > TINY * told[:, -1:]).sum())
     factor = variance_factor(normalised_lengths(fit.state, scaled)[scaled.weight > 0], unknowns)
     reduced = reduce(equations, FreeUnknowns(np.ones(layout.size, bool), free.poses))
     information, score = reduced.information / factor, reduced.score / factor
     S = information.sum(axis=0)
-    white = _inverse(S if prior is None else S + prior.information, free.shared)
+    white = _inverse(S + prior.information, free.shared)
     enlarged, inflation = _enlarged(white, information, score)
     total = enlarged + _lens_effect(white, S, layout, lens_sd)
     return Covariance(layout, total, factor * fit.scale**2, inflation)

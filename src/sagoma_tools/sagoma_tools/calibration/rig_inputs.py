@@ -7,7 +7,7 @@ camera, or from a rig file whose poses are to be renewed.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,10 @@ from rig_calibration.extrinsics.board_frames import (
     FloorAt,
     StillBoard,
     average_still_board,
-    choose_frames,
     frames_on_floor,
+    shared_frames,
 )
-from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND, FloorTarget, Target
+from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND, Target
 from rig_calibration.extrinsics.world import WorldChoice
 
 from .rig_detections import CameraDetections, Cameras, CamerasDetections, missing_reason
@@ -62,9 +62,9 @@ def floor_inputs(floor: CamerasDetections, board: Board, choice: WorldChoice, by
         for name, seen in floor.items()
         if seen.detections
     }
-    target = FloorTarget.of_board(board, choice)
+    target = Target.of(board, choice)
     if set(by_hand) >= set(stills):
-        target = FloorTarget(target.points, 1, target.T_world_floor)
+        target = replace(target, symmetry_order=1)
     return RigInputs(tuple(still.detection for still in stills.values()), {FLOOR: target}, _moved_frames(stills))
 
 
@@ -82,7 +82,7 @@ def moving_inputs(
         name: average_still_board([s for s in resting if s.camera == name], board, target=FLOOR) for name in names
     }
     carried = _at_chosen_frames([detection for detection in moving if detection.frame_index not in lying])
-    targets = {FLOOR: FloorTarget.of_board(board, choice)} | ({MOVING: Target.of(board)} if carried else {})
+    targets = {FLOOR: Target.of(board, choice)} | ({MOVING: Target.of(board)} if carried else {})
     guess = tuple(sorted(lying)) if floor_at == "lowest" else ()
     return RigInputs((*(still.detection for still in stills.values()), *carried), targets, _moved_frames(stills), guess)
 
@@ -128,7 +128,7 @@ def require_seen(
 
 
 def _at_chosen_frames(moving: Sequence[TargetDetection]) -> tuple[TargetDetection, ...]:
-    chosen = set(choose_frames(moving))
+    chosen = set(shared_frames(moving))
     return tuple(detection for detection in moving if detection.frame_index in chosen)
 
 
@@ -147,7 +147,7 @@ def read_floor_points(path: str | Path, cameras: Cameras) -> RigInputs:
     for name, seen in _part(document, "cameras", path):
         if name in cameras:
             detections.append(_detection(cameras[name], seen, order, f"{path}: cameras.{name}"))
-    return RigInputs(tuple(detections), {FLOOR: FloorTarget(world)})
+    return RigInputs(tuple(detections), {FLOOR: Target(world, T_world_target=np.eye(4))})
 
 
 def names_in_floor_points(path: str | Path) -> list[str]:

@@ -20,7 +20,7 @@ from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import find_board
-from rig_calibration.extrinsics.board_frames import MotionProgress, motion_progress
+from rig_calibration.extrinsics.board_frames import motion_advice
 from rig_calibration.extrinsics.calibrate import MOVING
 from sagoma_ros.images import decode_image
 from sagoma_ros.inputs import Worker
@@ -70,10 +70,10 @@ class MotionRecorder:
             for name, topic in topics.items()
         ]
 
-    def progress(self) -> MotionProgress:
-        """Return the progress so far."""
+    def progress(self) -> tuple[int, str]:
+        """Return the frames that tie cameras together so far, and what is missing."""
         with self._lock:
-            return motion_progress(tuple(self._topics), self._detections)
+            return motion_advice(tuple(self._topics), self._detections)
 
     def seen(self) -> CamerasDetections:
         """Return the detections of each camera."""
@@ -137,14 +137,14 @@ def watch_recorder(recorder: MotionRecorder, stop: threading.Event) -> None:
         recorder.changed.clear()
         if recorder.error is not None:
             raise recorder.error
-        progress = recorder.progress()
+        shared, advice = recorder.progress()
         if recorder.examined == 0 and time.monotonic() - begun_s > PATIENCE_S:
             apart = f"no two cameras' within {TOLERANCE_NS / 1e6:g} ms of each other"
             came = f"{recorder.received} pictures came, but {apart}" if recorder.received else "no picture comes"
             raise InputError(came, remedy="Synchronise the cameras (docs/camera_pcs.md).")
-        examined = f"{progress.shared_frames} of {recorder.examined} frames seen by two or more cameras"
-        done(f"{examined}; {progress.advice or 'enough'}")
-        if not progress.advice:
+        examined = f"{shared} of {recorder.examined} frames seen by two or more cameras"
+        done(f"{examined}; {advice or 'enough'}")
+        if not advice:
             return
 
 
