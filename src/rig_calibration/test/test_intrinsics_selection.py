@@ -68,7 +68,7 @@ def test_collecting_ends_when_lens_is_known_and_everything_covered():
         if collector.enough:
             break
     assert collector.enough and collector.advice() == "" and 12 <= len(collector) < 80
-    expected, result = collector.expected, found(collector.best())
+    expected, result = collector.expected, found(collector.detections)
     assert expected.focal_sd <= 0.004 and expected.centre_sd_px <= 2.0
     assert result.sd["fx"] / result.values["fx"] == pytest.approx(expected.focal_sd, rel=0.35)
     assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.006)

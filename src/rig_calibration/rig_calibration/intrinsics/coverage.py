@@ -31,11 +31,6 @@ class BoardPlacement:
     size: float
     lean_rad: Array
 
-    @property
-    def tilt(self) -> float:
-        """Angle between the board and the image plane, rad: the perspective that tells the focal length."""
-        return float(np.hypot(*self.lean_rad))
-
 
 def placement_of(T_camera_board: Array, detection: TargetDetection) -> BoardPlacement:
     """Tell what a pose of the board means to the person who holds it; its origin may lie anywhere on the board."""
@@ -105,12 +100,7 @@ def coverage_of(pixels: Sequence[Array], placements: Sequence[BoardPlacement], i
         cells |= covered_cells(corners, image_size, cells.shape)
     leans = np.rad2deg(np.array([placement.lean_rad for placement in placements]).reshape(-1, 2))
     x, y = leans.T
-    tilt = {
-        "left": (-x).max(initial=0.0),
-        "right": x.max(initial=0.0),
-        "top": (-y).max(initial=0.0),
-        "bottom": y.max(initial=0.0),
-    }
+    tilt = {side: lean.max(initial=0.0) for side, lean in zip(SIDES, (-x, x, -y, y), strict=True)}
     sizes = [max(placement.size, 1e-6) for placement in placements] or [1.0]
     return Coverage(cells, {side: float(lean) for side, lean in tilt.items()}, max(sizes) / min(sizes))
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -32,8 +33,7 @@ ENOUGH_VIEWS = 12
 TRACKED_SHARE = 0.5  # of the corners must be found again to tell how far the board moved
 
 
-@dataclass(frozen=True)
-class LensAccuracy:
+class LensAccuracy(NamedTuple):
     """How well a lens is known: sd of the focal length (share) and of the principal point (px)."""
 
     focal_sd: float
@@ -73,12 +73,13 @@ class ViewCollector:
         self.goals = goals
         self._held: list[_CollectedView] = []
         self._lens: CameraModel | None = None
-        self._fitted_sd: Array = np.empty(0)  # of the lens's parameters, when it was fitted
+        self._fitted_sd: Array = np.empty(0)  # of fx fy cx cy, when it was fitted
         self._fitted, self._next_fit = 0, FIRST_FIT
 
     @property
     def detections(self) -> list[TargetDetection]:
-        return [held.detection for held in self._held]
+        """The views to calibrate from, in the order of their frames."""
+        return sorted((held.detection for held in self._held), key=lambda detection: detection.frame_index)
 
     def __len__(self) -> int:
         return len(self._held)
@@ -113,7 +114,7 @@ class ViewCollector:
         if self._lens is None:
             return None
         sd = self._fitted_sd * np.sqrt(self._fitted / len(self))
-        return LensAccuracy(float((sd[:2] / self._lens.K.diagonal()[:2]).max()), float(sd[2:4].max()))
+        return LensAccuracy(float((sd[:2] / self._lens.K.diagonal()[:2]).max()), float(sd[2:].max()))
 
     @property
     def enough(self) -> bool:
@@ -131,10 +132,6 @@ class ViewCollector:
         if not self._held:
             return "show the whole board to the camera and hold it still"
         return self.coverage.advice() or "go on: tilted by 30 to 45 degrees, near, all over the image"
-
-    def best(self) -> list[TargetDetection]:
-        """Return the views to calibrate from, in the order of their frames."""
-        return sorted(self.detections, key=lambda detection: detection.frame_index)
 
     def _sharpest(self) -> float:
         return float(np.percentile([held.blur_and_motion_px for held in self._held], 25)) if self._held else 0.0
@@ -169,11 +166,11 @@ class ViewCollector:
             return
         self._next_fit = int(np.ceil(GROWTH * len(self)))
         try:
-            fit = fit_lens(self.best(), self._board, self._model)
+            fit = fit_lens(self.detections, self._board, self._model)
         except InputError:
             return
         self._lens, self._fitted = fit.camera, len(self)
-        self._fitted_sd = np.sqrt(np.diag(fit.covariance))
+        self._fitted_sd = np.sqrt(np.diag(fit.covariance)[:4])
         again = [self._placed(held.detection, held.blur_and_motion_px) for held in self._held]
         self._held = [held for held in again if held is not None]
 
@@ -181,18 +178,6 @@ class ViewCollector:
 # --- From images to views.
 
 NOT_SEEN = "the board is not seen"
-
-
-@dataclass(frozen=True, eq=False)
-class ImageResult:
-    """What an image showed: the detection, None when the board was not found; the ``reason`` why it was not taken."""
-
-    detection: TargetDetection | None
-    reason: str
-
-    @property
-    def taken(self) -> bool:
-        return not self.reason
 
 
 class BoardImageProcessor:
@@ -206,10 +191,13 @@ class BoardImageProcessor:
         self.examined = self.found = 0
         self.reasons: Counter[str] = Counter()
 
-    def process(self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int) -> ImageResult:
+    def process(
+        self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int
+    ) -> tuple[TargetDetection | None, str]:
         """Look at an image (H, W[, 3]) uint8; ``neighbour`` is the one just before it, if there is one.
 
-        Raises InputError when the images change their size.
+        Returns the detection, None when the board was not found, and why it was not taken ("": it was). Raises
+        InputError when the images change their size.
         """
         detection = find_board(image, self.board, camera=self.camera, frame_index=frame_index, thorough=self.thorough)
         reason = NOT_SEEN
@@ -220,7 +208,7 @@ class BoardImageProcessor:
         self.found += detection is not None
         if reason:
             self.reasons[reason.partition(":")[0]] += 1
-        return ImageResult(detection, reason)
+        return detection, reason
 
 
 def motion_px(image: np.ndarray, neighbour: np.ndarray, pixels: Array) -> float:

@@ -68,7 +68,7 @@ def _calibrate_one(footage: CameraFootage, board: Board, model: str, console: Co
         f"{footage.name}: {watcher.examined} images, board found in {watcher.found}, "
         f"{len(watcher.collector)} views kept"
     )
-    return calibrate_intrinsics(watcher.collector.best(), board, name=footage.name, model=model)
+    return calibrate_intrinsics(watcher.collector.detections, board, name=footage.name, model=model)
 
 
 def watch_footage(
@@ -102,8 +102,8 @@ def _watch(
     before: np.ndarray | None = None
     for index, (frame_index, image) in enumerate(footage):
         if index % stride == 0:
-            seen = watcher.process(image, before if footage.is_video else None, frame_index)
-            if seen.detection is None:
+            detection, _ = watcher.process(image, before if footage.is_video else None, frame_index)
+            if detection is None:
                 _remember(missed, image, watcher.examined - watcher.found)
             if progress is not None:
                 progress(watcher)
