@@ -62,7 +62,6 @@ def test_unusable_text_is_refused_with_what_is_wrong(text, says):
     ("yaml", "says"),
     [
         ("type: dots\n", "type = 'dots'"),
-        ("type: checkerboard\ncolumns: 9\n", "'rows' is missing"),
         ("type: checkerboard\ncolumns: 9\nrows: 6\n", "'field_m' is missing"),
         ("type: checkerboard\ncolumns: 9\nrows: 6\nfield_m: 25\n", "field_m = 25"),
         ("type: checkerboard\ncolumns: 9\nrows: 6\nfield_m: [1, 2, 3]\n", "neither a side"),

@@ -20,12 +20,13 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import diagnose_board, find_board
+from rig_calibration.boards.four_corners import find_from_outer_corners
 from rig_calibration.boards.wand import find_wand
 from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND
 
 from ..console import doing, until_stopped
 from .footage import CameraFootage, open_footage_of_cameras
-from .outer_corners import OuterCorners, find_from_corners
+from .outer_corners import OuterCorners
 
 FLOOR_FRAMES, MOVING_FRAMES = 15, 160
 """Of each camera's footage, at most so many frames are examined, evenly spread."""
@@ -84,8 +85,9 @@ def find_floor(
 
     def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
         if name in corners:
-            return find_from_corners(
-                image, board, corners[name].pixels, model=cameras[name], frame_index=frame_index, target=FLOOR
+            given = corners[name].pixels
+            return find_from_outer_corners(
+                image, board, given, camera=name, frame_index=frame_index, target=FLOOR, model=cameras[name]
             )
         return find_board(image, board, camera=name, frame_index=frame_index, target=FLOOR, thorough=True)
 
