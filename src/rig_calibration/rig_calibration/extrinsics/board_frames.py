@@ -62,8 +62,6 @@ def frames_on_floor(
     ``when``: a frame, the first or last one that shows the board, or "lowest": found by solving for the rig without a
     floor. Raises InputError when there is no such frame.
     """
-    if not moving:
-        raise InputError("no picture shows the carried board", remedy="Check --board and --moving.")
     if when != "lowest":
         shown = {detection.frame_index for detection in moving}
         return resting_around(moving, min(shown) if when == "first" else max(shown) if when == "last" else when)

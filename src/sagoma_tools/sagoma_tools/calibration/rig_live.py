@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -30,7 +29,8 @@ from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from ..console import doing, until_stopped
 from ..graph import PATIENCE_S, ROUND_S
 from ..graph.ros_link import settled
-from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, RigSources, find_floor
+from .footage import Shots
+from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, find_floor
 
 TOLERANCE_NS = 10_000_000
 """Exposures further apart are not one frame set: a board carried at 0.5 m/s moves 5 mm meanwhile."""
@@ -148,7 +148,7 @@ def watch_recorder(recorder: MotionRecorder, stop: threading.Event) -> None:
             return
 
 
-class LiveSources(RigSources):
+class LiveSources:
     """Pictures of the running cameras. Raises InputError naming cameras that do not publish.
 
     ``ask`` is called before the board is to lie on the floor, and before it is to be carried; ``stop`` ends the
@@ -161,13 +161,11 @@ class LiveSources(RigSources):
         self._topics = {name: topic for name, topic in find_topics(node, wanted).items() if name not in without}
         self.names = tuple(sorted(self._topics))
         self._node, self._carried, self._ask, self._stop = node, carried, ask, stop
-        self._shots: dict[str, Shots] = {}
 
     def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
-        if not self._shots:
-            self._ask("Lay the board on the floor, print upwards, and leave it")
-            self._shots = grab(self._node, self._topics, FLOOR_SHOTS)
-        return find_floor({name: self._shots[name] for name in sorted(cameras)}, board, cameras, corners)
+        self._ask("Lay the board on the floor, print upwards, and leave it")
+        shots = grab(self._node, self._topics, FLOOR_SHOTS)
+        return find_floor({name: shots[name] for name in sorted(cameras)}, board, cameras, corners)
 
     def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
         if not self._carried:
@@ -181,21 +179,6 @@ class LiveSources(RigSources):
 
     def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
         return {}
-
-
-@dataclass(frozen=True, eq=False)
-class Shots:
-    """Some pictures of one camera, as footage: frame indices count from 0."""
-
-    name: str
-    pictures: tuple[np.ndarray, ...]
-
-    @property
-    def count(self) -> int:
-        return len(self.pictures)
-
-    def __iter__(self) -> Iterator[tuple[int, np.ndarray]]:
-        return iter(enumerate(self.pictures))
 
 
 def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = PATIENCE_S) -> dict[str, str]:
