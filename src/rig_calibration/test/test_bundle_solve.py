@@ -142,7 +142,7 @@ def test_detections_that_do_not_fit_are_named(size: tuple[int, int], said: str):
 
 def test_reference_that_was_not_seen_is_refused():
     cameras = studio.ring(3)
-    with pytest.raises(InputError, match="'ceiling' was not seen in frame 0"):
+    with pytest.raises(InputError, match="'ceiling' in frame 0, was not seen"):
         solve_rig(
             cameras,
             studio.carried_and_floor(cameras, np.random.default_rng(0), 8),

@@ -57,25 +57,18 @@ class Prior:
     information: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Adjusted:
-    """The adjusted state; ``scale``: the corners' standard deviations are that many times those given."""
-
-    state: State
-    scale: float
-
-
 def adjust(
     state: State, seen: Observations, free: FreeUnknowns, prior: Prior, stop: StopCriterion = CONVERGED
-) -> Adjusted:
-    """Adjust robustly, estimating the scale of the noise and the state in turns."""
+) -> tuple[State, float]:
+    """Adjust robustly, estimating the state and the scale of the noise (the corners' standard deviations are that many
+    times those given) in turns."""
     scale = noise_scale(state, seen)
     for _ in range(ROUNDS):
         state = _levenberg_marquardt(state, seen.weighted(np.array(1 / scale)), free, prior, stop)
         before, scale = scale, noise_scale(state, seen)
         if abs(scale - before) < 0.01 * before:
             break
-    return Adjusted(state, scale)
+    return state, scale
 
 
 def noise_scale(state: State, seen: Observations) -> float:

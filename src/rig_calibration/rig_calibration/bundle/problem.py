@@ -19,7 +19,7 @@ from capture_rig.errors import InputError
 from capture_rig.lens import Array
 from capture_rig.rigid import rotation_matrix
 
-from ..boards.board import Board, Checkerboard, TargetDetection
+from ..boards.board import Board, TargetDetection
 
 LENS = 12  # fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
 PoseKey = tuple[str, int]  # (target, frame): one pose of one target
@@ -121,11 +121,8 @@ def target_shape(name: str, points_target: npt.ArrayLike, symmetry_order: int = 
 
 
 def symmetry_order_of(board: Board) -> int:
-    """Tell how many ways round a board may lie without a picture showing it: 1 (its corners are told apart), 2 or 4."""
-    if board.half_turn_is_visible or not isinstance(board, Checkerboard):
-        return 1
-    square = board.columns == board.rows and board.field_m[0] == board.field_m[1]
-    return 4 if square and board.columns % 2 == 0 else 2
+    """Tell how many ways round a board may lie without a picture showing it: 1 (its corners are told apart), or 2."""
+    return 1 if board.half_turn_is_visible else 2
 
 
 def shapes_of(targets: Mapping[str, npt.ArrayLike], symmetry_orders: Mapping[str, int]) -> dict[str, TargetShape]:

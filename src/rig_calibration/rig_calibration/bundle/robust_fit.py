@@ -23,7 +23,6 @@ from .adjustment import (
     CONVERGED,
     RAYLEIGH_MEDIAN,
     ROUGHLY,
-    Adjusted,
     FreeUnknowns,
     Prior,
     StopCriterion,
@@ -35,7 +34,7 @@ from .adjustment import (
     step,
 )
 from .initial_poses import InitialPoses, most_seen, with_symmetry
-from .problem import LENS, LINE, Problem, View
+from .problem import LINE, Problem, View
 from .state import WARP, Bools, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
 from .uncertainty import Covariance, covariance, displacement_of, whitened
 
@@ -70,22 +69,20 @@ class RejectedDetection:
 class Fit:
     """The state of the solver: all detections, which of them still take part (``rows``), and the adjusted state.
 
-    ``seen`` holds the observations of all detections; ``free_scales`` (k,), ``free_lenses`` (c, 12), ``free_warps``
-    (k, 2) which sizes, lenses and warps are adjusted, ``prior`` what is known of these; ``displacement_m``, how far
-    (sd) the target may have been elsewhere for each detection.
+    ``seen`` holds the observations of all detections, whose standard deviations are ``scale`` times those given;
+    ``prior`` what is known of sizes, lenses and warps: those of which it says something are adjusted, the others are
+    held; ``displacement_m``, how far (sd) the target may have been elsewhere for each detection.
     """
 
     problem: Problem
     all_detections: tuple[TargetDetection, ...]
     seen: Observations
     rows: Ints
-    adjusted: Adjusted
+    state: State
     root: int
-    free_scales: Bools
-    free_lenses: Bools
-    free_warps: Bools
     left_out: tuple[RejectedDetection, ...]
     prior: Prior
+    scale: float = 1.0
     displacement_m: float = 0.0
 
     @property
@@ -109,25 +106,22 @@ class Fit:
     @property
     def free(self) -> FreeUnknowns:
         """What moves while the root camera holds the frame."""
-        layout = self.adjusted.state.layout
-        shared = np.ones(layout.size, bool)
-        shared[layout.camera(self.root)] = False
-        shared[layout.scales] = self.free_scales
-        shared[layout.warps] = self.free_warps
-        for row, free in enumerate(self.free_lenses):
-            shared[layout.lens(row)] = free
-        return FreeUnknowns(shared, np.isin(np.arange(len(self.adjusted.state.position)), self.seen.pose[self.rows]))
+        layout = self.state.layout
+        shared = np.diag(self.prior.information) > 0
+        for camera in range(layout.cameras):
+            shared[layout.camera(camera)] = camera != self.root
+        return FreeUnknowns(shared, np.isin(np.arange(len(self.state.position)), self.seen.pose[self.rows]))
 
     def covariance(self, free: FreeUnknowns) -> Covariance:
         """Covariances in the gauge that ``free`` sets; lenses that were not adjusted are as uncertain as given."""
-        known = {} if self.free_lenses.any() else self.problem.lens_sd
-        lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known}
-        return covariance(self.adjusted, self.used, free, lenses, self.displacement_m, self.prior)
+        known, layout = self.problem.lens_sd, self.state.layout
+        held = [row for row in range(layout.cameras) if not free.shared[layout.lens(row)].any()]
+        lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known and row in held}
+        return covariance(self.state, self.scale, self.used, free, lenses, self.displacement_m, self.prior)
 
     def rows_at_solution(self) -> Linearised:
         """The residuals' rows at the solution: robustly weighted, in units of the noise found."""
-        scaled = self.used.weighted(np.array(1 / self.adjusted.scale))
-        return robust_rows(self.adjusted.state, scaled)
+        return robust_rows(self.state, self.used.weighted(np.array(1 / self.scale)))
 
 
 def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses, refine_intrinsics: bool = False) -> Fit:
@@ -144,30 +138,15 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses, re
         RejectedDetection(detections[i], ODD_ONE if placed[i] else NO_POSE)
         for i in np.flatnonzero(~keep & (placed | ~on_a_line))
     )
-    lens_sd = np.array([problem.lens_sd[name] for name in names] if refine_intrinsics else np.zeros((len(names), LENS)))
-    return Fit(
-        problem=problem,
-        all_detections=detections,
-        seen=seen,
-        rows=np.flatnonzero(keep),
-        adjusted=Adjusted(state, 1.0),
-        root=names.index(initial.root),
-        free_scales=np.array(targets) != most_seen(problem.detections, targets),
-        free_lenses=lens_sd > 0,
-        free_warps=np.zeros((len(targets), WARP), bool),
-        left_out=left_out,
-        prior=_prior(state, lens_sd),
-    )
-
-
-def _prior(state: State, lens_sd: Array) -> Prior:
-    """What is known of sizes, and of lenses that are to be refined (``lens_sd`` (c, 12), 0 where nothing is)."""
     layout = state.layout
     sd = np.full(layout.size, np.inf)
-    sd[layout.scales] = SIZE_SD
-    for row, deviations in enumerate(lens_sd):
-        sd[layout.lens(row)] = np.where(deviations > 0, deviations, np.inf)
-    return Prior(shared_of(state), np.diag(sd**-2.0))
+    sd[layout.scales[np.array(targets) != most_seen(problem.detections, targets)]] = SIZE_SD
+    if refine_intrinsics:
+        for row, name in enumerate(names):
+            sd[layout.lens(row)] = np.where(problem.lens_sd[name] > 0, problem.lens_sd[name], np.inf)
+    prior = Prior(shared_of(state), np.diag(sd**-2.0))
+    rows = np.flatnonzero(keep)
+    return Fit(problem, detections, seen, rows, state, names.index(initial.root), left_out, prior)
 
 
 def settled(fit: Fit) -> Fit:
@@ -180,9 +159,8 @@ def without_contradictions(fit: Fit) -> Fit:
     stop = ROUGHLY
     for _ in range(ROUNDS):
         fit = adjusted(fit, stop)
-        used = fit.used
-        wrong = _bad_corners(fit.adjusted, used)
-        out = _contradictions(fit.adjusted, used)
+        misfits = _misfits(fit)
+        wrong, out = _bad_corners(fit, misfits), _contradictions(fit, misfits)
         if out or wrong.any():
             fit = _leave_out(fit, wrong, out)
         elif stop is CONVERGED:
@@ -196,7 +174,8 @@ def adjusted(fit: Fit, stop: StopCriterion = CONVERGED) -> Fit:
     """Adjust with all detections that take part."""
     if len(fit.rows) == 0:
         return fit
-    return replace(fit, adjusted=adjust(fit.adjusted.state, fit.used, fit.free, fit.prior, stop))
+    state, scale = adjust(fit.state, fit.used, fit.free, fit.prior, stop)
+    return replace(fit, state=state, scale=scale)
 
 
 def _first_state(problem: Problem, initial: InitialPoses) -> State:
@@ -214,22 +193,23 @@ def _first_state(problem: Problem, initial: InitialPoses) -> State:
     )
 
 
-def _misfits(fit: Adjusted, seen: Observations) -> Array:
+def _misfits(fit: Fit) -> Array:
     """Compute (s,) the median residual of each detection over what is to be expected: about 1 when all is well."""
-    lengths = normalised_lengths(fit.state, seen) / fit.scale
-    return np.nanmedian(np.where(seen.weight > 0, lengths, np.nan), axis=1) / RAYLEIGH_MEDIAN
+    lengths = normalised_lengths(fit.state, fit.used) / fit.scale
+    return np.nanmedian(np.where(fit.used.weight > 0, lengths, np.nan), axis=1) / RAYLEIGH_MEDIAN
 
 
-def _bad_corners(fit: Adjusted, seen: Observations) -> Bools:
+def _bad_corners(fit: Fit, misfits: Array) -> Bools:
     """Mark (s, n) corners far off, by the noise of their own detection, in detections that are good otherwise."""
-    lengths, misfit = normalised_lengths(fit.state, seen), _misfits(fit, seen)[:, None]
-    off = (lengths > CLEAR_SDS * fit.scale * np.maximum(misfit, 1.0)) & (lengths > HARMLESS_PX * seen.weight)
+    lengths, misfit = normalised_lengths(fit.state, fit.used), misfits[:, None]
+    off = (lengths > CLEAR_SDS * fit.scale * np.maximum(misfit, 1.0)) & (lengths > HARMLESS_PX * fit.used.weight)
     return off & (misfit < CLEAR_SDS)
 
 
-def _contradictions(fit: Adjusted, seen: Observations) -> list[tuple[int, str]]:
+def _contradictions(fit: Fit, misfit: Array) -> list[tuple[int, str]]:
     """Find the rows of detections to leave out, with the reason; of one pose of a target, no more than needs be."""
-    misfit, sigma_px = _misfits(fit, seen), fit.scale / np.maximum(seen.weight.max(axis=1), 1e-300)
+    seen = fit.used
+    sigma_px = fit.scale / np.maximum(seen.weight.max(axis=1), 1e-300)
     # lesser ones may only follow from the worst
     limit = max(CLEAR_SDS, WORST_FIRST * float(misfit.max(initial=0.0)))
     found: list[tuple[int, str]] = []
@@ -246,7 +226,7 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
     weight = fit.seen.weight.copy()
     weight[fit.rows] = np.where(wrong, 0.0, weight[fit.rows])
     detections = fit.detections
-    far = np.linalg.norm(residuals_px(fit.adjusted.state, fit.used), axis=2)
+    far = np.linalg.norm(residuals_px(fit.state, fit.used), axis=2)
     named = [RejectedDetection(detections[row], reason) for row, reason in out]
     for row in np.flatnonzero(wrong.any(axis=1)):
         corners = detections[row].ids[np.flatnonzero(wrong[row])]
@@ -264,7 +244,7 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
 
 def _with_displacement(fit: Fit) -> Fit:
     """Where cameras contradict one another more than corners' noise explains, targets may have moved between them."""
-    state, free = fit.adjusted.state, fit.free
+    state, free = fit.state, fit.free
     for _ in range(DISPLACEMENT_ROUNDS):
         linear, corners = fit.rows_at_solution(), int((fit.used.weight > 0).sum())
         tau = displacement_of(linear, fit.used.pose, int(free.shared.sum()), corners)
@@ -272,5 +252,5 @@ def _with_displacement(fit: Fit) -> Fit:
             return fit
         equations = normal_equations(whitened(linear, tau), fit.used, state, fit.prior)
         state = state.moved(*step(equations, free, 0.0))
-        fit = replace(fit, adjusted=replace(fit.adjusted, state=state), displacement_m=tau)
+        fit = replace(fit, state=state, displacement_m=tau)
     return fit

@@ -19,7 +19,7 @@ from .initial_poses import initial_poses, require_connected
 from .problem import PoseKey, Problem, check_problem, views_of
 from .robust_fit import NO_POSE, Fit, RejectedDetection, settled, start_fit
 from .state import State, camera_with, residuals_px
-from .uncertainty import whitened
+from .uncertainty import inverse_over, whitened
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,20 +117,19 @@ def _row_of(reference: PoseKey | None, fit: Fit) -> int | None:
     """Return the row of the pose that is the reference; InputError when it was not seen, or contradicts the rest."""
     if reference is None:
         return None
-    if reference not in fit.problem.keys:
-        raise InputError(f"target '{reference[0]}' was not seen in frame {reference[1]}", remedy="Show it to a camera.")
-    row = fit.problem.keys.index(reference)
+    keys = fit.problem.keys
+    row = keys.index(reference) if reference in keys else -1
     if row not in fit.used.pose:
         raise InputError(
-            f"the reference, target '{reference[0]}' in frame {reference[1]}, contradicts the rest",
-            remedy="Take another reference, or take its pictures again.",
+            f"the reference, target '{reference[0]}' in frame {reference[1]}, was not seen or contradicts the rest",
+            remedy="Show it to a camera, or take its pictures again.",
         )
     return row
 
 
 def _in_frame_of(row: int, fit: Fit) -> Fit:
     """Transform the solution into the target's own frame at pose ``row``."""
-    state = fit.adjusted.state
+    state = fit.state
     R, origin = state.R_pose[row].T, _target_origin(fit.problem, state, row)
     moved = replace(
         state,
@@ -139,7 +138,7 @@ def _in_frame_of(row: int, fit: Fit) -> Fit:
         R_pose=R @ state.R_pose,
         position=(state.position - origin) @ R.T,
     )
-    return replace(fit, adjusted=replace(fit.adjusted, state=moved))
+    return replace(fit, state=moved)
 
 
 def _target_origin(problem: Problem, state: State, row: int) -> Array:
@@ -162,19 +161,18 @@ PINHOLE = 4
 def _focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
     """Compare, by camera, the focal length that all views together ask for with the one given: their ratio and its
     standard deviation."""
-    state, names = fit.adjusted.state, list(fit.problem.cameras)
+    state, names = fit.state, list(fit.problem.cameras)
     layout = state.layout
-    linear = whitened(fit.rows_at_solution(), fit.displacement_m)
     focal_px = np.sqrt(state.lens[:, 0] * state.lens[:, 1])
     pinholes = np.array([np.arange(layout.size)[layout.lens(row)][:PINHOLE] for row in range(len(names))])
-    free = fit.free
-    free.shared[pinholes] = True
-    sd = np.full(layout.size, np.inf)
-    sd[pinholes] = WIDE * focal_px[:, None]
-    equations = normal_equations(linear, fit.used, state, Prior(shared_of(state), np.diag(sd**-2.0)))
-    change = step(equations, free, 0.0)[0]
-    S = reduce(equations, free).information.sum(axis=0) + equations.prior_U
-    variance = np.diag(np.linalg.pinv(S, rcond=1e-14, hermitian=True))
+    information = fit.prior.information.copy()
+    information[pinholes, pinholes] = (WIDE * focal_px[:, None]) ** -2.0
+    fit = replace(fit, prior=Prior(shared_of(state), information))
+    linear = whitened(fit.rows_at_solution(), fit.displacement_m)
+    equations = normal_equations(linear, fit.used, state, fit.prior)
+    change = step(equations, fit.free, 0.0)[0]
+    S = reduce(equations, fit.free).information.sum(axis=0) + information
+    variance = np.diag(inverse_over(S, fit.free.shared))
     found = {}
     for row, (name, focal) in enumerate(zip(names, pinholes[:, :2], strict=True)):
         ratio = float(np.mean(1 + change[focal] / state.lens[row, :2]))
@@ -184,7 +182,7 @@ def _focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
 
 def _solution(fit: Fit, reference: int | None) -> RigSolution:
     """Make the solution: poses, residuals, covariance relative to the reference, what was left out and why."""
-    problem, state, used = fit.problem, fit.adjusted.state, fit.used
+    problem, state, used = fit.problem, fit.state, fit.used
     names = list(problem.cameras)
     t_camera = -(state.R_camera @ state.centre[..., None])[..., 0]
     T_camera = dict(zip(names, transform(state.R_camera, t_camera), strict=True))
@@ -213,7 +211,7 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
         scale_of={
             name: (float(state.scale[row]), float(found.scale_sd[row]))
             for row, name in enumerate(problem.shapes)
-            if fit.free_scales[row]
+            if fit.prior.information[state.layout.scales[row], state.layout.scales[row]] > 0
         },
         focal_of=_focal_ratios(fit),
     )
@@ -225,7 +223,7 @@ def _free(fit: Fit, reference: int | None) -> FreeUnknowns:
     if reference is None:
         return free
     shared, poses = free.shared.copy(), free.poses.copy()
-    shared[fit.adjusted.state.layout.camera(fit.root)] = True
+    shared[fit.state.layout.camera(fit.root)] = True
     poses[reference] = False
     return FreeUnknowns(shared, poses)
 

@@ -31,18 +31,8 @@ from scipy.optimize import brentq
 
 from capture_rig.lens import Array
 
-from .adjustment import (
-    HUBER,
-    TINY,
-    Adjusted,
-    FreeUnknowns,
-    Prior,
-    normal_equations,
-    normalised_lengths,
-    reduce,
-    robust_rows,
-)
-from .state import POSE, Bools, Ints, Layout, Linearised, Observations
+from .adjustment import HUBER, TINY, FreeUnknowns, Prior, normal_equations, normalised_lengths, reduce, robust_rows
+from .state import POSE, Bools, Ints, Layout, Linearised, Observations, State
 
 POSITION = slice(3, 6)
 
@@ -73,32 +63,33 @@ class Covariance:
 
 
 def covariance(
-    fit: Adjusted,
+    state: State,
+    scale: float,
     seen: Observations,
     free: FreeUnknowns,
     lens_sd: Mapping[int, Array],
     displacement_m: float,
     prior: Prior,
 ) -> Covariance:
-    """Compute the covariances at the solution ``fit``; ``free`` sets the gauge (and frees the lenses that were
+    """Compute the covariances at the solution; ``free`` sets the gauge (and frees the lenses that were
     refined).
 
     ``lens_sd``: by row of the camera, (12,) of its lens parameters, where these were held fixed; ``displacement_m``:
     how far (sd) the target may have moved between exposures.
     """
-    layout = fit.state.layout
-    scaled = seen.weighted(np.array(1 / fit.scale))
-    equations = normal_equations(whitened(robust_rows(fit.state, scaled), displacement_m), scaled, fit.state, prior)
+    layout = state.layout
+    scaled = seen.weighted(np.array(1 / scale))
+    equations = normal_equations(whitened(robust_rows(state, scaled), displacement_m), scaled, state, prior)
     told = np.linalg.eigvalsh(equations.V[free.poses])  # six numbers of a pose, five of a wand's
     unknowns = int(free.shared.sum() + (told > TINY * told[:, -1:]).sum())
-    factor = variance_factor(normalised_lengths(fit.state, scaled)[scaled.weight > 0], unknowns)
+    factor = variance_factor(normalised_lengths(state, scaled)[scaled.weight > 0], unknowns)
     reduced = reduce(equations, FreeUnknowns(np.ones(layout.size, bool), free.poses))
     information, score = reduced.information / factor, reduced.score / factor
     S = information.sum(axis=0)
-    white = _inverse(S + prior.information, free.shared)
+    white = inverse_over(S + prior.information, free.shared)
     enlarged, inflation = _enlarged(white, information, score)
     total = enlarged + _lens_effect(white, S, layout, lens_sd)
-    return Covariance(layout, total, factor * fit.scale**2, inflation)
+    return Covariance(layout, total, factor * scale**2, inflation)
 
 
 def variance_factor(lengths: Array, unknowns: int) -> float:
@@ -109,7 +100,7 @@ def variance_factor(lengths: Array, unknowns: int) -> float:
     return float(np.sum(np.minimum(lengths, HUBER) ** 2)) / dof / inside**2
 
 
-def _inverse(information: Array, free: Bools) -> Array:
+def inverse_over(information: Array, free: Bools) -> Array:
     """Return the inverse over the free unknowns, zeros elsewhere; also where exact corners leave coefficients that make
     up for each other to rounding alone."""
     some = information[np.ix_(free, free)]

@@ -20,7 +20,7 @@ from capture_rig.rigid import transform
 from ..boards.board import Board, TargetDetection
 from ..bundle.adjustment import RAYLEIGH_MEDIAN
 from ..bundle.initial_poses import initial_poses
-from ..bundle.problem import LENS, THIN, check_problem, detection_poses, shapes_of, views_of
+from ..bundle.problem import THIN, check_problem, detection_poses, shapes_of, views_of
 from ..bundle.robust_fit import NO_POSE, Fit, RejectedDetection, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
 from .lens_model import FISHEYE, RATIONAL, LensModel, edge_sd_px, rational_prior
@@ -141,20 +141,16 @@ def _fit_from(
     views = views_of(problem.detections, problem.cameras, problem.shapes)
     fit = start_fit(problem, views, initial_poses(problem.cameras, views))
     focal_px = float(camera.K.diagonal()[:2].mean())
-    return replace(
-        fit,
-        free_lenses=np.arange(LENS)[None] < len(model.names),
-        free_warps=np.ones_like(fit.free_warps),
-        prior=model.prior(focal_px, (camera.width, camera.height), diagonal_m(board), radial),
-    )
+    prior = model.prior(focal_px, (camera.width, camera.height), diagonal_m(board), radial)
+    return replace(fit, prior=prior)
 
 
 def _camera_of(fit: Fit) -> CameraModel:
-    return camera_with(next(iter(fit.problem.cameras.values())), fit.adjusted.state.lens[0], np.eye(4))
+    return camera_with(next(iter(fit.problem.cameras.values())), fit.state.lens[0], np.eye(4))
 
 
 def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
-    found, used, state = fit.covariance(fit.free), fit.used, fit.adjusted.state
+    found, used, state = fit.covariance(fit.free), fit.used, fit.state
     sigma_px = float(np.median(1 / used.weight.max(axis=1)) * np.sqrt(found.variance_factor))
     columns, count = model.columns, len(model.names)
     covariance = found.of_shared[columns[:, None], columns]
@@ -188,7 +184,7 @@ def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
 def _left_out(fit: Fit, sigma_px: float) -> tuple[RejectedDetection, ...]:
     """Views left out, with how far their corners lie off, and single corners of those that were kept."""
     kept = {detection.frame_index for detection in fit.detections}
-    away = np.linalg.norm(residuals_px(fit.adjusted.state, fit.seen), axis=2)
+    away = np.linalg.norm(residuals_px(fit.state, fit.seen), axis=2)
     off = {d.frame_index: float(np.median(away[row, : len(d)])) for row, d in enumerate(fit.all_detections)}
     named = []
     for out in fit.left_out:
