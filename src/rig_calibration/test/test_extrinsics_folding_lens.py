@@ -59,7 +59,7 @@ def test_rig_of_folding_lenses_is_placed_and_its_figures_are_numbers():
     figures = result.figures
     assert result.rms_px == pytest.approx(NOISE_PX * np.sqrt(2), rel=0.1)
     assert np.isfinite([[c.rms_px, c.sd_centre_mm, c.sd_rotation_deg] for c in figures.values()]).all()
-    assert result.common.volume_m3 > 3.0
+    assert result.common.floor_m2[2] > 1.0
 
 
 def test_corners_found_where_the_lens_has_no_ray_count_for_nothing():

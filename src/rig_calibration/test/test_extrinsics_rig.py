@@ -186,6 +186,6 @@ def test_floor_that_was_guessed_from_a_single_frame_is_said_to_be_a_guess(room: 
 
 def test_tape_measure_of_an_unknown_camera_or_a_useless_length_is_refused(whole: RigCalibration) -> None:
     with pytest.raises(InputError, match="no camera 'cam09'"):
-        TapeMeasure("cam01", "cam09", 3.0).check(whole.rig)
+        TapeMeasure("cam01", "cam09", 3.0).checked(whole.rig)
     with pytest.raises(InputError, match="no length to check with"):
-        TapeMeasure("cam01", None, -2.0).check(whole.rig)
+        TapeMeasure("cam01", None, -2.0).checked(whole.rig)

@@ -182,7 +182,7 @@ def _focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
 
 def _solution(fit: Fit, reference: int | None) -> RigSolution:
     """Make the solution: poses, residuals, covariance relative to the reference, what was left out and why."""
-    problem, state, used = fit.problem, fit.state, fit.used
+    problem, state, used, layout = fit.problem, fit.state, fit.used, fit.state.layout
     names = list(problem.cameras)
     t_camera = -(state.R_camera @ state.centre[..., None])[..., 0]
     T_camera = dict(zip(names, transform(state.R_camera, t_camera), strict=True))
@@ -203,15 +203,15 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
         detections=fit.detections,
         residuals_px=tuple(r[: len(s)] for r, s in zip(residuals, fit.detections, strict=True)),
         rms_px=dict(zip(names, rms_px, strict=True)),
-        covariance=dict(zip(names, found.cameras, strict=True)),
+        covariance={name: found.of_shared[layout.camera(row), layout.camera(row)] for row, name in enumerate(names)},
         inflation=found.inflation,
         sync_error_m=fit.displacement_m,
         left_out=tuple(sorted((out for out in fit.left_out if out.whole), key=_place)),
         undecided=_undecided(fit),
         scale_of={
-            name: (float(state.scale[row]), float(found.scale_sd[row]))
-            for row, name in enumerate(problem.shapes)
-            if fit.prior.information[state.layout.scales[row], state.layout.scales[row]] > 0
+            name: (float(state.scale[row]), float(np.sqrt(found.of_shared[scale, scale])))
+            for row, (name, scale) in enumerate(zip(problem.shapes, layout.scales, strict=True))
+            if fit.prior.information[scale, scale] > 0
         },
         focal_of=_focal_ratios(fit),
     )

@@ -24,7 +24,7 @@ contradict one another no more than noise does (Paule & Mandel 1982):
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -37,8 +37,7 @@ from .state import POSE, Bools, Ints, Layout, Linearised, Observations, State
 POSITION = slice(3, 6)
 
 
-@dataclass(frozen=True, eq=False)
-class Covariance:
+class Covariance(NamedTuple):
     """of_shared (d, d): of all shared unknowns as laid out with their lenses, 0 where fixed: of a camera, rotation
     vector (rad, in the camera's frame) and centre (m, in the reference's frame).
 
@@ -46,20 +45,9 @@ class Covariance:
     enlarge variances overall.
     """
 
-    layout: Layout
     of_shared: Array
     variance_factor: float
     inflation: float
-
-    @property
-    def cameras(self) -> Array:
-        """(c, 6, 6)."""
-        return np.array([self.of_shared[b, b] for b in map(self.layout.camera, range(self.layout.cameras))])
-
-    @property
-    def scale_sd(self) -> Array:
-        """(k,) standard deviations of the targets' scales."""
-        return np.sqrt(np.diag(self.of_shared)[self.layout.scales])
 
 
 def covariance(
@@ -89,7 +77,7 @@ def covariance(
     white = inverse_over(S + prior.information, free.shared)
     enlarged, inflation = _enlarged(white, information, score)
     total = enlarged + _lens_effect(white, S, layout, lens_sd)
-    return Covariance(layout, total, factor * scale**2, inflation)
+    return Covariance(total, factor * scale**2, inflation)
 
 
 def variance_factor(lengths: Array, unknowns: int) -> float:

@@ -94,7 +94,7 @@ def calibrate_rig(
         figures=camera_figures(rig, solution, on_floor, FLOOR),
         floor_guess=floor_guess,
         moved_frames=moved_frames or {},
-        tape=tuple(measure.check(rig) for measure in tape),
+        tape=tuple(measure.checked(rig) for measure in tape),
     )
 
 

@@ -6,9 +6,9 @@ A tape measure is part of the evidence: it alone can tell that the board's field
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import inf
+from math import inf, nan
 
 import numpy as np
 
@@ -26,12 +26,23 @@ FLOOR = "floor"  # the name of the target
 
 
 @dataclass(frozen=True)
-class TapeCheck:
-    """What was measured (text), by tape and in the calibration, metres."""
+class TapeMeasure:
+    """A length that a person measured: between two lenses, or (``other`` None) of a lens above the floor; and the same
+    in the calibration, once there is one."""
 
-    what: str
+    one: str
+    other: str | None
     tape_m: float
-    calibrated_m: float
+    calibrated_m: float = nan
+
+    def checked(self, rig: Rig) -> TapeMeasure:
+        """Look the length up in the calibration. Raises InputError for an unknown camera and a useless length."""
+        if not self.tape_m >= MIN_TAPE_M:
+            what, remedy = f"{self.tape_m} m is no length to check with", f"Measure {MIN_TAPE_M:.1f} m or more."
+            raise InputError(what, where=f"tape at {self.one}", remedy=remedy)
+        centre = rig.camera(self.one).centre_world
+        length = centre[2] if self.other is None else np.linalg.norm(centre - rig.camera(self.other).centre_world)
+        return replace(self, calibrated_m=float(length))
 
     @property
     def ratio(self) -> float:
@@ -39,29 +50,8 @@ class TapeCheck:
         return self.calibrated_m / self.tape_m
 
     def __str__(self) -> str:
-        return f"{self.what}: {self.tape_m:.3f} m by tape, {self.calibrated_m:.3f} m calibrated ({self.ratio - 1:+.1%})"
-
-
-@dataclass(frozen=True)
-class TapeMeasure:
-    """A length that a person measured: between two lenses, or (``other`` None) of a lens above the floor."""
-
-    one: str
-    other: str | None
-    tape_m: float
-
-    def check(self, rig: Rig) -> TapeCheck:
-        """Return the same length in the calibration. Raises InputError for an unknown camera and a useless length."""
         what = f"height of {self.one}" if self.other is None else f"{self.one} to {self.other}"
-        if not np.isfinite(self.tape_m) or self.tape_m < MIN_TAPE_M:
-            raise InputError(
-                f"{self.tape_m} m is no length to check with",
-                where=what,
-                remedy=f"Measure {MIN_TAPE_M:.1f} m or more, to the middle of the lens.",
-            )
-        centre = rig.camera(self.one).centre_world
-        length = centre[2] if self.other is None else np.linalg.norm(centre - rig.camera(self.other).centre_world)
-        return TapeCheck(what, self.tape_m, float(length))
+        return f"{what}: {self.tape_m:.3f} m by tape, {self.calibrated_m:.3f} m calibrated ({self.ratio - 1:+.1%})"
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +72,7 @@ class RigCalibration:
     figures: Mapping[str, CameraFigures]
     floor_guess: tuple[int, ...] = ()
     moved_frames: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    tape: tuple[TapeCheck, ...] = ()
+    tape: tuple[TapeMeasure, ...] = ()
 
     @property
     def rms_px(self) -> float:

@@ -77,8 +77,8 @@ def placed_cameras(solution: RigSolution, T_world_reference: Array) -> tuple[Cam
 # Thresholds: judgement, no measurement.
 ENOUGH_CAMERAS = 3  # two outlines leave a hull far fatter than the body
 STEP_M = 0.1
-LEVELS_M = np.arange(0.15, DEFAULT_HEIGHT_M, 0.25)  # heights at which a place on the floor is asked who sees it
 BODY_TOP_M = 1.7  # a person can be tracked at a place where enough cameras see every height up to this
+LEVELS_M = np.arange(0.15, BODY_TOP_M, 0.25)  # heights at which a place on the floor is asked who sees it
 REACH = 2.0  # a camera counts up to so many times its distance from the rig's centre; beyond, its pixels are too coarse
 MIN_SIDE_M, MAX_SIDE_M = 1.0, 8.0
 TIP_SHARE = 0.02
@@ -90,15 +90,12 @@ class CommonVolume:
     """What the cameras see in common.
 
     box : axis-aligned, from just below the floor to 2.4 m above it: the bounding box of the places where a person can
-    be tracked, or of what is watched at breast height where there is no such place. usable : was there one?
-    volume_m3 : of all that enough cameras see up to 2.4 m. floor_m2 : by number of cameras (1 to all), the floor area
-    where at least so many see a standing person. enough : how many cameras are enough. standing (nx, ny) : how many
-    cameras see a person who stands at x (nx,), y (ny,).
+    be tracked, or of what is watched at breast height where there is no such place. floor_m2 : by number of cameras (1
+    to all), the floor area where at least so many see a standing person. enough : how many cameras are enough. standing
+    (nx, ny) : how many cameras see a person who stands at x (nx,), y (ny,).
     """
 
     box: Volume
-    usable: bool
-    volume_m3: float
     floor_m2: tuple[float, ...]
     enough: int
     x: Array
@@ -112,17 +109,13 @@ def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
     enough = min(ENOUGH_CAMERAS, len(cameras))
     x, y = _floor_grid(cameras)
     seeing = _cameras_seeing(cameras, x, y)  # (levels, nx, ny)
-    standing = seeing[LEVELS_M <= BODY_TOP_M].min(axis=0)
+    standing = seeing.min(axis=0)
     place = _largest_piece(standing >= enough)
-    usable = bool(place.any())
-    if not usable:
+    if not place.any():
         place = _largest_piece(seeing[np.searchsorted(LEVELS_M, 1.0)] >= enough)
     box = _box(x, y, place) if place.any() else default_volume(tuple(cameras))
-    cell_m3 = STEP_M**2 * float(LEVELS_M[1] - LEVELS_M[0])
     return CommonVolume(
         box=box,
-        usable=usable,
-        volume_m3=float((seeing >= enough).sum() * cell_m3),
         floor_m2=tuple(float((standing >= n).sum() * STEP_M**2) for n in range(1, len(cameras) + 1)),
         enough=enough,
         x=x,

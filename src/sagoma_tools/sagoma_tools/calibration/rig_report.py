@@ -85,9 +85,8 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
     common = calibrated.common
     enough = common.enough
     console.print(
-        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {enough} cameras or more see {common.volume_m3:.0f} "
-        f"m3, and a standing person on {common.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: "
-        f"{common.floor_m2[-1]:.1f})"
+        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {enough} cameras or more see a standing person on "
+        f"{common.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: {common.floor_m2[-1]:.1f})"
     )
     console.print(carried(calibrated.rig))
     if (frames := calibrated.floor_guess) != ():
@@ -155,7 +154,6 @@ def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
     return {
         "rms_px": _rounded(calibrated.rms_px),
         "volume_m": {"low": volume.low.tolist(), "high": volume.high.tolist()},
-        "seen_m3": _rounded(common.volume_m3),
         "cameras_for_seen": common.enough,
         "floor_m2_seen_by_1_to_all": [_rounded(area) for area in common.floor_m2],
         "scale": {
