@@ -19,12 +19,12 @@ import numpy as np
 
 from capture_rig.lens import Array
 
+from ..boards.x_corner import CONVERGED_PX
 from .state import OF_CAMERA, OF_TARGET, POSE, Bools, Linearised, Observations, State, linearise, residuals_px
 
-# Thresholds: from the normal distribution (99 % efficiency); the least scale: judgement.
+# Threshold: from the normal distribution (99 % efficiency).
 HUBER = 3.0  # standard deviations: corners with normal noise are hardly weighed down; beyond, something is wrong
 RAYLEIGH_MEDIAN = math.sqrt(2 * math.log(2))  # the median length of a two-dimensional residual of unit variance
-MIN_SCALE_PX = 0.002
 ROUNDS = 4
 TINY = 1e-9  # of the trace: keeps the turn of a wand about itself, which no picture shows, from being divided by zero
 
@@ -72,9 +72,10 @@ def adjust(
 
 
 def noise_scale(state: State, seen: Observations) -> float:
-    """Estimate the residuals' standard deviation over the one given, by the median: outliers do not count."""
+    """Estimate the residuals' standard deviation over the one given, by the median: outliers do not count. No less
+    than corners are fitted to."""
     corners = seen.weight > 0
-    floor = MIN_SCALE_PX * float(np.median(seen.weight[corners]))
+    floor = CONVERGED_PX * float(np.median(seen.weight[corners]))
     return max(float(np.median(normalised_lengths(state, seen)[corners])) / RAYLEIGH_MEDIAN, floor)
 
 

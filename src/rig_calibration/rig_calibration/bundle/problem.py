@@ -79,7 +79,7 @@ def _by_id(detection: TargetDetection) -> TargetDetection:
 # --- Targets.
 
 LINE, PLANE, VOLUME = 1, 2, 3
-FLAT = 1e-6  # of the target's size
+THIN = 0.02  # of the target's length: points that spread less across lie, in effect, on a line; out of it, on a plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def target_shape(name: str, points_target: npt.ArrayLike, symmetry_order: int = 
     points = np.asarray(points_target, float)
     centred = points - points.mean(0)
     _, spread, axes = np.linalg.svd(centred, full_matrices=True)
-    dimension = max(int(np.sum(spread > FLAT * spread[0])), 1)
+    dimension = max(int(np.sum(spread > THIN * spread[0])), 1)
     axis = axes[2] if dimension == PLANE else axes[1]  # of a line: any axis across it
     turns = [rotation_matrix(axis * 2 * np.pi * k / symmetry_order) for k in range(symmetry_order)]
     symmetries = tuple(Symmetry(cKDTree(centred).query(centred @ R.T)[1], R) for R in turns)
@@ -138,7 +138,6 @@ def shapes_of(targets: Mapping[str, npt.ArrayLike], symmetry_orders: Mapping[str
 
 MIN_CORNERS = 4
 SAME_POSE = np.deg2rad(0.5)  # two solutions closer than this are one
-THIN = 0.02  # corners whose spread across is less than this share of their length lie, in effect, on a line
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +188,7 @@ def poses_of(
     if across < THIN * longest:
         return None
     focal_px = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-    found = _planar(points, ideal) if out < FLAT * longest else _spatial(points, ideal)
+    found = _planar(points, ideal) if out < THIN * longest else _spatial(points, ideal)
     refined = [_refine(points, ideal, R, t) for R, t in found]
     scored = [(_rms(points, ideal, R, t) * focal_px, R, t) for R, t in refined if np.all(points @ R[2] + t[2] > 0)]
     distinct = _distinct(sorted(scored, key=lambda one: one[0]))

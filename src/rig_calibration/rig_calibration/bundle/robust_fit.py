@@ -10,6 +10,7 @@ Where cameras contradict one another more than the corners' noise explains, each
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -97,11 +98,8 @@ class Fit:
     @property
     def reasons(self) -> dict[str, str]:
         """The commonest reason, by camera, why detections of it were left out."""
-        by_camera: dict[str, list[str]] = {}
-        for out in self.left_out:
-            if out.whole:
-                by_camera.setdefault(out.detection.camera, []).append(out.reason)
-        return {name: max(sorted(set(reasons)), key=reasons.count) for name, reasons in by_camera.items()}
+        counts = Counter((out.detection.camera, out.reason) for out in self.left_out if out.whole)
+        return {camera: reason for (camera, reason), _ in reversed(counts.most_common())}
 
     @property
     def free(self) -> FreeUnknowns:

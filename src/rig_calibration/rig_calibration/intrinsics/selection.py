@@ -18,6 +18,7 @@ from capture_rig.errors import InputError
 from capture_rig.lens import Array
 
 from ..boards.board import Board, TargetDetection
+from ..boards.corner_grid import MIN_FOUND
 from ..boards.detector import as_grey, find_board
 from .calibrate import board_pose, fit_lens, require_one_size, why_useless
 from .coverage import BoardPlacement, Coverage, coverage_of, placement_of
@@ -30,7 +31,6 @@ ALIKE_PLACE, ALIKE_SIZE, ALIKE_LEAN_DEG, ALIKE_ROLL_DEG = 0.1, 0.2, 10.0, 25.0  
 FIRST_FIT, GROWTH = 6, 1.3  # fits after so many views, then after so many times more
 PLENTY = 80  # views; more help little
 ENOUGH_VIEWS = 12
-TRACKED_SHARE = 0.5  # of the corners must be found again to tell how far the board moved
 
 
 class LensAccuracy(NamedTuple):
@@ -214,7 +214,7 @@ class BoardImageProcessor:
 def motion_px(image: np.ndarray, neighbour: np.ndarray, pixels: Array) -> float:
     """Measure the median distance that the corners ``pixels`` (n, 2) of ``image`` travel to the ``neighbour``, px.
 
-    By optical flow (Lucas & Kanade 1981, pyramids); infinite when half of the corners cannot be found again.
+    By optical flow (Lucas & Kanade 1981, pyramids); infinite when too few corners are found again.
     """
     first, second = as_grey(image), as_grey(neighbour)
     if first.shape != second.shape:
@@ -223,6 +223,6 @@ def motion_px(image: np.ndarray, neighbour: np.ndarray, pixels: Array) -> float:
     none = np.empty(0, np.float32)
     moved, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, none, winSize=(15, 15), maxLevel=3)
     seen = np.ravel(found) == 1
-    if moved is None or seen.mean() < TRACKED_SHARE:
+    if moved is None or seen.mean() < MIN_FOUND:
         return float("inf")
     return float(np.median(np.hypot(*(moved - corners).reshape(-1, 2)[seen].T)))
