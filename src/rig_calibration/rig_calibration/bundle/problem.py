@@ -164,18 +164,6 @@ def detection_poses(detection: TargetDetection, camera: CameraModel, shape: Targ
     return poses_of(detection.ids, camera.ideal_points(detection.pixels), camera, shape)
 
 
-def all_undistorted(detections: Sequence[TargetDetection], cameras: Mapping[str, CameraModel]) -> list[Array]:
-    """Undistort the corners of many detections; all of a camera go through its lens at once."""
-    found: list[Array] = [np.empty((0, 2))] * len(detections)
-    for name, camera in cameras.items():
-        rows = [row for row, detection in enumerate(detections) if detection.camera == name]
-        corners = camera.ideal_points(np.concatenate([np.empty((0, 2)), *(detections[row].pixels for row in rows)]))
-        ends = np.cumsum([len(detections[row]) for row in rows], dtype=np.int64)
-        for row, ideal in zip(rows, np.split(corners, ends[:-1]), strict=bool(rows)):
-            found[row] = ideal
-    return found
-
-
 def poses_of(
     ids: npt.NDArray[np.int64], ideal: Array, camera: CameraModel, shape: TargetShape
 ) -> DetectionPoses | None:
@@ -275,9 +263,16 @@ class View:
 def views_of(
     detections: Sequence[TargetDetection], cameras: Mapping[str, CameraModel], shapes: Mapping[str, TargetShape]
 ) -> list[View]:
-    """Make the views of all detections, in their order."""
+    """Make the views of all detections, in their order; all corners of a camera go through its lens at once."""
+    undistorted: dict[int, Array] = {}
+    for name, camera in cameras.items():
+        rows = [row for row, detection in enumerate(detections) if detection.camera == name]
+        corners = camera.ideal_points(np.concatenate([np.empty((0, 2)), *(detections[row].pixels for row in rows)]))
+        ends = np.cumsum([len(detections[row]) for row in rows])[:-1]
+        undistorted |= zip(rows, np.split(corners, ends), strict=bool(rows))
     views = []
-    for detection, ideal in zip(detections, all_undistorted(detections, cameras), strict=True):
-        shape = shapes[detection.target]
-        views.append(View(detection, shape, ideal, poses_of(detection.ids, ideal, cameras[detection.camera], shape)))
+    for row, detection in enumerate(detections):
+        shape, ideal = shapes[detection.target], undistorted[row]
+        poses = poses_of(detection.ids, ideal, cameras[detection.camera], shape)
+        views.append(View(detection, shape, ideal, poses))
     return views

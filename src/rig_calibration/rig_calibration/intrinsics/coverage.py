@@ -19,7 +19,11 @@ TILT_WANTED_DEG = 25.0
 SIZES_WANTED = 1.6  # largest board in the image over the smallest
 IMAGE_WANTED = 0.85
 SIDES = ("left", "right", "top", "bottom")
-ROW_NAMES, COLUMN_NAMES = ("upper", "middle", "lower"), ("left", "centre", "right")
+NINTHS = (
+    ("upper left corner", "upper edge", "upper right corner"),
+    ("left edge", "centre", "right edge"),
+    ("lower left corner", "lower edge", "lower right corner"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +89,7 @@ class Coverage:
         rows = np.array_split(self.cells, 3, axis=0)
         filled = np.array([[part.mean() for part in np.array_split(row, 3, axis=1)] for row in rows])
         row, column = np.unravel_index(int(np.argmin(filled)), filled.shape)
-        if (row, column) == (1, 1):
-            return "centre"
-        if row == 1:
-            return f"{COLUMN_NAMES[column]} edge"
-        return f"{ROW_NAMES[row]} edge" if column == 1 else f"{ROW_NAMES[row]} {COLUMN_NAMES[column]} corner"
+        return NINTHS[row][column]
 
 
 def coverage_of(pixels: Sequence[Array], placements: Sequence[BoardPlacement], image_size: tuple[int, int]) -> Coverage:

@@ -124,7 +124,10 @@ def write_report(path: Path, calibrated: RigCalibration, asked: Mapping[str, Any
         "findings": [asdict(finding) for finding in calibrated.verdict.findings],
         "measure": tape_request(calibrated),
         "rig": _rig_document(calibrated),
-        "cameras": {camera.name: _camera_document(camera, calibrated) for camera in calibrated.figures.values()},
+        "cameras": {
+            name: _camera_document(camera, calibrated.solution.covariance[name])
+            for name, camera in calibrated.figures.items()
+        },
         "left_out": [
             {"camera": of.camera, "target": of.target, "frame": of.frame_index, "reason": left.reason}
             for left in calibrated.solution.left_out
@@ -164,11 +167,9 @@ def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
     }
 
 
-def _camera_document(camera: CameraFigures, calibrated: RigCalibration) -> dict[str, Any]:
+def _camera_document(camera: CameraFigures, covariance: np.ndarray) -> dict[str, Any]:
     document: dict[str, Any] = {name: _rounded(getattr(camera, name)) for _, name, _ in CAMERA_FIGURES}
-    covariance = calibrated.solution.covariance[camera.name]
-    document["pose_covariance"] = [[float(f"{value:.4g}") for value in row] for row in covariance]
-    return document
+    return document | {"pose_covariance": [[float(f"{value:.4g}") for value in row] for row in covariance]}
 
 
 def _rounded(value: float | None) -> float | int | None:
