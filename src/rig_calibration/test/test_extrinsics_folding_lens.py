@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bundle_studio import waved
-from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, carried_poses, circle, on_floor, pose_errors
+from extrinsics_room import CARRIED_BOARD, FLOOR_BOARD, carried_poses, circle, on_floor, pose_errors, see_all
 
 from rig_calibration.boards.board import TargetDetection
 from rig_calibration.boards.wand import WAND, wand_points
@@ -23,25 +23,9 @@ def cameras():
     return {name: replace(c, width=644, height=486, K=K, D=D) for name, c in circle(4, 2.2).items()}
 
 
-def seen(camera, points_target, T_world_target, target, frame):
-    """All points, in front and in the image."""
-    pixels = camera.project(points_target @ T_world_target[:3, :3].T + T_world_target[:3, 3])
-    if not ((pixels > 3) & (pixels < np.array(SIZE) - 4)).all():  # NaN, too
-        return []
-    rng = np.random.default_rng([frame, *camera.name.encode()])
-    noisy = pixels + NOISE_PX * rng.standard_normal(pixels.shape)
-    return [TargetDetection(camera.name, frame, np.arange(len(pixels)), noisy, SIZE, target, NOISE_PX)]
-
-
 def of_boards(rig):
-    found = []
-    for camera in rig.values():
-        found += seen(camera, FLOOR_BOARD.corners_board, on_floor(FLOOR_BOARD), FLOOR, 0)
-        for frame, T in enumerate(carried_poses(60)):
-            T_camera_board = camera.T_camera_world @ T
-            if T_camera_board[:3, 2] @ T_camera_board[:3, 3] < 0:
-                found += seen(camera, CARRIED_BOARD.corners_board, T, MOVING, frame)
-    return found
+    floor = see_all(rig, FLOOR_BOARD, [on_floor(FLOOR_BOARD)], FLOOR)
+    return floor + see_all(rig, CARRIED_BOARD, carried_poses(60), MOVING)
 
 
 def calibrated(rig, detections):
@@ -97,7 +81,10 @@ def test_wand_places_folding_lenses_to_each_other():
     rig, detections = cameras(), []
     for frame, T in waved(np.random.default_rng(5), 80).items():
         for camera in rig.values():
-            detections += seen(camera, wand_points(MARKS), T, WAND, frame)
+            pixels = camera.project(wand_points(MARKS) @ T[:3, :3].T + T[:3, 3])
+            if ((pixels > 3) & (pixels < np.array(SIZE) - 4)).all():  # NaN is not
+                noisy = pixels + NOISE_PX * np.random.default_rng([frame, *camera.name.encode()]).normal(size=(3, 2))
+                detections.append(TargetDetection(camera.name, frame, np.arange(3), noisy, SIZE, WAND, NOISE_PX))
     solution = solve_rig(rig, detections, {WAND: wand_points(MARKS)})
     first = {"found": solution.T_camera_reference["cam01"], "true": rig["cam01"].T_camera_world}
     for name, camera in rig.items():
