@@ -9,9 +9,8 @@ from intrinsics_views import BOARD, found, lens, shown
 
 from capture_rig.errors import InputError
 from rig_calibration.intrinsics.calibrate import board_pose
-from rig_calibration.intrinsics.coverage import coverage_of, placement_of
 from rig_calibration.intrinsics.lens_model import LensModel
-from rig_calibration.intrinsics.selection import LensAccuracy, ViewCollector, motion_px
+from rig_calibration.intrinsics.selection import LensAccuracy, ViewCollector, coverage_of, motion_px, placement_of
 
 
 def jittered(detection, frame_index, blur_px=0.0):
