@@ -25,7 +25,7 @@ def floor_detections(cameras: dict[str, CameraModel], board: Checkerboard = made
     """Fifteen frames of the board on the floor, averaged."""
     seen = made.see_all(cameras, board, [made.on_floor(board)] * FRAMES, FLOOR)
     return [
-        average_still_board([s for s in seen if s.camera == name], board, target=FLOOR).detection
+        average_still_board([s for s in seen if s.camera == name], board)[0]
         for name in cameras
         if any(s.camera == name for s in seen)
     ]

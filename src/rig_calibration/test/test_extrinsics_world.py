@@ -42,14 +42,12 @@ def test_averaged_corners_are_better_than_one_frame_and_leave_hands_and_moved_fr
     frames[4].pixels[7] += [9.0, -4.0]  # one corner on a finger
     frames[6] = replace(frames[6], ids=frames[6].ids[9:], pixels=frames[6].pixels[9:])  # an arm
     frames += [seen(moved, frame) for frame in (12, 13)]
-    still = average_still_board(frames[::-1], BOARD, target="floor")
-    errors = still.detection.pixels - truth
-    assert still.frames == tuple(range(12)) and still.moved_frames == (12, 13)
+    still, moved_frames = average_still_board(frames[::-1], BOARD)
+    errors = still.pixels - truth
+    assert moved_frames == (12, 13)
     assert np.sqrt((errors**2).mean()) < 1.2 * made.NOISE_PX / np.sqrt(12)
     assert np.abs(errors[7]).max() < 4 * made.NOISE_PX / np.sqrt(11)
-    assert (
-        still.detection.target == "floor" and made.NOISE_PX / np.sqrt(12) < still.detection.sigma_px < made.NOISE_PX / 2
-    )
+    assert still.target == "floor" and made.NOISE_PX / np.sqrt(12) < still.sigma_px < made.NOISE_PX / 2
 
 
 def test_frames_that_count_a_symmetric_board_from_either_end_are_averaged_in_one_order() -> None:
@@ -57,9 +55,9 @@ def test_frames_that_count_a_symmetric_board_from_either_end_are_averaged_in_one
     camera = at_angle(50.0)
     frames = [seen(camera, frame, board=board) for frame in range(4)]
     frames[2] = replace(frames[2], ids=frames[2].ids[::-1].copy())
-    still = average_still_board(frames, board, target="floor")
-    assert len(still.frames) == 4
-    assert np.abs(still.detection.pixels - seen(camera, 0, 0.0, board).pixels).max() < 4 * made.NOISE_PX / 2
+    still, moved_frames = average_still_board(frames, board)
+    assert moved_frames == ()
+    assert np.abs(still.pixels - seen(camera, 0, 0.0, board).pixels).max() < 4 * made.NOISE_PX / 2
 
 
 # --- the world, and a carried board -----------------------------------------------------------------------------------

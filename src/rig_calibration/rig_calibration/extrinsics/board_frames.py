@@ -7,7 +7,7 @@ The board lies on the floor when the user says so, or where nothing was ever bel
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..boards.board import Board, TargetDetection
 from ..bundle.initial_poses import common_frames, groups_of
 from ..bundle.problem import symmetry_order_of
 from ..bundle.solve import solve_rig
+from .verdict import FLOOR
 
 MAX_FRAMES = 160
 
@@ -145,21 +146,9 @@ MIN_SHARE = 1 / 3  # a corner counts when so many of the frames that agree show 
 LASTING_PX = 0.05  # not removed by averaging: compression, the grid of pixels and the lens err alike in every frame
 
 
-@dataclass(frozen=True, eq=False)
-class StillBoard:
-    """What one camera's frames say together.
-
-    detection : the averaged corners. frames : the frames that agree. moved_frames : those that show the
-    board elsewhere.
-    """
-
-    detection: TargetDetection
-    frames: tuple[int, ...]
-    moved_frames: tuple[int, ...]
-
-
-def average_still_board(detections: Sequence[TargetDetection], board: Board, *, target: str) -> StillBoard:
-    """Average one camera's ``detections`` of a board that lies still, as a detection of ``target``.
+def average_still_board(detections: Sequence[TargetDetection], board: Board) -> tuple[TargetDetection, tuple[int, ...]]:
+    """Average one camera's ``detections`` of a board that lies still, as one of FLOOR; and the frames that show it
+    elsewhere.
 
     The largest group of frames that show the board at the same place is taken, of equal ones the earliest; in it, a
     corner's frames that stray from the median (a hand at its edge) are left out. Needs one detection or more.
@@ -177,9 +166,8 @@ def average_still_board(detections: Sequence[TargetDetection], board: Board, *, 
     single = float(np.median([ordered[index].sigma_px for index in np.flatnonzero(together)]))
     sigma = float(np.hypot(single / np.sqrt(np.median(count)), LASTING_PX))
     kept = count >= least
-    averaged = replace(ordered[0], frame_index=0, target=target, ids=ids[kept], pixels=mean[kept], sigma_px=sigma)
-    frames = np.array([detection.frame_index for detection in ordered])
-    return StillBoard(averaged, tuple(frames[together].tolist()), tuple(frames[~together].tolist()))
+    averaged = replace(ordered[0], frame_index=0, target=FLOOR, ids=ids[kept], pixels=mean[kept], sigma_px=sigma)
+    return averaged, tuple(ordered[index].frame_index for index in np.flatnonzero(~together))
 
 
 def _table(detections: Sequence[TargetDetection], corners: int, half_turn_is_visible: bool) -> Array:

@@ -51,9 +51,9 @@ class RigInputs:
         for detection in sorted(detections, key=lambda detection: detection.camera):
             by_camera.setdefault(detection.camera, []).append(detection)
         for name, seen in by_camera.items():
-            still = average_still_board(seen, board, target=FLOOR)
-            self.detections.append(still.detection)
-            self.moved_frames[name] = len(still.moved_frames), len(seen)
+            still, elsewhere = average_still_board(seen, board)
+            self.detections.append(still)
+            self.moved_frames[name] = len(elsewhere), len(seen)
             self.targets[FLOOR] = target
 
     def add_moving(
