@@ -63,24 +63,20 @@ def test_frames_that_count_a_symmetric_board_from_either_end_are_averaged_in_one
 # --- the world, and a carried board -----------------------------------------------------------------------------------
 
 
-def test_world_origin_is_the_boards_middle_below_its_thickness() -> None:
-    corners = made.FLOOR_BOARD.corners_board
-    T = board_in_world(corners, WorldChoice(thickness_m=0.005))
-    corners_world = corners @ T[:3, :3].T + T[:3, 3]
-    assert corners_world.mean(axis=0) == pytest.approx([0.0, 0.0, 0.005], abs=1e-12)
-    assert corners_world[1] - corners_world[0] == pytest.approx([0.12, 0.0, 0.0]), "x runs along the rows"
-
-
-@pytest.mark.parametrize("origin, corner", [("first-corner", 0), ((0.12, -0.24), 2 * 7 + 1)])
-def test_world_origin_lies_where_it_is_asked_for(origin: str | tuple[float, float], corner: int) -> None:
-    corners = made.FLOOR_BOARD.corners_board
-    T = board_in_world(corners, WorldChoice(origin))  # type: ignore[arg-type]
-    assert T[:3, :3] @ corners[corner] + T[:3, 3] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
-
-
-def test_heading_turns_world_x_counterclockwise_from_the_rows() -> None:
-    T = board_in_world(made.FLOOR_BOARD.corners_board, WorldChoice(heading=np.pi / 2))
-    assert T[:3, :3] @ [0.0, 1.0, 0.0] == pytest.approx([1.0, 0.0, 0.0], abs=1e-12), "the board's y is world x"
+@pytest.mark.parametrize(
+    ("choice", "point_board", "point_world"),
+    [
+        (WorldChoice(thickness_m=0.005), [0.36, -0.18, 0.0], [0.0, 0.0, 0.005]),
+        (WorldChoice(thickness_m=0.005), [0.48, -0.18, 0.0], [0.12, 0.0, 0.005]),
+        (WorldChoice("first-corner"), [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+        (WorldChoice((0.12, -0.24)), [0.12, -0.24, 0.0], [0.0, 0.0, 0.0]),
+        (WorldChoice("first-corner", heading=np.pi / 2), [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]),
+    ],
+    ids=["the board's middle", "x along the rows", "first corner", "any place", "heading counterclockwise"],
+)
+def test_world_lies_on_the_floor_board_as_it_is_asked_for(choice, point_board, point_world) -> None:
+    T = board_in_world(made.FLOOR_BOARD.corners_board, choice)
+    assert T[:3, :3] @ point_board + T[:3, 3] == pytest.approx(point_world, abs=1e-12)
 
 
 def test_level_camera_looks_along_world_x_with_z_up() -> None:
