@@ -21,7 +21,7 @@ from capture_rig.rig import Rig, load_rig
 from capture_rig.rigid import inverse
 from rig_calibration.boards.board import Board, Checkerboard, TargetDetection
 from rig_calibration.extrinsics.board_frames import average_still_board
-from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, FloorTarget, RigCalibration, Target, calibrate_rig
+from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, RigCalibration, Target, calibrate_rig
 from rig_calibration.extrinsics.world import WorldChoice
 from virtual_studio.rig import ring
 
@@ -58,7 +58,7 @@ def synthetic_rows(quick: bool) -> Iterator[ExtrinsicRow]:
     for seed, (name, rig) in enumerate(rigs.items()):
         floor, carried = floor_detections(rig, seed), carried_detections(rig, QUICK_FRAMES if quick else FRAMES, seed)
         cameras = {camera.name: camera for camera in rig.cameras}
-        targets = {FLOOR: FloorTarget.of_board(FLOOR_BOARD, WorldChoice()), MOVING: Target.of(CARRIED_BOARD)}
+        targets = {FLOOR: Target.of(FLOOR_BOARD, WorldChoice()), MOVING: Target.of(CARRIED_BOARD)}
         both = calibrate_rig(cameras, floor + carried, targets)
         yield row(name, "floor, carried", rig, both, floor_of(rig), NOISE_PX)
         seen = {detection.camera: cameras[detection.camera] for detection in floor}
@@ -71,14 +71,14 @@ def row(
     name: str, boards: str, rig: Rig, found: RigCalibration, T_world_floor: np.ndarray, noise_px: float
 ) -> ExtrinsicRow:
     """The errors of every camera in the frame of the floor board's middle."""
-    errors = np.array([_errors(camera, rig.camera(camera.name), T_world_floor) for camera in found.placed.rig.cameras])
-    covariances = [found.solution.covariance[camera.name] for camera in found.placed.rig.cameras]
+    errors = np.array([_errors(camera, rig.camera(camera.name), T_world_floor) for camera in found.rig.cameras])
+    covariances = [found.solution.covariance[camera.name] for camera in found.rig.cameras]
     in_sd = [np.sqrt(e @ np.linalg.solve(P, e) / 6) for e, P in zip(errors, covariances, strict=True)]
     return ExtrinsicRow(
         rig=name,
         boards=boards,
         cameras=len(errors),
-        rms_px=round(found.figures.rms_px / np.sqrt(2), 4),
+        rms_px=round(found.rms_px / np.sqrt(2), 4),
         noise_px=noise_px,
         worst_mm=round(1e3 * np.linalg.norm(errors[:, 3:], axis=1).max(), 3),
         worst_deg=round(float(np.rad2deg(np.linalg.norm(errors[:, :3], axis=1).max())), 4),
@@ -104,7 +104,7 @@ def floor_detections(rig: Rig, seed: int) -> list[TargetDetection]:
         frames = [project(camera, FLOOR_BOARD, T_world_board, FLOOR, m, rng) for m in range(FLOOR_FRAMES)]
         seen = [detection for detection in frames if detection is not None]
         if seen:
-            found.append(average_still_board(seen, FLOOR_BOARD, target=FLOOR).detection)
+            found.append(average_still_board(seen, FLOOR_BOARD)[0])
     return found
 
 

@@ -1,7 +1,7 @@
-"""A room for tests: cameras on a circle, a board on the floor, a board carried about; OpenCV projects the corners."""
+"""A room for tests: cameras on a circle, a board on the floor, a board carried about."""
 
 import numpy as np
-from bundle_studio import SIZE, camera_at, project, rotation
+from bundle_studio import camera_at, rotation
 
 from capture_rig.camera import CameraModel
 from capture_rig.rigid import rotation_vector, transform
@@ -48,13 +48,13 @@ def see(
     noise_px: float = NOISE_PX,
 ) -> TargetDetection | None:
     """What the camera sees of the board; None where its back or a part beyond the image is seen."""
-    T = camera.T_camera_world @ T_world_board
-    pixels = project(camera, T_world_board, board.corners_board)
-    if T[:3, 2] @ T[:3, 3] >= 0 or not ((pixels > 3) & (pixels < np.array(SIZE) - 4)).all():
+    T, size = camera.T_camera_world @ T_world_board, (camera.width, camera.height)
+    pixels = camera.project(board.corners_board @ T_world_board[:3, :3].T + T_world_board[:3, 3])
+    if T[:3, 2] @ T[:3, 3] >= 0 or not ((pixels > 3) & (pixels < np.array(size) - 4)).all():  # NaN, too
         return None
     seed = [frame_index, sum(camera.name.encode()), sum(target.encode())]
     pixels = pixels + noise_px * np.random.default_rng(seed).standard_normal(pixels.shape)
-    return TargetDetection(camera.name, frame_index, np.arange(len(pixels)), pixels, SIZE, target, noise_px)
+    return TargetDetection(camera.name, frame_index, np.arange(len(pixels)), pixels, size, target, noise_px)
 
 
 def see_all(

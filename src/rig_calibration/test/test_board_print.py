@@ -50,19 +50,7 @@ def test_yaml_file_and_text_give_the_same_board(tmp_path):
         ("charuco 11x8 30mm 22mm DICT_9X9_100", "DICT_9X9_100"),
         ("charuco 20x20 30mm 22mm DICT_4X4_50", "200 markers"),
         ("missing.yaml", "cannot be read"),
-    ],
-)
-def test_unusable_text_is_refused_with_what_is_wrong(text, says):
-    with pytest.raises(InputError, match=says) as refusal:
-        read_board(text)
-    assert refusal.value.remedy
-
-
-@pytest.mark.parametrize(
-    ("yaml", "says"),
-    [
         ("type: dots\n", "type = 'dots'"),
-        ("type: checkerboard\ncolumns: 9\n", "'rows' is missing"),
         ("type: checkerboard\ncolumns: 9\nrows: 6\n", "'field_m' is missing"),
         ("type: checkerboard\ncolumns: 9\nrows: 6\nfield_m: 25\n", "field_m = 25"),
         ("type: checkerboard\ncolumns: 9\nrows: 6\nfield_m: [1, 2, 3]\n", "neither a side"),
@@ -70,12 +58,14 @@ def test_unusable_text_is_refused_with_what_is_wrong(text, says):
         ("type: checkerboard\ncolumns: 9\nrows: 6\nfield_m: 0.025\ncolor: red\n", "'color' is not known"),
     ],
 )
-def test_unusable_file_is_refused_with_file_and_key(tmp_path, yaml, says):
-    file = tmp_path / "board.yaml"
-    file.write_text(yaml)
+def test_unusable_text_or_file_is_refused_with_what_is_wrong_and_a_remedy(tmp_path, text, says):
+    where = text
+    if text.startswith("type"):
+        where = str(tmp_path / "board.yaml")
+        Path(where).write_text(text)
     with pytest.raises(InputError, match=says) as refusal:
-        read_board(str(file))
-    assert str(file) in str(refusal.value)
+        read_board(where)
+    assert refusal.value.remedy and where in str(refusal.value)
 
 
 @pytest.mark.parametrize(("columns", "rows", "visible"), [(9, 6, True), (9, 7, False), (8, 6, False), (5, 4, True)])

@@ -111,8 +111,3 @@ def test_delays_of_a_moving_board_are_noticed_and_cost_little():
         for s in (late, prompt)
     ]
     assert rms[0] < rms[1] + 0.004
-
-
-def test_deviations_of_wrong_shape_are_refused():
-    with pytest.raises(InputError, match=r"camera 'cam01' have shape \(7,\)"):
-        solve_rig(CAMERAS, [], {"": studio.BOARD.corners_board}, intrinsics_sd={"cam01": np.ones(7)})

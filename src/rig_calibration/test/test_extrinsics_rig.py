@@ -12,11 +12,11 @@ from capture_rig.errors import InputError
 from capture_rig.verdict import GOOD, REDO, USABLE
 from rig_calibration.boards.board import Checkerboard, TargetDetection
 from rig_calibration.extrinsics.board_frames import average_still_board, frames_on_floor
-from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, FloorTarget, RigCalibration, Target, calibrate_rig
+from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, RigCalibration, Target, calibrate_rig
 from rig_calibration.extrinsics.verdict import TapeMeasure
 from rig_calibration.extrinsics.world import WorldChoice
 
-TARGETS = {FLOOR: FloorTarget.of_board(made.FLOOR_BOARD, WorldChoice()), MOVING: Target.of(made.CARRIED_BOARD)}
+TARGETS = {FLOOR: Target.of(made.FLOOR_BOARD, WorldChoice()), MOVING: Target.of(made.CARRIED_BOARD)}
 FLOOR_ONLY = {FLOOR: TARGETS[FLOOR]}
 FRAMES = 15
 
@@ -25,7 +25,7 @@ def floor_detections(cameras: dict[str, CameraModel], board: Checkerboard = made
     """Fifteen frames of the board on the floor, averaged."""
     seen = made.see_all(cameras, board, [made.on_floor(board)] * FRAMES, FLOOR)
     return [
-        average_still_board([s for s in seen if s.camera == name], board, target=FLOOR).detection
+        average_still_board([s for s in seen if s.camera == name], board)[0]
         for name in cameras
         if any(s.camera == name for s in seen)
     ]
@@ -39,7 +39,7 @@ def both_boards(
     cameras: dict[str, CameraModel], floor: Checkerboard = made.FLOOR_BOARD, carried: Checkerboard = made.CARRIED_BOARD
 ) -> RigCalibration:
     """The rig from pictures of both boards, which are stated to be these."""
-    targets = {FLOOR: FloorTarget.of_board(floor, WorldChoice()), MOVING: Target.of(carried)}
+    targets = {FLOOR: Target.of(floor, WorldChoice()), MOVING: Target.of(carried)}
     return calibrate_rig(cameras, floor_detections(cameras) + carried_detections(cameras), targets)
 
 
@@ -63,9 +63,9 @@ def whole(room: dict[str, CameraModel]) -> RigCalibration:
 def test_cameras_are_placed_within_5_mm_and_a_tenth_of_a_degree(
     room: dict[str, CameraModel], whole: RigCalibration
 ) -> None:
-    for camera in whole.placed.rig.cameras:
+    for camera in whole.rig.cameras:
         place_mm, turn_deg = made.pose_errors(camera, room[camera.name])
-        figures = whole.figures.camera(camera.name)
+        figures = whole.figures[camera.name]
         assert place_mm < 5.0 and turn_deg < 0.1
         assert place_mm < 3 * np.sqrt(3) * figures.sd_centre_mm and turn_deg < 3 * np.sqrt(3) * figures.sd_rotation_deg
         assert figures.rms_px == pytest.approx(made.NOISE_PX * np.sqrt(2), rel=0.1), "of distances"
@@ -73,9 +73,9 @@ def test_cameras_are_placed_within_5_mm_and_a_tenth_of_a_degree(
 
 
 def test_figures_are_those_of_the_true_rig(room: dict[str, CameraModel], whole: RigCalibration) -> None:
-    centre = (whole.placed.rig.volume.low + whole.placed.rig.volume.high) / 2
+    centre = (whole.rig.volume.low + whole.rig.volume.high) / 2
     for name, camera in room.items():
-        figures = whole.figures.camera(name)
+        figures = whole.figures[name]
         distance = np.linalg.norm(camera.centre_world - centre)
         place = camera.centre_world
         assert figures.height_m == pytest.approx(place[2], abs=0.005)
@@ -84,21 +84,20 @@ def test_figures_are_those_of_the_true_rig(room: dict[str, CameraModel], whole: 
         assert figures.floor_angle_deg == pytest.approx(
             np.rad2deg(np.arccos(place[2] / np.linalg.norm(place))), abs=0.3
         )
-    assert sum(whole.figures.gaps_deg.values()) == pytest.approx(360.0)
 
 
 def test_floor_board_alone_places_all_cameras_within_their_uncertainty(room: dict[str, CameraModel]) -> None:
     calibrated = calibrate_rig(room, floor_detections(room), FLOOR_ONLY)
-    for camera in calibrated.placed.rig.cameras:
+    for camera in calibrated.rig.cameras:
         place_mm, _ = made.pose_errors(camera, room[camera.name])
-        assert place_mm < 3 * np.sqrt(3) * calibrated.figures.camera(camera.name).sd_centre_mm < 60.0
+        assert place_mm < 3 * np.sqrt(3) * calibrated.figures[camera.name].sd_centre_mm < 60.0
 
 
 def test_camera_that_never_sees_the_floor_board_is_placed_by_the_carried_one(room: dict[str, CameraModel]) -> None:
     without = [detection for detection in floor_detections(room) if detection.camera != "cam02"]
     calibrated = calibrate_rig(room, without + carried_detections(room), TARGETS)
-    assert made.pose_errors(calibrated.placed.rig.camera("cam02"), room["cam02"])[0] < 8.0
-    assert calibrated.figures.camera("cam02").floor_angle_deg is None
+    assert made.pose_errors(calibrated.rig.camera("cam02"), room["cam02"])[0] < 8.0
+    assert calibrated.figures["cam02"].floor_angle_deg is None
 
 
 def test_wrong_square_size_of_one_board_shows_as_a_ratio(room: dict[str, CameraModel]) -> None:
@@ -112,7 +111,7 @@ def test_wrong_square_size_of_one_board_shows_as_a_ratio(room: dict[str, CameraM
 def test_tape_tells_that_all_sizes_are_wrong(room: dict[str, CameraModel]) -> None:
     """Both boards stated 4 % too large: the pictures fit perfectly, only the tape knows."""
     floor, carried = Checkerboard(7, 4, (0.1248, 0.1248)), Checkerboard(9, 6, (0.0832, 0.0832))
-    targets = {FLOOR: FloorTarget.of_board(floor, WorldChoice()), MOVING: Target.of(carried)}
+    targets = {FLOOR: Target.of(floor, WorldChoice()), MOVING: Target.of(carried)}
     apart = float(np.linalg.norm(room["cam01"].centre_world - room["cam03"].centre_world))
     tape = [TapeMeasure("cam01", "cam03", apart), TapeMeasure("cam02", None, float(room["cam02"].centre_world[2]))]
     calibrated = calibrate_rig(room, floor_detections(room) + carried_detections(room), targets, tape=tape)
@@ -122,7 +121,7 @@ def test_tape_tells_that_all_sizes_are_wrong(room: dict[str, CameraModel]) -> No
 
 def test_symmetric_floor_board_alone_is_no_calibration_of_several_cameras(room: dict[str, CameraModel]) -> None:
     even = Checkerboard(8, 4, (0.12, 0.12))
-    targets = {FLOOR: FloorTarget.of_board(even, WorldChoice())}
+    targets = {FLOOR: Target.of(even, WorldChoice())}
     calibrated = calibrate_rig(room, floor_detections(room, even), targets)
     assert calibrated.verdict.grade == REDO
     assert "on which side of the board cam01, cam02, cam03, cam04 stand(s)" in findings(calibrated)
@@ -132,9 +131,9 @@ def test_carried_board_tells_which_way_round_a_symmetric_floor_board_lies(room: 
     even = Checkerboard(8, 4, (0.12, 0.12))
     seen = floor_detections(room, even)
     seen[1] = replace(seen[1], ids=(len(even.corners_board) - 1 - seen[1].ids)[::-1], pixels=seen[1].pixels[::-1])
-    targets = {FLOOR: FloorTarget.of_board(even, WorldChoice()), MOVING: TARGETS[MOVING]}
+    targets = {FLOOR: Target.of(even, WorldChoice()), MOVING: TARGETS[MOVING]}
     calibrated = calibrate_rig(room, seen + carried_detections(room), targets)
-    turned = {name: made.pose_errors(calibrated.placed.rig.camera(name), room[name])[0] for name in room}
+    turned = {name: made.pose_errors(calibrated.rig.camera(name), room[name])[0] for name in room}
     assert max(turned.values()) < 8.0, turned
 
 
@@ -144,27 +143,22 @@ def test_floor_view_that_contradicts_the_rest_is_named_redo(room: dict[str, Came
     moved = made.see(room["cam03"], made.FLOOR_BOARD, made.on_floor(made.FLOOR_BOARD, 0.1, 0.2, 0.7), FLOOR, 0)
     assert moved is not None
     calibrated = calibrate_rig(room, [*seen, moved, *carried_detections(room)], TARGETS)
-    assert made.pose_errors(calibrated.placed.rig.camera("cam03"), room["cam03"])[0] < 8.0, "by the carried board"
+    assert made.pose_errors(calibrated.rig.camera("cam03"), room["cam03"])[0] < 8.0, "by the carried board"
     assert calibrated.verdict.grade == REDO
     assert "cam03 sees the floor board otherwise than the rest" in findings(calibrated)
 
 
-def test_grazing_view_of_the_floor_board_is_named_with_its_angle() -> None:
-    cameras = made.circle(3)
-    cameras["cam04"] = camera_at("cam04", np.array([-2.0, 1.0, 0.45]), np.array([0.0, 0.0, 0.4]))
-    calibrated = calibrate_rig(cameras, floor_detections(cameras), FLOOR_ONLY)
-    assert "cam04 sees the board at 79 degrees from its normal -> Raise the camera" in findings(calibrated)
-
-
-def test_cameras_that_look_at_each_other_are_named() -> None:
-    cameras = made.circle(3)
-    opposite = -cameras["cam01"].centre_world * [1, 1, -1]
-    cameras["cam04"] = camera_at("cam04", opposite, np.array([0.0, 0.0, opposite[2]]))
-    cameras["cam01"] = camera_at("cam01", cameras["cam01"].centre_world, np.array([0.0, 0.0, opposite[2]]))
-    calibrated = both_boards(cameras)
-    facing = calibrated.figures.facing_deg["cam01", "cam04"]
-    assert facing > 165.0
-    assert ("cam01 and cam04 look at each other" in findings(calibrated)) == (facing > 170.0)
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_floor_board_that_is_too_small_or_mirrored_is_redo(mirrored: bool) -> None:
+    board = made.FLOOR_BOARD if mirrored else Checkerboard(4, 3, (0.05, 0.05))
+    places = [np.array([x, -1.0, 5.0]) for x in (-0.5, 0.5)]
+    high = {f"cam{i}": camera_at(f"cam{i}", place, np.zeros(3)) for i, place in enumerate(places)}
+    cameras = made.circle(3) if mirrored else high
+    seen = floor_detections(cameras, board)
+    if mirrored:
+        seen = [replace(s, ids=s.ids.reshape(4, 7)[:, ::-1].ravel()) for s in seen]
+    said = findings(calibrate_rig(cameras, seen, {FLOOR: Target.of(board, WorldChoice())}))
+    assert ("redo: cam01 comes to lie" if mirrored else "redo: two poses of cam0 fit the floor") in said
 
 
 def test_carried_board_laid_down_at_the_end_gives_the_floor(room: dict[str, CameraModel]) -> None:
@@ -176,7 +170,7 @@ def test_carried_board_laid_down_at_the_end_gives_the_floor(room: dict[str, Came
 
 def test_without_a_floor_distances_are_right_and_the_verdict_says_what_is_missing(room: dict[str, CameraModel]) -> None:
     calibrated = calibrate_rig(room, carried_detections(room), {MOVING: TARGETS[MOVING]})
-    one, other = (calibrated.placed.rig.camera(name).centre_world for name in ("cam01", "cam03"))
+    one, other = (calibrated.rig.camera(name).centre_world for name in ("cam01", "cam03"))
     truth = np.linalg.norm(room["cam01"].centre_world - room["cam03"].centre_world)
     assert np.linalg.norm(one - other) == pytest.approx(truth, abs=0.005)
     assert calibrated.verdict.grade == USABLE and "heights and the vertical are guesses" in findings(calibrated)
@@ -192,6 +186,6 @@ def test_floor_that_was_guessed_from_a_single_frame_is_said_to_be_a_guess(room: 
 
 def test_tape_measure_of_an_unknown_camera_or_a_useless_length_is_refused(whole: RigCalibration) -> None:
     with pytest.raises(InputError, match="no camera 'cam09'"):
-        TapeMeasure("cam01", "cam09", 3.0).check(whole.placed.rig)
+        TapeMeasure("cam01", "cam09", 3.0).checked(whole.rig)
     with pytest.raises(InputError, match="no length to check with"):
-        TapeMeasure("cam01", None, -2.0).check(whole.placed.rig)
+        TapeMeasure("cam01", None, -2.0).checked(whole.rig)

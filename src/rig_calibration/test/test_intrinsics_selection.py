@@ -9,9 +9,8 @@ from intrinsics_views import BOARD, found, lens, shown
 
 from capture_rig.errors import InputError
 from rig_calibration.intrinsics.calibrate import board_pose
-from rig_calibration.intrinsics.coverage import coverage_of, placement_of
 from rig_calibration.intrinsics.lens_model import LensModel
-from rig_calibration.intrinsics.selection import LensAccuracy, ViewCollector, motion_px
+from rig_calibration.intrinsics.selection import LensAccuracy, ViewCollector, coverage_of, motion_px, placement_of
 
 
 def jittered(detection, frame_index, blur_px=0.0):
@@ -68,7 +67,7 @@ def test_collecting_ends_when_lens_is_known_and_everything_covered():
         if collector.enough:
             break
     assert collector.enough and collector.advice() == "" and 12 <= len(collector) < 80
-    expected, result = collector.expected, found(collector.best())
+    expected, result = collector.expected, found(collector.detections)
     assert expected.focal_sd <= 0.004 and expected.centre_sd_px <= 2.0
     assert result.sd["fx"] / result.values["fx"] == pytest.approx(expected.focal_sd, rel=0.35)
     assert result.values["fx"] == pytest.approx(camera.K[0, 0], rel=0.006)

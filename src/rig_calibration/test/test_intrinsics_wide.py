@@ -90,7 +90,7 @@ def test_lens_that_folds_inside_the_image_is_usable_up_to_there():
     finding = said(result, "% of the image is not used")[0]
     assert finding.what.startswith("the lens model holds up to 54 degrees: the outer 7.")
     assert "bring a ChArUco board" in finding.remedy
-    assert np.isfinite(result.edge_sd_px) and result.reach < 1.02
+    assert np.isfinite(result.edge_sd_px)
     assert abs(result.values["fx"] / camera.K[0, 0] - 1) < 1e-3
     errors = pixel_errors(result.camera, camera)
     assert np.nanpercentile(errors, 99) < 0.5
@@ -100,7 +100,7 @@ def test_lens_that_folds_inside_the_image_is_usable_up_to_there():
     assert figures["image_unused"] == pytest.approx(0.08, abs=0.01)
     figure = draw(result)  # without a warning
     figure.canvas.draw()
-    assert len(figure.axes) == 4
+    assert len(figure.axes) == 3
 
 
 def test_lens_that_folds_far_inside_the_image_must_be_done_again():

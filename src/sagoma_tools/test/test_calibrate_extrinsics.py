@@ -21,7 +21,7 @@ from footage_clips import write_clip
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig, save_rig
 from rig_calibration.boards.board import Checkerboard
-from sagoma_tools.calibration.outer_corners import find_from_corners, read_corners
+from sagoma_tools.calibration.outer_corners import read_corners
 from sagoma_tools.cli import main
 
 BOARD = Checkerboard(7, 4, (0.12, 0.12))
@@ -231,14 +231,6 @@ def test_outer_corners_from_a_file_serve_where_the_board_is_not_found(room, came
 
 CAMERA = three_cameras()["cam01"]
 OUTER = outer_pixels(CAMERA, BOARD, on_floor(BOARD, TURN), 7)
-
-
-@pytest.mark.parametrize("order", [(0, 1, 2, 3), (2, 3, 0, 1), (3, 2, 1, 0), (1, 3, 0, 2)])
-def test_corners_given_in_any_order_are_numbered_by_the_boards_colours(floor_pictures, order):
-    outer = OUTER[list(order)] + [2.0, -1.5]
-    detection = find_from_corners(floor_pictures["cam01"], BOARD, outer, model=CAMERA, frame_index=0, target="floor")
-    expected = corner_pixels(CAMERA, BOARD, on_floor(BOARD, TURN))[detection.ids]
-    assert len(detection) > 20 and np.abs(detection.pixels - expected).max() < 0.5
 
 
 def test_corners_file_gives_corners_with_or_without_a_frame(tmp_path):

@@ -169,15 +169,15 @@ def test_names_come_from_the_topic():
 def test_line_shows_progress_advice_and_the_last_reason(shown):
     watcher = BoardImageProcessor(BOARD, "cam01", ViewCollector(BOARD))
     watcher.process(shown[0], None, 0)
-    seen = watcher.process(shown[0], shown[0], 1)
-    assert seen.detection is not None and not seen.taken
+    detection, reason = watcher.process(shown[0], shown[0], 1)
+    assert detection is not None and reason
     advice = watcher.collector.advice()
-    line = plain_line(watcher, seen.reason)
+    line = plain_line(watcher, reason)
     assert line.startswith("cam01: 1 views; image ") and "tilt" in line
-    assert advice in line and line.endswith(f"(last image: {seen.reason})")
-    picture = draw_preview(shown[0], seen, watcher.collector.coverage, advice)
+    assert advice in line and line.endswith(f"(last image: {reason})")
+    picture = draw_preview(shown[0], detection, reason, watcher.collector)
     marked = np.ptp(picture.astype(int), axis=2) > 100
-    corner = np.rint(seen.detection.pixels[20]).astype(int)
+    corner = np.rint(detection.pixels[20]).astype(int)
     assert marked[corner[1] - 6 : corner[1] + 7, corner[0] - 6 : corner[0] + 7].any()
 
 

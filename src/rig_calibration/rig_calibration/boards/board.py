@@ -122,7 +122,7 @@ METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "in": 0.0254}
 MIN_CORNERS, MAX_CORNERS = 3, 60
 MIN_FIELD_M, MAX_FIELD_M = 1e-3, 3.0
 KEYS = {
-    "checkerboard": ({"columns", "rows"}, {"field_m", "square_m"}),
+    "checkerboard": ({"columns", "rows", "field_m"}, set[str]()),
     "charuco": ({"columns", "rows", "square_m", "marker_m", "dictionary"}, {"legacy"}),
 }
 EXAMPLES = (
@@ -130,11 +130,10 @@ EXAMPLES = (
     '"checkerboard 4x3 297x210mm", or "charuco 11x8 30mm 22mm DICT_5X5_100" (fields, side of a field, of a marker).'
 )
 
-_SIZE = r"(\d+)\s*[x×]\s*(\d+)"
-_NUMBER = r"(\d+(?:\.\d+)?)"
-_UNIT = r"\s*(mm|cm|m|in)"
-_CHECKERBOARD = re.compile(rf"(?:checker|chess)board\s+{_SIZE}\s+{_NUMBER}(?:\s*[x×]\s*{_NUMBER})?{_UNIT}", re.I)
-_CHARUCO = re.compile(rf"charuco\s+{_SIZE}\s+{_NUMBER}{_UNIT}\s+{_NUMBER}{_UNIT}\s+(DICT_\w+)(\s+legacy)?", re.I)
+_SIZE = r"(?P<columns>\d+)\s*[x×]\s*(?P<rows>\d+)"
+_NUMBER, _UNIT = r"\d+(?:\.\d+)?", r"\s*(mm|cm|m|in)"
+_CHECKERBOARD = rf"(?:checker|chess)board\s+{_SIZE}\s+({_NUMBER})(?:\s*[x×]\s*({_NUMBER}))?{_UNIT}"
+_CHARUCO = rf"charuco\s+{_SIZE}\s+({_NUMBER}){_UNIT}\s+({_NUMBER}){_UNIT}\s+(DICT_\w+)(\s+legacy)?"
 
 
 def read_board(text: str) -> Board:
@@ -145,25 +144,19 @@ def read_board(text: str) -> Board:
     """
     text = str(text).strip()
     if text.lower().endswith((".yaml", ".yml")):
-        path = Path(text)
-        return _from_mapping(read_mapping(path, EXAMPLES), text)
-    if match := _CHECKERBOARD.fullmatch(text):
-        columns, rows, width, height, unit = match.groups()
-        scale = METRES[unit.lower()]
-        sides = [_metres(width, scale), _metres(height or width, scale)]
-        return _checkerboard({"columns": int(columns), "rows": int(rows), "field_m": sides}, f'board "{text}"')
-    if match := _CHARUCO.fullmatch(text):
-        columns, rows, square, square_unit, marker, marker_unit, dictionary, legacy = match.groups()
-        mapping = {
-            "columns": int(columns),
-            "rows": int(rows),
-            "square_m": _metres(square, METRES[square_unit.lower()]),
-            "marker_m": _metres(marker, METRES[marker_unit.lower()]),
-            "dictionary": dictionary.upper(),
-            "legacy": bool(legacy),
-        }
-        return _charuco(mapping, f'board "{text}"')
-    raise InputError("describes no board", where=f'board "{text}"', remedy=EXAMPLES)
+        return _board(read_mapping(Path(text), EXAMPLES), text)
+    mapping: dict[str, Any]
+    if match := re.fullmatch(_CHECKERBOARD, text, re.I):
+        _, _, width, height, unit = match.groups()
+        mapping = {"type": "checkerboard", "field_m": [_metres(width, unit), _metres(height or width, unit)]}
+    elif match := re.fullmatch(_CHARUCO, text, re.I):
+        _, _, square, square_unit, marker, marker_unit, dictionary, legacy = match.groups()
+        mapping = {"type": "charuco", "dictionary": dictionary.upper(), "legacy": bool(legacy)}
+        mapping |= {"square_m": _metres(square, square_unit), "marker_m": _metres(marker, marker_unit)}
+    else:
+        raise InputError("describes no board", where=f'board "{text}"', remedy=EXAMPLES)
+    counts = {key: int(match[key]) for key in ("columns", "rows")}
+    return _board(mapping | counts, f'board "{text}"')
 
 
 def board_text(board: Board) -> str:
@@ -181,42 +174,33 @@ def _mm(metres: float) -> str:
     return f"{round(metres * 1e3, 6):.10g}"
 
 
-def _metres(number: str, scale: float) -> float:
-    return round(float(number) * scale, 9)
+def _metres(number: str, unit: str) -> float:
+    return round(float(number) * METRES[unit.lower()], 9)
 
 
-def _from_mapping(mapping: Mapping[str, Any], where: str) -> Board:
+def _board(mapping: Mapping[str, Any], where: str) -> Board:
     kind = mapping.get("type")
     if not isinstance(kind, str) or kind not in KEYS:
-        raise InputError(
-            f"type = {kind!r} is not a type of board", where=where, remedy=f"Give one of {', '.join(KEYS)}."
-        )
+        remedy = f"Give one of {', '.join(KEYS)}."
+        raise InputError(f"type = {kind!r} is not a type of board", where=where, remedy=remedy)
+    given = {"field_m" if key == "square_m" and kind == "checkerboard" else key: mapping[key] for key in mapping}
     needed, optional = KEYS[kind]
-    given = set(mapping) - {"type"}
-    if missing := sorted(needed - given):
+    if missing := sorted(needed - set(given)):
         raise InputError(f"key '{missing[0]}' is missing", where=where, remedy=EXAMPLES)
-    if unknown := sorted(map(str, given - needed - optional)):
-        raise InputError(
-            f"key '{unknown[0]}' is not known for a {kind}",
-            where=where,
-            remedy=f"Known keys: {', '.join(sorted(needed | optional))}.",
-        )
-    return _checkerboard(mapping, where) if kind == "checkerboard" else _charuco(mapping, where)
+    if unknown := sorted(map(str, set(given) - needed - optional - {"type"})):
+        remedy = f"Known keys: {', '.join(sorted(needed | optional))}."
+        raise InputError(f"key '{unknown[0]}' is not known for a {kind}", where=where, remedy=remedy)
+    columns, rows = (_number(given[key], key, where, whole=True) for key in ("columns", "rows"))
+    return (_checkerboard if kind == "checkerboard" else _charuco)(columns, rows, given, where)
 
 
-def _checkerboard(mapping: Mapping[str, Any], where: str) -> Checkerboard:
-    columns, rows = (_count(mapping, key, where, "inner corners") for key in ("columns", "rows"))
-    key = "field_m" if "field_m" in mapping else "square_m"
-    if key not in mapping:
-        raise InputError("key 'field_m' is missing", where=where, remedy="Give the side of a field in metres.")
-    sides = mapping[key] if isinstance(mapping[key], list | tuple) else [mapping[key]] * 2
+def _checkerboard(columns: int, rows: int, given: Mapping[str, Any], where: str) -> Checkerboard:
+    field_m = given["field_m"]
+    sides = field_m if isinstance(field_m, list | tuple) else [field_m] * 2
     if len(sides) != 2:
-        raise InputError(
-            f"{key} = {mapping[key]!r} is neither a side nor [width, height]",
-            where=where,
-            remedy="Give metres, such as 0.025 or [0.297, 0.21].",
-        )
-    width, height = (_length(side, key, where) for side in sides)
+        remedy = "Give metres, such as 0.025 or [0.297, 0.21]."
+        raise InputError(f"field_m = {field_m!r} is neither a side nor [width, height]", where=where, remedy=remedy)
+    width, height = (float(_number(side, "field_m", where)) for side in sides)
     if columns == rows and columns % 2 == 0:
         raise InputError(
             f"a checkerboard of {columns} x {rows} inner corners looks the same from all four sides",
@@ -226,59 +210,34 @@ def _checkerboard(mapping: Mapping[str, Any], where: str) -> Checkerboard:
     return Checkerboard(columns, rows, (width, height))
 
 
-def _charuco(mapping: Mapping[str, Any], where: str) -> CharucoBoard:
-    columns, rows = (_count(mapping, key, where, "fields") for key in ("columns", "rows"))
-    square, marker = (_length(mapping[key], key, where) for key in ("square_m", "marker_m"))
+def _charuco(columns: int, rows: int, given: Mapping[str, Any], where: str) -> CharucoBoard:
+    square, marker = (float(_number(given[key], key, where)) for key in ("square_m", "marker_m"))
     if marker >= square:
-        raise InputError(
+        what, remedy = (
             f"marker_m = {marker:g} is not smaller than square_m = {square:g}",
-            where=where,
-            remedy="Give the side of a field first, then the side of a marker.",
+            "Give the field's side first.",
         )
-    legacy = mapping.get("legacy", False)
+        raise InputError(what, where=where, remedy=remedy)
+    legacy, name, markers = given.get("legacy", False), given["dictionary"], columns * rows // 2
     if not isinstance(legacy, bool):
-        raise InputError(
-            f"legacy = {legacy!r} is neither true nor false",
-            where=where,
-            remedy="Prints of OpenCV before 4.6 with an even number of rows are legacy.",
-        )
-    dictionary = _dictionary(mapping["dictionary"], columns * rows // 2, where)
-    return CharucoBoard(columns, rows, square, marker, dictionary, legacy)
-
-
-def _dictionary(name: Any, markers: int, where: str) -> str:
+        remedy = "Prints of OpenCV before 4.6 with an even number of rows are legacy."
+        raise InputError(f"legacy = {legacy!r} is neither true nor false", where=where, remedy=remedy)
     known = sorted(key for key in dir(cv2.aruco) if re.fullmatch(r"DICT_(\dX\d_\d+|ARUCO_\w+|APRILTAG_\w+)", key))
     if name not in known:
-        raise InputError(
-            f"dictionary = {name!r} is not one of OpenCV's", where=where, remedy=f"Known are {', '.join(known)}."
-        )
+        remedy = f"Known are {', '.join(known)}."
+        raise InputError(f"dictionary = {name!r} is not one of OpenCV's", where=where, remedy=remedy)
     size = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)).bytesList)
     if markers > size:
-        raise InputError(
-            f"the board has {markers} markers, but {name} only {size}",
-            where=where,
-            remedy="Use a larger dictionary, or fewer fields.",
-        )
-    return str(name)
+        remedy = "Use a larger dictionary, or fewer fields."
+        raise InputError(f"the board has {markers} markers, but {name} only {size}", where=where, remedy=remedy)
+    return CharucoBoard(columns, rows, square, marker, name, legacy)
 
 
-def _count(mapping: Mapping[str, Any], key: str, where: str, of: str) -> int:
-    value = mapping[key]
-    if not isinstance(value, int) or isinstance(value, bool) or not MIN_CORNERS <= value <= MAX_CORNERS:
-        raise InputError(
-            f"{key} = {value!r} is not a number of {of} from {MIN_CORNERS} to {MAX_CORNERS}",
-            where=where,
-            remedy="Count them on the board.",
-        )
+def _number(value: Any, key: str, where: str, whole: bool = False) -> Any:
+    """Return a number of corners or fields (``whole``), or a length; InputError for anything else."""
+    low, high = (MIN_CORNERS, MAX_CORNERS) if whole else (MIN_FIELD_M, MAX_FIELD_M)
+    if isinstance(value, bool) or not isinstance(value, int if whole else int | float) or not low <= value <= high:
+        what = f"{key} = {value!r} is not a {'whole number' if whole else 'length in metres'} from {low:g} to {high:g}"
+        remedy = "Count them on the board." if whole else "Lengths in files are in metres: 25 mm is 0.025."
+        raise InputError(what, where=where, remedy=remedy)
     return value
-
-
-def _length(value: Any, key: str, where: str) -> float:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not MIN_FIELD_M <= value <= MAX_FIELD_M:
-        raise InputError(
-            f"{key} = {value!r} is not a length of {MIN_FIELD_M:g} to {MAX_FIELD_M:g} m",
-            where=where,
-            remedy="Lengths in files are in metres: 25 mm is 0.025.",
-        )
-    return float(value)

@@ -264,65 +264,43 @@ def diagnose_board(image: npt.NDArray[np.uint8], board: Board) -> str | None:
         return f"a board with markers of {dictionary} was seen instead of a plain checkerboard"
     patterns = [grid for grid in checkerboard_patterns(grey, variants) if grid.count >= MIN_PATTERN_CORNERS]
     if patterns:
-        return _about_pattern(max(patterns, key=lambda grid: grid.count), board, grey.shape)
+        return _about_pattern(max(patterns, key=lambda grid: grid.count), board)
     return _about_light(grey)
 
 
-def _about_pattern(grid: CornerGrid, board: Checkerboard, shape: tuple[int, ...]) -> str:
+def _about_pattern(grid: CornerGrid, board: Checkerboard) -> str:
     columns, rows = sorted(grid.pixels.shape[:2], reverse=True)
     wanted_columns, wanted_rows = sorted((board.columns, board.rows), reverse=True)
-    wanted = f"{board.columns} x {board.rows}"
-    if possible_orders(grid, board):
-        return f"only {grid.count} of the board's {columns * rows} corners were seen: something hides the others"
+    seen, wanted = f"a checkerboard of {columns} x {rows} inner corners was seen", f"{board.columns} x {board.rows}"
     if (columns + 1, rows + 1) == (wanted_columns, wanted_rows):
-        seen = f"a checkerboard of {columns} x {rows} inner corners was seen"
         return f"{seen}: {wanted} is its number of fields, but the inner corners count"
-    if columns <= wanted_columns and rows <= wanted_rows and _ends_at_border(grid, shape):
-        return f"only {columns} x {rows} of the board's {wanted} corners were seen: the others lie outside the image"
-    return f"a checkerboard of {columns} x {rows} inner corners was seen instead of {wanted}"
-
-
-def _ends_at_border(grid: CornerGrid, shape: tuple[int, ...]) -> bool:
-    """Would the line after the next one, on some side, lie outside the image?"""
-    along, down = steps(grid.pixels)
-    before, after = grid.pixels - 2 * along, grid.pixels + 2 * along
-    above, below = grid.pixels - 2 * down, grid.pixels + 2 * down
-    beyond = [before[:, 0], after[:, -1], above[0], below[-1]]
-    outside = [(line < 0) | (line > [shape[1] - 1, shape[0] - 1]) for line in beyond]
-    return any(side.any(axis=1).mean() > 0.5 for side in outside)
+    if columns <= wanted_columns and rows <= wanted_rows:
+        part = f"only {grid.count} of the board's {wanted} corners were seen"
+        return f"{part}: the others are hidden or outside the image, or it is another board"
+    return f"{seen} instead of {wanted}"
 
 
 def _about_markers(grey: npt.NDArray[np.uint8], board: CharucoBoard) -> str | None:
-    detector = charuco_detector(board)
-    *_, ids = detector.detectBoard(grey)
-    own = 0 if ids is None else len(ids)
-    if own >= MIN_MARKERS:
+    *_, ids = charuco_detector(board).detectBoard(grey)
+    if ids is not None and len(ids) >= MIN_MARKERS:
         size = f"{board.columns} x {board.rows} fields"
-        return f"{own} markers of {board.dictionary} were seen, not as on a board of {size} (another size, or legacy?)"
-    if (dictionary := _dictionary_seen(grey)) and dictionary != board.dictionary:
-        return f"markers of {dictionary} were seen instead of {board.dictionary}"
+        return f"{len(ids)} markers of {board.dictionary} were seen, not as on a board of {size} (another, or legacy?)"
+    if (family := _dictionary_seen(grey)) and not board.dictionary.startswith(family):
+        return f"markers of {family} were seen instead of {board.dictionary}"
     variants = variants_for(grey.shape, thorough=False)
     if any(grid.count >= MIN_PATTERN_CORNERS for grid in checkerboard_patterns(grey, variants)):
         return "a checkerboard was seen, but no markers on it that can be read: too small, too blurred, or none"
-    return f"only {own} markers were seen" if own else None
+    return None
 
 
 def _dictionary_seen(grey: npt.NDArray[np.uint8]) -> str:
-    """OpenCV's dictionary of which most markers are seen, the smallest of those; "" when there are too few."""
-    names = sorted(name for name in dir(cv2.aruco) if re.fullmatch(r"DICT_(\dX\d_1000|ARUCO_ORIGINAL)", name))
-    best, most = "", MIN_MARKERS - 1
-    for name in names:
+    """OpenCV's family of dictionaries of which most markers are seen, as DICT_5X5; "" when there are too few."""
+    seen = {"": MIN_MARKERS - 1}
+    for name in sorted(name for name in dir(cv2.aruco) if re.fullmatch(r"DICT_(\dX\d_1000|ARUCO_ORIGINAL)", name)):
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
         _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(grey)
-        if ids is not None and len(ids) > most:
-            best, most = _smallest(name, int(np.max(ids))), len(ids)
-    return best
-
-
-def _smallest(name: str, highest_id: int) -> str:
-    if not name.endswith("_1000"):
-        return name
-    return name.removesuffix("1000") + next(size for size in ("50", "100", "250", "1000") if highest_id < int(size))
+        seen[name.removesuffix("_1000")] = 0 if ids is None else len(ids)
+    return max(seen, key=lambda name: seen[name])
 
 
 def _about_light(grey: npt.NDArray[np.uint8]) -> str | None:

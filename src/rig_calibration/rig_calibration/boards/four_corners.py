@@ -37,20 +37,31 @@ def find_from_outer_corners(
     target: str = "",
     model: CameraModel | None = None,
 ) -> TargetDetection:
-    """Find the board whose outermost inner corners lie near ``outer_px`` (4, 2) pixels, in the print's reading order:
-    first, end of the first row, last, start of the last row; up to 6 pixels or half a field off.
+    """Find the board whose outermost inner corners lie near ``outer_px`` (4, 2) pixels, up to 6 pixels or half a field
+    off: in any order where the board's colours or markers tell which way round it lies; else in the print's reading
+    order: first, end of the first row, last, start of the last row.
 
     ``model``: the camera, where its lens is known already: where the lens bends lines much, corners are expected in
-    the right places then. The detection holds the corners that the image shows, to a part of a pixel; where the
-    colours tell, they also decide which of the corners is the first. InputError when there is no such board.
+    the right places then. The detection holds the corners that the image shows, to a part of a pixel. InputError when
+    there is no such board.
     """
     where = f"camera '{camera}', frame {frame_index}" if camera else ""
-    grey = as_grey(image)
-    outer = _checked(outer_px, where)
+    grey, outer = as_grey(image), np.asarray(outer_px, float)
+    if outer.shape != (4, 2) or not np.isfinite(outer).all():
+        raise InputError(
+            f"four corners (x, y) in pixels are needed, not {np.shape(outer_px)}", where=where, remedy=ORDER
+        )
+    orders = [outer]
+    if board.half_turn_is_visible:  # clockwise as seen; which of them is the first is settled below
+        away = outer - outer.mean(axis=0)
+        around = outer[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
+        orders = [around, np.roll(around, 1, axis=0)]
+    _require_clockwise(orders[0], where)
     view = FlatBoard(board, None if model is None else replace(model, T_camera_world=np.eye(4)))
     outer_ids = np.ravel_multi_index(OUTER, view.shape, mode="wrap")
-    snapped = _snapped(grey, view, outer_ids, outer)
-    grid = followed(grey, view, outer_ids, snapped)
+    grids = [followed(grey, view, outer_ids, _snapped(grey, view, outer_ids, order)) for order in orders]
+    best = int(np.argmax([grid.count for grid in grids]))
+    grid, outer = grids[best], orders[best]
     if grid.count < HALF * grid.found.size:
         raise InputError(
             f"only {grid.count} of {grid.found.size} corners are seen where the four given ones put the board",
@@ -61,20 +72,12 @@ def find_from_outer_corners(
     return detection_of(ordered, grey.shape, camera=camera, frame_index=frame_index, target=target)
 
 
-def _checked(outer_px: npt.ArrayLike, where: str) -> Array:
-    outer, problem = np.asarray(outer_px, float), ""
-    if outer.shape != (4, 2) or not np.isfinite(outer).all():
-        problem = f"four corners (x, y) in pixels are needed, not {np.shape(outer_px)}"
-    else:
-        sides = np.roll(outer, -1, axis=0) - outer
-        turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
-        if np.all(turns < 0):
-            problem = "the four corners run round the board the wrong way"
-        elif not np.all(turns > 0):
-            problem = "the four corners are no convex quadrilateral"
-    if problem:
-        raise InputError(problem, where=where, remedy=ORDER)
-    return outer
+def _require_clockwise(outer: Array, where: str) -> None:
+    sides = np.roll(outer, -1, axis=0) - outer
+    turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
+    if not np.all(turns > 0):
+        wrong = "run round the board the wrong way" if np.all(turns < 0) else "are no convex quadrilateral"
+        raise InputError(f"the four corners {wrong}", where=where, remedy=ORDER)
 
 
 def _snapped(grey: npt.NDArray[np.uint8], view: FlatBoard, ids: npt.NDArray[np.int64], outer: Array) -> Array:

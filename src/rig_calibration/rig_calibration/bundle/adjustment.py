@@ -19,12 +19,12 @@ import numpy as np
 
 from capture_rig.lens import Array
 
-from .state import OF_CAMERA, OF_TARGET, POSE, Bools, Layout, Linearised, Observations, State, linearise, residuals_px
+from ..boards.x_corner import CONVERGED_PX
+from .state import OF_CAMERA, OF_TARGET, POSE, Bools, Linearised, Observations, State, linearise, residuals_px
 
-# Thresholds: from the normal distribution (99 % efficiency); the least scale: judgement.
+# Threshold: from the normal distribution (99 % efficiency).
 HUBER = 3.0  # standard deviations: corners with normal noise are hardly weighed down; beyond, something is wrong
 RAYLEIGH_MEDIAN = math.sqrt(2 * math.log(2))  # the median length of a two-dimensional residual of unit variance
-MIN_SCALE_PX = 0.002
 ROUNDS = 4
 TINY = 1e-9  # of the trace: keeps the turn of a wand about itself, which no picture shows, from being divided by zero
 
@@ -57,36 +57,25 @@ class Prior:
     information: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Adjusted:
-    """The adjusted state; ``scale``: the corners' standard deviations are that many times those given."""
-
-    state: State
-    scale: float
-
-
 def adjust(
-    state: State,
-    seen: Observations,
-    layout: Layout,
-    free: FreeUnknowns,
-    prior: Prior | None = None,
-    stop: StopCriterion = CONVERGED,
-) -> Adjusted:
-    """Adjust robustly, estimating the scale of the noise and the state in turns."""
+    state: State, seen: Observations, free: FreeUnknowns, prior: Prior, stop: StopCriterion = CONVERGED
+) -> tuple[State, float]:
+    """Adjust robustly, estimating the state and the scale of the noise (the corners' standard deviations are that many
+    times those given) in turns."""
     scale = noise_scale(state, seen)
     for _ in range(ROUNDS):
-        state = _levenberg_marquardt(state, seen.weighted(np.array(1 / scale)), layout, free, prior, stop)
+        state = _levenberg_marquardt(state, seen.weighted(np.array(1 / scale)), free, prior, stop)
         before, scale = scale, noise_scale(state, seen)
         if abs(scale - before) < 0.01 * before:
             break
-    return Adjusted(state, scale)
+    return state, scale
 
 
 def noise_scale(state: State, seen: Observations) -> float:
-    """Estimate the residuals' standard deviation over the one given, by the median: outliers do not count."""
+    """Estimate the residuals' standard deviation over the one given, by the median: outliers do not count. No less
+    than corners are fitted to."""
     corners = seen.weight > 0
-    floor = MIN_SCALE_PX * float(np.median(seen.weight[corners]))
+    floor = CONVERGED_PX * float(np.median(seen.weight[corners]))
     return max(float(np.median(normalised_lengths(state, seen)[corners])) / RAYLEIGH_MEDIAN, floor)
 
 
@@ -106,17 +95,16 @@ def robust_rows(state: State, seen: Observations) -> Linearised:
 
 
 def _levenberg_marquardt(
-    state: State, seen: Observations, layout: Layout, free: FreeUnknowns, prior: Prior | None, stop: StopCriterion
+    state: State, seen: Observations, free: FreeUnknowns, prior: Prior, stop: StopCriterion
 ) -> State:
-    damping, cost = 1e-4, _cost(state, seen, layout, prior)
+    damping, cost = 1e-4, _cost(state, seen, prior)
     if not np.isfinite(cost):
         return state
     for _ in range(stop.iterations):
-        linear = robust_rows(state, seen)
-        equations = normal_equations(linear, seen, layout, len(free.poses), prior, state)
+        equations = normal_equations(robust_rows(state, seen), seen, state, prior)
         while True:
             trial = state.moved(*step(equations, free, damping))
-            trial_cost = _cost(trial, seen, layout, prior)
+            trial_cost = _cost(trial, seen, prior)
             if trial_cost <= cost:
                 break
             damping *= 10
@@ -128,15 +116,13 @@ def _levenberg_marquardt(
     return state
 
 
-def _cost(state: State, seen: Observations, layout: Layout, prior: Prior | None) -> float:
+def _cost(state: State, seen: Observations, prior: Prior) -> float:
     if not (np.all(state.scale > 0) and np.all(state.lens[:, :2] > 0)):
         return np.inf
     lengths = normalised_lengths(state, seen)
     inside = np.minimum(lengths, HUBER)
-    cost = float(np.sum(inside * (2 * lengths - inside)))
-    if prior is not None:
-        away = _shared(state, layout) - prior.mean
-        cost += float(away @ prior.information @ away)
+    away = shared_of(state) - prior.mean
+    cost = float(np.sum(inside * (2 * lengths - inside)) + away @ prior.information @ away)
     return cost if np.isfinite(cost) else np.inf
 
 
@@ -167,17 +153,11 @@ class Reduced:
     V_inverse: Array
 
 
-def normal_equations(
-    linear: Linearised,
-    seen: Observations,
-    layout: Layout,
-    poses: int,
-    prior: Prior | None = None,
-    state: State | None = None,
-) -> NormalEquations:
+def normal_equations(linear: Linearised, seen: Observations, state: State, prior: Prior) -> NormalEquations:
     """Sum the normal equations of all detections by pose; a camera sees each pose of a target once."""
     J = np.concatenate([linear.by_shared, linear.by_pose, linear.residual[..., None]], axis=2)
     products = np.swapaxes(J, 1, 2) @ J
+    layout, poses = state.layout, len(state.position)
     size, k = layout.size, OF_CAMERA + OF_TARGET
     U, W, V = np.zeros((poses, size, size)), np.zeros((poses, size, POSE)), np.zeros((poses, POSE, POSE))
     g_shared, g_poses = np.zeros((poses, size)), np.zeros((poses, POSE))
@@ -190,9 +170,7 @@ def normal_equations(
         W[pose[:, None], columns] += products[rows, :k, k:-1]
         V[pose] += products[rows, k:-1, k:-1]
         g_poses[pose] += products[rows, k:-1, -1]
-    if prior is None or state is None:
-        return NormalEquations(U, W, V, g_shared, g_poses, np.zeros((size, size)), np.zeros(size))
-    pull = prior.information @ (prior.mean - _shared(state, layout))
+    pull = prior.information @ (prior.mean - shared_of(state))
     return NormalEquations(U, W, V, g_shared, g_poses, prior.information, pull)
 
 
@@ -220,7 +198,7 @@ def step(equations: NormalEquations, free: FreeUnknowns, damping: float) -> tupl
     return shared, (reduced.V_inverse @ rest[..., None])[..., 0]
 
 
-def _shared(state: State, layout: Layout) -> Array:
+def shared_of(state: State) -> Array:
     """Lenses, scales and warps as laid out, zeros for the poses of cameras (no prior speaks of those)."""
-    by_camera = np.hstack([np.zeros((layout.cameras, POSE)), state.lens])
+    by_camera = np.hstack([np.zeros((len(state.lens), POSE)), state.lens])
     return np.concatenate([by_camera.ravel(), np.column_stack([state.scale, state.board_warp]).ravel()])

@@ -1,8 +1,10 @@
 """Steps 2 and 3: which cameras are tied together, and first poses of all cameras and targets.
 
-Two cameras are tied when both see the same target in the same frame. Relative poses of pairs of cameras are chained
-along the best supported pairs (a maximum spanning tree from the best seen camera). Then the views vote for the pose of
-each target in each frame, and for the way round it lies.
+Two cameras are tied when both see the same target in the same frame. Every frame allows several relative poses of the
+two: two planar solutions in each camera, times the turns that hide. The right ones agree from frame to frame, the wrong
+ones scatter: the candidate wins that most frames support. Such pairs are chained along the best supported ones (a
+maximum spanning tree from the best seen camera). Then the views vote likewise for the pose of each target in each
+frame, and for the way round it lies.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
@@ -21,8 +24,12 @@ from capture_rig.lens import Array
 from capture_rig.rigid import angles_between, inverse, transform
 
 from ..boards.board import TargetDetection
-from .problem import LINE, PoseKey, View
-from .relative_poses import RelativePose, agreement_weight, line_pose, relative_pose, relative_pose_of_line
+from .problem import LINE, DetectionPoses, PoseKey, View
+from .wand_poses import RelativePose, line_pose, relative_pose_of_line
+
+# Thresholds: judgement, no measurement.
+TOLERANCE = 0.05  # of the rotation that one board tells, rad, and of the board's distance
+VOTING_FRAMES = 80
 
 
 def groups_of(cameras: Iterable[str], pairs: Iterable[tuple[str, str]]) -> list[tuple[str, ...]]:
@@ -122,7 +129,7 @@ def relative_poses(cameras: Mapping[str, CameraModel], views: Sequence[View]) ->
             common = [(by_camera[a][key], by_camera[b][key]) for key in sorted(by_camera[a].keys() & by_camera[b])]
             boards = [(u.poses, v.poses) for u, v in common if u.poses is not None and v.poses is not None]
             lines = [(u, v) for u, v in common if u.shape.dimension == LINE]
-            found = [relative_pose(boards)] if boards else []
+            found = [_relative_pose(boards)] if boards else []
             found += [pose for pose in [relative_pose_of_line(lines, cameras[a], cameras[b])] if pose]
             if found:
                 pairs[a, b] = max(found, key=lambda pose: pose.support)
@@ -166,22 +173,53 @@ def _rows_by_key(views: Sequence[View]) -> dict[PoseKey, list[int]]:
     return rows
 
 
+def _relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> RelativePose:
+    """Find the pose of camera b relative to a from what both saw in the same frames: pairs (poses in a, poses in b)."""
+    voting = np.unique(np.linspace(0, len(common) - 1, VOTING_FRAMES).round().astype(np.int64))
+    observed = []
+    for a, b in (common[index] for index in voting):
+        own = a.symmetry == 0  # only the turn of one against the other matters
+        T_b_a = transform(b.R, b.t) @ inverse(transform(a.R[own], a.t[own]))[:, None]
+        weight, distance = a.weight[own, None] * b.weight, np.linalg.norm(b.t, axis=1)
+        observed.append(_Allowed(T_b_a.reshape(-1, 4, 4), weight.ravel(), np.tile(distance, own.sum())))
+    T, support, _ = _consensus(observed)
+    return RelativePose(T, support * len(common) / len(voting))
+
+
 def _vote(seen: Sequence[tuple[View, Array]]) -> tuple[Array | None, list[int]]:
     """Return the pose of one target in one frame that its views agree on best, and the turn that each view needs."""
-    usable = [(view.poses, T_camera_root) for view, T_camera_root in seen if view.poses is not None]
-    if not usable:
+    observed = []
+    for view, T_camera_root in seen:
+        if (poses := view.poses) is not None:
+            weight = poses.weight * (1 - 1e-6 * (poses.symmetry > 0))  # of two alike, the numbering as it is
+            T_root_target = inverse(T_camera_root) @ transform(poses.R, poses.t)
+            observed.append(_Allowed(T_root_target, weight, np.linalg.norm(poses.t, axis=1)))
+    if not observed:
         return None, [0] * len(seen)
-    hypotheses = [inverse(T) @ transform(poses.R, poses.t) for poses, T in usable]  # (h, 4, 4) per view
-    candidates = np.concatenate(hypotheses)
-    scores, best = np.zeros(len(candidates)), []
-    for (poses, _), hypothesis in zip(usable, hypotheses, strict=True):
-        distance = np.linalg.norm(poses.t, axis=1)
-        miss = np.linalg.norm(candidates[:, None, :3, 3] - hypothesis[None, :, :3, 3], axis=2) / distance
-        agreement = poses.weight * agreement_weight(angles_between(candidates[:, :3, :3], hypothesis[:, :3, :3]), miss)
-        scores += agreement.max(axis=1)
-        best.append(poses.symmetry[agreement.argmax(axis=1)])
-    symmetries = np.array(best)
-    scores -= 1e-6 * (symmetries > 0).sum(axis=0)  # of two that fit alike, the one that leaves the numbering alone
-    winner = int(np.argmax(np.round(scores, 9)))
-    chosen = iter(symmetries[:, winner].tolist())
-    return candidates[winner], [next(chosen) if view.poses is not None else 0 for view, _ in seen]
+    T, _, rows = _consensus(observed)
+    chosen = iter(rows)
+    return T, [0 if view.poses is None else int(view.poses.symmetry[next(chosen)]) for view, _ in seen]
+
+
+class _Allowed(NamedTuple):
+    """The poses (h, 4, 4) that one observation allows, weights (h,) by how well each fits beside the best, and the
+    distance (h,) of what was seen, m."""
+
+    T: Array
+    weight: Array
+    distance: Array
+
+
+def _consensus(observed: Sequence[_Allowed]) -> tuple[Array, float, list[int]]:
+    """Return the pose that most observations agree on, how many that is, and the row of each that agrees best."""
+    candidates = np.concatenate([allowed.T for allowed in observed])
+    votes, best = np.zeros(len(candidates)), []
+    for allowed in observed:
+        miss = np.linalg.norm(candidates[:, None, :3, 3] - allowed.T[None, :, :3, 3], axis=2) / allowed.distance
+        angle = angles_between(candidates[:, :3, :3], allowed.T[:, :3, :3])
+        agreement = allowed.weight / (1 + (angle**2 + miss**2) / TOLERANCE**2) ** 2
+        votes += agreement.max(axis=1)
+        best.append(agreement.argmax(axis=1))
+    votes *= 1 + 1e-6 * np.concatenate([allowed.weight for allowed in observed])
+    winner = int(np.argmax(np.round(votes, 9)))
+    return candidates[winner], float(votes[winner]), [int(rows[winner]) for rows in best]

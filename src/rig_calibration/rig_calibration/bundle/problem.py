@@ -19,7 +19,7 @@ from capture_rig.errors import InputError
 from capture_rig.lens import Array
 from capture_rig.rigid import rotation_matrix
 
-from ..boards.board import Board, Checkerboard, TargetDetection
+from ..boards.board import Board, TargetDetection
 
 LENS = 12  # fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6
 PoseKey = tuple[str, int]  # (target, frame): one pose of one target
@@ -50,19 +50,24 @@ def check_problem(
     symmetry_orders: Mapping[str, int],
     intrinsics_sd: Mapping[str, npt.ArrayLike],
 ) -> Problem:
-    """Check the input and put it in an order that does not depend on the order given; InputError for what does not fit
-    together."""
+    """Put the input in an order that does not depend on the order given; InputError for images of another size than
+    the camera's lens was calibrated for."""
     models = {name: cameras[name] for name in sorted(cameras)}
-    if not models:
-        raise InputError("there is no camera to place", remedy="Give the intrinsics of at least one camera.")
-    shapes = shapes_of(targets, symmetry_orders)
     ordered = tuple(_by_id(s) for s in sorted(detections, key=lambda s: (s.target, s.frame_index, s.camera)))
-    for before, detection in zip((None, *ordered), ordered, strict=False):
-        _check_detection(detection, models, shapes)
-        if before and _name(before) == _name(detection):
-            raise InputError(f"there are two detections {_name(detection)}", remedy="Give each picture once.")
+    for detection in ordered:
+        (width, height), camera = detection.image_size, models[detection.camera]
+        if (width, height) != (camera.width, camera.height):
+            raise InputError(
+                f"its images are {width} x {height} pixels, its intrinsics are for {camera.width} x {camera.height}",
+                where=camera.name,
+                remedy="Calibrate the lens at the size that the camera delivers, or give footage of that size.",
+            )
+    sd = {name: np.asarray(intrinsics_sd[name], float) for name in sorted(intrinsics_sd)}
     return Problem(
-        models, shapes, ordered, {name: _lens_sd(models, name, intrinsics_sd[name]) for name in sorted(intrinsics_sd)}
+        models,
+        shapes_of(targets, symmetry_orders),
+        ordered,
+        {name: np.pad(given, (0, LENS - len(given))) for name, given in sd.items()},
     )
 
 
@@ -71,56 +76,10 @@ def _by_id(detection: TargetDetection) -> TargetDetection:
     return replace(detection, ids=detection.ids[order], pixels=detection.pixels[order])
 
 
-def _name(detection: TargetDetection) -> str:
-    target = f" of target '{detection.target}'" if detection.target else ""
-    return f"by camera '{detection.camera}' in frame {detection.frame_index}{target}"
-
-
-def _check_detection(
-    detection: TargetDetection, cameras: Mapping[str, CameraModel], shapes: Mapping[str, TargetShape]
-) -> None:
-    def refuse(what: str, remedy: str) -> None:
-        raise InputError(what, where=f"the detection {_name(detection)}", remedy=remedy)
-
-    if detection.camera not in cameras:
-        known = ", ".join(cameras)
-        refuse(
-            f"there are no intrinsics of camera '{detection.camera}'", f"Calibrate it first; known cameras: {known}."
-        )
-    if detection.target not in shapes:
-        refuse(f"target '{detection.target}' is not known", f"Known targets: {', '.join(map(repr, shapes))}.")
-    camera, ids = cameras[detection.camera], detection.ids
-    if tuple(detection.image_size) != (camera.width, camera.height):
-        size = f"{detection.image_size[0]} x {detection.image_size[1]} pixels"
-        refuse(
-            f"its image has {size}, the camera's intrinsics are for {camera.width} x {camera.height}",
-            "Calibrate the intrinsics at the image size that the camera is used with.",
-        )
-    count = len(shapes[detection.target].points)
-    if len(detection.pixels) != len(ids) or len(np.unique(ids)) != len(ids):
-        refuse("its corners are not numbered one by one", "Give each corner one id.")
-    if len(ids) and not 0 <= ids.min() <= ids.max() < count:
-        refuse(f"it has corner {ids.max()}, the target has {count}", "Use the target that was calibrated with.")
-    if not np.isfinite(detection.pixels).all() or not detection.sigma_px > 0:
-        refuse("its pixels are not finite, or sigma_px is not positive", "Find the corners anew.")
-
-
-def _lens_sd(cameras: Mapping[str, CameraModel], name: str, given: npt.ArrayLike) -> Array:
-    if name not in cameras:
-        raise InputError(f"deviations of an unknown camera's lens, '{name}'", remedy=f"Known: {', '.join(cameras)}.")
-    sd, sizes = np.asarray(given, float), (4, 4 + len(cameras[name].D))
-    if sd.ndim != 1 or len(sd) not in sizes:
-        raise InputError(
-            f"the deviations of camera '{name}' have shape {np.shape(given)}",
-            remedy=f"Give {sizes[0]} or {sizes[1]} standard deviations: of fx fy cx cy, and of the distortion.",
-        )
-    return np.pad(sd, (0, LENS - len(sd)))
-
-
 # --- Targets.
 
 LINE, PLANE, VOLUME = 1, 2, 3
-FLAT = 1e-6  # of the target's size
+THIN = 0.02  # of the target's length: points that spread less across lie, in effect, on a line; out of it, on a plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,46 +108,26 @@ class TargetShape:
 
 
 def target_shape(name: str, points_target: npt.ArrayLike, symmetry_order: int = 1) -> TargetShape:
-    """Describe the shape of a target with points (n, 3) that looks alike after 1/``symmetry_order`` of a turn.
-
-    Raises InputError for fewer than two points, and when the points do not look alike after that turn.
-    """
-    points = np.asarray(points_target, float).reshape(-1, 3)
-    if len(points) < 2 or not np.isfinite(points).all():
-        raise InputError(f"target '{name}' has {len(points)} points", remedy="Give at least two points, in metres.")
+    """Describe the shape of a target with points (n, 3) that looks alike after 1/``symmetry_order`` of a turn."""
+    points = np.asarray(points_target, float)
     centred = points - points.mean(0)
     _, spread, axes = np.linalg.svd(centred, full_matrices=True)
-    dimension = max(int(np.sum(spread > FLAT * spread[0])), 1)
+    dimension = max(int(np.sum(spread > THIN * spread[0])), 1)
     axis = axes[2] if dimension == PLANE else axes[1]  # of a line: any axis across it
-    found = [_turn(centred, axis * 2 * np.pi * k / symmetry_order) for k in range(symmetry_order)]
-    if any(symmetry is None for symmetry in found):
-        raise InputError(
-            f"target '{name}' does not look alike after 1/{symmetry_order} of a turn",
-            remedy="Give it a symmetry order only when a picture does not show its turns.",
-        )
+    turns = [rotation_matrix(axis * 2 * np.pi * k / symmetry_order) for k in range(symmetry_order)]
+    symmetries = tuple(Symmetry(cKDTree(centred).query(centred @ R.T)[1], R) for R in turns)
     bend = 1.0 - (centred[:, :2] / np.maximum(np.abs(centred[:, :2]).max(axis=0), 1e-300)) ** 2
-    symmetries = tuple(symmetry for symmetry in found if symmetry is not None)
     return TargetShape(name, centred, points.mean(0), bend, dimension, symmetries)
 
 
 def symmetry_order_of(board: Board) -> int:
-    """Tell how many ways round a board may lie without a picture showing it: 1 (its corners are told apart), 2 or 4."""
-    if board.half_turn_is_visible or not isinstance(board, Checkerboard):
-        return 1
-    square = board.columns == board.rows and board.field_m[0] == board.field_m[1]
-    return 4 if square and board.columns % 2 == 0 else 2
+    """Tell how many ways round a board may lie without a picture showing it: 1 (its corners are told apart), or 2."""
+    return 1 if board.half_turn_is_visible else 2
 
 
 def shapes_of(targets: Mapping[str, npt.ArrayLike], symmetry_orders: Mapping[str, int]) -> dict[str, TargetShape]:
     """Describe the shapes of all targets, in name order."""
     return {name: target_shape(name, targets[name], symmetry_orders.get(name, 1)) for name in sorted(targets)}
-
-
-def _turn(centred: Array, vector: Array) -> Symmetry | None:
-    R = rotation_matrix(vector)
-    distance, nearest = cKDTree(centred).query(centred @ R.T)
-    alike = distance.max() < 1e-3 * np.abs(centred).max() and len(set(nearest.tolist())) == len(nearest)
-    return Symmetry(nearest.astype(np.int64), R) if alike else None
 
 
 # --- Step 1: where a target may be, by one picture of it alone.
@@ -199,7 +138,6 @@ def _turn(centred: Array, vector: Array) -> Symmetry | None:
 
 MIN_CORNERS = 4
 SAME_POSE = np.deg2rad(0.5)  # two solutions closer than this are one
-THIN = 0.02  # corners whose spread across is less than this share of their length lie, in effect, on a line
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,18 +164,6 @@ def detection_poses(detection: TargetDetection, camera: CameraModel, shape: Targ
     return poses_of(detection.ids, camera.ideal_points(detection.pixels), camera, shape)
 
 
-def all_undistorted(detections: Sequence[TargetDetection], cameras: Mapping[str, CameraModel]) -> list[Array]:
-    """Undistort the corners of many detections; all of a camera go through its lens at once."""
-    found: list[Array] = [np.empty((0, 2))] * len(detections)
-    for name, camera in cameras.items():
-        rows = [row for row, detection in enumerate(detections) if detection.camera == name]
-        corners = camera.ideal_points(np.concatenate([np.empty((0, 2)), *(detections[row].pixels for row in rows)]))
-        ends = np.cumsum([len(detections[row]) for row in rows], dtype=np.int64)
-        for row, ideal in zip(rows, np.split(corners, ends[:-1]), strict=bool(rows)):
-            found[row] = ideal
-    return found
-
-
 def poses_of(
     ids: npt.NDArray[np.int64], ideal: Array, camera: CameraModel, shape: TargetShape
 ) -> DetectionPoses | None:
@@ -250,7 +176,7 @@ def poses_of(
     if across < THIN * longest:
         return None
     focal_px = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
-    found = _planar(points, ideal) if out < FLAT * longest else _spatial(points, ideal)
+    found = _planar(points, ideal) if out < THIN * longest else _spatial(points, ideal)
     refined = [_refine(points, ideal, R, t) for R, t in found]
     scored = [(_rms(points, ideal, R, t) * focal_px, R, t) for R, t in refined if np.all(points @ R[2] + t[2] > 0)]
     distinct = _distinct(sorted(scored, key=lambda one: one[0]))
@@ -321,6 +247,14 @@ class View:
         return self.detection.target, self.detection.frame_index
 
     @property
+    def within_reach(self) -> View:
+        """The view without corners for which the lens has no ray: its model folds inside the image, and puts no place
+        there."""
+        has = np.isfinite(self.ideal).all(axis=1)
+        detection = replace(self.detection, ids=self.detection.ids[has], pixels=self.detection.pixels[has])
+        return replace(self, detection=detection, ideal=self.ideal[has])
+
+    @property
     def links(self) -> bool:
         """Whether it ties its camera to others: a wand does so together with other frames, a board by its pose."""
         return self.poses is not None or self.shape.dimension == LINE
@@ -329,9 +263,16 @@ class View:
 def views_of(
     detections: Sequence[TargetDetection], cameras: Mapping[str, CameraModel], shapes: Mapping[str, TargetShape]
 ) -> list[View]:
-    """Make the views of all detections, in their order."""
+    """Make the views of all detections, in their order; all corners of a camera go through its lens at once."""
+    undistorted: dict[int, Array] = {}
+    for name, camera in cameras.items():
+        rows = [row for row, detection in enumerate(detections) if detection.camera == name]
+        corners = camera.ideal_points(np.concatenate([np.empty((0, 2)), *(detections[row].pixels for row in rows)]))
+        ends = np.cumsum([len(detections[row]) for row in rows])[:-1]
+        undistorted |= zip(rows, np.split(corners, ends), strict=bool(rows))
     views = []
-    for detection, ideal in zip(detections, all_undistorted(detections, cameras), strict=True):
-        shape = shapes[detection.target]
-        views.append(View(detection, shape, ideal, poses_of(detection.ids, ideal, cameras[detection.camera], shape)))
+    for row, detection in enumerate(detections):
+        shape, ideal = shapes[detection.target], undistorted[row]
+        poses = poses_of(detection.ids, ideal, cameras[detection.camera], shape)
+        views.append(View(detection, shape, ideal, poses))
     return views

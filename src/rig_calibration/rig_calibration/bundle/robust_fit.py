@@ -1,13 +1,16 @@
-"""Steps 4 and 5 together: adjust, leave out what contradicts the rest, adjust again, compare the targets' sizes.
+"""Steps 4 and 5 together: adjust, leave out what contradicts the rest, adjust again.
 
-A wrong order of corners, a target that moved between the exposures, corners found on something else: what fits no pose
-of the target is left out for that; of three or more cameras that saw the target, the one farthest off; of two, both.
+A wrong order of corners, a target that moved between the exposures, corners found on something else: of three or more
+cameras that saw the target, the one farthest off is left out; of two, both. Sizes of targets are free beside that of
+the target seen most, with a prior, as are lenses that are to be refined: a size that is given wrongly would contradict
+everything else.
 Where cameras contradict one another more than the corners' noise explains, each detection may be displaced in the end
 (:mod:`.uncertainty`).
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -19,10 +22,8 @@ from capture_rig.rigid import inverse
 from ..boards.board import TargetDetection
 from .adjustment import (
     CONVERGED,
-    HUBER,
     RAYLEIGH_MEDIAN,
     ROUGHLY,
-    Adjusted,
     FreeUnknowns,
     Prior,
     StopCriterion,
@@ -30,11 +31,12 @@ from .adjustment import (
     normal_equations,
     normalised_lengths,
     robust_rows,
+    shared_of,
     step,
 )
 from .initial_poses import InitialPoses, most_seen, with_symmetry
-from .problem import LENS, LINE, Problem, View
-from .state import WARP, Bools, Ints, Layout, Linearised, Observations, State, lens_of, observe, residuals_px
+from .problem import LINE, Problem, View
+from .state import WARP, Bools, Ints, Linearised, Observations, State, lens_of, observe, residuals_px
 from .uncertainty import Covariance, covariance, displacement_of, whitened
 
 ROUNDS = 20
@@ -44,6 +46,7 @@ ODD_ONE = "contradicts the other cameras in that frame (wrong corners, or moved 
 PAIR = "the two cameras contradict each other in that frame (wrong corners, or moved between the exposures)"
 NO_POSE = "its corners are too few to tell where the target was, or fit no pose of it"
 # Thresholds: judgement, no measurement.
+SIZE_SD = 0.01  # of targets about the sizes given beside that of the one seen most
 CLEAR_SDS = 5.0  # beyond so many standard deviations something is wrong, not imprecise
 WORST_FIRST = 0.7  # of the worst: what is left out in one round
 HARMLESS_PX = 0.3  # lenses that are not quite right and delays may do so much
@@ -67,26 +70,21 @@ class RejectedDetection:
 class Fit:
     """The state of the solver: all detections, which of them still take part (``rows``), and the adjusted state.
 
-    ``seen`` holds the observations of all detections; ``free_scales`` (k,) which targets' sizes are unknown;
-    ``alone_px`` (s,) the rms distance of each detection's corners under the pose that fits it best alone;
-    ``displacement_m``, how far (sd) the target may have been elsewhere for each detection; ``prior`` of the lenses
-    and warps, where these are adjusted; ``free_lenses`` (c, 12), ``free_warps`` (k, 2) which of them.
+    ``seen`` holds the observations of all detections, whose standard deviations are ``scale`` times those given;
+    ``prior`` what is known of sizes, lenses and warps: those of which it says something are adjusted, the others are
+    held; ``displacement_m``, how far (sd) the target may have been elsewhere for each detection.
     """
 
     problem: Problem
     all_detections: tuple[TargetDetection, ...]
     seen: Observations
     rows: Ints
-    adjusted: Adjusted
+    state: State
     root: int
-    free_scales: Bools
-    free_lenses: Bools
-    free_warps: Bools
     left_out: tuple[RejectedDetection, ...]
-    alone_px: Array
-    displacement_m: float
-    scale_of: dict[str, tuple[float, float]]
-    prior: Prior | None = None
+    prior: Prior
+    scale: float = 1.0
+    displacement_m: float = 0.0
 
     @property
     def detections(self) -> tuple[TargetDetection, ...]:
@@ -98,45 +96,35 @@ class Fit:
         return self.seen.only(self.rows)
 
     @property
-    def layout(self) -> Layout:
-        return Layout(len(self.problem.cameras), len(self.problem.shapes))
-
-    @property
     def reasons(self) -> dict[str, str]:
         """The commonest reason, by camera, why detections of it were left out."""
-        by_camera: dict[str, list[str]] = {}
-        for out in self.left_out:
-            if out.whole:
-                by_camera.setdefault(out.detection.camera, []).append(out.reason)
-        return {name: max(sorted(set(reasons)), key=reasons.count) for name, reasons in by_camera.items()}
+        counts = Counter((out.detection.camera, out.reason) for out in self.left_out if out.whole)
+        return {camera: reason for (camera, reason), _ in reversed(counts.most_common())}
 
     @property
     def free(self) -> FreeUnknowns:
         """What moves while the root camera holds the frame."""
-        layout = self.layout
-        shared = np.ones(layout.size, bool)
-        shared[layout.camera(self.root)] = False
-        shared[layout.scales] = self.free_scales
-        shared[layout.warps] = self.free_warps
-        for row, free in enumerate(self.free_lenses):
-            shared[layout.lens(row)] = free
-        return FreeUnknowns(shared, np.isin(np.arange(len(self.adjusted.state.position)), self.seen.pose[self.rows]))
+        layout = self.state.layout
+        shared = np.diag(self.prior.information) > 0
+        for camera in range(layout.cameras):
+            shared[layout.camera(camera)] = camera != self.root
+        return FreeUnknowns(shared, np.isin(np.arange(len(self.state.position)), self.seen.pose[self.rows]))
 
     def covariance(self, free: FreeUnknowns) -> Covariance:
         """Covariances in the gauge that ``free`` sets; lenses that were not adjusted are as uncertain as given."""
-        known = self.problem.lens_sd if self.prior is None else {}
-        lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known}
-        return covariance(self.adjusted, self.used, free, lenses, self.displacement_m, self.prior)
+        known, layout = self.problem.lens_sd, self.state.layout
+        held = [row for row in range(layout.cameras) if not free.shared[layout.lens(row)].any()]
+        lenses = {row: known[name] for row, name in enumerate(self.problem.cameras) if name in known and row in held}
+        return covariance(self.state, self.scale, self.used, free, lenses, self.displacement_m, self.prior)
 
     def rows_at_solution(self) -> Linearised:
         """The residuals' rows at the solution: robustly weighted, in units of the noise found."""
-        scaled = self.used.weighted(np.array(1 / self.adjusted.scale))
-        return robust_rows(self.adjusted.state, scaled)
+        return robust_rows(self.state, self.used.weighted(np.array(1 / self.scale)))
 
 
-def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) -> Fit:
+def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses, refine_intrinsics: bool = False) -> Fit:
     """Make the first state; detections whose target has no pose yet, or lies behind their camera, are left out."""
-    keys, names, targets = problem.keys, list(problem.cameras), len(problem.shapes)
+    keys, names, targets = problem.keys, list(problem.cameras), list(problem.shapes)
     detections = tuple(with_symmetry(view, symmetry) for view, symmetry in zip(views, initial.symmetries, strict=True))
     seen = observe(detections, names, keys, problem.shapes)
     state = _first_state(problem, initial)
@@ -148,37 +136,15 @@ def start_fit(problem: Problem, views: Sequence[View], initial: InitialPoses) ->
         RejectedDetection(detections[i], ODD_ONE if placed[i] else NO_POSE)
         for i in np.flatnonzero(~keep & (placed | ~on_a_line))
     )
-    return Fit(
-        problem=problem,
-        all_detections=detections,
-        seen=seen,
-        rows=np.flatnonzero(keep),
-        adjusted=Adjusted(state, 1.0),
-        root=names.index(initial.root),
-        free_scales=np.zeros(targets, bool),
-        free_lenses=np.zeros((len(names), LENS), bool),
-        free_warps=np.zeros((targets, WARP), bool),
-        left_out=left_out,
-        alone_px=np.array([_alone_px(view) for view in views]),
-        displacement_m=0.0,
-        scale_of={},
-    )
-
-
-def _alone_px(view: View) -> float:
-    """How far its corners are from the target's shape; infinite where they fit no pose, 0 where none would tell."""
-    if view.poses is None:
-        return 0.0 if view.shape.dimension == LINE else np.inf
-    return float(view.poses.rms_px.min())
-
-
-def fit_robustly(fit: Fit, refine_intrinsics: bool = False) -> Fit:
-    """Adjust, leave contradictions out, weigh noisy detections down."""
-    # Sizes first: a target whose size is given wrongly would contradict everything else.
-    names = list(fit.problem.shapes)
-    beside_base = np.array(names) != most_seen(fit.detections, names)
-    fit = _compare_sizes(without_contradictions(replace(fit, free_scales=beside_base)))
-    return settled(_with_free_lenses(fit) if refine_intrinsics else fit)
+    layout = state.layout
+    sd = np.full(layout.size, np.inf)
+    sd[layout.scales[np.array(targets) != most_seen(problem.detections, targets)]] = SIZE_SD
+    if refine_intrinsics:
+        for row, name in enumerate(names):
+            sd[layout.lens(row)] = np.where(problem.lens_sd[name] > 0, problem.lens_sd[name], np.inf)
+    prior = Prior(shared_of(state), np.diag(sd**-2.0))
+    rows = np.flatnonzero(keep)
+    return Fit(problem, detections, seen, rows, state, names.index(initial.root), left_out, prior)
 
 
 def settled(fit: Fit) -> Fit:
@@ -191,9 +157,8 @@ def without_contradictions(fit: Fit) -> Fit:
     stop = ROUGHLY
     for _ in range(ROUNDS):
         fit = adjusted(fit, stop)
-        used = fit.used
-        wrong = _bad_corners(fit.adjusted, used)
-        out = _contradictions(fit.adjusted, used, fit.alone_px[fit.rows])
+        misfits = _misfits(fit)
+        wrong, out = _bad_corners(fit, misfits), _contradictions(fit, misfits)
         if out or wrong.any():
             fit = _leave_out(fit, wrong, out)
         elif stop is CONVERGED:
@@ -207,8 +172,8 @@ def adjusted(fit: Fit, stop: StopCriterion = CONVERGED) -> Fit:
     """Adjust with all detections that take part."""
     if len(fit.rows) == 0:
         return fit
-    layout = fit.layout
-    return replace(fit, adjusted=adjust(fit.adjusted.state, fit.used, layout, fit.free, fit.prior, stop))
+    state, scale = adjust(fit.state, fit.used, fit.free, fit.prior, stop)
+    return replace(fit, state=state, scale=scale)
 
 
 def _first_state(problem: Problem, initial: InitialPoses) -> State:
@@ -226,38 +191,32 @@ def _first_state(problem: Problem, initial: InitialPoses) -> State:
     )
 
 
-def _misfits(fit: Adjusted, seen: Observations) -> Array:
+def _misfits(fit: Fit) -> Array:
     """Compute (s,) the median residual of each detection over what is to be expected: about 1 when all is well."""
-    lengths = normalised_lengths(fit.state, seen) / fit.scale
-    return np.nanmedian(np.where(seen.weight > 0, lengths, np.nan), axis=1) / RAYLEIGH_MEDIAN
+    lengths = normalised_lengths(fit.state, fit.used) / fit.scale
+    return np.nanmedian(np.where(fit.used.weight > 0, lengths, np.nan), axis=1) / RAYLEIGH_MEDIAN
 
 
-def _bad_corners(fit: Adjusted, seen: Observations) -> Bools:
+def _bad_corners(fit: Fit, misfits: Array) -> Bools:
     """Mark (s, n) corners far off, by the noise of their own detection, in detections that are good otherwise."""
-    lengths, misfit = normalised_lengths(fit.state, seen), _misfits(fit, seen)[:, None]
-    off = (lengths > CLEAR_SDS * fit.scale * np.maximum(misfit, 1.0)) & (lengths > HARMLESS_PX * seen.weight)
+    lengths, misfit = normalised_lengths(fit.state, fit.used), misfits[:, None]
+    off = (lengths > CLEAR_SDS * fit.scale * np.maximum(misfit, 1.0)) & (lengths > HARMLESS_PX * fit.used.weight)
     return off & (misfit < CLEAR_SDS)
 
 
-def _contradictions(fit: Adjusted, seen: Observations, alone_px: Array) -> list[tuple[int, str]]:
-    """Find the rows of detections to leave out, with the reason; of one pose of a target, no more than needs be.
-
-    ``alone_px`` (s,): the rms distance of the corners of each detection under the pose that fits it best alone.
-    """
-    misfit, sigma_px = _misfits(fit, seen), fit.scale / np.maximum(seen.weight.max(axis=1), 1e-300)
-    off_alone = alone_px > np.sqrt(2.0) * np.maximum(CLEAR_SDS * sigma_px, HARMLESS_PX)
+def _contradictions(fit: Fit, misfit: Array) -> list[tuple[int, str]]:
+    """Find the rows of detections to leave out, with the reason; of one pose of a target, no more than needs be."""
+    seen = fit.used
+    sigma_px = fit.scale / np.maximum(seen.weight.max(axis=1), 1e-300)
     # lesser ones may only follow from the worst
     limit = max(CLEAR_SDS, WORST_FIRST * float(misfit.max(initial=0.0)))
     found: list[tuple[int, str]] = []
     for pose in np.unique(seen.pose[(misfit > limit) & (misfit * sigma_px * RAYLEIGH_MEDIAN > HARMLESS_PX)]):
         rows = np.flatnonzero(seen.pose == pose)
-        own = rows[off_alone[rows]]
-        if len(own) or len(rows) == 1:
-            found += [(int(row), SINGLE) for row in (own if len(own) else rows)]
-        elif len(rows) == 2:
-            found += [(int(row), PAIR) for row in rows]
-        else:  # the others outvote it: Huber's loss grows like the distance, and they agree
+        if len(rows) > 2:  # the others outvote it: Huber's loss grows like the distance, and they agree
             found.append((int(rows[np.argmax(misfit[rows])]), ODD_ONE))
+        else:
+            found += [(int(row), PAIR if len(rows) == 2 else SINGLE) for row in rows]
     return sorted(found)
 
 
@@ -265,7 +224,7 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
     weight = fit.seen.weight.copy()
     weight[fit.rows] = np.where(wrong, 0.0, weight[fit.rows])
     detections = fit.detections
-    far = np.linalg.norm(residuals_px(fit.adjusted.state, fit.used), axis=2)
+    far = np.linalg.norm(residuals_px(fit.state, fit.used), axis=2)
     named = [RejectedDetection(detections[row], reason) for row, reason in out]
     for row in np.flatnonzero(wrong.any(axis=1)):
         corners = detections[row].ids[np.flatnonzero(wrong[row])]
@@ -283,44 +242,13 @@ def _leave_out(fit: Fit, wrong: Bools, out: Sequence[tuple[int, str]]) -> Fit:
 
 def _with_displacement(fit: Fit) -> Fit:
     """Where cameras contradict one another more than corners' noise explains, targets may have moved between them."""
-    state, layout, free = fit.adjusted.state, fit.layout, fit.free
+    state, free = fit.state, fit.free
     for _ in range(DISPLACEMENT_ROUNDS):
         linear, corners = fit.rows_at_solution(), int((fit.used.weight > 0).sum())
         tau = displacement_of(linear, fit.used.pose, int(free.shared.sum()), corners)
         if tau == 0.0:
             return fit
-        rows, poses = whitened(linear, tau), len(state.position)
-        state = state.moved(*step(normal_equations(rows, fit.used, layout, poses, fit.prior, state), free, 0.0))
-        fit = replace(fit, adjusted=replace(fit.adjusted, state=state), displacement_m=tau)
+        equations = normal_equations(whitened(linear, tau), fit.used, state, fit.prior)
+        state = state.moved(*step(equations, free, 0.0))
+        fit = replace(fit, state=state, displacement_m=tau)
     return fit
-
-
-# --- Sizes of targets, and lenses.
-
-
-def _compare_sizes(fit: Fit) -> Fit:
-    """Return the targets' sizes beside the base's; those that agree with what was given are held fixed from now on."""
-    if not fit.free_scales.any():
-        return fit
-    sd = fit.covariance(fit.free).scale_sd
-    ratio = fit.adjusted.state.scale
-    agree = np.abs(ratio - 1) <= HUBER * sd
-    names = list(fit.problem.shapes)
-    told = np.flatnonzero(fit.free_scales & (HUBER * sd < 1))  # not where no view compares it with the base
-    scale_of = {names[k]: (float(ratio[k]), float(sd[k])) for k in told}
-    state = replace(fit.adjusted.state, scale=np.where(agree, 1.0, ratio))
-    return replace(
-        fit, adjusted=replace(fit.adjusted, state=state), free_scales=fit.free_scales & ~agree, scale_of=scale_of
-    )
-
-
-def _with_free_lenses(fit: Fit) -> Fit:
-    """Lenses free, with a prior around those given that is as wide as their standard deviations."""
-    layout = fit.layout
-    mean, information = np.zeros(layout.size), np.zeros((layout.size, layout.size))
-    sd = np.array([fit.problem.lens_sd[name] for name in fit.problem.cameras])
-    for row, deviations in enumerate(sd):
-        mean[layout.lens(row)] = fit.adjusted.state.lens[row]
-        known = np.arange(layout.size)[layout.lens(row)][deviations > 0]
-        information[known, known] = deviations[deviations > 0] ** -2.0
-    return replace(fit, free_lenses=sd > 0, prior=Prior(mean, information))

@@ -14,12 +14,12 @@ from capture_rig.lens import Array
 from capture_rig.rigid import transform
 
 from ..boards.board import TargetDetection
-from .adjustment import FreeUnknowns, normal_equations, reduce, step
+from .adjustment import FreeUnknowns, Prior, normal_equations, reduce, shared_of, step
 from .initial_poses import initial_poses, require_connected
-from .problem import PoseKey, Problem, all_undistorted, check_problem, views_of
-from .robust_fit import NO_POSE, Fit, RejectedDetection, fit_robustly, start_fit
+from .problem import PoseKey, Problem, check_problem, views_of
+from .robust_fit import NO_POSE, Fit, RejectedDetection, settled, start_fit
 from .state import State, camera_with, residuals_px
-from .uncertainty import whitened
+from .uncertainty import inverse_over, whitened
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,10 +38,10 @@ class RigSolution:
     that they did.
     left_out : detections that took no part, with the reason (not those of a wand that no other camera saw, which tell
     nothing).
-    undecided : cameras whose half turn nothing settles. scale_of : by target, the size that it has beside
-    the most seen one over the size given, and its standard deviation; believed when consistent with
-    1, else the solution uses the ratio. focal_of : by camera, the focal length that all views together ask for over the
-    one given (or refined), and its standard deviation: far from 1, the intrinsics are not this camera's.
+    undecided : cameras whose half turn nothing settles. scale_of : by target, the size that it has beside the most seen
+    one over the size given, and its standard deviation (SIZE_SD where nothing compares them). focal_of : by camera, the
+    focal length that all views together ask for over the one given (or refined), and its standard deviation: far from
+    1, the intrinsics are not this camera's.
     """
 
     cameras: dict[str, CameraModel]
@@ -85,32 +85,20 @@ def solve_rig(
     reference that was not seen or contradicts the rest.
     """
     problem = check_problem(cameras, detections, targets, symmetry_orders or {}, intrinsics_sd or {})
-    problem = _within_reach(problem)
     _check_refinement(problem, refine_intrinsics)
     # 1. The pose of each target in each picture by itself: all solutions.
-    views = views_of(problem.detections, problem.cameras, problem.shapes)
+    views = [view.within_reach for view in views_of(problem.detections, problem.cameras, problem.shapes)]
     # 2. Are all cameras tied together by common views?
     useless = {view.detection.camera: NO_POSE for view in views if not view.links}
     require_connected(problem.cameras, [view.detection for view in views if view.links], useless)
     # 3. First poses, by consensus of pairs of cameras and of the views of each target.
     initial = initial_poses(problem.cameras, views)
-    # 4, 5. Bundle adjustment; what contradicts the rest is left out, and named; the targets' sizes are compared.
-    fit = fit_robustly(start_fit(problem, views, initial), refine_intrinsics)
+    # 4, 5. Bundle adjustment; what contradicts the rest is left out, and named.
+    fit = settled(start_fit(problem, views, initial, refine_intrinsics))
     require_connected(problem.cameras, fit.detections, fit.reasons)
     # 6. The frame asked for, and the covariance in it.
     row = _row_of(reference, fit)
     return _solution(fit if row is None else _in_frame_of(row, fit), row)
-
-
-def _within_reach(problem: Problem) -> Problem:
-    """Leave out the corners for which a lens has no ray: its model folds inside the image, and puts no place there."""
-    pixels = all_undistorted(problem.detections, problem.cameras)
-    reached = [np.isfinite(ideal).all(axis=1) for ideal in pixels]
-    within = (
-        seen if has.all() else replace(seen, ids=seen.ids[has], pixels=seen.pixels[has])
-        for seen, has in zip(problem.detections, reached, strict=True)
-    )
-    return replace(problem, detections=tuple(within))
 
 
 def _check_refinement(problem: Problem, refine_intrinsics: bool) -> None:
@@ -129,20 +117,19 @@ def _row_of(reference: PoseKey | None, fit: Fit) -> int | None:
     """Return the row of the pose that is the reference; InputError when it was not seen, or contradicts the rest."""
     if reference is None:
         return None
-    if reference not in fit.problem.keys:
-        raise InputError(f"target '{reference[0]}' was not seen in frame {reference[1]}", remedy="Show it to a camera.")
-    row = fit.problem.keys.index(reference)
+    keys = fit.problem.keys
+    row = keys.index(reference) if reference in keys else -1
     if row not in fit.used.pose:
         raise InputError(
-            f"the reference, target '{reference[0]}' in frame {reference[1]}, contradicts the rest",
-            remedy="Take another reference, or take its pictures again.",
+            f"the reference, target '{reference[0]}' in frame {reference[1]}, was not seen or contradicts the rest",
+            remedy="Show it to a camera, or take its pictures again.",
         )
     return row
 
 
 def _in_frame_of(row: int, fit: Fit) -> Fit:
     """Transform the solution into the target's own frame at pose ``row``."""
-    state = fit.adjusted.state
+    state = fit.state
     R, origin = state.R_pose[row].T, _target_origin(fit.problem, state, row)
     moved = replace(
         state,
@@ -151,7 +138,7 @@ def _in_frame_of(row: int, fit: Fit) -> Fit:
         R_pose=R @ state.R_pose,
         position=(state.position - origin) @ R.T,
     )
-    return replace(fit, adjusted=replace(fit.adjusted, state=moved))
+    return replace(fit, state=moved)
 
 
 def _target_origin(problem: Problem, state: State, row: int) -> Array:
@@ -174,20 +161,18 @@ PINHOLE = 4
 def _focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
     """Compare, by camera, the focal length that all views together ask for with the one given: their ratio and its
     standard deviation."""
-    state, names = fit.adjusted.state, list(fit.problem.cameras)
-    layout = fit.layout
-    linear = whitened(fit.rows_at_solution(), fit.displacement_m)
+    state, names = fit.state, list(fit.problem.cameras)
+    layout = state.layout
     focal_px = np.sqrt(state.lens[:, 0] * state.lens[:, 1])
     pinholes = np.array([np.arange(layout.size)[layout.lens(row)][:PINHOLE] for row in range(len(names))])
-    free = fit.free
-    free.shared[pinholes] = True
-    sd = np.full(layout.size, np.inf)
-    sd[pinholes] = WIDE * focal_px[:, None]
-    equations = normal_equations(linear, fit.used, layout, len(state.position))
-    equations = replace(equations, prior_U=np.diag(sd**-2.0))
-    change = step(equations, free, 0.0)[0]
-    S = reduce(equations, free).information.sum(axis=0) + equations.prior_U
-    variance = np.diag(np.linalg.pinv(S, rcond=1e-14, hermitian=True))
+    information = fit.prior.information.copy()
+    information[pinholes, pinholes] = (WIDE * focal_px[:, None]) ** -2.0
+    fit = replace(fit, prior=Prior(shared_of(state), information))
+    linear = whitened(fit.rows_at_solution(), fit.displacement_m)
+    equations = normal_equations(linear, fit.used, state, fit.prior)
+    change = step(equations, fit.free, 0.0)[0]
+    S = reduce(equations, fit.free).information.sum(axis=0) + information
+    variance = np.diag(inverse_over(S, fit.free.shared))
     found = {}
     for row, (name, focal) in enumerate(zip(names, pinholes[:, :2], strict=True)):
         ratio = float(np.mean(1 + change[focal] / state.lens[row, :2]))
@@ -197,7 +182,7 @@ def _focal_ratios(fit: Fit) -> dict[str, tuple[float, float]]:
 
 def _solution(fit: Fit, reference: int | None) -> RigSolution:
     """Make the solution: poses, residuals, covariance relative to the reference, what was left out and why."""
-    problem, state, used = fit.problem, fit.adjusted.state, fit.used
+    problem, state, used, layout = fit.problem, fit.state, fit.used, fit.state.layout
     names = list(problem.cameras)
     t_camera = -(state.R_camera @ state.centre[..., None])[..., 0]
     T_camera = dict(zip(names, transform(state.R_camera, t_camera), strict=True))
@@ -218,12 +203,16 @@ def _solution(fit: Fit, reference: int | None) -> RigSolution:
         detections=fit.detections,
         residuals_px=tuple(r[: len(s)] for r, s in zip(residuals, fit.detections, strict=True)),
         rms_px=dict(zip(names, rms_px, strict=True)),
-        covariance=dict(zip(names, found.cameras, strict=True)),
+        covariance={name: found.of_shared[layout.camera(row), layout.camera(row)] for row, name in enumerate(names)},
         inflation=found.inflation,
         sync_error_m=fit.displacement_m,
         left_out=tuple(sorted((out for out in fit.left_out if out.whole), key=_place)),
         undecided=_undecided(fit),
-        scale_of=fit.scale_of,
+        scale_of={
+            name: (float(state.scale[row]), float(np.sqrt(found.of_shared[scale, scale])))
+            for row, (name, scale) in enumerate(zip(problem.shapes, layout.scales, strict=True))
+            if fit.prior.information[scale, scale] > 0
+        },
         focal_of=_focal_ratios(fit),
     )
 
@@ -234,7 +223,7 @@ def _free(fit: Fit, reference: int | None) -> FreeUnknowns:
     if reference is None:
         return free
     shared, poses = free.shared.copy(), free.poses.copy()
-    shared[fit.layout.camera(fit.root)] = True
+    shared[fit.state.layout.camera(fit.root)] = True
     poses[reference] = False
     return FreeUnknowns(shared, poses)
 

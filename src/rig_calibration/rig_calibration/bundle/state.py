@@ -21,7 +21,6 @@ from .problem import LENS, PoseKey, TargetShape
 
 POSE, WARP = 6, 2
 OF_CAMERA, OF_TARGET = POSE + LENS, 1 + WARP  # shared unknowns of each
-MIN_DEPTH = 1e-6  # m
 Ints = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
 
@@ -45,14 +44,17 @@ class State:
     board_warp: Array
     fisheye: Bools
 
+    @property
+    def layout(self) -> Layout:
+        return Layout(len(self.centre), len(self.scale))
+
     def moved(self, shared: Array, poses: Array) -> State:
         """The state after a step: ``shared`` (as laid out by :class:`Layout`), ``poses`` (m, 6) rotation, position.
 
         Cameras turn about their centre by a rotation vector in their own frame, targets about their centroid by one
         in the common frame.
         """
-        cameras, targets = len(self.centre), len(self.scale)
-        layout = Layout(cameras, targets)
+        layout, cameras = self.layout, len(self.centre)
         by_camera = shared[: cameras * OF_CAMERA].reshape(cameras, OF_CAMERA)
         return State(
             nearest_rotation(rotation_matrix(by_camera[:, :3]) @ self.R_camera),
@@ -184,7 +186,7 @@ def residuals_px(state: State, seen: Observations) -> Array:
     with np.errstate(all="ignore"):
         (distorted,) = _by_model(lambda *of: [distort(*of)], x[..., :2] / x[..., 2:], state, seen)
         predicted = distorted * lens[..., :2] + lens[..., 2:4]
-    return np.where(x[..., 2:] > MIN_DEPTH, seen.pixels - predicted, np.inf)
+    return np.where(x[..., 2:] > 0, seen.pixels - predicted, np.inf)
 
 
 def linearise(state: State, seen: Observations) -> Linearised:
@@ -200,7 +202,7 @@ def linearise(state: State, seen: Observations) -> Linearised:
     lens, scale = state.lens[seen.camera][:, None], state.scale[seen.target][:, None, None]
     ideal = x[..., :2] / x[..., 2:]
     distorted, by_ideal, by_coefficients = _by_model(derivatives, ideal, state, seen)
-    residual = np.where(x[..., 2:] > MIN_DEPTH, seen.pixels - distorted * lens[..., :2] - lens[..., 2:4], np.inf)
+    residual = np.where(x[..., 2:] > 0, seen.pixels - distorted * lens[..., :2] - lens[..., 2:4], np.inf)
     by_ideal = by_ideal * lens[..., :2, None]
     by_x = np.concatenate([by_ideal, -(by_ideal @ ideal[..., None])], axis=-1) / x[..., 2, None, None]  # x_camera
     q = by_x @ state.R_camera[seen.camera][:, None]

@@ -24,31 +24,20 @@ contradict one another no more than noise does (Paule & Mandel 1982):
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
 
 from capture_rig.lens import Array
 
-from .adjustment import (
-    HUBER,
-    TINY,
-    Adjusted,
-    FreeUnknowns,
-    Prior,
-    normal_equations,
-    normalised_lengths,
-    reduce,
-    robust_rows,
-)
-from .state import POSE, Bools, Ints, Layout, Linearised, Observations
+from .adjustment import HUBER, TINY, FreeUnknowns, Prior, normal_equations, normalised_lengths, reduce, robust_rows
+from .state import POSE, Bools, Ints, Layout, Linearised, Observations, State
 
 POSITION = slice(3, 6)
 
 
-@dataclass(frozen=True, eq=False)
-class Covariance:
+class Covariance(NamedTuple):
     """of_shared (d, d): of all shared unknowns as laid out with their lenses, 0 where fixed: of a camera, rotation
     vector (rad, in the camera's frame) and centre (m, in the reference's frame).
 
@@ -56,50 +45,39 @@ class Covariance:
     enlarge variances overall.
     """
 
-    layout: Layout
     of_shared: Array
     variance_factor: float
     inflation: float
 
-    @property
-    def cameras(self) -> Array:
-        """(c, 6, 6)."""
-        return np.array([self.of_shared[b, b] for b in map(self.layout.camera, range(self.layout.cameras))])
-
-    @property
-    def scale_sd(self) -> Array:
-        """(k,) standard deviations of the targets' scales."""
-        return np.sqrt(np.diag(self.of_shared)[self.layout.scales])
-
 
 def covariance(
-    fit: Adjusted,
+    state: State,
+    scale: float,
     seen: Observations,
     free: FreeUnknowns,
     lens_sd: Mapping[int, Array],
     displacement_m: float,
-    prior: Prior | None = None,
+    prior: Prior,
 ) -> Covariance:
-    """Compute the covariances at the solution ``fit``; ``free`` sets the gauge (and frees the lenses that were
+    """Compute the covariances at the solution; ``free`` sets the gauge (and frees the lenses that were
     refined).
 
     ``lens_sd``: by row of the camera, (12,) of its lens parameters, where these were held fixed; ``displacement_m``:
     how far (sd) the target may have moved between exposures.
     """
-    layout = Layout(len(fit.state.centre), len(fit.state.scale))
-    scaled = seen.weighted(np.array(1 / fit.scale))
-    linear = whitened(robust_rows(fit.state, scaled), displacement_m)
-    equations = normal_equations(linear, scaled, layout, len(free.poses))
+    layout = state.layout
+    scaled = seen.weighted(np.array(1 / scale))
+    equations = normal_equations(whitened(robust_rows(state, scaled), displacement_m), scaled, state, prior)
     told = np.linalg.eigvalsh(equations.V[free.poses])  # six numbers of a pose, five of a wand's
     unknowns = int(free.shared.sum() + (told > TINY * told[:, -1:]).sum())
-    factor = variance_factor(normalised_lengths(fit.state, scaled)[scaled.weight > 0], unknowns)
+    factor = variance_factor(normalised_lengths(state, scaled)[scaled.weight > 0], unknowns)
     reduced = reduce(equations, FreeUnknowns(np.ones(layout.size, bool), free.poses))
     information, score = reduced.information / factor, reduced.score / factor
     S = information.sum(axis=0)
-    white = _inverse(S if prior is None else S + prior.information, free.shared)
+    white = inverse_over(S + prior.information, free.shared)
     enlarged, inflation = _enlarged(white, information, score)
     total = enlarged + _lens_effect(white, S, layout, lens_sd)
-    return Covariance(layout, total, factor * fit.scale**2, inflation)
+    return Covariance(total, factor * scale**2, inflation)
 
 
 def variance_factor(lengths: Array, unknowns: int) -> float:
@@ -110,7 +88,7 @@ def variance_factor(lengths: Array, unknowns: int) -> float:
     return float(np.sum(np.minimum(lengths, HUBER) ** 2)) / dof / inside**2
 
 
-def _inverse(information: Array, free: Bools) -> Array:
+def inverse_over(information: Array, free: Bools) -> Array:
     """Return the inverse over the free unknowns, zeros elsewhere; also where exact corners leave coefficients that make
     up for each other to rounding alone."""
     some = information[np.ix_(free, free)]

@@ -6,10 +6,8 @@ for a hull (thesis 3.1), and the box around it.
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -64,25 +62,13 @@ def world_of_level_camera(T_camera_reference: Array) -> Array:
     return T_world_camera @ T_camera_reference
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedRig:
-    """The rig in the world, and what its cameras see in common (its box is the rig's volume)."""
-
-    rig: Rig
-    common: CommonVolume
-
-
-def place_rig(
-    cameras: Mapping[str, CameraModel], T_camera_reference: Mapping[str, Array], T_world_reference: Array
-) -> PlacedRig:
-    """Place the cameras whose poses are known in the world; their intrinsics are those of ``cameras``."""
+def placed_cameras(solution: RigSolution, T_world_reference: Array) -> tuple[CameraModel, ...]:
+    """Place the cameras of the solution in the world, in name order."""
     T_reference_world = inverse(T_world_reference)
-    placed = tuple(
-        replace(cameras[name], T_camera_world=T_camera_reference[name] @ T_reference_world)
-        for name in sorted(T_camera_reference)
+    return tuple(
+        replace(solution.cameras[name], T_camera_world=T @ T_reference_world)
+        for name, T in sorted(solution.T_camera_reference.items())
     )
-    common = common_volume(placed)
-    return PlacedRig(Rig(placed, common.box), common)
 
 
 # --- The common volume.
@@ -91,8 +77,8 @@ def place_rig(
 # Thresholds: judgement, no measurement.
 ENOUGH_CAMERAS = 3  # two outlines leave a hull far fatter than the body
 STEP_M = 0.1
-LEVELS_M = np.arange(0.15, DEFAULT_HEIGHT_M, 0.25)  # heights at which a place on the floor is asked who sees it
 BODY_TOP_M = 1.7  # a person can be tracked at a place where enough cameras see every height up to this
+LEVELS_M = np.arange(0.15, BODY_TOP_M, 0.25)  # heights at which a place on the floor is asked who sees it
 REACH = 2.0  # a camera counts up to so many times its distance from the rig's centre; beyond, its pixels are too coarse
 MIN_SIDE_M, MAX_SIDE_M = 1.0, 8.0
 TIP_SHARE = 0.02
@@ -104,15 +90,12 @@ class CommonVolume:
     """What the cameras see in common.
 
     box : axis-aligned, from just below the floor to 2.4 m above it: the bounding box of the places where a person can
-    be tracked, or of what is watched at breast height where there is no such place. usable : was there one?
-    volume_m3 : of all that enough cameras see up to 2.4 m. floor_m2 : by number of cameras (1 to all), the floor area
-    where at least so many see a standing person. enough : how many cameras are enough. standing (nx, ny) : how many
-    cameras see a person who stands at x (nx,), y (ny,).
+    be tracked, or of what is watched at breast height where there is no such place. floor_m2 : by number of cameras (1
+    to all), the floor area where at least so many see a standing person. enough : how many cameras are enough. standing
+    (nx, ny) : how many cameras see a person who stands at x (nx,), y (ny,).
     """
 
     box: Volume
-    usable: bool
-    volume_m3: float
     floor_m2: tuple[float, ...]
     enough: int
     x: Array
@@ -126,17 +109,13 @@ def common_volume(cameras: Sequence[CameraModel]) -> CommonVolume:
     enough = min(ENOUGH_CAMERAS, len(cameras))
     x, y = _floor_grid(cameras)
     seeing = _cameras_seeing(cameras, x, y)  # (levels, nx, ny)
-    standing = seeing[LEVELS_M <= BODY_TOP_M].min(axis=0)
+    standing = seeing.min(axis=0)
     place = _largest_piece(standing >= enough)
-    usable = bool(place.any())
-    if not usable:
+    if not place.any():
         place = _largest_piece(seeing[np.searchsorted(LEVELS_M, 1.0)] >= enough)
     box = _box(x, y, place) if place.any() else default_volume(tuple(cameras))
-    cell_m3 = STEP_M**2 * float(LEVELS_M[1] - LEVELS_M[0])
     return CommonVolume(
         box=box,
-        usable=usable,
-        volume_m3=float((seeing >= enough).sum() * cell_m3),
         floor_m2=tuple(float((standing >= n).sum() * STEP_M**2) for n in range(1, len(cameras) + 1)),
         enough=enough,
         x=x,
@@ -190,28 +169,14 @@ def _extent(counts: npt.NDArray[np.int64]) -> tuple[int, int]:
     return int(np.searchsorted(below, tip, side="right")), int(np.searchsorted(below, below[-1] - tip))
 
 
-# --- Its figures: each camera's, and how the cameras stand together.
-
-
-@dataclass(frozen=True, eq=False)
-class FloorView:
-    """How one camera sees the board on the floor.
-
-    T_camera_board : (4, 4). other : the second solution (4, 4), None when the corners rule it out. angle : of the
-    camera, rad, from the board's normal.
-    """
-
-    camera: str
-    T_camera_board: Array
-    other: Array | None
-    angle: float
+# --- Its figures.
 
 
 @dataclass(frozen=True)
 class CameraFigures:
     """Figures of one camera.
 
-    rms_px : of the corners' coordinates in the solution. detections : how many went into it. distance_m : from the
+    rms_px : of the corners' distances in the solution. detections : how many went into it. distance_m : from the
     volume's centre. height_m : of the lens above the floor. mm_per_px : what a pixel covers at the volume's centre.
     floor_angle_deg : at which it sees the floor board, from the board's normal; None when it does not see it.
     sd_centre_mm, sd_rotation_deg : standard deviation, in the worst direction.
@@ -228,82 +193,31 @@ class CameraFigures:
     sd_rotation_deg: float
 
 
-@dataclass(frozen=True)
-class RigFigures:
-    """Figures of the whole rig.
-
-    rms_px : over all cameras' coordinates. gaps_deg : by pair of neighbours in azimuth around the volume's centre.
-    facing_deg : by pair of cameras, the angle between the directions in which they see the volume's centre (180: they
-    look at each other).
-    """
-
-    cameras: tuple[CameraFigures, ...]
-    rms_px: float
-    gaps_deg: Mapping[tuple[str, str], float]
-    facing_deg: Mapping[tuple[str, str], float]
-
-    def camera(self, name: str) -> CameraFigures:
-        """Return the figures of the camera called ``name``."""
-        return next(camera for camera in self.cameras if camera.name == name)
-
-
-def rig_figures(placed: PlacedRig, solution: RigSolution, floor: Mapping[str, FloorView]) -> RigFigures:
-    """Compute all figures of the rig; ``floor`` for those that see the floor board."""
-    volume, cameras = placed.rig.volume, placed.rig.cameras
-    centre = (volume.low + volume.high) / 2
-    counts = Counter(detection.camera for detection in solution.detections)
-    weights = np.array([counts[camera.name] for camera in cameras], float)
-    squares = np.array([solution.rms_px[camera.name] ** 2 for camera in cameras])
-    return RigFigures(
-        cameras=tuple(_camera_figures(c, centre, solution, counts[c.name], floor.get(c.name)) for c in cameras),
-        rms_px=float(np.sqrt(np.average(squares, weights=weights))),
-        gaps_deg=_gaps_deg(cameras, centre),
-        facing_deg=_facing_deg(cameras, centre),
-    )
-
-
-def _camera_figures(
-    camera: CameraModel, centre: Array, solution: RigSolution, detections: int, floor: FloorView | None
-) -> CameraFigures:
-    distance = float(np.linalg.norm(camera.centre_world - centre))
-    sd_rotation, sd_centre = (
-        _worst_sd(solution.covariance[camera.name][part, part]) for part in (slice(0, 3), slice(3, 6))
-    )
-    return CameraFigures(
-        name=camera.name,
-        rms_px=solution.rms_px[camera.name],
-        detections=detections,
-        distance_m=distance,
-        height_m=float(camera.centre_world[2]),
-        mm_per_px=1e3 * distance / float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])),
-        floor_angle_deg=None if floor is None else float(np.rad2deg(floor.angle)),
-        sd_centre_mm=1e3 * sd_centre,
-        sd_rotation_deg=float(np.rad2deg(sd_rotation)),
-    )
-
-
-def _worst_sd(covariance: Array) -> float:
-    """Standard deviation in the direction in which it is largest."""
-    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
-
-
-def _gaps_deg(cameras: Sequence[CameraModel], centre: Array) -> dict[tuple[str, str], float]:
-    """Angles, deg, between neighbours around the centre; without those that look down steeply (no azimuth)."""
-    offsets = {c.name: c.centre_world - centre for c in cameras}
-    around = {name: np.arctan2(y, x) for name, (x, y, z) in offsets.items() if np.hypot(x, y) > abs(z) / 2}
-    order = sorted(around, key=lambda name: (around[name], name))
-    if len(order) < 2:
-        return {}
-    gaps = {
-        (a, b): float(np.rad2deg((around[b] - around[a]) % (2 * np.pi)))
-        for a, b in zip(order, order[1:] + order[:1], strict=True)
-    }
-    return gaps if len(order) > 2 else dict([min(gaps.items(), key=lambda item: item[1])])
-
-
-def _facing_deg(cameras: Sequence[CameraModel], centre: Array) -> dict[tuple[str, str], float]:
-    sight = {c.name: (centre - c.centre_world) / np.linalg.norm(centre - c.centre_world) for c in cameras}
-    return {
-        (a, b): float(np.rad2deg(np.arccos(np.clip(sight[a] @ sight[b], -1.0, 1.0))))
-        for a, b in combinations(sorted(sight), 2)
-    }
+def camera_figures(rig: Rig, solution: RigSolution, floor_world: Array | None, floor: str) -> dict[str, CameraFigures]:
+    """Compute the figures of all cameras; ``floor_world`` (n, 3): the points of the target called ``floor``."""
+    middle = (rig.volume.low + rig.volume.high) / 2
+    figures = {}
+    for camera in rig.cameras:
+        name, centre = camera.name, camera.centre_world
+        targets = [detection.target for detection in solution.detections if detection.camera == name]
+        distance = float(np.linalg.norm(centre - middle))
+        angle = None
+        if floor_world is not None and floor in targets:
+            away = centre - floor_world.mean(axis=0)
+            angle = float(np.rad2deg(np.arccos(away[2] / np.linalg.norm(away))))
+        sds = [
+            float(np.sqrt(max(np.linalg.eigvalsh(solution.covariance[name][part, part])[-1], 0.0)))
+            for part in (slice(0, 3), slice(3, 6))
+        ]
+        figures[name] = CameraFigures(
+            name=name,
+            rms_px=solution.rms_px[name],
+            detections=len(targets),
+            distance_m=distance,
+            height_m=float(centre[2]),
+            mm_per_px=1e3 * distance / float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])),
+            floor_angle_deg=angle,
+            sd_centre_mm=1e3 * sds[1],
+            sd_rotation_deg=float(np.rad2deg(sds[0])),
+        )
+    return figures

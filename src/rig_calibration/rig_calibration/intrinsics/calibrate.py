@@ -8,7 +8,7 @@ explain them alike, the one that has a ray for every pixel.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,17 +16,15 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.lens import COEFFICIENTS, Array
 from capture_rig.rigid import transform
-from capture_rig.verdict import judge
 
 from ..boards.board import Board, TargetDetection
 from ..bundle.adjustment import RAYLEIGH_MEDIAN
 from ..bundle.initial_poses import initial_poses
-from ..bundle.problem import LENS, THIN, check_problem, detection_poses, shapes_of, views_of
+from ..bundle.problem import THIN, check_problem, detection_poses, shapes_of, views_of
 from ..bundle.robust_fit import NO_POSE, Fit, RejectedDetection, adjusted, settled, start_fit
 from ..bundle.state import camera_with, residuals_px
-from .coverage import placement_of
 from .lens_model import FISHEYE, RATIONAL, LensModel, edge_sd_px, rational_prior
-from .result import UNUSED_GOOD, Intrinsics, ModelChoice, ViewResult, lens_findings
+from .result import UNUSED_GOOD, Intrinsics, ModelChoice, ViewResult
 
 AUTO = "auto"
 # Thresholds: judgement, no measurement.
@@ -48,75 +46,25 @@ def calibrate_intrinsics(
     """
     usable, poor = usable_detections(detections, board)
     # lens, poses and the board's warp together, without what the other views contradict
-    choice, fit = choose_model(usable, board) if model == AUTO else (None, fit_lens(usable, board, LensModel(model)))
-    result = _result(fit, board, name, (*poor, *fit.left_out), choice)
-    # is it good enough, and if not, what to do
-    return replace(result, verdict=judge(lens_findings(result)))
-
-
-def _result(
-    fit: LensFit, board: Board, name: str, left_out: tuple[RejectedDetection, ...], choice: ModelChoice | None
-) -> Intrinsics:
-    camera = replace(fit.camera, name=name)
-    views = tuple(_view_results(fit, board))
-    squares = np.concatenate([(view.residuals**2).sum(axis=1) for view in views])
-    names, sd = fit.model.names, np.sqrt(np.diag(fit.covariance))
-    return Intrinsics(
-        camera=camera,
-        rms_px=float(np.sqrt(squares.mean())),
-        sigma_px=fit.sigma_px,
-        sd=dict(zip(names, sd[: len(names)].tolist(), strict=True)),
-        covariance=fit.of_lens,
-        sd_enlarged_by=float(np.sqrt(fit.inflation)),
-        board_diagonal_m=diagonal_m(board),
-        warp_m=(float(fit.warp_m[0]), float(fit.warp_m[1])),
-        warp_sd_m=(float(sd[-2]), float(sd[-1])),
-        views=views,
-        left_out=left_out,
-        edge_sd_px=edge_sd_px(camera, fit.of_lens),
-        choice=choice,
-        verdict=judge(()),
-    )
-
-
-def _view_results(fit: LensFit, board: Board) -> list[ViewResult]:
-    state, used = fit.fit.adjusted.state, fit.fit.used
-    views = []
-    for detection, residuals, weight, row in zip(
-        fit.fit.detections, residuals_px(state, used), used.weight, used.pose, strict=True
-    ):
-        kept = np.flatnonzero(weight)  # in the order of the ids
-        R, residual = state.R_pose[row], residuals[kept]
-        T_camera_middle = transform(R, state.position[row])
-        views.append(
-            ViewResult(
-                detection=detection,
-                ids=detection.ids[kept],
-                pixels=detection.pixels[kept],
-                residuals=residual,
-                rms_px=float(np.sqrt((residual**2).sum(axis=1).mean())),
-                placement=placement_of(T_camera_middle, detection),
-                T_camera_board=transform(R, state.position[row] - R @ board.corners_board.mean(axis=0)),
-            )
-        )
-    return views
+    result = choose_model(usable, board) if model == AUTO else fit_lens(usable, board, LensModel(model))
+    return replace(result, camera=replace(result.camera, name=name), left_out=(*poor, *result.left_out))
 
 
 # --- Which lens model.
 
 
-def choose_model(views: Sequence[TargetDetection], board: Board) -> tuple[ModelChoice, LensFit]:
-    """Choose by how well each model explains each view, and return its fit. A richer model is taken where it explains
-    the views better, or alike and has rays for more of the image. (A view has a hundred corners: more coefficients
-    cannot adapt to its noise.) Raises InputError where the views contradict each other by every model."""
-    fits: dict[str, LensFit] = {}
+def choose_model(views: Sequence[TargetDetection], board: Board) -> Intrinsics:
+    """Return the fit of the model that explains the typical view best. A richer model is taken where it explains the
+    views better, or alike and has rays for more of the image. (A view has a hundred corners: more coefficients cannot
+    adapt to its noise.) Raises InputError where the views contradict each other by every model."""
+    fits: dict[str, Intrinsics] = {}
     for name in COEFFICIENTS:
         try:
-            fits[name] = fit_lens(views, board, LensModel(name), wide=fits.get(FISHEYE))
+            fits[name] = fit_lens(views, board, LensModel(name), fits.get(FISHEYE))
         except InputError:  # a fisheye's views contradict each other by the other models
             if name == RATIONAL and not fits:
                 raise
-    rms_px = {name: float(np.sqrt(np.median(view_squares(fit)))) for name, fit in fits.items()}
+    rms_px = {name: fit.typical_px for name, fit in fits.items()}
     chosen, *richer = [name for name in fits if rms_px[name] <= (1 + WORTHWHILE) * min(rms_px.values())]
     why = ": no better, so the simpler one" if richer else ""
     for name in richer:
@@ -125,44 +73,15 @@ def choose_model(views: Sequence[TargetDetection], board: Board) -> tuple[ModelC
             why = f": as good, and {chosen} has no rays for the outer {100 * lost:.1f} % of the image"
             chosen = name
     reason = "rms " + ", ".join(f"{rms_px[name]:.3f} px with {name}" for name in fits)
-    return ModelChoice(chosen, rms_px, reason + why), fits[chosen]
+    return replace(fits[chosen], choice=ModelChoice(chosen, rms_px, reason + why))
 
 
 # --- The fit of one model.
 
 
-@dataclass(frozen=True, eq=False)
-class LensFit:
-    """The lens that the views agree on, as far as they do.
-
-    camera : at the origin. fit : the solver's. sigma_px : of a corner's coordinate, from the residuals; the typical
-    view's. covariance (p, p) : of the lens's parameters and the board's warp; inflation : the factor >= 1 by which
-    errors that the corners of a view share enlarge variances overall.
-    """
-
-    model: LensModel
-    camera: CameraModel
-    fit: Fit
-    left_out: tuple[RejectedDetection, ...]
-    sigma_px: float
-    covariance: Array
-    inflation: float
-
-    @property
-    def warp_m(self) -> Array:
-        """(2,) how far the board's middle stands out, bent along its x and along its y axis."""
-        return self.fit.adjusted.state.board_warp[0]
-
-    @property
-    def of_lens(self) -> Array:
-        """Covariance of the lens's own parameters."""
-        count = len(self.model.names)
-        return self.covariance[:count, :count]
-
-
 def fit_lens(
-    detections: Sequence[TargetDetection], board: Board, model: LensModel, wide: LensFit | None = None
-) -> LensFit:
+    detections: Sequence[TargetDetection], board: Board, model: LensModel, wide: Intrinsics | None = None
+) -> Intrinsics:
     """Fit a lens of ``model`` to one camera's usable ``detections``, those that contradict the others left out.
 
     ``wide`` : the fisheye fitted to the same, where a rational lens is wanted and there is one already. Raises
@@ -185,7 +104,7 @@ def fit_lens(
             where=detections[0].camera,
             remedy="Film one flat board only, keep it and the lens (zoom, focus) fixed, and name the board as it is.",
         )
-    return _result_of(fit, model)
+    return _result_of(fit, model, board)
 
 
 def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) -> Array | None:
@@ -194,14 +113,6 @@ def board_pose(detection: TargetDetection, board: Board, camera: CameraModel) ->
     shape = shapes_of({"": board.corners_board}, {})[""]
     poses = detection_poses(detection, camera, shape)
     return None if poses is None else transform(poses.R[0], poses.t[0])
-
-
-def view_squares(lens: LensFit) -> Array:
-    """Compute (V,) the mean squared residual, px^2, of all corners of each view, those left out among them."""
-    fit = lens.fit
-    residuals = residuals_px(fit.adjusted.state, fit.seen)
-    squares = [(r[: len(seen)] ** 2).mean() for r, seen in zip(residuals, fit.all_detections, strict=True)]
-    return np.array(squares, float)
 
 
 def _best_of_trials(detections: Sequence[TargetDetection], board: Board, model: LensModel) -> CameraModel:
@@ -230,29 +141,50 @@ def _fit_from(
     views = views_of(problem.detections, problem.cameras, problem.shapes)
     fit = start_fit(problem, views, initial_poses(problem.cameras, views))
     focal_px = float(camera.K.diagonal()[:2].mean())
-    return replace(
-        fit,
-        free_lenses=np.arange(LENS)[None] < len(model.names),
-        free_warps=np.ones_like(fit.free_warps),
-        prior=model.prior(focal_px, (camera.width, camera.height), diagonal_m(board), radial),
-    )
+    prior = model.prior(focal_px, (camera.width, camera.height), diagonal_m(board), radial)
+    return replace(fit, prior=prior)
 
 
 def _camera_of(fit: Fit) -> CameraModel:
-    return camera_with(next(iter(fit.problem.cameras.values())), fit.adjusted.state.lens[0], np.eye(4))
+    return camera_with(next(iter(fit.problem.cameras.values())), fit.state.lens[0], np.eye(4))
 
 
-def _result_of(fit: Fit, model: LensModel) -> LensFit:
-    found, columns, used = fit.covariance(fit.free), model.columns, fit.used
+def _result_of(fit: Fit, model: LensModel, board: Board) -> Intrinsics:
+    found, used, state = fit.covariance(fit.free), fit.used, fit.state
     sigma_px = float(np.median(1 / used.weight.max(axis=1)) * np.sqrt(found.variance_factor))
+    columns, count = model.columns, len(model.names)
     covariance = found.of_shared[columns[:, None], columns]
-    return LensFit(model, _camera_of(fit), fit, _left_out(fit, sigma_px), sigma_px, covariance, found.inflation)
+    sd = np.sqrt(np.diag(covariance)).tolist()
+    views = []
+    for detection, residuals, weight, row in zip(
+        fit.detections, residuals_px(state, used), used.weight, used.pose, strict=True
+    ):
+        kept = np.flatnonzero(weight)  # in the order of the ids
+        R = state.R_pose[row]
+        T_camera_board = transform(R, state.position[row] - R @ board.corners_board.mean(axis=0))
+        views.append(
+            ViewResult(detection, detection.ids[kept], detection.pixels[kept], residuals[kept], T_camera_board)
+        )
+    camera = _camera_of(fit)
+    return Intrinsics(
+        camera=camera,
+        sigma_px=sigma_px,
+        sd=dict(zip(model.names, sd[:count], strict=True)),
+        covariance=covariance[:count, :count],
+        sd_enlarged_by=float(np.sqrt(found.inflation)),
+        board_diagonal_m=diagonal_m(board),
+        warp_m=tuple(state.board_warp[0].tolist()),
+        warp_sd_m=tuple(sd[count:]),
+        views=tuple(views),
+        left_out=_left_out(fit, sigma_px),
+        edge_sd_px=edge_sd_px(camera, covariance[:count, :count]),
+    )
 
 
 def _left_out(fit: Fit, sigma_px: float) -> tuple[RejectedDetection, ...]:
     """Views left out, with how far their corners lie off, and single corners of those that were kept."""
     kept = {detection.frame_index for detection in fit.detections}
-    away = np.linalg.norm(residuals_px(fit.adjusted.state, fit.seen), axis=2)
+    away = np.linalg.norm(residuals_px(fit.state, fit.seen), axis=2)
     off = {d.frame_index: float(np.median(away[row, : len(d)])) for row, d in enumerate(fit.all_detections)}
     named = []
     for out in fit.left_out:

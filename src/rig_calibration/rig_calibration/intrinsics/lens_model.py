@@ -87,9 +87,11 @@ class LensModel:
         start, count = LAYOUT.lens(0).start, len(self.names)
         mean, information = np.zeros(LAYOUT.size), np.zeros((LAYOUT.size, LAYOUT.size))
         mean[start : start + LENS] = lens_of(self.camera("", focal_px, image_size))
-        distortion = self.distortion_prior_sd(focal_px, image_size)
+        radius = np.hypot(*image_size) / 2 / focal_px  # a long lens sees small radii only
+        priors = FISHEYE_PRIOR if self.name == FISHEYE else DISTORTION_PRIOR
+        distortion = [share / radius**power for share, power in (priors[name] for name in self.names[4:])]
         warp = WARP_PRIOR * board_diagonal_m
-        sd = np.array([focal_px] * 2 + [CENTRE_PRIOR * max(image_size)] * 2 + [*distortion.values()])
+        sd = np.array([focal_px] * 2 + [CENTRE_PRIOR * max(image_size)] * 2 + distortion)
         information[self.columns, self.columns] = np.r_[0.5, 0.5, np.ones(count)] * np.r_[sd, warp, warp] ** -2.0
         information[start : start + 2, start : start + 2] += (
             np.array([[1.0, -1.0], [-1.0, 1.0]]) / (ASPECT_PRIOR * focal_px) ** 2
@@ -99,12 +101,6 @@ class LensModel:
             mean[coefficients] = radial[0]
             information[coefficients, coefficients] += radial[1]
         return Prior(mean, information)
-
-    def distortion_prior_sd(self, focal_px: float, image_size: tuple[int, int]) -> dict[str, float]:
-        """Return the prior sd of each coefficient: a long lens sees small radii only, and may have large ones."""
-        radius = np.hypot(*image_size) / 2 / focal_px
-        prior = FISHEYE_PRIOR if self.name == FISHEYE else DISTORTION_PRIOR
-        return {name: float(prior[name][0] / radius ** prior[name][1]) for name in self.names[4:]}
 
 
 # --- How uncertain a calibrated lens leaves the rays of its pixels, and how far out it has rays at all.

@@ -9,21 +9,20 @@ from matplotlib.figure import Figure
 from capture_rig.camera import CameraModel
 from capture_rig.lens import Array
 
-from .coverage import coverage_of
 from .result import Intrinsics
 
-SEEN, WRONG, CURVE, EMPTY = "#1769aa", "#b22222", "#d9772b", "#f4f4f4"
+SEEN, WRONG, CURVE = "#1769aa", "#b22222", "#d9772b"
 ARROW_SHARE = 0.04  # of the image's width: the length of a typical residual arrow
 MAX_ARROWS = 4000
 PERCENTILE = 90
 
 
 def draw(result: Intrinsics) -> Figure:
-    """Draw residuals over the image, coverage, residual of each view, distortion over the radius."""
+    """Draw residuals over the image, residual of each view, distortion over the radius."""
     figure = Figure(figsize=(13, 9.5), constrained_layout=True)
-    (over_image, covered), (by_view, over_radius) = figure.subplots(2, 2)
+    axes = figure.subplot_mosaic([["image", "image"], ["views", "radius"]], height_ratios=[1.4, 1.0])
+    over_image, by_view, over_radius = (axes[name] for name in ("image", "views", "radius"))
     _residuals(over_image, result)
-    _coverage(covered, result)
     _views(by_view, result)
     _distortion(over_radius, result)
     figure.suptitle(
@@ -63,26 +62,6 @@ def _residuals(axis: Axes, result: Intrinsics) -> None:
     axis.set_title(f"residuals, {magnified:.0f} times larger; red: views left out", fontsize=10)
 
 
-def _coverage(axis: Axes, result: Intrinsics) -> None:
-    size = (result.camera.width, result.camera.height)
-    placements = [view.placement for view in result.views]
-    coverage = coverage_of([view.pixels for view in result.views], placements, size)
-    axis.imshow(coverage.cells, extent=(-0.5, size[0] - 0.5, size[1] - 0.5, -0.5), cmap="Greens", vmin=0, vmax=3)
-    for view in result.views:
-        axis.plot(*view.pixels.T, ".", markersize=2)
-    leans = np.array([placement.lean_rad for placement in placements])
-    centres = np.array([placement.centre_px for placement in placements])
-    axis.quiver(
-        *centres.T, *leans.T, angles="xy", scale_units="xy", scale=np.deg2rad(45) / (0.1 * size[0]), width=0.004
-    )
-    _image_frame(axis, result.camera)
-    axis.set_title(
-        f"corners cover {100 * coverage.image:.0f} % of the image; arrows: the edge\nthat leans towards the "
-        "camera (45 degrees: a tenth of the width)",
-        fontsize=10,
-    )
-
-
 def _image_frame(axis: Axes, camera: CameraModel) -> None:
     axis.set_xlim(-0.5, camera.width - 0.5)
     axis.set_ylim(camera.height - 0.5, -0.5)
@@ -117,7 +96,7 @@ def _distortion(axis: Axes, result: Intrinsics) -> None:
         ideal = rays[:, :2] / rays[:, 2:] * camera.K.diagonal()[:2]
         radius = np.hypot(*(pixels - camera.K[:2, 2]).T)
         axis.plot(radius, radius - np.hypot(*ideal.T), label=name)
-    reach = result.reach * np.hypot(camera.width, camera.height) / 2
+    reach = max(np.hypot(*(view.pixels - camera.K[:2, 2]).T).max() for view in result.views)
     axis.axvline(reach, color=WRONG, linestyle=":", label="corners were seen up to here")
     axis.set_xlabel("distance from the principal point [px]")
     axis.set_ylabel("distortion [px]")

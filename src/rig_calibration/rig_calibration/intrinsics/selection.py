@@ -7,33 +7,142 @@ principal point are known well enough, by a fit to the views so far, not after s
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.lens import Array
 
 from ..boards.board import Board, TargetDetection
+from ..boards.corner_grid import MIN_FOUND
 from ..boards.detector import as_grey, find_board
 from .calibrate import board_pose, fit_lens, require_one_size, why_useless
-from .coverage import BoardPlacement, Coverage, coverage_of, placement_of
 from .lens_model import REFERENCE_WIDTH_PX, LensModel
 
-# Thresholds: measured by python bench/calibration.py (rendered video).
+# --- What the views of a board cover: the image, the four directions of tilt, distances.
+
+# Thresholds here and below: measured by python bench/calibration.py (rendered video).
+CELLS_ACROSS = 8
+TILT_WANTED_DEG = 25.0
+SIZES_WANTED = 1.6  # largest board in the image over the smallest
+IMAGE_WANTED = 0.85
+SIDES = ("left", "right", "top", "bottom")
+NINTHS = (
+    ("upper left corner", "upper edge", "upper right corner"),
+    ("left edge", "centre", "right edge"),
+    ("lower left corner", "lower edge", "lower right corner"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class BoardPlacement:
+    """How the board is seen: centre (2,) px; size: side of its area, as a share of the image's; lean_rad (2,) how much
+    its edges at the image's right (+, left -) and bottom (+, top -) lean towards the camera."""
+
+    centre_px: Array
+    size: float
+    lean_rad: Array
+
+
+def placement_of(T_camera_board: Array, detection: TargetDetection) -> BoardPlacement:
+    """Tell what a pose of the board means to the person who holds it; its origin may lie anywhere on the board."""
+    normal, t = T_camera_board[:3, 2], T_camera_board[:3, 3]
+    x, y, z = normal if normal @ t < 0 else -normal  # towards the camera
+    angle = np.arctan2(np.hypot(x, y), -z)
+    direction = -np.array([x, y]) / max(np.hypot(x, y), 1e-12)  # facing left (-x) means: its right edge is nearer
+    width, height = detection.image_size
+    area = cv2.contourArea(cv2.convexHull(detection.pixels.astype(np.float32)))
+    return BoardPlacement(detection.pixels.mean(axis=0), float(np.sqrt(area / (width * height))), angle * direction)
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """cells (rows, columns): which parts of the image the board has been in. tilt_deg: by side of the board as the
+    image shows it, the strongest lean of that side towards the camera. sizes: largest over smallest."""
+
+    cells: npt.NDArray[np.bool_]
+    tilt_deg: dict[str, float]
+    sizes: float
+
+    @property
+    def image(self) -> float:
+        """Share of the image."""
+        return float(self.cells.mean())
+
+    def progress(self) -> dict[str, float]:
+        """Return each goal's name and how far it is reached, 0 to 1."""
+        tilts = {f"tilt {side}": min(self.tilt_deg[side] / TILT_WANTED_DEG, 1.0) for side in SIDES}
+        sizes = min(np.log(self.sizes) / np.log(SIZES_WANTED), 1.0)
+        return {"image": min(self.image / IMAGE_WANTED, 1.0), **tilts, "distance": float(sizes)}
+
+    @property
+    def complete(self) -> bool:
+        return min(self.progress().values()) >= 1.0
+
+    def advice(self) -> str:
+        """Return what to show next; "" when nothing is missing."""
+        progress = self.progress()
+        goal = min(progress, key=lambda name: progress[name])
+        if progress[goal] >= 1.0:
+            return ""
+        if goal == "image":
+            return f"bring the board into the {self.emptiest()} of the image"
+        if goal == "distance":
+            return "show the board nearer to the camera, or farther away"
+        side = goal.removeprefix("tilt ")
+        return f"tilt the board by 30 to 45 degrees, its {side} edge towards the camera"
+
+    def emptiest(self) -> str:
+        """Return the ninth of the image that lacks most, in words."""
+        rows = np.array_split(self.cells, 3, axis=0)
+        filled = np.array([[part.mean() for part in np.array_split(row, 3, axis=1)] for row in rows])
+        row, column = np.unravel_index(int(np.argmin(filled)), filled.shape)
+        return NINTHS[row][column]
+
+
+def coverage_of(pixels: Sequence[Array], placements: Sequence[BoardPlacement], image_size: tuple[int, int]) -> Coverage:
+    """Summarise the corners (n, 2) of each view, and how each shows the board."""
+    width, height = image_size
+    cells = np.zeros((max(round(CELLS_ACROSS * height / width), 2), CELLS_ACROSS), bool)
+    for corners in pixels:
+        cells |= covered_cells(corners, image_size, cells.shape)
+    leans = np.rad2deg(np.array([placement.lean_rad for placement in placements]).reshape(-1, 2))
+    x, y = leans.T
+    tilt = {side: lean.max(initial=0.0) for side, lean in zip(SIDES, (-x, x, -y, y), strict=True)}
+    sizes = [max(placement.size, 1e-6) for placement in placements] or [1.0]
+    return Coverage(cells, {side: float(lean) for side, lean in tilt.items()}, max(sizes) / min(sizes))
+
+
+def covered_cells(pixels: Array, image_size: tuple[int, int], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """Mark (rows, columns) the cells that hold a corner, or whose middle lies among the corners."""
+    cell = np.array(image_size) / (shape[1], shape[0])
+    column, row = np.clip(((pixels + 0.5) / cell).astype(int), 0, (shape[1] - 1, shape[0] - 1)).T
+    cells = np.zeros(shape, bool)
+    cells[row, column] = True
+    hull = cv2.convexHull(pixels.astype(np.float32))
+    for i, j in np.ndindex(*shape):
+        middle = (np.array([j, i]) + 0.5) * cell
+        cells[i, j] |= cv2.pointPolygonTest(hull, (float(middle[0]), float(middle[1])), False) >= 0
+    return cells
+
+
+# --- The views.
+
 BLUR_PX, BLUR_FACTOR = 2.0, 2.0  # refused above: at 640 pixels of width, and of the sharpest views so far
 MOTION_PX = 3.0  # refused above, between neighbouring images, at 640 pixels of width
 ALIKE_PLACE, ALIKE_SIZE, ALIKE_LEAN_DEG, ALIKE_ROLL_DEG = 0.1, 0.2, 10.0, 25.0  # of the width; of its logarithm
 FIRST_FIT, GROWTH = 6, 1.3  # fits after so many views, then after so many times more
 PLENTY = 80  # views; more help little
 ENOUGH_VIEWS = 12
-TRACKED_SHARE = 0.5  # of the corners must be found again to tell how far the board moved
 
 
-@dataclass(frozen=True)
-class LensAccuracy:
+class LensAccuracy(NamedTuple):
     """How well a lens is known: sd of the focal length (share) and of the principal point (px)."""
 
     focal_sd: float
@@ -73,12 +182,13 @@ class ViewCollector:
         self.goals = goals
         self._held: list[_CollectedView] = []
         self._lens: CameraModel | None = None
-        self._fitted_sd: Array = np.empty(0)  # of the lens's parameters, when it was fitted
+        self._fitted_sd: Array = np.empty(0)  # of fx fy cx cy, when it was fitted
         self._fitted, self._next_fit = 0, FIRST_FIT
 
     @property
     def detections(self) -> list[TargetDetection]:
-        return [held.detection for held in self._held]
+        """The views to calibrate from, in the order of their frames."""
+        return sorted((held.detection for held in self._held), key=lambda detection: detection.frame_index)
 
     def __len__(self) -> int:
         return len(self._held)
@@ -113,7 +223,7 @@ class ViewCollector:
         if self._lens is None:
             return None
         sd = self._fitted_sd * np.sqrt(self._fitted / len(self))
-        return LensAccuracy(float((sd[:2] / self._lens.K.diagonal()[:2]).max()), float(sd[2:4].max()))
+        return LensAccuracy(float((sd[:2] / self._lens.K.diagonal()[:2]).max()), float(sd[2:].max()))
 
     @property
     def enough(self) -> bool:
@@ -131,10 +241,6 @@ class ViewCollector:
         if not self._held:
             return "show the whole board to the camera and hold it still"
         return self.coverage.advice() or "go on: tilted by 30 to 45 degrees, near, all over the image"
-
-    def best(self) -> list[TargetDetection]:
-        """Return the views to calibrate from, in the order of their frames."""
-        return sorted(self.detections, key=lambda detection: detection.frame_index)
 
     def _sharpest(self) -> float:
         return float(np.percentile([held.blur_and_motion_px for held in self._held], 25)) if self._held else 0.0
@@ -169,11 +275,11 @@ class ViewCollector:
             return
         self._next_fit = int(np.ceil(GROWTH * len(self)))
         try:
-            fit = fit_lens(self.best(), self._board, self._model)
+            fit = fit_lens(self.detections, self._board, self._model)
         except InputError:
             return
         self._lens, self._fitted = fit.camera, len(self)
-        self._fitted_sd = np.sqrt(np.diag(fit.covariance))
+        self._fitted_sd = np.sqrt(np.diag(fit.covariance)[:4])
         again = [self._placed(held.detection, held.blur_and_motion_px) for held in self._held]
         self._held = [held for held in again if held is not None]
 
@@ -181,18 +287,6 @@ class ViewCollector:
 # --- From images to views.
 
 NOT_SEEN = "the board is not seen"
-
-
-@dataclass(frozen=True, eq=False)
-class ImageResult:
-    """What an image showed: the detection, None when the board was not found; the ``reason`` why it was not taken."""
-
-    detection: TargetDetection | None
-    reason: str
-
-    @property
-    def taken(self) -> bool:
-        return not self.reason
 
 
 class BoardImageProcessor:
@@ -206,10 +300,13 @@ class BoardImageProcessor:
         self.examined = self.found = 0
         self.reasons: Counter[str] = Counter()
 
-    def process(self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int) -> ImageResult:
+    def process(
+        self, image: np.ndarray, neighbour: np.ndarray | None, frame_index: int
+    ) -> tuple[TargetDetection | None, str]:
         """Look at an image (H, W[, 3]) uint8; ``neighbour`` is the one just before it, if there is one.
 
-        Raises InputError when the images change their size.
+        Returns the detection, None when the board was not found, and why it was not taken ("": it was). Raises
+        InputError when the images change their size.
         """
         detection = find_board(image, self.board, camera=self.camera, frame_index=frame_index, thorough=self.thorough)
         reason = NOT_SEEN
@@ -220,13 +317,13 @@ class BoardImageProcessor:
         self.found += detection is not None
         if reason:
             self.reasons[reason.partition(":")[0]] += 1
-        return ImageResult(detection, reason)
+        return detection, reason
 
 
 def motion_px(image: np.ndarray, neighbour: np.ndarray, pixels: Array) -> float:
     """Measure the median distance that the corners ``pixels`` (n, 2) of ``image`` travel to the ``neighbour``, px.
 
-    By optical flow (Lucas & Kanade 1981, pyramids); infinite when half of the corners cannot be found again.
+    By optical flow (Lucas & Kanade 1981, pyramids); infinite when too few corners are found again.
     """
     first, second = as_grey(image), as_grey(neighbour)
     if first.shape != second.shape:
@@ -235,6 +332,6 @@ def motion_px(image: np.ndarray, neighbour: np.ndarray, pixels: Array) -> float:
     none = np.empty(0, np.float32)
     moved, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, none, winSize=(15, 15), maxLevel=3)
     seen = np.ravel(found) == 1
-    if moved is None or seen.mean() < TRACKED_SHARE:
+    if moved is None or seen.mean() < MIN_FOUND:
         return float("inf")
     return float(np.median(np.hypot(*(moved - corners).reshape(-1, 2)[seen].T)))

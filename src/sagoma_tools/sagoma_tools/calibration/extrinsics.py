@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -16,40 +15,41 @@ from capture_rig.errors import InputError
 from capture_rig.files import make_folder
 from capture_rig.rig import FARTHEST_M
 from rig_calibration.boards.board import Board, read_board
+from rig_calibration.boards.wand import wand_points, wand_symmetry_order
 from rig_calibration.extrinsics.board_frames import FloorAt
-from rig_calibration.extrinsics.calibrate import RigCalibration, calibrate_rig
+from rig_calibration.extrinsics.calibrate import WAND, RigCalibration, Target, calibrate_rig
 from rig_calibration.extrinsics.verdict import TapeMeasure
 from rig_calibration.extrinsics.world import CENTRE, FIRST_CORNER, WorldChoice
 
 from .outer_corners import read_corners, write_corner_help, write_template
-from .rig_detections import CameraDetections, Cameras, CamerasDetections, RigSources, detections_of
-from .rig_inputs import (
-    RigInputs,
-    floor_inputs,
-    merge_inputs,
-    moving_inputs,
-    names_in_floor_points,
-    read_floor_points,
-    read_intrinsics,
-    read_lens_deviations,
-    require_image_sizes,
-    require_seen,
-    wand_inputs,
-)
+from .rig_detections import Cameras, CamerasDetections, Corners, RigSources, detections_of
+from .rig_inputs import RigInputs, names_in_floor_points, read_intrinsics, read_lens_deviations, require_seen
 from .rig_report import print_report, write_outputs
 
 
 def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Console) -> RigCalibration:
     """Detect, solve, print, write. Raises InputError with the remedy for what cannot be solved."""
     cameras = read_intrinsics(request.intrinsics, _names(request, sources))
-    floor, by_hand = _detect_floor(request, sources, cameras)
+    corners = read_corners(request.corners) if request.corners is not None else {}
+    floor = _detect_floor(request, sources, cameras, corners)
     moving = sources.detect_moving(request.board, cameras) if request.board is not None else {}
-    wands = sources.detect_wand(request.wand_marks_m, cameras)
-    for seen in (floor, moving, wands):
-        require_image_sizes(cameras, detections_of(seen))
-    parts = [*_floor_parts(request, cameras, floor, by_hand), *_moving_parts(request, cameras, moving, wands)]
-    inputs = merge_inputs(parts)
-    require_seen(cameras, inputs, _footage(request, floor, moving, wands))
+    wands = sources.detect_wand(request.wand_marks_m, cameras) if request.wand_marks_m else {}
+    inputs = RigInputs()
+    if request.floor_points is not None:
+        inputs.add_floor_points(request.floor_points, cameras)
+    if request.floor_board is not None:
+        target = Target.of(request.floor_board, request.choice)
+        seen = detections_of(floor)
+        if set(corners) >= {detection.camera for detection in seen}:  # their order tells which way round the board lies
+            target = replace(target, symmetry_order=1)
+        inputs.add_floor(seen, request.floor_board, target)
+    if request.board is not None and (carried := detections_of(moving)):
+        inputs.add_moving(cameras, carried, request.board, request.choice, request.floor_at)
+    if wands:
+        marks_m = request.wand_marks_m
+        inputs.add_carried(detections_of(wands), WAND, Target(wand_points(marks_m), wand_symmetry_order(marks_m)))
+    searched = [("floor", floor, request.floor_board), ("moving", moving, request.board), ("wand", wands, None)]
+    require_seen(cameras, inputs, searched)
     calibrated = calibrate_rig(
         cameras,
         inputs.detections,
@@ -67,14 +67,10 @@ def calibrate_extrinsics(request: RigRequest, sources: RigSources, console: Cons
     return calibrated
 
 
-def _detect_floor(
-    request: RigRequest, sources: RigSources, cameras: Cameras
-) -> tuple[CamerasDetections, frozenset[str]]:
-    """Return the detections in the pictures of the floor, and the cameras whose corners a person gave."""
+def _detect_floor(request: RigRequest, sources: RigSources, cameras: Cameras, corners: Corners) -> CamerasDetections:
     board = request.floor_board
     if board is None:
-        return {}, frozenset()
-    corners = read_corners(request.corners) if request.corners is not None else {}
+        return {}
     unknown = sorted(set(corners) - set(sources.names) - set(request.without))
     if unknown:
         remedy = f"Known cameras: {', '.join(sources.names)}."
@@ -82,41 +78,13 @@ def _detect_floor(
     floor = sources.detect_floor(board, cameras, corners)
     if request.click is not None and floor:
         ask_for_corners(request, floor)
-    return floor, frozenset(corners)
+    return floor
 
 
 def _names(request: RigRequest, sources: RigSources) -> list[str]:
     """Return all cameras of which there are pictures, or points on the floor."""
     points = names_in_floor_points(request.floor_points) if request.floor_points is not None else []
     return sorted({*sources.names, *points} - set(request.without))
-
-
-def _floor_parts(
-    request: RigRequest, cameras: Cameras, floor: CamerasDetections, by_hand: frozenset[str]
-) -> Iterator[RigInputs]:
-    if request.floor_points is not None:
-        yield read_floor_points(request.floor_points, cameras)
-    if any(seen.detections for seen in floor.values()):
-        assert request.floor_board is not None
-        yield floor_inputs(floor, request.floor_board, request.choice, by_hand)
-
-
-def _moving_parts(
-    request: RigRequest, cameras: Cameras, moving: CamerasDetections, wands: CamerasDetections
-) -> Iterator[RigInputs]:
-    if any(seen.detections for seen in moving.values()):
-        assert request.board is not None
-        yield moving_inputs(cameras, detections_of(moving), request.board, request.choice, request.floor_at)
-    if any(seen.detections for seen in wands.values()):
-        yield wand_inputs(detections_of(wands), request.wand_marks_m)
-
-
-def _footage(
-    request: RigRequest, floor: CamerasDetections, moving: CamerasDetections, wands: CamerasDetections
-) -> dict[str, dict[str, tuple[CameraDetections, Board | None]]]:
-    """By kind and camera, the detections and their board (None: a wand), to explain missing ones."""
-    kinds = (("floor", floor, request.floor_board), ("moving", moving, request.board), ("wand", wands, None))
-    return {kind: {name: (found, board) for name, found in seen.items()} for kind, seen, board in kinds}
 
 
 def ask_for_corners(request: RigRequest, floor: CamerasDetections) -> None:

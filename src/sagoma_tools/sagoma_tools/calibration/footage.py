@@ -19,6 +19,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -93,6 +94,24 @@ class CameraFootage:
         if self.is_video:
             return FootageReader(Video(self.files[0], threads=1), "mono")
         return FootageReader(Stills(self.files[0].parent, list(self.files)), "mono")
+
+
+@dataclass(frozen=True, eq=False)
+class Shots:
+    """Some pictures of one running camera, as footage: frame indices count from 0."""
+
+    name: str
+    pictures: tuple[np.ndarray, ...]
+
+    @property
+    def count(self) -> int:
+        return len(self.pictures)
+
+    def __iter__(self) -> Iterator[tuple[int, np.ndarray]]:
+        return iter(enumerate(self.pictures))
+
+
+Footage: TypeAlias = CameraFootage | Shots
 
 
 def open_footage_of_cameras(sources: Sequence[str]) -> dict[str, CameraFootage]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from capture_rig.errors import InputError
 from capture_rig.files import make_folder
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.boards.board import Board, board_text
+from rig_calibration.boards.detector import diagnose_board
 from rig_calibration.intrinsics.calibrate import AUTO, MIN_VIEWS, calibrate_intrinsics
 from rig_calibration.intrinsics.result import Intrinsics, report_of
 from rig_calibration.intrinsics.selection import ENOUGH_VIEWS, BoardImageProcessor, ViewCollector
@@ -30,8 +31,6 @@ MAX_THOROUGH = 100  # ... in the second
 FEW_PICTURES = 60  # so few stills were chosen by hand: all are used
 DIAGNOSED = 4  # images that are searched for another board
 PICTURE_DPI = 100
-
-ProgressCallback = Callable[[BoardImageProcessor], None]  # called after every image that was examined
 
 
 def calibrate_footage(
@@ -59,80 +58,48 @@ def calibrate_footage(
 
 
 def _calibrate_one(footage: CameraFootage, board: Board, model: str, console: Console) -> Intrinsics:
-    done = doing(f"{footage.name}: looking for the board in images")
-    watcher = watch_footage(
-        footage, board, "plumb_bob" if model == AUTO else model, lambda watcher: done(watcher.examined)
-    )
+    watcher = _watched(footage, board, "plumb_bob" if model == AUTO else model)
     until_stopped()
     console.print(
         f"{footage.name}: {watcher.examined} images, board found in {watcher.found}, "
         f"{len(watcher.collector)} views kept"
     )
-    return calibrate_intrinsics(watcher.collector.best(), board, name=footage.name, model=model)
+    return calibrate_intrinsics(watcher.collector.detections, board, name=footage.name, model=model)
 
 
-def watch_footage(
-    footage: CameraFootage, board: Board, model: str, progress: ProgressCallback | None = None
-) -> BoardImageProcessor:
-    """Search the footage's images for ``board``, evenly chosen from a long video.
+def _watched(footage: CameraFootage, board: Board, model: str) -> BoardImageProcessor:
+    """Search the footage's images for ``board``, evenly chosen from a long video, until the views suffice.
 
     Where few views are found, a second pass searches each image longer. Raises InputError when too few images show
     the board, naming the other board that they show, if they do.
     """
-    count = footage.count
+    count, done = footage.count, doing(f"{footage.name}: looking for the board in images")
     few = not footage.is_video and count <= FEW_PICTURES
     watcher = BoardImageProcessor(board, footage.name, ViewCollector(board, model=model, every=few), thorough=few)
-    missed: list[np.ndarray] = []
-    _watch(watcher, footage, max(1, count // MAX_EXAMINED), missed, progress)
-    if not few and len(watcher.collector) < ENOUGH_VIEWS:
+    for examined in (MAX_EXAMINED,) if few else (MAX_EXAMINED, MAX_THOROUGH):
+        before: np.ndarray | None = None
+        for index, (frame_index, image) in enumerate(footage):
+            if index % max(1, count // examined) == 0:
+                watcher.process(image, before if footage.is_video else None, frame_index)
+                done(watcher.examined)
+                if footage.is_video and watcher.collector.enough:
+                    return watcher
+            before = image
+        if len(watcher.collector) >= ENOUGH_VIEWS:
+            break
         watcher.thorough = True
-        _watch(watcher, footage, max(1, count // MAX_THOROUGH), [], progress)
-    _require_views(watcher, missed)
+    if len(watcher.collector) < MIN_VIEWS:
+        step = max(1, count // DIAGNOSED)
+        some = (image for index, (_, image) in enumerate(footage) if index % step == 0)
+        other = next((text for text in (diagnose_board(image, board) for image in some) if text), "")
+        counted = ", ".join(f"{count} {reason}" for reason, count in watcher.reasons.most_common())
+        raise InputError(
+            f"{len(watcher.collector)} of {watcher.examined} images show the board usably ({counted})"
+            + (f"; {other}" if other else ""),
+            where=footage.name,
+            remedy="Name the board that was filmed; film it sharp, well lit and whole, 20 or more views.",
+        )
     return watcher
-
-
-def _watch(
-    watcher: BoardImageProcessor,
-    footage: CameraFootage,
-    stride: int,
-    missed: list[np.ndarray],
-    progress: ProgressCallback | None,
-) -> None:
-    """Process every ``stride``-th image until the views suffice; keep a few images without the board in ``missed``."""
-    before: np.ndarray | None = None
-    for index, (frame_index, image) in enumerate(footage):
-        if index % stride == 0:
-            seen = watcher.process(image, before if footage.is_video else None, frame_index)
-            if seen.detection is None:
-                _remember(missed, image, watcher.examined - watcher.found)
-            if progress is not None:
-                progress(watcher)
-            if footage.is_video and watcher.collector.enough:
-                return
-        before = image
-
-
-def _remember(missed: list[np.ndarray], image: np.ndarray, count: int) -> None:
-    """Keep a few images without the board, spread over the footage."""
-    if len(missed) < DIAGNOSED:
-        missed.append(image)
-    elif count & (count - 1) == 0:  # powers of two
-        missed[count.bit_length() % DIAGNOSED] = image
-
-
-def _require_views(watcher: BoardImageProcessor, missed: list[np.ndarray]) -> None:
-    if len(watcher.collector) >= MIN_VIEWS:
-        return
-    from rig_calibration.boards.detector import diagnose_board
-
-    other = next((text for text in (diagnose_board(image, watcher.board) for image in missed) if text), "")
-    counted = ", ".join(f"{count} {reason}" for reason, count in watcher.reasons.most_common())
-    raise InputError(
-        f"{len(watcher.collector)} of {watcher.examined} images show the board usably ({counted})"
-        + (f"; {other}" if other else ""),
-        where=watcher.camera,
-        remedy="Name the board that was filmed; film it sharp, well lit and whole, 20 or more views.",
-    )
 
 
 def save_results(folder: Path, result: Intrinsics, board: Board, source: str) -> list[Path]:

@@ -21,11 +21,10 @@ from sensor_msgs.srv import SetCameraInfo
 from capture_rig.errors import InputError
 from capture_rig.stop_signals import StopOnSignal
 from capture_rig.verdict import REDO
-from rig_calibration.boards.board import Board
+from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.intrinsics.calibrate import AUTO, calibrate_intrinsics
-from rig_calibration.intrinsics.coverage import Coverage
 from rig_calibration.intrinsics.result import Intrinsics
-from rig_calibration.intrinsics.selection import BoardImageProcessor, ImageResult, ViewCollector
+from rig_calibration.intrinsics.selection import BoardImageProcessor, ViewCollector
 from sagoma_ros.images import camera_info_message, decode_image, preview_message
 from sagoma_ros.inputs import Worker
 from sagoma_ros.messages import to_ns
@@ -55,7 +54,7 @@ def calibrate_live(args: argparse.Namespace, board: Board, console: Console) -> 
                 camera.close()
                 until_stopped()
         console.print(f"{name}: calibrating from {len(collector)} views")
-        result = calibrate_intrinsics(collector.best(), board, name=name, model=args.model)
+        result = calibrate_intrinsics(collector.detections, board, name=name, model=args.model)
         save_results(Path(args.output), result, board, args.topic)
         console.print(f"results in {args.output}")
         if args.offer:
@@ -151,10 +150,11 @@ class LiveCamera:
         except InputError as error:  # one bad message: the next may be better
             self._show(str(error))
             return
-        seen, collector, header = self._watcher.process(image, before, number), self._watcher.collector, pair[1].header
-        self._show("taken" if seen.taken else seen.reason)
+        detection, reason = self._watcher.process(image, before, number)
+        collector, header = self._watcher.collector, pair[1].header
+        self._show(reason or "taken")
         if self._preview.get_subscription_count():
-            picture = draw_preview(image, seen, collector.coverage, collector.advice())
+            picture = draw_preview(image, detection, reason, collector)
             self._preview.publish(preview_message(picture, to_ns(header.stamp), header.frame_id))
 
     def _show(self, last: str) -> None:
@@ -191,18 +191,21 @@ TAKEN, FOUND, COVERED = (60, 220, 60), (40, 160, 255), (90, 160, 60)  # BGR
 TEXT_HEIGHT_SHARE = 0.035
 
 
-def draw_preview(image: np.ndarray, seen: ImageResult, coverage: Coverage, advice: str) -> np.ndarray:
-    """Return the image (H, W[, 3]) as BGR with covered cells tinted, corners marked, and a line of advice."""
+def draw_preview(
+    image: np.ndarray, detection: TargetDetection | None, reason: str, collector: ViewCollector
+) -> np.ndarray:
+    """Return the image (H, W[, 3]) as BGR with covered cells tinted, corners marked, and a line of advice; ``reason``:
+    why the view was not taken."""
     picture = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
     height, width = picture.shape[:2]
-    cells = cv2.resize(coverage.cells.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    cells = cv2.resize(collector.coverage.cells.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
     picture[cells] = (0.75 * picture[cells] + 0.25 * np.array(COVERED)).astype(np.uint8)
-    if seen.detection is not None:
-        colour, radius = TAKEN if seen.taken else FOUND, max(2, width // 200)
-        for x, y in np.rint(seen.detection.pixels).astype(int):
+    if detection is not None:
+        colour, radius = FOUND if reason else TAKEN, max(2, width // 200)
+        for x, y in np.rint(detection.pixels).astype(int):
             cv2.circle(picture, (int(x), int(y)), radius, colour, max(1, radius // 2))
-    _write(picture, advice or "enough", 1)
-    _write(picture, "taken" if seen.taken else seen.reason, 2)
+    _write(picture, collector.advice() or "enough", 1)
+    _write(picture, reason or "taken", 2)
     return picture
 
 

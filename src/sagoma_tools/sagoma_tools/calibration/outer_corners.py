@@ -1,4 +1,4 @@
-"""Finds a board from four outer corners that a person gives in a file, where detection fails.
+"""Reads a board's four outer corners, which a person gives where detection fails, from a file.
 
 The file, and a picture with a grid to read the corners off, can be written to be filled in.
 """
@@ -7,18 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import permutations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from capture_rig.files import write_text
 from capture_rig.yaml_file import read_mapping
-from rig_calibration.boards.board import Board, TargetDetection
-from rig_calibration.boards.four_corners import find_from_outer_corners
 
 FORMAT = (
     "Write NAME: [[x, y], [x, y], [x, y], [x, y]] for each camera, or NAME: {corners: [...], frame: 12}: the outermost "
@@ -39,39 +35,6 @@ def read_corners(path: str | Path) -> dict[str, OuterCorners]:
     """Corners by camera, from a YAML file. Raises InputError naming file, camera, value and remedy."""
     document = read_mapping(Path(path), FORMAT)
     return {str(name): _corners(entry, f"{path}: {name}") for name, entry in document.items()}
-
-
-def find_from_corners(
-    image: np.ndarray, board: Board, outer_px: np.ndarray, *, model: CameraModel, frame_index: int, target: str
-) -> TargetDetection:
-    """The board's corners from four rough ones, refined; in whatever order they were given, if the board's colours or
-    markers tell which way round it lies. Raises InputError when no order fits, for the order that was given."""
-    refused: InputError | None = None
-    for order in _orders(outer_px, board.half_turn_is_visible):
-        try:
-            return find_from_outer_corners(
-                image, board, outer_px[order], camera=model.name, frame_index=frame_index, target=target, model=model
-            )
-        except InputError as error:
-            refused = refused or error
-    assert refused is not None
-    raise refused
-
-
-def _orders(outer_px: np.ndarray, told_apart: bool) -> list[list[int]]:
-    """The given order first; then those that run around the board clockwise, as reading order does from in front."""
-    given = [0, 1, 2, 3]
-    if not told_apart:
-        return [given]
-    around = [order for order in map(list, permutations(given)) if _runs_clockwise(outer_px[order])]
-    return [given, *(order for order in around if order != given)]
-
-
-def _runs_clockwise(quadrangle: np.ndarray) -> bool:
-    """Return whether it turns right at every corner, in an image (y down)."""
-    edges = np.roll(quadrangle, -1, axis=0) - quadrangle
-    following = np.roll(edges, -1, axis=0)
-    return bool((edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0] > 0).all())
 
 
 def _corners(entry: Any, where: str) -> OuterCorners:

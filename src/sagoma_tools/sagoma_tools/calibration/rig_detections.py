@@ -6,13 +6,11 @@
 from __future__ import annotations
 
 import os
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
 from itertools import count, islice
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -20,12 +18,13 @@ from capture_rig.camera import CameraModel
 from capture_rig.errors import InputError
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import diagnose_board, find_board
+from rig_calibration.boards.four_corners import find_from_outer_corners
 from rig_calibration.boards.wand import find_wand
-from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND
+from rig_calibration.extrinsics.calibrate import FLOOR, MOVING
 
 from ..console import doing, until_stopped
-from .footage import CameraFootage, open_footage_of_cameras
-from .outer_corners import OuterCorners, find_from_corners
+from .footage import CameraFootage, Footage, open_footage_of_cameras
+from .outer_corners import OuterCorners
 
 FLOOR_FRAMES, MOVING_FRAMES = 15, 160
 """Of each camera's footage, at most so many frames are examined, evenly spread."""
@@ -37,20 +36,8 @@ MAX_BLUR_PX = 2.5
 Picture = np.ndarray
 Corners = Mapping[str, OuterCorners]
 Cameras = Mapping[str, CameraModel]
-Step = Callable[[], None]
-"""Counts one picture."""
-
-
-class Footage(Protocol):
-    """Pictures of one camera: how many (0: unknown), each with its frame index."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def count(self) -> int: ...
-
-    def __iter__(self) -> Iterator[tuple[int, Picture]]: ...
+Find = Callable[[str, int, Picture], TargetDetection | None]
+"""Searches a picture of a camera, with its frame index."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,48 +60,20 @@ CamerasDetections = dict[str, CameraDetections]
 """By the cameras' names."""
 
 
-def find_floor(
-    footage: Mapping[str, Footage],
-    board: Board,
-    cameras: Cameras,
-    corners: Mapping[str, OuterCorners],
-    progress: Step = lambda: None,
-) -> CamerasDetections:
+def find_floor(footage: Mapping[str, Footage], board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
     """Find the board on the floor in each camera's footage, from the given ``corners`` where they name the camera."""
 
     def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
         if name in corners:
-            return find_from_corners(
-                image, board, corners[name].pixels, model=cameras[name], frame_index=frame_index, target=FLOOR
+            given = corners[name].pixels
+            return find_from_outer_corners(
+                image, board, given, camera=name, frame_index=frame_index, target=FLOOR, model=cameras[name]
             )
         return find_board(image, board, camera=name, frame_index=frame_index, target=FLOOR, thorough=True)
 
     only = {name: given.frame for name, given in corners.items()}
     steps = {name: max(1, -(-clip.count // FLOOR_FRAMES)) for name, clip in footage.items()}
-    return _in_all(footage, find, steps, only, progress)
-
-
-def find_carried(
-    footage: Mapping[str, Footage],
-    find: Callable[[str, int, Picture], TargetDetection | None],
-    progress: Step = lambda: None,
-    refuse_blurred: bool = True,
-) -> CamerasDetections:
-    """Find what is carried in all footage, at the same frames of every camera."""
-    step = max(1, -(-max(clip.count for clip in footage.values()) // MOVING_FRAMES))
-    return _in_all(footage, find, dict.fromkeys(footage, step), {}, progress, refuse_blurred)
-
-
-def find_wands(
-    footage: Mapping[str, Footage], marks_m: Sequence[float], cameras: Cameras, progress: Step = lambda: None
-) -> CamerasDetections:
-    """Find the wand's markers in all footage, at the same frames of every camera; static lamps are no markers."""
-    empty = {name: _median_picture(clip) for name, clip in footage.items()}
-
-    def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
-        return find_wand(image, marks_m, cameras[name], frame_index=frame_index, target=WAND, background=empty[name])
-
-    return find_carried(footage, find, progress, refuse_blurred=False)
+    return _in_all("board on the floor", footage, find, steps, only)
 
 
 def missing_reason(seen: CameraDetections, board: Board | None) -> str:
@@ -137,28 +96,34 @@ def _median_picture(footage: Footage) -> Picture | None:
 
 
 def _in_all(
+    what: str,
     footage: Mapping[str, Footage],
-    find: Callable[[str, int, Picture], TargetDetection | None],
+    find: Find,
     steps: Mapping[str, int],
     only: Mapping[str, int | None],
-    progress: Step,
-    refuse_blurred: bool = True,
+    max_blur_px: float = MAX_BLUR_PX,
 ) -> CamerasDetections:
-    """Search all cameras in parallel, one thread a processor; results in order of the names."""
-    names = sorted(footage)
+    """Search all cameras in parallel, one thread a processor, counting pictures; results in order of the names."""
+    if not footage:
+        return {}
+    done, counted, names = (
+        doing(f"looking for the {what} in {len(footage)} cameras' pictures"),
+        count(1),
+        sorted(footage),
+    )
+
+    def look(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
+        done(next(counted))
+        return find(name, frame_index, image)
+
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        jobs = [pool.submit(_in_one, footage[n], find, steps[n], only.get(n), progress, refuse_blurred) for n in names]
-        return {name: job.result() for name, job in zip(names, jobs, strict=True)}
+        jobs = [pool.submit(_in_one, footage[name], look, steps[name], only.get(name), max_blur_px) for name in names]
+        found = {name: job.result() for name, job in zip(names, jobs, strict=True)}
+    until_stopped()
+    return found
 
 
-def _in_one(
-    footage: Footage,
-    find: Callable[[str, int, Picture], TargetDetection | None],
-    step: int,
-    only: int | None,
-    progress: Step,
-    refuse_blurred: bool,
-) -> CameraDetections:
+def _in_one(footage: Footage, find: Find, step: int, only: int | None, max_blur_px: float) -> CameraDetections:
     detections: list[TargetDetection] = []
     examined = blurred = 0
     picture: Picture | None = None
@@ -170,12 +135,11 @@ def _in_one(
             detection = find(footage.name, frame_index, image)
         except InputError as error:
             refused, detection = refused or error, None
-        if detection is not None and refuse_blurred and detection.blur_px > MAX_BLUR_PX:
+        if detection is not None and detection.blur_px > max_blur_px:
             blurred, detection = blurred + 1, None
         if detection is not None:
             picture = picture if detections else image
             detections.append(detection)
-        progress()
     if picture is None:
         what = f"has no frame {only}" if only is not None else "has no frame"
         raise InputError(what, where=footage.name, remedy="Give a frame that exists, or footage that can be decoded.")
@@ -195,31 +159,30 @@ def detections_of(seen: CamerasDetections) -> Sequence[TargetDetection]:
     return [detection for found in seen.values() for detection in found.detections]
 
 
-class RigSources(ABC):
+class RigSources(Protocol):
     """Pictures of a rig's cameras. ``names`` are all its cameras."""
 
     names: tuple[str, ...]
 
-    @abstractmethod
     def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
         """Return the board on the floor, in the pictures of those of ``cameras`` that have any."""
 
-    @abstractmethod
     def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
         """Return the carried board in their pictures."""
 
-    @abstractmethod
     def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
         """Return the carried wand with markers at ``marks_m`` in their pictures."""
 
 
-class FootageSources(RigSources):
+class FootageSources:
     """Stills and videos. Raises InputError for footage that cannot be read."""
 
     def __init__(
         self, floor: Sequence[str], moving: Sequence[str], wand: Sequence[str], without: Sequence[str]
     ) -> None:
-        self._floor, self._moving, self._wand = (_open(sources) for sources in (floor, moving, wand))
+        self._floor, self._moving, self._wand = (
+            open_footage_of_cameras(sources) if sources else {} for sources in (floor, moving, wand)
+        )
         every = self._floor.keys() | self._moving.keys() | self._wand.keys()
         unknown = sorted(set(without) - every)
         if unknown:
@@ -228,44 +191,36 @@ class FootageSources(RigSources):
         self.names = tuple(sorted(every - set(without)))
 
     def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
-        find = partial(find_floor, board=board, cameras=cameras, corners=corners)
-        return self._search("board on the floor", self._floor, cameras, find)
+        return find_floor(
+            {name: clip for name, clip in self._floor.items() if name in cameras}, board, cameras, corners
+        )
 
     def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
-        _require_one_rate(self._moving, cameras)
-
         def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
             return find_board(image, board, camera=name, frame_index=frame_index, target=MOVING)
 
-        return self._search("carried board", self._moving, cameras, partial(find_carried, find=find))
+        return _find_carried("carried board", self._moving, cameras, find)
 
     def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
-        _require_one_rate(self._wand, cameras)
-        find = partial(find_wands, marks_m=marks_m, cameras=cameras)
-        return self._search("wand", self._wand, cameras, find)
+        empty = {name: _median_picture(clip) for name, clip in self._wand.items()}  # static lamps are no markers
 
-    def _search(
-        self, what: str, clips: Mapping[str, CameraFootage], cameras: Container[str], find: Callable[..., Any]
-    ) -> CamerasDetections:
-        """Run ``find`` on the footage of ``cameras``, and count its pictures."""
-        footage = {name: clip for name, clip in clips.items() if name in cameras}
-        if not footage:
-            return {}
-        done, counted = doing(f"looking for the {what} in {len(footage)} cameras' pictures"), count(1)
-        found: CamerasDetections = find(footage, progress=lambda: done(next(counted)))
-        until_stopped()
-        return found
+        def find(name: str, frame_index: int, image: Picture) -> TargetDetection | None:
+            return find_wand(image, marks_m, cameras[name], frame_index=frame_index, background=empty[name])
+
+        return _find_carried("wand", self._wand, cameras, find, np.inf)
 
 
-def _require_one_rate(clips: Mapping[str, CameraFootage], cameras: Container[str]) -> None:
-    """Raise InputError when videos of something carried have several frame rates: their frames do not correspond."""
-    rates = {name: clip.fps for name, clip in clips.items() if name in cameras and clip.fps}
+def _find_carried(
+    what: str, clips: Mapping[str, CameraFootage], cameras: Cameras, find: Find, max_blur_px: float = MAX_BLUR_PX
+) -> CamerasDetections:
+    """Find what is carried at the same frames of every camera. Raises InputError when videos have several frame rates:
+    their frames do not correspond."""
+    footage = {name: clip for name, clip in clips.items() if name in cameras}
+    rates = {name: clip.fps for name, clip in footage.items() if clip.fps}
     if rates and max(rates.values()) - min(rates.values()) > SAME_RATE * max(rates.values()):
         listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
-        what = f"the videos have different frame rates ({listed} fps): frame k of each is not of the same instant"
+        said = f"the videos have different frame rates ({listed} fps): frame k of each is not of the same instant"
         remedy = "Record at one rate, or bring them to one: ffmpeg -i IN -r RATE -c:v libx264 -crf 16 OUT.mp4."
-        raise InputError(what, where=", ".join(clips[name].where for name in rates), remedy=remedy)
-
-
-def _open(sources: Sequence[str]) -> dict[str, CameraFootage]:
-    return open_footage_of_cameras(sources) if sources else {}
+        raise InputError(said, where=", ".join(clips[name].where for name in rates), remedy=remedy)
+    step = max(1, -(-max((clip.count for clip in footage.values()), default=0) // MOVING_FRAMES))
+    return _in_all(what, footage, find, dict.fromkeys(footage, step), {}, max_blur_px)

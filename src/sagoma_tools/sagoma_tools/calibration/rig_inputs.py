@@ -7,7 +7,6 @@ camera, or from a rig file whose poses are to be renewed.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +18,11 @@ from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.yaml_file import read_mapping
 from rig_calibration.boards.board import Board, TargetDetection
-from rig_calibration.boards.wand import wand_points, wand_symmetry_order
-from rig_calibration.extrinsics.board_frames import (
-    FloorAt,
-    StillBoard,
-    average_still_board,
-    choose_frames,
-    frames_on_floor,
-)
-from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, WAND, FloorTarget, Target
+from rig_calibration.extrinsics.board_frames import FloorAt, average_still_board, frames_on_floor, shared_frames
+from rig_calibration.extrinsics.calibrate import FLOOR, MOVING, Target
 from rig_calibration.extrinsics.world import WorldChoice
 
-from .rig_detections import CameraDetections, Cameras, CamerasDetections, missing_reason
+from .rig_detections import Cameras, CamerasDetections, missing_reason
 
 FEWEST_POINTS = 4
 CLICKED_SD_PX = 1.0
@@ -40,7 +32,6 @@ PINHOLE = ("fx", "fy", "cx", "cy")
 CALIBRATE = "Run sagoma calibrate intrinsics for it first"
 
 
-@dataclass(frozen=True, eq=False)
 class RigInputs:
     """Detections and the targets they name.
 
@@ -48,75 +39,69 @@ class RigInputs:
     floor_guess : frames in which the carried board was taken to lie on the floor.
     """
 
-    detections: tuple[TargetDetection, ...]
-    targets: Mapping[str, Target]
-    moved_frames: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    floor_guess: tuple[int, ...] = ()
+    def __init__(self) -> None:
+        self.detections: list[TargetDetection] = []
+        self.targets: dict[str, Target] = {}
+        self.moved_frames: dict[str, tuple[int, int]] = {}
+        self.floor_guess: tuple[int, ...] = ()
 
+    def add_floor(self, detections: Iterable[TargetDetection], board: Board, target: Target) -> None:
+        """Add the board on the floor: each camera's frames averaged."""
+        by_camera: dict[str, list[TargetDetection]] = {}
+        for detection in sorted(detections, key=lambda detection: detection.camera):
+            by_camera.setdefault(detection.camera, []).append(detection)
+        for name, seen in by_camera.items():
+            still, elsewhere = average_still_board(seen, board)
+            self.detections.append(still)
+            self.moved_frames[name] = len(elsewhere), len(seen)
+            self.targets[FLOOR] = target
 
-def floor_inputs(floor: CamerasDetections, board: Board, choice: WorldChoice, by_hand: Iterable[str] = ()) -> RigInputs:
-    """The board on the floor: each camera's frames averaged. Where all cameras' corners were given ``by_hand``, their
-    order tells which way round the board lies."""
-    stills = {
-        name: average_still_board(seen.detections, board, target=FLOOR)
-        for name, seen in floor.items()
-        if seen.detections
-    }
-    target = FloorTarget.of_board(board, choice)
-    if set(by_hand) >= set(stills):
-        target = FloorTarget(target.points, 1, target.T_world_floor)
-    return RigInputs(tuple(still.detection for still in stills.values()), {FLOOR: target}, _moved_frames(stills))
+    def add_moving(
+        self, cameras: Cameras, moving: Sequence[TargetDetection], board: Board, choice: WorldChoice, at: FloorAt | None
+    ) -> None:
+        """Add the carried board; what it shows ``at`` the frame at which it lies on the floor is the floor target."""
+        if at is not None:
+            lying = frames_on_floor(cameras, moving, board, at)
+            self.add_floor((s for s in moving if s.frame_index in lying), board, Target.of(board, choice))
+            self.floor_guess = lying if at == "lowest" else ()
+            moving = [detection for detection in moving if detection.frame_index not in lying]
+        self.add_carried(moving, MOVING, Target.of(board))
 
+    def add_carried(self, carried: Sequence[TargetDetection], name: str, target: Target) -> None:
+        """Add what was carried, in the frames that several cameras share."""
+        shared = set(shared_frames(carried))
+        if shared:
+            self.detections += [detection for detection in carried if detection.frame_index in shared]
+            self.targets[name] = target
 
-def moving_inputs(
-    cameras: Cameras, moving: Sequence[TargetDetection], board: Board, choice: WorldChoice, floor_at: FloorAt | None
-) -> RigInputs:
-    """The carried board in chosen frames; with ``floor_at``, what it shows while it lies on the floor becomes the
-    floor target."""
-    if floor_at is None:
-        return RigInputs(_at_chosen_frames(moving), {MOVING: Target.of(board)})
-    lying = set(frames_on_floor(cameras, moving, board, floor_at))
-    resting = [detection for detection in moving if detection.frame_index in lying]
-    names = sorted({detection.camera for detection in resting})
-    stills = {
-        name: average_still_board([s for s in resting if s.camera == name], board, target=FLOOR) for name in names
-    }
-    carried = _at_chosen_frames([detection for detection in moving if detection.frame_index not in lying])
-    targets = {FLOOR: FloorTarget.of_board(board, choice)} | ({MOVING: Target.of(board)} if carried else {})
-    guess = tuple(sorted(lying)) if floor_at == "lowest" else ()
-    return RigInputs((*(still.detection for still in stills.values()), *carried), targets, _moved_frames(stills), guess)
-
-
-def wand_inputs(wands: Sequence[TargetDetection], marks_m: Sequence[float]) -> RigInputs:
-    """Return the carried wand in chosen frames."""
-    target = Target(wand_points(marks_m), wand_symmetry_order(marks_m))
-    return RigInputs(_at_chosen_frames(wands), {WAND: target})
-
-
-def merge_inputs(parts: Sequence[RigInputs]) -> RigInputs:
-    """Merge all parts into one."""
-    return RigInputs(
-        tuple(detection for part in parts for detection in part.detections),
-        {name: target for part in parts for name, target in part.targets.items()},
-        {name: moved_frames for part in parts for name, moved_frames in part.moved_frames.items()},
-        tuple(frame for part in parts for frame in part.floor_guess),
-    )
+    def add_floor_points(self, path: str | Path, cameras: Cameras) -> None:
+        """Add measured points as the floor target, seen by those of ``cameras`` that the file names. A third number of
+        a point is its height. Raises InputError naming file, camera, point and remedy."""
+        document = read_mapping(Path(path), FORMAT)
+        points = {
+            str(name): _numbers(xy, (2, 3), f"{path}: points.{name}") for name, xy in _part(document, "points", path)
+        }
+        order = {name: index for index, name in enumerate(points)}
+        for name, seen in _part(document, "cameras", path):
+            if name in cameras:
+                self.detections.append(_detection(cameras[name], seen, order, f"{path}: cameras.{name}"))
+        world = np.array([[*xy, 0.0][:3] for xy in points.values()])
+        self.targets[FLOOR] = Target(world, T_world_target=np.eye(4))
 
 
 def require_seen(
-    cameras: Iterable[str],
-    inputs: RigInputs,
-    footage: Mapping[str, Mapping[str, tuple[CameraDetections, Board | None]]],
+    cameras: Iterable[str], inputs: RigInputs, searched: Sequence[tuple[str, CamerasDetections, Board | None]]
 ) -> None:
-    """Raises InputError for cameras without a detection, with the reason from their ``footage`` (kind, camera)."""
+    """Raises InputError for cameras without a detection, with the reason from what was ``searched`` (kind, detections,
+    the board; None: a wand)."""
     placed = {detection.camera for detection in inputs.detections}
     unseen, others = sorted(set(cameras) - placed), len(placed) > 1
     if not unseen:
         return
     reasons = [
-        f"{name} ({kind}): {missing_reason(*seen[name])}"
+        f"{name} ({kind}): {missing_reason(seen[name], board)}"
         for name in unseen
-        for kind, seen in footage.items()
+        for kind, seen, board in searched
         if name in seen
     ]
     raise InputError(
@@ -125,29 +110,6 @@ def require_seen(
         "(--click, or --corners FILE)"
         + (f", or calibrate the others alone (--without {' '.join(unseen)})." if others else "."),
     )
-
-
-def _at_chosen_frames(moving: Sequence[TargetDetection]) -> tuple[TargetDetection, ...]:
-    chosen = set(choose_frames(moving))
-    return tuple(detection for detection in moving if detection.frame_index in chosen)
-
-
-def _moved_frames(stills: Mapping[str, StillBoard]) -> dict[str, tuple[int, int]]:
-    return {name: (len(s.moved_frames), len(s.moved_frames) + len(s.frames)) for name, s in stills.items()}
-
-
-def read_floor_points(path: str | Path, cameras: Cameras) -> RigInputs:
-    """The measured points as the floor target, seen by those of ``cameras`` that the file names. A third number of a
-    point is its height. Raises InputError naming file, camera, point and remedy."""
-    document = read_mapping(Path(path), FORMAT)
-    points = {str(name): _numbers(xy, (2, 3), f"{path}: points.{name}") for name, xy in _part(document, "points", path)}
-    order = {name: index for index, name in enumerate(points)}
-    world = np.array([[*xy, 0.0][:3] for xy in points.values()])
-    detections = []
-    for name, seen in _part(document, "cameras", path):
-        if name in cameras:
-            detections.append(_detection(cameras[name], seen, order, f"{path}: cameras.{name}"))
-    return RigInputs(tuple(detections), {FLOOR: FloorTarget(world)})
 
 
 def names_in_floor_points(path: str | Path) -> list[str]:
@@ -211,19 +173,6 @@ def read_lens_deviations(path: str | Path, names: Iterable[str]) -> dict[str, li
             if isinstance(parameters, Mapping) and set(PINHOLE) <= set(parameters):
                 found[name] = [float(parameters[key]["sd"]) for key in PINHOLE]
     return found
-
-
-def require_image_sizes(cameras: Cameras, detections: Iterable[TargetDetection]) -> None:
-    """Raises InputError for images of another size than the camera's lens was calibrated for."""
-    for detection in detections:
-        camera = cameras[detection.camera]
-        if detection.image_size != (camera.width, camera.height):
-            raise InputError(
-                f"its images are {detection.image_size[0]} x {detection.image_size[1]} pixels, its intrinsics are for "
-                f"{camera.width} x {camera.height}",
-                where=detection.camera,
-                remedy="Calibrate the lens at the size that the camera delivers, or give footage of that size.",
-            )
 
 
 def _read(folder: Path, name: str) -> CameraModel:

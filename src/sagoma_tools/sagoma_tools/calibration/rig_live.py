@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -20,7 +19,7 @@ from capture_rig.errors import InputError
 from mocap_packets.frame_set import FrameSet, FrameSetCollector
 from rig_calibration.boards.board import Board, TargetDetection
 from rig_calibration.boards.detector import find_board
-from rig_calibration.extrinsics.board_frames import MotionProgress, motion_progress
+from rig_calibration.extrinsics.board_frames import motion_advice
 from rig_calibration.extrinsics.calibrate import MOVING
 from sagoma_ros.images import decode_image
 from sagoma_ros.inputs import Worker
@@ -30,7 +29,8 @@ from sagoma_ros.qos import SILHOUETTE_SUBSCRIBER
 from ..console import doing, until_stopped
 from ..graph import PATIENCE_S, ROUND_S
 from ..graph.ros_link import settled
-from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, RigSources, find_floor
+from .footage import Shots
+from .rig_detections import MAX_BLUR_PX, CameraDetections, Cameras, CamerasDetections, Corners, find_floor
 
 TOLERANCE_NS = 10_000_000
 """Exposures further apart are not one frame set: a board carried at 0.5 m/s moves 5 mm meanwhile."""
@@ -70,10 +70,10 @@ class MotionRecorder:
             for name, topic in topics.items()
         ]
 
-    def progress(self) -> MotionProgress:
-        """Return the progress so far."""
+    def progress(self) -> tuple[int, str]:
+        """Return the frames that tie cameras together so far, and what is missing."""
         with self._lock:
-            return motion_progress(tuple(self._topics), self._detections)
+            return motion_advice(tuple(self._topics), self._detections)
 
     def seen(self) -> CamerasDetections:
         """Return the detections of each camera."""
@@ -137,18 +137,18 @@ def watch_recorder(recorder: MotionRecorder, stop: threading.Event) -> None:
         recorder.changed.clear()
         if recorder.error is not None:
             raise recorder.error
-        progress = recorder.progress()
+        shared, advice = recorder.progress()
         if recorder.examined == 0 and time.monotonic() - begun_s > PATIENCE_S:
             apart = f"no two cameras' within {TOLERANCE_NS / 1e6:g} ms of each other"
             came = f"{recorder.received} pictures came, but {apart}" if recorder.received else "no picture comes"
             raise InputError(came, remedy="Synchronise the cameras (docs/camera_pcs.md).")
-        examined = f"{progress.shared_frames} of {recorder.examined} frames seen by two or more cameras"
-        done(f"{examined}; {progress.advice or 'enough'}")
-        if not progress.advice:
+        examined = f"{shared} of {recorder.examined} frames seen by two or more cameras"
+        done(f"{examined}; {advice or 'enough'}")
+        if not advice:
             return
 
 
-class LiveSources(RigSources):
+class LiveSources:
     """Pictures of the running cameras. Raises InputError naming cameras that do not publish.
 
     ``ask`` is called before the board is to lie on the floor, and before it is to be carried; ``stop`` ends the
@@ -161,13 +161,11 @@ class LiveSources(RigSources):
         self._topics = {name: topic for name, topic in find_topics(node, wanted).items() if name not in without}
         self.names = tuple(sorted(self._topics))
         self._node, self._carried, self._ask, self._stop = node, carried, ask, stop
-        self._shots: dict[str, Shots] = {}
 
     def detect_floor(self, board: Board, cameras: Cameras, corners: Corners) -> CamerasDetections:
-        if not self._shots:
-            self._ask("Lay the board on the floor, print upwards, and leave it")
-            self._shots = grab(self._node, self._topics, FLOOR_SHOTS)
-        return find_floor({name: self._shots[name] for name in sorted(cameras)}, board, cameras, corners)
+        self._ask("Lay the board on the floor, print upwards, and leave it")
+        shots = grab(self._node, self._topics, FLOOR_SHOTS)
+        return find_floor({name: shots[name] for name in sorted(cameras)}, board, cameras, corners)
 
     def detect_moving(self, board: Board, cameras: Cameras) -> CamerasDetections:
         if not self._carried:
@@ -181,21 +179,6 @@ class LiveSources(RigSources):
 
     def detect_wand(self, marks_m: Sequence[float], cameras: Cameras) -> CamerasDetections:
         return {}
-
-
-@dataclass(frozen=True, eq=False)
-class Shots:
-    """Some pictures of one camera, as footage: frame indices count from 0."""
-
-    name: str
-    pictures: tuple[np.ndarray, ...]
-
-    @property
-    def count(self) -> int:
-        return len(self.pictures)
-
-    def __iter__(self) -> Iterator[tuple[int, np.ndarray]]:
-        return iter(enumerate(self.pictures))
 
 
 def find_topics(node: Node, wanted: Sequence[str], timeout_s: float = PATIENCE_S) -> dict[str, str]:

@@ -23,7 +23,7 @@ from capture_rig.files import make_folder
 from capture_rig.rig import Volume, save_rig
 from capture_rig.yaml_file import save_mapping
 from rig_calibration.extrinsics.calibrate import FLOOR, RigCalibration
-from rig_calibration.extrinsics.world import CameraFigures, PlacedRig, RigFigures
+from rig_calibration.extrinsics.world import CameraFigures
 from rig_calibration.intrinsics.picture import draw_residuals
 
 from ..console import GRADE_STYLE
@@ -50,18 +50,15 @@ def write_outputs(
     the floor, STEM_CAMERA.png; returns all paths. The rig's bytes depend on the detections alone. Raises InputError."""
 
     make_folder(path.parent)
-    save_rig(calibrated.placed.rig, path)
+    save_rig(calibrated.rig, path)
     written = [path, write_report(path.with_suffix(".report.yaml"), calibrated, asked)]
-    figures = {camera.name: camera for camera in calibrated.figures.cameras}
-    written.append(
-        draw_rig(path.with_suffix(".png"), calibrated.placed, calibrated.floor_world, figures, residuals_of(calibrated))
-    )
+    written.append(draw_rig(path.with_suffix(".png"), calibrated))
     found = {s.camera: s.pixels for s in calibrated.solution.detections if s.target == FLOOR}
-    for camera in calibrated.placed.rig.cameras:
+    for camera in calibrated.rig.cameras:
         if calibrated.floor_world is not None and camera.name in pictures:
             place = path.with_name(f"{path.stem}_{camera.name}.png")
             found_px = found.get(camera.name, np.empty((0, 2)))
-            volume = calibrated.placed.rig.volume
+            volume = calibrated.rig.volume
             draw_overlay(place, pictures[camera.name], camera, volume, calibrated.floor_world, found_px)
             written.append(place)
     return written
@@ -76,25 +73,22 @@ def residuals_of(calibrated: RigCalibration) -> dict[str, tuple[np.ndarray, np.n
             np.concatenate([detection.pixels for detection, _ in pairs if detection.camera == name]),
             np.concatenate([residuals for detection, residuals in pairs if detection.camera == name]),
         )
-        for name in calibrated.placed.rig.names
+        for name in calibrated.rig.names
     }
 
 
 def print_report(console: Console, calibrated: RigCalibration) -> None:
     """Print the figures of cameras and rig, detections left out, the verdict, and what to measure with a tape."""
-    figures = calibrated.figures
-    console.print(_table(figures))
-    gaps = ", ".join(f"{one}-{other} {gap:.0f}" for (one, other), gap in figures.gaps_deg.items())
-    console.print(f"rms of all corners {figures.rms_px:.2f} px; between neighbours {gaps or 'none'} degrees")
-    size = calibrated.placed.rig.volume.high - calibrated.placed.rig.volume.low
-    common = calibrated.placed.common
+    console.print(_table(calibrated.figures))
+    console.print(f"rms of all corners {calibrated.rms_px:.2f} px")
+    size = calibrated.rig.volume.high - calibrated.rig.volume.low
+    common = calibrated.common
     enough = common.enough
     console.print(
-        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {enough} cameras or more see {common.volume_m3:.0f} "
-        f"m3, and a standing person on {common.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: "
-        f"{common.floor_m2[-1]:.1f})"
+        f"volume {size[0]:.1f} x {size[1]:.1f} x {size[2]:.2f} m; {enough} cameras or more see a standing person on "
+        f"{common.floor_m2[enough - 1]:.1f} m2 of floor (all cameras: {common.floor_m2[-1]:.1f})"
     )
-    console.print(carried(calibrated.placed.rig))
+    console.print(carried(calibrated.rig))
     if (frames := calibrated.floor_guess) != ():
         console.print(f"floor: the carried board in frames {', '.join(map(str, frames))}, where nothing was below it")
     for left in calibrated.solution.left_out[:5]:
@@ -113,7 +107,7 @@ def print_report(console: Console, calibrated: RigCalibration) -> None:
 
 def tape_request(calibrated: RigCalibration) -> str:
     """Return what to measure with a tape: no picture shows whether the print has the stated size."""
-    cameras = calibrated.placed.rig.cameras
+    cameras = calibrated.rig.cameras
     parts = []
     if calibrated.floor_world is not None:
         parts.append(f"the lens of {cameras[0].name} is {cameras[0].centre_world[2]:.2f} m above the floor")
@@ -130,7 +124,10 @@ def write_report(path: Path, calibrated: RigCalibration, asked: Mapping[str, Any
         "findings": [asdict(finding) for finding in calibrated.verdict.findings],
         "measure": tape_request(calibrated),
         "rig": _rig_document(calibrated),
-        "cameras": {camera.name: _camera_document(camera, calibrated) for camera in calibrated.figures.cameras},
+        "cameras": {
+            name: _camera_document(camera, calibrated.solution.covariance[name])
+            for name, camera in calibrated.figures.items()
+        },
         "left_out": [
             {"camera": of.camera, "target": of.target, "frame": of.frame_index, "reason": left.reason}
             for left in calibrated.solution.left_out
@@ -144,26 +141,24 @@ def write_report(path: Path, calibrated: RigCalibration, asked: Mapping[str, Any
     return path
 
 
-def _table(figures: RigFigures) -> Table:
+def _table(figures: Mapping[str, CameraFigures]) -> Table:
     table = Table(title="cameras", title_justify="left")
     table.add_column("camera")
     for heading, _, _ in CAMERA_FIGURES:
         table.add_column(heading, justify="right")
-    for camera in figures.cameras:
+    for camera in figures.values():
         values = [(getattr(camera, name), form) for _, name, form in CAMERA_FIGURES]
         table.add_row(camera.name, *("never" if value is None else f"{value:{form}}" for value, form in values))
     return table
 
 
 def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
-    figures, volume = calibrated.figures, calibrated.placed.rig.volume
+    volume, common = calibrated.rig.volume, calibrated.common
     return {
-        "rms_px": _rounded(figures.rms_px),
+        "rms_px": _rounded(calibrated.rms_px),
         "volume_m": {"low": volume.low.tolist(), "high": volume.high.tolist()},
-        "seen_m3": _rounded(calibrated.placed.common.volume_m3),
-        "cameras_for_seen": calibrated.placed.common.enough,
-        "floor_m2_seen_by_1_to_all": [_rounded(area) for area in calibrated.placed.common.floor_m2],
-        "between_neighbours_deg": {f"{a} {b}": _rounded(gap) for (a, b), gap in figures.gaps_deg.items()},
+        "cameras_for_seen": common.enough,
+        "floor_m2_seen_by_1_to_all": [_rounded(area) for area in common.floor_m2],
         "scale": {
             name: {"ratio": _rounded(ratio), "sd": _rounded(sd)}
             for name, (ratio, sd) in sorted(calibrated.solution.scale_of.items())
@@ -172,11 +167,9 @@ def _rig_document(calibrated: RigCalibration) -> dict[str, Any]:
     }
 
 
-def _camera_document(camera: CameraFigures, calibrated: RigCalibration) -> dict[str, Any]:
+def _camera_document(camera: CameraFigures, covariance: np.ndarray) -> dict[str, Any]:
     document: dict[str, Any] = {name: _rounded(getattr(camera, name)) for _, name, _ in CAMERA_FIGURES}
-    covariance = calibrated.solution.covariance[camera.name]
-    document["pose_covariance"] = [[float(f"{value:.4g}") for value in row] for row in covariance]
-    return document
+    return document | {"pose_covariance": [[float(f"{value:.4g}") for value in row] for row in covariance]}
 
 
 def _rounded(value: float | None) -> float | int | None:
@@ -194,32 +187,26 @@ SAMPLE_M = 0.05
 """Length of the pieces of a line: so short that the lens bends none of them visibly."""
 GRID, VOLUME, FOUND, EXPECTED, AXES = "#ffc800", "#50c850", "#00ffff", "#ff3c3c", ("#ff0000", "#00ff00", "#0050ff")
 
-Residuals = Mapping[str, tuple[np.ndarray, np.ndarray]]
-"""By camera: where in its image (n, 2), and found minus expected (n, 2), px."""
 
-
-def draw_rig(
-    path: Path,
-    placed: PlacedRig,
-    board_world: np.ndarray | None,
-    figures: Mapping[str, CameraFigures],
-    residuals: Residuals,
-) -> Path:
-    """Write the picture; ``board_world`` (n, 3): the corners of the board on the floor, None where there was none."""
-    cameras = placed.rig.cameras
+def draw_rig(path: Path, calibrated: RigCalibration) -> Path:
+    """Write the picture: the rig from above and from the side, and each camera's residuals."""
+    cameras, residuals = calibrated.rig.cameras, residuals_of(calibrated)
     rows = -(-len(cameras) // COLUMNS)
     figure = Figure(figsize=(15, 6.5 + 3.0 * rows), constrained_layout=True)
     views, panels = cast(np.ndarray, figure.subfigures(2, 1, height_ratios=[6.5, 3.0 * rows]))
     plan, side = views.subplots(1, 2, width_ratios=[1.15, 1.0])
-    _draw_coverage(plan, placed)
+    _draw_coverage(plan, calibrated)
     for axes, (right, up) in ((plan, (X, Y)), (side, (X, Z))):
-        _draw_view(axes, placed, board_world, right, up)
+        _draw_view(axes, calibrated, right, up)
     plan.set_title("from above: how many cameras see a standing person", fontsize=10)
     side.set_title("from the side", fontsize=10)
     side.axhline(0.0, color="0.5", linewidth=1)
     grid = panels.subplots(rows, COLUMNS, squeeze=False).ravel()
     for axes, camera in zip(grid, cameras, strict=False):
-        _draw_residuals(axes, camera, figures[camera.name], *residuals[camera.name])
+        magnified = draw_residuals(axes, camera, *residuals[camera.name])
+        axes.set(xticks=[], yticks=[])
+        rms_px = calibrated.figures[camera.name].rms_px
+        axes.set_title(f"{camera.name}: {rms_px:.2f} px rms, arrows x {magnified:.0f}", fontsize=9)
     for axes in grid[len(cameras) :]:
         axes.set_axis_off()
     matplotlib.rcParams["svg.hashsalt"] = "rig"
@@ -227,20 +214,21 @@ def draw_rig(
     return path
 
 
-def _draw_coverage(axes: Axes, placed: PlacedRig) -> None:
-    common = placed.common
-    levels = np.arange(len(placed.rig.cameras) + 2) - 0.5
+def _draw_coverage(axes: Axes, calibrated: RigCalibration) -> None:
+    common = calibrated.common
+    levels = np.arange(len(calibrated.rig.cameras) + 2) - 0.5
     mesh = axes.pcolormesh(common.x, common.y, common.standing.T, cmap="Greys", vmin=0, vmax=2 * levels[-1], alpha=0.8)
     mesh.set_rasterized(True)
     inside = axes.contour(common.x, common.y, common.standing.T, levels=levels[1:-1], colors="0.4", linewidths=0.6)
     axes.clabel(inside, fmt=lambda level: f"{level + 0.5:.0f}", fontsize=7)
 
 
-def _draw_view(axes: Axes, placed: PlacedRig, board_world: np.ndarray | None, right: int, up: int) -> None:
-    low, high = placed.rig.volume.low, placed.rig.volume.high
+def _draw_view(axes: Axes, calibrated: RigCalibration, right: int, up: int) -> None:
+    rig, board_world = calibrated.rig, calibrated.floor_world
+    low, high = rig.volume.low, rig.volume.high
     size = high - low
     axes.add_patch(Rectangle((low[right], low[up]), size[right], size[up], fill=False, color=BOX, linewidth=1.5))
-    for camera in placed.rig.cameras:
+    for camera in rig.cameras:
         for edge in _frustum_edges(camera):
             axes.plot(edge[:, right], edge[:, up], color=CAMERA, linewidth=0.8)
         centre = camera.centre_world
@@ -253,7 +241,7 @@ def _draw_view(axes: Axes, placed: PlacedRig, board_world: np.ndarray | None, ri
     axes.grid(alpha=0.3)
     axes.set_xlabel(f"{'xyz'[right]} [m]")
     axes.set_ylabel(f"{'xyz'[up]} [m]")
-    places = np.array([camera.centre_world for camera in placed.rig.cameras] + [low, high])
+    places = np.array([camera.centre_world for camera in rig.cameras] + [low, high])
     for set_limits, axis in ((axes.set_xlim, right), (axes.set_ylim, up)):
         set_limits(places[:, axis].min() - 0.6, places[:, axis].max() + 0.6)
 
@@ -269,14 +257,6 @@ def _frustum_edges(camera: CameraModel) -> list[np.ndarray]:
     centre = camera.centre_world
     ends = centre + AXIS_M * rays / (rays @ camera.R_camera_world[2])[:, None]
     return [np.stack([centre, end]) for end in ends] + [np.vstack([ends, ends[:1]])]
-
-
-def _draw_residuals(
-    axes: Axes, camera: CameraModel, figures: CameraFigures, places: np.ndarray, residuals: np.ndarray
-) -> None:
-    magnified = draw_residuals(axes, camera, places, residuals)
-    axes.set(xticks=[], yticks=[])
-    axes.set_title(f"{camera.name}: {figures.rms_px:.2f} px rms, arrows x {magnified:.0f}", fontsize=9)
 
 
 def draw_overlay(

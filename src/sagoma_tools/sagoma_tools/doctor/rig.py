@@ -23,7 +23,6 @@ from capture_rig.verdict import GOOD, REDO, USABLE
 from capture_rig.video import VideoFacts, examine_video, session_findings
 from capture_rig.visibility import MOST_PIXEL_M, Region, needed_region, of_region, pixel_width_m
 from capture_rig.yaml_file import read_mapping
-from rig_calibration.extrinsics.verdict import CLOSE_DEG, FACING_DEG, MIN_CAMERAS
 from rig_calibration.intrinsics.lens_model import ASPECT_PRIOR, CENTRE_PRIOR
 from rig_calibration.intrinsics.result import UNUSED_GOOD, UNUSED_USABLE, unused_text
 
@@ -40,6 +39,8 @@ BODY_LEVELS_M = np.arange(0.1, 1.8, 0.2)  # soles to head
 OLD_S = 180 * 86400.0
 NARROW_DEG, WIDE_DEG, FISHEYE_DEG = 15.0, 130.0, 200.0
 HIGH_M, LOW_M = 6.0, 0.3
+FACING_DEG, CLOSE_DEG = 170.0, 12.0  # cameras that look at each other see the same outline, mirrored
+MIN_CAMERAS = 3
 SAME_PLACE_M, SAME_LENS_PX = 0.05, 0.5
 POOR_SHARE, LITTLE_SHARE = 0.05, 0.5  # of the places where a person may stand
 

@@ -1,90 +1,34 @@
-"""Step 3a: the pose of one camera relative to another, by consensus of all the frames in which both saw a target.
+"""Step 3 for wands, whose markers lie on a line and have no pose in a single picture.
 
-Every frame allows several relative poses: two planar solutions in each camera, times the turns that hide. The right
-ones agree from frame to frame, the wrong ones scatter. The candidate that most frames support wins; then the
-supporting frames are averaged. Markers of a wand lie on a line and have no pose in a single picture: pairs of cameras
-are related by their essential matrix (Hartley & Zisserman 2004, chapter 9), and the wand's length gives the scale.
+Pairs of cameras are related by their essential matrix (Hartley & Zisserman 2004, chapter 9), the wand's length gives
+the scale, and the wand itself is triangulated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from capture_rig.camera import CameraModel
 from capture_rig.lens import Array
-from capture_rig.rigid import angles_between, transform
+from capture_rig.rigid import transform
 
-from .problem import DetectionPoses, View
+from .problem import View
 
-# Thresholds: judgement, no measurement.
-TOLERANCE = 0.05  # of the rotation that one board tells, rad, and of the board's distance
-VOTING_FRAMES = 80
+MIN_POINTS = 12  # the essential matrix needs five; with fewer than this, wrong labels cannot be told
+INLIER_PX, CONFIDENCE = 3.0, 0.9999
 
 
-@dataclass(frozen=True, eq=False)
-class RelativePose:
+class RelativePose(NamedTuple):
     """``T_b_a`` (4, 4) maps coordinates in camera a to camera b; ``support``: how many frames it is worth."""
 
     T_b_a: Array
     support: float
 
-
-class _Hypotheses(NamedTuple):
-    """What all common frames allow, one row each: rotation a to b, the target's centre in a and in b, weight."""
-
-    R: Array
-    centre_a: Array
-    centre_b: Array
-    weight: Array
-    frame_index: npt.NDArray[np.int64]
-
-
-def relative_pose(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> RelativePose:
-    """Find the pose of camera b relative to a from what both saw in the same frames: pairs (poses in a, poses in b)."""
-    voting = np.unique(np.linspace(0, len(common) - 1, VOTING_FRAMES).round().astype(np.int64))
-    hypotheses = _hypotheses([common[index] for index in voting])
-    t = hypotheses.centre_b - (hypotheses.R @ hypotheses.centre_a[..., None])[..., 0]
-    votes = _agreement(hypotheses, hypotheses.R, t).sum(axis=1) * (1 + 1e-6 * hypotheses.weight)
-    best = int(np.argmax(np.round(votes, 9)))
-    return RelativePose(transform(hypotheses.R[best], t[best]), float(votes[best]) * len(common) / len(voting))
-
-
-def agreement_weight(angle: Array, distance_ratio: Array) -> Array:
-    """Weigh how well two poses agree, 1 to 0, that differ by an angle (rad) and by a share of the distance."""
-    return 1 / (1 + (angle**2 + distance_ratio**2) / TOLERANCE**2) ** 2
-
-
-def _hypotheses(common: Sequence[tuple[DetectionPoses, DetectionPoses]]) -> _Hypotheses:
-    rows = []
-    for index, (a, b) in enumerate(common):
-        for i in np.flatnonzero(a.symmetry == 0):  # only the turn of one against the other matters
-            centre_a, frame = np.tile(a.t[i], (len(b.t), 1)), np.full(len(b.t), index)
-            rows.append((b.R @ a.R[i].T, centre_a, b.t, a.weight[i] * b.weight, frame))
-    R, centre_a, centre_b, weight, frame_index = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return _Hypotheses(R, centre_a, centre_b, weight, frame_index)
-
-
-def _agreement(hypotheses: _Hypotheses, R: Array, t: Array) -> Array:
-    """Return (candidates, frames) the best agreement with each candidate in each frame."""
-    miss = np.einsum("cij,oj->coi", R, hypotheses.centre_a) + t[:, None] - hypotheses.centre_b
-    ratio = np.linalg.norm(miss, axis=2) / np.linalg.norm(hypotheses.centre_b, axis=1)
-    agreement = hypotheses.weight * agreement_weight(angles_between(R, hypotheses.R), ratio)
-    starts = np.flatnonzero(np.diff(hypotheses.frame_index, prepend=-1))
-    return np.maximum.reduceat(agreement, starts, axis=1)
-
-
-# --- Wands.
-
-MIN_POINTS = 12  # the essential matrix needs five; with fewer than this, wrong labels cannot be told
-INLIER_PX, CONFIDENCE = 3.0, 0.9999
-LABELLING_ROUNDS = 5
 
 Pair = tuple[Array, Array, Array]  # the same markers of a frame: ideal points (n, 2) in a and b, positions (n, 3)
 
@@ -94,20 +38,15 @@ def relative_pose_of_line(common: Sequence[tuple[View, View]], a: CameraModel, b
 
     Where a wand's ends cannot be told apart, each frame's numbering in b is tried both ways round.
     """
-    choices = [[pair for pair in _ways_round(u, v) if len(pair[0])] for u, v in common]
-    choices = [pairs for pairs in choices if pairs]
+    ways = [_ways_round(u, v) for u, v in common]
+    choices = [pairs for pairs in ways if len(pairs[0][0])]
     if sum(len(pairs[0][0]) for pairs in choices) < MIN_POINTS:
         return None
     tolerance = INLIER_PX / float(np.sqrt(a.K[0, 0] * b.K[0, 0]))
-    labels, E, chosen = [0] * len(choices), np.empty((0, 3)), [pairs[0] for pairs in choices]
-    for _ in range(LABELLING_ROUNDS):
-        chosen = [pairs[label] for pairs, label in zip(choices, labels, strict=True)]
-        E = _essential(chosen, tolerance)
-        if len(E) == 0:
-            return None
-        before, labels = labels, [int(np.argmin([_epipolar_distance(E, p).max() for p in pairs])) for pairs in choices]
-        if labels == before:
-            break
+    E = _essential([pair for pairs in choices for pair in pairs], tolerance)  # wrong ways round are outliers
+    if len(E) == 0:
+        return None
+    chosen = [min(pairs, key=lambda pair: _epipolar_distance(E, pair).max()) for pairs in choices]
     fitting = [pair for pair in chosen if _epipolar_distance(E, pair).max() < tolerance]
     return _with_scale(E, fitting) if fitting else None
 
@@ -139,8 +78,7 @@ def _ways_round(u: View, v: View) -> list[Pair]:
         ids, rows_u, rows_v = np.intersect1d(
             u.detection.ids, symmetry.permutation[v.detection.ids], return_indices=True
         )
-        good = np.isfinite(u.ideal[rows_u]).all(axis=1) & np.isfinite(v.ideal[rows_v]).all(axis=1)
-        pairs.append((u.ideal[rows_u][good], v.ideal[rows_v][good], u.shape.points[ids][good]))
+        pairs.append((u.ideal[rows_u], v.ideal[rows_v], u.shape.points[ids]))
     return pairs
 
 
@@ -193,7 +131,7 @@ def _fit_line(seen: Sequence[tuple[View, Array]], symmetries: Sequence[int]) -> 
             for (view, T), rows in zip(seen, ids, strict=True)
             if marker in rows
         ]
-        if len(shown) >= 2 and all(np.isfinite(ideal).all() for ideal, _ in shown):
+        if len(shown) >= 2:
             found.append(_triangulate([ideal for ideal, _ in shown], [T for _, T in shown]))
             where.append(marker)
     if len(found) < 2 or not np.isfinite(found).all():
@@ -210,6 +148,6 @@ def _miss(pose: Array, view: View, T_camera_root: Array, symmetry: int) -> float
     ids = view.shape.symmetries[symmetry].permutation[view.detection.ids]
     T = T_camera_root @ pose
     seen = T[:3, :3] @ view.shape.points[ids].T + T[:3, 3:]
-    if np.any(seen[2] <= 0) or not np.isfinite(view.ideal).all():
+    if np.any(seen[2] <= 0):
         return np.inf
     return float(np.mean(np.linalg.norm(seen[:2] / seen[2] - view.ideal.T, axis=0)))
