@@ -40,8 +40,7 @@ from .views import Box, Masks, RigViews
 # Thresholds: chosen with shadow_resolution.py among the benches of commit d6079d2.
 TOLERANCE = 1  # attenuation steps of a tenth by which two cameras may differ and agree
 STRIDE = 3  # every third row and column is tested
-LEAST_CENTRE_Z_M = 0.2  # a camera lower than this sees too little floor
-FLOOR_M = 0.08  # voxels lower than this may be floor in shadow: soles, and errors of floor and calibration
+FLOOR_M = 0.08  # what is lower, voxel or camera, may be floor: soles, and errors of floor and calibration
 
 UNSEEN, EMPTY, CANDIDATE, ATTENUATED, SURE = 0, 1, 2, 3, 4  # kinds of levels
 ABOVE_UNCERTAIN = FIRST_BITS * np.uint64(SHADOW_CANDIDATE - UNCERTAIN)  # added to every byte: carries into its high bit
@@ -70,7 +69,7 @@ def floor_scene(views: RigViews, volume: Volume) -> FloorScene:
     """Compute the tables of a rig's calibration; the floor of a camera that is too low to see it is NaN."""
     centres = [-np.linalg.solve(P[:, :3], P[:, 3]) for P in views.P]
     floor = [
-        np.linalg.inv(P[:, [0, 1, 3]]) if centre[2] > LEAST_CENTRE_Z_M else np.full((3, 3), np.nan)
+        np.linalg.inv(P[:, [0, 1, 3]]) if centre[2] > FLOOR_M else np.full((3, 3), np.nan)
         for P, centre in zip(views.P, centres, strict=True)
     ]
     kind = np.full(256, SURE, np.int8)

@@ -28,8 +28,6 @@ VOXEL_M = 0.05  # of the coarse grid
 PERIOD_S = 0.1  # from one comparison to the next
 ENOUGH_VOTERS = 5  # each camera less makes the hull of the others looser: twice as much is allowed
 FEWEST_VOTERS = 3  # cameras that must remain: of two that contradict each other, either may be right
-FLOODED, FLOODED_TIMES = 0.25, 4.0  # coverage, and times the median coverage, beyond which foreground is no silhouette
-LEAST_EXPLAINED_M2 = 0.04  # a camera agrees only by showing at least this much of the body: a hand or two
 MEMORY_S = 2.0  # length of the published running means
 
 # what is allowed, as shares: 0 to 1
@@ -91,7 +89,7 @@ class CameraFaultDetector:
         step_s = self._throttle.step_s(stamp_ns) if self.settings.enabled else 0.0
         if step_s <= 0.0:
             return replace(self._faults, updated=False)
-        # blank, flooded and excluded cameras are compared, but cannot veto
+        # blank and excluded cameras are compared, but cannot veto
         voters, others = self._choose_voters(masks)
         residuals = self._estimator.estimate(voters, others)
         if residuals is None:
@@ -111,9 +109,7 @@ class CameraFaultDetector:
         present = self._views.present(masks).tolist()
         for camera in present:
             self._estimator.set_mask(camera, masks[self.names[camera]])
-        coverage = {camera: self._estimator.coverage(camera) for camera in present}
-        limit = max(FLOODED, FLOODED_TIMES * float(np.median(list(coverage.values()) or [0.0])))
-        voters = tuple(c for c in present if 0.0 < coverage[c] <= limit and not self._records[c].left_out)
+        voters = tuple(c for c in present if self._estimator.shows(c) and not self._records[c].left_out)
         return voters, tuple(c for c in present if c not in voters)
 
     def _test_camera(self, residuals: Residuals, slot: int, step_s: float) -> None:
@@ -131,7 +127,7 @@ class CameraFaultDetector:
             record.add_fault(mine, fault / SATURATION, step_s)
             return
         agrees = mine.veto_fraction <= max(lenience * VETO_ALLOWANCE, next_veto) and mine.excess <= EXCESS_ALLOWANCE / 2
-        if not agrees or residuals.explained_m2[slot] >= LEAST_EXPLAINED_M2:  # disagreement counts twice
+        if not agrees or mine.coverage > 0.0:  # disagreement counts twice, what shows nothing not at all
             record.agreed_s = max(record.agreed_s + (step_s if agrees else -2 * step_s), 0.0)
 
     def _decide(self, present: list[int]) -> CameraFaults:

@@ -27,7 +27,6 @@ from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summe
 from ..grid import VoxelGrid
 from ..views import Masks, RigViews, min_seeing
 from . import EARLY
-from .camera_fault_detector import FLOODED
 
 # Thresholds: ARM_M from the length of an arm; else chosen with the rooms of test_hull_foreground_support.py.
 PERIOD_S = 0.25  # things are judged for seconds
@@ -37,6 +36,7 @@ BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
 SURROUNDINGS_M = 1.5  # beside the volume, where people wait
 ARM_M = 0.5  # bodies in the volume reach out of it by so much; parts of a body so near to certain ones are hers
 MARGIN_M = 0.15  # around what others see as a body: blocks, contact shadows
+FLOODED = 0.25  # coverage beyond which foreground is no silhouette
 POORLY_SEEN = 0.02  # share of a ray's blocks in the volume that too few others may look at: rounding at its faces
 _EDGE, _COARSE_EDGE = 2, 8  # voxels along a block, and along those that are looked at first
 
