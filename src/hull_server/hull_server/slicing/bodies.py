@@ -23,7 +23,9 @@ from .voxel_runs import HullRuns
 
 NOBODY = -1
 STEP_M = 0.5  # a step: parts one above the other, across the floor; a hand from its trunk; a body between two sets
-BESIDE_M = 0.25  # a person's parts side by side have middles no farther apart: a chest's depth (ANSUR II, 95th percentile)
+BESIDE_M = (
+    0.25  # a person's parts side by side have middles no farther apart: a chest's depth (ANSUR II, 95th percentile)
+)
 
 
 @dataclass(frozen=True, eq=False)
