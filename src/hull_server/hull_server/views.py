@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -101,7 +101,7 @@ class RigViews:
 
 
 class CarveBackend(Protocol):
-    """Carves the silhouettes of one frame set after another, by the rule of this module.
+    """Carves the silhouettes of one frame set after another, by the rule of this module. One thread at a time.
 
     name : gl, sweep or cpu. device : what it runs on, for people.
     """
@@ -109,33 +109,13 @@ class CarveBackend(Protocol):
     name: str
     device: str
 
-    def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """Carve one canvas mask a camera; absent cameras do not count."""
-        ...
-
-    def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> Any:
-        """Begin to carve; the handle is exchanged for the hull by :meth:`collect`, on any thread, in any order.
+    def carve(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
+        """Carve one canvas mask a camera; absent cameras do not count.
 
         boxes : that hold each camera's nonzero pixels, where they are known: the rest of a mask need not be read.
         """
         ...
 
-    def collect(self, handle: Any) -> BrickVolume:
-        """Wait for the hull that :meth:`submit` began."""
-        ...
-
     def close(self) -> None:
         """Release what the backend holds; it cannot be used afterwards."""
         ...
-
-
-class Immediate:
-    """Carves on the caller's thread: the handle is the hull itself."""
-
-    def submit(self: CarveBackend, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
-        """Carve."""
-        return self.carve(masks, min_seeing)
-
-    def collect(self, handle: BrickVolume) -> BrickVolume:
-        """Return the hull."""
-        return handle

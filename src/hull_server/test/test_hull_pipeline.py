@@ -34,7 +34,7 @@ def test_pipeline_finds_the_hull_and_the_centerline_of_a_person(scene):
     assert len(result.products.voxels) == 3000
     assert result.cameras == rig.names and result.missing == () and result.blank == () and not result.empty
     assert result.min_seeing == 3 and result.backend == "cpu" and result.stamp_ns == 1_000_000_000
-    assert " ".join(result.stage_ms) == "consistency shadows carve support collect slice filter sample contour_rays"
+    assert " ".join(result.stage_ms) == "consistency shadows carve support floor slice filter sample contour_rays"
 
 
 def test_pipeline_contains_the_body_even_where_views_are_cut(scene):

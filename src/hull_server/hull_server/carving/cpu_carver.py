@@ -18,7 +18,7 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 
 from ..grid import BrickVolume, VoxelGrid
-from ..views import Boxes, Immediate, Masks, RigViews
+from ..views import Boxes, Masks, RigViews
 from .carve_blocks import (
     EVERY_OCTANT,
     classify_octants,
@@ -36,7 +36,7 @@ COARSE_EDGE, BRICK_EDGE = 32, 8
 EMPTY = -1
 
 
-class CpuCarver(Immediate):
+class CpuCarver:
     """Carves on one core; tables of the calibration are computed once. One thread at a time."""
 
     name = "cpu"
@@ -81,10 +81,6 @@ class CpuCarver(Immediate):
         scene = self._scene._replace(present=cameras, min_seeing=min_seeing, vetoes=vetoes)
         found = carve(scene, self._coarse, self._bricks, self._index, self._leaves, self._work)
         return BrickVolume(self.grid, self._index[:found].copy(), self._leaves[:found].copy())
-
-    def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
-        """Carve; see :meth:`hull_server.views.CarveBackend.submit`."""
-        return self.carve(masks, min_seeing, boxes)
 
     def close(self) -> None:
         """Nothing to release."""
