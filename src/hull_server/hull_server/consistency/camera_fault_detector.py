@@ -42,15 +42,12 @@ DETECTION_S = 0.3  # sum at which a camera is faulty
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """Which cameras contradict the others. Shares are 0 to 1, running means over some seconds, by camera.
+    """Which cameras contradict the others. Shares are 0 to 1, running means over some seconds.
 
     updated : whether this frame set was compared; if not, everything else is as before.
     left_out : cameras to carve without. suspects : cameras that would be left out if enough others remained.
     reasons : a message with the remedy for each of both.
-    veto_fraction : share of the body, as the others show it, that each camera vetoes.
-    excess : share of each camera's view that is foreground in no other camera.
-    consistency : agreement of each silhouette with the reprojected hull of the others: 1 when that explains all of it
-    and the camera vetoes nothing that they agree on.
+    means : what is wrong with each camera's silhouettes; see :class:`.silhouette_residuals.CameraResiduals`.
     conflict : share of the foreground of all cameras not left out that their common hull leaves unexplained.
     warning : that they contradict each other and no camera can be blamed; empty otherwise.
     """
@@ -58,9 +55,7 @@ class CameraFaults:
     left_out: tuple[str, ...] = ()
     suspects: tuple[str, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
-    veto_fraction: Mapping[str, float] = field(default_factory=dict)
-    excess: Mapping[str, float] = field(default_factory=dict)
-    consistency: Mapping[str, float] = field(default_factory=dict)
+    means: Mapping[str, CameraResiduals] = field(default_factory=dict)
     conflict: float = 0.0
     warning: str = ""
     updated: bool = False
@@ -114,9 +109,9 @@ class CameraFaultDetector:
 
     def _test_camera(self, residuals: Residuals, slot: int, step_s: float) -> None:
         """Compare one camera's residuals with what is allowed, and with the next worst camera's."""
-        record, mine = self._records[residuals.cameras[slot]], residuals.of(slot)
-        rest = [other for other in range(residuals.voters) if other != slot]
-        next_veto = float(residuals.veto_fraction[rest].max(initial=0.0))
+        record, mine = self._records[residuals.cameras[slot]], residuals.own[slot]
+        others = (one for other, one in enumerate(residuals.own[: residuals.voters]) if other != slot)
+        next_veto = max((one.veto_fraction for one in others), default=0.0)
         lenience = 2.0 ** max(ENOUGH_VOTERS - residuals.voters, 0)
         record.mean = record.mean.moved(mine, _gain(step_s))
         if not record.left_out:
@@ -163,9 +158,7 @@ class CameraFaultDetector:
             left_out=tuple(name for name in records if name not in used),
             suspects=suspects,
             reasons=reasons,
-            veto_fraction={name: record.mean.veto_fraction for name, record in records.items()},
-            excess={name: record.mean.excess for name, record in records.items()},
-            consistency={name: record.mean.consistency for name, record in records.items()},
+            means={name: record.mean for name, record in records.items()},
             conflict=self._conflict,
             warning=warning,
             updated=True,

@@ -40,7 +40,15 @@ Floats = npt.NDArray[np.float64]
 
 
 class CameraResiduals(NamedTuple):
-    """One camera's residuals of a frame set; see :class:`Residuals`."""
+    """One camera's residuals of a frame set. Shares are 0 to 1.
+
+    veto_fraction : share of the body that the camera vetoes: of the foreground in the voters' other images that the
+        hull without its veto explains, the part that the veto leaves unexplained.
+    excess : share of the camera's view that is foreground which that hull does not explain.
+    coverage : share of the camera's view that is foreground.
+    consistency : share of the camera's foreground that the hull without its veto explains (silhouette coherence; 1
+        where it shows nothing), times the share of the body that it does not veto.
+    """
 
     veto_fraction: float = 0.0
     excess: float = 0.0
@@ -54,33 +62,19 @@ class CameraResiduals(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """The residuals of one frame set. Arrays (n,) are in the order of ``cameras``, the voters first.
+    """The residuals of one frame set. Arrays (n,) and lists are in the order of ``cameras``, the voters first.
 
-    cameras : indices in the rig. voters : how many of them can veto.
-    veto_fraction : share of the body that a camera vetoes: of the foreground in the voters' other images that the hull
-        without its veto explains, the part that the veto leaves unexplained. 0 to 1.
-    body_litres : volume of the hull without this camera's veto.
-    excess : share of the camera's view that is foreground which that hull does not explain.
-    coverage : share of the camera's view that is foreground. explained_share : of it, what that hull explains.
-    consistency : share of the camera's foreground that the hull without its veto explains (silhouette coherence; 1
-        where it shows nothing), times the share of the body that it does not veto.
+    cameras : indices in the rig. voters : how many of them can veto. own : of each camera.
+    body_litres : volume of the hull without a camera's veto. explained_share : of its foreground, by that hull.
     unexplained : share of the voters' foreground that their common hull leaves unexplained.
     """
 
     cameras: tuple[int, ...]
     voters: int
-    veto_fraction: Floats
+    own: list[CameraResiduals]
     body_litres: Floats
-    excess: Floats
-    coverage: Floats
     explained_share: Floats
-    consistency: Floats
     unexplained: float
-
-    def of(self, slot: int) -> CameraResiduals:
-        """Return those of the camera ``cameras[slot]``."""
-        shares = self.veto_fraction, self.excess, self.coverage, self.consistency
-        return CameraResiduals(*(float(share[slot]) for share in shares))
 
 
 class CellViews(NamedTuple):
@@ -175,15 +169,15 @@ class ResidualEstimator:
         agreed = int(np.count_nonzero(by_voters == 0))
         alone = np.array([np.count_nonzero(by_voters == 1 << slot) if slot < voters else 0 for slot in range(n)])
         veto_fraction = (vetoed * compared).sum(0) / np.maximum(theirs, 1)
+        explained_share, seen = own / np.maximum(cells, 1), self._cells_seen[cameras]
+        consistency = np.where(cells > 0, explained_share, 1.0) * (1.0 - veto_fraction)
+        shares = np.column_stack([veto_fraction, (cells - own) / seen, cells / seen, consistency])
         return Residuals(
             cameras=tuple(cameras.tolist()),
             voters=voters,
-            veto_fraction=veto_fraction,
+            own=[CameraResiduals(*row) for row in shares.tolist()],
             body_litres=(agreed + alone) * self._grid.voxel_volume_m3 * 1e3,
-            excess=(cells - own) / self._cells_seen[cameras],
-            coverage=cells / self._cells_seen[cameras],
-            explained_share=own / np.maximum(cells, 1),
-            consistency=np.where(cells > 0, own / np.maximum(cells, 1), 1.0) * (1.0 - veto_fraction),
+            explained_share=explained_share,
             unexplained=1.0 - float((own - np.diagonal(vetoed))[:voters].sum() / max(int(cells[:voters].sum()), 1)),
         )
 
