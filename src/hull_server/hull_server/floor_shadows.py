@@ -87,7 +87,7 @@ class ShadowResolver:
 
     def __init__(self, views: RigViews, volume: Volume, grid: VoxelGrid) -> None:
         self._views = views
-        self._batch = SilhouetteBatch(views)
+        self._batch = SilhouetteBatch(views.seen)
         self._scene = floor_scene(views, volume)
         self._projections = pixel_projections(views, grid)
         self._layers = max(0, math.ceil((FLOOR_M - grid.origin[2]) / grid.voxel_size - 0.5))
@@ -101,15 +101,17 @@ class ShadowResolver:
         """
         self._views.present(masks)
         resolved = dict(masks)
-        for name in self._batch.take(masks):
-            camera, box = self._views.number[name], np.array(self._batch.shown(name))
+        graded = [self._batch.take(camera, masks.get(name)) for camera, name in enumerate(self._views.names)]
+        for camera in np.flatnonzero(graded):
+            name = self._views.names[camera]
             resolved[name] = masks[name].copy()
-            mark_shadows(self._scene, self._batch.levels, camera, box, resolved[name])
+            mark_shadows(self._scene, self._batch.levels, camera, self._batch.box[camera], resolved[name])
         return resolved
 
     def boxes(self, masks: Masks) -> dict[str, Box]:
         """Return a box for each mask, of those resolved last, that holds all but background."""
-        return {name: self._batch.shown(name) for name in masks}
+        boxes = zip(self._views.names, self._batch.box.tolist(), strict=True)
+        return {name: (left, top, right, bottom) for name, (left, top, right, bottom) in boxes if name in masks}
 
     def without_shadows(self, volume: BrickVolume, masks: Masks) -> BrickVolume:
         """Return a hull without the voxels of which two cameras have a candidate, or one next to the floor."""

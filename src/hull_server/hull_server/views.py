@@ -5,7 +5,7 @@ inside the canvas and inside the original image (``seen``). Each camera's pixel 
 counts 1, what the camera does not see, or is uncertain of, counts 0, and background counts minus infinity: it vetoes.
 A voxel is occupied when the sum is at least ``min_seeing``. So with certain masks every camera that sees it must have
 foreground there, and enough must see it (thesis 3.1 assumes that every camera sees the whole volume, which is not so
-in real rigs). In a mask 0 is background, above 127 foreground, anything between is uncertain.
+in real rigs). In a mask 0 is background, above 127 foreground, 2 to 127 uncertain.
 """
 
 from __future__ import annotations

@@ -31,11 +31,11 @@ def tumbled_camera(rng, name, size, spread_m):
 def random_mask(rng, shape):
     """Foreground and uncertain pixels from few to nearly all, in speckles or in boxes."""
     if rng.integers(0, 4) == 0:
-        return np.where(rng.random(shape) < rng.choice([0.02, 0.5, 0.98]), rng.integers(1, 256), 0).astype(np.uint8)
+        return np.where(rng.random(shape) < rng.choice([0.02, 0.5, 0.98]), rng.integers(2, 256), 0).astype(np.uint8)
     mask = np.full(shape, rng.choice([0, 255, 255]), np.uint8)
     for _ in range(6):
         (top, left), side = rng.integers(0, shape), rng.integers(1, max(shape) // 2)
-        mask[top : top + side, left : left + side] = rng.choice([0, rng.integers(1, 256)])
+        mask[top : top + side, left : left + side] = rng.choice([0, rng.integers(2, 256)])
     return mask
 
 

@@ -72,7 +72,7 @@ def test_gl_cpu_and_sweep_give_the_same_bytes_on_random_rigs_poses_noise_and_cut
         noise = data.draw(st.sampled_from([0.0, 0.01, 0.3]))
         masks = {name: np.where(rng.random(m.shape) < noise, 255 - m, m).astype(np.uint8) for name, m in masks.items()}
         for name in rng.permutation(rig.names)[: data.draw(st.integers(0, 2))]:
-            masks[name] = np.zeros_like(masks[name]) if data.draw(st.booleans()) else np.full_like(masks[name], 1)
+            masks[name] = np.zeros_like(masks[name]) if data.draw(st.booleans()) else np.full_like(masks[name], 2)
         for name in rng.permutation(rig.names)[: data.draw(st.integers(0, cameras - 1))]:
             del masks[name]
         needed = data.draw(st.integers(2, cameras))

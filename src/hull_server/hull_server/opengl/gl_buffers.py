@@ -156,7 +156,7 @@ class FrameUpload:
         part[:, : mask.shape[1] - u0] = mask[v0:v1, u0:u1]  # a canvas need not end with a word
         sure, uncertain = _packed((part > SHADOW_CANDIDATE) & seen), _packed((part > 0) & (part <= SHADOW_CANDIDATE))
         labels[v0:v1, u0 // PIXELS_PER_WORD : u1 // PIXELS_PER_WORD] |= sure | uncertain << 16
-        counts = np.minimum(part, 1) + (part >> 7)  # SURE and UNSURE of carving.silhouette_tables
+        counts = np.minimum(part, 1) + (part >> 7)  # two a foreground pixel, one an uncertain one
         counts = cv2.multiply(counts, self._countable[camera, v0:v1, u0:u1])
         end = start + (v1 - v0 + 1) * (u1 - u0 + 1)
         cv2.integral(counts, self.words[start:end].reshape(v1 - v0 + 1, u1 - u0 + 1), cv2.CV_32S)
