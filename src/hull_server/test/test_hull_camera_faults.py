@@ -233,13 +233,6 @@ def test_camera_that_delivers_nothing_is_not_judged_and_the_others_are():
     assert session.show(6, blank("cam01")).left_out == ("cam01",)
 
 
-def test_frame_sets_are_compared_once_a_period_and_after_stamps_have_gone_back():
-    detector, masks = detector_of(rig_of(4)), walking(4)[0]
-    stamps_ms = [0, 17, 33, 50, 67, 83, 100, 117, 205, 50, 60, 150]
-    compared = [ms for ms in stamps_ms if detector.update(masks, ms * 1_000_000).updated]
-    assert compared == [0, 100, 205, 50, 150]
-
-
 def test_detector_that_is_switched_off_leaves_nobody_out():
     assert not Session(rig_of(5), walking(5), enabled=False).show(10, blank("cam02")).left_out
 

@@ -142,13 +142,6 @@ def test_shadow_supports_nothing_and_denies_nothing(rig):
     assert levels_at(report, masks["cam02"]) == {BODY} and NOBODY not in levels_at(report, thing)
 
 
-def test_reports_come_at_their_period_whatever_the_frame_rate(rig):
-    reporter, masks = SupportReporter(rig, RigViews.from_rig(rig)), silhouettes(rig, capsule_person())
-    for rate in (15, 60):
-        stamps = [round(10**9 * (rate + frame / rate)) for frame in range(2 * rate)]
-        assert sum(bool(reporter.update(masks, masks, stamp)) for stamp in stamps) in (8, 9)
-
-
 def test_pipeline_reports_unless_faulty_cameras_are_not_looked_for():
     rig = Rig(ring_rig(4).cameras, VOLUME)
     frames = FrameSet.of_instant(0, silhouettes(rig, capsule_person()))

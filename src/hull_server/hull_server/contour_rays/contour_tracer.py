@@ -48,7 +48,7 @@ class ContourTracer:
         cracks = 4 * (height * width // 2 + 1)  # a chessboard has most
         path, along, ends = np.empty((cracks, 2), np.int16), np.empty(cracks), np.empty(cracks // 4, np.int32)
         filled = np.zeros((height + 2, width + 16), np.uint8)
-        self._scratch = Scratch(np.zeros((height, width), np.uint8), filled, ends, path, along, 0)
+        self._scratch = Scratch(np.empty((height, width), np.uint8), filled, ends, path, along)
 
     def trace(
         self,
@@ -80,9 +80,6 @@ class ContourTracer:
         return ContourRays(table[:, 0:3], table[:, 3:6], table[:, 6:9], table[:, 9], table[:, 10], body, camera)
 
     def _trace(self, index: int, mask: Mask, levels: Mask, hull: Hull) -> npt.NDArray[np.float64]:
-        self._scratch = self._scratch._replace(stamp=self._scratch.stamp % 255 + 1)
-        if self._scratch.stamp == 1:  # every mark has been used
-            self._scratch.marks[:] = 0
         mask, levels = np.ascontiguousarray(mask), np.ascontiguousarray(levels)
         return trace_contour_rays(mask, levels, self._cameras[index], hull, self._weights, self._limits, self._scratch)
 
@@ -108,7 +105,6 @@ class Scratch(NamedTuple):
     ends: npt.NDArray[np.int32]
     path: npt.NDArray[np.int16]
     along: npt.NDArray[np.float64]
-    stamp: int
 
 
 def _camera(P: npt.NDArray[np.float64], seen: npt.NDArray[np.uint8]) -> Camera:
