@@ -64,6 +64,9 @@ class Video:
         Raises InputError with ``remedy`` when the file cannot be opened as a video.
         """
         self.path, self._remedy = Path(path), remedy
+        self._frames, self._twice = 0, False
+        self._opening: list[np.ndarray] = []
+        self._stamp_ms, self._shortest_ms, self._longest_ms = 0.0, math.inf, -math.inf
         self._options = [cv2.CAP_PROP_N_THREADS, threads] if threads else []
         self._open()
         self.header_fps = float(self._capture.get(cv2.CAP_PROP_FPS))
@@ -136,7 +139,7 @@ class Video:
         self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG, self._options)
         if not self._capture.isOpened():
             raise InputError("cannot be opened as a video", where=str(self.path), remedy=self._remedy)
-        self._frames, self._twice, self._opening = 0, False, list[np.ndarray]()
+        self._frames, self._twice, self._opening = 0, False, []
         self._stamp_ms, self._shortest_ms, self._longest_ms = 0.0, math.inf, -math.inf
 
 

@@ -28,7 +28,6 @@ VOXEL_M = 0.05  # of the coarse grid
 PERIOD_S = 0.1  # from one comparison to the next
 ENOUGH_VOTERS = 5  # each camera less makes the hull of the others looser: twice as much is allowed
 FEWEST_VOTERS = 3  # cameras that must remain: of two that contradict each other, either may be right
-MEMORY_S = 2.0  # length of the published running means
 
 # what is allowed, as shares: 0 to 1
 VETO_ALLOWANCE = 0.025  # of the body, as the others show it
@@ -37,7 +36,7 @@ NEXT_WORST = 1.5  # a faulty camera's residual is at least this many times that 
 
 # how fast
 SATURATION = 0.1  # residual beyond the allowance at which the sum grows by one second a second
-DETECTION_S = 0.3  # sum at which a camera is faulty
+DETECTION_S = 3 * PERIOD_S  # sum at which a camera is faulty: three comparisons, where the fault is large
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class CameraFaultDetector:
             return replace(self._faults, updated=False)
         for slot in np.flatnonzero(shows_body):
             self._test_camera(residuals, int(slot), step_s)
-        self._conflict += _gain(step_s) * (residuals.unexplained - self._conflict)
+        self._conflict += self._gain(step_s) * (residuals.unexplained - self._conflict)
         self._faults = self._decide([camera for camera, name in enumerate(self.names) if name in masks])
         return self._faults
 
@@ -113,7 +112,7 @@ class CameraFaultDetector:
         others = (one for other, one in enumerate(residuals.own[: residuals.voters]) if other != slot)
         next_veto = max((one.veto_fraction for one in others), default=0.0)
         lenience = 2.0 ** max(ENOUGH_VOTERS - residuals.voters, 0)
-        record.mean = record.mean.moved(mine, _gain(step_s))
+        record.mean = record.mean.moved(mine, self._gain(step_s))
         if not record.left_out:
             ratio = NEXT_WORST + lenience - 1.0
             fault = max(
@@ -144,6 +143,10 @@ class CameraFaultDetector:
                 used.remove(camera)
                 records[camera].left_out, records[camera].agreed_s = True, 0.0
         return self._summary(tuple(self.names[camera] for camera in faulty if camera in used), reasons)
+
+    def _gain(self, step_s: float) -> float:
+        """Return the weight of a new value in a running mean, which is as long as a camera must agree."""
+        return 1.0 - float(np.exp(-step_s / self.settings.reinstate_s))
 
     def _summary(self, suspects: tuple[str, ...], reasons: Mapping[str, str]) -> CameraFaults:
         records = dict(zip(self.names, self._records, strict=True))
@@ -191,11 +194,6 @@ class _CameraRecord:
 
     def reinstate(self) -> None:
         self.left_out, self.cusum_s, self._faulty_count = False, 0.0, 0
-
-
-def _gain(step_s: float) -> float:
-    """Return the weight of a new value in a running mean over MEMORY_S."""
-    return 1.0 - float(np.exp(-step_s / MEMORY_S))
 
 
 def _reason(name: str, mean: CameraResiduals, sound: int) -> str:

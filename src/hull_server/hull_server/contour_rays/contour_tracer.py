@@ -27,7 +27,7 @@ from .ray_hull import Hull, part_near, ray_hull_interval
 
 # Thresholds: chosen with contour_rays.py among the benches of commit d6079d2 (spread, coverage).
 # chosen with bench/contour_rays.py of commit d6079d2
-MIN_OUTLINE_PX = 30.0  # shorter outlines, of holes or specks, get no rays
+LEAST_RAYS = 10  # of an outline: shorter ones, of holes or specks, get none
 SIGMA_PX = 0.5  # standard deviation of a contour across itself
 SHADOW_SIGMA_PX = 4.0  # added to it, in squares, where all pixels around may be shadow; less where fewer are
 
@@ -124,7 +124,7 @@ def trace_contour_rays(mask, levels, camera, hull, weights, limits, scratch):  #
     pixels, table, n = np.empty((per_camera, 2), np.int32), np.empty((per_camera, COLUMNS)), 0
     # outlines, as far as the hull reaches in this view, sampled evenly
     box = _image_box(camera.P, hull, mask.shape)
-    picked = pick_contour_pixels(mask, box, scratch, (MIN_OUTLINE_PX, spacing_px), pixels)
+    picked = pick_contour_pixels(mask, box, scratch, (LEAST_RAYS * spacing_px, spacing_px), pixels)
     for u, v in pixels[:picked]:
         # the edge to a fraction of a pixel; none where silhouettes are cut at the border of what the camera sees
         if camera.clear[v, u] != 0:
