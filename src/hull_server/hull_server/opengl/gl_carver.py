@@ -10,8 +10,6 @@ double. Origins in the middle of the grid and of the canvas keep the numbers, an
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import numpy.typing as npt
 
@@ -153,20 +151,13 @@ class GlCarver:
         GL.glMemoryBarrier(GL.GL_BUFFER_UPDATE_BARRIER_BIT)
 
 
-class SinglePrecision(NamedTuple):
-    """rows : (N, 3, 4) float32, voxel (i, j, k, 1) less ``centre`` to pixel less half the canvas, times depth w.
+def single_precision(views: RigViews, grid: VoxelGrid) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64], float]:
+    """Return rows, centre and border for a rig and a grid.
 
-    centre : (3,) the voxel in the middle of the grid. border : a pixel coordinate computed with these rows is less
-    than ``border / w`` away from the true one; pixels times the unit of w, which is metres.
+    rows : (N, 3, 4), voxel (i, j, k, 1) less ``centre`` to pixel less half the canvas, times depth w. centre : (3,) the
+    voxel in the middle of the grid. border : a pixel coordinate computed with these rows is less than ``border / w``
+    away from the true one; pixels times the unit of w, which is metres; of all roundings' sum (Higham 2002, 3.1).
     """
-
-    rows: npt.NDArray[np.float32]
-    centre: npt.NDArray[np.int64]
-    border: float
-
-
-def single_precision(views: RigViews, grid: VoxelGrid) -> SinglePrecision:
-    """Compute the rows for a rig and a grid, and a bound for the sum of all their roundings (Higham 2002, 3.1)."""
     _, height, width = views.seen.shape
     centre = np.array(grid.shape, np.int64) // 2
     P = pixel_projections(views, grid)
@@ -175,4 +166,4 @@ def single_precision(views: RigViews, grid: VoxelGrid) -> SinglePrecision:
     largest = np.abs(P) @ np.append(centre + 1.0, 1.0)  # (N, 3) sums of absolute terms, anywhere in the grid
     sums = IN_SUMS * largest[:, :2].max(axis=1)
     depth = (IN_SUMS + IN_QUOTIENT) * 0.5 * max(width, height) * largest[:, 2]
-    return SinglePrecision(P.astype(np.float32), centre, float(UNIT * (sums + depth).max()))
+    return P.astype(np.float32), centre, float(UNIT * (sums + depth).max())
