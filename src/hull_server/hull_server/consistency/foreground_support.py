@@ -32,9 +32,10 @@ from . import EARLY
 PERIOD_S = 0.25  # things are judged for seconds
 CELL_PX = 8  # a word of pixels, a divisor of every canvas's width; where camera clients look for foreground
 LEAST_PX = 4  # foreground pixels of a cell that count: noise leaves fewer
-BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth; the margin around what others see as a body
+BLOCK_M = 0.12  # about one cell at 4 m, and half a person's depth
 SURROUNDINGS_M = 1.5  # beside the volume, where people wait
 ARM_M = 0.5  # bodies in the volume reach out of it by so much; parts of a body so near to certain ones are hers
+MARGIN_M = 0.15  # around what others see as a body: blocks, contact shadows
 POORLY_SEEN = 0.02  # share of a ray's blocks in the volume that too few others may look at: rounding at its faces
 _EDGE, _COARSE_EDGE = 2, 8  # voxels along a block, and along those that are looked at first
 
@@ -53,7 +54,7 @@ class SupportReporter:
         seen_table = summed_area(self._cells.seen)
         self._boxes, self._coarse = (block_boxes(self._cells, grid, e, seen_table) for e in (_EDGE, _COARSE_EDGE))
         self._space = _Space.of(grid, rig.volume)
-        self._reaches = [tuple(_reach_cells(P, rig.volume, reach) for reach in (BLOCK_M, ARM_M)) for P in views.P]
+        self._reaches = [tuple(_reach_cells(P, rig.volume, reach) for reach in (MARGIN_M, ARM_M)) for P in views.P]
         self._throttle = StampThrottle(PERIOD_S, early_share=EARLY)
         self._trusted = 0  # bits of cameras that have shown a body that others saw: an empty view may be a blind one
         self._judged: tuple[int, Cells] = (0, np.zeros(self._cells.seen.shape, np.uint8))
