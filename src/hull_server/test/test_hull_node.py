@@ -26,10 +26,16 @@ from sagoma_ros.packets import HULL_PRODUCTS, read_packet
 from sagoma_ros.qos import LATCHED
 
 
-def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene):
+def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(make_bench, scene):
+    """As clouds, as one packet with its ages, and to every camera what the others see."""
     _, rig, masks = scene
-    bench.send(masks, 0, cam02=300_000, cam04=900_000)
+    bench, topics = make_bench(), [f"{name}/silhouette/support" for name in rig.names]
+    packets = bench.listen(Float64MultiArray, HULL_PRODUCTS.name)
+    for topic in topics:
+        bench.listen(Image, topic)
+    bench.start(rig).send(masks, 0, cam02=300_000, cam04=900_000)
     (values,) = bench.answers(1)
+    bench.until(lambda: packets and all(bench.heard[topic] for topic in topics))
     later_ns = {"cam01": 0, "cam02": 300_000, "cam03": 0, "cam04": 900_000}
     frame_set = FrameSet.of_stamps({name: stamp(0) + later_ns[name] for name in masks}, masks)
     expected = HullPipeline(rig, HullSettings(voxel_size_m=0.04, backend="cpu")).run(frame_set)
@@ -54,6 +60,17 @@ def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene
     assert 0.9 < float(values["consistency_cam02"]) <= 1.0
     (place,) = expected.bodies.centroid_world
     assert [float(v) for v in values["bodies_at"].split(",")] == pytest.approx(place, abs=0.01)
+    assert HULL_PRODUCTS.header_of(packets[0]) == (frame_set.stamp_ns, "map")
+    products = HULL_PRODUCTS.from_message(packets[0], "test")
+    for name in PARTS:
+        part, found = getattr(products, name), getattr(expected.products, name)
+        np.testing.assert_array_equal(part.points_world, found.points_world)
+    assert 0 < products.ages.received < products.ages.hull <= time.time_ns() - stamp(0)
+    for report, topic in zip(expected.support, topics, strict=True):
+        width = rig.camera(report.camera).undistorted_view().camera.width
+        heard = read_support(bench.heard[topic][0], report.camera, width, topic)
+        assert (heard.stamp_ns, heard.cell_px) == (frame_set.stamp_ns, report.cell_px)
+        np.testing.assert_array_equal(heard.cells, report.cells)
 
 
 def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, scene):
@@ -97,21 +114,6 @@ def test_node_refuses_to_configure_with_a_clear_error(make_bench, parameters, te
     assert bench.diagnostics[-1].status[0].level == DiagnosticStatus.ERROR
 
 
-def test_node_hands_on_one_packet_a_set_with_all_that_the_clouds_hold_and_its_ages(make_bench, scene):
-    _, rig, masks = scene
-    bench = make_bench()
-    heard = bench.listen(Float64MultiArray, HULL_PRODUCTS.name)
-    bench.start(rig).send(masks, 0)
-    bench.answers(1)
-    bench.until(lambda: heard)
-    assert HULL_PRODUCTS.header_of(heard[0]) == (stamp(0), "map")
-    products = HULL_PRODUCTS.from_message(heard[0], "test")
-    for name, kind in PARTS.items():
-        part, cloud = getattr(products, name), read_packet(bench.heard[f"hull/{name}"][0], kind, "test")
-        np.testing.assert_array_equal(part.points_world.astype(np.float32), cloud.points_world)
-    assert 0 < products.ages.received < products.ages.hull <= time.time_ns() - stamp(0)
-
-
 def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):
     _, rig, masks = scene
     bench = make_bench(**{"mesh.folder": str(tmp_path)}).start(rig)
@@ -139,24 +141,6 @@ def test_save_mesh_without_a_hull_says_why(make_bench, scene, tmp_path, sets, wh
         bench.answers(k + 1)
     answer = bench.ask(Trigger, "hull_server/save_mesh")
     assert not answer.success and why in answer.message and not list(tmp_path.iterdir())
-
-
-def test_node_tells_every_camera_what_the_others_see(make_bench, scene):
-    _, rig, masks = scene
-    bench, topics = make_bench(), [f"{name}/silhouette/support" for name in rig.names]
-    for topic in topics:
-        bench.listen(Image, topic)
-    bench.start(rig).send(masks, 0)
-    bench.answers(1)
-    bench.until(lambda: all(bench.heard[topic] for topic in topics))
-    expected = HullPipeline(rig, HullSettings(voxel_size_m=0.04, backend="cpu")).run(
-        FrameSet.of_instant(stamp(0), masks)
-    )
-    for report, topic in zip(expected.support, topics, strict=True):
-        width = rig.camera(report.camera).undistorted_view().camera.width
-        heard = read_support(bench.heard[topic][0], report.camera, width, topic)
-        assert (heard.stamp_ns, heard.cell_px) == (stamp(0), report.cell_px)
-        np.testing.assert_array_equal(heard.cells, report.cells)
 
 
 def test_node_answers_an_incomplete_set_at_its_deadline_and_mixes_what_is_late_into_no_other(make_bench, scene):
