@@ -138,19 +138,18 @@ class HullPipeline:
         blobs, runs = slice_hull(volume)
         watch.lap("slice")
         bodies = self._bodies.step(frame_set.stamp_ns, runs, self.grid)
-        whose = bodies.number_of_part
         # centroids of the blobs that look like a limb or trunk cut across (3.2)
-        centerline = find_centerline(blobs, self.grid, blob, whose)
+        centerline = find_centerline(blobs, self.grid, blob)
         watch.lap("filter")
-        voxels = sample_runs(runs, self.grid, self.settings.max_voxels * max(len(bodies), 1), whose)
+        voxels = sample_runs(runs, self.grid, self.settings.max_voxels * max(len(bodies), 1))
         watch.lap("sample")
         # rays along the silhouettes' contours: where the hull is wider than the body, they are still tangent to it
-        traced = self._contour.trace(pending.masks, runs, frame_set.frames, whose)
-        contour_rays = self._timed(traced, frame_set)
+        contour_rays = self._timed(self._contour.trace(pending.masks, runs, frame_set.frames), frame_set)
+        products = HullProducts(frame_set.stamp_ns, centerline, voxels, contour_rays)
         watch.lap("contour_rays")
         return HullResult(
             stamp_ns=frame_set.stamp_ns,
-            products=HullProducts(frame_set.stamp_ns, centerline, voxels, contour_rays),
+            products=products.renumbered(bodies.number_of_part.__getitem__),
             volume=volume,
             bodies=bodies,
             cameras=tuple(pending.masks),

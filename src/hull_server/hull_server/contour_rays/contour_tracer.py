@@ -50,20 +50,13 @@ class ContourTracer:
         filled = np.zeros((height + 2, width + 16), np.uint8)
         self._scratch = Scratch(np.empty((height, width), np.uint8), filled, ends, path, along)
 
-    def trace(
-        self,
-        masks: Masks,
-        runs: HullRuns,
-        levels: Masks | None = None,
-        number_of_part: npt.NDArray[np.int32] | None = None,
-    ) -> ContourRays:
+    def trace(self, masks: Masks, runs: HullRuns, levels: Masks | None = None) -> ContourRays:
         """Trace canvas masks (h, w) uint8, foreground above 127; keep the rays that touch their hull.
 
         levels : the same silhouettes as sent, of the levels of ``capture_rig.mask_levels``; contours near pixels that
         may be shadow, or are uncertain, get a larger sigma. At most ``per_camera`` rays a camera, evenly along the
-        outlines, deterministic. They carry the number of their body (:class:`~hull_server.slicing.bodies.Bodies`);
-        without ``number_of_part``, that of the part itself. InputError for a camera that is not in the rig, and for a
-        mask of the wrong size.
+        outlines, deterministic. As body they carry the number of their part. InputError for a camera that is not in the
+        rig, and for a mask of the wrong size.
         """
         present = self._views.present(masks)
         if not len(runs.starts) or not self._limits[0]:
@@ -76,8 +69,7 @@ class ContourTracer:
         camera = np.repeat(present.astype(np.int32), [len(table) for table in tables])
         table = np.concatenate(tables)
         part = table[:, 11].astype(np.int32)
-        body = part if number_of_part is None else number_of_part[part]
-        return ContourRays(table[:, 0:3], table[:, 3:6], table[:, 6:9], table[:, 9], table[:, 10], body, camera)
+        return ContourRays(table[:, 0:3], table[:, 3:6], table[:, 6:9], table[:, 9], table[:, 10], part, camera)
 
     def _trace(self, index: int, mask: Mask, levels: Mask, hull: Hull) -> npt.NDArray[np.float64]:
         mask, levels = np.ascontiguousarray(mask), np.ascontiguousarray(levels)
