@@ -61,7 +61,7 @@ STAGES = {
     "decode": ("decode",),
     "consistency": ("consistency",),
     "shadows": ("shadows", "support"),
-    "carve": ("carve", "collect"),
+    "carve": ("carve", "floor"),
     "slice, sample": ("slice", "filter", "sample"),
     "contour rays": ("contour_rays",),
 }

@@ -88,7 +88,7 @@ def build_settings(cls: type[T], values: Mapping[str, Any], where: str) -> T:
     Raises InputError naming ``where``, the key, the value and the remedy for an unknown key, a value of the wrong type,
     or one out of range.
     """
-    flat = _flatten(values)
+    flat = flatten(values)
     known = {leaf.key: leaf for leaf in leaves(cls)}
     for key, value in flat.items():
         if key not in known:
@@ -105,11 +105,12 @@ def _default(field: dataclasses.Field) -> Any:
     raise TypeError(f"setting {field.name!r} has no default")
 
 
-def _flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return the values of nested mappings under dotted keys."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):
-            flat.update(_flatten(value, f"{prefix}{key}."))
+            flat.update(flatten(value, f"{prefix}{key}."))
         else:
             flat[prefix + str(key)] = value
     return flat

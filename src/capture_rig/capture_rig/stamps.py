@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from fractions import Fraction
 
-NS = 1e-9
 NS_PER_S = 1_000_000_000
+NS = 1.0 / NS_PER_S
 SLOW_ORIGIN_NS = 1_767_225_600_000_000_000  # 2026-01-01 00:00 UTC: a slow capture clock agrees with UTC then
 
 

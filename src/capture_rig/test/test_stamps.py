@@ -1,8 +1,12 @@
-"""Frames are picked by their stamps alone; the clock of the stamps may run slower than UTC."""
+"""Frames are picked by their stamps alone; a signal that asks to stop is an event."""
+
+import os
+import signal
 
 import pytest
 
 from capture_rig.stamps import SLOW_ORIGIN_NS, UTC, CaptureClock, StampThrottle
+from capture_rig.stop_signals import STOP_SIGNALS, StopOnSignal
 
 MS = 1_000_000
 
@@ -42,3 +46,20 @@ def test_wait_for_a_time_of_a_slow_clock_is_in_utc_and_not_too_short(monkeypatch
     assert clock.at_utc(instant_ns + clock.wait_ns(until_ns)) >= until_ns
     assert abs(clock.wait_ns(until_ns) - 150 * MS) <= 3
     assert clock.wait_ns(clock.now_ns() - 1) == 0
+
+
+@pytest.mark.parametrize("number", STOP_SIGNALS)
+def test_signal_sets_the_event_and_the_handler_goes_with_the_context(number):
+    before = signal.getsignal(number)
+    with StopOnSignal() as stop:
+        assert not stop.is_set()
+        os.kill(os.getpid(), number)
+        assert stop.wait(30)
+    assert signal.getsignal(number) == before
+
+
+def test_signal_that_comes_while_the_events_lock_is_held_does_not_hang():
+    with StopOnSignal() as stop:
+        with stop._cond:  # as in the midst of its wait()
+            os.kill(os.getpid(), signal.SIGTERM)
+        assert stop.wait(30)

@@ -40,8 +40,7 @@ from .views import Box, Masks, RigViews
 # Thresholds: chosen with shadow_resolution.py among the benches of commit d6079d2.
 TOLERANCE = 1  # attenuation steps of a tenth by which two cameras may differ and agree
 STRIDE = 3  # every third row and column is tested
-LEAST_CENTRE_Z_M = 0.2  # a camera lower than this sees too little floor
-FLOOR_M = 0.08  # voxels lower than this may be floor in shadow: soles, and errors of floor and calibration
+FLOOR_M = 0.08  # what is lower, voxel or camera, may be floor: soles, and errors of floor and calibration
 
 UNSEEN, EMPTY, CANDIDATE, ATTENUATED, SURE = 0, 1, 2, 3, 4  # kinds of levels
 ABOVE_UNCERTAIN = FIRST_BITS * np.uint64(SHADOW_CANDIDATE - UNCERTAIN)  # added to every byte: carries into its high bit
@@ -70,7 +69,7 @@ def floor_scene(views: RigViews, volume: Volume) -> FloorScene:
     """Compute the tables of a rig's calibration; the floor of a camera that is too low to see it is NaN."""
     centres = [-np.linalg.solve(P[:, :3], P[:, 3]) for P in views.P]
     floor = [
-        np.linalg.inv(P[:, [0, 1, 3]]) if centre[2] > LEAST_CENTRE_Z_M else np.full((3, 3), np.nan)
+        np.linalg.inv(P[:, [0, 1, 3]]) if centre[2] > FLOOR_M else np.full((3, 3), np.nan)
         for P, centre in zip(views.P, centres, strict=True)
     ]
     kind = np.full(256, SURE, np.int8)
@@ -88,7 +87,7 @@ class ShadowResolver:
 
     def __init__(self, views: RigViews, volume: Volume, grid: VoxelGrid) -> None:
         self._views = views
-        self._batch = SilhouetteBatch(views)
+        self._batch = SilhouetteBatch(views.seen)
         self._scene = floor_scene(views, volume)
         self._projections = pixel_projections(views, grid)
         self._layers = max(0, math.ceil((FLOOR_M - grid.origin[2]) / grid.voxel_size - 0.5))
@@ -102,15 +101,17 @@ class ShadowResolver:
         """
         self._views.present(masks)
         resolved = dict(masks)
-        for name in self._batch.take(masks):
-            camera, box = self._views.number[name], np.array(self._batch.shown(name))
+        graded = [self._batch.take(camera, masks.get(name)) for camera, name in enumerate(self._views.names)]
+        for camera in np.flatnonzero(graded):
+            name = self._views.names[camera]
             resolved[name] = masks[name].copy()
-            mark_shadows(self._scene, self._batch.levels, camera, box, resolved[name])
+            mark_shadows(self._scene, self._batch.levels, camera, self._batch.box[camera], resolved[name])
         return resolved
 
     def boxes(self, masks: Masks) -> dict[str, Box]:
         """Return a box for each mask, of those resolved last, that holds all but background."""
-        return {name: self._batch.shown(name) for name in masks}
+        boxes = zip(self._views.names, self._batch.box.tolist(), strict=True)
+        return {name: (left, top, right, bottom) for name, (left, top, right, bottom) in boxes if name in masks}
 
     def without_shadows(self, volume: BrickVolume, masks: Masks) -> BrickVolume:
         """Return a hull without the voxels of which two cameras have a candidate, or one next to the floor."""

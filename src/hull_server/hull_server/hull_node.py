@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from time import monotonic_ns
 
@@ -31,16 +31,6 @@ from .settings import NodeSettings
 from .silhouette_input_ros import SilhouetteInput
 
 
-@dataclass(frozen=True)
-class CarvedSet:
-    """A frame set on its way to the slicer; when it was closed, its carve begun and ended, by the ROS clock."""
-
-    closed_ns: int
-    begun_ns: int
-    carved_ns: int
-    pending: PendingHull
-
-
 class HullNode(SagomaNode):
     """Silhouettes of all cameras in; hull/products, its parts as clouds, and hull/frame_set out, one each per set; a
     few times a second CAM/silhouette/support."""
@@ -51,8 +41,10 @@ class HullNode(SagomaNode):
         super().__init__("hull_server", **options)
         self._pipeline: HullPipeline | None = None
         self.silhouettes: SilhouetteInput | None = None
-        self._carver: Worker[tuple[FrameSet[Mask], int]] | None = None  # one thread begins the next set ...
-        self._slicer: Worker[CarvedSet] | None = None  # ... while the other finishes and publishes this one
+        # one thread begins the next set, closed at a time, while the other finishes and publishes this one, closed and
+        # begun at two times, by the ROS clock
+        self._carver: Worker[tuple[FrameSet[Mask], int]] | None = None
+        self._slicer: Worker[tuple[PendingHull, int, int]] | None = None
         self._mesh: SaveMeshService | None = None
         self._canvases: dict[str, CameraModel] = {}
         self._newest: HullResult | None = None
@@ -67,6 +59,7 @@ class HullNode(SagomaNode):
         settings: NodeSettings = self.settings
         rig = self._load_rig()
         self._pipeline = HullPipeline(rig, settings)
+        self._closing.append(self._pipeline.close)
         self._pipeline.warm_up()
         mask_png.warm_up()
         self.get_logger().info(f"carving with {self._pipeline.backend.name}: {self._pipeline.backend_reason}")
@@ -75,11 +68,13 @@ class HullNode(SagomaNode):
         if settings.publish_tf:
             self._publish_frames(rig)
         self._mesh = SaveMeshService(self, self.settings.mesh)
-        self._thinning = ThinningControl()
+        self._closing.append(self._mesh.close)
+        self._thinning, self._overload = ThinningControl(), None
         if settings.thin_out and not settings.reliable:
             self._overload = OverloadControl(self, self._thinning)
             self._closing.append(self._overload.close)
         self.silhouettes = SilhouetteInput(self, self._canvases, self._thinning, self._take)
+        self._closing.append(self.silhouettes.close)
 
     def _publish_frames(self, rig: Rig) -> None:
         """Say where the cameras are, for whoever listens, now and later."""
@@ -119,20 +114,10 @@ class HullNode(SagomaNode):
 
     def cleanup(self) -> None:
         """Release subscriptions, publishers and the backend."""
-        if self.silhouettes is not None:
-            self.silhouettes.close()
-            self.silhouettes = None
-        for close in self._closing:
+        for close in reversed(self._closing):
             close()
         self._closing = []
-        self._overload = None
-        if self._mesh is not None:
-            self._mesh.close()
-            self._mesh = None
-        if self._pipeline is not None:
-            self._pipeline.close()
-            self._pipeline = None
-        self._newest = None
+        self.silhouettes = self._pipeline = self._newest = None
 
     def _advertise(self) -> None:
         self._products = PacketPublisher(self, HULL_PRODUCTS)
@@ -152,19 +137,18 @@ class HullNode(SagomaNode):
             self._carver.put((frame_set, closed_ns))
 
     def _begin(self, closed: tuple[FrameSet[Mask], int]) -> None:
-        """Begin to carve one frame set, closed at a time, on the carver's thread."""
+        """Carve one frame set, on the carver's thread."""
         frame_set, closed_ns = closed
         assert self._pipeline is not None and self._slicer is not None
         begun_ns = self.get_clock().now().nanoseconds
-        pending = self._pipeline.begin(frame_set)
-        self._slicer.put_blocking(CarvedSet(closed_ns, begun_ns, self.get_clock().now().nanoseconds, pending))
+        self._slicer.put_blocking((self._pipeline.begin(frame_set), closed_ns, begun_ns))
 
-    def _finish(self, carved: CarvedSet) -> None:
+    def _finish(self, carved: tuple[PendingHull, int, int]) -> None:
         """Finish, convert and publish one frame set, on the slicer's thread."""
         assert self._pipeline is not None and self._mesh is not None
-        frame_set, frame_id = carved.pending.frame_set, self.settings.frame_id
-        taken_ns = monotonic_ns()
-        result = self._pipeline.finish(carved.pending)
+        pending, closed_ns, begun_ns = carved
+        frame_set, frame_id, taken_ns = pending.frame_set, self.settings.frame_id, monotonic_ns()
+        result = self._pipeline.finish(pending)
         self._mesh.keep(result)
         # before what the tracker answers: its answer lets footage go on, and the cameras need this by then
         for report in result.support:
@@ -172,24 +156,24 @@ class HullNode(SagomaNode):
         products = result.products
         self._thinning.add_handed_over(products.stamp_ns, monotonic_ns())
         handed_over_ns = self.get_clock().now().nanoseconds
-        ages = SetAges(carved.closed_ns - products.stamp_ns, handed_over_ns - products.stamp_ns)
+        ages = SetAges(closed_ns - products.stamp_ns, handed_over_ns - products.stamp_ns)
         self._products.publish(replace(products, ages=ages), frame_id)
         for part, publisher in self._clouds.items():
             publisher.publish(packet_cloud, getattr(products, part), products.stamp_ns, frame_id)
         published_ns = self.get_clock().now().nanoseconds
         times_ms = {
             "spread_ms": frame_set.spread_ns / 1e6,
-            "received_ms": (carved.closed_ns - frame_set.stamp_ns) / 1e6,  # capture to set closed
-            "queued_ms": (carved.begun_ns - carved.closed_ns) / 1e6,
-            "hull_ms": (published_ns - carved.begun_ns) / 1e6,
+            "received_ms": (closed_ns - frame_set.stamp_ns) / 1e6,  # capture to set closed
+            "queued_ms": (begun_ns - closed_ns) / 1e6,
+            "hull_ms": (published_ns - begun_ns) / 1e6,
             "published_ms": (published_ns - frame_set.stamp_ns) / 1e6,  # capture to published
         }
         self._frame_set.publish(frame_set_message, result, times_ms)
         self._report(result)
         self.health.tick(frame_set.stamp_ns)
         if self._overload is not None:
-            carver_ns, slicer_ns = carved.carved_ns - carved.begun_ns, monotonic_ns() - taken_ns
-            self._overload.add_finished(frame_set.stamp_ns, carver_ns, slicer_ns)
+            carver_ns = round(1e6 * sum(pending.stage_ms.values()))
+            self._overload.add_finished(frame_set.stamp_ns, carver_ns, monotonic_ns() - taken_ns)
 
     def _describe(self) -> dict[str, object]:
         """The counters, and what the newest set says of the cameras, for the diagnostics."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -67,14 +66,14 @@ class HullResult:
 
 @dataclass(frozen=True, eq=False)
 class PendingHull:
-    """A frame set whose carve has begun: what :meth:`HullPipeline.begin` hands to :meth:`HullPipeline.finish`."""
+    """A frame set that was carved: what :meth:`HullPipeline.begin` hands to :meth:`HullPipeline.finish`."""
 
     frame_set: FrameSet[Mask]
     masks: dict[str, Mask]
     blank: tuple[str, ...]
     camera_faults: CameraFaults
     min_seeing: int
-    handle: Any
+    volume: BrickVolume
     stage_ms: dict[str, float]
 
 
@@ -105,7 +104,7 @@ class HullPipeline:
         return self.finish(self.begin(frame_set))
 
     def begin(self, frame_set: FrameSet[Mask]) -> PendingHull:
-        """Choose the cameras, resolve shadows, and begin to carve: all that needs the silhouettes of all cameras."""
+        """Choose the cameras, resolve shadows, and carve: all that needs the silhouettes of all cameras."""
         watch = _StageWatch()
         # a camera has no say where something hides the person from it
         frames = self._faults.occluders.applied(frame_set.frames)
@@ -120,38 +119,37 @@ class HullPipeline:
         watch.lap("shadows")
         # carve: voxels of which every camera that sees them has foreground, and enough cameras see them (3.1.4)
         boxes = self._shadows.boxes(masks)
-        handle = self.backend.submit(masks, seeing, boxes)
+        volume = self.backend.carve(masks, seeing, boxes)
         watch.lap("carve")
         blank = tuple(name for name, (left, _, right, _) in boxes.items() if left == right)
-        return PendingHull(frame_set, masks, blank, faults, seeing, handle, watch.laps_ms)
+        return PendingHull(frame_set, masks, blank, faults, seeing, volume, watch.laps_ms)
 
     def finish(self, pending: PendingHull) -> HullResult:
-        """Wait for the carve, then slice, filter, sample, and trace the contour rays."""
+        """Slice, filter, sample, and trace the contour rays."""
         frame_set, blob, watch = pending.frame_set, self.settings.blob, _StageWatch()
         # tell the camera clients where their foreground has no support, so that moved things become background
         shown = frame_set.frames | pending.masks
         support = self._support.update(shown, pending.masks, frame_set.stamp_ns) if self._support else ()
         watch.lap("support")
         # ... and no voxel next to the floor that a camera shows as floor in shadow
-        volume = self._shadows.without_shadows(self.backend.collect(pending.handle), pending.masks)
-        watch.lap("collect")
+        volume = self._shadows.without_shadows(pending.volume, pending.masks)
+        watch.lap("floor")
         # connected components of all slices along x, y and z (3.2)
         blobs, runs = slice_hull(volume)
         watch.lap("slice")
         bodies = self._bodies.step(frame_set.stamp_ns, runs, self.grid)
-        whose = bodies.number_of_part
         # centroids of the blobs that look like a limb or trunk cut across (3.2)
-        centerline = find_centerline(blobs, self.grid, blob, whose)
+        centerline = find_centerline(blobs, self.grid, blob)
         watch.lap("filter")
-        voxels = sample_runs(runs, self.grid, self.settings.max_voxels * max(len(bodies), 1), whose)
+        voxels = sample_runs(runs, self.grid, self.settings.max_voxels * max(len(bodies), 1))
         watch.lap("sample")
         # rays along the silhouettes' contours: where the hull is wider than the body, they are still tangent to it
-        traced = self._contour.trace(pending.masks, runs, frame_set.frames, whose)
-        contour_rays = self._timed(traced, frame_set)
+        contour_rays = self._timed(self._contour.trace(pending.masks, runs, frame_set.frames), frame_set)
+        products = HullProducts(frame_set.stamp_ns, centerline, voxels, contour_rays)
         watch.lap("contour_rays")
         return HullResult(
             stamp_ns=frame_set.stamp_ns,
-            products=HullProducts(frame_set.stamp_ns, centerline, voxels, contour_rays),
+            products=products.renumbered(bodies.number_of_part.__getitem__),
             volume=volume,
             bodies=bodies,
             cameras=tuple(pending.masks),

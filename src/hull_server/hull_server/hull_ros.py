@@ -70,8 +70,8 @@ def frame_set_message(result: HullResult, times_ms: dict[str, float]) -> Diagnos
 def camera_values(result: HullResult) -> dict[str, str]:
     """Report which cameras are left out, and how well each agrees with the others."""
     faults = result.camera_faults
-    vetoes = " ".join(f"{camera}={share:.3f}" for camera, share in faults.veto_fraction.items())
-    agreement = {f"consistency_{camera}": f"{share:.3f}" for camera, share in faults.consistency.items()}
+    vetoes = " ".join(f"{camera}={mean.veto_fraction:.3f}" for camera, mean in faults.means.items())
+    agreement = {f"consistency_{camera}": f"{mean.consistency:.3f}" for camera, mean in faults.means.items()}
     return {"left_out": ",".join(faults.left_out), "veto_fraction": vetoes} | agreement
 
 

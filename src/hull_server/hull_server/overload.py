@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,8 +27,8 @@ TARGET_S = 0.05  # a queue that stands longer than this, or than one set's perio
 SETS = 8  # that are judged: twice what a queue of four keeps of a burst, which may overflow by one set
 WINDOW_SETS = 32  # periods of kept sets: of fewer than SETS sets in it (slower, or starved, cameras) none is judged
 MOST_SETS = 512  # that are remembered: three seconds of the fastest cameras
-DECREASE = 0.9  # of the rate that was answered
 GROWTH = 0.005  # of the cameras' rate a second cubed: half of it is won back within five seconds
+DECREASE = 0.9  # of the rate that was answered
 FULL = 0.95  # of its time, the most that a stage is given to do; a smaller rise is not worth another pattern
 CLOCK_DRIFT = 1e-4  # between two machines' quartzes, at worst: the delay without a queue may grow so fast
 DELAYED, DROPS = "sets wait", "sets are dropped"
@@ -38,10 +38,8 @@ LONGEST_PAUSE_NS = 500_000_000  # in which nothing is kept while the queues run 
 LONGEST_SILENCE_NS = 2 * NS_PER_S  # without a set: no exposure of the cameras may be one that is kept
 LONGEST_WAIT_NS = 100_000_000  # for the last cameras of a set while the clients' machines are busy
 LONGEST_GAP_NS = 10 * NS_PER_S  # after a longer one, as when footage begins again, the exposures are found anew
-STAMPS_KEPT = 40  # of each camera: the period of 60 Hz to 3e-4 where stamps jitter by a millisecond
-LEAST_STEPS = 8  # between neighbouring stamps, until a period is told
-LOW_PERCENTILE = 10.0  # of the steps: cameras that lose frames or have half the rate make longer ones
-LONGEST_STEP = 8  # periods: a longer gap tells nothing
+STAMPS_KEPT = 40  # of sets: the period of 60 Hz to 3e-4 where stamps jitter by a millisecond
+LEAST_STAMPS = 9  # until a period is told
 OFF_GRID = 0.24  # of a period: stamps farther from the grid (rms; random ones: 0.29) do not lie on it
 
 
@@ -71,7 +69,8 @@ class ThinningControl:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._clock, self._selector = FrameClock(), FrameSelector(lapse_ns=None)
+        self._selector = FrameSelector(lapse_ns=None)
+        self._stamps: deque[int] = deque(maxlen=STAMPS_KEPT)  # of sets since the exposures were sought anew
         self._offered_hz: float | None = None  # sets that the cameras take a second
         self._limit_hz, self._cause = math.inf, ""  # the most sets a second, and the sign of the last overload
         self._answered_hz = 0.0  # the throughput then
@@ -107,19 +106,17 @@ class ThinningControl:
 
     # --- what happens to frame sets ------------------------------------------------------------------------------
 
-    def admits(self, camera: str, stamp_ns: int, now_ns: int) -> bool:
-        """Add a frame; False when its exposure is thinned out, so that it belongs to no set."""
+    def admits(self, stamp_ns: int, now_ns: int) -> bool:
+        """Return whether a frame belongs to a set; False when its exposure is thinned out."""
         with self._lock:
-            if not self._selector.keeps(stamp_ns, now_ns):
-                return False
-            self._clock.add(camera, stamp_ns)
-            return True
+            return self._selector.keeps(stamp_ns, now_ns)
 
     def add_closed(self, stamp_ns: int, frames: Iterable[str], age_ns: int, now_ns: int) -> None:
         """Add a frame set that has closed; ``age_ns`` since its exposure, on a clock that may be off."""
         with self._lock:
             if self._sets and not 0 < stamp_ns - self._sets[-1].stamp_ns < LONGEST_GAP_NS:
                 self._restart(stamp_ns, now_ns)
+            self._stamps.append(stamp_ns)
             self._sets.append(SetRecord(stamp_ns, now_ns, age_ns, frozenset(frames)))
 
     def add_work(self, stage: int, took_ns: int, now_ns: int) -> None:
@@ -157,7 +154,7 @@ class ThinningControl:
 
     def _restart(self, stamp_ns: int, now_ns: int) -> None:
         """Start a new run of stamps, of other ages: until its exposures are known, every frame is kept."""
-        self._clock.forget()
+        self._stamps.clear()
         self._sets.clear()
         self._published_ns = self._base_ns = None
         self._settled_ns, self._changed_ns = stamp_ns, now_ns
@@ -171,10 +168,11 @@ class ThinningControl:
             rule = self.rule
             if self._published_ns is None:
                 return self._publish(rule, now_ns)
-            grid, thins = self._clock.estimate(rule), rule.keep < rule.of
+            grid, thins = find_exposures(self._stamps, rule), rule.keep < rule.of
             newest = self._sets[-1] if self._sets else None
-            if thins and (self._clock.off_grid or newest is None or now_ns - newest.closed_ns > LONGEST_SILENCE_NS):
-                self._clock.forget()  # the cameras' rate has changed, or they rest
+            is_lost = grid is None and len(self._stamps) >= LEAST_STAMPS
+            if thins and (is_lost or newest is None or now_ns - newest.closed_ns > LONGEST_SILENCE_NS):
+                self._stamps.clear()  # the cameras' rate has changed, or they rest
                 return self._publish(replace(EVERY_FRAME, from_ns=newest.stamp_ns if newest else 0), now_ns)
             due = thins and now_ns - self._published_ns >= NS_PER_S
             if grid is None or newest is None:
@@ -267,7 +265,7 @@ def throughput_hz(sets: Iterable[SetRecord], since_ns: int) -> float:
     return sum(len(c) for _, c in answers[1:]) / len(heard) * NS_PER_S / max(answers[-1][0] - answers[0][0], 1)
 
 
-# --- when the rig exposes: period and phase of its exposures, from the capture stamps that arrive
+# --- when the rig exposes: period and phase of its exposures, from the capture stamps of its sets
 
 
 @dataclass(frozen=True)
@@ -282,50 +280,23 @@ class Exposures:
         return NS_PER_S / self.period_ns
 
 
-class FrameClock:
-    """Estimates the exposures' grid from the stamps of all cameras, thinned or not."""
+def find_exposures(stamps_ns: Sequence[int], rule: FrameDecimation = EVERY_FRAME) -> Exposures | None:
+    """Return the grid on which the stamps of sets lie; None while there are too few of them, or they lie on none.
 
-    def __init__(self) -> None:
-        self.off_grid = False  # at the last estimate, there were stamps enough, and they lay on no grid
-        self._stamps: dict[str, deque[int]] = {}
-
-    def add(self, camera: str, stamp_ns: int) -> None:
-        """Add the stamp of a frame."""
-        stamps = self._stamps.setdefault(camera, deque(maxlen=STAMPS_KEPT))
-        if stamps and not 0 < stamp_ns - stamps[-1] < NS_PER_S:
-            stamps.clear()
-        stamps.append(stamp_ns)
-
-    def forget(self) -> None:
-        """Forget all stamps: the cameras' rate may have changed."""
-        self._stamps.clear()
-
-    def estimate(self, rule: FrameDecimation = EVERY_FRAME) -> Exposures | None:
-        """Return the grid that the stamps lie on; None while there are too few of them, or they lie on none.
-
-        rule : under which they were kept; its grid is refined. Without one the period is that of the fastest camera.
-        """
-        self.off_grid = False
-        steps_ns = np.array([step for stamps in self._stamps.values() for step in np.diff(stamps)], float)
-        if len(steps_ns) < LEAST_STEPS:
-            return None
-        phase_ns, period_ns = rule.phase_ns, rule.period_ns
-        if rule.keep == rule.of:
-            phase_ns = max(stamps[-1] for stamps in self._stamps.values())
-            period_ns = float(np.percentile(steps_ns, LOW_PERCENTILE))
-            counts = np.rint(steps_ns / period_ns)
-            told = counts <= LONGEST_STEP
-            period_ns = float(steps_ns[told].sum() / counts[told].sum())
-        offsets_ns = np.array([stamp - phase_ns for stamps in self._stamps.values() for stamp in stamps], float)
-        # cameras that run freely expose up to half a period apart: centre the grid between them (circular mean)
-        turns = np.exp(2j * np.pi * (offsets_ns / period_ns))
-        shift_ns = float(np.angle(turns.mean()) / (2 * np.pi) * period_ns)
-        numbers = np.rint((offsets_ns - shift_ns) / period_ns)
-        # the line of stamps over exposure numbers (least squares)
-        middle = numbers.mean()
-        slope_ns, at_mean_ns = np.polyfit(numbers - middle, offsets_ns - numbers * period_ns, 1)
-        left_ns = offsets_ns - numbers * period_ns - at_mean_ns - slope_ns * (numbers - middle)
-        self.off_grid = bool(np.sqrt(np.mean(left_ns**2)) > OFF_GRID * period_ns)
-        if self.off_grid:
-            return None
-        return Exposures(phase_ns + round(float(at_mean_ns - slope_ns * middle)), period_ns + float(slope_ns))
+    rule : under which they were kept; its grid is refined. Without one the usual step between two sets is a period.
+    """
+    if len(stamps_ns) < LEAST_STAMPS:
+        return None
+    phase_ns, period_ns = rule.phase_ns, rule.period_ns
+    if rule.keep == rule.of:
+        steps_ns = np.diff(stamps_ns).astype(float)
+        phase_ns, period_ns = stamps_ns[-1], float(np.median(steps_ns))
+        period_ns = float(steps_ns.sum() / np.rint(steps_ns / period_ns).sum())
+    offsets_ns = np.array([stamp_ns - phase_ns for stamp_ns in stamps_ns], float)
+    numbers = np.rint(offsets_ns / period_ns)
+    # the line of stamps over exposure numbers (least squares)
+    period_ns, first_ns = np.polyfit(numbers, offsets_ns, 1).tolist()
+    left_ns = offsets_ns - period_ns * numbers - first_ns
+    if np.sqrt(np.mean(left_ns**2)) > OFF_GRID * period_ns:
+        return None
+    return Exposures(phase_ns + round(first_ns), period_ns)

@@ -7,11 +7,12 @@ is not background; whatever follows stays inside that box.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from capture_rig.kernel import kernel
 
 from .bitset import high_bytes, nonzero_span
-from .views import Box, Masks, RigViews
+from .views import Box
 
 BLIND = 1  # level of pixels that the camera does not see; no camera client sends it
 NEITHER_SURE_NOR_BLIND = np.uint64(0xFEFEFEFEFEFEFEFE)  # bits that 0, BLIND and, turned over, FOREGROUND do not have
@@ -20,52 +21,50 @@ NEITHER_SURE_NOR_BLIND = np.uint64(0xFEFEFEFEFEFEFEFE)  # bits that 0, BLIND and
 class SilhouetteBatch:
     """Levels of all cameras of a rig, for one frame set after another. One thread at a time.
 
-    levels (N, H, W) uint8: of ``capture_rig.mask_levels``; BLIND where a camera is absent or does not see.
+    seen (N, H, W) : nonzero where a camera sees. levels (N, H, W) uint8: of ``capture_rig.mask_levels``; BLIND where a
+    camera is absent or does not see. flat (N, H * W) : the same, and behind it BLIND for all that is ``outside``.
+    words (N, H, W / 8) uint64: the same, eight pixels to a word. box (N, 4) : left, top, right, bottom of what is
+        shown.
     """
 
-    def __init__(self, views: RigViews) -> None:
-        self._views = views
-        self._blind = np.where(views.seen > 0, np.uint8(0), np.uint8(BLIND))
-        self.levels = np.full_like(views.seen, BLIND)
-        words, blind_words = self.levels.view(np.uint64), self._blind.view(np.uint64)
-        self._absent = np.ones(len(views.names), bool)
-        self._shown = np.zeros((len(views.names), 4), np.int64)
-        self._of_camera = list(zip(blind_words, words, self._shown, strict=True))
+    def __init__(self, seen: npt.NDArray[np.uint8], outside: int = 0) -> None:
+        """``outside`` : how many pixels to append, a multiple of eight."""
+        cameras, height, width = seen.shape
+        self.flat = np.full((cameras, height * width + outside), BLIND, np.uint8)
+        self.levels = self.flat[:, : height * width].reshape(seen.shape)
+        self.words = self.flat.view(np.uint64)[:, : height * width // 8].reshape(cameras, height, width // 8)
+        self.box = np.zeros((cameras, 4), np.int64)
+        self._blind = np.where(seen > 0, np.uint8(0), np.uint8(BLIND)).view(np.uint64)
+        self._absent = np.ones(cameras, bool)
 
-    def take(self, masks: Masks) -> list[str]:
-        """Take the masks (h, w) of one frame set; return the cameras, in name order, that show uncertain levels.
+    def take(self, camera: int, mask: npt.NDArray[np.uint8] | None, within: Box | None = None) -> bool:
+        """Take the mask (h, w) of a camera's canvas, None of an absent one; return whether it shows uncertain levels.
 
-        The masks must be those of the rig's canvases.
+        within : left, top, right, bottom of a box that holds all it shows, where one is known; the rest is not read.
         """
-        uncertain = []
-        for camera, name in enumerate(self._views.names):
-            if name in masks:
-                if self._absent[camera]:
-                    self.levels[camera], self._shown[camera], self._absent[camera] = self._blind[camera], 0, False
-                if _take(np.ascontiguousarray(masks[name]).view(np.uint64), *self._of_camera[camera]):
-                    uncertain.append(name)
-            elif not self._absent[camera]:
-                self.levels[camera], self._absent[camera] = BLIND, True
-        return uncertain
-
-    def shown(self, name: str) -> Box:
-        """Return a box that holds all but background of a mask that was taken with the last set."""
-        left, top, right, bottom = self._shown[self._views.number[name]].tolist()
-        return left, top, right, bottom
+        if mask is None or self._absent[camera]:
+            self.words[camera], self.box[camera] = self._blind[camera], 0
+            self._absent[camera] = mask is None
+        if mask is None:
+            self.levels[camera] = BLIND
+            return False
+        words = np.ascontiguousarray(mask).view(np.uint64)
+        part = _nonzero_bounds(words) if within is None else (within[0] // 8, within[1], -(-within[2] // 8), within[3])
+        return bool(_take(words, part, self._blind[camera], self.words[camera], self.box[camera]))
 
 
 @kernel
-def _take(mask_words, blind_words, level_words, shown):  # type: ignore[no-untyped-def]
-    """Write the levels of one mask (h, w / 8), and the box (4,) of what it shows.
+def _take(mask_words, part, blind_words, level_words, box):  # type: ignore[no-untyped-def]
+    """Write the levels of the ``part`` (left, top, right, bottom, in words and rows) of a mask, and its box (4,).
 
-    The words are pixels, eight to a word. ``shown`` comes with the box of the mask before, whose levels are forgotten.
+    The words are pixels, eight to a word. ``box`` comes with that of the mask before, whose levels are forgotten.
     Returns whether any pixel is neither background, nor blind, nor certainly foreground.
     """
-    for v in range(shown[1], shown[3]):
-        first, last = shown[0] // 8, shown[2] // 8
+    for v in range(box[1], box[3]):
+        first, last = box[0] // 8, box[2] // 8
         _copy(blind_words[v, first:last], level_words[v, first:last])
-    left, top, right, bottom = _nonzero_bounds(mask_words)
-    shown[0], shown[1], shown[2], shown[3] = 8 * left, top, 8 * right, bottom
+    left, top, right, bottom = part
+    box[0], box[1], box[2], box[3] = 8 * left, top, 8 * right, bottom
     graded = np.uint64(0)
     for v in range(top, bottom):
         graded |= _write_row(mask_words[v, left:right], blind_words[v, left:right], level_words[v, left:right])
@@ -83,7 +82,8 @@ def _write_row(mask_words, blind_words, level_words):  # type: ignore[no-untyped
     """Write the levels of a part of a row; return the bits of its pixels' distances from 0 or FOREGROUND."""
     graded = np.uint64(0)
     for word in range(mask_words.size):
-        pixels = mask_words[word] | blind_words[word]
+        blind = blind_words[word]
+        pixels = mask_words[word] & ~((blind << np.uint64(8)) - blind) | blind
         level_words[word] = pixels
         high = high_bytes(pixels)
         graded |= pixels ^ ((high << np.uint64(8)) - high)  # 255 in every byte that is above SHADOW_CANDIDATE

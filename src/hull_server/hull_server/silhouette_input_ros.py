@@ -116,7 +116,7 @@ class SilhouetteInput:
         if self._settings.reliable and image.format == ABSENT:
             self._dispatch(self._collector.add_absence(camera, stamp_ns, now_ns))
             return
-        if not self._thinning.admits(camera, stamp_ns, now_ns):
+        if not self._thinning.admits(stamp_ns, now_ns):
             self._node.health.count("frames_thinned")
             return
         try:

@@ -20,7 +20,7 @@ from .grid import BrickVolume, VoxelGrid
 from .opengl.carve_shaders import PROJECT_EXACTLY
 from .opengl.egl import GlContext, NoGraphics
 from .opengl.gl_buffers import GL, StorageBuffer, check_cameras, make_program
-from .views import Immediate, Masks, RigViews
+from .views import Boxes, Masks, RigViews
 
 # axis swept: (axis along the frame buffer's columns, along its rows)
 SLICE_AXES = {0: (1, 2), 1: (0, 2), 2: (0, 1)}
@@ -63,7 +63,7 @@ void main() {
 """
 
 
-class PlaneSweepCarver(Immediate):
+class PlaneSweepCarver:
     """Carves by sweeping a plane along z. Any thread may call :meth:`carve`, one at a time.
 
     Raises NoGraphics when there is no OpenGL 4.3 context, InputError for more than 32 cameras.
@@ -86,7 +86,7 @@ class PlaneSweepCarver(Immediate):
             self.close()
             raise
 
-    def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
+    def carve(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
         """Carve as :meth:`hull_server.carving.cpu_carver.CpuCarver.carve`."""
         slices = self.sweep(masks, min_seeing, axis=2)
         return BrickVolume.from_dense(self.grid, slices.transpose(2, 1, 0) > 0)

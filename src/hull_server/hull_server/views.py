@@ -5,7 +5,7 @@ inside the canvas and inside the original image (``seen``). Each camera's pixel 
 counts 1, what the camera does not see, or is uncertain of, counts 0, and background counts minus infinity: it vetoes.
 A voxel is occupied when the sum is at least ``min_seeing``. So with certain masks every camera that sees it must have
 foreground there, and enough must see it (thesis 3.1 assumes that every camera sees the whole volume, which is not so
-in real rigs). In a mask 0 is background, above 127 foreground, anything between is uncertain.
+in real rigs). In a mask 0 is background, above 127 foreground, 2 to 127 uncertain.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -101,7 +101,7 @@ class RigViews:
 
 
 class CarveBackend(Protocol):
-    """Carves the silhouettes of one frame set after another, by the rule of this module.
+    """Carves the silhouettes of one frame set after another, by the rule of this module. One thread at a time.
 
     name : gl, sweep or cpu. device : what it runs on, for people.
     """
@@ -109,33 +109,13 @@ class CarveBackend(Protocol):
     name: str
     device: str
 
-    def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
-        """Carve one canvas mask a camera; absent cameras do not count."""
-        ...
-
-    def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> Any:
-        """Begin to carve; the handle is exchanged for the hull by :meth:`collect`, on any thread, in any order.
+    def carve(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
+        """Carve one canvas mask a camera; absent cameras do not count.
 
         boxes : that hold each camera's nonzero pixels, where they are known: the rest of a mask need not be read.
         """
         ...
 
-    def collect(self, handle: Any) -> BrickVolume:
-        """Wait for the hull that :meth:`submit` began."""
-        ...
-
     def close(self) -> None:
         """Release what the backend holds; it cannot be used afterwards."""
         ...
-
-
-class Immediate:
-    """Carves on the caller's thread: the handle is the hull itself."""
-
-    def submit(self: CarveBackend, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
-        """Carve."""
-        return self.carve(masks, min_seeing)
-
-    def collect(self, handle: BrickVolume) -> BrickVolume:
-        """Return the hull."""
-        return handle

@@ -145,7 +145,7 @@ class Simulation:
 
     def _received(self, frame: tuple[str, int], _: int) -> None:
         name, stamp_ns = frame
-        if self.control.admits(name, stamp_ns, self.now_ns):
+        if self.control.admits(stamp_ns, self.now_ns):
             self._close(self._collector.add(name, stamp_ns, 0, self.now_ns))
 
     def _close(self, sets: list[FrameSet[int]]) -> None:

@@ -45,10 +45,10 @@ def test_small_parts_belong_to_the_nearest_body():
     volume = boxes(person(10, 10), person(60, 50, width=12), hand, ghost)
     runs = slice_hull(volume)[1]
     bodies = BodyTracker(BodySettings()).step(0, runs, volume.grid)
-    samples = sample_runs(runs, volume.grid, 10**6, bodies.number_of_part)
+    samples = sample_runs(runs, volume.grid, 10**6)
     assert len(bodies) == 2 and len(bodies.number_of_part) == 4
     near_second = samples.points_world[:, 0] > 0.2
-    assert np.array_equal(samples.body, np.where(near_second, 0, 1))
+    assert np.array_equal(bodies.number_of_part[samples.body], np.where(near_second, 0, 1))
 
 
 def test_parts_of_a_torn_person_are_one_body():

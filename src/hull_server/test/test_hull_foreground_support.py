@@ -122,15 +122,14 @@ def test_cameras_that_never_showed_a_body_are_no_witnesses(rig):
     assert levels_at(report, masks["cam01"]) == {UNJUDGED}
 
 
-def test_flooded_and_excluded_cameras_have_no_say(rig):
+def test_excluded_cameras_have_no_say(rig):
     masks = silhouettes(rig, capsule_person(0.4))
     shown, _ = with_thing(rig, masks, "cam02")
     absent = Reports(rig).of({name: mask for name, mask in shown.items() if name not in ("cam04", "cam05")})
-    flooded = {name: np.full_like(masks[name], 255) for name in ("cam04", "cam05")}
     things = {name: with_thing(rig, masks, name, 100)[0][name] for name in ("cam04", "cam05")}
-    for reports in (Reports(rig).of(shown | flooded), Reports(rig).of(shown | things, ("cam04", "cam05"))):
-        np.testing.assert_array_equal(reports["cam02"].cells, absent["cam02"].cells)
-        assert "cam04" in reports
+    reports = Reports(rig).of(shown | things, ("cam04", "cam05"))
+    np.testing.assert_array_equal(reports["cam02"].cells, absent["cam02"].cells)
+    assert "cam04" in reports
 
 
 def test_shadow_supports_nothing_and_denies_nothing(rig):
@@ -140,13 +139,6 @@ def test_shadow_supports_nothing_and_denies_nothing(rig):
     reporter = Reports(rig).reporter
     (report,) = [r for r in reporter.update(shown | everywhere, masks, 2 * STEP_NS) if r.camera == "cam02"]
     assert levels_at(report, masks["cam02"]) == {BODY} and NOBODY not in levels_at(report, thing)
-
-
-def test_reports_come_at_their_period_whatever_the_frame_rate(rig):
-    reporter, masks = SupportReporter(rig, RigViews.from_rig(rig)), silhouettes(rig, capsule_person())
-    for rate in (15, 60):
-        stamps = [round(10**9 * (rate + frame / rate)) for frame in range(2 * rate)]
-        assert sum(bool(reporter.update(masks, masks, stamp)) for stamp in stamps) in (8, 9)
 
 
 def test_pipeline_reports_unless_faulty_cameras_are_not_looked_for():

@@ -1,6 +1,5 @@
-"""The compute carve: the same bytes as the CPU and the sweep on anything, exact as float64, whatever is under way."""
+"""The compute carve: the same bytes as the CPU and the sweep on anything, exact as float64."""
 
-import threading
 from functools import cache
 
 import numpy as np
@@ -73,7 +72,7 @@ def test_gl_cpu_and_sweep_give_the_same_bytes_on_random_rigs_poses_noise_and_cut
         noise = data.draw(st.sampled_from([0.0, 0.01, 0.3]))
         masks = {name: np.where(rng.random(m.shape) < noise, 255 - m, m).astype(np.uint8) for name, m in masks.items()}
         for name in rng.permutation(rig.names)[: data.draw(st.integers(0, 2))]:
-            masks[name] = np.zeros_like(masks[name]) if data.draw(st.booleans()) else np.full_like(masks[name], 1)
+            masks[name] = np.zeros_like(masks[name]) if data.draw(st.booleans()) else np.full_like(masks[name], 2)
         for name in rng.permutation(rig.names)[: data.draw(st.integers(0, cameras - 1))]:
             del masks[name]
         needed = data.draw(st.integers(2, cameras))
@@ -115,18 +114,6 @@ def test_gl_carves_a_full_volume_and_an_empty_one():
     carver.close()
 
 
-def test_gl_fetches_all_bricks_when_there_are_more_than_expected(monkeypatch):
-    monkeypatch.setattr(gl_buffers, "LEAST_GUESS", 3)
-    rig, grid, frames = scene()
-    carver = GlCarver(RigViews.from_rig(rig), grid)
-    few = {name: np.zeros_like(mask) for name, mask in frames[0].items()}
-    for masks, wanted in zip(frames, expected(), strict=True):
-        assert len(wanted.index) > 10
-        assert same_bytes(carver.carve(masks, 3), wanted)
-        assert carver.carve(few, 3).count == 0  # lowers what is expected of the next
-    carver.close()
-
-
 def test_gl_works_through_lists_that_are_longer_than_one_row_of_work_groups(monkeypatch):
     monkeypatch.setattr("hull_server.opengl.gl_carver.GROUPS_IN_ROW", 3)
     rig, grid, frames = scene()
@@ -135,77 +122,38 @@ def test_gl_works_through_lists_that_are_longer_than_one_row_of_work_groups(monk
     carver.close()
 
 
-@pytest.mark.parametrize("slow_device", [False, True])
-def test_tickets_collected_late_in_any_order_twice_or_never_hold_their_own_frame(carver, monkeypatch, slow_device):
-    if slow_device:  # nothing is ever there already
-        monkeypatch.setattr(gl_buffers.BufferSet, "has_arrived", lambda self: False)
+def test_masks_may_be_reused_after_each_carve_and_sets_with_fewer_bricks_leave_none_behind(carver):
     _, _, frames = scene()
-    tickets = [carver.submit(masks, 3) for masks in frames]  # more than there are sets of buffers
-    for number in (5, 0, 3, 2, 3):  # never 1 and 4
-        assert same_bytes(carver.collect(tickets[number]), expected()[number])
-    assert same_bytes(carver.carve(frames[4], 3), expected()[4])
-    distinct = {volume.leaves.tobytes() for volume in expected()}
-    assert len(distinct) == len(frames)
-
-
-def test_masks_may_be_reused_as_soon_as_they_are_submitted(carver):
-    _, _, frames = scene()
+    few = {name: np.zeros_like(mask) for name, mask in frames[0].items()}
     masks = {name: mask.copy() for name, mask in frames[0].items()}
-    handle = carver.submit(masks, 3)
-    for mask in masks.values():
-        mask[:] = 255
-    assert same_bytes(carver.collect(handle), expected()[0])
+    for frame, wanted in zip(frames, expected(), strict=True):
+        for name, mask in masks.items():
+            mask[:] = frame[name]
+        assert same_bytes(carver.carve(masks, 3), wanted) and len(wanted.index) > 10
+        assert carver.carve(few, 3).count == 0
 
 
-@pytest.mark.parametrize("slow_device", [False, True])
-def test_one_thread_submits_while_others_collect(carver, monkeypatch, slow_device):
-    if slow_device:
-        monkeypatch.setattr(gl_buffers.BufferSet, "has_arrived", lambda self: False)
-    _, _, frames = scene()
-    found, ready = {}, [threading.Event() for _ in frames]
-    tickets = {}
-
-    def collect(number):
-        ready[number].wait(30)
-        found[number] = carver.collect(tickets[number])
-
-    threads = [threading.Thread(target=collect, args=(number,)) for number in range(len(frames))]
-    for thread in threads:
-        thread.start()
-    for number, masks in enumerate(frames):
-        tickets[number] = carver.submit(masks, 3)
-        ready[number].set()
-    for thread in threads:
-        thread.join()
-    assert all(same_bytes(found[number], wanted) for number, wanted in enumerate(expected()))
-
-
-def test_ticket_outlives_the_carver_only_when_it_was_brought_home(carver, monkeypatch):
-    monkeypatch.setattr(gl_buffers.BufferSet, "has_arrived", lambda self: False)  # as on a device that takes its time
-    _, _, frames = scene()
-    first, *_, last = [carver.submit(masks, 3) for masks in frames[:3]]
+def test_carver_that_is_closed_carves_no_more(carver):
     carver.close()
-    assert same_bytes(carver.collect(first), expected()[0])
     with pytest.raises(NoGraphics, match="closed"):
-        carver.collect(last)
+        carver.carve(scene()[2][0], 3)
 
 
 def test_device_that_does_not_finish_is_no_graphics_and_may_be_asked_again(carver, monkeypatch):
     _, _, frames = scene()
     with monkeypatch.context() as stuck:
         stuck.setattr(gl_buffers.GL, "glClientWaitSync", lambda *args: gl_buffers.GL.GL_TIMEOUT_EXPIRED)
-        handle = carver.submit(frames[2], 3)
         with pytest.raises(NoGraphics, match=r"did not finish a carve within 10 s; choose backend 'cpu'"):
-            carver.collect(handle)
-    assert same_bytes(carver.collect(handle), expected()[2])
+            carver.carve(frames[2], 3)
+    assert same_bytes(carver.carve(frames[2], 3), expected()[2])
 
 
-def test_submit_of_an_unknown_camera_or_a_wrong_mask_is_refused_and_leaves_the_carver_usable(carver):
+def test_carve_of_an_unknown_camera_or_a_wrong_mask_is_refused_and_leaves_the_carver_usable(carver):
     _, _, frames = scene()
     with pytest.raises(InputError, match="no camera 'cam77'"):
-        carver.submit(frames[0] | {"cam77": frames[0]["cam01"]}, 3)
+        carver.carve(frames[0] | {"cam77": frames[0]["cam01"]}, 3)
     with pytest.raises(InputError, match="cam01: the mask is"):
-        carver.submit(frames[0] | {"cam01": frames[0]["cam01"][:-1]}, 3)
+        carver.carve(frames[0] | {"cam01": frames[0]["cam01"][:-1]}, 3)
     assert same_bytes(carver.carve(frames[1], 3), expected()[1])
 
 

@@ -1,29 +1,41 @@
-"""The hull node among messages: what it publishes and answers."""
+"""The hull node among messages: what it publishes, and late, missing, broken and too many silhouettes."""
 
+import threading
 import time
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
-from hull_probe import stamp
-from node_probe import FAILURE, SUCCESS
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from hull_probe import PERIOD_NS, stamp
+from hull_scenes import capsule_person, ring_rig, silhouettes
+from node_probe import FAILURE, PATIENCE_S, SUCCESS
 from sensor_msgs.msg import Image
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from capture_rig import load_rig, save_rig
 from hull_server.hull_pipeline import HullPipeline
+from hull_server.overload import ThinningControl
 from hull_server.settings import HullSettings
 from mocap_packets.frame_set import FrameSet
 from mocap_packets.hull import PARTS, Centerline
-from sagoma_ros.images import read_support
-from sagoma_ros.messages import to_ns
+from mocap_packets.thinning import EVERY_FRAME, FrameDecimation
+from sagoma_ros.images import absence_message, camera_info_message, read_support, silhouette_message
+from sagoma_ros.messages import read_thinning, to_ns
 from sagoma_ros.packets import HULL_PRODUCTS, read_packet
+from sagoma_ros.qos import LATCHED
 
 
-def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene):
+def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(make_bench, scene):
+    """As clouds, as one packet with its ages, and to every camera what the others see."""
     _, rig, masks = scene
-    bench.send(masks, 0, cam02=300_000, cam04=900_000)
+    bench, topics = make_bench(), [f"{name}/silhouette/support" for name in rig.names]
+    packets = bench.listen(Float64MultiArray, HULL_PRODUCTS.name)
+    for topic in topics:
+        bench.listen(Image, topic)
+    bench.start(rig).send(masks, 0, cam02=300_000, cam04=900_000)
     (values,) = bench.answers(1)
+    bench.until(lambda: packets and all(bench.heard[topic] for topic in topics))
     later_ns = {"cam01": 0, "cam02": 300_000, "cam03": 0, "cam04": 900_000}
     frame_set = FrameSet.of_stamps({name: stamp(0) + later_ns[name] for name in masks}, masks)
     expected = HullPipeline(rig, HullSettings(voxel_size_m=0.04, backend="cpu")).run(frame_set)
@@ -48,6 +60,17 @@ def test_node_publishes_what_the_pipeline_finds_with_the_sets_stamp(bench, scene
     assert 0.9 < float(values["consistency_cam02"]) <= 1.0
     (place,) = expected.bodies.centroid_world
     assert [float(v) for v in values["bodies_at"].split(",")] == pytest.approx(place, abs=0.01)
+    assert HULL_PRODUCTS.header_of(packets[0]) == (frame_set.stamp_ns, "map")
+    products = HULL_PRODUCTS.from_message(packets[0], "test")
+    for name in PARTS:
+        part, found = getattr(products, name), getattr(expected.products, name)
+        np.testing.assert_array_equal(part.points_world, found.points_world)
+    assert 0 < products.ages.received < products.ages.hull <= time.time_ns() - stamp(0)
+    for report, topic in zip(expected.support, topics, strict=True):
+        width = rig.camera(report.camera).undistorted_view().camera.width
+        heard = read_support(bench.heard[topic][0], report.camera, width, topic)
+        assert (heard.stamp_ns, heard.cell_px) == (frame_set.stamp_ns, report.cell_px)
+        np.testing.assert_array_equal(heard.cells, report.cells)
 
 
 def test_node_publishes_an_empty_hull_for_empty_silhouettes_and_flags_it(bench, scene):
@@ -91,21 +114,6 @@ def test_node_refuses_to_configure_with_a_clear_error(make_bench, parameters, te
     assert bench.diagnostics[-1].status[0].level == DiagnosticStatus.ERROR
 
 
-def test_node_hands_on_one_packet_a_set_with_all_that_the_clouds_hold_and_its_ages(make_bench, scene):
-    _, rig, masks = scene
-    bench = make_bench()
-    heard = bench.listen(Float64MultiArray, HULL_PRODUCTS.name)
-    bench.start(rig).send(masks, 0)
-    bench.answers(1)
-    bench.until(lambda: heard)
-    assert HULL_PRODUCTS.header_of(heard[0]) == (stamp(0), "map")
-    products = HULL_PRODUCTS.from_message(heard[0], "test")
-    for name, kind in PARTS.items():
-        part, cloud = getattr(products, name), read_packet(bench.heard[f"hull/{name}"][0], kind, "test")
-        np.testing.assert_array_equal(part.points_world.astype(np.float32), cloud.points_world)
-    assert 0 < products.ages.received < products.ages.hull <= time.time_ns() - stamp(0)
-
-
 def test_save_mesh_writes_the_newest_hull(make_bench, scene, tmp_path):
     _, rig, masks = scene
     bench = make_bench(**{"mesh.folder": str(tmp_path)}).start(rig)
@@ -135,19 +143,172 @@ def test_save_mesh_without_a_hull_says_why(make_bench, scene, tmp_path, sets, wh
     assert not answer.success and why in answer.message and not list(tmp_path.iterdir())
 
 
-def test_node_tells_every_camera_what_the_others_see(make_bench, scene):
+def test_node_answers_an_incomplete_set_at_its_deadline_and_mixes_what_is_late_into_no_other(make_bench, scene):
     _, rig, masks = scene
-    bench, topics = make_bench(), [f"{name}/silhouette/support" for name in rig.names]
-    for topic in topics:
-        bench.listen(Image, topic)
-    bench.start(rig).send(masks, 0)
-    bench.answers(1)
-    bench.until(lambda: all(bench.heard[topic] for topic in topics))
-    expected = HullPipeline(rig, HullSettings(voxel_size_m=0.04, backend="cpu")).run(
-        FrameSet.of_instant(stamp(0), masks)
-    )
-    for report, topic in zip(expected.support, topics, strict=True):
-        width = rig.camera(report.camera).undistorted_view().camera.width
-        heard = read_support(bench.heard[topic][0], report.camera, width, topic)
-        assert (heard.stamp_ns, heard.cell_px) == (stamp(0), report.cell_px)
-        np.testing.assert_array_equal(heard.cells, report.cells)
+    bench = make_bench().start(rig)
+    bench.send({name: masks[name] for name in ("cam01", "cam02", "cam04")}, 0)
+    bench.let_the_deadline_pass(frames=3)
+    (values,) = bench.answers(1)
+    assert values["missing"] == "cam03" and values["cameras"] == "cam01,cam02,cam04" and values["min_seeing"] == "3"
+    assert int(values["voxels"]) > 0
+    assert "nothing in time from cam03" in bench.heard["hull/frame_set"][0].status[0].message
+    bench.until_values(sets_incomplete="1", frames_missing="1")
+    bench.send({"cam03": masks["cam03"]}, 0)
+    bench.until_values(frames_late="1")
+    bench.send(masks, 1)
+    assert [values["missing"] for values in bench.answers(2)] == ["cam03", ""]
+
+
+def test_node_waits_for_no_frame_that_a_replay_says_there_is_not(bench, scene):
+    _, rig, masks = scene
+    three = {name: masks[name] for name in rig.names[:3]}
+    for k in range(2):
+        bench.send(three, k)
+        bench.images[rig.names[3]].publish(absence_message(stamp(k)))
+    bench.send(masks, 2)  # back at once, for it has not been waited for in vain
+    assert [answer["missing"] for answer in bench.answers(3)] == [rig.names[3], rig.names[3], ""]
+
+
+def test_node_counts_duplicate_stamps_and_stamps_that_go_back(bench, scene):
+    masks = scene[2]
+    bench.send({"cam01": masks["cam01"]}, 1)
+    bench.send({"cam01": masks["cam01"]}, 1)
+    bench.until_values(frames_duplicate="1")
+    bench.send({"cam01": masks["cam01"]}, 0)
+    bench.until_values(frames_backwards="1", frames="3")
+    bench.send({name: masks[name] for name in ("cam02", "cam03", "cam04")}, 1)
+    (values,) = bench.answers(1)
+    assert values["missing"] == "" and to_ns(bench.heard["hull/frame_set"][0].header.stamp) == stamp(1)
+
+
+def test_node_drops_and_counts_a_bad_image_and_goes_on(bench, scene):
+    masks = scene[2]
+    bad = silhouette_message(masks["cam01"], stamp(0), "cam01")
+    bad.data = bad.data[:60]
+    bench.images["cam01"].publish(bad)
+    status = bench.until_values(bad_images="1")
+    said = {pair.key: pair.value for pair in status.values}["last_bad_image"]
+    assert said.startswith("cam01/silhouette/compressed") and "cannot be decoded" in said
+    bench.send(masks, 1)
+    assert [values["missing"] for values in bench.answers(1)] == [""]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "text"),
+    [
+        (lambda info: setattr(info, "width", info.width + 32), "the rig's undistorted canvas is"),
+        (lambda info: info.k.__setitem__(0, info.k[0] * 1.01), "K with fx"),
+        (lambda info: setattr(info, "d", [0.1, 0.0, 0.0, 0.0, 0.0]), "must be undistorted"),
+        (lambda info: info.k.__setitem__(0, 0.0), "K = 0: its client is not calibrated"),
+    ],
+    ids=["size", "focal length", "distortion", "uncalibrated"],
+)
+def test_node_refuses_a_camera_whose_camera_info_disagrees_until_it_agrees_again(make_bench, scene, spoil, text):
+    _, rig, masks = scene
+    bench = make_bench().start(rig)
+    canvas = rig.camera("cam02").undistorted_view().camera
+    info = camera_info_message(canvas, stamp(0), "cam02")
+    spoil(info)
+    bench.infos["cam02"].publish(info)
+    bench.until(lambda: "cam02" in bench.node.silhouettes.refused)
+    bench.send(masks, 0)
+    bench.let_the_deadline_pass(frames=3)
+    assert [values["missing"] for values in bench.answers(1)] == ["cam02"]
+    status = bench.until_values(frames_refused="1")
+    said = {pair.key: pair.value for pair in status.values}["refused_cam02"]
+    assert said.startswith("cam02/camera_info") and text in said and "same rig file" in said
+    assert status.level == b"\x02"
+    bench.infos["cam02"].publish(camera_info_message(canvas, stamp(1), "cam02"))
+    bench.until(lambda: not bench.node.silhouettes.refused)
+    bench.send(masks, 1)
+    assert bench.answers(2)[1]["missing"] == ""
+
+
+@pytest.mark.parametrize(("stage", "answered"), [("begin", [0, 5]), ("finish", [0, 1, 2, 5])])
+def test_node_drops_the_oldest_set_when_a_stage_cannot_keep_up(make_bench, scene, stage, answered, monkeypatch):
+    """One set waits for the carver; when slicing is slow, one more waits for the slicer, and one for room there."""
+    _, rig, masks = scene
+    bench = make_bench(queue_depth=1).start(rig)
+    busy, released, begun = threading.Event(), threading.Event(), []
+    stages = {name: getattr(HullPipeline, name) for name in ("begin", "finish")}
+
+    def slow(name):
+        def work(pipeline, item):
+            begun.extend([item] if name == "begin" else [])
+            if name == stage:
+                busy.set()
+                assert released.wait(PATIENCE_S)
+            return stages[name](pipeline, item)
+
+        return work
+
+    for name in stages:
+        monkeypatch.setattr(HullPipeline, name, slow(name))
+    bench.send(masks, 0)
+    bench.until(busy.is_set)
+    for k in range(1, 6):
+        bench.send(masks, k)
+        bench.until_values(sets_complete=str(k + 1))
+        if stage == "finish" and k <= 2:  # that the carver has taken it
+            bench.until(lambda k=k: len(begun) > k)
+    bench.until_values(sets_dropped=str(6 - len(answered)))
+    released.set()
+    bench.answers(len(answered))
+    stamps = [to_ns(message.header.stamp) for message in bench.heard["hull/frame_set"]]
+    assert stamps == [stamp(k) for k in answered]
+
+
+def test_node_leaves_out_a_covered_camera_by_name_and_takes_it_back(make_bench, scene):
+    rig = ring_rig(6)
+    rig_file = scene[0].with_name("six.yaml")
+    save_rig(rig, rig_file)
+    masks = silhouettes(rig, capsule_person(0.3))
+    covered = masks | {"cam04": np.zeros_like(masks["cam04"])}
+    bench = make_bench(rig_file=str(rig_file)).start(load_rig(rig_file))
+    shown = []
+
+    def send_until(wanted, masks_of_camera):
+        while not shown or shown[-1]["left_out"] != wanted:
+            assert len(shown) < 200
+            bench.send(masks_of_camera, len(shown))
+            shown.append(bench.answers(len(shown) + 1)[-1])
+
+    bench.send(masks, 0)
+    shown.append(bench.answers(1)[-1])
+    whole = float(shown[0]["litres"])
+    send_until("cam04", covered)
+    assert float(shown[-1]["litres"]) > 0.95 * whole and "cam04" not in shown[-1]["cameras"].split(",")
+    assert "cam04" in bench.heard["hull/frame_set"][-1].status[0].message
+    send_until("", masks)
+    assert "cam04" in shown[-1]["cameras"].split(",")
+
+
+def test_node_tells_the_cameras_its_rule_and_leaves_out_what_it_does_not_keep(make_bench, scene, monkeypatch):
+    _, rig, masks = scene
+    half = FrameDecimation(stamp(2), stamp(2), stamp(0), PERIOD_NS, 1, 2)
+    rules = iter([EVERY_FRAME, half])
+
+    def update(control, now_ns):
+        rule = next(rules, None)
+        if rule is not None:
+            control._selector.update(rule, now_ns)
+        return rule
+
+    monkeypatch.setattr(ThinningControl, "update", update)
+    bench = make_bench(reliable=False)
+    bench.listen(DiagnosticArray, "/hull/thinning", LATCHED)
+    bench.start(rig)
+    bench.until(lambda: len(bench.heard["/hull/thinning"]) == 2)
+    assert [read_thinning(message, "test") for message in bench.heard["/hull/thinning"]] == [EVERY_FRAME, half]
+    for k in range(6):  # cameras that do not know the rule
+        bench.send(masks, k)
+    bench.until_values(frames_thinned="8")
+    assert [values["missing"] for values in bench.answers(4)] == [""] * 4
+    stamps = [to_ns(message.header.stamp) for message in bench.heard["hull/frame_set"]]
+    assert stamps == [stamp(k) for k in (0, 1, 2, 4)]
+
+
+@pytest.mark.parametrize("parameters", [{"reliable": True}, {"reliable": False, "thin_out": False}])
+def test_node_of_a_replay_thins_nothing_out(make_bench, scene, parameters):
+    bench = make_bench(**parameters).start(scene[1])
+    assert bench.peer.count_publishers("/hull/thinning") == 0

@@ -34,19 +34,7 @@ def test_pipeline_finds_the_hull_and_the_centerline_of_a_person(scene):
     assert len(result.products.voxels) == 3000
     assert result.cameras == rig.names and result.missing == () and result.blank == () and not result.empty
     assert result.min_seeing == 3 and result.backend == "cpu" and result.stamp_ns == 1_000_000_000
-    assert " ".join(result.stage_ms) == "consistency shadows carve support collect slice filter sample contour_rays"
-
-
-def test_pipeline_contains_the_body_even_where_views_are_cut(scene):
-    """Every voxel whose centre is well inside the body is occupied: no camera vetoes what it does not see."""
-    body = scene[1]
-    narrow = ring_rig(5, focal_px=420.0)
-    result = HullPipeline(narrow, CPU).run(frame_set(silhouettes(narrow, body)))
-    dense, grid = result.volume.to_dense(), result.volume.grid
-    trunk = body[0]
-    centres = grid.centres_world(np.argwhere(np.ones(grid.shape, bool)))
-    inside = distance_to_axes(centres, [trunk])[0] < trunk[2] - 0.02
-    assert inside.sum() > 1000 and dense.ravel()[inside].mean() > 0.999
+    assert " ".join(result.stage_ms) == "consistency shadows carve support floor slice filter sample contour_rays"
 
 
 def all_bytes(result, reports=()):

@@ -6,11 +6,10 @@ waited for once it has delivered a later stamp, for stamps may not go back; nor 
 that instant; nor, where the collector may give up, once several sets in a row have missed it, until it is heard again.
 Sets leave in stamp order; a frame that comes after its set has left is late: counted, never mixed into another set.
 
-A camera whose stamps jump by more than a quarter of a second may be the only one, so the majority decides: its frames
-are held for two frame periods, and when more cameras have jumped with it than have delivered where the rig is, all
-open sets close and the held frames begin anew there (footage or a bag started again, a pause). Otherwise they are
-dropped and counted. A camera that merely lags, its own stamps going on, has not jumped: its frames are late, as long
-as most cameras still meet in sets.
+The rig's time is the median of its cameras' newest stamps: one camera never moves it, most do. Frames more than a
+quarter of a second from it are held for two frame periods. When the median has jumped (footage or a bag started again,
+a pause, a clock that was set) the held frames begin anew there; the others are dropped and counted. A camera that
+merely lags, its own stamps going on, votes for where the rig is: its frames are late until it has caught up.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ T = TypeVar("T")
 
 TIME_JUMP_NS = 250_000_000
 JUMP_TOLERANCES = 10  # a jump is at least five frame periods, so that slow cameras do not jump with every frame
-LONGEST_LAG_NS = 4_000_000_000  # since most cameras met in a set: clients that start, starved, lag for so long
+LONGEST_LAG_NS = 4_000_000_000  # clients that start, starved, lag for so long; who is farther behind does not lag
 HELD_TOLERANCES = 4  # two frame periods: time for every live camera to be heard here or there
 
 
@@ -93,13 +92,14 @@ class OpenSet(Generic[T]):
 
 
 @dataclass(frozen=True)
-class HeldFrame(Generic[T]):
-    """A frame whose camera has jumped in time, until it is known whether the rig has."""
+class Arrival(Generic[T]):
+    """A frame that has come. goes_on : its camera's stamps have not gone back, or are with the rig's again since."""
 
     camera: str
     stamp_ns: int
     frame: T
     arrival_ns: int
+    goes_on: bool
 
 
 class FrameSetCollector(Generic[T]):
@@ -120,16 +120,13 @@ class FrameSetCollector(Generic[T]):
         self.tolerance_ns, self.deadline_ns, self.max_open, self.give_up = tolerance_ns, deadline_ns, max_open, give_up
         self.counters = Counters()
         self._jump_ns = max(TIME_JUMP_NS, JUMP_TOLERANCES * tolerance_ns)
-        self._heard_ns: dict[str, int] = {}  # the last stamp of each camera, wherever it is
-        self._jumped: set[str] = set()  # cameras whose stamps went on from a jump, away from the rig
-        self._held: list[HeldFrame[T]] = []
-        self._last_majority_ns: int | None = None  # the last arrival at which most had met in a set, or the first one
-        self._staying: set[str] = set()  # cameras that delivered where the rig is while frames are held
+        self._time_ns: int | None = None  # of the rig
+        self._newest: dict[str, Arrival[T]] = {}  # of each camera, wherever it is
+        self._held: list[Arrival[T]] = []  # in no set, or not yet
         self._reset()
 
     def _reset(self) -> None:
         self._open: list[OpenSet[T]] = []
-        self._head_ns: int | None = None  # the latest stamp of the rig
         self._last_ns: dict[str, int] = {}  # the last stamp of each camera where the rig is
         self._last_closed_ns: int | None = None
         self._last_set_ns = -1
@@ -142,24 +139,11 @@ class FrameSetCollector(Generic[T]):
         """Add one frame; return the sets that this closes, oldest first. KeyError for an unknown camera."""
         self._check(camera)
         self.counters.frames += 1
-        self._last_majority_ns = self._last_majority_ns or arrival_ns
-        heard_ns, self._heard_ns[camera] = self._heard_ns.get(camera), stamp_ns
-        if self._is_near(stamp_ns):
-            self._jumped.discard(camera)
-            self._staying.add(camera)
-            self._add_here(HeldFrame(camera, stamp_ns, frame, arrival_ns))
-            return self.poll(arrival_ns)
-        lags_ns = arrival_ns - (self._last_majority_ns or arrival_ns)
-        if heard_ns is None or not heard_ns <= stamp_ns <= (self._head_ns or 0) or lags_ns >= LONGEST_LAG_NS:
-            self._jumped.add(camera)
-        held_ns = [each.stamp_ns for each in self._held]
-        if camera in self._jumped and all(abs(stamp_ns - each_ns) <= self._jump_ns for each_ns in held_ns[-1:]):
-            if not self._held:
-                self._staying.clear()
-            self._held.append(HeldFrame(camera, stamp_ns, frame, arrival_ns))
-            self._staying.discard(camera)
-        else:
-            self._count_elsewhere(camera, stamp_ns)
+        before = self._newest.get(camera)
+        was_here = before is not None and (before.goes_on or self._is_near(before.stamp_ns))
+        goes_on = was_here and before is not None and before.stamp_ns <= stamp_ns
+        self._newest[camera] = arrived = Arrival(camera, stamp_ns, frame, arrival_ns, goes_on)
+        self._held.append(arrived)
         return self.poll(arrival_ns)
 
     def add_absence(self, camera: str, stamp_ns: int, now_ns: int) -> list[FrameSet[T]]:
@@ -170,16 +154,13 @@ class FrameSetCollector(Generic[T]):
 
     def poll(self, now_ns: int) -> list[FrameSet[T]]:
         """Close the sets that wait for nobody or are past their deadline; none overtakes an older one."""
-        closed = self._decide_jump() if self._held and self._is_jump_due(now_ns) else []
+        closed = self._follow_majority(now_ns) if self._held else []
         due = 0
         for index, candidate in enumerate(self._open):
             expired = now_ns - candidate.opened_ns >= self.deadline_ns
             if expired or (due == index and not any(self._is_awaited(name, candidate) for name in self.names)):
                 due = index + 1
-        closed += self._close(max(due, len(self._open) - self.max_open))
-        if any(2 * len(each.frames) > len(self.names) for each in closed):
-            self._last_majority_ns = now_ns
-        return closed
+        return closed + self._close(max(due, len(self._open) - self.max_open))
 
     def wait(self, deadline_ns: int) -> None:
         """Let sets, also those that are open, wait for their last cameras for so long from now on."""
@@ -188,11 +169,11 @@ class FrameSetCollector(Generic[T]):
     def next_deadline_ns(self) -> int | None:
         """Return when :meth:`poll` is due next, on the clock of ``arrival_ns``; None while nothing is open."""
         due = [each.opened_ns + self.deadline_ns for each in self._open]
-        return min(due + ([self._jump_due_ns()] if self._held else []), default=None)
+        return min(due + [each.arrival_ns + self._held_for_ns for each in self._held[:1]], default=None)
 
     def flush(self) -> list[FrameSet[T]]:
         """Close every open set, complete or not: the end of a recording."""
-        closed = self._decide_jump() if self._held else []
+        closed = self._follow_majority(self._held[0].arrival_ns + self._held_for_ns) if self._held else []
         return closed + self._close(len(self._open))
 
     # --- where the rig is
@@ -201,13 +182,54 @@ class FrameSetCollector(Generic[T]):
         if camera not in self.names:
             raise KeyError(camera)
 
-    def _is_near(self, stamp_ns: int) -> bool:
-        if self._head_ns is None:
-            return True
-        tail_ns = self._open[0].stamp_ns if self._open else self._head_ns
-        return tail_ns - self._jump_ns <= stamp_ns <= self._head_ns + self._jump_ns
+    @property
+    def _held_for_ns(self) -> int:
+        return self.deadline_ns + HELD_TOLERANCES * self.tolerance_ns
 
-    def _add_here(self, new: HeldFrame[T]) -> None:
+    def _is_near(self, stamp_ns: int) -> bool:
+        if self._time_ns is None:
+            return True
+        tail_ns = min([self._time_ns, *(each.stamp_ns for each in self._open[:1])])
+        return tail_ns - self._jump_ns <= stamp_ns <= self._time_ns + self._jump_ns
+
+    def _follow_majority(self, now_ns: int) -> list[FrameSet[T]]:
+        """Take the held frames that are where the rig is; drop the others once there was time for every camera's.
+
+        The rig jumps when all its live cameras have, or at the end of that time when most have.
+        """
+        due_ns = self._held[0].arrival_ns + self._held_for_ns
+        over = now_ns >= due_ns or len(self._held) > self.max_open * len(self.names)
+        since_ns = min(now_ns, due_ns) - self._held_for_ns
+        votes = sorted(self._vote_ns(each) for each in self._newest.values() if each.arrival_ns >= since_ns)
+        middle = votes[(len(votes) - 1) // 2], votes[len(votes) // 2]
+        time_ns = min(middle, key=lambda vote: abs(vote - (self._time_ns or 0)))
+        closed: list[FrameSet[T]] = []
+        if self._is_near(time_ns):
+            self._time_ns = time_ns
+        elif over or not any(self._is_near(each.stamp_ns) for each in self._newest.values()):
+            if self._time_ns is not None and time_ns < self._time_ns:
+                closed = self._close(len(self._open))
+                self._count("restarts")
+                self._reset()
+            self._time_ns = time_ns
+        held, self._held = self._held, []
+        for each in held:
+            if self._is_near(each.stamp_ns):
+                self._add_here(each)
+            elif over:
+                self._count_elsewhere(each)
+            else:
+                self._held.append(each)
+        return closed
+
+    def _vote_ns(self, newest: Arrival[T]) -> int:
+        """Return where a camera says that the rig is."""
+        if self._time_ns is None:
+            return newest.stamp_ns
+        lags = newest.goes_on and self._jump_ns < self._time_ns - newest.stamp_ns < LONGEST_LAG_NS
+        return self._time_ns if lags else newest.stamp_ns
+
+    def _add_here(self, new: Arrival[T]) -> None:
         """Put a frame into the open set nearest in time, or into one of its own; count one that cannot be taken."""
         last_ns, self._missed_count[new.camera] = self._last_ns.get(new.camera), 0
         if last_ns is not None and new.stamp_ns <= last_ns:
@@ -225,7 +247,6 @@ class FrameSetCollector(Generic[T]):
         joined.frames[new.camera], joined.stamps_ns[new.camera] = new.frame, new.stamp_ns
         self._open.sort(key=lambda s: s.stamp_ns)
         self._last_ns[new.camera] = new.stamp_ns
-        self._head_ns = max(new.stamp_ns, self._head_ns or new.stamp_ns)
 
     def _is_awaited(self, camera: str, candidate: OpenSet[T]) -> bool:
         """Return whether a camera may still deliver its frame of a set."""
@@ -254,37 +275,12 @@ class FrameSetCollector(Generic[T]):
         self._last_set_ns = max(made.stamp_ns, self._last_set_ns + 1)
         return replace(made, stamp_ns=self._last_set_ns)
 
-    # --- jumps in time
-
-    def _jump_due_ns(self) -> int:
-        return self._held[0].arrival_ns + self.deadline_ns + HELD_TOLERANCES * self.tolerance_ns
-
-    def _is_jump_due(self, now_ns: int) -> bool:
-        unanimous = len({each.camera for each in self._held}) == len(self.names)
-        return unanimous or now_ns >= self._jump_due_ns() or len(self._held) > self.max_open * len(self.names)
-
-    def _decide_jump(self) -> list[FrameSet[T]]:
-        """Move the rig to the held frames when more cameras are there than here; otherwise drop them."""
-        held, self._held = self._held, []
-        if len({each.camera for each in held} - self._staying) <= len(self._staying):
-            for each in held:
-                self._count_elsewhere(each.camera, each.stamp_ns)
-            return []
-        closed = self._close(len(self._open))
-        if held[0].stamp_ns < (self._head_ns or 0):
-            self._count("restarts")
-        self._reset()
-        self._jumped.clear()
-        for each in held:
-            self._add_here(each)
-        return closed
-
-    def _count_elsewhere(self, camera: str, stamp_ns: int) -> None:
+    def _count_elsewhere(self, arrived: Arrival[T]) -> None:
         """Count a frame whose stamp is far from where the rig is."""
-        if self._head_ns is None or stamp_ns > self._head_ns:
+        last_ns = self._last_ns.get(arrived.camera)
+        if self._time_ns is None or arrived.stamp_ns > self._time_ns:
             return self._count("ahead")
-        last_ns = self._last_ns.get(camera)
-        return self._count("late" if last_ns is None or stamp_ns > last_ns else "backwards")
+        return self._count("late" if last_ns is None or arrived.stamp_ns > last_ns else "backwards")
 
     def _count(self, name: str) -> None:
         setattr(self.counters, name, getattr(self.counters, name) + 1)

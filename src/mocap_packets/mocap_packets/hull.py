@@ -7,7 +7,7 @@ number until they part; -1 is nobody. World frame (map), metres.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, TypeVar
 
@@ -230,11 +230,19 @@ class HullProducts:
             keypoints=self.keypoints,
         )
 
+    def renumbered(self, number_of: Callable[[np.ndarray], np.ndarray]) -> HullProducts:
+        """Return the same rows; ``number_of`` maps their bodies (n,) int32 to others."""
+        line, voxels, rays = self.centerline, self.voxels, self.contour_rays
+        return replace(
+            self,
+            centerline=replace(line, body=number_of(line.body)),
+            voxels=replace(voxels, body=number_of(voxels.body)),
+            contour_rays=replace(rays, body=number_of(rays.body)),
+        )
+
     def as_one_body(self) -> HullProducts:
         """Return the same rows, all numbered as those of body 0."""
-        line, voxels, rays = self.centerline, self.voxels, self.contour_rays
-        rows = _numbered_zero(line), _numbered_zero(voxels), _numbered_zero(rays)
-        return HullProducts(self.stamp_ns, *rows, keypoints=self.keypoints)
+        return self.renumbered(np.zeros_like)
 
     def of_body_at(self, reference_points_world: np.ndarray) -> HullProducts:
         """Return the rows of the body that is expected at the reference points (15, 3).
@@ -254,11 +262,6 @@ def _rows(packet: Rows, rows: np.ndarray) -> Rows:
     if rows.dtype == np.bool_:
         rows = np.flatnonzero(rows)  # to take rows by number is several times faster than by mask
     return replace(packet, **{name: values.take(rows, axis=0) for name, values in vars(packet).items()})
-
-
-def _numbered_zero(packet: Rows) -> Rows:
-    """Return the packet with all rows as body 0's."""
-    return replace(packet, body=np.zeros(len(packet), np.int32))
 
 
 def _thinned(points: np.ndarray, count: int, rows: np.ndarray | None = None) -> np.ndarray:

@@ -16,6 +16,7 @@ from typing import Any
 from capture_rig.errors import InputError
 from capture_rig.rig import load_rig
 from capture_rig.session import Session, load_session
+from capture_rig.settings import flatten
 from capture_rig.yaml_file import read_mapping
 
 
@@ -224,7 +225,7 @@ def camera_from_file(path: str | Path) -> NodeSpec:
     if not isinstance(parameters, Mapping):
         remedy = "Put the parameters under it."
         raise InputError("has no mapping 'ros__parameters'", where=f"{path}: {keys[0]}", remedy=remedy)
-    return camera_node(str(keys[0]).split("/")[1], _flat(parameters))
+    return camera_node(str(keys[0]).split("/")[1], flatten(parameters))
 
 
 def select(graph: Sequence[NodeSpec], only: str | None) -> list[NodeSpec]:
@@ -259,16 +260,6 @@ def apply_settings(graph: Sequence[NodeSpec], settings: Mapping[str, Any]) -> li
         return {key.partition(".")[2]: value for key, value in ordered if key.partition(".")[0] in targets}
 
     return [node.with_parameters(own(node)) for node in graph]
-
-
-def _flat(parameters: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in parameters.items():
-        if isinstance(value, Mapping):
-            flat.update(_flat(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
 
 
 # processes ------------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from .node import SagomaNode
 
 T = TypeVar("T")
 
-CHECK_S = 0.2  # with the default of `stale_after_s` silence is reported within a second
+CHECK_S = PERIOD_S / 5  # with the default of `stale_after_s` silence is reported within a second
 
 
 class InputWatchdog:

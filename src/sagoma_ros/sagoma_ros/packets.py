@@ -19,6 +19,7 @@ from capture_rig.errors import InputError
 from mocap_packets.fit import ReferencePoints
 from mocap_packets.hull import HullProducts
 from mocap_packets.people import FittedPeople, PeoplePoints, Predictions
+from mocap_packets.table import fill, layout
 
 from .intra_process import PacketTopic
 from .messages import NS_PER_S, to_ns, to_stamp
@@ -135,18 +136,19 @@ _NUMPY_TYPES = {
 }
 
 
-def to_cloud(points: np.ndarray, stamp_ns: int, frame_id: str, rows: int = 1) -> PointCloud2:
-    """Table (n,) to an unordered cloud of float32 fields, or to one of so many rows."""
-    names = points.dtype.names or ()
-    numbers = np.ascontiguousarray(points).view(np.float64).astype(np.float32)
+def to_cloud(
+    points: np.ndarray, stamp_ns: int, frame_id: str, rows: int = 1, datatype: int = PointField.FLOAT32
+) -> PointCloud2:
+    """Table (n,) to an unordered cloud of fields of one type, or to one of so many rows."""
+    names, kind = points.dtype.names or (), np.dtype("<" + _NUMPY_TYPES[datatype])
+    numbers = np.ascontiguousarray(points).view(np.float64).astype(kind)
     cloud = PointCloud2(height=rows, width=len(points) // rows, is_bigendian=False, is_dense=True)
-    cloud.header.stamp = to_stamp(stamp_ns)
-    cloud.header.frame_id = frame_id
+    cloud.header.stamp, cloud.header.frame_id = to_stamp(stamp_ns), frame_id
     cloud.fields = [
-        PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
+        PointField(name=name, offset=kind.itemsize * index, datatype=datatype, count=1)
         for index, name in enumerate(names)
     ]
-    cloud.point_step = 4 * len(names)
+    cloud.point_step = kind.itemsize * len(names)
     cloud.row_step = cloud.point_step * cloud.width
     cloud.data = array.array("B", numbers.tobytes())
     return cloud
@@ -271,9 +273,4 @@ def covariance_cloud(names: Sequence[str], covariance: np.ndarray, stamp_ns: int
 
     It has a stamp, which a Float64MultiArray has not, so that it can be paired with the joint states that it is of.
     """
-    n = len(names)
-    cloud = PointCloud2(height=1, width=n, point_step=8 * n, row_step=8 * n * n, is_bigendian=False, is_dense=True)
-    cloud.header.stamp, cloud.header.frame_id = to_stamp(stamp_ns), frame_id
-    cloud.fields = [PointField(name=m, offset=8 * k, datatype=PointField.FLOAT64, count=1) for k, m in enumerate(names)]
-    cloud.data = array.array("B", np.ascontiguousarray(covariance, "<f8").tobytes())
-    return cloud
+    return to_cloud(fill(layout(*names), covariance), stamp_ns, frame_id, datatype=PointField.FLOAT64)

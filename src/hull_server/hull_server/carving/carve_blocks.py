@@ -14,7 +14,6 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 
 from .pixel_boxes import count_in_box, foreground_in
-from .silhouette_tables import FOREGROUND
 
 EVERY_OCTANT, ALL_BITS = 255, np.uint64(0xFFFFFFFFFFFFFFFF)
 # Thresholds: from the rounding of single precision; python bench/hull.py --quick counts differences from float64.
@@ -184,10 +183,10 @@ def count_votes(scene, low, octant, candidates, settled, mixed, work):  # type: 
     for slot in range(scene.present.size):
         if mixed[slot] >> octant & 1:
             camera = scene.present[slot]
-            find_pixels(scene, scene.labels.shape[1] - 1, camera, low, work.pixels)
-            foreground, blind = _look(scene.labels, camera, work.pixels)
-            candidates &= foreground | blind | ~once
-            once |= ~(foreground | blind)
+            find_pixels(scene, scene.levels.shape[1] - 1, camera, low, work.pixels)
+            foreground, allowed = _look(scene.levels, camera, work.pixels)
+            candidates &= allowed | ~once
+            once |= ~allowed
             if candidates == 0:
                 break
             ones, twos, fours, eights, more = count_up(foreground, ones, twos, fours, eights, more)
@@ -239,11 +238,11 @@ def find_pixels(scene, outside, camera, low, pixels):  # type: ignore[no-untyped
 
 
 @kernel
-def _look(labels, camera, pixels):  # type: ignore[no-untyped-def]
-    """Return the voxels (one word each) whose pixel is FOREGROUND, and those whose pixel is BLIND."""
-    foreground, blind = np.uint64(0), np.uint64(0)
+def _look(levels, camera, pixels):  # type: ignore[no-untyped-def]
+    """Return the voxels (one word each) whose pixel is foreground, and those whose pixel is not background."""
+    foreground, allowed = np.uint64(0), np.uint64(0)
     for voxel in range(63, -1, -1):
-        label = np.uint64(labels[camera, np.uint32(pixels[voxel])])
-        foreground += foreground + (label & np.uint64(FOREGROUND))
-        blind += blind + (label >> np.uint64(1))
-    return foreground, blind
+        level = np.uint64(levels[camera, np.uint32(pixels[voxel])])
+        foreground += foreground + (level >> np.uint64(7))
+        allowed += allowed + (level + np.uint64(255) >> np.uint64(8))
+    return foreground, allowed

@@ -18,7 +18,8 @@ import numpy.typing as npt
 from capture_rig.kernel import kernel
 
 from ..grid import BrickVolume, VoxelGrid
-from ..views import Boxes, Immediate, Masks, RigViews
+from ..silhouette_batch import SilhouetteBatch
+from ..views import Boxes, Masks, RigViews
 from .carve_blocks import (
     EVERY_OCTANT,
     classify_octants,
@@ -30,13 +31,13 @@ from .carve_blocks import (
     voxel_steps,
 )
 from .pixel_boxes import SEEN, UNSEEN, BlockBoxes, block_boxes, foreground_in, pixel_projections, summed_area
-from .silhouette_tables import Scene, Tabulator
+from .silhouette_tables import Scene, SummedSquares
 
 COARSE_EDGE, BRICK_EDGE = 32, 8
 EMPTY = -1
 
 
-class CpuCarver(Immediate):
+class CpuCarver:
     """Carves on one core; tables of the calibration are computed once. One thread at a time."""
 
     name = "cpu"
@@ -47,17 +48,17 @@ class CpuCarver(Immediate):
         projections, seen_table = pixel_projections(views, grid), summed_area(views.seen)
         self._coarse = block_boxes(views, grid, COARSE_EDGE, seen_table)
         self._bricks = block_boxes(views, grid, BRICK_EDGE, seen_table)
-        self._tabulator = Tabulator(views.seen)
+        self._batch, self._squares = SilhouetteBatch(views.seen, outside=8), SummedSquares(views.seen)
         self._scene = Scene(
             projections=projections,
             voxel_steps=voxel_steps(projections),
             octant_steps=octant_steps(projections),
             sizes=views.sizes,
             seen_table=seen_table,
-            labels=self._tabulator.labels,
+            levels=self._batch.flat,
             stride=views.seen.shape[2],
-            foreground_box=self._tabulator.box,
-            foreground_table=self._tabulator.table,
+            foreground_box=self._batch.box,
+            foreground_table=self._squares.table,
             present=np.empty(0, np.int64),
             min_seeing=0,
             vetoes=0,
@@ -74,17 +75,15 @@ class CpuCarver(Immediate):
         voxel that is occupied nevertheless, 0 or 1.
         Raises InputError for an unknown camera or a mask of another size.
         """
-        present, known = self.views.present(masks), boxes or {}
-        names = [self.views.names[camera] for camera in present]
-        filled = [self._tabulator.tabulate(c, masks[n], known.get(n)) for c, n in zip(present, names, strict=True)]
+        present, filled = self.views.present(masks), []
+        for camera in present:
+            name = self.views.names[camera]
+            self._batch.take(camera, masks[name], (boxes or {}).get(name))
+            filled.append(self._squares.fill(camera, self._batch.words[camera], self._batch.box[camera]))
         cameras = present[np.argsort(filled, kind="stable")]  # those with little foreground empty most blocks
         scene = self._scene._replace(present=cameras, min_seeing=min_seeing, vetoes=vetoes)
         found = carve(scene, self._coarse, self._bricks, self._index, self._leaves, self._work)
         return BrickVolume(self.grid, self._index[:found].copy(), self._leaves[:found].copy())
-
-    def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
-        """Carve; see :meth:`hull_server.views.CarveBackend.submit`."""
-        return self.carve(masks, min_seeing, boxes)
 
     def close(self) -> None:
         """Nothing to release."""

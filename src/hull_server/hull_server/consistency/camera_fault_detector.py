@@ -28,9 +28,6 @@ VOXEL_M = 0.05  # of the coarse grid
 PERIOD_S = 0.1  # from one comparison to the next
 ENOUGH_VOTERS = 5  # each camera less makes the hull of the others looser: twice as much is allowed
 FEWEST_VOTERS = 3  # cameras that must remain: of two that contradict each other, either may be right
-FLOODED, FLOODED_TIMES = 0.25, 4.0  # coverage, and times the median coverage, beyond which foreground is no silhouette
-LEAST_EXPLAINED_M2 = 0.04  # a camera agrees only by showing at least this much of the body: a hand or two
-MEMORY_S = 2.0  # length of the published running means
 
 # what is allowed, as shares: 0 to 1
 VETO_ALLOWANCE = 0.025  # of the body, as the others show it
@@ -39,20 +36,17 @@ NEXT_WORST = 1.5  # a faulty camera's residual is at least this many times that 
 
 # how fast
 SATURATION = 0.1  # residual beyond the allowance at which the sum grows by one second a second
-DETECTION_S = 0.3  # sum at which a camera is faulty
+DETECTION_S = 3 * PERIOD_S  # sum at which a camera is faulty: three comparisons, where the fault is large
 
 
 @dataclass(frozen=True)
 class CameraFaults:
-    """Which cameras contradict the others. Shares are 0 to 1, running means over some seconds, by camera.
+    """Which cameras contradict the others. Shares are 0 to 1, running means over some seconds.
 
     updated : whether this frame set was compared; if not, everything else is as before.
     left_out : cameras to carve without. suspects : cameras that would be left out if enough others remained.
     reasons : a message with the remedy for each of both.
-    veto_fraction : share of the body, as the others show it, that each camera vetoes.
-    excess : share of each camera's view that is foreground in no other camera.
-    consistency : agreement of each silhouette with the reprojected hull of the others: 1 when that explains all of it
-    and the camera vetoes nothing that they agree on.
+    means : what is wrong with each camera's silhouettes; see :class:`.silhouette_residuals.CameraResiduals`.
     conflict : share of the foreground of all cameras not left out that their common hull leaves unexplained.
     warning : that they contradict each other and no camera can be blamed; empty otherwise.
     """
@@ -60,9 +54,7 @@ class CameraFaults:
     left_out: tuple[str, ...] = ()
     suspects: tuple[str, ...] = ()
     reasons: Mapping[str, str] = field(default_factory=dict)
-    veto_fraction: Mapping[str, float] = field(default_factory=dict)
-    excess: Mapping[str, float] = field(default_factory=dict)
-    consistency: Mapping[str, float] = field(default_factory=dict)
+    means: Mapping[str, CameraResiduals] = field(default_factory=dict)
     conflict: float = 0.0
     warning: str = ""
     updated: bool = False
@@ -91,7 +83,7 @@ class CameraFaultDetector:
         step_s = self._throttle.step_s(stamp_ns) if self.settings.enabled else 0.0
         if step_s <= 0.0:
             return replace(self._faults, updated=False)
-        # blank, flooded and excluded cameras are compared, but cannot veto
+        # blank and excluded cameras are compared, but cannot veto
         voters, others = self._choose_voters(masks)
         residuals = self._estimator.estimate(voters, others)
         if residuals is None:
@@ -102,7 +94,7 @@ class CameraFaultDetector:
             return replace(self._faults, updated=False)
         for slot in np.flatnonzero(shows_body):
             self._test_camera(residuals, int(slot), step_s)
-        self._conflict += _gain(step_s) * (residuals.unexplained - self._conflict)
+        self._conflict += self._gain(step_s) * (residuals.unexplained - self._conflict)
         self._faults = self._decide([camera for camera, name in enumerate(self.names) if name in masks])
         return self._faults
 
@@ -111,18 +103,16 @@ class CameraFaultDetector:
         present = self._views.present(masks).tolist()
         for camera in present:
             self._estimator.set_mask(camera, masks[self.names[camera]])
-        coverage = {camera: self._estimator.coverage(camera) for camera in present}
-        limit = max(FLOODED, FLOODED_TIMES * float(np.median(list(coverage.values()) or [0.0])))
-        voters = tuple(c for c in present if 0.0 < coverage[c] <= limit and not self._records[c].left_out)
+        voters = tuple(c for c in present if self._estimator.shows(c) and not self._records[c].left_out)
         return voters, tuple(c for c in present if c not in voters)
 
     def _test_camera(self, residuals: Residuals, slot: int, step_s: float) -> None:
         """Compare one camera's residuals with what is allowed, and with the next worst camera's."""
-        record, mine = self._records[residuals.cameras[slot]], residuals.of(slot)
-        rest = [other for other in range(residuals.voters) if other != slot]
-        next_veto = float(residuals.veto_fraction[rest].max(initial=0.0))
+        record, mine = self._records[residuals.cameras[slot]], residuals.own[slot]
+        others = (one for other, one in enumerate(residuals.own[: residuals.voters]) if other != slot)
+        next_veto = max((one.veto_fraction for one in others), default=0.0)
         lenience = 2.0 ** max(ENOUGH_VOTERS - residuals.voters, 0)
-        record.mean = record.mean.moved(mine, _gain(step_s))
+        record.mean = record.mean.moved(mine, self._gain(step_s))
         if not record.left_out:
             ratio = NEXT_WORST + lenience - 1.0
             fault = max(
@@ -131,7 +121,7 @@ class CameraFaultDetector:
             record.add_fault(mine, fault / SATURATION, step_s)
             return
         agrees = mine.veto_fraction <= max(lenience * VETO_ALLOWANCE, next_veto) and mine.excess <= EXCESS_ALLOWANCE / 2
-        if not agrees or residuals.explained_m2[slot] >= LEAST_EXPLAINED_M2:  # disagreement counts twice
+        if not agrees or mine.coverage > 0.0:  # disagreement counts twice, what shows nothing not at all
             record.agreed_s = max(record.agreed_s + (step_s if agrees else -2 * step_s), 0.0)
 
     def _decide(self, present: list[int]) -> CameraFaults:
@@ -154,6 +144,10 @@ class CameraFaultDetector:
                 records[camera].left_out, records[camera].agreed_s = True, 0.0
         return self._summary(tuple(self.names[camera] for camera in faulty if camera in used), reasons)
 
+    def _gain(self, step_s: float) -> float:
+        """Return the weight of a new value in a running mean, which is as long as a camera must agree."""
+        return 1.0 - float(np.exp(-step_s / self.settings.reinstate_s))
+
     def _summary(self, suspects: tuple[str, ...], reasons: Mapping[str, str]) -> CameraFaults:
         records = dict(zip(self.names, self._records, strict=True))
         used, warning = [name for name, record in records.items() if not record.left_out], ""
@@ -167,9 +161,7 @@ class CameraFaultDetector:
             left_out=tuple(name for name in records if name not in used),
             suspects=suspects,
             reasons=reasons,
-            veto_fraction={name: record.mean.veto_fraction for name, record in records.items()},
-            excess={name: record.mean.excess for name, record in records.items()},
-            consistency={name: record.mean.consistency for name, record in records.items()},
+            means={name: record.mean for name, record in records.items()},
             conflict=self._conflict,
             warning=warning,
             updated=True,
@@ -202,11 +194,6 @@ class _CameraRecord:
 
     def reinstate(self) -> None:
         self.left_out, self.cusum_s, self._faulty_count = False, 0.0, 0
-
-
-def _gain(step_s: float) -> float:
-    """Return the weight of a new value in a running mean over MEMORY_S."""
-    return 1.0 - float(np.exp(-step_s / MEMORY_S))
 
 
 def _reason(name: str, mean: CameraResiduals, sound: int) -> str:

@@ -27,7 +27,6 @@ from ..carving.pixel_boxes import SEEN, UNSEEN, block_boxes, count_in_box, summe
 from ..grid import VoxelGrid
 from ..views import Masks, RigViews, min_seeing
 from . import EARLY
-from .camera_fault_detector import FLOODED
 
 # Thresholds: ARM_M from the length of an arm; else chosen with the rooms of test_hull_foreground_support.py.
 PERIOD_S = 0.25  # things are judged for seconds
@@ -73,9 +72,8 @@ class SupportReporter:
         for camera in present:
             words = np.ascontiguousarray(masks[names[camera]]).view(np.uint64)
             _pool(words, names[camera] in used, sent[camera], shown[camera])
-        covered = shown.mean(axis=(1, 2)) / 255
-        voting = [c for c in present if covered[c] <= FLOODED and names[c] in used]
-        levels = self._levels(shown, summed_area(sent), sum(1 << int(camera) for camera in voting))
+        voters = sum(1 << int(camera) for camera in present if names[camera] in used)
+        levels = self._levels(shown, summed_area(sent), voters)
         return tuple(self._report(int(camera), levels[camera], stamp_ns) for camera in present)
 
     def _levels(self, shown: Cells, sent: Tables, voters: int) -> Cells:

@@ -23,7 +23,7 @@ from .silhouette_residuals import ResidualEstimator, Residuals
 # Thresholds: judgement; measured by python bench/rooms.py --holes.
 LEARNED_S = 1.5  # a cell that hides a body for so long, while the camera shows others of its cells, is an occluder's
 TIMES_SHOWN = 4.0  # ... and for so many times as long as it has shown anything
-MOST_S = 10.0  # what was learned is forgotten in a quarter of this when the thing is taken away
+MOST_S = TIMES_SHOWN * LEARNED_S  # so that what was learned is forgotten as soon when the thing is taken away
 LEAST_CELLS = np.ones((5, 5), np.uint8)  # 0.1 m: along outlines, single voxels of the coarse grid are denied
 LEAST_EXPLAINED = 0.5  # of a camera's foreground: less fits the others' hull where a camera was moved, or sees nobody
 

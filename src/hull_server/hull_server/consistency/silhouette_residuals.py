@@ -27,12 +27,12 @@ from capture_rig.mask_levels import BACKGROUND, FOREGROUND, UNCERTAIN
 from ..bitset import fill_bits, lowest_bit, popcount
 from ..carving.cpu_carver import CpuCarver
 from ..carving.pixel_boxes import pixel_projections, project
+from ..floor_shadows import FLOOR_M
 from ..grid import VoxelGrid
 from ..views import RigViews, min_seeing
 
 # Thresholds: measured by python bench/camera_faults.py.
 MAX_SHARED_VOXELS = 1 << 15  # two cubic metres of 40 mm voxels: more is not a body
-FLOOR_M = 0.15  # floor shadows make hulls up to this height, so vetoes below are ignored
 NEEDED_BY = 2  # cameras whose foreground stays unexplained without a voxel: one may show a thing, or noise
 SKIPPED = -1  # instead of the bits of who vetoes a voxel: it is in no hull
 
@@ -40,7 +40,15 @@ Floats = npt.NDArray[np.float64]
 
 
 class CameraResiduals(NamedTuple):
-    """One camera's residuals of a frame set; see :class:`Residuals`."""
+    """One camera's residuals of a frame set. Shares are 0 to 1.
+
+    veto_fraction : share of the body that the camera vetoes: of the foreground in the voters' other images that the
+        hull without its veto explains, the part that the veto leaves unexplained.
+    excess : share of the camera's view that is foreground which that hull does not explain.
+    coverage : share of the camera's view that is foreground.
+    consistency : share of the camera's foreground that the hull without its veto explains (silhouette coherence; 1
+        where it shows nothing), times the share of the body that it does not veto.
+    """
 
     veto_fraction: float = 0.0
     excess: float = 0.0
@@ -54,35 +62,19 @@ class CameraResiduals(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """The residuals of one frame set. Arrays (n,) are in the order of ``cameras``, the voters first.
+    """The residuals of one frame set. Arrays (n,) and lists are in the order of ``cameras``, the voters first.
 
-    cameras : indices in the rig. voters : how many of them can veto.
-    veto_fraction : share of the body that a camera vetoes: of the foreground in the voters' other images that the hull
-        without its veto explains, the part that the veto leaves unexplained. 0 to 1.
-    body_litres : volume of the hull without this camera's veto. explained_m2 : how much of this camera's foreground it
-        explains, as an area at the distance of the volume's middle.
-    excess : share of the camera's view that is foreground which that hull does not explain.
-    coverage : share of the camera's view that is foreground. explained_share : of it, what that hull explains.
-    consistency : share of the camera's foreground that the hull without its veto explains (silhouette coherence; 1
-        where it shows nothing), times the share of the body that it does not veto.
+    cameras : indices in the rig. voters : how many of them can veto. own : of each camera.
+    body_litres : volume of the hull without a camera's veto. explained_share : of its foreground, by that hull.
     unexplained : share of the voters' foreground that their common hull leaves unexplained.
     """
 
     cameras: tuple[int, ...]
     voters: int
-    veto_fraction: Floats
+    own: list[CameraResiduals]
     body_litres: Floats
-    explained_m2: Floats
-    excess: Floats
-    coverage: Floats
     explained_share: Floats
-    consistency: Floats
     unexplained: float
-
-    def of(self, slot: int) -> CameraResiduals:
-        """Return those of the camera ``cameras[slot]``."""
-        shares = self.veto_fraction, self.excess, self.coverage, self.consistency
-        return CameraResiduals(*(float(share[slot]) for share in shares))
 
 
 class CellViews(NamedTuple):
@@ -110,7 +102,6 @@ class ResidualEstimator:
         px_per_m = _focal_px(views) / _depth_of_middle(views, grid)
         # a cell is about half as large as a voxel in the image
         self.stride = max(1, round(float(np.median(px_per_m)) * voxel_size_m / 2))
-        self._cell_m2 = (self.stride / px_per_m) ** 2
         cells = _decimated(views, self.stride)
         self._unseen = cells.seen == 0
         self._cells_seen = np.maximum(np.count_nonzero(cells.seen, axis=(1, 2)), 1)
@@ -129,9 +120,9 @@ class ResidualEstimator:
         """Set one camera's mask (h, w)."""
         self._counts[camera] = sample(mask, self._unseen[camera], self.stride, self.cells[camera])
 
-    def coverage(self, camera: int) -> float:
-        """Return the share of the camera's view that is foreground."""
-        return float(self._counts[camera] / self._cells_seen[camera])
+    def shows(self, camera: int) -> bool:
+        """Return whether anything in the camera's view is foreground."""
+        return bool(self._counts[camera])
 
     def estimate(self, voters: tuple[int, ...], others: tuple[int, ...]) -> Residuals | None:
         """Estimate the residuals of the ``voters``, which can veto, and of the ``others``, which cannot.
@@ -178,16 +169,15 @@ class ResidualEstimator:
         agreed = int(np.count_nonzero(by_voters == 0))
         alone = np.array([np.count_nonzero(by_voters == 1 << slot) if slot < voters else 0 for slot in range(n)])
         veto_fraction = (vetoed * compared).sum(0) / np.maximum(theirs, 1)
+        explained_share, seen = own / np.maximum(cells, 1), self._cells_seen[cameras]
+        consistency = np.where(cells > 0, explained_share, 1.0) * (1.0 - veto_fraction)
+        shares = np.column_stack([veto_fraction, (cells - own) / seen, cells / seen, consistency])
         return Residuals(
             cameras=tuple(cameras.tolist()),
             voters=voters,
-            veto_fraction=veto_fraction,
+            own=[CameraResiduals(*row) for row in shares.tolist()],
             body_litres=(agreed + alone) * self._grid.voxel_volume_m3 * 1e3,
-            explained_m2=own * self._cell_m2[cameras],
-            excess=(cells - own) / self._cells_seen[cameras],
-            coverage=cells / self._cells_seen[cameras],
-            explained_share=own / np.maximum(cells, 1),
-            consistency=np.where(cells > 0, own / np.maximum(cells, 1), 1.0) * (1.0 - veto_fraction),
+            explained_share=explained_share,
             unexplained=1.0 - float((own - np.diagonal(vetoed))[:voters].sum() / max(int(cells[:voters].sum()), 1)),
         )
 

@@ -27,7 +27,7 @@ from .ray_hull import Hull, part_near, ray_hull_interval
 
 # Thresholds: chosen with contour_rays.py among the benches of commit d6079d2 (spread, coverage).
 # chosen with bench/contour_rays.py of commit d6079d2
-MIN_OUTLINE_PX = 30.0  # shorter outlines, of holes or specks, get no rays
+LEAST_RAYS = 10  # of an outline: shorter ones, of holes or specks, get none
 SIGMA_PX = 0.5  # standard deviation of a contour across itself
 SHADOW_SIGMA_PX = 4.0  # added to it, in squares, where all pixels around may be shadow; less where fewer are
 
@@ -48,22 +48,15 @@ class ContourTracer:
         cracks = 4 * (height * width // 2 + 1)  # a chessboard has most
         path, along, ends = np.empty((cracks, 2), np.int16), np.empty(cracks), np.empty(cracks // 4, np.int32)
         filled = np.zeros((height + 2, width + 16), np.uint8)
-        self._scratch = Scratch(np.zeros((height, width), np.uint8), filled, ends, path, along, 0)
+        self._scratch = Scratch(np.empty((height, width), np.uint8), filled, ends, path, along)
 
-    def trace(
-        self,
-        masks: Masks,
-        runs: HullRuns,
-        levels: Masks | None = None,
-        number_of_part: npt.NDArray[np.int32] | None = None,
-    ) -> ContourRays:
+    def trace(self, masks: Masks, runs: HullRuns, levels: Masks | None = None) -> ContourRays:
         """Trace canvas masks (h, w) uint8, foreground above 127; keep the rays that touch their hull.
 
         levels : the same silhouettes as sent, of the levels of ``capture_rig.mask_levels``; contours near pixels that
         may be shadow, or are uncertain, get a larger sigma. At most ``per_camera`` rays a camera, evenly along the
-        outlines, deterministic. They carry the number of their body (:class:`~hull_server.slicing.bodies.Bodies`);
-        without ``number_of_part``, that of the part itself. InputError for a camera that is not in the rig, and for a
-        mask of the wrong size.
+        outlines, deterministic. As body they carry the number of their part. InputError for a camera that is not in the
+        rig, and for a mask of the wrong size.
         """
         present = self._views.present(masks)
         if not len(runs.starts) or not self._limits[0]:
@@ -76,13 +69,9 @@ class ContourTracer:
         camera = np.repeat(present.astype(np.int32), [len(table) for table in tables])
         table = np.concatenate(tables)
         part = table[:, 11].astype(np.int32)
-        body = part if number_of_part is None else number_of_part[part]
-        return ContourRays(table[:, 0:3], table[:, 3:6], table[:, 6:9], table[:, 9], table[:, 10], body, camera)
+        return ContourRays(table[:, 0:3], table[:, 3:6], table[:, 6:9], table[:, 9], table[:, 10], part, camera)
 
     def _trace(self, index: int, mask: Mask, levels: Mask, hull: Hull) -> npt.NDArray[np.float64]:
-        self._scratch = self._scratch._replace(stamp=self._scratch.stamp % 255 + 1)
-        if self._scratch.stamp == 1:  # every mark has been used
-            self._scratch.marks[:] = 0
         mask, levels = np.ascontiguousarray(mask), np.ascontiguousarray(levels)
         return trace_contour_rays(mask, levels, self._cameras[index], hull, self._weights, self._limits, self._scratch)
 
@@ -108,7 +97,6 @@ class Scratch(NamedTuple):
     ends: npt.NDArray[np.int32]
     path: npt.NDArray[np.int16]
     along: npt.NDArray[np.float64]
-    stamp: int
 
 
 def _camera(P: npt.NDArray[np.float64], seen: npt.NDArray[np.uint8]) -> Camera:
@@ -128,7 +116,7 @@ def trace_contour_rays(mask, levels, camera, hull, weights, limits, scratch):  #
     pixels, table, n = np.empty((per_camera, 2), np.int32), np.empty((per_camera, COLUMNS)), 0
     # outlines, as far as the hull reaches in this view, sampled evenly
     box = _image_box(camera.P, hull, mask.shape)
-    picked = pick_contour_pixels(mask, box, scratch, (MIN_OUTLINE_PX, spacing_px), pixels)
+    picked = pick_contour_pixels(mask, box, scratch, (LEAST_RAYS * spacing_px, spacing_px), pixels)
     for u, v in pixels[:picked]:
         # the edge to a fraction of a pixel; none where silhouettes are cut at the border of what the camera sees
         if camera.clear[v, u] != 0:

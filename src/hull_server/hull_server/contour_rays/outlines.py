@@ -45,11 +45,10 @@ def pick_contour_pixels(mask, box, scratch, limits, pixels):  # type: ignore[no-
 
     mask (h, w) uint8, foreground above 127. box (left, top, right, bottom), left and right multiples of 8; outside is
     background. limits : shortest outline, and least distance, in pixels; the distance grows if ``pixels`` is too small.
-    scratch : marks (H, W) uint8, none of which equals stamp; ends, path and along as in :func:`_find_outlines`; filled
-    (H + 2, W + 16) uint8.
+    scratch : marks (H, W) uint8; ends, path and along as in :func:`_find_outlines`; filled (H + 2, W + 16) uint8.
     """
     (shortest_px, spacing_px), n, begin = limits, 0, 0
-    _copy_box(mask, box, scratch.filled)
+    _copy_box(mask, box, scratch.filled, scratch.marks)
     count, total = _find_outlines(box, scratch, shortest_px)
     step = max(spacing_px, total / pixels.shape[0])
     for outline in range(count):
@@ -83,7 +82,7 @@ def _find_outlines(box, scratch, shortest_px):  # type: ignore[no-untyped-def]
                 while tops:
                     u = 8 * (first + word) + (lowest_bit(tops) >> 3)
                     tops &= tops - np.uint64(1)
-                    if scratch.marks[v, u] != scratch.stamp:
+                    if scratch.marks[v, u] == 0:
                         end = _follow(scratch, u, v, begin)
                         if scratch.along[end - 1] >= shortest_px:
                             total += scratch.along[end - 1]
@@ -104,7 +103,7 @@ def _follow(scratch, u, v, n):  # type: ignore[no-untyped-def]
         inside_u, inside_v = x + (dx - dy - 1) // 2, y + (dx + dy - 1) // 2
         scratch.path[n, 0], scratch.path[n, 1] = inside_u, inside_v
         if dx == 1:
-            scratch.marks[inside_v, inside_u] = scratch.stamp
+            scratch.marks[inside_v, inside_u] = 1
         # ahead to the left there is foreground: turn left; to the right there is none: turn right
         x, y = x + dx, y + dy
         left = _filled(scratch.filled, x + (dx + dy - 1) // 2, y + (dy - dx - 1) // 2)
@@ -125,8 +124,9 @@ def _filled(filled, u, v):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _copy_box(mask, box, filled):  # type: ignore[no-untyped-def]
-    """Write the box of a mask, 1 for foreground, in a margin of background: pixel (u, v) at row v + 1, column u + 8."""
+def _copy_box(mask, box, filled, marks):  # type: ignore[no-untyped-def]
+    """Write the box of a mask, 1 for foreground, in a margin of background: pixel (u, v) at row v + 1, column u + 8;
+    clear the marks (H, W) there."""
     left, top, right, bottom = box
     filled[top, left + 7 : right + 9] = 0
     filled[bottom + 1, left + 7 : right + 9] = 0
@@ -135,6 +135,9 @@ def _copy_box(mask, box, filled):  # type: ignore[no-untyped-def]
         row[0], row[row.size - 1] = 0, 0
         for u in range(pixels.size):
             row[u + 1] = pixels[u] > SHADOW_CANDIDATE
+        own = marks[v, left:right]
+        for u in range(own.size):
+            own[u] = 0
 
 
 @kernel

@@ -1,12 +1,10 @@
-"""Creates an OpenGL context without a display, through EGL by plain ctypes, the same for Mesa and for NVIDIA.
+"""Creates an OpenGL context without a display, through EGL, the same for Mesa and for NVIDIA.
 
-PyOpenGL is used for OpenGL itself only. The environment variable PYOPENGL_PLATFORM must say ``egl`` before anything
-imports OpenGL: this module sees to it.
+The environment variable PYOPENGL_PLATFORM must say ``egl`` before anything imports OpenGL: this module sees to it.
 """
 
 from __future__ import annotations
 
-import ctypes
 import os
 import threading
 from collections.abc import Iterator
@@ -24,33 +22,7 @@ REMEDY = (
 
 GL_VERSIONS = ((4, 5), (4, 3))  # compute shaders and storage buffers came with 4.3
 MAX_DEVICES = 32
-
-_EXTENSIONS, _OPENGL_API, _NONE = 0x3055, 0x30A2, 0x3038
-_PLATFORM_DEVICE, _PLATFORM_SURFACELESS = 0x313F, 0x31DD
-_MAJOR, _MINOR, _PROFILE_MASK, _CORE_PROFILE = 0x3098, 0x30FB, 0x30FD, 1
-_ERRORS = {
-    0x3001: "EGL_NOT_INITIALIZED",
-    0x3002: "EGL_BAD_ACCESS",
-    0x3003: "EGL_BAD_ALLOC",
-    0x3004: "EGL_BAD_ATTRIBUTE",
-    0x3005: "EGL_BAD_CONFIG",
-    0x3006: "EGL_BAD_CONTEXT",
-    0x3008: "EGL_BAD_DISPLAY",
-    0x3009: "EGL_BAD_MATCH",
-    0x300C: "EGL_BAD_PARAMETER",
-    0x300E: "EGL_CONTEXT_LOST",
-}
-_pointer, _int, _uint, _text = ctypes.c_void_p, ctypes.c_int32, ctypes.c_uint, ctypes.c_char_p
-_SIGNATURES: tuple[tuple[str, Any, list], ...] = (
-    ("eglGetProcAddress", _pointer, [_text]),
-    ("eglGetDisplay", _pointer, [_pointer]),
-    ("eglInitialize", _uint, [_pointer, _pointer, _pointer]),
-    ("eglBindAPI", _uint, [_uint]),
-    ("eglCreateContext", _pointer, [_pointer, _pointer, _pointer, _pointer]),
-    ("eglMakeCurrent", _uint, [_pointer, _pointer, _pointer, _pointer]),
-    ("eglDestroyContext", _uint, [_pointer, _pointer]),
-    ("eglGetError", _int, []),
-)
+PLATFORM_SURFACELESS_MESA = 0x31DD  # PyOpenGL lacks it
 
 
 class NoGraphics(RuntimeError):
@@ -91,12 +63,9 @@ class GlContext:
         """Take the display if it gives a context of the wanted kind; otherwise say why not."""
         if display.software and hardware:
             return "is a software renderer"
-        if not self._egl.initialize(display):
-            return f"cannot be initialised ({self._egl.error()})"
-        self._display, self._context = display, self._egl.create_context(display)
+        self._display, self._context = display, None
         try:
-            if self._context is None:
-                raise NoGraphics(f"has no OpenGL 4.3 ({self._egl.error()})")
+            self._context = self._egl.create_context(display)
             with self.current():
                 self.renderer = renderer_name()
             self.is_hardware = not any(name in self.renderer.lower() for name in SOFTWARE_RENDERERS)
@@ -124,9 +93,7 @@ class GlContext:
     def _take(self) -> None:
         if self._context is None:
             raise NoGraphics("the OpenGL context is closed")
-        self._egl.choose_opengl()
-        if not self._egl.make_current(self._display, self._context):
-            raise NoGraphics(f"its context cannot be made current ({self._egl.error()})")
+        self._egl.make_current(self._display, self._context)
 
     def close(self) -> None:
         """Destroy the context; it cannot be used afterwards. Closing twice is harmless."""
@@ -159,69 +126,70 @@ class Egl:
 
     def __init__(self) -> None:
         try:
-            self._library = ctypes.CDLL("libEGL.so.1", mode=ctypes.RTLD_GLOBAL)
-        except OSError:
-            raise NoGraphics("libEGL.so.1 is not installed (Debian and Ubuntu: apt install libegl1)") from None
-        for name, result, arguments in _SIGNATURES:
-            function = getattr(self._library, name)
-            function.restype, function.argtypes = result, arguments
+            from OpenGL import EGL
+            from OpenGL.EGL.EXT import device_base, platform_base, platform_device
+        except (ImportError, AttributeError, TypeError) as error:  # the others: how PyOpenGL says that it found no EGL
+            remedy = "pip install PyOpenGL; Debian and Ubuntu: apt install libegl1"
+            raise NoGraphics(f"libEGL.so.1 or PyOpenGL is not installed ({error}; {remedy})") from None
+        self._EGL, self._devices, self._platforms = EGL, device_base, platform_base
+        self._of_device = platform_device.EGL_PLATFORM_DEVICE_EXT
 
     def displays(self) -> list[Display]:
         """List the displays to try, in this order: hardware devices, software devices, the surfaceless platform, the
         default."""
-        devices = sorted(self._devices(), key=lambda device: device[0])
+        devices = sorted(self._query_devices(), key=lambda device: device[0])
         found = [
-            (self._platform_display(_PLATFORM_DEVICE, handle), f"EGL device {number}", software)
+            (self._platform_display(self._of_device, handle), f"EGL device {number}", software)
             for number, (software, handle) in enumerate(devices)
         ]
         only_software = bool(devices) and all(software for software, _ in devices)
-        found.append((self._platform_display(_PLATFORM_SURFACELESS, None), "surfaceless EGL", only_software))
-        found.append((self._library.eglGetDisplay(None), "default EGL display", only_software))
+        found.append((self._platform_display(PLATFORM_SURFACELESS_MESA, None), "surfaceless EGL", only_software))
+        found.append((self._EGL.eglGetDisplay(None), "default EGL display", only_software))
         return [Display(handle, description, software) for handle, description, software in found if handle]
 
-    def initialize(self, display: Display) -> bool:
-        return bool(self._library.eglInitialize(display.handle, None, None)) and self.choose_opengl()
-
-    def choose_opengl(self) -> bool:
-        """Make this thread's EGL calls mean OpenGL, not OpenGL ES; every thread has to say so itself."""
-        return bool(self._library.eglBindAPI(_OPENGL_API))
-
-    def create_context(self, display: Display) -> int | None:
-        """Return a core context of the newest version to be had."""
+    def create_context(self, display: Display) -> Any:
+        """Return a core context of the newest version to be had. Raises NoGraphics where there is none."""
+        EGL, error = self._EGL, "no version"
+        try:
+            EGL.eglInitialize(display.handle, None, None)
+            EGL.eglBindAPI(EGL.EGL_OPENGL_API)
+        except EGL.EGLError as failure:
+            raise NoGraphics(f"cannot be initialised ({_name(failure)})") from None
         for major, minor in GL_VERSIONS:
-            pairs = (_MAJOR, major, _MINOR, minor, _PROFILE_MASK, _CORE_PROFILE, _NONE)
-            attributes = (_int * len(pairs))(*pairs)
-            context = self._library.eglCreateContext(display.handle, None, None, attributes)
-            if context:
-                return context
-        return None
+            version = [EGL.EGL_CONTEXT_MAJOR_VERSION, major, EGL.EGL_CONTEXT_MINOR_VERSION, minor]
+            profile = [EGL.EGL_CONTEXT_OPENGL_PROFILE_MASK, EGL.EGL_CONTEXT_OPENGL_CORE_PROFILE_BIT, EGL.EGL_NONE]
+            try:
+                return EGL.eglCreateContext(display.handle, None, None, version + profile)
+            except EGL.EGLError as failure:
+                error = _name(failure)
+        raise NoGraphics(f"has no OpenGL 4.3 ({error})")
 
-    def make_current(self, display: Display, context: int | None) -> bool:
-        """Make a context current on this thread, without a surface; None to release it."""
-        return bool(self._library.eglMakeCurrent(display.handle, None, None, context))
+    def make_current(self, display: Display, context: Any) -> None:
+        """Make a context current on this thread, without a surface; None to release it. Raises NoGraphics."""
+        try:
+            self._EGL.eglBindAPI(self._EGL.EGL_OPENGL_API)  # OpenGL, not OpenGL ES; every thread has to say so itself
+            self._EGL.eglMakeCurrent(display.handle, None, None, context)
+        except self._EGL.EGLError as error:
+            raise NoGraphics(f"its context cannot be made current ({_name(error)})") from None
 
-    def destroy(self, display: Display, context: int) -> None:
-        self._library.eglDestroyContext(display.handle, context)
+    def destroy(self, display: Display, context: Any) -> None:
+        self._EGL.eglDestroyContext(display.handle, context)
 
-    def error(self) -> str:
-        """Return the name of this thread's last error."""
-        code = self._library.eglGetError()
-        return _ERRORS.get(code, f"EGL error 0x{code:x}")
-
-    def _devices(self) -> Iterator[tuple[bool, int]]:
+    def _query_devices(self) -> Iterator[tuple[bool, Any]]:
         """List every device: whether it is a software renderer, and its handle."""
-        query = self._extension("eglQueryDevicesEXT", _uint, _int, _pointer, _pointer)
-        describe = self._extension("eglQueryDeviceStringEXT", _text, _pointer, _int)
-        handles, count = (_pointer * MAX_DEVICES)(), _int()
-        if query is None or describe is None or not query(MAX_DEVICES, handles, ctypes.byref(count)):
+        EGL, devices = self._EGL, self._devices
+        handles, count = (EGL.EGLDeviceEXT * MAX_DEVICES)(), EGL.EGLint()
+        if not (devices.eglQueryDevicesEXT and devices.eglQueryDevicesEXT(MAX_DEVICES, handles, count)):
             return
-        for handle in filter(None, handles[: count.value]):
-            yield b"EGL_MESA_device_software" in (describe(handle, _EXTENSIONS) or b""), handle
+        for handle in handles[: count.value]:
+            extensions = devices.eglQueryDeviceStringEXT(handle, EGL.EGL_EXTENSIONS)
+            yield b"EGL_MESA_device_software" in (extensions or b""), handle
 
-    def _platform_display(self, platform: int, native: int | None) -> int | None:
-        get_display = self._extension("eglGetPlatformDisplayEXT", _pointer, _uint, _pointer, _pointer)
-        return None if get_display is None else get_display(platform, native, None)
+    def _platform_display(self, platform: int, native: Any) -> Any:
+        get_display = self._platforms.eglGetPlatformDisplayEXT
+        return get_display(platform, native, None) if get_display else None
 
-    def _extension(self, name: str, result: Any, *arguments: Any) -> Any:
-        address = self._library.eglGetProcAddress(name.encode())
-        return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
+
+def _name(error: Any) -> str:
+    """Return the name of an EGLError."""
+    return str(error.err)

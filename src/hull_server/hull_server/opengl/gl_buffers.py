@@ -29,7 +29,6 @@ BRICK = np.dtype([("index", "<u4"), ("cameras", "<u4", 3), ("leaves", "<u8", BRI
 LIST_BYTES = 16  # size of a dispatch, and length
 LISTS_BYTES = LIST_BYTES * LISTS
 LENGTH_OF_BRICKS = 7  # word of the lists
-LEAST_GUESS = 1024  # bricks
 PATIENCE_NS = 10_000_000_000  # for the carve of one frame set
 
 
@@ -157,7 +156,7 @@ class FrameUpload:
         part[:, : mask.shape[1] - u0] = mask[v0:v1, u0:u1]  # a canvas need not end with a word
         sure, uncertain = _packed((part > SHADOW_CANDIDATE) & seen), _packed((part > 0) & (part <= SHADOW_CANDIDATE))
         labels[v0:v1, u0 // PIXELS_PER_WORD : u1 // PIXELS_PER_WORD] |= sure | uncertain << 16
-        counts = np.minimum(part, 1) + (part >> 7)  # SURE and UNSURE of carving.silhouette_tables
+        counts = np.minimum(part, 1) + (part >> 7)  # two a foreground pixel, one an uncertain one
         counts = cv2.multiply(counts, self._countable[camera, v0:v1, u0:u1])
         end = start + (v1 - v0 + 1) * (u1 - u0 + 1)
         cv2.integral(counts, self.words[start:end].reshape(v1 - v0 + 1, u1 - u0 + 1), cv2.CV_32S)
@@ -169,18 +168,16 @@ def _packed(flags: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint32]:
     return np.packbits(flags, axis=1, bitorder="little").view("<u2").astype(np.uint32)
 
 
-class BufferSet:
-    """The device buffers of one frame set: upload, bricks and read-back. To be used with the context current."""
+class FrameBuffers:
+    """The device's buffers of a frame set: upload, bricks and read-back. To be used with the context current."""
 
     def __init__(self, upload_bytes: int, bricks: int) -> None:
         self.frame = StorageBuffer(upload_bytes)
         self._bricks = StorageBuffer(BRICK.itemsize * bricks)
-        self._read_back = StorageBuffer(LISTS_BYTES + self._bricks.nbytes, GL.GL_STREAM_READ)
+        self._read_back = StorageBuffer(self._bricks.nbytes, GL.GL_STREAM_READ)
         self._texture = int(GL.glGenTextures(1))
         GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
         GL.glTexBuffer(GL.GL_TEXTURE_BUFFER, GL.GL_R32I, self.frame.name)
-        self._capacity, self._expected = bricks, min(LEAST_GUESS, bricks)
-        self._fence: object = None
 
     def bind(self, lists: int, frame: int, bricks: int) -> None:
         """Bind to these binding points; the frame as the texture too, the lists to indirect dispatch too."""
@@ -190,34 +187,19 @@ class BufferSet:
         GL.glBindTexture(GL.GL_TEXTURE_BUFFER, self._texture)
         GL.glBindBuffer(GL.GL_DISPATCH_INDIRECT_BUFFER, self.frame.name)
 
-    def queue_read_back(self) -> None:
-        """Queue the copies of the lists' lengths and of as many bricks as are expected, then a fence."""
-        GL.glBindBuffer(GL.GL_COPY_WRITE_BUFFER, self._read_back.name)
-        for source, offset, nbytes in (
-            (self.frame, 0, LISTS_BYTES),
-            (self._bricks, LISTS_BYTES, BRICK.itemsize * self._expected),
-        ):
-            GL.glBindBuffer(GL.GL_COPY_READ_BUFFER, source.name)
-            GL.glCopyBufferSubData(GL.GL_COPY_READ_BUFFER, GL.GL_COPY_WRITE_BUFFER, 0, offset, nbytes)
-        self._fence = GL.glFenceSync(GL.GL_SYNC_GPU_COMMANDS_COMPLETE, 0)
-        GL.glFlush()
-
-    def has_arrived(self) -> bool:
-        """Check whether the read-back has arrived."""
-        return GL.glClientWaitSync(self._fence, 0, 0) == GL.GL_ALREADY_SIGNALED
-
-    def arrived(self) -> npt.NDArray:
-        """Wait for the read-back: (k,) BRICK, in no particular order. NoGraphics when it does not come."""
-        if GL.glClientWaitSync(self._fence, 0, PATIENCE_NS) not in (GL.GL_ALREADY_SIGNALED, GL.GL_CONDITION_SATISFIED):
+    def found(self) -> npt.NDArray:
+        """Wait for the bricks found (k,) BRICK, in no particular order. NoGraphics when they do not come."""
+        fence = GL.glFenceSync(GL.GL_SYNC_GPU_COMMANDS_COMPLETE, 0)
+        state = GL.glClientWaitSync(fence, GL.GL_SYNC_FLUSH_COMMANDS_BIT, PATIENCE_NS)
+        GL.glDeleteSync(fence)
+        if state not in (GL.GL_ALREADY_SIGNALED, GL.GL_CONDITION_SATISFIED):
             raise NoGraphics(f"the device did not finish a carve within {PATIENCE_NS // 10**9} s; choose backend 'cpu'")
-        GL.glDeleteSync(self._fence)
-        found = int(self._read_back.read(np.uint32, 4 * LISTS)[LENGTH_OF_BRICKS])
-        if found <= self._expected:
-            bricks = self._read_back.read(np.uint8, LISTS_BYTES + BRICK.itemsize * found)[LISTS_BYTES:].view(BRICK)
-        else:
-            bricks = self._bricks.read(BRICK, found)  # more than expected: fetch them all
-        self._expected = min(max(LEAST_GUESS, 2 * found), self._capacity)
-        return bricks
+        count = int(self.frame.read(np.uint32, 4 * LISTS)[LENGTH_OF_BRICKS])
+        GL.glBindBuffer(GL.GL_COPY_READ_BUFFER, self._bricks.name)
+        GL.glBindBuffer(GL.GL_COPY_WRITE_BUFFER, self._read_back.name)
+        nbytes = BRICK.itemsize * count
+        GL.glCopyBufferSubData(GL.GL_COPY_READ_BUFFER, GL.GL_COPY_WRITE_BUFFER, 0, 0, nbytes)
+        return self._read_back.read(BRICK, count)
 
 
 def _text(log: bytes | str) -> str:

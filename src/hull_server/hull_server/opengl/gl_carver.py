@@ -1,8 +1,7 @@
 """Carves on OpenGL: the hierarchical carve in compute shaders (OpenGL 4.3), as exact as the CPU's.
 
-A frame set is one upload, five dispatches and one read-back of the bricks found. There are two sets of buffers: while
-the device carves one frame set, the host prepares the next and reads back the last (double buffering of uploads and
-read-backs, which the thesis leaves as future work).
+A frame set is one upload, five dispatches and one read-back of the bricks found. The caller waits for it; meanwhile the
+pipeline's other thread works on the frame set before.
 
 Consumer GPUs compute in double precision 32 to 64 times slower than in single. Single precision is enough wherever a
 voxel lands farther from the nearest border between two pixels than its rounding error; the others are computed again in
@@ -10,10 +9,6 @@ double. Origins in the middle of the grid and of the canvas keep the numbers, an
 """
 
 from __future__ import annotations
-
-import threading
-from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,28 +20,19 @@ from ..grid import BRICK_EDGE, BrickVolume, VoxelGrid
 from ..views import Boxes, Masks, RigViews
 from .carve_shaders import HEADER, KERNELS
 from .egl import GlContext, NoGraphics
-from .gl_buffers import GL, LIST_BYTES, BufferSet, FrameUpload, StorageBuffer, check_cameras, make_program
+from .gl_buffers import GL, LIST_BYTES, FrameBuffers, FrameUpload, StorageBuffer, check_cameras, make_program
 
 # Thresholds: from the rounding of single precision; python bench/hull.py --quick counts differences from float64.
 UNIT = float(np.finfo(np.float32).eps) / 2  # relative rounding of one operation
 IN_SUMS = 8  # roundings on the way to a row's value: the entry's own, a product, three sums, three steps in a block
 IN_QUOTIENT = 8  # and from there: a reciprocal that may be five units off, a product, canvas's centre and margin added
 
-SETS = 2  # frame sets that may be under way at once
 GROUP = 64  # invocations of a work group
 GROUPS_IN_ROW = 32768  # work groups along x; every driver allows 65535
 COARSE_EDGE = 32
 BLOCKS_PER_BRICK = 8
 COARSE_BYTES, BLOCK_BYTES, RECHECK_BYTES = 16, 16, 8  # of the lists' entries; voxels to recheck by half blocks
 BOX_BYTES = 8
-
-
-class Ticket:
-    """A frame set under way: exchange it for its hull with :meth:`GlCarver.collect`."""
-
-    def __init__(self, buffers: BufferSet) -> None:
-        self.buffers = buffers
-        self.volume: BrickVolume | None = None
 
 
 class GlCarver:
@@ -60,7 +46,7 @@ class GlCarver:
     def __init__(self, views: RigViews, grid: VoxelGrid, hardware: bool | None = None) -> None:
         check_cameras(len(views.names))
         self.views, self.grid = views, grid
-        self._upload, self._filling = FrameUpload(views), threading.Lock()
+        self._upload = FrameUpload(views)
         self._context = GlContext(hardware)
         self.device = self._context.renderer
         try:
@@ -71,41 +57,18 @@ class GlCarver:
             self.close()
             raise
 
-    def carve(self, masks: Masks, min_seeing: int) -> BrickVolume:
+    def carve(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> BrickVolume:
         """Carve as :meth:`hull_server.carving.cpu_carver.CpuCarver.carve`."""
-        return self.collect(self.submit(masks, min_seeing))
-
-    def submit(self, masks: Masks, min_seeing: int, boxes: Boxes | None = None) -> Ticket:
-        """Send the silhouettes of one frame set to the device; do not wait. The masks may be reused at once.
-
-        Tickets may be collected in any order, or never. A third frame set first waits for the oldest of the two
-        under way, whose hull its handle then holds. Raises InputError as :meth:`carve` does.
-        """
         present = self.views.present(masks)
-        with self._filling:  # meanwhile others may collect
-            words = self._upload.fill(masks, present, min_seeing)
-            with self._context.current():
-                buffers = self._sets.pop(0)
-                self._sets.append(buffers)
-                if buffers in self._under_way:
-                    self._read_back(self._under_way[buffers])
-                buffers.frame.write(words)
-                for _ in self._carve_step_by_step(buffers):
-                    pass
-                buffers.queue_read_back()
-                handle = self._under_way[buffers] = Ticket(buffers)
-                if buffers.has_arrived():  # a software renderer: its collector need not wait for the context
-                    self._read_back(handle)
-        return handle
-
-    def collect(self, handle: Ticket) -> BrickVolume:
-        """Return the hull of a submitted frame set, when the device has finished it."""
-        if handle.volume is None:
-            with self._context.current():
-                if handle.volume is None:  # no other thread has read it back in the meantime
-                    self._read_back(handle)
-        assert handle.volume is not None
-        return handle.volume
+        with self._context.current():
+            self._buffers.frame.write(self._upload.fill(masks, present, min_seeing))
+            self._run_kernels()
+            bricks = self._buffers.found()
+        # in brick order, without the bricks in which no voxel survived
+        order = np.argsort(bricks["index"])
+        leaves = bricks["leaves"][order]
+        kept = leaves.any(axis=1)
+        return BrickVolume(self.grid, bricks["index"][order[kept]], leaves[kept])
 
     def close(self) -> None:
         """Release the context and everything in it."""
@@ -145,8 +108,7 @@ class GlCarver:
         }
         for binding, content in contents.items():
             StorageBuffer(content).bind(binding)
-        self._sets = [BufferSet(self._upload.words.nbytes, self.grid.brick_count) for _ in range(SETS)]
-        self._under_way: dict[BufferSet, Ticket] = {}
+        self._buffers = FrameBuffers(self._upload.words.nbytes, self.grid.brick_count)
 
     def _check_limits(self, table_bytes: int) -> None:
         """Raise InputError when the largest table or the upload is beyond what the driver can address."""
@@ -176,43 +138,26 @@ class GlCarver:
         words[..., 0] |= boxes.visibility.astype(np.uint32) << 30
         return words
 
-    def _carve_step_by_step(self, buffers: BufferSet) -> Iterator[str]:
-        """Queue one kernel after the other, each to do what the list of the one before holds; yields their names."""
-        buffers.bind(lists=2, frame=3, bricks=5)
-        for number, (name, program) in enumerate(self._programs.items()):
+    def _run_kernels(self) -> None:
+        """Queue one kernel after the other, each to do what the list of the one before holds."""
+        self._buffers.bind(lists=2, frame=3, bricks=5)
+        for number, program in enumerate(self._programs.values()):
             GL.glUseProgram(program)
             if number == 0:
                 GL.glDispatchCompute(-(-self._coarse_blocks // GROUP), 1, 1)
             else:
                 GL.glDispatchComputeIndirect(LIST_BYTES * (number - 1))
             GL.glMemoryBarrier(GL.GL_SHADER_STORAGE_BARRIER_BIT | GL.GL_COMMAND_BARRIER_BIT)
-            yield name
         GL.glMemoryBarrier(GL.GL_BUFFER_UPDATE_BARRIER_BIT)
 
-    def _read_back(self, handle: Ticket) -> None:
-        """Give a handle its volume: in brick order, without the bricks in which no voxel survived."""
-        bricks = handle.buffers.arrived()
-        del self._under_way[handle.buffers]
-        order = np.argsort(bricks["index"])
-        leaves = bricks["leaves"][order]
-        kept = leaves.any(axis=1)
-        handle.volume = BrickVolume(self.grid, bricks["index"][order[kept]], leaves[kept])
 
+def single_precision(views: RigViews, grid: VoxelGrid) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64], float]:
+    """Return rows, centre and border for a rig and a grid.
 
-class SinglePrecision(NamedTuple):
-    """rows : (N, 3, 4) float32, voxel (i, j, k, 1) less ``centre`` to pixel less half the canvas, times depth w.
-
-    centre : (3,) the voxel in the middle of the grid. border : a pixel coordinate computed with these rows is less
-    than ``border / w`` away from the true one; pixels times the unit of w, which is metres.
+    rows : (N, 3, 4), voxel (i, j, k, 1) less ``centre`` to pixel less half the canvas, times depth w. centre : (3,) the
+    voxel in the middle of the grid. border : a pixel coordinate computed with these rows is less than ``border / w``
+    away from the true one; pixels times the unit of w, which is metres; of all roundings' sum (Higham 2002, 3.1).
     """
-
-    rows: npt.NDArray[np.float32]
-    centre: npt.NDArray[np.int64]
-    border: float
-
-
-def single_precision(views: RigViews, grid: VoxelGrid) -> SinglePrecision:
-    """Compute the rows for a rig and a grid, and a bound for the sum of all their roundings (Higham 2002, 3.1)."""
     _, height, width = views.seen.shape
     centre = np.array(grid.shape, np.int64) // 2
     P = pixel_projections(views, grid)
@@ -221,4 +166,4 @@ def single_precision(views: RigViews, grid: VoxelGrid) -> SinglePrecision:
     largest = np.abs(P) @ np.append(centre + 1.0, 1.0)  # (N, 3) sums of absolute terms, anywhere in the grid
     sums = IN_SUMS * largest[:, :2].max(axis=1)
     depth = (IN_SUMS + IN_QUOTIENT) * 0.5 * max(width, height) * largest[:, 2]
-    return SinglePrecision(P.astype(np.float32), centre, float(UNIT * (sums + depth).max()))
+    return P.astype(np.float32), centre, float(UNIT * (sums + depth).max())

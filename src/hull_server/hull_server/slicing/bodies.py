@@ -22,10 +22,10 @@ from ..settings import BodySettings
 from .voxel_runs import HullRuns
 
 NOBODY = -1
-ABOVE_M = 0.5  # a person's parts, one above the other, have their middles no farther apart across the floor: a step
-BESIDE_M = 0.25  # ... and parts side by side: a chest's depth (ANSUR II, 95th percentile)
-FAR_M = 0.5  # a hand cut off at the shoulder is nearer to the trunk; a leg that steps in is another person's
-MAX_JUMP_M = 0.5  # farthest that a body's centroid moves between two sets
+STEP_M = 0.5  # a step: parts one above the other, across the floor; a hand from its trunk; a body between two sets
+BESIDE_M = (
+    0.25  # a person's parts side by side have middles no farther apart: a chest's depth (ANSUR II, 95th percentile)
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Bodies:
     litres : (b,). centroid_world, low_world, high_world : (b, 3) centre of mass and box.
     number : (b,) int32: 0, 1, ...; a person keeps the same number (see :class:`BodyTracker`).
     number_of_part : (p,) int32, the number of the body that each part of the hull belongs to: for a small one, that of
-        the nearest large part; NOBODY for parts farther than FAR_M from every large one's box, and for all where there
+        the nearest large part; NOBODY for parts farther than STEP_M from every large one's box, and for all where there
         is no body. It numbers the rows of centerline, voxels and contour rays.
     """
 
@@ -66,7 +66,7 @@ class BodyTracker:
     """Numbers bodies consistently from set to set.
 
     Each set's bodies take the numbers of the nearest bodies before them, across the floor (whose legs a camera misses
-    is in the same place), the nearest pair first, none farther than MAX_JUMP_M; the others take the lowest free
+    is in the same place), the nearest pair first, none farther than STEP_M; the others take the lowest free
     numbers, larger bodies first. A body that is not seen keeps its place and number for GONE_AFTER_S.
 
     Two people who touch are one part of the hull, thus one body with one of their numbers. When they part, each gets
@@ -88,7 +88,7 @@ class BodyTracker:
         number_of_part = np.full(len(parts.litres), NOBODY, np.int32)
         if len(chosen) > 0:
             nearest, gap_m = _nearest_box(parts, chosen)
-            number_of_part = np.where(gap_m <= FAR_M, number[whose[nearest]], NOBODY).astype(np.int32)
+            number_of_part = np.where(gap_m <= STEP_M, number[whose[nearest]], NOBODY).astype(np.int32)
         return Bodies(*bodies, number, number_of_part)
 
     def _numbers(self, stamp_ns: int, centroid_world: Array) -> npt.NDArray[np.int32]:
@@ -102,7 +102,7 @@ class BodyTracker:
             for body in range(len(centroid_world))
         )
         for distance, number, body in pairs:
-            if distance <= MAX_JUMP_M and numbers[body] == NOBODY and number not in numbers:
+            if distance <= STEP_M and numbers[body] == NOBODY and number not in numbers:
                 numbers[body] = number
         for newcomer in np.flatnonzero(numbers == NOBODY):
             numbers[newcomer] = next(n for n in count() if n not in self._known and n not in numbers)
@@ -117,7 +117,7 @@ def _whose(parts: Parts, chosen: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]
     apart_m = np.linalg.norm(middle[:, None] - middle, axis=-1)
     shared_m = np.minimum(high[:, None], high) - np.maximum(low[:, None], low)
     is_above = shared_m < 0.5 * np.minimum(height[:, None], height)
-    joined = apart_m < np.where(is_above, ABOVE_M, BESIDE_M)
+    joined = apart_m < np.where(is_above, STEP_M, BESIDE_M)
     for through in range(len(chosen)):  # transitive closure (Warshall 1962)
         joined |= joined[:, through, None] & joined[through]
     first = np.where(joined, np.arange(len(chosen)), len(chosen)).min(axis=1, initial=len(chosen))

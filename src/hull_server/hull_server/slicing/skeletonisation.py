@@ -69,14 +69,11 @@ def slice_hull(volume: BrickVolume) -> tuple[BlobTable, HullRuns]:
     return BlobTable(*columns), HullRuns(*runs)
 
 
-def find_centerline(
-    blobs: BlobTable, grid: VoxelGrid, filters: BlobSettings, number_of_part: npt.NDArray[np.int32] | None = None
-) -> Centerline:
+def find_centerline(blobs: BlobTable, grid: VoxelGrid, filters: BlobSettings) -> Centerline:
     """Select the blobs that are large, round and convex enough to be a limb or trunk cut across; return their
     centroids.
 
-    Points are in the order of the blob table and carry the number of their part's body (see
-    :class:`hull_server.slicing.bodies.Bodies`); without ``number_of_part``, that of the part itself.
+    Points are in the order of the blob table, and carry as body the number of their part.
 
     Beyond the thesis: where a limb is cut across, the next slices show nearly the same blob. The tip of a limb, the top
     of a head, the edge of a shoulder are as round, but end on one side and grow on the other (``max_growth``).
@@ -89,8 +86,7 @@ def find_centerline(
     )
     columns = (blobs.axis, blobs.area, blobs.centroid, blobs.covariance, blobs.growth, blobs.part)
     points, sigma, axis, area_m2, elongation, fill, part = _select(*columns, limits, grid.origin, grid.voxel_size)
-    body = part if number_of_part is None else number_of_part[part]
-    return Centerline(points, sigma, axis, area_m2, elongation, fill, body)
+    return Centerline(points, sigma, axis, area_m2, elongation, fill, part)
 
 
 @njit(cache=True, nogil=True)

@@ -223,14 +223,9 @@ def run_at(starts, ends, first, line, position):  # type: ignore[no-untyped-def]
 # --- samples of the voxels, on the surface and inside, evenly and deterministically
 
 
-def sample_runs(
-    runs: HullRuns, grid: VoxelGrid, max_voxels: int, number_of_part: npt.NDArray[np.int32] | None = None
-) -> VoxelSamples:
-    """Sample at most ``max_voxels`` voxels, spread evenly over the surface and the interior; deterministic.
-
-    They carry the number of their part's body (see :class:`hull_server.slicing.bodies.Bodies`); without
-    ``number_of_part``, that of the part itself.
-    """
+def sample_runs(runs: HullRuns, grid: VoxelGrid, max_voxels: int) -> VoxelSamples:
+    """Sample at most ``max_voxels`` voxels, spread evenly over the surface and the interior; deterministic. As body
+    they carry the number of their part."""
     if not len(runs.starts) or max_voxels == 0:
         return NO_VOXELS
     interior, on_surface, inside = _find_interior(runs.words, runs.first)
@@ -241,8 +236,7 @@ def sample_runs(
     _pick(runs.words, interior, False, ranks, rows, points[:from_surface], part[:from_surface])
     ranks = _spread(inside, from_inside)
     _pick(runs.words, interior, True, ranks, rows, points[from_surface:], part[from_surface:])
-    body = part if number_of_part is None else number_of_part[part]
-    return VoxelSamples(points, np.arange(len(points)) < from_surface, body)
+    return VoxelSamples(points, np.arange(len(points)) < from_surface, part)
 
 
 def _quotas(on_surface: int, inside: int, wanted: int) -> tuple[int, int]:
