@@ -22,8 +22,8 @@ from ..frame_source import Image, Mask
 from .kernels import BEYOND_NOISE
 
 # Thresholds: APPLY_AFTER_S from the latency of the graph; else chosen with the rooms of test_camera_moved_things.py.
-WHOLE = 0.8  # share of a thing's blocks that must keep still, and of its outline that must be gone: heads and hands move
-# while a trunk does not; in the rest others may see something: rays of other things that cross
+WHOLE = 0.8  # share of a thing's blocks that must keep still, and of its outline that must be gone: heads and hands
+# move while a trunk does not; in the rest others may see something: rays of other things that cross
 MAJORITY = 0.5  # of a thing that nobody else sees, of its outline that tells anything; of the picture is another room
 APPLY_AFTER_S = 0.5  # a report counts for frames so much later, when it is there, live and in lockstep: twice the
 # reports' period, and no report stands for more time
