@@ -7,7 +7,7 @@ is said by :mod:`.background.causes`. No silhouette depends on either.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import cv2
@@ -23,8 +23,7 @@ from .frame_source import LASTING_S, REPORT_PERIOD_S
 from .silhouettes.pipeline import TYPICAL_LEVEL, Parts, SilhouettePipeline
 
 CHANNELS = ("blue", "green", "red")
-# Threshold: judgement (test_camera_condition.py states cases); what lasts for LASTING_S counts.
-RECENT_S = 30.0  # switches of the light within this count together
+RECENT_S = 10 * LASTING_S  # switches of the light within this count together; else what lasts for LASTING_S counts
 
 
 @dataclass(frozen=True)
@@ -58,12 +57,11 @@ class Condition:
 
     def values(self) -> dict[str, object]:
         """Return the keys of the diagnostics; those of what was not measured are there, and empty."""
-        figures = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {key: "" if value is None else value for key, value in figures.items()}
+        return {key: "" if value is None else value for key, value in asdict(self).items()}
 
     def figures(self) -> dict[str, Any]:
         """Return the figures that :func:`.background.causes.find_causes` judges."""
-        figures = {field.name: getattr(self, field.name) for field in fields(self)}
+        figures = asdict(self)
         gains = [float(gain) for gain in self.light_gains.split()]
         if gains:
             mean = sum(gains) / len(gains)

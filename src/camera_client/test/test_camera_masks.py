@@ -23,7 +23,7 @@ from camera_client.silhouettes.masks import (
     trim_outline,
 )
 from camera_client.silhouettes.pipeline import SilhouettePipeline
-from camera_client.silhouettes.shadows import Scene, make_shadow_test
+from camera_client.silhouettes.shadows import ColourShadow, FloorShadow, Scene
 from capture_rig.camera import CameraModel
 from capture_rig.mask_levels import SHADOW_CANDIDATE
 from capture_rig.rig import Volume
@@ -87,7 +87,7 @@ def whole_image(camera, background, image, settings):
     """The chain step by step on the whole image, by the thesis's rule: slow, and plain enough to be believed."""
     raw = majority(background.limits(THESIS).subtract(image))
     scene = Scene(image, background.mean, FixedBackground(background, THESIS).noise, (slice(0, None), slice(0, None)))
-    shadow = make_shadow_test(camera, 3 if image.ndim == 3 else 1, settings).shadow(scene, raw)
+    shadow = (ColourShadow if image.ndim == 3 else FloorShadow)(camera).shadow(scene, raw)
     height = len(image)
     side, area = 2 * round(settings.closing * height / 2) + 1, height**2
     person = cv2.morphologyEx(cv2.subtract(raw, shadow), cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
