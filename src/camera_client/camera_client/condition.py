@@ -97,6 +97,16 @@ def measured_certainty(parts: Parts | None, picture_px: int, faint_below: int | 
     return found | {"person_maybe_shadow": cv2.countNonZero(doubted) / pixels}
 
 
+def _spans(history: deque[tuple[int, Any]], stamp_ns: int, value: Any, span_s: float) -> bool:
+    """Add a value; return whether the history, cut to about ``span_s``, is so long. A clock set back begins anew."""
+    if history and stamp_ns < history[-1][0]:
+        history.clear()
+    history.append((stamp_ns, value))
+    while len(history) > 1 and (stamp_ns - history[1][0]) * NS >= span_s:
+        history.popleft()
+    return (stamp_ns - history[0][0]) * NS >= span_s
+
+
 class ConditionWatch:
     """Collects the condition of one pipeline's background. ``found`` may be read on any thread.
 
@@ -153,21 +163,12 @@ class ConditionWatch:
 
     def _lasts(self, stamp_ns: int, now: tuple[float, ...]) -> tuple[float, ...]:
         """Return the least of each share in the last LASTING_S; 0 while that is not over."""
-        if self._lasting and stamp_ns < self._lasting[-1][0]:  # a clock was set back
-            self._lasting.clear()
-        self._lasting.append((stamp_ns, now))
-        while len(self._lasting) > 1 and (stamp_ns - self._lasting[1][0]) * NS >= LASTING_S:
-            self._lasting.popleft()
-        if (stamp_ns - self._lasting[0][0]) * NS < LASTING_S:
+        if not _spans(self._lasting, stamp_ns, now, LASTING_S):
             return (0.0,) * len(now)
         return tuple(map(min, zip(*(shares for _, shares in self._lasting), strict=True)))
 
     def _recent_switches(self, stamp_ns: int, switches: int) -> int:
-        if self._switches and stamp_ns < self._switches[-1][0]:
-            self._switches.clear()
-        self._switches.append((stamp_ns, switches))
-        while (stamp_ns - self._switches[0][0]) * NS > RECENT_S:
-            self._switches.popleft()
+        _spans(self._switches, stamp_ns, switches, RECENT_S)
         return switches - self._switches[0][1]
 
     def _things(self, stamp_ns: int) -> dict[str, Any]:

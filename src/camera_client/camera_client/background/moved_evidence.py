@@ -37,7 +37,7 @@ class SupportHistory:
     """Adds up what reports say, for frames from APPLY_AFTER_S after a report's stamp on.
 
     unseen_s, outside_s, body_s (blocks down, across) float32 : for how long the others have seen nobody in the volume,
-    perhaps somebody outside it, a body; ``most_s`` at most, and counted down again. sees_body : by the newest report.
+    perhaps somebody outside it, a body; ``most_s`` at most, and counted down again.
     """
 
     def __init__(self, camera: CameraModel, block_px: int, most_s: float) -> None:
@@ -50,7 +50,6 @@ class SupportHistory:
     def restart(self) -> None:
         """Forget all times; reports that wait for their frames stay."""
         self.unseen_s, self.outside_s, self.body_s = (np.zeros(self.blocks, np.float32) for _ in range(3))
-        self.sees_body: Blocks = np.zeros(self.blocks, bool)
         self._report_ns = 0
 
     def forget_reports(self) -> None:
@@ -72,11 +71,9 @@ class SupportHistory:
             self.unseen_s = counted(self.unseen_s, (levels == NOBODY) | (levels == OUTSIDE), step_s, self._most_s)
             self.outside_s = counted(self.outside_s, levels == OUTSIDE, step_s, self._most_s)
             self.body_s = counted(self.body_s, levels == BODY, step_s, self._most_s)
-            self.sees_body = levels == BODY
         if due_ns - self._report_ns > SILENT_S / NS:
             for seconds in (self.unseen_s, self.outside_s, self.body_s):
                 seconds[:] = 0.0
-            self.sees_body = np.zeros(self.blocks, bool)
 
 
 def counted(seconds: Floats, holds: Blocks, step_s: float, most_s: float) -> Floats:
@@ -110,7 +107,7 @@ class CanvasCells:
 ACROSS_PX = 3  # from the outline to both sides: beyond blur, and within a person's arm
 SMOOTH_PX = 5  # side of the box in which the outline is made smooth, as the silhouette's median filter does
 FAINTER = 0.5  # an edge of the picture is gone when it has less than this share of the background's
-EDGE_SIGMAS = 2 * BEYOND_NOISE / SMOOTH_PX  # of a pixel: by which means of so many pixels differ beyond noise
+EDGE_SIGMAS = BEYOND_NOISE * 2**0.5 / 3  # of a pixel: by which two means of 3 x 3 pixels differ beyond noise
 ROUGHER = 1.3  # inside, the picture has edges like around it, not more of them: nobody stands there
 _THREE = np.ones((3, 3), np.uint8)
 _WIDE = np.ones((2 * ACROSS_PX + 1,) * 2, np.uint8)
@@ -125,7 +122,6 @@ def was_taken_away(blob: Mask, foreground: Mask, image: Image, background: Image
     without, the picture has to be as plain inside as around, as a bare wall or floor is: somebody who stands within the
     outline of a cupboard that was taken away does not show on that outline.
     """
-    now, learned = (_steepness(picture) for picture in (image, background))
     solid = _smooth(blob)
     others = cv2.subtract(_smooth(foreground), cv2.dilate(solid, _THREE))
     hidden = cv2.dilate(cv2.copyMakeBorder(others, *[1] * 4, cv2.BORDER_CONSTANT, value=255), _WIDE)[1:-1, 1:-1]
@@ -133,16 +129,21 @@ def was_taken_away(blob: Mask, foreground: Mask, image: Image, background: Image
     seen = outline & (hidden == 0)
     if not outline.any() or seen.sum() < MAJORITY * outline.sum():
         return False
+    slope = cv2.GaussianBlur(solid, (0, 0), ACROSS_PX).astype(np.float32)
+    normal = np.stack([cv2.Sobel(slope, cv2.CV_32F, dx, 1 - dx)[seen] for dx in (1, 0)], axis=1)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
+    now, learned = (_step_along(picture, seen, normal) for picture in (image, background))
     least = EDGE_SIGMAS * noise
-    says = np.maximum(now, learned)[seen] > least
-    kept = now[seen] > np.maximum(FAINTER * learned[seen], least)
+    says, kept = np.maximum(now, learned) > least, now > np.maximum(FAINTER * learned, least)
     if says.mean() < MAJORITY or kept.mean() > 1 - WHOLE:
         return False
     inner, around = (cv2.erode(solid, _WIDE) > 0), (cv2.dilate(solid, _WIDE, iterations=2) > 0) & (hidden == 0)
     around &= cv2.dilate(solid, _WIDE) == 0
     if nobody or not inner.any() or not around.any():
         return nobody
-    return bool(np.percentile(now[inner], 98) <= ROUGHER * np.percentile(now[around], 90) + least)
+    means = cv2.morphologyEx(cv2.blur(image, (3, 3)), cv2.MORPH_GRADIENT, _WIDE)
+    roughness = means if means.ndim == 2 else means.max(axis=2)
+    return bool(np.percentile(roughness[inner], 98) <= ROUGHER * np.percentile(roughness[around], 90) + least)
 
 
 def _smooth(mask: Mask) -> Mask:
@@ -152,7 +153,12 @@ def _smooth(mask: Mask) -> Mask:
     return np.asarray(cv2.morphologyEx(solid, cv2.MORPH_CLOSE, np.ones(window, np.uint8)), np.uint8)
 
 
-def _steepness(picture: Image | Floats) -> Floats:
-    """Return by how many grey levels (h, w) small means within ACROSS_PX differ, in the channel that does most."""
-    means = cv2.morphologyEx(cv2.blur(picture.astype(np.float32), (3, 3)), cv2.MORPH_GRADIENT, _WIDE)
-    return means if means.ndim == 2 else means.max(axis=2)
+def _step_along(picture: Image | Floats, places: Blocks, normal: Floats) -> Floats:
+    """Return by how many grey levels (n,) small means differ along the normals (n, 2) [right, down] at the n places of
+    a mask (h, w), from ACROSS_PX on one side to the other, in the channel that does most."""
+    means, kernel = cv2.blur(picture.astype(np.float32), (3, 3)), np.zeros((1, 2 * ACROSS_PX + 1), np.float32)
+    kernel[0, 0], kernel[0, -1] = -1, 1
+    right, down = (
+        cv2.filter2D(means, cv2.CV_32F, each)[places].reshape(len(normal), -1) for each in (kernel, kernel.T)
+    )
+    return np.asarray(np.abs(normal[:, :1] * right + normal[:, 1:] * down).max(axis=1), np.float32)
