@@ -40,7 +40,6 @@ def holds(box, mask):
 def test_box_grows_to_multiples_within_the_image_and_holds_every_pixel():
     assert Box(10, 20, 30, 40).grown(3, (100, 100), 8) == Box(0, 16, 40, 48)
     assert Box(2, 2, 98, 99).grown(3, (100, 100)) == Box(0, 0, 100, 100)
-    assert Box(11, 22, 13, 24).relative_to(Box(10, 20, 30, 40)) == Box(1, 2, 3, 4)
     mask = np.zeros((50, 60), np.uint8)
     assert Box.around(mask).empty
     mask[7, 9] = mask[40, 20] = 255

@@ -153,15 +153,6 @@ def test_looks_are_half_a_second_apart_and_go_on_when_stamps_go_back():
     assert movement.state is MovementState.MOVED
 
 
-def test_same_pictures_give_the_same_figures_when_shown_again():
-    def run():
-        watch = CameraMovedDetector(studio_camera(), background())
-        movement = watched(watch, [with_person(picture(frame=f, turn_deg=(0.5, 0, 0)), 0.3, f) for f in range(4)])
-        return movement.turn_rad.tobytes(), movement.agreeing
-
-    assert run() == run()
-
-
 def test_limit_of_zero_switches_the_watch_off():
     watch = CameraMovedDetector(studio_camera(), background(), CameraMovedSettings(limit_deg=0.0))
     assert watched(watch, [picture(frame=f, turn_deg=(0, 2.0, 0)) for f in range(4)]).state is MovementState.UNKNOWN

@@ -23,7 +23,7 @@ from ..frame_source import Image, Mask
 from ..settings import BackgroundSettings
 from ..sources.frame_checks import WHITE_LEVEL
 from .expected_image import Corners, ExpectedImage, Floats, Rows, Samples
-from .kernels import DOUBTED, HIGHEST, SCALE, STEP_PX, USUAL_S, Today, take_residuals, take_samples, thin_out
+from .kernels import HIGHEST, SCALE, STEP_PX, USUAL_S, Today, take_residuals, take_samples, thin_out
 from .light import FIELD_ACROSS, FIELD_DOWN, Light, LightEstimator
 from .model import BackgroundModel
 from .noise import Noise, NoiseCorrelationMeter, assumed_noise, learned_noise, measured_noise
@@ -161,8 +161,11 @@ class AdaptiveBackground:
         self._since_shift_s += step_s
         measured = self._shift.measurable and (first or self._since_shift_s >= TURN_S)
         edges = self._edges(picture) if measured else None
-        at_once = edges is not None and self._shift.is_restless(edges, self._since_shift_s, first)
-        at_once = at_once and self._align(picture, edges)  # what has moved at once
+        at_once = (  # what has moved at once
+            edges is not None
+            and self._shift.is_restless(edges, self._since_shift_s, first)
+            and self._align(picture, edges)
+        )
         if at_once:
             self._light.rollback()
             rest, edges = self._follow_light(step_s), self._edges(picture)
@@ -191,7 +194,7 @@ class AdaptiveBackground:
         if not first and self._since_noise_s < (NOISE_S if self._coarseness.known else NOISE_S / 3):
             return
         level = self._image.samples[0][:, self._sampled[0]].T * self.light.gain
-        sure = (self._trust(self._row, self._column) >= 1) & (level + rest < WHITE_LEVEL).all(axis=1)
+        sure = (self._doubted()[self._sampled[1]] == 0) & (level + rest < WHITE_LEVEL).all(axis=1)
         spatial = self._update_correlation(sure)
         level = level[sure]
         found = measured_noise(level, rest[sure], foreground_known=self._dense is not None)
@@ -224,7 +227,7 @@ class AdaptiveBackground:
         found = self._aligner.align(image, self._aligner.turn_of(*total), search=False)
         if found is None:
             return False
-        since = Displacement(*self._aligner.displacement_of(found.turn_rad)).relative_to(total)
+        since = Displacement(*self._aligner.displacement_of(found.turn_rad)).plus(total, -1.0)
         return since.most_px(self._image.shape) >= LINEAR_PX and self._move(since, picture, edges)
 
     def _move(self, by: Displacement, picture: Image, edges: Edges) -> bool:
@@ -234,7 +237,7 @@ class AdaptiveBackground:
         self._place()
         if self._shift.misfit(self._edges(picture)) < self._shift.misfit(edges):
             return True
-        self._shift.move(Displacement().relative_to(by))
+        self._shift.move(Displacement().plus(by, -1.0))
         self._place()
         return False
 
@@ -260,12 +263,6 @@ class AdaptiveBackground:
     def _doubted(self) -> Mask:
         """Return the blocks (n,) near foreground of a frame ago, not 0."""
         return self._nowhere if self._dense is None else self._dense.reshape(-1)
-
-    def _trust(self, row: npt.NDArray[np.intp], column: npt.NDArray[np.intp]) -> Floats:
-        if self._dense is None:
-            return np.ones(len(row), np.float32)
-        doubted = self._dense[row // self._block_px, column // self._block_px] > 0
-        return np.where(doubted, np.float32(DOUBTED), np.float32(1))
 
     # --- the expected image
 

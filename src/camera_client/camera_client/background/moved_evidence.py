@@ -124,7 +124,7 @@ def was_taken_away(blob: Mask, foreground: Mask, image: Image, background: Image
     """
     solid = _smooth(blob)
     others = cv2.subtract(_smooth(foreground), cv2.dilate(solid, _THREE))
-    hidden = cv2.dilate(cv2.copyMakeBorder(others, *[1] * 4, cv2.BORDER_CONSTANT, value=255), _WIDE)[1:-1, 1:-1]
+    hidden = cv2.dilate(np.pad(others, 1, constant_values=255), _WIDE)[1:-1, 1:-1]
     outline = cv2.subtract(solid, cv2.erode(solid, _THREE, borderType=cv2.BORDER_CONSTANT, borderValue=0)) > 0
     seen = outline & (hidden == 0)
     if not outline.any() or seen.sum() < MAJORITY * outline.sum():

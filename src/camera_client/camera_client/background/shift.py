@@ -51,13 +51,9 @@ class Displacement(NamedTuple):
         """Return an upper bound of any pixel's displacement in a picture (H, W)."""
         return math.hypot(self.right_px, self.down_px) + abs(self.roll_rad) * math.hypot(*shape[:2]) / 2
 
-    def compose(self, by: Displacement) -> Displacement:
-        """Return the sum of two displacements; they are small, so that they add."""
-        return Displacement(*(a + b for a, b in zip(self, by, strict=True)))
-
-    def relative_to(self, before: Displacement) -> Displacement:
-        """Return the displacement since ``before``."""
-        return Displacement(*(a - b for a, b in zip(self, before, strict=True)))
+    def plus(self, by: Displacement, times: float = 1.0) -> Displacement:
+        """Return the sum with ``times`` another one; displacements are small, so that they add."""
+        return Displacement(*(a + times * b for a, b in zip(self, by, strict=True)))
 
     def moved(self, picture: Floats) -> Floats:
         """Return the background ``picture`` (H, W, C) as the displaced camera sees it: always a new array."""
@@ -162,11 +158,11 @@ class ShiftEstimator:
         lasting = Displacement(*map(median, zip(*(each for _, each in self._recent), strict=True)))
         if lasting.most_px(self._shape) < FOLLOW_PX:
             return Displacement()
-        return Displacement(*(DAMPING * each for each in lasting))
+        return Displacement().plus(lasting, DAMPING)
 
     def move(self, by: Displacement) -> bool:
         """Add a displacement to ``total``; False, and nothing is changed, where that is more than is followed."""
-        total = self.total.compose(by)
+        total = self.total.plus(by)
         if total.most_px(self._shape) > MOST_OF_WIDTH * self._shape[1]:
             return False
         self.total = total

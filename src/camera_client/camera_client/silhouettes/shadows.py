@@ -8,8 +8,6 @@ The thresholds were set with ``bench/silhouette.py`` of commit d6079d2 on its cl
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import cv2
 import numpy as np
 
@@ -194,7 +192,6 @@ class ColourShadow:
         self._floor_shadow = FloorShadow(camera, volume)
         self.alignment_px = self._floor_shadow.alignment_px
         self._near = np.ones((2 * TEXTURE_WINDOW_PX + 1,) * 2, np.uint8)
-        self._rule = DarkenedRule(TINT, WITHIN_NOISE**2, MIN_CONTRAST**2, LIGHTEST)
         on_floor = halve(floor_pixels(camera, volume, SHADOW_REACH_M)) > 127
         self._darkest = np.where(on_floor, np.float32(COLOUR_DARKEST), np.float32(WALL_DARKEST))
 
@@ -207,7 +204,7 @@ class ColourShadow:
         codec_variance = np.zeros((0, 0), np.float32)
         if scene.codec_sigma is not None:
             codec_variance = np.square(np.float32(COLOUR_SHARE) * halve(scene.codec_sigma))
-        found = find_darkened(scene.image, scene.expected, half, noise, codec_variance, darkest, self._rule)
+        found = find_darkened(scene.image, scene.expected, half, noise, codec_variance, darkest)
         found = cv2.morphologyEx(found, cv2.MORPH_OPEN, _THREE)  # the person's edge is a blend that looks like shadow
         self._drop_lost_texture(scene, found)
         found = cv2.bitwise_and(enlarged(found, 2, mask.shape), mask)
@@ -240,27 +237,15 @@ class ColourShadow:
         part[(lost | ~beside)[labels]] = 0
 
 
-class DarkenedRule(NamedTuple):
-    """When a colour is that of the darkened background; see :class:`ColourShadow`.
-
-    tint : share of the light lost. chromaticity2 : squared distance in sigmas, at most, and at least that of grey
-    clothes as bright. contrast2 : squared contrast with black at least. lightest : share of the brightness that is left
-    at most.
-    """
-
-    tint: float
-    chromaticity2: float
-    contrast2: float
-    lightest: float
-
-
 @njit(**OPTIONS, crops=True)
-def find_darkened(image, expected, mask, noise, codec_variance, darkest, rule):  # type: ignore[no-untyped-def]
+def find_darkened(image, expected, mask, noise, codec_variance, darkest):  # type: ignore[no-untyped-def]
     """Return (h, w) uint8: 255 where the colour of 2 x 2 pixels is that of the darkened background, else 0.
 
     image (2 h, 2 w, 3) uint8, expected (2 h, 2 w, 3) float32; mask (h, w) uint8 : not 0 at what is looked at. An odd
     side is continued. noise (2, 3) : read and slope, as of :class:`..background.noise.Noise`; codec_variance (h, w) :
     variance beyond it, or (0, 0). darkest (h, w) float32 : share of the brightness that is left at least.
+
+    Grey clothes as bright must differ from it by more than it may differ itself; see :class:`ColourShadow`.
     """
     bottom, right = image.shape[0] - 1, image.shape[1] - 1
     found = np.zeros(mask.shape, np.uint8)
@@ -279,15 +264,15 @@ def find_darkened(image, expected, mask, noise, codec_variance, darkest, rule): 
                 power += mu[c] * mu[c] / variance[c]
                 shared += x[c] * mu[c] / variance[c]
             factor = shared / max(power, 1e-9)
-            if power < rule.contrast2 or factor < darkest[i, j] or factor > rule.lightest:
+            if power < MIN_CONTRAST**2 or factor < darkest[i, j] or factor > LIGHTEST:
                 continue
             distance2 = grey2 = 0.0
             mean = (mu[0] + mu[1] + mu[2]) / 3.0
             for c in range(3):
-                tint, departure = rule.tint * (1.0 - factor) * mu[c], x[c] - factor * mu[c]
+                tint, departure = TINT * (1.0 - factor) * mu[c], x[c] - factor * mu[c]
                 distance2 += departure * departure / (variance[c] + tint * tint)
                 departure = factor * (mean - mu[c])
                 grey2 += departure * departure / (variance[c] + tint * tint)
-            if distance2 <= rule.chromaticity2 < grey2:
+            if distance2 <= WITHIN_NOISE**2 < grey2:
                 found[i, j] = 255
     return found
