@@ -19,12 +19,12 @@ from capture_rig.stamps import NS
 from mocap_packets.silhouette import BODY, NOBODY, OUTSIDE, UNJUDGED, ForegroundSupport
 
 from ..frame_source import Image, Mask
-from .kernels import BEYOND_NOISE
 
 # Thresholds: APPLY_AFTER_S from the latency of the graph; else chosen with the rooms of test_camera_moved_things.py.
-WHOLE = 0.8  # share of a thing's blocks that must keep still, and of its outline that must be gone: heads and hands
-# move while a trunk does not; in the rest others may see something: rays of other things that cross
-MAJORITY = 0.5  # of a thing that nobody else sees, of its outline that tells anything; of the picture is another room
+WHOLE = 0.8  # share of a thing's blocks that must keep still: heads and hands move while a trunk does not; in the rest
+# others may see something: rays of other things that cross
+MAJORITY = 0.5  # of a thing that nobody else sees; of its outline that is visible, and has an edge in one of the two
+# pictures; more of the picture is another room
 APPLY_AFTER_S = 0.5  # a report counts for frames so much later, when it is there, live and in lockstep: twice the
 # reports' period, and no report stands for more time
 SILENT_S = 4 * APPLY_AFTER_S  # without a report for so long, nothing is known of the others
@@ -104,46 +104,66 @@ class CanvasCells:
 
 # --- the outline of what was taken away
 
-ACROSS_PX = 3  # from the outline to both sides: beyond blur, and within a person's arm
+ACROSS_PX = 3.0  # from the outline to both sides: beyond blur, and within a person's arm
 SMOOTH_PX = 5  # side of the box in which the outline is made smooth, as the silhouette's median filter does
 FAINTER = 0.5  # an edge of the picture is gone when it has less than this share of the background's
-EDGE_SIGMAS = BEYOND_NOISE * 2**0.5 / 3  # of a pixel: by which two means of 3 x 3 pixels differ beyond noise
+MOST_KEPT = 0.15  # share of the outline at which the picture may have an edge all the same: textures, codecs
+EDGE_SIGMAS = 2.0  # of a pixel: four of the difference of two means of 3 x 3 pixels
 ROUGHER = 1.3  # inside, the picture has edges like around it, not more of them: nobody stands there
-_THREE = np.ones((3, 3), np.uint8)
-_WIDE = np.ones((2 * ACROSS_PX + 1,) * 2, np.uint8)
+
+Pixels = npt.NDArray[np.intp]
 
 
-def was_taken_away(blob: Mask, foreground: Mask, image: Image, background: Image, noise: float, nobody: bool) -> bool:
-    """Judge whether nothing stands where ``blob`` (h, w), 0 or 255, is.
+def was_taken_away(blob: Mask, foreground: Mask, image: Image, background: Image, noise: float) -> bool:
+    """Judge whether nothing stands where ``blob`` (h, w), 0 or 255, is: by its outline alone.
 
     foreground (h, w) : all of it, other things beside the blob included: they hide a part of its outline. image,
     background (h, w[, 3]) : the same part of the picture and of the background in today's light, some pixels larger
-    than the blob. noise : grey levels, standard deviation of a pixel. nobody : the other cameras see nobody there;
-    without, the picture has to be as plain inside as around, as a bare wall or floor is: somebody who stands within the
-    outline of a cupboard that was taken away does not show on that outline.
+    than the blob. noise : grey levels, standard deviation of a pixel.
     """
-    solid = _smooth(blob)
-    others = cv2.subtract(_smooth(foreground), cv2.dilate(solid, _THREE))
-    hidden = cv2.dilate(np.pad(others, 1, constant_values=255), _WIDE)[1:-1, 1:-1]
-    outline = cv2.subtract(solid, cv2.erode(solid, _THREE, borderType=cv2.BORDER_CONSTANT, borderValue=0)) > 0
-    seen = outline & (hidden == 0)
-    if not outline.any() or seen.sum() < MAJORITY * outline.sum():
+    inside, outside, visible = _both_sides(blob, foreground)
+    if visible < MAJORITY:
         return False
-    slope = cv2.GaussianBlur(solid, (0, 0), ACROSS_PX).astype(np.float32)
-    normal = np.stack([cv2.Sobel(slope, cv2.CV_32F, dx, 1 - dx)[seen] for dx in (1, 0)], axis=1)
-    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
-    now, learned = (_step_along(picture, seen, normal) for picture in (image, background))
+    now, learned = (_edge(picture, inside, outside) for picture in (image, background))
     least = EDGE_SIGMAS * noise
-    says, kept = np.maximum(now, learned) > least, now > np.maximum(FAINTER * learned, least)
-    if says.mean() < MAJORITY or kept.mean() > 1 - WHOLE:
+    says = np.maximum(now, learned) > least
+    kept = now > np.maximum(FAINTER * learned, least)
+    return bool(says.mean() >= MAJORITY and kept.mean() <= MOST_KEPT)
+
+
+def is_calm_inside(blob: Mask, image: Image, noise: float) -> bool:
+    """Judge whether the picture has no more edges inside ``blob`` than around it, as a bare wall or floor has.
+
+    Somebody who stands within the outline of a cupboard that was taken away does not show on that outline.
+    """
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    steepness = cv2.morphologyEx(cv2.blur(grey, (3, 3)), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+    wide = np.ones((2 * int(ACROSS_PX) + 1,) * 2, np.uint8)
+    inner = cv2.erode(blob, wide, borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    around = (cv2.dilate(blob, np.ones((4 * int(ACROSS_PX) + 1,) * 2, np.uint8)) > 0) & (cv2.dilate(blob, wide) == 0)
+    if not inner.any() or not around.any():
         return False
-    inner, around = (cv2.erode(solid, _WIDE) > 0), (cv2.dilate(solid, _WIDE, iterations=2) > 0) & (hidden == 0)
-    around &= cv2.dilate(solid, _WIDE) == 0
-    if nobody or not inner.any() or not around.any():
-        return nobody
-    means = cv2.morphologyEx(cv2.blur(image, (3, 3)), cv2.MORPH_GRADIENT, _WIDE)
-    roughness = means if means.ndim == 2 else means.max(axis=2)
-    return bool(np.percentile(roughness[inner], 98) <= ROUGHER * np.percentile(roughness[around], 90) + least)
+    limit = ROUGHER * np.percentile(steepness[around], 90) + EDGE_SIGMAS * noise
+    return bool(np.percentile(steepness[inner], 98) <= limit)
+
+
+def _both_sides(blob: Mask, foreground: Mask) -> tuple[Pixels, Pixels, float]:
+    """Return pixels (n, 2) [row, column] inside and outside the outline, facing each other across it, and the share of
+    the outline that they are: the rest lies at the border, or next to other foreground."""
+    smooth, other = (_smooth(mask) for mask in (blob, foreground))
+    outlines, _ = cv2.findContours(smooth, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    if not outlines:
+        return np.empty((0, 2), np.intp), np.empty((0, 2), np.intp), 0.0
+    columns, rows = np.concatenate(outlines).reshape(-1, 2).T
+    slope = cv2.GaussianBlur(smooth, (0, 0), ACROSS_PX).astype(np.float32)
+    down, right = (cv2.Sobel(slope, cv2.CV_32F, dx, 1 - dx)[rows, columns] for dx in (0, 1))
+    normal = np.stack([down, right], axis=1)  # into the blob
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-6)
+    points = np.stack([rows, columns], axis=1)
+    inside, outside = (np.rint(points + side * ACROSS_PX * normal).astype(np.intp) for side in (1, -1))
+    fits = np.all((outside >= 0) & (outside < blob.shape) & (inside >= 0) & (inside < blob.shape), axis=1)
+    fits[fits] &= (smooth[tuple(inside[fits].T)] > 0) & (other[tuple(outside[fits].T)] == 0)
+    return inside[fits], outside[fits], float(fits.mean())
 
 
 def _smooth(mask: Mask) -> Mask:
@@ -153,12 +173,8 @@ def _smooth(mask: Mask) -> Mask:
     return np.asarray(cv2.morphologyEx(solid, cv2.MORPH_CLOSE, np.ones(window, np.uint8)), np.uint8)
 
 
-def _step_along(picture: Image | Floats, places: Blocks, normal: Floats) -> Floats:
-    """Return by how many grey levels (n,) small means differ along the normals (n, 2) [right, down] at the n places of
-    a mask (h, w), from ACROSS_PX on one side to the other, in the channel that does most."""
-    means, kernel = cv2.blur(picture.astype(np.float32), (3, 3)), np.zeros((1, 2 * ACROSS_PX + 1), np.float32)
-    kernel[0, 0], kernel[0, -1] = -1, 1
-    right, down = (
-        cv2.filter2D(means, cv2.CV_32F, each)[places].reshape(len(normal), -1) for each in (kernel, kernel.T)
-    )
-    return np.asarray(np.abs(normal[:, :1] * right + normal[:, 1:] * down).max(axis=1), np.float32)
+def _edge(picture: Image, inside: npt.NDArray[np.intp], outside: npt.NDArray[np.intp]) -> Floats:
+    """Return by how many grey levels (n,) small means on both sides differ, in the channel that does most."""
+    mean = cv2.blur(picture.astype(np.float32), (3, 3))
+    difference = np.abs(mean[tuple(inside.T)] - mean[tuple(outside.T)])
+    return difference if difference.ndim == 1 else difference.max(axis=1)

@@ -24,7 +24,7 @@ from mocap_packets.silhouette import ForegroundSupport
 from ..frame_source import LASTING_S, Image, Mask
 from .expected_image import Corners, Samples
 from .kernels import BEYOND_NOISE, STEP_PX, USUAL_S, clear_absorbed, follow_running
-from .moved_evidence import MAJORITY, WHOLE, Blocks, SupportHistory, counted, was_taken_away
+from .moved_evidence import MAJORITY, WHOLE, Blocks, SupportHistory, counted, is_calm_inside, was_taken_away
 
 # Thresholds: chosen with the rooms of test_camera_moved_things.py.
 SAMPLE_S = 0.2  # blocks are looked at so often
@@ -248,8 +248,10 @@ class MovedThings:
         image = whole[part]
         self.clear_absorbed(whole, foreground, self._brightness, box=(top, left, bottom, right))
         own = np.where(near, foreground, np.uint8(0))
-        nobody = bool((self._others.unseen_s[blob] >= REST_S).mean() >= WHOLE)
-        return was_taken_away(own, foreground, image, background, self._noise, nobody)
+        if not was_taken_away(own, foreground, image, background, self._noise):
+            return False
+        nobody = (self._others.unseen_s[blob] >= REST_S).mean() >= WHOLE
+        return bool(nobody) or is_calm_inside(own, image, self._noise)
 
     def _take_over(self, image: Image, blob: Blocks, stamp_ns: int) -> None:
         """Let a blob's blocks, and their neighbours that keep still, look as they do now."""
