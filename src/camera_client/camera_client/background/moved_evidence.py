@@ -37,7 +37,7 @@ class SupportHistory:
     """Adds up what reports say, for frames from APPLY_AFTER_S after a report's stamp on.
 
     unseen_s, outside_s, body_s (blocks down, across) float32 : for how long the others have seen nobody in the volume,
-    perhaps somebody outside it, a body; ``most_s`` at most, and counted down again.
+    perhaps somebody outside it, a body; ``most_s`` at most, and counted down again. sees_body : by the newest report.
     """
 
     def __init__(self, camera: CameraModel, block_px: int, most_s: float) -> None:
@@ -50,6 +50,7 @@ class SupportHistory:
     def restart(self) -> None:
         """Forget all times; reports that wait for their frames stay."""
         self.unseen_s, self.outside_s, self.body_s = (np.zeros(self.blocks, np.float32) for _ in range(3))
+        self.sees_body: Blocks = np.zeros(self.blocks, bool)
         self._report_ns = 0
 
     def forget_reports(self) -> None:
@@ -71,9 +72,11 @@ class SupportHistory:
             self.unseen_s = counted(self.unseen_s, (levels == NOBODY) | (levels == OUTSIDE), step_s, self._most_s)
             self.outside_s = counted(self.outside_s, levels == OUTSIDE, step_s, self._most_s)
             self.body_s = counted(self.body_s, levels == BODY, step_s, self._most_s)
+            self.sees_body = levels == BODY
         if due_ns - self._report_ns > SILENT_S / NS:
             for seconds in (self.unseen_s, self.outside_s, self.body_s):
                 seconds[:] = 0.0
+            self.sees_body = np.zeros(self.blocks, bool)
 
 
 def counted(seconds: Floats, holds: Blocks, step_s: float, most_s: float) -> Floats:

@@ -280,7 +280,7 @@ class MovedThings:
         # a thing's own neighbours look as learned all the time; they go when the whole thing does
         beside = cv2.dilate((absorbed & unlike_learned).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         back = absorbed & (self._learned_s >= STILL_S) & ~beside
-        self._denied_s = counted(self._denied_s, matched & (self._others.body_s > 0) & ~self._gone, step_s, COUNTED_S)
+        self._denied_s = counted(self._denied_s, matched & self._others.sees_body & ~self._gone, step_s, COUNTED_S)
         back |= self._denied_s >= STILL_S
         if back.any():
             self._since_ns[back], self._gone[back] = 0, False
