@@ -35,8 +35,8 @@ STILL_S = (
     LASTING_S  # nobody sees it, and it keeps still, for so long: it is a thing; as learned for so long: it is none
 )
 OUTSIDE_STILL_S = 4 * STILL_S  # ... of what may be a person beside the volume: nobody holds each limb still so long
-REST_S = USUAL_S  # the picture has come to rest: outlines say enough; also the time constant of the picture that blocks
-# are compared with: slower than sway, faster than daylight
+REST_S = USUAL_S  # the picture has come to rest: outlines say enough; a thing rather than the person, if one is chosen;
+# also the time constant of the picture that blocks are compared with: slower than sway, faster than daylight
 MOST_BLOBS = 8  # looked at a time: bounds the work
 STATIC_S, ALWAYS = 300.0, 0.9  # foreground that kept still for so long, in nine tenths of the time, is static
 STATIC_RATE = math.log(1 - ALWAYS) / STATIC_S  # 1 / s, of its running mean
@@ -52,6 +52,7 @@ class MovedThings:
 
     replaced : (H, W) uint8, 255 where the background may also look as ``mean`` (H, W[, 3]) float32 says, grey levels of
     the light that the background was learned in.
+    likely : (H, W) uint8, 255 where foreground is likely a thing and will be absorbed if it stays so; None: nowhere.
     absorbed, reverted : how many times things were. overflowed : more moved, just now, than may be absorbed.
     dynamic_share : share of the picture that has been foreground for seconds where nobody else sees anybody, and does
     not keep still.
@@ -70,6 +71,7 @@ class MovedThings:
         self._noise = self._learned_sigma = float(np.median(noise))
         self._brightness = 1.0
         self.replaced = np.zeros(self._shape, np.uint8)
+        self.likely: Mask | None = None
         self.mean: npt.NDArray[np.float32] = np.zeros(self._shape, np.float32)
         self.absorbed = self.reverted = 0
         self._restart()
@@ -189,6 +191,8 @@ class MovedThings:
         # what looks as it was learned is given back
         if self._box is not None:
             self._revert(image, self._blocks_of(foreground) >= BLOCK_SHARE, shown, step_s)
+        doubted = shown & (np.minimum(self._still_s, self._others.unseen_s) >= REST_S)
+        self.likely = np.where(self._to_pixels(doubted), np.uint8(255), np.uint8(0)) if doubted.any() else None
         # what nobody else sees, and what was taken away, is absorbed
         self._samples += 1
         self._absorb(shown, image, look, stamp_ns)
